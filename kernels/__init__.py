@@ -1,0 +1,1 @@
+"""Warp kernels: arrays in, arrays out. They know neither scenes nor meshes."""

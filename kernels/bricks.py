@@ -1,0 +1,146 @@
+"""Layout of brick storage and the few functions every brick kernel shares.
+
+A voxel grid is cut into bricks of 8 x 8 x 8 voxels; only bricks that hold material are stored. ``brick_of`` maps a
+brick's grid position to its row in the stored arrays, -1 where nothing is stored. Inside a row, voxel (i, j, k) of the
+brick lies at ``(i * 8 + j) * 8 + k``. Lengths are in voxels: a point at ``x`` metres lies at ``(x - origin) / spacing``.
+"""
+
+import warp as wp
+
+__all__ = [
+    "BRICK",
+    "BRICK_VOXELS",
+    "FULL",
+    "Plane",
+    "cube_behind_plane",
+    "plane_of",
+    "stored",
+    "trilinear",
+    "voxel_column",
+    "voxel_row",
+]
+
+BRICK = 8
+BRICK_VOXELS = BRICK**3
+FULL = 65535
+"""Stored value of a voxel that is wholly filled."""
+
+
+@wp.func
+def voxel_row(brick_of: wp.array3d(dtype=wp.int32), ix: int, iy: int, iz: int):
+    """Row of the brick that holds voxel (ix, iy, iz), -1 outside the grid or where no brick is stored."""
+    bx = ix >> 3
+    by = iy >> 3
+    bz = iz >> 3
+    if ix < 0 or iy < 0 or iz < 0:
+        return int(-1)
+    if bx >= brick_of.shape[0] or by >= brick_of.shape[1] or bz >= brick_of.shape[2]:
+        return int(-1)
+    return int(brick_of[bx, by, bz])
+
+
+@wp.func
+def voxel_column(ix: int, iy: int, iz: int):
+    """Place of voxel (ix, iy, iz) inside its brick's row."""
+    return ((ix & 7) << 6) | ((iy & 7) << 3) | (iz & 7)
+
+
+@wp.func
+def stored(
+    brick_of: wp.array3d(dtype=wp.int32),
+    remaining: wp.array2d(dtype=wp.uint16),
+    ix: int,
+    iy: int,
+    iz: int,
+):
+    """Filled fraction in [0, 1] of voxel (ix, iy, iz), 0 where nothing is stored."""
+    row = voxel_row(brick_of, ix, iy, iz)
+    if row < 0:
+        return float(0.0)
+    return float(remaining[row, voxel_column(ix, iy, iz)]) * (1.0 / 65535.0)
+
+
+@wp.func
+def trilinear(
+    brick_of: wp.array3d(dtype=wp.int32),
+    remaining: wp.array2d(dtype=wp.uint16),
+    point: wp.vec3,
+):
+    """Filled fraction at ``point`` [voxel], trilinear between voxel centres."""
+    ux = point[0] - 0.5
+    uy = point[1] - 0.5
+    uz = point[2] - 0.5
+    ix = int(wp.floor(ux))
+    iy = int(wp.floor(uy))
+    iz = int(wp.floor(uz))
+    fx = ux - float(ix)
+    fy = uy - float(iy)
+    fz = uz - float(iz)
+    c00 = wp.lerp(stored(brick_of, remaining, ix, iy, iz), stored(brick_of, remaining, ix, iy, iz + 1), fz)
+    c01 = wp.lerp(stored(brick_of, remaining, ix, iy + 1, iz), stored(brick_of, remaining, ix, iy + 1, iz + 1), fz)
+    c10 = wp.lerp(stored(brick_of, remaining, ix + 1, iy, iz), stored(brick_of, remaining, ix + 1, iy, iz + 1), fz)
+    c11 = wp.lerp(
+        stored(brick_of, remaining, ix + 1, iy + 1, iz), stored(brick_of, remaining, ix + 1, iy + 1, iz + 1), fz
+    )
+    return wp.lerp(wp.lerp(c00, c01, fy), wp.lerp(c10, c11, fy), fx)
+
+
+@wp.struct
+class Plane:
+    """A plane's direction as the constants that the volume it cuts off a unit cube needs."""
+
+    m1: wp.float32  # |normal| components, ascending, scaled to sum 1
+    m2: wp.float32
+    m3: wp.float32
+    scale: wp.float32  # 1 / (|nx| + |ny| + |nz|)
+    corner: wp.float32  # 1 / (6 m1 m2 m3)
+    edge: wp.float32  # 1 / (2 m2 m3)
+
+
+@wp.func
+def plane_of(normal: wp.vec3):
+    """Constants of :func:`cube_behind_plane` for a plane with unit ``normal``."""
+    x = wp.abs(normal[0])
+    y = wp.abs(normal[1])
+    z = wp.abs(normal[2])
+    plane = Plane()
+    plane.scale = 1.0 / wp.max(x + y + z, 1.0e-6)
+    plane.m1 = wp.max(wp.min(x, wp.min(y, z)) * plane.scale, 1.0e-4)
+    plane.m3 = wp.max(wp.max(x, wp.max(y, z)) * plane.scale, 1.0e-4)
+    plane.m2 = wp.max(1.0 - plane.m1 - plane.m3, plane.m1)
+    plane.edge = 0.5 / (plane.m2 * plane.m3)
+    plane.corner = plane.edge / (3.0 * plane.m1)
+    return plane
+
+
+@wp.func
+def cube_behind_plane(plane: Plane, distance: float):
+    """Volume of the part of the unit cube behind a plane that passes ``distance`` behind the cube's centre.
+
+    Scardovelli and Zaleski (2000), J. Comput. Phys. 164:228, analytic relation for a plane and a cube.
+    """
+    whole = 0.5 - distance * plane.scale
+    a = wp.min(whole, 1.0 - whole)
+    if a <= 0.0:
+        return wp.where(whole > 0.5, 1.0, 0.0)
+    m1 = plane.m1
+    m2 = plane.m2
+    m3 = plane.m3
+    m12 = m1 + m2
+    volume = float(0.0)
+    if a < m1:
+        volume = a * a * a * plane.corner
+    elif a < m2:
+        volume = (a * (a - m1) + m1 * m1 * (1.0 / 3.0)) * plane.edge
+    elif a < wp.min(m12, m3):
+        volume = (a * a * (3.0 * m12 - a) + m1 * m1 * (m1 - 3.0 * a) + m2 * m2 * (m2 - 3.0 * a)) * plane.corner
+    elif m3 < m12:
+        volume = (
+            a * a * (3.0 - 2.0 * a)
+            + m1 * m1 * (m1 - 3.0 * a)
+            + m2 * m2 * (m2 - 3.0 * a)
+            + m3 * m3 * (m3 - 3.0 * a)
+        ) * plane.corner
+    else:
+        volume = (a - 0.5 * m12) / m3
+    return wp.where(whole > 0.5, 1.0 - volume, volume)

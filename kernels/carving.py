@@ -1,0 +1,182 @@
+"""Carving: what a moving surface of revolution leaves of the voxels it sweeps.
+
+A voxel keeps ``min(remaining, 1 - covered)``, where ``covered`` is the volume of the voxel's cube behind the tool's
+surface. A minimum is idempotent and commutes, so overlapping cuts give the same bone in any order; it is exact where
+an old and a new cut are parallel and unbiased on average where they cross. All lengths are in voxels.
+
+Bricks belong to one of ``PHASES`` groups. A launch visits some of the groups, so that a slow tool spreads its carving
+over ticks; every group remembers the pose of its last visit. Inside a brick, blocks of 2 x 2 x 2 voxels that are empty
+or that the surface cannot reach are skipped. Each worker owns whole columns of bricks and its own booking row: no
+atomics, and the same integers on any number of threads.
+"""
+
+import warp as wp
+
+from kernels.bricks import cube_behind_plane, plane_of
+from kernels.revolution import Nearest, Revolution, nearest_on, offset_from
+
+__all__ = ["PHASES", "carve"]
+
+wp.set_module_options({"enable_backward": False})
+
+PHASES = 16
+BLOCK_REACH = wp.constant(1.7320508)  # half diagonal of a block of 2 voxels [voxel]
+BRICK_REACH = wp.constant(6.9282032)  # half diagonal of a brick of 8 voxels [voxel]
+
+
+@wp.kernel
+def carve(
+    # tool
+    tool: Revolution,
+    pose: wp.array2d(dtype=wp.float64),  # row 0 now, row 1 + g last visit of group g: tip xyz [voxel], axis xyz
+    plan: wp.array(dtype=wp.int32),  # first group to visit, how many, 1 for binary removal, 1 to visit every side
+    lookahead: float,  # how far ahead of the surface the fill is foreseen [voxel]
+    worker_offset: int,
+    worker_count: int,
+    # grid
+    brick_of: wp.array3d(dtype=wp.int32),
+    layer: wp.array2d(dtype=wp.uint8),
+    # out
+    remaining_out: wp.array2d(dtype=wp.uint16),
+    fill_out: wp.array2d(dtype=wp.uint8),  # share of the surface in a voxel that meets material, 255 = all
+    alive_out: wp.array(dtype=wp.uint64),  # [brick], one bit a block of 2 x 2 x 2 voxels that may hold material
+    removed_out: wp.array2d(dtype=wp.int64),  # [worker, layer], stored steps removed by this launch
+):
+    """Carve the planned groups; each worker takes every ``worker_count``-th column of bricks under the tool."""
+    worker = wp.tid() + worker_offset
+    for m in range(removed_out.shape[1]):
+        removed_out[worker, m] = wp.int64(0)
+    axis = wp.vec3(float(pose[0, 3]), float(pose[0, 4]), float(pose[0, 5]))
+    low = wp.vec3i(0, 0, 0)
+    high = wp.vec3i(0, 0, 0)
+    for c in range(3):
+        spread = tool.radius * wp.sqrt(wp.max(1.0 - axis[c] * axis[c], 0.0)) + lookahead + 1.0
+        first = wp.min(tool.low * axis[c], tool.high * axis[c]) - spread
+        last = wp.max(tool.low * axis[c], tool.high * axis[c]) + spread
+        low[c] = wp.max(int(wp.floor((float(pose[0, c]) + first) / 8.0)), 0)
+        high[c] = wp.min(int(wp.floor((float(pose[0, c]) + last) / 8.0)), brick_of.shape[c] - 1)
+    columns_y = high[1] - low[1] + 1
+    columns = wp.max(high[0] - low[0] + 1, 0) * wp.max(columns_y, 0)
+    column = worker
+    while column < columns:
+        bx = low[0] + column / columns_y
+        by = low[1] + column % columns_y
+        column += worker_count
+        for visit in range(plan[1]):
+            group = (plan[0] + visit) & 15
+            bz = low[2] + ((group - bx - by - low[2]) & 15)
+            while bz <= high[2]:
+                row = int(brick_of[bx, by, bz])
+                if row >= 0:
+                    carve_brick(
+                        tool, pose, axis, group, plan[2], plan[3], lookahead, bx, by, bz, row, worker,
+                        layer, remaining_out, fill_out, alive_out, removed_out,
+                    )  # fmt: skip
+                bz += 16
+
+
+@wp.func
+def carve_brick(
+    tool: Revolution,
+    pose: wp.array2d(dtype=wp.float64),
+    axis: wp.vec3,
+    group: int,
+    binary: int,
+    every_side: int,
+    lookahead: float,
+    bx: int,
+    by: int,
+    bz: int,
+    row: int,
+    worker: int,
+    layer: wp.array2d(dtype=wp.uint8),
+    remaining: wp.array2d(dtype=wp.uint16),
+    fill: wp.array2d(dtype=wp.uint8),
+    alive_out: wp.array(dtype=wp.uint64),
+    removed: wp.array2d(dtype=wp.int64),
+):
+    """Carve one brick, block by block; the surface's direction is taken once a block."""
+    alive = alive_out[row]
+    if alive == wp.uint64(0):
+        return
+    centre = offset_from(pose, 0, bx * 8 + 4, by * 8 + 4, bz * 8 + 4)
+    far = nearest_on(tool, centre, axis)
+    if far.distance > BRICK_REACH + lookahead:
+        return
+    step = offset_from(pose, 1 + group, bx * 8 + 4, by * 8 + 4, bz * 8 + 4) - centre
+    moved = wp.length(step)
+    if every_side == 0 and wp.dot(step, far.normal) < -0.7 * moved:
+        return  # the whole brick lies behind a tool that leaves it
+    before = alive
+    for block in range(64):
+        bit = wp.uint64(1) << wp.uint64(block)
+        if (alive & bit) != wp.uint64(0):
+            x = (block >> 4) * 2
+            y = ((block >> 2) & 3) * 2
+            z = (block & 3) * 2
+            shift = wp.vec3(float(x) - 3.0, float(y) - 3.0, float(z) - 3.0)
+            # The distance to a convex tool lies above its tangent: three products tell most outer blocks apart.
+            if tool.convex == 0 or far.distance + wp.dot(far.normal, shift) < BLOCK_REACH + lookahead:
+                at = (x << 6) | (y << 3) | z
+                near = nearest_on(tool, centre + shift, axis)
+                if near.distance < -BLOCK_REACH:
+                    for v in range(8):
+                        voxel = at + ((v >> 2) << 6) + (((v >> 1) & 1) << 3) + (v & 1)
+                        kept = int(remaining[row, voxel])
+                        removed[worker, int(layer[row, voxel])] += wp.int64(kept)
+                        remaining[row, voxel] = wp.uint16(0)
+                        fill[row, voxel] = wp.uint8(0)
+                    alive = alive ^ bit
+                elif near.distance < BLOCK_REACH + lookahead:
+                    advance = wp.dot(near.normal, step)
+                    if every_side != 0 or advance >= -0.25 * moved:
+                        carve_block(near, advance, binary, lookahead, row, at, worker, layer, remaining, fill, removed)
+    if alive != before:
+        alive_out[row] = alive
+
+
+@wp.func
+def carve_block(
+    near: Nearest,
+    advance: float,
+    binary: int,
+    lookahead: float,
+    row: int,
+    at: int,
+    worker: int,
+    layer: wp.array2d(dtype=wp.uint8),
+    remaining: wp.array2d(dtype=wp.uint16),
+    fill: wp.array2d(dtype=wp.uint8),
+    removed: wp.array2d(dtype=wp.int64),
+):
+    """Carve eight voxels around ``near``, the tool surface seen from the middle of their block.
+
+    The fill of a voxel tells whether the surface meets material in it: all where this visit removed some, none where
+    an older cut already lies deeper, and what the voxel holds where the surface has yet to reach it.
+    """
+    plane = plane_of(near.normal)
+    reach = (0.5 + lookahead) / plane.scale
+    surface = near.distance + near.bend
+    for v in range(8):
+        distance = (
+            surface
+            + near.normal[0] * (float(v >> 2) - 0.5)
+            + near.normal[1] * (float((v >> 1) & 1) - 0.5)
+            + near.normal[2] * (float(v & 1) - 0.5)
+        )
+        voxel = at + ((v >> 2) << 6) + (((v >> 1) & 1) << 3) + (v & 1)
+        kept = int(remaining[row, voxel])
+        if distance < reach and kept > 0:
+            target = int(65535)
+            if binary == 0:
+                target = int(65535.5 - 65535.0 * cube_behind_plane(plane, distance))
+            elif distance < 0.0:
+                target = 0
+            if kept > target:
+                removed[worker, int(layer[row, voxel])] += wp.int64(kept - target)
+                remaining[row, voxel] = wp.uint16(target)
+                fill[row, voxel] = wp.uint8(255)
+            elif target == 65535:
+                fill[row, voxel] = wp.uint8(kept >> 8)
+            elif kept < target and advance > 0.0:
+                fill[row, voxel] = wp.uint8(0)

@@ -1,0 +1,130 @@
+"""Forces on the elements of a rotating cutter, averaged over a revolution.
+
+Mechanistic model with chip and edge coefficients (Altintas 2012, Manufacturing Automation, ch. 2), per element::
+
+    h  = (v . n) 2 pi / (N omega)
+    dF = -(N A / (2 pi r)) [(K_tc h + K_te) t + (K_rc h + K_re) n + (K_ac h + K_ae) a] fill
+
+with every K scaled by (density / reference density) ** exponent of the layer. Elements that do not advance do not cut.
+"""
+
+import warp as wp
+
+from kernels.bricks import voxel_column, voxel_row
+
+__all__ = ["AREA", "CHIP", "CHUNK", "DENSITIES", "EDGE", "RATE", "Coefficients", "Elements", "cutting_forces"]
+
+wp.set_module_options({"enable_backward": False})
+
+CHUNK = 128
+"""Elements a chunk; chunks are summed in order, so the result does not depend on the number of threads."""
+CHIP = slice(0, 6)
+"""Force [N s/m] and torque about the tip [N s] per unit of the speed that scales the given motion."""
+EDGE = slice(6, 12)
+"""Force [N] and torque about the tip [N m] that do not depend on the speed."""
+RATE = 12
+"""Removal rate [m2] per unit of that speed."""
+AREA = 13
+"""First of the engaged areas, one a layer [m2]."""
+DENSITIES = 4096
+"""Entries of the strength table: densities of 0 to 4095 kg/m3."""
+
+
+@wp.struct
+class Elements:
+    """Point shell of a cutter in its own frame: origin at the tip, z along the axis."""
+
+    point: wp.array(dtype=wp.vec3)  # [m]
+    normal: wp.array(dtype=wp.vec3)  # outward, unit
+    around: wp.array(dtype=wp.vec3)  # direction in which the spin moves the element, unit
+    area: wp.array(dtype=wp.float32)  # [m2]
+    edge_length: wp.array(dtype=wp.float32)  # N A / (2 pi r): mean length of cutting edge in the element [m]
+
+
+@wp.struct
+class Coefficients:
+    """Cutting coefficients at each layer's reference density: chip in [Pa], edge in [N/m]."""
+
+    tangential_chip: wp.array(dtype=wp.float32)  # [layer]
+    radial_chip: wp.array(dtype=wp.float32)
+    axial_chip: wp.array(dtype=wp.float32)
+    tangential_edge: wp.array(dtype=wp.float32)
+    radial_edge: wp.array(dtype=wp.float32)
+    axial_edge: wp.array(dtype=wp.float32)
+    strength: wp.array2d(dtype=wp.float32)  # [layer, density in kg/m3]: (density / reference) ** exponent
+
+
+@wp.kernel
+def cutting_forces(
+    # tool
+    elements: Elements,
+    coefficients: Coefficients,
+    motion: wp.array2d(dtype=wp.float64),  # rows: tip [voxel]; tool axes x, y, z; tip's and angular velocity, own frame
+    chip_per_speed: float,  # 2 pi / (N omega) [s]
+    spacing: float,  # [m]
+    chunk_offset: int,
+    # grid
+    brick_of: wp.array3d(dtype=wp.int32),
+    fill: wp.array2d(dtype=wp.uint8),
+    density: wp.array2d(dtype=wp.uint16),
+    layer: wp.array2d(dtype=wp.uint8),
+    # out
+    sums_out: wp.array2d(dtype=wp.float64),  # [chunk, 13 + layers], tool frame: see CHIP, EDGE, RATE, AREA
+):
+    """Sum the forces on one chunk of elements for a motion of unit speed (1 m/s times the given velocities)."""
+    chunk = wp.tid() + chunk_offset
+    for m in range(13, sums_out.shape[1]):
+        sums_out[chunk, m] = wp.float64(0.0)
+    tip = wp.vec3(float(motion[0, 0]), float(motion[0, 1]), float(motion[0, 2]))
+    ex = wp.vec3(float(motion[1, 0]), float(motion[1, 1]), float(motion[1, 2])) / spacing
+    ey = wp.vec3(float(motion[2, 0]), float(motion[2, 1]), float(motion[2, 2])) / spacing
+    ez = wp.vec3(float(motion[3, 0]), float(motion[3, 1]), float(motion[3, 2])) / spacing
+    velocity = wp.vec3(float(motion[4, 0]), float(motion[4, 1]), float(motion[4, 2]))
+    turning = wp.vec3(float(motion[5, 0]), float(motion[5, 1]), float(motion[5, 2]))
+    turns = wp.length(turning) > 0.0
+    least = 1.0e-5 * wp.length(velocity)
+    chip_force = wp.vec3()
+    chip_torque = wp.vec3()
+    edge_force = wp.vec3()
+    edge_torque = wp.vec3()
+    rate = float(0.0)
+    for e in range(chunk * 128, wp.min(chunk * 128 + 128, elements.point.shape[0])):
+        normal = elements.normal[e]
+        advance = wp.dot(velocity, normal)
+        if turns:
+            advance += wp.dot(wp.cross(turning, elements.point[e]), normal)
+        if advance > least:
+            arm = elements.point[e]
+            at = tip + arm[0] * ex + arm[1] * ey + arm[2] * ez
+            ix = int(wp.floor(at[0]))
+            iy = int(wp.floor(at[1]))
+            iz = int(wp.floor(at[2]))
+            row = voxel_row(brick_of, ix, iy, iz)
+            if row >= 0:
+                column = voxel_column(ix, iy, iz)
+                share = float(fill[row, column]) * (1.0 / 255.0)
+                if share > 0.0:
+                    m = int(layer[row, column])
+                    strength = coefficients.strength[m, wp.min(int(density[row, column]), 4095)]
+                    length = elements.edge_length[e] * share * strength
+                    chip = length * advance * chip_per_speed
+                    around = elements.around[e]
+                    chip_here = wp.vec3(0.0, 0.0, -chip * coefficients.axial_chip[m])
+                    chip_here -= (chip * coefficients.tangential_chip[m]) * around
+                    chip_here -= (chip * coefficients.radial_chip[m]) * normal
+                    edge_here = wp.vec3(0.0, 0.0, -length * coefficients.axial_edge[m])
+                    edge_here -= (length * coefficients.tangential_edge[m]) * around
+                    edge_here -= (length * coefficients.radial_edge[m]) * normal
+                    chip_force += chip_here
+                    chip_torque += wp.cross(arm, chip_here)
+                    edge_force += edge_here
+                    edge_torque += wp.cross(arm, edge_here)
+                    engaged = elements.area[e] * share
+                    rate += engaged * advance
+                    sums_out[chunk, 13 + m] += wp.float64(engaged)
+    for c in range(3):
+        sums_out[chunk, c] = wp.float64(chip_force[c])
+        sums_out[chunk, 3 + c] = wp.float64(chip_torque[c])
+        sums_out[chunk, 6 + c] = wp.float64(edge_force[c])
+        sums_out[chunk, 9 + c] = wp.float64(edge_torque[c])
+    sums_out[chunk, 12] = wp.float64(rate)

@@ -1,0 +1,82 @@
+"""Recorded launches that may be split over processor cores.
+
+A Warp launch on a CPU runs on one core but releases the interpreter lock, so the halves of a launch can run on two
+threads. Handing work to a thread costs about 50 us: a launch is split only while its last run took longer than
+``SPLIT_ABOVE_S``. Kernels are written so that the split does not change a bit of the result.
+"""
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from time import perf_counter
+from typing import Any
+
+import warp as wp
+
+__all__ = ["SPLIT_ABOVE_S", "SplitLaunch", "core_count"]
+
+SPLIT_ABOVE_S = 2.5e-4
+
+
+def core_count() -> int:
+    """Processor cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class SplitLaunch:
+    """A kernel launch recorded once, whole and in parts, and run many times.
+
+    Parameters
+    ----------
+    kernel
+        A kernel whose thread index starts at the integer input at ``offset_index``.
+    dim
+        Number of threads of the whole launch.
+    inputs, outputs
+        Arguments of the kernel.
+    offset_index
+        Place in ``inputs`` of the first thread's index.
+    device
+        Warp device name; on a GPU the launch is never split.
+    cores
+        Parts to split into; 1 never splits. Default: all cores.
+    """
+
+    def __init__(
+        self,
+        kernel: Any,
+        *,
+        dim: int,
+        inputs: Sequence[Any],
+        outputs: Sequence[Any],
+        offset_index: int,
+        device: str,
+        cores: int | None = None,
+    ) -> None:
+        parts = 1 if device != "cpu" else min(cores or core_count(), dim)
+
+        def record(first: int, last: int) -> Any:
+            arguments = list(inputs)
+            arguments[offset_index] = first
+            return wp.launch(
+                kernel, dim=last - first, inputs=arguments, outputs=list(outputs), device=device, record_cmd=True
+            )
+
+        cuts = [dim * part // parts for part in range(parts + 1)]
+        self._whole = record(0, dim)
+        self._parts = [record(a, b) for a, b in zip(cuts, cuts[1:], strict=False)] if parts > 1 else []
+        self._pool = ThreadPoolExecutor(parts - 1, thread_name_prefix="kernel") if parts > 1 else None
+        self._work_s = 0.0
+
+    def __call__(self) -> None:
+        """Run the launch and wait until it is done (on a GPU: until it is queued)."""
+        start = perf_counter()
+        if self._pool is not None and self._work_s > SPLIT_ABOVE_S:
+            waiting = [self._pool.submit(part.launch) for part in self._parts[1:]]
+            self._parts[0].launch()
+            for part in waiting:
+                part.result()
+            self._work_s = (perf_counter() - start) * len(self._parts)
+        else:
+            self._whole.launch()
+            self._work_s = perf_counter() - start

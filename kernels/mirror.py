@@ -1,0 +1,38 @@
+"""Small arrays that the host writes and reads every tick."""
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+__all__ = ["Mirror"]
+
+
+class Mirror:
+    """A device array and the host array that stands for it; on a CPU both are the same memory.
+
+    Parameters
+    ----------
+    shape
+        Shape of the array.
+    dtype
+        A Warp scalar type.
+    device
+        Warp device name.
+    """
+
+    def __init__(self, shape: int | tuple[int, ...], *, dtype: Any, device: str) -> None:
+        self.device = wp.zeros(shape, dtype=dtype, device=device)
+        self._shared = device == "cpu"
+        self.host: NDArray[Any] = self.device.numpy() if self._shared else np.zeros_like(self.device.numpy())
+
+    def push(self) -> None:
+        """Send the host's values to the device."""
+        if not self._shared:
+            self.device.assign(self.host)
+
+    def pull(self) -> None:
+        """Fetch the device's values."""
+        if not self._shared:
+            self.host[...] = self.device.numpy()

@@ -1,0 +1,67 @@
+"""A tool as a surface of revolution: a table of signed distance over radius and height. Lengths are in voxels."""
+
+import warp as wp
+
+__all__ = ["Nearest", "Revolution", "nearest_on", "offset_from"]
+
+
+@wp.struct
+class Revolution:
+    """Signed distance to a body of revolution, tabulated over (radius, height above the tip)."""
+
+    distance: wp.array2d(dtype=wp.float32)  # [radius index, height index], negative inside [voxel]
+    bend: wp.array2d(dtype=wp.float32)  # a sixth of the sum of the principal curvatures there [voxel]
+    height_min: wp.float32  # height of index 0 above the tip [voxel]
+    cells_per_voxel: wp.float32
+    radius: wp.float32  # largest radius of the body [voxel]
+    low: wp.float32  # lowest and highest height of the body above the tip [voxel]
+    high: wp.float32
+    convex: wp.int32  # 1 where the body is convex
+
+
+@wp.struct
+class Nearest:
+    """The tool's surface seen from a point."""
+
+    distance: wp.float32  # signed distance [voxel]
+    bend: wp.float32  # what curvature adds on average over a block of 2 voxels and inside each voxel [voxel]
+    normal: wp.vec3  # outward, unit
+
+
+@wp.func
+def nearest_on(tool: Revolution, offset: wp.vec3, axis: wp.vec3):
+    """The surface seen from ``offset`` [voxel] off the tip of a tool along ``axis``: bilinear in the table.
+
+    Over a block of 2 x 2 x 2 voxels the distances at the voxel centres exceed the tangent plane's by (k1 + k2) / 8 on
+    average, and the mean over each voxel exceeds its centre's by (k1 + k2) / 24: together ``bend``.
+    """
+    height = wp.dot(offset, axis)
+    outward = offset - height * axis
+    radius = wp.length(outward)
+    u = radius * tool.cells_per_voxel
+    v = (height - tool.height_min) * tool.cells_per_voxel
+    i = wp.clamp(int(u), 0, tool.distance.shape[0] - 2)
+    j = wp.clamp(int(wp.max(v, 0.0)), 0, tool.distance.shape[1] - 2)
+    fu = u - float(i)
+    fv = v - float(j)
+    a = tool.distance[i, j]
+    b = tool.distance[i + 1, j]
+    c = tool.distance[i, j + 1]
+    d = tool.distance[i + 1, j + 1]
+    slope_r = (b - a) * (1.0 - fv) + (d - c) * fv
+    slope_z = (c - a) * (1.0 - fu) + (d - b) * fu
+    found = Nearest()
+    found.distance = (a * (1.0 - fu) + b * fu) * (1.0 - fv) + (c * (1.0 - fu) + d * fu) * fv
+    found.bend = tool.bend[i, j]
+    found.normal = wp.normalize((slope_r / wp.max(radius, 1.0e-6)) * outward + slope_z * axis)
+    return found
+
+
+@wp.func
+def offset_from(pose: wp.array2d(dtype=wp.float64), row: int, ix: int, iy: int, iz: int):
+    """Vector [voxel] from the tip of a pose to the low corner of voxel (ix, iy, iz), taken in double precision."""
+    return wp.vec3(
+        float(wp.float64(ix) - pose[row, 0]),
+        float(wp.float64(iy) - pose[row, 1]),
+        float(wp.float64(iz) - pose[row, 2]),
+    )

@@ -1,0 +1,58 @@
+"""A regular grid of voxels whose lines lie on whole multiples of the spacing, whatever region it covers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["BLOCK", "Grid"]
+
+BLOCK = 8
+"""Voxels along the edge of a block."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Voxels numbered from the frame's origin: voxel i spans [i, i + 1] spacings.
+
+    Attributes
+    ----------
+    spacing_m
+        Edge of a voxel [m].
+    first
+        Number of the lowest voxel along x, y and z; negative below the origin.
+    shape
+        Number of voxels along x, y and z.
+    """
+
+    spacing_m: float
+    first: tuple[int, int, int]
+    shape: tuple[int, int, int]
+
+    @property
+    def last(self) -> tuple[int, int, int]:
+        """Number after the highest voxel along x, y and z."""
+        x, y, z = (f + n for f, n in zip(self.first, self.shape, strict=True))
+        return x, y, z
+
+    @property
+    def origin_m(self) -> NDArray[np.float64]:
+        """Lowest corner [m], shape (3,)."""
+        return np.array(self.first) * self.spacing_m
+
+    def blocked(self) -> Grid:
+        """Smallest grid of whole blocks, counted from the frame's origin, that holds this one."""
+        low = [f // BLOCK * BLOCK for f in self.first]
+        high = [-(-e // BLOCK) * BLOCK for e in self.last]
+        return Grid(self.spacing_m, (low[0], low[1], low[2]), (high[0] - low[0], high[1] - low[1], high[2] - low[2]))
+
+    def slab(self, start: int, stop: int) -> Grid:
+        """Part with the local x numbers `start` to `stop`."""
+        return Grid(self.spacing_m, (self.first[0] + start, *self.first[1:]), (stop - start, *self.shape[1:]))
+
+    def block_firsts(self) -> NDArray[np.int64]:
+        """Number of the lowest voxel of each block of a blocked grid, shape (n, 3), in C order of the blocks."""
+        axes = [np.arange(f, e, BLOCK) for f, e in zip(self.first, self.last, strict=True)]
+        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -1,0 +1,117 @@
+"""The procedural glenoid against its own parameters and published ranges, measured on the voxels."""
+
+import math
+
+import numpy as np
+import pytest
+
+from meshes import cortical_block, glenoid, voxelise
+from meshes.errors import InputError
+
+SPACING = 2e-4
+LAYERS = {"subchondral": 0, "cortical": 1, "trabecular": 2}
+
+
+@pytest.fixture(scope="module")
+def face():
+    return voxelise(glenoid(), spacing_m=SPACING, region_m=((-17e-3, -21e-3, -8e-3), (17e-3, 21e-3, 7e-3)))
+
+
+def extent(volume, axis):
+    filled = (volume.fraction > 127).any(axis=tuple(k for k in range(3) if k != axis))
+    return np.ptp(np.flatnonzero(filled)) * volume.spacing_m + volume.spacing_m
+
+
+@pytest.mark.parametrize(("width", "height"), [(27.8, 37.5), (23.6, 32.6)])
+def test_width_and_height_are_the_parameters(width, height):
+    volume = voxelise(glenoid(width_mm=width, height_mm=height), spacing_m=SPACING)
+    assert extent(volume, 0) == pytest.approx(width * 1e-3, abs=2 * SPACING)
+    assert extent(volume, 1) == pytest.approx(height * 1e-3, abs=2 * SPACING)
+
+
+def test_defaults_lie_in_the_published_ranges(face):
+    assert 24e-3 <= extent(face, 0) <= 30e-3 and 33e-3 <= extent(face, 1) <= 38e-3
+
+
+def test_upper_half_is_narrower(face):
+    outline = (face.fraction > 127).any(axis=2)
+    y = face.centres_m(1)
+    width = outline.sum(axis=0) * SPACING
+    upper = width[np.argmin(np.abs(y - 37.5e-3 / 4))]
+    assert upper / width.max() == pytest.approx(0.8, abs=0.02)
+
+
+def test_face_is_the_sphere_through_the_origin(face):
+    height = face.bounds_m[1][2] - (face.fraction[:, :, ::-1] > 127).argmax(axis=2) * SPACING
+    x, y = np.meshgrid(face.centres_m(0), face.centres_m(1), indexing="ij")
+    near = np.hypot(x, y) < 10e-3
+    expected = 35e-3 - np.sqrt(35e-3**2 - x[near] ** 2 - y[near] ** 2)
+    assert np.abs(height[near] - expected).max() < 1.1 * SPACING
+    assert height[near].min() > -SPACING
+
+
+def test_plate_thickness_stays_in_the_measured_range(face):
+    x, y = np.meshgrid(face.centres_m(0), face.centres_m(1), indexing="ij")
+    plate = ((face.layer == 0) & (face.fraction > 127)).sum(axis=2) * SPACING
+    slant = np.sqrt(1 - (x**2 + y**2) / 35e-3**2)
+    inner = (np.abs(x) < 8e-3) & (np.abs(y) < 11e-3)
+    thickness = (plate * slant)[inner]
+    assert thickness.min() > 1.2e-3 - SPACING and thickness.max() < 2.9e-3 + SPACING
+    assert thickness.mean() == pytest.approx(1.9e-3, abs=0.1e-3)
+    assert np.ptp(thickness) > 0.3e-3
+
+
+def test_extreme_thickness_is_held_in_the_range():
+    anatomy = glenoid(subchondral_thickness_mm=2.9, subchondral_variation=0.5)
+    p = np.column_stack([np.full(400, 12e-3), np.zeros(400), np.linspace(-6e-3, 6e-3, 400)])
+    layer, _ = anatomy.classify(p, -anatomy.shape.distance(p))
+    below = np.linalg.norm(p - [0, 0, 35e-3], axis=1) - 35e-3
+    assert below[layer == 0].max() == pytest.approx(2.9e-3, abs=5e-5)
+
+
+def test_layers_and_densities(face):
+    present = face.fraction > 0
+    assert face.layer_names == tuple(LAYERS)
+    for name, value in LAYERS.items():
+        density = face.density_kg_m3[present & (face.layer == value)]
+        low, high = {"subchondral": (1100, 1500), "cortical": (1800, 1800), "trabecular": (250, 500)}[name]
+        assert len(density) and low <= density.min() and density.max() <= high
+    middle = (face.shape[0] // 2, face.shape[1] // 2)
+    column = np.where(face.layer[middle] == 2, face.density_kg_m3[middle], 0)[face.fraction[middle] == 255]
+    column = column[column > 0]
+    assert (np.diff(column.astype(int)) >= 0).all() and column[-1] > column[0] + 50  # densest below the plate
+
+
+def test_layer_volumes_make_the_whole(face):
+    assert sum(face.volume_m3(name) for name in LAYERS) == pytest.approx(face.volume_m3(), rel=1e-12)
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"width_mm": 50}, "width_mm must be in [20, 34], got 50: use 27.8 (men) or 23.6 (women)"),
+    ({"height_mm": math.inf}, "height_mm must be in [28, 45], got inf: use 37.5 (men) or 32.6 (women)"),
+    ({"curvature_radius_mm": math.nan}, "curvature_radius_mm must be in [22, 80], got nan: use 35"),
+    ({"curvature_radius_mm": 22, "height_mm": 45},
+     "curvature_radius_mm must exceed half of height_mm (22.5), got 22: use 35"),
+    ({"subchondral_thickness_mm": 3.5}, "subchondral_thickness_mm must be in [1.2, 2.9], got 3.5: use 1.9"),
+    ({"width_mm": 30, "height_mm": 30}, "height_mm must be at least 1.1 times width_mm (30), got 30: use 37.5 with 27.8"),
+    ({"vault_taper_deg": 25, "vault_depth_mm": 40},
+     "vault_taper_deg must leave the vault open at its floor, got 25 over 40 mm: use at most 17.4"),
+    ({"trabecular_density_kg_m3": "light"}, "trabecular_density_kg_m3 must be a number, got 'light': use 300"),
+    ({"rim_blend_mm": True}, "rim_blend_mm must be a number, got True: use 1.5"),
+])
+def test_refusals(options, message):
+    with pytest.raises(InputError) as refusal:
+        glenoid(**options)
+    assert str(refusal.value) == message
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"size_mm": (20, 12)}, "size_mm must be three lengths, got (20, 12): use for example (20, 12, 8)"),
+    ({"size_mm": 20}, "size_mm must be three lengths, got 20: use for example (20, 12, 8)"),
+    ({"size_mm": (20, -1, 8)}, "size_mm[1] must be in [0.1, 500], got -1: use about (20, 12, 8)"),
+    ({"density_kg_m3": 1e6}, "density_kg_m3 must be in [100, 2500], got 1000000.0: use 1800 for cortical bone"),
+])
+def test_block_refusals(options, message):
+    with pytest.raises(InputError) as refusal:
+        cortical_block(**options)
+    assert str(refusal.value) == message

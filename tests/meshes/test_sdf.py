@@ -1,0 +1,114 @@
+"""Laws of signed distances: the Lipschitz bound, set algebra, unit slope, frames, dtypes and refusals."""
+
+import math
+
+import numpy as np
+import pytest
+
+from meshes import sdf
+from meshes.errors import InputError
+
+SHAPES = {
+    "sphere": sdf.sphere(4e-3, (1e-3, 0.0, -2e-3)),
+    "box": sdf.box((8e-3, 6e-3, 4e-3)),
+    "rounded box": sdf.box((8e-3, 6e-3, 4e-3), (1e-3, 0, 0), rounding_m=1e-3),
+    "cylinder": sdf.cylinder(2e-3, (0, 0, -3e-3), (1e-3, 2e-3, 3e-3)),
+    "capsule": sdf.capsule(1.5e-3, (0, 0, -3e-3), (1e-3, 2e-3, 3e-3)),
+    "ellipsoid": sdf.ellipsoid((5e-3, 3e-3, 2e-3)),
+    "half space": sdf.half_space((1, 2, 2), (1e-3, 0, 0)),
+    "union": sdf.sphere(3e-3) | sdf.box((8e-3, 2e-3, 2e-3)),
+    "intersection": sdf.sphere(3e-3) & sdf.box((8e-3, 4e-3, 2e-3)),
+    "difference": sdf.box((6e-3, 6e-3, 6e-3)) - sdf.cylinder(1e-3, (0, 0, -1e-2), (0, 0, 1e-2)),
+    "blended union": sdf.union(sdf.sphere(3e-3), sdf.box((8e-3, 2e-3, 2e-3)), blend_m=1e-3),
+    "blended difference": sdf.difference(sdf.box((6e-3,) * 3), sdf.sphere(2e-3, (3e-3, 0, 0)), blend_m=1e-3),
+    "moved": sdf.box((8e-3, 6e-3, 4e-3)).rotate((1, 1, 0), 0.7).translate((1e-3, -2e-3, 0)).offset(5e-4),
+}
+EXACT = ["sphere", "rounded box", "cylinder", "capsule", "half space"]
+points_in_cube = pytest.mark.parametrize("seed", [0, 1, 2])
+
+
+def points(seed: int, count: int = 4000) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-8e-3, 8e-3, (count, 3))
+
+
+@pytest.mark.parametrize("name", SHAPES)
+@points_in_cube
+def test_distance_never_changes_faster_than_position(name, seed):
+    a, b = points(seed), points(seed + 100)
+    b[:2000] = a[:2000] + 1e-4 * (b[:2000] / 8e-3)
+    change = np.abs(SHAPES[name].distance(a) - SHAPES[name].distance(b))
+    assert (change <= np.linalg.norm(a - b, axis=1) * (1 + 1e-9) + 1e-15).all()
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_exact_distances_have_unit_slope_outside(name):
+    shape, step = SHAPES[name], 1e-7
+    p = points(3)
+    p = p[shape.distance(p) > 1e-4]
+    slope = np.stack([(shape.distance(p + e) - shape.distance(p - e)) / (2 * step) for e in step * np.eye(3)], axis=1)
+    assert np.abs(np.linalg.norm(slope, axis=1) - 1.0).max() < 1e-3  # second-order in step / distance 1e-4
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_dtype_is_kept_and_float32_agrees(name):
+    p = points(4)
+    fine, coarse = SHAPES[name].distance(p), SHAPES[name].distance(p.astype(np.float32))
+    assert fine.dtype == np.float64 and coarse.dtype == np.float32 and coarse.shape == (len(p),)
+    assert np.abs(fine - coarse).max() < 1e-8  # 8 mm in single precision: 5e-10 m a rounding
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_bounding_box_holds_the_solid(name):
+    p = points(5, 20000)
+    inside = p[SHAPES[name].distance(p) < 0.0]
+    assert len(inside) and (inside >= SHAPES[name].lower_m).all() and (inside <= SHAPES[name].upper_m).all()
+
+
+def test_operators_are_set_algebra():
+    a, b, p = SHAPES["sphere"], SHAPES["box"], points(6)
+    in_a, in_b = a.distance(p) < 0, b.distance(p) < 0
+    assert np.array_equal((a | b).distance(p) < 0, in_a | in_b)
+    assert np.array_equal((a & b).distance(p) < 0, in_a & in_b)
+    assert np.array_equal((a - b).distance(p) < 0, in_a & ~in_b)
+    assert np.array_equal((a | b).distance(p), (b | a).distance(p))
+
+
+def test_blend_adds_to_a_union_only_near_the_crease_and_at_most_a_quarter():
+    a, b, p, blend = SHAPES["sphere"], SHAPES["box"], points(7), 1e-3
+    gain = (a | b).distance(p) - sdf.union(a, b, blend_m=blend).distance(p)
+    far = np.abs(a.distance(p) - b.distance(p)) >= blend
+    assert (gain[far] == 0).all() and (gain >= 0).all() and gain.max() <= blend / 4 * (1 + 1e-12)
+    assert gain[~far].max() > 0.2 * blend
+
+
+def test_moving_the_shape_is_moving_the_points_back():
+    shape, p, angle = SHAPES["cylinder"], points(8), 0.4
+    turn = np.array([[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0], [0, 0, 1]])
+    moved = shape.rotate((0, 0, 3), angle).translate((1e-3, 2e-3, 3e-3))
+    assert np.allclose(moved.distance(p), shape.distance((p - [1e-3, 2e-3, 3e-3]) @ turn), atol=1e-15)
+
+
+def test_known_distances():
+    assert sdf.box((2e-3, 2e-3, 2e-3)).distance(np.array([[2e-3, 2e-3, 1e-3]]))[0] == pytest.approx(math.sqrt(2) * 1e-3)
+    cylinder = sdf.cylinder(1e-3, (0, 0, 0), (0, 0, 2e-3))
+    assert cylinder.distance(np.array([[2e-3, 0, 3e-3], [0, 0, 1e-3]])) == pytest.approx([math.sqrt(2) * 1e-3, -1e-3])
+
+
+@pytest.mark.parametrize(("make", "message"), [
+    (lambda: sdf.sphere(-1.0), "radius_m must be positive and finite, got -1.0: use about 5e-3 (5 mm)"),
+    (lambda: sdf.sphere(math.nan), "radius_m must be positive and finite, got nan: use about 5e-3 (5 mm)"),
+    (lambda: sdf.sphere(1.0, (0, 0)), "centre_m must be three finite numbers, got (0, 0): use for example (0, 0, 1)"),
+    (lambda: sdf.box((1, 0, 1)),
+     "size_m must be positive in every direction, got (1, 0, 1): use about (0.02, 0.012, 0.008)"),
+    (lambda: sdf.box((1, 1, 1), rounding_m=0.6),
+     "rounding_m must be in [0, half the shortest edge 0.5], got 0.6: use 0 for sharp edges"),
+    (lambda: sdf.cylinder(1, (0, 0, 0), (0, 0, 0)),
+     "end_m must differ from start_m, got (0, 0, 0) for both: use a sphere for a point"),
+    (lambda: sdf.ellipsoid((1, -1, 1)),
+     "radii_m must be positive in every direction, got (1, -1, 1): use about (0.02, 0.01, 0.01)"),
+    (lambda: sdf.half_space((0, 0, 0)), "normal must not be zero, got (0, 0, 0): use for example (0, 0, 1)"),
+])
+def test_refusals(make, message):
+    with pytest.raises(InputError) as refusal:
+        make()
+    assert str(refusal.value) == message

@@ -1,0 +1,134 @@
+"""Voxelising shapes: order of convergence, agreement with brute force, independence of the region, refusals."""
+
+import math
+
+import numpy as np
+import pytest
+
+from meshes import Anatomy, cortical_block, glenoid, sdf, voxelise
+from meshes.block_sampling import voxel_fraction
+from meshes.errors import InputError
+
+ROUNDING = 1  # stored fractions are integers of 255: evaluations in another order may round the other way
+
+
+def uniform(shape: sdf.Shape) -> Anatomy:
+    return Anatomy("test", shape, ("cortical",), cortical_block().classify)
+
+
+def brute_force(anatomy, volume):
+    """Every voxel on its own, float64."""
+    axes = [volume.centres_m(axis) for axis in range(3)]
+    centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    distance = anatomy.shape.distance(centres)
+    fraction = voxel_fraction(anatomy.shape, centres, distance, volume.spacing_m)
+    layer, density = anatomy.classify(centres, -distance)
+    return (a.reshape(volume.shape) for a in (fraction, layer, density, distance))
+
+
+def test_sphere_volume_converges_at_second_order():
+    radius, spacings = 5e-3, np.array([8e-4, 4e-4, 2e-4, 1e-4])
+    exact = 4 / 3 * math.pi * radius**3
+    errors = []
+    for spacing in spacings:
+        off_lattice = [(0.13 * k * spacing, 0.37 * spacing, 0.29 * k * spacing) for k in range(3)]
+        volumes = [voxelise(uniform(sdf.sphere(radius, c)), spacing_m=spacing).volume_m3() for c in off_lattice]
+        errors.append(abs(np.mean(volumes) / exact - 1))
+    slope = np.polyfit(np.log(spacings), np.log(errors), 1)[0]
+    assert slope > 1.8
+    assert errors[-1] < 1.5e-4  # (h/R)^2/4, the sagitta within a voxel
+
+
+@pytest.mark.parametrize("anatomy", [
+    uniform(sdf.sphere(3e-3, (1.3e-4, 0, -3e-3))),
+    uniform(sdf.box((4e-3, 3e-3, 5e-3)).rotate((1, 2, 3), 0.6) - sdf.cylinder(8e-4, (0, 0, -5e-3), (0, 0, 5e-3))),
+    uniform(sdf.ellipsoid((4e-3, 2e-3, 1.5e-3))),
+], ids=["sphere", "drilled box", "ellipsoid"])
+def test_coarse_to_fine_is_brute_force(anatomy):
+    volume = voxelise(anatomy, spacing_m=1e-4)
+    fraction, _, _, _ = brute_force(anatomy, volume)
+    assert np.abs(volume.fraction - fraction * 255.0).max() <= ROUNDING
+
+
+def test_glenoid_coarse_to_fine_is_brute_force():
+    anatomy = glenoid()
+    volume = voxelise(anatomy, spacing_m=1e-4, region_m=((4e-3, 10e-3, -6e-3), (14e-3, 20e-3, 6e-3)))
+    fraction, layer, density, distance = brute_force(anatomy, volume)
+    assert np.abs(volume.fraction - fraction * 255.0).max() <= ROUNDING
+    present = volume.fraction > 0
+    assert (volume.layer == layer)[present].mean() > 0.99999  # single precision on a layer's boundary
+    same = present & (volume.layer == layer)
+    assert np.abs(volume.density_kg_m3[same] - density[same]).max() < 2.0  # interpolated over 0.8 mm, decay length 5 mm
+
+
+def test_a_voxel_does_not_depend_on_the_region():
+    anatomy, spacing = glenoid(), 1e-4
+    whole = voxelise(anatomy, spacing_m=spacing, region_m=((-5e-3, -4e-3, -4e-3), (5e-3, 4e-3, 1e-3)))
+    part = voxelise(anatomy, spacing_m=spacing, region_m=((-3.1e-3, -0.57e-3, -2.33e-3), (1.2e-3, 3e-3, 0.5e-3)))
+    first = np.rint((part.origin_m - whole.origin_m) / spacing).astype(int)
+    window = tuple(slice(a, a + n) for a, n in zip(first, part.shape, strict=True))
+    for name in ("fraction", "layer", "density_kg_m3"):
+        assert np.array_equal(getattr(part, name), getattr(whole, name)[window]), name
+    assert np.allclose(part.origin_m / spacing, np.rint(part.origin_m / spacing), atol=1e-9)
+
+
+def test_block_on_the_lattice_is_exact():
+    volume = voxelise(cortical_block(size_mm=(20, 12, 8)), spacing_m=1e-4)
+    assert volume.shape == (200, 120, 80) and (volume.fraction == 255).all()
+    assert volume.volume_m3() == pytest.approx(20 * 12 * 8 * 1e-9, rel=1e-12)
+    assert volume.bounds_m[1][2] == pytest.approx(0.0, abs=1e-15)
+    assert (volume.density_kg_m3 == 1800).all() and volume.layer_names == ("cortical",)
+
+
+def test_block_off_the_lattice_keeps_its_volume():
+    volume = voxelise(cortical_block(size_mm=(5.03, 4.07, 3.05)), spacing_m=1e-4)
+    assert volume.volume_m3() == pytest.approx(5.03 * 4.07 * 3.05 * 1e-9, rel=5e-4)  # rounding to 1/255 on each face
+
+
+def test_pilot_hole_is_subtracted_within_voxels():
+    solid, spacing = cortical_block(), 1e-4
+    hole = sdf.cylinder(2.03e-3, (0.04e-3, 0, -4.02e-3), (0.04e-3, 0, 1e-3))
+    drilled = voxelise(solid, spacing_m=spacing, minus=hole)
+    taken = voxelise(solid, spacing_m=spacing).volume_m3() - drilled.volume_m3()
+    assert taken == pytest.approx(math.pi * 2.03e-3**2 * 4.02e-3, rel=1e-3)
+    empty = drilled.fraction[drilled.shape[0] // 2, drilled.shape[1] // 2, -30:]
+    assert (empty == 0).all()
+    apart = voxelise(solid, spacing_m=spacing, minus=sdf.sphere(1e-3, (1.0, 0, 0)))
+    assert (apart.fraction == 255).all()
+
+
+def test_coarse_grids_classify_every_voxel():
+    volume = voxelise(glenoid(), spacing_m=5e-4)
+    _, layer, density, _ = brute_force(glenoid(), volume)
+    present = volume.fraction > 0
+    assert (volume.layer == layer)[present].mean() > 0.9999
+    assert np.abs(volume.density_kg_m3 - density)[present & (volume.layer == layer)].max() <= 0.51
+
+
+def test_progress_ends_at_one():
+    seen = []
+    voxelise(cortical_block(), spacing_m=5e-4, progress=seen.append)
+    assert seen == sorted(seen) and seen[-1] == 1.0
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"spacing_m": math.nan}, "spacing_m must be positive and finite, got nan: use about 1e-4 (0.1 mm)"),
+    ({"spacing_m": 0}, "spacing_m must be positive and finite, got 0: use about 1e-4 (0.1 mm)"),
+    ({"spacing_m": "fine"}, "spacing_m must be a number, got 'fine': use about 1e-4 (0.1 mm)"),
+    ({"spacing_m": 1e-3, "region_m": ((0, 0, 0), (1, 1, 0))},
+     "region_m must be two finite corners, the first below the second in x, y and z, got ((0, 0, 0), (1, 1, 0)): "
+     "use for example ((-0.01, -0.01, -0.008), (0.01, 0.01, 0.001))"),
+])
+def test_refusals(options, message):
+    with pytest.raises(InputError) as refusal:
+        voxelise(cortical_block(), **options)
+    assert str(refusal.value) == message
+
+
+def test_endless_shape_needs_a_region():
+    with pytest.raises(InputError) as refusal:
+        voxelise(uniform(sdf.half_space((0, 0, 1))), spacing_m=1e-3)
+    assert str(refusal.value) == ("region_m must be given for an anatomy without end, got None: use the box that the "
+                                  "tool reaches")
+    volume = voxelise(uniform(sdf.half_space((0, 0, 1))), spacing_m=1e-3, region_m=((0, 0, -2e-3), (1e-3, 1e-3, 2e-3)))
+    assert volume.volume_m3() == pytest.approx(2e-9)

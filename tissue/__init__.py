@@ -1,0 +1,57 @@
+"""Simulate cutting bone, drilling teeth and pressing soft organs, and what a hand feels while doing it.
+
+>>> import tissue
+>>> run = tissue.simulate(tissue.load_scene("glenoid"))  # doctest: +SKIP
+>>> run.trace["force_z_N"]  # doctest: +SKIP
+"""
+
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from meshes.errors import InputError
+    from tissue.load import load_scene, scene_names, scene_text
+    from tissue.run import Run, SavedRun
+    from tissue.scene import Scene
+    from tissue.simulate import simulate
+
+__all__ = ["InputError", "Run", "SavedRun", "Scene", "load_scene", "scene_names", "scene_text", "simulate"]
+
+_HOMES = {
+    "InputError": "meshes.errors",
+    "Run": "tissue.run",
+    "SavedRun": "tissue.run",
+    "Scene": "tissue.scene",
+    "load_scene": "tissue.load",
+    "scene_names": "tissue.load",
+    "scene_text": "tissue.load",
+    "simulate": "tissue.simulate",
+}
+
+
+def _require_siblings() -> None:
+    """Refuse another package named ``meshes`` or ``kernels`` that hides the one beside this package."""
+    beside = Path(__file__).resolve().parent.parent
+    for name in ("meshes", "kernels"):
+        spec = find_spec(name)
+        found = Path(spec.origin).resolve().parent if spec is not None and spec.origin else None
+        if found != beside / name:
+            raise ImportError(
+                f"tissue needs its own package {name} at {beside / name}, got {found}: "
+                f"uninstall the other {name} or reinstall tissue-sim in a fresh environment"
+            )
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        return getattr(import_module(_HOMES[name]), name)
+    raise AttributeError(f"module 'tissue' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])
+
+
+_require_siblings()

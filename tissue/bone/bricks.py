@@ -1,0 +1,109 @@
+"""Voxels cut into bricks: only bricks that hold bone are stored."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from kernels.bricks import BRICK, BRICK_VOXELS, FULL
+from meshes.volume import VoxelVolume
+
+__all__ = ["BYTES_PER_VOXEL", "BrickStore"]
+
+BYTES_PER_VOXEL = 6
+"""Stored per voxel of a brick: remaining 2, density 2, layer 1, fill 1."""
+STEPS = FULL // 255
+"""Stored steps per step of the volume's 8-bit fraction."""
+
+
+@dataclass(frozen=True, eq=False)
+class BrickStore:
+    """A voxel volume on a device, in the layout of :mod:`kernels.bricks`.
+
+    Attributes
+    ----------
+    volume
+        The volume it was made from; its fractions are the state before any cut.
+    brick_of
+        Brick row at each grid position, int32, shape (bx, by, bz), -1 where empty.
+    remaining
+        Filled fraction of each voxel, uint16, 65535 = full, shape (bricks, 512).
+    density, layer
+        Apparent density [kg/m3], uint16, and layer, uint8, shape (bricks, 512).
+    fill
+        Share of the tool's surface in a voxel that meets bone, uint8, shape (bricks, 512).
+    alive
+        One bit for each block of 2 x 2 x 2 voxels that may hold bone, uint64, shape (bricks,).
+    """
+
+    volume: VoxelVolume
+    brick_of: wp.array
+    remaining: wp.array
+    density: wp.array
+    layer: wp.array
+    fill: wp.array
+    alive: wp.array
+
+    @classmethod
+    def from_volume(cls, volume: VoxelVolume, *, device: str) -> "BrickStore":
+        """Store the bricks of ``volume`` that hold bone on ``device``."""
+        counts = tuple(-(-n // BRICK) for n in volume.shape)
+        bricks = _blocked(volume.fraction, counts)
+        holds = bricks.any(axis=(1, 3, 5))
+        brick_of = np.full(counts, -1, dtype=np.int32)
+        brick_of[holds] = np.arange(int(holds.sum()), dtype=np.int32)
+        if not holds.any():
+            holds[0, 0, 0] = True
+            brick_of[0, 0, 0] = 0
+
+        def stored(array: NDArray[Any]) -> NDArray[Any]:
+            return _blocked(array, counts).transpose(0, 2, 4, 1, 3, 5)[holds].reshape(-1, BRICK_VOXELS)
+
+        fraction = stored(volume.fraction)
+        blocks = fraction.reshape(-1, 4, 2, 4, 2, 4, 2).any(axis=(2, 4, 6)).reshape(-1, 64)
+        alive = np.packbits(blocks, axis=1, bitorder="little").view("<u8").reshape(-1)
+        on = lambda array, dtype: wp.array(np.ascontiguousarray(array), dtype=dtype, device=device)  # noqa: E731
+        return cls(
+            volume,
+            on(brick_of, wp.int32),
+            on(fraction.astype(np.uint16) * np.uint16(STEPS), wp.uint16),
+            on(stored(volume.density_kg_m3), wp.uint16),
+            on(stored(volume.layer), wp.uint8),
+            wp.zeros(fraction.shape, dtype=wp.uint8, device=device),
+            on(alive, wp.uint64),
+        )
+
+    @property
+    def byte_count(self) -> int:
+        """Memory of the stored arrays [bytes]."""
+        arrays = (self.brick_of, self.remaining, self.density, self.layer, self.fill, self.alive)
+        return int(sum(array.capacity for array in arrays))
+
+    def steps_by_layer(self) -> NDArray[np.int64]:
+        """Stored steps that remain in each layer, shape (layers,)."""
+        count = len(self.volume.layer_names)
+        remaining, layer = self.remaining.numpy(), self.layer.numpy()
+        return np.array([remaining[layer == index].sum(dtype=np.int64) for index in range(count)])
+
+    def fraction(self) -> NDArray[np.uint8]:
+        """Remaining fraction of every voxel of the volume, 255 = full, shape of the volume."""
+        brick_of = self.brick_of.numpy()
+        nx, ny, nz = (BRICK * n for n in brick_of.shape)
+        dense = np.zeros((*brick_of.shape, BRICK, BRICK, BRICK), dtype=np.uint8)
+        held = brick_of >= 0
+        dense[held] = ((self.remaining.numpy() + np.uint16(STEPS // 2)) // np.uint16(STEPS)).reshape(
+            -1, BRICK, BRICK, BRICK
+        )[brick_of[held]]
+        x, y, z = self.volume.shape
+        whole = dense.transpose(0, 3, 1, 4, 2, 5).reshape(nx, ny, nz)
+        return np.ascontiguousarray(whole[:x, :y, :z])
+
+
+def _blocked(array: NDArray[Any], counts: tuple[int, ...]) -> NDArray[Any]:
+    """View of an array, padded to whole bricks, with axes (bx, 8, by, 8, bz, 8)."""
+    pad = [(0, BRICK * count - n) for count, n in zip(counts, array.shape, strict=True)]
+    padded = np.pad(array, pad) if any(after for _, after in pad) else array
+    bx, by, bz = counts
+    return padded.reshape(bx, BRICK, by, BRICK, bz, BRICK)

@@ -1,0 +1,258 @@
+"""Bone that a rotating cutter mills: carving over bricks and the force on the cutter's elements."""
+
+from typing import Literal
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from kernels.bricks import FULL
+from kernels.carving import PHASES, carve
+from kernels.cutting import AREA, CHIP, CHUNK, DENSITIES, EDGE, RATE, Coefficients, Elements, cutting_forces
+from kernels.launcher import SplitLaunch
+from kernels.mirror import Mirror
+from kernels.revolution import Revolution
+from meshes.volume import VoxelVolume
+from tissue.bone.bricks import BrickStore
+from tissue.cutters import Cutter, DistanceTable, PointShell
+from tissue.materials import CuttingCoefficients
+from tissue.model import Response, ToolMotion
+
+__all__ = ["BoneModel", "Removal"]
+
+Removal = Literal["subvoxel", "binary"]
+
+CARVE_LAG_M = 1e-5
+"""How far the tool may move between two visits of a brick, at most a quarter voxel [m]."""
+LONGEST_STEP_VOXELS = 0.5
+"""Longest step between two carvings; a faster tool is carved in parts of a tick."""
+SHELL_ELEMENTS = 4000
+"""Elements wanted over the cutting surface where the voxels would allow more."""
+WORKERS_CPU, WORKERS_GPU = 32, 2048
+"""Workers that share a carving launch."""
+
+
+class BoneModel:
+    """Voxelised bone and one cutter.
+
+    Parameters
+    ----------
+    volume
+        The bone.
+    cutter
+        The tool.
+    coefficients
+        Cutting coefficients of each of the volume's layers, in their order.
+    removal
+        ``subvoxel`` removes the part of a voxel inside the tool; ``binary`` whole voxels by their centres.
+    shell_spacing_m
+        Distance between the cutter's elements [m]; by default two voxels, or wider where that gives more than 4000.
+    device
+        Warp device name.
+    cores
+        Processor cores to split large launches over; default all. The result does not depend on it.
+    """
+
+    def __init__(
+        self,
+        volume: VoxelVolume,
+        cutter: Cutter,
+        coefficients: tuple[CuttingCoefficients, ...],
+        *,
+        removal: Removal = "subvoxel",
+        shell_spacing_m: float | None = None,
+        device: str = "cpu",
+        cores: int | None = None,
+    ) -> None:
+        self.layer_names = volume.layer_names
+        self.cutter = cutter
+        self.store = BrickStore.from_volume(volume, device=device)
+        self.start_steps = self.store.steps_by_layer()
+        self.removed_steps = np.zeros_like(self.start_steps)
+        self._binary = int(removal == "binary")
+        layers = len(self.layer_names)
+        spacing = volume.spacing_m
+        self._origin, self._spacing = volume.origin_m, spacing
+        self.shell = cutter.shell(
+            spacing_m=shell_spacing_m or max(2.0 * spacing, (cutter.cutting_area_m2 / SHELL_ELEMENTS) ** 0.5)
+        )
+        table = cutter.table(spacing_m=spacing)
+        self._lag = min(CARVE_LAG_M / spacing, 0.25)
+        self._lever = max(abs(table.low), abs(table.high))
+        self._response = Response.empty(layers)
+        self._visited = False
+        self._next_group = 0
+        self._debt = 0.0
+        self._heading = np.zeros((2, 3))
+        workers = WORKERS_CPU if device == "cpu" else WORKERS_GPU
+        chunks = -(-len(self.shell.areas_m2) // CHUNK)
+        self._pose = Mirror((1 + PHASES, 6), dtype=wp.float64, device=device)
+        self._plan = Mirror(4, dtype=wp.int32, device=device)
+        self._removed = Mirror((workers, layers), dtype=wp.int64, device=device)
+        self._motion = Mirror((6, 3), dtype=wp.float64, device=device)
+        self._sums = Mirror((chunks, AREA + layers), dtype=wp.float64, device=device)
+        store = self.store
+        self._carve = SplitLaunch(
+            carve,
+            dim=workers,
+            inputs=[
+                _revolution(table, convex=cutter.profile.convex, device=device),
+                self._pose.device,
+                self._plan.device,
+                1.5 * self._lag,
+                0,
+                workers,
+                store.brick_of,
+                store.layer,
+            ],
+            outputs=[store.remaining, store.fill, store.alive, self._removed.device],
+            offset_index=4,
+            device=device,
+            cores=cores,
+        )
+        self._forces = SplitLaunch(
+            cutting_forces,
+            dim=chunks,
+            inputs=[
+                _elements(self.shell, cutter.flute_count, device=device),
+                _on_device(coefficients, device=device),
+                self._motion.device,
+                cutter.chip_per_speed_s,
+                spacing,
+                0,
+                store.brick_of,
+                store.fill,
+                store.density,
+                store.layer,
+            ],
+            outputs=[self._sums.device],
+            offset_index=5,
+            device=device,
+            cores=cores,
+        )
+
+    @property
+    def step_m3(self) -> float:
+        """Volume of one stored step [m3]."""
+        return self._spacing**3 / FULL
+
+    @property
+    def start_m3(self) -> NDArray[np.float64]:
+        """Volume of each layer before the first cut [m3], shape (layers,)."""
+        return self.start_steps * self.step_m3
+
+    @property
+    def removed_m3(self) -> NDArray[np.float64]:
+        """Volume removed from each layer so far [m3], shape (layers,)."""
+        return self.removed_steps * self.step_m3
+
+    def advance(self, motion: ToolMotion) -> None:
+        """Carve what the tool reaches at its new pose; a slow tool's carving is spread over ticks."""
+        pose = self._pose.host
+        tip = (motion.tip_m - self._origin) / self._spacing
+        axis = motion.rotation[:, 2]
+        if not self._visited:
+            pose[:, :3], pose[:, 3:] = tip, axis
+            self._visit(PHASES, every_side=True)
+            self._visited = True
+            self._heading[:] = motion.heading
+            return
+        if np.vdot(motion.heading, self._heading) < 0.9 * np.vdot(self._heading, self._heading) and self._debt > 0.0:
+            self._visit(PHASES)  # the tool turns: first complete what it cut on its old way
+        self._heading[:] = motion.heading
+        before = pose[0].copy()
+        step = float(np.linalg.norm(tip - before[:3]) + self._lever * np.linalg.norm(axis - before[3:]))
+        if step == 0.0:
+            return
+        parts = max(int(np.ceil(step / LONGEST_STEP_VOXELS)), 1)
+        for part in range(1, parts + 1):
+            share = part / parts
+            pose[0, :3] = before[:3] + share * (tip - before[:3])
+            pose[0, 3:] = before[3:] + share * (axis - before[3:])
+            if part < parts:
+                pose[0, 3:] /= np.linalg.norm(pose[0, 3:])
+                self._visit(PHASES)
+        self._debt = PHASES if parts > 1 else self._debt + PHASES * step / self._lag
+        groups = min(int(self._debt), PHASES)
+        if groups > 0:
+            self._visit(groups)
+
+    def respond(self, motion: ToolMotion) -> Response:
+        """Cutting force at the motion's pose, as a part that grows with speed and a part that does not."""
+        rows = self._motion.host
+        rows[0] = (motion.tip_m - self._origin) / self._spacing
+        rows[1:4] = motion.rotation.T
+        rows[4:6] = motion.heading @ motion.rotation
+        self._motion.push()
+        self._forces()
+        self._sums.pull()
+        sums = self._sums.host.sum(axis=0)
+        response = self._response
+        response.resistance[:] = (sums[CHIP].reshape(2, 3) @ motion.rotation.T).ravel()
+        response.edge[:] = (sums[EDGE].reshape(2, 3) @ motion.rotation.T).ravel()
+        response.engaged_m2[:] = sums[AREA:]
+        response.removal_rate_m3_s = float(sums[RATE]) * motion.speed_m_s
+        if motion.speed_m_s > 0.0:
+            response.wrench[:] = response.resistance * motion.speed_m_s + response.edge
+        else:
+            response.wrench[:] = 0.0
+        return response
+
+    def finish(self) -> None:
+        """Complete the carving that was spread over ticks."""
+        if self._visited:
+            self._visit(PHASES)
+
+    def remaining(self) -> NDArray[np.uint8]:
+        """Bone left in every voxel, 255 = full, shape of the volume."""
+        return self.store.fraction()
+
+    def _visit(self, groups: int, *, every_side: bool = False) -> None:
+        """Carve ``groups`` groups of bricks at the current pose and book what they lost."""
+        first = self._next_group
+        self._plan.host[:] = (first, groups, self._binary, every_side)
+        self._plan.push()
+        self._pose.push()
+        self._carve()
+        self._removed.pull()
+        self.removed_steps += self._removed.host.sum(axis=0)
+        for visit in range(groups):
+            self._pose.host[1 + (first + visit) % PHASES] = self._pose.host[0]
+        self._next_group = (first + groups) % PHASES
+        self._debt = 0.0 if groups == PHASES else self._debt - groups
+
+
+def _revolution(table: DistanceTable, *, convex: bool, device: str) -> Revolution:
+    """The cutter's distance table on a device."""
+    tool = Revolution()
+    tool.distance = wp.array(table.distance, dtype=wp.float32, device=device)
+    tool.bend = wp.array(table.bend, dtype=wp.float32, device=device)
+    tool.height_min, tool.cells_per_voxel = table.height_min, table.cells_per_voxel
+    tool.radius, tool.low, tool.high = table.radius, table.low, table.high
+    tool.convex = int(convex)
+    return tool
+
+
+def _elements(shell: PointShell, flute_count: int, *, device: str) -> Elements:
+    """The cutter's point shell on a device."""
+    elements = Elements()
+    elements.point = wp.array(shell.points_m, dtype=wp.vec3, device=device)
+    elements.normal = wp.array(shell.normals, dtype=wp.vec3, device=device)
+    around = np.column_stack([-shell.points_m[:, 1], shell.points_m[:, 0], np.zeros(len(shell.radii_m))])
+    elements.around = wp.array(around / shell.radii_m[:, None], dtype=wp.vec3, device=device)
+    elements.area = wp.array(shell.areas_m2, dtype=wp.float32, device=device)
+    edge_length = flute_count * shell.areas_m2 / (2.0 * np.pi * shell.radii_m)
+    elements.edge_length = wp.array(edge_length, dtype=wp.float32, device=device)
+    return elements
+
+
+def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) -> Coefficients:
+    """Cutting coefficients on a device, one entry a layer."""
+    arrays = Coefficients()
+    for name, source in CuttingCoefficients.KERNEL_NAMES.items():
+        values = [getattr(layer, source) for layer in coefficients]
+        setattr(arrays, name, wp.array(values, dtype=wp.float32, device=device))
+    density = np.arange(DENSITIES)
+    strength = [(density / layer.reference_density_kg_m3) ** layer.density_exponent for layer in coefficients]
+    arrays.strength = wp.array(np.array(strength), dtype=wp.float32, device=device)
+    return arrays

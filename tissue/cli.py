@@ -1,0 +1,187 @@
+"""The ``tissue`` command."""
+
+import errno
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from time import perf_counter
+from typing import Annotated, Any, NoReturn
+
+from cyclopts import App, CycloptsError, Parameter
+from rich.console import Console
+
+from meshes.errors import InputError
+
+__all__ = ["app", "main"]
+
+app = App(name="tissue", help="Simulate cutting bone, drilling teeth and pressing soft organs.")
+console = Console()
+problems = Console(stderr=True)
+
+BAD_INPUT = 2
+"""Exit code for anything a person can mend by other input."""
+
+
+@app.command
+def run(
+    scene: str,
+    /,
+    *,
+    out: Path | None = None,
+    seed: int | None = None,
+    duration_s: float | None = None,
+    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    compute: str = "cpu",
+    cores: int | None = None,
+    format_: Annotated[tuple[str, ...], Parameter(name="--format", negative="")] = (),
+    pictures: bool = True,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Simulate a scene and write its trace, bone and pictures.
+
+    Parameters
+    ----------
+    scene
+        Name of a built-in scene (see `tissue scenes`) or a TOML file.
+    out
+        Folder to write; default runs/NAME.
+    seed
+        Seed of every random draw.
+    duration_s
+        Simulated time in seconds.
+    set_
+        KEY=VALUE, replaces an entry of the scene, such as voxels.spacing_mm=0.2; may be repeated.
+    compute
+        Device for the kernels: cpu or cuda:0.
+    cores
+        Processor cores to use; default all. The trace does not depend on it.
+    format_
+        Further formats of the trace beside CSV: parquet, npz, mat, h5; may be repeated.
+    pictures
+        Draw pictures.
+    overwrite
+        Replace the run that the folder already holds.
+    """
+    from tissue.formats import check_formats
+    from tissue.load import load_scene, parse_override
+    from tissue.run import RunFolder
+
+    check_formats(format_)
+    overrides = dict(parse_override(text) for text in set_)
+    if seed is not None:
+        overrides["seed"] = seed
+    if duration_s is not None:
+        overrides["duration_s"] = duration_s
+    loaded = load_scene(scene, overrides)
+    folder = out or Path("runs") / loaded.name
+    RunFolder.check(folder, overwrite=overwrite)
+    started = perf_counter()
+    with _progress() as tell:
+        from tissue.simulate import simulate
+
+        finished = simulate(
+            loaded, compute=compute, cores=cores, out=folder, overwrite=overwrite, progress=tell
+        )
+        simulated = perf_counter()
+        finished.save(folder, formats=format_, pictures=pictures, progress=tell)
+    _print_summary(finished.summary(), folder, wall_s=perf_counter() - started, saving_s=perf_counter() - simulated)
+
+
+@app.command
+def scenes(name: str | None = None, /) -> None:
+    """List the built-in scenes, or print one as TOML, ready to copy and edit.
+
+    Parameters
+    ----------
+    name
+        Scene to print.
+    """
+    from tissue.load import load_scene, scene_names, scene_text
+
+    if name is not None:
+        sys.stdout.write(scene_text(name))
+        return
+    for each in scene_names():
+        console.print(f"[bold]{each:<12}[/bold] {load_scene(each).description}", soft_wrap=True)
+
+
+@app.command
+def view(folder: Path, /, *, screenshot: Path | None = None) -> None:
+    """Show a run in a window.
+
+    Parameters
+    ----------
+    folder
+        Folder that `tissue run` wrote.
+    screenshot
+        Write a picture to this file instead of opening a window.
+    """
+    from tissue.view import view as show
+
+    console.print(show(folder, screenshot=screenshot), soft_wrap=True, highlight=False)
+
+
+def main() -> NoReturn:
+    """Entry point: bad input becomes one sentence and exit code 2."""
+    try:
+        app(exit_on_error=False, print_error=False)
+    except (InputError, CycloptsError) as error:
+        _refuse(str(error))
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EROFS, errno.EFBIG):
+            raise
+        what = "have room" if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG) else "be writable"
+        where = f" at {error.filename}" if error.filename else ""
+        _refuse(f"out must {what}, got {(error.strerror or '').lower()}{where}: free some space or choose another --out")
+    except KeyboardInterrupt:
+        problems.print("stopped; the trace so far is kept, see `tissue view`", highlight=False)
+        sys.exit(130)
+    sys.exit(0)
+
+
+def _refuse(sentence: str) -> NoReturn:
+    problems.print(f"[red]error:[/red] {_escaped(sentence)}", soft_wrap=True, highlight=False)
+    sys.exit(BAD_INPUT)
+
+
+def _escaped(text: str) -> str:
+    from rich.markup import escape
+
+    return escape(text)
+
+
+@contextmanager
+def _progress() -> Iterator[Any]:
+    """A progress bar that names what is being done."""
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=problems, transient=True) as bar:
+        task = bar.add_task("starting", total=1.0)
+        yield lambda doing, share: bar.update(task, description=doing, completed=share)
+
+
+def _print_summary(summary: dict[str, Any], folder: Path, *, wall_s: float, saving_s: float) -> None:
+    """The table a person reads after a run."""
+    from rich.table import Table
+
+    table = Table(title=f"{summary['scene']}: {summary['simulated_s']:g} s simulated in {wall_s:.1f} s")
+    table.add_column("quantity")
+    table.add_column("value", justify="right")
+    for layer, removed in summary["removed_mm3"].items():
+        table.add_row(f"removed {layer}", f"{removed:.2f} of {summary['start_mm3'][layer]:.1f} mm³")
+    table.add_row("force, peak / mean in contact", _pair(summary["force_N"], "N"))
+    table.add_row("torque, peak / mean in contact", _pair(summary["torque_Nm"], "N·m"))
+    tick = summary["tick_us"]
+    table.add_row("tick, median / 99 % / max", f"{tick['median']:.0f} / {tick['p99']:.0f} / {tick['max']:.0f} µs")
+    table.add_row("missed 1 ms deadlines", f"{summary['missed_deadlines']} of {summary['simulated_s'] * 1e3:.0f}")
+    table.add_row("writing files and pictures", f"{saving_s:.1f} s")
+    console.print(table)
+    for name, note in summary["notes"].items():
+        console.print(f"{name}: {note}", soft_wrap=True, highlight=False, markup=False)
+    console.print(f"files in {folder}", soft_wrap=True, highlight=False)
+
+
+def _pair(figures: dict[str, float], unit: str) -> str:
+    return f"{figures['peak']:.3g} / {figures['mean_in_contact']:.3g} {unit}"

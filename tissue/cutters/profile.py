@@ -1,0 +1,188 @@
+"""Profiles of cutters: the half section that turns around the tool's axis.
+
+A profile runs in the (radius, height) half plane from the axis at the tip to the axis at the top, with the material to
+its left. Heights are measured from the tip, the point that a tool pose places.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import cos, hypot, pi, sin, tan
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Arc", "Line", "Piece", "Profile", "ball_burr", "cylinder", "flat_reamer", "hemispherical_reamer", "twist_drill"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Line:
+    """Straight piece from ``start`` to ``end``, each (radius, height) [m]; ``cutting`` where it carries edges."""
+
+    start: tuple[float, float]
+    end: tuple[float, float]
+    cutting: bool = True
+
+    @property
+    def length_m(self) -> float:
+        """Length [m]."""
+        return hypot(self.end[0] - self.start[0], self.end[1] - self.start[1])
+
+    def at(self, share: Array) -> tuple[Array, Array]:
+        """Points, shape (n, 2) [m], and outward normals, shape (n, 2), at shares of the length in [0, 1]."""
+        a, b = np.asarray(self.start), np.asarray(self.end)
+        direction = (b - a) / self.length_m
+        return a + share[:, None] * (b - a), np.broadcast_to([direction[1], -direction[0]], (len(share), 2))
+
+    def seen_from(self, points: Array) -> tuple[Array, Array]:
+        """Distance [m] and meridional curvature [1/m] of the parallel curve at ``points``, shape (n, 2)."""
+        a, b = np.asarray(self.start), np.asarray(self.end)
+        share = np.clip((points - a) @ (b - a) / self.length_m**2, 0.0, 1.0)
+        distance = np.linalg.norm(points - a - share[:, None] * (b - a), axis=1)
+        ends = (share == 0.0) | (share == 1.0)
+        return distance, np.where(ends, 1.0 / np.maximum(distance, 1e-12), 0.0)
+
+    def corners(self) -> list[tuple[float, float]]:
+        """Points that outline the piece, its end left out."""
+        return [self.start]
+
+
+@dataclass(frozen=True)
+class Arc:
+    """Circular piece around ``centre`` from angle ``first`` to ``last`` [rad] (0 outward, -pi/2 toward the tip)."""
+
+    centre: tuple[float, float]
+    radius: float
+    first: float
+    last: float
+    cutting: bool = True
+
+    @property
+    def length_m(self) -> float:
+        """Length [m]."""
+        return self.radius * (self.last - self.first)
+
+    def at(self, share: Array) -> tuple[Array, Array]:
+        """Points, shape (n, 2) [m], and outward normals, shape (n, 2), at shares of the length in [0, 1]."""
+        angle = self.first + share * (self.last - self.first)
+        normal = np.column_stack([np.cos(angle), np.sin(angle)])
+        return np.asarray(self.centre) + self.radius * normal, normal
+
+    def seen_from(self, points: Array) -> tuple[Array, Array]:
+        """Distance [m] and meridional curvature [1/m] of the parallel curve at ``points``, shape (n, 2)."""
+        from_centre = points - np.asarray(self.centre)
+        reach = np.linalg.norm(from_centre, axis=1)
+        middle = 0.5 * (self.first + self.last)
+        angle = np.arctan2(from_centre[:, 1], from_centre[:, 0])
+        off = np.abs(np.angle(np.exp(1j * (angle - middle))))
+        within = off <= 0.5 * (self.last - self.first)
+        ends = self.at(np.array([0.0, 1.0]))[0]
+        to_ends = np.min(np.linalg.norm(points[:, None] - ends[None], axis=2), axis=1)
+        distance = np.where(within, np.abs(reach - self.radius), to_ends)
+        return distance, 1.0 / np.maximum(np.where(within, reach, to_ends), 1e-12)
+
+    def corners(self) -> list[tuple[float, float]]:
+        """Points that outline the piece to 1e-5 of its radius, its end left out."""
+        share = np.linspace(0.0, 1.0, max(int((self.last - self.first) / 0.009), 2), endpoint=False)
+        return [(float(r), float(z)) for r, z in self.at(share)[0]]
+
+
+Piece = Line | Arc
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Half section of a body of revolution, tip to top."""
+
+    pieces: tuple[Piece, ...]
+    convex: bool
+
+    @property
+    def outline(self) -> Array:
+        """Corner points, shape (n, 2): radius and height [m]."""
+        points = [corner for piece in self.pieces for corner in piece.corners()]
+        return np.array([*points, (0.0, float(self.pieces[-1].at(np.array([1.0]))[0][0, 1]))])
+
+    @property
+    def radius_m(self) -> float:
+        """Largest radius [m]."""
+        return float(self.outline[:, 0].max())
+
+    @property
+    def height_range_m(self) -> tuple[float, float]:
+        """Lowest and highest height above the tip [m]."""
+        return float(self.outline[:, 1].min()), float(self.outline[:, 1].max())
+
+    def distance(self, points: Array) -> tuple[Array, Array]:
+        """Signed distance [m], negative inside, and meridional curvature [1/m] seen from (radius, height) points."""
+        seen = [piece.seen_from(points) for piece in self.pieces]
+        distances = np.stack([distance for distance, _ in seen])
+        nearest = distances.argmin(axis=0)
+        pick = (nearest, np.arange(len(points)))
+        curvature = np.stack([bend for _, bend in seen])[pick]
+        inside = _inside(self.outline, points)
+        return np.where(inside, -distances[pick], distances[pick]), curvature
+
+
+def _inside(outline: Array, points: Array) -> NDArray[np.bool_]:
+    """Whether (radius, height) points lie inside a closed outline: crossing number along +radius."""
+    inside = np.zeros(len(points), dtype=bool)
+    for (r0, z0), (r1, z1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
+        if z0 == z1:
+            continue
+        spans = (z0 > points[:, 1]) != (z1 > points[:, 1])
+        crossing = r0 + (points[:, 1] - z0) * (r1 - r0) / (z1 - z0)
+        inside ^= spans & (points[:, 0] < crossing)
+    return inside
+
+
+def ball_burr(*, diameter_m: float) -> Profile:
+    """Full ball, tip at its lowest point."""
+    r = 0.5 * diameter_m
+    return Profile((Arc((0.0, r), r, -0.5 * pi, 0.5 * pi),), convex=True)
+
+
+def cylinder(*, diameter_m: float, length_m: float) -> Profile:
+    """Flat-ended cylinder (end mill): end and side cut."""
+    r = 0.5 * diameter_m
+    return Profile((Line((0, 0), (r, 0)), Line((r, 0), (r, length_m)), Line((r, length_m), (0, length_m), False)), True)
+
+
+def twist_drill(*, diameter_m: float, length_m: float, point_angle_rad: float) -> Profile:
+    """Twist drill: conical lips with the included ``point_angle_rad`` and a cylindrical margin."""
+    r = 0.5 * diameter_m
+    shoulder = r / tan(0.5 * point_angle_rad)
+    return Profile(
+        (
+            Line((0, 0), (r, shoulder)),
+            Line((r, shoulder), (r, length_m)),
+            Line((r, length_m), (0, length_m), False),
+        ),
+        convex=True,
+    )
+
+
+def _peg(radius: float, length: float, top: float) -> list[Piece]:
+    """Non-cutting guide peg that ends ``length`` below the tip and meets the cutter at height ``top``."""
+    return [Line((0, -length), (radius, -length), False), Line((radius, -length), (radius, top), False)]
+
+
+def hemispherical_reamer(*, diameter_m: float, peg_diameter_m: float = 0.0, peg_length_m: float = 0.0) -> Profile:
+    """Hemisphere that cuts with its face, with a central guide peg where its diameter is not 0."""
+    r, q = 0.5 * diameter_m, 0.5 * peg_diameter_m
+    first = -0.5 * pi if q == 0.0 else -float(np.arccos(q / r))
+    pieces: Sequence[Piece] = [] if q == 0.0 else _peg(q, peg_length_m, r + r * sin(first))
+    face = Arc((0.0, r), r, first, 0.0)
+    return Profile((*pieces, face, Line((r * cos(0.0), r), (0.0, r), False)), convex=q == 0.0)
+
+
+def flat_reamer(
+    *, diameter_m: float, thickness_m: float, peg_diameter_m: float = 0.0, peg_length_m: float = 0.0
+) -> Profile:
+    """Disc that cuts with its flat face and rim, with a central guide peg where its diameter is not 0."""
+    r, q = 0.5 * diameter_m, 0.5 * peg_diameter_m
+    pieces: Sequence[Piece] = [] if q == 0.0 else _peg(q, peg_length_m, 0.0)
+    face = Line((q, 0.0), (r, 0.0))
+    rim = Line((r, 0.0), (r, thickness_m))
+    return Profile((*pieces, face, rim, Line((r, thickness_m), (0.0, thickness_m), False)), convex=q == 0.0)

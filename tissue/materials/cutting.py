@@ -1,0 +1,96 @@
+"""Cutting coefficients, read from ``cutting.toml`` beside this file."""
+
+import tomllib
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.resources import files
+from typing import ClassVar
+
+from meshes.errors import InputError
+
+__all__ = ["Constant", "CuttingCoefficients", "cutting_constants", "cutting_coefficients"]
+
+N_MM2 = 1e6  # [Pa]
+N_MM = 1e3  # [N/m]
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A cited number: value, plausible range and source, in the unit of its name."""
+
+    value: float
+    low: float
+    high: float
+    source: str
+    confidence: str
+
+
+@dataclass(frozen=True)
+class CuttingCoefficients:
+    """Mechanistic cutting coefficients of a material: chip in [Pa], edge in [N/m]."""
+
+    tangential_chip_Pa: float
+    radial_chip_Pa: float
+    axial_chip_Pa: float
+    tangential_edge_N_m: float
+    radial_edge_N_m: float
+    axial_edge_N_m: float
+    reference_density_kg_m3: float
+    density_exponent: float
+
+    KERNEL_NAMES: ClassVar[dict[str, str]] = {
+        "tangential_chip": "tangential_chip_Pa",
+        "radial_chip": "radial_chip_Pa",
+        "axial_chip": "axial_chip_Pa",
+        "tangential_edge": "tangential_edge_N_m",
+        "radial_edge": "radial_edge_N_m",
+        "axial_edge": "axial_edge_N_m",
+    }
+
+    def without_edges(self) -> "CuttingCoefficients":
+        """The same material with sharp edges: no edge forces."""
+        return replace(self, tangential_edge_N_m=0.0, radial_edge_N_m=0.0, axial_edge_N_m=0.0)
+
+
+@cache
+def cutting_constants(material: str) -> dict[str, Constant]:
+    """Cited constants of a material by their names with units.
+
+    Raises
+    ------
+    InputError
+        If the material is not listed.
+    """
+    table = tomllib.loads(files("tissue.materials").joinpath("cutting.toml").read_text("utf-8"))
+    if material not in table:
+        raise InputError(f"material must be one of {', '.join(table)}, got {material}: choose a listed one")
+    return {
+        name: Constant(entry["value"], *entry["range"], entry["source"], entry["confidence"])
+        for name, entry in table[material].items()
+    }
+
+
+def cutting_coefficients(material: str, **changes: float | None) -> CuttingCoefficients:
+    """Coefficients of a material in SI; ``changes`` replace single constants, named with their units as in the file.
+
+    Raises
+    ------
+    InputError
+        If the material or a constant's name is not listed.
+    """
+    values = {name: constant.value for name, constant in cutting_constants(material).items()}
+    for name, value in changes.items():
+        if name not in values:
+            raise InputError(f"cutting must set one of {', '.join(values)}, got {name}: choose a listed name")
+        if value is not None:
+            values[name] = value
+    return CuttingCoefficients(
+        tangential_chip_Pa=values["tangential_chip_N_mm2"] * N_MM2,
+        radial_chip_Pa=values["radial_chip_N_mm2"] * N_MM2,
+        axial_chip_Pa=values["axial_chip_N_mm2"] * N_MM2,
+        tangential_edge_N_m=values["tangential_edge_N_mm"] * N_MM,
+        radial_edge_N_m=values["radial_edge_N_mm"] * N_MM,
+        axial_edge_N_m=values["axial_edge_N_mm"] * N_MM,
+        reference_density_kg_m3=values["reference_density_kg_m3"],
+        density_exponent=values["density_exponent"],
+    )

@@ -1,0 +1,228 @@
+"""Scenes: frozen, validated descriptions of what to simulate.
+
+A scene is a TOML file. Every quantity carries its unit in its name; anything unknown, missing, out of range or not
+finite is refused with one sentence that names the key, the value, the requirement and a remedy.
+"""
+
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from meshes.errors import InputError
+
+__all__ = [
+    "BlockAnatomy",
+    "Cutting",
+    "GlenoidAnatomy",
+    "Output",
+    "PathMotion",
+    "ReplayMotion",
+    "Scene",
+    "ThrustMotion",
+    "Tool",
+    "Voxels",
+]
+
+Vector = tuple[float, float, float]
+
+
+class Part(BaseModel):
+    """A frozen part of a scene."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
+
+
+class AnatomyFile(Part):
+    """Bone read from a file instead of the procedural default."""
+
+    file: str | None = None
+    """Surface (.stl .obj .ply .vtk .vtp), image volume, or folder of TIFF slices; empty uses the procedural bone."""
+    scale_mm: float | None = Field(None, gt=0, le=1e5, examples=[1.0])
+    """Millimetres per unit of a surface file; without it the unit is guessed and shown."""
+    centre_mm: Vector | None = None
+    """Centre of the working face in the file's frame [mm]; without it a glenoid is searched for."""
+    normal: Vector | None = None
+    """Outward normal of the working face in the file's frame."""
+    spacing_mm: float | None = Field(None, gt=0, le=10, examples=[0.0195])
+    """Voxel edge of an image that does not state one, such as TIFF slices."""
+    threshold: float | None = None
+    """Image value above which a voxel is bone."""
+    cortical_thickness_mm: float = Field(1.5, gt=0, le=10)
+    """Thickness of the cortical shell laid under a surface from a file."""
+    guide_hole_diameter_mm: float = Field(0.0, ge=0, le=50)
+    """Diameter of a guide hole drilled along the tool's axis before the run; 0 drills none."""
+    guide_hole_depth_mm: float = Field(0.0, ge=0, le=100)
+    """Depth of the guide hole under the face."""
+
+
+class GlenoidAnatomy(AnatomyFile):
+    """A glenoid: concave face with a subchondral plate over a trabecular vault. Origin at its centre, +z outward."""
+
+    kind: Literal["glenoid"] = "glenoid"
+    width_mm: float = Field(27.8, ge=18, le=40)
+    height_mm: float = Field(37.5, ge=25, le=50)
+    curvature_radius_mm: float = Field(35.0, ge=20, le=100)
+    subchondral_thickness_mm: float = Field(1.9, ge=1.2, le=2.9)
+
+
+class BlockAnatomy(AnatomyFile):
+    """A block of bone with its top face at z = 0."""
+
+    kind: Literal["block"] = "block"
+    size_mm: Vector = (20.0, 12.0, 8.0)
+    density_kg_m3: float = Field(1800.0, ge=100, le=3000)
+
+
+class Voxels(Part):
+    """How the bone is divided and removed."""
+
+    spacing_mm: float = Field(0.1, gt=0, le=2, examples=[0.1])
+    """Edge of a voxel."""
+    removal: Literal["subvoxel", "binary"] = "subvoxel"
+    """Whether a voxel loses the part inside the tool, or all of itself once its centre is inside."""
+    margin_mm: float = Field(3.0, ge=0.5, le=50)
+    """Bone kept around what the tool can reach."""
+
+
+class Tool(Part):
+    """A rotating cutter: a surface of revolution with flutes."""
+
+    kind: Literal["ball-burr", "cylinder", "twist-drill", "hemispherical-reamer", "flat-reamer"]
+    diameter_mm: float = Field(gt=0.1, le=100, examples=[6.0])
+    flutes: int = Field(4, ge=1, le=200)
+    """Cutting edges around the axis."""
+    spin_rpm: float = Field(gt=0, le=500_000, examples=[500.0])
+    length_mm: float = Field(10.0, gt=0, le=200)
+    """Length of a cylinder or drill, thickness of a flat reamer."""
+    point_angle_deg: float = Field(118.0, ge=30, lt=180)
+    """Included point angle of a twist drill."""
+    peg_diameter_mm: float = Field(0.0, ge=0, le=20)
+    """Diameter of a reamer's guide peg; 0 has none."""
+    peg_length_mm: float = Field(0.0, ge=0, le=50)
+    """How far the peg reaches beyond the tip."""
+    shell_spacing_mm: float | None = Field(None, gt=0, le=10, examples=[0.2])
+    """Distance between the cutter's elements; without it two voxels, or wider where that gives over 4000 elements."""
+
+    @model_validator(mode="after")
+    def _peg_fits(self) -> "Tool":
+        if self.peg_diameter_mm >= self.diameter_mm:
+            raise InputError(
+                f"tool.peg_diameter_mm must be below tool.diameter_mm ({self.diameter_mm:g}), got "
+                f"{self.peg_diameter_mm:g}: use {0.2 * self.diameter_mm:g}"
+            )
+        return self
+
+
+class Motion(Part):
+    """What every motion has."""
+
+    axis: Vector = (0.0, 0.0, 1.0)
+    """Direction of the tool's axis from tip to shank."""
+
+    @model_validator(mode="after")
+    def _axis_has_length(self) -> "Motion":
+        if math.hypot(*self.axis) < 1e-9:
+            raise InputError("motion.axis must have a length, got (0, 0, 0): use [0, 0, 1]")
+        return self
+
+
+class PathMotion(Motion):
+    """The tip follows straight lines at a given feed, then stays at the end."""
+
+    kind: Literal["path"] = "path"
+    points_mm: tuple[Vector, ...] = Field(min_length=2)
+    feed_mm_s: float = Field(gt=0, le=1000, examples=[1.0])
+
+
+class ThrustMotion(Motion):
+    """A given thrust pushes the tool along its axis; the feed follows from the balance with the cutting force."""
+
+    kind: Literal["thrust"] = "thrust"
+    start_mm: Vector = (0.0, 0.0, 0.5)
+    thrust_N: float = Field(gt=0, le=1000, examples=[40.0])
+    mass_kg: float = Field(0.5, gt=0, le=20)
+    """Mass that moves with the tool."""
+    max_feed_mm_s: float = Field(5.0, gt=0, le=200)
+    """Feed the hand allows in free space."""
+    depth_mm: float = Field(2.0, gt=0, le=100)
+    """Travel from the face (z = 0 of the site) at which the feed stops."""
+
+
+class ReplayMotion(Motion):
+    """Poses from a table with the columns of ``trace.csv``: time_s, tool_x_mm ... tool_qw."""
+
+    kind: Literal["replay"] = "replay"
+    file: str
+
+
+class Cutting(Part):
+    """Changes to the cited cutting coefficients of bone; empty entries keep the cited value."""
+
+    tangential_chip_N_mm2: float | None = Field(None, ge=0, le=5000)
+    radial_chip_N_mm2: float | None = Field(None, ge=0, le=5000)
+    axial_chip_N_mm2: float | None = Field(None, ge=0, le=5000)
+    tangential_edge_N_mm: float | None = Field(None, ge=0, le=500)
+    radial_edge_N_mm: float | None = Field(None, ge=0, le=500)
+    axial_edge_N_mm: float | None = Field(None, ge=0, le=500)
+    density_exponent: float | None = Field(None, ge=0, le=5)
+
+
+class Output(Part):
+    """What is made of the model's force before it is commanded to a device."""
+
+    low_pass_ms: float = Field(1.0, ge=0, le=1000)
+    """Time constant of the low-pass y += (1 - exp(-T/a)) (u - y); 0 passes the model's force on."""
+
+
+AnyAnatomy = Annotated[GlenoidAnatomy | BlockAnatomy, Field(discriminator="kind")]
+AnyMotion = Annotated[PathMotion | ThrustMotion | ReplayMotion, Field(discriminator="kind")]
+
+
+class Scene(Part):
+    """Everything one simulation needs; equal scenes give equal traces."""
+
+    name: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")
+    description: str = ""
+    seed: int = Field(0, ge=0, lt=2**63)
+    """Seed of every random draw."""
+    duration_s: float | None = Field(None, gt=0, le=3600, examples=[5.0])
+    """Simulated time; without it as long as the motion lasts."""
+    anatomy: AnyAnatomy
+    voxels: Voxels = Voxels()
+    tool: Tool
+    motion: AnyMotion
+    cutting: Cutting = Cutting()
+    output: Output = Output()
+
+    @model_validator(mode="after")
+    def _parts_fit(self) -> "Scene":
+        hole, peg = self.anatomy.guide_hole_diameter_mm, self.tool.peg_diameter_mm
+        if peg > 0.0 and (hole < peg or self.anatomy.guide_hole_depth_mm < self.tool.peg_length_mm):
+            raise InputError(
+                f"tool.peg_diameter_mm must fit the guide hole ({hole:g} mm wide, "
+                f"{self.anatomy.guide_hole_depth_mm:g} mm deep), got a peg of {peg:g} x {self.tool.peg_length_mm:g} mm: "
+                "widen or deepen anatomy.guide_hole_diameter_mm and anatomy.guide_hole_depth_mm"
+            )
+        if self.tool.diameter_mm < 4.0 * self.voxels.spacing_mm:
+            raise InputError(
+                f"voxels.spacing_mm must be at most a quarter of tool.diameter_mm ({self.tool.diameter_mm:g}), got "
+                f"{self.voxels.spacing_mm:g}: use {self.tool.diameter_mm / 20:g}"
+            )
+        return self
+
+    def to_toml(self) -> str:
+        """The whole scene, defaults included, as TOML."""
+        import tomli_w
+
+        return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
+
+    def with_files_at(self, folder: Path) -> "Scene":
+        """The same scene with the paths of its files made absolute, relative ones taken from ``folder``."""
+        changes: dict[str, Any] = {}
+        for part in ("anatomy", "motion"):
+            value = getattr(self, part)
+            if getattr(value, "file", None):
+                changes[part] = value.model_copy(update={"file": str((folder / value.file).resolve())})
+        return self.model_copy(update=changes)

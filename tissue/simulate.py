@@ -1,0 +1,153 @@
+"""Run a scene: the only place where motion, tissue, output and trace meet."""
+
+import gc
+from collections.abc import Callable
+from math import exp
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tissue.build import Parts, build
+from tissue.model import Response, TissueModel, ToolMotion
+from tissue.motion import Motion
+from tissue.run import Run, RunFolder
+from tissue.scene import Scene
+from tissue.trace import TIMING_COLUMNS, Table, trace_columns
+
+__all__ = ["TICK_S", "simulate"]
+
+TICK_S = 1e-3
+"""Length of a tick [s]."""
+Progress = Callable[[str, float], None]
+"""Told what is being done and how much of it is done, 0 to 1."""
+
+
+def simulate(
+    scene: Scene,
+    *,
+    compute: str = "cpu",
+    cores: int | None = None,
+    out: Path | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Run:
+    """Simulate a scene.
+
+    Parameters
+    ----------
+    scene
+        What to simulate.
+    compute
+        Warp device, ``cpu`` or ``cuda:0``.
+    cores
+        Processor cores to use; default all. The trace does not depend on it.
+    out
+        Folder that takes the trace while the run goes on, so that a killed run leaves what it had; without it the run
+        stays in memory until :meth:`tissue.run.Run.save`.
+    overwrite
+        Replace a run that ``out`` already holds.
+    progress
+        Told what is being done.
+
+    Raises
+    ------
+    InputError
+        If the scene cannot be built, the tool never touches, or ``out`` holds another run.
+    """
+    tell = progress or (lambda doing, share: None)
+    if out is not None:
+        RunFolder.check(out, overwrite=overwrite)
+    parts = build(scene, step_s=TICK_S, compute=compute, cores=cores, tell=tell)
+    folder = RunFolder.begin(out, scene, overwrite=overwrite) if out is not None else None
+    return _loop(scene, parts, compute=compute, folder=folder, tell=tell)
+
+
+def _loop(scene: Scene, parts: Parts, *, compute: str, folder: RunFolder | None, tell: Progress) -> Run:
+    """All ticks of a run."""
+    tissue = parts.tissue
+    ticks = int(round((scene.duration_s or parts.motion.duration_s) / TICK_S))
+    columns = trace_columns(tissue.layer_names)
+    trace = Table(columns, np.zeros((ticks, len(columns))), tissue.layer_names)
+    timing = Table(TIMING_COLUMNS, np.zeros((ticks, len(TIMING_COLUMNS))))
+    if folder is not None:
+        folder.open_tables(trace, timing)
+    tick = _Tick(scene, parts.motion, tissue, trace, timing)
+    told = perf_counter()
+    gc.collect()
+    gc.disable()
+    try:
+        for index in range(ticks):
+            tick(index)
+            if folder is not None:
+                folder.flush(index + 1)
+            if perf_counter() - told > 0.1:
+                told = perf_counter()
+                tell("simulating", (index + 1) / ticks)
+    finally:
+        gc.enable()
+    tissue.finish()
+    if folder is not None:
+        folder.flush(ticks, force=True)
+    return Run(scene, parts, trace, timing, compute=compute, folder=folder)
+
+
+class _Tick:
+    """One tick: motion, removal, force, output, record. Everything it needs is allocated here, once."""
+
+    def __init__(self, scene: Scene, motion: Motion, tissue: TissueModel, trace: Table, timing: Table) -> None:
+        self._motion, self._tissue = motion, tissue
+        self._rows, self._times = trace.rows, timing.rows
+        self._tool = ToolMotion()
+        self._response = Response.empty(len(tissue.layer_names))
+        lag = scene.output.low_pass_ms * 1e-3
+        self._gain = 1.0 - exp(-TICK_S / lag) if lag > 0.0 else 1.0
+        self._commanded = np.zeros(6)
+        self._layers = len(tissue.layer_names)
+        self._rotation = np.full((3, 3), np.nan)
+        self._quaternion = np.zeros(4)
+
+    def __call__(self, index: int) -> None:
+        start = perf_counter()
+        self._motion.advance(index * TICK_S, TICK_S, self._response, self._tool)
+        moved = perf_counter()
+        self._tissue.advance(self._tool)
+        removed = perf_counter()
+        response = self._response = self._tissue.respond(self._tool)
+        forced = perf_counter()
+        self._commanded += self._gain * (response.wrench - self._commanded)
+        self._record(self._rows[index], index, response)
+        end = perf_counter()
+        self._times[index] = (
+            (end - start) * 1e6,
+            (moved - start) * 1e6,
+            (removed - moved) * 1e6,
+            (forced - removed) * 1e6,
+            (end - forced) * 1e6,
+        )
+
+    def _record(self, row: np.ndarray, index: int, response: Response) -> None:
+        """Write one row of the trace, in the units of its columns."""
+        tool, layers = self._tool, self._layers
+        if not np.array_equal(tool.rotation, self._rotation):
+            self._rotation[:] = tool.rotation
+            self._quaternion[:] = Rotation.from_matrix(tool.rotation).as_quat(canonical=True)
+        row[0] = index * TICK_S
+        row[1:4] = tool.tip_m
+        row[1:4] *= 1e3
+        row[4:8] = self._quaternion
+        row[8:11] = tool.heading[0]
+        row[8:11] *= 1e3 * tool.speed_m_s
+        row[11:14] = tool.heading[1]
+        row[11:14] *= tool.speed_m_s
+        row[14:20] = self._commanded
+        row[20:26] = response.wrench
+        row[26] = response.removal_rate_m3_s * 1e9
+        volumes = row[28 : 28 + layers]
+        volumes[:] = self._tissue.removed_m3
+        volumes *= 1e9
+        row[27] = volumes.sum()
+        area = float(response.engaged_m2.sum())
+        row[28 + layers] = area * 1e6
+        row[29 + layers] = float(response.engaged_m2.argmax()) if area > 0.0 else -1.0
