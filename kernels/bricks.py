@@ -1,8 +1,12 @@
 """Layout of brick storage and the few functions every brick kernel shares.
 
 A voxel grid is cut into bricks of 8 x 8 x 8 voxels; only bricks that hold material are stored. ``brick_of`` maps a
-brick's grid position to its row in the stored arrays, -1 where nothing is stored. Inside a row, voxel (i, j, k) of the
-brick lies at ``(i * 8 + j) * 8 + k``. Lengths are in voxels: a point at ``x`` metres lies at ``(x - origin) / spacing``.
+brick's grid position to its row in the stored arrays, -1 where nothing is stored. Inside a row the 64 blocks of 2 x 2 x 2
+voxels follow each other, so that what a tool's surface touches lies close together in memory. Lengths are in voxels: a
+point at ``x`` metres lies at ``(x - origin) / spacing``.
+
+What a voxel is made of and how it meets the tool share one word: density [kg/m3] in the upper 16 bits, then 8 bits of
+layer, then 8 bits of fill, the share of the tool's surface in the voxel that meets material (255 = all).
 """
 
 import warp as wp
@@ -13,6 +17,9 @@ __all__ = [
     "FULL",
     "Plane",
     "cube_behind_plane",
+    "density_of",
+    "fill_of",
+    "layer_of",
     "plane_of",
     "stored",
     "trilinear",
@@ -42,7 +49,26 @@ def voxel_row(brick_of: wp.array3d(dtype=wp.int32), ix: int, iy: int, iz: int):
 @wp.func
 def voxel_column(ix: int, iy: int, iz: int):
     """Place of voxel (ix, iy, iz) inside its brick's row."""
-    return ((ix & 7) << 6) | ((iy & 7) << 3) | (iz & 7)
+    block = ((ix & 6) << 3) | ((iy & 6) << 1) | ((iz & 6) >> 1)
+    return (block << 3) | ((ix & 1) << 2) | ((iy & 1) << 1) | (iz & 1)
+
+
+@wp.func
+def layer_of(word: wp.uint32):
+    """Layer in a voxel's material word."""
+    return int((word >> wp.uint32(8)) & wp.uint32(255))
+
+
+@wp.func
+def density_of(word: wp.uint32):
+    """Density [kg/m3] in a voxel's material word."""
+    return int(word >> wp.uint32(16))
+
+
+@wp.func
+def fill_of(word: wp.uint32):
+    """Fill in a voxel's material word, in [0, 1]."""
+    return float(word & wp.uint32(255)) * (1.0 / 255.0)
 
 
 @wp.func

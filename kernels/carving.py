@@ -12,7 +12,7 @@ atomics, and the same integers on any number of threads.
 
 import warp as wp
 
-from kernels.bricks import cube_behind_plane, plane_of
+from kernels.bricks import cube_behind_plane, layer_of, plane_of
 from kernels.revolution import Nearest, Revolution, nearest_on, offset_from
 
 __all__ = ["PHASES", "carve"]
@@ -21,6 +21,9 @@ wp.set_module_options({"enable_backward": False})
 
 PHASES = 16
 BLOCK_REACH = wp.constant(1.7320508)  # half diagonal of a block of 2 voxels [voxel]
+CELL = wp.constant(0.5)  # a cell of the distance table [voxel], by which a slope may be taken beside a kink
+NO_FILL = wp.constant(wp.uint32(0xFFFFFF00))
+FULL_FILL = wp.constant(wp.uint32(0xFF))
 BRICK_REACH = wp.constant(6.9282032)  # half diagonal of a brick of 8 voxels [voxel]
 
 
@@ -35,10 +38,9 @@ def carve(
     worker_count: int,
     # grid
     brick_of: wp.array3d(dtype=wp.int32),
-    layer: wp.array2d(dtype=wp.uint8),
     # out
     remaining_out: wp.array2d(dtype=wp.uint16),
-    fill_out: wp.array2d(dtype=wp.uint8),  # share of the surface in a voxel that meets material, 255 = all
+    material_out: wp.array2d(dtype=wp.uint32),  # density, layer and fill; the fill is written
     alive_out: wp.array(dtype=wp.uint64),  # [brick], one bit a block of 2 x 2 x 2 voxels that may hold material
     removed_out: wp.array2d(dtype=wp.int64),  # [worker, layer], stored steps removed by this launch
 ):
@@ -70,7 +72,7 @@ def carve(
                 if row >= 0:
                     carve_brick(
                         tool, pose, axis, group, plan[2], plan[3], lookahead, bx, by, bz, row, worker,
-                        layer, remaining_out, fill_out, alive_out, removed_out,
+                        remaining_out, material_out, alive_out, removed_out,
                     )  # fmt: skip
                 bz += 16
 
@@ -89,9 +91,8 @@ def carve_brick(
     bz: int,
     row: int,
     worker: int,
-    layer: wp.array2d(dtype=wp.uint8),
     remaining: wp.array2d(dtype=wp.uint16),
-    fill: wp.array2d(dtype=wp.uint8),
+    material: wp.array2d(dtype=wp.uint32),
     alive_out: wp.array(dtype=wp.uint64),
     removed: wp.array2d(dtype=wp.int64),
 ):
@@ -105,7 +106,8 @@ def carve_brick(
         return
     step = offset_from(pose, 1 + group, bx * 8 + 4, by * 8 + 4, bz * 8 + 4) - centre
     moved = wp.length(step)
-    if every_side == 0 and wp.dot(step, far.normal) < -0.7 * moved:
+    skip_behind = every_side == 0 and tool.round == 1 and tool.radius > 8.0
+    if skip_behind and tool.radius > 24.0 and wp.dot(step, far.slope) < -0.7 * moved:
         return  # the whole brick lies behind a tool that leaves it
     before = alive
     for block in range(64):
@@ -116,21 +118,21 @@ def carve_brick(
             z = (block & 3) * 2
             shift = wp.vec3(float(x) - 3.0, float(y) - 3.0, float(z) - 3.0)
             # The distance to a convex tool lies above its tangent: three products tell most outer blocks apart.
-            if tool.convex == 0 or far.distance + wp.dot(far.normal, shift) < BLOCK_REACH + lookahead:
-                at = (x << 6) | (y << 3) | z
+            if tool.convex == 0 or far.distance + wp.dot(far.slope, shift) < BLOCK_REACH + lookahead + CELL:
                 near = nearest_on(tool, centre + shift, axis)
                 if near.distance < -BLOCK_REACH:
                     for v in range(8):
-                        voxel = at + ((v >> 2) << 6) + (((v >> 1) & 1) << 3) + (v & 1)
+                        voxel = block * 8 + v
+                        word = material[row, voxel]
                         kept = int(remaining[row, voxel])
-                        removed[worker, int(layer[row, voxel])] += wp.int64(kept)
+                        removed[worker, layer_of(word)] += wp.int64(kept)
                         remaining[row, voxel] = wp.uint16(0)
-                        fill[row, voxel] = wp.uint8(0)
+                        material[row, voxel] = word & NO_FILL
                     alive = alive ^ bit
                 elif near.distance < BLOCK_REACH + lookahead:
-                    advance = wp.dot(near.normal, step)
-                    if every_side != 0 or advance >= -0.25 * moved:
-                        carve_block(near, advance, binary, lookahead, row, at, worker, layer, remaining, fill, removed)
+                    advance = wp.dot(near.slope, step)
+                    if advance >= -0.25 * moved or not skip_behind:
+                        carve_block(near, advance, binary, lookahead, row, block * 8, worker, remaining, material, removed)
     if alive != before:
         alive_out[row] = alive
 
@@ -142,11 +144,10 @@ def carve_block(
     binary: int,
     lookahead: float,
     row: int,
-    at: int,
+    first: int,
     worker: int,
-    layer: wp.array2d(dtype=wp.uint8),
     remaining: wp.array2d(dtype=wp.uint16),
-    fill: wp.array2d(dtype=wp.uint8),
+    material: wp.array2d(dtype=wp.uint32),
     removed: wp.array2d(dtype=wp.int64),
 ):
     """Carve eight voxels around ``near``, the tool surface seen from the middle of their block.
@@ -154,29 +155,36 @@ def carve_block(
     The fill of a voxel tells whether the surface meets material in it: all where this visit removed some, none where
     an older cut already lies deeper, and what the voxel holds where the surface has yet to reach it.
     """
-    plane = plane_of(near.normal)
+    plane = plane_of(near.slope)
     reach = (0.5 + lookahead) / plane.scale
     surface = near.distance + near.bend
     for v in range(8):
         distance = (
             surface
-            + near.normal[0] * (float(v >> 2) - 0.5)
-            + near.normal[1] * (float((v >> 1) & 1) - 0.5)
-            + near.normal[2] * (float(v & 1) - 0.5)
+            + near.slope[0] * (float(v >> 2) - 0.5)
+            + near.slope[1] * (float((v >> 1) & 1) - 0.5)
+            + near.slope[2] * (float(v & 1) - 0.5)
         )
-        voxel = at + ((v >> 2) << 6) + (((v >> 1) & 1) << 3) + (v & 1)
-        kept = int(remaining[row, voxel])
-        if distance < reach and kept > 0:
+        if distance < reach:
+            voxel = first + v
+            kept = int(remaining[row, voxel])
             target = int(65535)
             if binary == 0:
                 target = int(65535.5 - 65535.0 * cube_behind_plane(plane, distance))
             elif distance < 0.0:
                 target = 0
+            word = material[row, voxel]
+            met = word
             if kept > target:
-                removed[worker, int(layer[row, voxel])] += wp.int64(kept - target)
+                removed[worker, layer_of(word)] += wp.int64(kept - target)
                 remaining[row, voxel] = wp.uint16(target)
-                fill[row, voxel] = wp.uint8(255)
+                met = word | FULL_FILL
+            elif kept == 0:
+                if binary == 0 or distance >= 0.0:
+                    met = word & NO_FILL
             elif target == 65535:
-                fill[row, voxel] = wp.uint8(kept >> 8)
+                met = (word & NO_FILL) | wp.uint32(kept >> 8)
             elif kept < target and advance > 0.0:
-                fill[row, voxel] = wp.uint8(0)
+                met = word & NO_FILL
+            if met != word:
+                material[row, voxel] = met

@@ -10,20 +10,17 @@ with every K scaled by (density / reference density) ** exponent of the layer. E
 
 import warp as wp
 
-from kernels.bricks import voxel_column, voxel_row
+from kernels.bricks import density_of, fill_of, layer_of, voxel_column, voxel_row
 
-__all__ = ["AREA", "CHIP", "CHUNK", "DENSITIES", "EDGE", "RATE", "Coefficients", "Elements", "cutting_forces"]
+__all__ = ["AREA", "CHUNK", "DENSITIES", "RATE", "Coefficients", "Elements", "cutting_forces"]
 
 wp.set_module_options({"enable_backward": False})
 
 CHUNK = 128
 """Elements a chunk; chunks are summed in order, so the result does not depend on the number of threads."""
-CHIP = slice(0, 6)
-"""Force [N s/m] and torque about the tip [N s] per unit of the speed that scales the given motion."""
-EDGE = slice(6, 12)
-"""Force [N] and torque about the tip [N m] that do not depend on the speed."""
 RATE = 12
-"""Removal rate [m2] per unit of that speed."""
+"""Place of the removal rate [m2] per unit of speed among the sums. Before it stand, three each: force [N s/m] and torque
+about the tip [N s] per unit of speed, then force [N] and torque [N m] that do not depend on the speed."""
 AREA = 13
 """First of the engaged areas, one a layer [m2]."""
 DENSITIES = 4096
@@ -65,11 +62,9 @@ def cutting_forces(
     chunk_offset: int,
     # grid
     brick_of: wp.array3d(dtype=wp.int32),
-    fill: wp.array2d(dtype=wp.uint8),
-    density: wp.array2d(dtype=wp.uint16),
-    layer: wp.array2d(dtype=wp.uint8),
+    material: wp.array2d(dtype=wp.uint32),
     # out
-    sums_out: wp.array2d(dtype=wp.float64),  # [chunk, 13 + layers], tool frame: see CHIP, EDGE, RATE, AREA
+    sums_out: wp.array2d(dtype=wp.float64),  # [chunk, 13 + layers], tool frame: see RATE and AREA
 ):
     """Sum the forces on one chunk of elements for a motion of unit speed (1 m/s times the given velocities)."""
     chunk = wp.tid() + chunk_offset
@@ -101,11 +96,11 @@ def cutting_forces(
             iz = int(wp.floor(at[2]))
             row = voxel_row(brick_of, ix, iy, iz)
             if row >= 0:
-                column = voxel_column(ix, iy, iz)
-                share = float(fill[row, column]) * (1.0 / 255.0)
+                word = material[row, voxel_column(ix, iy, iz)]
+                share = fill_of(word)
                 if share > 0.0:
-                    m = int(layer[row, column])
-                    strength = coefficients.strength[m, wp.min(int(density[row, column]), 4095)]
+                    m = layer_of(word)
+                    strength = coefficients.strength[m, wp.min(density_of(word), 4095)]
                     length = elements.edge_length[e] * share * strength
                     chip = length * advance * chip_per_speed
                     around = elements.around[e]

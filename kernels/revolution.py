@@ -17,6 +17,7 @@ class Revolution:
     low: wp.float32  # lowest and highest height of the body above the tip [voxel]
     high: wp.float32
     convex: wp.int32  # 1 where the body is convex
+    round: wp.int32  # 1 where it is one smooth piece, so that what is behind it is told by one normal
 
 
 @wp.struct
@@ -25,7 +26,7 @@ class Nearest:
 
     distance: wp.float32  # signed distance [voxel]
     bend: wp.float32  # what curvature adds on average over a block of 2 voxels and inside each voxel [voxel]
-    normal: wp.vec3  # outward, unit
+    slope: wp.vec3  # gradient of the distance: outward, of length 1, shorter where two sides are equally near
 
 
 @wp.func
@@ -53,7 +54,7 @@ def nearest_on(tool: Revolution, offset: wp.vec3, axis: wp.vec3):
     found = Nearest()
     found.distance = (a * (1.0 - fu) + b * fu) * (1.0 - fv) + (c * (1.0 - fu) + d * fu) * fv
     found.bend = tool.bend[i, j]
-    found.normal = wp.normalize((slope_r / wp.max(radius, 1.0e-6)) * outward + slope_z * axis)
+    found.slope = tool.cells_per_voxel * ((slope_r / wp.max(radius, 1.0e-6)) * outward + slope_z * axis)
     return found
 
 

@@ -1,10 +1,20 @@
-"""Geometry: signed distances, anatomy, voxels, surfaces and images. No physics, no Warp."""
+"""Geometry: signed distances, anatomy, voxels, surfaces and images. No physics, no Warp.
+
+Shapes live in `meshes.sdf`; everything else that a scene needs is named here. Lengths are in metres unless the name
+says otherwise. Modules that read files or search surfaces import pyvista, trimesh and scikit-image when called.
+"""
 
 from meshes.anatomy import Anatomy, cortical_block
 from meshes.errors import InputError
 from meshes.glenoid import glenoid
+from meshes.image import CT_DENSITY, DensityLaw, read_volume
 from meshes.sdf import Shape
+from meshes.site import Site, find_glenoid, surface_anatomy
+from meshes.surface import Surface, SurfaceReport, read_surface
 from meshes.volume import VoxelVolume
 from meshes.voxelise import voxelise
 
-__all__ = ["Anatomy", "InputError", "Shape", "VoxelVolume", "cortical_block", "glenoid", "voxelise"]
+__all__ = [
+    "CT_DENSITY", "Anatomy", "DensityLaw", "InputError", "Shape", "Site", "Surface", "SurfaceReport", "VoxelVolume",
+    "cortical_block", "find_glenoid", "glenoid", "read_surface", "read_volume", "surface_anatomy", "voxelise",
+]

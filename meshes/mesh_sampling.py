@@ -2,7 +2,7 @@
 
 Fraction: each voxel column holds 3 x 3 lines along z; where a line crosses the triangles its winding number changes,
 and the lengths with a positive winding number are the bone in it. Exact along z, a quadrature of nine lines across.
-Depth: the distance to the surface on a lattice of whole blocks, interpolated to the voxels.
+Depth: the distance to the surface on a lattice of 0.4 mm or a voxel, interpolated to the voxels.
 """
 
 from __future__ import annotations
@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.grid import BLOCK, Grid
+from meshes.grid import Grid
 
 __all__ = ["ColumnCrossings", "TriangleSampler", "column_crossings", "triangle_distance"]
 
 _LINES = 3
 _PAIRS_AT_ONCE = 2_000_000
+_WIDEST_LATTICE_M = 0.41e-3
 _OFFSET = np.array([0.0137, 0.0071])
 
 
@@ -59,7 +60,7 @@ class TriangleSampler:
     def __call__(self, grid: Grid) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Fraction 0 to 1 and depth [m], positive inside, float32, shape of the blocked grid.
 
-        The depth is found only in blocks with bone in or next to them, and is 0 elsewhere.
+        The depth is found only in lattice cells with bone in them; elsewhere it means nothing.
         """
         fraction = self._fraction(grid)
         return fraction, self._depth(grid, fraction)
@@ -82,19 +83,20 @@ class TriangleSampler:
         return np.clip(filled, 0.0, 1.0).astype(np.float32)
 
     def _depth(self, grid: Grid, fraction: NDArray[np.float32]) -> NDArray[np.float32]:
-        bx, by, bz = (n // BLOCK for n in grid.shape)
-        occupied = fraction.reshape(bx, BLOCK, by, BLOCK, bz, BLOCK).max(axis=(1, 3, 5)) > 0.0
+        step = next((n for n in (8, 4, 2) if n * grid.spacing_m <= _WIDEST_LATTICE_M), 1)
+        bx, by, bz = (n // step for n in grid.shape)
+        occupied = fraction.reshape(bx, step, by, step, bz, step).max(axis=(1, 3, 5)) > 0.0
         needed = np.zeros((bx + 1, by + 1, bz + 1), dtype=bool)
         for i, j, k in np.ndindex(2, 2, 2):
             needed[i:bx + i, j:by + j, k:bz + k] |= occupied
-        lattice = (np.argwhere(needed) * BLOCK + grid.first) * grid.spacing_m
+        lattice = (np.argwhere(needed) * step + grid.first) * grid.spacing_m
         corners = np.zeros(needed.shape, dtype=np.float32)
         corners[needed] = -triangle_distance(self.vertices_m, self.faces, lattice)
-        weight = ((np.arange(BLOCK) + 0.5) / BLOCK).astype(np.float32)
+        weight = ((np.arange(step) + 0.5) / step).astype(np.float32)
         for axis in range(3):
             low, high = np.delete(corners, -1, axis=axis), np.delete(corners, 0, axis=axis)
             shape = list(low.shape)
-            shape[axis] *= BLOCK
+            shape[axis] *= step
             along = weight.reshape([-1 if k == axis + 1 else 1 for k in range(4)])
             low, high = np.expand_dims(low, axis + 1), np.expand_dims(high, axis + 1)
             corners = (low + (high - low) * along).reshape(shape)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from tissue.load import load_scene, scene_names, scene_text
     from tissue.run import Run, SavedRun
     from tissue.scene import Scene
-    from tissue.simulate import simulate
+    from tissue.simulation import simulate
 
 __all__ = ["InputError", "Run", "SavedRun", "Scene", "load_scene", "scene_names", "scene_text", "simulate"]
 
@@ -27,7 +27,7 @@ _HOMES = {
     "load_scene": "tissue.load",
     "scene_names": "tissue.load",
     "scene_text": "tissue.load",
-    "simulate": "tissue.simulate",
+    "simulate": "tissue.simulation",
 }
 
 

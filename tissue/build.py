@@ -20,7 +20,7 @@ from tissue.model import TissueModel
 from tissue.motion import FollowPath, Motion, PushAlongAxis, read_poses
 from tissue.scene import BlockAnatomy, GlenoidAnatomy, PathMotion, ReplayMotion, Scene, ThrustMotion, Tool
 
-__all__ = ["Parts", "build", "cutter_of", "motion_of", "volume_of"]
+__all__ = ["Parts", "build", "cutter_of", "motion_of", "reach", "volume_of"]
 
 Tell = Callable[[str, float], None]
 IMAGE_SUFFIXES = (".vti", ".nii", ".gz", ".mhd", ".mha", ".nrrd", ".nhdr", ".tif", ".tiff", ".dcm")
@@ -98,7 +98,7 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
     """Voxels of the bone that the tool can reach, with the guide hole drilled."""
     spacing = scene.voxels.spacing_mm * 1e-3
     parameters = scene.anatomy
-    region = _region(cutter, motion, scene.voxels.margin_mm * 1e-3)
+    region = reach(cutter, motion, scene.voxels.margin_mm * 1e-3)
     if parameters.file is not None and Path(parameters.file).suffix.lower() not in (".stl", ".obj", ".ply", ".vtk", ".vtp"):
         return _image(scene, notes=notes, tell=tell)
     anatomy = _anatomy(scene, notes)
@@ -209,7 +209,7 @@ def _guide_hole(scene: Scene, motion: Motion) -> sdf.Shape | None:
     return sdf.cylinder(0.5 * diameter, tuple(on_face - depth * axis), tuple(on_face + 0.05 * axis))
 
 
-def _region(cutter: Cutter, motion: Motion, margin: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def reach(cutter: Cutter, motion: Motion, margin: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Box around all that the cutting surface can reach, and a margin [m]."""
     shell = cutter.shell(spacing_m=cutter.profile.radius_m / 8.0).points_m
     tips, rotations = motion.sweep_m(), motion.rotations()

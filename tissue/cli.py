@@ -78,7 +78,7 @@ def run(
     RunFolder.check(folder, overwrite=overwrite)
     started = perf_counter()
     with _progress() as tell:
-        from tissue.simulate import simulate
+        from tissue.simulation import simulate
 
         finished = simulate(
             loaded, compute=compute, cores=cores, out=folder, overwrite=overwrite, progress=tell

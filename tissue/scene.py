@@ -93,7 +93,8 @@ class Tool(Part):
     diameter_mm: float = Field(gt=0.1, le=100, examples=[6.0])
     flutes: int = Field(4, ge=1, le=200)
     """Cutting edges around the axis."""
-    spin_rpm: float = Field(gt=0, le=500_000, examples=[500.0])
+    spin_rpm: float = Field(ge=-500_000, le=500_000, examples=[500.0])
+    """Spin about the axis from tip to shank by the right-hand rule; a common right-hand cutter turns negative."""
     length_mm: float = Field(10.0, gt=0, le=200)
     """Length of a cylinder or drill, thickness of a flat reamer."""
     point_angle_deg: float = Field(118.0, ge=30, lt=180)
@@ -103,10 +104,15 @@ class Tool(Part):
     peg_length_mm: float = Field(0.0, ge=0, le=50)
     """How far the peg reaches beyond the tip."""
     shell_spacing_mm: float | None = Field(None, gt=0, le=10, examples=[0.2])
-    """Distance between the cutter's elements; without it two voxels, or wider where that gives over 4000 elements."""
+    """Distance between the cutter's elements; without it two voxels, or wider where that gives over 2000 elements."""
 
     @model_validator(mode="after")
-    def _peg_fits(self) -> "Tool":
+    def _spins_and_peg_fits(self) -> "Tool":
+        if abs(self.spin_rpm) < 1.0:
+            raise InputError(
+                f"tool.spin_rpm must be at least 1 in size, got {self.spin_rpm:g}: a tool that does not spin does not "
+                "cut, use 500"
+            )
         if self.peg_diameter_mm >= self.diameter_mm:
             raise InputError(
                 f"tool.peg_diameter_mm must be below tool.diameter_mm ({self.diameter_mm:g}), got "

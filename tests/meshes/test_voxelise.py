@@ -53,7 +53,7 @@ def test_coarse_to_fine_is_brute_force(anatomy):
 def test_glenoid_coarse_to_fine_is_brute_force():
     anatomy = glenoid()
     volume = voxelise(anatomy, spacing_m=1e-4, region_m=((4e-3, 10e-3, -6e-3), (14e-3, 20e-3, 6e-3)))
-    fraction, layer, density, distance = brute_force(anatomy, volume)
+    fraction, layer, density, _ = brute_force(anatomy, volume)
     assert np.abs(volume.fraction - fraction * 255.0).max() <= ROUNDING
     present = volume.fraction > 0
     assert (volume.layer == layer)[present].mean() > 0.99999  # single precision on a layer's boundary

@@ -13,7 +13,7 @@ from meshes.volume import VoxelVolume
 __all__ = ["BYTES_PER_VOXEL", "BrickStore"]
 
 BYTES_PER_VOXEL = 6
-"""Stored per voxel of a brick: remaining 2, density 2, layer 1, fill 1."""
+"""Stored per voxel of a brick: remaining 2, material 4."""
 STEPS = FULL // 255
 """Stored steps per step of the volume's 8-bit fraction."""
 
@@ -30,10 +30,8 @@ class BrickStore:
         Brick row at each grid position, int32, shape (bx, by, bz), -1 where empty.
     remaining
         Filled fraction of each voxel, uint16, 65535 = full, shape (bricks, 512).
-    density, layer
-        Apparent density [kg/m3], uint16, and layer, uint8, shape (bricks, 512).
-    fill
-        Share of the tool's surface in a voxel that meets bone, uint8, shape (bricks, 512).
+    material
+        Density, layer and fill in one word, uint32, shape (bricks, 512).
     alive
         One bit for each block of 2 x 2 x 2 voxels that may hold bone, uint64, shape (bricks,).
     """
@@ -41,9 +39,7 @@ class BrickStore:
     volume: VoxelVolume
     brick_of: wp.array
     remaining: wp.array
-    density: wp.array
-    layer: wp.array
-    fill: wp.array
+    material: wp.array
     alive: wp.array
 
     @classmethod
@@ -59,32 +55,32 @@ class BrickStore:
             brick_of[0, 0, 0] = 0
 
         def stored(array: NDArray[Any]) -> NDArray[Any]:
-            return _blocked(array, counts).transpose(0, 2, 4, 1, 3, 5)[holds].reshape(-1, BRICK_VOXELS)
+            return _rows(_blocked(array, counts).transpose(0, 2, 4, 1, 3, 5)[holds])
 
         fraction = stored(volume.fraction)
-        blocks = fraction.reshape(-1, 4, 2, 4, 2, 4, 2).any(axis=(2, 4, 6)).reshape(-1, 64)
+        blocks = fraction.reshape(-1, 64, 8).any(axis=2)
+        material = stored(volume.density_kg_m3).astype(np.uint32) << np.uint32(16)
+        material |= stored(volume.layer).astype(np.uint32) << np.uint32(8)
         alive = np.packbits(blocks, axis=1, bitorder="little").view("<u8").reshape(-1)
         on = lambda array, dtype: wp.array(np.ascontiguousarray(array), dtype=dtype, device=device)  # noqa: E731
         return cls(
             volume,
             on(brick_of, wp.int32),
             on(fraction.astype(np.uint16) * np.uint16(STEPS), wp.uint16),
-            on(stored(volume.density_kg_m3), wp.uint16),
-            on(stored(volume.layer), wp.uint8),
-            wp.zeros(fraction.shape, dtype=wp.uint8, device=device),
+            on(material, wp.uint32),
             on(alive, wp.uint64),
         )
 
     @property
     def byte_count(self) -> int:
         """Memory of the stored arrays [bytes]."""
-        arrays = (self.brick_of, self.remaining, self.density, self.layer, self.fill, self.alive)
+        arrays = (self.brick_of, self.remaining, self.material, self.alive)
         return int(sum(array.capacity for array in arrays))
 
     def steps_by_layer(self) -> NDArray[np.int64]:
         """Stored steps that remain in each layer, shape (layers,)."""
         count = len(self.volume.layer_names)
-        remaining, layer = self.remaining.numpy(), self.layer.numpy()
+        remaining, layer = self.remaining.numpy(), (self.material.numpy() >> np.uint32(8)).astype(np.uint8)
         return np.array([remaining[layer == index].sum(dtype=np.int64) for index in range(count)])
 
     def fraction(self) -> NDArray[np.uint8]:
@@ -93,9 +89,8 @@ class BrickStore:
         nx, ny, nz = (BRICK * n for n in brick_of.shape)
         dense = np.zeros((*brick_of.shape, BRICK, BRICK, BRICK), dtype=np.uint8)
         held = brick_of >= 0
-        dense[held] = ((self.remaining.numpy() + np.uint16(STEPS // 2)) // np.uint16(STEPS)).reshape(
-            -1, BRICK, BRICK, BRICK
-        )[brick_of[held]]
+        # Rounded down: an untouched voxel keeps its 8-bit fraction exactly.
+        dense[held] = _bricks(self.remaining.numpy() // np.uint16(STEPS)).astype(np.uint8)[brick_of[held]]
         x, y, z = self.volume.shape
         whole = dense.transpose(0, 3, 1, 4, 2, 5).reshape(nx, ny, nz)
         return np.ascontiguousarray(whole[:x, :y, :z])
@@ -107,3 +102,13 @@ def _blocked(array: NDArray[Any], counts: tuple[int, ...]) -> NDArray[Any]:
     padded = np.pad(array, pad) if any(after for _, after in pad) else array
     bx, by, bz = counts
     return padded.reshape(bx, BRICK, by, BRICK, bz, BRICK)
+
+
+def _rows(bricks: NDArray[Any]) -> NDArray[Any]:
+    """Bricks, shape (n, 8, 8, 8), as stored rows, shape (n, 512), block after block."""
+    return bricks.reshape(-1, 4, 2, 4, 2, 4, 2).transpose(0, 1, 3, 5, 2, 4, 6).reshape(-1, BRICK_VOXELS)
+
+
+def _bricks(rows: NDArray[Any]) -> NDArray[Any]:
+    """Stored rows, shape (n, 512), as bricks, shape (n, 8, 8, 8)."""
+    return rows.reshape(-1, 4, 4, 4, 2, 2, 2).transpose(0, 1, 4, 2, 5, 3, 6).reshape(-1, BRICK, BRICK, BRICK)

@@ -1,5 +1,6 @@
 """Bone that a rotating cutter mills: carving over bricks and the force on the cutter's elements."""
 
+from math import ceil, sqrt
 from typing import Literal
 
 import numpy as np
@@ -8,13 +9,13 @@ from numpy.typing import NDArray
 
 from kernels.bricks import FULL
 from kernels.carving import PHASES, carve
-from kernels.cutting import AREA, CHIP, CHUNK, DENSITIES, EDGE, RATE, Coefficients, Elements, cutting_forces
+from kernels.cutting import AREA, CHUNK, DENSITIES, RATE, Coefficients, Elements, cutting_forces
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror
 from kernels.revolution import Revolution
 from meshes.volume import VoxelVolume
 from tissue.bone.bricks import BrickStore
-from tissue.cutters import Cutter, DistanceTable, PointShell
+from tissue.cutters import Cutter, DistanceTable, PointShell, Profile
 from tissue.materials import CuttingCoefficients
 from tissue.model import Response, ToolMotion
 
@@ -22,11 +23,13 @@ __all__ = ["BoneModel", "Removal"]
 
 Removal = Literal["subvoxel", "binary"]
 
-CARVE_LAG_M = 1e-5
+CARVE_LAG_M = 1.5e-5
 """How far the tool may move between two visits of a brick, at most a quarter voxel [m]."""
 LONGEST_STEP_VOXELS = 0.5
 """Longest step between two carvings; a faster tool is carved in parts of a tick."""
-SHELL_ELEMENTS = 4000
+TURN = 0.9
+"""The tool turns where its heading keeps less than this share of its last one."""
+SHELL_ELEMENTS = 2000
 """Elements wanted over the cutting surface where the voxels would allow more."""
 WORKERS_CPU, WORKERS_GPU = 32, 2048
 """Workers that share a carving launch."""
@@ -46,7 +49,7 @@ class BoneModel:
     removal
         ``subvoxel`` removes the part of a voxel inside the tool; ``binary`` whole voxels by their centres.
     shell_spacing_m
-        Distance between the cutter's elements [m]; by default two voxels, or wider where that gives more than 4000.
+        Distance between the cutter's elements [m]; by default two voxels, or wider where that gives more than 2000.
     device
         Warp device name.
     cores
@@ -79,11 +82,15 @@ class BoneModel:
         table = cutter.table(spacing_m=spacing)
         self._lag = min(CARVE_LAG_M / spacing, 0.25)
         self._lever = max(abs(table.low), abs(table.high))
-        self._response = Response.empty(layers)
+        self._parts = np.zeros((4, 3))  # chip force and torque, edge force and torque
+        self._response = Response(
+            self._parts[:2].reshape(6), self._parts[2:].reshape(6), np.zeros(6), np.zeros(layers)
+        )
         self._visited = False
         self._next_group = 0
         self._debt = 0.0
         self._heading = np.zeros((2, 3))
+        self._now = np.zeros(6)
         workers = WORKERS_CPU if device == "cpu" else WORKERS_GPU
         chunks = -(-len(self.shell.areas_m2) // CHUNK)
         self._pose = Mirror((1 + PHASES, 6), dtype=wp.float64, device=device)
@@ -96,16 +103,15 @@ class BoneModel:
             carve,
             dim=workers,
             inputs=[
-                _revolution(table, convex=cutter.profile.convex, device=device),
+                _revolution(table, cutter.profile, device=device),
                 self._pose.device,
                 self._plan.device,
                 1.5 * self._lag,
                 0,
                 workers,
                 store.brick_of,
-                store.layer,
             ],
-            outputs=[store.remaining, store.fill, store.alive, self._removed.device],
+            outputs=[store.remaining, store.material, store.alive, self._removed.device],
             offset_index=4,
             device=device,
             cores=cores,
@@ -114,16 +120,14 @@ class BoneModel:
             cutting_forces,
             dim=chunks,
             inputs=[
-                _elements(self.shell, cutter.flute_count, device=device),
+                _elements(self.shell, cutter, device=device),
                 _on_device(coefficients, device=device),
                 self._motion.device,
                 cutter.chip_per_speed_s,
                 spacing,
                 0,
                 store.brick_of,
-                store.fill,
-                store.density,
-                store.layer,
+                store.material,
             ],
             outputs=[self._sums.device],
             offset_index=5,
@@ -148,34 +152,36 @@ class BoneModel:
 
     def advance(self, motion: ToolMotion) -> None:
         """Carve what the tool reaches at its new pose; a slow tool's carving is spread over ticks."""
-        pose = self._pose.host
-        tip = (motion.tip_m - self._origin) / self._spacing
-        axis = motion.rotation[:, 2]
+        now = self._now
+        np.subtract(motion.tip_m, self._origin, out=now[:3])
+        now[:3] /= self._spacing
+        now[3:] = motion.rotation[:, 2]
         if not self._visited:
-            pose[:, :3], pose[:, 3:] = tip, axis
+            self._pose.host[:] = now
             self._visit(PHASES, every_side=True)
             self._visited = True
-            self._heading[:] = motion.heading
-            return
-        if np.vdot(motion.heading, self._heading) < 0.9 * np.vdot(self._heading, self._heading) and self._debt > 0.0:
+        elif self._debt > 0.0 and np.vdot(motion.heading, self._heading) < TURN * np.vdot(self._heading, self._heading):
             self._visit(PHASES)  # the tool turns: first complete what it cut on its old way
         self._heading[:] = motion.heading
-        before = pose[0].copy()
-        step = float(np.linalg.norm(tip - before[:3]) + self._lever * np.linalg.norm(axis - before[3:]))
-        if step == 0.0:
-            return
-        parts = max(int(np.ceil(step / LONGEST_STEP_VOXELS)), 1)
+        moved = now - self._pose.host[0]
+        step = sqrt(moved[:3] @ moved[:3]) + self._lever * sqrt(moved[3:] @ moved[3:])
+        if step > LONGEST_STEP_VOXELS:
+            self._sweep(now, parts=ceil(step / LONGEST_STEP_VOXELS))
+        elif step > 0.0:
+            self._pose.host[0] = now
+            self._debt += PHASES * step / self._lag
+            groups = min(int(self._debt), PHASES)
+            if groups > 0:
+                self._visit(groups)
+
+    def _sweep(self, now: NDArray[np.float64], *, parts: int) -> None:
+        """Carve a fast tool at several poses on its way."""
+        before = self._pose.host[0].copy()
         for part in range(1, parts + 1):
-            share = part / parts
-            pose[0, :3] = before[:3] + share * (tip - before[:3])
-            pose[0, 3:] = before[3:] + share * (axis - before[3:])
-            if part < parts:
-                pose[0, 3:] /= np.linalg.norm(pose[0, 3:])
-                self._visit(PHASES)
-        self._debt = PHASES if parts > 1 else self._debt + PHASES * step / self._lag
-        groups = min(int(self._debt), PHASES)
-        if groups > 0:
-            self._visit(groups)
+            pose = before + part / parts * (now - before)
+            pose[3:] /= np.linalg.norm(pose[3:])
+            self._pose.host[0] = pose
+            self._visit(PHASES)
 
     def respond(self, motion: ToolMotion) -> Response:
         """Cutting force at the motion's pose, as a part that grows with speed and a part that does not."""
@@ -186,16 +192,14 @@ class BoneModel:
         self._motion.push()
         self._forces()
         self._sums.pull()
-        sums = self._sums.host.sum(axis=0)
-        response = self._response
-        response.resistance[:] = (sums[CHIP].reshape(2, 3) @ motion.rotation.T).ravel()
-        response.edge[:] = (sums[EDGE].reshape(2, 3) @ motion.rotation.T).ravel()
+        sums = np.add.reduce(self._sums.host, axis=0)
+        np.matmul(sums[:RATE].reshape(4, 3), motion.rotation.T, out=self._parts)
+        response, speed = self._response, motion.speed_m_s
         response.engaged_m2[:] = sums[AREA:]
-        response.removal_rate_m3_s = float(sums[RATE]) * motion.speed_m_s
-        if motion.speed_m_s > 0.0:
-            response.wrench[:] = response.resistance * motion.speed_m_s + response.edge
-        else:
-            response.wrench[:] = 0.0
+        response.removal_rate_m3_s = float(sums[RATE]) * speed
+        np.multiply(response.resistance, speed, out=response.wrench)
+        if speed > 0.0:
+            response.wrench += response.edge
         return response
 
     def finish(self) -> None:
@@ -215,33 +219,34 @@ class BoneModel:
         self._pose.push()
         self._carve()
         self._removed.pull()
-        self.removed_steps += self._removed.host.sum(axis=0)
+        self.removed_steps += np.add.reduce(self._removed.host, axis=0)
         for visit in range(groups):
             self._pose.host[1 + (first + visit) % PHASES] = self._pose.host[0]
         self._next_group = (first + groups) % PHASES
         self._debt = 0.0 if groups == PHASES else self._debt - groups
 
 
-def _revolution(table: DistanceTable, *, convex: bool, device: str) -> Revolution:
+def _revolution(table: DistanceTable, profile: Profile, *, device: str) -> Revolution:
     """The cutter's distance table on a device."""
     tool = Revolution()
     tool.distance = wp.array(table.distance, dtype=wp.float32, device=device)
     tool.bend = wp.array(table.bend, dtype=wp.float32, device=device)
     tool.height_min, tool.cells_per_voxel = table.height_min, table.cells_per_voxel
     tool.radius, tool.low, tool.high = table.radius, table.low, table.high
-    tool.convex = int(convex)
+    tool.convex, tool.round = int(profile.convex), int(len(profile.pieces) == 1)
     return tool
 
 
-def _elements(shell: PointShell, flute_count: int, *, device: str) -> Elements:
+def _elements(shell: PointShell, cutter: Cutter, *, device: str) -> Elements:
     """The cutter's point shell on a device."""
     elements = Elements()
     elements.point = wp.array(shell.points_m, dtype=wp.vec3, device=device)
     elements.normal = wp.array(shell.normals, dtype=wp.vec3, device=device)
     around = np.column_stack([-shell.points_m[:, 1], shell.points_m[:, 0], np.zeros(len(shell.radii_m))])
-    elements.around = wp.array(around / shell.radii_m[:, None], dtype=wp.vec3, device=device)
+    around *= np.sign(cutter.spin_rad_s) / shell.radii_m[:, None]
+    elements.around = wp.array(around, dtype=wp.vec3, device=device)
     elements.area = wp.array(shell.areas_m2, dtype=wp.float32, device=device)
-    edge_length = flute_count * shell.areas_m2 / (2.0 * np.pi * shell.radii_m)
+    edge_length = cutter.flute_count * shell.areas_m2 / (2.0 * np.pi * shell.radii_m)
     elements.edge_length = wp.array(edge_length, dtype=wp.float32, device=device)
     return elements
 

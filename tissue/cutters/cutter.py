@@ -12,6 +12,8 @@ __all__ = ["Cutter", "DistanceTable", "PointShell"]
 
 CELLS_PER_VOXEL = 2.0
 """Resolution of the distance table; its error, curvature x cell^2 / 8, is 1e-3 voxel for a radius of 30 voxels."""
+SECTORS = 24
+GOLDEN = 0.6180339887498949
 MARGIN_VOXELS = 10.0
 """The table reaches this far beyond the tool: more than the half diagonal of a brick."""
 
@@ -62,7 +64,8 @@ class Cutter:
     flute_count
         Cutting edges N around the axis.
     spin_rad_s
-        Angular velocity about the axis [rad/s], positive by the right-hand rule about +z.
+        Angular velocity about the axis [rad/s], by the right-hand rule about the axis from tip to shank; not 0. A common
+        right-hand drill or mill turns clockwise as seen from its shank: negative.
     """
 
     profile: Profile
@@ -72,37 +75,31 @@ class Cutter:
     @property
     def chip_per_speed_s(self) -> float:
         """Chip thickness over normal feed speed, 2 pi / (N omega) [s]."""
-        return 2.0 * pi / (self.flute_count * self.spin_rad_s)
+        return 2.0 * pi / (self.flute_count * abs(self.spin_rad_s))
 
     @property
     def tooth_passing_Hz(self) -> float:
         """Rate at which edges pass a fixed point [Hz]."""
-        return self.flute_count * self.spin_rad_s / (2.0 * pi)
+        return self.flute_count * abs(self.spin_rad_s) / (2.0 * pi)
 
     @property
     def cutting_area_m2(self) -> float:
         """Area of the cutting surface [m2]."""
-        return sum(_ring_area(piece, 0.0, 1.0) for piece in self.profile.pieces if piece.cutting)
+        return sum(piece.area_m2 for piece in self.profile.pieces if piece.cutting)
 
     def shell(self, *, spacing_m: float) -> PointShell:
-        """Point shell with elements about ``spacing_m`` apart; rings of exact area, points at their middle."""
-        points, normals, areas = [], [], []
-        for piece in (p for p in self.profile.pieces if p.cutting):
-            ring_count = max(ceil(piece.length_m / spacing_m), 2)
-            cuts = np.linspace(0.0, 1.0, ring_count + 1)
-            middles, directions = piece.at(0.5 * (cuts[:-1] + cuts[1:]))
-            for ring, ((r, z), (nr, nz)) in enumerate(zip(middles, directions, strict=True)):
-                area = _ring_area(piece, cuts[ring], cuts[ring + 1])
-                count = max(8 * ceil(2.0 * pi * r / (8.0 * spacing_m)), 8)
-                angle = 2.0 * pi * (np.arange(count) + 0.5) / count
-                cosine, sine = np.cos(angle), np.sin(angle)
-                points.append(np.column_stack([r * cosine, r * sine, np.full(count, z)]))
-                normals.append(np.column_stack([nr * cosine, nr * sine, np.full(count, nz)]))
-                areas.append(np.full(count, area / count))
-        stacked = np.concatenate(points)
-        return PointShell(
-            stacked, np.concatenate(normals), np.concatenate(areas), np.hypot(stacked[:, 0], stacked[:, 1])
-        )
+        """Point shell with elements about ``spacing_m`` apart, denser toward the axis.
+
+        Elements lie on golden-angle spirals, a Fibonacci lattice over each piece: no two share a height, so the rim of a
+        cut never meets many at once, and sums over part of the surface converge almost as fast as over all of it.
+        """
+        parts = [_spiral(piece, spacing_m=spacing_m) for piece in self.profile.pieces if piece.cutting]
+        points, normals, areas = (np.concatenate(column) for column in zip(*parts, strict=True))
+        # Neighbours follow each other: they face the same way and meet the same voxels, which keeps a sum over them fast.
+        sector = np.floor(np.arctan2(points[:, 1], points[:, 0]) * (SECTORS / (2.0 * pi)))
+        order = np.lexsort((points[:, 2], sector))
+        points, normals, areas = points[order], normals[order], areas[order]
+        return PointShell(points, normals, areas, np.hypot(points[:, 0], points[:, 1]))
 
     def table(self, *, spacing_m: float) -> DistanceTable:
         """Distance table in voxels of ``spacing_m``."""
@@ -122,9 +119,22 @@ class Cutter:
         )
 
 
-def _ring_area(piece: Piece, first: float, last: float) -> float:
-    """Area [m2] swept by a part of a piece: 2 pi times the integral of the radius (three-point Gauss)."""
-    node = np.sqrt(0.6)
-    share = first + (last - first) * 0.5 * (1.0 + np.array([-node, 0.0, node]))
+def _spiral(
+    piece: Piece, *, spacing_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Positions [m], normals and areas [m2] of elements of equal area over one piece."""
+    count = max(ceil(piece.area_m2 / spacing_m**2), 16)
+    share = np.linspace(0.0, 1.0, 4097)
     radius = piece.at(share)[0][:, 0]
-    return float(2.0 * pi * piece.length_m * (last - first) * (radius @ np.array([5.0, 8.0, 5.0]) / 18.0))
+    # Half of the elements follow the area, half the profile's length: edge forces weigh a ring by its width alone.
+    density = radius / radius.mean() + 1.0
+    below = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
+    at = np.interp((np.arange(count) + 0.5) / count, below / below[-1], share)
+    profile, direction = piece.at(at)
+    areas = profile[:, 0] / (profile[:, 0] / radius.mean() + 1.0)
+    areas *= piece.area_m2 / areas.sum()
+    angle = 2.0 * pi * GOLDEN * np.arange(count)
+    around = np.column_stack([np.cos(angle), np.sin(angle)])
+    points = np.column_stack([profile[:, :1] * around, profile[:, 1]])
+    normals = np.column_stack([direction[:, :1] * around, direction[:, 1]])
+    return points, normals, areas

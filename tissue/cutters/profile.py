@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 __all__ = ["Arc", "Line", "Piece", "Profile", "ball_burr", "cylinder", "flat_reamer", "hemispherical_reamer", "twist_drill"]
 
 Array = NDArray[np.float64]
+AXIS_M = 1e-9
+"""Points closer to the axis lie on it [m]."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,11 @@ class Line:
     def length_m(self) -> float:
         """Length [m]."""
         return hypot(self.end[0] - self.start[0], self.end[1] - self.start[1])
+
+    @property
+    def area_m2(self) -> float:
+        """Area swept around the axis [m2]."""
+        return pi * (self.start[0] + self.end[0]) * self.length_m
 
     def at(self, share: Array) -> tuple[Array, Array]:
         """Points, shape (n, 2) [m], and outward normals, shape (n, 2), at shares of the length in [0, 1]."""
@@ -62,6 +69,12 @@ class Arc:
     def length_m(self) -> float:
         """Length [m]."""
         return self.radius * (self.last - self.first)
+
+    @property
+    def area_m2(self) -> float:
+        """Area swept around the axis [m2]."""
+        climb = self.radius * (sin(self.last) - sin(self.first))
+        return 2.0 * pi * (self.centre[0] * self.length_m + self.radius * climb)
 
     def at(self, share: Array) -> tuple[Array, Array]:
         """Points, shape (n, 2) [m], and outward normals, shape (n, 2), at shares of the length in [0, 1]."""
@@ -129,7 +142,7 @@ def _inside(outline: Array, points: Array) -> NDArray[np.bool_]:
     """Whether (radius, height) points lie inside a closed outline: crossing number along +radius."""
     inside = np.zeros(len(points), dtype=bool)
     for (r0, z0), (r1, z1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
-        if z0 == z1:
+        if z0 == z1 or max(r0, r1) < AXIS_M:
             continue
         spans = (z0 > points[:, 1]) != (z1 > points[:, 1])
         crossing = r0 + (points[:, 1] - z0) * (r1 - r0) / (z1 - z0)

@@ -1,0 +1,275 @@
+"""Volumes from images: TIFF slices, VTK images, DICOM; thresholds, ramps, resampling, and refusals."""
+
+import math
+import struct
+
+import numpy as np
+import pytest
+
+from meshes import cortical_block, sdf, voxelise
+from meshes.errors import InputError
+from meshes.image import CT_DENSITY, DensityLaw, image_volume, read_volume
+from meshes.image_file import Image, read_image
+
+
+def image(values, spacing=(0.1, 0.1, 0.1)):
+    return Image(np.asarray(values), spacing, "test", ())
+
+
+def refusal_of(act):
+    with pytest.raises(InputError) as refusal:
+        act()
+    return str(refusal.value)
+
+
+@pytest.fixture
+def slices(tmp_path):
+    from skimage.io import imsave
+
+    values = np.random.default_rng(1).integers(0, 255, (7, 5, 4), dtype=np.uint8)  # x, y, z
+    for k in range(4):
+        imsave(tmp_path / f"s_{k:02d}.tif", values[:, :, k].T, check_contrast=False)
+    return tmp_path, values
+
+
+def test_tiff_slices_as_folder_and_pattern(slices):
+    folder, values = slices
+    for path in (folder, folder / "s_*.tif"):
+        found = read_image(path, spacing_mm=0.02)
+        assert np.array_equal(found.values, values) and found.spacing_mm == (0.02,) * 3
+    assert refusal_of(lambda: read_image(folder)) == (
+        f"anatomy.spacing_mm must be given for TIFF slices, which do not hold it, got none for {folder.name}: use the "
+        "scanner's value, for example 0.0195")
+
+
+def test_slices_of_other_sizes_are_refused(slices):
+    from skimage.io import imsave
+
+    folder, _ = slices
+    imsave(folder / "s_99.tif", np.zeros((6, 9), np.uint8), check_contrast=False)
+    assert refusal_of(lambda: read_image(folder, spacing_mm=1)) == (
+        "slices must all have the same size, got 9 x 6 in s_99.tif after 7 x 5: keep other images out of the folder")
+
+
+@pytest.mark.parametrize("suffix", [".vti", ".mhd"])
+def test_point_images_keep_values_and_spacing(tmp_path, suffix):
+    import pyvista
+
+    values = np.random.default_rng(2).integers(-1000, 2000, (6, 5, 4)).astype("<i2")
+    path = tmp_path / f"ct{suffix}"
+    if suffix == ".vti":
+        grid = pyvista.ImageData(dimensions=(6, 5, 4), spacing=(0.5, 0.5, 0.75))
+        grid.point_data["grey"] = values.ravel(order="F")
+        grid.save(path)
+    else:
+        path.with_suffix(".raw").write_bytes(values.tobytes(order="F"))
+        path.write_text("ObjectType = Image\nNDims = 3\nDimSize = 6 5 4\nElementSpacing = 0.5 0.5 0.75\n"
+                        "ElementType = MET_SHORT\nElementDataFile = ct.raw\n")
+    found = read_image(path)
+    assert np.array_equal(found.values, values) and found.spacing_mm == pytest.approx((0.5, 0.5, 0.75))
+
+
+def test_round_trip_through_a_vtk_image(tmp_path):
+    solid = voxelise(cortical_block(size_mm=(4, 3, 2)), spacing_m=2e-4, minus=sdf.sphere(8e-4))
+    path = tmp_path / "bone.vti"
+    solid.to_image().save(path)
+    back = read_volume(path, array="fraction", threshold=0.5, full_value=1.0, layer_name="cortical")
+    assert np.array_equal(back.fraction, solid.fraction)
+    assert back.spacing_m == pytest.approx(solid.spacing_m) and back.layer_names == solid.layer_names
+    assert back.origin_m == pytest.approx(solid.origin_m, abs=1e-12)
+    assert (back.density_kg_m3[back.fraction > 0] == 1800).all()
+
+
+def test_placeholder_spacing_is_told(tmp_path):
+    import pyvista
+
+    grid = pyvista.ImageData(dimensions=(3, 3, 3))
+    grid.point_data["v"] = np.arange(27.0)
+    grid.save(tmp_path / "one.vti")
+    told = []
+    read_volume(tmp_path / "one.vti", threshold=5, tell=told.append)
+    assert told == ["The spacing in one.vti is exactly 1 mm, often a placeholder: set anatomy.spacing_mm to be sure."]
+    told.clear()
+    assert read_volume(tmp_path / "one.vti", threshold=5, spacing_mm=0.03, tell=told.append).spacing_m == 3e-5
+    assert told == ["The spacing in one.vti is 1 x 1 x 1 mm; 0.03 mm is used, as told."]
+
+
+def test_threshold_and_ramp():
+    values = np.array([0, 50, 75, 100, 125, 150, 300], dtype=np.uint16).reshape(7, 1, 1)
+    hard = image_volume(image(values), threshold=100)
+    assert hard.fraction.ravel().tolist() == [0, 0, 0, 0, 255, 255, 255]
+    ramp = image_volume(image(values), threshold=100, full_value=150)
+    assert ramp.fraction.ravel().tolist() == [0, 0, 64, 128, 191, 255, 255]
+
+
+def test_density_law():
+    values = np.array([-500.0, 0.0, 500.0, 1000.0, 3000.0]).reshape(1, 1, 5)
+    volume = image_volume(image(values), threshold=-1000, density_kg_m3=DensityLaw(1.0, 100.0, 50.0, 2000.0))
+    assert volume.density_kg_m3.ravel().tolist() == [50, 100, 600, 1100, 2000]
+    assert CT_DENSITY(np.array([0.0, 1000.0])) == pytest.approx([105.5, 1583.8], abs=0.1)
+
+
+@pytest.mark.parametrize("ratio", [2.0, 2.5, 3.0])
+def test_coarser_voxels_keep_bone_and_mass(ratio):
+    values = np.random.default_rng(3).integers(0, 255, (30, 30, 30))
+    fine = image_volume(image(values), threshold=128, density_kg_m3=DensityLaw(5.0, 300.0))
+    coarse = image_volume(image(values), threshold=128, density_kg_m3=DensityLaw(5.0, 300.0), resample_mm=0.1 * ratio)
+    assert coarse.shape == (int(30 / ratio),) * 3
+    assert coarse.volume_m3() == pytest.approx(fine.volume_m3(), rel=2e-3)  # fractions rounded to 1/255
+    masses = [(v.fraction.astype(float) * v.density_kg_m3).sum() * v.voxel_volume_m3 for v in (fine, coarse)]
+    assert masses[1] == pytest.approx(masses[0], rel=2e-3)
+    assert coarse.density_kg_m3.max() <= 1575
+
+
+def test_finer_voxels_interpolate_grey_and_make_cubes():
+    x = np.linspace(-1, 1, 21)
+    ball = 100 * (0.8 - np.sqrt(x[:, None, None] ** 2 + x[None, :, None] ** 2 + x[None, None, ::2] ** 2))
+    told = []
+    volume = image_volume(image(ball, (0.1, 0.1, 0.2)), threshold=0, full_value=5, tell=told.append)
+    assert volume.spacing_m == pytest.approx(1e-4) and volume.shape == (21, 21, 22)
+    assert told == ["The voxels of test are not cubes; resampled to 0.1 mm."]
+    assert volume.volume_m3() == pytest.approx(4 / 3 * math.pi * 0.8e-3**3, rel=0.02)
+
+
+def test_up_turns_without_mirroring_and_places_the_top_at_zero():
+    values = np.zeros((4, 6, 8))
+    values[0, 0, 0], values[3, 0, 0], values[0, 5, 0], values[0, 0, 7] = 1, 2, 3, 4  # a corner and its three axes
+    for up in ("+x", "-x", "+y", "-y", "+z", "-z"):
+        volume = image_volume(image(values), threshold=0.5, up=up, density_kg_m3=DensityLaw(100.0, 0.0))
+        nx, ny, _ = volume.shape
+        assert volume.bounds_m[1][2] == pytest.approx(0.0, abs=1e-15)
+        assert volume.origin_m[:2] == pytest.approx([-0.5e-4 * nx, -0.5e-4 * ny])
+        at = {int(volume.density_kg_m3[i]) // 100: np.array(i) for i in map(tuple, np.argwhere(volume.fraction))}
+        axes = [np.sign(at[k] - at[1]) for k in (2, 3, 4)]
+        assert np.linalg.det(axes) == pytest.approx(1.0)
+        assert axes["xyz".index(up[1])][2] == (1 if up[0] == "+" else -1)
+
+
+def test_crop():
+    values = np.arange(60.0).reshape(3, 4, 5)
+    volume = image_volume(image(values), threshold=-1, crop=((1, 1, 1), (3, 3, 5)))
+    assert volume.shape == (2, 2, 4)
+
+
+def element(group, number, kind, value):
+    value = value.encode() if isinstance(value, str) else value
+    value += (b"\0" if kind == "UI" else b" ") * (len(value) % 2)
+    head = struct.pack("<HH", group, number) + kind.encode()
+    return head + (struct.pack("<HI", 0, len(value)) if kind == "OW" else struct.pack("<H", len(value))) + value
+
+
+def write_dicom(path, plane, z, syntax="1.2.840.10008.1.2.1"):
+    """A minimal signed 16-bit CT slice, explicit little endian."""
+    def short(n):
+        return struct.pack("<H", n)
+
+    meta = element(2, 0x10, "UI", syntax)
+    meta = element(2, 0, "UL", struct.pack("<I", len(meta))) + meta
+    fields = [(8, 0x18, "UI", f"1.2.3.{z}"), (0x20, 0xD, "UI", "1.2.3"), (0x20, 0xE, "UI", "1.2.3.4"),
+              (0x20, 0x13, "IS", str(z)), (0x20, 0x32, "DS", f"0\\0\\{0.5 * z:g}"),
+              (0x20, 0x37, "DS", "1\\0\\0\\0\\1\\0"), (0x28, 2, "US", short(1)), (0x28, 4, "CS", "MONOCHROME2"),
+              (0x28, 0x10, "US", short(plane.shape[0])), (0x28, 0x11, "US", short(plane.shape[1])),
+              (0x28, 0x30, "DS", "0.5\\0.5"), (0x28, 0x100, "US", short(16)), (0x28, 0x101, "US", short(16)),
+              (0x28, 0x102, "US", short(15)), (0x28, 0x103, "US", short(1)), (0x28, 0x1052, "DS", "-1024"),
+              (0x28, 0x1053, "DS", "1"), (0x7FE0, 0x10, "OW", plane.astype("<i2").tobytes())]
+    path.write_bytes(b"\0" * 128 + b"DICM" + meta + b"".join(element(*field) for field in fields))
+
+
+def test_dicom_folder(tmp_path):
+    plane = np.zeros((6, 8))
+    plane[1:5, 2:7] = 1524
+    for z in range(5):
+        write_dicom(tmp_path / f"slice{z}.dcm", plane, z)
+    volume = read_volume(tmp_path, threshold=200)
+    assert volume.shape == (8, 6, 5) and volume.spacing_m == pytest.approx(5e-4)
+    assert volume.volume_m3() == pytest.approx(4 * 5 * 5 * 5e-4**3)
+
+
+def test_compressed_dicom_is_refused_before_it_ends_the_process(tmp_path):
+    write_dicom(tmp_path / "a.dcm", np.zeros((4, 4)), 0, syntax="1.2.840.10008.1.2.4.90")
+    assert refusal_of(lambda: read_image(tmp_path)) == (
+        "file must be uncompressed DICOM, got transfer syntax 1.2.840.10008.1.2.4.90 in a.dcm: export the series "
+        "uncompressed, or as .nii.gz or .nrrd")
+
+
+def test_refused_files(tmp_path):
+    missing = tmp_path / "gone.nii.gz"
+    assert refusal_of(lambda: read_image(missing)) == (
+        f"file must exist, got {missing}: check the path, which is taken from the working directory")
+    pattern = tmp_path / "*.tif"
+    assert refusal_of(lambda: read_image(pattern)) == (
+        f"file must exist, got {pattern}, which matches nothing: check the folder and the pattern")
+    folder = tmp_path / "none"
+    folder.mkdir()
+    assert refusal_of(lambda: read_image(folder)) == (
+        "file must hold images, got the folder none without DICOM files or TIFF slices: give the folder that holds the "
+        "slices")
+    empty = tmp_path / "empty.vti"
+    empty.touch()
+    assert refusal_of(lambda: read_image(empty)) == (
+        "file must hold an image, got the empty file empty.vti: export it again")
+    noise = tmp_path / "noise.vti"
+    noise.write_text("noise")
+    assert refusal_of(lambda: read_image(noise)).startswith("file must ")
+    broken = tmp_path / "broken.tif"
+    broken.write_text("noise")
+    message = refusal_of(lambda: read_image(broken, spacing_mm=1))
+    assert message.startswith("file must be a readable TIFF slice, got broken.tif (")
+    surface = tmp_path / "surface.vtp"
+    import pyvista
+
+    pyvista.Sphere().save(surface)
+    assert refusal_of(lambda: read_image(surface)).startswith(
+        "file must hold an image volume, got PolyData without voxels in surface.vtp: use a .vti")
+
+
+def test_values_that_are_not_numbers(tmp_path):
+    import pyvista
+
+    grid = pyvista.ImageData(dimensions=(3, 3, 3))
+    grid.point_data["v"] = np.where(np.arange(27) == 4, np.nan, 1.0)
+    grid.save(tmp_path / "holes.vti")
+    assert refusal_of(lambda: read_image(tmp_path / "holes.vti")) == (
+        "voxels must be finite, got 1 of 27 that are not in holes.vti: mask them first")
+    assert refusal_of(lambda: read_image(tmp_path / "holes.vti", array="w")) == (
+        "anatomy.array must be one of v, got w: use one of these names")
+
+
+CUBE = np.arange(27.0).reshape(3, 3, 3)
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"threshold": 30}, "anatomy.threshold must leave bone, got 30 where test holds 0 to 26: use a value between"),
+    ({"threshold": math.nan},
+     "anatomy.threshold must be in [-1e+09, 1e+09], got nan: use 63 for 8-bit micro-CT, about 200 for CT"),
+    ({"threshold": 5, "full_value": 5},
+     "full_value must exceed threshold (5), got 5: use the grey value of solid bone"),
+    ({"threshold": 5, "smooth_voxels": 50},
+     "smooth_voxels must be in [0, 10], got 50: use 0 to leave the image as it is, or 1"),
+    ({"threshold": 5, "up": "z"}, "up must be one of +x, -x, +y, -y, +z, -z, got z: use +z to keep the file's axes"),
+    ({"threshold": 5, "crop": ((0, 0, 0), (4, 3, 3))},
+     "crop must be two corners within the image of (3, 3, 3) voxels, got ((0, 0, 0), (4, 3, 3)): use for example "
+     "((0, 0, 0), (3, 3, 3))"),
+    ({"threshold": 5, "resample_mm": 0.0}, "resample_mm must be positive and finite, got 0.0: use 0.1"),
+    ({"threshold": 5, "resample_mm": 9},
+     "resample_mm must leave a voxel along every axis, got 90 voxels of 3: use a finer one"),
+    ({"threshold": 5, "resample_mm": 1e-4},
+     "resample_mm must leave at most 5e+08 voxels, got 0.0001 which makes 2.7e+10: crop the image, or use 0.00038 or "
+     "more"),
+    ({"threshold": 5, "density_kg_m3": -1}, "density_kg_m3 must be in [50, 20000], got -1: use 1800"),
+])
+def test_refused_options(options, message):
+    assert refusal_of(lambda: image_volume(image(CUBE), **options)) == message
+
+
+def test_microct_block(anatomy_data):
+    volume = read_volume(anatomy_data / "bone" / "microct", spacing_mm=0.0195, threshold=63)
+    assert volume.shape == (200, 200, 200)
+    assert volume.fraction.mean() / 255 == pytest.approx(0.2278, abs=1e-4)  # the data's README
+    coarse = read_volume(anatomy_data / "bone" / "microct", spacing_mm=0.0195, threshold=63, resample_mm=0.05)
+    assert coarse.fraction.mean() / 255 == pytest.approx(0.2278, abs=2e-3)  # the last 0 to 50 µm are dropped
+
+
+def test_ct_from_nifti(anatomy_data):
+    volume = read_volume(anatomy_data / "ct" / "example_ct_sm.nii.gz", threshold=200, density_kg_m3=CT_DENSITY)
+    assert volume.spacing_m == pytest.approx(3e-3) and volume.volume_m3() > 5e-5

@@ -1,0 +1,161 @@
+"""Voxels under a triangle surface, and the glenoid found on bones where it is known."""
+
+import math
+
+import numpy as np
+import pytest
+import trimesh
+
+from meshes import glenoid, sdf, voxelise
+from meshes.errors import InputError
+from meshes.grid import Grid
+from meshes.mesh_sampling import TriangleSampler
+from meshes.site import Site, find_glenoid, surface_anatomy
+from meshes.surface import read_surface, surface_from_triangles
+
+
+def as_surface(mesh):
+    return surface_from_triangles(np.array(mesh.vertices), np.array(mesh.faces), scale_mm=1)
+
+
+AT_ORIGIN = Site(np.zeros(3), np.eye(3), "as is")
+
+
+def sampled(mesh, spacing, half):
+    grid = Grid(spacing, (-half,) * 3, (2 * half,) * 3)
+    return TriangleSampler(np.array(mesh.vertices), np.array(mesh.faces))(grid)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.7])
+def test_volume_and_depth_under_triangles(turn):
+    mesh = trimesh.creation.icosphere(subdivisions=4, radius=5e-3)
+    mesh.apply_transform(trimesh.transformations.rotation_matrix(turn, (1, 2, 3)))
+    fraction, depth = sampled(mesh, 2e-4, 32)
+    assert fraction.sum() * 2e-4**3 == pytest.approx(mesh.volume, rel=1e-4)  # nine lines a voxel over 2000 columns
+    exact = 5e-3 - np.linalg.norm((np.indices(fraction.shape) - 31.5) * 2e-4, axis=0)
+    shell = (fraction > 0.5) & (exact < 2.5e-3)
+    assert np.abs(depth - exact)[shell].max() < 3e-5  # (0.4 mm)^2/4 over a radius of 2.5 mm, and the facets' sagitta
+
+
+def test_box_on_the_lattice_is_exact_though_lines_meet_edges():
+    fraction, _ = sampled(trimesh.creation.box((4e-3, 4e-3, 4e-3)), 2e-4, 16)
+    expected = np.zeros((32, 32, 32))
+    expected[6:26, 6:26, 6:26] = 1
+    assert np.abs(fraction - expected).max() < 1e-6
+
+
+def test_overlapping_bodies_count_once():
+    one, two = trimesh.creation.box((4e-3,) * 3), trimesh.creation.box((4e-3,) * 3)
+    two.apply_translation((2e-3, 0, 1e-3))
+    fraction, _ = sampled(trimesh.util.concatenate([one, two]), 2e-4, 24)
+    assert fraction.sum() * 2e-4**3 == pytest.approx((64 + 64 - 2 * 4 * 3) * 1e-9, rel=1e-6)
+
+
+def test_mesh_agrees_with_the_shape_it_came_from():
+    anatomy = glenoid()
+    vertices, faces = voxelise(anatomy, spacing_m=2e-4).surface()
+    surface = surface_from_triangles(vertices * 1e3, faces, scale_mm=1)
+    region = ((-8e-3, -8e-3, -5e-3), (8e-3, 8e-3, 3e-3))
+    found = voxelise(surface_anatomy(surface, AT_ORIGIN), spacing_m=2e-4, region_m=region)
+    exact = voxelise(anatomy, spacing_m=2e-4, region_m=region)
+    assert found.volume_m3() == pytest.approx(exact.volume_m3(), rel=2e-3)
+    assert np.abs(found.fraction.astype(int) - exact.fraction).max() < 80  # a third of a voxel, by marching cubes
+
+
+def test_mesh_voxels_do_not_depend_on_the_region_and_take_a_hole():
+    surface = as_surface(trimesh.creation.icosphere(subdivisions=3, radius=12.0))
+    anatomy = surface_anatomy(surface, AT_ORIGIN, cortical_thickness_mm=2.0)
+    whole = voxelise(anatomy, spacing_m=4e-4)
+    part = voxelise(anatomy, spacing_m=4e-4, region_m=((-3.3e-3, -4e-3, 2e-3), (9e-3, 5e-3, 14e-3)))
+    first = np.rint((part.origin_m - whole.origin_m) / 4e-4).astype(int)
+    inside = [min(n, w - a) for a, n, w in zip(first, part.shape, whole.shape, strict=True)]
+    window = tuple(slice(a, a + n) for a, n in zip(first, inside, strict=True))
+    kept = tuple(slice(0, n) for n in inside)
+    assert np.array_equal(part.fraction[kept], whole.fraction[window])
+    assert np.array_equal(part.layer[kept], whole.layer[window])
+    hole = sdf.cylinder(2e-3, (0, 0, -6e-3), (0, 0, 6e-3))
+    drilled = voxelise(anatomy, spacing_m=4e-4, minus=hole)
+    assert whole.volume_m3() - drilled.volume_m3() == pytest.approx(math.pi * 4e-6 * 12e-3, rel=5e-3)
+    core = 4 / 3 * math.pi * 10e-3**3
+    assert whole.volume_m3("trabecular") == pytest.approx(core, rel=0.03)
+
+
+def synthetic_scapula():
+    """The procedural glenoid on a thin blade, turned and moved."""
+    blade = sdf.box((6e-3, 110e-3, 70e-3), (0.0, -35e-3, -60e-3), rounding_m=2e-3)
+    spike = sdf.capsule(6e-3, (-2e-3, 20e-3, -12e-3), (-22e-3, 32e-3, 18e-3))
+    bone = sdf.union(glenoid(vault_depth_mm=30).shape, blade, blend_m=4e-3) | spike
+    from meshes import Anatomy, cortical_block
+
+    vertices, faces = voxelise(Anatomy("scapula", bone, ("bone",), cortical_block().classify), spacing_m=8e-4).surface()
+    turn = trimesh.transformations.rotation_matrix(2.1, (1, -2, 0.5))[:3, :3]
+    move = np.array([0.1, -0.05, 0.2])
+    return surface_from_triangles((vertices @ turn.T + move) * 1e3, faces, scale_mm=1), turn, move
+
+
+def test_glenoid_is_found_where_it_was_put():
+    surface, turn, move = synthetic_scapula()
+    site = find_glenoid(surface)
+    assert np.linalg.norm(site.centre_m - move) < 2.5e-3
+    assert math.degrees(math.acos(site.rotation[:, 2] @ turn[:, 2])) < 5.0  # rings of 1 mm at 14 mm: 4.1
+    assert site.rotation[:, 1] @ turn[:, 1] > 0.9
+    assert np.allclose(site.rotation.T @ site.rotation, np.eye(3)) and np.linalg.det(site.rotation) == pytest.approx(1)
+    assert site.confidence.startswith("found by search: face 2") and "concave" in site.confidence
+
+
+def test_site_as_told_lies_on_the_surface():
+    surface = as_surface(trimesh.creation.icosphere(subdivisions=4, radius=30.0))
+    site = find_glenoid(surface, centre_mm=(0, 0, 27), normal=(0, 0, 2))
+    assert site.centre_m == pytest.approx([0, 0, 30e-3], abs=2e-4)
+    assert site.rotation[:, 2] == pytest.approx([0, 0, 1])
+    assert site.confidence == "centre and normal as told"
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"normal": (0, 0, 1)}, "anatomy.centre_mm must be given with anatomy.normal, got none with (0, 0, 1): give both"),
+    ({"centre_mm": (0, 0)}, "anatomy.centre_mm must be three finite numbers, got (0, 0): use for example (0, 0, 1)"),
+    ({"centre_mm": (0, 0, 30), "normal": (0, 0, 0)},
+     "anatomy.normal must not be zero, got (0, 0, 0): give the outward direction"),
+    ({"centre_mm": (0, 0, 300), "normal": (0, 0, 1)},
+     "anatomy.centre_mm must lie within 10 mm of the surface along the normal, got (0, 0, 300) in triangles: give a "
+     "point on the face, in mm in the frame of the file"),
+])
+def test_refused_sites(options, message):
+    surface = as_surface(trimesh.creation.icosphere(subdivisions=3, radius=30.0))
+    with pytest.raises(InputError) as refusal:
+        find_glenoid(surface, **options)
+    assert str(refusal.value) == message
+
+
+def test_a_bone_without_a_glenoid_is_refused():
+    message = (r"^file must show a glenoid of about 28 x 37 mm, got none in triangles \(best face .*\): check "
+               r"anatomy\.scale_mm, or give anatomy\.centre_mm and anatomy\.normal$")
+    with pytest.raises(InputError, match=message):
+        find_glenoid(as_surface(trimesh.creation.icosphere(subdivisions=4, radius=60.0)))
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"cortical_thickness_mm": -1}, "cortical_thickness_mm must be in [0, 10], got -1: use 1.9"),
+    ({"trabecular_density_kg_m3": math.nan}, "trabecular_density_kg_m3 must be in [50, 2500], got nan: use 350"),
+])
+def test_refused_anatomy(options, message):
+    surface = as_surface(trimesh.creation.icosphere(subdivisions=2, radius=30.0))
+    with pytest.raises(InputError) as refusal:
+        surface_anatomy(surface, AT_ORIGIN, **options)
+    assert str(refusal.value) == message
+
+
+@pytest.mark.parametrize(("name", "scale_mm", "centre_mm", "axis"), [
+    # read off rendered pictures: middle of the facet within 3 mm, axis within 15 degrees
+    ("openforge_scapula_left.stl", 50, (-35.7, 7.5, 33.7), (-0.92, 0.38, -0.13)),
+    ("myosim_scapula.stl", None, (-28.5, -36.7, -16.6), (0.52, -0.06, 0.85)),
+])
+def test_real_scapulae(anatomy_data, name, scale_mm, centre_mm, axis):
+    surface = read_surface(anatomy_data / "scapula" / name, scale_mm=scale_mm)
+    site = find_glenoid(surface)
+    assert np.linalg.norm(site.centre_m * 1e3 - centre_mm) < 3.0
+    axis = np.array(axis) / np.linalg.norm(axis)
+    assert site.rotation[:, 2] @ axis > math.cos(math.radians(15))
+    volume = voxelise(surface_anatomy(surface, site), spacing_m=4e-4, region_m=((-8e-3,) * 3, (8e-3,) * 3))
+    middle = volume.fraction[20, 20]
+    assert (middle[:15] == 255).all() and (middle[25:] == 0).all()  # solid 2 mm below the face, free 2 mm above

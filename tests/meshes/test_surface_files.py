@@ -1,0 +1,217 @@
+"""Surfaces from files: formats, units, each repair, and each refusal."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from meshes.errors import InputError
+from meshes.repair import fill_holes, merge_vertices, orient, signed_volume
+from meshes.surface import read_surface, surface_from_triangles
+
+
+def bone(size=(40.0, 30.0, 20.0)):
+    mesh = trimesh.creation.icosphere(subdivisions=3)
+    mesh.apply_scale(0.5 * np.array(size))
+    return mesh
+
+
+def parts(mesh):
+    return np.array(mesh.vertices), np.array(mesh.faces)
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write_file(mesh, name="bone.stl"):
+        import pyvista
+
+        path = tmp_path / name
+        if path.suffix in (".vtk", ".vtp"):
+            pyvista.PolyData.from_regular_faces(mesh.vertices, mesh.faces).save(path)
+        else:
+            mesh.export(path)
+        return path
+
+    return write_file
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply", ".vtk", ".vtp"])
+def test_formats(write, suffix):
+    surface = read_surface(write(bone(), "bone" + suffix))
+    assert surface.report.volume_mm3 == pytest.approx(bone().volume, rel=1e-5)
+    assert surface.report.size_mm == pytest.approx((40, 30, 20), rel=1e-5)
+    assert surface.faces.shape == (1280, 3) and surface.vertices_m.shape == (642, 3)
+    assert np.abs(surface.vertices_m).max() == pytest.approx(0.02, rel=1e-6)
+
+
+@pytest.mark.parametrize(("size", "scale_mm", "guess"), [
+    ((140, 100, 60), 1.0, "millimetres, since the longest side 140 would be 140 mm"),
+    ((0.14, 0.1, 0.06), 1000.0, "metres, since the longest side 0.14 would be 140 mm"),
+    ((12, 10, 9), 1.0, "millimetres, since the longest side 12 would be 12 mm (in centimetres it would be 120 mm: set "
+                       "anatomy.scale_mm to be sure)"),
+])
+def test_unit_guess(write, size, scale_mm, guess):
+    report = read_surface(write(bone(size))).report
+    assert (report.scale_mm, report.unit_guess) == (scale_mm, guess)
+
+
+def test_unit_as_told(write):
+    report = read_surface(write(bone((2.8, 1.2, 2.3))), scale_mm=50).report
+    assert report.unit_guess == "50 mm per unit, as told: the longest side is 140 mm"
+    assert report.size_mm[0] == pytest.approx(140, rel=1e-5)
+
+
+def test_inward_winding_is_turned():
+    vertices, faces = parts(bone())
+    surface = surface_from_triangles(vertices, faces[:, ::-1])
+    assert surface.report.repairs == ("Turned the surface outward: it was wound inward.",)
+    assert signed_volume(surface.vertices_m, surface.faces) * 1e9 == pytest.approx(bone().volume, rel=1e-9)
+
+
+def test_mixed_winding_is_made_one():
+    vertices, faces = parts(bone())
+    faces[::7] = faces[::7, ::-1]
+    surface = surface_from_triangles(vertices, faces)
+    assert surface.report.repairs == (f"Turned {len(faces[::7])} of 1280 triangles to agree with their neighbours.",)
+    assert surface.report.volume_mm3 == pytest.approx(bone().volume, rel=1e-9)
+
+
+def test_debris_is_dropped():
+    specks = [trimesh.creation.icosphere(subdivisions=1, radius=r).apply_translation((30, 0, k))
+              for k, r in enumerate((0.1, 0.25))]
+    surface = surface_from_triangles(*parts(trimesh.util.concatenate([bone(), *specks])))
+    assert surface.report.repairs[-1] == "Dropped 2 loose pieces, the largest 0.5 mm long."
+    assert surface.report.volume_mm3 == pytest.approx(bone().volume, rel=1e-9)
+
+
+def test_two_bodies_stay_and_a_cavity_stays_a_cavity():
+    cavity = bone((10, 10, 10))
+    cavity.invert()
+    other = bone((20, 20, 20)).apply_translation((60, 0, 0))
+    other.invert()
+    surface = surface_from_triangles(*parts(trimesh.util.concatenate([bone(), cavity, other])))
+    expected = bone().volume - bone((10, 10, 10)).volume + bone((20, 20, 20)).volume
+    assert surface.report.volume_mm3 == pytest.approx(expected, rel=1e-9)
+
+
+def test_small_holes_are_closed():
+    vertices, faces = parts(bone())
+    surface = surface_from_triangles(vertices, np.delete(faces, [5, 600, 601], axis=0))
+    assert "Closed" in surface.report.repairs[-1] and "open and 0 non-manifold edges" in surface.report.repairs[-1]
+    assert surface.report.volume_mm3 == pytest.approx(bone().volume, rel=2e-3)
+    edges = np.sort(trimesh.Trimesh(surface.vertices_m, surface.faces, process=False).edges, axis=1)
+    assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
+
+
+def test_doubled_and_cancelling_triangles_leave_a_closed_surface():
+    vertices, faces = parts(bone())
+    flap = np.array([[0, 1, 2], [2, 1, 0]])
+    merged, kept = merge_vertices(vertices, np.concatenate([faces, faces[:9], flap]), 1e-6)
+    assert len(kept) == len(faces) and signed_volume(merged, kept) == pytest.approx(bone().volume, rel=1e-9)
+
+
+def test_bodies_that_share_an_edge_are_closed():
+    cubes = trimesh.util.concatenate([trimesh.creation.box((10, 10, 10)),
+                                      trimesh.creation.box((10, 10, 10)).apply_translation((10, 10, 0))])
+    surface = surface_from_triangles(*parts(cubes))
+    assert surface.report.volume_mm3 == pytest.approx(2000)
+
+
+def test_repair_is_idempotent():
+    vertices, faces = parts(bone())
+    once = surface_from_triangles(vertices, np.delete(faces, [5, 600], axis=0))
+    again = surface_from_triangles(once.vertices_m * 1e3, once.faces)
+    assert again.report.repairs == () and again.report.volume_mm3 == pytest.approx(once.report.volume_mm3)
+    turned, count, bodies = orient(again.vertices_m, again.faces)
+    assert (count, bodies) == (0, 0) and np.array_equal(turned, again.faces)
+    assert fill_holes(again.vertices_m, again.faces, 0.03)[1].filled == 0
+
+
+def flat_sheet():
+    return trimesh.Trimesh([[0, 0, 0], [50, 0, 0], [50, 50, 0], [0, 50, 0]], [[0, 1, 2], [0, 2, 3]])
+
+
+def open_box():
+    box = trimesh.creation.box((50, 50, 50))
+    return trimesh.Trimesh(box.vertices, box.faces[box.face_normals[:, 2] < 0.5], process=False)
+
+
+def fins():
+    edge = [[0, 0, 0], [0, 0, 50]]
+    points = np.array([*edge, [50, 0, 20], [-30, 40, 20], [-30, -40, 20]])
+    return trimesh.Trimesh(points, [[0, 1, 2], [0, 1, 3], [0, 1, 4]], process=False)
+
+
+@pytest.mark.parametrize(("mesh", "options", "message"), [
+    (flat_sheet(), {}, "surface must have thickness, got a flat one in bone.stl: use a closed surface"),
+    (open_box(), {}, "surface must enclose a solid, got 4 open and 0 non-manifold edges in bone.stl, the largest hole "
+                     "2.5e+03 mm2: close it in a mesh editor"),
+    (fins(), {}, "surface must enclose a solid, got 6 open and 1 non-manifold edges in bone.stl, the largest hole "
+                 "1.25e+03 mm2: close it in a mesh editor"),
+    (bone((2.8, 2.3, 1.2)), {},
+     "anatomy.scale_mm must be given where the unit is not plain, got none for bone.stl, whose longest side 2.8 "
+     "would be "
+     "2.8 mm in millimetres and 2.8 m in metres: use millimetres per unit, for example 50"),
+    (bone((3e6, 2e6, 1e6)), {"scale_mm": 1},
+     "anatomy.scale_mm must make the longest side 1 mm to 1 m, got 1, which makes bone.stl 3 km long: use about "
+     "4.7e-05"),
+    (bone((3, 2, 1)), {"scale_mm": 1e-3},
+     "anatomy.scale_mm must make the longest side 1 mm to 1 m, got 0.001, which makes bone.stl 3 µm long: use about "
+     "47"),
+    (bone((0.3, 0.2, 0.1)), {"scale_mm": 1e6},
+     "anatomy.scale_mm must make the longest side 1 mm to 1 m, got 1e+06, which makes bone.stl 300 m long: use about "
+     "1000"),
+    (bone(), {"scale_mm": float("nan")},
+     "anatomy.scale_mm must be positive and finite, got nan: use 1 for millimetres, 1000 for metres"),
+])
+def test_refused_surfaces(write, mesh, options, message):
+    with pytest.raises(InputError) as refusal:
+        read_surface(write(mesh), **options)
+    assert str(refusal.value) == message
+
+
+def test_refused_files(tmp_path):
+    def message(path):
+        with pytest.raises(InputError) as refusal:
+            read_surface(path)
+        return str(refusal.value)
+
+    missing = tmp_path / "gone.stl"
+    assert message(missing) == (f"file must exist, got {missing}: check the path, which is taken from the working "
+                                "directory")
+    assert message(tmp_path / "bone.step") == ("file must end in .stl, .obj, .ply, .vtk, .vtp, got bone.step: convert "
+                                               "it, or read a volume with read_volume")
+    for suffix in (".stl", ".vtp"):
+        empty = tmp_path / f"empty{suffix}"
+        empty.touch()
+        assert message(empty) == f"file must hold a surface, got the empty file empty{suffix}: export it again"
+    for suffix in (".stl", ".ply", ".vtk", ".vtp"):
+        noise = tmp_path / f"noise{suffix}"
+        noise.write_bytes(b"not a mesh at all\n" * 20)
+        assert message(noise).startswith("file must ") and message(noise).endswith(("again", "triangles"))
+    cloud = tmp_path / "cloud.obj"
+    cloud.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n")
+    assert "cloud.obj" in message(cloud)
+
+
+def test_vertices_that_are_not_numbers():
+    vertices, faces = parts(bone())
+    vertices[3, 1] = np.nan
+    with pytest.raises(InputError) as refusal:
+        surface_from_triangles(vertices, faces, source="bone.ply")
+    assert str(refusal.value) == "vertices must be finite, got 1 of 642 that are not in bone.ply: export it again"
+
+
+def test_real_liver_is_turned_and_cleaned(anatomy_data):
+    report = read_surface(anatomy_data / "liver" / "liver.vtk").report
+    assert report.repairs == ("Dropped 3 loose pieces, the largest 0.059 mm long.",
+                              "Turned the surface outward: it was wound inward.")
+    assert report.volume_mm3 == pytest.approx(1.4772e6, rel=1e-4)  # the data's README
+
+
+def test_real_scapulae(anatomy_data):
+    open_one = read_surface(anatomy_data / "scapula" / "myosim_scapula.stl").report
+    assert open_one.scale_mm == 1000 and "Closed" in open_one.repairs[-1]
+    scaled = read_surface(anatomy_data / "scapula" / "openforge_scapula_left.stl", scale_mm=50).report
+    assert scaled.volume_mm3 == pytest.approx(0.4155 * 50**3, rel=1e-3)
+    with pytest.raises(InputError, match=r"^anatomy\.scale_mm must be given .* for example 50$"):
+        read_surface(anatomy_data / "scapula" / "openforge_scapula_left.stl")

@@ -1,0 +1,132 @@
+"""What a ball takes out of a block, against the exact volume of a spherical cap."""
+
+from math import pi
+
+import numpy as np
+import pytest
+
+from meshes import cortical_block, voxelise
+from tissue.bone import BoneModel
+from tissue.cutters import Cutter, ball_burr
+from tissue.materials import cutting_coefficients
+from tissue.model import ToolMotion
+
+RADIUS_M, DEPTH_M = 3e-3, 1e-3
+CAP_M3 = pi * DEPTH_M**2 * (3.0 * RADIUS_M - DEPTH_M) / 3.0
+SPACINGS_M = (0.4e-3, 0.2e-3, 0.1e-3, 0.05e-3)
+BONE = (cutting_coefficients("bone"),)
+
+
+def block(spacing_m, size_mm=(6.4, 6.4, 1.6)):
+    return voxelise(cortical_block(size_mm=size_mm), spacing_m=spacing_m)
+
+
+def ball(volume, removal="subvoxel"):
+    return BoneModel(volume, Cutter(ball_burr(diameter_m=2 * RADIUS_M), 6, 1000.0), BONE, removal=removal)
+
+
+def sweep(model, start_m, end_m, *, step_m=2e-6):
+    """Move the ball along a line, tick by tick."""
+    start, end = np.asarray(start_m, float), np.asarray(end_m, float)
+    length = np.linalg.norm(end - start)
+    motion = ToolMotion(speed_m_s=step_m / 1e-3)
+    motion.heading[0] = (end - start) / length
+    for travel in np.append(np.arange(0.0, length, step_m), length):
+        motion.tip_m[:] = start + travel * motion.heading[0]
+        model.advance(motion)
+    model.finish()
+    return model
+
+
+def cap_errors(removal):
+    """Root mean square over random placements of the relative error of a cap's volume, for each spacing."""
+    random = np.random.default_rng(1)
+    errors = []
+    for spacing in SPACINGS_M:
+        volume = block(spacing)
+        single = []
+        for _ in range(4):
+            model = ball(volume, removal)
+            motion = ToolMotion(speed_m_s=1e-3)
+            motion.heading[0] = (0, 0, -1)
+            motion.tip_m[:] = (*(random.random(2) * spacing), -DEPTH_M)
+            model.advance(motion)
+            single.append(model.removed_m3.sum() / CAP_M3 - 1.0)
+        errors.append(float(np.sqrt(np.mean(np.square(single)))))
+    return np.array(errors)
+
+
+def test_cap_volume_converges_with_second_order_and_beats_binary_removal():
+    subvoxel, binary = cap_errors("subvoxel"), cap_errors("binary")
+    slope = np.polyfit(np.log(SPACINGS_M), np.log(subvoxel), 1)[0]
+    binary_slope = np.polyfit(np.log(SPACINGS_M), np.log(binary), 1)[0]
+    print("\nspacing mm, sub-voxel, binary:", *zip(1e3 * np.array(SPACINGS_M), subvoxel, binary, strict=True), sep="\n  ")
+    print(f"slopes {slope:.2f} and {binary_slope:.2f}")
+    assert slope > 1.6  # second order, fitted over four spacings with placement noise
+    assert subvoxel[2] < 1e-3  # 0.1 % at 0.1 mm
+    assert subvoxel[3] < 1e-4
+    assert (subvoxel < 0.5 * binary).all()
+
+
+def test_plunge_spread_over_ticks_ends_at_the_cap():
+    model = sweep(ball(block(0.1e-3)), (3e-5, 6e-5, 0.2e-3), (3e-5, 6e-5, -DEPTH_M))
+    assert model.removed_m3.sum() == pytest.approx(CAP_M3, rel=1e-3)
+
+
+def test_fast_plunge_is_carved_in_parts_of_a_tick():
+    model = sweep(ball(block(0.1e-3)), (0, 0, 1e-3), (0, 0, -DEPTH_M), step_m=1e-3)
+    assert model.removed_m3.sum() == pytest.approx(CAP_M3, rel=1e-3)
+
+
+def test_slot_leaves_a_capsule():
+    """A ball drawn along x removes a cap's two halves and a circular segment times the length."""
+    model = sweep(ball(block(0.1e-3)), (-0.8e-3, 0, -0.5e-3), (0.8e-3, 0, -0.5e-3), step_m=5e-6)
+    angle = 2.0 * np.arccos(1.0 - 0.5e-3 / RADIUS_M)
+    segment = 0.5 * RADIUS_M**2 * (angle - np.sin(angle))
+    cap = pi * 0.5e-3**2 * (3.0 * RADIUS_M - 0.5e-3) / 3.0
+    assert model.removed_m3.sum() == pytest.approx(cap + 1.6e-3 * segment, rel=2e-3)  # binary: 1e-2
+
+
+def test_removed_and_remaining_add_up_exactly_in_every_layer():
+    volume = block(0.1e-3)
+    layered = type(volume)(
+        volume.origin_m,
+        volume.spacing_m,
+        volume.fraction,
+        np.ascontiguousarray(np.indices(volume.shape)[2] // 3 % 3, dtype=np.uint8),
+        volume.density_kg_m3,
+        ("a", "b", "c"),
+    )
+    model = BoneModel(layered, Cutter(ball_burr(diameter_m=2 * RADIUS_M), 6, 1000.0), BONE * 3)
+    for x in (-1e-3, 0.3e-3, 1.1e-3):
+        sweep(model, (x, 0, 0.1e-3), (x, 2e-4, -7e-4), step_m=1e-5)
+        assert (model.removed_steps + model.store.steps_by_layer() == model.start_steps).all()
+    assert (model.removed_steps > 0).all()
+
+
+def test_order_of_overlapping_cuts_does_not_matter():
+    volume = block(0.1e-3)
+    cuts = [(-6e-4, 1e-4), (2e-4, -3e-4), (7e-4, 4e-4), (0.0, 0.0)]
+    left = []
+    for order in ([0, 1, 2, 3], [3, 1, 0, 2], [2, 3, 1, 0]):
+        model = ball(volume)
+        for x, y in (cuts[i] for i in order):
+            sweep(model, (x, y, 2e-4), (x, y, -9e-4), step_m=1e-5)
+            sweep(model, (x, y, -9e-4), (x, y, 2e-4), step_m=1e-5)
+        left.append(model.store.remaining.numpy().copy())
+    assert (left[0] == left[1]).all()
+    assert (left[0] == left[2]).all()
+
+
+def test_result_does_not_depend_on_cores():
+    runs = []
+    for cores in (1, 2, 3):
+        model = BoneModel(block(0.1e-3), Cutter(ball_burr(diameter_m=2 * RADIUS_M), 6, 1000.0), BONE, cores=cores)
+        model._carve._work_s = model._forces._work_s = 1.0  # split from the first launch on
+        sweep(model, (-5e-4, 0, 1e-4), (5e-4, 0, -8e-4), step_m=2e-5)
+        motion = ToolMotion(tip_m=np.array([5e-4, 0, -8e-4]), speed_m_s=1e-3)
+        motion.heading[0] = (0, 0, -1)
+        runs.append((model.store.remaining.numpy().copy(), model.respond(motion).wrench.copy()))
+    for remaining, wrench in runs[1:]:
+        assert (remaining == runs[0][0]).all()
+        assert (wrench == runs[0][1]).all()

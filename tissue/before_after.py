@@ -1,0 +1,162 @@
+"""The bone before and after a run, in one picture."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue.build import reach
+from tissue.depth import DepthMap
+from tissue.pictures import BONE, DPI, axis_names, depth_colours, depth_limit, figure, layer_colours, save
+from tissue.rendering import Camera, Coloured, render
+from tissue.run import Run
+from tissue.surface import bone_surface, cut_out, smooth_normals, with_depth, with_layers
+
+if TYPE_CHECKING:
+    import pyvista
+
+__all__ = ["draw_before_after"]
+
+PANEL_PX = 780
+TILT_DEG = (36.0, 12.0)
+"""How far the eye turns down and to the side from the tool's axis."""
+CUT_OUT = (0.82, 0.82, 0.85)
+"""Colour of faces where the simulated region ends and the bone goes on."""
+
+
+def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
+    """Draw the bone by layer before and by removed depth after the run, both seen by the same camera.
+
+    Returns
+    -------
+    None, or why it could not be drawn.
+    """
+    volume = run.parts.volume
+    before = with_layers(bone_surface(volume, volume.fraction), volume)
+    after = bone_surface(volume, run.remaining)
+    if not before.n_cells or not after.n_cells:
+        return "no bone is left to show"
+    with_depth(after, volume, run.remaining, depth_mm=depth.depth_mm, axis=depth.axis)
+    names = volume.layer_names
+    limit = depth_limit(depth)
+    camera = _camera(before, depth)
+    painted = np.array([layer_colours(names)[name] for name in names])[before.cell_data["layer"]]
+    carved = _depth_paint(after.point_data["removed_depth_mm"], limit)[after.regular_faces].mean(axis=1)
+    carved[cut_out(after, volume, _reach(run))] = CUT_OUT
+    pictures = render([_coloured(before, painted, camera), _coloured(after, carved, camera)], camera)
+    if isinstance(pictures, str):
+        return pictures
+    present = np.unique(before.cell_data["layer"])
+    _compose(run, pictures, camera, [names[i] for i in present], limit, path)
+    return None
+
+
+def _reach(run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The box that was simulated [m]; the bone goes on beyond it."""
+    return reach(run.parts.cutter, run.parts.motion, run.scene.voxels.margin_mm * 1e-3)
+
+
+def _depth_paint(depth_mm: NDArray[np.float32], limit: float) -> NDArray[np.float64]:
+    """Colours of points by removed depth, bone where nothing was removed; they blend over the first few hundredths."""
+    share = np.clip((depth_mm / limit - 0.01) / 0.03, 0.0, 1.0)[:, None]
+    return share * depth_colours()(depth_mm / limit)[:, :3] + (1.0 - share) * np.array(BONE)
+
+
+def _coloured(surface: "pyvista.PolyData", colours: NDArray[np.float64], camera: Camera) -> Coloured:
+    """The triangles of a surface that the camera can see, with a colour for each."""
+    normals, triangles = smooth_normals(surface), np.asarray(surface.regular_faces)
+    points = np.asarray(surface.points, dtype=np.float32)
+    # Smoothed normals and real ones differ a little; what clearly faces away is hidden and costs time.
+    seen = (normals @ np.array(camera.towards_eye, dtype=np.float32))[triangles].max(axis=1) > -0.1
+    return Coloured(points, normals, triangles[seen], np.rint(255.0 * colours[seen]).astype(np.uint8))
+
+
+def _camera(surface: "pyvista.PolyData", depth: DepthMap) -> Camera:
+    """A camera that sees the whole surface from the tool's side, turned down and aside."""
+    out, v = np.eye(3)[depth.axis] * depth.outward, np.eye(3)[depth.across[1]]
+    u = np.cross(v, out)
+    down, aside = np.radians(TILT_DEG)
+    towards = np.cos(down) * (np.cos(aside) * out + np.sin(aside) * u) - np.sin(down) * v
+    up = v - (v @ towards) * towards
+    up /= np.linalg.norm(up)
+    right = np.cross(up, towards)
+    low, high = np.array(surface.bounds).reshape(3, 2).T
+    # Points of the surface itself, not of its box, so that the bone fills the picture.
+    seen = np.asarray(surface.points)[:: max(surface.n_points // 20000, 1)] @ np.column_stack([right, up, towards])
+    first, last = seen.min(axis=0), seen.max(axis=0)
+    middle = 0.5 * (first + last)
+    width, height = 1.06 * (last - first)[:2]
+    tall = int(np.clip(PANEL_PX * height / width, 0.45 * PANEL_PX, 1.15 * PANEL_PX)) // 2 * 2
+    height = max(height, width * tall / PANEL_PX)
+    centre = middle[0] * right + middle[1] * up + middle[2] * towards
+    return Camera(
+        towards_eye=tuple(towards), up=tuple(up), centre_mm=tuple(centre), height_mm=float(height), size=(PANEL_PX, tall)
+    )
+
+
+def _compose(
+    run: Run, pictures: list[NDArray[np.uint8]], camera: Camera, layers: list[str], limit: float, path: Path
+) -> None:
+    """Put the two pictures side by side with legend, colour bar, scale bar and axes."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+    from matplotlib.patches import Patch
+
+    wide, tall = camera.size
+    gap, head, foot = 40, 64, 170
+    size = 2 * wide + gap, tall + head + foot
+    chart = figure(size[0] / DPI, size[1] / DPI)
+    for index, (picture, title) in enumerate(zip(pictures, ("before", "after"), strict=True)):
+        left = index * (wide + gap) / size[0]
+        axes = chart.add_axes((left, foot / size[1], wide / size[0], tall / size[1]))
+        axes.imshow(picture, interpolation="nearest")
+        axes.set_axis_off()
+        chart.text(left + 0.5 * wide / size[0], 1.0 - 0.5 * head / size[1], title, ha="center", va="center", size=11)
+        _draw_scale(axes, camera)
+    colours = layer_colours(run.parts.volume.layer_names)
+    patch = {"edgecolor": "0.3", "linewidth": 0.5}
+    legend = {"loc": "center", "frameon": False, "handlelength": 1.2, "labelspacing": 0.3}
+    chart.legend(
+        handles=[Patch(facecolor=colours[name], label=name, **patch) for name in layers],
+        bbox_to_anchor=(0.2 * wide / size[0], 0.5 * foot / size[1]), **legend,
+    )
+    chart.legend(
+        handles=[
+            Patch(facecolor=BONE, label="not cut", **patch),
+            Patch(facecolor=CUT_OUT, label="edge of the\nsimulated region", **patch),
+        ],
+        bbox_to_anchor=((wide + gap + 0.2 * wide) / size[0], 0.5 * foot / size[1]), **legend,
+    )
+    _draw_triad(chart.add_axes((0.28, 0.0, 0.18, foot / size[1])), run, camera)
+    bar = chart.add_axes((
+        (wide + gap + 0.45 * wide) / size[0], 0.58 * foot / size[1], 0.48 * wide / size[0], 0.14 * foot / size[1]
+    ))
+    mapped = ScalarMappable(Normalize(0.0, limit), depth_colours())
+    chart.colorbar(mapped, cax=bar, orientation="horizontal").set_label("removed depth / mm")
+    save(chart, path)
+
+
+def _draw_scale(axes: Any, camera: Camera) -> None:
+    """A bar of a round length; the projection is parallel, so it holds across the picture."""
+    per_mm = camera.size[1] / camera.height_mm
+    longest = 0.25 * camera.size[0] / per_mm
+    length = max(step for step in (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0) if step <= max(longest, 0.5))
+    x, y = camera.size[0] - 20.0, camera.size[1] - 16.0
+    axes.plot([x - length * per_mm, x], [y, y], color="0.1", linewidth=2.2, solid_capstyle="butt")
+    axes.text(x - 0.5 * length * per_mm, y - 8.0, f"{length:g} mm", ha="center", va="bottom", size=9)
+
+
+def _draw_triad(axes: Any, run: Run, camera: Camera) -> None:
+    """The world's axes as the camera sees them."""
+    towards, up = np.array(camera.towards_eye), np.array(camera.up)
+    view = np.stack([np.cross(up, towards), up])
+    axes.set(xlim=(-1.5, 1.5), ylim=(-0.75, 1.35), aspect="equal")
+    axes.set_axis_off()
+    for axis, name in enumerate(axis_names(run)):
+        along = 0.8 * view[:, axis]
+        if np.hypot(*along) < 0.1:
+            continue
+        axes.annotate("", along, (0.0, 0.0), arrowprops={"arrowstyle": "-|>", "color": "0.2", "shrinkA": 0, "shrinkB": 0})
+        at = along * (1.0 + 0.12 / np.hypot(*along))
+        axes.text(*at, name, ha="left" if along[0] > -0.05 else "right", va="center", size=8)

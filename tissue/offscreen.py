@@ -1,0 +1,90 @@
+"""Draw in 3D without a display, in a process of its own: VTK ends a whole process where a graphics library is missing."""
+
+import ctypes
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+__all__ = ["REMEDY", "display_problem", "draw_apart"]
+
+REMEDY = "install libegl1 and libgl1-mesa-dri (Debian, Ubuntu) or mesa-libEGL and mesa-dri-drivers (Fedora)"
+"""What gives a bare Linux machine OpenGL in software."""
+LONGEST_S = 120.0
+START = "import sys, runpy; sys.path.append(sys.argv.pop(1)); runpy.run_module(sys.argv.pop(1), run_name='__main__')"
+
+
+def draw_apart(module: str, *arguments: str) -> str | None:
+    """Run ``python -m module arguments`` where it may draw, and say in half a sentence why it could not.
+
+    Returns
+    -------
+    None if it ended well, else the reason and the remedy.
+    """
+    if not sys.executable:
+        return "this Python cannot start another one to draw in 3D: run it from the command line"
+    root = str(Path(__file__).resolve().parent.parent)
+    reason = "this machine has no OpenGL library"
+    for window in _windows():
+        environment = os.environ | ({"VTK_DEFAULT_OPENGL_WINDOW": window} if window else {})
+        try:
+            done = subprocess.run(
+                [sys.executable, "-P", "-c", START, root, module, *arguments],
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                text=True,
+                errors="replace",
+                timeout=LONGEST_S,
+            )
+        except (OSError, subprocess.TimeoutExpired) as problem:
+            reason = f"drawing in 3D failed ({type(problem).__name__})"
+            continue
+        if done.returncode == 0:
+            return None
+        reason = f"OpenGL does not work on this machine (exit code {done.returncode})"
+        if done.returncode == 1 and "Error" in done.stderr:
+            reason = f"drawing in 3D failed ({done.stderr.strip().splitlines()[-1][:200]})"
+    return f"{reason}: {REMEDY}" if sys.platform.startswith("linux") else f"{reason}: update the graphics driver"
+
+
+def display_problem() -> str | None:
+    """Why no window can be opened here, or None; asks before VTK does, which would end the process."""
+    if not sys.platform.startswith("linux"):
+        return None
+    name = os.environ.get("DISPLAY", "")
+    if not name:
+        return "there is no display (DISPLAY is not set)"
+    library = _library("libX11.so.6")
+    if library is None:
+        return "libX11 is missing (install libx11-6, libgl1 and libxcursor1)"
+    library.XOpenDisplay.restype = ctypes.c_void_p
+    display = library.XOpenDisplay(name.encode())
+    if not display:
+        return f"the display {name} does not answer"
+    library.XCloseDisplay.argtypes = [ctypes.c_void_p]
+    library.XCloseDisplay(display)
+    if _library("libGL.so.1") is None:
+        return "libGL is missing (install libgl1)"
+    return None
+
+
+def _windows() -> Iterator[str]:
+    """Kinds of VTK window to try, by class name; empty is VTK's own choice."""
+    if not sys.platform.startswith("linux") or "VTK_DEFAULT_OPENGL_WINDOW" in os.environ:
+        yield ""
+        return
+    if _library("libEGL.so.1") is not None:
+        yield "vtkEGLRenderWindow"
+    if any(_library(f"libOSMesa.so.{version}") is not None for version in (8, 6)):
+        yield "vtkOSOpenGLRenderWindow"
+    if display_problem() is None:
+        yield "vtkXOpenGLRenderWindow"
+
+
+def _library(name: str) -> ctypes.CDLL | None:
+    try:
+        return ctypes.CDLL(name)
+    except OSError:
+        return None

@@ -1,0 +1,231 @@
+"""Pictures of a run in the plane: removed depth, forces and torques."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue.depth import DepthMap, tool_axes
+from tissue.run import Run
+from tissue.trace import NO_LAYER
+
+if TYPE_CHECKING:
+    from matplotlib.colors import Colormap
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "BONE",
+    "DPI",
+    "axis_names",
+    "depth_colours",
+    "depth_limit",
+    "draw_force_torque",
+    "draw_removed_depth",
+    "figure",
+    "layer_colours",
+    "save",
+]
+
+DPI = 200
+BONE = (0.93, 0.89, 0.81)
+"""Colour of bone that was not cut."""
+LAYERS = ("#E69F00", "#56B4E9", "#009E73", "#CC79A7", "#F0E442", "#0072B2")
+COMPONENTS = ("#0072B2", "#D55E00", "#009E73")
+"""Colours of layers and components after Okabe and Ito (2008), told apart by colour-blind readers."""
+MAGNITUDE = "0.88"
+ANATOMICAL = {"glenoid": ("anterior", "superior", "lateral")}
+"""What the world's axes mean, by kind of anatomy."""
+STYLE = {"font.size": 9.0, "axes.linewidth": 0.7, "axes.titlesize": 10.0, "legend.fontsize": 8.5, "lines.linewidth": 1.2}
+
+
+def figure(width_in: float, height_in: float) -> "Figure":
+    """A figure that no window knows of."""
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(STYLE):
+        return Figure(figsize=(width_in, height_in), dpi=DPI)
+
+
+def save(chart: "Figure", path: Path) -> None:
+    """Write a figure as PNG, the same bytes for the same figure."""
+    import matplotlib
+
+    with matplotlib.rc_context(STYLE):
+        chart.savefig(path, format="png", dpi=DPI, metadata={"Software": None}, pil_kwargs={"compress_level": 3})
+
+
+def axis_names(run: Run) -> tuple[str, ...]:
+    """The world's axes with their anatomical direction where the kind of anatomy has one."""
+    meanings = ANATOMICAL.get(run.scene.anatomy.kind)
+    return tuple(f"{c} ({meaning})" for c, meaning in zip("xyz", meanings, strict=True)) if meanings else tuple("xyz")
+
+
+def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, ...]]:
+    """Red, green and blue of every layer."""
+    from matplotlib.colors import to_rgb
+
+    return {name: to_rgb(LAYERS[i % len(LAYERS)]) for i, name in enumerate(names)}
+
+
+def depth_colours() -> "Colormap":
+    """Colours of removed depth."""
+    from matplotlib import colormaps
+
+    return colormaps["viridis"]
+
+
+def depth_limit(depth: DepthMap) -> float:
+    """Upper end of the depth scale [mm]: the deepest column, peg holes and drilled channels left to saturate."""
+    cut = depth.depth_mm[depth.depth_mm > 0.0]
+    return float(max(cut.max(), 1e-3)) if cut.size else 1.0
+
+
+def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
+    """Draw the map of removed depth on the face that the tool meets."""
+    import matplotlib
+
+    with matplotlib.rc_context(STYLE):
+        _draw_removed_depth(run, depth, path)
+
+
+def _draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    u0, u1, v0, v1 = depth.extent_mm
+    per_mm = min(6.0 / (u1 - u0), 6.4 / (v1 - v0))
+    wide, tall = per_mm * (u1 - u0), per_mm * (v1 - v0)
+    full = tall + 1.35
+    left = 0.5 * (8.0 - wide - 0.4)
+    chart = figure(8.0, full)
+    axes = chart.add_axes((left / 8.0, 0.6 / full, wide / 8.0, tall / full))
+    spacing = run.parts.volume.spacing_m * 1e3
+    least = 0.01 * spacing
+    shade = _hillshade(depth.height_mm * depth.outward, spacing)
+    ground = np.clip(np.array(BONE) * shade[..., None], 0.0, 1.0)
+    ground[~(depth.bone & np.isfinite(depth.height_mm))] = 1.0
+    axes.imshow(ground.swapaxes(0, 1), origin="lower", extent=depth.extent_mm, interpolation="nearest")
+    image = axes.imshow(
+        np.ma.masked_less(depth.depth_mm, least).T, origin="lower", extent=depth.extent_mm, cmap=depth_colours(),
+        vmin=0.0, vmax=depth_limit(depth), interpolation="nearest",
+    )
+    handles: list[Any] = [Patch(facecolor=BONE, edgecolor="0.3", linewidth=0.5, label="not cut")]
+    _outline(axes, depth.bone, depth.extent_mm, color="0.15", linewidth=1.0)
+    handles.append(Line2D([], [], color="0.15", linewidth=1.0, label="bone in the simulated region"))
+    for name, mask in depth.exposed.items():
+        colour = layer_colours(run.parts.volume.layer_names)[name]
+        _outline(axes, mask, depth.extent_mm, color="white", linewidth=3.0)
+        _outline(axes, mask, depth.extent_mm, color=colour, linewidth=1.6)
+        handles.append(Line2D([], [], color=colour, linewidth=1.8, label=f"{name} laid bare"))
+    names = axis_names(run)
+    axes.set_xlabel(f"{names[depth.across[0]]} / mm")
+    axes.set_ylabel(f"{names[depth.across[1]]} / mm")
+    axes.set_aspect("equal")
+    bar = chart.add_axes(((left + wide + 0.15) / 8.0, 0.6 / full, 0.16 / 8.0, tall / full))
+    chart.colorbar(image, cax=bar, label="removed depth / mm")
+    cut = depth.depth_mm[depth.depth_mm >= least]
+    said = f"peak {cut.max():.2f} mm, median {np.median(cut):.2f} mm over {cut.size * spacing**2:.0f} mm²"
+    title = f"{run.scene.name}: {said}" if cut.size else f"{run.scene.name}: nothing removed"
+    chart.text((left + 0.5 * wide) / 8.0, 1.0 - 0.2 / full, title, ha="center", va="center", size=10.5)
+    chart.legend(
+        handles=handles, loc="center", bbox_to_anchor=((left + 0.5 * wide) / 8.0, 1.0 - 0.5 / full), ncols=4,
+        frameon=False,
+    )
+    save(chart, path)
+
+
+def _outline(axes: Any, mask: NDArray[np.bool_], extent: tuple[float, float, float, float], **line: Any) -> None:
+    """Draw the edge of a set of columns, closed where it meets the edge of the map."""
+    u0, u1, v0, v1 = extent
+    step_u, step_v = (u1 - u0) / mask.shape[0], (v1 - v0) / mask.shape[1]
+    u = u0 + step_u * (np.arange(-1, mask.shape[0] + 1) + 0.5)
+    v = v0 + step_v * (np.arange(-1, mask.shape[1] + 1) + 0.5)
+    line = {"colors": [line.pop("color")], "linewidths": [line.pop("linewidth")]}
+    axes.contour(u, v, np.pad(mask, 1).T.astype(float), levels=[0.5], **line)
+
+
+def _hillshade(height_mm: NDArray[np.float64], spacing_mm: float) -> NDArray[np.float64]:
+    """Brightness of a face lit from the upper left, darker where it lies deep."""
+    from scipy.ndimage import gaussian_filter
+
+    there = np.isfinite(height_mm)
+    filled = gaussian_filter(np.where(there, height_mm, 0.0), 2.0) / np.maximum(
+        gaussian_filter(there.astype(np.float64), 2.0), 1e-6
+    )
+    slope_u, slope_v = np.gradient(filled, spacing_mm)
+    lit = (0.35 * slope_u - 0.35 * slope_v + 0.87) / np.sqrt(1.0 + slope_u**2 + slope_v**2)
+    return np.asarray(np.clip(0.62 + 0.45 * lit, 0.35, 1.05))
+
+
+def draw_force_torque(run: Run, path: Path) -> None:
+    """Draw force, torque, removal rate and the tool's way with the layer it cuts over time."""
+    import matplotlib
+
+    with matplotlib.rc_context(STYLE):
+        _draw_force_torque(run, path)
+
+
+def _draw_force_torque(run: Run, path: Path) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    trace = run.trace
+    time = trace["time_s"]
+    chart = figure(8.0, 6.8)
+    panels = chart.subplots(4, 1, sharex=True, height_ratios=(3.0, 2.2, 1.3, 1.3))
+    chart.subplots_adjust(left=0.11, right=0.98, top=0.94, bottom=0.07, hspace=0.14)
+    for axes, name, unit, label in (
+        (panels[0], "force", "N", "force / N"),
+        (panels[1], "torque", "Nm", "torque / N·m"),
+    ):
+        commanded, model = trace.vectors(name, unit), trace.vectors(f"model_{name}", unit)
+        axes.fill_between(time, np.linalg.norm(commanded, axis=1), color=MAGNITUDE, linewidth=0.0)
+        for c in range(3):
+            axes.plot(time, model[:, c], color=COMPONENTS[c], linewidth=3.2, alpha=0.3, solid_capstyle="butt")
+            axes.plot(time, commanded[:, c], color=COMPONENTS[c])
+        axes.set_ylabel(label)
+        axes.axhline(0.0, color="0.7", linewidth=0.6, zorder=0)
+    panels[0].legend(
+        handles=[Line2D([], [], color=COMPONENTS[c], label="xyz"[c]) for c in range(3)]
+        + [
+            Patch(facecolor=MAGNITUDE, label="magnitude"),
+            Line2D([], [], color="0.4", linewidth=3.2, alpha=0.4, label="before low-pass"),
+        ],
+        loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=5, frameon=False, handlelength=1.6, columnspacing=1.2,
+    )
+    panels[0].set_title(f"{run.scene.name}: on the tool, about its tip", loc="left")
+    panels[2].plot(time, trace["removal_rate_mm3_s"], color="0.1")
+    panels[2].set_ylabel("removal rate\n/ mm³ s⁻¹")
+    panels[2].set_ylim(bottom=0.0)
+    axis = tool_axes(np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"]))
+    panels[3].plot(time, (trace.vectors("tool", "mm") * axis).sum(axis=1), color="0.1")
+    panels[3].set_ylabel("tip along\nits axis / mm")
+    panels[3].set_xlabel("time / s")
+    layers = trace["layer"]
+    colours = layer_colours(run.parts.volume.layer_names)
+    met = [name for name in run.parts.volume.layer_names if (layers == name).any()]
+    for first, last, name in _spells(layers):
+        if name != NO_LAYER:
+            panels[3].axvspan(time[first], time[min(last, len(time) - 1)], color=colours[name], alpha=0.45, linewidth=0.0)
+    if met:
+        panels[3].legend(
+            handles=[Patch(facecolor=colours[name], alpha=0.45, label=f"in {name}") for name in met],
+            loc="lower left", ncols=3, frameon=False, handlelength=1.2, borderpad=0.2,
+        )
+    for axes in panels:
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.margins(x=0.0)
+        axes.grid(axis="y", color="0.92", linewidth=0.6)
+        axes.set_axisbelow(True)
+    chart.align_ylabels(panels)
+    save(chart, path)
+
+
+def _spells(names: NDArray[Any]) -> list[tuple[int, int, str]]:
+    """Runs of equal entries: first index, index behind the last, entry."""
+    if not len(names):
+        return []
+    starts = np.flatnonzero(np.concatenate([[True], names[1:] != names[:-1]]))
+    return [(int(a), int(b), str(names[a])) for a, b in zip(starts, [*starts[1:], len(names)], strict=True)]

@@ -1,0 +1,119 @@
+"""What a run leaves behind to look at: the bone as files, and pictures."""
+
+import gzip
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tissue.depth import depth_map
+from tissue.run import Run
+from tissue.surface import bone_surface, with_depth, with_layers
+
+if TYPE_CHECKING:
+    import pyvista
+
+__all__ = ["carved_surface", "draw_pictures", "write_bone"]
+
+
+def carved_surface(run: Run) -> "pyvista.PolyData":
+    """Surface of the bone after the run [mm]: point array ``removed_depth_mm``, cell array ``layer``, normals."""
+    depth = depth_map(run)
+    surface = with_layers(bone_surface(run.parts.volume, run.remaining), run.parts.volume)
+    return with_depth(surface, run.parts.volume, run.remaining, depth_mm=depth.depth_mm, axis=depth.axis)
+
+
+def write_bone(run: Run, out: Path) -> None:
+    """Write the bone of a finished run.
+
+    ``bone.vti`` holds the voxels in mm with the cell arrays ``remaining`` and ``start`` (uint8, 255 = full), ``layer``
+    (uint8, an index into the field ``layer_names``) and ``density_kg_m3`` (uint16); ParaView opens it. ``bone.nrrd``
+    holds ``remaining`` for 3D Slicer, which reads no .vti. ``bone.stl`` and ``bone.vtp`` hold the carved surface in mm,
+    the latter with ``removed_depth_mm`` and ``layer``. A bone that was cut away altogether has no ``bone.stl``.
+    """
+    if run.remaining is None:
+        return
+    from vtkmodules.vtkIOGeometry import vtkSTLWriter
+    from vtkmodules.vtkIOXML import vtkXMLImageDataWriter, vtkXMLPolyDataWriter
+
+    image = run.dataset()
+    image.set_active_scalars("remaining", preference="cell")
+    _write_xml(vtkXMLImageDataWriter(), image, out / "bone.vti")
+    _write_nrrd(run, out / "bone.nrrd")
+    surface = carved_surface(run)
+    _write_xml(vtkXMLPolyDataWriter(), surface, out / "bone.vtp")
+    if surface.n_cells:
+        writer = vtkSTLWriter()
+        writer.SetFileTypeToBinary()
+        writer.SetHeader("tissue: carved bone in mm")
+        _write(writer, surface, out / "bone.stl")
+
+
+def draw_pictures(run: Run, folder: Path) -> list[str]:
+    """Draw ``bone_before_after.png``, ``removed_depth.png`` and ``force_torque.png``.
+
+    Returns
+    -------
+    A sentence for every picture that could not be drawn.
+    """
+    from tissue.before_after import draw_before_after
+    from tissue.pictures import draw_force_torque, draw_removed_depth
+
+    folder.mkdir(parents=True, exist_ok=True)
+    if run.remaining is None:
+        draw_force_torque(run, folder / "force_torque.png")
+        return []
+    depth = depth_map(run)
+    with ThreadPoolExecutor(1) as beside:
+        render = beside.submit(draw_before_after, run, depth, folder / "bone_before_after.png")
+        draw_removed_depth(run, depth, folder / "removed_depth.png")
+        draw_force_torque(run, folder / "force_torque.png")
+        note = render.result()
+    return [] if note is None else [f"bone_before_after.png was not drawn: {note}"]
+
+
+def _write_xml(writer: Any, data: "pyvista.DataSet", path: Path) -> None:
+    """Write a VTK XML file with compressed raw data."""
+    writer.SetCompressorTypeToZLib()
+    writer.SetCompressionLevel(1)
+    writer.SetBlockSize(1 << 20)
+    writer.SetDataModeToAppended()
+    writer.EncodeAppendedDataOff()
+    _write(writer, data, path)
+
+
+def _write(writer: Any, data: "pyvista.DataSet", path: Path) -> None:
+    """Let a VTK writer write, and turn its silent failure into the system's error."""
+    path.open("wb").close()
+    writer.SetFileName(str(path))
+    writer.SetInputData(data)
+    failures: list[int] = []
+    writer.AddObserver("ErrorEvent", lambda *_: failures.append(writer.GetErrorCode()))
+    if not writer.Write() or failures:
+        import errno
+        import os
+
+        # VTK reports a full disk as an error of its own; it is the only one left once the file could be opened.
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+
+def _write_nrrd(run: Run, path: Path) -> None:
+    """Write ``remaining`` as a compressed NRRD image; its axes are those of the surface files in 3D Slicer (LPS)."""
+    volume = run.parts.volume
+    spacing, origin = volume.spacing_m * 1e3, (volume.origin_m + 0.5 * volume.spacing_m) * 1e3
+    header = "\n".join(
+        [
+            "NRRD0004",
+            "type: uint8",
+            "dimension: 3",
+            "space: left-posterior-superior",
+            f"sizes: {' '.join(map(str, volume.shape))}",
+            "space directions: " + " ".join(f"({','.join(repr(float(v)) for v in row)})" for row in spacing * np.eye(3)),
+            "kinds: domain domain domain",
+            "encoding: gzip",
+            f"space origin: ({','.join(repr(float(v)) for v in origin)})",
+        ]
+    )
+    data = gzip.compress(run.remaining.tobytes(order="F"), compresslevel=1, mtime=0)
+    path.write_bytes(header.encode("ascii") + b"\n\n" + data)
