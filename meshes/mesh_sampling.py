@@ -193,6 +193,8 @@ def _crossed(corners: NDArray[np.float64], faces: NDArray[np.int64], first: NDAr
 
 def _turning(line: NDArray[np.int64], height: NDArray[np.float64], sign: NDArray[np.int64]) -> ColumnCrossings:
     """Keep the crossings where the winding number becomes positive or ceases to be."""
+    if len(line) == 0:
+        return ColumnCrossings(line, height, sign)
     order = np.lexsort((height, line))
     line, height, sign = line[order], height[order], sign[order]
     starts = np.concatenate([[True], line[1:] != line[:-1]])

@@ -81,7 +81,6 @@ def _camera(surface: "pyvista.PolyData", depth: DepthMap) -> Camera:
     up = v - (v @ towards) * towards
     up /= np.linalg.norm(up)
     right = np.cross(up, towards)
-    low, high = np.array(surface.bounds).reshape(3, 2).T
     # Points of the surface itself, not of its box, so that the bone fills the picture.
     seen = np.asarray(surface.points)[:: max(surface.n_points // 20000, 1)] @ np.column_stack([right, up, towards])
     first, last = seen.min(axis=0), seen.max(axis=0)
@@ -90,9 +89,7 @@ def _camera(surface: "pyvista.PolyData", depth: DepthMap) -> Camera:
     tall = int(np.clip(PANEL_PX * height / width, 0.45 * PANEL_PX, 1.15 * PANEL_PX)) // 2 * 2
     height = max(height, width * tall / PANEL_PX)
     centre = middle[0] * right + middle[1] * up + middle[2] * towards
-    return Camera(
-        towards_eye=tuple(towards), up=tuple(up), centre_mm=tuple(centre), height_mm=float(height), size=(PANEL_PX, tall)
-    )
+    return Camera(tuple(towards), tuple(up), tuple(centre), height_mm=float(height), size=(PANEL_PX, tall))
 
 
 def _compose(
@@ -115,8 +112,8 @@ def _compose(
         chart.text(left + 0.5 * wide / size[0], 1.0 - 0.5 * head / size[1], title, ha="center", va="center", size=11)
         _draw_scale(axes, camera)
     colours = layer_colours(run.parts.volume.layer_names)
-    patch = {"edgecolor": "0.3", "linewidth": 0.5}
-    legend = {"loc": "center", "frameon": False, "handlelength": 1.2, "labelspacing": 0.3}
+    patch: dict[str, Any] = {"edgecolor": "0.3", "linewidth": 0.5}
+    legend: dict[str, Any] = {"loc": "center", "frameon": False, "handlelength": 1.2, "labelspacing": 0.3}
     chart.legend(
         handles=[Patch(facecolor=colours[name], label=name, **patch) for name in layers],
         bbox_to_anchor=(0.2 * wide / size[0], 0.5 * foot / size[1]), **legend,
@@ -157,6 +154,7 @@ def _draw_triad(axes: Any, run: Run, camera: Camera) -> None:
         along = 0.8 * view[:, axis]
         if np.hypot(*along) < 0.1:
             continue
-        axes.annotate("", along, (0.0, 0.0), arrowprops={"arrowstyle": "-|>", "color": "0.2", "shrinkA": 0, "shrinkB": 0})
+        arrow = {"arrowstyle": "-|>", "color": "0.2", "shrinkA": 0, "shrinkB": 0}
+        axes.annotate("", along, (0.0, 0.0), arrowprops=arrow)
         at = along * (1.0 + 0.12 / np.hypot(*along))
         axes.text(*at, name, ha="left" if along[0] > -0.05 else "right", va="center", size=8)

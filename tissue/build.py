@@ -18,12 +18,12 @@ from tissue import cutters
 from tissue.cutters import Cutter
 from tissue.model import TissueModel
 from tissue.motion import FollowPath, Motion, PushAlongAxis, read_poses
-from tissue.scene import BlockAnatomy, GlenoidAnatomy, PathMotion, ReplayMotion, Scene, ThrustMotion, Tool
+from tissue.scene import AnatomyFile, BlockAnatomy, GlenoidAnatomy, PathMotion, ReplayMotion, Scene, ThrustMotion, Tool
 
 __all__ = ["Parts", "build", "cutter_of", "motion_of", "reach", "volume_of"]
 
 Tell = Callable[[str, float], None]
-IMAGE_SUFFIXES = (".vti", ".nii", ".gz", ".mhd", ".mha", ".nrrd", ".nhdr", ".tif", ".tiff", ".dcm")
+SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
 DENSE_BYTES_PER_VOXEL = 16
 """Peak memory of a voxel of the region while bricks are made and results written, measured on the glenoid."""
 
@@ -99,8 +99,8 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
     spacing = scene.voxels.spacing_mm * 1e-3
     parameters = scene.anatomy
     region = reach(cutter, motion, scene.voxels.margin_mm * 1e-3)
-    if parameters.file is not None and Path(parameters.file).suffix.lower() not in (".stl", ".obj", ".ply", ".vtk", ".vtp"):
-        return _image(scene, notes=notes, tell=tell)
+    if _is_image(parameters) and isinstance(parameters, BlockAnatomy) and parameters.centre_mm is None:
+        return _image(scene, notes=notes)
     anatomy = _anatomy(scene, notes)
     bone = np.array(anatomy.shape.lower_m), np.array(anatomy.shape.upper_m)
     low = np.maximum(region[0], bone[0])
@@ -125,10 +125,17 @@ def _anatomy(scene: Scene, notes: dict[str, str]) -> Anatomy:
     """The procedural bone, or the one in a surface file placed at its site."""
     parameters = scene.anatomy
     if parameters.file is not None:
+        from meshes.image_file import read_image
+        from meshes.image_surface import image_surface
         from meshes.site import find_glenoid, surface_anatomy
         from meshes.surface import read_surface
 
-        surface = read_surface(parameters.file, scale_mm=parameters.scale_mm)
+        if _is_image(parameters):
+            image = read_image(parameters.file, spacing_mm=parameters.spacing_mm)
+            notes["image"] = " ".join(image.notes)
+            surface = image_surface(image, threshold=_threshold(parameters))
+        else:
+            surface = read_surface(parameters.file, scale_mm=parameters.scale_mm)
         site = find_glenoid(surface, centre_mm=parameters.centre_mm, normal=parameters.normal)
         anatomy = surface_anatomy(surface, site, cortical_thickness_mm=parameters.cortical_thickness_mm)
     elif isinstance(parameters, GlenoidAnatomy):
@@ -144,27 +151,36 @@ def _anatomy(scene: Scene, notes: dict[str, str]) -> Anatomy:
     return anatomy
 
 
-def _image(scene: Scene, *, notes: dict[str, str], tell: Tell) -> VoxelVolume:
-    """Bone from an image volume, its top face at z = 0."""
-    from meshes.image import read_volume
+def _is_image(parameters: AnatomyFile) -> bool:
+    """Whether the anatomy comes from an image volume or a folder of slices."""
+    return parameters.file is not None and Path(parameters.file).suffix.lower() not in SURFACE_SUFFIXES
 
-    parameters = scene.anatomy
+
+def _threshold(parameters: AnatomyFile) -> float:
+    """Grey value of an image above which a voxel is bone."""
     if parameters.threshold is None:
         raise InputError(
             f"anatomy.threshold must be given for an image, got nothing for {parameters.file}: "
             "set the grey value above which a voxel is bone"
         )
+    return parameters.threshold
+
+
+def _image(scene: Scene, *, notes: dict[str, str]) -> VoxelVolume:
+    """Bone from an image volume as it is, the top of its block at z = 0."""
+    from meshes.image import read_volume
+
+    parameters = scene.anatomy
     said: list[str] = []
-    density = parameters.density_kg_m3 if isinstance(parameters, BlockAnatomy) else 1800.0
     volume = read_volume(
         parameters.file or "",
-        threshold=parameters.threshold,
+        threshold=_threshold(parameters),
         spacing_mm=parameters.spacing_mm,
-        density_kg_m3=density,
+        density_kg_m3=parameters.density_kg_m3 if isinstance(parameters, BlockAnatomy) else 1800.0,
         resample_mm=scene.voxels.spacing_mm,
         tell=said.append,
     )
-    notes["image"] = " ".join(said)
+    notes["image"] = " ".join(said) or f"{parameters.file}: {volume.shape} voxels"
     return volume
 
 

@@ -1,4 +1,4 @@
-"""Draw in 3D without a display, in a process of its own: VTK ends a whole process where a graphics library is missing."""
+"""Draw in 3D without a display, in a process of its own: VTK ends the process where a graphics library is missing."""
 
 import ctypes
 import os

@@ -36,7 +36,7 @@ COMPONENTS = ("#0072B2", "#D55E00", "#009E73")
 MAGNITUDE = "0.88"
 ANATOMICAL = {"glenoid": ("anterior", "superior", "lateral")}
 """What the world's axes mean, by kind of anatomy."""
-STYLE = {"font.size": 9.0, "axes.linewidth": 0.7, "axes.titlesize": 10.0, "legend.fontsize": 8.5, "lines.linewidth": 1.2}
+STYLE: dict[Any, Any] = {"font.size": 9.0, "axes.linewidth": 0.7, "legend.fontsize": 8.5, "lines.linewidth": 1.2}
 
 
 def figure(width_in: float, height_in: float) -> "Figure":
@@ -175,7 +175,7 @@ def _draw_force_torque(run: Run, path: Path) -> None:
     time = trace["time_s"]
     chart = figure(8.0, 6.8)
     panels = chart.subplots(4, 1, sharex=True, height_ratios=(3.0, 2.2, 1.3, 1.3))
-    chart.subplots_adjust(left=0.11, right=0.98, top=0.94, bottom=0.07, hspace=0.14)
+    chart.subplots_adjust(left=0.11, right=0.98, top=0.91, bottom=0.07, hspace=0.14)
     for axes, name, unit, label in (
         (panels[0], "force", "N", "force / N"),
         (panels[1], "torque", "Nm", "torque / N·m"),
@@ -191,11 +191,11 @@ def _draw_force_torque(run: Run, path: Path) -> None:
         handles=[Line2D([], [], color=COMPONENTS[c], label="xyz"[c]) for c in range(3)]
         + [
             Patch(facecolor=MAGNITUDE, label="magnitude"),
-            Line2D([], [], color="0.4", linewidth=3.2, alpha=0.4, label="before low-pass"),
+            Line2D([], [], color="0.4", linewidth=3.2, alpha=0.4, label="model's, before the low-pass"),
         ],
-        loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=5, frameon=False, handlelength=1.6, columnspacing=1.2,
+        loc="lower left", bbox_to_anchor=(-0.01, 0.99), ncols=5, frameon=False, handlelength=1.6, columnspacing=1.2,
     )
-    panels[0].set_title(f"{run.scene.name}: on the tool, about its tip", loc="left")
+    chart.text(0.11, 0.965, f"{run.scene.name}: force on the tool and torque about its tip", va="center", size=10.5)
     panels[2].plot(time, trace["removal_rate_mm3_s"], color="0.1")
     panels[2].set_ylabel("removal rate\n/ mm³ s⁻¹")
     panels[2].set_ylim(bottom=0.0)
@@ -208,7 +208,8 @@ def _draw_force_torque(run: Run, path: Path) -> None:
     met = [name for name in run.parts.volume.layer_names if (layers == name).any()]
     for first, last, name in _spells(layers):
         if name != NO_LAYER:
-            panels[3].axvspan(time[first], time[min(last, len(time) - 1)], color=colours[name], alpha=0.45, linewidth=0.0)
+            end = time[min(last, len(time) - 1)]
+            panels[3].axvspan(time[first], end, color=colours[name], alpha=0.45, linewidth=0.0)
     if met:
         panels[3].legend(
             handles=[Patch(facecolor=colours[name], alpha=0.45, label=f"in {name}") for name in met],

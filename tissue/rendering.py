@@ -1,4 +1,4 @@
-"""Shaded pictures of coloured surfaces; ``python -m tissue.rendering JOB PICTURES`` draws them in a process of its own."""
+"""Shaded pictures of coloured surfaces, drawn by ``python -m tissue.rendering JOB PICTURES`` in its own process."""
 
 import sys
 from dataclasses import asdict, dataclass
@@ -87,7 +87,8 @@ def _main(job: str, pictures: str) -> None:
     width, height = (OVERSAMPLING * int(n) for n in arrays["size"])
     drawn = {}
     for index in range(sum(name.startswith("colours_") for name in arrays)):
-        large = _draw({name: arrays[f"{name}_{index}"] for name in Coloured.__dataclass_fields__}, arrays, width, height)
+        surface = {name: arrays[f"{name}_{index}"] for name in Coloured.__dataclass_fields__}
+        large = _draw(surface, arrays, width, height)
         blocks = large.reshape(height // OVERSAMPLING, OVERSAMPLING, width // OVERSAMPLING, OVERSAMPLING, 3)
         drawn[f"picture_{index}"] = blocks.mean(axis=(1, 3)).round().astype(np.uint8)
     np.savez(pictures, allow_pickle=False, **drawn)
@@ -97,7 +98,7 @@ def _draw(surface: dict[str, Any], camera: dict[str, Any], width: int, height: i
     """One surface, seen by the camera."""
     import pyvista
 
-    plotter = pyvista.Plotter(off_screen=True, window_size=[width, height], lighting="none")
+    plotter: Any = pyvista.Plotter(off_screen=True, window_size=[width, height], lighting="none")
     plotter.disable_anti_aliasing()
     plotter.render_window.SetMultiSamples(0)
     plotter.set_background("white")

@@ -109,7 +109,8 @@ def _write_nrrd(run: Run, path: Path) -> None:
             "dimension: 3",
             "space: left-posterior-superior",
             f"sizes: {' '.join(map(str, volume.shape))}",
-            "space directions: " + " ".join(f"({','.join(repr(float(v)) for v in row)})" for row in spacing * np.eye(3)),
+            "space directions: "
+            + " ".join(f"({','.join(repr(float(v)) for v in row)})" for row in spacing * np.eye(3)),
             "kinds: domain domain domain",
             "encoding: gzip",
             f"space origin: ({','.join(repr(float(v)) for v in origin)})",

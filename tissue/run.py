@@ -130,7 +130,7 @@ class Run:
         force = np.linalg.norm(trace.vectors("model_force", "N"), axis=1)
         torque = np.linalg.norm(trace.vectors("model_torque", "Nm"), axis=1)
         mean = lambda values: float(values[contact].mean()) if contact.any() else 0.0  # noqa: E731
-        ticks = self.timing["tick_us"][1:]
+        ticks = self.timing["tick_us"]
         return {
             "format": FORMAT,
             "status": "complete",
@@ -147,7 +147,6 @@ class Run:
                 "max": float(ticks.max()),
             },
             "missed_deadlines": int((ticks > DEADLINE_US).sum()),
-            "first_tick_us": float(self.timing["tick_us"][0]),
             "compute": self._compute,
             "machine": f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}, Python "
             f"{platform.python_version()}",

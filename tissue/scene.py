@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from meshes.errors import InputError
 
 __all__ = [
+    "AnatomyFile",
     "BlockAnatomy",
     "Cutting",
     "GlenoidAnatomy",

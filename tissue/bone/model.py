@@ -134,6 +134,8 @@ class BoneModel:
             device=device,
             cores=cores,
         )
+        self._carve()  # nothing is planned yet: the first tick shall not pay for a cold start
+        self._forces()
 
     @property
     def step_m3(self) -> float:
