@@ -13,7 +13,7 @@ atomics, and the same integers on any number of threads.
 import warp as wp
 
 from kernels.bricks import cube_behind_plane, layer_of, plane_of
-from kernels.revolution import Nearest, Revolution, nearest_on, offset_from
+from kernels.revolution import EDGE_BEND, Nearest, Revolution, nearest_on, offset_from
 
 __all__ = ["PHASES", "carve"]
 
@@ -22,6 +22,7 @@ wp.set_module_options({"enable_backward": False})
 PHASES = 16
 BLOCK_REACH = wp.constant(1.7320508)  # half diagonal of a block of 2 voxels [voxel]
 CELL = wp.constant(0.5)  # a cell of the distance table [voxel], by which a slope may be taken beside a kink
+EDGE = wp.constant(float(EDGE_BEND))
 NO_FILL = wp.constant(wp.uint32(0xFFFFFF00))
 FULL_FILL = wp.constant(wp.uint32(0xFF))
 BRICK_REACH = wp.constant(6.9282032)  # half diagonal of a brick of 8 voxels [voxel]
@@ -132,13 +133,19 @@ def carve_brick(
                 elif near.distance < BLOCK_REACH + lookahead:
                     advance = wp.dot(near.slope, step)
                     if advance >= -0.25 * moved or not skip_behind:
-                        carve_block(near, advance, binary, lookahead, row, block * 8, worker, remaining, material, removed)
+                        carve_block(
+                            tool, axis, centre + shift, near, advance, binary, lookahead, row, block * 8, worker,
+                            remaining, material, removed,
+                        )  # fmt: skip
     if alive != before:
         alive_out[row] = alive
 
 
 @wp.func
 def carve_block(
+    tool: Revolution,
+    axis: wp.vec3,
+    middle: wp.vec3,
     near: Nearest,
     advance: float,
     binary: int,
@@ -150,22 +157,23 @@ def carve_block(
     material: wp.array2d(dtype=wp.uint32),
     removed: wp.array2d(dtype=wp.int64),
 ):
-    """Carve eight voxels around ``near``, the tool surface seen from the middle of their block.
+    """Carve eight voxels around ``near``, the tool surface seen from the ``middle`` of their block.
+
+    One tangent plane serves all eight where the surface is smooth; near an edge every voxel takes its own.
 
     The fill of a voxel tells whether the surface meets material in it: all where this visit removed some, none where
     an older cut already lies deeper, and what the voxel holds where the surface has yet to reach it.
     """
     plane = plane_of(near.slope)
-    reach = (0.5 + lookahead) / plane.scale
     surface = near.distance + near.bend
     for v in range(8):
-        distance = (
-            surface
-            + near.slope[0] * (float(v >> 2) - 0.5)
-            + near.slope[1] * (float((v >> 1) & 1) - 0.5)
-            + near.slope[2] * (float(v & 1) - 0.5)
-        )
-        if distance < reach:
+        offset = wp.vec3(float(v >> 2) - 0.5, float((v >> 1) & 1) - 0.5, float(v & 1) - 0.5)
+        distance = surface + wp.dot(near.slope, offset)
+        if near.bend >= EDGE:
+            own = nearest_on(tool, middle + offset, axis)
+            plane = plane_of(own.slope)
+            distance = own.distance
+        if distance * plane.scale < 0.5 + lookahead:
             voxel = first + v
             kept = int(remaining[row, voxel])
             target = int(65535)

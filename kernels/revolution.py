@@ -2,7 +2,10 @@
 
 import warp as wp
 
-__all__ = ["Nearest", "Revolution", "nearest_on", "offset_from"]
+__all__ = ["EDGE_BEND", "Nearest", "Revolution", "nearest_on", "offset_from"]
+
+EDGE_BEND = 8.0
+"""Stands for the bend near an edge of the profile, where no one plane serves a block of voxels."""
 
 
 @wp.struct
@@ -10,7 +13,7 @@ class Revolution:
     """Signed distance to a body of revolution, tabulated over (radius, height above the tip)."""
 
     distance: wp.array2d(dtype=wp.float32)  # [radius index, height index], negative inside [voxel]
-    bend: wp.array2d(dtype=wp.float32)  # a sixth of the sum of the principal curvatures there [voxel]
+    bend: wp.array2d(dtype=wp.float32)  # a sixth of the sum of the principal curvatures, or EDGE_BEND [voxel]
     height_min: wp.float32  # height of index 0 above the tip [voxel]
     cells_per_voxel: wp.float32
     radius: wp.float32  # largest radius of the body [voxel]

@@ -62,7 +62,7 @@ def axis_names(run: Run) -> tuple[str, ...]:
     return tuple(f"{c} ({meaning})" for c, meaning in zip("xyz", meanings, strict=True)) if meanings else tuple("xyz")
 
 
-def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, ...]]:
+def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float]]:
     """Red, green and blue of every layer."""
     from matplotlib.colors import to_rgb
 

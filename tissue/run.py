@@ -25,7 +25,7 @@ DEADLINE_US = 1000.0
 """A tick that takes longer misses its deadline [us]."""
 FORMAT = 1
 """Version of the run folder."""
-OWN_FILES = ("trace", "timing.csv", "scene.toml", "summary.json", "bone.vti", "bone.stl", "bone.vtp", "pictures")
+OWN_FILES = ("trace", "timing.csv", "scene.toml", "summary.json", "bone.vti", "bone.nrrd", "bone.stl", "bone.vtp", "pictures")
 
 
 class RunFolder:
@@ -217,7 +217,8 @@ class Run:
         write_bone(self, out)
         if pictures:
             tell("drawing pictures", 0.0)
-            draw_pictures(self, out / "pictures")
+            for note in draw_pictures(self, out / "pictures"):
+                self.parts.notes["pictures"] = note
         folder.write_summary(self.summary())
         return out
 

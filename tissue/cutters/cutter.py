@@ -6,12 +6,15 @@ from math import ceil, pi
 import numpy as np
 from numpy.typing import NDArray
 
+from kernels.revolution import EDGE_BEND
 from tissue.cutters.profile import Piece, Profile
 
 __all__ = ["Cutter", "DistanceTable", "PointShell"]
 
 CELLS_PER_VOXEL = 2.0
 """Resolution of the distance table; its error, curvature x cell^2 / 8, is 1e-3 voxel for a radius of 30 voxels."""
+EDGE_REACH_VOXELS = 3.0
+"""Voxels this close to an edge of the profile are cut one by one: more than the half diagonal of a block."""
 SECTORS = 24
 GOLDEN = 0.6180339887498949
 MARGIN_VOXELS = 10.0
@@ -114,8 +117,12 @@ class Cutter:
         slope = np.gradient(distance, 1.0 / CELLS_PER_VOXEL, axis=0)
         azimuthal = slope / np.maximum(r, 0.5)[:, None]
         bend = np.clip(meridional.reshape(distance.shape) * spacing_m, 0.0, 1.0) + np.clip(azimuthal, -1.0, 1.0)
+        bend /= 6.0
+        for corner in self.profile.edges:
+            near = np.linalg.norm(grid - corner / spacing_m, axis=1) < EDGE_REACH_VOXELS
+            bend[near.reshape(bend.shape)] = EDGE_BEND
         return DistanceTable(
-            distance.astype(np.float32), (bend / 6.0).astype(np.float32), height_min, CELLS_PER_VOXEL, reach, low, high
+            distance.astype(np.float32), bend.astype(np.float32), height_min, CELLS_PER_VOXEL, reach, low, high
         )
 
 

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 __all__ = ["Arc", "Line", "Piece", "Profile", "ball_burr", "cylinder", "flat_reamer", "hemispherical_reamer", "twist_drill"]
 
 Array = NDArray[np.float64]
+SMOOTH = 0.999
+"""Cosine of the angle between normals above which an outline counts as smooth."""
 AXIS_M = 1e-9
 """Points closer to the axis lie on it [m]."""
 
@@ -126,6 +128,20 @@ class Profile:
     def height_range_m(self) -> tuple[float, float]:
         """Lowest and highest height above the tip [m]."""
         return float(self.outline[:, 1].min()), float(self.outline[:, 1].max())
+
+    @property
+    def edges(self) -> Array:
+        """Points where the outline is not smooth, the axis mirrored, shape (n, 2): radius and height [m]."""
+        ends = np.array([0.0, 1.0])
+        starts = [piece.at(ends) for piece in self.pieces]
+        found = []
+        for before, after in zip(starts[:-1], starts[1:], strict=True):
+            if before[1][1] @ after[1][0] < SMOOTH:
+                found.append(after[0][0])
+        for at, normal in ((starts[0][0][0], starts[0][1][0]), (starts[-1][0][1], starts[-1][1][1])):
+            if abs(normal[1]) < SMOOTH:
+                found.append(at)
+        return np.array(found).reshape(-1, 2)
 
     def distance(self, points: Array) -> tuple[Array, Array]:
         """Signed distance [m], negative inside, and meridional curvature [1/m] seen from (radius, height) points."""

@@ -1,0 +1,111 @@
+"""Brick storage and sampling against plain NumPy and SciPy."""
+
+import numpy as np
+import pytest
+import warp as wp
+from scipy.ndimage import map_coordinates
+
+from kernels.bricks import cube_behind_plane, plane_of, voxel_column, voxel_row
+from kernels.sampling import sample
+from meshes.volume import VoxelVolume
+from tissue.bone import BrickStore
+
+
+@wp.kernel
+def evaluate_cut(normal: wp.array(dtype=wp.vec3), distance: wp.array(dtype=float), volume_out: wp.array(dtype=float)):
+    i = wp.tid()
+    volume_out[i] = cube_behind_plane(plane_of(normal[i]), distance[i])
+
+
+@wp.kernel
+def locate(brick_of: wp.array3d(dtype=int), voxel: wp.array(dtype=wp.vec3i), place_out: wp.array2d(dtype=int)):
+    i = wp.tid()
+    place_out[i, 0] = voxel_row(brick_of, voxel[i][0], voxel[i][1], voxel[i][2])
+    place_out[i, 1] = voxel_column(voxel[i][0], voxel[i][1], voxel[i][2])
+
+
+def cut_volumes(normals, distances):
+    out = wp.zeros(len(distances), dtype=float, device="cpu")
+    arrays = [wp.array(normals, dtype=wp.vec3, device="cpu"), wp.array(distances, dtype=float, device="cpu")]
+    wp.launch(evaluate_cut, dim=len(distances), inputs=arrays, outputs=[out], device="cpu")
+    return out.numpy()
+
+
+def random_volume(shape=(21, 17, 30), seed=3):
+    random = np.random.default_rng(seed)
+    fraction = random.integers(0, 256, shape, dtype=np.uint8)
+    fraction[8:16, 8:16, 8:16] = 0  # an empty brick
+    layer = random.integers(0, 3, shape, dtype=np.uint8)
+    density = random.integers(100, 2000, shape).astype(np.uint16)
+    return VoxelVolume(np.zeros(3), 1e-4, fraction, layer, density, ("a", "b", "c"))
+
+
+def test_plane_through_a_cube_against_counting():
+    """Volume behind a plane against 60^3 points of the cube; 2e-3 is what the counting resolves."""
+    random = np.random.default_rng(0)
+    normals = random.normal(size=(40, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    distances = random.uniform(-0.8, 0.8, 40)
+    at = (np.arange(60) + 0.5) / 60 - 0.5
+    points = np.stack(np.meshgrid(at, at, at), axis=-1).reshape(-1, 3)
+    counted = (points @ normals.T < -distances).mean(axis=0)
+    assert cut_volumes(normals, distances) == pytest.approx(counted, abs=2e-3)
+
+
+def test_plane_along_the_axes_is_exact():
+    normals = np.repeat(np.eye(3), 5, axis=0)
+    distances = np.tile([-0.6, -0.25, 0.0, 0.25, 0.6], 3)
+    assert cut_volumes(normals, distances) == pytest.approx(np.tile([1.0, 0.75, 0.5, 0.25, 0.0], 3), abs=2e-4)
+
+
+def test_plane_and_its_opposite_fill_the_cube():
+    random = np.random.default_rng(1)
+    normals = random.normal(size=(200, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    distances = random.uniform(-0.9, 0.9, 200)
+    assert cut_volumes(normals, distances) + cut_volumes(-normals, -distances) == pytest.approx(np.ones(200), abs=1e-5)
+
+
+def test_store_keeps_every_voxel():
+    volume = random_volume()
+    store = BrickStore.from_volume(volume, device="cpu")
+    assert (store.fraction() == volume.fraction).all()
+    for index in range(3):
+        steps = volume.fraction[volume.layer == index].astype(np.int64).sum() * 257
+        assert store.steps_by_layer()[index] == steps
+
+
+def test_empty_bricks_are_not_stored():
+    store = BrickStore.from_volume(random_volume(), device="cpu")
+    assert store.brick_of.numpy()[1, 1, 1] == -1
+    assert len(store.remaining) == store.brick_of.size - 1
+
+
+def test_rows_and_columns_point_at_the_voxels():
+    volume = random_volume()
+    store = BrickStore.from_volume(volume, device="cpu")
+    voxels = np.random.default_rng(2).integers(-2, 32, (500, 3))
+    places = wp.zeros((500, 2), dtype=int, device="cpu")
+    inputs = [store.brick_of, wp.array(voxels, dtype=wp.vec3i, device="cpu")]
+    wp.launch(locate, dim=500, inputs=inputs, outputs=[places], device="cpu")
+    remaining, material = store.remaining.numpy(), store.material.numpy()
+    for voxel, (row, column) in zip(voxels, places.numpy(), strict=True):
+        inside = all(0 <= v < n for v, n in zip(voxel, volume.shape, strict=True))
+        if row < 0:
+            assert not inside or volume.fraction[tuple(voxel)] == 0
+        elif inside:
+            at = tuple(voxel)
+            assert remaining[row, column] == int(volume.fraction[at]) * 257
+            assert material[row, column] == (int(volume.density_kg_m3[at]) << 16) | (int(volume.layer[at]) << 8)
+
+
+def test_trilinear_sampling_equals_scipy():
+    volume = random_volume()
+    store = BrickStore.from_volume(volume, device="cpu")
+    points = np.random.default_rng(4).uniform(-1.0, 32.0, (2000, 3))
+    out = wp.zeros(2000, dtype=float, device="cpu")
+    inputs = [wp.array(points, dtype=wp.vec3, device="cpu"), 0, store.brick_of, store.remaining]
+    wp.launch(sample, dim=2000, inputs=inputs, outputs=[out], device="cpu")
+    padded = np.pad(volume.fraction / 255.0, 4)
+    expected = map_coordinates(padded, points.T - 0.5 + 4, order=1)
+    assert out.numpy() == pytest.approx(expected, abs=2e-6)  # single precision coordinates
