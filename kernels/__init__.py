@@ -1,1 +1,23 @@
-"""Warp kernels: arrays in, arrays out. They know neither scenes nor meshes."""
+"""Warp kernels: arrays in, arrays out. They know neither scenes nor meshes. Importing them starts Warp."""
+
+import os
+import sys
+
+import warp as wp
+
+
+def _start() -> None:
+    """Start Warp without its greeting, and without its warning where there is no GPU: a run says what it runs on."""
+    wp.config.log_level = wp.LOG_WARNING
+    sys.stderr.flush()
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        wp.init()
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
+
+
+_start()

@@ -22,6 +22,7 @@ wp.set_module_options({"enable_backward": False})
 PHASES = 16
 BLOCK_REACH = wp.constant(1.7320508)  # half diagonal of a block of 2 voxels [voxel]
 CELL = wp.constant(0.5)  # a cell of the distance table [voxel], by which a slope may be taken beside a kink
+SLACK = wp.constant(1024)  # stored steps by which two visits may differ in where they see the same surface
 EDGE = wp.constant(float(EDGE_BEND))
 NO_FILL = wp.constant(wp.uint32(0xFFFFFF00))
 FULL_FILL = wp.constant(wp.uint32(0xFF))
@@ -192,7 +193,7 @@ def carve_block(
                     met = word & NO_FILL
             elif target == 65535:
                 met = (word & NO_FILL) | wp.uint32(kept >> 8)
-            elif kept < target and advance > 0.0:
+            elif kept < target - SLACK and advance > 0.0:
                 met = word & NO_FILL
             if met != word:
                 material[row, voxel] = met

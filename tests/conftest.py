@@ -1,12 +1,9 @@
-"""What all tests share: Warp started quietly, real anatomy where it is there."""
+"""What all tests share: real anatomy where it is there."""
 
 from pathlib import Path
 
 import pytest
-import warp as wp
 
-wp.config.quiet = True
-wp.config.enable_backward = False
 
 ANATOMY = Path(__file__).resolve().parents[2] / "shared" / "anatomy"
 

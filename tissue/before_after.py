@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue.build import reach
-from tissue.depth import DepthMap
+from tissue.depth import HALF, DepthMap
 from tissue.pictures import BONE, DPI, axis_names, depth_colours, depth_limit, figure, layer_colours, save
 from tissue.rendering import Camera, Coloured, render
 from tissue.run import Run
@@ -32,23 +32,29 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
     -------
     None, or why it could not be drawn.
     """
-    volume = run.parts.volume
-    before = with_layers(bone_surface(volume, volume.fraction), volume)
-    after = bone_surface(volume, run.remaining)
-    if not before.n_cells or not after.n_cells:
+    volume, limit = run.parts.volume, depth_limit(depth)
+    if min(int(volume.fraction.max()), int(run.remaining.max())) < HALF:
         return "no bone is left to show"
-    with_depth(after, volume, run.remaining, depth_mm=depth.depth_mm, axis=depth.axis)
-    names = volume.layer_names
-    limit = depth_limit(depth)
-    camera = _camera(before, depth)
-    painted = np.array([layer_colours(names)[name] for name in names])[before.cell_data["layer"]]
-    carved = _depth_paint(after.point_data["removed_depth_mm"], limit)[after.regular_faces].mean(axis=1)
-    carved[cut_out(after, volume, _reach(run))] = CUT_OUT
-    pictures = render([_coloured(before, painted, camera), _coloured(after, carved, camera)], camera)
+    cameras: list[Camera] = []
+
+    def make() -> tuple[list[Coloured], Camera]:
+        whole = bone_surface(volume, volume.fraction)
+        camera = _camera(whole, depth)
+        before = with_layers(_seen(whole, camera), volume)
+        after = _seen(bone_surface(volume, run.remaining), camera)
+        with_depth(after, volume, run.remaining, depth_mm=depth.depth_mm, axis=depth.axis)
+        cameras.append(camera)
+        painted = np.array(list(layer_colours(volume.layer_names).values()))[before.cell_data["layer"]]
+        carved = _depth_paint(after.point_data["removed_depth_mm"], limit)[after.regular_faces].mean(axis=1)
+        carved[cut_out(after, volume, _reach(run))] = CUT_OUT
+        return [_coloured(before, painted), _coloured(after, carved)], camera
+
+    pictures = render(make)
     if isinstance(pictures, str):
         return pictures
-    present = np.unique(before.cell_data["layer"])
-    _compose(run, pictures, camera, [names[i] for i in present], limit, path)
+    present = np.bincount(volume.layer[volume.fraction >= HALF], minlength=len(volume.layer_names)) > 0
+    layers = [name for name, there in zip(volume.layer_names, present, strict=True) if there]
+    _compose(run, pictures, cameras[0], layers, limit, path)
     return None
 
 
@@ -63,13 +69,24 @@ def _depth_paint(depth_mm: NDArray[np.float32], limit: float) -> NDArray[np.floa
     return share * depth_colours()(depth_mm / limit)[:, :3] + (1.0 - share) * np.array(BONE)
 
 
-def _coloured(surface: "pyvista.PolyData", colours: NDArray[np.float64], camera: Camera) -> Coloured:
-    """The triangles of a surface that the camera can see, with a colour for each."""
-    normals, triangles = smooth_normals(surface), np.asarray(surface.regular_faces)
-    points = np.asarray(surface.points, dtype=np.float32)
-    # Smoothed normals and real ones differ a little; what clearly faces away is hidden and costs time.
-    seen = (normals @ np.array(camera.towards_eye, dtype=np.float32))[triangles].max(axis=1) > -0.1
-    return Coloured(points, normals, triangles[seen], np.rint(255.0 * colours[seen]).astype(np.uint8))
+def _seen(surface: "pyvista.PolyData", camera: Camera) -> "pyvista.PolyData":
+    """The surface without the triangles that face away from the camera."""
+    import pyvista
+
+    normals, triangles = surface.point_data["Normals"], surface.regular_faces
+    facing = np.asarray(normals) @ np.array(camera.towards_eye, dtype=np.float32) > -0.2
+    part = pyvista.PolyData.from_regular_faces(surface.points, triangles[facing[triangles].any(axis=1)])
+    part.point_data["Normals"] = normals
+    return part
+
+
+def _coloured(surface: "pyvista.PolyData", colours: NDArray[np.float64]) -> Coloured:
+    return Coloured(
+        points_mm=np.asarray(surface.points, dtype=np.float32),
+        normals=smooth_normals(surface),
+        triangles=np.asarray(surface.regular_faces),
+        colours=np.rint(255.0 * colours).astype(np.uint8),
+    )
 
 
 def _camera(surface: "pyvista.PolyData", depth: DepthMap) -> Camera:

@@ -188,12 +188,8 @@ def _bone(
     scene: Scene, volume: VoxelVolume, cutter: Cutter, *, compute: str, cores: int | None, tell: Tell
 ) -> TissueModel:
     """The bone model; loading it compiles its kernels where their cache is cold."""
-    tell("starting Warp", 0.0)
     import warp as wp
 
-    wp.config.quiet = True
-    wp.config.enable_backward = False
-    wp.init()
     if compute != "cpu" and compute not in [str(device) for device in wp.get_devices()]:
         raise InputError(
             f"compute must be one of {', '.join(str(d) for d in wp.get_devices())}, got {compute}: use cpu here"

@@ -78,6 +78,7 @@ def run(
     RunFolder.check(folder, overwrite=overwrite)
     started = perf_counter()
     with _progress() as tell:
+        tell("starting Warp", 0.0)
         from tissue.simulation import simulate
 
         finished = simulate(

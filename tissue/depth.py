@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 from meshes.volume import FULL
 from tissue.run import Run
 
-__all__ = ["DepthMap", "depth_map", "tool_axes"]
+__all__ = ["HALF", "DepthMap", "depth_map", "tool_axes"]
 
 HALF = (FULL + 1) // 2
+"""A voxel with at least this much in it counts as bone."""
 
 
 @dataclass(frozen=True)

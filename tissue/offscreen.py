@@ -4,7 +4,7 @@ import ctypes
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 __all__ = ["REMEDY", "display_problem", "draw_apart"]
@@ -15,8 +15,15 @@ LONGEST_S = 120.0
 START = "import sys, runpy; sys.path.append(sys.argv.pop(1)); runpy.run_module(sys.argv.pop(1), run_name='__main__')"
 
 
-def draw_apart(module: str, *arguments: str) -> str | None:
+def draw_apart(module: str, *arguments: str, prepare: Callable[[], None] | None = None) -> str | None:
     """Run ``python -m module arguments`` where it may draw, and say in half a sentence why it could not.
+
+    Parameters
+    ----------
+    module, arguments
+        What to run. It finds a line on its standard input once ``prepare`` is done.
+    prepare
+        Called once while the process starts, to make what it is going to read.
 
     Returns
     -------
@@ -28,24 +35,28 @@ def draw_apart(module: str, *arguments: str) -> str | None:
     reason = "this machine has no OpenGL library"
     for window in _windows():
         environment = os.environ | ({"VTK_DEFAULT_OPENGL_WINDOW": window} if window else {})
-        try:
-            done = subprocess.run(
-                [sys.executable, "-P", "-c", START, root, module, *arguments],
-                env=environment,
-                stdin=subprocess.DEVNULL,
-                capture_output=True,
-                text=True,
-                errors="replace",
-                timeout=LONGEST_S,
-            )
-        except (OSError, subprocess.TimeoutExpired) as problem:
-            reason = f"drawing in 3D failed ({type(problem).__name__})"
-            continue
-        if done.returncode == 0:
+        command = [sys.executable, "-P", "-c", START, root, module, *arguments]
+        pipe = subprocess.PIPE
+        with subprocess.Popen(
+            command, env=environment, stdin=pipe, stdout=subprocess.DEVNULL, stderr=pipe, text=True, errors="replace"
+        ) as process:
+            try:
+                if prepare is not None:
+                    prepare()
+                    prepare = None
+                _, said = process.communicate("ready\n", timeout=LONGEST_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                reason = f"drawing in 3D took longer than {LONGEST_S:g} s"
+                continue
+            except BaseException:
+                process.kill()
+                raise
+        if process.returncode == 0:
             return None
-        reason = f"OpenGL does not work on this machine (exit code {done.returncode})"
-        if done.returncode == 1 and "Error" in done.stderr:
-            reason = f"drawing in 3D failed ({done.stderr.strip().splitlines()[-1][:200]})"
+        reason = f"OpenGL does not work on this machine (exit code {process.returncode})"
+        if process.returncode == 1 and "Error" in said:
+            reason = f"drawing in 3D failed ({said.strip().splitlines()[-1][:200]})"
     return f"{reason}: {REMEDY}" if sys.platform.startswith("linux") else f"{reason}: update the graphics driver"
 
 

@@ -30,10 +30,13 @@ __all__ = [
 DPI = 200
 BONE = (0.93, 0.89, 0.81)
 """Colour of bone that was not cut."""
-LAYERS = ("#E69F00", "#56B4E9", "#009E73", "#CC79A7", "#F0E442", "#0072B2")
+LAYERS = {"subchondral": "#E69F00", "cortical": "#56B4E9", "trabecular": "#009E73"}
+OTHER_LAYERS = ("#CC79A7", "#F0E442", "#0072B2", "#D55E00")
 COMPONENTS = ("#0072B2", "#D55E00", "#009E73")
 """Colours of layers and components after Okabe and Ito (2008), told apart by colour-blind readers."""
 MAGNITUDE = "0.88"
+EXPOSED: tuple[Any, ...] = ("--", ":", "-.")
+"""Lines around the layers that a run laid bare."""
 ANATOMICAL = {"glenoid": ("anterior", "superior", "lateral")}
 """What the world's axes mean, by kind of anatomy."""
 STYLE: dict[Any, Any] = {"font.size": 9.0, "axes.linewidth": 0.7, "legend.fontsize": 8.5, "lines.linewidth": 1.2}
@@ -63,10 +66,12 @@ def axis_names(run: Run) -> tuple[str, ...]:
 
 
 def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float]]:
-    """Red, green and blue of every layer."""
+    """Red, green and blue of every layer; those of bone have the same colour in every scene."""
     from matplotlib.colors import to_rgb
 
-    return {name: to_rgb(LAYERS[i % len(LAYERS)]) for i, name in enumerate(names)}
+    others = [name for name in names if name not in LAYERS]
+    colours = LAYERS | {name: OTHER_LAYERS[i % len(OTHER_LAYERS)] for i, name in enumerate(others)}
+    return {name: to_rgb(colours[name]) for name in names}
 
 
 def depth_colours() -> "Colormap":
@@ -115,10 +120,10 @@ def _draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
     _outline(axes, depth.bone, depth.extent_mm, color="0.15", linewidth=1.0)
     handles.append(Line2D([], [], color="0.15", linewidth=1.0, label="bone in the simulated region"))
     for name, mask in depth.exposed.items():
-        colour = layer_colours(run.parts.volume.layer_names)[name]
-        _outline(axes, mask, depth.extent_mm, color="white", linewidth=3.0)
-        _outline(axes, mask, depth.extent_mm, color=colour, linewidth=1.6)
-        handles.append(Line2D([], [], color=colour, linewidth=1.8, label=f"{name} laid bare"))
+        dashes = EXPOSED[len(handles) % len(EXPOSED)]
+        _outline(axes, mask, depth.extent_mm, color="white", linewidth=2.6)
+        _outline(axes, mask, depth.extent_mm, color="black", linewidth=1.3, linestyle=dashes)
+        handles.append(Line2D([], [], color="black", linewidth=1.3, linestyle=dashes, label=f"{name} laid bare"))
     names = axis_names(run)
     axes.set_xlabel(f"{names[depth.across[0]]} / mm")
     axes.set_ylabel(f"{names[depth.across[1]]} / mm")
@@ -142,8 +147,8 @@ def _outline(axes: Any, mask: NDArray[np.bool_], extent: tuple[float, float, flo
     step_u, step_v = (u1 - u0) / mask.shape[0], (v1 - v0) / mask.shape[1]
     u = u0 + step_u * (np.arange(-1, mask.shape[0] + 1) + 0.5)
     v = v0 + step_v * (np.arange(-1, mask.shape[1] + 1) + 0.5)
-    line = {"colors": [line.pop("color")], "linewidths": [line.pop("linewidth")]}
-    axes.contour(u, v, np.pad(mask, 1).T.astype(float), levels=[0.5], **line)
+    plural = {f"{name}s": [value] for name, value in line.items()}
+    axes.contour(u, v, np.pad(mask, 1).T.astype(float), levels=[0.5], **plural)
 
 
 def _hillshade(height_mm: NDArray[np.float64], spacing_mm: float) -> NDArray[np.float64]:

@@ -1,6 +1,7 @@
 """Shaded pictures of coloured surfaces, drawn by ``python -m tissue.rendering JOB PICTURES`` in its own process."""
 
 import sys
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -62,8 +63,13 @@ class Coloured:
     colours: NDArray[np.uint8]
 
 
-def render(surfaces: list[Coloured], camera: Camera) -> list[NDArray[np.uint8]] | str:
+def render(make: Callable[[], tuple[list[Coloured], Camera]]) -> list[NDArray[np.uint8]] | str:
     """Draw each surface for itself on white.
+
+    Parameters
+    ----------
+    make
+        Called once, while the drawing process starts, for the surfaces and the camera.
 
     Returns
     -------
@@ -71,17 +77,23 @@ def render(surfaces: list[Coloured], camera: Camera) -> list[NDArray[np.uint8]] 
     """
     with TemporaryDirectory(prefix="tissue-") as folder:
         job, pictures = Path(folder) / "job.npz", Path(folder) / "pictures.npz"
-        arrays = {f"{name}_{i}": value for i, one in enumerate(surfaces) for name, value in vars(one).items()}
-        np.savez(job, allow_pickle=False, **arrays, **{k: np.array(v) for k, v in asdict(camera).items()})
-        problem = draw_apart("tissue.rendering", str(job), str(pictures))
+
+        def prepare() -> None:
+            surfaces, camera = make()
+            arrays = {f"{name}_{i}": value for i, one in enumerate(surfaces) for name, value in vars(one).items()}
+            np.savez(job, allow_pickle=False, **arrays, **{k: np.array(v) for k, v in asdict(camera).items()})
+
+        problem = draw_apart("tissue.rendering", str(job), str(pictures), prepare=prepare)
         if problem is not None:
             return problem
         with np.load(pictures) as drawn:
-            return [drawn[f"picture_{i}"] for i in range(len(surfaces))]
+            return [drawn[f"picture_{i}"] for i in range(len(drawn.files))]
 
 
 def _main(job: str, pictures: str) -> None:
-    """Draw the surfaces of a job."""
+    """Draw the surfaces of a job as soon as a line on the standard input says that it is there."""
+    _warm_up()
+    sys.stdin.readline()
     with np.load(job) as file:
         arrays: dict[str, Any] = dict(file)
     width, height = (OVERSAMPLING * int(n) for n in arrays["size"])
@@ -92,6 +104,16 @@ def _main(job: str, pictures: str) -> None:
         blocks = large.reshape(height // OVERSAMPLING, OVERSAMPLING, width // OVERSAMPLING, OVERSAMPLING, 3)
         drawn[f"picture_{index}"] = blocks.mean(axis=(1, 3)).round().astype(np.uint8)
     np.savez(pictures, allow_pickle=False, **drawn)
+
+
+def _warm_up() -> None:
+    """Load the libraries and start OpenGL while the job is still being made."""
+    import pyvista
+
+    plotter = pyvista.Plotter(off_screen=True, window_size=[8, 8])
+    plotter.add_mesh(pyvista.Triangle())
+    plotter.screenshot(None, return_img=True)
+    plotter.close()
 
 
 def _draw(surface: dict[str, Any], camera: dict[str, Any], width: int, height: int) -> NDArray[np.uint8]:

@@ -25,7 +25,9 @@ DEADLINE_US = 1000.0
 """A tick that takes longer misses its deadline [us]."""
 FORMAT = 1
 """Version of the run folder."""
-OWN_FILES = ("trace", "timing.csv", "scene.toml", "summary.json", "bone.vti", "bone.nrrd", "bone.stl", "bone.vtp", "pictures")
+OWN_FILES = (
+    "trace", "timing.csv", "scene.toml", "summary.json", "bone.vti", "bone.nrrd", "bone.stl", "bone.vtp", "pictures",
+)
 
 
 class RunFolder:

@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 from tissue import InputError, load_scene, simulate
-from tissue.offscreen import _windows, display_problem
+from tissue.offscreen import display_problem
 from tissue.view import view
-
-needs_opengl = pytest.mark.skipif(not list(_windows()), reason="no OpenGL library on this machine")
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +33,16 @@ def stopped(whole, tmp_path):
     return folder
 
 
+def _screenshot(folder, picture) -> str:
+    """What `view` says; skips the test where no OpenGL works."""
+    try:
+        return view(folder, screenshot=picture)
+    except InputError as problem:
+        if "OpenGL" in str(problem):
+            pytest.skip(str(problem))
+        raise
+
+
 def _colours(path) -> int:
     from PIL import Image
 
@@ -43,30 +51,27 @@ def _colours(path) -> int:
         return len(np.unique(np.asarray(picture.convert("RGB")).reshape(-1, 3)[::53], axis=0))
 
 
-@needs_opengl
 def test_screenshot_of_a_whole_run(whole, tmp_path):
     picture = tmp_path / "view.png"
     picture.write_bytes(b"an older picture")
-    said = view(whole, screenshot=picture)
+    said = _screenshot(whole, picture)
     assert said.startswith("milling: 0.3 s, force up to ")
     assert said.endswith(f"screenshot in {picture}")
     assert _colours(picture) > 100
 
 
-@needs_opengl
 def test_a_stopped_run_says_so_and_shows_what_it_has(stopped, tmp_path):
-    said = view(stopped, screenshot=tmp_path / "view.png")
+    said = _screenshot(stopped, tmp_path / "view.png")
     assert said.splitlines()[0] == "run is incomplete: it stopped at 0.149 s of 0.3 s"
     assert _colours(tmp_path / "view.png") > 100
 
 
-@needs_opengl
 @pytest.mark.parametrize("rows", [0, 1])
 def test_a_run_stopped_at_once_can_be_seen(stopped, tmp_path, rows):
     lines = (stopped / "trace.csv").read_text().splitlines(keepends=True)
     (stopped / "trace.csv").write_text("".join(lines[: 1 + rows]))
     (stopped / "scene.toml").unlink()
-    said = view(stopped, screenshot=tmp_path / "view.png")
+    said = _screenshot(stopped, tmp_path / "view.png")
     assert said.startswith(("run is incomplete: it stopped before its first tick was written",
                             "run is incomplete: it stopped at 0.000 s")[rows])
 

@@ -88,7 +88,8 @@ class BoneModel:
         )
         self._visited = False
         self._next_group = 0
-        self._debt = 0.0
+        self._debt = 0.0  # visits owed for the way made so far
+        self._behind = 0  # groups that have not seen the present pose
         self._heading = np.zeros((2, 3))
         self._now = np.zeros(6)
         workers = WORKERS_CPU if device == "cpu" else WORKERS_GPU
@@ -162,7 +163,7 @@ class BoneModel:
             self._pose.host[:] = now
             self._visit(PHASES, every_side=True)
             self._visited = True
-        elif self._debt > 0.0 and np.vdot(motion.heading, self._heading) < TURN * np.vdot(self._heading, self._heading):
+        elif self._behind > 0 and np.vdot(motion.heading, self._heading) < TURN * np.vdot(self._heading, self._heading):
             self._visit(PHASES)  # the tool turns: first complete what it cut on its old way
         self._heading[:] = motion.heading
         moved = now - self._pose.host[0]
@@ -171,10 +172,13 @@ class BoneModel:
             self._sweep(now, parts=ceil(step / LONGEST_STEP_VOXELS))
         elif step > 0.0:
             self._pose.host[0] = now
+            self._behind = PHASES
             self._debt += PHASES * step / self._lag
             groups = min(int(self._debt), PHASES)
             if groups > 0:
                 self._visit(groups)
+        elif self._behind > 0:
+            self._visit(1)  # the tool rests: bring the other bricks to its pose, one group a tick
 
     def _sweep(self, now: NDArray[np.float64], *, parts: int) -> None:
         """Carve a fast tool at several poses on its way."""
@@ -225,7 +229,8 @@ class BoneModel:
         for visit in range(groups):
             self._pose.host[1 + (first + visit) % PHASES] = self._pose.host[0]
         self._next_group = (first + groups) % PHASES
-        self._debt = 0.0 if groups == PHASES else self._debt - groups
+        self._debt = 0.0 if groups == PHASES else max(self._debt - groups, 0.0)
+        self._behind -= min(groups, self._behind)
 
 
 def _revolution(table: DistanceTable, profile: Profile, *, device: str) -> Revolution:
