@@ -1,7 +1,7 @@
 """Ream a glenoid 2 mm deep and read the force.
 
-Expected: 234 mm3 of subchondral bone come away, the thrust peaks at 74 N and the torque at 0.76 N m. The figures rest on
-cutting coefficients of low confidence (`tissue/materials/cutting.toml`): they are plausible, not validated.
+Expected: 234 mm3 of subchondral bone come away, the thrust peaks at 74 N and the torque at 0.76 N m. The figures rest
+on cutting coefficients of low confidence (`tissue/materials/cutting.toml`): they are plausible, not validated.
 Run: python examples/01_ream_the_glenoid.py [--out DIR]
 """
 

@@ -1,9 +1,9 @@
 """Layout of brick storage and the few functions every brick kernel shares.
 
 A voxel grid is cut into bricks of 8 x 8 x 8 voxels; only bricks that hold material are stored. ``brick_of`` maps a
-brick's grid position to its row in the stored arrays, -1 where nothing is stored. Inside a row the 64 blocks of 2 x 2 x 2
-voxels follow each other, so that what a tool's surface touches lies close together in memory. Lengths are in voxels: a
-point at ``x`` metres lies at ``(x - origin) / spacing``.
+brick's grid position to its row in the stored arrays, -1 where nothing is stored. Inside a row the 64 blocks of
+2 x 2 x 2 voxels follow each other, so that what a tool's surface touches lies close together in memory. Lengths are in
+voxels: a point at ``x`` metres lies at ``(x - origin) / spacing``.
 
 What a voxel is made of and how it meets the tool share one word: density [kg/m3] in the upper 16 bits, then 8 bits of
 layer, then 8 bits of fill, the share of the tool's surface in the voxel that meets material (255 = all).
@@ -162,10 +162,7 @@ def cube_behind_plane(plane: Plane, distance: float):
         volume = (a * a * (3.0 * m12 - a) + m1 * m1 * (m1 - 3.0 * a) + m2 * m2 * (m2 - 3.0 * a)) * plane.corner
     elif m3 < m12:
         volume = (
-            a * a * (3.0 - 2.0 * a)
-            + m1 * m1 * (m1 - 3.0 * a)
-            + m2 * m2 * (m2 - 3.0 * a)
-            + m3 * m3 * (m3 - 3.0 * a)
+            a * a * (3.0 - 2.0 * a) + m1 * m1 * (m1 - 3.0 * a) + m2 * m2 * (m2 - 3.0 * a) + m3 * m3 * (m3 - 3.0 * a)
         ) * plane.corner
     else:
         volume = (a - 0.5 * m12) / m3

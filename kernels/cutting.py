@@ -19,8 +19,8 @@ wp.set_module_options({"enable_backward": False})
 CHUNK = 128
 """Elements a chunk; chunks are summed in order, so the result does not depend on the number of threads."""
 RATE = 12
-"""Place of the removal rate [m2] per unit of speed among the sums. Before it stand, three each: force [N s/m] and torque
-about the tip [N s] per unit of speed, then force [N] and torque [N m] that do not depend on the speed."""
+"""Place of the removal rate [m2] per unit of speed among the sums. Before it stand, three each: force [N s/m] and
+torque about the tip [N s] per unit of speed, then force [N] and torque [N m] that do not depend on the speed."""
 AREA = 13
 """First of the engaged areas, one a layer [m2]."""
 DENSITIES = 4096

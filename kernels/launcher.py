@@ -8,6 +8,7 @@ threads. Handing work to a thread costs about 50 us: a launch is split only whil
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from time import perf_counter
 from typing import Any
 
@@ -64,7 +65,7 @@ class SplitLaunch:
 
         cuts = [dim * part // parts for part in range(parts + 1)]
         self._whole = record(0, dim)
-        self._parts = [record(a, b) for a, b in zip(cuts, cuts[1:], strict=False)] if parts > 1 else []
+        self._parts = [record(a, b) for a, b in pairwise(cuts)] if parts > 1 else []
         self._pool = ThreadPoolExecutor(parts - 1, thread_name_prefix="kernel") if parts > 1 else None
         self._work_s = 0.0
 

@@ -1,6 +1,7 @@
 """Turn a scene's names into parts: the registry of anatomies, tools and motions."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import radians, pi
 from pathlib import Path
@@ -24,6 +25,8 @@ __all__ = ["Parts", "build", "cutter_of", "motion_of", "reach", "volume_of"]
 
 Tell = Callable[[str, float], None]
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
+POSES_TRIED = 300
+"""Poses along a motion at which contact is looked for."""
 DENSE_BYTES_PER_VOXEL = 16
 """Peak memory of a voxel of the region while bricks are made and results written, measured on the glenoid."""
 
@@ -100,16 +103,17 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
     parameters = scene.anatomy
     region = reach(cutter, motion, scene.voxels.margin_mm * 1e-3)
     if _is_image(parameters) and isinstance(parameters, BlockAnatomy) and parameters.centre_mm is None:
-        return _image(scene, notes=notes)
-    anatomy = _anatomy(scene, notes)
+        with _named(parameters):
+            return _image(scene, notes=notes)
+    with _named(parameters):
+        anatomy = _anatomy(scene, notes)
     bone = np.array(anatomy.shape.lower_m), np.array(anatomy.shape.upper_m)
     low = np.maximum(region[0], bone[0])
     high = np.minimum(region[1], bone[1])
     if (low >= high).any():
         raise InputError(
-            "motion must bring the tool to the bone, got a path that stays outside its box: move motion.points_mm, "
-            f"which reach from {_mm(region[0])} to {_mm(region[1])} mm with the tool, to the bone from "
-            f"{_mm(bone[0])} to {_mm(bone[1])} mm"
+            f"motion must bring the tool to the bone, got one that reaches from {_mm(region[0])} to {_mm(region[1])} mm "
+            f"with the tool and a margin: move it to the bone between {_mm(bone[0])} and {_mm(bone[1])} mm"
         )
     _require_memory(high - low, spacing)
     return voxelise(
@@ -149,6 +153,21 @@ def _anatomy(scene: Scene, notes: dict[str, str]) -> Anatomy:
         anatomy = cortical_block(size_mm=parameters.size_mm, density_kg_m3=parameters.density_kg_m3)
     notes.update(anatomy.notes)
     return anatomy
+
+
+@contextmanager
+def _named(parameters: AnatomyFile) -> Iterator[None]:
+    """Let a refusal name the scene's key: geometry knows its arguments, not where a scene gives them."""
+    try:
+        yield
+    except InputError as error:
+        said = str(error)
+        argument = said.split(" ", 1)[0]
+        if argument == "resample_mm":
+            said = "voxels.spacing_mm" + said.removeprefix(argument)
+        elif argument.split("[")[0] in type(parameters).model_fields:
+            said = f"anatomy.{said}"
+        raise InputError(said) from error
 
 
 def _is_image(parameters: AnatomyFile) -> bool:
@@ -225,31 +244,30 @@ def reach(cutter: Cutter, motion: Motion, margin: float) -> tuple[NDArray[np.flo
     """Box around all that the cutting surface can reach, and a margin [m]."""
     shell = cutter.shell(spacing_m=cutter.profile.radius_m / 8.0).points_m
     tips, rotations = motion.sweep_m(), motion.rotations()
-    step = max(len(tips) // 500, 1)
-    reached = np.concatenate([tip + shell @ turn.T for tip, turn in zip(tips[::step], rotations[::step], strict=True)])
-    return reached.min(axis=0) - margin, reached.max(axis=0) + margin
+    starts = np.arange(0, len(tips), max(len(tips) // 500, 1))
+    turned = [shell @ turn.T for turn in rotations[starts]]
+    low = np.minimum.reduceat(tips, starts) + [points.min(axis=0) for points in turned]
+    high = np.maximum.reduceat(tips, starts) + [points.max(axis=0) for points in turned]
+    return low.min(axis=0) - margin, high.max(axis=0) + margin
 
 
 def _require_touch(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
     """Refuse a motion that never brings the cutting surface into bone."""
     shell = cutter.shell(spacing_m=max(cutter.profile.radius_m / 24.0, volume.spacing_m)).points_m
-    tips, rotations = motion.sweep_m(), motion.rotations()
-    if len(tips) < 200:
-        lengths = np.linalg.norm(np.diff(tips, axis=0), axis=1)
-        along = np.concatenate([[0.0], np.cumsum(lengths)])
-        at = np.linspace(0.0, along[-1], 200)
-        tips = np.column_stack([np.interp(at, along, tips[:, c]) for c in range(3)])
-        rotations = np.broadcast_to(rotations[0], (200, 3, 3))
-    step = max(len(tips) // 400, 1)
+    corners, rotations = motion.sweep_m(), motion.rotations()
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
+    wanted = np.unique(np.concatenate([np.linspace(0.0, along[-1], POSES_TRIED), along[:: len(along) // POSES_TRIED + 1]]))
+    tips = np.column_stack([np.interp(wanted, along, corners[:, c]) for c in range(3)])
+    turns = rotations[np.searchsorted(along, wanted)]
     limits = np.array(volume.shape)
-    for tip, turn in zip(tips[::-step], rotations[::-step], strict=True):
+    for tip, turn in zip(tips[::-1], turns[::-1], strict=True):
         at = np.floor((tip + shell @ turn.T - volume.origin_m) / volume.spacing_m).astype(int)
         at = at[((at >= 0) & (at < limits)).all(axis=1)]
         if volume.fraction[at[:, 0], at[:, 1], at[:, 2]].any():
             return
     low, high = volume.bounds_m
     raise InputError(
-        f"motion must bring the tool to the bone, got a tool that never touches it: move the path to the bone between "
+        "motion must bring the tool to the bone, got a tool that never touches it: move it to the bone between "
         f"{_mm(low)} and {_mm(high)} mm"
     )
 

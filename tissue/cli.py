@@ -8,19 +8,41 @@ from pathlib import Path
 from time import perf_counter
 from typing import Annotated, Any, NoReturn
 
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import (
+    App,
+    CoercionError,
+    CycloptsError,
+    MissingArgumentError,
+    Parameter,
+    UnknownCommandError,
+    UnknownOptionError,
+)
 from rich.console import Console
 
 from meshes.errors import InputError
 
 __all__ = ["app", "main"]
 
-app = App(name="tissue", help="Simulate cutting bone, drilling teeth and pressing soft organs.")
+app = App(
+    name="tissue",
+    help="Simulate cutting bone, drilling teeth and pressing soft organs.",
+    suppress_keyboard_interrupt=False,
+)
 console = Console()
 problems = Console(stderr=True)
 
 BAD_INPUT = 2
 """Exit code for anything a person can mend by other input."""
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG)
+
+
+def _whole(_: Any, tokens: Any) -> int:
+    """A whole number from the command line, which would otherwise be rounded to one."""
+    try:
+        return int(tokens[0].value)
+    except ValueError:
+        raise CoercionError(token=tokens[0], target_type=int) from None
 
 
 @app.command
@@ -29,11 +51,11 @@ def run(
     /,
     *,
     out: Path | None = None,
-    seed: int | None = None,
+    seed: Annotated[int | None, Parameter(converter=_whole)] = None,
     duration_s: float | None = None,
     set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
     compute: str = "cpu",
-    cores: int | None = None,
+    cores: Annotated[int | None, Parameter(converter=_whole)] = None,
     format_: Annotated[tuple[str, ...], Parameter(name="--format", negative="")] = (),
     pictures: bool = True,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
@@ -127,16 +149,18 @@ def main() -> NoReturn:
     """Entry point: bad input becomes one sentence and exit code 2."""
     try:
         app(exit_on_error=False, print_error=False)
-    except (InputError, CycloptsError) as error:
+    except InputError as error:
         _refuse(str(error))
+    except CycloptsError as error:
+        _refuse(_usage(error))
     except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EROFS, errno.EFBIG):
+        if error.errno not in FULL + CLOSED:
             raise
-        what = "have room" if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG) else "be writable"
+        what, remedy = ("have room", "free some space or choose") if error.errno in FULL else ("be writable", "choose")
         where = f" at {error.filename}" if error.filename else ""
-        _refuse(f"out must {what}, got {(error.strerror or '').lower()}{where}: free some space or choose another --out")
+        _refuse(f"out must {what}, got {(error.strerror or '').lower()}{where}: {remedy} another --out")
     except KeyboardInterrupt:
-        problems.print("stopped; the trace so far is kept, see `tissue view`", highlight=False)
+        problems.print("stopped: what was written so far is kept, see `tissue view`", highlight=False, soft_wrap=True)
         sys.exit(130)
     sys.exit(0)
 
@@ -144,6 +168,29 @@ def main() -> NoReturn:
 def _refuse(sentence: str) -> NoReturn:
     problems.print(f"[red]error:[/red] {_escaped(sentence)}", soft_wrap=True, highlight=False)
     sys.exit(BAD_INPUT)
+
+
+def _usage(error: CycloptsError) -> str:
+    """One sentence for a command line that cannot be read."""
+    from tissue.faults import nearest
+
+    command = " ".join(["tissue", *(error.command_chain or ())])
+    match error:
+        case UnknownCommandError(unused_tokens=[word, *_]):
+            known = [name for name in app if not name.startswith("-")]
+            return f"command must be one of {', '.join(known)}, got {word}{nearest(word, known)}: see `tissue --help`"
+        case UnknownOptionError(token=token, argument_collection=arguments):
+            word = (token.keyword or token.value).split("=")[0]
+            known = [name for argument in arguments for name in argument.names if name.startswith("-")]
+            return f"option must be one of {', '.join(known)}, got {word}{nearest(word, known)}: see `{command} --help`"
+        case MissingArgumentError(argument=argument) if argument is not None:
+            name = argument.name if argument.name.startswith("-") else argument.name.lower()
+            return f"{name} must be given, got nothing: see `{command} --help`"
+        case CoercionError(token=token, target_type=kind) if token is not None:
+            what = {int: "a whole number", float: "a number"}.get(kind or str, "readable")
+            return f"{token.keyword or 'value'} must be {what}, got {token.value}: see `{command} --help`"
+        case _:
+            return " ".join(str(error).split()).rstrip(".").replace(". ", "; ") + f": see `{command} --help`"
 
 
 def _escaped(text: str) -> str:

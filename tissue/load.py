@@ -1,15 +1,15 @@
 """Read a scene from a built-in name or a TOML file, with overrides, or say in one sentence what is wrong."""
 
-import difflib
 import tomllib
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from meshes.errors import InputError
+from tissue.faults import nearest, sentence
 from tissue.scene import Scene
 
 __all__ = ["load_scene", "parse_override", "scene_names", "scene_text"]
@@ -31,7 +31,7 @@ def scene_text(name: str) -> str:
     if name not in scene_names():
         raise InputError(
             f"scene must be a built-in name ({', '.join(scene_names())}) or a TOML file, got {name}"
-            f"{_nearest(name, scene_names())}: list them with `tissue scenes`"
+            f"{nearest(name, scene_names())}: list them with `tissue scenes`"
         )
     return files("tissue.scenes").joinpath(f"{name}.toml").read_text("utf-8")
 
@@ -53,23 +53,37 @@ def load_scene(source: str | Path, overrides: Mapping[str, Any] | None = None) -
     """
     path = Path(source)
     if path.suffix == ".toml":
-        if not path.is_file():
-            raise InputError(f"scene must be an existing file, got {path}: check the path or list `tissue scenes`")
-        text, folder = path.read_text("utf-8"), path.parent
+        text, folder = _read(path), path.parent
     else:
         text, folder = scene_text(str(source)), Path.cwd()
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"scene must be valid TOML, got {path}: {error}") from None
-    scene = _validated(table).with_files_at(folder) if not overrides else None
-    if scene is not None:
-        return scene
-    if path.suffix == ".toml":
-        table = _validated(table).with_files_at(folder).model_dump(mode="json", exclude_unset=True, exclude_none=True)
-    for key, value in (overrides or {}).items():
+        said = f"{error}"
+        raise InputError(
+            f"scene must be valid TOML, got {said[:1].lower()}{said[1:]} in {path}: mend it there"
+        ) from None
+    for part in ("anatomy", "motion"):
+        inner = table.get(part)
+        if isinstance(inner, dict) and isinstance(inner.get("file"), str) and inner["file"]:
+            inner["file"] = str((folder / inner["file"]).resolve())
+    # A new kind starts its part afresh, so kinds go first, in whatever order they were given.
+    for key, value in sorted((overrides or {}).items(), key=lambda item: not item[0].endswith(".kind")):
         _place(table, key, value)
     return _validated(table).with_files_at(Path.cwd())
+
+
+def _read(path: Path) -> str:
+    """Text of a scene file."""
+    if not path.is_file():
+        raise InputError(f"scene must be an existing file, got {path}: check the path or list `tissue scenes`")
+    try:
+        return path.read_text("utf-8")
+    except UnicodeDecodeError:
+        raise InputError(f"scene must be TOML in UTF-8, got other bytes in {path}: save it as text") from None
+    except OSError as error:
+        said = (error.strerror or "an error").lower()
+        raise InputError(f"scene must be readable, got {said} at {path}: check who may read it") from None
 
 
 def parse_override(text: str) -> tuple[str, Any]:
@@ -82,7 +96,7 @@ def parse_override(text: str) -> tuple[str, Any]:
     """
     key, sign, value = text.partition("=")
     if not sign or not key:
-        raise InputError(f"--set must be key=value, got {text}: for example voxels.spacing_mm=0.2")
+        raise InputError(f"--set must be key=value, got {text}: use for example voxels.spacing_mm=0.2")
     try:
         return key.strip(), tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
@@ -95,7 +109,7 @@ def _place(table: dict[str, Any], key: str, value: Any) -> None:
     for parent in parents:
         inner = table.setdefault(parent, {})
         if not isinstance(inner, dict):
-            raise InputError(f"{key} must name a part's entry, got {parent} which is a value: see `tissue scenes NAME`")
+            raise InputError(f"{key} must name an entry of a part, got {parent} which is a value: see `tissue scenes NAME`")
         table = inner
     if last == "kind" and table.get("kind", value) != value:
         table.clear()
@@ -107,95 +121,4 @@ def _validated(table: Mapping[str, Any]) -> Scene:
     try:
         return Scene.model_validate(table)
     except ValidationError as error:
-        raise InputError(_sentence(error.errors(include_url=False)[0], table)) from None
-
-
-def _sentence(fault: Mapping[str, Any], table: Mapping[str, Any]) -> str:
-    """One sentence for one fault found by pydantic."""
-    where = _without_tags(fault["loc"], table)
-    key, context, got = ".".join(where), fault.get("ctx", {}), _shown(fault["input"])
-    match fault["type"]:
-        case "value_error":
-            return str(context["error"])
-        case "extra_forbidden":
-            known = _known_keys(where[:-1], table)
-            return f"{key} must be one of {', '.join(known)}, got {where[-1]}{_nearest(where[-1], known)}"
-        case "missing":
-            return f"{key} must be given, got nothing: add {where[-1]}{_example(where, table)} to the scene"
-        case "literal_error" | "union_tag_invalid":
-            expected = context.get("expected") or context["expected_tags"]
-            choices = [c.strip("'") for c in expected.replace(" or ", ", ").split(", ")]
-            value = got if fault["type"] == "literal_error" else context["tag"]
-            name = key if fault["type"] == "literal_error" else f"{key}.kind"
-            return f"{name} must be one of {', '.join(choices)}, got {value}{_nearest(str(value), choices)}"
-        case "union_tag_not_found":
-            return f"{key}.kind must be given, got nothing: see `tissue scenes NAME`"
-        case _:
-            requirement = fault["msg"].removeprefix("Input should be ").removeprefix("Value should ")
-            return f"{key} must be {requirement}, got {got}{_remedy(where, table)}"
-
-
-def _model_at(where: tuple[str, ...], table: Mapping[str, Any]) -> type[BaseModel] | None:
-    """The part of a scene that holds the keys under ``where``."""
-    model: type[BaseModel] = Scene
-    for name in where:
-        field = model.model_fields.get(name)
-        if field is None:
-            return None
-        kinds = [k for k in getattr(field.annotation, "__args__", (field.annotation,)) if isinstance(k, type)]
-        parts = [k for k in kinds if issubclass(k, BaseModel)]
-        if not parts:
-            return None
-        inner = table.get(name, {})
-        kind = inner.get("kind") if isinstance(inner, Mapping) else None
-        model = next((p for p in parts if "kind" in p.model_fields and p.model_fields["kind"].default == kind), parts[0])
-        table = inner if isinstance(inner, Mapping) else {}
-    return model
-
-
-def _known_keys(where: tuple[str, ...], table: Mapping[str, Any]) -> list[str]:
-    model = _model_at(where, table)
-    return list(model.model_fields) if model else []
-
-
-def _without_tags(location: tuple[Any, ...], table: Mapping[str, Any]) -> tuple[str, ...]:
-    """A fault's location without the names of the kinds that pydantic adds after a part."""
-    kept: list[str] = []
-    for index, step in enumerate(location):
-        if index == 1 and kept and isinstance(table.get(kept[0]), Mapping) and table[kept[0]].get("kind") == step:
-            continue
-        kept.append(str(step))
-    return tuple(kept)
-
-
-def _field_at(where: tuple[str, ...], table: Mapping[str, Any]) -> Any:
-    model = _model_at(where[:-1], table) if where else None
-    return model.model_fields.get(where[-1]) if model else None
-
-
-def _example(where: tuple[str, ...], table: Mapping[str, Any]) -> str:
-    field = _field_at(where, table)
-    return f" = {field.examples[0]:g}" if field is not None and field.examples else ""
-
-
-def _remedy(where: tuple[str, ...], table: Mapping[str, Any]) -> str:
-    """A value that would do: the field's example or default."""
-    field = _field_at(where, table)
-    if field is None:
-        return ""
-    value = field.examples[0] if field.examples else field.default
-    return f": use {_shown(value)}" if isinstance(value, int | float | str | tuple) else ""
-
-
-def _nearest(word: str, known: list[str]) -> str:
-    close = difflib.get_close_matches(word, known, n=1)
-    return f" (did you mean {close[0]}?)" if close else ""
-
-
-def _shown(value: Any) -> str:
-    """A value as a scene file shows it."""
-    if isinstance(value, float):
-        return f"{value:g}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_shown(item) for item in value) + "]"
-    return str(value)
+        raise InputError(sentence(error.errors(include_url=False)[0], table)) from None

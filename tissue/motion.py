@@ -1,5 +1,6 @@
 """What moves the tool: given feed, given thrust, or a recorded pose table."""
 
+from math import isfinite
 from pathlib import Path
 from typing import Protocol
 
@@ -9,9 +10,11 @@ from numpy.typing import NDArray
 from meshes.errors import InputError
 from tissue.model import Response, ToolMotion
 
-__all__ = ["FollowPath", "Motion", "PushAlongAxis", "ReplayPoses", "frame_along", "read_poses"]
+__all__ = ["LONGEST_S", "FollowPath", "Motion", "PushAlongAxis", "ReplayPoses", "frame_along", "read_poses"]
 
 Array = NDArray[np.float64]
+LONGEST_S = 3600.0
+"""Longest motion of a run [s]."""
 POSE_COLUMNS = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "tool_qz", "tool_qw")
 
 
@@ -134,7 +137,10 @@ class PushAlongAxis:
         self._travel = 0.0
         self._longest = depth_m - float(self._start @ self._heading)
         if self._longest <= 0.0:
-            raise InputError("motion.depth_mm must lie beyond motion.start_mm along the feed: start higher or go deeper")
+            raise InputError(
+                f"motion.depth_mm must be greater than the depth of motion.start_mm along the feed "
+                f"({1e3 * float(self._start @ self._heading):g}), got {1e3 * depth_m:g}: start higher or go deeper"
+            )
         self._speed = 0.0
         self.duration_s = 4.0 * self._longest / max_feed_m_s
 
@@ -153,7 +159,7 @@ class PushAlongAxis:
         self._speed = implicit_speed(
             self._speed, thrust=self._thrust - edge, drag=drag, mass=self._mass, step_s=step_s
         )
-        self._speed = min(max(self._speed, 0.0), self._max_feed, (self._longest - self._travel) / step_s)
+        self._speed = max(min(self._speed, self._max_feed, (self._longest - self._travel) / step_s), 0.0)
         self._travel += self._speed * step_s
         motion.rotation[:] = self._rotation
         motion.tip_m[:] = self._start + self._travel * self._heading
@@ -227,23 +233,46 @@ def read_poses(path: Path, *, step_s: float) -> ReplayPoses:
 
     if not path.is_file():
         raise InputError(f"motion.file must be an existing table, got {path}: give a CSV such as a run's trace.csv")
-    with path.open(newline="", encoding="utf-8") as file:
-        reader = csv.DictReader(file)
-        names = reader.fieldnames or []
-        missing = [name for name in ("time_s", *POSE_COLUMNS) if name not in names]
-        if missing:
-            raise InputError(f"motion.file must have the columns {', '.join(missing)}, got {path} without them: add them")
-        try:
-            rows = np.array([[float(row[name]) for name in ("time_s", *POSE_COLUMNS)] for row in reader])
-        except (TypeError, ValueError):
-            raise InputError(f"motion.file must hold numbers only, got text or a gap in {path}: mend that row") from None
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            names = reader.fieldnames or []
+            missing = [name for name in ("time_s", *POSE_COLUMNS) if name not in names]
+            rows = [] if missing else [_pose(row, reader.line_num, path) for row in reader]
+    except (UnicodeDecodeError, csv.Error):
+        raise InputError(f"motion.file must be a CSV table, got other data in {path}: export it as text") from None
+    if missing:
+        raise InputError(f"motion.file must have the columns {', '.join(missing)}, got {path} without them: add them")
     if len(rows) < 2:
         raise InputError(f"motion.file must hold at least two poses, got {len(rows)} in {path}: record more")
-    if not np.isfinite(rows).all():
-        bad = int(np.argmin(np.isfinite(rows).all(axis=1)))
-        raise InputError(f"motion.file must hold finite numbers, got {rows[bad].tolist()} in row {bad + 2} of {path}")
-    if (np.diff(rows[:, 0]) <= 0.0).any():
-        raise InputError(f"motion.file must have increasing time_s, got a step back in {path}: sort its rows")
-    if (np.linalg.norm(rows[:, 4:], axis=1) < 1e-6).any():
-        raise InputError(f"motion.file must hold unit quaternions, got a zero one in {path}: use (0, 0, 0, 1) for none")
-    return ReplayPoses(rows[:, 0], rows[:, 1:4] * 1e-3, rows[:, 4:], step_s=step_s)
+    poses = np.array(rows)
+    back = np.flatnonzero(np.diff(poses[:, 0]) <= 0.0)
+    if back.size:
+        before, after = poses[back[0] : back[0] + 2, 0]
+        raise InputError(
+            f"motion.file must have increasing time_s, got {after:g} after {before:g} in {path}: sort its rows"
+        )
+    if poses[-1, 0] - poses[0, 0] > LONGEST_S:
+        raise InputError(
+            f"motion.file must last at most {LONGEST_S:g} s, got {poses[-1, 0] - poses[0, 0]:g} in {path}: cut it"
+        )
+    if (np.linalg.norm(poses[:, 4:], axis=1) < 1e-6).any():
+        raise InputError(f"motion.file must hold unit quaternions, got a zero one in {path}: use 0, 0, 0, 1 for no turn")
+    return ReplayPoses(poses[:, 0], poses[:, 1:4] * 1e-3, poses[:, 4:], step_s=step_s)
+
+
+def _pose(row: dict[str, str], line: int, path: Path) -> list[float]:
+    """Time and pose of one row."""
+    values = []
+    for name in ("time_s", *POSE_COLUMNS):
+        try:
+            value = float(row[name])
+        except (TypeError, ValueError):
+            value = float("nan")
+        if not isfinite(value):
+            raise InputError(
+                f"motion.file must hold finite numbers, got {row[name] or 'nothing'} for {name} in line {line} of "
+                f"{path}: mend that line"
+            )
+        values.append(value)
+    return values

@@ -10,9 +10,11 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from meshes.errors import InputError
 from tissue.build import Parts
+from tissue.formats import FORMATS
 from tissue.scene import Scene
 from tissue.trace import Table, TraceWriter, read_table
 
@@ -26,8 +28,10 @@ DEADLINE_US = 1000.0
 FORMAT = 1
 """Version of the run folder."""
 OWN_FILES = (
-    "trace", "timing.csv", "scene.toml", "summary.json", "bone.vti", "bone.nrrd", "bone.stl", "bone.vtp", "pictures",
+    "trace.csv", *(f"trace.{kind}" for kind in FORMATS), "timing.csv", "scene.toml", "summary.json", "summary.json.part",
+    "bone.vti", "bone.nrrd", "bone.stl", "bone.vtp", "pictures",
 )
+"""Names in a run's folder."""
 
 
 class RunFolder:
@@ -46,7 +50,12 @@ class RunFolder:
         """Refuse a folder that cannot take a run."""
         if path.exists() and not path.is_dir():
             raise InputError(f"out must be a folder, got the file {path}: choose another --out")
-        taken = [name for name in _own_files(path)]
+        standing = next(each for each in (path, *path.absolute().parents) if each.exists())
+        if not standing.is_dir():
+            raise InputError(f"out must lie in a folder, got {path} under the file {standing}: choose another --out")
+        if not os.access(standing, os.W_OK | os.X_OK):
+            raise InputError(f"out must be writable, got permission denied at {standing}: choose another --out")
+        taken = _own_files(path)
         if not taken:
             return
         if not _holds_run(path):
@@ -70,7 +79,7 @@ class RunFolder:
         for name in _own_files(path):
             if name != "summary.json":
                 entry = path / name
-                shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
+                shutil.rmtree(entry) if entry.is_dir() and not entry.is_symlink() else entry.unlink()
         (path / "scene.toml").write_text(scene.to_toml(), "utf-8")
         return folder
 
@@ -116,13 +125,14 @@ class Run:
     ) -> None:
         self.scene, self.parts, self.trace, self.timing = scene, parts, trace, timing
         self._compute, self._folder = compute, folder
-        self._fraction: np.ndarray | None = None
+        self._fraction: NDArray[np.uint8] | None = None
 
     @property
-    def remaining(self) -> np.ndarray:
+    def remaining(self) -> NDArray[np.uint8]:
         """Bone left in every voxel, 255 = full, uint8, shape (nx, ny, nz)."""
         if self._fraction is None:
-            self._fraction = self.parts.tissue.remaining()
+            left = self.parts.tissue.remaining()
+            self._fraction = self.parts.volume.fraction if left is None else left
         return self._fraction
 
     def summary(self) -> dict[str, Any]:
@@ -205,6 +215,7 @@ class Run:
         from tissue.report import draw_pictures, write_bone
 
         tell = progress or (lambda doing, share: None)
+        formats = tuple(formats)
         check_formats(formats)
         out = Path(out)
         folder = self._folder
@@ -261,7 +272,7 @@ def _own_files(path: Path) -> list[str]:
     """Entries of a folder that carry the names of a run's files."""
     if not path.is_dir():
         return []
-    return sorted(e.name for e in path.iterdir() if e.name in OWN_FILES or e.stem in OWN_FILES[:1])
+    return sorted(entry.name for entry in path.iterdir() if entry.name in OWN_FILES)
 
 
 def _holds_run(path: Path) -> bool:

@@ -8,7 +8,7 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, Strict, field_validator, model_validator
 
 from meshes.errors import InputError
 
@@ -26,29 +26,32 @@ __all__ = [
     "Voxels",
 ]
 
-Vector = tuple[float, float, float]
+Vector = Annotated[tuple[float, float, float], Strict(False)]
+Length_mm = Annotated[float, Field(ge=0.1, le=500)]
 
 
 class Part(BaseModel):
     """A frozen part of a scene."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
 
 class AnatomyFile(Part):
     """Bone read from a file instead of the procedural default."""
 
-    file: str | None = None
+    file: str | None = Field(None, examples=["scapula.stl"])
     """Surface (.stl .obj .ply .vtk .vtp), image volume, or folder of TIFF slices; empty uses the procedural bone."""
     scale_mm: float | None = Field(None, gt=0, le=1e5, examples=[1.0])
     """Millimetres per unit of a surface file; without it the unit is guessed and shown."""
-    centre_mm: Vector | None = None
+    centre_mm: Vector | None = Field(None, examples=[(0.0, 0.0, 0.0)])
     """Centre of the working face in the file's frame [mm]; without it a glenoid is searched for."""
-    normal: Vector | None = None
+    normal: Vector | None = Field(None, examples=[(0.0, 0.0, 1.0)])
     """Outward normal of the working face in the file's frame."""
     spacing_mm: float | None = Field(None, gt=0, le=10, examples=[0.0195])
     """Voxel edge of an image that does not state one, such as TIFF slices."""
-    threshold: float | None = None
+    threshold: float | None = Field(None, ge=-1e9, le=1e9, examples=[200.0])
     """Image value above which a voxel is bone."""
     cortical_thickness_mm: float = Field(1.5, gt=0, le=10)
     """Thickness of the cortical shell laid under a surface from a file."""
@@ -57,23 +60,36 @@ class AnatomyFile(Part):
     guide_hole_depth_mm: float = Field(0.0, ge=0, le=100)
     """Depth of the guide hole under the face."""
 
+    @field_validator("file", mode="before")
+    @classmethod
+    def _empty_is_none(cls, value: Any) -> Any:
+        return None if value == "" else value
+
 
 class GlenoidAnatomy(AnatomyFile):
     """A glenoid: concave face with a subchondral plate over a trabecular vault. Origin at its centre, +z outward."""
 
     kind: Literal["glenoid"] = "glenoid"
-    width_mm: float = Field(27.8, ge=18, le=40)
-    height_mm: float = Field(37.5, ge=25, le=50)
-    curvature_radius_mm: float = Field(35.0, ge=20, le=100)
+    """A glenoid."""
+    width_mm: float = Field(27.8, ge=20, le=34)
+    """Greatest width of the face, anterior to posterior."""
+    height_mm: float = Field(37.5, ge=28, le=45)
+    """Height of the face, inferior to superior; at least 1.1 times its width."""
+    curvature_radius_mm: float = Field(35.0, ge=22, le=80)
+    """Radius of the sphere that dishes the face; above half its height."""
     subchondral_thickness_mm: float = Field(1.9, ge=1.2, le=2.9)
+    """Mean thickness of the subchondral plate."""
 
 
 class BlockAnatomy(AnatomyFile):
     """A block of bone with its top face at z = 0."""
 
     kind: Literal["block"] = "block"
-    size_mm: Vector = (20.0, 12.0, 8.0)
-    density_kg_m3: float = Field(1800.0, ge=100, le=3000)
+    """A block, or the image in `file` as it is."""
+    size_mm: Annotated[tuple[Length_mm, Length_mm, Length_mm], Strict(False)] = (20.0, 12.0, 8.0)
+    """Edge lengths along x, y and z."""
+    density_kg_m3: float = Field(1800.0, ge=100, le=2500)
+    """Apparent density; 1800 to 2000 is cortical bone."""
 
 
 class Voxels(Part):
@@ -90,8 +106,12 @@ class Voxels(Part):
 class Tool(Part):
     """A rotating cutter: a surface of revolution with flutes."""
 
-    kind: Literal["ball-burr", "cylinder", "twist-drill", "hemispherical-reamer", "flat-reamer"]
+    kind: Literal["ball-burr", "cylinder", "twist-drill", "hemispherical-reamer", "flat-reamer"] = Field(
+        examples=["ball-burr"]
+    )
+    """Shape of the cutter."""
     diameter_mm: float = Field(gt=0.1, le=100, examples=[6.0])
+    """Greatest diameter."""
     flutes: int = Field(4, ge=1, le=200)
     """Cutting edges around the axis."""
     spin_rpm: float = Field(ge=-500_000, le=500_000, examples=[500.0])
@@ -139,16 +159,24 @@ class PathMotion(Motion):
     """The tip follows straight lines at a given feed, then stays at the end."""
 
     kind: Literal["path"] = "path"
-    points_mm: tuple[Vector, ...] = Field(min_length=2)
+    """Position-driven."""
+    points_mm: Annotated[tuple[Vector, ...], Strict(False)] = Field(
+        min_length=2, examples=[((0.0, 0.0, 0.5), (0.0, 0.0, -2.0))]
+    )
+    """Where the tip goes, corner by corner, in the frame of the site."""
     feed_mm_s: float = Field(gt=0, le=1000, examples=[1.0])
+    """Speed of the tip."""
 
 
 class ThrustMotion(Motion):
     """A given thrust pushes the tool along its axis; the feed follows from the balance with the cutting force."""
 
     kind: Literal["thrust"] = "thrust"
+    """Force-driven."""
     start_mm: Vector = (0.0, 0.0, 0.5)
+    """Where the tip starts, in the frame of the site."""
     thrust_N: float = Field(gt=0, le=1000, examples=[40.0])
+    """Push along the tool's axis."""
     mass_kg: float = Field(0.5, gt=0, le=20)
     """Mass that moves with the tool."""
     max_feed_mm_s: float = Field(5.0, gt=0, le=200)
@@ -161,19 +189,28 @@ class ReplayMotion(Motion):
     """Poses from a table with the columns of ``trace.csv``: time_s, tool_x_mm ... tool_qw."""
 
     kind: Literal["replay"] = "replay"
-    file: str
+    """Recorded."""
+    file: str = Field(examples=["runs/glenoid/trace.csv"])
+    """CSV table of poses, such as a run's own trace."""
 
 
 class Cutting(Part):
     """Changes to the cited cutting coefficients of bone; empty entries keep the cited value."""
 
-    tangential_chip_N_mm2: float | None = Field(None, ge=0, le=5000)
-    radial_chip_N_mm2: float | None = Field(None, ge=0, le=5000)
-    axial_chip_N_mm2: float | None = Field(None, ge=0, le=5000)
-    tangential_edge_N_mm: float | None = Field(None, ge=0, le=500)
-    radial_edge_N_mm: float | None = Field(None, ge=0, le=500)
-    axial_edge_N_mm: float | None = Field(None, ge=0, le=500)
-    density_exponent: float | None = Field(None, ge=0, le=5)
+    tangential_chip_N_mm2: float | None = Field(None, ge=0, le=5000, examples=[150.0])
+    """Chip force along the cutting speed, per area of the chip's section."""
+    radial_chip_N_mm2: float | None = Field(None, ge=0, le=5000, examples=[60.0])
+    """Chip force normal to the tool's surface, per area of the chip's section."""
+    axial_chip_N_mm2: float | None = Field(None, ge=0, le=5000, examples=[0.0])
+    """Chip force along the edge, per area of the chip's section."""
+    tangential_edge_N_mm: float | None = Field(None, ge=0, le=500, examples=[5.0])
+    """Edge force along the cutting speed, per length of the edge."""
+    radial_edge_N_mm: float | None = Field(None, ge=0, le=500, examples=[4.0])
+    """Edge force normal to the tool's surface, per length of the edge."""
+    axial_edge_N_mm: float | None = Field(None, ge=0, le=500, examples=[0.0])
+    """Edge force along the edge, per length of it."""
+    density_exponent: float | None = Field(None, ge=0, le=5, examples=[1.5])
+    """Power of the density over its reference that scales all coefficients."""
 
 
 class Output(Part):
@@ -190,18 +227,26 @@ AnyMotion = Annotated[PathMotion | ThrustMotion | ReplayMotion, Field(discrimina
 class Scene(Part):
     """Everything one simulation needs; equal scenes give equal traces."""
 
-    name: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")
+    name: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", examples=["glenoid-2"])
+    """Name of the scene and of the folder under runs/; lower-case letters, digits, - and _."""
     description: str = ""
+    """What it models, in a line."""
     seed: int = Field(0, ge=0, lt=2**63)
     """Seed of every random draw."""
-    duration_s: float | None = Field(None, gt=0, le=3600, examples=[5.0])
+    duration_s: float | None = Field(None, ge=1e-3, le=3600, examples=[5.0])
     """Simulated time; without it as long as the motion lasts."""
     anatomy: AnyAnatomy
+    """Bone to cut."""
     voxels: Voxels = Voxels()
+    """How the bone is divided and removed."""
     tool: Tool
+    """What cuts it."""
     motion: AnyMotion
+    """How the tool moves."""
     cutting: Cutting = Cutting()
+    """Changes to the cutting coefficients."""
     output: Output = Output()
+    """What becomes of the force."""
 
     @model_validator(mode="after")
     def _parts_fit(self) -> "Scene":

@@ -9,9 +9,10 @@ from time import perf_counter
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from meshes.errors import InputError
 from tissue.build import Parts, build
 from tissue.model import Response, TissueModel, ToolMotion
-from tissue.motion import Motion
+from tissue.motion import LONGEST_S, Motion
 from tissue.run import Run, RunFolder
 from tissue.scene import Scene
 from tissue.trace import TIMING_COLUMNS, Table, trace_columns
@@ -57,17 +58,19 @@ def simulate(
         If the scene cannot be built, the tool never touches, or ``out`` holds another run.
     """
     tell = progress or (lambda doing, share: None)
+    if cores is not None and cores < 1:
+        raise InputError(f"cores must be at least 1, got {cores}: leave it out to use all")
     if out is not None:
         RunFolder.check(out, overwrite=overwrite)
     parts = build(scene, step_s=TICK_S, compute=compute, cores=cores, tell=tell)
+    ticks = _tick_count(scene, parts.motion)
     folder = RunFolder.begin(out, scene, overwrite=overwrite) if out is not None else None
-    return _loop(scene, parts, compute=compute, folder=folder, tell=tell)
+    return _loop(scene, parts, ticks, compute=compute, folder=folder, tell=tell)
 
 
-def _loop(scene: Scene, parts: Parts, *, compute: str, folder: RunFolder | None, tell: Progress) -> Run:
+def _loop(scene: Scene, parts: Parts, ticks: int, *, compute: str, folder: RunFolder | None, tell: Progress) -> Run:
     """All ticks of a run."""
     tissue = parts.tissue
-    ticks = int(round((scene.duration_s or parts.motion.duration_s) / TICK_S))
     columns = trace_columns(tissue.layer_names)
     trace = Table(columns, np.zeros((ticks, len(columns))), tissue.layer_names)
     timing = Table(TIMING_COLUMNS, np.zeros((ticks, len(TIMING_COLUMNS))))
@@ -75,6 +78,7 @@ def _loop(scene: Scene, parts: Parts, *, compute: str, folder: RunFolder | None,
         folder.open_tables(trace, timing)
     tick = _Tick(scene, parts.motion, tissue, trace, timing)
     told = perf_counter()
+    index = 0
     gc.collect()
     gc.disable()
     try:
@@ -85,12 +89,27 @@ def _loop(scene: Scene, parts: Parts, *, compute: str, folder: RunFolder | None,
             if perf_counter() - told > 0.1:
                 told = perf_counter()
                 tell("simulating", (index + 1) / ticks)
+    except KeyboardInterrupt:
+        if folder is not None:
+            folder.flush(index, force=True)
+        raise
     finally:
         gc.enable()
     tissue.finish()
     if folder is not None:
         folder.flush(ticks, force=True)
     return Run(scene, parts, trace, timing, compute=compute, folder=folder)
+
+
+def _tick_count(scene: Scene, motion: Motion) -> int:
+    """Ticks of a run."""
+    seconds = scene.duration_s or motion.duration_s
+    if seconds > LONGEST_S:
+        raise InputError(
+            f"duration_s must be given for a motion of more than {LONGEST_S:g} s, got nothing for one of {seconds:g} s: "
+            "use a shorter duration_s or a greater feed"
+        )
+    return max(round(seconds / TICK_S), 1)
 
 
 class _Tick:

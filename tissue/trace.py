@@ -96,7 +96,7 @@ class TraceWriter:
     """
 
     def __init__(self, path: Path, table: Table) -> None:
-        self._table = table
+        self._table, self._path = table, path
         self._file: TextIO = path.open("w", encoding="utf-8", newline="\n")
         self._file.write(",".join(table.columns) + "\n")
         self._written = 0
@@ -106,8 +106,12 @@ class TraceWriter:
         """Bring the first ``row_count`` rows to disk if the last flush was a while ago."""
         now = perf_counter()
         if force or now - self._flushed_at > FLUSH_EVERY_S:
-            self._file.write(self._table.lines(self._written, row_count))
-            self._file.flush()
+            try:
+                self._file.write(self._table.lines(self._written, row_count))
+                self._file.flush()
+            except OSError as error:
+                error.filename = str(self._path)
+                raise
             self._written, self._flushed_at = row_count, now
 
     def close(self) -> None:

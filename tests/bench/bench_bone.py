@@ -24,12 +24,18 @@ from tissue.model import ToolMotion
 
 SPACING_M, RADIUS_M, FEED_M_S, TICK_S = 1e-4, 3e-3, 1e-3, 1e-3
 START_M = np.array([-8e-3, 2e-5, -1.3e-2])
+UP_M = np.array([0.0, 0.0, RADIUS_M])
 BOX = int(2 * RADIUS_M / SPACING_M) + 4
 
 
 @wp.kernel
-def brute_force(centre: wp.array(dtype=wp.vec3), low: wp.array(dtype=wp.vec3i), radius: float,
-                remaining: wp.array3d(dtype=wp.uint16), removed: wp.array(dtype=wp.int64)):
+def brute_force(
+    centre: wp.array(dtype=wp.vec3),
+    low: wp.array(dtype=wp.vec3i),
+    radius: float,
+    remaining: wp.array3d(dtype=wp.uint16),
+    removed: wp.array(dtype=wp.int64),
+):
     """Every voxel of the burr's box loses what a linear ramp says lies inside the ball."""
     i, j, k = wp.tid()
     x, y, z = low[0][0] + i, low[0][1] + j, low[0][2] + k
@@ -55,7 +61,7 @@ def brute_force_warp(volume, count: int) -> Cost:
     centre_view, low_view = centre.numpy(), low.numpy()
 
     def tick(index: int) -> None:
-        at = (position(index) + [0, 0, RADIUS_M] - volume.origin_m) / SPACING_M
+        at = (position(index) + UP_M - volume.origin_m) / SPACING_M
         centre_view[0] = at
         low_view[0] = np.floor(at - BOX / 2)
         command.launch()
@@ -68,7 +74,7 @@ def numpy_box(volume, count: int) -> Cost:
     grid = np.indices((BOX,) * 3).astype(np.float32) + 0.5
 
     def tick(index: int) -> None:
-        at = (position(index) + [0, 0, RADIUS_M] - volume.origin_m) / SPACING_M
+        at = (position(index) + UP_M - volume.origin_m) / SPACING_M
         low = np.floor(at - BOX / 2).astype(int)
         offset = (at - low).astype(np.float32)
         distance = np.sqrt(((grid - offset[:, None, None, None]) ** 2).sum(axis=0)) - np.float32(RADIUS_M / SPACING_M)
@@ -80,8 +86,13 @@ def numpy_box(volume, count: int) -> Cost:
 
 
 def burr(volume, *, feed_m_s: float = FEED_M_S, cores: int = 1, **options) -> BoneModel:
-    return BoneModel(volume, Cutter(ball_burr(diameter_m=2 * RADIUS_M), 6, 1000.0), (cutting_coefficients("bone"),),
-                     cores=cores, **options)
+    return BoneModel(
+        volume,
+        Cutter(ball_burr(diameter_m=2 * RADIUS_M), 6, 1000.0),
+        (cutting_coefficients("bone"),),
+        cores=cores,
+        **options,
+    )
 
 
 def milling(volume, count: int, *, feed_m_s: float = FEED_M_S, **options) -> tuple[Cost, Cost, Cost]:
@@ -139,12 +150,18 @@ def main() -> None:
     print(f"voxels {voxels_s:.2f} s, bricks and kernels (compiled or from cache) {perf_counter() - start:.2f} s\n")
 
     carving, forces, both = milling(volume, count)
-    compared = [("sub-voxel bricks: carve + force", both), ("  carve", carving), ("  force, 2000 elements", forces),
-                ("binary bricks: carve + force", milling(volume, count, removal="binary")[2]),
-                ("brute-force Warp: carve", brute_force_warp(volume, 400)),
-                ("NumPy: carve", numpy_box(volume, 20 if quick else 60))]
-    rows = [(name, *(f"{v:.0f}" for v in (c.median, c.p99, c.worst)), f"{c.median / both.median:.2f}") for name, c
-            in compared]
+    compared = [
+        ("sub-voxel bricks: carve + force", both),
+        ("  carve", carving),
+        ("  force, 2000 elements", forces),
+        ("binary bricks: carve + force", milling(volume, count, removal="binary")[2]),
+        ("brute-force Warp: carve", brute_force_warp(volume, 400)),
+        ("NumPy: carve", numpy_box(volume, 20 if quick else 60)),
+    ]
+    rows = [
+        (name, *(f"{v:.0f}" for v in (c.median, c.p99, c.worst)), f"{c.median / both.median:.2f}")
+        for name, c in compared
+    ]
     print("ball burr r = 3 mm in solid bone, 0.1 mm, 1 mm/s, one core [us a tick]")
     print(table(rows, ("what", "median", "99 %", "max", "ratio")), "\n")
 

@@ -33,7 +33,8 @@ def with_fill(store, fill):
     rows = fill.reshape(counts[0], 4, 2, counts[1], 4, 2, counts[2], 4, 2)
     rows = rows.transpose(0, 3, 6, 1, 4, 7, 2, 5, 8).reshape(-1, 512)
     material = store.material.numpy()
-    material[:] = (material & np.uint32(0xFFFFFF00)) | rows[np.argsort(store.brick_of.numpy().ravel())].astype(np.uint32)
+    stored = rows[np.argsort(store.brick_of.numpy().ravel())].astype(np.uint32)
+    material[:] = (material & np.uint32(0xFFFFFF00)) | stored
 
 
 def expected_forces(model, motion, fill):
@@ -67,8 +68,11 @@ def expected_forces(model, motion, fill):
     return wrench("chip_Pa", length * advance * cutter.chip_per_speed_s), wrench("edge_N_m", length), rate
 
 
-@pytest.mark.parametrize("profile", [ball_burr(diameter_m=3e-3), twist_drill(
-    diameter_m=2e-3, length_m=3e-3, point_angle_rad=2.0)], ids=["ball", "drill"])
+@pytest.mark.parametrize(
+    "profile",
+    [ball_burr(diameter_m=3e-3), twist_drill(diameter_m=2e-3, length_m=3e-3, point_angle_rad=2.0)],
+    ids=["ball", "drill"],
+)
 @pytest.mark.parametrize("spin_rad_s", [700.0, -700.0])
 def test_forces_against_numpy(profile, spin_rad_s):
     volume = layered()

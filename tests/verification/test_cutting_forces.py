@@ -39,7 +39,7 @@ FEED_M_S = CHIP_M * TEETH * abs(SPIN_RAD_S) / (2 * pi)
 
 
 def test_closed_form_of_the_slot_is_the_published_example():
-    assert (MEAN_X_N, MEAN_Y_N) == pytest.approx((-6.292958, 9.366198), abs=1e-6)
+    assert pytest.approx((-6.292958, 9.366198), abs=1e-6) == (MEAN_X_N, MEAN_Y_N)
 
 
 def test_slot_forces_summed_over_elements():
@@ -119,7 +119,7 @@ def turned(angle):
 
 @pytest.mark.parametrize(("angle", "tolerance"), [(pi / 2, 1e-3), (pi, 1e-3), (0.4, 0.02)])
 def test_turned_scene_gives_turned_forces(angle, tolerance):
-    """Quarter turns map voxels onto voxels: equal up to rounding; other angles agree to what the voxels resolve, 2 %."""
+    """Quarter turns map voxels onto voxels: equal up to rounding; other angles agree to what voxels resolve, 2 %."""
     results = []
     for turn in (np.eye(3), turned(angle)):
         volume = voxelise(cortical_block(size_mm=(9, 9, 2)), spacing_m=1e-4)
@@ -177,7 +177,7 @@ def test_implicit_step_holds_where_the_explicit_one_blows_up():
         explicit += step / mass * (thrust - edge - drag * explicit)
         implicit = implicit_speed(implicit, thrust=thrust - edge, drag=drag, mass=mass, step_s=step)
     settled = (thrust - edge) / drag
-    print(f"\ndrag {drag:.0f} N s/m, limit {2e3 * mass / drag:.3f} ms: explicit {explicit:.3g}, implicit {implicit:.3g} m/s")
+    print(f"\ndrag {drag:.0f} N s/m, limit {2e3 * mass / drag:.3f} ms: {explicit:.3g} and {implicit:.3g} m/s")
     assert abs(explicit) > 1e6 * settled
     for _ in range(200):
         implicit = implicit_speed(implicit, thrust=thrust - edge, drag=drag, mass=mass, step_s=step)

@@ -7,8 +7,13 @@ import tissue
 from tissue.materials import cutting_constants
 
 PUBLISHED_TORQUE_NM, PUBLISHED_THRUST_N = (0.2, 2.0), (20.0, 100.0)  # glenoid reaming, 300-1000 rpm, low confidence
-COARSE = {"voxels.spacing_mm": 0.2, "motion.points_mm": [[0, 0, -0.1], [0, 0, -2.0]], "motion.feed_mm_s": 2.0,
-          "tool.spin_rpm": 2000.0, "duration_s": 1.0}
+COARSE = {
+    "voxels.spacing_mm": 0.2,
+    "motion.points_mm": [[0, 0, -0.1], [0, 0, -2.0]],
+    "motion.feed_mm_s": 2.0,
+    "tool.spin_rpm": 2000.0,
+    "duration_s": 1.0,
+}
 """Four times the scene's feed and spin: the same chip thickness and force in a quarter of the ticks."""
 
 
@@ -27,7 +32,7 @@ def test_thrust_and_torque_lie_in_the_published_range():
 
 
 def test_scaled_feed_and_spin_keep_the_force():
-    """Chip thickness depends on feed over spin alone: half of both changes the force by less than 2 % (voxel ripple)."""
+    """Chip thickness depends on feed over spin alone: half of both keeps the force within 2 % (voxel ripple)."""
     slower = steady(**{"motion.feed_mm_s": 1.0, "tool.spin_rpm": 1000.0, "duration_s": 1.9})
     assert slower == pytest.approx(steady(), rel=0.02)
 
@@ -44,9 +49,11 @@ def test_sensitivity_to_the_coefficients_is_printed():
         ends = [steady(**{f"cutting.{name}": value}) for value in (constant.low, constant.high)]
         torques += [torque for _, torque in ends]
         print(
-            f"{name:<28} {constant.low:5g} to {constant.high:5g}: thrust {ends[0][0]:5.1f} to {ends[1][0]:5.1f} N, "
-            f"torque {ends[0][1]:.3f} to {ends[1][1]:.3f} N m"
+            f"{name:<28} {constant.low:5g} to {constant.high:5g}: thrust {ends[0][0]:5.1f} to {ends[1][0]:5.1f} N,"
+            f" torque {ends[0][1]:.3f} to {ends[1][1]:.3f} N m"
         )
-    # More of any coefficient never lowers the load; the exponent acts the other way on bone below the reference density.
+    # More of a coefficient raises the load; the exponent lowers it on bone below the reference density.
     assert np.isfinite(torques).all()
-    assert steady(**{"cutting.tangential_edge_N_mm": 10.0})[1] > base[1] > steady(**{"cutting.density_exponent": 2.0})[1]
+    assert (
+        steady(**{"cutting.tangential_edge_N_mm": 10.0})[1] > base[1] > steady(**{"cutting.density_exponent": 2.0})[1]
+    )

@@ -60,7 +60,8 @@ def test_cap_volume_converges_with_second_order_and_beats_binary_removal():
     subvoxel, binary = cap_errors("subvoxel"), cap_errors("binary")
     slope = np.polyfit(np.log(SPACINGS_M), np.log(subvoxel), 1)[0]
     binary_slope = np.polyfit(np.log(SPACINGS_M), np.log(binary), 1)[0]
-    print("\nspacing mm, sub-voxel, binary:", *zip(1e3 * np.array(SPACINGS_M), subvoxel, binary, strict=True), sep="\n  ")
+    rows = zip(1e3 * np.array(SPACINGS_M), subvoxel, binary, strict=True)
+    print("\nspacing mm, sub-voxel, binary:", *rows, sep="\n  ")
     print(f"slopes {slope:.2f} and {binary_slope:.2f}")
     assert slope > 1.6  # second order, fitted over four spacings with placement noise
     assert subvoxel[2] < 1e-3  # 0.1 % at 0.1 mm

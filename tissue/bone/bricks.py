@@ -37,17 +37,17 @@ class BrickStore:
     """
 
     volume: VoxelVolume
-    brick_of: wp.array
-    remaining: wp.array
-    material: wp.array
-    alive: wp.array
+    brick_of: Any
+    remaining: Any
+    material: Any
+    alive: Any
 
     @classmethod
     def from_volume(cls, volume: VoxelVolume, *, device: str) -> "BrickStore":
         """Store the bricks of ``volume`` that hold bone on ``device``."""
         counts = tuple(-(-n // BRICK) for n in volume.shape)
         bricks = _blocked(volume.fraction, counts)
-        holds = bricks.any(axis=(1, 3, 5))
+        holds: NDArray[np.bool_] = np.asarray(bricks.any(axis=(1, 3, 5)))
         brick_of = np.full(counts, -1, dtype=np.int32)
         brick_of[holds] = np.arange(int(holds.sum()), dtype=np.int32)
         if not holds.any():
@@ -62,7 +62,10 @@ class BrickStore:
         material = stored(volume.density_kg_m3).astype(np.uint32) << np.uint32(16)
         material |= stored(volume.layer).astype(np.uint32) << np.uint32(8)
         alive = np.packbits(blocks, axis=1, bitorder="little").view("<u8").reshape(-1)
-        on = lambda array, dtype: wp.array(np.ascontiguousarray(array), dtype=dtype, device=device)  # noqa: E731
+
+        def on(array: NDArray[Any], dtype: Any) -> Any:
+            return wp.array(np.ascontiguousarray(array), dtype=dtype, device=device)
+
         return cls(
             volume,
             on(brick_of, wp.int32),
@@ -89,8 +92,8 @@ class BrickStore:
         nx, ny, nz = (BRICK * n for n in brick_of.shape)
         dense = np.zeros((*brick_of.shape, BRICK, BRICK, BRICK), dtype=np.uint8)
         held = brick_of >= 0
-        # Rounded down: an untouched voxel keeps its 8-bit fraction exactly.
-        dense[held] = _bricks(self.remaining.numpy() // np.uint16(STEPS)).astype(np.uint8)[brick_of[held]]
+        nearest = (self.remaining.numpy().astype(np.uint32) + np.uint32(STEPS // 2)) // np.uint32(STEPS)
+        dense[held] = _bricks(nearest).astype(np.uint8)[brick_of[held]]
         x, y, z = self.volume.shape
         whole = dense.transpose(0, 3, 1, 4, 2, 5).reshape(nx, ny, nz)
         return np.ascontiguousarray(whole[:x, :y, :z])

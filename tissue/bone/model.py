@@ -1,7 +1,7 @@
 """Bone that a rotating cutter mills: carving over bricks and the force on the cutter's elements."""
 
 from math import ceil, sqrt
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import warp as wp
@@ -83,9 +83,7 @@ class BoneModel:
         self._lag = min(CARVE_LAG_M / spacing, 0.25)
         self._lever = max(abs(table.low), abs(table.high))
         self._parts = np.zeros((4, 3))  # chip force and torque, edge force and torque
-        self._response = Response(
-            self._parts[:2].reshape(6), self._parts[2:].reshape(6), np.zeros(6), np.zeros(layers)
-        )
+        self._response = Response(self._parts[:2].reshape(6), self._parts[2:].reshape(6), np.zeros(6), np.zeros(layers))
         self._visited = False
         self._next_group = 0
         self._debt = 0.0  # visits owed for the way made so far
@@ -146,12 +144,12 @@ class BoneModel:
     @property
     def start_m3(self) -> NDArray[np.float64]:
         """Volume of each layer before the first cut [m3], shape (layers,)."""
-        return self.start_steps * self.step_m3
+        return np.asarray(self.start_steps * self.step_m3, dtype=np.float64)
 
     @property
     def removed_m3(self) -> NDArray[np.float64]:
         """Volume removed from each layer so far [m3], shape (layers,)."""
-        return self.removed_steps * self.step_m3
+        return np.asarray(self.removed_steps * self.step_m3, dtype=np.float64)
 
     def advance(self, motion: ToolMotion) -> None:
         """Carve what the tool reaches at its new pose; a slow tool's carving is spread over ticks."""
@@ -235,7 +233,7 @@ class BoneModel:
 
 def _revolution(table: DistanceTable, profile: Profile, *, device: str) -> Revolution:
     """The cutter's distance table on a device."""
-    tool = Revolution()
+    tool: Any = Revolution()
     tool.distance = wp.array(table.distance, dtype=wp.float32, device=device)
     tool.bend = wp.array(table.bend, dtype=wp.float32, device=device)
     tool.height_min, tool.cells_per_voxel = table.height_min, table.cells_per_voxel

@@ -67,8 +67,8 @@ class Cutter:
     flute_count
         Cutting edges N around the axis.
     spin_rad_s
-        Angular velocity about the axis [rad/s], by the right-hand rule about the axis from tip to shank; not 0. A common
-        right-hand drill or mill turns clockwise as seen from its shank: negative.
+        Angular velocity about the axis [rad/s], by the right-hand rule about the axis from tip to shank; not 0. A
+        common right-hand drill or mill turns clockwise as seen from its shank: negative.
     """
 
     profile: Profile
@@ -93,12 +93,12 @@ class Cutter:
     def shell(self, *, spacing_m: float) -> PointShell:
         """Point shell with elements about ``spacing_m`` apart, denser toward the axis.
 
-        Elements lie on golden-angle spirals, a Fibonacci lattice over each piece: no two share a height, so the rim of a
-        cut never meets many at once, and sums over part of the surface converge almost as fast as over all of it.
+        Elements lie on golden-angle spirals, a Fibonacci lattice over each piece: no two share a height, so the rim of
+        a cut never meets many at once, and sums over part of the surface converge almost as fast as over all of it.
         """
         parts = [_spiral(piece, spacing_m=spacing_m) for piece in self.profile.pieces if piece.cutting]
         points, normals, areas = (np.concatenate(column) for column in zip(*parts, strict=True))
-        # Neighbours follow each other: they face the same way and meet the same voxels, which keeps a sum over them fast.
+        # Neighbours follow each other: they face the same way and meet the same voxels.
         sector = np.floor(np.arctan2(points[:, 1], points[:, 0]) * (SECTORS / (2.0 * pi)))
         order = np.lexsort((points[:, 2], sector))
         points, normals, areas = points[order], normals[order], areas[order]
@@ -126,9 +126,7 @@ class Cutter:
         )
 
 
-def _spiral(
-    piece: Piece, *, spacing_m: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _spiral(piece: Piece, *, spacing_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Positions [m], normals and areas [m2] of elements of equal area over one piece."""
     count = max(ceil(piece.area_m2 / spacing_m**2), 16)
     share = np.linspace(0.0, 1.0, 4097)

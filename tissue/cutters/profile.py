@@ -6,12 +6,23 @@ its left. Heights are measured from the tip, the point that a tool pose places.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import cos, hypot, pi, sin, tan
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Arc", "Line", "Piece", "Profile", "ball_burr", "cylinder", "flat_reamer", "hemispherical_reamer", "twist_drill"]
+__all__ = [
+    "Arc",
+    "Line",
+    "Piece",
+    "Profile",
+    "ball_burr",
+    "cylinder",
+    "flat_reamer",
+    "hemispherical_reamer",
+    "twist_drill",
+]
 
 Array = NDArray[np.float64]
 SMOOTH = 0.999
@@ -135,7 +146,7 @@ class Profile:
         ends = np.array([0.0, 1.0])
         starts = [piece.at(ends) for piece in self.pieces]
         found = []
-        for before, after in zip(starts[:-1], starts[1:], strict=True):
+        for before, after in pairwise(starts):
             if before[1][1] @ after[1][0] < SMOOTH:
                 found.append(after[0][0])
         for at, normal in ((starts[0][0][0], starts[0][1][0]), (starts[-1][0][1], starts[-1][1][1])):

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from meshes.errors import InputError
 
-__all__ = ["Constant", "CuttingCoefficients", "cutting_constants", "cutting_coefficients"]
+__all__ = ["Constant", "CuttingCoefficients", "cutting_coefficients", "cutting_constants"]
 
 N_MM2 = 1e6  # [Pa]
 N_MM = 1e3  # [N/m]
@@ -65,7 +65,7 @@ def cutting_constants(material: str) -> dict[str, Constant]:
     if material not in table:
         raise InputError(f"material must be one of {', '.join(table)}, got {material}: choose a listed one")
     return {
-        name: Constant(entry["value"], *entry["range"], entry["source"], entry["confidence"])
+        name: Constant(entry["value"], entry["range"][0], entry["range"][1], entry["source"], entry["confidence"])
         for name, entry in table[material].items()
     }
 
