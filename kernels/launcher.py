@@ -67,6 +67,8 @@ class SplitLaunch:
         self._whole = record(0, dim)
         self._parts = [record(a, b) for a, b in pairwise(cuts)] if parts > 1 else []
         self._pool = ThreadPoolExecutor(parts - 1, thread_name_prefix="kernel") if parts > 1 else None
+        for waiting in [self._pool.submit(perf_counter) for _ in self._parts[1:]] if self._pool is not None else []:
+            waiting.result()  # threads start now, not in the first large tick
         self._work_s = 0.0
 
     def __call__(self) -> None:

@@ -26,12 +26,15 @@ class ToolMotion:
         (3,), in the world frame; the tool's spin about its own axis is not part of it.
     speed_m_s
         Speed that scales the heading [m/s].
+    pressed
+        Share of the edge force that holds a tool at rest against the bone, 0 (it does not press) to 1 (about to cut).
     """
 
     tip_m: Array = field(default_factory=lambda: np.zeros(3))
     rotation: Array = field(default_factory=lambda: np.eye(3))
     heading: Array = field(default_factory=lambda: np.zeros((2, 3)))
     speed_m_s: float = 0.0
+    pressed: float = 0.0
 
 
 @dataclass
@@ -67,8 +70,8 @@ class Response:
 class TissueModel(Protocol):
     """A tissue that a tool moves through.
 
-    Every tick `advance` lets the tool take away what it reaches at its new pose, then `respond` gives the force at
-    that pose. Neither allocates device memory.
+    `place` puts the tool where it starts. Every tick `advance` lets it take away what it reaches at its new pose, then
+    `respond` gives the force at that pose. Neither allocates device memory.
     """
 
     @property
@@ -84,6 +87,10 @@ class TissueModel(Protocol):
     @property
     def removed_m3(self) -> Array:
         """Volume removed from each layer so far [m3]."""
+        ...
+
+    def place(self, motion: ToolMotion) -> None:
+        """Put the tool at its first pose, before the first tick."""
         ...
 
     def advance(self, motion: ToolMotion) -> None:
@@ -112,6 +119,9 @@ class FreeSpace:
         self._response = Response.empty(1)
         self.start_m3 = np.zeros(1)
         self.removed_m3 = np.zeros(1)
+
+    def place(self, motion: ToolMotion) -> None:
+        """There is nothing to reach."""
 
     def advance(self, motion: ToolMotion) -> None:
         """There is nothing to remove."""

@@ -100,6 +100,8 @@ def milling(volume, count: int, *, feed_m_s: float = FEED_M_S, **options) -> tup
     model = burr(volume, **options)
     motion = ToolMotion(speed_m_s=feed_m_s)
     motion.heading[0] = (1, 0, 0)
+    motion.tip_m[:] = START_M
+    model.place(motion)
     carving, forces = [], []
 
     def tick(index: int) -> None:

@@ -34,7 +34,7 @@ def full_block(count=64):
 
 def stamp(profile, motion, removal="subvoxel"):
     model = BoneModel(full_block(), Cutter(profile, 4, 500.0), (cutting_coefficients("bone"),), removal=removal)
-    model.advance(motion)
+    model.place(motion)
     return model
 
 

@@ -20,6 +20,8 @@ def pull(model, start_m, direction, *, length_m, feed_m_s, step_m, rotation=None
     """Draw a tool along a line; wrench, removal rate and removed volume at every tick."""
     motion = ToolMotion(speed_m_s=feed_m_s, rotation=np.eye(3) if rotation is None else rotation)
     motion.heading[0] = np.asarray(direction, float) / np.linalg.norm(direction)
+    motion.tip_m[:] = start_m
+    model.place(motion)
     rows = []
     for travel in np.arange(0.0, length_m, step_m):
         motion.tip_m[:] = np.asarray(start_m) + travel * motion.heading[0]
@@ -203,6 +205,7 @@ def test_thrust_below_the_edge_force_does_not_move_the_tool():
         push.advance(tick * 1e-3, 1e-3, response, motion)
     assert motion.speed_m_s == 0.0
     assert motion.tip_m[2] == pytest.approx(1e-3)
+    assert motion.pressed * response.edge[2] == pytest.approx(5.0)  # the bone answers the thrust
 
 
 def test_thrust_balances_the_cutting_force():
@@ -213,6 +216,8 @@ def test_thrust_balances_the_cutting_force():
         np.array([0, 0, 2e-4]), axis=(0, 0, 1), thrust_N=40.0, mass_kg=0.5, max_feed_m_s=5e-3, depth_m=4e-3
     )
     motion = ToolMotion()
+    push.begin(motion)
+    model.place(motion)
     response = model.respond(motion)
     axial, speed = [], []
     for tick in range(800):

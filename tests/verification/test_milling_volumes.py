@@ -31,6 +31,8 @@ def sweep(model, start_m, end_m, *, step_m=2e-6):
     length = np.linalg.norm(end - start)
     motion = ToolMotion(speed_m_s=step_m / 1e-3)
     motion.heading[0] = (end - start) / length
+    motion.tip_m[:] = start
+    model.place(motion)
     for travel in np.append(np.arange(0.0, length, step_m), length):
         motion.tip_m[:] = start + travel * motion.heading[0]
         model.advance(motion)
@@ -50,7 +52,7 @@ def cap_errors(removal):
             motion = ToolMotion(speed_m_s=1e-3)
             motion.heading[0] = (0, 0, -1)
             motion.tip_m[:] = (*(random.random(2) * spacing), -DEPTH_M)
-            model.advance(motion)
+            model.place(motion)
             single.append(model.removed_m3.sum() / CAP_M3 - 1.0)
         errors.append(float(np.sqrt(np.mean(np.square(single)))))
     return np.array(errors)

@@ -84,7 +84,6 @@ class BoneModel:
         self._lever = max(abs(table.low), abs(table.high))
         self._parts = np.zeros((4, 3))  # chip force and torque, edge force and torque
         self._response = Response(self._parts[:2].reshape(6), self._parts[2:].reshape(6), np.zeros(6), np.zeros(layers))
-        self._visited = False
         self._next_group = 0
         self._debt = 0.0  # visits owed for the way made so far
         self._behind = 0  # groups that have not seen the present pose
@@ -133,8 +132,6 @@ class BoneModel:
             device=device,
             cores=cores,
         )
-        self._carve()  # nothing is planned yet: the first tick shall not pay for a cold start
-        self._forces()
 
     @property
     def step_m3(self) -> float:
@@ -151,17 +148,17 @@ class BoneModel:
         """Volume removed from each layer so far [m3], shape (layers,)."""
         return np.asarray(self.removed_steps * self.step_m3, dtype=np.float64)
 
+    def place(self, motion: ToolMotion) -> None:
+        """Carve all that lies inside the tool at its first pose."""
+        self._pose.host[:] = self._pose_of(motion)
+        self._heading[:] = motion.heading
+        self._visit(PHASES, every_side=True)
+        self.respond(motion)
+
     def advance(self, motion: ToolMotion) -> None:
         """Carve what the tool reaches at its new pose; a slow tool's carving is spread over ticks."""
-        now = self._now
-        np.subtract(motion.tip_m, self._origin, out=now[:3])
-        now[:3] /= self._spacing
-        now[3:] = motion.rotation[:, 2]
-        if not self._visited:
-            self._pose.host[:] = now
-            self._visit(PHASES, every_side=True)
-            self._visited = True
-        elif self._behind > 0 and np.vdot(motion.heading, self._heading) < TURN * np.vdot(self._heading, self._heading):
+        now = self._pose_of(motion)
+        if self._behind > 0 and np.vdot(motion.heading, self._heading) < TURN * np.vdot(self._heading, self._heading):
             self._visit(PHASES)  # the tool turns: first complete what it cut on its old way
         self._heading[:] = motion.heading
         moved = now - self._pose.host[0]
@@ -177,6 +174,14 @@ class BoneModel:
                 self._visit(groups)
         elif self._behind > 0:
             self._visit(1)  # the tool rests: bring the other bricks to its pose, one group a tick
+
+    def _pose_of(self, motion: ToolMotion) -> NDArray[np.float64]:
+        """Tip [voxel] and axis of a motion, in an array that the next call overwrites."""
+        now = self._now
+        np.subtract(motion.tip_m, self._origin, out=now[:3])
+        now[:3] /= self._spacing
+        now[3:] = motion.rotation[:, 2]
+        return now
 
     def _sweep(self, now: NDArray[np.float64], *, parts: int) -> None:
         """Carve a fast tool at several poses on its way."""
@@ -202,13 +207,12 @@ class BoneModel:
         response.engaged_m2[:] = sums[AREA:]
         response.removal_rate_m3_s = float(sums[RATE]) * speed
         np.multiply(response.resistance, speed, out=response.wrench)
-        if speed > 0.0:
-            response.wrench += response.edge
+        response.wrench += response.edge if speed > 0.0 else motion.pressed * response.edge
         return response
 
     def finish(self) -> None:
         """Complete the carving that was spread over ticks."""
-        if self._visited:
+        if self._behind > 0:
             self._visit(PHASES)
 
     def remaining(self) -> NDArray[np.uint8]:
