@@ -34,7 +34,7 @@ def carve(
     # tool
     tool: Revolution,
     pose: wp.array2d(dtype=wp.float64),  # row 0 now, row 1 + g last visit of group g: tip xyz [voxel], axis xyz
-    plan: wp.array(dtype=wp.int32),  # first group to visit, how many, 1 for binary removal, 1 to visit every side
+    plan: wp.array(dtype=wp.int32),  # first group, how many, 1 for binary, 1 for every side, first brick's group
     lookahead: float,  # how far ahead of the surface the fill is foreseen [voxel]
     worker_offset: int,
     worker_count: int,
@@ -68,7 +68,7 @@ def carve(
         column += worker_count
         for visit in range(plan[1]):
             group = (plan[0] + visit) & 15
-            bz = low[2] + ((group - bx - by - low[2]) & 15)
+            bz = low[2] + ((group - plan[4] - bx - by - low[2]) & 15)
             while bz <= high[2]:
                 row = int(brick_of[bx, by, bz])
                 if row >= 0:

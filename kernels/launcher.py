@@ -32,7 +32,7 @@ class SplitLaunch:
     kernel
         A kernel whose thread index starts at the integer input at ``offset_index``.
     dim
-        Number of threads of the whole launch.
+        Number of threads of the whole launch; of several dimensions the first is split.
     inputs, outputs
         Arguments of the kernel.
     offset_index
@@ -47,24 +47,30 @@ class SplitLaunch:
         self,
         kernel: Any,
         *,
-        dim: int,
+        dim: int | tuple[int, ...],
         inputs: Sequence[Any],
         outputs: Sequence[Any],
         offset_index: int,
         device: str,
         cores: int | None = None,
     ) -> None:
-        parts = 1 if device != "cpu" else min(cores or core_count(), dim)
+        along, *across = (dim,) if isinstance(dim, int) else dim
+        parts = 1 if device != "cpu" else min(cores or core_count(), along)
 
         def record(first: int, last: int) -> Any:
             arguments = list(inputs)
             arguments[offset_index] = first
             return wp.launch(
-                kernel, dim=last - first, inputs=arguments, outputs=list(outputs), device=device, record_cmd=True
+                kernel,
+                dim=(last - first, *across),
+                inputs=arguments,
+                outputs=list(outputs),
+                device=device,
+                record_cmd=True,
             )
 
-        cuts = [dim * part // parts for part in range(parts + 1)]
-        self._whole = record(0, dim)
+        cuts = [along * part // parts for part in range(parts + 1)]
+        self._whole = record(0, along)
         self._parts = [record(a, b) for a, b in pairwise(cuts)] if parts > 1 else []
         self._pool = ThreadPoolExecutor(parts - 1, thread_name_prefix="kernel") if parts > 1 else None
         for waiting in [self._pool.submit(perf_counter) for _ in self._parts[1:]] if self._pool is not None else []:

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue.build import reach
 from tissue.depth import HALF, DepthMap
 from tissue.pictures import BONE, DPI, axis_names, depth_colours, depth_limit, figure, layer_colours, save
+from tissue.reach import reach
 from tissue.rendering import Camera, Coloured, render
 from tissue.run import Run
 from tissue.surface import bone_surface, cut_out, smooth_normals, with_depth, with_layers
@@ -133,19 +133,21 @@ def _compose(
     legend: dict[str, Any] = {"loc": "center", "frameon": False, "handlelength": 1.2, "labelspacing": 0.3}
     chart.legend(
         handles=[Patch(facecolor=colours[name], label=name, **patch) for name in layers],
-        bbox_to_anchor=(0.2 * wide / size[0], 0.5 * foot / size[1]), **legend,
+        bbox_to_anchor=(0.2 * wide / size[0], 0.5 * foot / size[1]),
+        **legend,
     )
     chart.legend(
         handles=[
             Patch(facecolor=BONE, label="not cut", **patch),
             Patch(facecolor=CUT_OUT, label="edge of the\nsimulated region", **patch),
         ],
-        bbox_to_anchor=((wide + gap + 0.2 * wide) / size[0], 0.5 * foot / size[1]), **legend,
+        bbox_to_anchor=((wide + gap + 0.2 * wide) / size[0], 0.5 * foot / size[1]),
+        **legend,
     )
     _draw_triad(chart.add_axes((0.28, 0.0, 0.18, foot / size[1])), run, camera)
-    bar = chart.add_axes((
-        (wide + gap + 0.45 * wide) / size[0], 0.58 * foot / size[1], 0.48 * wide / size[0], 0.14 * foot / size[1]
-    ))
+    bar = chart.add_axes(
+        ((wide + gap + 0.45 * wide) / size[0], 0.58 * foot / size[1], 0.48 * wide / size[0], 0.14 * foot / size[1])
+    )
     mapped = ScalarMappable(Normalize(0.0, limit), depth_colours())
     chart.colorbar(mapped, cax=bar, orientation="horizontal").set_label("removed depth / mm")
     save(chart, path)

@@ -16,6 +16,7 @@ from cyclopts import (
     Parameter,
     UnknownCommandError,
     UnknownOptionError,
+    UnusedCliTokensError,
 )
 from rich.console import Console
 
@@ -103,9 +104,7 @@ def run(
         tell("starting Warp", 0.0)
         from tissue.simulation import simulate
 
-        finished = simulate(
-            loaded, compute=compute, cores=cores, out=folder, overwrite=overwrite, progress=tell
-        )
+        finished = simulate(loaded, compute=compute, cores=cores, out=folder, overwrite=overwrite, progress=tell)
         simulated = perf_counter()
         finished.save(folder, formats=format_, pictures=pictures, progress=tell)
     _print_summary(finished.summary(), folder, wall_s=perf_counter() - started, saving_s=perf_counter() - simulated)
@@ -148,7 +147,7 @@ def view(folder: Path, /, *, screenshot: Path | None = None) -> None:
 def main() -> NoReturn:
     """Entry point: bad input becomes one sentence and exit code 2."""
     try:
-        app(exit_on_error=False, print_error=False)
+        app(sys.argv[1:], exit_on_error=False, print_error=False)
     except InputError as error:
         _refuse(str(error))
     except CycloptsError as error:
@@ -189,6 +188,8 @@ def _usage(error: CycloptsError) -> str:
         case CoercionError(token=token, target_type=kind) if token is not None:
             what = {int: "a whole number", float: "a number"}.get(kind or str, "readable")
             return f"{token.keyword or 'value'} must be {what}, got {token.value}: see `{command} --help`"
+        case UnusedCliTokensError(unused_tokens=[word, *_]):
+            return f"{command} must be given nothing more, got {word}: see `{command} --help`"
         case _:
             return " ".join(str(error).split()).rstrip(".").replace(". ", "; ") + f": see `{command} --help`"
 
@@ -205,7 +206,7 @@ def _progress() -> Iterator[Any]:
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=problems, transient=True) as bar:
+    with Progress(*columns, console=problems, transient=True, disable=not problems.is_terminal) as bar:
         task = bar.add_task("starting", total=1.0)
         yield lambda doing, share: bar.update(task, description=doing, completed=share)
 

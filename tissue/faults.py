@@ -19,14 +19,14 @@ Table = Mapping[str, Any]
 
 def sentence(fault: Mapping[str, Any], table: Table) -> str:
     """One sentence for a fault that pydantic found in a scene's table."""
-    path = [step for step in _without_tags(fault["loc"], table)]
+    path = _without_tags(fault["loc"], table)
     names = tuple(str(step) for step in path[: next((i for i, s in enumerate(path) if isinstance(s, int)), len(path))])
     key, kind, context = ".".join(names), str(fault["type"]), fault.get("ctx", {})
     if kind == "value_error":
         return str(context["error"])
     if kind == "extra_forbidden":
-        known = list(_model_at(names[:-1], table).model_fields)
-        return f"{key} must be one of {', '.join(known)}, got {names[-1]}{nearest(names[-1], known)}: rename or remove it"
+        known, word = list(_model_at(names[:-1], table).model_fields), names[-1]
+        return f"{key} must be one of {', '.join(known)}, got {word}{nearest(word, known)}: rename or remove it"
     field = _model_at(names[:-1], table).model_fields[names[-1]]
     if kind == "missing" and len(path) == len(names):
         return f"{key} must be given, got nothing: {_addition(names, field)}"
@@ -58,8 +58,10 @@ def shown(value: Any) -> str:
 
 
 def _told(value: Any) -> str:
-    """A value that was refused: a whole float keeps its point, since that may be what is wrong."""
-    return repr(value) if isinstance(value, float) and value.is_integer() else shown(value)
+    """A value that was refused, with the point or the quotes that may be what is wrong."""
+    if isinstance(value, float) and value.is_integer():
+        return repr(value)
+    return f'"{value}"' if isinstance(value, str) and value[:1].isdigit() else shown(value)
 
 
 def _choice(key: str, choices: list[str], got: str) -> str:
@@ -83,8 +85,8 @@ def _requirement(field: FieldInfo, kind: str, inside: bool) -> str:
             return "a list of at least two points [x, y, z]"
         limits = _bounds(getattr(item, "__metadata__", ()))
         return f"three finite numbers [x, y, z]{', each ' if limits else ''}{limits}"
-    entries = ", ".join(_parts(field)[0].model_fields)
-    return f"a table with entries such as {entries}"
+    entries = [*_parts(field)[0].model_fields][:3]
+    return f"a table with entries such as {', '.join(entries)}"
 
 
 def _bounds(metadata: Any) -> str:
@@ -115,8 +117,8 @@ def _model_at(names: tuple[str, ...], table: Table) -> type[BaseModel]:
     model: type[BaseModel] = Scene
     for name in names:
         parts, table = _parts(model.model_fields[name]), _inner(table, name)
-        kind = table.get("kind")
-        model = next((p for p in parts if "kind" in p.model_fields and p.model_fields["kind"].default == kind), parts[0])
+        kinds = {p.model_fields["kind"].default: p for p in parts if "kind" in p.model_fields}
+        model = kinds.get(str(table.get("kind")), parts[0])
     return model
 
 

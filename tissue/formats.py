@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from importlib import import_module
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -62,9 +63,12 @@ def _parquet(columns: dict[str, np.ndarray[Any, Any]], path: Path) -> None:
 def _h5(columns: dict[str, np.ndarray[Any, Any]], path: Path) -> None:
     import h5py
 
-    with h5py.File(path, "w") as file:
+    # Made in memory: HDF5 ends the process where its file cannot grow on a full disk.
+    image = BytesIO()
+    with h5py.File(image, "w") as file:
         for name, values in columns.items():
             file.create_dataset(name, data=values.astype("S") if values.dtype.kind == "U" else values)
+    path.write_bytes(image.getbuffer())
 
 
 FORMATS: dict[str, Callable[[dict[str, np.ndarray[Any, Any]], Path], None]] = {

@@ -109,7 +109,9 @@ def _place(table: dict[str, Any], key: str, value: Any) -> None:
     for parent in parents:
         inner = table.setdefault(parent, {})
         if not isinstance(inner, dict):
-            raise InputError(f"{key} must name an entry of a part, got {parent} which is a value: see `tissue scenes NAME`")
+            raise InputError(
+                f"{key} must name an entry of a part, got {parent}, which is a value: see `tissue scenes NAME`"
+            )
         table = inner
     if last == "kind" and table.get("kind", value) != value:
         table.clear()

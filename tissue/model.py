@@ -39,7 +39,9 @@ class ToolMotion:
 
 @dataclass
 class Response:
-    """What a tissue does to a tool, reused from tick to tick. Forces act on the tool, torques about its tip, in the world.
+    """What a tissue does to a tool, reused from tick to tick.
+
+    Forces act on the tool, torques about its tip, in the world frame.
 
     Attributes
     ----------

@@ -62,7 +62,11 @@ def save(chart: "Figure", path: Path) -> None:
 def axis_names(run: Run) -> tuple[str, ...]:
     """The world's axes with their anatomical direction where the kind of anatomy has one."""
     meanings = ANATOMICAL.get(run.scene.anatomy.kind)
-    return tuple(f"{c} ({meaning})" for c, meaning in zip("xyz", meanings, strict=True)) if meanings else tuple("xyz")
+    if meanings is None:
+        return tuple("xyz")
+    named = tuple(f"{c} ({meaning})" for c, meaning in zip("xyz", meanings, strict=True))
+    # On bone from a file x points forward or backward with the side of the body, which the file does not tell.
+    return ("x", *named[1:]) if run.scene.anatomy.file else named
 
 
 def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float]]:
@@ -113,8 +117,13 @@ def _draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
     ground[~(depth.bone & np.isfinite(depth.height_mm))] = 1.0
     axes.imshow(ground.swapaxes(0, 1), origin="lower", extent=depth.extent_mm, interpolation="nearest")
     image = axes.imshow(
-        np.ma.masked_less(depth.depth_mm, least).T, origin="lower", extent=depth.extent_mm, cmap=depth_colours(),
-        vmin=0.0, vmax=depth_limit(depth), interpolation="nearest",
+        np.ma.masked_less(depth.depth_mm, least).T,
+        origin="lower",
+        extent=depth.extent_mm,
+        cmap=depth_colours(),
+        vmin=0.0,
+        vmax=depth_limit(depth),
+        interpolation="nearest",
     )
     handles: list[Any] = [Patch(facecolor=BONE, edgecolor="0.3", linewidth=0.5, label="not cut")]
     _outline(axes, depth.bone, depth.extent_mm, color="0.15", linewidth=1.0)
@@ -131,11 +140,16 @@ def _draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
     bar = chart.add_axes(((left + wide + 0.15) / 8.0, 0.6 / full, 0.16 / 8.0, tall / full))
     chart.colorbar(image, cax=bar, label="removed depth / mm")
     cut = depth.depth_mm[depth.depth_mm >= least]
-    said = f"peak {cut.max():.2f} mm, median {np.median(cut):.2f} mm over {cut.size * spacing**2:.0f} mm²"
-    title = f"{run.scene.name}: {said}" if cut.size else f"{run.scene.name}: nothing removed"
+    said = "nothing removed"
+    if cut.size:
+        said = f"peak {cut.max():.2f} mm, median {np.median(cut):.2f} mm over {cut.size * spacing**2:.0f} mm²"
+    title = f"{run.scene.name}: {said}"
     chart.text((left + 0.5 * wide) / 8.0, 1.0 - 0.2 / full, title, ha="center", va="center", size=10.5)
     chart.legend(
-        handles=handles, loc="center", bbox_to_anchor=((left + 0.5 * wide) / 8.0, 1.0 - 0.5 / full), ncols=4,
+        handles=handles,
+        loc="center",
+        bbox_to_anchor=((left + 0.5 * wide) / 8.0, 1.0 - 0.5 / full),
+        ncols=4,
         frameon=False,
     )
     save(chart, path)
@@ -198,7 +212,12 @@ def _draw_force_torque(run: Run, path: Path) -> None:
             Patch(facecolor=MAGNITUDE, label="magnitude"),
             Line2D([], [], color="0.4", linewidth=3.2, alpha=0.4, label="model's, before the low-pass"),
         ],
-        loc="lower left", bbox_to_anchor=(-0.01, 0.99), ncols=5, frameon=False, handlelength=1.6, columnspacing=1.2,
+        loc="lower left",
+        bbox_to_anchor=(-0.01, 0.99),
+        ncols=5,
+        frameon=False,
+        handlelength=1.6,
+        columnspacing=1.2,
     )
     chart.text(0.11, 0.965, f"{run.scene.name}: force on the tool and torque about its tip", va="center", size=10.5)
     panels[2].plot(time, trace["removal_rate_mm3_s"], color="0.1")
@@ -218,7 +237,11 @@ def _draw_force_torque(run: Run, path: Path) -> None:
     if met:
         panels[3].legend(
             handles=[Patch(facecolor=colours[name], alpha=0.45, label=f"in {name}") for name in met],
-            loc="lower left", ncols=3, frameon=False, handlelength=1.2, borderpad=0.2,
+            loc="lower left",
+            ncols=3,
+            frameon=False,
+            handlelength=1.2,
+            borderpad=0.2,
         )
     for axes in panels:
         axes.spines[["top", "right"]].set_visible(False)

@@ -130,15 +130,28 @@ def _draw(surface: dict[str, Any], camera: dict[str, Any], width: int, height: i
     where = "point" if len(surface["colours"]) == mesh.n_points else "cell"
     (mesh.point_data if where == "point" else mesh.cell_data)["colours"] = surface["colours"]
     plotter.add_mesh(
-        mesh, scalars="colours", rgb=True, preference=where, smooth_shading=False, interpolation="Phong",
-        ambient=0.2, diffuse=0.9, specular=0.08, specular_power=12.0, show_scalar_bar=False,
+        mesh,
+        scalars="colours",
+        rgb=True,
+        preference=where,
+        smooth_shading=False,
+        interpolation="Phong",
+        ambient=0.2,
+        diffuse=0.9,
+        specular=0.08,
+        specular_power=12.0,
+        show_scalar_bar=False,
     )
     towards, up, centre = camera["towards_eye"], camera["up"], camera["centre_mm"]
     right = np.cross(up, towards)
     for (a, b, c), strength in LIGHTS:
         plotter.add_light(
-            pyvista.Light(position=centre + 1e3 * (a * right + b * up + c * towards), focal_point=centre,
-                          light_type="scene light", intensity=strength)
+            pyvista.Light(
+                position=centre + 1e3 * (a * right + b * up + c * towards),
+                focal_point=centre,
+                light_type="scene light",
+                intensity=strength,
+            )
         )
     plotter.camera.position = centre + 1e3 * towards
     plotter.camera.focal_point = centre

@@ -85,12 +85,20 @@ def _write_xml(writer: Any, data: "pyvista.DataSet", path: Path) -> None:
 
 def _write(writer: Any, data: "pyvista.DataSet", path: Path) -> None:
     """Let a VTK writer write, and turn its silent failure into the system's error."""
+    from vtkmodules.vtkCommonCore import vtkObject
+
     path.open("wb").close()
     writer.SetFileName(str(path))
     writer.SetInputData(data)
     failures: list[int] = []
     writer.AddObserver("ErrorEvent", lambda *_: failures.append(writer.GetErrorCode()))
-    if not writer.Write() or failures:
+    shown = vtkObject.GetGlobalWarningDisplay()
+    vtkObject.SetGlobalWarningDisplay(0)  # VTK would print its own account of what is raised below
+    try:
+        written = writer.Write()
+    finally:
+        vtkObject.SetGlobalWarningDisplay(shown)
+    if not written or failures:
         import errno
         import os
 

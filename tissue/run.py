@@ -6,7 +6,6 @@ import platform
 import shutil
 from collections.abc import Iterable
 from pathlib import Path
-from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,8 +27,17 @@ DEADLINE_US = 1000.0
 FORMAT = 1
 """Version of the run folder."""
 OWN_FILES = (
-    "trace.csv", *(f"trace.{kind}" for kind in FORMATS), "timing.csv", "scene.toml", "summary.json", "summary.json.part",
-    "bone.vti", "bone.nrrd", "bone.stl", "bone.vtp", "pictures",
+    "trace.csv",
+    *(f"trace.{kind}" for kind in FORMATS),
+    "timing.csv",
+    "scene.toml",
+    "summary.json",
+    "summary.json.part",
+    "bone.vti",
+    "bone.nrrd",
+    "bone.stl",
+    "bone.vtp",
+    "pictures",
 )
 """Names in a run's folder."""
 
@@ -59,9 +67,13 @@ class RunFolder:
         if not taken:
             return
         if not _holds_run(path):
-            raise InputError(f"out must not hold files of other origin, got {path} with {taken[0]}: choose another --out")
+            raise InputError(
+                f"out must not hold files of other origin, got {path} with {taken[0]}: choose another --out"
+            )
         if not overwrite:
-            raise InputError(f"out must not hold another run, got {path}: pass --overwrite to replace it or choose --out")
+            raise InputError(
+                f"out must not hold another run, got {path}: pass --overwrite to replace it or choose another --out"
+            )
 
     @classmethod
     def begin(cls, path: Path, scene: Scene, *, overwrite: bool) -> "RunFolder":
@@ -257,7 +269,9 @@ class SavedRun:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         if not _holds_run(self.path):
-            raise InputError(f"run must be a folder that `tissue run` wrote, got {self.path}: give for example runs/glenoid")
+            raise InputError(
+                f"run must be a folder that `tissue run` wrote, got {self.path}: give for example runs/glenoid"
+            )
         self.summary: dict[str, Any] = json.loads((self.path / "summary.json").read_text("utf-8"))
         table = self.path / "trace.csv"
         self.trace = read_table(table, tuple(self.summary.get("layers", ()))) if table.is_file() else None

@@ -252,10 +252,11 @@ class Scene(Part):
     def _parts_fit(self) -> "Scene":
         hole, peg = self.anatomy.guide_hole_diameter_mm, self.tool.peg_diameter_mm
         if peg > 0.0 and (hole < peg or self.anatomy.guide_hole_depth_mm < self.tool.peg_length_mm):
+            depth, length = self.anatomy.guide_hole_depth_mm, self.tool.peg_length_mm
             raise InputError(
-                f"tool.peg_diameter_mm must fit the guide hole ({hole:g} mm wide, "
-                f"{self.anatomy.guide_hole_depth_mm:g} mm deep), got a peg of {peg:g} x {self.tool.peg_length_mm:g} mm: "
-                "widen or deepen anatomy.guide_hole_diameter_mm and anatomy.guide_hole_depth_mm"
+                f"tool.peg_diameter_mm must fit the guide hole ({hole:g} mm wide, {depth:g} mm deep), got a peg of "
+                f"{peg:g} x {length:g} mm: widen or deepen it by anatomy.guide_hole_diameter_mm and "
+                "anatomy.guide_hole_depth_mm"
             )
         if self.tool.diameter_mm < 4.0 * self.voxels.spacing_mm:
             raise InputError(

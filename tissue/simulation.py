@@ -77,6 +77,7 @@ def _loop(scene: Scene, parts: Parts, ticks: int, *, compute: str, folder: RunFo
     if folder is not None:
         folder.open_tables(trace, timing)
     tick = _Tick(scene, parts.motion, tissue, trace, timing)
+    tick.place()
     told = perf_counter()
     index = 0
     gc.collect()
@@ -106,8 +107,8 @@ def _tick_count(scene: Scene, motion: Motion) -> int:
     seconds = scene.duration_s or motion.duration_s
     if seconds > LONGEST_S:
         raise InputError(
-            f"duration_s must be given for a motion of more than {LONGEST_S:g} s, got nothing for one of {seconds:g} s: "
-            "use a shorter duration_s or a greater feed"
+            f"duration_s must be given for a motion of more than {LONGEST_S:g} s, got nothing for one of "
+            f"{seconds:g} s: give it, or a greater feed"
         )
     return max(round(seconds / TICK_S), 1)
 
@@ -126,6 +127,12 @@ class _Tick:
         self._layers = len(tissue.layer_names)
         self._rotation = np.full((3, 3), np.nan)
         self._quaternion = np.zeros(4)
+
+    def place(self) -> None:
+        """Put the tool where the motion starts; what that costs belongs to no tick."""
+        self._motion.begin(self._tool)
+        self._tissue.place(self._tool)
+        self._record(self._rows[0], 0, self._response)
 
     def __call__(self, index: int) -> None:
         start = perf_counter()

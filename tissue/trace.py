@@ -98,21 +98,25 @@ class TraceWriter:
     def __init__(self, path: Path, table: Table) -> None:
         self._table, self._path = table, path
         self._file: TextIO = path.open("w", encoding="utf-8", newline="\n")
-        self._file.write(",".join(table.columns) + "\n")
         self._written = 0
         self._flushed_at = 0.0
+        self._write(",".join(table.columns) + "\n")
 
     def flush(self, row_count: int, *, force: bool = False) -> None:
         """Bring the first ``row_count`` rows to disk if the last flush was a while ago."""
         now = perf_counter()
         if force or now - self._flushed_at > FLUSH_EVERY_S:
-            try:
-                self._file.write(self._table.lines(self._written, row_count))
-                self._file.flush()
-            except OSError as error:
-                error.filename = str(self._path)
-                raise
+            self._write(self._table.lines(self._written, row_count))
             self._written, self._flushed_at = row_count, now
+
+    def _write(self, text: str) -> None:
+        """Bring text to disk; an error names the file, which the system's own does not."""
+        try:
+            self._file.write(text)
+            self._file.flush()
+        except OSError as error:
+            error.filename = str(self._path)
+            raise
 
     def close(self) -> None:
         """Close the file."""
@@ -127,5 +131,5 @@ def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
     index = {name: float(i) for i, name in enumerate(layer_names)} | {NO_LAYER: -1.0}
     rows = np.array(
         [[index[cell] if cell in index else float(cell) for cell in line.split(",")] for line in whole[1:]]
-    ).reshape(-1, len(columns))
+    ).reshape(len(whole[1:]), len(columns))
     return Table(columns, rows, layer_names)

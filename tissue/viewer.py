@@ -49,8 +49,9 @@ def show(saved: SavedRun, title: str, screenshot: Path | None = None) -> None:
         bone.point_data["Normals"] = smooth_normals(bone)
         _add_bone(plotter, bone)
     keys = "c: removed depth or layer    " if bone is not None and "removed_depth_mm" in bone.point_data else ""
-    plotter.add_text(f"{title}\n{keys}drag the slider for the time    q: close", position="upper_left",
-                     font_size=9, color="black")
+    plotter.add_text(
+        f"{title}\n{keys}drag the slider for the time    q: close", position="upper_left", font_size=9, color="black"
+    )
     if saved.trace is not None and len(saved.trace.rows):
         _Moment(plotter, saved, saved.trace, bone)
     _aim(plotter)
@@ -72,7 +73,8 @@ def _bone(saved: SavedRun) -> "pyvista.PolyData | None":
     scene = scene_of(saved)
     if scene is None or scene.anatomy.file is not None:
         return None
-    from tissue.build import cutter_of, motion_of, volume_of
+    from tissue.anatomies import volume_of
+    from tissue.build import cutter_of, motion_of
 
     spacing = max(COARSE_MM, scene.voxels.spacing_mm)
     coarse = scene.model_copy(update={"voxels": scene.voxels.model_copy(update={"spacing_mm": spacing})})
@@ -91,26 +93,54 @@ def _add_bone(plotter: Any, bone: "pyvista.PolyData") -> None:
 
     names = tuple(str(name) for name in bone.field_data["layer_names"])
     colours = layer_colours(names)
-    common: dict[str, Any] = {"smooth_shading": False, "interpolation": "Phong", "ambient": 0.15, "specular": 0.1,
-                              "show_scalar_bar": False}
+    common: dict[str, Any] = {
+        "smooth_shading": False,
+        "interpolation": "Phong",
+        "ambient": 0.15,
+        "specular": 0.1,
+        "show_scalar_bar": False,
+    }
     by_layer = plotter.add_mesh(
-        bone, scalars="layer", preference="cell", cmap=ListedColormap([colours[name] for name in names]),
-        clim=(-0.5, len(names) - 0.5), **common,
+        bone,
+        scalars="layer",
+        preference="cell",
+        cmap=ListedColormap([colours[name] for name in names]),
+        clim=(-0.5, len(names) - 0.5),
+        **common,
     )
     present = sorted({names[int(i)] for i in np.unique(bone.cell_data["layer"])})
-    legend = plotter.add_legend([[name, colours[name]] for name in present], bcolor=None, face="rectangle",
-                                size=(0.14, 0.03 * len(present) + 0.01), loc="upper right")
+    legend = plotter.add_legend(
+        [[name, colours[name]] for name in present],
+        bcolor=None,
+        face="rectangle",
+        size=(0.14, 0.03 * len(present) + 0.01),
+        loc="upper right",
+    )
     if "removed_depth_mm" not in bone.point_data:
         return
     depth = bone.point_data["removed_depth_mm"]
     limit = float(max(depth.max(), 1e-3))
     by_depth = plotter.add_mesh(
-        bone.copy(deep=False), scalars="removed_depth_mm", cmap="viridis", clim=(0.02 * limit, limit),
-        below_color=BONE, **common,
+        bone.copy(deep=False),
+        scalars="removed_depth_mm",
+        cmap="viridis",
+        clim=(0.02 * limit, limit),
+        below_color=BONE,
+        **common,
     )
     bar = plotter.add_scalar_bar(
-        "removed depth / mm", mapper=by_depth.mapper, vertical=True, position_x=0.9, position_y=0.45, height=0.42,
-        width=0.06, color="black", fmt="%.2f", title_font_size=14, label_font_size=14, below_label="",
+        "removed depth / mm",
+        mapper=by_depth.mapper,
+        vertical=True,
+        position_x=0.9,
+        position_y=0.45,
+        height=0.42,
+        width=0.06,
+        color="black",
+        fmt="%.2f",
+        title_font_size=14,
+        label_font_size=14,
+        below_label="",
     )
 
     def change() -> None:
@@ -129,9 +159,7 @@ def _add_bone(plotter: Any, bone: "pyvista.PolyData") -> None:
 class _Moment:
     """The tool, its force and the cursor in the chart at the time that the slider gives."""
 
-    def __init__(
-        self, plotter: Any, saved: SavedRun, trace: Table, bone: "pyvista.PolyData | None"
-    ) -> None:
+    def __init__(self, plotter: Any, saved: SavedRun, trace: Table, bone: "pyvista.PolyData | None") -> None:
         import pyvista
 
         self._plotter, self._trace = plotter, trace
@@ -154,9 +182,17 @@ class _Moment:
         self.at(float(time[begin]))
         if len(time) > 1:
             plotter.add_slider_widget(
-                self.at, (float(time[0]), float(time[-1])), value=float(time[begin]), fmt="%.3f s",
-                pointa=(0.03, CHART_SHARE + 0.04), pointb=(0.97, CHART_SHARE + 0.04), color="black",
-                title_height=0.018, slider_width=0.012, tube_width=0.003, interaction_event="always",
+                self.at,
+                (float(time[0]), float(time[-1])),
+                value=float(time[begin]),
+                fmt="%.3f s",
+                pointa=(0.03, CHART_SHARE + 0.04),
+                pointb=(0.97, CHART_SHARE + 0.04),
+                color="black",
+                title_height=0.018,
+                slider_width=0.012,
+                tube_width=0.003,
+                interaction_event="always",
             )
 
     def at(self, time_s: float) -> None:
@@ -177,8 +213,12 @@ class _Moment:
         if shown:
             length = self._longest * size / self._greatest
             self._arrow_actor.mapper.dataset = pyvista.Arrow(
-                start=self._tips[row], direction=force, scale=length, shaft_radius=0.02 * self._longest / length,
-                tip_radius=0.05 * self._longest / length, tip_length=min(0.12 * self._longest / length, 0.6),
+                start=self._tips[row],
+                direction=force,
+                scale=length,
+                shaft_radius=0.02 * self._longest / length,
+                tip_radius=0.05 * self._longest / length,
+                tip_length=min(0.12 * self._longest / length, 0.6),
             )
         self._text.input = (
             f"{time_s:.3f} s: force {size:.2f} N ({force[0]:.2f}, {force[1]:.2f}, {force[2]:.2f}), "

@@ -6,7 +6,7 @@ import pytest
 from meshes import VoxelVolume
 from meshes.plane_cube import cube_fraction
 from tissue.bone import BoneModel
-from tissue.cutters import Cutter, ball_burr, cylinder, flat_reamer, hemispherical_reamer, twist_drill
+from tissue.cutters import Cutter, ball_burr, cylinder, flat_reamer, hemispherical_reamer, pear_bur, twist_drill
 from tissue.materials import cutting_coefficients
 from tissue.model import ToolMotion
 
@@ -16,6 +16,7 @@ PROFILES = {
     "cylinder": cylinder(diameter_m=3e-3, length_m=2e-3),
     "twist drill": twist_drill(diameter_m=2.5e-3, length_m=4e-3, point_angle_rad=2.06),
     "hemispherical reamer": hemispherical_reamer(diameter_m=5e-3, peg_diameter_m=1e-3, peg_length_m=1e-3),
+    "pear bur": pear_bur(diameter_m=2.4e-3, length_m=3e-3),
     "flat reamer": flat_reamer(diameter_m=4e-3, thickness_m=1e-3, peg_diameter_m=1e-3, peg_length_m=8e-4),
 }
 

@@ -41,8 +41,12 @@ def _ball(radius: float, spacing: float) -> VoxelVolume:
     distance = np.sqrt(sum(c**2 for c in np.meshgrid(at, at, at, indexing="ij"))) - radius
     fraction = np.rint(255 * np.clip(0.5 - distance / spacing, 0.0, 1.0)).astype(np.uint8)
     return VoxelVolume(
-        np.full(3, -0.5 * n * spacing), spacing, fraction, np.zeros_like(fraction),
-        np.full(fraction.shape, 1800, np.uint16), ("bone",),
+        np.full(3, -0.5 * n * spacing),
+        spacing,
+        fraction,
+        np.zeros_like(fraction),
+        np.full(fraction.shape, 1800, np.uint16),
+        ("bone",),
     )
 
 

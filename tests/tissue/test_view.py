@@ -25,9 +25,9 @@ def stopped(whole, tmp_path):
     folder.mkdir()
     shutil.copy(whole / "scene.toml", folder)
     summary = json.loads((whole / "summary.json").read_text())
-    (folder / "summary.json").write_text(json.dumps({"format": 1, "status": "running"} | {
-        name: summary[name] for name in ("scene", "layers")
-    }))
+    (folder / "summary.json").write_text(
+        json.dumps({"format": 1, "status": "running"} | {name: summary[name] for name in ("scene", "layers")})
+    )
     lines = (whole / "trace.csv").read_text().splitlines(keepends=True)
     (folder / "trace.csv").write_text("".join(lines[:151]) + lines[151][:40])
     return folder
@@ -72,8 +72,11 @@ def test_a_run_stopped_at_once_can_be_seen(stopped, tmp_path, rows):
     (stopped / "trace.csv").write_text("".join(lines[: 1 + rows]))
     (stopped / "scene.toml").unlink()
     said = _screenshot(stopped, tmp_path / "view.png")
-    assert said.startswith(("run is incomplete: it stopped before its first tick was written",
-                            "run is incomplete: it stopped at 0.000 s")[rows])
+    assert said.startswith(
+        ("run is incomplete: it stopped before its first tick was written", "run is incomplete: it stopped at 0.000 s")[
+            rows
+        ]
+    )
 
 
 def test_without_a_display_the_remedy_is_a_screenshot(whole, monkeypatch):

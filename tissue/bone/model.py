@@ -7,7 +7,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from kernels.bricks import FULL
+from kernels.bricks import BRICK, FULL
 from kernels.carving import PHASES, carve
 from kernels.cutting import AREA, CHUNK, DENSITIES, RATE, Coefficients, Elements, cutting_forces
 from kernels.launcher import SplitLaunch
@@ -85,6 +85,8 @@ class BoneModel:
         self._parts = np.zeros((4, 3))  # chip force and torque, edge force and torque
         self._response = Response(self._parts[:2].reshape(6), self._parts[2:].reshape(6), np.zeros(6), np.zeros(layers))
         self._next_group = 0
+        # Groups follow the world's lattice, so that the same cut in a larger region is visited at the same ticks.
+        self._first_group = int(np.rint(self._origin / (BRICK * spacing)).sum()) % PHASES
         self._debt = 0.0  # visits owed for the way made so far
         self._behind = 0  # groups that have not seen the present pose
         self._heading = np.zeros((2, 3))
@@ -92,7 +94,7 @@ class BoneModel:
         workers = WORKERS_CPU if device == "cpu" else WORKERS_GPU
         chunks = -(-len(self.shell.areas_m2) // CHUNK)
         self._pose = Mirror((1 + PHASES, 6), dtype=wp.float64, device=device)
-        self._plan = Mirror(4, dtype=wp.int32, device=device)
+        self._plan = Mirror(5, dtype=wp.int32, device=device)
         self._removed = Mirror((workers, layers), dtype=wp.int64, device=device)
         self._motion = Mirror((6, 3), dtype=wp.float64, device=device)
         self._sums = Mirror((chunks, AREA + layers), dtype=wp.float64, device=device)
@@ -222,7 +224,7 @@ class BoneModel:
     def _visit(self, groups: int, *, every_side: bool = False) -> None:
         """Carve ``groups`` groups of bricks at the current pose and book what they lost."""
         first = self._next_group
-        self._plan.host[:] = (first, groups, self._binary, every_side)
+        self._plan.host[:] = (first, groups, self._binary, every_side, self._first_group)
         self._plan.push()
         self._pose.push()
         self._carve()

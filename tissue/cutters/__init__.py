@@ -10,6 +10,7 @@ from tissue.cutters.profile import (
     cylinder,
     flat_reamer,
     hemispherical_reamer,
+    pear_bur,
     twist_drill,
 )
 
@@ -25,5 +26,6 @@ __all__ = [
     "cylinder",
     "flat_reamer",
     "hemispherical_reamer",
+    "pear_bur",
     "twist_drill",
 ]

@@ -21,6 +21,7 @@ __all__ = [
     "cylinder",
     "flat_reamer",
     "hemispherical_reamer",
+    "pear_bur",
     "twist_drill",
 ]
 
@@ -226,3 +227,11 @@ def flat_reamer(
     face = Line((q, 0.0), (r, 0.0))
     rim = Line((r, 0.0), (r, thickness_m))
     return Profile((*pieces, face, rim, Line((r, thickness_m), (0.0, thickness_m), False)), convex=q == 0.0)
+
+
+def pear_bur(*, diameter_m: float, length_m: float) -> Profile:
+    """Pear-shaped bur: a ball at the tip, widest there, tapering to half its width at the neck."""
+    r = 0.5 * diameter_m
+    slope = float(np.arctan2(0.5 * r, length_m - r))  # angle of the flank to the axis
+    flank = Line((r * cos(slope), r + r * sin(slope)), (0.5 * r, length_m))
+    return Profile((Arc((0.0, r), r, -0.5 * pi, slope), flank, Line((0.5 * r, length_m), (0.0, length_m), False)), True)

@@ -1,28 +1,15 @@
-"""Cutting coefficients, read from ``cutting.toml`` beside this file."""
+"""Cutting coefficients, read from ``cutting.toml``."""
 
-import tomllib
 from dataclasses import dataclass, replace
-from functools import cache
-from importlib.resources import files
 from typing import ClassVar
 
 from meshes.errors import InputError
+from tissue.materials.constants import Constant, constants
 
-__all__ = ["Constant", "CuttingCoefficients", "cutting_coefficients", "cutting_constants"]
+__all__ = ["CuttingCoefficients", "cutting_coefficients", "cutting_constants"]
 
 N_MM2 = 1e6  # [Pa]
 N_MM = 1e3  # [N/m]
-
-
-@dataclass(frozen=True)
-class Constant:
-    """A cited number: value, plausible range and source, in the unit of its name."""
-
-    value: float
-    low: float
-    high: float
-    source: str
-    confidence: str
 
 
 @dataclass(frozen=True)
@@ -52,22 +39,15 @@ class CuttingCoefficients:
         return replace(self, tangential_edge_N_m=0.0, radial_edge_N_m=0.0, axial_edge_N_m=0.0)
 
 
-@cache
 def cutting_constants(material: str) -> dict[str, Constant]:
-    """Cited constants of a material by their names with units.
+    """Cited cutting constants of a material by their names with units.
 
     Raises
     ------
     InputError
         If the material is not listed.
     """
-    table = tomllib.loads(files("tissue.materials").joinpath("cutting.toml").read_text("utf-8"))
-    if material not in table:
-        raise InputError(f"material must be one of {', '.join(table)}, got {material}: choose a listed one")
-    return {
-        name: Constant(entry["value"], entry["range"][0], entry["range"][1], entry["source"], entry["confidence"])
-        for name, entry in table[material].items()
-    }
+    return constants("cutting", material)
 
 
 def cutting_coefficients(material: str, **changes: float | None) -> CuttingCoefficients:

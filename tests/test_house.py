@@ -1,0 +1,207 @@
+"""The house: which floor may import which, what modules say of themselves, and how fast the door opens."""
+
+import ast
+import importlib
+import inspect
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("meshes", "kernels", "tissue")
+FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+MODULES = [
+    path.relative_to(ROOT).with_suffix("").as_posix().removesuffix("/__init__").replace("/", ".") for path in FILES
+]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+FLOORS = (
+    ("meshes", "kernels"),
+    ("tissue.materials",),
+    ("tissue.cutters", "tissue.model"),
+    ("tissue.bone", "tissue.tooth"),
+    ("tissue.motion", "tissue.poses", "tissue.scene"),
+    ("tissue.reach",),
+    ("tissue.anatomies",),
+    ("tissue.faults", "tissue.trace", "tissue.formats"),
+    ("tissue.load",),
+    ("tissue.build",),
+    ("tissue.run",),
+    ("tissue.simulation",),
+    (
+        "tissue.surface",
+        "tissue.depth",
+        "tissue.offscreen",
+        "tissue.pictures",
+        "tissue.rendering",
+        "tissue.before_after",
+        "tissue.report",
+        "tissue.viewer",
+        "tissue.view",
+    ),
+    ("tissue.cli",),
+)
+"""From the ground up; a room imports from its own floor and those below it."""
+LAZY = {("tissue.run", "tissue.report"), ("tissue.cli", "tissue.view")}
+"""A run calls what draws it, and only then imports it."""
+LONGEST = 300
+
+
+def room_of(module):
+    """The room of the house that a module lies in."""
+    rooms = [room for floor in FLOORS for room in floor if module == room or module.startswith(room + ".")]
+    return max(rooms, key=len, default=None)
+
+
+def floor_of(module):
+    room = room_of(module)
+    return next((level for level, floor in enumerate(FLOORS) if room in floor), None)
+
+
+def imports_of(path):
+    """Modules of the house that a file imports, anywhere in it but for type checkers alone."""
+    tree = ast.parse(path.read_text("utf-8"))
+    hidden = {
+        inner
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING"
+        for inner in ast.walk(node)
+    }
+    found = set()
+    for node in ast.walk(tree):
+        if node in hidden:
+            continue
+        if isinstance(node, ast.Import):
+            found |= {name.name for name in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path} imports relatively"
+            inner = {f"{node.module}.{name.name}" for name in node.names}
+            found |= {name for name in inner if name in MODULES} or {node.module}
+    return {name for name in found if name.split(".")[0] in PACKAGES}
+
+
+@pytest.mark.parametrize(("path", "module"), list(zip(FILES, MODULES, strict=True)), ids=MODULES)
+def test_imports_only_go_down(path, module):
+    for wanted in imports_of(path) - {module}:
+        if wanted == "tissue" or module in ("tissue", "tissue.scenes") or (module, wanted) in LAZY:
+            continue
+        mine, theirs = floor_of(module), floor_of(wanted)
+        assert mine is not None, f"{module} lies on no floor: give it one in FLOORS"
+        assert theirs is not None and theirs <= mine, f"{module} imports {wanted} from above"
+
+
+def test_the_ground_floor_knows_nothing_above_or_beside_it():
+    for path, module in zip(FILES, MODULES, strict=True):
+        package = module.split(".")[0]
+        if package == "meshes":
+            tree = ast.parse(path.read_text("utf-8"))
+            names = {name.name for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names}
+            names |= {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+            assert not {name for name in names if name.split(".")[0] in ("warp", "kernels", "tissue")}, module
+        if package == "kernels":
+            assert not {name for name in imports_of(path) if not name.startswith("kernels")}, module
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_a_module_says_what_it_holds(module):
+    loaded = importlib.import_module(module)
+    if module == "tissue.scenes":
+        return
+    assert (loaded.__doc__ or "").strip(), "no docstring"
+    if module == "kernels":
+        return
+    assert loaded.__all__ and len(set(loaded.__all__)) == len(loaded.__all__)
+    for name in loaded.__all__:
+        thing = getattr(loaded, name)
+        code = getattr(thing, "func", thing)  # of a Warp function or kernel
+        own = getattr(code, "__module__", "").split(".")[0] in PACKAGES
+        if own and (inspect.isclass(code) or inspect.isfunction(code)):
+            assert (code.__doc__ or "").strip(), f"{name} has no docstring"
+        if inspect.isclass(thing) and thing.__module__ == module:
+            for method, code in vars(thing).items():
+                if inspect.isfunction(code) and not method.startswith("_") and code.__module__ == module:
+                    assert (code.__doc__ or "").strip(), f"{name}.{method} has no docstring"
+
+
+@pytest.mark.parametrize("path", FILES, ids=MODULES)
+def test_a_file_is_short(path):
+    assert len(path.read_text("utf-8").splitlines()) <= LONGEST
+
+
+def fresh(code, **environment):
+    """Run code in a fresh interpreter."""
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, env=os.environ | environment
+    )
+
+
+def test_importing_tissue_is_quick_and_starts_nothing():
+    heavy = "('warp', 'vtk', 'vtkmodules', 'pyvista', 'scipy', 'pydantic', 'kernels')"
+    code = (
+        "import sys, time; start = time.perf_counter(); import tissue; print(time.perf_counter() - start); "
+        f"print([name for name in {heavy} if name in sys.modules])"
+    )
+    took = []
+    for _ in range(5):
+        seconds, started = fresh(code).stdout.splitlines()
+        took.append(float(seconds))
+        assert started == "[]"
+    assert min(took) < 0.3
+
+
+def test_help_is_quick():
+    took = []
+    for _ in range(5):
+        start = time.perf_counter()
+        told = subprocess.run(
+            [sys.executable, "-c", "from tissue.cli import main; main()", "--help"], capture_output=True, check=True
+        )
+        took.append(time.perf_counter() - start)
+        assert b"run" in told.stdout
+    assert min(took) < 1.0
+
+
+def test_every_name_of_tissue_can_be_had():
+    import tissue
+
+    assert set(tissue.__all__) <= set(dir(tissue))
+    for name in tissue.__all__:
+        assert getattr(tissue, name).__name__ == name
+    with pytest.raises(AttributeError, match="module 'tissue' has no attribute 'simulator'"):
+        tissue.simulator  # noqa: B018
+
+
+@pytest.mark.parametrize("name", ["kernels", "meshes"])
+@pytest.mark.parametrize("module", [True, False], ids=["package", "file"])
+def test_a_foreign_package_of_the_same_name_is_told(tmp_path, name, module):
+    if module:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text("raise SystemExit('it was imported')")
+    else:
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('it was imported')")
+    code = f"import sys; sys.path.insert(0, {str(ROOT)!r}); sys.path.insert(0, {str(tmp_path)!r}); import tissue"
+    said = fresh(code).stderr.splitlines()[-1]
+    found = tmp_path / name if module else tmp_path
+    assert said == (
+        f"ImportError: tissue needs its own package {name} at {ROOT / name}, got {found}: uninstall the other {name} "
+        "or reinstall tissue-sim in a fresh environment"
+    )
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=[path.stem for path in EXAMPLES])
+def test_an_example_runs_and_gives_its_number(path, tmp_path):
+    """An example checks its own number and fails where it is another."""
+    quick = ["--quick"] if "--quick" in path.read_text("utf-8") else []
+    ended = subprocess.run(
+        [sys.executable, str(path), *quick],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert any(letter.isdigit() for letter in ended.stdout)

@@ -1,0 +1,73 @@
+"""The trace in each further format, read back by that format's own reader."""
+
+import numpy as np
+import pytest
+
+from tissue import InputError
+from tissue.formats import FORMATS, check_formats, write_trace
+from tissue.trace import Table, trace_columns
+
+LAYERS = ("subchondral_bone", "trabecular")
+
+
+@pytest.fixture(scope="module")
+def trace():
+    columns = trace_columns(LAYERS)
+    random = np.random.default_rng(5)
+    rows = random.normal(size=(70, len(columns)))
+    rows[:, -1] = random.integers(-1, len(LAYERS), 70)
+    return Table(columns, rows, LAYERS)
+
+
+def _parquet(path):
+    table = pytest.importorskip("pyarrow.parquet").read_table(path)
+    return {name: np.array(table[name].to_pylist()) for name in table.column_names}
+
+
+def _npz(path):
+    with np.load(path, allow_pickle=False) as file:
+        return dict(file)
+
+
+def _mat(path):
+    from scipy.io import loadmat
+
+    record = loadmat(path, squeeze_me=True, struct_as_record=True)["trace"][()]
+    return {name: np.array(list(record[name])) for name in record.dtype.names}
+
+
+def _h5(path):
+    with pytest.importorskip("h5py").File(path) as file:
+        return {name: file[name].asstr()[:] if file[name].dtype.kind in "SO" else file[name][:] for name in file}
+
+
+READERS = {"parquet": _parquet, "npz": _npz, "mat": _mat, "h5": _h5}
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_a_format_reads_back_equal(trace, tmp_path, kind):
+    path = write_trace(trace, tmp_path, kind)
+    assert path == tmp_path / f"trace.{kind}"
+    back = READERS[kind](path)
+    assert set(back) == set(trace.columns)
+    for name in trace:
+        np.testing.assert_array_equal(back[name], trace[name], err_msg=name)
+    assert set(back["layer"]) == {*LAYERS, "none"}
+
+
+def test_an_unknown_format_is_refused():
+    with pytest.raises(InputError, match="format must be one of parquet, npz, mat, h5, got xml"):
+        check_formats(["npz", "xml"])
+    check_formats(FORMATS)
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_a_full_disk_is_an_error_of_the_system(trace, tmp_path, kind):
+    from pathlib import Path
+
+    if not Path("/dev/full").exists():
+        pytest.skip("needs a device that is always full")
+    (tmp_path / f"trace.{kind}").symlink_to("/dev/full")
+    with pytest.raises(OSError) as error:
+        write_trace(trace, tmp_path, kind)
+    assert error.value.errno == 28

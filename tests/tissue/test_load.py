@@ -1,0 +1,131 @@
+"""Scenes: where they come from, what overrides do, and that what is written reads back."""
+
+import tomllib
+
+import pytest
+from pydantic import BaseModel, ValidationError
+
+import tissue.scene
+from tissue import InputError, Scene, load_scene, scene_names, scene_text
+from tissue.load import parse_override
+
+PARTS = [
+    part
+    for part in vars(tissue.scene).values()
+    if isinstance(part, type) and issubclass(part, BaseModel) and part.__module__ == "tissue.scene"
+]
+
+
+@pytest.mark.parametrize("name", scene_names())
+def test_a_built_in_scene_writes_and_reads_back_equal(name, tmp_path):
+    scene = load_scene(name)
+    assert scene.name == name and scene.description
+    (tmp_path / "whole.toml").write_text(scene.to_toml())
+    assert load_scene(tmp_path / "whole.toml") == scene
+    (tmp_path / "printed.toml").write_text(scene_text(name))
+    assert load_scene(str(tmp_path / "printed.toml")) == scene
+
+
+@pytest.mark.parametrize("name", scene_names())
+def test_a_printed_scene_runs(name, command, here):
+    _, printed, _ = command("scenes", name)
+    (here / "mine.toml").write_text(printed)
+    code, _, error = command(
+        "run", "mine.toml", "--set", "voxels.spacing_mm=0.4", "--no-pictures", "--duration-s", 0.01, "--out", "out"
+    )
+    assert (code, error) == (0, "")
+
+
+@pytest.mark.parametrize("part", PARTS, ids=lambda part: part.__name__)
+def test_every_entry_is_described(part):
+    without = [name for name, field in part.model_fields.items() if not (field.description or "").strip()]
+    assert not without
+
+
+def test_what_must_be_given_has_an_example():
+    """A refusal of a missing value shows one that would do."""
+    for part in PARTS:
+        for name, field in part.model_fields.items():
+            if field.is_required() and name not in ("anatomy", "tool", "motion", "spin_rpm"):
+                assert field.examples, f"{part.__name__}.{name}"
+
+
+def test_a_scene_is_frozen():
+    scene = load_scene("milling")
+    with pytest.raises(ValidationError):
+        scene.seed = 1
+    with pytest.raises(ValidationError):
+        scene.voxels.spacing_mm = 1.0
+    assert isinstance(scene.motion.points_mm, tuple) and isinstance(scene.motion.points_mm[0], tuple)
+    assert hash(scene) == hash(load_scene("milling"))
+
+
+def test_overrides_replace_single_entries():
+    scene = load_scene("milling", {"voxels.spacing_mm": 0.2, "seed": 7, "tool.flutes": 4})
+    plain = load_scene("milling")
+    assert (scene.voxels.spacing_mm, scene.seed, scene.tool.flutes) == (0.2, 7, 4)
+    assert scene.motion == plain.motion
+    assert scene.tool.model_copy(update={"flutes": plain.tool.flutes}) == plain.tool
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("a.b=0.2", ("a.b", 0.2)),
+        ("a=1", ("a", 1)),
+        ("a=[[0, 1], [2, 3]]", ("a", [[0, 1], [2, 3]])),
+        ("a=ball-burr", ("a", "ball-burr")),
+        ('a="0.2"', ("a", "0.2")),
+        ("a=x=y", ("a", "x=y")),
+        ("a=", ("a", "")),
+        (" a =true", ("a", True)),
+    ],
+)
+def test_the_value_of_an_override_is_toml_or_text(text, expected):
+    assert parse_override(text) == expected
+
+
+def test_an_override_mends_a_scene_file(tmp_path):
+    (tmp_path / "broken.toml").write_text(scene_text("milling").replace("spacing_mm = 0.1", "spacing_mm = 7.0"))
+    with pytest.raises(InputError, match=r"voxels\.spacing_mm must be"):
+        load_scene(tmp_path / "broken.toml")
+    assert load_scene(tmp_path / "broken.toml", {"voxels.spacing_mm": 0.1}) == load_scene("milling")
+
+
+@pytest.mark.parametrize("turned", [False, True], ids=["kind first", "kind last"])
+def test_a_new_kind_starts_its_part_afresh(turned):
+    changes = [("motion.kind", "thrust"), ("motion.thrust_N", 30)]
+    scene = load_scene("milling", dict(reversed(changes) if turned else changes))
+    assert scene.motion.kind == "thrust"
+    assert scene.motion.thrust_N == 30.0
+    assert not hasattr(scene.motion, "points_mm")
+    block = load_scene("glenoid", {"anatomy.kind": "block", "tool.peg_diameter_mm": 0.0})
+    assert block.anatomy == tissue.scene.BlockAnatomy()
+    assert load_scene("milling", {"motion.kind": "path"}) == load_scene("milling")
+
+
+def test_files_are_taken_from_the_scene_file_and_overrides_from_the_working_directory(tmp_path, monkeypatch):
+    home, work = tmp_path / "home", tmp_path / "work"
+    home.mkdir()
+    work.mkdir()
+    monkeypatch.chdir(work)
+    text = scene_text("milling").replace('kind = "block"', 'kind = "block"\nfile = "../bones/a.stl"')
+    (home / "x.toml").write_text(text)
+    assert load_scene(home / "x.toml").anatomy.file == str(tmp_path / "bones" / "a.stl")
+    assert load_scene("../home/x.toml", {"seed": 3}).anatomy.file == str(tmp_path / "bones" / "a.stl")
+    assert load_scene(home / "x.toml", {"anatomy.file": "b.stl"}).anatomy.file == str(work / "b.stl")
+    assert load_scene("milling", {"anatomy.file": "b.stl"}).anatomy.file == str(work / "b.stl")
+    assert load_scene(home / "x.toml", {"anatomy.file": ""}).anatomy.file is None
+    replay = {"motion.kind": "replay", "motion.file": "t.csv"}
+    assert load_scene(home / "x.toml", replay).motion.file == str(work / "t.csv")
+
+
+def test_whole_numbers_do_for_quantities():
+    assert load_scene("milling", {"tool.diameter_mm": 6}) == load_scene("milling")
+
+
+def test_toml_of_a_scene_holds_every_entry_that_is_set():
+    table = tomllib.loads(load_scene("glenoid").to_toml())
+    assert set(table) == set(Scene.model_fields)
+    for name, part in (("voxels", tissue.scene.Voxels), ("output", tissue.scene.Output)):
+        assert set(table[name]) == set(part.model_fields)

@@ -1,0 +1,182 @@
+"""Laws of every tissue model, over all of them."""
+
+import gc
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from meshes import VoxelVolume, cortical_block, voxelise
+from tissue.bone import BoneModel
+from tissue.cutters import Cutter, ball_burr
+from tissue.materials import cutting_coefficients
+from tissue.model import FreeSpace, ToolMotion
+
+RADIUS_M = 3e-3
+STEP_S = 1e-3
+
+
+def layered_bone(removal="subvoxel"):
+    """A block in two layers under a ball burr."""
+    plain = voxelise(cortical_block(size_mm=(8.0, 8.0, 4.0)), spacing_m=0.4e-3)
+    layer = np.ascontiguousarray(np.indices(plain.shape)[2] < 8, dtype=np.uint8)
+    volume = VoxelVolume(plain.origin_m, plain.spacing_m, plain.fraction, layer, plain.density_kg_m3, ("top", "below"))
+    return BoneModel(
+        volume,
+        Cutter(ball_burr(diameter_m=2.0 * RADIUS_M), 6, -1000.0),
+        (cutting_coefficients("bone"),) * 2,
+        removal=removal,
+    )
+
+
+MODELS = {
+    "free space": FreeSpace,
+    "bone": layered_bone,
+    "binary bone": lambda: layered_bone("binary"),
+}
+
+
+@pytest.fixture(params=MODELS, ids=list(MODELS))
+def model(request):
+    """A model with the tool placed above the tissue."""
+    made = MODELS[request.param]()
+    made.place(at((0, 0, 0.6), speed_m_s=0.0))
+    return made
+
+
+def at(tip_mm, *, heading=(0.0, 0.0, -1.0), speed_m_s=0.02):
+    motion = ToolMotion(tip_m=1e-3 * np.array(tip_mm, dtype=float), speed_m_s=speed_m_s)
+    motion.heading[0] = heading
+    return motion
+
+
+def cuts(seed, count=200):
+    """A wandering tool that dips into the block and leaves it again."""
+    random = np.random.default_rng(seed)
+    tip = np.array([0.0, 0.0, 0.6])
+    for _ in range(count):
+        step = random.normal(size=3) * (0.05, 0.05, 0.02) - (0.0, 0.0, 0.004)
+        before, tip = tip, np.clip(tip + step, (-2, -2, -1.2), (2, 2, 1))
+        moved = 1e-3 * (tip - before)
+        length = float(np.linalg.norm(moved))
+        yield at(tip, heading=moved / length if length else (0, 0, -1), speed_m_s=length / STEP_S)
+
+
+def test_nothing_touched_gives_no_force(model):
+    for motion in (at((0, 0, 5)), at((0, 0, 0.5)), at((50, 0, -1)), at((0, 0, -100))):
+        model.advance(motion)
+        response = model.respond(motion)
+        for name in ("resistance", "edge", "wrench", "engaged_m2"):
+            assert not getattr(response, name).any(), name
+        assert response.removal_rate_m3_s == 0.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_removed_never_decreases_and_never_exceeds_the_start(model, seed):
+    before = model.removed_m3.copy()
+    for motion in cuts(seed):
+        model.advance(motion)
+        assert (model.removed_m3 >= before).all()
+        before = model.removed_m3.copy()
+    model.finish()
+    assert (model.removed_m3 >= before).all()
+    assert (model.removed_m3 <= model.start_m3).all()
+
+
+def test_removed_and_remaining_make_up_the_start(model):
+    for motion in cuts(7):
+        model.advance(motion)
+    model.finish()
+    remaining = model.remaining()
+    if remaining is None:
+        assert not model.start_m3.any() and not model.removed_m3.any()
+        return
+    assert (model.removed_steps > 0).any()
+    np.testing.assert_array_equal(model.removed_steps + model.store.steps_by_layer(), model.start_steps)
+    # The voxels tell what remains in 255 steps, to the nearest: a cut one is off by half a step at most.
+    volume = model.store.volume
+    told = np.array([remaining[volume.layer == k].sum(dtype=np.int64) for k in range(2)]) / 255 * volume.voxel_volume_m3
+    cut = np.count_nonzero(remaining < volume.fraction)
+    rounding = 0.5 * cut / 255 * volume.voxel_volume_m3
+    np.testing.assert_allclose(told, model.start_m3 - model.removed_m3, atol=rounding, rtol=1e-12)
+
+
+def test_a_tool_at_rest_changes_nothing_and_feels_nothing(model):
+    for motion in cuts(1):
+        model.advance(motion)
+    model.finish()
+    removed = model.removed_m3.copy()
+    motion.speed_m_s = 0.0
+    for _ in range(20):
+        model.advance(motion)
+        response = model.respond(motion)
+        assert not response.wrench.any()
+        assert response.removal_rate_m3_s == 0.0
+    model.finish()
+    np.testing.assert_array_equal(model.removed_m3, removed)
+
+
+def test_finish_twice_is_finish_once(model):
+    model.finish()
+    assert not model.removed_m3.any()
+    for motion in cuts(2):
+        model.advance(motion)
+    model.finish()
+    removed, remaining = model.removed_m3.copy(), model.remaining()
+    model.finish()
+    np.testing.assert_array_equal(model.removed_m3, removed)
+    if remaining is not None:
+        np.testing.assert_array_equal(model.remaining(), remaining)
+
+
+def test_the_response_is_one_object_whose_arrays_are_used_again(model):
+    motions = list(cuts(3))
+    first = model.respond(motions[0])
+    arrays = [getattr(first, name) for name in ("resistance", "edge", "wrench", "engaged_m2")]
+    for motion in motions:
+        model.advance(motion)
+        response = model.respond(motion)
+        assert response is first
+        assert all(
+            getattr(response, name) is array
+            for name, array in zip(("resistance", "edge", "wrench", "engaged_m2"), arrays, strict=True)
+        )
+
+
+def test_a_tick_leaves_no_memory_behind(model):
+    """What a tick allocates for itself it gives back: 800 further ticks hold less than a kilobyte more."""
+    motions = list(cuts(4))
+
+    def run():
+        for motion in motions:
+            model.advance(motion)
+            model.respond(motion)
+
+    run()
+    tracemalloc.start()
+    run()
+    gc.collect()
+    before = tracemalloc.get_traced_memory()[0]
+    for _ in range(4):
+        run()
+    gc.collect()
+    grown = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert grown < 1024
+
+
+def test_force_grows_with_speed_as_its_two_parts_say(model):
+    """wrench = resistance x speed + edge, for whatever speed, at one pose."""
+    for motion in cuts(5):
+        model.advance(motion)
+    for speed in (1e-4, 1e-3, 0.1):
+        motion.speed_m_s = speed
+        response = model.respond(motion)
+        expected = response.resistance * speed + response.edge
+        np.testing.assert_allclose(response.wrench, expected, rtol=1e-12, atol=1e-15)
+
+
+def test_layers_have_names_and_volumes(model):
+    assert len(model.layer_names) == len(model.start_m3) == len(model.removed_m3)
+    assert len(set(model.layer_names)) == len(model.layer_names)
+    assert len(model.respond(at((0, 0, 5))).engaged_m2) == len(model.layer_names)

@@ -1,0 +1,160 @@
+"""What moves the tool, against closed forms."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tissue import InputError
+from tissue.model import Response, ToolMotion
+from tissue.motion import FollowPath, PushAlongAxis, frame_along
+from tissue.poses import ReplayPoses, read_poses
+
+STEP_S = 1e-3
+Z = (0.0, 0.0, 1.0)
+ROUNDING = 1e-12
+"""Of lengths of a few centimetres [m]: a few hundred roundings of 1e-17."""
+
+
+def ticks(motion, count, response=None):
+    """Tip, rotation, heading and speed of each tick."""
+    tool, response = ToolMotion(), response or Response.empty(1)
+    told = []
+    for index in range(count):
+        motion.advance(index * STEP_S, STEP_S, response, tool)
+        told.append((tool.tip_m.copy(), tool.rotation.copy(), tool.heading.copy(), tool.speed_m_s))
+    return tuple(np.array(column) for column in zip(*told, strict=True))
+
+
+@pytest.mark.parametrize("axis", [*np.random.default_rng(0).normal(size=(50, 3)), (1, 0, 0), (0, 0, -2)])
+def test_frame_along_is_right_handed_with_its_axis_third(axis):
+    frame = frame_along(axis)
+    np.testing.assert_allclose(frame.T @ frame, np.eye(3), atol=1e-14)
+    assert np.linalg.det(frame) == pytest.approx(1.0, abs=1e-14)
+    np.testing.assert_allclose(frame[:, 2], np.array(axis) / np.linalg.norm(axis), atol=1e-15)
+
+
+def test_a_path_meets_its_corners_exactly_at_its_feed():
+    corners = np.array([[0, 0, 0.5], [0, 0, -1.5], [3, 0, -1.5], [3, 0, -1.5], [3, 4, -1.5]]) * 1e-3
+    motion = FollowPath(corners, feed_m_s=0.1, axis=Z)
+    assert motion.duration_s == pytest.approx(0.09, abs=1e-15)
+    tips, rotations, headings, speeds = ticks(motion, 120)
+    for tick, corner in ((0, 0), (20, 1), (50, 2), (90, 4), (119, 4)):
+        np.testing.assert_allclose(tips[tick], corners[corner], atol=1e-15)
+    np.testing.assert_array_equal(rotations, np.broadcast_to(np.eye(3), rotations.shape))
+    for ticks_of, heading in ((slice(0, 21), (0, 0, -1)), (slice(21, 51), (1, 0, 0)), (slice(51, 91), (0, 1, 0))):
+        np.testing.assert_allclose(headings[ticks_of, 0], np.broadcast_to(heading, headings[ticks_of, 0].shape))
+    assert not headings[:, 1].any()
+    assert (speeds[:91] == 0.1).all() and (speeds[91:] == 0.0).all()
+    np.testing.assert_allclose(np.linalg.norm(np.diff(tips, axis=0), axis=1)[:90], 1e-4, atol=1e-15)
+
+
+def test_the_length_of_a_random_path_sets_its_duration():
+    corners = np.random.default_rng(1).normal(size=(30, 3)) * 1e-2
+    length = np.linalg.norm(np.diff(corners, axis=0), axis=1).sum()
+    motion = FollowPath(corners, feed_m_s=0.02, axis=(1.0, 2.0, 3.0))
+    assert motion.duration_s == pytest.approx(length / 0.02, rel=1e-12)
+    tips, _, headings, speeds = ticks(motion, int(motion.duration_s / STEP_S) + 2)
+    np.testing.assert_allclose(tips[-1], corners[-1], atol=ROUNDING)
+    np.testing.assert_allclose(np.linalg.norm(headings[speeds > 0, 0], axis=1), 1.0, atol=ROUNDING)
+
+
+def push(**changes):
+    settings = {"axis": Z, "thrust_N": 2.0, "mass_kg": 0.5, "max_feed_m_s": 0.1, "depth_m": 5e-3} | changes
+    return PushAlongAxis(np.array([1e-3, 0.0, 5e-3]), **settings)
+
+
+def test_free_flight_gains_speed_as_thrust_over_mass_up_to_the_greatest_feed_and_stops_at_depth():
+    tips, _, headings, speeds = ticks(push(), 200)
+    # Implicit Euler under a constant force: v_n = n dt F / m, exactly.
+    np.testing.assert_allclose(speeds[:25], STEP_S * 2.0 / 0.5 * np.arange(1, 26), rtol=1e-12)
+    assert speeds.max() == 0.1
+    np.testing.assert_allclose(tips[1:, 2] - tips[:-1, 2], -speeds[1:] * STEP_S, atol=1e-15)
+    assert (tips[:, :2] == (1e-3, 0.0)).all()
+    np.testing.assert_allclose(headings[:, 0], np.broadcast_to((0, 0, -1), (200, 3)))
+    assert tips[-1, 2] == pytest.approx(-5e-3, abs=ROUNDING)
+    assert tips[:, 2].min() >= -5e-3 - ROUNDING
+    assert speeds[-1] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_viscous_tissue_sets_the_feed_that_balances_the_thrust():
+    response = Response.empty(1)
+    response.resistance[2], response.edge[2] = 400.0, 0.5
+    _, _, _, speeds = ticks(push(depth_m=1.0), 300, response)
+    decay = 1.0 / (1.0 + 400.0 * STEP_S / 0.5)
+    balance = (2.0 - 0.5) / 400.0
+    np.testing.assert_allclose(speeds, balance * (1.0 - decay ** np.arange(1, 301)), rtol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_push_never_moves_backward(seed):
+    """Whatever the tissue answers, steps past the stability limit of an explicit step among them."""
+    random = np.random.default_rng(seed)
+    motion, response, tool = push(thrust_N=20.0, max_feed_m_s=0.2, depth_m=2e-3), Response.empty(1), ToolMotion()
+    travelled = []
+    for index in range(2000):
+        response.resistance[:3] = random.normal(size=3) * 10.0 ** random.uniform(0, 6)
+        response.edge[:3] = random.normal(size=3) * 30.0
+        motion.advance(index * STEP_S, STEP_S, response, tool)
+        assert 0.0 <= tool.speed_m_s <= 0.2
+        travelled.append(5e-3 - tool.tip_m[2])
+    assert (np.diff(travelled) >= 0.0).all()
+    assert travelled[-1] == pytest.approx(7e-3, abs=1e-9)
+
+
+def test_an_edge_force_above_the_thrust_holds_the_tool():
+    response = Response.empty(1)
+    response.edge[2] = 2.5
+    tips, _, _, speeds = ticks(push(), 50, response)
+    assert (speeds == 0.0).all() and np.ptp(tips, axis=0).max() == 0.0
+
+
+def test_a_table_of_constant_rotation_turns_at_that_rate():
+    """Slerp between poses 50 ms apart follows a constant rate exactly, up to rounding of its tick differences."""
+    rate, axis = 3.0, np.array([1.0, 2.0, 2.0]) / 3.0
+    times = np.arange(0.0, 1.01, 0.05)
+    turns = Rotation.from_rotvec(rate * times[:, None] * axis)
+    velocity = np.array([2e-3, 0.0, -1e-3])
+    motion = ReplayPoses(times, times[:, None] * velocity, turns.as_quat(), step_s=STEP_S)
+    assert motion.duration_s == pytest.approx(1.0)
+    tips, rotations, headings, speeds = ticks(motion, 1001)
+    at = STEP_S * np.arange(1001)
+    np.testing.assert_allclose(tips, at[:, None] * velocity, atol=ROUNDING)
+    np.testing.assert_allclose(rotations, Rotation.from_rotvec(rate * at[:, None] * axis).as_matrix(), atol=1e-9)
+    np.testing.assert_allclose(headings[1:, 0] * speeds[1:, None], np.broadcast_to(velocity, (1000, 3)), atol=1e-11)
+    np.testing.assert_allclose(headings[1:, 1] * speeds[1:, None], np.broadcast_to(rate * axis, (1000, 3)), atol=1e-8)
+    assert speeds[0] == 0.0
+
+
+def test_a_table_that_only_turns_has_a_speed_too():
+    turns = Rotation.from_rotvec([[0, 0, 0], [0, 0, 1.0]])
+    motion = ReplayPoses(np.array([0.0, 1.0]), np.zeros((2, 3)), turns.as_quat(), step_s=STEP_S)
+    _, _, headings, speeds = ticks(motion, 1100)
+    np.testing.assert_allclose(
+        headings[1:1000, 1] * speeds[1:1000, None], np.broadcast_to((0, 0, 1.0), (999, 3)), atol=1e-8
+    )
+    assert (speeds[1001:] == 0.0).all()
+
+
+def test_the_short_way_round_is_taken_for_either_sign_of_a_quaternion():
+    quaternions = Rotation.from_rotvec([[0, 0, 0], [0.2, 0, 0], [0.4, 0, 0]]).as_quat()
+    quaternions[1] *= -1.0
+    motion = ReplayPoses(np.array([0.0, 0.1, 0.2]), np.zeros((3, 3)), quaternions, step_s=STEP_S)
+    _, rotations, _, _ = ticks(motion, 201)
+    angles = Rotation.from_matrix(rotations).as_rotvec()[:, 0]
+    np.testing.assert_allclose(angles, 2.0 * STEP_S * np.arange(201), atol=1e-9)
+
+
+def test_a_table_reads_in_its_units_whatever_the_order_of_columns_and_the_first_time(tmp_path):
+    (tmp_path / "poses.csv").write_text(
+        "tool_qw,note,tool_qx,tool_qy,tool_qz,tool_x_mm,tool_y_mm,tool_z_mm,time_s\n"
+        "1,a,0,0,0,1,2,3,10.0\n1,b,0,0,0,2,2,3,10.5\n"
+    )
+    motion = read_poses(tmp_path / "poses.csv", step_s=STEP_S)
+    tips, _, _, speeds = ticks(motion, 501)
+    np.testing.assert_allclose(tips[[0, 250, 500]], [[1e-3, 2e-3, 3e-3], [1.5e-3, 2e-3, 3e-3], [2e-3, 2e-3, 3e-3]])
+    np.testing.assert_allclose(speeds[1:], 2e-3, rtol=1e-9)
+
+
+def test_a_path_of_one_point_is_refused():
+    with pytest.raises(InputError, match="must hold two different points, got only one"):
+        FollowPath(np.zeros((3, 3)), feed_m_s=1.0, axis=Z)

@@ -1,0 +1,129 @@
+"""`simulate`: the output filter, what is recorded, and what is left alone."""
+
+import os
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from tissue import InputError, load_scene, simulate
+from tissue.build import Parts
+from tissue.model import FreeSpace
+from tissue.motion import FollowPath
+from tissue.simulation import TICK_S
+
+COARSE = {"voxels.spacing_mm": 0.4, "duration_s": 0.2}
+AXES = [("force", "N"), ("torque", "Nm")]
+
+
+def run_of(name="milling", **changes):
+    return simulate(load_scene(name, COARSE | {key.replace("__", "."): value for key, value in changes.items()}))
+
+
+@pytest.fixture(scope="module")
+def run():
+    return run_of(output__low_pass_ms=5.0)
+
+
+@pytest.mark.parametrize(("name", "unit"), AXES)
+def test_the_commanded_force_is_the_exact_low_pass_of_the_models(run, name, unit):
+    """y += (1 - exp(-T/a)) (u - y), the zero-order-hold discretisation of 1 / (1 + a s)."""
+    model, commanded = run.trace.vectors(f"model_{name}", unit), run.trace.vectors(name, unit)
+    keep = np.exp(-TICK_S / 5e-3)
+    assert np.abs(model).max() > 0.0
+    np.testing.assert_allclose(commanded, lfilter([1.0 - keep], [1.0, -keep], model, axis=0), rtol=1e-10, atol=1e-15)
+
+
+class Push(FreeSpace):
+    """A tissue that pushes with one newton from the first tick on."""
+
+    def respond(self, motion):
+        response = super().respond(motion)
+        response.wrench[2] = 1.0
+        return response
+
+
+@pytest.mark.parametrize("low_pass_ms", [0.3, 1.0, 20.0])
+def test_a_step_of_force_is_answered_by_the_continuous_filters_own_values(monkeypatch, low_pass_ms):
+    """A step at t = 0 gives 1 - exp(-t/a) at the end of every tick, without an error of discretisation."""
+    path = FollowPath(np.array([[0, 0, 0], [0, 0, 0.01]]), feed_m_s=0.1, axis=(0.0, 0.0, 1.0))
+    monkeypatch.setattr("tissue.simulation.build", lambda *_, **__: Parts(path, None, None, Push()))
+    trace = run_of(output__low_pass_ms=low_pass_ms).trace
+    ends_s = TICK_S * np.arange(1, len(trace.rows) + 1)
+    np.testing.assert_allclose(trace["force_z_N"], 1.0 - np.exp(-ends_s / (1e-3 * low_pass_ms)), rtol=1e-12)
+    assert not trace["force_x_N"].any() and not trace.vectors("torque", "Nm").any()
+
+
+def test_no_low_pass_hands_the_models_force_on():
+    run = run_of(output__low_pass_ms=0.0)
+    for name, unit in AXES:
+        model = run.trace.vectors(f"model_{name}", unit)
+        np.testing.assert_allclose(run.trace.vectors(name, unit), model, atol=1e-15 * np.abs(model).max(), rtol=1e-15)
+
+
+@pytest.mark.parametrize(("duration_s", "ticks"), [(0.001, 1), (0.0123, 12), (0.2, 200)])
+def test_a_row_a_tick(duration_s, ticks):
+    run = run_of(duration_s=duration_s)
+    assert run.trace.rows.shape == (ticks, len(run.trace.columns))
+    assert run.timing.rows.shape == (ticks, len(run.timing.columns))
+    np.testing.assert_allclose(run.trace["time_s"], TICK_S * np.arange(ticks), rtol=1e-15)
+    assert np.isfinite(run.trace.rows).all()
+    assert run.summary()["simulated_s"] == pytest.approx(ticks * TICK_S)
+
+
+def test_without_a_duration_a_run_lasts_as_long_as_its_motion(tmp_path):
+    from tissue import scene_text
+
+    text = scene_text("milling").replace("duration_s = 9.0\n", "").replace("spacing_mm = 0.1", "spacing_mm = 0.4")
+    (tmp_path / "short.toml").write_text(text.replace("feed_mm_s = 5.0", "feed_mm_s = 200.0"))
+    run = simulate(load_scene(tmp_path / "short.toml"))
+    length_mm = 0.15 + 4 * 10 + 3 * 0.1
+    assert len(run.trace.rows) == round(length_mm / 200.0 / TICK_S)
+
+
+def test_the_stages_of_a_tick_add_up_to_it(run):
+    timing = run.timing
+    stages = sum(timing[name] for name in timing.columns if name != "tick_us")
+    np.testing.assert_allclose(stages, timing["tick_us"], rtol=1e-9)
+    assert (timing.rows >= 0.0).all()
+
+
+def test_the_removed_volume_is_that_of_the_layers_and_never_falls():
+    run = run_of("glenoid", motion__feed_mm_s=10.0)
+    layers = sum(run.trace[f"removed_{name}_mm3"] for name in run.trace.layer_names)
+    np.testing.assert_allclose(run.trace["removed_mm3"], layers, rtol=1e-12)
+    assert (np.diff(run.trace["removed_mm3"]) >= 0.0).all() and run.trace["removed_mm3"][-1] > 0.0
+    touching = run.trace["contact_mm2"] > 0.0
+    assert ((run.trace["layer"] == "none") == ~touching).all()
+    in_air = run.trace.vectors("model_force", "N")[~touching]
+    assert not in_air.any()
+
+
+def test_the_seed_is_recorded(tmp_path):
+    run = run_of(seed=42, duration_s=0.01)
+    assert run.scene.seed == 42
+    assert load_scene(run.save(tmp_path / "out", pictures=False) / "scene.toml").seed == 42
+
+
+def test_a_run_in_memory_writes_nothing(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    run_of(duration_s=0.05)
+    assert not os.listdir(tmp_path)
+
+
+def test_progress_names_what_is_done_and_never_falls_back():
+    told = []
+    scene = load_scene("milling", COARSE | {"duration_s": 3.0})
+    simulate(scene, progress=lambda doing, share: told.append((doing, share)))
+    names = list(dict.fromkeys(doing for doing, _ in told))
+    assert names.index("building the anatomy") < names.index("voxelising") < names.index("simulating")
+    assert any("compiling kernels" in name for name in names)
+    for name in names:
+        shares = [share for doing, share in told if doing == name]
+        assert shares == sorted(shares) and shares[0] >= 0.0 and shares[-1] <= 1.0
+
+
+@pytest.mark.parametrize("cores", [0, -3])
+def test_fewer_than_one_core_is_refused(cores):
+    with pytest.raises(InputError, match=f"cores must be at least 1, got {cores}: leave it out to use all"):
+        simulate(load_scene("milling", COARSE), cores=cores)

@@ -1,0 +1,78 @@
+"""The trace: columns with units, and a file that reads back to the same bits."""
+
+import re
+
+import numpy as np
+import pytest
+
+from tissue.trace import TIMING_COLUMNS, Table, TraceWriter, read_table, trace_columns
+
+LAYERS = ("plate", "vault")
+UNIT = re.compile(r"_(s|us|mm|mm2|mm3|mm_s|mm3_s|rad_s|N|Nm)$")
+WITHOUT_UNIT = {"tool_qx", "tool_qy", "tool_qz", "tool_qw", "layer"}
+"""A unit quaternion has no unit, and a layer is a name."""
+
+
+def filled(row_count):
+    """A table of numbers that are hard to print."""
+    columns = trace_columns(LAYERS)
+    random = np.random.default_rng(3)
+    rows = random.normal(size=(row_count, len(columns))) * 10.0 ** random.integers(-300, 300, (row_count, len(columns)))
+    rows[:, -1] = random.integers(-1, len(LAYERS), row_count)
+    return Table(columns, rows, LAYERS)
+
+
+@pytest.mark.parametrize("name", [*trace_columns(LAYERS), *TIMING_COLUMNS])
+def test_every_column_carries_its_unit(name):
+    assert (UNIT.search(name) is not None) != (name in WITHOUT_UNIT)
+
+
+def test_columns_are_distinct_and_known_by_name():
+    table = filled(4)
+    assert len(set(table.columns)) == len(table) == len(list(table))
+    assert table["removed_plate_mm3"].shape == (4,)
+    assert table.vectors("force", "N").shape == (4, 3)
+    assert set(table["layer"]) <= {*LAYERS, "none"}
+    with pytest.raises(KeyError, match="'force' is not a column; known: time_s, tool_x_mm"):
+        table["force"]
+
+
+def test_a_file_reads_back_to_the_same_bits(tmp_path):
+    table = filled(50)
+    writer = TraceWriter(tmp_path / "trace.csv", table)
+    for count in (1, 20, 50):
+        writer.flush(count, force=True)
+    writer.close()
+    back = read_table(tmp_path / "trace.csv", LAYERS)
+    assert back.columns == table.columns
+    np.testing.assert_array_equal(back.rows, table.rows)
+    np.testing.assert_array_equal(back["layer"], table["layer"])
+
+
+def test_rows_are_appended_when_it_is_time(tmp_path, monkeypatch):
+    clock = iter([10.0, 10.05, 10.2, 10.21])
+    monkeypatch.setattr("tissue.trace.perf_counter", lambda: next(clock))
+    writer = TraceWriter(tmp_path / "trace.csv", filled(9))
+    on_disk = []
+    for count in (1, 2, 3, 4):
+        writer.flush(count)
+        on_disk.append((tmp_path / "trace.csv").read_text().count("\n") - 1)
+    writer.close()
+    assert on_disk == [1, 1, 3, 3]
+
+
+@pytest.mark.parametrize("kept", [0, 1, 40])
+def test_a_line_cut_short_is_left_out(tmp_path, kept):
+    table = filled(3)
+    writer = TraceWriter(tmp_path / "trace.csv", table)
+    writer.flush(3, force=True)
+    writer.close()
+    lines = (tmp_path / "trace.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "trace.csv").write_text("".join(lines[:3]) + lines[3][:kept])
+    np.testing.assert_array_equal(read_table(tmp_path / "trace.csv", LAYERS).rows, table.rows[:2])
+
+
+@pytest.mark.parametrize("text", ["", "time_s,tool_x", "time_s,layer\n"], ids=["empty", "half a head", "head"])
+def test_a_file_without_a_whole_row_has_none(tmp_path, text):
+    (tmp_path / "trace.csv").write_text(text)
+    assert len(read_table(tmp_path / "trace.csv", LAYERS).rows) == 0

@@ -1,0 +1,39 @@
+"""Cited constants, read from the data files beside this one."""
+
+import tomllib
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+
+from meshes.errors import InputError
+
+__all__ = ["Constant", "constants"]
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A cited number: value, plausible range and source, in the unit of its name."""
+
+    value: float
+    low: float
+    high: float
+    source: str
+    confidence: str
+
+
+@cache
+def constants(table: str, material: str) -> dict[str, Constant]:
+    """Constants of a material in ``table.toml``, by their names with units.
+
+    Raises
+    ------
+    InputError
+        If the material is not listed.
+    """
+    listed = tomllib.loads(files("tissue.materials").joinpath(f"{table}.toml").read_text("utf-8"))
+    if material not in listed:
+        raise InputError(f"material must be one of {', '.join(listed)}, got {material}: choose a listed one")
+    return {
+        name: Constant(entry["value"], entry["range"][0], entry["range"][1], entry["source"], entry["confidence"])
+        for name, entry in listed[material].items()
+    }
