@@ -8,6 +8,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from kernels.bricks import BRICK, BRICK_VOXELS, FULL
+from kernels.sampling import sample
 from meshes.volume import VoxelVolume
 
 __all__ = ["BYTES_PER_VOXEL", "BrickStore"]
@@ -85,6 +86,16 @@ class BrickStore:
         count = len(self.volume.layer_names)
         remaining, layer = self.remaining.numpy(), (self.material.numpy() >> np.uint32(8)).astype(np.uint8)
         return np.array([remaining[layer == index].sum(dtype=np.int64) for index in range(count)])
+
+    def sample(self, points_m: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Filled fraction at points [m], shape (n, 3), trilinear between voxel centres, 0 where nothing is stored."""
+        voxels = (np.asarray(points_m, dtype=np.float64) - self.volume.origin_m) / self.volume.spacing_m
+        device = self.remaining.device
+        found = wp.zeros(len(voxels), dtype=wp.float32, device=device)
+        at = wp.array(voxels, dtype=wp.vec3, device=device)
+        inputs = [at, 0, self.brick_of, self.remaining]
+        wp.launch(sample, dim=len(voxels), inputs=inputs, outputs=[found], device=device)
+        return np.asarray(found.numpy())
 
     def fraction(self) -> NDArray[np.uint8]:
         """Remaining fraction of every voxel of the volume, 255 = full, shape of the volume."""
