@@ -8,13 +8,18 @@ from meshes.anatomy import Anatomy, cortical_block
 from meshes.errors import InputError
 from meshes.glenoid import glenoid
 from meshes.image import CT_DENSITY, DensityLaw, read_volume
+from meshes.label_volume import label_volume
+from meshes.layered_surfaces import layered_surfaces
+from meshes.molar import molar
 from meshes.sdf import Shape
 from meshes.site import Site, find_glenoid, surface_anatomy
 from meshes.surface import Surface, SurfaceReport, read_surface
+from meshes.tooth_layers import TOOTH_LAYERS, caries_softness
 from meshes.volume import VoxelVolume
 from meshes.voxelise import voxelise
 
 __all__ = [
-    "CT_DENSITY", "Anatomy", "DensityLaw", "InputError", "Shape", "Site", "Surface", "SurfaceReport", "VoxelVolume",
-    "cortical_block", "find_glenoid", "glenoid", "read_surface", "read_volume", "surface_anatomy", "voxelise",
+    "CT_DENSITY", "TOOTH_LAYERS", "Anatomy", "DensityLaw", "InputError", "Shape", "Site", "Surface", "SurfaceReport",
+    "VoxelVolume", "caries_softness", "cortical_block", "find_glenoid", "glenoid", "label_volume", "layered_surfaces",
+    "molar", "read_surface", "read_volume", "surface_anatomy", "voxelise",
 ]

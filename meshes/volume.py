@@ -61,8 +61,9 @@ class VoxelVolume:
         _require_array("density_kg_m3", self.density_kg_m3, np.uint16, self.fraction.shape)
         highest = int(self.layer.max())
         if highest >= len(self.layer_names):
-            raise InputError(f"layer must index layer_names, got {highest} with {len(self.layer_names)} names: "
-                             "name every layer")
+            raise InputError(
+                f"layer must index layer_names, got {highest} with {len(self.layer_names)} names: name every layer"
+            )
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -99,12 +100,26 @@ class VoxelVolume:
         """Coordinates [m] of the voxel centres along one axis, shape (n_axis,)."""
         return self.origin_m[axis] + self.spacing_m * (np.arange(self.shape[axis]) + 0.5)
 
+    def cropped(self, lower_m: NDArray[np.float64], upper_m: NDArray[np.float64]) -> VoxelVolume:
+        """The voxels that a box [m] touches; the whole volume where the box does not meet it."""
+        low = np.floor((np.asarray(lower_m) - self.origin_m) / self.spacing_m + 1e-6).astype(int)
+        high = np.ceil((np.asarray(upper_m) - self.origin_m) / self.spacing_m - 1e-6).astype(int)
+        low, high = np.clip(low, 0, self.shape), np.clip(high, 0, self.shape)
+        if (low >= high).any():
+            return self
+        part = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+        arrays = (np.ascontiguousarray(a[part]) for a in (self.fraction, self.layer, self.density_kg_m3))
+        return VoxelVolume(self.origin_m + self.spacing_m * low, self.spacing_m, *arrays, self.layer_names)
+
     def to_image(self) -> pyvista.ImageData:
         """Return a pyvista image in mm with cell arrays `fraction` (0 to 1), `layer` and `density_kg_m3`."""
         import pyvista
 
-        image = pyvista.ImageData(dimensions=[n + 1 for n in self.shape], spacing=[self.spacing_m * 1e3] * 3,
-                                  origin=(self.origin_m * 1e3).tolist())
+        image = pyvista.ImageData(
+            dimensions=[n + 1 for n in self.shape],
+            spacing=[self.spacing_m * 1e3] * 3,
+            origin=(self.origin_m * 1e3).tolist(),
+        )
         image.cell_data["fraction"] = self.fraction.ravel(order="F").astype(np.float32) / np.float32(FULL)
         image.cell_data["layer"] = self.layer.ravel(order="F")
         image.cell_data["density_kg_m3"] = self.density_kg_m3.ravel(order="F")
@@ -125,8 +140,10 @@ class VoxelVolume:
         if not 0.0 < level < 1.0:
             raise InputError(f"level must be in (0, 1), got {level}: use 0.5")
         if int(self.fraction.max()) < level * FULL:
-            raise InputError(f"level must be reached by a voxel, got {level} where the fullest holds "
-                             f"{int(self.fraction.max()) / FULL:g}: use a volume with bone in it")
+            raise InputError(
+                f"level must be reached by a voxel, got {level} where the fullest holds "
+                f"{int(self.fraction.max()) / FULL:g}: use a volume with bone in it"
+            )
         from skimage.measure import marching_cubes
 
         padded = np.pad(self.fraction, 1)
@@ -136,8 +153,12 @@ class VoxelVolume:
 
 def _require_array(name: str, array: NDArray[Any], dtype: type, shape: tuple[int, ...]) -> None:
     if array.ndim != 3 or 0 in array.shape or array.shape != shape:
-        raise InputError(f"{name} must have the shape (nx, ny, nz) of fraction with no zero, got {array.shape}: "
-                         "give all three arrays the same shape")
+        raise InputError(
+            f"{name} must have the shape (nx, ny, nz) of fraction with no zero, got {array.shape}: "
+            "give all three arrays the same shape"
+        )
     if array.dtype != dtype or not array.flags.c_contiguous:
-        raise InputError(f"{name} must be a C-contiguous {np.dtype(dtype)} array, got {array.dtype}: "
-                         f"use numpy.ascontiguousarray(array, dtype='{np.dtype(dtype)}')")
+        raise InputError(
+            f"{name} must be a C-contiguous {np.dtype(dtype)} array, got {array.dtype}: "
+            f"use numpy.ascontiguousarray(array, dtype='{np.dtype(dtype)}')"
+        )

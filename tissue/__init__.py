@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from meshes.errors import InputError
     from tissue.load import load_scene, scene_names, scene_text
-    from tissue.run import Run, SavedRun
+    from tissue.run import Run
+    from tissue.run_folder import SavedRun
     from tissue.scene import Scene
     from tissue.simulation import simulate
 
@@ -22,7 +23,7 @@ __all__ = ["InputError", "Run", "SavedRun", "Scene", "load_scene", "scene_names"
 _HOMES = {
     "InputError": "meshes.errors",
     "Run": "tissue.run",
-    "SavedRun": "tissue.run",
+    "SavedRun": "tissue.run_folder",
     "Scene": "tissue.scene",
     "load_scene": "tissue.load",
     "scene_names": "tissue.load",

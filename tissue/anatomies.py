@@ -11,14 +11,18 @@ from meshes import sdf
 from meshes.anatomy import Anatomy, cortical_block
 from meshes.errors import InputError
 from meshes.glenoid import glenoid
+from meshes.label_volume import label_volume
+from meshes.layered_surfaces import layered_surfaces
+from meshes.molar import molar
 from meshes.volume import VoxelVolume
 from meshes.voxelise import voxelise
 from tissue.cutters import Cutter
 from tissue.motion import Motion
 from tissue.reach import box_text, reach
-from tissue.scene import AnatomyFile, BlockAnatomy, GlenoidAnatomy, Scene
+from tissue.scene import Scene
+from tissue.scene_anatomy import AnatomyFile, BlockAnatomy, GlenoidAnatomy, MolarAnatomy
 
-__all__ = ["volume_of"]
+__all__ = ["volume_of", "whole_tooth"]
 
 Tell = Callable[[str, float], None]
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
@@ -26,6 +30,14 @@ DENSE_BYTES_PER_VOXEL = 16
 """Peak memory of a voxel of the region while bricks are made and results written, measured on the glenoid."""
 BRICK = 8
 """The region is cut at whole bricks of the world's lattice, so that the trace does not depend on its size."""
+
+
+def whole_tooth(scene: Scene, *, spacing_m: float) -> VoxelVolume:
+    """The whole tooth that a scene describes, in coarser voxels, undrilled."""
+    with _named(scene.anatomy):
+        if scene.anatomy.file is not None:
+            return _labelled(scene, spacing_m=spacing_m, notes={})
+        return voxelise(_anatomy(scene, {}), spacing_m=spacing_m)
 
 
 def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, str], tell: Tell) -> VoxelVolume:
@@ -36,6 +48,9 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
     if _is_image(parameters) and isinstance(parameters, BlockAnatomy) and parameters.centre_mm is None:
         with _named(parameters):
             return _image(scene, notes=notes)
+    if isinstance(parameters, MolarAnatomy) and parameters.file is not None:
+        with _named(parameters):
+            return _labelled(scene, spacing_m=spacing, notes=notes).cropped(*region)
     with _named(parameters):
         anatomy = _anatomy(scene, notes)
     bone = np.array(anatomy.shape.lower_m), np.array(anatomy.shape.upper_m)
@@ -61,7 +76,9 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
 def _anatomy(scene: Scene, notes: dict[str, str]) -> Anatomy:
     """The procedural bone, or the one in a surface file placed at its site."""
     parameters = scene.anatomy
-    if parameters.file is not None:
+    if isinstance(parameters, MolarAnatomy) and parameters.layer_files:
+        anatomy = layered_surfaces(parameters.layer_files, scale_mm=parameters.scale_mm, socket_mm=parameters.socket_mm)
+    elif parameters.file is not None:
         from meshes.image_file import read_image
         from meshes.image_surface import image_surface
         from meshes.site import find_glenoid, surface_anatomy
@@ -75,6 +92,16 @@ def _anatomy(scene: Scene, notes: dict[str, str]) -> Anatomy:
             surface = read_surface(parameters.file, scale_mm=parameters.scale_mm)
         site = find_glenoid(surface, centre_mm=parameters.centre_mm, normal=parameters.normal)
         anatomy = surface_anatomy(surface, site, cortical_thickness_mm=parameters.cortical_thickness_mm)
+    elif isinstance(parameters, MolarAnatomy):
+        anatomy = molar(
+            crown_width_mm=parameters.crown_width_mm,
+            crown_length_mm=parameters.crown_length_mm,
+            enamel_thickness_mm=parameters.enamel_thickness_mm,
+            pulp_roof_mm=parameters.pulp_roof_mm,
+            ligament_thickness_mm=parameters.ligament_thickness_mm,
+            caries_depth_mm=parameters.caries_depth_mm,
+            caries_diameter_mm=parameters.caries_diameter_mm,
+        )
     elif isinstance(parameters, GlenoidAnatomy):
         anatomy = glenoid(
             width_mm=parameters.width_mm,
@@ -133,6 +160,16 @@ def _image(scene: Scene, *, notes: dict[str, str]) -> VoxelVolume:
         tell=said.append,
     )
     notes["image"] = " ".join(said) or f"{parameters.file}: {volume.shape} voxels"
+    return volume
+
+
+def _labelled(scene: Scene, *, spacing_m: float, notes: dict[str, str]) -> VoxelVolume:
+    """A tooth from a label volume."""
+    said: list[str] = []
+    volume = label_volume(
+        scene.anatomy.file or "", spacing_mm=scene.anatomy.spacing_mm, resample_mm=1e3 * spacing_m, tell=said.append
+    )
+    notes["labels"] = " ".join(said)
     return volume
 
 

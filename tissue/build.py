@@ -4,23 +4,32 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import pi, radians
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from meshes.errors import InputError
 from meshes.volume import VoxelVolume
 from tissue import cutters
-from tissue.anatomies import volume_of
+from tissue.anatomies import volume_of, whole_tooth
 from tissue.cutters import Cutter
 from tissue.model import TissueModel
 from tissue.motion import FollowPath, Motion, PushAlongAxis
 from tissue.poses import read_poses
 from tissue.reach import require_touch
-from tissue.scene import PathMotion, ReplayMotion, Scene, ThrustMotion, Tool
+from tissue.scene import PathMotion, ReplayMotion, Scene, Stress, ThrustMotion, Tool
+from tissue.scene_anatomy import MolarAnatomy
+
+if TYPE_CHECKING:
+    from tissue.bone import BoneModel
 
 __all__ = ["Parts", "build", "cutter_of", "motion_of"]
 
 Tell = Callable[[str, float], None]
+
+
+CUT_AS = {"enamel": "enamel", "dentin": "dentin", "caries": "dentin", "pulp": "soft", "ligament": "soft"}
+"""Material whose cutting coefficients a layer has; all others are bone."""
 
 
 @dataclass
@@ -56,6 +65,8 @@ def cutter_of(tool: Tool) -> Cutter:
     match tool.kind:
         case "ball-burr":
             profile = cutters.ball_burr(diameter_m=d)
+        case "pear-bur":
+            profile = cutters.pear_bur(diameter_m=d, length_m=tool.length_mm * 1e-3)
         case "cylinder":
             profile = cutters.cylinder(diameter_m=d, length_m=tool.length_mm * 1e-3)
         case "twist-drill":
@@ -105,12 +116,42 @@ def _bone(
 
     changes = scene.cutting.model_dump()
     spacing_mm = scene.tool.shell_spacing_mm
-    return BoneModel(
+    milling = BoneModel(
         volume,
         cutter,
-        tuple(cutting_coefficients("bone", **changes) for _ in volume.layer_names),
+        tuple(cutting_coefficients(CUT_AS.get(name, "bone"), **changes) for name in volume.layer_names),
         removal=scene.voxels.removal,
         shell_spacing_m=None if spacing_mm is None else spacing_mm * 1e-3,
         device=compute,
         cores=cores,
     )
+    if "pulp" not in volume.layer_names:
+        return milling
+    return _tooth(scene, milling, compute=compute, tell=tell)
+
+
+def _tooth(scene: Scene, milling: "BoneModel", *, compute: str, tell: Tell) -> TissueModel:
+    """The tooth around the milled voxels, with its stress where the scene asks for it."""
+    from tissue.tooth.field import StressField
+    from tissue.tooth.model import ToothModel
+    from tissue.tooth.warmth import Warmth
+
+    anatomy = scene.anatomy
+    if not isinstance(anatomy, MolarAnatomy) or not (scene.stress or scene.heat):
+        return ToothModel(milling, device=compute)
+    stress = scene.stress or Stress()
+    tell("assembling the tooth's stiffness", 0.0)
+    cell_m = stress.cell_mm * 1e-3
+    whole = whole_tooth(scene, spacing_m=0.5 * cell_m)
+    field = None
+    if scene.stress is not None:
+        field = StressField(
+            whole,
+            cell_m=cell_m,
+            ligament_thickness_m=anatomy.ligament_thickness_mm * 1e-3,
+            device=compute,
+            cores=1,  # the solves run beside the ticks, which want a core of their own
+        )
+    warmth = Warmth(whole, reach_m=0.5e-3 * scene.tool.diameter_mm, device=compute) if scene.heat else None
+    interval_s = stress.interval_ms * 1e-3
+    return ToothModel(milling, stress=field, interval_s=interval_s, warmth=warmth, device=compute)

@@ -88,7 +88,7 @@ def run(
     """
     from tissue.formats import check_formats
     from tissue.load import load_scene, parse_override
-    from tissue.run import RunFolder
+    from tissue.run_folder import RunFolder
 
     check_formats(format_)
     overrides = dict(parse_override(text) for text in set_)
@@ -129,7 +129,9 @@ def scenes(name: str | None = None, /) -> None:
 
 
 @app.command
-def view(folder: Path, /, *, screenshot: Path | None = None) -> None:
+def view(
+    folder: Path, /, *, screenshot: Path | None = None, hide: tuple[str, ...] = (), field: str | None = None
+) -> None:
     """Show a run in a window.
 
     Parameters
@@ -138,10 +140,14 @@ def view(folder: Path, /, *, screenshot: Path | None = None) -> None:
         Folder that `tissue run` wrote.
     screenshot
         Write a picture to this file instead of opening a window.
+    hide
+        Layer that is switched off at first; may be given more than once.
+    field
+        Field that is shown at first in place of the bone, for example von_mises_MPa.
     """
     from tissue.view import view as show
 
-    console.print(show(folder, screenshot=screenshot), soft_wrap=True, highlight=False)
+    console.print(show(folder, screenshot=screenshot, hide=hide, field=field), soft_wrap=True, highlight=False)
 
 
 def main() -> NoReturn:
@@ -227,6 +233,8 @@ def _print_summary(summary: dict[str, Any], folder: Path, *, wall_s: float, savi
     table.add_row("missed 1 ms deadlines", f"{summary['missed_deadlines']} of {summary['simulated_s'] * 1e3:.0f}")
     table.add_row("writing files and pictures", f"{saving_s:.1f} s")
     console.print(table)
+    for event in summary["events"]:
+        console.print(f"at {event['time_s']:.3f} s: {event['what']}", soft_wrap=True, highlight=False, markup=False)
     for name, note in summary["notes"].items():
         console.print(f"{name}: {note}", soft_wrap=True, highlight=False, markup=False)
     console.print(f"files in {folder}", soft_wrap=True, highlight=False)

@@ -6,6 +6,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue.fields import FieldSeries
+
 __all__ = ["FreeSpace", "Response", "TissueModel", "ToolMotion"]
 
 Array = NDArray[np.float64]
@@ -55,6 +57,8 @@ class Response:
         Rate at which the tool's elements sweep filled volume [m3/s].
     engaged_m2
         Area of the tool that meets tissue, by layer [m2], shape (layers,).
+    measures
+        What else the tissue tells of itself, in the order and units of its `measure_names`.
     """
 
     resistance: Array
@@ -62,6 +66,7 @@ class Response:
     wrench: Array
     engaged_m2: Array
     removal_rate_m3_s: float = 0.0
+    measures: Array = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
     def empty(cls, layer_count: int) -> "Response":
@@ -79,6 +84,16 @@ class TissueModel(Protocol):
     @property
     def layer_names(self) -> tuple[str, ...]:
         """Names of the tissue's layers."""
+        ...
+
+    @property
+    def measure_names(self) -> tuple[str, ...]:
+        """Names, with units, of the tissue's own columns in the trace."""
+        ...
+
+    @property
+    def notices(self) -> list[str]:
+        """What has happened and was not told yet, a sentence each; whoever tells it empties the list."""
         ...
 
     @property
@@ -103,8 +118,17 @@ class TissueModel(Protocol):
         """Force and torque on the tool at its pose; the returned object is overwritten by the next call."""
         ...
 
+    def catch_up(self, time_s: float, motion: ToolMotion) -> None:
+        """Do what has a slower rate of its own; called after every tick, outside it."""
+        ...
+
     def finish(self) -> None:
         """Complete work that was spread over ticks."""
+        ...
+
+    @property
+    def fields(self) -> FieldSeries | None:
+        """Displacement and stress over time, where the scene asks for them."""
         ...
 
     def remaining(self) -> NDArray[np.uint8] | None:
@@ -116,9 +140,12 @@ class FreeSpace:
     """Nothing: the baseline that every law of a tissue model must hold for."""
 
     layer_names: tuple[str, ...] = ("nothing",)
+    measure_names: tuple[str, ...] = ()
+    fields: FieldSeries | None = None
 
     def __init__(self) -> None:
         self._response = Response.empty(1)
+        self.notices: list[str] = []
         self.start_m3 = np.zeros(1)
         self.removed_m3 = np.zeros(1)
 
@@ -131,6 +158,9 @@ class FreeSpace:
     def respond(self, motion: ToolMotion) -> Response:
         """No force."""
         return self._response
+
+    def catch_up(self, time_s: float, motion: ToolMotion) -> None:
+        """Nothing is slow here."""
 
     def finish(self) -> None:
         """There is nothing to complete."""

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue.depth import DepthMap, tool_axes
+from tissue.event_marks import EVENT_IN, event_lines, mark_events
 from tissue.run import Run
 from tissue.trace import NO_LAYER
 
@@ -25,18 +26,31 @@ __all__ = [
     "figure",
     "layer_colours",
     "save",
+    "spells",
 ]
 
 DPI = 200
 BONE = (0.93, 0.89, 0.81)
 """Colour of bone that was not cut."""
-LAYERS = {"subchondral": "#E69F00", "cortical": "#56B4E9", "trabecular": "#009E73"}
+LAYERS = {
+    "subchondral": "#E69F00",
+    "cortical": "#56B4E9",
+    "trabecular": "#009E73",
+    "enamel": "#56B4E9",
+    "dentin": "#E69F00",
+    "pulp": "#D55E00",
+    "caries": "#404040",
+    "ligament": "#CC79A7",
+    "bone": "#009E73",
+}
 OTHER_LAYERS = ("#CC79A7", "#F0E442", "#0072B2", "#D55E00")
 COMPONENTS = ("#0072B2", "#D55E00", "#009E73")
 """Colours of layers and components after Okabe and Ito (2008), told apart by colour-blind readers."""
 MAGNITUDE = "0.88"
 EXPOSED: tuple[Any, ...] = ("--", ":", "-.")
 """Lines around the layers that a run laid bare."""
+SMALL_NM = 0.02
+"""Torque below which a picture shows thousandths [N m]."""
 ANATOMICAL = {"glenoid": ("anterior", "superior", "lateral")}
 """What the world's axes mean, by kind of anatomy."""
 STYLE: dict[Any, Any] = {"font.size": 9.0, "axes.linewidth": 0.7, "legend.fontsize": 8.5, "lines.linewidth": 1.2}
@@ -70,7 +84,7 @@ def axis_names(run: Run) -> tuple[str, ...]:
 
 
 def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float]]:
-    """Red, green and blue of every layer; those of bone have the same colour in every scene."""
+    """Red, green and blue of every layer; those of bone and of teeth have the same colour in every scene."""
     from matplotlib.colors import to_rgb
 
     others = [name for name in names if name not in LAYERS]
@@ -192,14 +206,19 @@ def _draw_force_torque(run: Run, path: Path) -> None:
 
     trace = run.trace
     time = trace["time_s"]
-    chart = figure(8.0, 6.8)
+    told = event_lines(run.events)
+    foot = 0.55 + EVENT_IN * len(told)
+    full = 6.25 + foot
+    chart = figure(8.0, full)
     panels = chart.subplots(4, 1, sharex=True, height_ratios=(3.0, 2.2, 1.3, 1.3))
-    chart.subplots_adjust(left=0.11, right=0.98, top=0.91, bottom=0.07, hspace=0.14)
-    for axes, name, unit, label in (
-        (panels[0], "force", "N", "force / N"),
-        (panels[1], "torque", "Nm", "torque / N·m"),
+    chart.subplots_adjust(left=0.11, right=0.98, top=1.0 - 0.6 / full, bottom=foot / full, hspace=0.14)
+    # A bur's torque is a thousandth of a reamer's.
+    small = bool(np.abs(trace.vectors("torque", "Nm")).max(initial=0.0) < SMALL_NM)
+    for axes, name, unit, scale, label in (
+        (panels[0], "force", "N", 1.0, "force / N"),
+        (panels[1], "torque", "Nm", *((1e3, "torque / mN·m") if small else (1.0, "torque / N·m"))),
     ):
-        commanded, model = trace.vectors(name, unit), trace.vectors(f"model_{name}", unit)
+        commanded, model = scale * trace.vectors(name, unit), scale * trace.vectors(f"model_{name}", unit)
         axes.fill_between(time, np.linalg.norm(commanded, axis=1), color=MAGNITUDE, linewidth=0.0)
         for c in range(3):
             axes.plot(time, model[:, c], color=COMPONENTS[c], linewidth=3.2, alpha=0.3, solid_capstyle="butt")
@@ -219,7 +238,9 @@ def _draw_force_torque(run: Run, path: Path) -> None:
         handlelength=1.6,
         columnspacing=1.2,
     )
-    chart.text(0.11, 0.965, f"{run.scene.name}: force on the tool and torque about its tip", va="center", size=10.5)
+    chart.text(
+        0.11, 1.0 - 0.24 / full, f"{run.scene.name}: force on the tool and torque about its tip", va="center", size=10.5
+    )
     panels[2].plot(time, trace["removal_rate_mm3_s"], color="0.1")
     panels[2].set_ylabel("removal rate\n/ mm³ s⁻¹")
     panels[2].set_ylim(bottom=0.0)
@@ -230,7 +251,7 @@ def _draw_force_torque(run: Run, path: Path) -> None:
     layers = trace["layer"]
     colours = layer_colours(run.parts.volume.layer_names)
     met = [name for name in run.parts.volume.layer_names if (layers == name).any()]
-    for first, last, name in _spells(layers):
+    for first, last, name in spells(layers):
         if name != NO_LAYER:
             end = time[min(last, len(time) - 1)]
             panels[3].axvspan(time[first], end, color=colours[name], alpha=0.45, linewidth=0.0)
@@ -249,10 +270,13 @@ def _draw_force_torque(run: Run, path: Path) -> None:
         axes.grid(axis="y", color="0.92", linewidth=0.6)
         axes.set_axisbelow(True)
     chart.align_ylabels(panels)
+    mark_events(panels, run.events)
+    for line, sentence in enumerate(told):
+        chart.text(0.11, (foot - 0.6 - EVENT_IN * line) / full, sentence, va="center", size=8.5)
     save(chart, path)
 
 
-def _spells(names: NDArray[Any]) -> list[tuple[int, int, str]]:
+def spells(names: NDArray[Any]) -> list[tuple[int, int, str]]:
     """Runs of equal entries: first index, index behind the last, entry."""
     if not len(names):
         return []

@@ -3,13 +3,14 @@
 import gzip
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tissue.depth import depth_map
 from tissue.run import Run
 from tissue.surface import bone_surface, with_depth, with_layers
+from tissue.vtk_files import write_vtk, write_vtk_xml
 
 if TYPE_CHECKING:
     import pyvista
@@ -39,71 +40,48 @@ def write_bone(run: Run, out: Path) -> None:
 
     image = run.dataset()
     image.set_active_scalars("remaining", preference="cell")
-    _write_xml(vtkXMLImageDataWriter(), image, out / "bone.vti")
+    write_vtk_xml(vtkXMLImageDataWriter(), image, out / "bone.vti")
     _write_nrrd(run, out / "bone.nrrd")
     surface = carved_surface(run)
-    _write_xml(vtkXMLPolyDataWriter(), surface, out / "bone.vtp")
+    write_vtk_xml(vtkXMLPolyDataWriter(), surface, out / "bone.vtp")
     if surface.n_cells:
         writer = vtkSTLWriter()
         writer.SetFileTypeToBinary()
         writer.SetHeader("tissue: carved bone in mm")
-        _write(writer, surface, out / "bone.stl")
+        write_vtk(writer, surface, out / "bone.stl")
 
 
 def draw_pictures(run: Run, folder: Path) -> list[str]:
     """Draw ``bone_before_after.png``, ``removed_depth.png`` and ``force_torque.png``.
+
+    Of a tissue of several layers that tells more of itself than its volumes, a tooth for one, also ``section.png`` and
+    ``force_depth.png``.
 
     Returns
     -------
     A sentence for every picture that could not be drawn.
     """
     from tissue.before_after import draw_before_after
+    from tissue.force_depth import draw_force_depth
     from tissue.pictures import draw_force_torque, draw_removed_depth
+    from tissue.section import draw_section
 
     folder.mkdir(parents=True, exist_ok=True)
     if run.remaining is None:
         draw_force_torque(run, folder / "force_torque.png")
         return []
     depth = depth_map(run)
+    notes = {}
     with ThreadPoolExecutor(1) as beside:
         render = beside.submit(draw_before_after, run, depth, folder / "bone_before_after.png")
         draw_removed_depth(run, depth, folder / "removed_depth.png")
         draw_force_torque(run, folder / "force_torque.png")
-        note = render.result()
-    return [] if note is None else [f"bone_before_after.png was not drawn: {note}"]
-
-
-def _write_xml(writer: Any, data: "pyvista.DataSet", path: Path) -> None:
-    """Write a VTK XML file with compressed raw data."""
-    writer.SetCompressorTypeToZLib()
-    writer.SetCompressionLevel(1)
-    writer.SetBlockSize(1 << 20)
-    writer.SetDataModeToAppended()
-    writer.EncodeAppendedDataOff()
-    _write(writer, data, path)
-
-
-def _write(writer: Any, data: "pyvista.DataSet", path: Path) -> None:
-    """Let a VTK writer write, and turn its silent failure into the system's error."""
-    from vtkmodules.vtkCommonCore import vtkObject
-
-    path.open("wb").close()
-    writer.SetFileName(str(path))
-    writer.SetInputData(data)
-    failures: list[int] = []
-    writer.AddObserver("ErrorEvent", lambda *_: failures.append(writer.GetErrorCode()))
-    shown = vtkObject.GetGlobalWarningDisplay()
-    vtkObject.SetGlobalWarningDisplay(0)  # VTK would print its own account of what is raised below
-    try:
-        written = writer.Write()
-    finally:
-        vtkObject.SetGlobalWarningDisplay(shown)
-    if not written or failures:
-        import errno
-        import os
-
-        # VTK reports a full disk as an error of its own; it is the only one left once the file could be opened.
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        if len(run.parts.tissue.layer_names) > 1 and run.parts.tissue.measure_names:
+            side = {"axis": depth.axis, "outward": depth.outward}
+            draw_section(run, folder / "section.png", **side)
+            notes["force_depth.png"] = draw_force_depth(run, folder / "force_depth.png", **side)
+        notes["bone_before_after.png"] = render.result()
+    return [f"{name} was not drawn: {note}" for name, note in notes.items() if note is not None]
 
 
 def _write_nrrd(run: Run, path: Path) -> None:

@@ -8,88 +8,22 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, field_validator, model_validator
+from pydantic import Field, Strict, model_validator
 
 from meshes.errors import InputError
+from tissue.scene_anatomy import BlockAnatomy, GlenoidAnatomy, MolarAnatomy, Part, Vector
 
 __all__ = [
-    "AnatomyFile",
-    "BlockAnatomy",
     "Cutting",
-    "GlenoidAnatomy",
     "Output",
     "PathMotion",
     "ReplayMotion",
     "Scene",
+    "Stress",
     "ThrustMotion",
     "Tool",
     "Voxels",
 ]
-
-Vector = Annotated[tuple[float, float, float], Strict(False)]
-Length_mm = Annotated[float, Field(ge=0.1, le=500)]
-
-
-class Part(BaseModel):
-    """A frozen part of a scene."""
-
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
-
-
-class AnatomyFile(Part):
-    """Bone read from a file instead of the procedural default."""
-
-    file: str | None = Field(None, examples=["scapula.stl"])
-    """Surface (.stl .obj .ply .vtk .vtp), image volume, or folder of TIFF slices; empty uses the procedural bone."""
-    scale_mm: float | None = Field(None, gt=0, le=1e5, examples=[1.0])
-    """Millimetres per unit of a surface file; without it the unit is guessed and shown."""
-    centre_mm: Vector | None = Field(None, examples=[(0.0, 0.0, 0.0)])
-    """Centre of the working face in the file's frame [mm]; without it a glenoid is searched for."""
-    normal: Vector | None = Field(None, examples=[(0.0, 0.0, 1.0)])
-    """Outward normal of the working face in the file's frame."""
-    spacing_mm: float | None = Field(None, gt=0, le=10, examples=[0.0195])
-    """Voxel edge of an image that does not state one, such as TIFF slices."""
-    threshold: float | None = Field(None, ge=-1e9, le=1e9, examples=[200.0])
-    """Image value above which a voxel is bone."""
-    cortical_thickness_mm: float = Field(1.5, gt=0, le=10)
-    """Thickness of the cortical shell laid under a surface from a file."""
-    guide_hole_diameter_mm: float = Field(0.0, ge=0, le=50)
-    """Diameter of a guide hole drilled along the tool's axis before the run; 0 drills none."""
-    guide_hole_depth_mm: float = Field(0.0, ge=0, le=100)
-    """Depth of the guide hole under the face."""
-
-    @field_validator("file", mode="before")
-    @classmethod
-    def _empty_is_none(cls, value: Any) -> Any:
-        return None if value == "" else value
-
-
-class GlenoidAnatomy(AnatomyFile):
-    """A glenoid: concave face with a subchondral plate over a trabecular vault. Origin at its centre, +z outward."""
-
-    kind: Literal["glenoid"] = "glenoid"
-    """A glenoid."""
-    width_mm: float = Field(27.8, ge=20, le=34)
-    """Greatest width of the face, anterior to posterior."""
-    height_mm: float = Field(37.5, ge=28, le=45)
-    """Height of the face, inferior to superior; at least 1.1 times its width."""
-    curvature_radius_mm: float = Field(35.0, ge=22, le=80)
-    """Radius of the sphere that dishes the face; above half its height."""
-    subchondral_thickness_mm: float = Field(1.9, ge=1.2, le=2.9)
-    """Mean thickness of the subchondral plate."""
-
-
-class BlockAnatomy(AnatomyFile):
-    """A block of bone with its top face at z = 0."""
-
-    kind: Literal["block"] = "block"
-    """A block, or the image in `file` as it is."""
-    size_mm: Annotated[tuple[Length_mm, Length_mm, Length_mm], Strict(False)] = (20.0, 12.0, 8.0)
-    """Edge lengths along x, y and z."""
-    density_kg_m3: float = Field(1800.0, ge=100, le=2500)
-    """Apparent density; 1800 to 2000 is cortical bone."""
 
 
 class Voxels(Part):
@@ -106,7 +40,7 @@ class Voxels(Part):
 class Tool(Part):
     """A rotating cutter: a surface of revolution with flutes."""
 
-    kind: Literal["ball-burr", "cylinder", "twist-drill", "hemispherical-reamer", "flat-reamer"] = Field(
+    kind: Literal["ball-burr", "pear-bur", "cylinder", "twist-drill", "hemispherical-reamer", "flat-reamer"] = Field(
         examples=["ball-burr"]
     )
     """Shape of the cutter."""
@@ -117,7 +51,7 @@ class Tool(Part):
     spin_rpm: float = Field(ge=-500_000, le=500_000, examples=[500.0])
     """Spin about the axis from tip to shank by the right-hand rule; a common right-hand cutter turns negative."""
     length_mm: float = Field(10.0, gt=0, le=200)
-    """Length of a cylinder or drill, thickness of a flat reamer."""
+    """Length of a cylinder, pear or drill, thickness of a flat reamer."""
     point_angle_deg: float = Field(118.0, ge=30, lt=180)
     """Included point angle of a twist drill."""
     peg_diameter_mm: float = Field(0.0, ge=0, le=20)
@@ -218,9 +152,20 @@ class Output(Part):
 
     low_pass_ms: float = Field(1.0, ge=0, le=1000)
     """Time constant of the low-pass y += (1 - exp(-T/a)) (u - y); 0 passes the model's force on."""
+    vibration_share: float = Field(0.0, ge=0, le=1)
+    """Amplitude of the teeth's vibration relative to the average force, rendered at 250 Hz at most."""
 
 
-AnyAnatomy = Annotated[GlenoidAnatomy | BlockAnatomy, Field(discriminator="kind")]
+class Stress(Part):
+    """Displacement and stress of a tooth by particle finite elements; a scene without it builds none."""
+
+    cell_mm: float = Field(0.5, ge=0.2, le=1.5)
+    """Edge of a cell; its half, the particles' spacing, must be a whole multiple of voxels.spacing_mm."""
+    interval_ms: float = Field(100.0, ge=10, le=10_000)
+    """Time between two solves; the stress belongs to a state at most this old."""
+
+
+AnyAnatomy = Annotated[GlenoidAnatomy | BlockAnatomy | MolarAnatomy, Field(discriminator="kind")]
 AnyMotion = Annotated[PathMotion | ThrustMotion | ReplayMotion, Field(discriminator="kind")]
 
 
@@ -247,6 +192,10 @@ class Scene(Part):
     """Changes to the cutting coefficients."""
     output: Output = Output()
     """What becomes of the force."""
+    stress: Stress | None = None
+    """Whether and how finely displacement and stress are computed."""
+    heat: bool = False
+    """Whether the temperature of a tooth and its pulp is computed."""
 
     @model_validator(mode="after")
     def _parts_fit(self) -> "Scene":
@@ -263,7 +212,24 @@ class Scene(Part):
                 f"voxels.spacing_mm must be at most a quarter of tool.diameter_mm ({self.tool.diameter_mm:g}), got "
                 f"{self.voxels.spacing_mm:g}: use {self.tool.diameter_mm / 20:g}"
             )
+        if self.stress is not None:
+            self._stress_fits(self.stress)
+        if self.heat and self.anatomy.kind != "molar":
+            raise InputError(f"heat must be false for a {self.anatomy.kind}, got true: it is for a molar")
         return self
+
+    def _stress_fits(self, stress: Stress) -> None:
+        if self.anatomy.kind != "molar":
+            raise InputError(f"stress must be left out for a {self.anatomy.kind}, got a table: it is for a molar")
+        spacing = self.voxels.spacing_mm
+        ratio = 0.5 * stress.cell_mm / spacing
+        if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
+            least, most = math.ceil(0.1 / spacing - 1e-6), math.floor(0.75 / spacing + 1e-6)
+            fits = 2 * min(max(round(ratio), least), most) * spacing
+            raise InputError(
+                f"stress.cell_mm must be an even multiple of voxels.spacing_mm ({spacing:g}), got "
+                f"{stress.cell_mm:g}: use {f'{fits:g}' if most > 0 else 'voxels.spacing_mm = 0.1'}"
+            )
 
     def to_toml(self) -> str:
         """The whole scene, defaults included, as TOML."""
@@ -275,7 +241,10 @@ class Scene(Part):
         """The same scene with the paths of its files made absolute, relative ones taken from ``folder``."""
         changes: dict[str, Any] = {}
         for part in ("anatomy", "motion"):
-            value = getattr(self, part)
-            if getattr(value, "file", None):
-                changes[part] = value.model_copy(update={"file": str((folder / value.file).resolve())})
+            value: Part = getattr(self, part)
+            names = [name for name in type(value).model_fields if name == "file" or name.endswith("_file")]
+            files = {name: getattr(value, name) for name in names if getattr(value, name)}
+            if files:
+                absolute = {name: str((folder / file).resolve()) for name, file in files.items()}
+                changes[part] = value.model_copy(update=absolute)
         return self.model_copy(update=changes)

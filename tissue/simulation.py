@@ -1,6 +1,7 @@
 """Run a scene: the only place where motion, tissue, output and trace meet."""
 
 import gc
+import sys
 from collections.abc import Callable
 from math import exp
 from pathlib import Path
@@ -11,14 +12,18 @@ from scipy.spatial.transform import Rotation
 
 from meshes.errors import InputError
 from tissue.build import Parts, build
-from tissue.model import Response, TissueModel, ToolMotion
+from tissue.model import Response, ToolMotion
 from tissue.motion import LONGEST_S, Motion
-from tissue.run import Run, RunFolder
+from tissue.run import Run
+from tissue.run_folder import RunFolder
 from tissue.scene import Scene
 from tissue.trace import TIMING_COLUMNS, Table, trace_columns
+from tissue.vibration import Vibration
 
 __all__ = ["TICK_S", "simulate"]
 
+SWITCH_S = 5e-5
+"""How long a thread that works beside the ticks may keep the interpreter from them [s]."""
 TICK_S = 1e-3
 """Length of a tick [s]."""
 Progress = Callable[[str, float], None]
@@ -71,20 +76,26 @@ def simulate(
 def _loop(scene: Scene, parts: Parts, ticks: int, *, compute: str, folder: RunFolder | None, tell: Progress) -> Run:
     """All ticks of a run."""
     tissue = parts.tissue
-    columns = trace_columns(tissue.layer_names)
+    columns = trace_columns(tissue.layer_names, tissue.measure_names)
     trace = Table(columns, np.zeros((ticks, len(columns))), tissue.layer_names)
     timing = Table(TIMING_COLUMNS, np.zeros((ticks, len(TIMING_COLUMNS))))
     if folder is not None:
         folder.open_tables(trace, timing)
-    tick = _Tick(scene, parts.motion, tissue, trace, timing)
+    tick = _Tick(scene, parts, trace, timing)
     tick.place()
+    events: list[tuple[float, str]] = []
     told = perf_counter()
     index = 0
     gc.collect()
     gc.disable()
+    switching = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH_S)
     try:
         for index in range(ticks):
             tick(index)
+            tissue.catch_up(index * TICK_S, tick.tool)
+            while tissue.notices:
+                events.append((index * TICK_S, tissue.notices.pop(0)))
             if folder is not None:
                 folder.flush(index + 1)
             if perf_counter() - told > 0.1:
@@ -96,10 +107,11 @@ def _loop(scene: Scene, parts: Parts, ticks: int, *, compute: str, folder: RunFo
         raise
     finally:
         gc.enable()
+        sys.setswitchinterval(switching)
     tissue.finish()
     if folder is not None:
         folder.flush(ticks, force=True)
-    return Run(scene, parts, trace, timing, compute=compute, folder=folder)
+    return Run(scene, parts, trace, timing, events=events, compute=compute, folder=folder)
 
 
 def _tick_count(scene: Scene, motion: Motion) -> int:
@@ -116,33 +128,37 @@ def _tick_count(scene: Scene, motion: Motion) -> int:
 class _Tick:
     """One tick: motion, removal, force, output, record. Everything it needs is allocated here, once."""
 
-    def __init__(self, scene: Scene, motion: Motion, tissue: TissueModel, trace: Table, timing: Table) -> None:
-        self._motion, self._tissue = motion, tissue
+    def __init__(self, scene: Scene, parts: Parts, trace: Table, timing: Table) -> None:
+        self._motion, self._tissue = parts.motion, parts.tissue
+        tissue = parts.tissue
         self._rows, self._times = trace.rows, timing.rows
-        self._tool = ToolMotion()
+        self.tool = ToolMotion()
         self._response = Response.empty(len(tissue.layer_names))
         lag = scene.output.low_pass_ms * 1e-3
         self._gain = 1.0 - exp(-TICK_S / lag) if lag > 0.0 else 1.0
-        self._commanded = np.zeros(6)
+        self._filtered, self._commanded = np.zeros(6), np.zeros(6)
+        passing, share = parts.cutter.tooth_passing_Hz, scene.output.vibration_share
+        self._vibration = Vibration(passing, share=share, step_s=TICK_S)
         self._layers = len(tissue.layer_names)
         self._rotation = np.full((3, 3), np.nan)
         self._quaternion = np.zeros(4)
 
     def place(self) -> None:
         """Put the tool where the motion starts; what that costs belongs to no tick."""
-        self._motion.begin(self._tool)
-        self._tissue.place(self._tool)
-        self._record(self._rows[0], 0, self._response)
+        self._motion.begin(self.tool)
+        self._tissue.place(self.tool)
+        self._record(self._rows[0], 0, self._tissue.respond(self.tool))
 
     def __call__(self, index: int) -> None:
         start = perf_counter()
-        self._motion.advance(index * TICK_S, TICK_S, self._response, self._tool)
+        self._motion.advance(index * TICK_S, TICK_S, self._response, self.tool)
         moved = perf_counter()
-        self._tissue.advance(self._tool)
+        self._tissue.advance(self.tool)
         removed = perf_counter()
-        response = self._response = self._tissue.respond(self._tool)
+        response = self._response = self._tissue.respond(self.tool)
         forced = perf_counter()
-        self._commanded += self._gain * (response.wrench - self._commanded)
+        self._filtered += self._gain * (response.wrench - self._filtered)
+        np.multiply(self._filtered, 1.0 + self._vibration.factor(index), out=self._commanded)
         self._record(self._rows[index], index, response)
         end = perf_counter()
         self._times[index] = (
@@ -155,7 +171,7 @@ class _Tick:
 
     def _record(self, row: np.ndarray, index: int, response: Response) -> None:
         """Write one row of the trace, in the units of its columns."""
-        tool, layers = self._tool, self._layers
+        tool, layers = self.tool, self._layers
         if not np.array_equal(tool.rotation, self._rotation):
             self._rotation[:] = tool.rotation
             self._quaternion[:] = Rotation.from_matrix(tool.rotation).as_quat(canonical=True)
@@ -176,4 +192,5 @@ class _Tick:
         row[27] = volumes.sum()
         area = float(response.engaged_m2.sum())
         row[28 + layers] = area * 1e6
-        row[29 + layers] = float(response.engaged_m2.argmax()) if area > 0.0 else -1.0
+        row[29 + layers : -1] = response.measures
+        row[-1] = float(response.engaged_m2.argmax()) if area > 0.0 else -1.0

@@ -16,7 +16,7 @@ NO_LAYER = "none"
 TIMING_COLUMNS = ("tick_us", "motion_us", "remove_us", "force_us", "record_us")
 
 
-def trace_columns(layer_names: tuple[str, ...]) -> tuple[str, ...]:
+def trace_columns(layer_names: tuple[str, ...], measure_names: tuple[str, ...] = ()) -> tuple[str, ...]:
     """Names of the trace's columns; each carries its unit."""
     return (
         "time_s",
@@ -32,6 +32,7 @@ def trace_columns(layer_names: tuple[str, ...]) -> tuple[str, ...]:
         "removed_mm3",
         *(f"removed_{name}_mm3" for name in layer_names),
         "contact_mm2",
+        *measure_names,
         "layer",
     )
 

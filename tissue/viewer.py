@@ -7,11 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError
-from tissue.pictures import BONE, COMPONENTS, layer_colours
-from tissue.run import SavedRun
+from meshes.volume import VoxelVolume
+from tissue.pictures import COMPONENTS
+from tissue.run_folder import SavedRun
 from tissue.scene import Scene
-from tissue.surface import bone_surface, smooth_normals, with_layers
+from tissue.surface import bone_surface, with_layers
 from tissue.trace import Table
+from tissue.viewer_bone import BoneShown, read_voxels
+from tissue.viewer_fields import FieldsShown, field_names
 
 if TYPE_CHECKING:
     import pyvista
@@ -36,43 +39,95 @@ def scene_of(saved: SavedRun) -> Scene | None:
         return None
 
 
-def show(saved: SavedRun, title: str, screenshot: Path | None = None) -> None:
-    """Open the window, or draw it off screen into a file."""
+def show(
+    saved: SavedRun, title: str, screenshot: Path | None = None, *, hide: tuple[str, ...] = (), field: str | None = None
+) -> None:
+    """Open the window, or draw it off screen into a file.
+
+    Parameters
+    ----------
+    saved
+        The run.
+    title
+        What is written above.
+    screenshot
+        PNG file.
+    hide
+        Layers that are off at first.
+    field
+        Field that is shown at first in place of the bone.
+    """
     import pyvista
 
     plotter: Any = pyvista.Plotter(
         off_screen=screenshot is not None, window_size=list(SIZE), title=f"tissue: {saved.summary.get('scene', 'run')}"
     )
     plotter.set_background("white")
-    bone = _bone(saved)
-    if bone is not None:
-        bone.point_data["Normals"] = smooth_normals(bone)
-        _add_bone(plotter, bone)
-    keys = "c: removed depth or layer    " if bone is not None and "removed_depth_mm" in bone.point_data else ""
-    plotter.add_text(
-        f"{title}\n{keys}drag the slider for the time    q: close", position="upper_left", font_size=9, color="black"
-    )
+    surface, voxels = _bone(saved)
+    bone = None if surface is None else BoneShown(plotter, surface, voxels)
+    fields = _fields(plotter, saved)
+    keys = bone.help if bone is not None else []
+
+    def change() -> None:
+        shown = fields.next() if fields is not None else None
+        if bone is not None:
+            bone.show(shown is None)
+        plotter.render()
+
+    if fields is not None:
+        keys = [*keys, "m: stress"]
+        plotter.add_key_event("m", change)
+    lines = [title, "    ".join(keys), "drag the slider for the time    q: close"]
+    plotter.add_text("\n".join(line for line in lines if line), position="upper_left", font_size=9, color="black")
+    if bone is not None and hide:
+        bone.toggle(*hide)
     if saved.trace is not None and len(saved.trace.rows):
-        _Moment(plotter, saved, saved.trace, bone)
+        _Moment(plotter, saved, saved.trace, surface, fields)
+    if fields is not None and field is not None:
+        fields.show(field)
+        if bone is not None:
+            bone.show(False)
     _aim(plotter)
     if screenshot is None:
+        _free_digits(plotter)
         plotter.show()
     else:
         plotter.screenshot(str(screenshot))
     plotter.close()
 
 
-def _bone(saved: SavedRun) -> "pyvista.PolyData | None":
-    """The carved bone; of an incomplete run the bone it started from, coarse; None if neither can be had."""
+def _fields(plotter: Any, saved: SavedRun) -> FieldsShown | None:
+    """The fields of a run, cut open where the tool was deepest."""
+    if not field_names(saved.path):
+        return None
+    cut = 0.0
+    if saved.trace is not None and len(saved.trace.rows):
+        cut = float(saved.trace["tool_y_mm"][saved.trace["tool_z_mm"].argmin()])
+    return FieldsShown(plotter, saved.path, cut_mm=cut)
+
+
+def _free_digits(plotter: Any) -> None:
+    """Keep VTK from taking the key 3 for a stereo picture."""
+    style = plotter.iren.interactor.GetInteractorStyle()
+
+    def typed(caller: Any, event: str) -> None:
+        if not plotter.iren.interactor.GetKeyCode().isdigit():
+            style.OnChar()
+
+    style.AddObserver("CharEvent", typed)
+
+
+def _bone(saved: SavedRun) -> "tuple[pyvista.PolyData | None, VoxelVolume | None]":
+    """The carved bone, surface and voxels; of an incomplete run the bone it started from, coarse; None without."""
     import pyvista
 
     file = saved.path / "bone.vtp"
     if saved.complete and file.is_file():
         surface: Any = pyvista.read(file)
-        return surface if surface.n_cells else None
+        return (surface, read_voxels(saved.path / "bone.vti")) if surface.n_cells else (None, None)
     scene = scene_of(saved)
     if scene is None or scene.anatomy.file is not None:
-        return None
+        return None, None
     from tissue.anatomies import volume_of
     from tissue.build import cutter_of, motion_of
 
@@ -83,85 +138,19 @@ def _bone(saved: SavedRun) -> "pyvista.PolyData | None":
             coarse, cutter_of(scene.tool), motion_of(scene, step_s=1e-3), notes={}, tell=lambda doing, share: None
         )
     except InputError:
-        return None
-    return with_layers(bone_surface(volume, volume.fraction), volume)
-
-
-def _add_bone(plotter: Any, bone: "pyvista.PolyData") -> None:
-    """The bone by layer and, where it is known, by removed depth; the key c changes between them."""
-    from matplotlib.colors import ListedColormap
-
-    names = tuple(str(name) for name in bone.field_data["layer_names"])
-    colours = layer_colours(names)
-    common: dict[str, Any] = {
-        "smooth_shading": False,
-        "interpolation": "Phong",
-        "ambient": 0.15,
-        "specular": 0.1,
-        "show_scalar_bar": False,
-    }
-    by_layer = plotter.add_mesh(
-        bone,
-        scalars="layer",
-        preference="cell",
-        cmap=ListedColormap([colours[name] for name in names]),
-        clim=(-0.5, len(names) - 0.5),
-        **common,
-    )
-    present = sorted({names[int(i)] for i in np.unique(bone.cell_data["layer"])})
-    legend = plotter.add_legend(
-        [[name, colours[name]] for name in present],
-        bcolor=None,
-        face="rectangle",
-        size=(0.14, 0.03 * len(present) + 0.01),
-        loc="upper right",
-    )
-    if "removed_depth_mm" not in bone.point_data:
-        return
-    depth = bone.point_data["removed_depth_mm"]
-    limit = float(max(depth.max(), 1e-3))
-    by_depth = plotter.add_mesh(
-        bone.copy(deep=False),
-        scalars="removed_depth_mm",
-        cmap="viridis",
-        clim=(0.02 * limit, limit),
-        below_color=BONE,
-        **common,
-    )
-    bar = plotter.add_scalar_bar(
-        "removed depth / mm",
-        mapper=by_depth.mapper,
-        vertical=True,
-        position_x=0.9,
-        position_y=0.45,
-        height=0.42,
-        width=0.06,
-        color="black",
-        fmt="%.2f",
-        title_font_size=14,
-        label_font_size=14,
-        below_label="",
-    )
-
-    def change() -> None:
-        layers = not by_layer.GetVisibility()
-        by_layer.SetVisibility(layers)
-        legend.SetVisibility(layers)
-        by_depth.SetVisibility(not layers)
-        bar.SetVisibility(not layers)
-        plotter.render()
-
-    by_layer.SetVisibility(False)
-    legend.SetVisibility(False)
-    plotter.add_key_event("c", change)
+        return None, None
+    return with_layers(bone_surface(volume, volume.fraction), volume), volume
 
 
 class _Moment:
     """The tool, its force and the cursor in the chart at the time that the slider gives."""
 
-    def __init__(self, plotter: Any, saved: SavedRun, trace: Table, bone: "pyvista.PolyData | None") -> None:
+    def __init__(
+        self, plotter: Any, saved: SavedRun, trace: Table, bone: "pyvista.PolyData | None", fields: FieldsShown | None
+    ) -> None:
         import pyvista
 
+        self._fields = fields
         self._plotter, self._trace = plotter, trace
         self._tips, self._force = trace.vectors("tool", "mm"), trace.vectors("force", "N")
         self._turns = np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"])
@@ -225,6 +214,8 @@ class _Moment:
             f"{trace['layer'][row]}, removed {trace['removed_mm3'][row]:.2f} mm³"
         )
         self._cursor.update([time_s, time_s], self._chart.y_range)
+        if self._fields is not None:
+            self._fields.at(time_s)
 
 
 def _tool(saved: SavedRun) -> "pyvista.PolyData | None":
@@ -264,5 +255,5 @@ def _aim(plotter: Any) -> None:
     """Look down on the face from the front, with the bone above the chart."""
     plotter.camera_position = [(0.25, -0.75, 0.8), (0.0, 0.0, 0.0), (0.0, 0.35, 1.0)]
     plotter.reset_camera()
-    plotter.camera.zoom(0.95)
+    plotter.camera.zoom(0.88)
     plotter.camera.SetWindowCenter(0.0, -0.3)

@@ -96,7 +96,8 @@ def mesh_cases():
         CUBE_FACES,
         (
             "anatomy.scale_mm must be given where the unit is not plain, got none for tiny.stl, whose longest side "
-            "3e-08 would be 3e-05 µm in millimetres and 0.03 µm in metres: use millimetres per unit, for example 4.7e+09"
+            "3e-08 would be 3e-05 µm in millimetres and 0.03 µm in metres: use millimetres per unit, for example "
+            "4.7e+09"
         ),
     )
     yield (

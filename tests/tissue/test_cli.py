@@ -14,8 +14,8 @@ from tissue.load import scene_names, scene_text
 from tissue.trace import TraceWriter
 
 COARSE = ("--set", "voxels.spacing_mm=0.4", "--no-pictures")
-PARTS = "name, description, seed, duration_s, anatomy, voxels, tool, motion, cutting, output"
-CUTTERS = "ball-burr, cylinder, twist-drill, hemispherical-reamer, flat-reamer"
+PARTS = "name, description, seed, duration_s, anatomy, voxels, tool, motion, cutting, output, stress, heat"
+CUTTERS = "ball-burr, pear-bur, cylinder, twist-drill, hemispherical-reamer, flat-reamer"
 POINTS = "motion.points_mm must be a list of at least two points [x, y, z], got"
 
 
@@ -128,13 +128,13 @@ def test_a_motion_without_end_is_refused(refused, here):
     [
         (
             ("run", "gleniod"),
-            "scene must be a built-in name (glenoid, milling) or a TOML file, got gleniod (did "
+            "scene must be a built-in name (caries, glenoid, milling, molar) or a TOML file, got gleniod (did "
             "you mean "
             "glenoid?): list them with `tissue scenes`",
         ),
         (
             ("scenes", "mill"),
-            "scene must be a built-in name (glenoid, milling) or a TOML file, got mill (did you mean "
+            "scene must be a built-in name (caries, glenoid, milling, molar) or a TOML file, got mill (did you mean "
             "milling?): list them with `tissue scenes`",
         ),
         (("run", "x.toml"), "scene must be an existing file, got x.toml: check the path or list `tissue scenes`"),
@@ -268,11 +268,11 @@ def test_a_file_in_the_place_of_the_folder_is_refused(refused, here):
 
 def test_a_folder_that_cannot_be_written_is_refused(refused, here, monkeypatch):
     (here / "shut").mkdir()
-    monkeypatch.setattr("tissue.run.os.access", lambda path, mode: Path(path) != here / "shut")
+    monkeypatch.setattr("tissue.run_folder.os.access", lambda path, mode: Path(path) != here / "shut")
     assert refused("run", "milling", "--out", "shut/run") == (
         f"out must be writable, got permission denied at {here / 'shut'}: choose another --out"
     )
-    monkeypatch.setattr("tissue.run.os.access", lambda path, mode: True)
+    monkeypatch.setattr("tissue.run_folder.os.access", lambda path, mode: True)
 
     def read_only(self, *_, **__):
         raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(self))

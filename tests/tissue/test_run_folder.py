@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tissue import InputError, SavedRun, load_scene, simulate
-from tissue.run import RunFolder
+from tissue.run_folder import RunFolder
 from tissue.trace import FLUSH_EVERY_S, read_table
 
 COARSE = ("--set", "voxels.spacing_mm=0.4", "--no-pictures")

@@ -97,13 +97,17 @@ class BrickStore:
         wp.launch(sample, dim=len(voxels), inputs=inputs, outputs=[found], device=device)
         return np.asarray(found.numpy())
 
-    def fraction(self) -> NDArray[np.uint8]:
-        """Remaining fraction of every voxel of the volume, 255 = full, shape of the volume."""
+    def fraction(self, remaining: NDArray[np.uint16] | None = None) -> NDArray[np.uint8]:
+        """Remaining fraction of every voxel of the volume, 255 = full, shape of the volume.
+
+        ``remaining`` is an earlier copy of the stored array to tell of instead of the present one.
+        """
         brick_of = self.brick_of.numpy()
         nx, ny, nz = (BRICK * n for n in brick_of.shape)
         dense = np.zeros((*brick_of.shape, BRICK, BRICK, BRICK), dtype=np.uint8)
         held = brick_of >= 0
-        nearest = (self.remaining.numpy().astype(np.uint32) + np.uint32(STEPS // 2)) // np.uint32(STEPS)
+        stored = self.remaining.numpy() if remaining is None else remaining
+        nearest = (stored.astype(np.uint32) + np.uint32(STEPS // 2)) // np.uint32(STEPS)
         dense[held] = _bricks(nearest).astype(np.uint8)[brick_of[held]]
         x, y, z = self.volume.shape
         whole = dense.transpose(0, 3, 1, 4, 2, 5).reshape(nx, ny, nz)

@@ -16,6 +16,7 @@ from kernels.revolution import Revolution
 from meshes.volume import VoxelVolume
 from tissue.bone.bricks import BrickStore
 from tissue.cutters import Cutter, DistanceTable, PointShell, Profile
+from tissue.fields import FieldSeries
 from tissue.materials import CuttingCoefficients
 from tissue.model import Response, ToolMotion
 
@@ -68,6 +69,9 @@ class BoneModel:
         cores: int | None = None,
     ) -> None:
         self.layer_names = volume.layer_names
+        self.measure_names: tuple[str, ...] = ()
+        self.notices: list[str] = []
+        self.fields: FieldSeries | None = None
         self.cutter = cutter
         self.store = BrickStore.from_volume(volume, device=device)
         self.start_steps = self.store.steps_by_layer()
@@ -116,11 +120,12 @@ class BoneModel:
             device=device,
             cores=cores,
         )
+        self.elements = _elements(self.shell, cutter, device=device)
         self._forces = SplitLaunch(
             cutting_forces,
             dim=chunks,
             inputs=[
-                _elements(self.shell, cutter, device=device),
+                self.elements,
                 _on_device(coefficients, device=device),
                 self._motion.device,
                 cutter.chip_per_speed_s,
@@ -134,6 +139,11 @@ class BoneModel:
             device=device,
             cores=cores,
         )
+
+    @property
+    def motion_rows(self) -> Any:
+        """Device array of the pose and motion that `respond` was last asked about, see the force kernel."""
+        return self._motion.device
 
     @property
     def step_m3(self) -> float:
@@ -155,7 +165,6 @@ class BoneModel:
         self._pose.host[:] = self._pose_of(motion)
         self._heading[:] = motion.heading
         self._visit(PHASES, every_side=True)
-        self.respond(motion)
 
     def advance(self, motion: ToolMotion) -> None:
         """Carve what the tool reaches at its new pose; a slow tool's carving is spread over ticks."""
@@ -211,6 +220,9 @@ class BoneModel:
         np.multiply(response.resistance, speed, out=response.wrench)
         response.wrench += response.edge if speed > 0.0 else motion.pressed * response.edge
         return response
+
+    def catch_up(self, time_s: float, motion: ToolMotion) -> None:
+        """Bone has no slower rate."""
 
     def finish(self) -> None:
         """Complete the carving that was spread over ticks."""

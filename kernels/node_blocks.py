@@ -1,0 +1,147 @@
+"""Stiffness of a grid gathered node by node: rows of 3 x 3 blocks, product, and Gauss-Seidel sweeps over eight colours.
+
+A row holds one block for each of a node's up to 27 neighbours: those of lower colour, its own, those of higher colour.
+With K = L + D + U so split, the first sweep from rest solves ``(L + D) v = f`` and leaves ``f - K v = -U v``: together
+they read K once. Sums run in fixed order and a sweep changes only nodes of one colour, none of which are neighbours: the
+same bits on any number of threads.
+"""
+
+import warp as wp
+
+from kernels.hexahedra import cell_block
+
+__all__ = ["assemble_rows", "first_residuals", "first_sweep", "invert_diagonal", "sweep_colour", "to_single"]
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})  # nested loops over corners, compiled once
+
+
+@wp.kernel
+def assemble_rows(
+    # nodes
+    rows: wp.array(dtype=wp.int32),  # nodes whose rows are gathered again
+    row_start: wp.array(dtype=wp.int32),  # [node + 1], first block of each row
+    node_cells: wp.array2d(dtype=wp.int32),  # [node, corner]
+    neighbour_block: wp.array2d(dtype=wp.int32),  # [node, 27]: block of the neighbour at 9 (dx+1) + 3 (dy+1) + dz+1
+    free: wp.array(dtype=wp.vec3d),  # [node], 1 where a component may move, 0 where it is held
+    spring: wp.array(dtype=wp.vec3d),  # [node] [N/m]
+    # cells
+    cell_nodes: wp.array2d(dtype=wp.int32),
+    live: wp.array(dtype=wp.uint8),  # [cell]
+    stiffness: wp.array2d(dtype=wp.mat33d),  # [cell, block] [N/m]
+    offset: int,
+    # out
+    block_out: wp.array(dtype=wp.mat33d),  # [block] [N/m]
+    diagonal_out: wp.array(dtype=wp.mat33d),  # [node], a copy of the node's own block, 1 on held components
+):
+    """Gather rows ``M K M`` plus springs, M the mask of what may move; held components get no stiffness."""
+    node = rows[wp.tid() + offset]
+    for place in range(row_start[node], row_start[node + 1]):
+        block_out[place] = wp.mat33d()
+    own_free = free[node]
+    for a in range(8):
+        cell = node_cells[node, a]
+        if cell >= 0:
+            if live[cell] != wp.uint8(0):  # not one condition with the above: both sides of `and` are evaluated
+                for b in range(8):
+                    step = 9 * ((b >> 2) - (a >> 2)) + 3 * (((b >> 1) & 1) - ((a >> 1) & 1)) + (b & 1) - (a & 1) + 13
+                    mask = wp.outer(own_free, free[cell_nodes[cell, b]])
+                    place = neighbour_block[node, step]
+                    block_out[place] = block_out[place] + wp.cw_mul(mask, cell_block(stiffness, cell, a, b))
+    centre = neighbour_block[node, 13]
+    own = block_out[centre] + wp.diag(wp.cw_mul(own_free, spring[node]))
+    block_out[centre] = own
+    diagonal_out[node] = own + wp.diag(wp.vec3d(wp.float64(1.0), wp.float64(1.0), wp.float64(1.0)) - own_free)
+
+
+@wp.kernel
+def invert_diagonal(
+    rows: wp.array(dtype=wp.int32),
+    diagonal: wp.array(dtype=wp.mat33d),  # [node] [N/m]
+    offset: int,
+    # out
+    inverse_out: wp.array(dtype=wp.mat33f),  # [node] [m/N]
+):
+    """Inverse of each node's own block, zero where a node carries nothing; a trace keeps half-empty blocks regular."""
+    node = rows[wp.tid() + offset]
+    own = diagonal[node]
+    size = wp.trace(own)
+    inverse = wp.mat33d()
+    if size > wp.float64(0.0):
+        tiny = wp.float64(1e-9) * size
+        inverse = wp.inverse(own + wp.diag(wp.vec3d(tiny, tiny, tiny)))
+    inverse_out[node] = wp.mat33f(inverse)
+
+
+@wp.kernel
+def to_single(
+    rows: wp.array(dtype=wp.int32),
+    row_start: wp.array(dtype=wp.int32),
+    block: wp.array(dtype=wp.mat33d),
+    offset: int,
+    # out
+    block_out: wp.array(dtype=wp.mat33f),
+):
+    """Rows rounded to single precision, for the preconditioner."""
+    node = rows[wp.tid() + offset]
+    for place in range(row_start[node], row_start[node + 1]):
+        block_out[place] = wp.mat33f(block[place])
+
+
+@wp.kernel
+def first_sweep(
+    nodes: wp.array(dtype=wp.int32),  # nodes of one colour
+    row_start: wp.array(dtype=wp.int32),
+    own_block: wp.array(dtype=wp.int32),  # [node], the node's own block: lower colours before, higher behind
+    column: wp.array(dtype=wp.int32),
+    block: wp.array(dtype=wp.mat33f),
+    inverse: wp.array(dtype=wp.mat33f),  # [node], inverse of the node's own block
+    load: wp.array(dtype=wp.vec3f),
+    offset: int,
+    # out
+    vector_out: wp.array(dtype=wp.vec3f),  # [node]
+):
+    """Gauss-Seidel from rest: only lower colours have moved."""
+    node = nodes[wp.tid() + offset]
+    left = load[node]
+    for place in range(row_start[node], own_block[node]):
+        left -= block[place] * vector_out[column[place]]
+    vector_out[node] = inverse[node] * left
+
+
+@wp.kernel
+def first_residuals(
+    row_start: wp.array(dtype=wp.int32),
+    own_block: wp.array(dtype=wp.int32),
+    column: wp.array(dtype=wp.int32),
+    block: wp.array(dtype=wp.mat33f),
+    vector: wp.array(dtype=wp.vec3f),  # [node]
+    offset: int,
+    # out
+    residual_out: wp.array(dtype=wp.vec3f),  # [node]
+):
+    """What a first sweep leaves of the load: higher colours moved after the node had."""
+    node = wp.tid() + offset
+    total = wp.vec3f()
+    for place in range(own_block[node] + 1, row_start[node + 1]):
+        total -= block[place] * vector[column[place]]
+    residual_out[node] = total
+
+
+@wp.kernel
+def sweep_colour(
+    nodes: wp.array(dtype=wp.int32),  # nodes of one colour
+    row_start: wp.array(dtype=wp.int32),
+    column: wp.array(dtype=wp.int32),
+    block: wp.array(dtype=wp.mat33f),
+    inverse: wp.array(dtype=wp.mat33f),  # [node], inverse of the node's own block
+    load: wp.array(dtype=wp.vec3f),
+    offset: int,
+    # out
+    vector_out: wp.array(dtype=wp.vec3f),  # [node], corrected in place
+):
+    """Gauss-Seidel: every node of the colour moves so that its own three equations hold."""
+    node = nodes[wp.tid() + offset]
+    left = load[node]
+    for place in range(row_start[node], row_start[node + 1]):
+        left -= block[place] * vector_out[column[place]]
+    vector_out[node] = vector_out[node] + inverse[node] * left

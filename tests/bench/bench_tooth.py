@@ -1,0 +1,173 @@
+"""Cost of particle finite elements: `python tests/bench/bench_tooth.py [--quick]`.
+
+A block of enamel over dentin with a soft ball and a soft layer (84 GPa to 2 MPa), 8 particles a cell.
+1. Stiffness of all cells from their particles, beside scikit-fem's assembly of the same cells in the same run.
+2. Product: over cells, and scipy's with the assembled matrix.
+3. A ball of 1 mm cuts 20 um deeper: update, warm solve, stress where it cuts; against the number of unknowns.
+4. A cold solve beside smoothed aggregation (pyamg, six rigid-body modes), set-up and solve apart.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+from harness import Cost, cost_of, machine, table
+from scipy.sparse import diags
+from scipy.sparse.linalg import cg
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from tooth_bodies import at_bottom, block
+
+from tissue.tooth import ParticleBody, particle_stress
+from tissue.tooth.compliance import rigid_motions
+
+SIDE_M, BALL_M, FEED_M, TOLERANCE = 8e-3, 0.5e-3, 2e-5, 1e-4
+
+
+def tooth_like(x: np.ndarray) -> np.ndarray:
+    modulus = np.where(x[:, 2] > 0.75 * SIDE_M, 84e9, 18.6e9)
+    modulus[np.linalg.norm(x - 0.4 * SIDE_M, axis=1) < 0.2 * SIDE_M] = 2e6
+    modulus[x[:, 2] < 0.1 * SIDE_M] = 50e6
+    return modulus
+
+
+def body_of(cells: int) -> ParticleBody:
+    particles, grid = block((cells,) * 3, SIDE_M / cells, modulus_pa=tooth_like)
+    return ParticleBody(particles, grid, at_bottom(grid))
+
+
+def assembly(cells: int) -> None:
+    body = body_of(cells)
+    every = np.arange(body.grid.cell_count, dtype=np.int32)
+    nodes = np.arange(body.grid.node_count, dtype=np.int32)
+    ours = cost_of(lambda _: body.cells.update(every), count=25, warm_up=5)
+    rows = cost_of(lambda _: body._hierarchy.levels[0].blocks.update(nodes), count=25, warm_up=5)
+    print(f"\n{body.grid.cell_count} cells, {3 * body.grid.node_count} unknowns, {len(body.particles.layer)} particles")
+    print(f"cell stiffness {ours.median / 1e3:8.1f} ms; gathered into rows {rows.median / 1e3:8.1f} ms")
+    try:
+        import skfem
+        from skfem.models.elasticity import linear_elasticity
+    except ImportError:
+        print("scikit-fem is not installed: pip install scikit-fem")
+        return
+    mesh = skfem.MeshHex.init_tensor(*[np.linspace(0.0, SIDE_M, cells + 1)] * 3)
+    basis = skfem.Basis(mesh, skfem.ElementVector(skfem.ElementHex1()), intorder=3)
+    modulus = tooth_like(basis.global_coordinates().reshape(3, -1).T).reshape(basis.dx.shape)
+    form = linear_elasticity(modulus * 0.3 / (1.3 * 0.4), modulus / 2.6)
+    form.assemble(basis)
+    theirs = cost_of(lambda _: form.assemble(basis), count=3, warm_up=0)
+    cells_only = cost_of(lambda _: form.elemental(basis), count=3, warm_up=0)
+    both = ours.median + rows.median
+    print(f"scikit-fem {theirs.median / 1e3:8.1f} ms to the matrix ({theirs.median / both:.0f} x), "
+          f"{cells_only.median / 1e3:8.1f} ms to the cells ({cells_only.median / ours.median:.0f} x)")  # fmt: skip
+
+
+def products(cells: int) -> None:
+    body = body_of(cells)
+    vector = np.random.default_rng(0).normal(size=(body.grid.node_count, 3))
+    matrix = body.matrix()
+    body._hierarchy.refresh()
+    ours = cost_of(lambda _: body.cells.product(vector), count=200)
+    theirs = cost_of(lambda _: matrix @ vector.ravel(), count=200)
+    cycle = cost_of(lambda _: body._hierarchy(vector), count=100)
+    unknowns = 3 * body.grid.node_count
+    print(f"\n{unknowns} unknowns: product over cells {ours.median / 1e3:.2f} ms, scipy's with the rows "
+          f"{theirs.median / 1e3:.2f} ms, V-cycle {cycle.median / 1e3:.2f} ms")  # fmt: skip
+
+
+def incremental(cells: int, steps: int) -> tuple[tuple[str, ...], float, float]:
+    start = perf_counter()
+    body = body_of(cells)
+    built = perf_counter() - start
+    position = body.particles.position_m
+    costs: list[tuple[float, ...]] = []
+    for step in range(steps):
+        tip = np.array([0.52, 0.47, 1.0]) * SIDE_M - [0.0, 0.0, FEED_M * step]
+        hit = np.flatnonzero(np.linalg.norm(position - tip, axis=1) < BALL_M)
+        t = [perf_counter()]
+        body.set_remaining(hit, np.zeros(len(hit), dtype=np.int64))
+        body.update()
+        t.append(perf_counter())
+        found = body.solve(body.spread(tip - [0.0, 0.0, BALL_M], np.array([0.2, 0.0, -1.0])), tolerance=TOLERANCE)
+        t.append(perf_counter())
+        near = np.flatnonzero(np.linalg.norm(position - tip, axis=1) < 4.0 * BALL_M)
+        particle_stress(body.cells, found.displacement_m, particles=near)
+        t.append(perf_counter())
+        assert found.converged
+        costs.append((*np.diff(t), found.iterations))
+    each = np.array(costs)[1:]
+    total = Cost(each[:, :3].sum(axis=1))
+    unknowns = 3 * body.grid.node_count
+    medians = np.median(each[:, :3], axis=0) * 1e3
+    row = (f"{unknowns}", f"{built:.2f}", *(f"{m:.1f}" for m in medians), f"{total.median / 1e3:.1f}",
+           f"{total.p99 / 1e3:.1f}", f"{total.worst / 1e3:.1f}", f"{each[:, 3].mean():.1f}",
+           f"{1e6 / total.median:.0f}")  # fmt: skip
+    return row, float(unknowns), total.median
+
+
+def against_aggregation(cells: int) -> None:
+    body = body_of(cells)
+    load = body.spread(np.array([0.5, 0.5, 1.0]) * SIDE_M, np.array([0.2, 0.0, -1.0]))
+    start = perf_counter()
+    found = body.solve(load, tolerance=1e-6)
+    print(
+        f"\ncold solve to 1e-6: {found.iterations} iterations, {perf_counter() - start:.2f} s (set-up above)"
+    )
+    try:
+        from pyamg import smoothed_aggregation_solver
+    except ImportError:
+        print("pyamg is not installed: pip install pyamg")
+        return
+    free = np.flatnonzero((~body.supports.fixed).ravel())
+    matrix = body.matrix().tocsr()[free][:, free]
+    scale = 1.0 / np.sqrt(matrix.diagonal())
+    modes = rigid_motions(body.grid.node_position_m, body.grid.node_position_m.mean(axis=0)).reshape(-1, 6)[free]
+    scaled = (diags(scale) @ matrix @ diags(scale)).tocsr()
+    scaled.indices, scaled.indptr = scaled.indices.astype(np.int32), scaled.indptr.astype(np.int32)
+    start = perf_counter()
+    hierarchy = smoothed_aggregation_solver(scaled, B=modes / scale[:, None])
+    built = perf_counter()
+    counted: list[int] = []
+    wanted = found.displacement_m.ravel()[free] / scale
+    answer, _ = cg(
+        scaled, scale * load.ravel()[free], rtol=1e-6, maxiter=300, M=hierarchy.aspreconditioner(),
+        callback=lambda _: counted.append(1),
+    )  # fmt: skip
+    off = answer - wanted
+    error = np.sqrt((off @ (scaled @ off)) / (wanted @ (scaled @ wanted)))
+    solved = perf_counter() - built
+    print(f"smoothed aggregation: set-up {built - start:.2f} s, {len(counted)} iterations, {solved:.2f} s, "
+          f"{error:.1e} from ours in the energy norm")  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="small grids only")
+    quick = parser.parse_args().quick
+    print(machine())
+    middle = 12 if quick else 24
+    assembly(middle)
+    products(middle)
+    sizes = (8, 12) if quick else (12, 16, 20, 24, 32, 40)
+    rows, unknowns, times = zip(*(incremental(n, 40) for n in sizes), strict=True)
+    head = (
+        "unknowns",
+        "set-up s",
+        "update ms",
+        "solve ms",
+        "stress ms",
+        "total ms",
+        "99 %",
+        "worst",
+        "iterations",
+        "Hz",
+    )
+    print(f"\nincremental, to {TOLERANCE:g} in the energy norm\n{table(list(rows), head)}")
+    print(f"total grows with unknowns to the power {np.polyfit(np.log(unknowns), np.log(times), 1)[0]:.2f}")
+    against_aggregation(middle)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,168 @@
+"""Cell stiffness, its product, its assembly and its projection to a coarser grid, against plain NumPy and SciPy."""
+
+import numpy as np
+import pytest
+from tooth_bodies import GAUSS, at_bottom, block
+
+from tissue.tooth import HexGrid, ParticleBody, ParticleSet, Supports
+from tissue.tooth.compliance import rigid_motions
+from tissue.tooth.grid import shape_values
+from tissue.tooth.stiffness import CellStiffness, full_cell_stiffness, strain_matrix
+
+ROUNDING = 1e-13  # relative to the largest entry: sums of a few hundred terms in double precision
+
+
+def random_body(seed=0, count=400, edge_m=1e-3):
+    """Particles of random place, size, modulus and remaining fraction in a few cells."""
+    random = np.random.default_rng(seed)
+    particles = ParticleSet(
+        random.uniform(0.0, 4.0, (count, 3)) * edge_m,
+        random.uniform(0.2, 2.0, count) * edge_m**3 / 8.0,
+        10.0 ** random.uniform(6.0, 11.0, count),
+        random.uniform(0.0, 0.49, count),
+        np.zeros(count, dtype=np.uint8),
+        random.integers(0, 65536, count).astype(np.uint16),
+    )
+    return particles, HexGrid.around(particles.position_m, edge_m=edge_m)
+
+
+def numpy_cells(particles, grid):
+    """Every cell's sum of ``w B^T D B``, particle by particle."""
+    cell, place = grid.locate(particles.position_m)
+    total = np.zeros((grid.cell_count, 24, 24))
+    weight = particles.volume_m3 * particles.remaining / 65535.0
+    for p, (c, at) in enumerate(zip(cell, place, strict=True)):
+        first, shear = particles.lame_pa[p]
+        total[c] += full_cell_stiffness(grid.edge_m, at[None], weight[p : p + 1], first_pa=first, shear_pa=shear)
+    return total
+
+
+def scattered(cells):
+    """Dense assembled matrix from the cells' full matrices."""
+    grid = cells.grid
+    total = np.zeros((3 * grid.node_count,) * 2)
+    for nodes, matrix in zip(grid.cell_nodes, cells.cell_matrices(), strict=True):
+        rows = (3 * nodes[:, None] + np.arange(3)).ravel()
+        total[np.ix_(rows, rows)] += matrix
+    return total
+
+
+def test_cells_against_numpy():
+    particles, grid = random_body()
+    found = CellStiffness(particles, grid, inner_strength=0.0).cell_matrices()
+    wanted = numpy_cells(particles, grid)
+    assert np.abs(found - wanted).max() <= ROUNDING * np.abs(wanted).max()
+
+
+def test_full_cell_is_symmetric_to_the_bit_with_six_rigid_modes():
+    particles, grid = block((2, 2, 2), 1e-3, modulus_pa=84e9)
+    matrices = CellStiffness(particles, grid, inner_strength=1.0).cell_matrices()
+    assert np.array_equal(matrices, matrices.transpose(0, 2, 1))
+    values = np.linalg.eigvalsh(matrices[0])
+    assert np.abs(values[:6]).max() < 1e-13 * values[-1] and values[6] > 1e-3 * values[-1]
+    rigid = rigid_motions(grid.node_position_m[grid.cell_nodes[0]], np.zeros(3)).reshape(24, 6)
+    assert np.abs(matrices[0] @ rigid).max() <= ROUNDING * np.abs(matrices[0]).max()
+
+
+def test_random_cells_are_symmetric_to_the_bit():
+    particles, grid = random_body(seed=4)
+    matrices = CellStiffness(particles, grid, inner_strength=1.0).cell_matrices()
+    assert np.array_equal(matrices, matrices.transpose(0, 2, 1))
+
+
+def test_full_cell_against_scikit_fem():
+    """A cell with particles at its Gauss points is the element that scikit-fem integrates."""
+    skfem = pytest.importorskip("skfem")
+    from skfem.models.elasticity import lame_parameters, linear_elasticity
+
+    particles, grid = block((1, 1, 1), 1e-3, modulus_pa=18.6e9, poisson_ratio=0.31)
+    ours = CellStiffness(particles, grid, inner_strength=1.0).cell_matrices()[0]
+    mesh = skfem.MeshHex.init_tensor(*([0.0, 1e-3],) * 3)
+    basis = skfem.Basis(mesh, skfem.ElementVector(skfem.ElementHex1()), intorder=3)
+    theirs = linear_elasticity(*lame_parameters(18.6e9, 0.31)).assemble(basis).toarray()
+    nodes = [int(np.argmin(np.linalg.norm(mesh.p.T - at, axis=1))) for at in grid.node_position_m[grid.cell_nodes[0]]]
+    rows = basis.nodal_dofs[:, nodes].T.ravel()
+    assert np.abs(ours - theirs[np.ix_(rows, rows)]).max() <= ROUNDING * np.abs(theirs).max()
+
+
+def test_a_single_particle_leaves_twelve_more_modes_that_the_inner_stiffness_closes():
+    particles = ParticleSet.uniform(np.full((1, 3), 0.3e-3), volume_m3=1e-10, modulus_pa=18.6e9)
+    grid = HexGrid.around(particles.position_m, edge_m=1e-3, origin_m=np.zeros(3))
+    for strength, rank in ((0.0, 6), (1.0, 18)):
+        values = np.linalg.eigvalsh(CellStiffness(particles, grid, inner_strength=strength).cell_matrices()[0])
+        assert int((values > 1e-10 * values[-1]).sum()) == rank
+
+
+def test_inner_stiffness_vanishes_on_linear_fields():
+    """Energy of a random linear field: that of the particles alone."""
+    particles, grid = random_body(seed=2)
+    field = np.random.default_rng(1).normal(size=(3, 3))
+    moved = grid.node_position_m @ field.T
+    plain = CellStiffness(particles, grid, inner_strength=0.0).product(moved)
+    closed = CellStiffness(particles, grid, inner_strength=1.0).product(moved)
+    assert np.abs(plain - closed).max() <= 1e-12 * np.abs(plain).max()
+
+
+def test_product_and_rows_against_the_scattered_matrix():
+    particles, grid = random_body(seed=1)
+    supports = Supports.of(grid.node_count, held=grid.node_place[:, 2] == 0, spring_n_m=1e5)
+    body = ParticleBody(particles, grid, supports, drop_islands=False)
+    body.cells.set_live(np.ones(grid.cell_count, dtype=bool))
+    wanted = scattered(body.cells)
+    vector = np.random.default_rng(0).normal(size=(grid.node_count, 3))
+    product = body.cells.product(vector).ravel()
+    assert np.abs(product - wanted @ vector.ravel()).max() <= 1e-12 * np.abs(product).max()
+
+    body._hierarchy.update(np.arange(grid.cell_count, dtype=np.int32))
+    free = ~supports.fixed.ravel()
+    wanted = (wanted + np.diag(supports.spring_n_m.ravel())) * np.outer(free, free)
+    rows = body.matrix()
+    assert np.abs(rows.toarray() - wanted).max() <= ROUNDING * np.abs(wanted).max()
+
+
+def test_coarse_grid_is_the_galerkin_projection():
+    """Coarse cells summed from their children against P^T A P of the assembled matrix."""
+    particles, grid = block((6, 5, 7), 1e-3, modulus_pa=lambda x: np.where(x[:, 0] < 2.5e-3, 2e6, 84e9))
+    supports = Supports.of(grid.node_count, held=grid.node_place[:, 2] == 0, spring_n_m=3e4)
+    body = ParticleBody(particles, grid, supports)
+    fine, coarse = body._hierarchy.levels[:2]
+    places = grid.node_place / 2.0
+    cell = np.minimum(np.floor(places), coarse.grid.cell_place.max(axis=0)).astype(int)
+    weights = shape_values(places - cell)
+    nodes = coarse.grid.cell_nodes[coarse.grid.find_cells(cell)]
+    interpolation = np.zeros((grid.node_count, coarse.grid.node_count))
+    np.put_along_axis(interpolation, nodes, weights, axis=1)
+    dense = np.kron(interpolation, np.eye(3)) * ~supports.fixed.reshape(-1, 1)
+    wanted = dense.T @ fine.blocks.matrix().toarray() @ dense
+    assert np.abs(coarse.blocks.matrix().toarray() - wanted).max() <= 1e-12 * np.abs(wanted).max()
+
+
+def test_preconditioner_is_symmetric_and_positive():
+    """Single precision leaves 1e-6 of asymmetry; the form is positive on random loads."""
+    particles, grid = block((6, 6, 6), 1e-3, modulus_pa=lambda x: np.where(x[:, 0] < 2.5e-3, 2e6, 84e9))
+    body = ParticleBody(particles, grid, at_bottom(grid))
+    body.solve(body.spread(np.full(3, 5.9e-3), np.array([0.0, 0.0, -1.0])))
+    a, b = np.random.default_rng(3).normal(size=(2, grid.node_count, 3)) * ~body.supports.fixed
+    to_b, to_a = (a * body._precondition(b)).sum(), (b * body._precondition(a)).sum()
+    size = np.sqrt((a * body._precondition(a)).sum() * (b * body._precondition(b)).sum())
+    assert abs(to_a - to_b) <= 1e-6 * size
+
+
+def test_one_and_two_cores_give_the_same_bits():
+    particles, grid = block((17, 17, 17), 1e-3, modulus_pa=lambda x: np.where(x[:, 0] < 8.5e-3, 2e6, 84e9))
+    fields = []
+    for cores in (1, 2, 2):
+        body = ParticleBody(particles, grid, at_bottom(grid), cores=cores)
+        load = body.spread(np.array([9e-3, 9e-3, 17e-3]), np.array([1.0, 0.0, -2.0]))
+        fields.append(body.solve(load).displacement_m)
+    assert np.array_equal(fields[0], fields[1]) and np.array_equal(fields[1], fields[2])
+
+
+def test_strain_matrix_of_gauss_points_sums_to_the_volume():
+    """A uniform stretch has energy modulus x volume / 2 (Poisson's ratio 0)."""
+    edge = 2e-3
+    stretch = np.zeros((8, 3))
+    stretch[4:, 0] = edge
+    total = full_cell_stiffness(edge, GAUSS, np.full(8, edge**3 / 8), first_pa=0.0, shear_pa=0.5e9)
+    assert stretch.ravel() @ total @ stretch.ravel() == pytest.approx(1e9 * edge**3, rel=1e-12)
+    assert np.allclose(strain_matrix(np.full(3, 0.5), edge) @ stretch.ravel(), [1, 0, 0, 0, 0, 0], atol=1e-12)

@@ -1,0 +1,62 @@
+"""Stress at particles against plain NumPy, and its averages."""
+
+import numpy as np
+from tooth_bodies import block
+
+from tissue.tooth import ParticleBody, Supports, cell_stress, node_average, particle_stress
+
+
+def deformed():
+    random = np.random.default_rng(0)
+    particles, grid = block((3, 2, 2), 1e-3, modulus_pa=lambda x: 10.0 ** random.uniform(6, 11, len(x)))
+    body = ParticleBody(particles, grid, Supports.of(grid.node_count, held=grid.node_place[:, 2] == 0))
+    return body, 1e-6 * random.normal(size=(grid.node_count, 3))
+
+
+def test_particle_stress_against_numpy():
+    body, moved = deformed()
+    grid, edge = body.grid, body.grid.edge_m
+    found = particle_stress(body.cells, moved)
+    cell, place = grid.locate(body.particles.position_m)
+    nodes = moved[grid.cell_nodes[cell]]
+    step = 1e-7
+    from tissue.tooth.grid import shape_values
+
+    gradient = np.stack(
+        [
+            np.einsum("pa,pai->pi", shape_values(place + step * axis) - shape_values(place - step * axis), nodes)
+            / (2.0 * step * edge)
+            for axis in np.eye(3)
+        ],
+        axis=2,
+    )
+    strain = 0.5 * (gradient + gradient.transpose(0, 2, 1))
+    first, shear = body.particles.lame_pa.T[:, :, None, None]
+    stress = 2.0 * shear * strain + first * np.trace(strain, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    order = ([0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1])
+    scale = np.abs(stress).max(axis=(1, 2))[:, None]  # 1e-7 of it: the central difference of a cubic, and rounding
+    assert (np.abs(found.stress_pa - stress[:, *order]) <= 1e-7 * scale).all()
+    assert (np.abs(found.principal_pa - np.linalg.eigvalsh(stress)[:, ::-1]) <= 1e-6 * scale).all()
+    deviator = stress - np.trace(stress, axis1=1, axis2=2)[:, None, None] / 3.0 * np.eye(3)
+    assert np.allclose(found.von_mises_pa, np.sqrt(1.5 * (deviator**2).sum(axis=(1, 2))), rtol=1e-6)
+
+
+def test_a_chosen_particle_has_the_stress_it_has_among_all():
+    body, moved = deformed()
+    chosen = np.array([7, 3, 60])
+    assert np.array_equal(
+        particle_stress(body.cells, moved, particles=chosen).stress_pa,
+        particle_stress(body.cells, moved).stress_pa[chosen],
+    )
+
+
+def test_uniform_stress_has_equal_principal_values_and_survives_averaging():
+    particles, grid = block((3, 3, 3), 1e-3, modulus_pa=1e9)
+    body = ParticleBody(particles, grid, Supports.of(grid.node_count, held=grid.node_place[:, 2] == 0))
+    moved = 1e-3 * grid.node_position_m
+    pressure = 1e9 * 1e-3 / (1.0 - 2.0 * 0.3)
+    cells = cell_stress(body.cells, moved)
+    assert np.allclose(cells.principal_pa, pressure, rtol=1e-9)
+    assert np.abs(cells.von_mises_pa).max() < 1e-9 * pressure
+    nodes = node_average(grid, cells.stress_pa, body.cells.fill)
+    assert np.allclose(nodes[:, :3], pressure, rtol=1e-9) and np.abs(nodes[:, 3:]).max() < 1e-9 * pressure

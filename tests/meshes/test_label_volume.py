@@ -1,0 +1,169 @@
+"""A tooth from a label image: volumes, place, islands, cavity, refusals, and the real carious teeth."""
+
+import math
+
+import numpy as np
+import pytest
+
+from meshes import TOOTH_LAYERS, InputError, label_volume
+from meshes.image_file import Image
+from meshes.label_volume import labelled_volume
+from meshes.tooth_layers import ENAMEL
+
+SPACING_MM = 0.1
+
+
+def tooth_labels():
+    """A tooth 12 mm long that lies along the first axis, crown at its low end: 1 decay, 2 enamel, 3 dentin.
+
+    Dentin 5 x 4 mm across with a cavity of 1 x 1 x 4 mm, 3 mm of enamel over it, a cube of decay of 1 mm between them.
+    """
+    values = np.zeros((140, 70, 60), dtype=np.int16)
+    values[10:40, 10:60, 10:50] = 2
+    values[40:130, 10:60, 10:50] = 3
+    values[60:100, 30:40, 25:35] = 0
+    values[35:45, 30:40, 15:25] = 1
+    return values
+
+
+def image(values, spacing=(SPACING_MM,) * 3):
+    return Image(np.asfortranarray(values), spacing, "test", ())
+
+
+EXACT_MM3 = {"enamel": 60.0 - 0.5, "dentin": 180.0 - 4.0 - 0.5, "caries": 1.0}
+
+
+@pytest.mark.parametrize(("resample_mm", "rel"), [(0.1, 0.1), (0.2, 0.35)])
+def test_layers_keep_their_volumes(resample_mm, rel):
+    """0.5 % of the whole and of the large layers; of a lesion five voxels wide, whether its faces are half voxels."""
+    volume = labelled_volume(image(tooth_labels()), resample_mm=resample_mm, pulp_from_cavity=False)
+    assert volume.layer_names == TOOTH_LAYERS and volume.spacing_m == pytest.approx(1e-3 * resample_mm)
+    assert 1e9 * volume.volume_m3() == pytest.approx(sum(EXACT_MM3.values()), rel=5e-3)
+    for name, value in EXACT_MM3.items():
+        assert 1e9 * volume.volume_m3(name) == pytest.approx(value, rel=5e-3 if value > 10.0 else rel), name
+
+
+def test_crown_comes_up_and_the_origin_lies_on_it():
+    volume = labelled_volume(image(tooth_labels()), resample_mm=0.1)
+    filled = volume.fraction > 127
+    layer = np.where(filled, volume.layer.astype(int), -1)
+    height = np.broadcast_to(volume.centres_m(2), volume.shape)
+    assert height[layer == ENAMEL].mean() > height[layer != ENAMEL].mean()
+    i, j = (int(-volume.origin_m[k] / volume.spacing_m) for k in range(2))
+    top = volume.origin_m[2] + volume.spacing_m * (np.flatnonzero(filled[i, j])[-1] + 1)
+    assert top == pytest.approx(0.0, abs=1.1 * volume.spacing_m)
+    sides = np.ptp(np.array(volume.bounds_m), axis=0)
+    assert sides == pytest.approx([5e-3, 4e-3, 12e-3], abs=4e-4)  # it leans by a degree
+
+
+def test_islands_are_dropped_and_told():
+    values, said = tooth_labels(), []
+    values[2:4, 2:4, 2:4] = 3
+    values[135, 65, 55] = 2
+    volume = labelled_volume(image(values), resample_mm=0.2, tell=said.append)
+    assert "Dropped 2 loose pieces of 9 voxels, 0.009 mm3 in all." in said
+    assert volume.volume_m3() == labelled_volume(image(tooth_labels()), resample_mm=0.2).volume_m3()
+
+
+def test_cavity_becomes_pulp_unless_told_not_to():
+    said = []
+    volume = labelled_volume(image(tooth_labels()), resample_mm=0.1, tell=said.append)
+    assert 1e9 * volume.volume_m3("pulp") == pytest.approx(4.0, rel=0.1)
+    assert any("in the dentin is taken as pulp" in sentence for sentence in said)
+    assert 1e9 * volume.volume_m3() == pytest.approx(240.0, rel=5e-3)
+    said.clear()
+    empty = labelled_volume(image(tooth_labels()), resample_mm=0.1, pulp_from_cavity=False, tell=said.append)
+    assert empty.volume_m3("pulp") == 0.0 and any("cannot be told" in sentence for sentence in said)
+
+
+def test_cavity_with_a_narrow_mouth_is_still_pulp():
+    values = tooth_labels()
+    values[100:140, 33:37, 28:32] = 0  # a canal of 0.4 mm to the root's end
+    volume = labelled_volume(image(values), resample_mm=0.1)
+    assert 1e9 * volume.volume_m3("pulp") == pytest.approx(4.0 + 0.16 * 3.0, rel=0.15)
+
+
+def test_image_file_with_a_placeholder_for_its_spacing(tmp_path):
+    import pyvista
+
+    values = tooth_labels()
+    grid = pyvista.ImageData(dimensions=values.shape, spacing=(1.0, 1.0, 1.0))
+    grid.point_data["labels"] = values.ravel(order="F")
+    grid.save(tmp_path / "tooth.vti")
+    with pytest.raises(InputError) as refusal:
+        label_volume(tmp_path / "tooth.vti")
+    assert str(refusal.value) == (
+        "spacing_mm must make the tooth 5 to 40 mm long, got 1, which makes it 120 mm: use the scanner's value, about "
+        "0.1"
+    )
+    volume = label_volume(tmp_path / "tooth.vti", spacing_mm=SPACING_MM, resample_mm=0.2)
+    assert 1e9 * volume.volume_m3("enamel") == pytest.approx(EXACT_MM3["enamel"], rel=5e-3)
+
+
+def edited(**values):
+    """The labels with single voxels set, and its image."""
+    labels = tooth_labels().astype(values.pop("kind", np.int16))
+    for number, value in enumerate(values.values()):
+        labels[50 + number, 12, 12] = value
+    return image(labels)
+
+
+@pytest.mark.parametrize(
+    ("make", "options", "message"),
+    [
+        (
+            lambda: edited(a=7, b=9),
+            {},
+            "labels must name every label of test, got unnamed 7 (1 voxels), 9 (1 voxels): ",
+        ),
+        (
+            lambda: edited(kind=np.float32, a=2.5),
+            {},
+            "labels must be whole numbers, got 2.5 in test: use a label image",
+        ),
+        (lambda: image(np.zeros((9, 9, 9))), {}, "labels must mark a tooth, got nothing but 0 in test: check the file"),
+        (
+            lambda: edited(),
+            {"labels": {1: "caries", 2: "cement", 3: "dentin"}},
+            "labels must name layers of enamel, dentin, pulp, caries, ligament, bone, got cement: rename it",
+        ),
+        (
+            lambda: image(np.where(tooth_labels() == 2, 3, tooth_labels())),
+            {},
+            "labels must give enamel and dentin, got dentin, caries: add the enamel",
+        ),
+        (lambda: edited(), {"resample_mm": math.nan}, "resample_mm must be positive and finite, got nan: use 0.1"),
+        (lambda: edited(), {"resample_mm": 3}, "resample_mm must leave eight voxels across the tooth, got 3 for "),
+        (lambda: edited(), {"resample_mm": 1e-4}, "resample_mm must leave at most 4e+08 voxels, got 0.0001 which "),
+        (
+            lambda: image(tooth_labels(), (0.01, 0.01, 0.01)),
+            {},
+            "spacing_mm must make the tooth 5 to 40 mm long, got 0.01, which makes it 1.2 mm: ",
+        ),
+    ],
+)
+def test_refusals(make, options, message):
+    with pytest.raises(InputError) as refusal:
+        labelled_volume(make(), **options)
+    assert str(refusal.value).startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("number", "islands", "counts"),
+    [
+        (2, 147, {"caries": 163638, "enamel": 4794143, "dentin": 13024153}),
+        pytest.param(4, 1405, {"caries": 19993, "enamel": 5448491, "dentin": 18636124}, marks=pytest.mark.slow),
+    ],
+)
+def test_real_carious_teeth(anatomy_data, number, islands, counts):
+    """Voxel counts and islands are those of the data's README; the islands hold less than 0.2 mm3."""
+    said = []
+    path = anatomy_data / "tooth" / f"caries_tooth_{number}.nii.gz"
+    volume = label_volume(path, spacing_mm=0.034, resample_mm=0.1, tell=said.append)
+    assert any(f"Dropped {islands - 1} loose pieces" in sentence for sentence in said)  # the tooth is one of them
+    for name, count in counts.items():
+        expected = count * 0.034**3
+        rel = 2e-3 if name != "caries" else 0.15  # decay in sheets thinner than 0.1 mm is outvoted
+        assert 1e9 * volume.volume_m3(name) == pytest.approx(expected, rel=rel), name
+    assert 15e-9 < volume.volume_m3("pulp") < 60e-9
+    assert np.ptp(np.array(volume.bounds_m), axis=0)[2] > 17e-3

@@ -1,0 +1,227 @@
+"""A tooth from surfaces: exact volumes of nested bodies, overlaps and gaps told, its place, and the real molar."""
+
+import math
+
+import numpy as np
+import pytest
+import trimesh
+
+from meshes import TOOTH_LAYERS, InputError, layered_surfaces, voxelise
+from meshes.layer_contact import inside_surface
+from meshes.layered_surfaces import layered_anatomy
+from meshes.surface import surface_from_triangles
+
+SPACING = 1e-4
+MOLAR_MM3 = {"enamel": 221.82, "dentin": 647.50, "pulp": 33.61, "ligament": 351.09}
+
+
+def surface(*bodies):
+    """One surface of several bodies; sizes in mm."""
+    mesh = trimesh.util.concatenate(list(bodies))
+    return surface_from_triangles(np.array(mesh.vertices), np.array(mesh.faces), scale_mm=1)
+
+
+def ball(radius, centre=(0.0, 0.0, 0.0), hollow=False):
+    mesh = trimesh.creation.icosphere(subdivisions=5, radius=radius)
+    mesh.apply_translation(centre)
+    if hollow:
+        mesh.invert()
+    return mesh
+
+
+def block(size, bottom, hollow=False):
+    """A box whose lowest face is centred at (0, 0, bottom)."""
+    mesh = trimesh.creation.box(size)
+    mesh.apply_translation((0.0, 0.0, bottom + 0.5 * size[2]))
+    if hollow:
+        mesh.invert()
+    return mesh
+
+
+def ball_mm3(radius):
+    return 4.0 / 3.0 * math.pi * radius**3
+
+
+def lens_mm3(one, other, apart):
+    """Volume that two balls share (Weisstein, "Sphere-sphere intersection")."""
+    return (
+        math.pi
+        * (one + other - apart) ** 2
+        * (apart**2 + 2 * apart * (one + other) - 3 * (one - other) ** 2)
+        / (12 * apart)
+    )
+
+
+def blocks(gap=0.0, lift=0.0):
+    """Dentin 8 x 6 x 12 mm, hollow for a pulp of 2 x 2 x 6, under an enamel of 8 x 6 x 3 that stands off by `gap`."""
+    return {
+        "enamel": surface(block((8, 6, 3), 12 + gap + lift)),
+        "dentin": surface(block((8, 6, 12), 0.0), block((2, 2, 6), 4.0, hollow=True)),
+        "pulp": surface(block((2, 2, 6), 4.0)),
+    }
+
+
+def volumes_mm3(volume):
+    return {name: 1e9 * volume.volume_m3(name) for name in TOOTH_LAYERS}
+
+
+@pytest.mark.parametrize("hollow", [True, False])
+@pytest.mark.parametrize("first", ["enamel", "dentin"])
+def test_balls_have_their_volumes_and_the_overlap_goes_by_priority(hollow, first):
+    """0.2 %: facets of the icospheres, and nine lines a voxel."""
+    lens = lens_mm3(5.0, 3.0, 7.0)
+    dentin = [ball(5.0), ball(2.0, hollow=True)] if hollow else [ball(5.0)]
+    surfaces = {"dentin": surface(*dentin), "pulp": surface(ball(2.0)), "enamel": surface(ball(3.0, (0, 0, 7.0)))}
+    second = {"enamel": "dentin", "dentin": "enamel"}[first]
+    anatomy = layered_anatomy(surfaces, priority=("pulp", first, second))
+    found = volumes_mm3(voxelise(anatomy, spacing_m=SPACING))
+    expected = {"enamel": ball_mm3(3.0), "dentin": ball_mm3(5.0) - ball_mm3(2.0), "pulp": ball_mm3(2.0)}
+    expected[second] -= lens
+    for name, value in expected.items():
+        assert found[name] == pytest.approx(value, rel=2e-3), name
+    told = dict(part.rsplit(" ", 2)[:2] for part in anatomy.notes["overlaps"].split(", "))
+    assert float(told[f"{first} and {second}"]) == pytest.approx(lens, rel=0.02)  # points of 0.1 mm
+    assert ("pulp and dentin" in told) == (not hollow)
+    assert anatomy.notes["gaps"] == "none" and anatomy.notes["priority"] == f"pulp > {first} > {second}"
+
+
+def test_gap_is_told_and_filled():
+    anatomy = layered_anatomy(blocks(gap=0.2))
+    volume = voxelise(anatomy, spacing_m=SPACING)
+    assert anatomy.notes["gaps"].startswith("enamel and dentin ")
+    assert float(anatomy.notes["gaps"].split()[-2]) == pytest.approx(8 * 6 * 0.2, rel=0.03)
+    assert 1e9 * volume.volume_m3() == pytest.approx(8 * 6 * 15.2, rel=3e-3)
+    assert volumes_mm3(volume)["enamel"] == pytest.approx(8 * 6 * 3.2, rel=0.01)  # enamel comes before dentin
+
+
+def test_layers_that_fit_have_neither_gap_nor_overlap():
+    anatomy = layered_anatomy(blocks())
+    found = volumes_mm3(voxelise(anatomy, spacing_m=SPACING))
+    assert anatomy.notes["gaps"] == anatomy.notes["overlaps"] == "none" and "voids" not in anatomy.notes
+    for name, value in (("enamel", 144.0), ("dentin", 576.0 - 24.0), ("pulp", 24.0)):
+        assert found[name] == pytest.approx(value, rel=2e-3), name
+
+
+def test_cavity_without_a_pulp_is_told_and_left_empty():
+    surfaces = blocks()
+    del surfaces["pulp"]
+    anatomy = layered_anatomy(surfaces)
+    assert float(anatomy.notes["voids"].split()[0]) == pytest.approx(24.0, rel=0.03)
+    assert "cannot be told" in anatomy.notes["pulp"] and "no support" in anatomy.notes["ligament"]
+    assert 1e9 * voxelise(anatomy, spacing_m=2e-4).volume_m3() == pytest.approx(720.0 - 24.0, rel=3e-3)
+
+
+def test_tooth_is_placed_wherever_it_lay():
+    """Crown up, origin on the enamel, whatever the frame of the file."""
+    turn = trimesh.transformations.rotation_matrix(2.3, (1.0, -2.0, 0.5), point=(40.0, 10.0, -7.0))
+    turned = {}
+    for name, part in blocks().items():
+        points = trimesh.transform_points(part.vertices_m * 1e3, turn)
+        turned[name] = surface_from_triangles(points, part.faces, scale_mm=1)
+    volume = voxelise(layered_anatomy(turned), spacing_m=2e-4)
+    assert volume.bounds_m[1][2] == pytest.approx(0.0, abs=2.1e-4)
+    assert volume.bounds_m[0][2] == pytest.approx(-15e-3, abs=3e-4)
+    assert np.abs(volume.bounds_m[1][:2] - [4e-3, 3e-3]).max() < 3e-4
+    middle = volume.layer[volume.shape[0] // 2, volume.shape[1] // 2]
+    met = [TOOTH_LAYERS[k] for k in middle[::-1]]
+    assert list(dict.fromkeys(met)) == ["enamel", "dentin", "pulp"]
+
+
+def test_inside_of_scattered_points():
+    points = np.random.default_rng(5).uniform(-6e-3, 6e-3, (3000, 3))
+    sphere = surface(ball(5.0))
+    expected = np.linalg.norm(points, axis=1) < 5e-3
+    found = inside_surface(sphere.vertices_m, sphere.faces, points)
+    assert (found == expected).mean() > 0.999  # facets of the icosphere lie 3 µm inside
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"cement": "dentin"},
+            "surfaces must name layers of enamel, dentin, pulp, caries, ligament, bone, got cement: ",
+        ),
+        ({"enamel": None}, "surfaces must give enamel and dentin, got dentin, pulp: add the enamel"),
+        (
+            {"enamel": "apart"},
+            "layers must touch in one common frame and unit, got enamel 4 mm from dentin, the nearest",
+        ),
+        ({"pulp": "beside"}, "pulp must lie within the dentin, got 2"),
+    ],
+)
+def test_teeth_that_cannot_be(change, message):
+    surfaces = blocks()
+    (name, what), *_ = change.items()
+    if what is None:
+        del surfaces[name]
+    elif what == "apart":
+        surfaces[name] = blocks(lift=4.0)[name]
+    elif what == "beside":
+        outside = block((2, 2, 6), 4.0)
+        outside.apply_translation((5.0, 0.0, 0.0))
+        surfaces[name] = surface(outside)
+    else:
+        surfaces[name] = surfaces[what]
+    with pytest.raises(InputError) as refusal:
+        layered_anatomy(surfaces)
+    assert str(refusal.value).startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"priority": ("enamel", "dentin")}, "priority must name every layer once, got enamel, dentin: add pulp"),
+        ({"socket_mm": 2.0}, "socket_mm must be 0 without a ligament or with a bone surface, got 2: "),
+        ({"socket_mm": math.inf}, "socket_mm must be in [0, 10], got inf: use 2.5, or 0 for none"),
+    ],
+)
+def test_refused_options(options, message):
+    with pytest.raises(InputError) as refusal:
+        layered_anatomy(blocks(), **options)
+    assert str(refusal.value).startswith(message)
+
+
+def test_size_of_no_tooth(tmp_path):
+    for name, part in blocks().items():
+        trimesh.Trimesh(part.vertices_m * 1e3, part.faces).export(tmp_path / f"{name}.stl")
+    paths = {name: tmp_path / f"{name}.stl" for name in blocks()}
+    with pytest.raises(InputError) as refusal:
+        layered_surfaces(paths, scale_mm=10)
+    assert str(refusal.value) == (
+        "scale_mm must make the tooth 5 to 40 mm long, got 10, which makes it 150 mm: use the scanner's value, about 1"
+    )
+    with pytest.raises(InputError, match="file must exist, got "):
+        layered_surfaces({**paths, "ligament": tmp_path / "gone.stl"})
+
+
+@pytest.fixture
+def real(anatomy_data):
+    files = {"enamel": "Enamel", "dentin": "Dentin", "pulp": "Pulp", "ligament": "PDL"}
+    return {name: anatomy_data / "tooth" / f"openmandible_L6_{part}.stl" for name, part in files.items()}
+
+
+def test_real_molar_keeps_the_volume_of_every_layer(real):
+    anatomy = layered_surfaces(real)
+    volume = voxelise(anatomy, spacing_m=SPACING)
+    for name, value in MOLAR_MM3.items():
+        assert 1e9 * volume.volume_m3(name) == pytest.approx(value, rel=2e-3), name  # 1 % was asked for
+    assert anatomy.notes["overlaps"] == "none"
+    assert volume.bounds_m[1][2] < 3.5e-3 and volume.bounds_m[0][2] == pytest.approx(-20e-3, abs=1e-3)
+    top = volume.fraction[int(-volume.origin_m[0] / SPACING), int(-volume.origin_m[1] / SPACING)]
+    assert volume.origin_m[2] + SPACING * (np.flatnonzero(top)[-1] + 1) == pytest.approx(0.0, abs=1.1 * SPACING)
+
+
+@pytest.mark.slow
+def test_real_molar_in_a_socket(real):
+    spacing = 2e-4
+    volume = voxelise(layered_surfaces(real, socket_mm=2.0), spacing_m=spacing)
+    for name, value in MOLAR_MM3.items():
+        assert 1e9 * volume.volume_m3(name) == pytest.approx(value, rel=0.01), name
+    bone = volume.layer == TOOTH_LAYERS.index("bone")
+    from scipy.ndimage import distance_transform_edt, label
+
+    assert label(bone & (volume.fraction > 0))[1] == 1
+    ligament = (volume.layer == TOOTH_LAYERS.index("ligament")) & (volume.fraction > 0)
+    away = distance_transform_edt(~ligament) * spacing
+    assert away[bone & (volume.fraction > 127)].max() == pytest.approx(2e-3, abs=1.5 * spacing)

@@ -1,0 +1,217 @@
+"""The procedural molar: its size, layers and lesion against the parameters, and what it refuses."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from meshes import TOOTH_LAYERS, InputError, caries_softness, molar, voxelise
+from meshes.tooth_layers import CARIES, DENTIN, ENAMEL, LIGAMENT, PULP, caries_density
+
+SPACING = 1e-4
+MM = 1e-3
+
+
+@pytest.fixture(scope="module")
+def tooth():
+    return voxelise(molar(), spacing_m=SPACING)
+
+
+def labels(volume):
+    """Layer index of the voxels more than half full, -1 elsewhere."""
+    return np.where(volume.fraction > 127, volume.layer.astype(int), -1)
+
+
+def extent(volume, flags, axis):
+    """Lowest and highest face of the flagged voxels along an axis [m]."""
+    held = np.flatnonzero(flags.any(axis=tuple(k for k in range(3) if k != axis)))
+    return volume.origin_m[axis] + volume.spacing_m * np.array([held[0], held[-1] + 1])
+
+
+def along(volume, x, y):
+    """Layers met on the way down at (x, y) [m], and the height of each one's top and bottom [m]."""
+    i, j = (int((value - volume.origin_m[k]) / volume.spacing_m) for k, value in enumerate((x, y)))
+    column = labels(volume)[i, j]
+    met = []
+    for k in np.flatnonzero(column >= 0)[::-1]:
+        top = volume.origin_m[2] + volume.spacing_m * (k + 1)
+        if not met or met[-1][0] != TOOTH_LAYERS[column[k]]:
+            met.append([TOOTH_LAYERS[column[k]], top, top])
+        met[-1][2] = top - volume.spacing_m
+    return met
+
+
+@pytest.mark.parametrize(
+    ("width", "length", "height", "root", "cusp"),
+    [(11.0, 10.5, 7.5, 14.0, 1.8), (10.2, 9.6, 7.0, 12.5, 1.4), (12.0, 11.4, 8.4, 15.5, 2.2)],
+)
+def test_size_is_the_size_asked_for(width, length, height, root, cusp):
+    """Within two voxels of 0.15 mm: the widest section is flat, and tips and apices are round."""
+    anatomy = molar(
+        crown_width_mm=width, crown_length_mm=length, crown_height_mm=height, root_length_mm=root, cusp_height_mm=cusp
+    )
+    volume = voxelise(anatomy, spacing_m=0.15 * MM)
+    layer = labels(volume)
+    for axis, size in enumerate((width, length)):
+        assert np.ptp(extent(volume, layer == ENAMEL, axis)) / MM == pytest.approx(size, abs=0.3)
+    top = extent(volume, layer == ENAMEL, 2)[1] / MM
+    assert top == pytest.approx(cusp, abs=0.3)
+    assert extent(volume, layer == DENTIN, 2)[0] / MM == pytest.approx(cusp - height - root, abs=0.3)
+
+
+def test_origin_lies_on_the_enamel(tooth):
+    """A thin bur down the long axis meets the enamel at z = 0."""
+    assert molar().shape.distance(np.zeros((1, 3)))[0] == pytest.approx(0.0, abs=1e-9)
+    assert along(tooth, 1e-6, 1e-6)[0][:2] == ["enamel", pytest.approx(0.0, abs=SPACING)]
+
+
+def test_layers_down_through_the_fossa(tooth):
+    """Enamel 1 to 2 mm in the fossa, 3 to 5 mm of dentin over the pulp (M, see `meshes.molar`)."""
+    met = along(tooth, 1e-6, 1e-6)
+    assert [name for name, _, _ in met] == ["enamel", "dentin", "pulp", "dentin", "ligament", "bone"]
+    thickness = {name: (top - bottom) / MM for name, top, bottom in met[:3]}
+    assert thickness["enamel"] == pytest.approx(0.62 * 2.2, abs=0.11)
+    assert 3.0 < thickness["dentin"] < 5.0 and 1.5 < thickness["pulp"] < 2.5
+    assert met[2][1] / MM == pytest.approx(-5.0, abs=0.11)
+
+
+def test_enamel_is_thick_over_the_cusps_and_ends_at_the_cervical_line(tooth):
+    tip = along(tooth, 0.42 * 5.5 * MM, -0.52 * 5.25 * MM)
+    assert tip[0][0] == "enamel" and (tip[0][1] - tip[0][2]) / MM == pytest.approx(2.2, abs=0.15)
+    lowest = extent(tooth, labels(tooth) == ENAMEL, 2)[0] / MM
+    assert lowest == pytest.approx(1.8 - 7.5, abs=0.2)
+
+
+def test_five_cusps_two_roots_three_canals(tooth):
+    layer = labels(tooth)
+    top = tooth.bounds_m[1][2] - (layer[:, :, ::-1] == ENAMEL).argmax(axis=2) * SPACING
+    top[~(layer == ENAMEL).any(axis=2)] = -1.0
+    smooth = ndimage.gaussian_filter(np.maximum(top, 0.0), 2.0)
+    peak = (smooth == ndimage.maximum_filter(smooth, size=15)) & (smooth > 0.5 * 1.8 * MM)
+    assert ndimage.label(peak, np.ones((3, 3)))[1] == 5
+    section = layer[:, :, int((-11.0 * MM - tooth.origin_m[2]) / SPACING)]
+    assert ndimage.label((section == DENTIN) | (section == PULP))[1] == 2
+    assert ndimage.label(section == PULP)[1] == 3
+
+
+def test_each_layer_is_one_piece(tooth):
+    for name in ("enamel", "dentin", "pulp", "ligament", "bone"):
+        assert ndimage.label(labels(tooth) == TOOTH_LAYERS.index(name), np.ones((3, 3, 3)))[1] == 1, name
+
+
+def test_ligament_has_its_thickness():
+    """Distances from dentin to bone through the ligament, on voxels of a sixth of it."""
+    thickness, spacing = 0.30 * MM, 0.05 * MM
+    anatomy = molar(ligament_thickness_mm=0.30)
+    volume = voxelise(anatomy, spacing_m=spacing, region_m=((-7e-3, -6e-3, -16e-3), (0.0, 6e-3, -10e-3)))
+    layer = labels(volume)
+    outward = ndimage.distance_transform_edt((layer != DENTIN) & (layer != PULP)) * spacing
+    bone = layer == TOOTH_LAYERS.index("bone")
+    beside = bone & ndimage.binary_dilation(layer == LIGAMENT)
+    assert np.median(outward[beside]) - 0.5 * spacing == pytest.approx(thickness, abs=0.5 * spacing)
+    assert outward[layer == LIGAMENT].max() < thickness + 2.5 * spacing
+
+
+def test_pulp_lies_within_the_dentin(tooth):
+    """The canals end in the apices; up to 14 mm below the fossa, 0.7 mm of dentin or more cover the pulp."""
+    layer = labels(tooth)
+    away = ndimage.distance_transform_edt(layer != PULP) * SPACING / MM
+    assert away[layer == ENAMEL].min() > 1.5
+    above_apex = tooth.centres_m(2) > -14.0 * MM
+    assert away[:, :, above_apex][layer[:, :, above_apex] == LIGAMENT].min() > 0.7
+
+
+def test_layers_make_the_whole(tooth):
+    assert tooth.layer_names == TOOTH_LAYERS
+    assert sum(tooth.volume_m3(name) for name in TOOTH_LAYERS) == pytest.approx(tooth.volume_m3(), rel=1e-12)
+    assert tooth.volume_m3("caries") == 0.0
+    assert 200e-9 < tooth.volume_m3("enamel") < 320e-9  # 222 mm3 in the real molar of ../shared/anatomy
+    assert 550e-9 < tooth.volume_m3("dentin") < 800e-9  # 648 there
+    assert 25e-9 < tooth.volume_m3("pulp") < 60e-9  # 34 there
+
+
+def test_volumes_converge():
+    """The whole to 0.05 %; each layer to 3 % at 0.2 mm, as wide as the ligament, judged by voxels of 0.1 mm."""
+    coarse, fine, finest = (voxelise(molar(), spacing_m=s) for s in (4e-4, 2e-4, 1e-4))
+    assert coarse.volume_m3() == pytest.approx(finest.volume_m3(), rel=5e-4)
+    assert fine.volume_m3() == pytest.approx(finest.volume_m3(), rel=1e-4)
+    for name in TOOTH_LAYERS:
+        error, before = (abs(v.volume_m3(name) - finest.volume_m3(name)) for v in (fine, coarse))
+        assert error <= 0.03 * finest.volume_m3(name) and error <= max(before, 1e-3 * finest.volume_m3(name)), name
+
+
+@pytest.mark.parametrize(
+    ("width", "length", "height", "cusp"),
+    [(11, 10.5, 7.5, 1.8), (13, 12.5, 6, 0.8), (13, 12.5, 6.5, 2.5), (9, 8.5, 9.5, 2.5)],
+)
+def test_distance_is_a_bound(width, length, height, cusp):
+    """No steeper than 1 for the extreme crowns either: sampling by blocks rests on it."""
+    shape = molar(
+        crown_width_mm=width, crown_length_mm=length, crown_height_mm=height, cusp_height_mm=cusp, pulp_roof_mm=4.5
+    ).shape
+    random = np.random.default_rng(3)
+    p = random.uniform((-9e-3, -9e-3, -25e-3), (9e-3, 9e-3, 5e-3), (200_000, 3))
+    q = p + random.normal(size=p.shape) * 1e-4
+    rise = np.abs(shape.distance(p) - shape.distance(q)) / np.linalg.norm(p - q, axis=1)
+    assert rise.max() <= 1.0 + 1e-9
+
+
+def test_a_voxel_does_not_depend_on_the_region(tooth):
+    part = voxelise(molar(), spacing_m=SPACING, region_m=((-3.1e-3, -2e-3, -7.33e-3), (1.2e-3, 3e-3, 1e-3)))
+    first = np.rint((part.origin_m - tooth.origin_m) / SPACING).astype(int)
+    window = tuple(slice(a, a + n) for a, n in zip(first, part.shape, strict=True))
+    for name in ("fraction", "layer", "density_kg_m3"):
+        assert np.array_equal(getattr(part, name), getattr(tooth, name)[window]), name
+
+
+def test_lesion_has_its_size_and_softens_toward_its_middle():
+    depth, diameter = 3.5 * MM, 3.0 * MM
+    volume = voxelise(molar(caries_depth_mm=3.5), spacing_m=SPACING)
+    carious = labels(volume) == CARIES
+    assert extent(volume, carious, 2)[0] == pytest.approx(-depth, abs=1.1 * SPACING)
+    assert np.ptp(extent(volume, carious, 0)) == pytest.approx(diameter, abs=2.1 * SPACING)
+    assert volume.volume_m3("caries") == pytest.approx(math.pi / 6.0 * diameter**2 * depth, rel=0.01)
+    index = np.argwhere(carious)
+    x, y, z = (volume.centres_m(k)[index[:, k]] for k in range(3))
+    radius_squared = (x**2 + y**2) / (0.5 * diameter) ** 2 + ((z + 0.5 * depth) / (0.5 * depth)) ** 2
+    softness = caries_softness(volume.density_kg_m3[carious])
+    assert np.abs(softness - np.maximum(1.0 - radius_squared, 0.0) ** 2).max() < 1e-3  # density in whole kg/m3 of 800
+    assert int(volume.density_kg_m3[carious].min()) == pytest.approx(1300, abs=10)
+    assert volume.density_kg_m3[carious].max() <= 2100
+    sound = voxelise(molar(), spacing_m=SPACING)
+    assert np.array_equal(sound.fraction, volume.fraction)
+    assert np.array_equal(
+        sound.layer[~carious & (volume.layer != CARIES)], volume.layer[~carious & (volume.layer != CARIES)]
+    )
+
+
+def test_softness_and_density_are_one_law():
+    softness = np.linspace(0.0, 1.0, 11)
+    assert caries_softness(caries_density(softness)) == pytest.approx(softness)
+    assert caries_softness(np.array([2900, 2100, 1700, 1300, 1000])).tolist() == [0.0, 0.0, 0.5, 1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"crown_width_mm": 20}, "crown_width_mm must be in [9, 13], got 20: use 11"),
+        ({"enamel_thickness_mm": math.nan}, "enamel_thickness_mm must be in [1, 3], got nan: use 2.2"),
+        ({"ligament_thickness_mm": 0}, "ligament_thickness_mm must be in [0.1, 0.5], got 0: use 0.22"),
+        ({"caries_depth_mm": -1}, "caries_depth_mm must be in [0, 6.2], got -1: use 0 for none, or about 3"),
+        ({"socket_mm": "wide"}, "socket_mm must be a number, got 'wide': use 2.5"),
+        (
+            {"caries_depth_mm": 4.9},
+            "caries_depth_mm must leave 0.3 mm over the pulp, got 4.9 with the chamber's roof at 5: use at most 4.7",
+        ),
+        (
+            {"pulp_roof_mm": 6.4, "crown_height_mm": 6, "cusp_height_mm": 2},
+            "pulp_roof_mm must lie above the root trunk, got 6.4 with a cervical line 4 below the fossa: use at "
+            "most 4.8",
+        ),
+    ],
+)
+def test_refusals(options, message):
+    with pytest.raises(InputError) as refusal:
+        molar(**options)
+    assert str(refusal.value) == message

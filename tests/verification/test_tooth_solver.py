@@ -1,0 +1,149 @@
+"""Iterations over contrast and refinement, every way a solve can end, islands, removal and warm starts."""
+
+import numpy as np
+import pytest
+from tooth_bodies import at_bottom, block, lattice
+
+from tissue.tooth import HexGrid, Outcome, ParticleBody, ParticleSet, Supports, particle_stress
+from tissue.tooth.solver import conjugate_gradients
+
+EDGE = 8e-3
+CONTRASTS = (1.0, 100.0, 4200.0, 42000.0)
+
+
+def ball_in_block(cells, contrast):
+    """84 GPa around a ball of 84 GPa / contrast, on a layer of the same: pulp and ligament at once."""
+
+    def modulus(x):
+        soft = (np.linalg.norm(x - EDGE / 2, axis=1) < 0.25 * EDGE) | (x[:, 2] < 0.125 * EDGE)
+        return np.where(soft, 84e9 / contrast, 84e9)
+
+    particles, grid = block((cells,) * 3, EDGE / cells, modulus_pa=modulus, places=lattice(2))
+    return ParticleBody(particles, grid, at_bottom(grid))
+
+
+def push(body, at=(0.5, 0.4, 1.0)):
+    return body.spread(np.array(at) * EDGE, np.array([0.3, 0.0, -1.0]))
+
+
+def test_iterations_follow_neither_contrast_nor_refinement():
+    """To 1e-6 in the energy norm, from rest; 25 is the real molar's count, no grid may take 8 more than the first."""
+    counts = np.array([[ball_in_block(n, c).solve(push(ball_in_block(n, c)), tolerance=1e-6).iterations
+                        for n in (8, 12, 16, 20)] for c in CONTRASTS])  # fmt: skip
+    print("\ncontrast  8^3 12^3 16^3 20^3 cells")
+    for contrast, row in zip(CONTRASTS, counts, strict=True):
+        print(f"{contrast:8.0f}  {row}")
+    assert counts.max() <= 25
+    assert (counts - counts[:, :1]).max() <= 8
+
+
+def with_pieces():
+    """A bar held at one end, a cell that meets it in an edge, and two cells apart from it; held at x = 0."""
+    bar = [[i, 0, 0] for i in range(4)]
+    cells = np.array([*bar, [4, 1, 0], [2, 3, 0], [2, 4, 0]])
+    position = ((cells[:, None] + lattice(2)) * 1e-3).reshape(-1, 3)
+    particles = ParticleSet.uniform(position, volume_m3=1.25e-10, modulus_pa=18.6e9)
+    grid = HexGrid.around(position, edge_m=1e-3, origin_m=np.zeros(3))
+    supports = Supports.of(grid.node_count, held=grid.node_place[:, 0] == 0)
+    return particles, grid, supports
+
+
+def test_islands_and_hinges_are_debris_and_the_rest_solves():
+    body = ParticleBody(*with_pieces())
+    assert np.array_equal(body.debris, np.arange(32, 56))
+    load = body.spread(np.array([3.9e-3, 0.5e-3, 1e-3]), np.array([0.0, 0.0, -1.0]))
+    assert body.solve(load).outcome is Outcome.CONVERGED
+    matrix = body.matrix().toarray()
+    kept = np.flatnonzero(np.diag(matrix) > 0.0)
+    values = np.linalg.eigvalsh(matrix[np.ix_(kept, kept)])
+    assert values[0] > 1e-6 * values[-1]
+
+
+@pytest.mark.parametrize("at", [(4.5e-3, 1.9e-3, 0.5e-3), (2.5e-3, 4.9e-3, 0.3e-3)], ids=["hinge", "island"])
+def test_plain_assembly_is_singular_and_says_so(at):
+    body = ParticleBody(*with_pieces(), drop_islands=False)
+    matrix = body.matrix().toarray()
+    kept = np.flatnonzero(np.diag(matrix) > 0.0)
+    values = np.linalg.eigvalsh(matrix[np.ix_(kept, kept)])
+    assert int((values < 1e-10 * values[-1]).sum()) == 7  # six of the island, one of the hinge
+    found = body.solve(body.spread(np.array(at), np.array([0.0, 1.0, -1.0])))
+    assert found.outcome in (Outcome.INDEFINITE, Outcome.NOT_CONVERGED)
+
+
+def test_a_load_on_debris_and_a_body_without_support_are_reported():
+    body = ParticleBody(*with_pieces())
+    load = np.zeros((body.grid.node_count, 3))
+    load[body.grid.cell_nodes[-1][-1], 2] = 1.0
+    assert body.solve(load).outcome is Outcome.UNSUPPORTED
+    particles, grid, _ = with_pieces()
+    loose = ParticleBody(particles, grid, Supports.of(grid.node_count))
+    assert len(loose.debris) == len(particles.layer)
+    assert loose.solve(load).outcome is Outcome.UNSUPPORTED
+
+
+def test_too_few_iterations_are_reported():
+    body = ball_in_block(8, 42000.0)
+    found = body.solve(push(body), limit=2)
+    assert found.outcome is Outcome.NOT_CONVERGED and found.iterations == 2 and found.error > 1e-4
+    assert not body.displacement_m.any()
+
+
+def test_an_indefinite_matrix_is_reported():
+    load = np.ones((4, 3))
+    found = conjugate_gradients(
+        lambda u: -u, load, diagonal=load, precondition=lambda r: r, start_m=0.0 * load, tolerance=1e-6, limit=9
+    )
+    assert found.outcome is Outcome.INDEFINITE
+
+
+def test_no_load_needs_no_iteration():
+    body = ball_in_block(8, 1.0)
+    found = body.solve(np.zeros((body.grid.node_count, 3)))
+    assert found.converged and found.iterations == 0 and not found.displacement_m.any()
+
+
+def test_removed_particles_leave_the_stiffness_of_a_fresh_assembly():
+    """1,000 random removals, one update each: only touched cells are summed, and the result is the fresh one's bits."""
+    body = ball_in_block(8, 42000.0)
+    random = np.random.default_rng(0)
+    for _ in range(1000):
+        chosen = random.integers(0, len(body.particles.layer), 3)
+        body.set_remaining(chosen, random.integers(0, 30000, 3))
+        assert len(body.update().cells) <= 24
+    left = np.empty_like(body.particles.remaining)
+    left[body.cells.order] = body.cells.remaining
+    arrays = body.particles
+    fresh = ParticleBody(
+        ParticleSet(arrays.position_m, arrays.volume_m3, arrays.modulus_pa, arrays.poisson_ratio, arrays.layer, left),
+        body.grid, body.supports,
+    )  # fmt: skip
+    assert np.array_equal(body.cells.cell_matrices(), fresh.cells.cell_matrices())
+    assert np.array_equal(body.debris, fresh.debris)
+    ours, theirs = body.matrix(), fresh.matrix()
+    assert abs(ours - theirs).max() <= 1e-10 * abs(theirs).max()
+    for level, other in zip(body._hierarchy.levels[1:], fresh._hierarchy.levels[1:], strict=True):
+        difference = level.blocks.matrix() - other.blocks.matrix()
+        assert abs(difference).max() <= 1e-10 * abs(other.blocks.matrix()).max()
+
+
+def test_stress_after_warm_starts_is_that_of_a_cold_solve():
+    """A ball cuts 20 steps deep, every solve from the last: largest stress difference below 0.5 % of the largest."""
+    body = ball_in_block(16, 42000.0)
+    position = body.particles.position_m
+    warm = []
+    for step in range(20):
+        tip = np.array([0.5, 0.4, 1.0]) * EDGE - [0.0, 0.0, 5e-5 * step]
+        cut = np.flatnonzero(np.linalg.norm(position - tip, axis=1) < 0.9e-3)
+        body.set_remaining(cut, np.zeros(len(cut), dtype=int))
+        body.update()
+        load = body.spread(tip - [0.0, 0.0, 0.9e-3], np.array([0.0, 0.0, -1.0]))
+        warm.append(body.solve(load))
+    cold = body.solve(load, tolerance=1e-10, cold=True)
+    kept = np.flatnonzero(body.cells.remaining[body.cells.rank])
+    ours, exact = (particle_stress(body.cells, s.displacement_m, particles=kept) for s in (warm[-1], cold))
+    error = np.abs(ours.stress_pa - exact.stress_pa).max() / exact.von_mises_pa.max()
+    print(
+        f"\nwarm {[s.iterations for s in warm]} iterations, cold {cold.iterations}; stress off by {100 * error:.3f} %"
+    )
+    assert all(s.converged for s in warm) and cold.converged
+    assert error <= 5e-3

@@ -1,0 +1,52 @@
+"""Fields over a mesh that change with time: what a finite element model shows of itself."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["FieldSeries", "Frame"]
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Fields at one time.
+
+    Attributes
+    ----------
+    time_s
+        Time of the state that the fields belong to [s].
+    points
+        Values at the nodes by name with unit, shape (nodes,) or (nodes, 3).
+    cells
+        Values of the cells by name with unit, shape (cells,) or (cells, 3); NaN where a cell is gone.
+    """
+
+    time_s: float
+    points: dict[str, NDArray[np.float32]]
+    cells: dict[str, NDArray[np.float32]]
+
+
+@dataclass(frozen=True, eq=False)
+class FieldSeries:
+    """A mesh and the frames computed on it so far.
+
+    Attributes
+    ----------
+    nodes_m
+        Node positions [m], shape (nodes, 3).
+    cells
+        Nodes of each cell in VTK's order, shape (cells, 8) for hexahedra or (cells, 4) for tetrahedra.
+    layer
+        Layer of each cell, shape (cells,).
+    layer_names
+        Names of the layers.
+    frames
+        Frames in the order of time.
+    """
+
+    nodes_m: NDArray[np.float64]
+    cells: NDArray[np.int64]
+    layer: NDArray[np.uint8]
+    layer_names: tuple[str, ...]
+    frames: list[Frame] = field(default_factory=list)

@@ -1,0 +1,215 @@
+"""Stress and displacement of a tooth while it is drilled, at a rate of their own."""
+
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.errors import InputError
+from meshes.tooth_layers import caries_softness
+from meshes.volume import VoxelVolume
+from tissue.fields import FieldSeries, Frame
+from tissue.materials import constants
+from tissue.tooth.body import ParticleBody
+from tissue.tooth.compliance import SupportCompliance, support_compliance
+from tissue.tooth.grid import HexGrid
+from tissue.tooth.ligament import bed_springs, bed_stiffness
+from tissue.tooth.particles import FULL_STEPS, ParticleSet
+from tissue.tooth.stress import cell_stress
+from tissue.tooth.supports import Supports
+
+__all__ = ["SolveRecord", "StressField"]
+
+TOOTH = ("enamel", "dentin", "pulp", "caries")
+"""Layers that the particles fill; the ligament is a bed of springs, the bone behind it does not move."""
+VTK_ORDER = (0, 4, 6, 2, 1, 5, 7, 3)
+"""Corners of a cell in the order that VTK numbers a hexahedron."""
+INFECTED_SHARE = 0.05
+"""Modulus of fully softened dentin relative to sound dentin: 1 of 18.6 GPa (infected 0.1-5 GPa, low confidence)."""
+
+
+@dataclass(frozen=True)
+class SolveRecord:
+    """What one solve cost and how it ended."""
+
+    time_s: float
+    iterations: int
+    outcome: str
+    solve_s: float
+    debris: int
+
+
+class StressField:
+    """Particle finite elements of a whole tooth.
+
+    Parameters
+    ----------
+    tooth
+        The whole tooth in voxels, each of which becomes a particle.
+    cell_m
+        Edge of a cell [m].
+    ligament_thickness_m
+        Thickness of the ligament [m].
+    device, cores
+        Warp device, and processor cores to use.
+
+    Attributes
+    ----------
+    series
+        Mesh and frames.
+    compliance
+        How the tooth gives in its ligament.
+    records
+        Cost and outcome of every solve.
+    """
+
+    def __init__(
+        self,
+        tooth: VoxelVolume,
+        *,
+        cell_m: float,
+        ligament_thickness_m: float,
+        device: str = "cpu",
+        cores: int | None = None,
+    ) -> None:
+        self._volume = tooth
+        index = [tooth.layer_names.index(name) for name in TOOTH if name in tooth.layer_names]
+        solid = (tooth.fraction > 0) & np.isin(tooth.layer, index)
+        places = np.argwhere(solid)
+        self._particle_at = np.full(tooth.shape, -1, dtype=np.int64)
+        self._particle_at[solid] = np.arange(len(places))
+        particles = _particles(tooth, places)
+        origin = cell_m * np.floor(particles.position_m.min(axis=0) / cell_m)
+        grid = HexGrid.around(particles.position_m, edge_m=cell_m, origin_m=origin)
+        springs, self.held_area_m2 = _ligament_springs(tooth, solid, grid, ligament_thickness_m)
+        self.body = ParticleBody(
+            particles, grid, Supports.of(grid.node_count, spring_n_m=springs), device=device, cores=cores
+        )
+        weights = np.zeros(grid.node_count)
+        np.add.at(weights, grid.cell_nodes, (self.body.cells.fill * cell_m**3 / 8.0)[:, None])
+        self.reference_m = np.average(grid.node_position_m, axis=0, weights=weights)
+        self.compliance: SupportCompliance = support_compliance(
+            self.body, weights=weights, reference_m=self.reference_m
+        )
+        if not self.compliance.converged:
+            raise InputError(
+                "stress.cell_mm must give a tooth that its ligament holds, got a solve that did not converge: "
+                f"use {2e3 * cell_m:g}"
+            )
+        layer = _cell_layers(self.body)
+        self.series = FieldSeries(
+            grid.node_position_m, grid.cell_nodes[:, VTK_ORDER].astype(np.int64), layer, tooth.layer_names
+        )
+        self.records: list[SolveRecord] = []
+
+    @property
+    def unknown_count(self) -> int:
+        """Displacement components."""
+        return 3 * self.body.grid.node_count
+
+    def remove(self, start: NDArray[np.uint8], left: NDArray[np.uint8], *, origin_m: NDArray[np.float64],
+               spacing_m: float) -> None:  # fmt: skip
+        """Take from the particles what finer voxels have lost.
+
+        Parameters
+        ----------
+        start, left
+            Fraction of the finer voxels at the start and now, 255 = full, shape (nx, ny, nz).
+        origin_m, spacing_m
+            Corner of their voxel (0, 0, 0) and their edge [m]; lines of both grids lie on multiples of it.
+        """
+        ratio = round(self._volume.spacing_m / spacing_m)
+        first = np.rint(origin_m / spacing_m).astype(int)
+        lost = (start - left).astype(np.int64)
+        coarse_first = first // ratio
+        for axis in range(3):
+            coarse = (first[axis] + np.arange(lost.shape[axis])) // ratio
+            cuts = np.flatnonzero(np.diff(coarse, prepend=coarse[0] - 1))
+            lost = np.add.reduceat(lost, cuts, axis=axis)
+        shift = coarse_first - np.rint(self._volume.origin_m / self._volume.spacing_m).astype(int)
+        touched = np.argwhere(lost > 0)
+        at = touched + shift
+        inside = ((at >= 0) & (at < np.array(self._volume.shape))).all(axis=1)
+        touched, at = touched[inside], at[inside]
+        particle = self._particle_at[tuple(at.T)]
+        held = particle >= 0
+        touched, at, particle = touched[held], at[held], particle[held]
+        whole = self._volume.fraction[tuple(at.T)].astype(np.float64) * ratio**3
+        share = np.clip(1.0 - lost[tuple(touched.T)] / whole, 0.0, 1.0)
+        self.body.set_remaining(particle, np.rint(share * FULL_STEPS).astype(np.uint16))
+
+    def solve(self, time_s: float, force_N: NDArray[np.float64], point_m: NDArray[np.float64]) -> Frame:
+        """Displacement and stress under a force on the tooth at a point, warm-started; recorded and returned."""
+        begun = perf_counter()
+        change = self.body.update()
+        solution = self.body.solve(self.body.spread(point_m, force_N))
+        stress = cell_stress(self.body.cells, solution.displacement_m)
+        gone = self.body.cells.live == 0
+        cells = {
+            "von_mises_MPa": 1e-6 * stress.von_mises_pa,
+            **{f"principal_{i + 1}_MPa": 1e-6 * stress.principal_pa[:, i] for i in range(3)},
+        }
+        values = {name: np.where(gone, np.nan, value).astype(np.float32) for name, value in cells.items()}
+        moved = np.where(self.body.carrying[:, None], 1e6 * solution.displacement_m, 0.0).astype(np.float32)
+        frame = Frame(time_s, {"displacement_um": moved}, values)
+        self.series.frames.append(frame)
+        self.records.append(
+            SolveRecord(time_s, solution.iterations, solution.outcome.name, perf_counter() - begun, len(change.debris))
+        )
+        return frame
+
+
+def _particles(tooth: VoxelVolume, places: NDArray[np.int64]) -> ParticleSet:
+    """A particle a voxel, with the cited elastic constants of its layer; caries graded by its softness."""
+    at = tuple(places.T)
+    layer, fraction = tooth.layer[at], tooth.fraction[at]
+    modulus, ratio = np.ones(len(places)), np.full(len(places), 0.3)
+    for index, name in enumerate(tooth.layer_names):
+        chosen = layer == index
+        table = constants("tooth", name if name in TOOTH else "dentin")
+        modulus[chosen] = 1e9 * table["modulus_GPa"].value
+        ratio[chosen] = table["poisson_ratio"].value
+        if name == "caries":
+            softness = caries_softness(tooth.density_kg_m3[at][chosen].astype(np.float64))
+            sound = 1e9 * constants("tooth", "dentin")["modulus_GPa"].value
+            modulus[chosen] = sound * INFECTED_SHARE**softness
+    position = tooth.origin_m + tooth.spacing_m * (places + 0.5)
+    volume = fraction / 255.0 * tooth.spacing_m**3
+    full = np.full(len(places), FULL_STEPS, dtype=np.uint16)
+    return ParticleSet(position, volume, modulus, ratio, layer.astype(np.uint8), full)
+
+
+def _ligament_springs(
+    tooth: VoxelVolume, solid: NDArray[np.bool_], grid: HexGrid, thickness_m: float
+) -> tuple[NDArray[np.float64], float]:
+    """Springs where the tooth borders on ligament or bone; on its lower third where the data hold neither."""
+    table = constants("tooth", "ligament")
+    across, along = bed_stiffness(1e9 * table["modulus_GPa"].value, table["poisson_ratio"].value, thickness_m)
+    around = [i for i, name in enumerate(tooth.layer_names) if name in ("ligament", "bone")]
+    bed = (tooth.fraction > 0) & np.isin(tooth.layer, around)
+    if not bed.any():
+        depth = np.flatnonzero(solid.any(axis=(0, 1)))
+        below = np.arange(solid.shape[2]) < depth[0] + (depth[-1] - depth[0]) // 3
+        bed = ~solid & below[None, None, :]
+    springs, area = bed_springs(
+        grid,
+        solid,
+        bed,
+        origin_m=tooth.origin_m,
+        spacing_m=tooth.spacing_m,
+        across_N_m3=across,
+        along_N_m3=along,
+    )
+    if area == 0.0:
+        raise InputError("anatomy must hold a tooth that something supports, got none: give its ligament or its bone")
+    return springs, area
+
+
+def _cell_layers(body: ParticleBody) -> NDArray[np.uint8]:
+    """The layer with the greatest volume in each cell."""
+    cells, particles = body.cells, body.particles
+    names = int(particles.layer.max()) + 1
+    volume = np.zeros((body.grid.cell_count, names))
+    np.add.at(volume, (cells.particle_cell, particles.layer[cells.order]), particles.volume_m3[cells.order])
+    return np.asarray(volume.argmax(axis=1), dtype=np.uint8)

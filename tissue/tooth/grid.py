@@ -1,0 +1,168 @@
+"""Cartesian grid of trilinear hexahedra, of which only the cells that hold particles exist."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["CORNERS", "NEIGHBOURS", "HexGrid", "shape_values"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int32]
+
+CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+"""Corners of a cell in its edges, shape (8, 3)."""
+NEIGHBOURS = np.array([[i, j, k] for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)])
+"""Steps to the nodes around a node, itself in the middle, shape (27, 3)."""
+
+
+@dataclass(frozen=True, eq=False)
+class HexGrid:
+    """Active cells and their nodes, both in lexicographic order of (x, y, z).
+
+    Attributes
+    ----------
+    origin_m
+        Corner of the box of cells [m], shape (3,).
+    edge_m
+        Edge of a cell [m].
+    cell_place
+        Place of each cell in the box, int32, shape (c, 3).
+    node_place
+        Place of each node in the box, int32, shape (n, 3).
+    cell_nodes
+        Nodes of each cell, corner a = 4 i + 2 j + k at (i, j, k), int32, shape (c, 8).
+    """
+
+    origin_m: Array
+    edge_m: float
+    cell_place: Index
+    node_place: Index
+    cell_nodes: Index
+
+    @classmethod
+    def of_cells(cls, cell_place: NDArray[np.integer], *, origin_m: Array, edge_m: float) -> "HexGrid":
+        """Grid of the cells at ``cell_place``, shape (c, 3), which may repeat."""
+        if not edge_m > 0.0:
+            raise ValueError(f"edge_m must be positive, got {edge_m:g}: 2e-4 to 1e-3 suits a tooth")
+        low = cell_place.min(axis=0)
+        origin = np.asarray(origin_m, dtype=np.float64) + edge_m * low
+        shape = cell_place.max(axis=0) - low + 1
+        cells = _unique_places(cell_place - low, shape)
+        corners = (cells[:, None, :] + CORNERS).reshape(-1, 3)
+        nodes = _unique_places(corners, shape + 1)
+        cell_nodes = _find_places(nodes, corners, shape + 1).reshape(-1, 8)
+        return cls(origin, float(edge_m), cells, nodes, cell_nodes)
+
+    @classmethod
+    def around(cls, position_m: Array, *, edge_m: float, origin_m: Array | None = None) -> "HexGrid":
+        """Grid of the cells that hold the points ``position_m`` [m], shape (n, 3).
+
+        The cells' corners lie at ``origin_m`` plus multiples of the edge; by default half an edge below the lowest
+        point.
+        """
+        if not edge_m > 0.0:
+            raise ValueError(f"edge_m must be positive, got {edge_m:g}: 2e-4 to 1e-3 suits a tooth")
+        origin = position_m.min(axis=0) - 0.5 * edge_m if origin_m is None else np.asarray(origin_m, dtype=np.float64)
+        place = np.floor((position_m - origin) / edge_m).astype(np.int64)
+        return cls.of_cells(place, origin_m=origin, edge_m=edge_m)
+
+    @property
+    def cell_count(self) -> int:
+        """Number of cells."""
+        return len(self.cell_place)
+
+    @property
+    def node_count(self) -> int:
+        """Number of nodes."""
+        return len(self.node_place)
+
+    @cached_property
+    def node_position_m(self) -> Array:
+        """Positions of the nodes [m], shape (n, 3)."""
+        return self.origin_m + self.edge_m * self.node_place
+
+    @cached_property
+    def cell_centre_m(self) -> Array:
+        """Centres of the cells [m], shape (c, 3)."""
+        return self.origin_m + self.edge_m * (self.cell_place + 0.5)
+
+    @cached_property
+    def node_cells(self) -> Index:
+        """The cell of which a node is corner a, or -1, int32, shape (n, 8)."""
+        cells = np.full((self.node_count, 8), -1, dtype=np.int32)
+        for corner in range(8):
+            cells[self.cell_nodes[:, corner], corner] = np.arange(self.cell_count, dtype=np.int32)
+        return cells
+
+    @cached_property
+    def node_neighbours(self) -> Index:
+        """Nodes that share a cell with a node, in the order of `NEIGHBOURS`, or -1, int32, shape (n, 27)."""
+        found = np.full((self.node_count, 27), -1, dtype=np.int32)
+        for corner in range(8):
+            for other in range(8):
+                step = int((CORNERS[other] - CORNERS[corner] + 1) @ (9, 3, 1))
+                found[self.cell_nodes[:, corner], step] = self.cell_nodes[:, other]
+        return found
+
+    @property
+    def node_colour(self) -> NDArray[np.int64]:
+        """One of eight colours of each node, such that no two nodes of a cell share one, shape (n,)."""
+        return np.asarray((self.node_place & 1) @ (4, 2, 1))
+
+    @cached_property
+    def face_pairs(self) -> Index:
+        """Pairs of cells that share a face, int32, shape (f, 2)."""
+        pairs = []
+        for axis in range(3):
+            beyond = self.find_cells(self.cell_place + np.eye(3, dtype=np.int32)[axis])
+            here = np.flatnonzero(beyond >= 0)
+            pairs.append(np.stack([here, beyond[here]], axis=1))
+        return np.concatenate(pairs).astype(np.int32)
+
+    def find_cells(self, place: NDArray[np.integer]) -> Index:
+        """Cells at places of the box, shape (n, 3), or -1."""
+        return _find_places(self.cell_place, place, self.cell_place.max(axis=0) + 1)
+
+    def find_nodes(self, place: NDArray[np.integer]) -> Index:
+        """Nodes at places of the box, shape (n, 3), or -1."""
+        return _find_places(self.node_place, place, self.node_place.max(axis=0) + 1)
+
+    def locate(self, position_m: Array) -> tuple[Index, Array]:
+        """Cell that holds each point, or -1, shape (n,), and the place in it, 0 to 1 along each edge, shape (n, 3)."""
+        scaled = (np.atleast_2d(position_m) - self.origin_m) / self.edge_m
+        place = np.floor(scaled)
+        return self.find_cells(place.astype(np.int64)), scaled - place
+
+    def coarse(self) -> tuple["HexGrid", Index]:
+        """Grid of twice the edge over the same cells, and its cell of each cell, int32, shape (c,)."""
+        grid = HexGrid.of_cells(self.cell_place >> 1, origin_m=self.origin_m, edge_m=2.0 * self.edge_m)
+        return grid, grid.find_cells(self.cell_place >> 1)
+
+
+def shape_values(place: Array) -> Array:
+    """Trilinear shape functions of the eight corners at places in a cell, shapes (n, 3) to (n, 8)."""
+    factors = np.where(CORNERS == 1, place[:, None, :], 1.0 - place[:, None, :])
+    return np.asarray(factors.prod(axis=2))
+
+
+def _keys(place: NDArray[np.integer], shape: NDArray[np.integer]) -> NDArray[np.int64]:
+    x, y, z = place.astype(np.int64).T
+    return np.asarray((x * int(shape[1]) + y) * int(shape[2]) + z)
+
+
+def _unique_places(place: NDArray[np.integer], shape: NDArray[np.integer]) -> Index:
+    keys = np.unique(_keys(place, shape))
+    x, rest = np.divmod(keys, int(shape[1]) * int(shape[2]))
+    y, z = np.divmod(rest, int(shape[2]))
+    return np.stack([x, y, z], axis=1).astype(np.int32)
+
+
+def _find_places(known: Index, place: NDArray[np.integer], shape: NDArray[np.integer]) -> Index:
+    """Row of each place in the ordered places ``known``, or -1."""
+    keys = _keys(known, shape)
+    inside = ((place >= 0) & (place < shape)).all(axis=1)
+    wanted = np.where(inside, _keys(place, shape), -1)
+    row = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+    return np.where(keys[row] == wanted, row, -1).astype(np.int32)

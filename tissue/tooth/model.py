@@ -1,0 +1,209 @@
+"""A tooth under a bur: milled like bone, with the pulp watched and, where asked for, stress and displacement."""
+
+from concurrent.futures import Future, ThreadPoolExecutor
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from kernels.clearance import clearance
+from kernels.cutting import CHUNK
+from kernels.launcher import SplitLaunch
+from kernels.mirror import Mirror
+from tissue.bone import BoneModel
+from tissue.fields import FieldSeries, Frame
+from tissue.model import Response, ToolMotion
+from tissue.tooth.field import StressField
+from tissue.tooth.warmth import PULP_LIMIT_K, Warmth
+
+__all__ = ["ToothModel"]
+
+TICK_S = 1e-3
+"""Length of a tick [s], over which cutting power is summed."""
+WARM_EVERY_S = 0.02
+"""Time between two steps of the heat [s]."""
+WARN_M = (1.0e-3, 0.5e-3)
+"""Dentin over the pulp at which its loss is told [m]; below 0.5 mm the pulp is at risk (memory of the literature)."""
+
+
+class ToothModel:
+    """A tooth that a bur drills: the bone model's carving and forces, and the dentin left over the pulp.
+
+    Parameters
+    ----------
+    milling
+        The tooth's voxels and the bur; one layer named ``pulp``.
+    stress
+        Finite elements of the whole tooth; None where the scene needs only the force.
+    interval_s
+        Time between two solves of the stress [s].
+    warmth
+        Heat in the whole tooth; None where the scene does not ask for it.
+    device
+        Warp device name.
+
+    The distance of the bur from the pulp is measured from the voxels that the pulp filled at the start, and is the
+    least that has been reached so far: what is left of the dentin at its thinnest. Its error is half a voxel. Where
+    the voxels hold no pulp it is not measured: the pulp is then farther away than the margin around the bur's reach.
+
+    The tooth's displacement follows the force at every tick by the compliance of its ligament, since enamel does not
+    bend. Stress is solved beside the ticks, on a copy of the voxels and the force taken every ``interval_s``; the
+    result is told one interval later, so that it is the same however long the solve took.
+    """
+
+    def __init__(
+        self,
+        milling: BoneModel,
+        *,
+        stress: StressField | None = None,
+        interval_s: float = 0.1,
+        warmth: Warmth | None = None,
+        device: str = "cpu",
+    ) -> None:
+        self.milling, self.stress, self.warmth = milling, stress, warmth
+        self.layer_names = milling.layer_names
+        volume = milling.store.volume
+        is_pulp = volume.layer == self.layer_names.index("pulp")
+        distance = _distance_to_pulp(volume.fraction, is_pulp, volume.spacing_m)
+        self._reach_m = float(distance.max())
+        self._pulp_near = bool(np.isfinite(self._reach_m))
+        self.measure_names: tuple[str, ...] = ("dentin_over_pulp_mm",) if self._pulp_near else ()
+        self._moves = slice(len(self.measure_names), len(self.measure_names) + 3)
+        if stress is not None:
+            self.measure_names += ("tooth_x_um", "tooth_y_um", "tooth_z_um")
+        if warmth is not None:
+            self.measure_names += ("pulp_rise_K",)
+        self._energy_J, self._pulp_rise_K, self._warmed_s = 0.0, 0.0, 0.0
+        self._interval_s, self._next_s = interval_s, 0.0
+        self._beside = ThreadPoolExecutor(1, thread_name_prefix="stress") if stress is not None else None
+        self._solving: Future[Frame] | None = None
+        self.notices: list[str] = []
+        self._least_m = np.inf
+        self._response: Response | None = None
+        self._load = np.zeros(6)
+        chunks = -(-len(milling.shell.areas_m2) // CHUNK)
+        self._nearest = Mirror(chunks, dtype=wp.float32, device=device)
+        self._clearance = SplitLaunch(
+            clearance,
+            dim=chunks,
+            inputs=[
+                milling.elements,
+                milling.motion_rows,
+                volume.spacing_m,
+                0,
+                wp.array(distance, dtype=wp.float32, device=device),
+            ],
+            outputs=[self._nearest.device],
+            offset_index=3,
+            device=device,
+        )
+
+    @property
+    def start_m3(self) -> NDArray[np.float64]:
+        """Volume of each layer before the first cut [m3], shape (layers,)."""
+        return self.milling.start_m3
+
+    @property
+    def removed_m3(self) -> NDArray[np.float64]:
+        """Volume removed from each layer so far [m3], shape (layers,)."""
+        return self.milling.removed_m3
+
+    def place(self, motion: ToolMotion) -> None:
+        """Put the bur at its first pose."""
+        self.milling.place(motion)
+
+    def advance(self, motion: ToolMotion) -> None:
+        """Carve what the bur reaches at its new pose."""
+        self.milling.advance(motion)
+
+    def respond(self, motion: ToolMotion) -> Response:
+        """Force and torque on the bur, and the tooth's own measures."""
+        response = self.milling.respond(motion)
+        if response is not self._response:
+            self._response = response
+            response.measures = np.zeros(len(self.measure_names))
+        if self._pulp_near:
+            self._clearance()
+            self._nearest.pull()
+            self._watch(float(self._nearest.host.min()))
+            response.measures[0] = 1e3 * min(self._least_m, self._reach_m)
+        if self.stress is not None:
+            force, arm = response.wrench[:3], motion.tip_m - self.stress.reference_m
+            self._load[:3] = force
+            self._load[3:] = response.wrench[3:] + np.cross(arm, force)
+            response.measures[self._moves] = -1e6 * (self.stress.compliance.matrix[:3] @ self._load)
+        if self.warmth is not None:
+            torque = float(response.wrench[3:] @ motion.rotation[:, 2])
+            self._energy_J += abs(torque * self.milling.cutter.spin_rad_s) * TICK_S
+            response.measures[-1] = self._pulp_rise_K
+        return response
+
+    @property
+    def fields(self) -> FieldSeries | None:
+        """Displacement and stress of the frames so far."""
+        return self.stress.series if self.stress is not None else None
+
+    def catch_up(self, time_s: float, motion: ToolMotion) -> None:
+        """Every interval: take over the last solve and start the next, on a copy of the present state."""
+        if self.warmth is not None and time_s - self._warmed_s >= WARM_EVERY_S - 1e-9:
+            self._warm(time_s, motion)
+        if self._beside is None or time_s < self._next_s - 1e-9:
+            return
+        self._next_s += self._interval_s
+        self._join()
+        remaining = self.milling.store.remaining.numpy().copy()
+        force = -self._load[:3]
+        self._solving = self._beside.submit(self._solve, time_s, remaining, force, motion.tip_m.copy())
+
+    def _warm(self, time_s: float, motion: ToolMotion) -> None:
+        """Put the heat of the last ticks into the tooth."""
+        assert self.warmth is not None
+        before = self._pulp_rise_K
+        self._pulp_rise_K = self.warmth.advance(self._energy_J, time_s - self._warmed_s, motion.tip_m)
+        self._energy_J, self._warmed_s = 0.0, time_s
+        if before < PULP_LIMIT_K <= self._pulp_rise_K:
+            self.notices.append(f"the pulp is {PULP_LIMIT_K:g} K warmer than at the start")
+
+    def _join(self) -> None:
+        if self._solving is not None:
+            self._solving.result()
+            self._solving = None
+
+    def _solve(
+        self, time_s: float, remaining: NDArray[np.uint16], force_N: NDArray[np.float64], point_m: NDArray[np.float64]
+    ) -> Frame:
+        """Bring the particles to a state of the voxels and solve."""
+        assert self.stress is not None
+        volume = self.milling.store.volume
+        left = self.milling.store.fraction(remaining)
+        self.stress.remove(volume.fraction, left, origin_m=volume.origin_m, spacing_m=volume.spacing_m)
+        return self.stress.solve(time_s, force_N, point_m)
+
+    def finish(self) -> None:
+        """Complete the carving that was spread over ticks, and the last solve."""
+        self._join()
+        self.milling.finish()
+
+    def remaining(self) -> NDArray[np.uint8]:
+        """Tooth left in every voxel, 255 = full, shape of the volume."""
+        return self.milling.remaining()
+
+    def _watch(self, near_m: float) -> None:
+        """Keep the least distance and say when a limit or the pulp itself is passed."""
+        before, self._least_m = self._least_m, min(self._least_m, near_m)
+        for limit in WARN_M:
+            if self._least_m < limit <= before:
+                self.notices.append(f"less than {1e3 * limit:g} mm of dentin is left over the pulp")
+        if self._least_m <= 0.0 < before:
+            self.notices.append("the pulp is exposed")
+
+
+def _distance_to_pulp(fraction: NDArray[np.uint8], is_pulp: NDArray[np.bool_], spacing_m: float) -> NDArray[np.float32]:
+    """Distance of every voxel's centre from the pulp's surface [m], 0 inside, infinite where there is no pulp."""
+    from scipy.ndimage import distance_transform_edt
+
+    pulp = is_pulp & (fraction > 127)
+    if not pulp.any():
+        return np.full(fraction.shape, np.inf, dtype=np.float32)
+    away = distance_transform_edt(~pulp, sampling=spacing_m) - 0.5 * spacing_m
+    return np.maximum(away, 0.0).astype(np.float32)

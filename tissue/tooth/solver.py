@@ -1,0 +1,134 @@
+"""Preconditioned conjugate gradients that say how they ended."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Outcome", "Solution", "conjugate_gradients"]
+
+Array = NDArray[np.float64]
+LEAST_SHARE = 1e-13
+"""Residuals below this share of the load are rounding."""
+LEAST_CURVATURE = 1e-12
+"""Share of ``p . D p``, D the diagonal, below which ``p . K p`` is rounding: p is then a motion that nothing resists. A
+tooth of 1e5 nodes in a ligament a million times softer has 1e-8."""
+
+
+class Outcome(Enum):
+    """How a solve ended; the value says what to do about it."""
+
+    CONVERGED = "the displacement holds to the tolerance"
+    NOT_CONVERGED = "the iterations ran out: allow more, loosen the tolerance, or raise the least fill of a cell"
+    INDEFINITE = "the stiffness is not positive definite: a part hangs on nothing, or a cell is not stabilised"
+    UNSUPPORTED = "nothing holds the body: fix nodes that carry load, or give them springs"
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Displacement and how it was reached.
+
+    Attributes
+    ----------
+    displacement_m
+        Nodal displacements [m], shape (n, 3); the last iterate where the outcome is not CONVERGED.
+    outcome
+        How the solve ended.
+    iterations
+        Conjugate gradient iterations.
+    error
+        Estimated error in the energy norm, relative to the energy norm of the displacement.
+    residual
+        Norm of what is left of the load, relative to the load.
+    """
+
+    displacement_m: Array
+    outcome: Outcome
+    iterations: int
+    error: float
+    residual: float
+
+    @property
+    def converged(self) -> bool:
+        """Whether the displacement may be used."""
+        return self.outcome is Outcome.CONVERGED
+
+
+def conjugate_gradients(
+    product: Callable[[Array], Array],
+    load_n: Array,
+    *,
+    diagonal: Array,
+    precondition: Callable[[Array], Array],
+    start_m: Array,
+    tolerance: float,
+    limit: int,
+) -> Solution:
+    """Solve ``K u = f`` for a symmetric positive definite K.
+
+    Stops where the error's energy norm is below ``tolerance`` times ``sqrt(u . f)``, that of the solution. It is taken
+    as ``sqrt(r . B r)``, the preconditioner's estimate, or ``sqrt(r . D^-1 r) / 3`` if that is more: a lower bound with
+    the diagonal D, since no sum of trilinear cells has an eigenvalue of ``D^-1 K`` much above 9. It sees a load on a
+    motion that nothing resists and the preconditioner leaves out. The direction's factor is Polak and Ribiere's, which
+    forgives a preconditioner in single precision (Golub and Ye 1999, SIAM J. Sci. Comput. 21:1305).
+
+    Parameters
+    ----------
+    product
+        K times nodal displacements, shape (n, 3).
+    load_n
+        Nodal forces [N], shape (n, 3), zero where nodes are held.
+    diagonal
+        Diagonal of K [N/m], shape (n, 3).
+    precondition
+        B times nodal forces, close to K's inverse.
+    start_m
+        First guess [m], shape (n, 3).
+    tolerance
+        Relative error in the energy norm.
+    limit
+        Iterations allowed.
+    """
+    displacement = start_m.copy()
+    residual = load_n - product(displacement) if displacement.any() else load_n.copy()
+    load_norm = np.sqrt(dot(load_n, load_n))
+    if load_norm == 0.0:
+        return Solution(np.zeros_like(load_n), Outcome.CONVERGED, 0, 0.0, 0.0)
+    by_diagonal = np.divide(1.0 / 9.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0.0)
+    before, step, last_slope, outcome, error = residual, np.zeros_like(load_n), 1.0, Outcome.NOT_CONVERGED, np.inf
+    iteration = 0
+    while True:
+        corrected = precondition(residual)
+        slope = dot(residual, corrected)
+        left = np.sqrt(dot(residual, residual)) / load_norm
+        energy = dot(displacement, load_n)
+        if not np.isfinite(slope) or slope < 0.0:
+            outcome = Outcome.INDEFINITE
+            break
+        size = max(slope, dot(residual, residual * by_diagonal))
+        error = np.sqrt(size / energy) if energy > 0.0 else np.inf
+        if error <= tolerance or left <= LEAST_SHARE:
+            outcome = Outcome.CONVERGED
+            break
+        if iteration == limit:
+            break
+        factor = 0.0 if iteration == 0 else max(0.0, (slope - dot(before, corrected)) / last_slope)
+        step = corrected + factor * step
+        along = product(step)
+        curvature = dot(step, along)
+        if not curvature > LEAST_CURVATURE * dot(step, diagonal * step):
+            outcome = Outcome.INDEFINITE
+            break
+        length = dot(residual, step) / curvature
+        displacement += length * step
+        before, last_slope = residual, slope
+        residual = residual - length * along
+        iteration += 1
+    return Solution(displacement, outcome, iteration, float(error), float(left))
+
+
+def dot(a: Array, b: Array) -> float:
+    """Scalar product, summed the same way on any number of cores."""
+    return float(np.einsum("ij,ij->", a, b))
