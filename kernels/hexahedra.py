@@ -27,12 +27,9 @@ def block_of(a: int, b: int):
 @wp.func
 def cell_block(stiffness: wp.array2d(dtype=wp.mat33d), cell: int, a: int, b: int):
     """Stiffness block [N/m] of corners a and b of a cell."""
-    block = wp.mat33d()
     if a <= b:
-        block = stiffness[cell, block_of(a, b)]
-    else:
-        block = wp.transpose(stiffness[cell, block_of(b, a)])
-    return block
+        return stiffness[cell, block_of(a, b)]
+    return wp.transpose(stiffness[cell, block_of(b, a)])
 
 
 @wp.func

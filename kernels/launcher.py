@@ -8,6 +8,7 @@ threads. Handing work to a thread costs about 50 us: a launch is split only whil
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from itertools import pairwise
 from time import perf_counter
 from typing import Any
@@ -22,6 +23,12 @@ SPLIT_ABOVE_S = 2.5e-4
 def core_count() -> int:
     """Processor cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    """The threads that every launch of so many parts shares."""
+    return ThreadPoolExecutor(threads, thread_name_prefix="kernel")
 
 
 class SplitLaunch:
@@ -72,7 +79,7 @@ class SplitLaunch:
         cuts = [along * part // parts for part in range(parts + 1)]
         self._whole = record(0, along)
         self._parts = [record(a, b) for a, b in pairwise(cuts)] if parts > 1 else []
-        self._pool = ThreadPoolExecutor(parts - 1, thread_name_prefix="kernel") if parts > 1 else None
+        self._pool = _pool(parts - 1) if parts > 1 else None
         for waiting in [self._pool.submit(perf_counter) for _ in self._parts[1:]] if self._pool is not None else []:
             waiting.result()  # threads start now, not in the first large tick
         self._work_s = 0.0

@@ -2,8 +2,8 @@
 
 A row holds one block for each of a node's up to 27 neighbours: those of lower colour, its own, those of higher colour.
 With K = L + D + U so split, the first sweep from rest solves ``(L + D) v = f`` and leaves ``f - K v = -U v``: together
-they read K once. Sums run in fixed order and a sweep changes only nodes of one colour, none of which are neighbours: the
-same bits on any number of threads.
+they read K once. Sums run in fixed order and a sweep changes only nodes of one colour, none of which are neighbours:
+the same bits on any number of threads.
 """
 
 import warp as wp
@@ -40,13 +40,15 @@ def assemble_rows(
     own_free = free[node]
     for a in range(8):
         cell = node_cells[node, a]
-        if cell >= 0:
-            if live[cell] != wp.uint8(0):  # not one condition with the above: both sides of `and` are evaluated
-                for b in range(8):
-                    step = 9 * ((b >> 2) - (a >> 2)) + 3 * (((b >> 1) & 1) - ((a >> 1) & 1)) + (b & 1) - (a & 1) + 13
-                    mask = wp.outer(own_free, free[cell_nodes[cell, b]])
-                    place = neighbour_block[node, step]
-                    block_out[place] = block_out[place] + wp.cw_mul(mask, cell_block(stiffness, cell, a, b))
+        here = cell >= 0
+        if here:
+            here = live[cell] != wp.uint8(0)
+        if here:
+            for b in range(8):
+                step = 9 * ((b >> 2) - (a >> 2)) + 3 * (((b >> 1) & 1) - ((a >> 1) & 1)) + (b & 1) - (a & 1) + 13
+                mask = wp.outer(own_free, free[cell_nodes[cell, b]])
+                place = neighbour_block[node, step]
+                block_out[place] = block_out[place] + wp.cw_mul(mask, cell_block(stiffness, cell, a, b))
     centre = neighbour_block[node, 13]
     own = block_out[centre] + wp.diag(wp.cw_mul(own_free, spring[node]))
     block_out[centre] = own

@@ -19,7 +19,25 @@ from meshes.volume import VoxelVolume
 from meshes.voxelise import voxelise
 
 __all__ = [
-    "CT_DENSITY", "TOOTH_LAYERS", "Anatomy", "DensityLaw", "InputError", "Shape", "Site", "Surface", "SurfaceReport",
-    "VoxelVolume", "caries_softness", "cortical_block", "find_glenoid", "glenoid", "label_volume", "layered_surfaces",
-    "molar", "read_surface", "read_volume", "surface_anatomy", "voxelise",
+    "CT_DENSITY",
+    "TOOTH_LAYERS",
+    "Anatomy",
+    "DensityLaw",
+    "InputError",
+    "Shape",
+    "Site",
+    "Surface",
+    "SurfaceReport",
+    "VoxelVolume",
+    "caries_softness",
+    "cortical_block",
+    "find_glenoid",
+    "glenoid",
+    "label_volume",
+    "layered_surfaces",
+    "molar",
+    "read_surface",
+    "read_volume",
+    "surface_anatomy",
+    "voxelise",
 ]

@@ -58,8 +58,9 @@ class Anatomy:
     sample: GridSampler | None = None
 
 
-def cortical_block(*, size_mm: tuple[float, float, float] = (20.0, 12.0, 8.0),
-                   density_kg_m3: float = 1800.0) -> Anatomy:
+def cortical_block(
+    *, size_mm: tuple[float, float, float] = (20.0, 12.0, 8.0), density_kg_m3: float = 1800.0
+) -> Anatomy:
     """Block of cortical bone: its top face lies in z = 0 with the origin at its centre; one layer `cortical`.
 
     Parameters

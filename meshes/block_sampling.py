@@ -44,8 +44,14 @@ class VoxelArrays:
         return VoxelArrays(self.fraction[start:stop], self.layer[start:stop], self.density[start:stop])
 
 
-def voxel_fraction(shape: Shape, centres: NDArray[np.float32], distance: NDArray[np.float32], spacing_m: float, *,
-                   split_creases: bool = True) -> NDArray[np.float32]:
+def voxel_fraction(
+    shape: Shape,
+    centres: NDArray[np.float32],
+    distance: NDArray[np.float32],
+    spacing_m: float,
+    *,
+    split_creases: bool = True,
+) -> NDArray[np.float32]:
     """Part of each voxel inside the shape, the surface taken as a plane within the voxel.
 
     Where the distance bends sharply within a voxel (an edge or corner), the voxel is split into 4 x 4 x 4 and each part
@@ -147,8 +153,9 @@ def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[NDArray[np.bool_], tu
     axes = [np.arange(f - BLOCK, e + BLOCK + 1, BLOCK) for f, e in zip(grid.first, grid.last, strict=True)]
     lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     points = _centres(lattice, grid.spacing_m, 0.0)
-    layer, density = (values.reshape([len(a) for a in axes])
-                      for values in anatomy.classify(points, -anatomy.shape.distance(points)))
+    layer, density = (
+        values.reshape([len(a) for a in axes]) for values in anatomy.classify(points, -anatomy.shape.distance(points))
+    )
     own = tuple(slice(1, 1 + n) for n in counts)
     same = _over_windows(np.maximum, layer) == _over_windows(np.minimum, layer)
     if BLOCK * grid.spacing_m > _WIDEST_INTERPOLATION_M:
@@ -196,4 +203,4 @@ def _index(flags: NDArray[np.bool_], blocks: NDArray[Any]) -> tuple[NDArray[np.i
 
 def _chunks(chosen: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
     for start in range(0, len(chosen), _BLOCKS_AT_ONCE):
-        yield chosen[start:start + _BLOCKS_AT_ONCE]
+        yield chosen[start : start + _BLOCKS_AT_ONCE]

@@ -28,28 +28,32 @@ def require_uncompressed(folder: Path) -> None:
     syntaxes = {file.name: _transfer_syntax(file) for file in sorted(folder.iterdir()) if file.is_file()}
     found = {name: syntax for name, syntax in syntaxes.items() if syntax is not None}
     if not found:
-        raise InputError(f"file must hold images, got the folder {folder.name} without DICOM files or TIFF slices: "
-                         "give the folder that holds the slices")
+        raise InputError(
+            f"file must hold images, got the folder {folder.name} without DICOM files or TIFF slices: "
+            "give the folder that holds the slices"
+        )
     for name, syntax in found.items():
         if syntax not in _UNCOMPRESSED:
-            raise InputError(f"file must be uncompressed DICOM, got transfer syntax {syntax} in {name}: export the "
-                             "series uncompressed, or as .nii.gz or .nrrd")
+            raise InputError(
+                f"file must be uncompressed DICOM, got transfer syntax {syntax} in {name}: export the "
+                "series uncompressed, or as .nii.gz or .nrrd"
+            )
 
 
 def _transfer_syntax(file: Path) -> str | None:
     """Transfer syntax of a DICOM file (tag 0002,0010), or None if it is not one."""
     with file.open("rb") as stream:
         head = stream.read(_HEADER)
-    if head[_PREAMBLE:_PREAMBLE + 4] != _MAGIC:
+    if head[_PREAMBLE : _PREAMBLE + 4] != _MAGIC:
         return None
     at = _PREAMBLE + 4
-    while at + 8 <= len(head) and head[at:at + 2] == b"\x02\x00":
-        element, representation = int.from_bytes(head[at + 2:at + 4], "little"), head[at + 4:at + 6]
+    while at + 8 <= len(head) and head[at : at + 2] == b"\x02\x00":
+        element, representation = int.from_bytes(head[at + 2 : at + 4], "little"), head[at + 4 : at + 6]
         if representation in _LONG_LENGTH:
-            length, start = int.from_bytes(head[at + 8:at + 12], "little"), at + 12
+            length, start = int.from_bytes(head[at + 8 : at + 12], "little"), at + 12
         else:
-            length, start = int.from_bytes(head[at + 6:at + 8], "little"), at + 8
+            length, start = int.from_bytes(head[at + 6 : at + 8], "little"), at + 8
         if element == 0x0010:
-            return head[start:start + length].decode("ascii", "replace").strip("\0 ")
+            return head[start : start + length].decode("ascii", "replace").strip("\0 ")
         at = start + length
     return ""

@@ -106,12 +106,23 @@ class _Plate:
         return np.clip(self.mean * (1.0 + self.variation * pattern), *_PLATE_RANGE_M)
 
 
-def glenoid(*, width_mm: float = 27.8, height_mm: float = 37.5, upper_width_ratio: float = 0.8,
-            curvature_radius_mm: float = 35.0, subchondral_thickness_mm: float = 1.9,
-            subchondral_variation: float = 0.25, vault_depth_mm: float = 26.0, vault_taper_deg: float = 15.0,
-            cortical_wall_mm: float = 1.5, rim_blend_mm: float = 1.5, cortical_density_kg_m3: float = 1800.0,
-            subchondral_density_kg_m3: float = 1300.0, trabecular_density_kg_m3: float = 300.0,
-            trabecular_density_below_plate_kg_m3: float = 450.0) -> Anatomy:
+def glenoid(
+    *,
+    width_mm: float = 27.8,
+    height_mm: float = 37.5,
+    upper_width_ratio: float = 0.8,
+    curvature_radius_mm: float = 35.0,
+    subchondral_thickness_mm: float = 1.9,
+    subchondral_variation: float = 0.25,
+    vault_depth_mm: float = 26.0,
+    vault_taper_deg: float = 15.0,
+    cortical_wall_mm: float = 1.5,
+    rim_blend_mm: float = 1.5,
+    cortical_density_kg_m3: float = 1800.0,
+    subchondral_density_kg_m3: float = 1300.0,
+    trabecular_density_kg_m3: float = 300.0,
+    trabecular_density_below_plate_kg_m3: float = 450.0,
+) -> Anatomy:
     """Glenoid in the site frame: origin on the bone at the face's centre, x anterior, y superior, z outward (lateral).
 
     Parameters
@@ -154,11 +165,15 @@ def glenoid(*, width_mm: float = 27.8, height_mm: float = 37.5, upper_width_rati
     taper = math.radians(check("vault_taper_deg", vault_taper_deg, 0.0, 25.0, "use 15"))
     wall = 1e-3 * check("cortical_wall_mm", cortical_wall_mm, 0.5, 4.0, "use 1.5")
     blend = 1e-3 * check("rim_blend_mm", rim_blend_mm, 0.0, 4.0, "use 1.5")
-    densities = tuple(check(name, value, lowest, highest, f"use {usual}") for name, value, lowest, highest, usual in (
-        ("subchondral_density_kg_m3", subchondral_density_kg_m3, 200.0, 2200.0, 1300),
-        ("cortical_density_kg_m3", cortical_density_kg_m3, 200.0, 2200.0, 1800),
-        ("trabecular_density_kg_m3", trabecular_density_kg_m3, 50.0, 1200.0, 300),
-        ("trabecular_density_below_plate_kg_m3", trabecular_density_below_plate_kg_m3, 50.0, 1200.0, 450)))
+    densities = tuple(
+        check(name, value, lowest, highest, f"use {usual}")
+        for name, value, lowest, highest, usual in (
+            ("subchondral_density_kg_m3", subchondral_density_kg_m3, 200.0, 2200.0, 1300),
+            ("cortical_density_kg_m3", cortical_density_kg_m3, 200.0, 2200.0, 1800),
+            ("trabecular_density_kg_m3", trabecular_density_kg_m3, 50.0, 1200.0, 300),
+            ("trabecular_density_below_plate_kg_m3", trabecular_density_below_plate_kg_m3, 50.0, 1200.0, 450),
+        )
+    )
     pear = _checked_pear(width, height, ratio, depth, taper, radius)
     plate = _Plate(mean, variation, 0.5 * width, 0.5 * height)
     notes = {
@@ -167,23 +182,32 @@ def glenoid(*, width_mm: float = 27.8, height_mm: float = 37.5, upper_width_rati
         "vault": f"{vault_depth_mm:g} mm deep, then cut off: the neck and the blade of the scapula are not modelled",
         "cartilage": "not modelled",
         "trabecular density": f"{trabecular_density_below_plate_kg_m3:g} to {trabecular_density_kg_m3:g} kg/m3, "
-                              "a prior of low confidence",
+        "a prior of low confidence",
     }
-    return Anatomy("procedural glenoid", _bone(pear, radius, depth, taper, blend), GLENOID_LAYERS,
-                   _layers(plate, radius, wall, densities), notes)
+    return Anatomy(
+        "procedural glenoid",
+        _bone(pear, radius, depth, taper, blend),
+        GLENOID_LAYERS,
+        _layers(plate, radius, wall, densities),
+        notes,
+    )
 
 
 def _checked_pear(width: float, height: float, ratio: float, depth: float, taper: float, radius: float) -> _Pear:
     """Outline of the face, with the combinations refused that close the vault or cut the face off."""
     if radius <= 0.5 * height:
-        raise InputError(f"curvature_radius_mm must exceed half of height_mm ({500 * height:g}), got {1e3 * radius:g}: "
-                         "use 35")
+        raise InputError(
+            f"curvature_radius_mm must exceed half of height_mm ({500 * height:g}), got {1e3 * radius:g}: use 35"
+        )
     if height < 1.1 * width:
-        raise InputError(f"height_mm must be at least 1.1 times width_mm ({1e3 * width:g}), got {1e3 * height:g}: "
-                         "use 37.5 with 27.8")
+        raise InputError(
+            f"height_mm must be at least 1.1 times width_mm ({1e3 * width:g}), got {1e3 * height:g}: use 37.5 with 27.8"
+        )
     if depth * math.tan(taper) > 0.45 * width:
-        raise InputError(f"vault_taper_deg must leave the vault open at its floor, got {math.degrees(taper):g} over "
-                         f"{1e3 * depth:g} mm: use at most {math.degrees(math.atan(0.45 * width / depth)):.1f}")
+        raise InputError(
+            f"vault_taper_deg must leave the vault open at its floor, got {math.degrees(taper):g} over "
+            f"{1e3 * depth:g} mm: use at most {math.degrees(math.atan(0.45 * width / depth)):.1f}"
+        )
     return _pear(width, height, ratio)
 
 

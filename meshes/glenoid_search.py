@@ -155,8 +155,9 @@ def _rim(samples: SurfaceSamples, centre_m: NDArray[np.float64], normal: NDArray
     return (centre_m + (edge * _RING_WIDTH)[:, None] * flat + rise[:, None] * normal)[found]
 
 
-def _score(samples: SurfaceSamples, point: NDArray[np.float64], normal: NDArray[np.float64],
-           near: NDArray[np.int64]) -> tuple[NDArray[np.float64], float]:
+def _score(
+    samples: SurfaceSamples, point: NDArray[np.float64], normal: NDArray[np.float64], near: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], float]:
     """Smoothed normal and likeness to a glenoid, 0 to 1, of the surface around one sample."""
     offset, normals = samples.points[near] - point, samples.normals[near]
     close = (np.einsum("ij,ij->i", offset, offset) < 81e-6) & (normals @ normal > 0.5)

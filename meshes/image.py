@@ -58,10 +58,21 @@ CT_DENSITY = DensityLaw(0.887 / 0.6, 63.3 / 0.6)
 scanner and site (the ratio from memory of the literature): calibrate before relying on it."""
 
 
-def read_volume(path: str | Path, *, threshold: float, spacing_mm: float | None = None, full_value: float | None = None,
-                density_kg_m3: float | DensityLaw = 1800.0, smooth_voxels: float = 0.0, crop: Crop | None = None,
-                resample_mm: float | None = None, up: str = "+z", layer_name: str = "trabecular",
-                array: str | None = None, tell: Callable[[str], None] | None = None) -> VoxelVolume:
+def read_volume(
+    path: str | Path,
+    *,
+    threshold: float,
+    spacing_mm: float | None = None,
+    full_value: float | None = None,
+    density_kg_m3: float | DensityLaw = 1800.0,
+    smooth_voxels: float = 0.0,
+    crop: Crop | None = None,
+    resample_mm: float | None = None,
+    up: str = "+z",
+    layer_name: str = "trabecular",
+    array: str | None = None,
+    tell: Callable[[str], None] | None = None,
+) -> VoxelVolume:
     """Bone from an image file, see `meshes.image_file.read_image` for the files and `image_volume` for the rest.
 
     Parameters
@@ -72,15 +83,33 @@ def read_volume(path: str | Path, *, threshold: float, spacing_mm: float | None 
         Called with each sentence on what was assumed.
     """
     image = read_image(path, spacing_mm=spacing_mm, array=array)
-    return image_volume(image, threshold=threshold, full_value=full_value, density_kg_m3=density_kg_m3,
-                        smooth_voxels=smooth_voxels, crop=crop, resample_mm=resample_mm, up=up, layer_name=layer_name,
-                        tell=tell)
+    return image_volume(
+        image,
+        threshold=threshold,
+        full_value=full_value,
+        density_kg_m3=density_kg_m3,
+        smooth_voxels=smooth_voxels,
+        crop=crop,
+        resample_mm=resample_mm,
+        up=up,
+        layer_name=layer_name,
+        tell=tell,
+    )
 
 
-def image_volume(image: Image, *, threshold: float, full_value: float | None = None,
-                 density_kg_m3: float | DensityLaw = 1800.0, smooth_voxels: float = 0.0, crop: Crop | None = None,
-                 resample_mm: float | None = None, up: str = "+z", layer_name: str = "trabecular",
-                 tell: Callable[[str], None] | None = None) -> VoxelVolume:
+def image_volume(
+    image: Image,
+    *,
+    threshold: float,
+    full_value: float | None = None,
+    density_kg_m3: float | DensityLaw = 1800.0,
+    smooth_voxels: float = 0.0,
+    crop: Crop | None = None,
+    resample_mm: float | None = None,
+    up: str = "+z",
+    layer_name: str = "trabecular",
+    tell: Callable[[str], None] | None = None,
+) -> VoxelVolume:
     """Bone voxels of one layer; the origin is the centre of the block's top face, +z upward.
 
     Parameters
@@ -111,8 +140,9 @@ def image_volume(image: Image, *, threshold: float, full_value: float | None = N
     """
     limit = require_range("anatomy.threshold", threshold, -1e9, 1e9, "use 63 for 8-bit micro-CT, about 200 for CT")
     if full_value is not None and not full_value > limit:
-        raise InputError(f"full_value must exceed threshold ({limit:g}), got {full_value}: use the grey value of "
-                         "solid bone")
+        raise InputError(
+            f"full_value must exceed threshold ({limit:g}), got {full_value}: use the grey value of solid bone"
+        )
     sigma = require_range("smooth_voxels", smooth_voxels, 0.0, 10.0, "use 0 to leave the image as it is, or 1")
     values = _cropped(image.values, crop)
     if sigma > 0.0:
@@ -127,10 +157,15 @@ def image_volume(image: Image, *, threshold: float, full_value: float | None = N
     values = _refined(values, image.spacing_mm, spacing)
     fraction = _fraction(values, limit, full_value)
     if not fraction.any():
-        raise InputError(f"anatomy.threshold must leave bone, got {limit:g} where {image.source} holds "
-                         f"{values.min():g} to {values.max():g}: use a value between")
-    mass = fraction * (density_kg_m3(values) if isinstance(density_kg_m3, DensityLaw) else
-                       np.float32(require_range("density_kg_m3", density_kg_m3, 50.0, 20000.0, "use 1800")))
+        raise InputError(
+            f"anatomy.threshold must leave bone, got {limit:g} where {image.source} holds "
+            f"{values.min():g} to {values.max():g}: use a value between"
+        )
+    mass = fraction * (
+        density_kg_m3(values)
+        if isinstance(density_kg_m3, DensityLaw)
+        else np.float32(require_range("density_kg_m3", density_kg_m3, 50.0, 20000.0, "use 1800"))
+    )
     for axis, size in enumerate(image.spacing_mm):
         fraction, mass = (_averaged(a, axis, spacing / size) for a in (fraction, mass))
     for note in notes:
@@ -139,26 +174,37 @@ def image_volume(image: Image, *, threshold: float, full_value: float | None = N
     return _placed(fraction, mass, 1e-3 * spacing, up, layer_name)
 
 
-def _placed(fraction: NDArray[np.float32], mass: NDArray[np.float32], spacing_m: float, up: str,
-            layer_name: str) -> VoxelVolume:
+def _placed(
+    fraction: NDArray[np.float32], mass: NDArray[np.float32], spacing_m: float, up: str, layer_name: str
+) -> VoxelVolume:
     """Volume with the axis `up` of the arrays along +z and the centre of its top face at the origin."""
     fraction, mass = _upright(fraction, up), _upright(mass, up)
     density = np.divide(mass, fraction, out=np.zeros_like(mass), where=fraction > 0.25 / FULL)
     nx, ny, nz = fraction.shape
     origin = -spacing_m * np.array([nx // 2, ny // 2, nz], dtype=np.float64)
-    return VoxelVolume(origin, spacing_m, np.ascontiguousarray(np.rint(fraction * FULL), dtype=np.uint8),
-                       np.zeros(fraction.shape, np.uint8), np.ascontiguousarray(np.rint(density), dtype=np.uint16),
-                       (layer_name,))
+    return VoxelVolume(
+        origin,
+        spacing_m,
+        np.ascontiguousarray(np.rint(fraction * FULL), dtype=np.uint8),
+        np.zeros(fraction.shape, np.uint8),
+        np.ascontiguousarray(np.rint(density), dtype=np.uint16),
+        (layer_name,),
+    )
 
 
 def _cropped(values: NDArray[Any], crop: Crop | None) -> NDArray[Any]:
     if crop is None:
         return values
     first, last = (tuple(int(i) for i in corner) for corner in crop)
-    if len(first) != 3 or len(last) != 3 or not all(0 <= a < b <= n for a, b, n in
-                                                    zip(first, last, values.shape, strict=True)):
-        raise InputError(f"crop must be two corners within the image of {values.shape} voxels, got {crop}: "
-                         f"use for example ((0, 0, 0), {values.shape})")
+    if (
+        len(first) != 3
+        or len(last) != 3
+        or not all(0 <= a < b <= n for a, b, n in zip(first, last, values.shape, strict=True))
+    ):
+        raise InputError(
+            f"crop must be two corners within the image of {values.shape} voxels, got {crop}: "
+            f"use for example ((0, 0, 0), {values.shape})"
+        )
     return values[tuple(slice(a, b) for a, b in zip(first, last, strict=True))]
 
 
@@ -167,9 +213,11 @@ def _require_room(shape: tuple[int, ...], from_mm: tuple[float, float, float], t
     count = math.prod(n * max(size / to_mm, 1.0) for n, size in zip(shape, from_mm, strict=True))
     if count > _MOST_VOXELS:
         fitting = to_mm * (count / _MOST_VOXELS) ** (1.0 / 3.0)
-        raise InputError(f"resample_mm must leave at most {_MOST_VOXELS:.0e} voxels, got {to_mm:g} which makes "
-                         f"{count:.2g}: "
-                         f"crop the image, or use {fitting:.2g} or more")
+        raise InputError(
+            f"resample_mm must leave at most {_MOST_VOXELS:.0e} voxels, got {to_mm:g} which makes "
+            f"{count:.2g}: "
+            f"crop the image, or use {fitting:.2g} or more"
+        )
 
 
 def _fraction(values: NDArray[Any], threshold: float, full_value: float | None) -> NDArray[np.float32]:
@@ -202,10 +250,16 @@ def _averaged(values: NDArray[np.float32], axis: int, ratio: float) -> NDArray[n
     count = values.shape[axis]
     edges = np.arange(math.floor(count / ratio + 1e-6) + 1) * ratio
     if len(edges) < 2:
-        raise InputError(f"resample_mm must leave a voxel along every axis, got {ratio:g} voxels of {count}: use a "
-                         "finer one")
-    running = np.concatenate([np.zeros_like(np.take(values, [0], axis=axis), dtype=np.float64),
-                              np.cumsum(values, axis=axis, dtype=np.float64)], axis=axis)
+        raise InputError(
+            f"resample_mm must leave a voxel along every axis, got {ratio:g} voxels of {count}: use a finer one"
+        )
+    running = np.concatenate(
+        [
+            np.zeros_like(np.take(values, [0], axis=axis), dtype=np.float64),
+            np.cumsum(values, axis=axis, dtype=np.float64),
+        ],
+        axis=axis,
+    )
     low = np.minimum(edges.astype(np.int64), count - 1)
     part = (edges - low).reshape([-1 if k == axis else 1 for k in range(3)])
     below, above = np.take(running, low, axis=axis), np.take(running, low + 1, axis=axis)

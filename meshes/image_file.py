@@ -65,24 +65,29 @@ def read_image(path: str | Path, *, spacing_mm: float | None = None, array: str 
     slices, source = _tiff_slices(Path(path)), Path(path).name
     if slices:
         if given is None:
-            raise InputError(f"anatomy.spacing_mm must be given for TIFF slices, which do not hold it, got none for "
-                             f"{source}: use the scanner's value, for example 0.0195")
+            raise InputError(
+                f"anatomy.spacing_mm must be given for TIFF slices, which do not hold it, got none for "
+                f"{source}: use the scanner's value, for example 0.0195"
+            )
         values, file_spacing = _read_slices(slices), (given, given, given)
     else:
         values, file_spacing = _read_with_pyvista(Path(path), array)
     notes = []
     if given is None and file_spacing == (1.0, 1.0, 1.0):
-        notes.append(f"The spacing in {source} is exactly 1 mm, often a placeholder: set anatomy.spacing_mm to be "
-                     "sure.")
+        notes.append(
+            f"The spacing in {source} is exactly 1 mm, often a placeholder: set anatomy.spacing_mm to be sure."
+        )
     if given is not None and not slices and file_spacing != (given,) * 3:
         notes.append(f"The spacing in {source} is {_by(file_spacing)} mm; {given:g} mm is used, as told.")
     if values.ndim != 3 or values.size == 0 or not np.issubdtype(values.dtype, np.number):
-        raise InputError(f"file must hold one number per voxel, got an array of shape {values.shape} in {source}: "
-                         f"{_REMEDY}")
+        raise InputError(
+            f"file must hold one number per voxel, got an array of shape {values.shape} in {source}: {_REMEDY}"
+        )
     if np.issubdtype(values.dtype, np.floating) and not np.isfinite(values).all():
         count = int((~np.isfinite(values)).sum())
-        raise InputError(f"voxels must be finite, got {count} of {values.size} that are not in {source}: mask them "
-                         "first")
+        raise InputError(
+            f"voxels must be finite, got {count} of {values.size} that are not in {source}: mask them first"
+        )
     return Image(values, (given,) * 3 if given is not None else file_spacing, source, tuple(notes))
 
 
@@ -111,11 +116,14 @@ def _read_slices(files: Sequence[Path]) -> NDArray[Any]:
         try:
             planes.append(np.atleast_3d(imread(file).T))
         except Exception as problem:  # the readers raise many kinds, none documented
-            raise InputError(f"file must be a readable TIFF slice, got {file.name} ({type(problem).__name__}): "
-                             "export it again") from problem
+            raise InputError(
+                f"file must be a readable TIFF slice, got {file.name} ({type(problem).__name__}): export it again"
+            ) from problem
         if planes[-1].shape[:2] != planes[0].shape[:2]:
-            raise InputError(f"slices must all have the same size, got {_by(planes[-1].shape[:2])} in {file.name} "
-                             f"after {_by(planes[0].shape[:2])}: keep other images out of the folder")
+            raise InputError(
+                f"slices must all have the same size, got {_by(planes[-1].shape[:2])} in {file.name} "
+                f"after {_by(planes[0].shape[:2])}: keep other images out of the folder"
+            )
     return np.concatenate(planes, axis=2)
 
 
@@ -131,23 +139,27 @@ def _read_with_pyvista(path: Path, array: str | None) -> tuple[NDArray[Any], tup
     try:
         data: Any = pyvista.read(path)
     except Exception as problem:  # the readers raise many kinds, none documented
-        raise InputError(f"file must be a readable image volume, got {path.name} ({type(problem).__name__}): "
-                         f"{_REMEDY}") from problem
+        raise InputError(
+            f"file must be a readable image volume, got {path.name} ({type(problem).__name__}): {_REMEDY}"
+        ) from problem
     finally:
         vtk.vtkObject.SetGlobalWarningDisplay(shown)
     if not isinstance(data, pyvista.ImageData) or not data.array_names:
-        raise InputError(f"file must hold an image volume, got {type(data).__name__} without voxels in {path.name}: "
-                         f"{_REMEDY}")
+        raise InputError(
+            f"file must hold an image volume, got {type(data).__name__} without voxels in {path.name}: {_REMEDY}"
+        )
     name = array or data.active_scalars_name or data.array_names[0]
     if name not in data.array_names:
-        raise InputError(f"anatomy.array must be one of {', '.join(data.array_names)}, got {name}: use one of these "
-                         "names")
+        raise InputError(
+            f"anatomy.array must be one of {', '.join(data.array_names)}, got {name}: use one of these names"
+        )
     by_cell = name in data.cell_data
     shape = tuple(n - 1 if by_cell else n for n in data.dimensions)
     values = np.asarray(data.cell_data[name] if by_cell else data.point_data[name])
     if values.ndim != 1 or values.size != int(np.prod(shape)):
-        raise InputError(f"file must hold one number per voxel, got an array of shape {values.shape} in {path.name}: "
-                         f"{_REMEDY}")
+        raise InputError(
+            f"file must hold one number per voxel, got an array of shape {values.shape} in {path.name}: {_REMEDY}"
+        )
     x, y, z = (float(s) for s in data.spacing)
     return values.reshape(shape, order="F"), (x, y, z)
 

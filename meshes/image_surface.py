@@ -33,8 +33,10 @@ def image_surface(image: Image, *, threshold: float) -> Surface:
 
     values = image.values.astype(np.float32)
     if not values.max() > threshold:
-        raise InputError(f"anatomy.threshold must leave bone, got {threshold:g} where {image.source} holds "
-                         f"{values.min():g} to {values.max():g}: use a value between")
+        raise InputError(
+            f"anatomy.threshold must leave bone, got {threshold:g} where {image.source} holds "
+            f"{values.min():g} to {values.max():g}: use a value between"
+        )
     outside = min(float(values.min()), 2.0 * threshold - float(values.max()))
     padded = np.pad(values, 1, constant_values=outside)
     vertices, faces, _, _ = marching_cubes(padded, threshold, spacing=image.spacing_mm)

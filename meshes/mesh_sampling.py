@@ -88,7 +88,7 @@ class TriangleSampler:
         occupied = fraction.reshape(bx, step, by, step, bz, step).max(axis=(1, 3, 5)) > 0.0
         needed = np.zeros((bx + 1, by + 1, bz + 1), dtype=bool)
         for i, j, k in np.ndindex(2, 2, 2):
-            needed[i:bx + i, j:by + j, k:bz + k] |= occupied
+            needed[i : bx + i, j : by + j, k : bz + k] |= occupied
         lattice = (np.argwhere(needed) * step + grid.first) * grid.spacing_m
         corners = np.zeros(needed.shape, dtype=np.float32)
         corners[needed] = -triangle_distance(self.vertices_m, self.faces, lattice)
@@ -103,8 +103,9 @@ class TriangleSampler:
         return corners
 
 
-def column_crossings(vertices: NDArray[np.float64], faces: NDArray[np.int64], x: NDArray[np.float64],
-                     y: NDArray[np.float64]) -> ColumnCrossings:
+def column_crossings(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], x: NDArray[np.float64], y: NDArray[np.float64]
+) -> ColumnCrossings:
     """Cross the vertical lines through each (x, y) with the triangles and keep where the winding number turns positive.
 
     An edge shared by two triangles is tested with the same arithmetic for both, so a line passes through one of them.
@@ -138,8 +139,9 @@ def column_crossings(vertices: NDArray[np.float64], faces: NDArray[np.int64], x:
     return _turning(np.concatenate(lines), np.concatenate(heights), np.concatenate(signs))
 
 
-def triangle_distance(vertices: NDArray[np.float64], faces: NDArray[np.int64],
-                      points: NDArray[Any]) -> NDArray[np.float64]:
+def triangle_distance(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], points: NDArray[Any]
+) -> NDArray[np.float64]:
     """Signed distance [m] of points [m], shape (n, 3), from the surface, negative inside, shape (n,)."""
     import pyvista
 
@@ -151,18 +153,25 @@ def triangle_distance(vertices: NDArray[np.float64], faces: NDArray[np.int64],
     return np.asarray(found["implicit_distance"], dtype=np.float64)
 
 
-def _covered(corners: NDArray[np.float64], x: NDArray[np.float64],
-             y: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _covered(
+    corners: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """First line and number of lines along x and y within each triangle's box, each shape (m, 2)."""
     first = np.stack([np.searchsorted(axis, corners[:, :, k].min(axis=1)) for k, axis in enumerate((x, y))], axis=1)
-    last = np.stack([np.searchsorted(axis, corners[:, :, k].max(axis=1), side="right")
-                     for k, axis in enumerate((x, y))], axis=1)
+    last = np.stack(
+        [np.searchsorted(axis, corners[:, :, k].max(axis=1), side="right") for k, axis in enumerate((x, y))], axis=1
+    )
     return first, last - first
 
 
-def _crossed(corners: NDArray[np.float64], faces: NDArray[np.int64], first: NDArray[np.int64],
-             counts: NDArray[np.int64], x: NDArray[np.float64],
-             y: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+def _crossed(
+    corners: NDArray[np.float64],
+    faces: NDArray[np.int64],
+    first: NDArray[np.int64],
+    counts: NDArray[np.int64],
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
     """Line, height and sign (+1 entering) of each crossing of the triangles with the lines in their boxes."""
     pairs = counts[:, 0] * counts[:, 1]
     triangle = np.repeat(np.arange(len(pairs)), pairs)

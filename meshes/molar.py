@@ -169,8 +169,10 @@ def _layers(
         distance = dentin_distance(points)
         layer = np.full(len(points), DENTIN, dtype=np.uint8)
         outside = distance >= 0.0
-        layer[outside & (points[:, 2] > crown.cervical_line(points[:, 0]))] = ENAMEL
-        embedded = np.flatnonzero(outside & (points[:, 2] < crest))
+        crowned = points[:, 2] > crown.cervical_line(points[:, 0])
+        layer[outside & crowned] = ENAMEL
+        # A voxel that the crest cuts may have its centre in the air above it: what lies nearer to the crest is bone.
+        embedded = np.flatnonzero(outside & ~crowned & (points[:, 2] - crest < distance))
         layer[embedded] = around(points[embedded], distance[embedded])
         inside = np.flatnonzero(~outside)
         layer[inside[pulp.distance(points[inside]) < 0.0]] = PULP

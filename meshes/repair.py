@@ -13,7 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
-    "Holes", "Triangles", "drop_debris", "edge_counts", "fill_holes", "merge_vertices", "orient", "signed_volume",
+    "Holes",
+    "Triangles",
+    "drop_debris",
+    "edge_counts",
+    "fill_holes",
+    "merge_vertices",
+    "orient",
+    "signed_volume",
 ]
 
 Triangles = tuple[NDArray[np.float64], NDArray[np.int64]]
@@ -39,8 +46,9 @@ def merge_vertices(vertices: NDArray[Any], faces: NDArray[np.int64], tolerance: 
     return _compact(vertices[first].astype(np.float64), faces[_distinct(faces)])
 
 
-def drop_debris(vertices: NDArray[np.float64], faces: NDArray[np.int64],
-                least_area: float) -> tuple[Triangles, list[float]]:
+def drop_debris(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], least_area: float
+) -> tuple[Triangles, list[float]]:
     """Drop bodies whose area is below `least_area` times the largest body's.
 
     Returns
@@ -78,8 +86,9 @@ def orient(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[NDA
     boxes = [_box(vertices, faces[body == k]) for k in range(count)] if count > 1 else []
     for k in np.flatnonzero(volumes < 0.0) if count > 1 else ():
         low, high = boxes[k]
-        within = any((boxes[j][0] <= low).all() and (boxes[j][1] >= high).all()
-                     for j in range(count) if volumes[j] > 0.0)
+        within = any(
+            (boxes[j][0] <= low).all() and (boxes[j][1] >= high).all() for j in range(count) if volumes[j] > 0.0
+        )
         if not within:
             faces[body == k] = faces[body == k][:, ::-1]
             inside_out += 1
@@ -175,7 +184,7 @@ def _loops(edges: NDArray[np.int64]) -> list[NDArray[np.int64]]:
             if step in path:
                 begin = path.index(step)
                 loops.append(np.array(path[begin:], dtype=np.int64))
-                del path[begin + 1:]
+                del path[begin + 1 :]
             else:
                 path.append(step)
     return loops

@@ -20,8 +20,18 @@ from numpy.typing import NDArray
 from meshes.errors import InputError, require_positive
 
 __all__ = [
-    "Shape", "box", "capsule", "cylinder", "difference", "ellipsoid", "half_space", "intersection", "smooth_maximum",
-    "smooth_minimum", "sphere", "union",
+    "Shape",
+    "box",
+    "capsule",
+    "cylinder",
+    "difference",
+    "ellipsoid",
+    "half_space",
+    "intersection",
+    "smooth_maximum",
+    "smooth_minimum",
+    "sphere",
+    "union",
 ]
 
 Points = NDArray[Any]
@@ -100,15 +110,17 @@ def union(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
     grown = 0.25 * blend_m
     lower = np.minimum(a.lower_m, b.lower_m) - grown
     upper = np.maximum(a.upper_m, b.upper_m) + grown
-    return Shape(lambda p: smooth_minimum(a.distance(p), b.distance(p), blend_m),
-                 tuple(lower.tolist()), tuple(upper.tolist()))
+    return Shape(
+        lambda p: smooth_minimum(a.distance(p), b.distance(p), blend_m), tuple(lower.tolist()), tuple(upper.tolist())
+    )
 
 
 def intersection(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
     """Points in both solids; a positive `blend_m` [m] rounds the edge between them."""
     lower, upper = np.maximum(a.lower_m, b.lower_m), np.minimum(a.upper_m, b.upper_m)
-    return Shape(lambda p: smooth_maximum(a.distance(p), b.distance(p), blend_m),
-                 tuple(lower.tolist()), tuple(upper.tolist()))
+    return Shape(
+        lambda p: smooth_maximum(a.distance(p), b.distance(p), blend_m), tuple(lower.tolist()), tuple(upper.tolist())
+    )
 
 
 def difference(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
@@ -132,11 +144,14 @@ def box(size_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0), *, rounding_m: float
     """
     size, centre = _vector("size_m", size_m), _vector("centre_m", centre_m)
     if not np.all(size > 0.0):
-        raise InputError(f"size_m must be positive in every direction, got {_text(size)}: "
-                         "use about (0.02, 0.012, 0.008)")
+        raise InputError(
+            f"size_m must be positive in every direction, got {_text(size)}: use about (0.02, 0.012, 0.008)"
+        )
     if not 0.0 <= rounding_m <= 0.5 * float(size.min()):
-        raise InputError(f"rounding_m must be in [0, half the shortest edge {0.5 * float(size.min()):g}], "
-                         f"got {rounding_m}: use 0 for sharp edges")
+        raise InputError(
+            f"rounding_m must be in [0, half the shortest edge {0.5 * float(size.min()):g}], "
+            f"got {rounding_m}: use 0 for sharp edges"
+        )
     half = 0.5 * size - rounding_m
 
     def distance(p: Points) -> Distances:
@@ -183,11 +198,14 @@ def ellipsoid(radii_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
     """
     radii, centre = _vector("radii_m", radii_m), _vector("centre_m", centre_m)
     if not np.all(radii > 0.0):
-        raise InputError(f"radii_m must be positive in every direction, got {_text(radii)}: "
-                         "use about (0.02, 0.01, 0.01)")
+        raise InputError(
+            f"radii_m must be positive in every direction, got {_text(radii)}: use about (0.02, 0.01, 0.01)"
+        )
     shortest = float(radii.min())
-    return Shape(lambda p: (_norm((p - centre.astype(p.dtype)) / radii.astype(p.dtype)) - 1.0) * shortest,
-                 *_around(centre, radii))
+    return Shape(
+        lambda p: (_norm((p - centre.astype(p.dtype)) / radii.astype(p.dtype)) - 1.0) * shortest,
+        *_around(centre, radii),
+    )
 
 
 def half_space(normal: Vector, point_m: Vector = (0.0, 0.0, 0.0)) -> Shape:

@@ -50,8 +50,9 @@ class Site:
         return (np.asarray(points_m, dtype=np.float64) - self.centre_m) @ self.rotation
 
 
-def find_glenoid(surface: Surface, *, centre_mm: Sequence[float] | None = None,
-                 normal: Sequence[float] | None = None) -> Site:
+def find_glenoid(
+    surface: Surface, *, centre_mm: Sequence[float] | None = None, normal: Sequence[float] | None = None
+) -> Site:
     """Find the glenoid's centre and outward axis, or take them as told.
 
     Parameters
@@ -90,8 +91,14 @@ def find_glenoid(surface: Surface, *, centre_mm: Sequence[float] | None = None,
     return Site(_on_surface(surface, centre, rotation, _FARTHEST_M), rotation, said)
 
 
-def surface_anatomy(surface: Surface, site: Site, *, cortical_thickness_mm: float = 1.9,
-                    cortical_density_kg_m3: float = 1800.0, trabecular_density_kg_m3: float = 350.0) -> Anatomy:
+def surface_anatomy(
+    surface: Surface,
+    site: Site,
+    *,
+    cortical_thickness_mm: float = 1.9,
+    cortical_density_kg_m3: float = 1800.0,
+    trabecular_density_kg_m3: float = 350.0,
+) -> Anatomy:
     """Anatomy of a bone surface in the site frame: a cortical shell of even thickness over trabecular bone.
 
     A surface says nothing of what is inside: thickness and densities are assumptions, recorded in the notes. The
@@ -123,9 +130,13 @@ def surface_anatomy(surface: Surface, site: Site, *, cortical_thickness_mm: floa
         layer = (depth >= shell).astype(np.uint8)
         return layer, np.where(layer == 0, np.float32(dense), np.float32(sparse))
 
-    notes = {"surface": surface.report.source, "unit": surface.report.unit_guess, "site": site.confidence,
-             "repairs": " ".join(surface.report.repairs) or "none",
-             "cortical shell": f"{cortical_thickness_mm:g} mm, assumed: the file holds a surface only"}
+    notes = {
+        "surface": surface.report.source,
+        "unit": surface.report.unit_guess,
+        "site": site.confidence,
+        "repairs": " ".join(surface.report.repairs) or "none",
+        "cortical shell": f"{cortical_thickness_mm:g} mm, assumed: the file holds a surface only",
+    }
     solid = Shape(distance, tuple(vertices.min(axis=0).tolist()), tuple(vertices.max(axis=0).tolist()))
     return Anatomy(surface.report.source, solid, SURFACE_LAYERS, classify, notes, TriangleSampler(vertices, faces))
 
@@ -137,10 +148,12 @@ def _searched(surface: Surface) -> Site:
     face = grow_face(samples, point, normal)
     plausible = _WIDTH_M[0] <= face.width_m <= _WIDTH_M[1] and _LENGTH_M[0] <= face.length_m <= _LENGTH_M[1]
     if score < _LEAST_SCORE or not plausible:
-        raise InputError(f"file must show a glenoid of about 28 x 37 mm, got none in {surface.report.source} (best "
-                         "face "
-                         f"{_size(face)}, score {score:.2f}): check anatomy.scale_mm, or give anatomy.centre_mm and "
-                         "anatomy.normal")
+        raise InputError(
+            f"file must show a glenoid of about 28 x 37 mm, got none in {surface.report.source} (best "
+            "face "
+            f"{_size(face)}, score {score:.2f}): check anatomy.scale_mm, or give anatomy.centre_mm and "
+            "anatomy.normal"
+        )
     rotation = _axes(face.normal, samples.points.mean(axis=0) - face.centre_m, face.long_axis)
     radius = face.curvature_radius_m
     bend = "concave" if radius > 0.0 else "convex"
@@ -149,8 +162,9 @@ def _searched(surface: Surface) -> Site:
     return Site(_on_surface(surface, face.centre_m, rotation, _FARTHEST_M), rotation, said)
 
 
-def _axes(normal: NDArray[np.float64], to_middle: NDArray[np.float64],
-          long_axis: NDArray[np.float64] | None) -> NDArray[np.float64]:
+def _axes(
+    normal: NDArray[np.float64], to_middle: NDArray[np.float64], long_axis: NDArray[np.float64] | None
+) -> NDArray[np.float64]:
     """Site axes as columns: z along `normal`, y along the face's long axis and away from the middle of the bone.
 
     The body of the scapula lies below the glenoid, so superior is away from the middle of its surface.
@@ -167,17 +181,20 @@ def _axes(normal: NDArray[np.float64], to_middle: NDArray[np.float64],
     return np.column_stack([np.cross(y, normal), y, normal])
 
 
-def _on_surface(surface: Surface, centre: NDArray[np.float64], rotation: NDArray[np.float64],
-                farthest: float) -> NDArray[np.float64]:
+def _on_surface(
+    surface: Surface, centre: NDArray[np.float64], rotation: NDArray[np.float64], farthest: float
+) -> NDArray[np.float64]:
     """Point where the axis through `centre` leaves the bone, the nearest such within `farthest` [m]."""
     points = (surface.vertices_m - centre) @ rotation
     found = column_crossings(points, surface.faces, np.array([1e-9]), np.array([1e-9]))
     leaving = found.height[found.entering < 0]
     nearest = float(leaving[np.argmin(np.abs(leaving))]) if len(leaving) else np.inf
     if abs(nearest) > farthest:
-        raise InputError(f"anatomy.centre_mm must lie within 10 mm of the surface along the normal, got "
-                         f"{_text(centre * 1e3)}"
-                         f" in {surface.report.source}: give a point on the face, in mm in the frame of the file")
+        raise InputError(
+            f"anatomy.centre_mm must lie within 10 mm of the surface along the normal, got "
+            f"{_text(centre * 1e3)}"
+            f" in {surface.report.source}: give a point on the face, in mm in the frame of the file"
+        )
     return centre + nearest * rotation[:, 2]
 
 

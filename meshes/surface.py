@@ -91,8 +91,10 @@ def read_surface(path: str | Path, *, scale_mm: float | None = None) -> Surface:
     """
     file = Path(path)
     if file.suffix.lower() not in SURFACE_SUFFIXES:
-        raise InputError(f"file must end in {', '.join(SURFACE_SUFFIXES)}, got {file.name}: convert it, or read a "
-                         "volume with read_volume")
+        raise InputError(
+            f"file must end in {', '.join(SURFACE_SUFFIXES)}, got {file.name}: convert it, or read a "
+            "volume with read_volume"
+        )
     if not file.is_file():
         raise InputError(f"file must exist, got {file}: check the path, which is taken from the working directory")
     if file.stat().st_size == 0:
@@ -101,8 +103,9 @@ def read_surface(path: str | Path, *, scale_mm: float | None = None) -> Surface:
     return surface_from_triangles(vertices, faces, source=file.name, scale_mm=scale_mm)
 
 
-def surface_from_triangles(vertices: NDArray[Any], faces: NDArray[Any], *, source: str = "triangles",
-                           scale_mm: float | None = None) -> Surface:
+def surface_from_triangles(
+    vertices: NDArray[Any], faces: NDArray[Any], *, source: str = "triangles", scale_mm: float | None = None
+) -> Surface:
     """Make triangles enclose a solid: one unit, vertices merged, debris dropped, wound outward, small holes filled.
 
     Parameters
@@ -121,12 +124,15 @@ def surface_from_triangles(vertices: NDArray[Any], faces: NDArray[Any], *, sourc
     """
     vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
     if len(vertices) == 0 or len(faces) == 0:
-        raise InputError(f"file must hold triangles, got {len(vertices)} vertices and {len(faces)} triangles in "
-                         f"{source}: export the surface as triangles")
+        raise InputError(
+            f"file must hold triangles, got {len(vertices)} vertices and {len(faces)} triangles in "
+            f"{source}: export the surface as triangles"
+        )
     bad = int((~np.isfinite(vertices).all(axis=1)).sum())
     if bad:
-        raise InputError(f"vertices must be finite, got {bad} of {len(vertices)} that are not in {source}: "
-                         "export it again")
+        raise InputError(
+            f"vertices must be finite, got {bad} of {len(vertices)} that are not in {source}: export it again"
+        )
     used = vertices[np.unique(faces)]
     longest = float(np.ptp(used, axis=0).max())
     _require_thickness(used, longest, source)
@@ -135,13 +141,20 @@ def surface_from_triangles(vertices: NDArray[Any], faces: NDArray[Any], *, sourc
     longest *= 1e-3 * scale
     vertices, faces, repairs = _repaired(vertices, faces, longest, source)
     size = np.ptp(vertices, axis=0) * 1e3
-    report = SurfaceReport(source, scale, guess, (float(size[0]), float(size[1]), float(size[2])),
-                           signed_volume(vertices, faces) * 1e9, tuple(repairs))
+    report = SurfaceReport(
+        source,
+        scale,
+        guess,
+        (float(size[0]), float(size[1]), float(size[2])),
+        signed_volume(vertices, faces) * 1e9,
+        tuple(repairs),
+    )
     return Surface(vertices, faces, report)
 
 
-def _repaired(vertices: NDArray[np.float64], faces: NDArray[np.int64], longest: float,
-              source: str) -> tuple[NDArray[np.float64], NDArray[np.int64], list[str]]:
+def _repaired(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], longest: float, source: str
+) -> tuple[NDArray[np.float64], NDArray[np.int64], list[str]]:
     """Vertices [m] and triangles of a closed surface wound outward, and what was done."""
     repairs = []
     before = len(vertices)
@@ -157,17 +170,23 @@ def _repaired(vertices: NDArray[np.float64], faces: NDArray[np.int64], longest: 
         repairs.append(f"Turned {turned} of {len(faces)} triangles to agree with their neighbours.")
     (vertices, faces), holes = fill_holes(vertices, faces, _HOLE_AREA)
     if holes.left:
-        raise InputError(f"surface must enclose a solid, got {counts[0]} open and {counts[1]} non-manifold edges in "
-                         f"{source}, the largest hole {1e6 * holes.largest_area:.3g} mm2: close it in a mesh editor")
+        raise InputError(
+            f"surface must enclose a solid, got {counts[0]} open and {counts[1]} non-manifold edges in "
+            f"{source}, the largest hole {1e6 * holes.largest_area:.3g} mm2: close it in a mesh editor"
+        )
     faces, _, late = orient(vertices, faces)
     if inside_out + late:
         repairs.append("Turned the surface outward: it was wound inward.")
     if holes.filled:
-        repairs.append(f"Closed {holes.filled} holes along {counts[0]} open and {counts[1]} non-manifold edges, the "
-                       f"largest {1e6 * holes.largest_area:.3g} mm2.")
+        repairs.append(
+            f"Closed {holes.filled} holes along {counts[0]} open and {counts[1]} non-manifold edges, the "
+            f"largest {1e6 * holes.largest_area:.3g} mm2."
+        )
     if signed_volume(vertices, faces) <= 1e-6 * longest**3:
-        raise InputError(f"surface must enclose a solid, got {1e9 * signed_volume(vertices, faces):.3g} mm3 inside "
-                         f"{source}: close it in a mesh editor")
+        raise InputError(
+            f"surface must enclose a solid, got {1e9 * signed_volume(vertices, faces):.3g} mm3 inside "
+            f"{source}: close it in a mesh editor"
+        )
     return vertices, faces, repairs
 
 
@@ -183,8 +202,10 @@ def _read_triangles(file: Path) -> tuple[NDArray[Any], NDArray[Any]]:
     except InputError:
         raise
     except Exception as problem:  # the readers raise many kinds, none documented
-        raise InputError(f"file must be a readable {file.suffix.lower()[1:].upper()} surface, got {file.name} "
-                         f"({type(problem).__name__}): export it again") from problem
+        raise InputError(
+            f"file must be a readable {file.suffix.lower()[1:].upper()} surface, got {file.name} "
+            f"({type(problem).__name__}): export it again"
+        ) from problem
 
 
 def _read_vtk(file: Path) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -211,8 +232,10 @@ def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, s
     if scale_mm is not None:
         scale = require_positive("anatomy.scale_mm", scale_mm, "use 1 for millimetres, 1000 for metres")
         if not _SMALLEST_MM <= longest * scale <= _LARGEST_MM:
-            raise InputError(f"anatomy.scale_mm must make the longest side 1 mm to 1 m, got {scale:g}, which makes "
-                             f"{source} {_length(longest * scale)} long: use about {suggestion:g}")
+            raise InputError(
+                f"anatomy.scale_mm must make the longest side 1 mm to 1 m, got {scale:g}, which makes "
+                f"{source} {_length(longest * scale)} long: use about {suggestion:g}"
+            )
         return scale, f"{scale:g} mm per unit, as told: the longest side is {longest * scale:.4g} mm"
     for name, scale, lowest, highest in _UNITS:
         if lowest <= longest <= highest:
@@ -220,10 +243,12 @@ def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, s
             if name == "millimetres" and _CENTIMETRES[0] <= longest <= _CENTIMETRES[1]:
                 guess += f" (in centimetres it would be {10 * longest:.3g} mm: set anatomy.scale_mm to be sure)"
             return scale, guess
-    raise InputError(f"anatomy.scale_mm must be given where the unit is not plain, got none for {source}, whose "
-                     "longest side "
-                     f"{longest:.3g} would be {_length(longest)} in millimetres and {_length(1e3 * longest)} in "
-                     f"metres: use millimetres per unit, for example {suggestion:g}")
+    raise InputError(
+        f"anatomy.scale_mm must be given where the unit is not plain, got none for {source}, whose "
+        "longest side "
+        f"{longest:.3g} would be {_length(longest)} in millimetres and {_length(1e3 * longest)} in "
+        f"metres: use millimetres per unit, for example {suggestion:g}"
+    )
 
 
 def _require_thickness(points: NDArray[np.float64], longest: float, source: str) -> None:

@@ -108,8 +108,14 @@ class VoxelVolume:
         if (low >= high).any():
             return self
         part = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-        arrays = (np.ascontiguousarray(a[part]) for a in (self.fraction, self.layer, self.density_kg_m3))
-        return VoxelVolume(self.origin_m + self.spacing_m * low, self.spacing_m, *arrays, self.layer_names)
+        return VoxelVolume(
+            self.origin_m + self.spacing_m * low,
+            self.spacing_m,
+            np.ascontiguousarray(self.fraction[part]),
+            np.ascontiguousarray(self.layer[part]),
+            np.ascontiguousarray(self.density_kg_m3[part]),
+            self.layer_names,
+        )
 
     def to_image(self) -> pyvista.ImageData:
         """Return a pyvista image in mm with cell arrays `fraction` (0 to 1), `layer` and `density_kg_m3`."""

@@ -25,8 +25,14 @@ _MAXIMUM_THREADS = 4
 _SAMPLED_BLOCKS = 4
 
 
-def voxelise(anatomy: Anatomy, *, spacing_m: float, region_m: Region | None = None, minus: Shape | None = None,
-             progress: Callable[[float], None] | None = None) -> VoxelVolume:
+def voxelise(
+    anatomy: Anatomy,
+    *,
+    spacing_m: float,
+    region_m: Region | None = None,
+    minus: Shape | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> VoxelVolume:
     """Voxels of an anatomy, in its site frame.
 
     Grid lines lie on whole multiples of the spacing, so a voxel has the same content whatever region is asked for. A
@@ -54,8 +60,9 @@ def voxelise(anatomy: Anatomy, *, spacing_m: float, region_m: Region | None = No
     spacing = require_positive("spacing_m", spacing_m, "use about 1e-4 (0.1 mm)")
     grid = _grid(anatomy, spacing, region_m)
     blocked = grid.blocked()
-    arrays = VoxelArrays(np.zeros(blocked.shape, np.uint8), np.zeros(blocked.shape, np.uint8),
-                         np.zeros(blocked.shape, np.uint16))
+    arrays = VoxelArrays(
+        np.zeros(blocked.shape, np.uint8), np.zeros(blocked.shape, np.uint8), np.zeros(blocked.shape, np.uint16)
+    )
     thickness = BLOCK if anatomy.sample is None else _SAMPLED_BLOCKS * BLOCK
     starts = range(0, blocked.shape[0], thickness)
 
@@ -74,18 +81,27 @@ def voxelise(anatomy: Anatomy, *, spacing_m: float, region_m: Region | None = No
             if progress is not None:
                 progress(done / len(starts))
     kept = tuple(slice(f - b, f - b + n) for f, b, n in zip(grid.first, blocked.first, grid.shape, strict=True))
-    return VoxelVolume(grid.origin_m, spacing, np.ascontiguousarray(arrays.fraction[kept]),
-                       np.ascontiguousarray(arrays.layer[kept]), np.ascontiguousarray(arrays.density[kept]),
-                       anatomy.layer_names)
+    return VoxelVolume(
+        grid.origin_m,
+        spacing,
+        np.ascontiguousarray(arrays.fraction[kept]),
+        np.ascontiguousarray(arrays.layer[kept]),
+        np.ascontiguousarray(arrays.density[kept]),
+        anatomy.layer_names,
+    )
 
 
 def _grid(anatomy: Anatomy, spacing: float, region_m: Region | None) -> Grid:
     """Grid over the region, or over the anatomy's bounding box, on whole multiples of the spacing."""
-    lower, upper = _corners(region_m) if region_m is not None else (np.array(anatomy.shape.lower_m),
-                                                                    np.array(anatomy.shape.upper_m))
+    lower, upper = (
+        _corners(region_m)
+        if region_m is not None
+        else (np.array(anatomy.shape.lower_m), np.array(anatomy.shape.upper_m))
+    )
     if not (np.isfinite(lower).all() and np.isfinite(upper).all()):
-        raise InputError("region_m must be given for an anatomy without end, got None: "
-                         "use the box that the tool reaches")
+        raise InputError(
+            "region_m must be given for an anatomy without end, got None: use the box that the tool reaches"
+        )
     first = np.floor(lower / spacing + _ROUNDING).astype(int).tolist()
     last = np.ceil(upper / spacing - _ROUNDING).astype(int).tolist()
     counts = [max(b - a, 1) for a, b in zip(first, last, strict=True)]
@@ -98,8 +114,10 @@ def _corners(region_m: Region) -> tuple[NDArray[np.float64], NDArray[np.float64]
     except (TypeError, ValueError):
         corners = np.empty(0)
     if corners.shape != (2, 3) or not np.isfinite(corners).all() or not (corners[0] < corners[1]).all():
-        raise InputError(f"region_m must be two finite corners, the first below the second in x, y and z, "
-                         f"got {region_m}: use for example ((-0.01, -0.01, -0.008), (0.01, 0.01, 0.001))")
+        raise InputError(
+            f"region_m must be two finite corners, the first below the second in x, y and z, "
+            f"got {region_m}: use for example ((-0.01, -0.01, -0.008), (0.01, 0.01, 0.001))"
+        )
     return corners[0], corners[1]
 
 

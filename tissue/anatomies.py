@@ -123,8 +123,9 @@ def _named(parameters: AnatomyFile) -> Iterator[None]:
     except InputError as error:
         said = str(error)
         argument = said.split(" ", 1)[0]
-        if argument == "resample_mm":
-            said = "voxels.spacing_mm" + said.removeprefix(argument)
+        if argument in ("resample_mm", "paths_by_layer"):
+            key = "voxels.spacing_mm" if argument == "resample_mm" else "anatomy.enamel_file and its like"
+            said = key + said.removeprefix(argument)
         elif argument.split("[")[0] in type(parameters).model_fields:
             said = f"anatomy.{said}"
         raise InputError(said) from error

@@ -13,10 +13,11 @@ from meshes.volume import VoxelVolume
 from tissue import cutters
 from tissue.anatomies import volume_of, whole_tooth
 from tissue.cutters import Cutter
+from tissue.materials import cutting_coefficients, cutting_constants
 from tissue.model import TissueModel
 from tissue.motion import FollowPath, Motion, PushAlongAxis
 from tissue.poses import read_poses
-from tissue.reach import require_touch
+from tissue.reach import require_outside, require_touch
 from tissue.scene import PathMotion, ReplayMotion, Scene, Stress, ThrustMotion, Tool
 from tissue.scene_anatomy import MolarAnatomy
 
@@ -56,6 +57,9 @@ def build(scene: Scene, *, step_s: float, compute: str, cores: int | None, tell:
     tell("building the anatomy", 0.0)
     volume = volume_of(scene, cutter, motion, notes=notes, tell=tell)
     require_touch(volume, cutter, motion)
+    if isinstance(scene.anatomy, MolarAnatomy) and not isinstance(scene.motion, ReplayMotion):
+        require_outside(volume, cutter, motion)
+    notes["specific cutting energy"] = _energy_note(volume)
     return Parts(motion, cutter, volume, _bone(scene, volume, cutter, compute=compute, cores=cores, tell=tell), notes)
 
 
@@ -112,7 +116,6 @@ def _bone(
         )
     tell("compiling kernels (the first time on a machine)", 0.0)
     from tissue.bone import BoneModel
-    from tissue.materials import cutting_coefficients
 
     changes = scene.cutting.model_dump()
     spacing_mm = scene.tool.shell_spacing_mm
@@ -128,6 +131,19 @@ def _bone(
     if "pulp" not in volume.layer_names:
         return milling
     return _tooth(scene, milling, compute=compute, tell=tell)
+
+
+def _energy_note(volume: VoxelVolume) -> str:
+    """The cited tangential chip coefficient of each material that is there, which is its specific energy."""
+    there = {CUT_AS.get(name, "bone") for i, name in enumerate(volume.layer_names) if (volume.layer == i).any()}
+    said = []
+    for material in sorted(there):
+        energy = cutting_constants(material)["tangential_chip_N_mm2"]
+        said.append(
+            f"{material} {1e-3 * energy.value:g} ({1e-3 * energy.low:g}-{1e-3 * energy.high:g}) J/mm3, "
+            f"confidence {energy.confidence}"
+        )
+    return "; ".join(said)
 
 
 def _tooth(scene: Scene, milling: "BoneModel", *, compute: str, tell: Tell) -> TissueModel:

@@ -130,7 +130,12 @@ def scenes(name: str | None = None, /) -> None:
 
 @app.command
 def view(
-    folder: Path, /, *, screenshot: Path | None = None, hide: tuple[str, ...] = (), field: str | None = None
+    folder: Path,
+    /,
+    *,
+    screenshot: Path | None = None,
+    hide: Annotated[tuple[str, ...], Parameter(negative="")] = (),
+    field: str | None = None,
 ) -> None:
     """Show a run in a window.
 

@@ -15,6 +15,8 @@ __all__ = ["draw_force_depth", "first_descent", "layers_passed"]
 
 UNITS = {"um": "µm", "degC": "°C", "mm2": "mm²", "mm3": "mm³"}
 """Units of the trace's columns as they are printed; all others as they are."""
+MEANT = {"µm": "displacement"}
+"""What a unit alone says of a quantity."""
 RISE_MM = 0.2
 """A tool that rises by this much has ended its descent."""
 
@@ -89,23 +91,23 @@ def _draw(run: Run, path: Path, rows: slice, coordinate_mm: NDArray[np.float64])
         1 + len(measures), 1, sharex=True, squeeze=False, height_ratios=[2.2, *([1.0] * len(measures))]
     )
     panels = panels[:, 0]
-    chart.subplots_adjust(left=0.1, right=0.98, top=1.0 - 0.62 / full, bottom=0.5 / full, hspace=0.12)
+    chart.subplots_adjust(left=0.115, right=0.98, top=1.0 - 0.62 / full, bottom=0.5 / full, hspace=0.12)
     force, model = trace.vectors("force", "N")[rows], trace.vectors("model_force", "N")[rows]
     turns = tool_axes(np.column_stack([trace[f"tool_q{c}"][rows] for c in "xyzw"]))
-    for values, colour, label in (
-        (lambda f: np.linalg.norm(f, axis=1), "0.1", "magnitude"),
-        (lambda f: np.einsum("ij,ij->i", f, turns), COMPONENTS[0], "along the tool's axis, out of the tissue"),
+    for values, colour, style, label in (
+        (lambda f: np.linalg.norm(f, axis=1), "0.1", "-", "magnitude"),
+        (lambda f: np.einsum("ij,ij->i", f, turns), COMPONENTS[0], (0, (4, 2)), "along the tool's axis, outward"),
     ):
-        panels[0].plot(depth, values(model), color=colour, linewidth=3.2, alpha=0.25, solid_capstyle="butt")
-        panels[0].plot(
-            depth, values(force), color=colour, linestyle="-" if colour == "0.1" else (0, (4, 2)), label=label
-        )
-    panels[0].plot([], [], color="0.4", linewidth=3.2, alpha=0.4, label="model's, before the low-pass")
+        panels[0].plot(depth, values(force), color=colour, linewidth=0.8, alpha=0.35)
+        panels[0].plot(depth, values(model), color=colour, linewidth=1.4, linestyle=style, label=label)
+    panels[0].plot(
+        [], [], color="0.4", linewidth=3.2, alpha=0.35, label="as given out, low-pass and vibration included"
+    )
     panels[0].set_ylabel("force / N")
     for axes, (unit, names) in zip(panels[1:], measures.items(), strict=True):
         for name, colour in zip(names, ("0.1", *COMPONENTS, "#CC79A7"), strict=False):
             axes.plot(depth, trace[name][rows], color=colour, label=_spoken(name))
-        axes.set_ylabel(f"{_shared(names)}\n/ {unit}".lstrip("\n/ "))
+        axes.set_ylabel(f"{_shared(names)}\n{MEANT.get(unit, '')} / {unit}".strip("\n/ "))
         if len(names) > 1:
             axes.legend(frameon=False, ncols=len(names), loc="best", handlelength=1.4)
     _shade(run, panels, depth, passed, np.linalg.norm(model, axis=1))
@@ -117,7 +119,11 @@ def _draw(run: Run, path: Path, rows: slice, coordinate_mm: NDArray[np.float64])
     panels[-1].set_xlabel("depth of the tool's tip below the surface / mm")
     chart.align_ylabels(panels)
     chart.text(
-        0.1, 1.0 - 0.22 / full, f"{run.scene.name}: force on the tool over depth, first descent", va="center", size=10.5
+        0.115,
+        1.0 - 0.22 / full,
+        f"{run.scene.name}: force on the tool over depth, first descent",
+        va="center",
+        size=10.5,
     )
     panels[0].legend(
         loc="lower left", bbox_to_anchor=(-0.01, 0.99), ncols=3, frameon=False, handlelength=1.8, columnspacing=1.2
@@ -135,10 +141,18 @@ def _shade(run: Run, panels: Any, depth: NDArray[np.float64], passed: NDArray[An
         for axes in panels:
             axes.axvspan(*ends, color=colours[name], alpha=0.28, linewidth=0.0, zorder=0)
             axes.axvline(ends[0], color="0.35", linewidth=0.7, zorder=1)
-        if ends[1] - ends[0] > 0.06 * (depth[-1] - depth[0]):
-            said = f"{name}\nmean {force[first:last].mean():.2g} N"
+        share = (ends[1] - ends[0]) / (depth[-1] - depth[0])
+        mean = f"mean {force[first:last].mean():.2g} N"
+        if share > 0.02:
             panels[0].text(
-                0.5 * sum(ends), 0.97, said, transform=panels[0].get_xaxis_transform(), ha="center", va="top", size=8.5
+                0.5 * sum(ends),
+                0.97,
+                f"{name}\n{mean}" if share > 0.12 else f"{name}, {mean}",
+                transform=panels[0].get_xaxis_transform(),
+                rotation=0.0 if share > 0.12 else 90.0,
+                ha="center",
+                va="top",
+                size=8.5,
             )
     low, high = panels[0].get_ylim()
     panels[0].set_ylim(min(low, 0.0), high + 0.2 * (high - low))

@@ -8,7 +8,7 @@ from meshes.volume import VoxelVolume
 from tissue.cutters import Cutter
 from tissue.motion import Motion
 
-__all__ = ["box_text", "reach", "require_touch"]
+__all__ = ["box_text", "reach", "require_outside", "require_touch"]
 
 POSES_TRIED = 300
 """Poses along a motion at which contact is looked for."""
@@ -45,6 +45,21 @@ def require_touch(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
         "motion must bring the tool to the bone, got a tool that never touches it: move it to the bone "
         f"{box_text(volume.bounds_m, between=True)}"
     )
+
+
+def require_outside(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
+    """Refuse a motion that starts with the cutting surface inside the tooth."""
+    shell = cutter.shell(spacing_m=max(cutter.profile.radius_m / 24.0, volume.spacing_m)).points_m
+    points = motion.sweep_m()[0] + shell @ motion.rotations()[0].T
+    at = np.floor((points - volume.origin_m) / volume.spacing_m).astype(int)
+    at = at[((at >= 0) & (at < np.array(volume.shape))).all(axis=1)]
+    inside = int((volume.fraction[at[:, 0], at[:, 1], at[:, 2]] == 255).sum())
+    if inside:
+        start = ", ".join(f"{1e3 * value:.4g}" for value in motion.sweep_m()[0])
+        raise InputError(
+            f"motion must start outside the tooth, got a bur at ({start}) mm with {inside / len(points):.0%} of its "
+            "surface inside: start higher"
+        )
 
 
 def box_text(corners: Corners, *, between: bool = False) -> str:

@@ -19,6 +19,8 @@ __all__ = ["Section", "draw_section", "loaded_frame", "section_of"]
 STRESS = "von_mises_MPa"
 REMOVED_TINT = 0.28
 """How much of its layer's colour removed tissue keeps."""
+WAY: dict[str, Any] = {"color": "#CC79A7", "linewidth": 1.0}
+"""Line of the tip's way."""
 DECADES = 3.0
 """Widest span of a logarithmic scale."""
 
@@ -181,7 +183,9 @@ def _contour(axes: Any, section: Section, values: NDArray[np.float64], **line: A
 
 
 def _draw_tool(axes: Any, run: Run, section: Section, row: int) -> None:
-    """Outline of the tool at one moment, and the way of its tip up to the end."""
+    """Outline of the tool at one moment, and the way of its tip."""
+    from matplotlib.patheffects import withStroke
+
     trace = run.trace
     tips = trace.vectors("tool", "mm")
     turn = tool_axes(np.column_stack([trace[f"tool_q{c}"][row : row + 1] for c in "xyzw"]))[0]
@@ -191,8 +195,9 @@ def _draw_tool(axes: Any, run: Run, section: Section, row: int) -> None:
     outline = 1e3 * run.parts.cutter.profile.outline
     for sign in (-1.0, 1.0):
         points = tips[row, [section.across, section.axis]] + outline @ np.stack([sign * side, along])
-        axes.plot(*points.T, color="0.1", linewidth=1.0, linestyle=(0, (3, 1.5)))
-    axes.plot(*tips[:, [section.across, section.axis]].T, color="0.1", linewidth=0.7, alpha=0.6)
+        halo = [withStroke(linewidth=2.2, foreground="white")]  # for what lies on dark colours
+        axes.plot(*points.T, color="0.1", linewidth=1.0, linestyle=(0, (3, 1.5)), path_effects=halo)
+    axes.plot(*tips[:, [section.across, section.axis]].T, **WAY)
     axes.set(xlim=section.extent_mm[:2], ylim=section.extent_mm[2:], aspect="equal")
 
 
@@ -238,7 +243,7 @@ def _legend(chart: Any, run: Run, section: Section, x: float, y: float, *, borde
     handles: list[Any] = [Patch(facecolor=colours[names[i]], label=names[i], **edge) for i in seen]
     handles.append(Patch(facecolor="0.9", edgecolor="black", linewidth=1.1, label="removed"))
     handles.append(Line2D([], [], color="0.1", linewidth=1.0, linestyle=(0, (3, 1.5)), label="tool"))
-    handles.append(Line2D([], [], color="0.1", linewidth=0.7, alpha=0.6, label="way of its tip"))
+    handles.append(Line2D([], [], **WAY, label="way of its tip"))
     if borders:
         handles.append(Line2D([], [], color="0.55", linewidth=0.7, label="edges of the layers at the end"))
     chart.legend(

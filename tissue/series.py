@@ -35,12 +35,14 @@ def frame_mesh(series: FieldSeries, frame: Frame) -> "pyvista.UnstructuredGrid":
         np.full(len(cells), CELL_TYPES[corners], dtype=np.uint8),
         (1e3 * series.nodes_m[used]).astype(np.float32),
     )
+    mesh.field_data["layer_names"] = list(series.layer_names)
+    if not there.any():
+        return mesh
     for name, values in frame.points.items():
         mesh.point_data[name] = values[used]
     for name, values in frame.cells.items():
         mesh.cell_data[name] = values[there]
     mesh.cell_data["layer"] = series.layer[there]
-    mesh.field_data["layer_names"] = list(series.layer_names)
     return mesh
 
 

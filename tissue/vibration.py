@@ -2,8 +2,8 @@
 
 A cutter with N edges that turns omega / 2 pi times a second meets the tissue with a ripple at f = N omega / 2 pi.
 Sampled at the tick rate R, a ripple above R / 2 comes back as a false slow force at the distance of f from the nearest
-multiple of R. Here the model's force is the average over a revolution, which holds no ripple, and the vibration is added at a
-frequency below the band's limit: its own where that is lower, else the limit.
+multiple of R. Here the model's force is the average over a revolution, which holds no ripple, and the vibration is
+added at a frequency below the band's limit: its own where that is lower, else the limit.
 """
 
 from math import cos, pi

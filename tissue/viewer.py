@@ -75,7 +75,7 @@ def show(
         plotter.render()
 
     if fields is not None:
-        keys = [*keys, "m: stress"]
+        keys = [*keys, "m: stress, then the next field"]
         plotter.add_key_event("m", change)
     lines = [title, "    ".join(keys), "drag the slider for the time    q: close"]
     plotter.add_text("\n".join(line for line in lines if line), position="upper_left", font_size=9, color="black")

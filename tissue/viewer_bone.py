@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ["BoneShown", "read_voxels", "surface_of_layers"]
 
-DEPTH = "removed_depth_mm"
+DEPTH, DEPTH_TITLE = "removed_depth_mm", "removed depth / mm"
 SHADING: dict[str, Any] = {
     "smooth_shading": False,
     "interpolation": "Phong",
@@ -156,9 +156,8 @@ class BoneShown:
         plotter = self._plotter
         plotter.remove_actor("bone", reset_camera=False, render=False)
         plotter.remove_legend(render=False)
-        for title in list(plotter.scalar_bars.keys()):
-            if title.startswith("removed depth"):
-                plotter.remove_scalar_bar(title, render=False)
+        if DEPTH_TITLE in plotter.scalar_bars:
+            plotter.remove_scalar_bar(DEPTH_TITLE, render=False)
         if not self._visible:
             return
         part = self._part.copy(deep=False)
@@ -190,7 +189,7 @@ class BoneShown:
 
     def _add_bar(self, actor: Any) -> None:
         self._plotter.add_scalar_bar(
-            "removed depth / mm",
+            DEPTH_TITLE,
             mapper=actor.mapper,
             vertical=True,
             position_x=0.9,

@@ -54,6 +54,7 @@ class FieldsShown:
         self._index = 0
         self.names = field_names(folder)
         self.name: str | None = None
+        self._title = ""
 
     def next(self) -> str | None:
         """Show the next field, after the last one none; its name."""
@@ -77,17 +78,21 @@ class FieldsShown:
     def _draw(self) -> None:
         plotter = self._plotter
         plotter.remove_actor("field", reset_camera=False, render=False)
-        for title in list(plotter.scalar_bars.keys()):
-            if title.startswith("stress field"):
-                plotter.remove_scalar_bar(title, render=False)
+        if self._title in plotter.scalar_bars:
+            plotter.remove_scalar_bar(self._title, render=False)
         if self.name is None:
             return
         if not self._frames:
             self._frames = [_frame(self._reader, index) for index in range(len(self._times))]
-        mesh = self._frames[self._index].clip(normal=(0.0, -1.0, 0.0), origin=(0.0, self._cut_mm + 1e-4, 0.0))
+        frame = self._frames[self._index]
+        if self.name not in frame.cell_data:
+            return
+        mesh = frame.clip(normal=(0.0, -1.0, 0.0), origin=(0.0, self._cut_mm + 1e-4, 0.0))
         if not mesh.n_cells:
             return
-        low, high = self._limits.setdefault(self.name, self._limit(self.name))
+        if self.name not in self._limits:
+            self._limits[self.name] = self._limit(self.name)
+        low, high = self._limits[self.name]
         signed = low < 0.0
         actor = plotter.add_mesh(
             mesh,
@@ -104,8 +109,10 @@ class FieldsShown:
             render=False,
         )
         words, _, unit = self.name.rpartition("_")
+        words = words.replace("_", " ").replace("mises", "Mises")
+        self._title = f"{words} / {unit}\nat {self._times[self._index]:.3f} s"
         plotter.add_scalar_bar(
-            f"stress field\n{words.replace('_', ' ').replace('mises', 'Mises')} / {unit}\nat {self._times[self._index]:.3f} s",
+            self._title,
             mapper=actor.mapper,
             vertical=True,
             position_x=0.88,
@@ -121,9 +128,9 @@ class FieldsShown:
 
     def _limit(self, name: str) -> tuple[float, float]:
         """Ends of a field's scale over the whole run; symmetric about 0 where it has two signs."""
-        values: list[NDArray[np.float32]] = [frame.cell_data[name] for frame in self._frames]
+        values: list[NDArray[np.float32]] = [frame.cell_data[name] for frame in self._frames if name in frame.cell_data]
         peak = max((float(np.percentile(np.abs(one), PEAK)) for one in values if one.size), default=0.0) or 1.0
-        signed = any(one.size and float(one.min()) < 0.0 for one in values)
+        signed = any(float(one.min(initial=0.0)) < 0.0 for one in values)
         return (-peak, peak) if signed else (SPAN * peak, peak)
 
 

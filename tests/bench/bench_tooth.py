@@ -112,9 +112,7 @@ def against_aggregation(cells: int) -> None:
     load = body.spread(np.array([0.5, 0.5, 1.0]) * SIDE_M, np.array([0.2, 0.0, -1.0]))
     start = perf_counter()
     found = body.solve(load, tolerance=1e-6)
-    print(
-        f"\ncold solve to 1e-6: {found.iterations} iterations, {perf_counter() - start:.2f} s (set-up above)"
-    )
+    print(f"\ncold solve to 1e-6: {found.iterations} iterations, {perf_counter() - start:.2f} s (set-up above)")
     try:
         from pyamg import smoothed_aggregation_solver
     except ImportError:

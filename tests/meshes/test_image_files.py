@@ -39,7 +39,8 @@ def test_tiff_slices_as_folder_and_pattern(slices):
         assert np.array_equal(found.values, values) and found.spacing_mm == (0.02,) * 3
     assert refusal_of(lambda: read_image(folder)) == (
         f"anatomy.spacing_mm must be given for TIFF slices, which do not hold it, got none for {folder.name}: use the "
-        "scanner's value, for example 0.0195")
+        "scanner's value, for example 0.0195"
+    )
 
 
 def test_slices_of_other_sizes_are_refused(slices):
@@ -48,7 +49,8 @@ def test_slices_of_other_sizes_are_refused(slices):
     folder, _ = slices
     imsave(folder / "s_99.tif", np.zeros((6, 9), np.uint8), check_contrast=False)
     assert refusal_of(lambda: read_image(folder, spacing_mm=1)) == (
-        "slices must all have the same size, got 9 x 6 in s_99.tif after 7 x 5: keep other images out of the folder")
+        "slices must all have the same size, got 9 x 6 in s_99.tif after 7 x 5: keep other images out of the folder"
+    )
 
 
 @pytest.mark.parametrize("suffix", [".vti", ".mhd"])
@@ -63,8 +65,10 @@ def test_point_images_keep_values_and_spacing(tmp_path, suffix):
         grid.save(path)
     else:
         path.with_suffix(".raw").write_bytes(values.tobytes(order="F"))
-        path.write_text("ObjectType = Image\nNDims = 3\nDimSize = 6 5 4\nElementSpacing = 0.5 0.5 0.75\n"
-                        "ElementType = MET_SHORT\nElementDataFile = ct.raw\n")
+        path.write_text(
+            "ObjectType = Image\nNDims = 3\nDimSize = 6 5 4\nElementSpacing = 0.5 0.5 0.75\n"
+            "ElementType = MET_SHORT\nElementDataFile = ct.raw\n"
+        )
     found = read_image(path)
     assert np.array_equal(found.values, values) and found.spacing_mm == pytest.approx((0.5, 0.5, 0.75))
 
@@ -160,18 +164,32 @@ def element(group, number, kind, value):
 
 def write_dicom(path, plane, z, syntax="1.2.840.10008.1.2.1"):
     """A minimal signed 16-bit CT slice, explicit little endian."""
+
     def short(n):
         return struct.pack("<H", n)
 
     meta = element(2, 0x10, "UI", syntax)
     meta = element(2, 0, "UL", struct.pack("<I", len(meta))) + meta
-    fields = [(8, 0x18, "UI", f"1.2.3.{z}"), (0x20, 0xD, "UI", "1.2.3"), (0x20, 0xE, "UI", "1.2.3.4"),
-              (0x20, 0x13, "IS", str(z)), (0x20, 0x32, "DS", f"0\\0\\{0.5 * z:g}"),
-              (0x20, 0x37, "DS", "1\\0\\0\\0\\1\\0"), (0x28, 2, "US", short(1)), (0x28, 4, "CS", "MONOCHROME2"),
-              (0x28, 0x10, "US", short(plane.shape[0])), (0x28, 0x11, "US", short(plane.shape[1])),
-              (0x28, 0x30, "DS", "0.5\\0.5"), (0x28, 0x100, "US", short(16)), (0x28, 0x101, "US", short(16)),
-              (0x28, 0x102, "US", short(15)), (0x28, 0x103, "US", short(1)), (0x28, 0x1052, "DS", "-1024"),
-              (0x28, 0x1053, "DS", "1"), (0x7FE0, 0x10, "OW", plane.astype("<i2").tobytes())]
+    fields = [
+        (8, 0x18, "UI", f"1.2.3.{z}"),
+        (0x20, 0xD, "UI", "1.2.3"),
+        (0x20, 0xE, "UI", "1.2.3.4"),
+        (0x20, 0x13, "IS", str(z)),
+        (0x20, 0x32, "DS", f"0\\0\\{0.5 * z:g}"),
+        (0x20, 0x37, "DS", "1\\0\\0\\0\\1\\0"),
+        (0x28, 2, "US", short(1)),
+        (0x28, 4, "CS", "MONOCHROME2"),
+        (0x28, 0x10, "US", short(plane.shape[0])),
+        (0x28, 0x11, "US", short(plane.shape[1])),
+        (0x28, 0x30, "DS", "0.5\\0.5"),
+        (0x28, 0x100, "US", short(16)),
+        (0x28, 0x101, "US", short(16)),
+        (0x28, 0x102, "US", short(15)),
+        (0x28, 0x103, "US", short(1)),
+        (0x28, 0x1052, "DS", "-1024"),
+        (0x28, 0x1053, "DS", "1"),
+        (0x7FE0, 0x10, "OW", plane.astype("<i2").tobytes()),
+    ]
     path.write_bytes(b"\0" * 128 + b"DICM" + meta + b"".join(element(*field) for field in fields))
 
 
@@ -189,25 +207,30 @@ def test_compressed_dicom_is_refused_before_it_ends_the_process(tmp_path):
     write_dicom(tmp_path / "a.dcm", np.zeros((4, 4)), 0, syntax="1.2.840.10008.1.2.4.90")
     assert refusal_of(lambda: read_image(tmp_path)) == (
         "file must be uncompressed DICOM, got transfer syntax 1.2.840.10008.1.2.4.90 in a.dcm: export the series "
-        "uncompressed, or as .nii.gz or .nrrd")
+        "uncompressed, or as .nii.gz or .nrrd"
+    )
 
 
 def test_refused_files(tmp_path):
     missing = tmp_path / "gone.nii.gz"
     assert refusal_of(lambda: read_image(missing)) == (
-        f"file must exist, got {missing}: check the path, which is taken from the working directory")
+        f"file must exist, got {missing}: check the path, which is taken from the working directory"
+    )
     pattern = tmp_path / "*.tif"
     assert refusal_of(lambda: read_image(pattern)) == (
-        f"file must exist, got {pattern}, which matches nothing: check the folder and the pattern")
+        f"file must exist, got {pattern}, which matches nothing: check the folder and the pattern"
+    )
     folder = tmp_path / "none"
     folder.mkdir()
     assert refusal_of(lambda: read_image(folder)) == (
         "file must hold images, got the folder none without DICOM files or TIFF slices: give the folder that holds the "
-        "slices")
+        "slices"
+    )
     empty = tmp_path / "empty.vti"
     empty.touch()
     assert refusal_of(lambda: read_image(empty)) == (
-        "file must hold an image, got the empty file empty.vti: export it again")
+        "file must hold an image, got the empty file empty.vti: export it again"
+    )
     noise = tmp_path / "noise.vti"
     noise.write_text("noise")
     assert refusal_of(lambda: read_image(noise)).startswith("file must ")
@@ -220,7 +243,8 @@ def test_refused_files(tmp_path):
 
     pyvista.Sphere().save(surface)
     assert refusal_of(lambda: read_image(surface)).startswith(
-        "file must hold an image volume, got PolyData without voxels in surface.vtp: use a .vti")
+        "file must hold an image volume, got PolyData without voxels in surface.vtp: use a .vti"
+    )
 
 
 def test_values_that_are_not_numbers(tmp_path):
@@ -230,34 +254,54 @@ def test_values_that_are_not_numbers(tmp_path):
     grid.point_data["v"] = np.where(np.arange(27) == 4, np.nan, 1.0)
     grid.save(tmp_path / "holes.vti")
     assert refusal_of(lambda: read_image(tmp_path / "holes.vti")) == (
-        "voxels must be finite, got 1 of 27 that are not in holes.vti: mask them first")
+        "voxels must be finite, got 1 of 27 that are not in holes.vti: mask them first"
+    )
     assert refusal_of(lambda: read_image(tmp_path / "holes.vti", array="w")) == (
-        "anatomy.array must be one of v, got w: use one of these names")
+        "anatomy.array must be one of v, got w: use one of these names"
+    )
 
 
 CUBE = np.arange(27.0).reshape(3, 3, 3)
 
 
-@pytest.mark.parametrize(("options", "message"), [
-    ({"threshold": 30}, "anatomy.threshold must leave bone, got 30 where test holds 0 to 26: use a value between"),
-    ({"threshold": math.nan},
-     "anatomy.threshold must be in [-1e+09, 1e+09], got nan: use 63 for 8-bit micro-CT, about 200 for CT"),
-    ({"threshold": 5, "full_value": 5},
-     "full_value must exceed threshold (5), got 5: use the grey value of solid bone"),
-    ({"threshold": 5, "smooth_voxels": 50},
-     "smooth_voxels must be in [0, 10], got 50: use 0 to leave the image as it is, or 1"),
-    ({"threshold": 5, "up": "z"}, "up must be one of +x, -x, +y, -y, +z, -z, got z: use +z to keep the file's axes"),
-    ({"threshold": 5, "crop": ((0, 0, 0), (4, 3, 3))},
-     "crop must be two corners within the image of (3, 3, 3) voxels, got ((0, 0, 0), (4, 3, 3)): use for example "
-     "((0, 0, 0), (3, 3, 3))"),
-    ({"threshold": 5, "resample_mm": 0.0}, "resample_mm must be positive and finite, got 0.0: use 0.1"),
-    ({"threshold": 5, "resample_mm": 9},
-     "resample_mm must leave a voxel along every axis, got 90 voxels of 3: use a finer one"),
-    ({"threshold": 5, "resample_mm": 1e-4},
-     "resample_mm must leave at most 5e+08 voxels, got 0.0001 which makes 2.7e+10: crop the image, or use 0.00038 or "
-     "more"),
-    ({"threshold": 5, "density_kg_m3": -1}, "density_kg_m3 must be in [50, 20000], got -1: use 1800"),
-])
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"threshold": 30}, "anatomy.threshold must leave bone, got 30 where test holds 0 to 26: use a value between"),
+        (
+            {"threshold": math.nan},
+            "anatomy.threshold must be in [-1e+09, 1e+09], got nan: use 63 for 8-bit micro-CT, about 200 for CT",
+        ),
+        (
+            {"threshold": 5, "full_value": 5},
+            "full_value must exceed threshold (5), got 5: use the grey value of solid bone",
+        ),
+        (
+            {"threshold": 5, "smooth_voxels": 50},
+            "smooth_voxels must be in [0, 10], got 50: use 0 to leave the image as it is, or 1",
+        ),
+        (
+            {"threshold": 5, "up": "z"},
+            "up must be one of +x, -x, +y, -y, +z, -z, got z: use +z to keep the file's axes",
+        ),
+        (
+            {"threshold": 5, "crop": ((0, 0, 0), (4, 3, 3))},
+            "crop must be two corners within the image of (3, 3, 3) voxels, got ((0, 0, 0), (4, 3, 3)): use for example "
+            "((0, 0, 0), (3, 3, 3))",
+        ),
+        ({"threshold": 5, "resample_mm": 0.0}, "resample_mm must be positive and finite, got 0.0: use 0.1"),
+        (
+            {"threshold": 5, "resample_mm": 9},
+            "resample_mm must leave a voxel along every axis, got 90 voxels of 3: use a finer one",
+        ),
+        (
+            {"threshold": 5, "resample_mm": 1e-4},
+            "resample_mm must leave at most 5e+08 voxels, got 0.0001 which makes 2.7e+10: crop the image, or use 0.00038 or "
+            "more",
+        ),
+        ({"threshold": 5, "density_kg_m3": -1}, "density_kg_m3 must be in [50, 20000], got -1: use 1800"),
+    ],
+)
 def test_refused_options(options, message):
     assert refusal_of(lambda: image_volume(image(CUBE), **options)) == message
 

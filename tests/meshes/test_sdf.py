@@ -94,20 +94,34 @@ def test_known_distances():
     assert cylinder.distance(np.array([[2e-3, 0, 3e-3], [0, 0, 1e-3]])) == pytest.approx([math.sqrt(2) * 1e-3, -1e-3])
 
 
-@pytest.mark.parametrize(("make", "message"), [
-    (lambda: sdf.sphere(-1.0), "radius_m must be positive and finite, got -1.0: use about 5e-3 (5 mm)"),
-    (lambda: sdf.sphere(math.nan), "radius_m must be positive and finite, got nan: use about 5e-3 (5 mm)"),
-    (lambda: sdf.sphere(1.0, (0, 0)), "centre_m must be three finite numbers, got (0, 0): use for example (0, 0, 1)"),
-    (lambda: sdf.box((1, 0, 1)),
-     "size_m must be positive in every direction, got (1, 0, 1): use about (0.02, 0.012, 0.008)"),
-    (lambda: sdf.box((1, 1, 1), rounding_m=0.6),
-     "rounding_m must be in [0, half the shortest edge 0.5], got 0.6: use 0 for sharp edges"),
-    (lambda: sdf.cylinder(1, (0, 0, 0), (0, 0, 0)),
-     "end_m must differ from start_m, got (0, 0, 0) for both: use a sphere for a point"),
-    (lambda: sdf.ellipsoid((1, -1, 1)),
-     "radii_m must be positive in every direction, got (1, -1, 1): use about (0.02, 0.01, 0.01)"),
-    (lambda: sdf.half_space((0, 0, 0)), "normal must not be zero, got (0, 0, 0): use for example (0, 0, 1)"),
-])
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: sdf.sphere(-1.0), "radius_m must be positive and finite, got -1.0: use about 5e-3 (5 mm)"),
+        (lambda: sdf.sphere(math.nan), "radius_m must be positive and finite, got nan: use about 5e-3 (5 mm)"),
+        (
+            lambda: sdf.sphere(1.0, (0, 0)),
+            "centre_m must be three finite numbers, got (0, 0): use for example (0, 0, 1)",
+        ),
+        (
+            lambda: sdf.box((1, 0, 1)),
+            "size_m must be positive in every direction, got (1, 0, 1): use about (0.02, 0.012, 0.008)",
+        ),
+        (
+            lambda: sdf.box((1, 1, 1), rounding_m=0.6),
+            "rounding_m must be in [0, half the shortest edge 0.5], got 0.6: use 0 for sharp edges",
+        ),
+        (
+            lambda: sdf.cylinder(1, (0, 0, 0), (0, 0, 0)),
+            "end_m must differ from start_m, got (0, 0, 0) for both: use a sphere for a point",
+        ),
+        (
+            lambda: sdf.ellipsoid((1, -1, 1)),
+            "radii_m must be positive in every direction, got (1, -1, 1): use about (0.02, 0.01, 0.01)",
+        ),
+        (lambda: sdf.half_space((0, 0, 0)), "normal must not be zero, got (0, 0, 0): use for example (0, 0, 1)"),
+    ],
+)
 def test_refusals(make, message):
     with pytest.raises(InputError) as refusal:
         make()

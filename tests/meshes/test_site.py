@@ -111,15 +111,28 @@ def test_site_as_told_lies_on_the_surface():
     assert site.confidence == "centre and normal as told"
 
 
-@pytest.mark.parametrize(("options", "message"), [
-    ({"normal": (0, 0, 1)}, "anatomy.centre_mm must be given with anatomy.normal, got none with (0, 0, 1): give both"),
-    ({"centre_mm": (0, 0)}, "anatomy.centre_mm must be three finite numbers, got (0, 0): use for example (0, 0, 1)"),
-    ({"centre_mm": (0, 0, 30), "normal": (0, 0, 0)},
-     "anatomy.normal must not be zero, got (0, 0, 0): give the outward direction"),
-    ({"centre_mm": (0, 0, 300), "normal": (0, 0, 1)},
-     "anatomy.centre_mm must lie within 10 mm of the surface along the normal, got (0, 0, 300) in triangles: give a "
-     "point on the face, in mm in the frame of the file"),
-])
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            {"normal": (0, 0, 1)},
+            "anatomy.centre_mm must be given with anatomy.normal, got none with (0, 0, 1): give both",
+        ),
+        (
+            {"centre_mm": (0, 0)},
+            "anatomy.centre_mm must be three finite numbers, got (0, 0): use for example (0, 0, 1)",
+        ),
+        (
+            {"centre_mm": (0, 0, 30), "normal": (0, 0, 0)},
+            "anatomy.normal must not be zero, got (0, 0, 0): give the outward direction",
+        ),
+        (
+            {"centre_mm": (0, 0, 300), "normal": (0, 0, 1)},
+            "anatomy.centre_mm must lie within 10 mm of the surface along the normal, got (0, 0, 300) in triangles: give a "
+            "point on the face, in mm in the frame of the file",
+        ),
+    ],
+)
 def test_refused_sites(options, message):
     surface = as_surface(trimesh.creation.icosphere(subdivisions=3, radius=30.0))
     with pytest.raises(InputError) as refusal:
@@ -128,16 +141,21 @@ def test_refused_sites(options, message):
 
 
 def test_a_bone_without_a_glenoid_is_refused():
-    message = (r"^file must show a glenoid of about 28 x 37 mm, got none in triangles \(best face .*\): check "
-               r"anatomy\.scale_mm, or give anatomy\.centre_mm and anatomy\.normal$")
+    message = (
+        r"^file must show a glenoid of about 28 x 37 mm, got none in triangles \(best face .*\): check "
+        r"anatomy\.scale_mm, or give anatomy\.centre_mm and anatomy\.normal$"
+    )
     with pytest.raises(InputError, match=message):
         find_glenoid(as_surface(trimesh.creation.icosphere(subdivisions=4, radius=60.0)))
 
 
-@pytest.mark.parametrize(("options", "message"), [
-    ({"cortical_thickness_mm": -1}, "cortical_thickness_mm must be in [0, 10], got -1: use 1.9"),
-    ({"trabecular_density_kg_m3": math.nan}, "trabecular_density_kg_m3 must be in [50, 2500], got nan: use 350"),
-])
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"cortical_thickness_mm": -1}, "cortical_thickness_mm must be in [0, 10], got -1: use 1.9"),
+        ({"trabecular_density_kg_m3": math.nan}, "trabecular_density_kg_m3 must be in [50, 2500], got nan: use 350"),
+    ],
+)
 def test_refused_anatomy(options, message):
     surface = as_surface(trimesh.creation.icosphere(subdivisions=2, radius=30.0))
     with pytest.raises(InputError) as refusal:
@@ -145,11 +163,14 @@ def test_refused_anatomy(options, message):
     assert str(refusal.value) == message
 
 
-@pytest.mark.parametrize(("name", "scale_mm", "centre_mm", "axis"), [
-    # read off rendered pictures: middle of the facet within 3 mm, axis within 15 degrees
-    ("openforge_scapula_left.stl", 50, (-35.7, 7.5, 33.7), (-0.92, 0.38, -0.13)),
-    ("myosim_scapula.stl", None, (-28.5, -36.7, -16.6), (0.52, -0.06, 0.85)),
-])
+@pytest.mark.parametrize(
+    ("name", "scale_mm", "centre_mm", "axis"),
+    [
+        # read off rendered pictures: middle of the facet within 3 mm, axis within 15 degrees
+        ("openforge_scapula_left.stl", 50, (-35.7, 7.5, 33.7), (-0.92, 0.38, -0.13)),
+        ("myosim_scapula.stl", None, (-28.5, -36.7, -16.6), (0.52, -0.06, 0.85)),
+    ],
+)
 def test_real_scapulae(anatomy_data, name, scale_mm, centre_mm, axis):
     surface = read_surface(anatomy_data / "scapula" / name, scale_mm=scale_mm)
     site = find_glenoid(surface)

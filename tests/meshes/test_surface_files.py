@@ -43,12 +43,19 @@ def test_formats(write, suffix):
     assert np.abs(surface.vertices_m).max() == pytest.approx(0.02, rel=1e-6)
 
 
-@pytest.mark.parametrize(("size", "scale_mm", "guess"), [
-    ((140, 100, 60), 1.0, "millimetres, since the longest side 140 would be 140 mm"),
-    ((0.14, 0.1, 0.06), 1000.0, "metres, since the longest side 0.14 would be 140 mm"),
-    ((12, 10, 9), 1.0, "millimetres, since the longest side 12 would be 12 mm (in centimetres it would be 120 mm: set "
-                       "anatomy.scale_mm to be sure)"),
-])
+@pytest.mark.parametrize(
+    ("size", "scale_mm", "guess"),
+    [
+        ((140, 100, 60), 1.0, "millimetres, since the longest side 140 would be 140 mm"),
+        ((0.14, 0.1, 0.06), 1000.0, "metres, since the longest side 0.14 would be 140 mm"),
+        (
+            (12, 10, 9),
+            1.0,
+            "millimetres, since the longest side 12 would be 12 mm (in centimetres it would be 120 mm: set "
+            "anatomy.scale_mm to be sure)",
+        ),
+    ],
+)
 def test_unit_guess(write, size, scale_mm, guess):
     report = read_surface(write(bone(size))).report
     assert (report.scale_mm, report.unit_guess) == (scale_mm, guess)
@@ -76,8 +83,10 @@ def test_mixed_winding_is_made_one():
 
 
 def test_debris_is_dropped():
-    specks = [trimesh.creation.icosphere(subdivisions=1, radius=r).apply_translation((30, 0, k))
-              for k, r in enumerate((0.1, 0.25))]
+    specks = [
+        trimesh.creation.icosphere(subdivisions=1, radius=r).apply_translation((30, 0, k))
+        for k, r in enumerate((0.1, 0.25))
+    ]
     surface = surface_from_triangles(*parts(trimesh.util.concatenate([bone(), *specks])))
     assert surface.report.repairs[-1] == "Dropped 2 loose pieces, the largest 0.5 mm long."
     assert surface.report.volume_mm3 == pytest.approx(bone().volume, rel=1e-9)
@@ -110,8 +119,9 @@ def test_doubled_and_cancelling_triangles_leave_a_closed_surface():
 
 
 def test_bodies_that_share_an_edge_are_closed():
-    cubes = trimesh.util.concatenate([trimesh.creation.box((10, 10, 10)),
-                                      trimesh.creation.box((10, 10, 10)).apply_translation((10, 10, 0))])
+    cubes = trimesh.util.concatenate(
+        [trimesh.creation.box((10, 10, 10)), trimesh.creation.box((10, 10, 10)).apply_translation((10, 10, 0))]
+    )
     surface = surface_from_triangles(*parts(cubes))
     assert surface.report.volume_mm3 == pytest.approx(2000)
 
@@ -141,28 +151,54 @@ def fins():
     return trimesh.Trimesh(points, [[0, 1, 2], [0, 1, 3], [0, 1, 4]], process=False)
 
 
-@pytest.mark.parametrize(("mesh", "options", "message"), [
-    (flat_sheet(), {}, "surface must have thickness, got a flat one in bone.stl: use a closed surface"),
-    (open_box(), {}, "surface must enclose a solid, got 4 open and 0 non-manifold edges in bone.stl, the largest hole "
-                     "2.5e+03 mm2: close it in a mesh editor"),
-    (fins(), {}, "surface must enclose a solid, got 6 open and 1 non-manifold edges in bone.stl, the largest hole "
-                 "1.25e+03 mm2: close it in a mesh editor"),
-    (bone((2.8, 2.3, 1.2)), {},
-     "anatomy.scale_mm must be given where the unit is not plain, got none for bone.stl, whose longest side 2.8 "
-     "would be "
-     "2.8 mm in millimetres and 2.8 m in metres: use millimetres per unit, for example 50"),
-    (bone((3e6, 2e6, 1e6)), {"scale_mm": 1},
-     "anatomy.scale_mm must make the longest side 1 mm to 1 m, got 1, which makes bone.stl 3 km long: use about "
-     "4.7e-05"),
-    (bone((3, 2, 1)), {"scale_mm": 1e-3},
-     "anatomy.scale_mm must make the longest side 1 mm to 1 m, got 0.001, which makes bone.stl 3 µm long: use about "
-     "47"),
-    (bone((0.3, 0.2, 0.1)), {"scale_mm": 1e6},
-     "anatomy.scale_mm must make the longest side 1 mm to 1 m, got 1e+06, which makes bone.stl 300 m long: use about "
-     "1000"),
-    (bone(), {"scale_mm": float("nan")},
-     "anatomy.scale_mm must be positive and finite, got nan: use 1 for millimetres, 1000 for metres"),
-])
+@pytest.mark.parametrize(
+    ("mesh", "options", "message"),
+    [
+        (flat_sheet(), {}, "surface must have thickness, got a flat one in bone.stl: use a closed surface"),
+        (
+            open_box(),
+            {},
+            "surface must enclose a solid, got 4 open and 0 non-manifold edges in bone.stl, the largest hole "
+            "2.5e+03 mm2: close it in a mesh editor",
+        ),
+        (
+            fins(),
+            {},
+            "surface must enclose a solid, got 6 open and 1 non-manifold edges in bone.stl, the largest hole "
+            "1.25e+03 mm2: close it in a mesh editor",
+        ),
+        (
+            bone((2.8, 2.3, 1.2)),
+            {},
+            "anatomy.scale_mm must be given where the unit is not plain, got none for bone.stl, whose longest side 2.8 "
+            "would be "
+            "2.8 mm in millimetres and 2.8 m in metres: use millimetres per unit, for example 50",
+        ),
+        (
+            bone((3e6, 2e6, 1e6)),
+            {"scale_mm": 1},
+            "anatomy.scale_mm must make the longest side 1 mm to 1 m, got 1, which makes bone.stl 3 km long: use about "
+            "4.7e-05",
+        ),
+        (
+            bone((3, 2, 1)),
+            {"scale_mm": 1e-3},
+            "anatomy.scale_mm must make the longest side 1 mm to 1 m, got 0.001, which makes bone.stl 3 µm long: use about "
+            "47",
+        ),
+        (
+            bone((0.3, 0.2, 0.1)),
+            {"scale_mm": 1e6},
+            "anatomy.scale_mm must make the longest side 1 mm to 1 m, got 1e+06, which makes bone.stl 300 m long: use about "
+            "1000",
+        ),
+        (
+            bone(),
+            {"scale_mm": float("nan")},
+            "anatomy.scale_mm must be positive and finite, got nan: use 1 for millimetres, 1000 for metres",
+        ),
+    ],
+)
 def test_refused_surfaces(write, mesh, options, message):
     with pytest.raises(InputError) as refusal:
         read_surface(write(mesh), **options)
@@ -176,10 +212,12 @@ def test_refused_files(tmp_path):
         return str(refusal.value)
 
     missing = tmp_path / "gone.stl"
-    assert message(missing) == (f"file must exist, got {missing}: check the path, which is taken from the working "
-                                "directory")
-    assert message(tmp_path / "bone.step") == ("file must end in .stl, .obj, .ply, .vtk, .vtp, got bone.step: convert "
-                                               "it, or read a volume with read_volume")
+    assert message(missing) == (
+        f"file must exist, got {missing}: check the path, which is taken from the working directory"
+    )
+    assert message(tmp_path / "bone.step") == (
+        "file must end in .stl, .obj, .ply, .vtk, .vtp, got bone.step: convert it, or read a volume with read_volume"
+    )
     for suffix in (".stl", ".vtp"):
         empty = tmp_path / f"empty{suffix}"
         empty.touch()
@@ -203,8 +241,10 @@ def test_vertices_that_are_not_numbers():
 
 def test_real_liver_is_turned_and_cleaned(anatomy_data):
     report = read_surface(anatomy_data / "liver" / "liver.vtk").report
-    assert report.repairs == ("Dropped 3 loose pieces, the largest 0.059 mm long.",
-                              "Turned the surface outward: it was wound inward.")
+    assert report.repairs == (
+        "Dropped 3 loose pieces, the largest 0.059 mm long.",
+        "Turned the surface outward: it was wound inward.",
+    )
     assert report.volume_mm3 == pytest.approx(1.4772e6, rel=1e-4)  # the data's README
 
 

@@ -19,8 +19,11 @@ def ball():
 
 
 def arrays(shape=(2, 3, 4)):
-    return {"fraction": np.full(shape, 255, np.uint8), "layer": np.zeros(shape, np.uint8),
-            "density_kg_m3": np.full(shape, 1800, np.uint16)}
+    return {
+        "fraction": np.full(shape, 255, np.uint8),
+        "layer": np.zeros(shape, np.uint8),
+        "density_kg_m3": np.full(shape, 1800, np.uint16),
+    }
 
 
 def volume(**changes):
@@ -66,23 +69,36 @@ def test_image_is_in_millimetres(ball):
     assert set(image.cell_data.keys()) == {"fraction", "layer", "density_kg_m3"}
 
 
-@pytest.mark.parametrize(("make", "message"), [
-    (lambda: volume(origin_m=np.array([0, math.nan, 0])),
-     "origin_m must be three finite numbers, got [ 0. nan  0.]: use for example (0, 0, 0)"),
-    (lambda: volume(spacing_m=-1), "spacing_m must be positive and finite, got -1: use about 1e-4 (0.1 mm)"),
-    (lambda: volume(layer=np.zeros((2, 3, 5), np.uint8)),
-     "layer must have the shape (nx, ny, nz) of fraction with no zero, got (2, 3, 5): give all three arrays the same "
-     "shape"),
-    (lambda: volume(density_kg_m3=np.zeros((2, 3, 4))),
-     "density_kg_m3 must be a C-contiguous uint16 array, got float64: "
-     "use numpy.ascontiguousarray(array, dtype='uint16')"),
-    (lambda: volume(layer=np.full((2, 3, 4), 2, np.uint8)),
-     "layer must index layer_names, got 2 with 2 names: name every layer"),
-    (lambda: volume().volume_m3("c"), "layer must be one of a, b, got c: use one of these names"),
-    (lambda: volume().surface(1.0), "level must be in (0, 1), got 1.0: use 0.5"),
-    (lambda: volume(fraction=np.zeros((2, 3, 4), np.uint8)).surface(),
-     "level must be reached by a voxel, got 0.5 where the fullest holds 0: use a volume with bone in it"),
-])
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (
+            lambda: volume(origin_m=np.array([0, math.nan, 0])),
+            "origin_m must be three finite numbers, got [ 0. nan  0.]: use for example (0, 0, 0)",
+        ),
+        (lambda: volume(spacing_m=-1), "spacing_m must be positive and finite, got -1: use about 1e-4 (0.1 mm)"),
+        (
+            lambda: volume(layer=np.zeros((2, 3, 5), np.uint8)),
+            "layer must have the shape (nx, ny, nz) of fraction with no zero, got (2, 3, 5): give all three arrays the same "
+            "shape",
+        ),
+        (
+            lambda: volume(density_kg_m3=np.zeros((2, 3, 4))),
+            "density_kg_m3 must be a C-contiguous uint16 array, got float64: "
+            "use numpy.ascontiguousarray(array, dtype='uint16')",
+        ),
+        (
+            lambda: volume(layer=np.full((2, 3, 4), 2, np.uint8)),
+            "layer must index layer_names, got 2 with 2 names: name every layer",
+        ),
+        (lambda: volume().volume_m3("c"), "layer must be one of a, b, got c: use one of these names"),
+        (lambda: volume().surface(1.0), "level must be in (0, 1), got 1.0: use 0.5"),
+        (
+            lambda: volume(fraction=np.zeros((2, 3, 4), np.uint8)).surface(),
+            "level must be reached by a voxel, got 0.5 where the fullest holds 0: use a volume with bone in it",
+        ),
+    ],
+)
 def test_refusals(make, message):
     with pytest.raises(InputError) as refusal:
         make()
@@ -90,9 +106,16 @@ def test_refusals(make, message):
 
 
 def test_import_is_light_and_names_are_public():
-    code = ("import sys, meshes; heavy = {'pyvista', 'vtk', 'trimesh', 'skimage', 'warp', 'scipy.ndimage'} "
-            "& set(sys.modules); print(sorted(heavy))")
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True,
-                         env={"PYTHONPATH": meshes.__path__[0] + "/..", "SYSTEMROOT": ""})
+    code = (
+        "import sys, meshes; heavy = {'pyvista', 'vtk', 'trimesh', 'skimage', 'warp', 'scipy.ndimage'} "
+        "& set(sys.modules); print(sorted(heavy))"
+    )
+    out = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={"PYTHONPATH": meshes.__path__[0] + "/..", "SYSTEMROOT": ""},
+    )
     assert out.stdout.strip() == "[]"
     assert all(hasattr(meshes, name) for name in meshes.__all__)

@@ -39,11 +39,15 @@ def test_sphere_volume_converges_at_second_order():
     assert errors[-1] < 1.5e-4  # (h/R)^2/4, the sagitta within a voxel
 
 
-@pytest.mark.parametrize("anatomy", [
-    uniform(sdf.sphere(3e-3, (1.3e-4, 0, -3e-3))),
-    uniform(sdf.box((4e-3, 3e-3, 5e-3)).rotate((1, 2, 3), 0.6) - sdf.cylinder(8e-4, (0, 0, -5e-3), (0, 0, 5e-3))),
-    uniform(sdf.ellipsoid((4e-3, 2e-3, 1.5e-3))),
-], ids=["sphere", "drilled box", "ellipsoid"])
+@pytest.mark.parametrize(
+    "anatomy",
+    [
+        uniform(sdf.sphere(3e-3, (1.3e-4, 0, -3e-3))),
+        uniform(sdf.box((4e-3, 3e-3, 5e-3)).rotate((1, 2, 3), 0.6) - sdf.cylinder(8e-4, (0, 0, -5e-3), (0, 0, 5e-3))),
+        uniform(sdf.ellipsoid((4e-3, 2e-3, 1.5e-3))),
+    ],
+    ids=["sphere", "drilled box", "ellipsoid"],
+)
 def test_coarse_to_fine_is_brute_force(anatomy):
     volume = voxelise(anatomy, spacing_m=1e-4)
     fraction, _, _, _ = brute_force(anatomy, volume)
@@ -111,14 +115,19 @@ def test_progress_ends_at_one():
     assert seen == sorted(seen) and seen[-1] == 1.0
 
 
-@pytest.mark.parametrize(("options", "message"), [
-    ({"spacing_m": math.nan}, "spacing_m must be positive and finite, got nan: use about 1e-4 (0.1 mm)"),
-    ({"spacing_m": 0}, "spacing_m must be positive and finite, got 0: use about 1e-4 (0.1 mm)"),
-    ({"spacing_m": "fine"}, "spacing_m must be a number, got 'fine': use about 1e-4 (0.1 mm)"),
-    ({"spacing_m": 1e-3, "region_m": ((0, 0, 0), (1, 1, 0))},
-     "region_m must be two finite corners, the first below the second in x, y and z, got ((0, 0, 0), (1, 1, 0)): "
-     "use for example ((-0.01, -0.01, -0.008), (0.01, 0.01, 0.001))"),
-])
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"spacing_m": math.nan}, "spacing_m must be positive and finite, got nan: use about 1e-4 (0.1 mm)"),
+        ({"spacing_m": 0}, "spacing_m must be positive and finite, got 0: use about 1e-4 (0.1 mm)"),
+        ({"spacing_m": "fine"}, "spacing_m must be a number, got 'fine': use about 1e-4 (0.1 mm)"),
+        (
+            {"spacing_m": 1e-3, "region_m": ((0, 0, 0), (1, 1, 0))},
+            "region_m must be two finite corners, the first below the second in x, y and z, got ((0, 0, 0), (1, 1, 0)): "
+            "use for example ((-0.01, -0.01, -0.008), (0.01, 0.01, 0.001))",
+        ),
+    ],
+)
 def test_refusals(options, message):
     with pytest.raises(InputError) as refusal:
         voxelise(cortical_block(), **options)
@@ -128,7 +137,8 @@ def test_refusals(options, message):
 def test_endless_shape_needs_a_region():
     with pytest.raises(InputError) as refusal:
         voxelise(uniform(sdf.half_space((0, 0, 1))), spacing_m=1e-3)
-    assert str(refusal.value) == ("region_m must be given for an anatomy without end, got None: use the box that the "
-                                  "tool reaches")
+    assert str(refusal.value) == (
+        "region_m must be given for an anatomy without end, got None: use the box that the tool reaches"
+    )
     volume = voxelise(uniform(sdf.half_space((0, 0, 1))), spacing_m=1e-3, region_m=((0, 0, -2e-3), (1e-3, 1e-3, 2e-3)))
     assert volume.volume_m3() == pytest.approx(2e-9)

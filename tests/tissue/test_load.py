@@ -31,9 +31,7 @@ def test_a_printed_scene_runs(name, command, here):
     _, printed, _ = command("scenes", name)
     (here / "mine.toml").write_text(printed)
     coarse = f"voxels.spacing_mm={0.125 if load_scene(name).stress else 0.4}"
-    code, _, error = command(
-        "run", "mine.toml", "--set", coarse, "--no-pictures", "--duration-s", 0.01, "--out", "out"
-    )
+    code, _, error = command("run", "mine.toml", "--set", coarse, "--no-pictures", "--duration-s", 0.01, "--out", "out")
     assert (code, error) == (0, "")
 
 

@@ -11,16 +11,17 @@ from tissue.bone import BoneModel
 from tissue.cutters import Cutter, ball_burr
 from tissue.materials import cutting_coefficients
 from tissue.model import FreeSpace, ToolMotion
+from tissue.tooth.model import ToothModel
 
 RADIUS_M = 3e-3
 STEP_S = 1e-3
 
 
-def layered_bone(removal="subvoxel"):
+def layered_bone(removal="subvoxel", names=("top", "below")):
     """A block in two layers under a ball burr."""
     plain = voxelise(cortical_block(size_mm=(8.0, 8.0, 4.0)), spacing_m=0.4e-3)
     layer = np.ascontiguousarray(np.indices(plain.shape)[2] < 8, dtype=np.uint8)
-    volume = VoxelVolume(plain.origin_m, plain.spacing_m, plain.fraction, layer, plain.density_kg_m3, ("top", "below"))
+    volume = VoxelVolume(plain.origin_m, plain.spacing_m, plain.fraction, layer, plain.density_kg_m3, names)
     return BoneModel(
         volume,
         Cutter(ball_burr(diameter_m=2.0 * RADIUS_M), 6, -1000.0),
@@ -33,6 +34,7 @@ MODELS = {
     "free space": FreeSpace,
     "bone": layered_bone,
     "binary bone": lambda: layered_bone("binary"),
+    "tooth": lambda: ToothModel(layered_bone(names=("dentin", "pulp"))),
 }
 
 
@@ -91,10 +93,11 @@ def test_removed_and_remaining_make_up_the_start(model):
     if remaining is None:
         assert not model.start_m3.any() and not model.removed_m3.any()
         return
-    assert (model.removed_steps > 0).any()
-    np.testing.assert_array_equal(model.removed_steps + model.store.steps_by_layer(), model.start_steps)
+    bone = getattr(model, "milling", model)
+    assert (bone.removed_steps > 0).any()
+    np.testing.assert_array_equal(bone.removed_steps + bone.store.steps_by_layer(), bone.start_steps)
     # The voxels tell what remains in 255 steps, to the nearest: a cut one is off by half a step at most.
-    volume = model.store.volume
+    volume = bone.store.volume
     told = np.array([remaining[volume.layer == k].sum(dtype=np.int64) for k in range(2)]) / 255 * volume.voxel_volume_m3
     cut = np.count_nonzero(remaining < volume.fraction)
     rounding = 0.5 * cut / 255 * volume.voxel_volume_m3

@@ -115,6 +115,7 @@ def tetrahedra_errors(cells):
     return abs(0.5 * load @ moved / ENERGY - 1.0), float(wrong / np.sqrt(2.0 * ENERGY))
 
 
+@pytest.mark.slow
 def test_lame_sphere_converges():
     """Energy converges at least with order 1 and stress, in the energy norm, with 1 (0.85: four cut grids scatter)."""
     cells = np.array([8, 12, 16, 24])

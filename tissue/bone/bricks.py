@@ -92,7 +92,7 @@ class BrickStore:
         voxels = (np.asarray(points_m, dtype=np.float64) - self.volume.origin_m) / self.volume.spacing_m
         device = self.remaining.device
         found = wp.zeros(len(voxels), dtype=wp.float32, device=device)
-        at = wp.array(voxels, dtype=wp.vec3, device=device)
+        at: Any = wp.array(voxels, dtype=wp.vec3, device=device)
         inputs = [at, 0, self.brick_of, self.remaining]
         wp.launch(sample, dim=len(voxels), inputs=inputs, outputs=[found], device=device)
         return np.asarray(found.numpy())

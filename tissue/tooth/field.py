@@ -37,7 +37,7 @@ class SolveRecord:
     iterations: int
     outcome: str
     solve_s: float
-    debris: int
+    debris_m3: float
 
 
 class StressField:
@@ -154,8 +154,10 @@ class StressField:
         moved = np.where(self.body.carrying[:, None], 1e6 * solution.displacement_m, 0.0).astype(np.float32)
         frame = Frame(time_s, {"displacement_um": moved}, values)
         self.series.frames.append(frame)
+        left = self.body.cells.remaining[self.body.cells.rank[change.debris]] / FULL_STEPS
+        loose = float((self.body.particles.volume_m3[change.debris] * left).sum())
         self.records.append(
-            SolveRecord(time_s, solution.iterations, solution.outcome.name, perf_counter() - begun, len(change.debris))
+            SolveRecord(time_s, solution.iterations, solution.outcome.name, perf_counter() - begun, loose)
         )
         return frame
 

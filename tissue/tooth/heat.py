@@ -1,6 +1,7 @@
 """Temperature in a tooth that a bur warms."""
 
 from math import ceil
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -48,8 +49,8 @@ class Conduction:
         self._shape = conductivity_W_mK.shape
         self._step_s = 0.0
         self._spacing, self._device = spacing_m, device
-        self._conductivity = wp.array(conductivity_W_mK, dtype=wp.float32, device=device)
-        self._capacity = wp.array(heat_capacity_J_m3K, dtype=wp.float32, device=device)
+        self._conductivity: Any = wp.array(conductivity_W_mK, dtype=wp.float32, device=device)
+        self._capacity: Any = wp.array(heat_capacity_J_m3K, dtype=wp.float32, device=device)
         self._power = wp.zeros(self._shape, dtype=wp.float32, device=device)
         self._temperature = [wp.zeros(self._shape, dtype=wp.float32, device=device) for _ in range(2)]
         self._launches: list[SplitLaunch] = []

@@ -165,9 +165,15 @@ class ToothModel:
             self.notices.append(f"the pulp is {PULP_LIMIT_K:g} K warmer than at the start")
 
     def _join(self) -> None:
-        if self._solving is not None:
-            self._solving.result()
-            self._solving = None
+        if self._solving is None or self.stress is None:
+            return
+        self._solving.result()
+        self._solving = None
+        record = self.stress.records[-1]
+        if record.debris_m3 > 0.0:
+            self.notices.append(f"{1e9 * record.debris_m3:.3g} mm3 of tooth hang on nothing and are taken as debris")
+        if record.outcome != "CONVERGED":
+            self.notices.append(f"the stress at {record.time_s:.3f} s did not converge ({record.outcome.lower()})")
 
     def _solve(
         self, time_s: float, remaining: NDArray[np.uint16], force_N: NDArray[np.float64], point_m: NDArray[np.float64]
@@ -182,6 +188,9 @@ class ToothModel:
     def finish(self) -> None:
         """Complete the carving that was spread over ticks, and the last solve."""
         self._join()
+        if self._beside is not None:
+            self._beside.shutdown()
+            self._beside = None
         self.milling.finish()
 
     def remaining(self) -> NDArray[np.uint8]:

@@ -69,10 +69,10 @@ def conjugate_gradients(
     """Solve ``K u = f`` for a symmetric positive definite K.
 
     Stops where the error's energy norm is below ``tolerance`` times ``sqrt(u . f)``, that of the solution. It is taken
-    as ``sqrt(r . B r)``, the preconditioner's estimate, or ``sqrt(r . D^-1 r) / 3`` if that is more: a lower bound with
-    the diagonal D, since no sum of trilinear cells has an eigenvalue of ``D^-1 K`` much above 9. It sees a load on a
-    motion that nothing resists and the preconditioner leaves out. The direction's factor is Polak and Ribiere's, which
-    forgives a preconditioner in single precision (Golub and Ye 1999, SIAM J. Sci. Comput. 21:1305).
+    as ``sqrt(r . B r)``, the preconditioner's estimate, or ``sqrt(r . D^-1 r / 24)`` if that is more, with D the
+    diagonal: a lower bound, since a cell's 24 eigenvalues of ``D^-1 K`` are not negative and sum to 24. It sees a load
+    on a motion that nothing resists and the preconditioner leaves out. The direction's factor is Polak and Ribiere's,
+    which forgives a preconditioner in single precision (Golub and Ye 1999, SIAM J. Sci. Comput. 21:1305).
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def conjugate_gradients(
     load_norm = np.sqrt(dot(load_n, load_n))
     if load_norm == 0.0:
         return Solution(np.zeros_like(load_n), Outcome.CONVERGED, 0, 0.0, 0.0)
-    by_diagonal = np.divide(1.0 / 9.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0.0)
+    by_diagonal = np.divide(1.0 / 24.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0.0)
     before, step, last_slope, outcome, error = residual, np.zeros_like(load_n), 1.0, Outcome.NOT_CONVERGED, np.inf
     iteration = 0
     while True:

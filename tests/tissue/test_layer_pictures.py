@@ -1,0 +1,96 @@
+"""The section through a run's deepest point and the force over depth, and what goes into them."""
+
+import numpy as np
+import pytest
+from fake_fields import block_series, told
+
+from tissue import load_scene, simulate
+from tissue.event_marks import event_lines
+from tissue.fields import Frame
+from tissue.force_depth import first_descent, layers_passed
+from tissue.report import draw_pictures
+from tissue.section import loaded_frame, section_of
+
+pytest.importorskip("pyvista")
+
+SPACING_MM = 0.4
+
+
+@pytest.fixture(scope="module")
+def run():
+    """A coarse drilling into bone of three layers."""
+    changes = {"voxels.spacing_mm": SPACING_MM, "motion.feed_mm_s": 5.0, "duration_s": 0.6}
+    return simulate(load_scene("glenoid", changes))
+
+
+def test_section_holds_the_voxels_at_the_deepest_point(run):
+    section = section_of(run, axis=2, outward=1)
+    volume = run.parts.volume
+    assert sorted((section.across, section.axis, section.normal)) == [0, 1, 2]
+    assert run.trace["tool_z_mm"][section.row] == run.trace["tool_z_mm"].min()
+    index = int((section.place_mm * 1e-3 - volume.origin_m[section.normal]) / volume.spacing_m)
+    np.testing.assert_array_equal(section.layer, np.take(volume.layer, index, axis=section.normal))
+    removed = np.take(volume.fraction - run.remaining, index, axis=section.normal) / 255
+    np.testing.assert_allclose(section.start - section.left, removed, atol=1e-12)
+    assert removed.sum() > 10.0
+    u0, u1, v0, v1 = section.extent_mm
+    assert section.start.shape == (round((u1 - u0) / SPACING_MM), round((v1 - v0) / SPACING_MM))
+
+
+def test_descent_ends_where_the_tool_is_deepest_before_it_rises():
+    down = np.linspace(1.0, -2.0, 301)
+    shaken = down + 0.05 * np.sin(np.arange(301))
+    for way in (down, shaken):
+        path = np.concatenate([way, np.full(50, way[-1]), np.linspace(way[-1], 0.0, 100), np.linspace(0.0, -5.0, 100)])
+        rows = first_descent(path, path < 0.5)
+        assert path[rows.start] == pytest.approx(path[np.argmax(path < 0.5)] + 0.2, abs=0.1)
+        assert path[rows.stop - 1] == way.min()
+        assert rows.stop <= 351
+    assert first_descent(down, np.zeros(301, dtype=bool)) == slice(0, 0)
+    assert first_descent(down, np.ones(301, dtype=bool)) == slice(0, 301)
+
+
+def test_layers_passed_are_those_of_the_voxels_before_the_run(run):
+    volume = run.parts.volume
+    i, j = np.unravel_index((volume.fraction >= 128).sum(axis=2).argmax(), volume.shape[:2])
+    filled = np.flatnonzero(volume.fraction[i, j] >= 128)
+    centres = 1e3 * (volume.origin_m + volume.spacing_m * (np.array([[i, j, n] for n in filled]) + 0.5))
+    named = [volume.layer_names[n] for n in volume.layer[i, j, filled]]
+    assert layers_passed(run, centres).tolist() == named
+    assert len(set(named)) > 1
+    assert layers_passed(run, centres[:1] + np.array([0.0, 0.0, 1e3])).tolist() == ["none"]
+
+
+def test_the_frame_that_is_shown_bears_load():
+    series = block_series((0.0, 0.0, 0.0), (1e-3, 1e-3, 1e-3), (2, 2, 2))
+    assert loaded_frame(series) is series.frames[-1]
+    series.frames.append(Frame(0.3, {}, {"von_mises_MPa": np.full(8, 1e-3, np.float32)}))
+    assert loaded_frame(series) is series.frames[-2]
+    series.frames[:] = [Frame(0.0, {}, {"von_mises_MPa": np.zeros(8, np.float32)}), Frame(0.1, {}, {})]
+    assert loaded_frame(series) is None
+
+
+def test_events_are_numbered_and_not_too_many():
+    assert event_lines([(0.5, "a"), (1.25, "b")]) == ["1   0.500 s: a", "2   1.250 s: b"]
+    assert event_lines([(0.1 * i, "it") for i in range(9)])[-1] == "and 3 more"
+
+
+@pytest.mark.parametrize("fields", [True, False])
+def test_a_tissue_that_tells_of_itself_gets_its_pictures(run, tmp_path, monkeypatch, fields):
+    from PIL import Image
+
+    monkeypatch.setattr("tissue.before_after.draw_before_after", lambda *_: None)
+    assert draw_pictures(told(run, fields=fields), tmp_path) == []
+    for name in ("section.png", "force_depth.png", "force_torque.png"):
+        with Image.open(tmp_path / name) as picture:
+            assert picture.width == 1600 and 500 < picture.height < 1900, name
+            pixels = np.asarray(picture.convert("RGB"), dtype=float)
+        assert pixels.std() > 15.0, name
+        assert len(np.unique(pixels.reshape(-1, 3)[::97], axis=0)) > 30, name
+
+
+def test_a_tool_that_never_touches_has_no_force_over_depth(run, tmp_path, monkeypatch):
+    monkeypatch.setattr("tissue.before_after.draw_before_after", lambda *_: None)
+    still = told(run, fields=False)
+    still.trace.rows[:, still.trace.columns.index("contact_mm2")] = 0.0
+    assert draw_pictures(still, tmp_path) == ["force_depth.png was not drawn: the tool did not go down into the tissue"]

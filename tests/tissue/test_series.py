@@ -1,0 +1,60 @@
+"""Fields over time, written and read back."""
+
+import os
+
+import numpy as np
+import pytest
+from fake_fields import block_series
+
+from tissue.fields import FieldSeries, Frame
+from tissue.series import frame_mesh, write_fields
+
+pyvista = pytest.importorskip("pyvista")
+
+
+def test_series_reads_back_with_times_and_arrays(tmp_path):
+    series = block_series((0.0, 0.0, 0.0), (4e-3, 2e-3, 2e-3), (4, 2, 2), ("enamel", "dentin"))
+    write_fields(series, tmp_path)
+    reader = pyvista.PVDReader(tmp_path / "fields.pvd")
+    assert reader.time_values == [0.0, 0.1, 0.25]
+    for index, frame in enumerate(series.frames):
+        reader.set_active_time_point(index)
+        (mesh,) = reader.read()
+        there = np.isfinite(frame.cells["von_mises_MPa"])
+        assert there.sum() == 16 - index
+        assert mesh.n_cells == there.sum()
+        assert set(mesh.celltypes) == {pyvista.CellType.HEXAHEDRON}
+        np.testing.assert_array_equal(mesh.cell_data["von_mises_MPa"], frame.cells["von_mises_MPa"][there])
+        np.testing.assert_array_equal(mesh.cell_data["layer"], series.layer[there])
+        # Coordinates and displacements belong together, in single precision: u = t x, in um for x in mm.
+        np.testing.assert_allclose(mesh.point_data["displacement_um"], frame.time_s * mesh.points, rtol=1e-6, atol=1e-9)
+        assert [str(name) for name in mesh.field_data["layer_names"]] == ["enamel", "dentin"]
+        # Each cell is a cube of 1 mm3 the right way round: a wrong order of its nodes would give another volume.
+        volumes = mesh.compute_cell_sizes(length=False, area=False)["Volume"]
+        np.testing.assert_allclose(volumes, 1.0, rtol=1e-5)
+    assert sorted(path.name for path in (tmp_path / "fields").iterdir()) == [f"frame_000{i}.vtu" for i in range(3)]
+
+
+def test_nodes_of_cells_that_are_gone_go_too(tmp_path):
+    series = block_series((0.0, 0.0, 0.0), (2e-3, 1e-3, 1e-3), (2, 1, 1))
+    assert [frame_mesh(series, frame).n_points for frame in series.frames] == [12, 8, 0]
+    write_fields(series, tmp_path)
+    assert pyvista.read(tmp_path / "fields" / "frame_0002.vtu").n_cells == 0
+
+
+def test_tetrahedra_and_vectors_of_cells():
+    nodes = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]]) * 1e-3
+    series = FieldSeries(nodes, np.array([[0, 1, 2, 3], [1, 2, 3, 4]]), np.zeros(2, np.uint8), ("liver",))
+    direction = np.array([[1, 0, 0], [np.nan] * 3], dtype=np.float32)
+    mesh = frame_mesh(series, Frame(0.0, {}, {"direction": direction}))
+    assert list(mesh.celltypes) == [pyvista.CellType.TETRA]
+    np.testing.assert_array_equal(mesh.cell_data["direction"], direction[:1])
+    np.testing.assert_allclose(mesh.volume, 1.0 / 6.0, rtol=1e-6)
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs a device that is always full")
+def test_a_full_disk_is_an_error_of_the_system(tmp_path):
+    (tmp_path / "fields").mkdir()
+    (tmp_path / "fields" / "frame_0000.vtu").symlink_to("/dev/full")
+    with pytest.raises(OSError, match="No space left"):
+        write_fields(block_series((0.0, 0.0, 0.0), (1e-3, 1e-3, 1e-3), (2, 2, 2)), tmp_path)
