@@ -221,7 +221,12 @@ def _draw_stress(axes: Any, series: FieldSeries, frame: Frame, section: Section)
     )
     shown.set_edgecolor("face")
     shown.set_linewidth(0.2)
-    return axes.add_collection(shown)
+    drawn = axes.add_collection(shown)
+    # A cell that was cut through is shown by what is left of it.
+    void = np.ones((*section.left.T.shape, 4))
+    void[..., 3] = section.left.T < HALF / FULL
+    axes.imshow(void, origin="lower", extent=section.extent_mm, interpolation="nearest", zorder=1.5)
+    return drawn
 
 
 def _label(axes: Any, run: Run, section: Section, title: str) -> None:

@@ -35,6 +35,8 @@ class BrickStore:
         Density, layer and fill in one word, uint32, shape (bricks, 512).
     alive
         One bit for each block of 2 x 2 x 2 voxels that may hold bone, uint64, shape (bricks,).
+    places
+        Grid position of each stored brick, shape (bricks, 3).
     """
 
     volume: VoxelVolume
@@ -42,6 +44,7 @@ class BrickStore:
     remaining: Any
     material: Any
     alive: Any
+    places: NDArray[np.int64]
 
     @classmethod
     def from_volume(cls, volume: VoxelVolume, *, device: str) -> "BrickStore":
@@ -73,7 +76,23 @@ class BrickStore:
             on(fraction.astype(np.uint16) * np.uint16(STEPS), wp.uint16),
             on(material, wp.uint32),
             on(alive, wp.uint64),
+            np.argwhere(holds),
         )
+
+    def lost_since(
+        self, before: NDArray[np.uint16], now: NDArray[np.uint16]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Voxels that hold less in one copy of the stored array than in an earlier one, shape (n, 3), and how much.
+
+        Steps of 1/65535, shape (n,). Costs by the bricks that changed.
+        """
+        rows = np.flatnonzero((before != now).any(axis=1))
+        steps = before[rows].astype(np.int64) - now[rows]
+        row, column = np.nonzero(steps)
+        block, corner = column >> 3, column & 7
+        inside = np.stack([block >> 4, (block >> 2) & 3, block & 3], axis=1) * 2
+        inside += np.stack([corner >> 2, (corner >> 1) & 1, corner & 1], axis=1)
+        return BRICK * self.places[rows[row]] + inside, steps[row, column]
 
     @property
     def byte_count(self) -> int:

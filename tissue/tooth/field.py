@@ -80,6 +80,8 @@ class StressField:
         self._particle_at = np.full(tooth.shape, -1, dtype=np.int64)
         self._particle_at[solid] = np.arange(len(places))
         particles = _particles(tooth, places)
+        self._whole = tooth.fraction[solid] / 255.0 * FULL_STEPS  # steps of one fine voxel's worth of each particle
+        self._lost = np.zeros(len(places))
         origin = cell_m * np.floor(particles.position_m.min(axis=0) / cell_m)
         grid = HexGrid.around(particles.position_m, edge_m=cell_m, origin_m=origin)
         springs, self.held_area_m2 = _ligament_springs(tooth, solid, grid, ligament_thickness_m)
@@ -108,36 +110,30 @@ class StressField:
         """Displacement components."""
         return 3 * self.body.grid.node_count
 
-    def remove(self, start: NDArray[np.uint8], left: NDArray[np.uint8], *, origin_m: NDArray[np.float64],
+    def remove(self, voxels: NDArray[np.integer], steps: NDArray[np.integer], *, origin_m: NDArray[np.float64],
                spacing_m: float) -> None:  # fmt: skip
-        """Take from the particles what finer voxels have lost.
+        """Take from the particles what finer voxels have lost since the last call.
 
         Parameters
         ----------
-        start, left
-            Fraction of the finer voxels at the start and now, 255 = full, shape (nx, ny, nz).
+        voxels, steps
+            Indices of the finer voxels, shape (n, 3), and what each lost in steps of 1/65535, shape (n,).
         origin_m, spacing_m
             Corner of their voxel (0, 0, 0) and their edge [m]; lines of both grids lie on multiples of it.
         """
         ratio = round(self._volume.spacing_m / spacing_m)
         first = np.rint(origin_m / spacing_m).astype(int)
-        lost = (start - left).astype(np.int64)
-        coarse_first = first // ratio
-        for axis in range(3):
-            coarse = (first[axis] + np.arange(lost.shape[axis])) // ratio
-            cuts = np.flatnonzero(np.diff(coarse, prepend=coarse[0] - 1))
-            lost = np.add.reduceat(lost, cuts, axis=axis)
-        shift = coarse_first - np.rint(self._volume.origin_m / self._volume.spacing_m).astype(int)
-        touched = np.argwhere(lost > 0)
-        at = touched + shift
+        shift = np.rint(self._volume.origin_m / self._volume.spacing_m).astype(int)
+        at = (voxels + first) // ratio - shift
         inside = ((at >= 0) & (at < np.array(self._volume.shape))).all(axis=1)
-        touched, at = touched[inside], at[inside]
-        particle = self._particle_at[tuple(at.T)]
+        particle = self._particle_at[tuple(at[inside].T)]
         held = particle >= 0
-        touched, at, particle = touched[held], at[held], particle[held]
-        whole = self._volume.fraction[tuple(at.T)].astype(np.float64) * ratio**3
-        share = np.clip(1.0 - lost[tuple(touched.T)] / whole, 0.0, 1.0)
-        self.body.set_remaining(particle, np.rint(share * FULL_STEPS).astype(np.uint16))
+        lost = np.bincount(particle[held], weights=steps[inside][held], minlength=len(self._lost))
+        touched = np.flatnonzero(lost)
+        self._lost[touched] += lost[touched]
+        whole = self._whole[touched] * ratio**3
+        share = np.clip(1.0 - self._lost[touched] / whole, 0.0, 1.0)
+        self.body.set_remaining(touched, np.rint(share * FULL_STEPS).astype(np.uint16))
 
     def solve(self, time_s: float, force_N: NDArray[np.float64], point_m: NDArray[np.float64]) -> Frame:
         """Displacement and stress under a force on the tooth at a point, warm-started; recorded and returned."""

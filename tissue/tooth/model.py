@@ -77,6 +77,7 @@ class ToothModel:
         self._interval_s, self._next_s = interval_s, 0.0
         self._beside = ThreadPoolExecutor(1, thread_name_prefix="stress") if stress is not None else None
         self._solving: Future[Frame] | None = None
+        self._before = milling.store.remaining.numpy().copy() if stress is not None else None
         self.notices: list[str] = []
         self._least_m = np.inf
         self._response: Response | None = None
@@ -152,8 +153,14 @@ class ToothModel:
         self._next_s += self._interval_s
         self._join()
         remaining = self.milling.store.remaining.numpy().copy()
-        force = -self._load[:3]
-        self._solving = self._beside.submit(self._solve, time_s, remaining, force, motion.tip_m.copy())
+        self._solving = self._beside.submit(self._solve, time_s, remaining, -self._load[:3], self._contact(motion))
+
+    def _contact(self, motion: ToolMotion) -> NDArray[np.float64]:
+        """Where the bur's head meets the tooth [m]: on the side from which the force comes, the tip without one."""
+        force = float(np.linalg.norm(self._load[:3]))
+        radius = self.milling.cutter.profile.radius_m
+        toward = self._load[:3] / force if force > 0.0 else motion.rotation[:, 2]
+        return motion.tip_m + radius * (motion.rotation[:, 2] - toward)
 
     def _warm(self, time_s: float, motion: ToolMotion) -> None:
         """Put the heat of the last ticks into the tooth."""
@@ -180,9 +187,10 @@ class ToothModel:
     ) -> Frame:
         """Bring the particles to a state of the voxels and solve."""
         assert self.stress is not None
-        volume = self.milling.store.volume
-        left = self.milling.store.fraction(remaining)
-        self.stress.remove(volume.fraction, left, origin_m=volume.origin_m, spacing_m=volume.spacing_m)
+        store = self.milling.store
+        voxels, steps = store.lost_since(self._before, remaining)
+        self._before = remaining
+        self.stress.remove(voxels, steps, origin_m=store.volume.origin_m, spacing_m=store.volume.spacing_m)
         return self.stress.solve(time_s, force_N, point_m)
 
     def finish(self) -> None:

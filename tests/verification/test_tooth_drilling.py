@@ -1,0 +1,252 @@
+"""A drilled tooth: its bed of springs, what is booked as removed, stress after warm starts, dentin over the pulp."""
+
+import numpy as np
+import pytest
+from tooth_bodies import block
+
+import tissue
+from meshes import VoxelVolume
+from tissue.bone import BoneModel
+from tissue.cutters import Cutter, ball_burr
+from tissue.materials import cutting_coefficients
+from tissue.model import ToolMotion
+from tissue.tooth import HexGrid, ParticleBody, Supports, cell_stress, support_compliance
+from tissue.tooth.field import TOOTH, StressField
+from tissue.tooth.ligament import bed_springs, bed_stiffness
+from tissue.tooth.model import ToothModel
+from tissue.tooth.particles import FULL_STEPS
+
+MM = 1e-3
+ACROSS, ALONG = 4e9, 1e9  # [N/m3]
+SPACING_M = 0.05 * MM
+RADIUS_M = 0.5 * MM
+DEEP = {
+    "voxels.spacing_mm": 0.1,
+    "stress.cell_mm": 0.8,
+    "motion.points_mm": [[0, 0, 0.1], [0, 0, -6]],
+    "motion.feed_mm_s": 1.5,
+    "duration_s": 4.1,
+}
+"""Straight down through enamel, dentin and roof into the chamber, coarse."""
+
+
+def test_stiffness_of_a_bonded_layer():
+    """Confined modulus lambda + 2 mu across, mu along, over the thickness."""
+    modulus, ratio, thickness = 0.7e6, 0.45, 0.22 * MM
+    mu = modulus / (2.0 * (1.0 + ratio))
+    first = modulus * ratio / ((1.0 + ratio) * (1.0 - 2.0 * ratio))
+    assert bed_stiffness(modulus, ratio, thickness) == pytest.approx(
+        ((first + 2.0 * mu) / thickness, mu / thickness), rel=1e-12
+    )
+
+
+def springs_on(tooth, bed, *, edge_m, spacing_m):
+    places = np.argwhere(tooth)
+    grid = HexGrid.around((places + 0.5) * spacing_m, edge_m=edge_m, origin_m=np.zeros(3))
+    return bed_springs(
+        grid, tooth, bed, origin_m=np.zeros(3), spacing_m=spacing_m, across_N_m3=ACROSS, along_N_m3=ALONG
+    )
+
+
+def test_flat_plate_on_a_bed():
+    """The springs sum to area times stiffness; only rounding is left, since no face of the border leans."""
+    tooth, bed = np.zeros((2, 12, 8, 8), dtype=bool)
+    tooth[:, :, 2:], bed[:, :, :2] = True, True
+    springs, area = springs_on(tooth, bed, edge_m=1 * MM, spacing_m=0.5 * MM)
+    assert area == pytest.approx(6 * MM * 4 * MM, rel=1e-6)
+    assert springs.sum(axis=0) == pytest.approx(area * np.array([ALONG, ALONG, ACROSS]), rel=1e-5)
+
+
+def test_sphere_in_a_bed():
+    """Area of a voxel sphere within 1 %, where its staircase is half too large; each axis takes a third of the sum."""
+    count, radius = 32, 11.3
+    away = np.linalg.norm(np.indices((count,) * 3) + 0.5 - count / 2, axis=0)
+    springs, area = springs_on(away < radius, away >= radius, edge_m=0.4 * MM, spacing_m=0.1 * MM)
+    exact = 4.0 * np.pi * (radius * 0.1 * MM) ** 2
+    assert area == pytest.approx(exact, rel=0.01)
+    assert springs.sum() == pytest.approx(area * (ACROSS + 2.0 * ALONG), rel=1e-5)
+    assert springs.sum(axis=0) == pytest.approx(np.full(3, springs.sum() / 3.0), rel=1e-3)
+
+
+def test_rigid_block_on_a_bed():
+    """It gives by 1 / (k A) along each axis. The bed acts at the voxels' centres, half of one above the border."""
+    particles, grid = block((4, 4, 3), 1 * MM, modulus_pa=1e16)
+    tooth, bed = np.zeros((2, 16, 16, 13), dtype=bool)
+    tooth[:, :, 1:], bed[:, :, :1] = True, True
+    spacing = 0.25 * MM
+    springs, area = bed_springs(
+        grid, tooth, bed, origin_m=np.array([0, 0, -spacing]), spacing_m=spacing, across_N_m3=ACROSS, along_N_m3=ALONG
+    )
+    body = ParticleBody(particles, grid, Supports.of(grid.node_count, spring_n_m=springs))
+    found = support_compliance(
+        body, weights=np.ones(grid.node_count), reference_m=np.array([2, 2, 0.125]) * MM, tolerance=1e-8
+    )
+    assert found.converged and area == pytest.approx(16 * MM**2, rel=1e-6)
+    wanted = 1.0 / (16 * MM**2 * np.array([ALONG, ALONG, ACROSS]))
+    assert np.diag(found.matrix)[:3] == pytest.approx(wanted, rel=0.02)
+
+
+class Drilled:
+    """A molar drilled into its pulp, and the stress of each frame beside a cold solve of the same state."""
+
+    def __init__(self, monkeypatch):
+        self.lead = []
+        warm = StressField.solve
+
+        def solve(field, time_s, force_N, point_m):
+            frame = warm(field, time_s, force_N, point_m)
+            kept, body = field.body.displacement_m, field.body
+            cold = body.solve(body.spread(point_m, force_N), cold=True)
+            body.displacement_m = kept
+            if force_N.any():
+                exact = 1e-6 * cell_stress(body.cells, cold.displacement_m).von_mises_pa
+                there = body.cells.live > 0
+                difference = frame.cells["von_mises_MPa"][there] - exact[there]
+                self.lead.append(np.linalg.norm(difference) / np.linalg.norm(exact[there]))
+            return frame
+
+        monkeypatch.setattr(StressField, "solve", solve)
+        self.run = tissue.simulate(tissue.load_scene("molar", DEEP))
+        self.trace, self.model = self.run.trace, self.run.parts.tissue
+        self.force = np.linalg.norm(self.trace.vectors("model_force", "N"), axis=1)
+
+    def inside(self, layer):
+        """Ticks in which all that the bur meets is one layer: its half ball is 0.5 mm high, enamel ends near -1.4."""
+        high, low = {"enamel": (-0.5, -1.2), "dentin": (-2.0, -4.5)}[layer]
+        depth = self.trace["tool_z_mm"]
+        return (depth < high) & (depth > low)
+
+
+@pytest.fixture(scope="module")
+def drilled():
+    with pytest.MonkeyPatch.context() as patch:
+        return Drilled(patch)
+
+
+def test_the_tooth_gives_by_micrometres_per_newton(drilled):
+    """A tooth in its ligament moves by 1 to 20 um/N, least along its axis; the compliance is that of a passive body."""
+    compliance = drilled.model.stress.compliance
+    assert np.array_equal(compliance.matrix, compliance.matrix.T)
+    assert np.linalg.eigvalsh(compliance.matrix)[0] > 0.0
+    assert compliance.asymmetry < 1e-3
+    give = 1e6 * np.diag(compliance.matrix)[:3]
+    assert ((give > 0.5) & (give < 20.0)).all() and give[2] == give.min()
+    moved = drilled.trace["tooth_z_um"][drilled.inside("enamel")].mean()
+    assert moved == pytest.approx(-give[2] * drilled.force[drilled.inside("enamel")].mean(), rel=0.05)
+
+
+def test_what_is_booked_is_what_is_missing(drilled):
+    """Removed volume per layer equals the missing volume in the voxels, exactly."""
+    bone = drilled.model.milling
+    np.testing.assert_array_equal(bone.start_steps - bone.removed_steps, bone.store.steps_by_layer())
+    lost = dict(zip(bone.layer_names, bone.removed_steps, strict=True))
+    assert min(lost["enamel"], lost["dentin"], lost["pulp"]) > 0
+    assert lost["caries"] == lost["ligament"] == lost["bone"] == 0
+
+
+def test_particles_lose_what_the_voxels_lose(drilled):
+    """Within 1 %: a particle at the surface holds less than what the finer voxels in its place do, or more."""
+    model = drilled.model
+    volume, field = model.milling.store.volume, model.stress
+    left = model.remaining()
+    now = model.milling.store.remaining.numpy().copy()
+    voxels, steps = model.milling.store.lost_since(model._before, now)
+    field.remove(voxels, steps, origin_m=volume.origin_m, spacing_m=volume.spacing_m)
+    body = field.body
+    share = 1.0 - body.cells.remaining / FULL_STEPS
+    particles = float((body.particles.volume_m3[body.cells.order] * share).sum())
+    tooth = np.isin(volume.layer, [volume.layer_names.index(name) for name in TOOTH])
+    voxels = float((volume.fraction - left)[tooth].sum(dtype=np.int64)) / 255 * volume.voxel_volume_m3
+    assert particles == pytest.approx(voxels, rel=0.01)
+
+
+def test_stress_after_warm_starts_is_that_of_a_cold_solve(drilled):
+    """Von Mises stress over the cells, relative L2: within 0.5 %, at every frame of the drilling."""
+    assert len(drilled.lead) > 20
+    assert max(drilled.lead) < 0.005
+    assert {record.outcome for record in drilled.model.stress.records} == {"CONVERGED"}
+
+
+def test_the_pulp_is_told_before_it_is_hit(drilled):
+    """Both limits and the exposure once each, in their order; the exposure within a voxel of the pulp's roof."""
+    times, said = zip(*drilled.run.events, strict=True)
+    assert said == (
+        "less than 1 mm of dentin is left over the pulp",
+        "less than 0.5 mm of dentin is left over the pulp",
+        "the pulp is exposed",
+    )
+    assert list(times) == sorted(set(times))
+    depth = dict(zip(said, np.interp(times, drilled.trace["time_s"], drilled.trace["tool_z_mm"]), strict=True))
+    assert depth["the pulp is exposed"] == pytest.approx(-5.0, abs=0.1)
+    assert not drilled.trace["removed_pulp_mm3"][drilled.trace["time_s"] < times[1]].any()
+    assert drilled.trace["removed_pulp_mm3"][-1] > 0.0
+    over = drilled.trace["dentin_over_pulp_mm"]
+    assert (np.diff(over) <= 0.0).all() and over[0] > 3.0 and over[-1] == 0.0
+
+
+def test_forces_are_those_of_preparing_a_tooth(drilled):
+    """Enamel within the published 0.1 to 4.9 N of tooth preparation, and more than three times dentin's force."""
+    enamel, dentin = drilled.force[drilled.inside("enamel")], drilled.force[drilled.inside("dentin")]
+    assert len(enamel) > 400 and len(dentin) > 1000
+    for force in (enamel, dentin):
+        assert force.min() > 0.1 and force.max() < 4.9
+    assert enamel.mean() / dentin.mean() > 3.0
+
+
+def dentin_over(pulp_distance):
+    """A bur over a pulp given by its distance function of points [m], in a block of dentin with its top at z = 0."""
+    shape = (60, 40, 70)
+    origin = SPACING_M * np.array([-30.0, -20.0, -70.0])
+    centres = origin + SPACING_M * (np.stack(np.indices(shape), axis=-1) + 0.5)
+    layer = (pulp_distance(centres) < 0.0).astype(np.uint8)
+    volume = VoxelVolume(
+        origin, SPACING_M, np.full(shape, 255, np.uint8), layer, np.full(shape, 2100, np.uint16), ("dentin", "pulp")
+    )
+    model = ToothModel(
+        BoneModel(
+            volume,
+            Cutter(ball_burr(diameter_m=2.0 * RADIUS_M), 6, 41888.0),
+            (cutting_coefficients("dentin"), cutting_coefficients("soft")),
+        )
+    )
+    motion = ToolMotion(tip_m=np.array([0.0, 0.0, 1.0 * MM]))
+    model.place(motion)
+
+    def at(tip_mm):
+        motion.tip_m[:] = MM * np.array(tip_mm)
+        model.advance(motion)
+        return float(model.respond(motion).measures[0])
+
+    return model, at
+
+
+def test_dentin_over_a_flat_pulp():
+    """The tip's height over it, within half a voxel, and the least of them once the bur goes up again."""
+    model, at = dentin_over(lambda x: x[..., 2] + 2.0 * MM)
+    for depth in np.linspace(0.05, 1.95, 39):
+        assert at((0.3, 0.1, -depth)) == pytest.approx(2.0 - depth, abs=0.5e3 * SPACING_M)
+    least = at((0.3, 0.1, -1.95))
+    assert at((0.3, 0.1, 0.0)) == at((-0.2, 0.0, -1.0)) == least
+    assert model.notices == [f"less than {limit} mm of dentin is left over the pulp" for limit in ("1", "0.5")]
+
+
+def test_dentin_over_a_round_pulp():
+    """The gap between two spheres, within half a voxel, as the bur comes down beside it."""
+    centre, radius = np.array([0.1, 0.0, -2.2]), 0.8
+    _, at = dentin_over(lambda x: np.linalg.norm(x - MM * centre, axis=-1) - radius * MM)
+    before = np.inf
+    for depth in np.linspace(0.05, 1.3, 26):
+        tip = np.array([0.4, -0.2, -depth])
+        ball = tip + np.array([0.0, 0.0, 1e3 * RADIUS_M])
+        found = at(tip)
+        exact = np.linalg.norm(ball - centre) - radius - 1e3 * RADIUS_M
+        assert found == pytest.approx(exact, abs=0.5e3 * SPACING_M)
+        assert found <= before
+        before = found
+
+
+def test_exposure_is_told_once():
+    model, at = dentin_over(lambda x: x[..., 2] + 1.0 * MM)
+    for depth in (0.2, 0.6, 0.9, 1.1, 1.3, 0.5, 1.2):
+        at((0, 0, -depth))
+    assert model.notices.count("the pulp is exposed") == 1 and len(model.notices) == 3
