@@ -77,7 +77,7 @@ class ToothModel:
         self._interval_s, self._next_s = interval_s, 0.0
         self._beside = ThreadPoolExecutor(1, thread_name_prefix="stress") if stress is not None else None
         self._solving: Future[Frame] | None = None
-        self._before = milling.store.remaining.numpy().copy() if stress is not None else None
+        self._before: NDArray[np.uint16] = milling.store.remaining.numpy().copy()
         self.notices: list[str] = []
         self._least_m = np.inf
         self._response: Response | None = None
