@@ -24,13 +24,13 @@ __all__ = ["BoneModel", "Removal"]
 
 Removal = Literal["subvoxel", "binary"]
 
-CARVE_LAG_M = 1.5e-5
+CARVE_LAG_M = 2.0e-5
 """How far the tool may move between two visits of a brick, at most a quarter voxel [m]."""
 LONGEST_STEP_VOXELS = 0.5
 """Longest step between two carvings; a faster tool is carved in parts of a tick."""
 TURN = 0.9
 """The tool turns where its heading keeps less than this share of its last one."""
-SHELL_ELEMENTS = 2000
+SHELL_ELEMENTS = 1600
 """Elements wanted over the cutting surface where the voxels would allow more."""
 WORKERS_CPU, WORKERS_GPU = 32, 2048
 """Workers that share a carving launch."""
@@ -50,7 +50,7 @@ class BoneModel:
     removal
         ``subvoxel`` removes the part of a voxel inside the tool; ``binary`` whole voxels by their centres.
     shell_spacing_m
-        Distance between the cutter's elements [m]; by default two voxels, or wider where that gives more than 2000.
+        Distance between the cutter's elements [m]; by default two voxels, or wider where that gives more than 1600.
     device
         Warp device name.
     cores
