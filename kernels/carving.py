@@ -44,6 +44,7 @@ def carve(
     remaining_out: wp.array2d(dtype=wp.uint16),
     material_out: wp.array2d(dtype=wp.uint32),  # density, layer and fill; the fill is written
     alive_out: wp.array(dtype=wp.uint64),  # [brick], one bit a block of 2 x 2 x 2 voxels that may hold material
+    touched_out: wp.array(dtype=wp.uint8),  # [brick], set to 1 where this launch removed something
     removed_out: wp.array2d(dtype=wp.int64),  # [worker, layer], stored steps removed by this launch
 ):
     """Carve the planned groups; each worker takes every ``worker_count``-th column of bricks under the tool."""
@@ -74,7 +75,7 @@ def carve(
                 if row >= 0:
                     carve_brick(
                         tool, pose, axis, group, plan[2], plan[3], lookahead, bx, by, bz, row, worker,
-                        remaining_out, material_out, alive_out, removed_out,
+                        remaining_out, material_out, alive_out, touched_out, removed_out,
                     )  # fmt: skip
                 bz += 16
 
@@ -96,6 +97,7 @@ def carve_brick(
     remaining: wp.array2d(dtype=wp.uint16),
     material: wp.array2d(dtype=wp.uint32),
     alive_out: wp.array(dtype=wp.uint64),
+    touched: wp.array(dtype=wp.uint8),
     removed: wp.array2d(dtype=wp.int64),
 ):
     """Carve one brick, block by block; the surface's direction is taken once a block."""
@@ -112,6 +114,7 @@ def carve_brick(
     if skip_behind and tool.radius > 24.0 and wp.dot(step, far.slope) < -0.7 * moved:
         return  # the whole brick lies behind a tool that leaves it
     before = alive
+    booked = booked_by(removed, worker)
     for block in range(64):
         bit = wp.uint64(1) << wp.uint64(block)
         if (alive & bit) != wp.uint64(0):
@@ -140,6 +143,17 @@ def carve_brick(
                         )  # fmt: skip
     if alive != before:
         alive_out[row] = alive
+    if booked_by(removed, worker) != booked:
+        touched[row] = wp.uint8(1)
+
+
+@wp.func
+def booked_by(removed: wp.array2d(dtype=wp.int64), worker: int):
+    """Stored steps that a worker has removed in this launch, over all layers."""
+    total = wp.int64(0)
+    for m in range(removed.shape[1]):
+        total += removed[worker, m]
+    return total
 
 
 @wp.func

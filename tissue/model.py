@@ -119,7 +119,7 @@ class TissueModel(Protocol):
         ...
 
     def catch_up(self, time_s: float, motion: ToolMotion) -> None:
-        """Do what has a slower rate of its own; called after every tick, outside it."""
+        """Do what has a slower rate of its own, or start it beside the ticks; called at the end of every tick."""
         ...
 
     def finish(self) -> None:

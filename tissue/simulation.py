@@ -93,7 +93,6 @@ def _loop(scene: Scene, parts: Parts, ticks: int, *, compute: str, folder: RunFo
     try:
         for index in range(ticks):
             tick(index)
-            tissue.catch_up(index * TICK_S, tick.tool)
             while tissue.notices:
                 events.append((index * TICK_S, tissue.notices.pop(0)))
             if folder is not None:
@@ -160,13 +159,16 @@ class _Tick:
         self._filtered += self._gain * (response.wrench - self._filtered)
         np.multiply(self._filtered, 1.0 + self._vibration.factor(index), out=self._commanded)
         self._record(self._rows[index], index, response)
+        recorded = perf_counter()
+        self._tissue.catch_up(index * TICK_S, self.tool)
         end = perf_counter()
         self._times[index] = (
             (end - start) * 1e6,
             (moved - start) * 1e6,
             (removed - moved) * 1e6,
             (forced - removed) * 1e6,
-            (end - forced) * 1e6,
+            (recorded - forced) * 1e6,
+            (end - recorded) * 1e6,
         )
 
     def _record(self, row: np.ndarray, index: int, response: Response) -> None:

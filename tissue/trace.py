@@ -13,7 +13,7 @@ __all__ = ["TIMING_COLUMNS", "Table", "TraceWriter", "read_table", "trace_column
 FLUSH_EVERY_S = 0.1
 """A killed run loses at most this much wall time, plus a tick."""
 NO_LAYER = "none"
-TIMING_COLUMNS = ("tick_us", "motion_us", "remove_us", "force_us", "record_us")
+TIMING_COLUMNS = ("tick_us", "motion_us", "remove_us", "force_us", "record_us", "catch_up_us")
 
 
 def trace_columns(layer_names: tuple[str, ...], measure_names: tuple[str, ...] = ()) -> tuple[str, ...]:

@@ -149,8 +149,9 @@ def test_particles_lose_what_the_voxels_lose(drilled):
     model = drilled.model
     volume, field = model.milling.store.volume, model.stress
     left = model.remaining()
-    now = model.milling.store.remaining.numpy().copy()
-    voxels, steps = model.milling.store.lost_since(model._before, now)
+    store = model.milling.store
+    rows, now = store.take_touched()
+    voxels, steps = store.voxels_of(rows, model._before[rows].astype(np.int64) - now)
     field.remove(voxels, steps, origin_m=volume.origin_m, spacing_m=volume.spacing_m)
     body = field.body
     share = 1.0 - body.cells.remaining / FULL_STEPS

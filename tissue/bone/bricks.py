@@ -35,6 +35,8 @@ class BrickStore:
         Density, layer and fill in one word, uint32, shape (bricks, 512).
     alive
         One bit for each block of 2 x 2 x 2 voxels that may hold bone, uint64, shape (bricks,).
+    touched
+        1 for each brick that lost something since `take_touched`, uint8, shape (bricks,).
     places
         Grid position of each stored brick, shape (bricks, 3).
     """
@@ -44,6 +46,7 @@ class BrickStore:
     remaining: Any
     material: Any
     alive: Any
+    touched: Any
     places: NDArray[np.int64]
 
     @classmethod
@@ -76,18 +79,26 @@ class BrickStore:
             on(fraction.astype(np.uint16) * np.uint16(STEPS), wp.uint16),
             on(material, wp.uint32),
             on(alive, wp.uint64),
+            wp.zeros(len(alive), dtype=wp.uint8, device=device),
             np.argwhere(holds),
         )
 
-    def lost_since(
-        self, before: NDArray[np.uint16], now: NDArray[np.uint16]
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Voxels that hold less in one copy of the stored array than in an earlier one, shape (n, 3), and how much.
+    def take_touched(self) -> tuple[NDArray[np.intp], NDArray[np.uint16]]:
+        """Rows of the bricks that lost something since the last call, and a copy of what is stored in them.
 
-        Steps of 1/65535, shape (n,). Costs by the bricks that changed.
+        Costs by those bricks, so that a tick can afford it.
         """
-        rows = np.flatnonzero((before != now).any(axis=1))
-        steps = before[rows].astype(np.int64) - now[rows]
+        rows = np.flatnonzero(self.touched.numpy())
+        if self.touched.device.is_cpu:
+            self.touched.numpy()[rows] = 0
+        else:
+            self.touched.zero_()
+        return rows, self.remaining.numpy()[rows]
+
+    def voxels_of(
+        self, rows: NDArray[np.intp], steps: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Indices of the voxels whose value in ``steps``, shape (rows, 512), is not 0, shape (n, 3), and that value."""
         row, column = np.nonzero(steps)
         block, corner = column >> 3, column & 7
         inside = np.stack([block >> 4, (block >> 2) & 3, block & 3], axis=1) * 2
@@ -116,17 +127,13 @@ class BrickStore:
         wp.launch(sample, dim=len(voxels), inputs=inputs, outputs=[found], device=device)
         return np.asarray(found.numpy())
 
-    def fraction(self, remaining: NDArray[np.uint16] | None = None) -> NDArray[np.uint8]:
-        """Remaining fraction of every voxel of the volume, 255 = full, shape of the volume.
-
-        ``remaining`` is an earlier copy of the stored array to tell of instead of the present one.
-        """
+    def fraction(self) -> NDArray[np.uint8]:
+        """Remaining fraction of every voxel of the volume, 255 = full, shape of the volume."""
         brick_of = self.brick_of.numpy()
         nx, ny, nz = (BRICK * n for n in brick_of.shape)
         dense = np.zeros((*brick_of.shape, BRICK, BRICK, BRICK), dtype=np.uint8)
         held = brick_of >= 0
-        stored = self.remaining.numpy() if remaining is None else remaining
-        nearest = (stored.astype(np.uint32) + np.uint32(STEPS // 2)) // np.uint32(STEPS)
+        nearest = (self.remaining.numpy().astype(np.uint32) + np.uint32(STEPS // 2)) // np.uint32(STEPS)
         dense[held] = _bricks(nearest).astype(np.uint8)[brick_of[held]]
         x, y, z = self.volume.shape
         whole = dense.transpose(0, 3, 1, 4, 2, 5).reshape(nx, ny, nz)

@@ -115,7 +115,7 @@ class BoneModel:
                 workers,
                 store.brick_of,
             ],
-            outputs=[store.remaining, store.material, store.alive, self._removed.device],
+            outputs=[store.remaining, store.material, store.alive, store.touched, self._removed.device],
             offset_index=4,
             device=device,
             cores=cores,

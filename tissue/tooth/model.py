@@ -152,8 +152,8 @@ class ToothModel:
             return
         self._next_s += self._interval_s
         self._join()
-        remaining = self.milling.store.remaining.numpy().copy()
-        self._solving = self._beside.submit(self._solve, time_s, remaining, -self._load[:3], self._contact(motion))
+        rows, left = self.milling.store.take_touched()
+        self._solving = self._beside.submit(self._solve, time_s, rows, left, -self._load[:3], self._contact(motion))
 
     def _contact(self, motion: ToolMotion) -> NDArray[np.float64]:
         """Where the bur's head meets the tooth [m]: on the side from which the force comes, the tip without one."""
@@ -183,13 +183,18 @@ class ToothModel:
             self.notices.append(f"the stress at {record.time_s:.3f} s did not converge ({record.outcome.lower()})")
 
     def _solve(
-        self, time_s: float, remaining: NDArray[np.uint16], force_N: NDArray[np.float64], point_m: NDArray[np.float64]
+        self,
+        time_s: float,
+        rows: NDArray[np.intp],
+        left: NDArray[np.uint16],
+        force_N: NDArray[np.float64],
+        point_m: NDArray[np.float64],
     ) -> Frame:
-        """Bring the particles to a state of the voxels and solve."""
+        """Bring the particles to what is left in the bricks of some rows and solve."""
         assert self.stress is not None
         store = self.milling.store
-        voxels, steps = store.lost_since(self._before, remaining)
-        self._before = remaining
+        voxels, steps = store.voxels_of(rows, self._before[rows].astype(np.int64) - left)
+        self._before[rows] = left
         self.stress.remove(voxels, steps, origin_m=store.volume.origin_m, spacing_m=store.volume.spacing_m)
         return self.stress.solve(time_s, force_N, point_m)
 
