@@ -92,6 +92,7 @@ def _loop(scene: Scene, parts: Parts, ticks: int, *, compute: str, folder: RunFo
     sys.setswitchinterval(SWITCH_S)
     try:
         for index in range(ticks):
+            tissue.settle(index * TICK_S)
             tick(index)
             while tissue.notices:
                 events.append((index * TICK_S, tissue.notices.pop(0)))
