@@ -62,6 +62,8 @@ class StressField:
         How the tooth gives in its ligament.
     records
         Cost and outcome of every solve.
+    root_guessed
+        Whether the data hold neither ligament nor bone, so that the lower third is held as the root.
     """
 
     def __init__(
@@ -74,6 +76,7 @@ class StressField:
         cores: int | None = None,
     ) -> None:
         self._volume = tooth
+        self.root_guessed = not ((tooth.fraction > 0) & np.isin(tooth.layer, _bed_layers(tooth))).any()
         index = [tooth.layer_names.index(name) for name in TOOTH if name in tooth.layer_names]
         solid = (tooth.fraction > 0) & np.isin(tooth.layer, index)
         places = np.argwhere(solid)
@@ -178,14 +181,18 @@ def _particles(tooth: VoxelVolume, places: NDArray[np.int64]) -> ParticleSet:
     return ParticleSet(position, volume, modulus, ratio, layer.astype(np.uint8), full)
 
 
+def _bed_layers(tooth: VoxelVolume) -> list[int]:
+    """Layers that a tooth rests in."""
+    return [i for i, name in enumerate(tooth.layer_names) if name in ("ligament", "bone")]
+
+
 def _ligament_springs(
     tooth: VoxelVolume, solid: NDArray[np.bool_], grid: HexGrid, thickness_m: float
 ) -> tuple[NDArray[np.float64], float]:
     """Springs where the tooth borders on ligament or bone; on its lower third where the data hold neither."""
     table = constants("tooth", "ligament")
     across, along = bed_stiffness(1e9 * table["modulus_GPa"].value, table["poisson_ratio"].value, thickness_m)
-    around = [i for i, name in enumerate(tooth.layer_names) if name in ("ligament", "bone")]
-    bed = (tooth.fraction > 0) & np.isin(tooth.layer, around)
+    bed = (tooth.fraction > 0) & np.isin(tooth.layer, _bed_layers(tooth))
     if not bed.any():
         depth = np.flatnonzero(solid.any(axis=(0, 1)))
         below = np.arange(solid.shape[2]) < depth[0] + (depth[-1] - depth[0]) // 3

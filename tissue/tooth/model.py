@@ -79,6 +79,8 @@ class ToothModel:
         self._solving: Future[Frame] | None = None
         self._before: NDArray[np.uint16] = milling.store.remaining.numpy().copy()
         self.notices: list[str] = []
+        if stress is not None and stress.root_guessed:
+            self.notices.append("neither ligament nor bone is given: the tooth's lower third is held as its root")
         self._least_m = np.inf
         self._response: Response | None = None
         self._load = np.zeros(6)
