@@ -148,7 +148,7 @@ def _energy_note(volume: VoxelVolume) -> str:
 
 def _tooth(scene: Scene, milling: "BoneModel", *, compute: str, tell: Tell) -> TissueModel:
     """The tooth around the milled voxels, with its stress where the scene asks for it."""
-    from tissue.tooth.field import StressField
+    from tissue.tooth import beside
     from tissue.tooth.model import ToothModel
     from tissue.tooth.warmth import Warmth
 
@@ -161,12 +161,13 @@ def _tooth(scene: Scene, milling: "BoneModel", *, compute: str, tell: Tell) -> T
     whole = whole_tooth(scene, spacing_m=0.5 * cell_m)
     field = None
     if scene.stress is not None:
-        field = StressField(
+        field = beside.StressProcess(
             whole,
+            milling.store,
             cell_m=cell_m,
             ligament_thickness_m=anatomy.ligament_thickness_mm * 1e-3,
             device=compute,
-            cores=1,  # the solves run beside the ticks, which want a core of their own
+            cores=1,  # the ticks want a core of their own
         )
     warmth = Warmth(whole, reach_m=0.5e-3 * scene.tool.diameter_mm, device=compute) if scene.heat else None
     interval_s = stress.interval_ms * 1e-3

@@ -5,17 +5,19 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from pathlib import Path
+
+from tissue.child import child_command
 
 __all__ = ["REMEDY", "display_problem", "draw_apart"]
 
 REMEDY = "install libegl1 and libgl1-mesa-dri (Debian, Ubuntu) or mesa-libEGL and mesa-dri-drivers (Fedora)"
 """What gives a bare Linux machine OpenGL in software."""
 LONGEST_S = 120.0
-START = "import sys, runpy; sys.path.append(sys.argv.pop(1)); runpy.run_module(sys.argv.pop(1), run_name='__main__')"
 
 
-def draw_apart(module: str, *arguments: str, prepare: Callable[[], None] | None = None) -> str | None:
+def draw_apart(
+    module: str, *arguments: str, prepare: Callable[[], None] | None = None, longest_s: float = LONGEST_S
+) -> str | None:
     """Run ``python -m module arguments`` where it may draw, and say in half a sentence why it could not.
 
     Parameters
@@ -24,18 +26,19 @@ def draw_apart(module: str, *arguments: str, prepare: Callable[[], None] | None 
         What to run. It finds a line on its standard input once ``prepare`` is done.
     prepare
         Called once while the process starts, to make what it is going to read.
+    longest_s
+        How long it may draw [s].
 
     Returns
     -------
     None if it ended well, else the reason and the remedy.
     """
-    if not sys.executable:
+    command = child_command(module, *arguments)
+    if not command:
         return "this Python cannot start another one to draw in 3D: run it from the command line"
-    root = str(Path(__file__).resolve().parent.parent)
     reason = "this machine has no OpenGL library"
     for window in _windows():
         environment = os.environ | ({"VTK_DEFAULT_OPENGL_WINDOW": window} if window else {})
-        command = [sys.executable, "-P", "-c", START, root, module, *arguments]
         pipe = subprocess.PIPE
         with subprocess.Popen(
             command, env=environment, stdin=pipe, stdout=subprocess.DEVNULL, stderr=pipe, text=True, errors="replace"
@@ -44,10 +47,10 @@ def draw_apart(module: str, *arguments: str, prepare: Callable[[], None] | None 
                 if prepare is not None:
                     prepare()
                     prepare = None
-                _, said = process.communicate("ready\n", timeout=LONGEST_S)
+                _, said = process.communicate("ready\n", timeout=longest_s)
             except subprocess.TimeoutExpired:
                 process.kill()
-                reason = f"drawing in 3D took longer than {LONGEST_S:g} s"
+                reason = f"drawing in 3D took longer than {longest_s:g} s"
                 continue
             except BaseException:
                 process.kill()

@@ -306,14 +306,14 @@ def test_refused_options(options, message):
     assert refusal_of(lambda: image_volume(image(CUBE), **options)) == message
 
 
-def test_microct_block(anatomy_data):
-    volume = read_volume(anatomy_data / "bone" / "microct", spacing_mm=0.0195, threshold=63)
+def test_microct_block(anatomy):
+    volume = read_volume(anatomy / "bone" / "microct", spacing_mm=0.0195, threshold=63)
     assert volume.shape == (200, 200, 200)
     assert volume.fraction.mean() / 255 == pytest.approx(0.2278, abs=1e-4)  # the data's README
-    coarse = read_volume(anatomy_data / "bone" / "microct", spacing_mm=0.0195, threshold=63, resample_mm=0.05)
+    coarse = read_volume(anatomy / "bone" / "microct", spacing_mm=0.0195, threshold=63, resample_mm=0.05)
     assert coarse.fraction.mean() / 255 == pytest.approx(0.2278, abs=2e-3)  # the last 0 to 50 µm are dropped
 
 
-def test_ct_from_nifti(anatomy_data):
-    volume = read_volume(anatomy_data / "ct" / "example_ct_sm.nii.gz", threshold=200, density_kg_m3=CT_DENSITY)
+def test_ct_from_nifti(anatomy):
+    volume = read_volume(anatomy / "ct" / "example_ct_sm.nii.gz", threshold=200, density_kg_m3=CT_DENSITY)
     assert volume.spacing_m == pytest.approx(3e-3) and volume.volume_m3() > 5e-5

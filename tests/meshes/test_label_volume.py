@@ -155,10 +155,10 @@ def test_refusals(make, options, message):
         pytest.param(4, 1405, {"caries": 19993, "enamel": 5448491, "dentin": 18636124}, marks=pytest.mark.slow),
     ],
 )
-def test_real_carious_teeth(anatomy_data, number, islands, counts):
+def test_real_carious_teeth(anatomy, number, islands, counts):
     """Voxel counts and islands are those of the data's README; the islands hold less than 0.2 mm3."""
     said = []
-    path = anatomy_data / "tooth" / f"caries_tooth_{number}.nii.gz"
+    path = anatomy / "tooth" / f"caries_tooth_{number}.nii.gz"
     volume = label_volume(path, spacing_mm=0.034, resample_mm=0.1, tell=said.append)
     assert any(f"Dropped {islands - 1} loose pieces" in sentence for sentence in said)  # the tooth is one of them
     for name, count in counts.items():

@@ -196,9 +196,9 @@ def test_size_of_no_tooth(tmp_path):
 
 
 @pytest.fixture
-def real(anatomy_data):
+def real(anatomy):
     files = {"enamel": "Enamel", "dentin": "Dentin", "pulp": "Pulp", "ligament": "PDL"}
-    return {name: anatomy_data / "tooth" / f"openmandible_L6_{part}.stl" for name, part in files.items()}
+    return {name: anatomy / "tooth" / f"openmandible_L6_{part}.stl" for name, part in files.items()}
 
 
 def test_real_molar_keeps_the_volume_of_every_layer(real):

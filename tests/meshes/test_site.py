@@ -171,8 +171,8 @@ def test_refused_anatomy(options, message):
         ("myosim_scapula.stl", None, (-28.5, -36.7, -16.6), (0.52, -0.06, 0.85)),
     ],
 )
-def test_real_scapulae(anatomy_data, name, scale_mm, centre_mm, axis):
-    surface = read_surface(anatomy_data / "scapula" / name, scale_mm=scale_mm)
+def test_real_scapulae(anatomy, name, scale_mm, centre_mm, axis):
+    surface = read_surface(anatomy / "scapula" / name, scale_mm=scale_mm)
     site = find_glenoid(surface)
     assert np.linalg.norm(site.centre_m * 1e3 - centre_mm) < 3.0
     axis = np.array(axis) / np.linalg.norm(axis)

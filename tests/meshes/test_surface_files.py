@@ -239,8 +239,8 @@ def test_vertices_that_are_not_numbers():
     assert str(refusal.value) == "vertices must be finite, got 1 of 642 that are not in bone.ply: export it again"
 
 
-def test_real_liver_is_turned_and_cleaned(anatomy_data):
-    report = read_surface(anatomy_data / "liver" / "liver.vtk").report
+def test_real_liver_is_turned_and_cleaned(anatomy):
+    report = read_surface(anatomy / "liver" / "liver.vtk").report
     assert report.repairs == (
         "Dropped 3 loose pieces, the largest 0.059 mm long.",
         "Turned the surface outward: it was wound inward.",
@@ -248,10 +248,10 @@ def test_real_liver_is_turned_and_cleaned(anatomy_data):
     assert report.volume_mm3 == pytest.approx(1.4772e6, rel=1e-4)  # the data's README
 
 
-def test_real_scapulae(anatomy_data):
-    open_one = read_surface(anatomy_data / "scapula" / "myosim_scapula.stl").report
+def test_real_scapulae(anatomy):
+    open_one = read_surface(anatomy / "scapula" / "myosim_scapula.stl").report
     assert open_one.scale_mm == 1000 and "Closed" in open_one.repairs[-1]
-    scaled = read_surface(anatomy_data / "scapula" / "openforge_scapula_left.stl", scale_mm=50).report
+    scaled = read_surface(anatomy / "scapula" / "openforge_scapula_left.stl", scale_mm=50).report
     assert scaled.volume_mm3 == pytest.approx(0.4155 * 50**3, rel=1e-3)
     with pytest.raises(InputError, match=r"^anatomy\.scale_mm must be given .* for example 50$"):
-        read_surface(anatomy_data / "scapula" / "openforge_scapula_left.stl")
+        read_surface(anatomy / "scapula" / "openforge_scapula_left.stl")

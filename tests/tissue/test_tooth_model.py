@@ -1,11 +1,10 @@
 """A tooth in a scene: stress beside the ticks leaves the trace alone, and is told for the state that it belongs to."""
 
-import time
-
 import numpy as np
 import pytest
 
 from tissue import load_scene, simulate
+from tissue.tooth import beside
 from tissue.tooth.field import StressField
 
 COARSE = {
@@ -45,6 +44,7 @@ def run(seen):
             seen.append((time_s, lost[-1], force_N.copy(), point_m.copy()))
             return solve(field, time_s, force_N, point_m)
 
+        patch.setattr(beside, "StressProcess", beside.StressHere)
         patch.setattr(StressField, "remove", removing)
         patch.setattr(StressField, "solve", solving)
         return drill()
@@ -79,7 +79,7 @@ def test_a_solve_is_given_the_state_of_its_time(run, seen):
 
 def test_a_frame_balances_the_force_of_its_time(run):
     """The bed's springs carry what the bur pushes with at the frame's time, to what the solve leaves."""
-    field, force = run.parts.tissue.stress, run.trace.vectors("model_force", "N")
+    field, force = run.parts.tissue.stress.field, run.trace.vectors("model_force", "N")
     loaded = 0
     for frame in field.series.frames:
         pushed = -force[round(frame.time_s * 1e3)]
@@ -115,19 +115,23 @@ def bits(run):
     return [run.trace.rows.tobytes(), *frames]
 
 
-def test_a_run_repeats_bit_for_bit(run):
+def test_a_process_of_its_own_gives_the_same_bits(run):
+    """However long its solves take: the run above solved in this process, when the result was due."""
     assert bits(drill()) == bits(run)
 
 
-def test_a_slow_solve_changes_nothing(run, monkeypatch):
-    solve = StressField.solve
+def test_the_end_of_the_other_process_is_told(monkeypatch):
+    """A run does not wait for frames that cannot come."""
+    begin = beside.StressProcess.begin
 
-    def slowly(self, *arguments):
-        time.sleep(0.06)
-        return solve(self, *arguments)
+    def killed(self, state):
+        begin(self, state)
+        if state.time_s > 0.1:
+            self._child.kill()
 
-    monkeypatch.setattr(StressField, "solve", slowly)
-    assert bits(drill()) == bits(run)
+    monkeypatch.setattr(beside.StressProcess, "begin", killed)
+    with pytest.raises(RuntimeError, match="process that solves the stress ended with exit code"):
+        drill()
 
 
 def test_stress_leaves_the_force_alone(run):

@@ -7,10 +7,11 @@ from tooth_bodies import block
 import tissue
 from meshes import VoxelVolume
 from tissue.bone import BoneModel
+from tissue.bone.bricks import voxels_of
 from tissue.cutters import Cutter, ball_burr
 from tissue.materials import cutting_coefficients
 from tissue.model import ToolMotion
-from tissue.tooth import HexGrid, ParticleBody, Supports, cell_stress, support_compliance
+from tissue.tooth import HexGrid, ParticleBody, Supports, beside, cell_stress, support_compliance
 from tissue.tooth.field import TOOTH, StressField
 from tissue.tooth.ligament import bed_springs, bed_stiffness
 from tissue.tooth.model import ToothModel
@@ -105,6 +106,7 @@ class Drilled:
                 self.lead.append(np.linalg.norm(difference) / np.linalg.norm(exact[there]))
             return frame
 
+        monkeypatch.setattr(beside, "StressProcess", beside.StressHere)
         monkeypatch.setattr(StressField, "solve", solve)
         self.run = tissue.simulate(tissue.load_scene("molar", DEEP))
         self.trace, self.model = self.run.trace, self.run.parts.tissue
@@ -147,11 +149,11 @@ def test_what_is_booked_is_what_is_missing(drilled):
 def test_particles_lose_what_the_voxels_lose(drilled):
     """Within 1 %: a particle at the surface holds less than what the finer voxels in its place do, or more."""
     model = drilled.model
-    volume, field = model.milling.store.volume, model.stress
+    volume, field = model.milling.store.volume, model.stress.field
     left = model.remaining()
     store = model.milling.store
     rows, now = store.take_touched()
-    voxels, steps = store.voxels_of(rows, model._before[rows].astype(np.int64) - now)
+    voxels, steps = voxels_of(store.places, rows, model.stress._before[rows].astype(np.int64) - now)
     field.remove(voxels, steps, origin_m=volume.origin_m, spacing_m=volume.spacing_m)
     body = field.body
     share = 1.0 - body.cells.remaining / FULL_STEPS

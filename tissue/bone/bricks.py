@@ -11,7 +11,7 @@ from kernels.bricks import BRICK, BRICK_VOXELS, FULL
 from kernels.sampling import sample
 from meshes.volume import VoxelVolume
 
-__all__ = ["BYTES_PER_VOXEL", "BrickStore"]
+__all__ = ["BYTES_PER_VOXEL", "BrickStore", "voxels_of"]
 
 BYTES_PER_VOXEL = 6
 """Stored per voxel of a brick: remaining 2, material 4."""
@@ -95,16 +95,6 @@ class BrickStore:
             self.touched.zero_()
         return rows, self.remaining.numpy()[rows]
 
-    def voxels_of(
-        self, rows: NDArray[np.intp], steps: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Indices of the voxels whose value in ``steps``, shape (rows, 512), is not 0, shape (n, 3), and that value."""
-        row, column = np.nonzero(steps)
-        block, corner = column >> 3, column & 7
-        inside = np.stack([block >> 4, (block >> 2) & 3, block & 3], axis=1) * 2
-        inside += np.stack([corner >> 2, (corner >> 1) & 1, corner & 1], axis=1)
-        return BRICK * self.places[rows[row]] + inside, steps[row, column]
-
     @property
     def byte_count(self) -> int:
         """Memory of the stored arrays [bytes]."""
@@ -138,6 +128,20 @@ class BrickStore:
         x, y, z = self.volume.shape
         whole = dense.transpose(0, 3, 1, 4, 2, 5).reshape(nx, ny, nz)
         return np.ascontiguousarray(whole[:x, :y, :z])
+
+
+def voxels_of(
+    places: NDArray[np.int64], rows: NDArray[np.intp], steps: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Indices of the voxels whose value in ``steps``, shape (rows, 512), is not 0, shape (n, 3), and that value.
+
+    ``places`` are those of the store's bricks, of which ``rows`` names some.
+    """
+    row, column = np.nonzero(steps)
+    block, corner = column >> 3, column & 7
+    inside = np.stack([block >> 4, (block >> 2) & 3, block & 3], axis=1) * 2
+    inside += np.stack([corner >> 2, (corner >> 1) & 1, corner & 1], axis=1)
+    return BRICK * places[rows[row]] + inside, steps[row, column]
 
 
 def _blocked(array: NDArray[Any], counts: tuple[int, ...]) -> NDArray[Any]:

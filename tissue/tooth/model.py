@@ -1,7 +1,5 @@
 """A tooth under a bur: milled like bone, with the pulp watched and, where asked for, stress and displacement."""
 
-from concurrent.futures import Future, ThreadPoolExecutor
-
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
@@ -11,9 +9,9 @@ from kernels.cutting import CHUNK
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror
 from tissue.bone import BoneModel
-from tissue.fields import FieldSeries, Frame
+from tissue.fields import FieldSeries
 from tissue.model import Response, ToolMotion
-from tissue.tooth.field import StressField
+from tissue.tooth.beside import Drilled, StressBeside
 from tissue.tooth.warmth import PULP_LIMIT_K, Warmth
 
 __all__ = ["ToothModel"]
@@ -55,7 +53,7 @@ class ToothModel:
         self,
         milling: BoneModel,
         *,
-        stress: StressField | None = None,
+        stress: StressBeside | None = None,
         interval_s: float = 0.1,
         warmth: Warmth | None = None,
         device: str = "cpu",
@@ -74,16 +72,14 @@ class ToothModel:
         if warmth is not None:
             self.measure_names += ("pulp_rise_K",)
         self._energy_J, self._pulp_rise_K, self._warmed_s = 0.0, 0.0, 0.0
-        self._interval_s, self._next_s = interval_s, 0.0
-        self._beside = ThreadPoolExecutor(1, thread_name_prefix="stress") if stress is not None else None
-        self._solving: Future[Frame] | None = None
-        self._before: NDArray[np.uint16] = milling.store.remaining.numpy().copy()
+        self._interval_s, self._next_s, self._late = interval_s, 0.0, False
         self.notices: list[str] = []
         if stress is not None and stress.root_guessed:
             self.notices.append("neither ligament nor bone is given: the tooth's lower third is held as its root")
         self._least_m = np.inf
         self._response: Response | None = None
         self._load = np.zeros(6)
+        self._radius_m = milling.cutter.profile.radius_m
         chunks = -(-len(milling.shell.areas_m2) // CHUNK)
         self._nearest = Mirror(chunks, dtype=wp.float32, device=device)
         self._clearance = SplitLaunch(
@@ -149,22 +145,22 @@ class ToothModel:
     def settle(self, time_s: float) -> None:
         """Wait for the solve that an interval's end asks for; a run that is faster than its clock waits for it."""
         if time_s >= self._next_s - 1e-9:
-            self._join()
+            self._await()
 
     def catch_up(self, time_s: float, motion: ToolMotion) -> None:
-        """Every interval: start the next solve, on a copy of what changed."""
+        """Every interval: begin the next solve, on a copy of what changed."""
         if self.warmth is not None and time_s - self._warmed_s >= WARM_EVERY_S - 1e-9:
             self._warm(time_s, motion)
-        if self._beside is None or time_s < self._next_s - 1e-9:
+        if self.stress is None or time_s < self._next_s - 1e-9:
             return
         self._next_s += self._interval_s
         rows, left = self.milling.store.take_touched()
-        self._solving = self._beside.submit(self._solve, time_s, rows, left, -self._load[:3], self._contact(motion))
+        self.stress.begin(Drilled(time_s, rows, left, -self._load[:3], self._contact(motion)))
 
     def _contact(self, motion: ToolMotion) -> NDArray[np.float64]:
         """Where the bur's head meets the tooth [m]: on the side from which the force comes, the tip without one."""
         force = float(np.linalg.norm(self._load[:3]))
-        radius = self.milling.cutter.profile.radius_m
+        radius = self._radius_m
         toward = self._load[:3] / force if force > 0.0 else motion.rotation[:, 2]
         return motion.tip_m + radius * (motion.rotation[:, 2] - toward)
 
@@ -177,39 +173,26 @@ class ToothModel:
         if before < PULP_LIMIT_K <= self._pulp_rise_K:
             self.notices.append(f"the pulp is {PULP_LIMIT_K:g} K warmer than at the start")
 
-    def _join(self) -> None:
-        if self._solving is None or self.stress is None:
+    def _await(self) -> None:
+        record = self.stress.wait() if self.stress is not None else None
+        if record is None:
             return
-        self._solving.result()
-        self._solving = None
-        record = self.stress.records[-1]
         if record.debris_m3 > 0.0:
             self.notices.append(f"{1e9 * record.debris_m3:.3g} mm3 of tooth hang on nothing and are taken as debris")
         if record.outcome != "CONVERGED":
             self.notices.append(f"the stress at {record.time_s:.3f} s did not converge ({record.outcome.lower()})")
-
-    def _solve(
-        self,
-        time_s: float,
-        rows: NDArray[np.intp],
-        left: NDArray[np.uint16],
-        force_N: NDArray[np.float64],
-        point_m: NDArray[np.float64],
-    ) -> Frame:
-        """Bring the particles to what is left in the bricks of some rows and solve."""
-        assert self.stress is not None
-        store = self.milling.store
-        voxels, steps = store.voxels_of(rows, self._before[rows].astype(np.int64) - left)
-        self._before[rows] = left
-        self.stress.remove(voxels, steps, origin_m=store.volume.origin_m, spacing_m=store.volume.spacing_m)
-        return self.stress.solve(time_s, force_N, point_m)
+        if record.solve_s > self._interval_s and not self._late:
+            self._late = True
+            self.notices.append(
+                f"solving the stress took {record.solve_s:.2f} s, longer than its interval of {self._interval_s:g} s: "
+                "the run waits for it, a device would not"
+            )
 
     def finish(self) -> None:
         """Complete the carving that was spread over ticks, and the last solve."""
-        self._join()
-        if self._beside is not None:
-            self._beside.shutdown()
-            self._beside = None
+        self._await()
+        if self.stress is not None:
+            self.stress.finish()
         self.milling.finish()
 
     def remaining(self) -> NDArray[np.uint8]:
