@@ -34,8 +34,8 @@ BRICK = 8
 
 def whole_tooth(scene: Scene, *, spacing_m: float) -> VoxelVolume:
     """The whole tooth that a scene describes, in coarser voxels, undrilled."""
-    with _named(scene.anatomy):
-        if scene.anatomy.file is not None:
+    with _named(scene.bone):
+        if scene.bone.file is not None:
             return _labelled(scene, spacing_m=spacing_m, notes={})
         return voxelise(_anatomy(scene, {}), spacing_m=spacing_m)
 
@@ -43,7 +43,7 @@ def whole_tooth(scene: Scene, *, spacing_m: float) -> VoxelVolume:
 def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, str], tell: Tell) -> VoxelVolume:
     """Voxels of the bone that the tool can reach, with the guide hole drilled."""
     spacing = scene.voxels.spacing_mm * 1e-3
-    parameters = scene.anatomy
+    parameters = scene.bone
     region = reach(cutter, motion, scene.voxels.margin_mm * 1e-3)
     if _is_image(parameters) and isinstance(parameters, BlockAnatomy) and parameters.centre_mm is None:
         with _named(parameters):
@@ -75,7 +75,7 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
 
 def _anatomy(scene: Scene, notes: dict[str, str]) -> Anatomy:
     """The procedural bone, or the one in a surface file placed at its site."""
-    parameters = scene.anatomy
+    parameters = scene.bone
     if isinstance(parameters, MolarAnatomy) and parameters.layer_files:
         anatomy = layered_surfaces(parameters.layer_files, scale_mm=parameters.scale_mm, socket_mm=parameters.socket_mm)
     elif parameters.file is not None:
@@ -110,6 +110,7 @@ def _anatomy(scene: Scene, notes: dict[str, str]) -> Anatomy:
             subchondral_thickness_mm=parameters.subchondral_thickness_mm,
         )
     else:
+        assert isinstance(parameters, BlockAnatomy)
         anatomy = cortical_block(size_mm=parameters.size_mm, density_kg_m3=parameters.density_kg_m3)
     notes.update(anatomy.notes)
     return anatomy
@@ -150,7 +151,7 @@ def _image(scene: Scene, *, notes: dict[str, str]) -> VoxelVolume:
     """Bone from an image volume as it is, the top of its block at z = 0."""
     from meshes.image import read_volume
 
-    parameters = scene.anatomy
+    parameters = scene.bone
     said: list[str] = []
     volume = read_volume(
         parameters.file or "",
@@ -168,7 +169,7 @@ def _labelled(scene: Scene, *, spacing_m: float, notes: dict[str, str]) -> Voxel
     """A tooth from a label volume."""
     said: list[str] = []
     volume = label_volume(
-        scene.anatomy.file or "", spacing_mm=scene.anatomy.spacing_mm, resample_mm=1e3 * spacing_m, tell=said.append
+        scene.bone.file or "", spacing_mm=scene.bone.spacing_mm, resample_mm=1e3 * spacing_m, tell=said.append
     )
     notes["labels"] = " ".join(said)
     return volume
@@ -176,7 +177,7 @@ def _labelled(scene: Scene, *, spacing_m: float, notes: dict[str, str]) -> Voxel
 
 def _guide_hole(scene: Scene, motion: Motion) -> sdf.Shape | None:
     """The hole that guides the peg: along the tool's first axis, from above the face to its depth."""
-    diameter, depth = scene.anatomy.guide_hole_diameter_mm * 1e-3, scene.anatomy.guide_hole_depth_mm * 1e-3
+    diameter, depth = scene.bone.guide_hole_diameter_mm * 1e-3, scene.bone.guide_hole_depth_mm * 1e-3
     if diameter == 0.0 or depth == 0.0:
         return None
     axis, tip = motion.rotations()[0][:, 2], motion.sweep_m()[0]

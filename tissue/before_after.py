@@ -32,7 +32,7 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
     -------
     None, or why it could not be drawn.
     """
-    volume, limit = run.parts.volume, depth_limit(depth)
+    volume, limit = run.volume, depth_limit(depth)
     if min(int(volume.fraction.max()), int(run.remaining.max())) < HALF:
         return "no bone is left to show"
     cameras: list[Camera] = []
@@ -60,7 +60,7 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
 
 def _reach(run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The box that was simulated [m]; the bone goes on beyond it."""
-    return reach(run.parts.cutter, run.parts.motion, run.scene.voxels.margin_mm * 1e-3)
+    return reach(run.cutter, run.parts.motion, run.scene.voxels.margin_mm * 1e-3)
 
 
 def _depth_paint(depth_mm: NDArray[np.float32], limit: float) -> NDArray[np.float64]:
@@ -128,7 +128,7 @@ def _compose(
         axes.set_axis_off()
         chart.text(left + 0.5 * wide / size[0], 1.0 - 0.5 * head / size[1], title, ha="center", va="center", size=11)
         _draw_scale(axes, camera)
-    colours = layer_colours(run.parts.volume.layer_names)
+    colours = layer_colours(run.volume.layer_names)
     patch: dict[str, Any] = {"edgecolor": "0.3", "linewidth": 0.5}
     legend: dict[str, Any] = {"loc": "center", "frameon": False, "handlelength": 1.2, "labelspacing": 0.3}
     chart.legend(

@@ -3,7 +3,7 @@
 import errno
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated, Any, NoReturn
@@ -134,8 +134,11 @@ def view(
     /,
     *,
     screenshot: Path | None = None,
+    movie: Path | None = None,
     hide: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     field: str | None = None,
+    scale: float = 1.0,
+    time_s: float | None = None,
 ) -> None:
     """Show a run in a window.
 
@@ -144,15 +147,23 @@ def view(
     folder
         Folder that `tissue run` wrote.
     screenshot
-        Write a picture to this file instead of opening a window.
+        Write a picture to this .png file instead of opening a window.
+    movie
+        Write a movie to this .mp4 or .gif file instead of opening a window.
     hide
-        Layer that is switched off at first; may be given more than once.
+        Layer or part that is switched off at first; may be given more than once.
     field
-        Field that is shown at first in place of the bone, for example von_mises_MPa.
+        Field that is shown at first, for example von_mises_MPa.
+    scale
+        How many times its size the displacement is drawn at first.
+    time_s
+        Moment that is shown at first, in seconds; default that of the greatest force.
     """
     from tissue.view import view as show
 
-    console.print(show(folder, screenshot=screenshot, hide=hide, field=field), soft_wrap=True, highlight=False)
+    with problems.status("drawing the movie") if movie is not None else nullcontext():
+        said = show(folder, screenshot=screenshot, movie=movie, hide=hide, field=field, scale=scale, time_s=time_s)
+    console.print(said, soft_wrap=True, highlight=False)
 
 
 def main() -> NoReturn:
@@ -229,7 +240,7 @@ def _print_summary(summary: dict[str, Any], folder: Path, *, wall_s: float, savi
     table = Table(title=f"{summary['scene']}: {summary['simulated_s']:g} s simulated in {wall_s:.1f} s")
     table.add_column("quantity")
     table.add_column("value", justify="right")
-    for layer, removed in summary["removed_mm3"].items():
+    for layer, removed in summary["removed_mm3"].items() if summary["cuts"] else ():
         table.add_row(f"removed {layer}", f"{removed:.2f} of {summary['start_mm3'][layer]:.1f} mm³")
     table.add_row("force, peak / mean in contact", _pair(summary["force_N"], "N"))
     table.add_row("torque, peak / mean in contact", _pair(summary["torque_Nm"], "N·m"))

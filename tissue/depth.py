@@ -50,7 +50,7 @@ def depth_map(run: Run) -> DepthMap:
     """Removed depth, face and newly exposed layers of a run."""
     from scipy.ndimage import binary_opening
 
-    volume, remaining = run.parts.volume, run.remaining
+    volume, remaining = run.volume, run.remaining
     axis, outward = _facing(run)
     across = [a for a in range(3) if a != axis]
     spacing, origin = volume.spacing_m * 1e3, volume.origin_m * 1e3

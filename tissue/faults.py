@@ -117,9 +117,14 @@ def _model_at(names: tuple[str, ...], table: Table) -> type[BaseModel]:
     model: type[BaseModel] = Scene
     for name in names:
         parts, table = _parts(model.model_fields[name]), _inner(table, name)
-        kinds = {p.model_fields["kind"].default: p for p in parts if "kind" in p.model_fields}
+        kinds = {kind: p for p in parts if "kind" in p.model_fields for kind in _kinds(p)}
         model = kinds.get(str(table.get("kind")), parts[0])
     return model
+
+
+def _kinds(part: type[BaseModel]) -> tuple[str, ...]:
+    """Names of the kinds that a part describes."""
+    return get_args(part.model_fields["kind"].annotation)
 
 
 def _parts(field: FieldInfo) -> list[type[BaseModel]]:

@@ -43,6 +43,8 @@ class FieldSeries:
         Names of the layers.
     frames
         Frames in the order of time.
+    node_sets
+        Nodes by what they are: ``held``, ``touchable``.
     """
 
     nodes_m: NDArray[np.float64]
@@ -50,3 +52,4 @@ class FieldSeries:
     layer: NDArray[np.uint8]
     layer_names: tuple[str, ...]
     frames: list[Frame] = field(default_factory=list)
+    node_sets: dict[str, NDArray[np.int64]] = field(default_factory=dict)

@@ -44,7 +44,7 @@ def first_descent(coordinate_mm: NDArray[np.float64], contact: NDArray[np.bool_]
 
 def layers_passed(run: Run, tips_mm: NDArray[np.float64]) -> NDArray[Any]:
     """Layer that lay at the tip before the run, by name, shape (tips,)."""
-    volume = run.parts.volume
+    volume = run.volume
     place = np.floor((tips_mm * 1e-3 - volume.origin_m) / volume.spacing_m).astype(int)
     inside = ((place >= 0) & (place < volume.shape)).all(axis=1)
     x, y, z = np.clip(place, 0, np.array(volume.shape) - 1).T
@@ -133,7 +133,7 @@ def _draw(run: Run, path: Path, rows: slice, coordinate_mm: NDArray[np.float64])
 
 def _shade(run: Run, panels: Any, depth: NDArray[np.float64], passed: NDArray[Any], force: NDArray[np.float64]) -> None:
     """A band for each layer, with its name and the mean force in it."""
-    colours = layer_colours(run.parts.volume.layer_names)
+    colours = layer_colours(run.volume.layer_names)
     for first, last, name in spells(passed):
         if name == NO_LAYER:
             continue

@@ -63,7 +63,7 @@ def load_scene(source: str | Path, overrides: Mapping[str, Any] | None = None) -
         raise InputError(
             f"scene must be valid TOML, got {said[:1].lower()}{said[1:]} in {path}: mend it there"
         ) from None
-    for part in ("anatomy", "motion"):
+    for part in ("anatomy", "motion", "tool"):
         inner = table.get(part)
         if isinstance(inner, dict) and isinstance(inner.get("file"), str) and inner["file"]:
             inner["file"] = str((folder / inner["file"]).resolve())

@@ -42,11 +42,16 @@ LAYERS = {
     "caries": "#404040",
     "ligament": "#CC79A7",
     "bone": "#009E73",
+    "capsule": "#56B4E9",
+    "parenchyma": "#E69F00",
+    "vessel wall": "#D55E00",
 }
 OTHER_LAYERS = ("#CC79A7", "#F0E442", "#0072B2", "#D55E00")
 COMPONENTS = ("#0072B2", "#D55E00", "#009E73")
 """Colours of layers and components after Okabe and Ito (2008), told apart by colour-blind readers."""
 MAGNITUDE = "0.88"
+COMMANDED = 0.35
+"""Opacity of what is commanded, below the model's line."""
 EXPOSED: tuple[Any, ...] = ("--", ":", "-.")
 """Lines around the layers that a run laid bare."""
 SMALL_NM = 0.02
@@ -80,7 +85,7 @@ def axis_names(run: Run) -> tuple[str, ...]:
         return tuple("xyz")
     named = tuple(f"{c} ({meaning})" for c, meaning in zip("xyz", meanings, strict=True))
     # On bone from a file x points forward or backward with the side of the body, which the file does not tell.
-    return ("x", *named[1:]) if run.scene.anatomy.file else named
+    return ("x", *named[1:]) if run.scene.bone.file else named
 
 
 def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float]]:
@@ -124,7 +129,7 @@ def _draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
     left = 0.5 * (8.0 - wide - 0.4)
     chart = figure(8.0, full)
     axes = chart.add_axes((left / 8.0, 0.6 / full, wide / 8.0, tall / full))
-    spacing = run.parts.volume.spacing_m * 1e3
+    spacing = run.volume.spacing_m * 1e3
     least = 0.01 * spacing
     shade = _hillshade(depth.height_mm * depth.outward, spacing)
     ground = np.clip(np.array(BONE) * shade[..., None], 0.0, 1.0)
@@ -193,7 +198,7 @@ def _hillshade(height_mm: NDArray[np.float64], spacing_mm: float) -> NDArray[np.
 
 
 def draw_force_torque(run: Run, path: Path) -> None:
-    """Draw force, torque, removal rate and the tool's way with the layer it cuts over time."""
+    """Draw force, torque, removal rate (or contact area, where nothing goes) and the tool's way through layers."""
     import matplotlib
 
     with matplotlib.rc_context(STYLE):
@@ -221,19 +226,21 @@ def _draw_force_torque(run: Run, path: Path) -> None:
         commanded, model = scale * trace.vectors(name, unit), scale * trace.vectors(f"model_{name}", unit)
         axes.fill_between(time, np.linalg.norm(commanded, axis=1), color=MAGNITUDE, linewidth=0.0)
         for c in range(3):
-            axes.plot(time, model[:, c], color=COMPONENTS[c], linewidth=3.2, alpha=0.3, solid_capstyle="butt")
-            axes.plot(time, commanded[:, c], color=COMPONENTS[c])
+            axes.plot(time, commanded[:, c], color=COMPONENTS[c], linewidth=2.4, alpha=COMMANDED)
+        for c in range(3):  # upon all of them: teeth that vibrate make a band of the line below
+            axes.plot(time, model[:, c], color=COMPONENTS[c], linewidth=1.1)
         axes.set_ylabel(label)
         axes.axhline(0.0, color="0.7", linewidth=0.6, zorder=0)
     panels[0].legend(
         handles=[Line2D([], [], color=COMPONENTS[c], label="xyz"[c]) for c in range(3)]
         + [
             Patch(facecolor=MAGNITUDE, label="magnitude"),
-            Line2D([], [], color="0.4", linewidth=3.2, alpha=0.4, label="model's, before the low-pass"),
+            Line2D([], [], color="0.2", linewidth=1.1, label="model's, before the low-pass"),
+            Line2D([], [], color="0.2", linewidth=2.4, alpha=COMMANDED, label="commanded"),
         ],
         loc="lower left",
         bbox_to_anchor=(-0.01, 0.99),
-        ncols=5,
+        ncols=6,
         frameon=False,
         handlelength=1.6,
         columnspacing=1.2,
@@ -241,16 +248,17 @@ def _draw_force_torque(run: Run, path: Path) -> None:
     chart.text(
         0.11, 1.0 - 0.24 / full, f"{run.scene.name}: force on the tool and torque about its tip", va="center", size=10.5
     )
-    panels[2].plot(time, trace["removal_rate_mm3_s"], color="0.1")
-    panels[2].set_ylabel("removal rate\n/ mm³ s⁻¹")
+    cuts = bool((trace["removed_mm3"] > 0.0).any())
+    panels[2].plot(time, trace["removal_rate_mm3_s" if cuts else "contact_mm2"], color="0.1")
+    panels[2].set_ylabel("removal rate\n/ mm³ s⁻¹" if cuts else "contact area\n/ mm²")
     panels[2].set_ylim(bottom=0.0)
     axis = tool_axes(np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"]))
     panels[3].plot(time, (trace.vectors("tool", "mm") * axis).sum(axis=1), color="0.1")
     panels[3].set_ylabel("tip along\nits axis / mm")
     panels[3].set_xlabel("time / s")
     layers = trace["layer"]
-    colours = layer_colours(run.parts.volume.layer_names)
-    met = [name for name in run.parts.volume.layer_names if (layers == name).any()]
+    colours = layer_colours(trace.layer_names)
+    met = [name for name in trace.layer_names if (layers == name).any()]
     for first, last, name in spells(layers):
         if name != NO_LAYER:
             end = time[min(last, len(time) - 1)]

@@ -21,8 +21,8 @@ __all__ = ["carved_surface", "draw_pictures", "write_bone"]
 def carved_surface(run: Run) -> "pyvista.PolyData":
     """Surface of the bone after the run [mm]: point array ``removed_depth_mm``, cell array ``layer``, normals."""
     depth = depth_map(run)
-    surface = with_layers(bone_surface(run.parts.volume, run.remaining), run.parts.volume)
-    return with_depth(surface, run.parts.volume, run.remaining, depth_mm=depth.depth_mm, axis=depth.axis)
+    surface = with_layers(bone_surface(run.volume, run.remaining), run.volume)
+    return with_depth(surface, run.volume, run.remaining, depth_mm=depth.depth_mm, axis=depth.axis)
 
 
 def write_bone(run: Run, out: Path) -> None:
@@ -33,7 +33,7 @@ def write_bone(run: Run, out: Path) -> None:
     holds ``remaining`` for 3D Slicer, which reads no .vti. ``bone.stl`` and ``bone.vtp`` hold the carved surface in mm,
     the latter with ``removed_depth_mm`` and ``layer``. A bone that was cut away altogether has no ``bone.stl``.
     """
-    if run.remaining is None:
+    if run.parts.volume is None:
         return
     from vtkmodules.vtkIOGeometry import vtkSTLWriter
     from vtkmodules.vtkIOXML import vtkXMLImageDataWriter, vtkXMLPolyDataWriter
@@ -54,6 +54,7 @@ def write_bone(run: Run, out: Path) -> None:
 def draw_pictures(run: Run, folder: Path) -> list[str]:
     """Draw ``bone_before_after.png``, ``removed_depth.png`` and ``force_torque.png``.
 
+    A soft organ has ``press.png`` and ``held.png`` in place of the first two, a needle ``insertion.png``.
     Of a tissue of several layers that tells more of itself than its volumes, a tooth for one, also ``section.png`` and
     ``force_depth.png``.
 
@@ -63,15 +64,25 @@ def draw_pictures(run: Run, folder: Path) -> list[str]:
     """
     from tissue.before_after import draw_before_after
     from tissue.force_depth import draw_force_depth
+    from tissue.held_picture import draw_held
+    from tissue.insertion_picture import draw_insertion
     from tissue.pictures import draw_force_torque, draw_removed_depth
+    from tissue.press_picture import draw_press
     from tissue.section import draw_section
+    from tissue.viewer_tool import tool_surface
 
     folder.mkdir(parents=True, exist_ok=True)
-    if run.remaining is None:
+    notes: dict[str, str | None] = {}
+    if run.parts.volume is None:
         draw_force_torque(run, folder / "force_torque.png")
-        return []
+        if fields := run.parts.tissue.fields:
+            tool = tool_surface(run.scene.tool)
+            notes["press.png"] = draw_press(fields, run.trace, folder / "press.png", title=run.scene.name, tool=tool)
+            notes["held.png"] = draw_held(fields, folder / "held.png", title=run.scene.name)
+        else:
+            draw_insertion(run, folder / "insertion.png")
+        return _told(notes)
     depth = depth_map(run)
-    notes = {}
     with ThreadPoolExecutor(1) as beside:
         render = beside.submit(draw_before_after, run, depth, folder / "bone_before_after.png")
         draw_removed_depth(run, depth, folder / "removed_depth.png")
@@ -81,12 +92,17 @@ def draw_pictures(run: Run, folder: Path) -> list[str]:
             draw_section(run, folder / "section.png", **side)
             notes["force_depth.png"] = draw_force_depth(run, folder / "force_depth.png", **side)
         notes["bone_before_after.png"] = render.result()
+    return _told(notes)
+
+
+def _told(notes: dict[str, str | None]) -> list[str]:
+    """A sentence for every picture that could not be drawn."""
     return [f"{name} was not drawn: {note}" for name, note in notes.items() if note is not None]
 
 
 def _write_nrrd(run: Run, path: Path) -> None:
     """Write ``remaining`` as a compressed NRRD image; its axes are those of the surface files in 3D Slicer (LPS)."""
-    volume = run.parts.volume
+    volume = run.volume
     spacing, origin = volume.spacing_m * 1e3, (volume.origin_m + 0.5 * volume.spacing_m) * 1e3
     header = "\n".join(
         [

@@ -9,7 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue.build import Parts
+from meshes.errors import InputError
+from meshes.volume import VoxelVolume
+from tissue.cutters import Cutter
+from tissue.parts import Parts
 from tissue.run_folder import FORMAT, RunFolder
 from tissue.scene import Scene
 from tissue.trace import Table
@@ -52,11 +55,31 @@ class Run:
         self._fraction: NDArray[np.uint8] | None = None
 
     @property
+    def volume(self) -> VoxelVolume:
+        """The voxels before the first cut.
+
+        Raises
+        ------
+        InputError
+            If the tissue has none.
+        """
+        if self.parts.volume is None:
+            raise InputError(f"run must have voxels, got a {self.scene.anatomy.kind}: see its trace and fields")
+        return self.parts.volume
+
+    @property
+    def cutter(self) -> Cutter:
+        """The cutter; raises as `volume`."""
+        if self.parts.cutter is None:
+            raise InputError(f"run must have a cutter, got a {self.scene.tool.kind}: see its trace and fields")
+        return self.parts.cutter
+
+    @property
     def remaining(self) -> NDArray[np.uint8]:
-        """Bone left in every voxel, 255 = full, uint8, shape (nx, ny, nz)."""
+        """Bone left in every voxel, 255 = full, uint8, shape (nx, ny, nz); raises as `volume`."""
         if self._fraction is None:
             left = self.parts.tissue.remaining()
-            self._fraction = self.parts.volume.fraction if left is None else left
+            self._fraction = self.volume.fraction if left is None else left
         return self._fraction
 
     def summary(self) -> dict[str, Any]:
@@ -73,6 +96,7 @@ class Run:
             "scene": self.scene.name,
             "layers": list(trace.layer_names),
             "simulated_s": len(trace.rows) * 1e-3,
+            "cuts": self.parts.cutter is not None,
             "start_mm3": dict(zip(trace.layer_names, (tissue.start_m3 * 1e9).tolist(), strict=True)),
             "removed_mm3": dict(zip(trace.layer_names, (tissue.removed_m3 * 1e9).tolist(), strict=True)),
             "force_N": {"peak": float(force.max()), "mean_in_contact": mean(force)},
@@ -90,11 +114,25 @@ class Run:
             "notes": self.parts.notes,
         }
 
-    def dataset(self) -> "pyvista.ImageData":
-        """The bone as a pyvista image in mm: cell arrays start and remaining (255 = full), layer, density_kg_m3."""
+    def dataset(self) -> "pyvista.ImageData | pyvista.UnstructuredGrid":
+        """What was simulated, as pyvista shows it, in mm.
+
+        Voxels: an image with the cell arrays start and remaining (255 = full), layer, density_kg_m3. Elements: the mesh
+        of the last frame with its fields.
+
+        Raises
+        ------
+        InputError
+            If the tissue has neither.
+        """
+        fields = self.parts.tissue.fields
+        if self.parts.volume is None and fields is not None and fields.frames:
+            from tissue.series import frame_mesh
+
+            return frame_mesh(fields, fields.frames[-1])
         import pyvista
 
-        volume = self.parts.volume
+        volume = self.volume
         image = pyvista.ImageData(
             dimensions=np.array(volume.shape) + 1,
             spacing=(volume.spacing_m * 1e3,) * 3,

@@ -6,24 +6,16 @@ finite is refused with one sentence that names the key, the value, the requireme
 
 import math
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
-from pydantic import Field, Strict, model_validator
+from pydantic import Field, model_validator
 
 from meshes.errors import InputError
-from tissue.scene_anatomy import BlockAnatomy, GlenoidAnatomy, MolarAnatomy, Part, Vector
+from tissue.scene_anatomy import AnatomyFile, BlockAnatomy, GlenoidAnatomy, MolarAnatomy, Part
+from tissue.scene_soft import LayersAnatomy, LiverAnatomy, Organ, SlabAnatomy
+from tissue.scene_tool import Needle, PathMotion, Probe, ReplayMotion, ThrustMotion, Tool
 
-__all__ = [
-    "Cutting",
-    "Output",
-    "PathMotion",
-    "ReplayMotion",
-    "Scene",
-    "Stress",
-    "ThrustMotion",
-    "Tool",
-    "Voxels",
-]
+__all__ = ["Cutting", "Output", "Scene", "Stress", "Voxels"]
 
 
 class Voxels(Part):
@@ -35,97 +27,6 @@ class Voxels(Part):
     """Whether a voxel loses the part inside the tool, or all of itself once its centre is inside."""
     margin_mm: float = Field(3.0, ge=0.5, le=50)
     """Bone kept around what the tool can reach."""
-
-
-class Tool(Part):
-    """A rotating cutter: a surface of revolution with flutes."""
-
-    kind: Literal["ball-burr", "pear-bur", "cylinder", "twist-drill", "hemispherical-reamer", "flat-reamer"] = Field(
-        examples=["ball-burr"]
-    )
-    """Shape of the cutter."""
-    diameter_mm: float = Field(gt=0.1, le=100, examples=[6.0])
-    """Greatest diameter."""
-    flutes: int = Field(4, ge=1, le=200)
-    """Cutting edges around the axis."""
-    spin_rpm: float = Field(ge=-500_000, le=500_000, examples=[500.0])
-    """Spin about the axis from tip to shank by the right-hand rule; a common right-hand cutter turns negative."""
-    length_mm: float = Field(10.0, gt=0, le=200)
-    """Length of a cylinder, pear or drill, thickness of a flat reamer."""
-    point_angle_deg: float = Field(118.0, ge=30, lt=180)
-    """Included point angle of a twist drill."""
-    peg_diameter_mm: float = Field(0.0, ge=0, le=20)
-    """Diameter of a reamer's guide peg; 0 has none."""
-    peg_length_mm: float = Field(0.0, ge=0, le=50)
-    """How far the peg reaches beyond the tip."""
-    shell_spacing_mm: float | None = Field(None, gt=0, le=10, examples=[0.2])
-    """Distance between the cutter's elements; without it two voxels, or wider where that gives over 1600 elements."""
-
-    @model_validator(mode="after")
-    def _spins_and_peg_fits(self) -> "Tool":
-        if abs(self.spin_rpm) < 1.0:
-            raise InputError(
-                f"tool.spin_rpm must be at least 1 in size, got {self.spin_rpm:g}: a tool that does not spin does not "
-                "cut, use 500"
-            )
-        if self.peg_diameter_mm >= self.diameter_mm:
-            raise InputError(
-                f"tool.peg_diameter_mm must be below tool.diameter_mm ({self.diameter_mm:g}), got "
-                f"{self.peg_diameter_mm:g}: use {0.2 * self.diameter_mm:g}"
-            )
-        return self
-
-
-class Motion(Part):
-    """What every motion has."""
-
-    axis: Vector = (0.0, 0.0, 1.0)
-    """Direction of the tool's axis from tip to shank."""
-
-    @model_validator(mode="after")
-    def _axis_has_length(self) -> "Motion":
-        if math.hypot(*self.axis) < 1e-9:
-            raise InputError("motion.axis must have a length, got (0, 0, 0): use [0, 0, 1]")
-        return self
-
-
-class PathMotion(Motion):
-    """The tip follows straight lines at a given feed, then stays at the end."""
-
-    kind: Literal["path"] = "path"
-    """Position-driven."""
-    points_mm: Annotated[tuple[Vector, ...], Strict(False)] = Field(
-        min_length=2, examples=[((0.0, 0.0, 0.5), (0.0, 0.0, -2.0))]
-    )
-    """Where the tip goes, corner by corner, in the frame of the site."""
-    feed_mm_s: float = Field(gt=0, le=1000, examples=[1.0])
-    """Speed of the tip."""
-
-
-class ThrustMotion(Motion):
-    """A given thrust pushes the tool along its axis; the feed follows from the balance with the cutting force."""
-
-    kind: Literal["thrust"] = "thrust"
-    """Force-driven."""
-    start_mm: Vector = (0.0, 0.0, 0.5)
-    """Where the tip starts, in the frame of the site."""
-    thrust_N: float = Field(gt=0, le=1000, examples=[40.0])
-    """Push along the tool's axis."""
-    mass_kg: float = Field(0.5, gt=0, le=20)
-    """Mass that moves with the tool."""
-    max_feed_mm_s: float = Field(5.0, gt=0, le=200)
-    """Feed the hand allows in free space."""
-    depth_mm: float = Field(2.0, gt=0, le=100)
-    """Travel from the face (z = 0 of the site) at which the feed stops."""
-
-
-class ReplayMotion(Motion):
-    """Poses from a table with the columns of ``trace.csv``: time_s, tool_x_mm ... tool_qw."""
-
-    kind: Literal["replay"] = "replay"
-    """Recorded."""
-    file: str = Field(examples=["runs/glenoid/trace.csv"])
-    """CSV table of poses, such as a run's own trace."""
 
 
 class Cutting(Part):
@@ -165,8 +66,27 @@ class Stress(Part):
     """Time between two solves; the stress belongs to a state at most this old."""
 
 
-AnyAnatomy = Annotated[GlenoidAnatomy | BlockAnatomy | MolarAnatomy, Field(discriminator="kind")]
+AnyAnatomy = Annotated[
+    GlenoidAnatomy | BlockAnatomy | MolarAnatomy | LiverAnatomy | SlabAnatomy | LayersAnatomy,
+    Field(discriminator="kind"),
+]
+AnyTool = Annotated[Tool | Probe | Needle, Field(discriminator="kind")]
 AnyMotion = Annotated[PathMotion | ThrustMotion | ReplayMotion, Field(discriminator="kind")]
+
+
+TOOLS: dict[str, type[Part]] = {
+    **dict.fromkeys(("glenoid", "block", "molar"), Tool),
+    **dict.fromkeys(("liver", "slab"), Probe),
+    "layers": Needle,
+}
+"""What meets each kind of anatomy."""
+VOXEL_PARTS = frozenset({"voxels", "cutting", "stress", "heat"})
+IDLE: dict[type[Part], frozenset[str]] = {
+    Tool: frozenset({"organ"}),
+    Probe: VOXEL_PARTS,
+    Needle: VOXEL_PARTS | {"organ"},
+}
+"""Parts of a scene that are of no use to what a tool meets."""
 
 
 class Scene(Part):
@@ -181,11 +101,11 @@ class Scene(Part):
     duration_s: float | None = Field(None, ge=1e-3, le=3600, examples=[5.0])
     """Simulated time; without it as long as the motion lasts."""
     anatomy: AnyAnatomy
-    """Bone to cut."""
+    """What the tool meets."""
     voxels: Voxels = Voxels()
     """How the bone is divided and removed."""
-    tool: Tool
-    """What cuts it."""
+    tool: AnyTool
+    """What meets it."""
     motion: AnyMotion
     """How the tool moves."""
     cutting: Cutting = Cutting()
@@ -196,27 +116,52 @@ class Scene(Part):
     """Whether and how finely displacement and stress are computed."""
     heat: bool = False
     """Whether the temperature of a tooth and its pulp is computed."""
+    organ: Organ = Organ()
+    """What a soft organ is made of, and how it is solved."""
+
+    @property
+    def bone(self) -> AnatomyFile:
+        """The anatomy of a scene in which a tool cuts."""
+        assert isinstance(self.anatomy, AnatomyFile), self.anatomy.kind
+        return self.anatomy
+
+    @property
+    def idle_parts(self) -> frozenset[str]:
+        """Parts that this anatomy has no use for."""
+        return IDLE[TOOLS[self.anatomy.kind]]
 
     @model_validator(mode="after")
     def _parts_fit(self) -> "Scene":
-        hole, peg = self.anatomy.guide_hole_diameter_mm, self.tool.peg_diameter_mm
-        if peg > 0.0 and (hole < peg or self.anatomy.guide_hole_depth_mm < self.tool.peg_length_mm):
-            depth, length = self.anatomy.guide_hole_depth_mm, self.tool.peg_length_mm
+        kind, wanted = self.anatomy.kind, TOOLS[self.anatomy.kind]
+        if not isinstance(self.tool, wanted):
+            names = ", ".join(get_args(wanted.model_fields["kind"].annotation))
+            got = self.tool.kind
+            raise InputError(f"tool.kind must be one of {names} for a {kind}, got {got}: choose one of these")
+        for name in sorted(self.idle_parts & self.model_fields_set):
+            if getattr(self, name):
+                raise InputError(f"{name} must be left out for a {kind}, got a value: remove it")
+        if isinstance(self.tool, Tool) and isinstance(self.anatomy, AnatomyFile):
+            self._cutter_fits(self.tool, self.anatomy)
+        if self.heat and kind != "molar":
+            raise InputError(f"heat must be false for a {kind}, got true: it is for a molar")
+        return self
+
+    def _cutter_fits(self, tool: Tool, anatomy: AnatomyFile) -> None:
+        hole, peg = anatomy.guide_hole_diameter_mm, tool.peg_diameter_mm
+        if peg > 0.0 and (hole < peg or anatomy.guide_hole_depth_mm < tool.peg_length_mm):
+            depth, length = anatomy.guide_hole_depth_mm, tool.peg_length_mm
             raise InputError(
                 f"tool.peg_diameter_mm must fit the guide hole ({hole:g} mm wide, {depth:g} mm deep), got a peg of "
                 f"{peg:g} x {length:g} mm: widen or deepen it by anatomy.guide_hole_diameter_mm and "
                 "anatomy.guide_hole_depth_mm"
             )
-        if self.tool.diameter_mm < 4.0 * self.voxels.spacing_mm:
+        if tool.diameter_mm < 4.0 * self.voxels.spacing_mm:
             raise InputError(
-                f"voxels.spacing_mm must be at most a quarter of tool.diameter_mm ({self.tool.diameter_mm:g}), got "
-                f"{self.voxels.spacing_mm:g}: use {self.tool.diameter_mm / 20:g}"
+                f"voxels.spacing_mm must be at most a quarter of tool.diameter_mm ({tool.diameter_mm:g}), got "
+                f"{self.voxels.spacing_mm:g}: use {tool.diameter_mm / 20:g}"
             )
         if self.stress is not None:
             self._stress_fits(self.stress)
-        if self.heat and self.anatomy.kind != "molar":
-            raise InputError(f"heat must be false for a {self.anatomy.kind}, got true: it is for a molar")
-        return self
 
     def _stress_fits(self, stress: Stress) -> None:
         if self.anatomy.kind != "molar":
@@ -235,12 +180,12 @@ class Scene(Part):
         """The whole scene, defaults included, as TOML."""
         import tomli_w
 
-        return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
+        return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True, exclude=set(self.idle_parts)))
 
     def with_files_at(self, folder: Path) -> "Scene":
         """The same scene with the paths of its files made absolute, relative ones taken from ``folder``."""
         changes: dict[str, Any] = {}
-        for part in ("anatomy", "motion"):
+        for part in ("anatomy", "motion", "tool"):
             value: Part = getattr(self, part)
             names = [name for name in type(value).model_fields if name == "file" or name.endswith("_file")]
             files = {name: getattr(value, name) for name in names if getattr(value, name)}

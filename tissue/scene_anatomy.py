@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, Strict, field_validator
 
-__all__ = ["AnatomyFile", "BlockAnatomy", "GlenoidAnatomy", "MolarAnatomy", "Part", "Vector"]
+__all__ = ["AnatomyFile", "BlockAnatomy", "GlenoidAnatomy", "Length_mm", "MolarAnatomy", "Part", "Vector"]
 
 Vector = Annotated[tuple[float, float, float], Strict(False)]
 Length_mm = Annotated[float, Field(ge=0.1, le=500)]

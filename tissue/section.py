@@ -68,7 +68,7 @@ def section_of(run: Run, *, axis: int, outward: int) -> Section:
     axis, outward
         World axis closest to the tool's, and the side that the tool comes from.
     """
-    volume, tips = run.parts.volume, run.trace.vectors("tool", "mm")
+    volume, tips = run.volume, run.trace.vectors("tool", "mm")
     cutting = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
     rows = cutting if cutting.size else np.arange(len(tips))
     row = int(rows[np.argmin(outward * tips[rows, axis])])
@@ -153,7 +153,7 @@ def _draw_section(run: Run, path: Path, section: Section) -> None:
 
 def _draw_layers(axes: Any, run: Run, section: Section) -> None:
     """Every voxel in its layer's colour, pale as far as it was removed."""
-    colours = np.array(list(layer_colours(run.parts.volume.layer_names).values()))[section.layer]
+    colours = np.array(list(layer_colours(run.volume.layer_names).values()))[section.layer]
     pale = 1.0 - REMOVED_TINT * (1.0 - colours)
     left, start = section.left[..., None], section.start[..., None]
     paint = left * colours + (start - left) * pale + (1.0 - start)
@@ -192,7 +192,7 @@ def _draw_tool(axes: Any, run: Run, section: Section, row: int) -> None:
     along = turn[[section.across, section.axis]]
     along = along / max(float(np.hypot(*along)), 1e-9)
     side = np.array([along[1], -along[0]])
-    outline = 1e3 * run.parts.cutter.profile.outline
+    outline = 1e3 * run.cutter.profile.outline
     for sign in (-1.0, 1.0):
         points = tips[row, [section.across, section.axis]] + outline @ np.stack([sign * side, along])
         halo = [withStroke(linewidth=2.2, foreground="white")]  # for what lies on dark colours
@@ -241,7 +241,7 @@ def _legend(chart: Any, run: Run, section: Section, x: float, y: float, *, borde
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    names = run.parts.volume.layer_names
+    names = run.volume.layer_names
     seen = np.unique(section.layer[section.start >= HALF / FULL])
     colours = layer_colours(names)
     edge: dict[str, Any] = {"edgecolor": "0.3", "linewidth": 0.5}

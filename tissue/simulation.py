@@ -11,9 +11,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from meshes.errors import InputError
-from tissue.build import Parts, build
+from tissue.build import build
 from tissue.model import Response, ToolMotion
 from tissue.motion import LONGEST_S, Motion
+from tissue.parts import Parts
 from tissue.run import Run
 from tissue.run_folder import RunFolder
 from tissue.scene import Scene
@@ -137,7 +138,8 @@ class _Tick:
         lag = scene.output.low_pass_ms * 1e-3
         self._gain = 1.0 - exp(-TICK_S / lag) if lag > 0.0 else 1.0
         self._filtered, self._commanded = np.zeros(6), np.zeros(6)
-        passing, share = parts.cutter.tooth_passing_Hz, scene.output.vibration_share
+        passing = parts.cutter.tooth_passing_Hz if parts.cutter is not None else 0.0
+        share = scene.output.vibration_share
         self._vibration = Vibration(passing, share=share, step_s=TICK_S)
         self._layers = len(tissue.layer_names)
         self._rotation = np.full((3, 3), np.nan)

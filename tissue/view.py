@@ -1,19 +1,37 @@
-"""A saved run in a window, or as a screenshot: the bone, the tool on its path, and its force."""
+"""A saved run in a window, as a screenshot or as a movie: bone or fields, the tool on its path, and its force."""
 
+import json
+import math
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
+
 from meshes.errors import InputError
-from tissue.offscreen import display_problem, draw_apart
+from tissue.movie import check_movie
+from tissue.offscreen import LONGEST_S, display_problem, draw_apart
 from tissue.run_folder import SavedRun
-from tissue.viewer import scene_of, show
-from tissue.viewer_fields import field_names
+from tissue.viewer import show
+from tissue.viewer_frames import SavedFields, field_names
+from tissue.viewer_run import scene_of
+from tissue.viewer_window import Choice
 
 __all__ = ["view"]
 
+LONGEST_MOVIE_S = 3600.0
+"""How long a movie may take to draw [s]."""
+
 
 def view(
-    path: str | Path, *, screenshot: Path | None = None, hide: tuple[str, ...] = (), field: str | None = None
+    path: str | Path,
+    *,
+    screenshot: Path | None = None,
+    movie: Path | None = None,
+    hide: tuple[str, ...] = (),
+    field: str | None = None,
+    scale: float = 1.0,
+    time_s: float | None = None,
 ) -> str:
     """Show a run, or draw it into a file.
 
@@ -23,10 +41,16 @@ def view(
         Folder that `tissue run` wrote, of a run that ended or was stopped.
     screenshot
         PNG file to write instead of opening a window; an existing one is replaced.
+    movie
+        MP4 or GIF file to write instead of opening a window; an existing one is replaced.
     hide
         Layers that are switched off at first.
     field
         Field that is shown at first in place of the bone, ``von_mises_MPa`` for one.
+    scale
+        How many times its size the displacement is drawn at first.
+    time_s
+        Moment that is shown at first [s]; without it that of the greatest force.
 
     Returns
     -------
@@ -35,40 +59,90 @@ def view(
     Raises
     ------
     InputError
-        If the folder holds no run, there is no such layer or field, no display for a window, or the picture cannot be
-        drawn.
+        If the folder holds no run or nothing to show, there is no such layer, field or moment, no display for a window,
+        or the picture cannot be drawn.
     """
     saved = SavedRun(path)
     said = _about(saved)
-    _check(saved, hide, field)
-    if screenshot is None:
+    choice = Choice(hide=hide, field=field, scale=scale, time_s=time_s)
+    _check(saved, choice)
+    if movie is not None:
+        check_movie(movie)
+        if len(_times(saved)) < 2:
+            raise InputError(f"movie must be of a run that lasts, got {saved.path}: use --screenshot")
+        if time_s is not None:
+            raise InputError(
+                f"time_s must be left out with movie, which shows all of them, got {time_s:g}: leave it out"
+            )
+    if screenshot is not None:
+        if screenshot.suffix.lower() != ".png":
+            raise InputError(f"screenshot must be a .png file, got {screenshot}: use {screenshot.with_suffix('.png')}")
+        if not screenshot.absolute().parent.is_dir():
+            raise InputError(f"screenshot must lie in an existing folder, got {screenshot}: make the folder first")
+    if screenshot is None and movie is None:
         problem = display_problem()
         if problem is not None:
-            raise InputError(f"view must have a display to open a window, but {problem}: pass --screenshot FILE")
-        show(saved, said, hide=hide, field=field)
-        return said
-    if screenshot.suffix.lower() != ".png":
-        raise InputError(f"screenshot must be a .png file, got {screenshot}: use {screenshot.with_suffix('.png')}")
-    if not screenshot.absolute().parent.is_dir():
-        raise InputError(f"screenshot must lie in an existing folder, got {screenshot}: make the folder first")
-    screenshot.open("ab").close()
-    problem = draw_apart("tissue.view", str(saved.path), str(screenshot), field or "", *hide)
+            raise InputError(
+                f"view must have a display to open a window, but {problem}: pass --screenshot FILE or --movie FILE"
+            )
+        show(saved, said, choice)
+    for kind, file in (("screenshot", screenshot), ("movie", movie)):
+        if file is not None:
+            _draw(saved, choice, kind, file)
+            said += f"\n{kind} in {file}"
+    return said
+
+
+def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path) -> None:
+    """Draw a file in a process of its own; where that fails, nothing new is left behind."""
+    file.open("ab").close()
+    longest_s = LONGEST_MOVIE_S if kind == "movie" else LONGEST_S
+    chosen = json.dumps(asdict(choice))
+    problem = draw_apart("tissue.view", str(saved.path), kind, str(file), chosen, longest_s=longest_s)
     if problem is not None:
-        if screenshot.stat().st_size == 0:
-            screenshot.unlink()
-        raise InputError(f"screenshot must be drawn in 3D, but {problem}")
-    return f"{said}\nscreenshot in {screenshot}"
+        if file.stat().st_size == 0:
+            file.unlink()
+        raise InputError(f"{kind} must be drawn in 3D, but {problem}")
 
 
-def _check(saved: SavedRun, hide: tuple[str, ...], field: str | None) -> None:
-    """Refuse names that the run does not have."""
-    layers = saved.summary.get("layers", [])
-    for name in hide:
+def _check(saved: SavedRun, choice: Choice) -> None:
+    """Refuse what the run does not have."""
+    fields = field_names(saved.path)
+    ticks = saved.trace is not None and len(saved.trace.rows) > 0
+    if saved.complete and not ticks and not fields and not (saved.path / "bone.vtp").is_file():
+        raise InputError(
+            f"run must hold a trace, bone or frames to be shown, got none of them in {saved.path}: run the scene again"
+        )
+    layers = [*saved.summary.get("layers", [])]
+    if fields:
+        layers += [name for name in SavedFields(saved.path).layer_names if name not in layers]
+    for name in choice.hide:
         if name not in layers:
             raise InputError(f"hide must name a layer of the run, got {name}: use one of {', '.join(layers)}")
-    if field is not None and field not in (fields := field_names(saved.path)):
+    if choice.field is not None and choice.field not in fields:
         known = f"use one of {', '.join(fields)}" if fields else "this run has none, leave it out"
-        raise InputError(f"field must name a field of the run, got {field}: {known}")
+        raise InputError(f"field must name a field of the run, got {choice.field}: {known}")
+    if not (math.isfinite(choice.scale) and choice.scale >= 0.0):
+        raise InputError(f"scale must be a number of at least 0, got {choice.scale:g}: use 1 for true size")
+    if choice.scale != 1.0 and (not fields or SavedFields(saved.path).displacement is None):
+        raise InputError(f"scale must be left out for a run without displacement, got {choice.scale:g}: leave it out")
+    if choice.time_s is not None:
+        times = _times(saved)
+        if not len(times):
+            raise InputError(f"time_s must lie in the run, got {choice.time_s:g} for a run without ticks: leave it out")
+        first, last = float(times[0]), float(times[-1])
+        if not first - 1e-9 <= choice.time_s <= last + 1e-9:
+            nearest = last if choice.time_s > last else first
+            raise InputError(
+                f"time_s must lie in the run, {first:g} to {last:g} s, got {choice.time_s:g}: use {nearest:g}"
+            )
+
+
+def _times(saved: SavedRun) -> np.ndarray:
+    """Moments that can be shown [s]."""
+    if saved.trace is not None and len(saved.trace.rows):
+        return saved.trace["time_s"]
+    return SavedFields(saved.path).times_s if field_names(saved.path) else np.zeros(0)
 
 
 def _about(saved: SavedRun) -> str:
@@ -99,5 +173,6 @@ def _planned_s(saved: SavedRun) -> float | None:
 
 if __name__ == "__main__":
     finished = SavedRun(sys.argv[1])
-    png, shown, *hidden = sys.argv[2:]
-    show(finished, _about(finished), Path(png), hide=tuple(hidden), field=shown or None)
+    wanted, into, chosen = sys.argv[2:]
+    shown = json.loads(chosen)
+    show(finished, _about(finished), Choice(**shown | {"hide": tuple(shown["hide"])}), **{wanted: Path(into)})

@@ -90,7 +90,7 @@ class BoneShown:
     Parameters
     ----------
     plotter
-        Where it is shown; the key c and the digits are bound there.
+        Where it is shown; the key c is bound there.
     surface
         Its surface [mm] with cell array ``layer``, field ``layer_names`` and perhaps point array ``removed_depth_mm``.
     voxels
@@ -99,9 +99,9 @@ class BoneShown:
     Attributes
     ----------
     layers
-        Layers that can be switched, by name; the first has the key 1.
+        Layers that can be switched, by name.
     help
-        Its keys, in words.
+        Its key, in words; empty where it has none.
     """
 
     def __init__(self, plotter: Any, surface: "pyvista.PolyData", voxels: VoxelVolume | None) -> None:
@@ -114,18 +114,13 @@ class BoneShown:
             present = np.unique(voxels.layer[voxels.fraction > 0])
         self._index = {names[int(i)]: int(i) for i in present}
         self.layers = list(self._index)
-        self._hidden: set[str] = set()
+        self._hidden: frozenset[str] = frozenset()
         self._deep = DEPTH in surface.point_data
         self._limit = float(max(surface.point_data[DEPTH].max(), 1e-3)) if self._deep else 0.0
         self._by_depth, self._visible = self._deep, True
-        self.help: list[str] = []
+        self.help = "c: removed depth or layer" if self._deep else ""
         if self._deep:
-            self.help.append("c: removed depth or layer")
             plotter.add_key_event("c", self.change)
-        if len(self.layers) > 1:
-            self.help.append("  ".join(f"{n}: {name}" for n, name in enumerate(self.layers[:9], 1)) + " on or off")
-            for number, name in enumerate(self.layers[:9], 1):
-                plotter.add_key_event(str(number), lambda name=name: self.toggle(name))
         self._part = surface
         self._draw()
 
@@ -135,14 +130,13 @@ class BoneShown:
         self._draw()
         self._plotter.render()
 
-    def toggle(self, *names: str) -> None:
-        """Switch layers on or off, and colour the bone by layer."""
-        self._hidden ^= set(names)
+    def hide(self, hidden: frozenset[str]) -> None:
+        """Leave out some layers, and colour the bone by layer."""
+        self._hidden = hidden
         self._by_depth = False
         shown = [index for name, index in self._index.items() if name not in self._hidden]
         self._part = surface_of_layers(self._whole, self._voxels, shown) if self._hidden else self._whole
         self._draw()
-        self._plotter.render()
 
     def show(self, visible: bool) -> None:
         """Show the bone or hide it."""
@@ -192,14 +186,14 @@ class BoneShown:
             DEPTH_TITLE,
             mapper=actor.mapper,
             vertical=True,
-            position_x=0.9,
+            position_x=0.87,
             position_y=0.45,
             height=0.42,
-            width=0.06,
+            width=0.07,
             color="black",
             fmt="%.2f",
-            title_font_size=14,
-            label_font_size=14,
+            title_font_size=24,
+            label_font_size=24,
             below_label="",
             render=False,
         )

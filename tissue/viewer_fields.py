@@ -1,30 +1,41 @@
-"""The stress in the window of `tissue view`: the frame of the moment, cut open at the tool."""
+"""The fields in the window of `tissue view`: the deformed mesh of the moment, cut open where the clip plane lies."""
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    import pyvista
+from tissue.viewer_frames import SavedFields, field_label, field_values
 
-__all__ = ["FieldsShown", "field_names"]
+__all__ = ["REFERENCE", "FieldsShown", "Plane", "PointValues", "interpolated"]
 
-PEAK = 99.8
-"""Percentile of the stress that ends its scale: single cells at the tool stand out from it."""
-SPAN = 1e-3
-"""Lowest stress of a logarithmic scale, as a share of its highest."""
+Plane = tuple[tuple[float, float, float], tuple[float, float, float]]
+"""Normal and a point [mm]; what lies on the normal's side is left out."""
+SIGNED, STRESS, OTHER = "coolwarm", "inferno", "viridis"
+"""Scales that colour-blind readers can follow (Moreland 2009; van der Walt and Smith 2015)."""
+REFERENCE, SHOWN = "reference_mm", "shown"
+"""Arrays that are only there to be drawn and read."""
 
 
-def field_names(folder: Path) -> list[str]:
-    """Names of the cell fields that a run's folder holds, one number a cell; von Mises stress comes first."""
-    if not (folder / "fields.pvd").is_file():
-        return []
-    reader = _reader(folder)
-    if not reader.time_values:
-        return []
-    return _names(_frame(reader, 0))
+@dataclass(frozen=True)
+class PointValues:
+    """What the fields are at a point of the material.
+
+    Attributes
+    ----------
+    place_mm
+        Where it is drawn [mm], shape (3,).
+    values
+        Its fields by name.
+    layer
+        Layer that it belongs to; empty where there are none.
+    """
+
+    place_mm: NDArray[np.float64]
+    values: dict[str, Any]
+    layer: str
 
 
 class FieldsShown:
@@ -34,33 +45,38 @@ class FieldsShown:
     ----------
     plotter
         Where they are shown.
-    folder
-        A run's folder with ``fields.pvd``.
-    cut_mm
-        Coordinate y of the plane that the mesh is cut open at; what lies before it is left out [mm].
+    fields
+        The fields.
+    scale
+        How many times its size the displacement is drawn.
+    clip
+        Plane that the mesh is cut open at, or None.
 
     Attributes
     ----------
     name
         The field that is shown, or None.
+    actor
+        What can be picked in the plotter, or None; its mesh has the point array ``reference_mm``.
+    drawn
+        Called after every change of what is shown, with nothing; whoever makes a change renders it.
     """
 
-    def __init__(self, plotter: Any, folder: Path, *, cut_mm: float) -> None:
-        self._plotter, self._cut_mm = plotter, cut_mm
-        self._reader = _reader(folder)
-        self._times = np.array(self._reader.time_values)
-        self._frames: list[Any] = []
-        self._limits: dict[str, tuple[float, float]] = {}
-        self._index = 0
-        self.names = field_names(folder)
+    def __init__(self, plotter: Any, fields: SavedFields, *, scale: float = 1.0, clip: Plane | None = None) -> None:
+        self._plotter, self._fields = plotter, fields
+        self.scale, self.clip = scale, clip
+        self._time_s = 0.0
+        self._hidden: frozenset[str] = frozenset()
         self.name: str | None = None
+        self.actor: Any = None
+        self.drawn: list[Callable[[], None]] = []
         self._title = ""
+        self._last: tuple[Any, ...] | None = None
 
-    def next(self) -> str | None:
-        """Show the next field, after the last one none; its name."""
-        choices = [*self.names, None]
-        self.show(choices[0] if self.name is None else choices[choices.index(self.name) + 1])
-        return self.name
+    @property
+    def bounds_mm(self) -> tuple[float, ...]:
+        """Ends of the box around the first frame, x, y, z, low and high each [mm]."""
+        return tuple(self._fields.frames[0].bounds)
 
     def show(self, name: str | None) -> None:
         """Show a field, or none."""
@@ -68,39 +84,101 @@ class FieldsShown:
         self._draw()
 
     def at(self, time_s: float) -> None:
-        """Show the moment: the last frame up to it."""
-        index = int(np.clip(np.searchsorted(self._times, time_s + 1e-9) - 1, 0, len(self._times) - 1))
-        if index != self._index:
-            self._index = index
-            if self.name is not None:
-                self._draw()
+        """Show the moment."""
+        self._time_s = time_s
+        self._draw()
+
+    def enlarge(self, scale: float) -> None:
+        """Draw the displacement so many times its size."""
+        self.scale = scale
+        self._draw()
+
+    def cut(self, clip: Plane | None) -> None:
+        """Cut the mesh open at a plane, or leave it whole."""
+        self.clip = clip
+        self._draw()
+
+    def hide(self, hidden: frozenset[str]) -> None:
+        """Leave out the cells of some layers."""
+        self._hidden = hidden
+        self._draw()
+
+    def read(self, reference_mm: NDArray[np.float64]) -> PointValues | None:
+        """Values at a point of the material, by where it lay before loading [mm]; None where no cell is left."""
+        mesh, _ = self._fields.at(self._time_s)
+        if not mesh.n_cells:
+            return None
+        found: Any = mesh.find_closest_cell(reference_mm, return_closest_point=True)
+        index, closest = found
+        if np.linalg.norm(closest - reference_mm) > 1e-3 * self._fields.size_mm:
+            return None
+        cell, layers = int(index), self._fields.layer_names
+        values: dict[str, Any] = {}
+        for name in self._fields.names:
+            if name in mesh.cell_data:
+                values[name] = mesh.cell_data[name][cell]
+            elif name in mesh.point_data:
+                values[name] = interpolated(mesh, cell, closest, name)
+        moved = self._fields.unit_mm * values.get(self._fields.displacement or "", np.zeros(3))
+        layer = layers[int(mesh.cell_data["layer"][cell])] if layers else ""
+        return PointValues(reference_mm + self.scale * moved, values, layer)
 
     def _draw(self) -> None:
-        plotter = self._plotter
-        plotter.remove_actor("field", reset_camera=False, render=False)
-        if self._title in plotter.scalar_bars:
-            plotter.remove_scalar_bar(self._title, render=False)
+        key = (self.name, self.scale, self.clip, self._hidden)
         if self.name is None:
-            return
-        if not self._frames:
-            self._frames = [_frame(self._reader, index) for index in range(len(self._times))]
-        frame = self._frames[self._index]
-        if self.name not in frame.cell_data:
-            return
-        mesh = frame.clip(normal=(0.0, -1.0, 0.0), origin=(0.0, self._cut_mm + 1e-4, 0.0))
+            if self.actor is not None:
+                self._clear()
+        else:
+            mesh, shown_s = self._fields.at(self._time_s)
+            if (*key, shown_s) == self._last:
+                return
+            self._clear()
+            self._last = (*key, shown_s)
+            self._add(mesh, shown_s, self.name)
+        for call in self.drawn:
+            call()
+
+    def _clear(self) -> None:
+        self._plotter.remove_actor("field", reset_camera=False, render=False)
+        if self._title in self._plotter.scalar_bars:
+            self._plotter.remove_scalar_bar(self._title, render=False)
+        self.actor, self._last = None, None
+
+    def _part(self, mesh: Any) -> Any:
+        """What is left of a mesh without the hidden layers and in front of the clip plane, deformed."""
+        import pyvista
+
+        names = self._fields.layer_names
+        keep = [index for index, name in enumerate(names) if name not in self._hidden]
+        if len(keep) < len(names):
+            mesh = mesh.extract_cells(np.isin(mesh.cell_data["layer"], keep))
         if not mesh.n_cells:
+            return mesh
+        moved = mesh.copy(deep=False)
+        moved.point_data[REFERENCE] = np.array(mesh.points)
+        place = np.asarray(mesh.points) + np.float32(self.scale) * self._fields.moved_mm(mesh)
+        moved.SetPoints(pyvista.vtk_points(place, deep=True))  # to set them through .points would move the frame too
+        if self.clip is not None:
+            normal, origin = self.clip
+            moved = moved.clip(normal=normal, origin=origin)
+        return moved
+
+    def _add(self, mesh: Any, shown_s: float, name: str) -> None:
+        if field_values(mesh, name) is None:
             return
-        if self.name not in self._limits:
-            self._limits[self.name] = self._limit(self.name)
-        low, high = self._limits[self.name]
-        signed = low < 0.0
-        actor = plotter.add_mesh(
-            mesh,
-            scalars=self.name,
-            preference="cell",
-            cmap="coolwarm" if signed else "inferno",
+        part = self._part(mesh)
+        if not part.n_cells:
+            return
+        in_cells = name in part.cell_data
+        (part.cell_data if in_cells else part.point_data)[SHOWN] = field_values(part, name)
+        low, high = self._fields.limits(name)
+        self.actor = self._plotter.add_mesh(
+            part,
+            scalars=SHOWN,
+            preference="cell" if in_cells else "point",
+            cmap=SIGNED if low < 0.0 else STRESS if low > 0.0 else OTHER,
             clim=(low, high),
-            log_scale=not signed,
+            log_scale=low > 0.0,
             name="field",
             ambient=0.6,
             diffuse=0.45,
@@ -108,44 +186,32 @@ class FieldsShown:
             reset_camera=False,
             render=False,
         )
-        words, _, unit = self.name.rpartition("_")
-        words = words.replace("_", " ").replace("mises", "Mises")
-        self._title = f"{words} / {unit}\nat {self._times[self._index]:.3f} s"
-        plotter.add_scalar_bar(
+        words, unit = field_label(name)
+        self._title = f"{words}{f' / {unit}' if unit else ''}\nat {shown_s:.3f} s"
+        if self.scale != 1.0 and self._fields.displacement is not None:
+            self._title += f"\ndrawn × {self.scale:.3g}"
+        self._plotter.add_scalar_bar(
             self._title,
-            mapper=actor.mapper,
+            mapper=self.actor.mapper,
             vertical=True,
-            position_x=0.88,
+            position_x=0.87,
             position_y=0.42,
             height=0.42,
-            width=0.06,
+            width=0.07,
             color="black",
             fmt="%.2g",
-            title_font_size=14,
-            label_font_size=14,
+            title_font_size=24,
+            label_font_size=24,
             render=False,
         )
 
-    def _limit(self, name: str) -> tuple[float, float]:
-        """Ends of a field's scale over the whole run; symmetric about 0 where it has two signs."""
-        values: list[NDArray[np.float32]] = [frame.cell_data[name] for frame in self._frames if name in frame.cell_data]
-        peak = max((float(np.percentile(np.abs(one), PEAK)) for one in values if one.size), default=0.0) or 1.0
-        signed = any(float(one.min(initial=0.0)) < 0.0 for one in values)
-        return (-peak, peak) if signed else (SPAN * peak, peak)
 
+def interpolated(mesh: Any, cell: int, place_mm: NDArray[np.float64], name: str) -> NDArray[np.float64]:
+    """A point array at a place in one of a mesh's cells, by the cell's own shape functions."""
+    from vtkmodules.vtkCommonCore import reference
 
-def _reader(folder: Path) -> Any:
-    import pyvista
-
-    return pyvista.get_reader(folder / "fields.pvd")
-
-
-def _frame(reader: Any, index: int) -> "pyvista.UnstructuredGrid":
-    reader.set_active_time_point(index)
-    mesh: pyvista.UnstructuredGrid = reader.read()[0]
-    return mesh
-
-
-def _names(mesh: "pyvista.UnstructuredGrid") -> list[str]:
-    names = [name for name, values in mesh.cell_data.items() if name != "layer" and values.ndim == 1]
-    return sorted(names, key=lambda name: (not name.startswith("von_mises"), names.index(name)))
+    one = mesh.GetCell(cell)
+    nodes = [one.GetPointId(i) for i in range(one.GetNumberOfPoints())]
+    shares = [0.0] * len(nodes)
+    one.EvaluatePosition(list(map(float, place_mm)), [0.0] * 3, reference(0), [0.0] * 3, reference(0.0), shares)
+    return np.asarray(np.array(shares) @ np.asarray(mesh.point_data[name], dtype=np.float64)[nodes])

@@ -14,8 +14,8 @@ from tissue.load import scene_names, scene_text
 from tissue.trace import TraceWriter
 
 COARSE = ("--set", "voxels.spacing_mm=0.4", "--no-pictures")
-PARTS = "name, description, seed, duration_s, anatomy, voxels, tool, motion, cutting, output, stress, heat"
-CUTTERS = "ball-burr, pear-bur, cylinder, twist-drill, hemispherical-reamer, flat-reamer"
+PARTS = "name, description, seed, duration_s, anatomy, voxels, tool, motion, cutting, output, stress, heat, organ"
+CUTTERS = "ball-burr, pear-bur, cylinder, twist-drill, hemispherical-reamer, flat-reamer, sphere-probe, cylinder-probe, shell-probe, needle"
 POINTS = "motion.points_mm must be a list of at least two points [x, y, z], got"
 
 
@@ -69,7 +69,7 @@ POINTS = "motion.points_mm must be a list of at least two points [x, y, z], got"
         ("motion.kind=thrust", "motion.thrust_N must be given, got nothing: add thrust_N = 40"),
         ("motion.kind=replay", 'motion.file must be given, got nothing: add file = "runs/glenoid/trace.csv"'),
         ("motion={}", "motion.kind must be given, got nothing: see `tissue scenes NAME`"),
-        ("tool={}", 'tool.kind must be given, got nothing: add kind = "ball-burr"'),
+        ("tool={}", 'tool.kind must be given, got nothing: see `tissue scenes NAME`'),
         ("motion.points_mm=[[0,0,1]]", f"{POINTS} [[0, 0, 1]]: use [[0, 0, 0.5], [0, 0, -2]]"),
         ("motion.points_mm=7", f"{POINTS} 7: use [[0, 0, 0.5], [0, 0, -2]]"),
         ("motion.points_mm=[[0,0],[1,1,1]]", f"{POINTS} [[0, 0], [1, 1, 1]]: use [[0, 0, 0.5], [0, 0, -2]]"),

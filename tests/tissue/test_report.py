@@ -181,7 +181,7 @@ def test_pictures_without_opengl_say_what_to_install(run, tmp_path, monkeypatch)
 
 def test_a_drawing_process_that_dies_leaves_this_one_alive(tmp_path, monkeypatch):
     monkeypatch.setattr("tissue.offscreen._windows", lambda: iter(("",)))
-    monkeypatch.setattr("tissue.offscreen.START", "import os; os.abort()")
+    monkeypatch.setattr("tissue.child.START", "import os; os.abort()")
     problem = draw_apart("tissue.rendering")
     assert problem is not None and "OpenGL does not work on this machine (exit code" in problem
 

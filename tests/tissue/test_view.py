@@ -14,6 +14,8 @@ from tissue.series import write_fields
 from tissue.view import view
 from tissue.viewer_bone import BoneShown, read_voxels, surface_of_layers
 from tissue.viewer_fields import FieldsShown
+from tissue.viewer_frames import SavedFields
+from tissue.viewer_layers import LayerKeys
 
 
 @pytest.fixture(scope="module")
@@ -131,8 +133,9 @@ def test_keys_switch_layers_and_colours(layered):
     pyvista = pytest.importorskip("pyvista")
     plotter = Seen()
     bone = BoneShown(plotter, pyvista.read(layered / "bone.vtp"), read_voxels(layered / "bone.vti"))
-    assert bone.help[0] == "c: removed depth or layer"
-    assert bone.help[1] == "  ".join(f"{n}: {name}" for n, name in enumerate(bone.layers, 1)) + " on or off"
+    keys = LayerKeys(plotter, bone.layers, targets=[bone.hide])
+    assert bone.help == "c: removed depth or layer"
+    assert keys.help == "  ".join(f"{n}: {name}" for n, name in enumerate(bone.layers, 1)) + " on or off"
     assert list(plotter.scalar_bars) == ["removed depth / mm"] and not plotter.legend
     whole = plotter.meshes["bone"][0].n_cells
     plotter.keys["1"]()
@@ -151,10 +154,10 @@ def test_keys_switch_layers_and_colours(layered):
 
 def test_stress_follows_the_time(layered):
     plotter = Seen()
-    fields = FieldsShown(plotter, layered, cut_mm=0.5)
+    fields = FieldsShown(plotter, SavedFields(layered), clip=((0.0, -1.0, 0.0), (0.0, 0.5, 0.0)))
     fields.at(0.2)
     assert not plotter.meshes
-    assert fields.next() == "von_mises_MPa"
+    fields.show("von_mises_MPa")
     mesh, _, look = plotter.meshes["field"]
     # The last frame up to 0.2 s is the one at 0.1 s, in which the stress is |x| + 1; what lies before the cut is gone.
     assert mesh.cell_data["von_mises_MPa"].min() == pytest.approx(2.0)
@@ -163,10 +166,16 @@ def test_stress_follows_the_time(layered):
     fields.at(0.3)
     assert plotter.meshes["field"][0].cell_data["von_mises_MPa"].min() == pytest.approx(3.5)
     assert list(plotter.scalar_bars) == ["von Mises / MPa\nat 0.250 s"]
-    assert fields.next() == "principal_1_MPa"
+    fields.show("principal_1_MPa")
     look = plotter.meshes["field"][2]
     assert not look["log_scale"] and look["clim"][0] == -look["clim"][1]
-    assert fields.next() is None
+    # Displaced by its own place times the time, the mesh is a quarter larger; the plane stays where it is.
+    fields.show("displacement_um")
+    fields.enlarge(1e3)
+    mesh, _, look = plotter.meshes["field"]
+    assert mesh.bounds[1] == pytest.approx(8.0 * 1.25, rel=1e-5) and mesh.bounds[2] == pytest.approx(0.5, abs=1e-3)
+    assert not look["log_scale"] and look["clim"][0] == 0.0
+    fields.show(None)
     assert not plotter.meshes and not plotter.scalar_bars
 
 
@@ -228,7 +237,7 @@ def test_without_a_display_the_remedy_is_a_screenshot(whole, monkeypatch):
     monkeypatch.setattr("tissue.offscreen.sys.platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     assert display_problem() == "there is no display (DISPLAY is not set)"
-    with pytest.raises(InputError, match=r"DISPLAY is not set\): pass --screenshot FILE$"):
+    with pytest.raises(InputError, match=r"DISPLAY is not set\): pass --screenshot FILE or --movie FILE$"):
         view(whole)
 
 

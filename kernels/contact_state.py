@@ -1,0 +1,106 @@
+"""What the contact kernels share: a body's surface, its contact points, work lists, and places in the results."""
+
+import warp as wp
+
+from kernels.probe_distance import SHELL, Pose, axis_distance
+
+__all__ = [
+    "AREA", "CONTACTS", "DEEPEST", "DONE", "FORCE", "IMMOVABLE", "LARGEST", "MISSING", "RESULTS", "RUN_OUT", "STATE",
+    "SWEEPS", "TORQUE", "Body", "Lists", "Points", "block", "displaced", "distance_to", "pose_of",
+]  # fmt: skip
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+FORCE, TORQUE, STATE, SWEEPS, CONTACTS, AREA, DEEPEST, LARGEST, RESULTS = 0, 3, 6, 7, 8, 9, 10, 11, 12
+"""Places in the results: on the tool [N], [N m]; end of the solve; counts; [m2]; deepest point and largest way [m]."""
+DONE, RUN_OUT, IMMOVABLE, MISSING = 0, 1, 2, 3
+"""Ends of a solve."""
+
+
+@wp.struct
+class Body:
+    """Surface of a body, s nodes and f triangles."""
+
+    free: wp.array(dtype=wp.vec3d)  # [node], positions without contact [m]
+    last_free: wp.array(dtype=wp.vec3d)  # [node], those of the last tick [m]
+    scale: wp.float64  # of the compliance
+    compliance: wp.array2d(dtype=wp.float64)  # [3 node, 3 node] [m/N]
+    corners: wp.array2d(dtype=wp.int32)  # [triangle, 3]
+    force: wp.array(dtype=wp.vec3d)  # [node] [N]
+    moved: wp.array(dtype=wp.vec3d)  # [node], displacement of nodes nearby before this tick [m]
+
+
+@wp.struct
+class Points:
+    """Contact points and what they carry."""
+
+    first: wp.array(dtype=wp.int32)  # [triangle], its first point, -1 for none
+    following: wp.array(dtype=wp.int32)  # [point], next point of the triangle, -1 after the last
+    weight: wp.array(dtype=wp.vec3d)  # [point], barycentric
+    area: wp.array(dtype=wp.float64)  # [point] [m2]
+    tool_point: wp.array(dtype=wp.vec3d)  # [point], of a shell, now [m]
+    tool_normal: wp.array(dtype=wp.vec3d)
+    force: wp.array(dtype=wp.vec3d)  # [point], on the body [N]
+    anchor: wp.array(dtype=wp.vec3d)  # [point], where the tool has carried the point's last place [m]
+    response: wp.array2d(dtype=wp.mat33d)  # [point, 5]: of the three nodes and of itself [m/N], and the inverse [N/m]
+    ready: wp.array(dtype=wp.int32)  # [point], 1 once the responses are there
+
+
+@wp.struct
+class Lists:
+    """Work lists; the counts are those of nearby triangles, nearby nodes, working triangles, loaded nodes, ticks."""
+
+    count: wp.array(dtype=wp.int32)  # [5]
+    near: wp.array(dtype=wp.int32)  # triangles
+    near_node: wp.array(dtype=wp.int32)
+    near_mark: wp.array(dtype=wp.int32)  # [node], tick in which the node was nearby
+    working: wp.array(dtype=wp.int32)  # triangles
+    working_mark: wp.array(dtype=wp.int32)  # [triangle], 1 while it works
+    loaded: wp.array(dtype=wp.int32)  # nodes
+    loaded_mark: wp.array(dtype=wp.int32)  # [node], 1 while loaded
+
+
+@wp.func
+def pose_of(pose: wp.array2d(dtype=wp.float64)):
+    """Pose from rows: tip, rotation, last tip, last rotation."""
+    now = Pose()
+    now.tip = wp.vec3d(pose[0, 0], pose[0, 1], pose[0, 2])
+    now.last_tip = wp.vec3d(pose[4, 0], pose[4, 1], pose[4, 2])
+    for i in range(3):
+        for j in range(3):
+            now.turn[i, j] = pose[1 + i, j]
+            now.last_turn[i, j] = pose[5 + i, j]
+    return now
+
+
+@wp.func
+def block(body: Body, a: int, b: int):
+    """Compliance between two nodes [m/N]."""
+    compliance = body.compliance
+    i = 3 * a
+    j = 3 * b
+    return body.scale * wp.mat33d(
+        compliance[i, j], compliance[i, j + 1], compliance[i, j + 2],
+        compliance[i + 1, j], compliance[i + 1, j + 1], compliance[i + 1, j + 2],
+        compliance[i + 2, j], compliance[i + 2, j + 1], compliance[i + 2, j + 2],
+    )  # fmt: skip
+
+
+@wp.func
+def displaced(body: Body, lists: Lists, node: int):
+    """Displacement of a node under all loaded nodes [m]."""
+    total = wp.vec3d()
+    for k in range(lists.count[3]):
+        other = lists.loaded[k]
+        total += block(body, node, other) * body.force[other]
+    return total
+
+
+@wp.func
+def distance_to(kind: int, size: wp.vec2d, pose: Pose, points: Points, point: int, place: wp.vec3d):
+    """Distance to the tool [m] and its gradient at a contact point."""
+    if kind == SHELL:
+        way = points.tool_normal[point]
+        return wp.dot(place - points.tool_point[point], way), way
+    distance, way = axis_distance(kind, size, pose, place)
+    return distance, way

@@ -1,0 +1,170 @@
+"""Which points of a tool's shell are about to touch, and the plane each of them must stay above.
+
+A point that is far from everything sleeps until the shell has travelled as far as it was away. A point of the shell
+that lies near voxels keeps up to two planes it met before beside the present one, because at an inner corner one plane
+at a time makes it swing from face to face (Zilles and Salisbury 1995). A kept plane is dropped as soon as it would cut
+off space that the present distance shows to be free.
+"""
+
+import warp as wp
+
+from kernels.voxmap import Field, solid_distance, voxel_clearance, voxel_level
+
+__all__ = ["VOXEL_PLANES", "Contacts", "Shell", "collect"]
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+VOXEL_PLANES = 3
+"""Planes a shell point may hold on voxels: the present one and two it met before."""
+ZERO = wp.constant(wp.float64(0.0))
+FAR = wp.constant(wp.float64(1.0e30))
+LEAST_SLOPE = wp.constant(wp.float64(0.5))
+"""A flatter level is read as one this steep, so that a point never believes to be farther away than a voxel."""
+SAME_WAY = wp.constant(wp.float64(0.9995))
+SLACK = wp.constant(wp.float64(1.0e-3))
+"""Share of a voxel by which a kept plane may cut off free space."""
+
+
+@wp.struct
+class Shell:
+    """A tool as balls of one radius on its surface."""
+
+    point: wp.array(dtype=wp.vec3d)  # in the tool's frame [m]
+    radius: wp.float64  # [m]
+    reach: wp.float64  # greatest distance of a point from the tool's origin [m]
+
+
+@wp.struct
+class Contacts:
+    """What the shell remembers of its contacts, and room to solve them. A slot is a point with one solid or plane."""
+
+    slots: int  # a point
+    press: wp.array(dtype=wp.float64)  # [slot], normal force over the coupling's stiffness [m]
+    wake: wp.array(dtype=wp.float64)  # [point], travel at which it may touch something [m]
+    plane_normal: wp.array2d(dtype=wp.vec3d)  # [point, plane], zero where there is none
+    plane_offset: wp.array2d(dtype=wp.float64)  # [m]
+    # candidates of the present pose
+    slot: wp.array(dtype=wp.int32)
+    arm: wp.array(dtype=wp.vec3d)  # from the tool's origin, in the world's axes [m]
+    normal: wp.array(dtype=wp.vec3d)
+    moment: wp.array(dtype=wp.vec3d)  # arm x normal [m]
+    gap: wp.array(dtype=wp.float64)  # [m]
+    chosen: wp.array(dtype=wp.int32)  # 1 for a member of the active set
+    # active set
+    member: wp.array(dtype=wp.int32)
+    lower: wp.array2d(dtype=wp.float64)
+    side: wp.array2d(dtype=wp.float64)
+
+
+@wp.func
+def add_candidate(contacts: Contacts, count: int, slot: int, arm: wp.vec3d, normal: wp.vec3d, gap: wp.float64):
+    """Note one plane that a point must stay above; the number of candidates."""
+    contacts.slot[count] = slot
+    contacts.arm[count] = arm
+    contacts.normal[count] = normal
+    contacts.moment[count] = wp.cross(arm, normal)
+    contacts.gap[count] = gap
+    return count + 1
+
+
+@wp.func
+def forget(contacts: Contacts, point: int, first: int):
+    """Drop all planes of a point that has left the voxels."""
+    for k in range(VOXEL_PLANES):
+        contacts.plane_normal[point, k] = wp.vec3d()
+        contacts.press[first + k] = ZERO
+
+
+@wp.func
+def keep_plane(contacts: Contacts, point: int, first: int):
+    """Move the present plane of a point to where the least is lost."""
+    k = int(1)
+    if contacts.press[first + 1] > contacts.press[first + 2]:
+        k = int(2)
+    contacts.plane_normal[point, k] = contacts.plane_normal[point, 0]
+    contacts.plane_offset[point, k] = contacts.plane_offset[point, 0]
+    contacts.press[first + k] = contacts.press[first]
+    contacts.press[first] = ZERO
+
+
+@wp.func
+def collect_voxels(
+    field: Field, contacts: Contacts, point: int, first: int, arm: wp.vec3d, at: wp.vec3d, step: wp.float64, found: int
+):
+    """Planes of one point near voxels: number of candidates, its gap and how far it is surely away [m]."""
+    count = found
+    far = voxel_clearance(field, at)
+    if far > step:
+        forget(contacts, point, first)
+        return count, far, far
+    level, slope = voxel_level(field, at)
+    size = wp.length(slope)
+    gap = level / wp.max(size, LEAST_SLOPE)
+    if size == ZERO:
+        forget(contacts, point, first)
+        return count, step, ZERO
+    normal = slope / size
+    held = contacts.plane_normal[point, 0]
+    if contacts.press[first] > ZERO and wp.dot(held, normal) < SAME_WAY:
+        keep_plane(contacts, point, first)
+    contacts.plane_normal[point, 0] = normal
+    contacts.plane_offset[point, 0] = wp.dot(normal, at) - gap
+    if gap < step:
+        count = add_candidate(contacts, count, first, arm, normal, gap)
+    else:
+        contacts.press[first] = ZERO
+    for k in range(1, VOXEL_PLANES):
+        held = contacts.plane_normal[point, k]
+        above = wp.dot(held, at) - contacts.plane_offset[point, k]
+        if wp.length_sq(held) > ZERO:
+            cuts = above < gap - SLACK * field.spacing
+            if cuts or above > step or wp.dot(held, normal) > SAME_WAY:
+                contacts.plane_normal[point, k] = wp.vec3d()
+                contacts.press[first + k] = ZERO
+            else:
+                count = add_candidate(contacts, count, first + k, arm, held, above)
+    return count, gap, ZERO
+
+
+@wp.func
+def collect(
+    field: Field,
+    shell: Shell,
+    contacts: Contacts,
+    position: wp.vec3d,
+    turn: wp.mat33d,
+    travel: wp.float64,
+    step: wp.float64,
+):
+    """All planes within a ``step`` of the shell: their number, the least gap, and the way free for every point [m]."""
+    count = int(0)
+    worst = FAR
+    clear = FAR
+    solids = field.kind.shape[0]
+    for i in range(shell.point.shape[0]):
+        asleep = contacts.wake[i] - travel
+        if asleep > ZERO:
+            clear = wp.min(clear, asleep + step)
+        else:
+            arm = turn * shell.point[i]
+            at = position + arm
+            bound = FAR
+            first = i * contacts.slots
+            for s in range(solids):
+                distance, normal = solid_distance(field, s, at)
+                gap = distance - shell.radius
+                bound = wp.min(bound, gap)
+                if gap < step:
+                    # The contact point of a ball lies on its surface; it tells rolling from sliding.
+                    count = add_candidate(contacts, count, first + s, arm - shell.radius * normal, normal, gap)
+                    worst = wp.min(worst, gap)
+                else:
+                    contacts.press[first + s] = ZERO
+            if field.spacing > ZERO:
+                count, gap, far = collect_voxels(field, contacts, i, first + solids, arm, at, step, count)
+                bound = wp.min(bound, far)
+                worst = wp.min(worst, gap)
+            if bound > step:
+                contacts.wake[i] = travel + bound - step
+            clear = wp.min(clear, wp.max(bound, step))
+    return count, worst, clear

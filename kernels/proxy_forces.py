@@ -1,0 +1,151 @@
+"""Forces that keep a rigid tool above many planes, by an active set of at most eight.
+
+The tool hangs on a spring of stiffness k and, where it may turn, on one of k l^2 in rotation. Forces f_i, here over k,
+move it from where the springs would have it: ``t = t_free + sum f_i`` and ``w = w_free + sum (r_i x f_i) / l^2``. This
+is Gauss's principle of least constraint with the springs as metric (Ortega, Redon and Coquillart 2007, IEEE Trans. Vis.
+Comput. Graph. 13:458), so what the springs pull is what the contacts push.
+
+The normal forces are the multipliers of that quadratic problem. The plane most violated joins the set, the set's linear
+system is solved, and a force that would turn into a pull leaves it (Lawson and Hanson 1974). Sweeping from contact to
+contact instead would need (l / distance)^2 sweeps for two contacts close together.
+"""
+
+import warp as wp
+
+from kernels.proxy_contacts import Contacts
+
+__all__ = ["MEMBERS", "factorise", "normal_forces", "solve_set"]
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+MEMBERS = 8
+"""Planes in the set: six hold a rigid body, and one more waits while another leaves."""
+ROUNDS = 64
+ZERO = wp.constant(wp.float64(0.0))
+ONE = wp.constant(wp.float64(1.0))
+TINY = wp.constant(wp.float64(1.0e-13))
+"""Share by which the set's matrix is stiffened, so that planes that depend on each other have a solution."""
+
+
+@wp.func
+def factorise(contacts: Contacts, members: int, compliance: wp.float64):
+    """Cholesky factor of the way that each plane's force moves the tool along the others' normals."""
+    for i in range(members):
+        a = contacts.member[i]
+        for j in range(i + 1):
+            b = contacts.member[j]
+            value = wp.dot(contacts.normal[a], contacts.normal[b])
+            value += compliance * wp.dot(contacts.moment[a], contacts.moment[b])
+            if i == j:
+                value += TINY * value
+            for k in range(j):
+                value -= contacts.lower[i, k] * contacts.lower[j, k]
+            if i == j:
+                contacts.lower[i, i] = wp.sqrt(wp.max(value, TINY * TINY))
+            else:
+                contacts.lower[i, j] = value / contacts.lower[j, j]
+
+
+@wp.func
+def solve_set(contacts: Contacts, members: int, shift: wp.vec3d, turn: wp.vec3d, gaps: wp.float64, column: int):
+    """Forces of the set that undo a shift and a turn, and with ``gaps`` 1 close the gaps, into a column."""
+    for i in range(members):
+        c = contacts.member[i]
+        value = -gaps * contacts.gap[c] - wp.dot(contacts.normal[c], shift) - wp.dot(contacts.moment[c], turn)
+        for k in range(i):
+            value -= contacts.lower[i, k] * contacts.side[k, column]
+        contacts.side[i, column] = value / contacts.lower[i, i]
+    for back in range(members):
+        i = members - 1 - back
+        value = contacts.side[i, column]
+        for k in range(i + 1, members):
+            value -= contacts.lower[k, i] * contacts.side[k, column]
+        contacts.side[i, column] = value / contacts.lower[i, i]
+
+
+@wp.func
+def drop_member(contacts: Contacts, members: int, place: int):
+    """Take a plane out of the set: how many are left."""
+    c = contacts.member[place]
+    contacts.press[contacts.slot[c]] = ZERO
+    contacts.chosen[c] = 0
+    contacts.member[place] = contacts.member[members - 1]
+    return members - 1
+
+
+@wp.func
+def settle_set(contacts: Contacts, start: int, compliance: wp.float64, shift: wp.vec3d, turn: wp.vec3d):
+    """Forces of the set that close its gaps, pulls leaving it one by one: its size and the solves."""
+    members = start
+    solves = int(0)
+    blocked = int(1)
+    while blocked == 1 and members > 0:
+        blocked = int(0)
+        factorise(contacts, members, compliance)
+        solve_set(contacts, members, shift, turn, ONE, 0)
+        solves += 1
+        share = wp.float64(1.0)
+        leaves = int(-1)
+        for m in range(members):
+            old = contacts.press[contacts.slot[contacts.member[m]]]
+            new = contacts.side[m, 0]
+            if new <= ZERO:
+                way = wp.float64(0.0)
+                if old > ZERO:
+                    way = old / (old - new)
+                if leaves < 0 or way < share:
+                    share = way
+                    leaves = m
+        for m in range(members):
+            slot = contacts.slot[contacts.member[m]]
+            contacts.press[slot] += share * (contacts.side[m, 0] - contacts.press[slot])
+        if leaves >= 0:
+            members = drop_member(contacts, members, leaves)
+            blocked = int(1)
+    return members, solves
+
+
+@wp.func
+def moved_by_set(contacts: Contacts, members: int, compliance: wp.float64, shift: wp.vec3d, turn: wp.vec3d):
+    """Shift and turn once the set's forces act."""
+    moved = shift
+    turned = turn
+    for m in range(members):
+        c = contacts.member[m]
+        press = contacts.press[contacts.slot[c]]
+        moved += press * contacts.normal[c]
+        turned += compliance * press * contacts.moment[c]
+    return moved, turned
+
+
+@wp.func
+def normal_forces(
+    contacts: Contacts,
+    count: int,
+    start: int,
+    compliance: wp.float64,
+    tolerance: wp.float64,
+    shift: wp.vec3d,
+    turn: wp.vec3d,
+):
+    """Least normal forces that keep all planes, from the set as it is: its size and the solves."""
+    members, solves = settle_set(contacts, start, compliance, shift, turn)
+    for _ in range(ROUNDS):
+        moved, turned = moved_by_set(contacts, members, compliance, shift, turn)
+        deepest = -tolerance
+        worst = int(-1)
+        for c in range(count):
+            if contacts.chosen[c] == 0:
+                gap = contacts.gap[c] + wp.dot(contacts.normal[c], moved) + wp.dot(contacts.moment[c], turned)
+                if gap < deepest:
+                    deepest = gap
+                    worst = c
+        if worst < 0 or members == MEMBERS:
+            break
+        contacts.member[members] = worst
+        contacts.chosen[worst] = 1
+        members, more = settle_set(contacts, members + 1, compliance, shift, turn)
+        solves += more
+        if contacts.chosen[worst] == 0:
+            break
+    return members, solves

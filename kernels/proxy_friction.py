@@ -1,0 +1,128 @@
+"""Friction of all contacts of a rigid tool together, and the whole force of the contacts at hand.
+
+Friction acts on the resultant: at the centre of pressure, across the resultant normal force, no more than ``mu`` times
+the sum of the normal forces. It holds that point where it can, with every normal force answering at once; beyond the
+cone it works against the way that the point slips. A patch does not resist a spin about its own normal.
+"""
+
+import warp as wp
+
+from kernels.proxy_contacts import Contacts
+from kernels.proxy_forces import MEMBERS, factorise, normal_forces, solve_set
+
+__all__ = ["friction_force", "resolve"]
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+ROUNDS = 8
+"""Times that friction and normal forces are found in turn."""
+STEPS = 200
+ZERO = wp.constant(wp.float64(0.0))
+ONE = wp.constant(wp.float64(1.0))
+TINY = wp.constant(wp.float64(1.0e-13))
+EXACT = wp.constant(wp.float64(1.0e-13))
+"""Relative change of the friction force at which it is found."""
+
+
+@wp.func
+def friction_force(
+    contacts: Contacts,
+    members: int,
+    compliance: wp.float64,
+    friction: wp.float64,
+    shift: wp.vec3d,  # without any contact force
+    turn: wp.vec3d,
+    last: wp.vec3d,  # friction force found before [m]
+):
+    """Friction of the set's resultant and its arm from the tool's origin, the normal forces answering linearly."""
+    total = wp.float64(0.0)
+    along = wp.vec3d()
+    arm = wp.vec3d()
+    for m in range(members):
+        c = contacts.member[m]
+        press = contacts.press[contacts.slot[c]]
+        total += press
+        along += press * contacts.normal[c]
+        arm += press * contacts.arm[c]
+    if total <= ZERO or wp.length_sq(along) == ZERO:
+        return wp.vec3d(), wp.vec3d()
+    arm = arm / total
+    normal = wp.normalize(along)
+    side = wp.vec3d(ONE, ZERO, ZERO)
+    if wp.abs(normal[0]) > wp.float64(0.7):
+        side = wp.vec3d(ZERO, ONE, ZERO)
+    first = wp.normalize(wp.cross(normal, side))
+    second = wp.cross(normal, first)
+    factorise(contacts, members, compliance)
+    solve_set(contacts, members, shift, turn, ONE, 0)
+    solve_set(contacts, members, first, compliance * wp.cross(arm, first), ZERO, 1)
+    solve_set(contacts, members, second, compliance * wp.cross(arm, second), ZERO, 2)
+    slip = shift + wp.cross(turn, arm)
+    way_first = first + compliance * wp.cross(wp.cross(arm, first), arm)
+    way_second = second + compliance * wp.cross(wp.cross(arm, second), arm)
+    hold = wp.vec3d()  # sum of the normal forces: without friction, and per unit of both friction forces
+    for m in range(members):
+        c = contacts.member[m]
+        own = contacts.normal[c] + compliance * wp.cross(contacts.moment[c], arm)
+        slip += contacts.side[m, 0] * own
+        way_first += contacts.side[m, 1] * own
+        way_second += contacts.side[m, 2] * own
+        hold += wp.vec3d(contacts.side[m, 0], contacts.side[m, 1], contacts.side[m, 2])
+    w00 = wp.dot(first, way_first)
+    w11 = wp.dot(second, way_second)
+    w01 = wp.dot(first, way_second)
+    v0 = wp.dot(first, slip)
+    v1 = wp.dot(second, slip)
+    stiff = ONE / wp.max(wp.max(w00 + wp.abs(w01), w11 + wp.abs(w01)), TINY)
+    f0 = wp.dot(first, last)
+    f1 = wp.dot(second, last)
+    for _ in range(STEPS):
+        new0 = f0 - stiff * (v0 + w00 * f0 + w01 * f1)
+        new1 = f1 - stiff * (v1 + w01 * f0 + w11 * f1)
+        bound = friction * wp.max(hold[0] + hold[1] * f0 + hold[2] * f1, ZERO)
+        size = wp.sqrt(new0 * new0 + new1 * new1)
+        if size > bound:
+            new0 *= bound / size
+            new1 *= bound / size
+        change = wp.abs(new0 - f0) + wp.abs(new1 - f1)
+        f0 = new0
+        f1 = new1
+        if change <= EXACT * (size + bound):
+            break
+    return f0 * first + f1 * second, arm
+
+
+@wp.func
+def resolve(
+    contacts: Contacts,
+    count: int,  # candidates
+    compliance: wp.float64,  # 1 / l^2 [1/m2], 0 where the tool does not turn
+    friction: wp.float64,
+    tolerance: wp.float64,  # [m]
+    shift: wp.vec3d,  # where the springs would have the tool [m]
+    turn: wp.vec3d,  # [rad]
+):
+    """Size of the set, solves, and friction force [m] with its arm; the normal forces are left in ``press``."""
+    members = int(0)
+    for c in range(count):
+        contacts.chosen[c] = 0
+        if contacts.press[contacts.slot[c]] > ZERO:
+            if members < MEMBERS - 1:
+                contacts.member[members] = c
+                contacts.chosen[c] = 1
+                members += 1
+            else:
+                contacts.press[contacts.slot[c]] = ZERO
+    rub = wp.vec3d()
+    arm = wp.vec3d()
+    members, solves = normal_forces(contacts, count, members, compliance, tolerance, shift, turn)
+    if friction > ZERO and members > 0:
+        for _ in range(ROUNDS):
+            before = rub
+            rub, arm = friction_force(contacts, members, compliance, friction, shift, turn, before)
+            dragged = turn + compliance * wp.cross(arm, rub)
+            members, more = normal_forces(contacts, count, members, compliance, tolerance, shift + rub, dragged)
+            solves += more
+            if wp.length(rub - before) <= tolerance:
+                break
+    return members, solves, rub, arm

@@ -1,0 +1,81 @@
+"""Where the points of a tool's shell meet a triangulated surface: along their normals, the nearest triangle."""
+
+import warp as wp
+
+from kernels.contact_state import Body, Lists, Points, pose_of
+
+__all__ = ["link_points", "project_shell"]
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+ZERO = wp.constant(wp.float64(0.0))
+ONE = wp.constant(wp.float64(1.0))
+GRAZING = wp.constant(wp.float64(0.1))
+"""Cosine between a point's normal and a triangle's inward normal below which they do not meet."""
+EDGE = wp.constant(wp.float64(-1e-9))
+"""Barycentric weight down to which a point on an edge belongs to either side."""
+
+
+@wp.kernel
+def project_shell(
+    # tool
+    shell_point: wp.array(dtype=wp.vec3d),  # [point], in the tool's frame [m]
+    shell_normal: wp.array(dtype=wp.vec3d),
+    pose_rows: wp.array2d(dtype=wp.float64),
+    reach: wp.float64,  # [m]
+    offset: int,
+    # body
+    body: Body,
+    lists: Lists,
+    # out
+    points: Points,
+    triangle_out: wp.array(dtype=wp.int32),  # [point], -1 where the point meets nothing
+):
+    """Place every point on the nearest triangle that its normal's line crosses within reach."""
+    i = wp.tid() + offset
+    pose = pose_of(pose_rows)
+    place = pose.tip + pose.turn * shell_point[i]
+    way = pose.turn * shell_normal[i]
+    points.tool_point[i] = place
+    points.tool_normal[i] = way
+    best = wp.float64(reach)
+    found = int(-1)
+    weight = wp.vec3d()
+    for k in range(lists.count[0]):
+        triangle = lists.near[k]
+        a = body.corners[triangle, 0]
+        b = body.corners[triangle, 1]
+        c = body.corners[triangle, 2]
+        pa = body.free[a] + body.moved[a]
+        ab = body.free[b] + body.moved[b] - pa
+        ac = body.free[c] + body.moved[c] - pa
+        outward = wp.cross(ab, ac)
+        area = wp.length(outward)
+        against = -wp.dot(way, outward)
+        if against > GRAZING * area:
+            along = -wp.dot(pa - place, outward) / against
+            if wp.abs(along) < best:
+                hit = place + along * way - pa
+                wb = wp.dot(wp.cross(hit, ac), outward) / (area * area)
+                wc = wp.dot(wp.cross(ab, hit), outward) / (area * area)
+                if wb >= EDGE and wc >= EDGE and wb + wc <= ONE - EDGE:
+                    best = wp.abs(along)
+                    found = triangle
+                    weight = wp.vec3d(ONE - wb - wc, wb, wc)
+    triangle_out[i] = found
+    points.weight[i] = weight
+    points.ready[i] = 0
+
+
+@wp.kernel
+def link_points(triangle: wp.array(dtype=wp.int32), lists: Lists, points: Points):
+    """Chain the points of each nearby triangle; a point that meets nothing carries nothing."""
+    for k in range(lists.count[0]):
+        points.first[lists.near[k]] = -1
+    for i in range(triangle.shape[0]):
+        home = triangle[i]
+        if home < 0:
+            points.force[i] = wp.vec3d()
+        else:
+            points.following[i] = points.first[home]
+            points.first[home] = i

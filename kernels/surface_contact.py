@@ -1,0 +1,197 @@
+"""A tool against triangles of a body whose nodes move by a dense compliance: nonlinear Gauss-Seidel, one thread.
+
+The unknowns are the forces at contact points, given on the triangles by barycentric weights. A triangle's turn pulls
+the displacements of its three nodes, ``u_a = sum_b W_ab F_b`` over loaded nodes; its points then take the force of one
+contact in turn (``kernels.friction_cone``) with distance and normal of the tool where the point is now, so that
+normals need no outer loop. Only triangles that touch or carry force take turns; when they rest, all others nearby are
+looked at again, and those that the tool would enter join.
+"""
+
+import warp as wp
+
+from kernels.contact_search import join_touching, start_over
+from kernels.contact_state import (
+    AREA,
+    CONTACTS,
+    DEEPEST,
+    DONE,
+    FORCE,
+    IMMOVABLE,
+    LARGEST,
+    MISSING,
+    RUN_OUT,
+    STATE,
+    SWEEPS,
+    TORQUE,
+    Body,
+    Lists,
+    Points,
+    block,
+    displaced,
+    distance_to,
+    pose_of,
+)  # fmt: skip
+from kernels.friction_cone import coulomb_force
+from kernels.probe_distance import Pose
+
+__all__ = ["solve_contact"]
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+ZERO = wp.constant(wp.float64(0.0))
+
+
+@wp.func
+def turn_of(
+    body: Body,
+    points: Points,
+    lists: Lists,
+    kind: int,
+    size: wp.vec2d,
+    pose: Pose,
+    friction: wp.float64,
+    triangle: int,
+):
+    """Solve a triangle's points in turn; the largest step of a point and displacement of a node [m]."""
+    a = body.corners[triangle, 0]
+    b = body.corners[triangle, 1]
+    c = body.corners[triangle, 2]
+    ua = wp.vec3d()
+    ub = wp.vec3d()
+    uc = wp.vec3d()
+    for k in range(lists.count[3]):
+        other = lists.loaded[k]
+        load = body.force[other]
+        if wp.length_sq(load) > ZERO:
+            ua += block(body, a, other) * load
+            ub += block(body, b, other) * load
+            uc += block(body, c, other) * load
+    largest = wp.max(wp.length(ua), wp.max(wp.length(ub), wp.length(uc)))
+    pa = body.free[a] + ua
+    pb = body.free[b] + ub
+    pc = body.free[c] + uc
+    fa = wp.vec3d()
+    fb = wp.vec3d()
+    fc = wp.vec3d()
+    worst = wp.float64(0.0)
+    point = points.first[triangle]
+    while point >= 0:
+        weight = points.weight[point]
+        place = weight[0] * pa + weight[1] * pb + weight[2] * pc
+        old = points.force[point]
+        distance, way = distance_to(kind, size, pose, points, point, place)
+        if distance < ZERO or wp.length_sq(old) > ZERO:
+            own = points.response[point, 3]
+            slip = place - points.anchor[point]
+            new = coulomb_force(own, points.response[point, 4], old, distance, way, slip, friction)
+            change = new - old
+            points.force[point] = new
+            pa += points.response[point, 0] * change
+            pb += points.response[point, 1] * change
+            pc += points.response[point, 2] * change
+            fa += weight[0] * change
+            fb += weight[1] * change
+            fc += weight[2] * change
+            worst = wp.max(worst, wp.length(own * change))
+        point = points.following[point]
+    body.force[a] = body.force[a] + fa
+    body.force[b] = body.force[b] + fb
+    body.force[c] = body.force[c] + fc
+    return worst, largest
+
+
+@wp.func
+def report(
+    body: Body, points: Points, lists: Lists, kind: int, size: wp.vec2d, pose: Pose, slack: wp.float64, state: int,
+    results: wp.array(dtype=wp.float64),
+):  # fmt: skip
+    """Sum what the tool feels; a penetration that no force can end turns a finished solve into an immovable one."""
+    for k in range(lists.count[3]):  # sums of changes carry rounding, and would leave it behind
+        body.force[lists.loaded[k]] = wp.vec3d()
+    for k in range(lists.count[2]):
+        triangle = lists.working[k]
+        point = points.first[triangle]
+        while point >= 0:
+            weight = points.weight[point]
+            for a in range(3):
+                node = body.corners[triangle, a]
+                body.force[node] = body.force[node] + weight[a] * points.force[point]
+            point = points.following[point]
+    force = wp.vec3d()
+    torque = wp.vec3d()
+    area = wp.float64(0.0)
+    deepest = wp.float64(0.0)
+    contacts = int(0)
+    ended = int(state)
+    for k in range(lists.count[2]):
+        triangle = lists.working[k]
+        point = points.first[triangle]
+        while point >= 0:
+            place = wp.vec3d()
+            weight = points.weight[point]
+            for a in range(3):
+                node = body.corners[triangle, a]
+                place += weight[a] * (body.free[node] + displaced(body, lists, node))
+            carried = points.force[point]
+            distance, way = distance_to(kind, size, pose, points, point, place)
+            deepest = wp.max(deepest, -distance)
+            own = points.response[point, 3]
+            if ended == DONE and distance < -slack and wp.dot(way, own * way) <= wp.float64(1e-12) * wp.trace(own):
+                ended = int(IMMOVABLE)
+            if wp.length_sq(carried) > ZERO:
+                force -= carried
+                torque -= wp.cross(place - pose.tip, carried)
+                area += points.area[point]
+                contacts += 1
+            point = points.following[point]
+    for i in range(3):
+        results[FORCE + i] = force[i]
+        results[TORQUE + i] = torque[i]
+    results[STATE] = wp.float64(ended)
+    results[CONTACTS] = wp.float64(contacts)
+    results[AREA] = area
+    results[DEEPEST] = deepest
+
+
+@wp.kernel
+def solve_contact(
+    body: Body,
+    points: Points,
+    # tool
+    kind: int,
+    size: wp.vec2d,  # [m]
+    pose_rows: wp.array2d(dtype=wp.float64),
+    # law and limits
+    friction: wp.float64,
+    tolerance: wp.float64,  # largest step of a point, relative to the largest displacement
+    sweeps: int,
+    # in and out
+    lists: Lists,
+    results: wp.array(dtype=wp.float64),
+):
+    """Sweep over working triangles until their points rest and no other triangle is entered."""
+    pose = pose_of(pose_rows)
+    state = int(RUN_OUT)
+    missing = start_over(body, points, lists, pose)
+    joined, missing = join_touching(body, points, lists, kind, size, pose, 0, missing)
+    largest = wp.float64(0.0)
+    sweep = int(0)
+    if lists.count[2] == 0:
+        state = int(DONE)
+    while state == RUN_OUT and missing == 0 and sweep < sweeps:
+        sweep += 1
+        worst = wp.float64(0.0)
+        largest = wp.float64(0.0)
+        for k in range(lists.count[2]):
+            step, way = turn_of(body, points, lists, kind, size, pose, friction, lists.working[k])
+            worst = wp.max(worst, step)
+            largest = wp.max(largest, way)
+        if worst <= tolerance * largest:
+            joined, missing = join_touching(body, points, lists, kind, size, pose, 1, missing)
+            if joined == 0:
+                state = int(DONE)
+    if missing > 0:
+        state = int(MISSING)
+    results[SWEEPS] = wp.float64(sweep)
+    results[LARGEST] = largest
+    report(body, points, lists, kind, size, pose, tolerance * largest, state, results)

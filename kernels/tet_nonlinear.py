@@ -1,0 +1,224 @@
+"""Energy, force and tangent stiffness of tetrahedra under large deformation: three laws, any order.
+
+The deformation gradient at a quadrature point is ``F = sum x_a g_a^T``, ``g_a = sum_c reference[q, a, c] grad L_c`` the
+gradient of node a's shape function and ``L_c`` the barycentric coordinates of the undeformed corners. With the first
+Piola-Kirchhoff stress ``P = d psi / dF`` the force is ``f_a = sum_q w P g_a``, the tangent ``K_ab = d f_a / d x_b``:
+
+linear          psi = mu e:e + (lambda/2) (tr e)^2,              e = sym(F) - I
+corotational    psi = mu |F - R|^2 + (lambda/2) (tr S - 3)^2,    F = R S, R the rotation, S = S^T
+neo-Hookean     psi = (mu/2) (|F|^2 - 3) - mu ln J + (lambda/2) (ln J)^2,   J = det F
+
+Corotational is the linear law in the rotated frame with the rotation's own derivative: with ``R^T dR = [w]x``,
+``(tr S I - S) w = axial(R^T dF - dF^T R)``. Neo-Hookean: Bonet and Wood 2008, Nonlinear Continuum Mechanics.
+All three have the same small-strain limit. The energy of a turned-over cell (J <= 0) is infinite but in the linear law.
+"""
+
+import warp as wp
+
+from kernels.tetrahedra import write_pair
+
+__all__ = ["COROTATIONAL", "LINEAR", "NEO_HOOKEAN", "gather_blocks", "gather_forces", "tet_force", "tet_stiffness"]
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+LINEAR = wp.constant(0)
+COROTATIONAL = wp.constant(1)
+NEO_HOOKEAN = wp.constant(2)
+POLAR_STEPS = wp.constant(30)
+ONE = wp.constant(wp.float64(1.0))
+TWO = wp.constant(wp.float64(2.0))
+HALF = wp.constant(wp.float64(0.5))
+IDENTITY = wp.constant(wp.mat33d(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
+
+
+@wp.func
+def rotation_of(f: wp.mat33d):
+    """Rotation of the polar decomposition, det F > 0, by scaled Newton steps (Higham 1986)."""
+    x = f
+    for _ in range(POLAR_STEPS):
+        y = wp.transpose(wp.inverse(x))
+        scale = wp.sqrt(wp.sqrt(wp.ddot(y, y) / wp.ddot(x, x)))
+        new = HALF * (scale * x + y / scale)
+        change = new - x
+        x = new
+        if wp.ddot(change, change) < wp.float64(1.0e-31):
+            break
+    return x
+
+
+@wp.func
+def gradient_of(cell: int, q: int, a: int, reference: wp.array3d(dtype=wp.float64), corner: wp.array2d(dtype=wp.vec3d)):
+    """Gradient of node a's shape function at a quadrature point [1/m]."""
+    g = wp.vec3d()
+    for c in range(4):
+        g += reference[q, a, c] * corner[cell, c]
+    return g
+
+
+@wp.func
+def deformation(
+    cell: int,
+    q: int,
+    nodes: wp.array2d(dtype=wp.int32),
+    reference: wp.array3d(dtype=wp.float64),
+    corner: wp.array2d(dtype=wp.vec3d),
+    displacement: wp.array(dtype=wp.vec3d),
+):
+    """Deformation gradient at a quadrature point."""
+    f = wp.mat33d(IDENTITY)
+    for a in range(nodes.shape[1]):
+        f += wp.outer(displacement[nodes[cell, a]], gradient_of(cell, q, a, reference, corner))
+    return f
+
+
+@wp.kernel
+def tet_force(
+    # mesh
+    nodes: wp.array2d(dtype=wp.int32),  # [cell, node of the cell]
+    corner: wp.array2d(dtype=wp.vec3d),  # [cell, corner], gradient of the barycentric coordinate [1/m]
+    volume: wp.array(dtype=wp.float64),  # [cell] [m3]
+    # element: derivatives of the shape functions by barycentric coordinates, shares of the volume
+    reference: wp.array3d(dtype=wp.float64),  # [point, node of the cell, corner]
+    share: wp.array(dtype=wp.float64),  # [point]
+    # law
+    law: int,
+    lame: wp.array2d(dtype=wp.float64),  # [cell, 2]: lambda, mu [Pa]
+    # state
+    displacement: wp.array(dtype=wp.vec3d),  # [node] [m]
+    offset: int,
+    # out
+    energy_out: wp.array(dtype=wp.float64),  # [cell] [J]
+    force_out: wp.array2d(dtype=wp.vec3d),  # [cell, node of the cell], derivative of the energy [N]
+):
+    """Energy of each cell and its derivative by the positions of the cell's nodes."""
+    cell = wp.tid() + offset
+    lam = lame[cell, 0]
+    mu = lame[cell, 1]
+    for a in range(nodes.shape[1]):
+        force_out[cell, a] = wp.vec3d()
+    energy = wp.float64(0.0)
+    for q in range(share.shape[0]):
+        f = deformation(cell, q, nodes, reference, corner, displacement)
+        j = wp.determinant(f)
+        weight = share[q] * volume[cell]
+        stress = wp.mat33d()
+        density = wp.float64(0.0)
+        if law == LINEAR:
+            strain = HALF * (f + wp.transpose(f)) - IDENTITY
+            dilation = wp.trace(strain)
+            density = mu * wp.ddot(strain, strain) + HALF * lam * dilation * dilation
+            stress = TWO * mu * strain + lam * dilation * IDENTITY
+        elif j <= wp.float64(0.0):
+            density = wp.float64(wp.INF)
+        elif law == COROTATIONAL:
+            r = rotation_of(f)
+            dilation = wp.ddot(r, f) - wp.float64(3.0)
+            density = mu * wp.ddot(f - r, f - r) + HALF * lam * dilation * dilation
+            stress = TWO * mu * (f - r) + lam * dilation * r
+        else:
+            log_j = wp.log(j)
+            density = HALF * mu * (wp.ddot(f, f) - wp.float64(3.0)) - mu * log_j + HALF * lam * log_j * log_j
+            stress = mu * f + (lam * log_j - mu) * wp.transpose(wp.inverse(f))
+        energy += weight * density
+        for a in range(nodes.shape[1]):
+            force_out[cell, a] = force_out[cell, a] + weight * (stress * gradient_of(cell, q, a, reference, corner))
+    energy_out[cell] = energy
+
+
+@wp.kernel
+def tet_stiffness(
+    # pairs a <= b of a cell's nodes
+    pair_first: wp.array(dtype=wp.int32),
+    pair_second: wp.array(dtype=wp.int32),
+    # mesh
+    nodes: wp.array2d(dtype=wp.int32),
+    corner: wp.array2d(dtype=wp.vec3d),
+    volume: wp.array(dtype=wp.float64),
+    # element
+    reference: wp.array3d(dtype=wp.float64),
+    share: wp.array(dtype=wp.float64),
+    # law
+    law: int,
+    lame: wp.array2d(dtype=wp.float64),
+    # state, no cell of it turned over
+    displacement: wp.array(dtype=wp.vec3d),
+    offset: int,
+    # out
+    block_out: wp.array2d(dtype=wp.mat33d),  # [cell, pair] [N/m]
+):
+    """Tangent stiffness of each cell, its upper triangle of blocks."""
+    cell = wp.tid() + offset
+    lam = lame[cell, 0]
+    mu = lame[cell, 1]
+    for pair in range(pair_first.shape[0]):
+        block_out[cell, pair] = wp.mat33d()
+    for q in range(share.shape[0]):
+        f = deformation(cell, q, nodes, reference, corner, displacement)
+        weight = share[q] * volume[cell]
+        turn = wp.mat33d(IDENTITY)  # the gradients are taken to this frame: identity, R, or F^-T
+        spin = wp.mat33d()
+        c_dot = mu
+        c_ab = lam
+        c_ba = mu
+        c_spin = wp.float64(0.0)
+        if law == COROTATIONAL:
+            turn = rotation_of(f)
+            stretch = wp.transpose(turn) * f
+            stretch = HALF * (stretch + wp.transpose(stretch))
+            spin = wp.inverse(wp.trace(stretch) * IDENTITY - stretch)
+            spin = HALF * (spin + wp.transpose(spin))
+            c_dot = TWO * mu
+            c_ba = wp.float64(0.0)
+            c_spin = TWO * mu - lam * (wp.trace(stretch) - wp.float64(3.0))
+        elif law == NEO_HOOKEAN:
+            turn = wp.transpose(wp.inverse(f))
+            c_ba = mu - lam * wp.log(wp.determinant(f))
+        for pair in range(pair_first.shape[0]):
+            g_a = gradient_of(cell, q, pair_first[pair], reference, corner)
+            g_b = gradient_of(cell, q, pair_second[pair], reference, corner)
+            t_a = turn * g_a
+            t_b = turn * g_b
+            k_ab = c_dot * wp.dot(g_a, g_b) * IDENTITY + c_ab * wp.outer(t_a, t_b) + c_ba * wp.outer(t_b, t_a)
+            if law == COROTATIONAL:
+                k_ab += c_spin * (turn * (wp.skew(g_a) * spin * wp.skew(g_b)) * wp.transpose(turn))
+            block_out[cell, pair] = block_out[cell, pair] + weight * k_ab
+
+
+@wp.kernel
+def gather_forces(
+    start: wp.array(dtype=wp.int32),  # [node + 1]
+    place: wp.array(dtype=wp.int32),  # flat place of each share in a cell's forces
+    share: wp.array(dtype=wp.vec3d),
+    offset: int,
+    # out
+    force_out: wp.array(dtype=wp.vec3d),  # [node] [N]
+):
+    """Sum the shares of each node in the order of its cells."""
+    node = wp.tid() + offset
+    total = wp.vec3d()
+    for k in range(start[node], start[node + 1]):
+        total += share[place[k]]
+    force_out[node] = total
+
+
+@wp.kernel
+def gather_blocks(
+    pair_start: wp.array(dtype=wp.int32),  # [pair of nodes + 1]
+    contribution: wp.array(dtype=wp.int32),  # flat place in the cells' blocks; complement: the other way round
+    place: wp.array(dtype=wp.int32),  # [pair of nodes], block written
+    mirror: wp.array(dtype=wp.int32),  # [pair of nodes], block of the transpose
+    share: wp.array(dtype=wp.mat33d),
+    offset: int,
+    # out
+    block_out: wp.array(dtype=wp.mat33d),  # [N/m]
+):
+    """Sum each pair of nodes over its cells once and write it twice: the matrix is symmetric to the bit."""
+    pair = wp.tid() + offset
+    total = wp.mat33d()
+    for k in range(pair_start[pair], pair_start[pair + 1]):
+        entry = contribution[k]
+        if entry < 0:
+            total += wp.transpose(share[-entry - 1])
+        else:
+            total += share[entry]
+    write_pair(total, place[pair], mirror[pair], block_out)

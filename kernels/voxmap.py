@@ -1,0 +1,175 @@
+"""What a rigid tool can touch: voxels and exact solids as distances with their gradients.
+
+Voxels carry no stored distance. The distance to their surface is read where it is asked, from what is left in the eight
+voxels around the point: with F the trilinear fraction and h the spacing, ``(SURFACE - F) h`` vanishes on the surface
+and grows by about one outward. So carving needs no update, however much it removed. ``SURFACE`` lies below one half,
+because a wall one voxel thick that lies across two voxels fills neither by more than half; a shell point is sunk by the
+difference to make up for it. Away from bone, ``clearance`` holds a lower bound of the distance to the bone of the
+start, which removal can only raise.
+"""
+
+import warp as wp
+
+from kernels.bricks import stored, voxel_column, voxel_row
+
+__all__ = ["BALL", "BOX", "CELL", "HALF_SPACE", "SURFACE", "Field", "solid_distance", "voxel_clearance", "voxel_level"]
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+HALF_SPACE = 0
+BOX = 1
+BALL = 2
+CELL = 4
+"""Edge of a cell of the clearance [voxel]."""
+SURFACE = 0.25
+"""Trilinear fraction on the surface that a tool feels."""
+LEVEL = wp.constant(wp.float64(SURFACE))
+STEP = wp.constant(wp.float64(1.0 / 65535.0))
+CELLS_PER_VOXEL = wp.constant(wp.float64(1.0 / CELL))
+ZERO = wp.constant(wp.float64(0.0))
+ONE = wp.constant(wp.float64(1.0))
+HALF = wp.constant(wp.float64(0.5))
+
+
+@wp.struct
+class Field:
+    """Solids, each convex and a contact of its own, and voxels in brick storage."""
+
+    kind: wp.array(dtype=wp.int32)
+    centre: wp.array(dtype=wp.vec3d)  # [m]; a point on the face of a half-space
+    turn: wp.array(dtype=wp.mat33d)  # solid to world; a half-space lies behind its third axis
+    size: wp.array(dtype=wp.vec3d)  # half edges of a box, radius of a ball first [m]
+    brick_of: wp.array3d(dtype=wp.int32)
+    remaining: wp.array2d(dtype=wp.uint16)
+    origin: wp.vec3d  # [m]
+    spacing: wp.float64  # [m], 0 without voxels
+    clearance: wp.array3d(dtype=wp.float32)  # [cell of 4 voxels], lower bound of the distance to bone [m]
+
+
+@wp.func
+def box_distance(half: wp.vec3d, local: wp.vec3d):
+    """Distance to a box about the origin and its gradient; inside, to the nearest face."""
+    outside = wp.vec3d()
+    toward = wp.vec3d()
+    deepest = wp.float64(-1.0e30)
+    for c in range(3):
+        side = ONE
+        if local[c] < ZERO:
+            side = -ONE
+        beyond = side * local[c] - half[c]
+        outside[c] = side * wp.max(beyond, ZERO)
+        if beyond > deepest:
+            deepest = beyond
+            toward = wp.vec3d()
+            toward[c] = side
+    length = wp.length(outside)
+    if length > ZERO:
+        deepest = length
+        toward = outside / length
+    return deepest, toward
+
+
+@wp.func
+def solid_distance(field: Field, solid: int, point: wp.vec3d):
+    """Signed distance [m] to a solid, negative inside, and its unit gradient."""
+    local = wp.transpose(field.turn[solid]) * (point - field.centre[solid])
+    distance = local[2]
+    toward = wp.vec3d(ZERO, ZERO, ONE)
+    if field.kind[solid] == BOX:
+        distance, toward = box_distance(field.size[solid], local)
+    elif field.kind[solid] == BALL:
+        length = wp.length(local)
+        distance = length - field.size[solid][0]
+        if length > ZERO:
+            toward = local / length
+    return distance, field.turn[solid] * toward
+
+
+@wp.func
+def voxel_clearance(field: Field, point: wp.vec3d):
+    """Lower bound of the distance [m] from a point to bone."""
+    voxel = (point - field.origin) / field.spacing
+    away = wp.vec3d()
+    cell = wp.vec3i()
+    for c in range(3):
+        count = field.clearance.shape[c]
+        inside = wp.clamp(voxel[c], ZERO, wp.float64(CELL * count))
+        away[c] = voxel[c] - inside
+        cell[c] = wp.min(int(inside * CELLS_PER_VOXEL), count - 1)
+    return wp.max(wp.length(away) * field.spacing, wp.float64(field.clearance[cell[0], cell[1], cell[2]]))
+
+
+@wp.func
+def column_pair(field: Field, row: int, ix: int, iy: int, iz: int):
+    """Filled fractions of a voxel and of the next one along z; ``row`` is the brick's, or -2 where it is not known."""
+    if row >= 0:
+        low = wp.float64(field.remaining[row, voxel_column(ix, iy, iz)]) * STEP
+        return low, wp.float64(field.remaining[row, voxel_column(ix, iy, iz + 1)]) * STEP
+    return wp.float64(stored(field.brick_of, field.remaining, ix, iy, iz)), wp.float64(
+        stored(field.brick_of, field.remaining, ix, iy, iz + 1)
+    )
+
+
+@wp.func
+def voxel_level(field: Field, point: wp.vec3d):
+    """Level [m] of the voxels' surface, positive outside and zero on it, and its gradient, of length about one."""
+    ux = (point[0] - field.origin[0]) / field.spacing - HALF
+    uy = (point[1] - field.origin[1]) / field.spacing - HALF
+    uz = (point[2] - field.origin[2]) / field.spacing - HALF
+    ix = int(wp.floor(ux))
+    iy = int(wp.floor(uy))
+    iz = int(wp.floor(uz))
+    row = int(-2)
+    if (ix & 7) < 7 and (iy & 7) < 7 and (iz & 7) < 7:
+        row = voxel_row(field.brick_of, ix, iy, iz)
+        if row < 0:
+            return LEVEL * field.spacing, wp.vec3d()
+    fx = ux - wp.float64(ix)
+    fy = uy - wp.float64(iy)
+    fz = uz - wp.float64(iz)
+    a0, a1 = column_pair(field, row, ix, iy, iz)
+    b0, b1 = column_pair(field, row, ix, iy + 1, iz)
+    c0, c1 = column_pair(field, row, ix + 1, iy, iz)
+    d0, d1 = column_pair(field, row, ix + 1, iy + 1, iz)
+    a = wp.lerp(a0, a1, fz)
+    b = wp.lerp(b0, b1, fz)
+    c = wp.lerp(c0, c1, fz)
+    d = wp.lerp(d0, d1, fz)
+    near = wp.lerp(a, b, fy)
+    far = wp.lerp(c, d, fy)
+    across = wp.lerp(b - a, d - c, fx)
+    along = wp.lerp(wp.lerp(a1 - a0, b1 - b0, fy), wp.lerp(c1 - c0, d1 - d0, fy), fx)
+    return (LEVEL - wp.lerp(near, far, fx)) * field.spacing, wp.vec3d(near - far, -across, -along)
+
+
+@wp.kernel
+def field_distance(
+    # points
+    point: wp.array(dtype=wp.vec3d),  # [m]
+    # field
+    field: Field,
+    # out
+    distance_out: wp.array(dtype=wp.float64),  # [m]
+    normal_out: wp.array(dtype=wp.vec3d),
+):
+    """Distance from each point to the nearest thing and the way out of it; voxels only as far as they are felt."""
+    i = wp.tid()
+    least = wp.float64(1.0e30)
+    way = wp.vec3d()
+    for solid in range(field.kind.shape[0]):
+        distance, toward = solid_distance(field, solid, point[i])
+        if distance < least:
+            least = distance
+            way = toward
+    if field.spacing > ZERO:
+        distance = voxel_clearance(field, point[i])
+        toward = wp.vec3d()
+        if distance <= ZERO:
+            level, slope = voxel_level(field, point[i])
+            distance = level
+            toward = wp.normalize(slope)
+        if distance < least:
+            least = distance
+            way = toward
+    distance_out[i] = least
+    normal_out[i] = way

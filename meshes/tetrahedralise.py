@@ -1,0 +1,101 @@
+"""A closed surface filled with tetrahedra by fTetWild (Hu et al., 2020), once, and kept.
+
+fTetWild keeps the surface within an envelope and takes for inside what the winding number says, so a surface that
+crosses itself is filled as the union of what it encloses. Two runs give meshes that differ slightly, also on one
+thread: a mesh is reproducible through the cache, which holds it by the content of the surface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from meshes.cache import cached_arrays
+from meshes.errors import InputError, require_range
+from meshes.repair import edge_counts
+from meshes.surface import Surface
+from meshes.tet_crossings import crossing_triangles
+from meshes.tet_quality import repair_tets
+from meshes.tet_report import millimetres, place
+from meshes.tetrahedra import TetMesh
+
+__all__ = ["tetrahedralise"]
+
+_CELLS = 30_000
+_EDGE_PER_CELL = 2.7
+"""Target edge over the cube root of the mean cell volume, as fTetWild came out on a liver."""
+_ENVELOPE = 1e-3
+_VOLUME_OFF = 0.02
+
+
+def tetrahedralise(
+    surface: Surface, *, edge_m: float | None = None, tell: Callable[[str, float], None] | None = None
+) -> tuple[TetMesh, tuple[str, ...]]:
+    """Fill a closed surface with tetrahedra, from the cache where it has been done before.
+
+    Parameters
+    ----------
+    surface
+        Closed, wound outward, as `meshes.read_surface` makes it.
+    edge_m
+        Target edge [m]; None: about 30,000 tetrahedra.
+    tell
+        Told what is being done and how far it is (0 to 1).
+
+    Returns
+    -------
+    The mesh in the frame of the surface, and what is worth saying, a sentence each.
+
+    Raises
+    ------
+    InputError
+        If the edge does not suit the surface, or nothing can be meshed.
+    """
+    volume = surface.report.volume_mm3 * 1e-9
+    longest = 1e-3 * max(surface.report.size_mm)
+    edge = _EDGE_PER_CELL * (volume / _CELLS) ** (1.0 / 3.0) if edge_m is None else edge_m
+    edge = require_range("edge_m", edge, longest / 200.0, longest / 2.0, f"use about {longest / 20.0:.2g}")
+    said = []
+    pinched = edge_counts(surface.faces)[1]
+    if pinched:
+        said.append(f"The surface has {pinched} edges of more than two triangles, which the mesher parts or thickens.")
+    crossing = crossing_triangles(surface.vertices_m, surface.faces)
+    if len(crossing):
+        at = place(millimetres(surface.vertices_m[surface.faces[crossing[0]]]))
+        said.append(
+            f"{len(crossing)} triangles of the surface cross others, the first at {at} mm: what they enclose together "
+            "was filled; mend the surface in a mesh editor if that is not meant."
+        )
+
+    def make() -> dict[str, np.ndarray]:
+        if tell is not None:
+            tell(f"filling {surface.report.source} with tetrahedra (once; a minute or two)", 0.0)
+        nodes, cells = _filled(surface, edge)
+        return {"nodes": nodes, "cells": cells}
+
+    arrays = cached_arrays("tetwild-1", (surface.vertices_m, surface.faces, edge, _ENVELOPE), make)
+    if tell is not None:
+        tell(f"filling {surface.report.source} with tetrahedra", 1.0)
+    if len(arrays["cells"]) == 0:
+        raise InputError(f"surface must enclose a solid, got none of edge {edge:g} m: use a smaller edge_m")
+    mesh, report = repair_tets(arrays["nodes"], arrays["cells"])
+    off = float(mesh.volumes_m3.sum()) / volume - 1.0
+    if abs(off) > _VOLUME_OFF:
+        said.append(f"The mesh encloses {100.0 * off:+.1f} % of volume against the surface: use a smaller edge_m.")
+    return mesh, (*said, *report.sentences())
+
+
+def _filled(surface: Surface, edge: float) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes [m] and cells by fTetWild."""
+    from pytetwild import tetrahedralize  # type: ignore[attr-defined]
+
+    nodes, cells = tetrahedralize(
+        surface.vertices_m,
+        surface.faces.astype(np.int32),
+        edge_length_abs=edge,
+        epsilon=_ENVELOPE,
+        quiet=True,
+        vtk_ordering=True,
+    )
+    return np.asarray(nodes, dtype=np.float64), np.asarray(cells, dtype=np.int64)

@@ -1,0 +1,220 @@
+"""Cost of the paths to K u = f of a liver: `python tests/bench/bench_liver_solvers.py [--quick]`.
+
+1. About 30,000 tetrahedra: check of the supports, factor, solve, and multigrid, beside conjugate gradients with the
+   diagonal and scikit-fem's assembly with SuperLU as it comes.
+2. Compliance of some 500 touchable nodes: found, and ready for contact from the cache; columns on demand; basis size
+   against error.
+3. Multigrid on boxes up to a million tetrahedra: growth of set-up and of one right side, iterations, memory.
+"""
+
+import argparse
+import os
+import tempfile
+from time import perf_counter
+
+import numpy as np
+import psutil
+from harness import machine, table
+from scipy.sparse.linalg import LinearOperator, cg, splu
+
+from meshes.liver import liver, liver_region
+from meshes.tet_structured import box
+from tissue.liver.assembly import assemble
+from tissue.liver.condensed import compliance_bytes, surface_compliance
+from tissue.liver.direct import DirectSolver
+from tissue.liver.lazy_compliance import LazyCompliance
+from tissue.liver.multigrid import MultigridSolver
+from tissue.liver.reduced import ReducedSolver
+from tissue.liver.solver import HeldBody, Supports
+from tissue.liver.space import Space
+from tissue.materials.elasticity import lame
+
+YOUNG_PA, TOUCHABLE = 5e3, 500
+
+
+class Clock:
+    """Seconds since it was last asked."""
+
+    def __init__(self):
+        self._last = perf_counter()
+
+    def __call__(self):
+        now = perf_counter()
+        passed, self._last = now - self._last, now
+        return passed
+
+
+def press(nodes, top):
+    """A newton down on the topmost nodes."""
+    load = np.zeros(nodes.shape)
+    load[top] = [0.1 / len(top), 0.0, -1.0 / len(top)]
+    return load
+
+
+def held_liver(mesh, ratio):
+    held = np.zeros(len(mesh.nodes_m), dtype=bool)
+    held[liver_region(mesh, "below")] = True
+    return HeldBody(assemble(Space(mesh), lame(YOUNG_PA, ratio)), mesh.nodes_m, Supports.of_nodes(held))
+
+
+def by_jacobi(body, load):
+    """Iterations and seconds of conjugate gradients with the diagonal, to 1e-8 in the residual."""
+    matrix = body.sprung.tocsr()[body.free][:, body.free]
+    inverse = 1.0 / matrix.diagonal()
+    counted = []
+    clock = Clock()
+    cg(
+        matrix, body.right_side(load), rtol=1e-8, maxiter=5000, callback=lambda _: counted.append(1),
+        M=LinearOperator(matrix.shape, matvec=lambda r: inverse * r.ravel(), dtype=float),
+    )  # fmt: skip
+    return len(counted), clock()
+
+
+def by_scikit_fem(mesh, body, ratio):
+    """Seconds of assembly, factorisation and a solve."""
+    import skfem
+    from skfem.models.elasticity import lame_parameters, linear_elasticity
+
+    basis = skfem.Basis(
+        skfem.MeshTet(mesh.nodes_m.T.copy(), mesh.cells.T.copy()), skfem.ElementVector(skfem.ElementTetP1())
+    )
+    clock = Clock()
+    matrix = linear_elasticity(*lame_parameters(YOUNG_PA, ratio)).assemble(basis)
+    assembled = clock()
+    factor = splu(matrix[body.free][:, body.free].tocsc())
+    factored = clock()
+    factor.solve(np.ones(len(body.free)))
+    return assembled, factored, clock()
+
+
+def paths(mesh):
+    rows = []
+    for ratio in (0.3, 0.45, 0.49):
+        body = held_liver(mesh, ratio)
+        clock = Clock()
+        HeldBody(body.stiffness, body.nodes_m, body.supports)
+        checked = clock()
+        factor = DirectSolver(body)
+        factored = clock()
+        top = mesh.surface_nodes[np.argsort(mesh.nodes_m[mesh.surface_nodes, 2])[-12:]]
+        load = press(mesh.nodes_m, top)
+        exact = factor.solve(load)
+        solved = clock()
+        grid = MultigridSolver(body)
+        set_up = clock()
+        found = grid.solve(load)
+        iterated = clock()
+        assert exact.converged and found.converged
+        warm = grid.solve(1.02 * load, start_m=found.displacement_m)
+        count, jacobi = by_jacobi(body, load)
+        rows.append((
+            f"{ratio}", f"{checked * 1e3:.0f}", f"{factored:.2f}", f"{solved * 1e3:.1f}", f"{set_up:.2f}",
+            f"{iterated:.2f}", f"{found.iterations}", f"{warm.iterations}", f"{jacobi:.2f}", f"{count}",
+            f"{jacobi / iterated:.1f}",
+        ))  # fmt: skip
+    head = ("ratio", "check ms", "factor s", "solve ms", "set-up s", "solve s", "iterations", "warm", "Jacobi s",
+            "iterations", "ratio")  # fmt: skip
+    print(f"\n{len(mesh.cells)} tetrahedra, {3 * len(mesh.nodes_m)} unknowns: factor, multigrid, CG with the diagonal")
+    print(table(rows, head))
+    print(f"factor {factor.memory_bytes / 1e6:.0f} MB, multigrid {grid.memory_bytes / 1e6:.0f} MB")
+    try:
+        assembled, factored_plainly, solved_plainly = by_scikit_fem(mesh, body, 0.49)
+    except ImportError:
+        print("scikit-fem is not installed: pip install scikit-fem")
+        return
+    print(f"scikit-fem {assembled:.2f} s, SuperLU as it comes {factored_plainly:.2f} s and "
+          f"{solved_plainly * 1e3:.1f} ms a solve: {factored_plainly / factored:.1f} and "
+          f"{solved_plainly / solved:.1f} x ours")  # fmt: skip
+
+
+def compliance(mesh):
+    body = held_liver(mesh, 0.45)
+    loose = mesh.surface_nodes[~body.supports.fixed[mesh.surface_nodes, 0]]
+    top = loose[np.argsort(mesh.nodes_m[loose, 2])[-TOUCHABLE:]]
+    print(f"\n{len(top)} touchable of {len(mesh.surface_nodes)} surface nodes; W and the answer of the surface "
+          f"{compliance_bytes(len(top), len(mesh.surface_nodes)) / 1e6:.0f} MB")  # fmt: skip
+    clock = Clock()
+    surface_compliance(body, top, shown=mesh.surface_nodes)
+    print(f"found in {clock():.1f} s")
+    again = held_liver(mesh, 0.45)
+    found = surface_compliance(again, top, shown=mesh.surface_nodes)
+    print(f"assembled, checked and ready from the cache in {clock():.2f} s; asymmetry {found.asymmetry:.1e}")
+    factor = DirectSolver(body)
+    near = np.argsort(np.linalg.norm(mesh.nodes_m[top] - mesh.nodes_m[top[0]], axis=1))[:40]
+    there = LazyCompliance(factor, top)
+    clock()
+    there.want(near)
+    there.fill()
+    each = clock() / len(near)
+    out = np.empty((120, 120))
+    times = []
+    for _ in range(200):
+        clock()
+        there.block(near, out)
+        times.append(clock())
+    print(f"on demand {each * 1e3:.1f} ms a node; block of {len(near)} nodes {np.median(times) * 1e6:.0f} us")
+    sizes = [n for n in (10, 30, 100, 300, 1000) if n < 3 * len(top)]
+    clock()
+    solver = ReducedSolver(factor, top, size=sizes[-1])
+    made = clock()
+    load = press(mesh.nodes_m, top[:12])
+    clock()
+    for _ in range(20):
+        solver.solve(load)
+    rows = [(f"{e.size}", f"{e.energy:.3f}", f"{e.point:.3f}", f"{e.corrected:.4f}") for e in solver.errors(sizes)]
+    print(f"basis of {sizes[-1]} modes in {made:.1f} s, {clock() / 20 * 1e3:.1f} ms a solve")
+    print(table(rows, ("modes", "energy", "point", "with blocks")))
+
+
+def growth(targets):
+    rows, sizes, per_solve = [], [], []
+    process = psutil.Process()
+    for target in targets:
+        cells = round((target / 6) ** (1.0 / 3.0))
+        before = process.memory_info().rss
+        mesh = box((0.1, 0.1, 0.1), (cells,) * 3)
+        space = Space(mesh)
+        body = HeldBody(
+            assemble(space, lame(YOUNG_PA, 0.45)), mesh.nodes_m, Supports.of_nodes(mesh.nodes_m[:, 2] < 1e-9)
+        )
+        held = process.memory_info().rss
+        clock = Clock()
+        grid = MultigridSolver(body)
+        set_up = clock()
+        inside = (mesh.nodes_m[:, 2] > 0.1 - 1e-9) & (np.abs(mesh.nodes_m[:, :2] - 0.05) < 0.02).all(axis=1)
+        load = press(mesh.nodes_m, np.flatnonzero(inside))
+        clock()
+        found = grid.solve(load)
+        solved = clock()
+        warm = grid.solve(1.02 * load, start_m=found.displacement_m)
+        after = process.memory_info().rss
+        assert found.converged and warm.converged
+        sizes.append(len(mesh.cells))
+        per_solve.append(solved)
+        rows.append((
+            f"{len(mesh.cells)}", f"{body.stiffness.shape[0]}", f"{set_up:.2f}", f"{solved:.2f}",
+            f"{found.iterations}", f"{warm.iterations}", f"{solved / found.iterations * 1e3:.0f}",
+            f"{(held - before) / 1e6:.0f}", f"{grid.memory_bytes / 1e6:.0f}", f"{after / 1e6:.0f}",
+        ))  # fmt: skip
+        print(*rows[-1], flush=True)
+    head = ("tetrahedra", "unknowns", "set-up s", "solve s", "iterations", "warm", "ms each", "K MB", "levels MB",
+            "process MB")  # fmt: skip
+    print(f"\nmultigrid to 1e-8 at ratio 0.45\n{table(rows, head)}")
+    print(f"one right side grows with tetrahedra to the power {np.polyfit(np.log(sizes), np.log(per_solve), 1)[0]:.2f}")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="small meshes only")
+    quick = parser.parse_args().quick
+    print(machine())
+    with tempfile.TemporaryDirectory() as cache:
+        os.environ["TISSUE_CACHE"] = cache
+        mesh = liver(spacing_m=14e-3 if quick else 8.4e-3)
+        paths(mesh)
+        compliance(mesh)
+    growth((3_000, 10_000, 30_000) if quick else (30_000, 100_000, 300_000, 1_000_000))
+
+
+if __name__ == "__main__":
+    main()

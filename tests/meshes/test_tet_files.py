@@ -1,0 +1,156 @@
+"""Tetrahedral meshes from files: the real livers, other formats, parts, units, and files that cannot be used."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyvista
+
+from meshes.errors import InputError
+from meshes.tet_files import read_tets
+from meshes.tet_msh import read_msh
+from meshes.tet_structured import box
+
+CELL = "$Elements\n1\n1 4 2 0 0 1 2 3 4\n$EndElements\n"
+NODES = "$Nodes\n4\n1 0 0 0\n2 100 0 0\n3 0 100 0\n4 0 0 100\n$EndNodes\n"
+FORM = "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n"
+
+
+def grid_of(size_m: tuple[float, float, float] = (0.1, 0.1, 0.1)) -> pyvista.UnstructuredGrid:
+    """Grid of a small box in mm."""
+    mesh = box(size_m, (2, 2, 2))
+    cells = np.column_stack([np.full(len(mesh.cells), 4), mesh.cells]).ravel()
+    return pyvista.UnstructuredGrid(cells, np.full(len(mesh.cells), 10), 1e3 * mesh.nodes_m)
+
+
+def test_the_coarse_liver_is_read_with_a_unit_told(anatomy: Path) -> None:
+    # Counts, volume and box as measured on the file: 181 nodes, 596 tetrahedra, 36.5609 cubed units, all positive.
+    found = read_tets(anatomy / "liver" / "liver.v22.msh", unit_mm=34.3)
+    assert (len(found.mesh.nodes_m), len(found.mesh.cells), len(found.mesh.surface)) == (181, 596, 276)
+    assert found.mesh.volumes_m3.sum() == pytest.approx(36.5609 * 0.0343**3, rel=1e-5)
+    assert found.mesh.volumes_m3.min() == pytest.approx(0.00321 * 0.0343**3, rel=0.01)
+    assert "34.3 mm per unit, as told: 222 x 169 x 152 mm" in found.sentences[0]
+    assert not any("inverted" in said or "sliver" in said for said in found.sentences)
+
+
+def test_the_finer_liver_keeps_its_tetrahedra_only_and_tells_the_smallest(anatomy: Path) -> None:
+    found = read_tets(anatomy / "liver" / "liver2.v22.msh", unit_mm=100.0)
+    assert (len(found.mesh.nodes_m), len(found.mesh.cells), len(found.mesh.surface)) == (507, 1493, 860)
+    assert found.mesh.volumes_m3.sum() == pytest.approx(1.12509e-3, rel=1e-5)
+    # 71 lines and 860 triangles; smallest over largest volume 3.55e-6 / 6.28e-3. Its cells are small, not flat.
+    assert "Left out 931 elements that are not tetrahedra." in found.sentences
+    smallest = found.mesh.cells[int(found.mesh.volumes_m3.argmin())]
+    at = ", ".join(f"{x:.3g}" for x in 1e3 * found.mesh.nodes_m[smallest].mean(axis=0))
+    assert any(f"at ({at}) mm, has 1/1769 of the volume" in said for said in found.sentences)
+    assert any("lowest mean ratio 0.34" in said for said in found.sentences)
+
+
+@pytest.mark.parametrize("name", ["liver", "liver2"])
+def test_both_versions_of_a_gmsh_file_hold_one_mesh(anatomy: Path, name: str) -> None:
+    one, two = (read_tets(anatomy / "liver" / f"{name}{v}.msh", unit_mm=50.0).mesh for v in ("", ".v22"))
+    assert np.array_equal(one.cells, two.cells)
+    assert np.allclose(one.nodes_m, two.nodes_m, rtol=0.0, atol=1e-12)
+
+
+def test_a_pinched_mesh_of_slivers_is_kept_and_told(anatomy: Path) -> None:
+    found = read_tets(anatomy / "bone" / "ossicles.vtu", unit_mm=1.0)
+    assert found.mesh.volumes_m3.sum() == pytest.approx(27.145e-9, rel=1e-3)
+    said = " ".join(found.sentences)
+    assert "not the size of an organ" in said
+    assert "Kept 18 surface edges of more than two triangles (pinched" in said
+    assert "Found 24 slivers (mean ratio below 0.1), the worst at" in said
+
+
+@pytest.mark.parametrize("name", ["liver.v22.msh", "liver2.v22.msh"])
+def test_a_file_whose_unit_is_not_plain_is_refused_with_its_box(anatomy: Path, name: str) -> None:
+    with pytest.raises(
+        InputError, match=r"scale_mm must be given .* whose box of [\d.]+ x .* would make it 200 mm long"
+    ):
+        read_tets(anatomy / "liver" / name)
+
+
+@pytest.mark.parametrize(("suffix", "factor"), [(".vtu", 1.0), (".vtk", 1.0), (".vtu", 1e-3)])
+def test_vtk_files_are_read_in_millimetres_or_metres(tmp_path: Path, suffix: str, factor: float) -> None:
+    grid = grid_of()
+    grid.points *= factor
+    grid.save(tmp_path / f"organ{suffix}")
+    found = read_tets(tmp_path / f"organ{suffix}")
+    assert found.unit_mm == 1.0 / factor
+    # Points may be stored in single precision.
+    assert found.mesh.volumes_m3.sum() == pytest.approx(1e-3, rel=1e-6)
+
+
+def test_an_array_of_integers_over_the_cells_gives_the_parts(tmp_path: Path) -> None:
+    grid = grid_of()
+    grid.cell_data["region"] = np.where(np.asarray(grid.cell_centers().points)[:, 2] > 50.0, 7, 3)
+    grid.save(tmp_path / "organ.vtu")
+    mesh = read_tets(tmp_path / "organ.vtu").mesh
+    assert mesh.part_names == ("part 3", "part 7")
+    assert mesh.volumes_m3[mesh.part == 1].sum() == pytest.approx(0.5e-3, rel=1e-6)
+    assert (mesh.nodes_m[mesh.cells[mesh.part == 1]].mean(axis=1)[:, 2] > 0.05).all()
+
+
+def test_physical_groups_of_gmsh_give_the_parts_and_their_names(tmp_path: Path) -> None:
+    names = '$PhysicalNames\n2\n3 5 "liver tissue"\n2 6 "capsule"\n$EndPhysicalNames\n'
+    nodes = NODES.replace("$Nodes\n4", "$Nodes\n5").replace("$EndNodes", "9 100 100 100\n$EndNodes")
+    cells = "$Elements\n3\n1 4 2 5 0 1 2 3 4\n2 4 2 8 0 2 3 4 9\n3 15 2 0 0 1\n$EndElements\n"
+    file = tmp_path / "organ.msh"
+    file.write_text(FORM + names + nodes + cells)
+    found = read_tets(file)
+    assert found.mesh.part_names == ("liver tissue", "part 8")
+    assert "Left out 1 elements that are not tetrahedra." in found.sentences
+    assert read_msh(file).names == {5: "liver tissue"}
+
+
+def test_hexahedra_beside_tetrahedra_are_left_out_and_told(tmp_path: Path) -> None:
+    grid = grid_of()
+    hexahedron = pyvista.ImageData(
+        dimensions=(2, 2, 2), spacing=(10, 10, 10), origin=(300, 0, 0)
+    ).cast_to_unstructured_grid()
+    grid.merge(hexahedron).save(tmp_path / "organ.vtu")
+    found = read_tets(tmp_path / "organ.vtu", unit_mm=1.0)
+    assert len(found.mesh.cells) == 48
+    assert any("Left out 1 cells" in said for said in found.sentences)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "the empty file"),
+        ("nonsense", "Gmsh text of version 1 or 2, got neither"),
+        (FORM.replace("2.2", "4.1"), "got version 4.1 0 in organ.msh: save it with gmsh -format msh22"),
+        (FORM.replace("2.2 0", "2.2 1"), "got version 2.2 1"),
+        (FORM + NODES, "whole sections"),
+        (FORM + NODES.replace("4\n1 0", "400\n1 0") + CELL, "whole sections"),
+        (FORM + NODES + CELL.replace("3 4\n", "3 77\n"), "must name nodes of the file, got 77"),
+        (FORM + NODES.replace("100 0 0", "nan 0 0") + CELL, "nodes must be finite, got 1 of 4"),
+        (FORM + NODES + CELL.replace("1 4 2", "1 15 2"), "tetrahedra or triangles, got none"),
+        (FORM + NODES.replace("0 0 100", "100 100 0") + CELL, "cells must have volume, got 1 flat"),
+    ],
+)
+def test_a_gmsh_file_that_cannot_be_used_is_refused_in_a_sentence(tmp_path: Path, text: str, told: str) -> None:
+    file = tmp_path / "organ.msh"
+    file.write_text(text)
+    with pytest.raises(InputError, match=told) as refused:
+        read_tets(file)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["organ.vtu", "organ.vtk", "organ.stl", "organ.xyzzy"])
+def test_a_file_of_garbage_is_refused(tmp_path: Path, name: str, capfd: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / name).write_bytes(b"this is no mesh at all" * 20)
+    with pytest.raises(InputError, match="file must"):
+        read_tets(tmp_path / name)
+    assert capfd.readouterr().out == ""
+
+
+def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="file must exist"):
+        read_tets(tmp_path / "none.vtu")
+
+
+def test_an_open_surface_is_refused(tmp_path: Path) -> None:
+    ball = pyvista.Sphere(radius=50.0).clip("z", origin=(0, 0, 0))
+    ball.save(tmp_path / "open.stl")
+    with pytest.raises(InputError, match=r"surface must enclose a solid, got .* open"):
+        read_tets(tmp_path / "open.stl")

@@ -1,0 +1,92 @@
+"""Where a body is held: planes, boxes, spheres, directions, parts, and regions that touch nothing."""
+
+import numpy as np
+import pytest
+
+from meshes.errors import InputError
+from meshes.tet_regions import (
+    faces_of,
+    nodes_behind_plane,
+    nodes_facing,
+    nodes_in_box,
+    nodes_in_sphere,
+    nodes_of_part,
+    surface_normals,
+)
+from meshes.tet_structured import box, sphere_shell
+from meshes.tetrahedra import TetMesh
+
+MESH = box((0.1, 0.1, 0.1), (5, 5, 5))
+
+
+def test_a_plane_chooses_the_nodes_behind_it() -> None:
+    floor = nodes_behind_plane(MESH, point_m=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 2.0))
+    assert len(floor) == 36
+    assert (MESH.nodes_m[floor, 2] == 0.0).all()
+    # Two planes of nodes: the floor and the rim of the next.
+    assert len(nodes_behind_plane(MESH, point_m=(0.0, 0.0, 0.02), normal=(0.0, 0.0, 1.0))) == 36 + 20
+
+
+def test_faces_of_a_floor_cover_it() -> None:
+    floor = nodes_behind_plane(MESH, point_m=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
+    faces = faces_of(MESH, floor)
+    a, b, c = (MESH.nodes_m[faces[:, k]] for k in range(3))
+    normal = 0.5 * np.cross(b - a, c - a)
+    assert normal.sum(axis=0) == pytest.approx((0.0, 0.0, -0.01), abs=1e-15)
+
+
+def test_boxes_and_spheres_choose_surface_nodes_only() -> None:
+    assert nodes_in_box(MESH, lower_m=(0.0, 0.0, 0.1), upper_m=(0.04, 0.04, 0.1)).size == 9
+    assert set(nodes_in_box(MESH, lower_m=(-1, -1, -1), upper_m=(1, 1, 1))) == set(MESH.surface_nodes)
+    # A corner and its three neighbours along the edges.
+    assert nodes_in_sphere(MESH, centre_m=(0.0, 0.0, 0.0), radius_m=0.021).size == 4
+
+
+def test_a_direction_chooses_the_side_that_faces_it() -> None:
+    shell = sphere_shell(0.02, 0.05, (6, 2), octants=8)
+    top = nodes_facing(shell, direction=(0.0, 0.0, 1.0), within_deg=30.0)
+    unit = shell.nodes_m[top] / np.linalg.norm(shell.nodes_m[top], axis=1, keepdims=True)
+    outer = np.linalg.norm(shell.nodes_m[top], axis=1) > 0.03
+    # A triangle at 30 degrees reaches one cell of 7.5 degrees further; the inner sphere faces the other way.
+    assert unit[outer, 2].min() > np.cos(np.radians(38.0))
+    assert unit[~outer, 2].max() < -np.cos(np.radians(38.0))
+    assert np.linalg.norm(surface_normals(shell), axis=1) == pytest.approx(1.0)
+
+
+def test_a_part_chooses_all_its_nodes() -> None:
+    part = (MESH.nodes_m[MESH.cells].mean(axis=1)[:, 0] > 0.08).astype(np.uint8)
+    mesh = TetMesh(MESH.nodes_m, MESH.cells, part, ("tissue", "vessel", "empty"))
+    assert len(nodes_of_part(mesh, "vessel")) == 2 * 36
+    with pytest.raises(InputError, match="part must be one of tissue, vessel, empty, got bone"):
+        nodes_of_part(mesh, "bone")
+    with pytest.raises(InputError, match="part must have cells, got none of empty"):
+        nodes_of_part(mesh, "empty")
+
+
+def test_a_support_that_touches_nothing_tells_how_near_the_nearest_node_is() -> None:
+    with pytest.raises(InputError, match=r"nearest, at \(0, 0, 0\) mm, is 5 mm away"):
+        nodes_behind_plane(MESH, point_m=(0.0, 0.0, -0.005), normal=(0.0, 0.0, 1.0))
+    with pytest.raises(InputError, match=r"nearest, at \(100, 100, 100\) mm, is 173 mm away"):
+        nodes_in_box(MESH, lower_m=(0.2, 0.2, 0.2), upper_m=(0.3, 0.3, 0.3))
+    with pytest.raises(InputError, match=r"sphere of 10 mm .* is 40 mm away"):
+        nodes_in_sphere(MESH, centre_m=(-0.05, 0.0, 0.0), radius_m=0.01)
+    with pytest.raises(InputError, match=r"within 20 degrees .* nearest is 45 degrees away"):
+        nodes_facing(MESH, direction=(1.0, 1.0, 0.0), within_deg=20.0)
+
+
+@pytest.mark.parametrize(
+    ("choose", "told"),
+    [
+        (
+            lambda: nodes_behind_plane(MESH, point_m=(0, 0, float("nan")), normal=(0, 0, 1)),
+            "point_m must be three finite",
+        ),
+        (lambda: nodes_behind_plane(MESH, point_m=(0, 0, 0), normal=(0, 0, 0)), "normal must not be zero"),
+        (lambda: nodes_in_box(MESH, lower_m=(1, 0, 0), upper_m=(0, 1, 1)), "upper_m must not lie below"),
+        (lambda: nodes_in_sphere(MESH, centre_m=(0, 0, 0), radius_m=0.0), "radius_m must be positive"),
+        (lambda: nodes_facing(MESH, direction=(0, 0, 1), within_deg=0.0), "within_deg must be in"),
+    ],
+)
+def test_what_names_no_region_is_refused(choose: object, told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        choose()  # type: ignore[operator]

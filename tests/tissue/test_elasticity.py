@@ -1,0 +1,130 @@
+"""Elastic matrices: published constants, invariance, and what is refused."""
+
+import numpy as np
+import pytest
+
+from meshes.errors import InputError
+from tissue.materials.elasticity import (
+    checked_stiffness,
+    elasticity_rows,
+    isotropic,
+    lame,
+    orthotropic,
+    rotated,
+    stiffness_of_lame,
+    transversely_isotropic,
+)
+
+FEMUR = {
+    "young_pa": (12.0e9, 13.4e9, 20.0e9),
+    "shear_pa": (4.53e9, 5.61e9, 6.23e9),
+    "poisson_ratio": (0.376, 0.222, 0.235),
+}
+"""Cortical bone of the femur (Ashman et al. 1984): E1, E2, E3; G12, G13, G23; nu12, nu13, nu23."""
+
+FIBROUS = {
+    "young_fibre_pa": 2e6,
+    "young_across_pa": 1e5,
+    "shear_fibre_pa": 8e4,
+    "poisson_fibre": 0.4,
+    "poisson_across": 0.3,
+}
+
+
+def turn(seed):
+    matrix = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
+    return matrix * np.linalg.det(matrix)
+
+
+def tensor_of(strain):
+    """Tensor of engineering strains in the order xx, yy, zz, yz, xz, xy."""
+    return np.array([[strain[0], strain[5] / 2, strain[4] / 2], [strain[5] / 2, strain[1], strain[3] / 2], [strain[4] / 2, strain[3] / 2, strain[2]]])  # fmt: skip
+
+
+def test_isotropic_constants_by_their_meaning():
+    """A pull of 1 Pa along x stretches by 1/E and narrows by nu/E; shear needs E / (2 (1 + nu))."""
+    compliance = np.linalg.inv(isotropic(5e3, 0.45))
+    assert np.allclose(compliance[:3, 0] * 5e3, [1.0, -0.45, -0.45])
+    assert np.allclose(np.diag(compliance)[3:] * 5e3, 2.9)
+    assert np.allclose(stiffness_of_lame(lame(5e3, 0.45)), isotropic(5e3, 0.45), rtol=1e-15)
+
+
+def test_orthotropic_constants_by_their_meaning():
+    compliance = np.linalg.inv(orthotropic(**FEMUR))
+    assert np.allclose(1.0 / np.diag(compliance), [12e9, 13.4e9, 20e9, 6.23e9, 5.61e9, 4.53e9])
+    assert -compliance[1, 0] * 12e9 == pytest.approx(0.376)
+    # the ratios printed the other way round, nu31 = nu13 E3 / E1 and so on, which agree within 1 % (Ashman 1984)
+    assert [-compliance[0, 1] * 13.4e9, -compliance[0, 2] * 20e9, -compliance[1, 2] * 20e9] == pytest.approx(
+        [0.422, 0.371, 0.350], rel=0.01
+    )
+
+
+def test_transversely_isotropic_is_alike_across_its_fibre_and_holds_isotropy():
+    matrix = transversely_isotropic(**FIBROUS)
+    compliance = np.linalg.inv(matrix)
+    assert np.allclose(compliance[:3, 2] * 2e6, [-0.4, -0.4, 1.0])
+    c, s = np.cos(0.7), np.sin(0.7)
+    assert np.allclose(rotated(matrix, [[[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]])[0], matrix, rtol=1e-12, atol=1.0)
+    alike = transversely_isotropic(
+        young_fibre_pa=5e3, young_across_pa=5e3, shear_fibre_pa=5e3 / 2.8, poisson_fibre=0.4, poisson_across=0.4
+    )
+    assert np.allclose(alike, isotropic(5e3, 0.4), rtol=1e-12, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_turned_material_has_the_energy_of_the_strain_turned_back(seed):
+    """e : D' e = (R^T e R) : D (R^T e R), for any strain."""
+    random, rotation, matrix = np.random.default_rng(seed), turn(seed), orthotropic(**FEMUR)
+    strain = random.normal(size=6)
+    back = rotation.T @ tensor_of(strain) @ rotation
+    seen = np.array([back[0, 0], back[1, 1], back[2, 2], 2 * back[1, 2], 2 * back[0, 2], 2 * back[0, 1]])
+    turned = rotated(matrix, rotation[None])[0]
+    assert strain @ turned @ strain == pytest.approx(seen @ matrix @ seen, rel=1e-12)
+    assert np.array_equal(turned, turned.T)
+    assert np.allclose(rotated(turned, rotation.T[None])[0], matrix, rtol=1e-12, atol=1.0)
+
+
+def test_fibres_of_any_length_turn_the_third_axis():
+    matrix = transversely_isotropic(**FIBROUS)
+    fibre = np.array([[0.0, 0.0, 2.0], [3.0, 0.0, 0.0], [1.0, 2.0, -2.0], [0.0, -1e-3, 0.0]])
+    turned = rotated(matrix, fibre)
+    assert np.allclose(turned[0], matrix, rtol=1e-12, atol=1e-6)
+    assert turned[1][0, 0] == pytest.approx(matrix[2, 2]) and turned[3][1, 1] == pytest.approx(matrix[2, 2])
+    along = fibre[2] / 3.0
+    pull = np.array([along[0] ** 2, along[1] ** 2, along[2] ** 2, along[1] * along[2], along[0] * along[2], along[0] * along[1]])  # fmt: skip
+    strain = np.linalg.solve(turned[2], pull)
+    assert along @ tensor_of(strain) @ along == pytest.approx(1.0 / 2e6)
+
+
+@pytest.mark.parametrize("ratio", [0.5, -1.0, 0.7, float("nan")])
+def test_poisson_ratio_outside_is_refused(ratio):
+    with pytest.raises(
+        InputError, match=r"poisson_ratio must be in \(-1, 0.5\), got .*: use 0.499, or quadratic elements"
+    ):
+        isotropic(5e3, [0.3, ratio])
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: lame(-5.0, 0.3), "young_pa must be positive and finite"),
+        (lambda: lame([5e3, np.nan], 0.3), "young_pa must be positive and finite"),
+        (lambda: orthotropic(**{**FEMUR, "poisson_ratio": (0.9, 0.9, 0.9)}), "positive definite"),
+        (lambda: orthotropic(**{**FEMUR, "poisson_ratio": (0.3, np.nan, 0.3)}), "poisson_ratio must hold"),
+        (lambda: orthotropic(**{**FEMUR, "shear_pa": (1e9, 0.0, 1e9)}), "shear_pa must be 3 numbers, positive"),
+        (lambda: transversely_isotropic(**{**FIBROUS, "poisson_across": 1.0}), "poisson_across must be in"),
+        (lambda: checked_stiffness(np.triu(isotropic(1e3, 0.3))), "stiffness_pa must be symmetric"),
+        (lambda: checked_stiffness(np.full((6, 6), np.nan)), "stiffness_pa must be finite"),
+        (lambda: checked_stiffness(-isotropic(1e3, 0.3)), "stiffness_pa must be positive definite"),
+        (lambda: checked_stiffness(np.eye(3)), "stiffness_pa must have shape"),
+        (lambda: rotated(orthotropic(**FEMUR), [[1.0, 0.0, 0.0]]), "axes must be three directions a cell"),
+        (lambda: rotated(isotropic(1e3, 0.3), [[0.0, 0.0, 0.0]]), "axes must be directions"),
+        (lambda: rotated(isotropic(1e3, 0.3), [np.eye(3) * 1.1]), "axes must be rotations"),
+        (lambda: rotated(isotropic(1e3, 0.3), [np.diag([1.0, 1.0, -1.0])]), "axes must be rotations"),
+        (lambda: elasticity_rows([-1.0, 1.0], 4), "elasticity must be positive definite"),
+        (lambda: elasticity_rows(np.tile(lame(1e3, 0.3), (3, 1)), 4), "one for each of 4 cells, got 3"),
+    ],
+)  # fmt: skip
+def test_what_is_no_elastic_material_is_refused(make, said):
+    with pytest.raises(InputError, match=said):
+        make()

@@ -1,0 +1,328 @@
+"""Contact on the compliance: against a full solve, its laws over random scenes, its frame, its history, its bad input."""
+
+import numpy as np
+import pytest
+from scipy.sparse import block_array, block_diag, coo_array
+from scipy.sparse.linalg import splu, spsolve
+from scipy.spatial.transform import Rotation
+
+from meshes.errors import InputError
+from meshes.tet_structured import box
+from tissue.liver.assembly import assemble
+from tissue.liver.contact import SurfaceContact
+from tissue.liver.contact_points import contact_points
+from tissue.liver.contact_result import ContactOutcome
+from tissue.liver.probe import CylinderProbe, ShellProbe, SphereProbe
+from tissue.liver.space import Space
+from tissue.materials.elasticity import lame
+
+SIZE_M, CELLS = (0.05, 0.05, 0.025), (10, 10, 4)
+TIGHT = {"tolerance": 1e-11, "sweeps": 20000}
+"""Sweeps run until rounding, so that what is left is the other side's error."""
+CLOSE = 1e-7
+"""Steps of 1e-11 add up to at most this where sweeps converge by no less than 1e-4 each."""
+
+
+class Slab:
+    """A soft slab held at its bottom, touched on its top face."""
+
+    def __init__(self):
+        space = Space(box(SIZE_M, CELLS), 1)
+        self.nodes = space.nodes_m - [0.5 * SIZE_M[0], 0.5 * SIZE_M[1], SIZE_M[2]]
+        free = np.repeat(self.nodes[:, 2] > -SIZE_M[2] + 1e-9, 3)
+        self.stiffness = assemble(space, lame(5e3, 0.4)).tocsc()[free][:, free]
+        self.top = np.flatnonzero(self.nodes[:, 2] > -1e-9)
+        number = np.full(len(self.nodes), -1)
+        number[self.top] = np.arange(len(self.top))
+        faces = number[space.mesh.surface]
+        self.faces = faces[(faces >= 0).all(axis=1)]
+        self.rest = np.ascontiguousarray(self.nodes[self.top])
+        place = np.cumsum(free) - 1
+        self.unknowns = place[(3 * self.top[:, None] + np.arange(3)).ravel()]
+        right = np.zeros((self.stiffness.shape[0], len(self.unknowns)))
+        right[self.unknowns, np.arange(len(self.unknowns))] = 1.0
+        compliance = splu(self.stiffness).solve(right)[self.unknowns]
+        self.compliance = 0.5 * (compliance + compliance.T)
+
+    def contact(self, probe, **options):
+        return SurfaceContact(self.rest, self.faces, self.compliance, probe, **options)
+
+
+@pytest.fixture(scope="module")
+def slab():
+    return Slab()
+
+
+def away(tip):
+    """A path from above the slab to a tip, in steps of at most 0.5 mm, straight down and then along."""
+    tip = np.asarray(tip, dtype=float)
+    down = np.linspace(0.0005, tip[2], 1 + int(np.ceil((0.0005 - tip[2]) / 5e-4)))
+    over = np.linspace(0.0, 1.0, 6)[1:]
+    return [np.array([0.0, 0.0, z]) for z in down] + [np.array([s * tip[0], s * tip[1], tip[2]]) for s in over]
+
+
+def along(contact, path, rotation=None):
+    rotation = np.eye(3) if rotation is None else rotation
+    contact.place(path[0], rotation)
+    return [contact.solve(tip, rotation) for tip in path[1:]][-1]
+
+
+def full_solve(slab, radius, path, friction):
+    """Sphere on nodes, with the whole stiffness: a saddle system in all displacements and contact forces.
+
+    Newton on the equations of Alart and Curnier (1991), normals brought up to date between solves until they rest.
+    """
+    count, m = slab.stiffness.shape[0], len(slab.top)
+    u, force = np.zeros(count), np.zeros((m, 3))
+    last = path[0]
+    for tip in path[1:]:
+        anchor = slab.rest + u[slab.unknowns].reshape(-1, 3) + (tip - last)
+        for _ in range(60):
+            where = slab.rest + u[slab.unknowns].reshape(-1, 3)
+            arm = where - tip - [0.0, 0.0, radius]
+            length = np.linalg.norm(arm, axis=1)
+            normal = arm / length[:, None]
+            before, force = force, newton(slab, u, force, length - radius, normal, where, anchor, friction)
+            if np.abs(force - before).max() < 1e-14:
+                break
+        last = tip
+    return force
+
+
+def newton(slab, u, force, gap, normal, where, anchor, friction, scale=1.0):
+    """Forces for gaps linear about `where`; `u` is brought up to date."""
+    near = np.flatnonzero(gap < 0.01)
+    eye = np.eye(3)
+    for _ in range(60):
+        now = slab.rest + u[slab.unknowns].reshape(-1, 3)
+        rows, contact_rows, right = [], [], []
+        for i in near:
+            n = normal[i]
+            tangent = eye - np.outer(n, n)
+            g = gap[i] + n @ (now[i] - where[i])
+            press, side = force[i] @ n, tangent @ force[i]
+            slip = tangent @ (now[i] - anchor[i])
+            trial, pull = press - scale * g, side - scale * slip
+            if trial <= 0.0:
+                by_u, by_f, residual = np.zeros((3, 3)), eye, force[i]
+            elif np.linalg.norm(pull) <= friction * trial:
+                by_u, by_f = scale * (np.outer(n, n) + tangent), np.zeros((3, 3))
+                residual = scale * (g * n + slip)
+            else:
+                size = np.linalg.norm(pull)
+                way = pull / size
+                turn = friction * trial / size * (tangent - np.outer(way, way))
+                by_u = scale * (np.outer(n, n) + turn + friction * np.outer(way, n))
+                by_f = tangent - turn - friction * np.outer(way, n)
+                residual = scale * g * n + side - friction * trial * way
+            rows.append(by_u), contact_rows.append(by_f), right.append(residual)
+        columns = slab.unknowns.reshape(-1, 3)[near].ravel()
+        size = 3 * len(near)
+        pick = coo_array((np.ones(size), (columns, np.arange(size))), shape=(len(u), size)).tocsc()
+        by_u, by_f = block_diag(rows, format="csc"), block_diag(contact_rows, format="csc")
+        balance = slab.stiffness @ u - pick @ force[near].ravel()
+        matrix = block_array([[slab.stiffness, -pick], [by_u @ pick.T, by_f]], format="csc")
+        step = spsolve(matrix, -np.concatenate([balance, np.concatenate(right)]))
+        u += step[: len(u)]
+        force = force.copy()
+        force[near] += step[len(u) :].reshape(-1, 3)
+        if np.abs(step).max() < 1e-15 + 1e-13 * np.abs(force).max():
+            break
+    else:
+        raise AssertionError("the full solve did not converge")
+    return force
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_contact_on_the_compliance_equals_a_full_solve(slab, friction):
+    path = [*away([0.0013, -0.0007, -0.003])[::2], np.array([0.0013, -0.0007, -0.003])]
+    expected = full_solve(slab, 0.011, path, friction)
+    result = along(slab.contact(SphereProbe(0.011), friction=friction, spacing_m=1.0, **TIGHT), path)
+    assert result.outcome is ContactOutcome.CONVERGED
+    np.testing.assert_allclose(result.force_N, -expected.sum(axis=0), atol=1e-6 * np.linalg.norm(result.force_N))
+    np.testing.assert_allclose(result.nodal_forces_N, expected, atol=1e-6 * np.linalg.norm(result.force_N))
+    assert expected.any(axis=1).sum() >= 5
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_friction_cone_and_complementarity_hold_on_random_scenes(slab, seed):
+    rng = np.random.default_rng(seed)
+    # A loaded point on a sharp edge slides off it unless friction holds it: cylinders get friction and round edges.
+    friction, radius = rng.uniform([0.05, 0.4][seed % 2], 0.8), rng.uniform(0.004, 0.012)
+    rotation = Rotation.from_euler("xy", rng.uniform(-0.4, 0.4, 2)).as_matrix()
+    probe = [SphereProbe(radius), CylinderProbe(radius, 0.5 * radius)][seed % 2]
+    contact = slab.contact(probe, friction=friction, **TIGHT)
+    face, weights, _ = contact_points(slab.rest, slab.faces, probe.spacing_m)
+    tip = np.array([*rng.uniform(-0.008, 0.008, 2), 0.006])
+    contact.place(tip, rotation)
+    place = np.einsum("pa,paj->pj", weights, slab.rest[slab.faces[face]])
+    seen = np.zeros(2, dtype=int)
+    for tick in range(24):
+        step = np.array([0.0, 0.0, -7e-4]) if tick < 12 else rng.normal(size=3) * [4e-4, 4e-4, 2e-4]
+        turn = Rotation.from_rotvec(rng.normal(size=3) * 0.01).as_matrix()
+        new_tip, new_rotation = tip + step, turn @ rotation
+        anchor = new_tip + (place - tip) @ rotation @ new_rotation.T
+        result = contact.solve(new_tip, new_rotation)
+        assert result.outcome is ContactOutcome.CONVERGED
+        tip, rotation = new_tip, new_rotation
+        moved = slab.rest + result.displacement_m()
+        place = np.einsum("pa,paj->pj", weights, moved[slab.faces[face]])
+        gap, normal = probe.distance((place - tip) @ rotation)
+        normal = normal @ rotation.T
+        force = contact.point_forces_N()
+        press = np.einsum("pj,pj->p", force, normal)
+        side = force - press[:, None] * normal
+        slip = place - anchor
+        slip -= np.einsum("pj,pj->p", slip, normal)[:, None] * normal
+        size, way = np.linalg.norm(side, axis=1), np.linalg.norm(slip, axis=1)
+        largest, deepest = np.linalg.norm(result.force_N), np.abs(result.displacement_m()).max()
+        assert press.min() >= -CLOSE * largest
+        assert gap.min() >= -CLOSE * deepest
+        assert np.abs(press * gap).max() <= CLOSE * largest * deepest
+        assert (size - friction * press).max() <= CLOSE * largest
+        sticking = (press > CLOSE * largest) & (size < friction * press * (1.0 - 1e-6))
+        assert (way[sticking] <= CLOSE * deepest).all()
+        loaded = press > 1e-3 * largest
+        opposed = np.einsum("pj,pj->p", side, slip)[loaded & ~sticking]
+        assert (opposed <= CLOSE * largest * deepest - 0.999 * (size * way)[loaded & ~sticking]).all()
+        seen += [sticking.sum(), (loaded & ~sticking).sum()]
+        about = -np.cross(moved - tip, result.nodal_forces_N).sum(axis=0)
+        np.testing.assert_allclose(result.torque_Nm, about, atol=1e-12 + 1e-9 * largest * radius)
+        np.testing.assert_allclose(result.force_N, -result.nodal_forces_N.sum(axis=0), atol=1e-12 * largest)
+    assert (seen > 0).all()
+
+
+def test_turning_everything_turns_the_answer(slab):
+    turn = Rotation.random(random_state=4).as_matrix()
+    path = away([0.003, 0.001, -0.004])
+    probe, options = SphereProbe(0.01), {**TIGHT, "spacing_m": 1.0}
+    here = along(slab.contact(probe, **options), path)
+    force, torque, nodal = here.force_N.copy(), here.torque_Nm.copy(), here.nodal_forces_N.copy()
+    count = len(slab.rest)
+    turned = np.einsum("ij,ajbk,lk->aibl", turn, slab.compliance.reshape(count, 3, count, 3), turn)
+    contact = SurfaceContact(slab.rest @ turn.T, slab.faces, turned.reshape(3 * count, -1), probe, **options)
+    there = along(contact, [turn @ tip for tip in path], turn)
+    close = 1e-6 * np.linalg.norm(force)
+    np.testing.assert_allclose(there.force_N, turn @ force, atol=close)
+    np.testing.assert_allclose(there.torque_Nm, turn @ torque, atol=close * 0.006)
+    np.testing.assert_allclose(there.nodal_forces_N, nodal @ turn.T, atol=close)
+
+
+def test_a_tool_smaller_than_a_triangle_is_felt_between_nodes(slab):
+    probe = SphereProbe(0.0015)
+    middle = slab.rest[slab.faces[100]].mean(axis=0)
+    contact = slab.contact(probe)
+    contact.place(middle + np.array([0.0, 0.0, 1e-4]), np.eye(3))
+    result = contact.solve(middle - [0.0, 0.0, 1e-3], np.eye(3))
+    assert result.contacts > 0 and result.force_N[2] > 1e-3
+    nodes_only = slab.contact(probe, spacing_m=1.0)
+    assert nodes_only.solve(middle - [0.0, 0.0, 1e-3], np.eye(3)).contacts == 0
+
+
+def test_a_shell_of_points_feels_what_its_shape_feels(slab):
+    """A ball by its closed form and by 5,000 points: both touch the same nodes up to the shell's spacing."""
+    import trimesh
+
+    ball = trimesh.creation.icosphere(4, 0.012)
+    ball.apply_translation([0.0, 0.0, 0.012])
+    path = away([0.002, 0.001, -0.004])
+    shell = along(slab.contact(ShellProbe.from_mesh(ball, points=5000), friction=0.2), path)
+    assert shell.outcome in (ContactOutcome.CONVERGED, ContactOutcome.NOT_CONVERGED)
+    force, torque = shell.force_N.copy(), shell.torque_Nm.copy()
+    exact = along(slab.contact(SphereProbe(0.012), friction=0.2), path)
+    # Points 1 mm apart on triangles of 5 mm: the flat triangles of either side count differently.
+    np.testing.assert_allclose(force, exact.force_N, atol=0.06 * np.linalg.norm(exact.force_N))
+    np.testing.assert_allclose(torque, exact.torque_Nm, atol=0.06 * np.linalg.norm(exact.force_N) * 0.012)
+
+
+def test_a_drag_sticks_first_and_then_slips_at_the_coefficient(slab):
+    contact = slab.contact(SphereProbe(0.011), friction=0.3, spacing_m=1.0, **TIGHT)
+    path = [np.array([0.0, 0.0, z]) for z in np.linspace(0.0005, -0.002, 26)]
+    along(contact, path)
+    shares = []
+    for x in np.linspace(0.0, 0.003, 31)[1:]:
+        force = contact.solve(np.array([x, 0.0, -0.002]), np.eye(3)).force_N
+        shares.append(-force[0] / force[2])
+    assert shares[0] < 0.2 and (np.diff(shares[:5]) > 0.0).all()
+    # Normals of the sphere lean by up to a/R = 0.4: the ratio of sums is the coefficient only nearly.
+    assert abs(shares[-1] - 0.3) < 0.06
+    back = contact.solve(np.array([0.003 - 1e-4, 0.0, -0.002]), np.eye(3)).force_N
+    assert -back[0] / back[2] < shares[-1]
+
+
+def test_blocks_may_come_in_where_they_are_needed(slab):
+    probe, path = SphereProbe(0.008), away([0.001, 0.0, -0.002])
+    whole = along(slab.contact(probe), path).force_N.copy()
+    filled = np.full_like(slab.compliance, np.nan)
+    contact = SurfaceContact(slab.rest, slab.faces, filled, probe)
+    contact.place(path[0], np.eye(3))
+    assert contact.solve(np.array([0.0, 0.0, -1e-3]), np.eye(3)).outcome is ContactOutcome.MISSING
+    contact.forget()
+    nodes = contact.nodes_in_reach(path[-1], np.eye(3), 0.012)
+    unknowns = (3 * nodes[:, None] + np.arange(3)).ravel()
+    filled[np.ix_(unknowns, unknowns)] = slab.compliance[np.ix_(unknowns, unknowns)]
+    result = along(contact, path)
+    assert len(nodes) < len(slab.rest) and result.outcome is ContactOutcome.CONVERGED
+    np.testing.assert_array_equal(result.force_N, whole)
+
+
+def test_ends_of_a_solve_are_told(slab):
+    tip = np.array([0.0005, 0.0, -0.003])
+    assert slab.contact(SphereProbe(0.01), sweeps=1).solve(tip, np.eye(3)).outcome is ContactOutcome.NOT_CONVERGED
+    held = SurfaceContact(slab.rest, slab.faces, np.zeros_like(slab.compliance), SphereProbe(0.01))
+    result = held.solve(tip, np.eye(3))
+    assert result.outcome is ContactOutcome.IMMOVABLE
+    assert result.penetration_m > 0.001
+    apart = held.solve(np.array([0.0, 0.0, 0.01]), np.eye(3))
+    assert apart.outcome is ContactOutcome.CONVERGED and apart.contacts == 0 and not apart.force_N.any()
+
+
+def test_a_scaled_compliance_and_shifted_nodes_are_those_of_another_organ(slab):
+    path, offset = away([0.002, 0.0, -0.003]), np.array([3e-4, -2e-4, -5e-4])
+    options = {"spacing_m": 1.0, **TIGHT}
+    other = SurfaceContact(slab.rest + offset, slab.faces, 2.5 * slab.compliance, SphereProbe(0.01), **options)
+    expected = along(other, path).force_N.copy()
+    contact = slab.contact(SphereProbe(0.01), **options)
+    contact.scale_compliance(2.5)
+    contact.shift(np.broadcast_to(offset, slab.rest.shape))
+    result = along(contact, path)
+    np.testing.assert_allclose(result.force_N, expected, atol=1e-7 * np.linalg.norm(expected))
+    np.testing.assert_allclose(result.displacement_m(), other.result.displacement_m(), atol=1e-9)
+
+
+def test_leaving_drops_all_force(slab):
+    contact = slab.contact(SphereProbe(0.01))
+    along(contact, away([0.002, 0.0, -0.003]))
+    result = contact.solve(np.array([0.0, 0.0, 0.01]), np.eye(3))
+    assert not result.force_N.any() and not result.nodal_forces_N.any() and not result.displacement_m().any()
+
+
+def test_bad_input_is_refused_where_it_enters(slab):
+    probe = SphereProbe(0.01)
+    for change, said in (
+        ({"friction": -0.1}, "friction must be"),
+        ({"spacing_m": 1e-4}, "nodes_m must lie closer"),
+    ):
+        with pytest.raises(InputError, match=said):
+            slab.contact(probe, **change)
+    with pytest.raises(InputError, match="compliance_m_N must be float64"):
+        SurfaceContact(slab.rest, slab.faces, slab.compliance[:-3], probe)
+    with pytest.raises(InputError, match="nodes_m must be finite"):
+        SurfaceContact(np.where(slab.rest == slab.rest.max(), np.nan, slab.rest), slab.faces, slab.compliance, probe)
+    with pytest.raises(InputError, match="faces must name nodes"):
+        SurfaceContact(slab.rest, slab.faces + 1, slab.compliance, probe)
+    contact = slab.contact(probe)
+    with pytest.raises(InputError, match="tip_m must start outside"):
+        contact.place(np.array([0.0, 0.0, -0.002]), np.eye(3))
+    with pytest.raises(InputError, match="rotation must be a rotation"):
+        contact.place(np.array([0.0, 0.0, 0.01]), 2.0 * np.eye(3))
+    with pytest.raises(InputError, match="must be finite"):
+        contact.solve(np.array([0.0, np.nan, 0.01]), np.eye(3))
+    for make, said in (
+        (lambda: SphereProbe(0.0), "radius_m"),
+        (lambda: CylinderProbe(0.01, 0.02), "edge_m must be below"),
+        (lambda: ShellProbe(np.zeros((2, 3)), np.ones((2, 3)), np.ones(2)), "normals must have length 1"),
+        (lambda: ShellProbe(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)), "points_m must have shape"),
+    ):
+        with pytest.raises(InputError, match=said):
+            make()

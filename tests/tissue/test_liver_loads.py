@@ -1,0 +1,108 @@
+"""Loads on tetrahedra: sums, moments, work on known displacements, and what is refused."""
+
+import numpy as np
+import pytest
+from tet_bodies import distorted, faces_where
+
+from meshes.errors import InputError
+from meshes.tetrahedra import TetMesh
+from tissue.liver.assembly import assemble
+from tissue.liver.capsule import capsule_stiffness
+from tissue.liver.loads import gravity, point_force, pressure, traction
+from tissue.liver.space import Space
+from tissue.liver.stress import cell_stress
+from tissue.materials.elasticity import isotropic, lame
+
+ORDERS = pytest.mark.parametrize("order", [1, 2])
+FIELD = np.array([[0.3, -0.2, 0.5], [0.1, 0.7, -0.4], [-0.6, 0.2, 0.9]])
+
+
+def moment(space, force):
+    return np.cross(space.nodes_m, force).sum(axis=0)
+
+
+@ORDERS
+def test_pressure_all_around_has_neither_force_nor_moment(order):
+    space = Space(distorted(3), order)
+    load = pressure(space, 7.0)
+    assert np.abs(load.sum(axis=0)).max() < 1e-13 and np.abs(moment(space, load)).max() < 1e-13
+
+
+@ORDERS
+def test_loads_do_the_work_of_a_linear_field(order):
+    """Pressure: -p times the change of volume. Gravity and traction: what they do at the middle of a block."""
+    space = Space(distorted(3), order)
+    moved = space.nodes_m @ FIELD.T
+    assert (pressure(space, 7.0) * moved).sum() == pytest.approx(-7.0 * np.trace(FIELD))
+    pull, middle = np.array([1.0, 2.0, -3.0]), np.full(3, 0.5)
+    assert (gravity(space, density_kg_m3=1060.0, acceleration_m_s2=pull) * moved).sum() == pytest.approx(
+        1060.0 * pull @ FIELD @ middle
+    )
+    top = faces_where(space, lambda x: x[:, 2] > 1.0 - 1e-9)
+    found = (traction(space, pull, faces=top) * moved).sum()
+    assert found == pytest.approx(pull @ FIELD @ [0.5, 0.5, 1.0])
+
+
+def test_quadratic_loads_do_the_work_of_a_quadratic_field():
+    """Traction (0, 0, 1) on the top of the unit cube times u_z = x^2, and weight times the same: 1/3 each."""
+    space = Space(distorted(3), 2)
+    moved = np.column_stack([0 * space.nodes_m[:, 0]] * 2 + [space.nodes_m[:, 0] ** 2])
+    top = faces_where(space, lambda x: x[:, 2] > 1.0 - 1e-9)
+    assert (traction(space, (0.0, 0.0, 1.0), faces=top) * moved).sum() == pytest.approx(1.0 / 3.0, rel=1e-12)
+    assert (gravity(space, density_kg_m3=1.0, acceleration_m_s2=(0, 0, 1)) * moved).sum() == pytest.approx(
+        1.0 / 3.0, rel=1e-12
+    )
+
+
+@ORDERS
+def test_density_by_cell(order):
+    space = Space(distorted(2), order)
+    density = np.random.default_rng(0).uniform(500.0, 2000.0, space.cell_count)
+    force = gravity(space, density_kg_m3=density).sum(axis=0)
+    assert force == pytest.approx([0.0, 0.0, -9.80665 * density @ space.mesh.volumes_m3])
+
+
+@ORDERS
+def test_point_force_acts_where_the_surface_is_nearest(order):
+    space, force = Space(distorted(3), order), np.array([0.2, -0.1, -1.0])
+    load = point_force(space, (0.37, 0.61, 1.4), force)
+    assert load.sum(axis=0) == pytest.approx(force)
+    assert moment(space, load) == pytest.approx(np.cross([0.37, 0.61, 1.0], force))
+
+
+def refusals():
+    space = Space(distorted(2))
+    nothing = np.zeros((space.node_count, 3))
+    return {
+        "order must be 1 or 2": lambda: Space(space.mesh, 3),
+        "density_kg_m3 must be finite": lambda: gravity(space, density_kg_m3=-1.0),
+        "acceleration_m_s2 must be finite": lambda: gravity(space, density_kg_m3=1.0, acceleration_m_s2=(0, np.nan, 0)),
+        "traction_pa must be finite": lambda: traction(space, (0.0, 1.0)),
+        "pressure_pa must be finite": lambda: pressure(space, np.nan),
+        "force_N must be finite": lambda: point_force(space, (0, 0, 0), (0, 0, np.inf)),
+        "thickness_m must be positive": lambda: capsule_stiffness(
+            space, thickness_m=0.0, young_pa=1e6, poisson_ratio=0.4
+        ),
+        "young_pa must be positive": lambda: capsule_stiffness(
+            space, thickness_m=1e-4, young_pa=0.0, poisson_ratio=0.4
+        ),
+        "poisson_ratio must be in": lambda: capsule_stiffness(space, thickness_m=1e-4, young_pa=1e6, poisson_ratio=0.5),
+        "one for each of 48 cells, got 2": lambda: assemble(space, np.stack([isotropic(5e3, 0.4)] * 2)),
+        "displacement_m must be finite": lambda: cell_stress(space, nothing * np.nan, lame(5e3, 0.4)),
+        "triangles must be faces of cells": lambda: Space(space.mesh, 2).with_middles(np.array([[0, 1, 26]])),
+    }
+
+
+@pytest.mark.parametrize("said", refusals())
+def test_what_cannot_be_used_is_refused(said):
+    with pytest.raises(InputError, match=said):
+        refusals()[said]()
+
+
+def test_a_body_far_from_the_origin_has_the_same_matrix():
+    """Gradients come from differences of positions: 1 m away from a body of 1 m costs rounding alone."""
+    mesh = distorted(3)
+    near, far = (
+        assemble(Space(TetMesh(mesh.nodes_m + shift, mesh.cells), 2), lame(5e3, 0.45)).data for shift in (0.0, 1.0)
+    )
+    assert np.abs(near - far).max() <= 1e-13 * np.abs(near).max()

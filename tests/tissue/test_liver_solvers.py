@@ -1,0 +1,565 @@
+"""Laws that every path to ``K u = f`` keeps, what each refuses, and every way a solve can end."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+from scipy.sparse import bsr_array, eye_array
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
+from tet_bodies import distorted
+
+from meshes.errors import InputError
+from meshes.tet_structured import box, joined
+from meshes.tetrahedra import TetMesh
+from tissue.liver import condensed
+from tissue.liver.assembly import assemble
+from tissue.liver.condensed import CondensedSolver, compliance_bytes, surface_compliance
+from tissue.liver.direct import DirectSolver
+from tissue.liver.dissection import dissection
+from tissue.liver.free_modes import free_modes, rigid_modes
+from tissue.liver.lazy_compliance import LazyCompliance
+from tissue.liver.multigrid import MultigridSolver
+from tissue.liver.reduced import ReducedSolver
+from tissue.liver.solver import HeldBody, Outcome, Supports, pointwise_graph
+from tissue.liver.space import Space
+from tissue.materials.elasticity import lame
+
+LIVER = (5e3, 0.45)
+MESH = distorted(4, seed=3)
+SURFACE = MESH.surface_nodes
+BOTTOM = MESH.nodes_m[:, 2] < 1e-9
+
+
+def body_of(mesh=MESH, supports=None, order=1, law=LIVER):
+    space = Space(mesh, order=order)
+    if supports is None:
+        supports = Supports.of_nodes(space.nodes_m[:, 2] < 1e-9)
+    return HeldBody(assemble(space, lame(*law)), space.nodes_m, supports)
+
+
+@pytest.fixture(autouse=True)
+def fresh_cache(tmp_path, monkeypatch):
+    """A cache of its own for every test."""
+    monkeypatch.setenv("TISSUE_CACHE", str(tmp_path))
+
+
+def condensed_path(body):
+    compliance = surface_compliance(body, SURFACE, shown=np.arange(len(body.nodes_m)))
+    return CondensedSolver(body, compliance)
+
+
+def reduced_path(body):
+    return ReducedSolver(DirectSolver(body), SURFACE, size=3 * len(SURFACE), tolerance=1e-6)
+
+
+PATHS = {"direct": DirectSolver, "multigrid": MultigridSolver, "condensed": condensed_path, "reduced": reduced_path}
+
+
+def springs():
+    """The bottom on springs, one node of it fixed."""
+    spring = np.zeros(MESH.nodes_m.shape)
+    spring[BOTTOM] = 30.0
+    fixed = np.zeros(MESH.nodes_m.shape, dtype=bool)
+    fixed[np.flatnonzero(BOTTOM)[0]] = True
+    return Supports(fixed, spring_N_m=spring)
+
+
+def sliding():
+    """The bottom may slide but for three planes that keep it."""
+    x = MESH.nodes_m
+    return Supports(np.abs(x) < 1e-9)
+
+
+HELD = {"clamped": lambda: Supports.of_nodes(BOTTOM), "springs": springs, "sliding": sliding}
+
+
+def load_on(nodes, seed=0, count=125):
+    load = np.zeros((count, 3))
+    load[nodes] = np.random.default_rng(seed).normal(size=(len(nodes), 3))
+    return load
+
+
+def energy_error(body, found, exact):
+    """Error in the energy norm relative to the answer's."""
+    off = (found - exact).ravel()
+    matrix = body.sprung
+    return np.sqrt(off @ (matrix @ off) / (exact.ravel() @ (matrix @ exact.ravel())))
+
+
+def dense(body, load):
+    """The answer by LAPACK."""
+    full = body.sprung.toarray()
+    fixed = body.supports.fixed.ravel()
+    answer = body.given_m.ravel().copy()
+    right = load.ravel() - full @ answer
+    answer[~fixed] = np.linalg.solve(full[np.ix_(~fixed, ~fixed)], right[~fixed])
+    return answer.reshape(-1, 3)
+
+
+@pytest.fixture(params=PATHS)
+def path(request):
+    return PATHS[request.param]
+
+
+@pytest.mark.parametrize("held", HELD)
+def test_the_answer_is_lapacks_to_the_stated_tolerance(path, held):
+    body = body_of(supports=HELD[held]())
+    solver = path(body)
+    load = load_on(SURFACE)
+    found = solver.solve(load)
+    assert found.outcome is Outcome.CONVERGED and found.converged
+    assert energy_error(body, found.displacement_m, dense(body, load)) <= solver.tolerance
+    assert np.all(found.displacement_m[body.supports.fixed] == 0.0)
+
+
+def test_a_solve_is_linear_reciprocal_and_stores_energy(path):
+    """Betti (1872): the work of one load along another's displacement is the same either way round."""
+    body = body_of()
+    solver = path(body)
+    free = SURFACE[~BOTTOM[SURFACE]]
+    loads = [load_on(free, seed) for seed in (1, 2)]
+    a, b = (solver.solve(load).displacement_m for load in loads)
+    both = solver.solve(2.0 * loads[0] - 3.0 * loads[1]).displacement_m
+    slack = 20.0 * max(solver.tolerance, 1e-12)  # errors of three solves, in any direction
+    assert np.linalg.norm(both - (2.0 * a - 3.0 * b)) <= slack * np.linalg.norm(both)
+    one, other = np.sum(loads[0] * b), np.sum(loads[1] * a)
+    size = np.sqrt(np.sum(loads[0] * a) * np.sum(loads[1] * b))
+    assert abs(one - other) <= slack * size
+    assert np.sum(loads[0] * a) > 0.0 and np.sum(loads[1] * b) > 0.0
+
+
+def test_no_load_moves_nothing(path):
+    found = path(body_of()).solve(np.zeros(MESH.nodes_m.shape))
+    assert found.converged and not found.displacement_m.any() and found.residual == 0.0
+
+
+def test_forces_on_held_nodes_go_into_the_support(path):
+    solver = path(body_of())
+    found = solver.solve(load_on(np.flatnonzero(BOTTOM)))
+    assert found.converged and not found.displacement_m.any()
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_load_that_is_no_number_is_refused(path, bad):
+    load = load_on(SURFACE)
+    load[SURFACE[4], 1] = bad
+    with pytest.raises(InputError, match=f"load_N must be finite, got .* at node {SURFACE[4]}: check"):
+        path(body_of()).solve(load)
+
+
+def test_a_load_of_another_shape_is_refused(path):
+    with pytest.raises(InputError, match=r"load_N must have the shape \(125, 3\), got \(124, 3\)"):
+        path(body_of()).solve(np.zeros((124, 3)))
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("ratio", [0.3, 0.49])
+def test_direct_and_multigrid_agree_on_linear_and_quadratic_cells(order, ratio):
+    body = body_of(order=order, law=(5e3, ratio))
+    load = load_on(np.flatnonzero(body.nodes_m[:, 2] > 1.0 - 1e-9), count=len(body.nodes_m))
+    exact = DirectSolver(body).solve(load)
+    found = MultigridSolver(body).solve(load)
+    assert exact.residual < 1e-11  # rounding times the condition number
+    assert found.converged and energy_error(body, found.displacement_m, exact.displacement_m) <= 1e-8
+
+
+@pytest.mark.parametrize("solver", [DirectSolver, MultigridSolver])
+def test_displaced_supports_pull_the_body_along(solver):
+    """Held along a linear field on the whole surface, the body takes that field: the patch test."""
+    outside = np.zeros(len(MESH.nodes_m), dtype=bool)
+    outside[SURFACE] = True
+    field = MESH.nodes_m @ np.array([[0.01, 0.02, 0.0], [-0.03, 0.01, 0.04], [0.0, 0.02, -0.02]])
+    body = body_of(supports=Supports(np.repeat(outside[:, None], 3, axis=1), displacement_m=field))
+    found = solver(body).solve(np.zeros_like(field))
+    assert found.converged and np.abs(found.displacement_m - field).max() < 1e-9
+
+
+def test_a_compliance_wants_supports_at_rest():
+    away = np.full(MESH.nodes_m.shape, 1e-3)
+    body = body_of(supports=Supports(np.repeat(BOTTOM[:, None], 3, axis=1), displacement_m=away))
+    solver = DirectSolver(body)
+    for make in (
+        lambda: surface_compliance(body, SURFACE),
+        lambda: LazyCompliance(solver, SURFACE),
+        lambda: ReducedSolver(solver, SURFACE, size=5),
+    ):
+        with pytest.raises(InputError, match="supports must be at rest for a compliance, got displaced ones"):
+            make()
+
+
+FREE = {
+    "one node": ([0], "xyz", {"rotation about x through (0.5, 0, 0) m", "rotation about y through (0, 0.5, 0) m",
+                              "rotation about z through (0, 0, 0.5) m"}),
+    "an edge along z": ([0, 1, 2, 3, 4], "xyz", {"rotation about z through (0, 0, 0.5) m"}),
+    "a plane that slides": (np.flatnonzero(BOTTOM), "z", {"translation along x", "translation along y",
+                                                          "rotation about z through (0.5, 0.5, 0.5) m"}),
+    "a rail along x": (np.flatnonzero(BOTTOM), "yz", {"translation along x"}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", FREE)
+def test_free_motions_are_named(case):
+    nodes, axes, expected = FREE[case]
+    fixed = np.zeros(MESH.nodes_m.shape, dtype=bool)
+    for axis in axes:
+        fixed[nodes, "xyz".index(axis)] = True
+    regular = box((1.0, 1.0, 1.0), (4, 4, 4)).nodes_m
+    assert set(free_modes(regular, fixed)) == expected
+    with pytest.raises(InputError, match=r"supports must leave no rigid motion free, got the body \(125 nodes\)"):
+        body_of(supports=Supports(fixed))
+
+
+def test_a_motion_about_a_slanting_axis_is_named_by_its_direction():
+    x = box((1.0, 1.0, 1.0), (4, 4, 4)).nodes_m
+    on_diagonal = np.ptp(x, axis=1) < 1e-9
+    (only,) = free_modes(x, np.repeat(on_diagonal[:, None], 3, axis=1))
+    assert only.startswith("rotation about (0.577, 0.577, 0.577) through")
+
+
+def test_named_motions_are_those_that_cost_no_energy():
+    """Six for the stiffness alone; after supports, as many words as zero eigenvalues."""
+    body = body_of()
+    stiffness = body.stiffness.toarray()
+    modes = rigid_modes(MESH.nodes_m, np.zeros(3)).reshape(-1, 6)
+    assert np.abs(stiffness @ modes).max() < 1e-9 * np.abs(stiffness).max()
+    rng = np.random.default_rng(5)
+    for count in (1, 2, 3, 4, 5, 6, 8):
+        fixed = np.zeros(MESH.nodes_m.size, dtype=bool)
+        fixed[rng.choice(fixed.size, count, replace=False)] = True
+        values = np.linalg.eigvalsh(stiffness[np.ix_(~fixed, ~fixed)])
+        zero = int((values < 1e-9 * values[-1]).sum())
+        assert len(free_modes(MESH.nodes_m, fixed.reshape(-1, 3))) == zero
+
+
+def test_supports_that_hold_nothing_are_refused():
+    none = np.zeros(MESH.nodes_m.shape, dtype=bool)
+    with pytest.raises(InputError, match="supports must hold something, got none: all six rigid motions are free"):
+        body_of(supports=Supports(none))
+    loose = TetMesh(np.concatenate([MESH.nodes_m, [[2.0, 0.0, 0.0]]]), MESH.cells)
+    fixed = np.zeros(len(loose.nodes_m), dtype=bool)
+    fixed[-1] = True
+    with pytest.raises(InputError, match="supports must touch the body, got 1 nodes that no cell uses"):
+        body_of(loose, Supports.of_nodes(fixed))
+
+
+def test_an_unconnected_part_that_floats_is_refused():
+    far = TetMesh(MESH.nodes_m + np.array([3.0, 0.0, 0.5]), MESH.cells)
+    with pytest.raises(InputError, match=r"got 1 of 2 unconnected parts, .*translation along x"):
+        body_of(joined([MESH, far]))
+
+
+@pytest.mark.parametrize("solver", [DirectSolver, MultigridSolver])
+def test_nodes_of_no_cell_stay_where_they_are(solver):
+    loose = TetMesh(np.concatenate([MESH.nodes_m, [[2.0, 0.0, 9.0]]]), MESH.cells)
+    body = body_of(loose)
+    load = np.concatenate([load_on(SURFACE), np.zeros((1, 3))])
+    found = solver(body).solve(load)
+    assert found.converged and not found.displacement_m[-1].any()
+    assert np.abs(found.displacement_m[:-1] - dense(body_of(), load[:-1])).max() < 1e-6
+    load[-1] = 1.0
+    with pytest.raises(InputError, match="load_N must act on nodes of cells"):
+        solver(body).solve(load)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"fixed": np.zeros((5, 2), dtype=bool)}, "fixed must be booleans of shape"),
+        ({"fixed": np.zeros((5, 3))}, "fixed must be booleans of shape"),
+        ({"spring_N_m": np.full((5, 3), -1.0)}, "spring_N_m must not be negative, got -1"),
+        ({"spring_N_m": np.full((5, 3), np.nan)}, "spring_N_m must be finite"),
+        ({"displacement_m": np.full((5, 3), np.nan)}, "displacement_m must be finite"),
+        ({"displacement_m": np.zeros((4, 3))}, "displacement_m must have the shape of fixed"),
+    ],
+)
+def test_supports_that_make_no_sense_are_refused(values, said):
+    with pytest.raises(InputError, match=said):
+        Supports(**({"fixed": np.ones((5, 3), dtype=bool)} | values))
+
+
+def test_a_stiffness_that_is_not_finite_or_of_another_size_is_refused():
+    stiffness = body_of().stiffness
+    broken = stiffness.copy()
+    broken.data[7, 1, 1] = np.nan
+    with pytest.raises(InputError, match="stiffness must be finite"):
+        HeldBody(broken, MESH.nodes_m, Supports.of_nodes(BOTTOM))
+    with pytest.raises(InputError, match="stiffness and supports must be for the 124 nodes"):
+        HeldBody(stiffness, MESH.nodes_m[1:], Supports.of_nodes(BOTTOM))
+
+
+@pytest.mark.parametrize("solver", [DirectSolver, MultigridSolver])
+def test_an_indefinite_stiffness_is_told(solver):
+    """Shifted by more than its lowest eigenvalue, K keeps a positive diagonal and has one direction of negative energy."""
+    body = body_of()
+    free = body.free
+    values, vectors = np.linalg.eigh(body.stiffness.toarray()[np.ix_(free, free)])
+    lowest = vectors[:, 0]
+    shifted = bsr_array((body.stiffness - 1.5 * values[0] * eye_array(body.stiffness.shape[0])).tobsr((3, 3)))
+    assert shifted.diagonal().min() > 0.0
+    found = solver(HeldBody(shifted, MESH.nodes_m, body.supports)).solve(body.whole(lowest))
+    assert found.outcome is Outcome.INDEFINITE and not found.converged
+
+
+def test_a_matrix_without_a_factor_is_refused():
+    """A cell of no stiffness hung on by nothing else leaves empty rows behind its diagonal."""
+    body = body_of()
+    ones = bsr_array((np.ones_like(body.stiffness.data), body.stiffness.indices, body.stiffness.indptr))
+    with pytest.raises(InputError, match="stiffness must be positive definite, got one without a factor"):
+        DirectSolver(HeldBody(ones, MESH.nodes_m, body.supports))
+
+
+def test_multigrid_that_runs_out_of_iterations_says_so():
+    found = MultigridSolver(body_of(), limit=2).solve(load_on(SURFACE))
+    assert found.outcome is Outcome.NOT_CONVERGED and found.iterations == 2
+
+
+def test_a_factor_that_loses_its_digits_says_so(monkeypatch):
+    monkeypatch.setattr(DirectSolver, "tolerance", 0.0)
+    found = DirectSolver(body_of()).solve(load_on(SURFACE))
+    assert found.outcome is Outcome.INACCURATE
+
+
+def test_a_warm_start_saves_iterations_and_the_answer_needs_none():
+    solver = MultigridSolver(body_of())
+    load = load_on(SURFACE)
+    cold = solver.solve(load)
+    near = solver.solve(1.001 * load, start_m=cold.displacement_m)
+    same = solver.solve(load, start_m=cold.displacement_m)
+    assert near.iterations < 0.8 * cold.iterations and same.iterations <= 1
+    with pytest.raises(InputError, match="start_m must be finite"):
+        solver.solve(load, start_m=np.full_like(load, np.nan))
+
+
+def test_multigrid_refuses_a_tolerance_below_rounding():
+    with pytest.raises(InputError, match="tolerance must be in"):
+        MultigridSolver(body_of(), tolerance=1e-16)
+
+
+def test_dissection_orders_every_node_once_and_parts_what_it_separates():
+    """With the last nodes taken out, a box falls apart into halves; elimination in that order fills less than plainly."""
+    mesh = box((1.0, 0.5, 0.5), (16, 6, 6))
+    body = body_of(mesh)
+    graph = pointwise_graph(body.stiffness)
+    order = dissection(mesh.nodes_m, graph)
+    assert np.array_equal(np.sort(order), np.arange(len(mesh.nodes_m)))
+    section = 7 * 7
+    left = order[:-section]
+    count, label = connected_components(graph[left][:, left], directed=False)
+    assert count == 2 and np.bincount(label).min() > 0.4 * len(left)
+    rows = body.stiffness.tocsr()
+    unknowns = (3 * order[:, None] + np.arange(3)).ravel()
+    free = np.isin(unknowns, body.free)
+    mixed = np.random.default_rng(0).permutation(body.free)
+    fills = [
+        splu(rows[o][:, o].tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True}).nnz
+        for o in (unknowns[free], mixed)
+    ]
+    assert fills[0] < 0.5 * fills[1]
+
+
+def test_the_compliance_is_found_once_symmetric_and_positive(monkeypatch):
+    body = body_of()
+    free = SURFACE[~BOTTOM[SURFACE]]
+    shares = []
+    first = surface_compliance(body, free, shown=SURFACE, progress=shares.append)
+    assert np.array_equal(first.matrix_m_N, first.matrix_m_N.T)
+    assert first.asymmetry < 1e-12  # rounding of two back-substitutions
+    assert np.linalg.eigvalsh(first.matrix_m_N)[0] > 0.0
+    assert shares == sorted(shares) and shares[-1] == 1.0
+    monkeypatch.setattr(condensed, "DirectSolver", None)  # a second start may not factorise
+    again = surface_compliance(body, free, shown=SURFACE)
+    assert np.array_equal(again.matrix_m_N, first.matrix_m_N)
+    assert np.array_equal(again.response_m_N, first.response_m_N)
+    with pytest.raises(TypeError):
+        surface_compliance(body_of(law=(6e3, 0.45)), free, shown=SURFACE)
+
+
+def test_a_compliance_that_would_not_fit_is_refused_beforehand():
+    body = body_of()
+    needed = compliance_bytes(len(SURFACE), 0)
+    assert surface_compliance(body, SURFACE, limit_bytes=needed).matrix_m_N.nbytes == needed
+    with pytest.raises(InputError, match=r"must fit in .* GB, got 98 and 0 nodes that need .*LazyCompliance"):
+        surface_compliance(body, SURFACE, limit_bytes=needed - 1)
+
+
+@pytest.mark.parametrize(
+    ("touchable", "said"),
+    [
+        ([], "touchable must name at least one node"),
+        ([3, 125], "touchable must name nodes 0 to 124, got 3 to 125"),
+        ([3, 3, 4], "touchable must name each node once, got 1 twice"),
+    ],
+)
+def test_touchable_nodes_are_checked(touchable, said):
+    with pytest.raises(InputError, match=said):
+        surface_compliance(body_of(), np.array(touchable, dtype=np.int64))
+
+
+def test_the_condensed_path_refuses_what_it_does_not_know():
+    body = body_of()
+    with pytest.raises(InputError, match="compliance must show all 125 nodes, got 0"):
+        CondensedSolver(body, surface_compliance(body, SURFACE))
+    inside = np.setdiff1d(np.arange(125), SURFACE)
+    with pytest.raises(InputError, match="load_N must act on touchable nodes"):
+        condensed_path(body).solve(load_on(inside))
+
+
+def test_multigrid_finds_columns_too_to_its_tolerance():
+    body = body_of()
+    exact = surface_compliance(body, SURFACE).matrix_m_N
+    unknowns = (3 * SURFACE[50:53, None] + np.arange(3)).ravel()
+    rows = (3 * SURFACE[:, None] + np.arange(3)).ravel()
+    found = MultigridSolver(body).columns(unknowns)[rows]
+    assert np.abs(found - exact[:, 150:159]).max() < 1e-7 * np.abs(exact).max()
+    with pytest.raises(InputError, match="stiffness must have columns by multigrid, got NOT_CONVERGED"):
+        MultigridSolver(body, limit=1).columns(unknowns)
+
+
+def lazy(nodes, **options):
+    return LazyCompliance(DirectSolver(body_of()), nodes, **options)
+
+
+def test_columns_on_demand_are_those_of_the_whole_compliance():
+    whole = surface_compliance(body_of(), SURFACE).matrix_m_N
+    there = lazy(SURFACE)
+    near = np.array([40, 7, 63, 8])
+    there.want(near)
+    assert not there.ready(near)
+    with pytest.raises(InputError, match="nodes must be ready, got 4 that are not"):
+        there.block(near)
+    there.fill()
+    assert there.ready(near) and not there.ready(np.array([41]))
+    rows = (3 * near[:, None] + np.arange(3)).ravel()
+    out = np.empty((20, 20))
+    block = there.block(near, out)
+    assert block.base is out and np.array_equal(block, block.T)
+    rounding = 1e-12 * np.abs(whole).max()
+    assert np.abs(block - whole[np.ix_(rows, rows)]).max() < rounding
+    force = np.random.default_rng(0).normal(size=(4, 3))
+    expected = whole[:, rows] @ force.ravel()
+    assert np.abs(there.displacement_m(near, force).ravel() - expected).max() < 1e-11 * np.abs(expected).max()
+
+
+def test_columns_are_poured_one_node_at_a_time_into_a_matrix_of_all():
+    there = lazy(SURFACE)
+    matrix = np.full((3 * len(SURFACE),) * 2, np.nan)
+    for near in ([5, 9, 30], [9, 31]):
+        there.want(np.array(near))
+        there.fill()
+        while there.pour(matrix):
+            pass
+    rows = (3 * np.array([5, 9, 30, 31])[:, None] + np.arange(3)).ravel()
+    assert np.array_equal(matrix[np.ix_(rows, rows)], there.block(np.array([5, 9, 30, 31])))
+    assert np.isnan(matrix).sum() == matrix.size - len(rows) ** 2
+    assert there.pour(matrix) == 0
+    with pytest.raises(InputError, match="matrix_m_N must be contiguous"):
+        there.pour(matrix[:, ::2])
+
+
+def test_the_node_wanted_longest_ago_makes_room():
+    each = 3 * 3 * 8 * len(SURFACE)
+    there = lazy(SURFACE, capacity_bytes=3 * each + 5)
+    assert there.capacity == 3
+    for near in ([0, 1, 2], [0], [3]):
+        there.want(np.array(near))
+        there.fill()
+    assert there.ready(np.array([0, 2, 3])) and not there.ready(np.array([1]))
+    there.want(np.array([0, 2, 4]))
+    there.fill()
+    assert there.ready(np.array([0, 2, 4]))  # what is wanted stays whatever its age
+    with pytest.raises(InputError, match="nodes must be at most the 3 that the buffer holds, got 4"):
+        there.want(np.arange(4))
+    with pytest.raises(InputError, match="capacity_bytes must hold one node"):
+        lazy(SURFACE, capacity_bytes=each - 1)
+
+
+def test_a_thread_finds_columns_beside_the_ticks_and_drops_what_is_no_longer_wanted():
+    there = lazy(SURFACE)
+    there.start()
+    try:
+        there.want(np.arange(60))
+        there.want(np.array([70, 71]))
+        deadline = time.monotonic() + 20.0
+        while not there.ready(np.array([70, 71])):
+            assert time.monotonic() < deadline
+            time.sleep(0.001)
+        assert not there.ready(np.arange(60))
+    finally:
+        there.stop()
+    assert not [thread for thread in threading.enumerate() if thread.name == "compliance"]
+    there.want(np.array([72]))
+    there.fill()
+    assert np.array_equal(there.block(np.array([71, 72])), there.block(np.array([71, 72])).T)
+
+
+def test_a_failure_in_the_thread_is_told(monkeypatch):
+    there = lazy(SURFACE)
+    monkeypatch.setattr(there._solver, "columns", lambda unknowns: 1 / 0)
+    there.start()
+    there.want(np.array([1]))
+    there._thread.join(timeout=20.0)
+    with pytest.raises(RuntimeError, match="the compliance could not be found"):
+        there.ready(np.array([1]))
+    there.stop()
+
+
+def test_modes_are_orthonormal_in_the_stiffness_and_cut_the_compliance_best():
+    body = body_of()
+    free = SURFACE[~BOTTOM[SURFACE]]
+    solver = ReducedSolver(DirectSolver(body), free, size=20)
+    gram = solver.modes.T @ (body.stiffness @ solver.modes)
+    assert np.abs(gram - np.eye(20)).max() < 1e-10
+    whole = surface_compliance(body, free).matrix_m_N
+    rows = (3 * free[:, None] + np.arange(3)).ravel()
+    reduced = solver.modes[rows] @ solver.modes[rows].T
+    missed = np.linalg.eigvalsh(whole - reduced)
+    assert missed[0] > -1e-12 * missed[-1]  # a basis is never softer than the body
+    assert missed[-1] == pytest.approx(solver.values_m_N[20], rel=1e-8)
+
+
+def test_more_modes_leave_out_less_and_the_error_told_is_the_error():
+    body = body_of()
+    free = SURFACE[~BOTTOM[SURFACE]]
+    factor = DirectSolver(body)
+    load = load_on(free[:6])
+    exact = factor.solve(load).displacement_m
+    told_errors = []
+    for size in (5, 20, 60, 200):
+        found = ReducedSolver(factor, free, size=size).solve(load)
+        told_errors.append(found.residual)
+        assert found.residual == pytest.approx(energy_error(body, found.displacement_m, exact), rel=1e-6)
+        assert found.converged is (found.residual <= 0.1)
+    assert told_errors == sorted(told_errors, reverse=True)
+    assert told_errors[0] > 0.1 > told_errors[-1]
+    told = ReducedSolver(factor, free, size=5).errors([5, 20, 60, 200])
+    for name in ("energy", "point", "corrected"):
+        values = [getattr(error, name) for error in told]
+        assert values == sorted(values, reverse=True) and 0.0 < values[-1] < values[0] <= 1.0
+
+
+def test_residual_blocks_make_a_single_node_as_soft_as_it_is():
+    body = body_of()
+    free = SURFACE[~BOTTOM[SURFACE]]
+    solver = ReducedSolver(DirectSolver(body), free, size=10)
+    whole, reduced = surface_compliance(body, free).matrix_m_N, solver.compliance_m_N()
+    for node in range(0, len(free), 7):
+        part = slice(3 * node, 3 * node + 3)
+        assert np.abs(reduced[part, part] - whole[part, part]).max() < 1e-12 * np.abs(whole).max()
+    assert np.array_equal(reduced, reduced.T)
+    assert np.linalg.eigvalsh(reduced)[0] > 0.0  # the blocks of what is left out are positive definite
+
+
+def test_a_load_beside_the_basis_is_told():
+    body = body_of()
+    solver = ReducedSolver(DirectSolver(body), SURFACE[:20], size=60)
+    inside = np.setdiff1d(np.arange(125), SURFACE)
+    assert solver.solve(load_on(inside)).outcome is Outcome.OUTSIDE_BASIS
+
+
+@pytest.mark.parametrize(("options", "said"), [({"size": 0}, "size must be in"), ({"size": 9999}, "size must be in"),
+                                               ({"size": 5, "tolerance": 1.0}, "tolerance must be in")])  # fmt: skip
+def test_a_basis_that_makes_no_sense_is_refused(options, said):
+    with pytest.raises(InputError, match=said):
+        ReducedSolver(DirectSolver(body_of()), SURFACE, **options)

@@ -1,0 +1,322 @@
+"""The needle as a tissue model: the contract's laws, where it meets the organ, what it tells, what it refuses."""
+
+import gc
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tissue import InputError
+from tissue.model import ToolMotion
+from tissue.motion import PushAlongAxis
+from tissue.needle import Insertion, Membrane, NeedleModel, NeedleTissue, ShaftFriction, cutting_force_N, needle_tissue
+
+STEP_S = 1e-3
+NEEDLE_M = 1.27e-3
+LIVER = needle_tissue()
+LAYERED = needle_tissue(vessel_wall_depth_m=20e-3)
+ARRAYS = ("resistance", "edge", "wrench", "engaged_m2")
+
+
+def needle(tissue=LAYERED, **options):
+    """A needle above an organ."""
+    model = NeedleModel(tissue, diameter_m=NEEDLE_M, **options)
+    model.place(at(-1.0))
+    return model
+
+
+def at(depth_mm, *, speed_m_s=5e-3, inwards=True, sideways_mm=0.0):
+    """The needle upright with its tip at a depth."""
+    motion = ToolMotion(tip_m=1e-3 * np.array([sideways_mm, 0.0, -depth_mm]), speed_m_s=speed_m_s)
+    motion.heading[0] = (0.0, 0.0, -1.0 if inwards else 1.0)
+    return motion
+
+
+def go(model, depths_mm, *, step_mm=0.05, sideways_mm=0.0):
+    """Visit depths one after the other; return the last response and motion."""
+    before = depths_mm[0]
+    for depth in depths_mm:
+        count = max(round(abs(depth - before) / step_mm), 1)
+        for part in np.linspace(before, depth, count + 1):
+            motion = at(part, inwards=depth >= before, sideways_mm=sideways_mm)
+            model.advance(motion)
+            response = model.respond(motion)
+        before = depth
+    return response, motion
+
+
+def wander(seed, count=12):
+    """Depths that go in and out again [mm]."""
+    return [-1.0, *np.random.default_rng(seed).uniform(-15.0, 60.0, size=count).tolist()]
+
+
+def test_nothing_touched_gives_no_force():
+    model = needle()
+    for motion in (at(-5.0), at(-1e-6), at(-100.0, inwards=False), at(-2.0, sideways_mm=50.0)):
+        model.advance(motion)
+        response = model.respond(motion)
+        for name in (*ARRAYS, "measures"):
+            assert not getattr(response, name).any(), name
+
+
+def test_a_needle_removes_nothing():
+    model = needle()
+    go(model, wander(0))
+    model.finish()
+    assert not model.start_m3.any() and not model.removed_m3.any()
+    assert model.remaining() is None and model.fields is None
+    assert model.respond(at(0.0)).removal_rate_m3_s == 0.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_force_grows_with_speed_as_its_two_parts_say(seed):
+    """wrench = resistance x speed + edge, for whatever speed, at one pose; and friction always resists."""
+    model = needle()
+    _, motion = go(model, wander(seed))
+    for speed in (0.0, 1e-5, 1e-3, 0.1):
+        motion.speed_m_s = speed
+        response = model.respond(motion)
+        np.testing.assert_allclose(response.wrench, response.resistance * speed + response.edge, rtol=1e-12, atol=1e-15)
+        assert response.wrench[2] == pytest.approx(response.measures[2:].sum(), abs=1e-12)
+        assert response.resistance[:3] @ motion.heading[0] <= 0.0
+
+
+def test_a_needle_at_rest_keeps_its_state_and_its_force():
+    """The organ stays deflected: unlike bone it pushes back at rest, without the viscous part."""
+    model = needle()
+    moving, motion = go(model, [-1.0, 40.0])
+    moving = moving.wrench.copy()
+    viscous = LAYERED.friction.viscous_in_N_s_m2 * model.insertion.inserted_m * motion.speed_m_s
+    motion.speed_m_s = 0.0
+    model.advance(motion)
+    held = model.respond(motion).wrench.copy()
+    assert held[2] == pytest.approx(moving[2] - viscous, rel=1e-12)
+    assert held[2] > 1.5
+    for _ in range(20):
+        model.advance(motion)
+        np.testing.assert_array_equal(model.respond(motion).wrench, held)
+    assert model.respond(motion).resistance[2] == 0.0
+
+
+def test_the_response_is_one_object_whose_arrays_are_used_again():
+    model = needle()
+    first = model.respond(at(-1.0))
+    arrays = [getattr(first, name) for name in (*ARRAYS, "measures")]
+    response, _ = go(model, wander(1))
+    assert response is first
+    assert all(getattr(response, name) is array for name, array in zip((*ARRAYS, "measures"), arrays, strict=True))
+
+
+def test_a_tick_leaves_no_memory_behind():
+    model = needle()
+    path = [-1.0, 50.0, -20.0]
+    go(model, path)
+    model.notices.clear()
+    tracemalloc.start()
+    go(model, path)
+    model.notices.clear()
+    gc.collect()
+    before = tracemalloc.get_traced_memory()[0]
+    for _ in range(3):
+        go(model, path)
+        model.notices.clear()
+    gc.collect()
+    grown = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert grown < 1024
+
+
+def test_layers_and_the_one_that_the_tip_touches():
+    model = needle()
+    assert model.layer_names == ("capsule", "parenchyma", "vessel wall")
+    wall_mm = 20.0 + 1e3 * model.insertion.tissue.deflection_m(2.0)
+    depths = (-1.0, 10.0, 25.0, wall_mm, 60.0)
+    for before, depth, layer in zip(depths, depths[1:], (0, 1, 2, 1), strict=False):
+        engaged = go(model, [before, depth])[0].engaged_m2
+        assert np.flatnonzero(engaged).tolist() == [layer], depth
+        assert engaged.sum() == pytest.approx(0.25 * np.pi * NEEDLE_M**2)
+    assert NeedleModel(replace(LIVER, membranes=()), diameter_m=NEEDLE_M).layer_names == ("parenchyma",)
+
+
+def test_events_are_told_once_in_their_order():
+    model = needle()
+    go(model, [-1.0, 60.0])
+    assert model.notices[0] == "the capsule is punctured at 16.9 mm with 2.30 N"
+    assert model.notices[1].startswith("the vessel wall is punctured at ")
+    assert len(model.notices) == 2
+    go(model, [60.0, -20.0, 60.0, -20.0])
+    assert model.notices[2:] == ["the needle has left the organ"] * 2
+
+
+def test_a_needle_that_goes_in_elsewhere_punctures_again():
+    model = needle(LIVER)
+    go(model, [-1.0, 30.0, -20.0])
+    go(model, [-20.0, 30.0, -20.0], sideways_mm=0.9 * 1e3 * NEEDLE_M)
+    assert len(model.insertion.punctures) == 1
+    assert sum("punctured" in told for told in model.notices) == 1
+    go(model, [-20.0, 30.0, -20.0], sideways_mm=2.0)
+    assert sum("punctured" in told for told in model.notices) == 2
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_frame_of_the_world_does_not_matter(seed):
+    """Organ and needle turned and moved together give the turned force; depth counts along a tilted needle."""
+    random = np.random.default_rng(seed)
+    turned, shift = Rotation.random(random_state=seed).as_matrix(), random.normal(size=3)
+    tilt = Rotation.from_euler("xy", random.uniform(-0.6, 0.6, size=2)).as_matrix()
+    plain = needle(LIVER)
+    moved = NeedleModel(LIVER, diameter_m=NEEDLE_M, origin_m=tuple(shift), normal=tuple(turned[:, 2]))
+    for depth in (*np.arange(-1.0, 40.0, 0.3), *np.arange(40.0, -20.0, -0.3)):
+        motion = at(depth)
+        other = ToolMotion(rotation=turned @ tilt, speed_m_s=motion.speed_m_s)
+        other.tip_m = shift + turned @ tilt @ motion.tip_m
+        other.heading[0] = turned @ tilt @ motion.heading[0]
+        plain.advance(motion)
+        moved.advance(other)
+        expected = turned @ tilt @ plain.respond(motion).wrench[:3]
+        np.testing.assert_allclose(moved.respond(other).wrench[:3], expected, atol=1e-9)
+    assert not moved.respond(other).wrench[3:].any()
+
+
+def pushed(thrust_N, ticks=8000, step_s=STEP_S):
+    """A needle pushed by a thrust at no more than 5 mm/s; depth [mm], force [N] and speed [m/s] of every tick."""
+    model, motion = needle(LIVER), ToolMotion()
+    drive = PushAlongAxis(
+        np.array([0.0, 0.0, 1e-3]),
+        axis=(0.0, 0.0, 1.0),
+        thrust_N=thrust_N,
+        mass_kg=0.05,
+        max_feed_m_s=5e-3,
+        depth_m=30e-3,
+    )
+    drive.begin(motion)
+    model.place(motion)
+    rows, response = [], model.respond(motion)
+    for tick in range(ticks):
+        drive.advance(tick * step_s, step_s, response, motion)
+        model.advance(motion)
+        response = model.respond(motion)
+        rows.append((-1e3 * motion.tip_m[2], response.wrench[2], motion.speed_m_s))
+    return np.array(rows).T
+
+
+def test_a_thrust_below_the_puncture_comes_to_rest_on_the_capsule():
+    """It rests where the organ pushes back as much; the moving mass carries it v sqrt(m / k) = 0.08 mm farther at most."""
+    mm, force, speed = pushed(2.0)
+    assert speed[-1] == 0.0
+    rest_mm = 1e3 * LIVER.deflection_m(2.0)
+    assert rest_mm <= mm[-1] < rest_mm + 0.08
+    assert 2.0 <= force[-1] < 2.02
+    assert (np.diff(mm) >= 0.0).all()
+
+
+def test_a_thrust_above_the_puncture_goes_through_to_its_end():
+    mm, force, speed = pushed(2.4)
+    assert mm[-1] == pytest.approx(30.0, abs=1e-9)
+    fell = int(np.argmin(np.diff(force)))
+    assert force[fell] == pytest.approx(2.3, abs=2e-3)
+    assert speed[fell + 20] == 5e-3
+
+
+def test_the_thrust_does_not_make_the_step_matter():
+    coarse, fine = pushed(2.0)[0][-1], pushed(2.0, ticks=40000, step_s=2e-4)[0][-1]
+    assert coarse == pytest.approx(fine, abs=5e-3)  # one coarse tick at 5 mm/s
+
+
+FRICTION = LIVER.friction
+CAPSULE = LIVER.membranes[0]
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda bad: replace(CAPSULE, depth_m=-1e-3), "depth_m of the capsule must be in [0, 1], got -0.001"),
+        (lambda bad: replace(CAPSULE, depth_m=bad), "depth_m of the capsule must be in [0, 1], got nan"),
+        (lambda bad: replace(CAPSULE, puncture_N=0.0), "puncture_N of the capsule must be positive and finite, got 0"),
+        (lambda bad: replace(CAPSULE, puncture_N=bad), "puncture_N of the capsule must be positive and finite, got nan"),
+        (lambda bad: replace(CAPSULE, hold_N=-0.1), "hold_N of the capsule must be in [0, 10000], got -0.1"),
+        (lambda bad: replace(FRICTION, sliding_out_N_m=-11.96), "sliding_out_N_m must be in [0, 1e+06], got -11.96"),
+        (lambda bad: replace(FRICTION, viscous_in_N_s_m2=bad), "viscous_in_N_s_m2 must be in [0, 1e+06], got nan"),
+        (lambda bad: replace(FRICTION, static_in_N_m=5.0), "static_in_N_m must be at least sliding_in_N_m (10.57)"),
+        (lambda bad: replace(LIVER, linear_N_m=bad), "linear_N_m must be positive and finite, got nan"),
+        (lambda bad: replace(LIVER, linear_N_m=18.0), "linear_N_m must be greater than the static friction per length"),
+        (lambda bad: replace(LIVER, quadratic_N_m2=-1.0), "quadratic_N_m2 must be in [0, 1e+09], got -1"),
+        (lambda bad: replace(LIVER, cutting_N="much"), "cutting_N must be a number, got 'much'"),
+        (lambda bad: replace(LIVER, membranes=(CAPSULE, CAPSULE)), "membranes must be listed from the surface downwards"),
+        (
+            lambda bad: replace(LIVER, membranes=(CAPSULE, replace(CAPSULE, depth_m=1e-2))),
+            "membranes must have different names and none parenchyma, got capsule, capsule: rename one",
+        ),
+        (lambda bad: needle_tissue(vessel_wall_depth_m=0.0), "membranes must be listed from the surface downwards"),
+        (lambda bad: cutting_force_N(toughness_J_m2=bad, crack_width_m=1e-3), "toughness_J_m2 must be positive"),
+        (lambda bad: cutting_force_N(toughness_J_m2=164.0, crack_width_m=0.0), "crack_width_m must be positive"),
+        (lambda bad: NeedleModel(LIVER, diameter_m=bad), "diameter_m must be positive and finite, got nan"),
+        (
+            lambda bad: NeedleModel(LIVER, diameter_m=NEEDLE_M, normal=(0.0, 0.0, 0.0)),
+            "normal must be three finite numbers, not all 0",
+        ),
+        (
+            lambda bad: NeedleModel(LIVER, diameter_m=NEEDLE_M, origin_m=(0.0, bad, 0.0)),
+            "origin_m must be three finite numbers, got (0.0, nan, 0.0)",
+        ),
+    ],
+)  # fmt: skip
+def test_numbers_that_cannot_be_meant_are_refused(make, said):
+    with pytest.raises(InputError) as refused:
+        make(float("nan"))
+    assert said in str(refused.value)
+    assert ": " in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_a_needle_that_starts_inside_is_refused():
+    with pytest.raises(InputError, match="tip outside the organ, got it 5 mm inside: start above the surface"):
+        NeedleModel(LIVER, diameter_m=NEEDLE_M).place(at(5.0))
+
+
+def test_a_needle_that_lies_flat_is_refused_where_it_touches():
+    model = needle()
+    for depth in (-5.0, 1.0):
+        motion = at(depth)
+        motion.rotation[:] = Rotation.from_euler("x", 85, degrees=True).as_matrix()
+        if depth < 0.0:
+            model.advance(motion)
+            assert not model.respond(motion).wrench.any()
+        else:
+            with pytest.raises(
+                InputError, match=r"more than 10 degrees, got a cosine of 0.09 .* point the needle into"
+            ):
+                model.advance(motion)
+
+
+@pytest.mark.parametrize("where", ["tip_m", "rotation"])
+def test_a_needle_that_is_nowhere_is_refused(where):
+    model = needle()
+    motion = at(3.0)
+    getattr(motion, where)[...] = np.nan
+    with pytest.raises(InputError, match="the needle's pose must be finite"):
+        model.advance(motion)
+
+
+def test_an_insertion_can_be_built_without_the_cited_numbers():
+    """A linear organ with nothing in it but friction: force C L, deflection C L / (a1 + C) of the travel."""
+    friction = ShaftFriction(
+        sliding_in_N_m=10.0,
+        sliding_out_N_m=10.0,
+        viscous_in_N_s_m2=0.0,
+        viscous_out_N_s_m2=0.0,
+        static_in_N_m=10.0,
+        static_out_N_m=10.0,
+        stick_band_m_s=0.0,
+    )
+    insertion = Insertion(NeedleTissue(linear_N_m=90.0, quadratic_N_m2=0.0, cutting_N=0.0, friction=friction))
+    insertion.advance(50e-3, 1e-3)
+    assert insertion.deflection_m == pytest.approx(5e-3, rel=1e-12)
+    assert insertion.pull_N == pytest.approx(0.45, rel=1e-12)
+    wall = Membrane(name="wall", depth_m=45e-3, puncture_N=0.3, hold_N=0.0)
+    insertion = Insertion(replace(insertion.tissue, membranes=(wall,)))
+    insertion.advance(53e-3, 1e-3)
+    assert (insertion.inserted_m, insertion.pull_N) == (45e-3, pytest.approx(0.72, rel=1e-12))
+    insertion.advance(54e-3, 1e-3)
+    assert insertion.punctures == [(pytest.approx(45e-3 + 0.75 / 90.0, rel=1e-12), pytest.approx(0.75, rel=1e-12))]

@@ -1,0 +1,275 @@
+"""`tissue view` of a soft organ: the window under a virtual display, driven as by a hand, and pictures without one."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fake_fields import PARTS, pressed_run, pressed_series
+
+from tissue import InputError, load_scene
+from tissue.offscreen import display_problem
+from tissue.press_picture import draw_press
+from tissue.run_folder import SavedRun
+from tissue.scene_tool import Needle, Probe
+from tissue.view import view
+from tissue.viewer_run import faces_of
+from tissue.viewer_tool import tool_surface
+
+TESTS = Path(__file__).parent
+
+
+@pytest.fixture(scope="module")
+def pressed(tmp_path_factory):
+    """Folder of a run that pressed a soft box by 6 mm within a second."""
+    return pressed_run(tmp_path_factory.mktemp("runs") / "press")
+
+
+@pytest.fixture(scope="module")
+def display():
+    """Name of a display to open windows on: a virtual one, or else the real one."""
+    if shutil.which("Xvfb") is None:
+        problem = display_problem()
+        if problem is not None:
+            pytest.skip(f"{problem}, and there is no Xvfb: apt-get install xvfb")
+        yield os.environ["DISPLAY"]
+        return
+    read, write = os.pipe()
+    command = ["Xvfb", "-displayfd", str(write), "-screen", "0", "1600x1100x24", "-nolisten", "tcp"]
+    with subprocess.Popen(command, pass_fds=[write], stderr=subprocess.DEVNULL) as server:
+        os.close(write)
+        with os.fdopen(read) as told:
+            number = told.readline().strip()
+        if not number:
+            pytest.skip("Xvfb does not start here")
+        yield f":{number}"
+        server.terminate()
+
+
+@pytest.fixture(scope="module")
+def driven(pressed, display, tmp_path_factory):
+    """What came of driving the window, and the folder of its pictures."""
+    out = tmp_path_factory.mktemp("window")
+    path = os.pathsep.join([str(TESTS.parents[1]), str(TESTS)])
+    ended = subprocess.run(
+        [sys.executable, str(TESTS / "window_driver.py"), str(pressed), str(out)],
+        env={
+            **os.environ,
+            "DISPLAY": display,
+            "PYTHONPATH": path,
+            "VTK_DEFAULT_OPENGL_WINDOW": "vtkXOpenGLRenderWindow",
+        },
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=200,
+    )
+    if ended.returncode < 0 or "OpenGL" in ended.stderr:
+        pytest.skip(f"no window can be opened here: {ended.stderr[-300:]}")
+    assert ended.returncode == 0, ended.stderr
+    return json.loads(ended.stdout.splitlines()[-1]), out
+
+
+def read_mm(text):
+    """Displacement that the window tells of the marked point [mm]."""
+    line = next(line for line in text.splitlines() if line.startswith("displacement: "))
+    return float(line.split()[1])
+
+
+def test_a_click_reads_the_material_under_it(driven):
+    told, _ = driven
+    x, y, z = told["clicked"]["reference_mm"]
+    assert (x, y, z) == pytest.approx((0.0, -8.0, 0.0), abs=1.0)
+    # Boussinesq's face under a point 6 mm above it, and 3/4 of its depth at 0.5 s and 3/8 of the time behind.
+    expected = 6.0 * 6.0 / np.hypot(np.hypot(x, y), 6.0)
+    assert read_mm(told["clicked"]["text"]) == pytest.approx(expected, rel=0.03)  # error of linear cells of 2.5 mm
+    assert read_mm(told["earlier"]) == pytest.approx(0.375 * expected, rel=0.03)
+    assert told["clicked"]["text"].startswith("capsule at (")
+    assert "von Mises: " in told["clicked"]["text"] and "kPa" in told["clicked"]["text"]
+    assert told["camera_kept"] and told["beside"] == told["clicked"]["reference_mm"]
+    # Drawn twice its size, the mark lies twice as deep.
+    assert told["enlarged_mm"][2] == pytest.approx(-2.0 * read_mm(told["clicked"]["text"]), rel=0.01)
+
+
+def test_fields_are_switched_by_key_and_by_click(driven):
+    told, _ = driven
+    assert told["after_m"] == "principal_1_kPa"
+    assert told["listed"] == [
+        "von_mises_kPa",
+        "principal_1_kPa",
+        "max_principal_strain_percent",
+        "displacement_mm",
+        "reaction_N",
+    ]
+
+
+def test_the_clip_plane_is_switched_pushed_and_turned(driven):
+    told, _ = driven
+    assert told["clipped"][2] == pytest.approx(0.0, abs=1e-3)
+    diagonal = np.linalg.norm((40.0, 40.0, 20.0))
+    assert told["pushed"][2] == pytest.approx(3 * 0.02 * diagonal, rel=1e-3)
+    assert told["back"][2] == pytest.approx(2 * 0.02 * diagonal, rel=1e-3)
+    normal, origin = map(np.array, told["turned"])
+    assert 0.05 < abs(normal[0]) < 0.9 and origin[1] == pytest.approx(2 * 0.02 * diagonal, rel=1e-3)
+    slid = np.array(told["slid"][1])
+    assert slid[2] < origin[2] - 1.0 and (slid - origin) @ normal == pytest.approx(0.0, abs=1e-6)
+    assert told["closed"][2] == pytest.approx(-20.0, abs=0.1)
+
+
+def test_a_part_is_switched_off_on_the_field_too(driven):
+    before, after, hidden = driven[0]["hidden"]
+    assert hidden == ["capsule"]
+    assert after == pytest.approx(before * 7 / 8)  # one layer of eight is the capsule
+
+
+def test_time_plays_pauses_and_ends(driven):
+    told, _ = driven
+    assert told["playing"] and 0.5 < told["played_to"] < 1.0
+    assert told["paused_at"] == told["played_to"]
+    assert told["button"] == [True, False]
+    assert told["end"] == [1.0, False]
+
+
+def test_the_window_shows_it(driven):
+    from PIL import Image
+
+    pictures = {}
+    for file in driven[1].iterdir():
+        with Image.open(file) as picture:
+            pictures[file.stem] = np.asarray(picture.convert("RGB"), dtype=int)
+    body = (slice(150, 600), slice(250, 1150))
+    for name in ("picked", "clipped", "hidden", "end"):
+        assert (np.abs(pictures[name] - pictures["start"])[body].max(axis=2) > 30).mean() > 5e-4, name
+
+
+def _drawn(folder, **options):
+    """What `view` says; skips the test where no OpenGL works."""
+    try:
+        return view(folder, **options)
+    except InputError as problem:
+        if "OpenGL" in str(problem):
+            pytest.skip(str(problem))
+        raise
+
+
+def test_a_screenshot_shows_the_field_at_a_time_and_scale(pressed, tmp_path):
+    from PIL import Image
+
+    shares = []
+    for index, options in enumerate(({"time_s": 0.1}, {"scale": 1.5})):
+        file = tmp_path / f"{index}.png"
+        said = _drawn(pressed, screenshot=file, field="displacement_mm", **options)
+        assert said.endswith(f"screenshot in {file}")
+        with Image.open(file) as picture:
+            red, green, blue = np.moveaxis(np.asarray(picture.convert("RGB"), dtype=int)[100:640, 250:1150], 2, 0)
+        shares.append(((red > 130) & (green > 150) & (blue < 90)).mean())  # upper end of the scale, yellow
+    # Before contact nothing has moved; without a time it is the moment of the greatest force.
+    assert shares[0] < 1e-4 < shares[1] / 10.0
+
+
+@pytest.mark.slow
+def test_a_movie_is_drawn_without_a_display(pressed, tmp_path, monkeypatch):
+    from PIL import Image
+
+    monkeypatch.delenv("DISPLAY", raising=False)
+    file = tmp_path / "press.gif"
+    assert _drawn(pressed, movie=file).endswith(f"movie in {file}")
+    with Image.open(file) as movie:
+        assert (movie.n_frames, movie.size) == (81, (700, 475))
+        frames = []
+        for index in (0, 40, 80):
+            movie.seek(index)
+            frames.append(np.asarray(movie.convert("RGB"), dtype=int))
+    for early, late in pairwise(frames):
+        assert (np.abs(late - early)[50:320, 120:580].max(axis=2) > 30).mean() > 0.02
+
+
+def test_the_press_is_drawn_for_the_report(pressed, tmp_path):
+    from PIL import Image
+
+    trace = SavedRun(pressed).trace
+    file = tmp_path / "press.png"
+    note = draw_press(pressed_series(), trace, file, title="press", tool=tool_surface(Probe(kind="sphere-probe")))
+    if note is not None and "OpenGL" in note:
+        pytest.skip(note)
+    assert note is None
+    with Image.open(file) as picture:
+        assert len(np.unique(np.asarray(picture.convert("RGB")).reshape(-1, 3)[::53], axis=0)) > 200
+    still = pressed_series(frames=2)
+    still.frames.pop()
+    assert draw_press(still, trace, file, title="press") == "nothing has moved"
+
+
+@pytest.mark.parametrize(
+    ("tool", "box"),
+    [
+        (Probe(kind="sphere-probe", diameter_mm=10.0), (-5.0, 5.0, -5.0, 5.0, 0.0, 10.0)),
+        (Probe(kind="cylinder-probe", diameter_mm=8.0, length_mm=30.0), (-4.0, 4.0, -4.0, 4.0, 0.0, 30.0)),
+        (Needle(diameter_mm=2.0), (-1.0, 1.0, -1.0, 1.0, 0.0, 80.0)),
+    ],
+)
+def test_a_tool_has_its_tip_at_the_origin(tool, box):
+    pytest.importorskip("pyvista")
+    assert tuple(tool_surface(tool).bounds) == pytest.approx(box, abs=0.01)
+
+
+def test_a_shell_probe_keeps_the_origin_of_its_file(tmp_path):
+    pyvista = pytest.importorskip("pyvista")
+    pyvista.Cube(center=(5.0, 0.0, 0.5)).save(tmp_path / "cube.stl")
+    tool = Probe(kind="shell-probe", file=str(tmp_path / "cube.stl"), scale_mm=10.0)
+    shell = tool_surface(tool)
+    assert tuple(shell.bounds) == pytest.approx((45.0, 55.0, -5.0, 5.0, 0.0, 10.0))
+    assert tool_surface(tool.model_copy(update={"file": str(tmp_path / "gone.stl")})) is None
+    assert tool_surface(None) is None
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"field": "heat"}, "got heat: use one of von_mises_kPa, principal_1_kPa, .*, displacement_mm, reaction_N$"),
+        ({"hide": ("gum",)}, f"got gum: use one of {', '.join(PARTS)}$"),
+        ({"time_s": 9.0}, "time_s must lie in the run, 0 to 1 s, got 9: use 1$"),
+        ({"time_s": -1.0}, "time_s must lie in the run, 0 to 1 s, got -1: use 0$"),
+        ({"time_s": float("nan")}, "time_s must lie in the run, 0 to 1 s, got nan"),
+        ({"scale": -2.0}, "scale must be a number of at least 0, got -2: use 1 for true size$"),
+        ({"scale": float("nan")}, "scale must be a number of at least 0, got nan"),
+        ({"movie": Path("press.webm")}, "movie must be a .mp4 or .gif file, got press.webm: use press.gif$"),
+        ({"movie": Path("press.gif"), "time_s": 0.5}, "time_s must be left out with movie"),
+    ],
+)
+def test_what_a_run_does_not_have_is_refused(pressed, tmp_path, options, message):
+    with pytest.raises(InputError, match=message):
+        view(pressed, screenshot=tmp_path / "view.png", **options)
+    assert not (tmp_path / "view.png").exists()
+
+
+def test_a_folder_without_frames_is_told(tmp_path):
+    folder = pressed_run(tmp_path / "bare", frames=0)
+    for options, message in (
+        ({"field": "von_mises_kPa"}, "got von_mises_kPa: this run has none, leave it out"),
+        ({"scale": 2.0}, "scale must be left out for a run without displacement, got 2: leave it out"),
+    ):
+        with pytest.raises(InputError, match=message):
+            view(folder, screenshot=tmp_path / "view.png", **options)
+    (folder / "trace.csv").unlink()
+    with pytest.raises(InputError, match="run must hold a trace, bone or frames to be shown, got none of them in"):
+        view(folder, screenshot=tmp_path / "view.png")
+
+
+def test_a_needle_goes_through_the_faces_of_its_scene():
+    pytest.importorskip("pyvista")
+    faces = faces_of(load_scene("needle", {"anatomy.vessel_wall_depth_mm": 40.0}))
+    assert {name: face.center[2] for name, face in faces.items()} == {"capsule": 0.0, "vessel wall": -40.0}
+    assert faces_of(load_scene("milling")) == {} == faces_of(None)
+
+
+def test_a_movie_that_cannot_be_drawn_leaves_no_file(pressed, tmp_path, monkeypatch):
+    monkeypatch.setattr("tissue.offscreen._windows", lambda: iter(()))
+    with pytest.raises(InputError, match="movie must be drawn in 3D, but this machine has no OpenGL library"):
+        view(pressed, movie=tmp_path / "view.gif")
+    assert not (tmp_path / "view.gif").exists()

@@ -1,0 +1,88 @@
+"""Manufactured solution in three dimensions (validation case 2): slopes and bounds of linear and quadratic cells."""
+
+import numpy as np
+import pytest
+from tet_bodies import slope, solve_iteratively
+
+from meshes.tet_structured import box
+from tissue.liver.assembly import assemble
+from tissue.liver.shapes import gradient_slopes, shape_values
+from tissue.liver.space import Space
+from tissue.materials.elasticity import lame
+
+FIRST, SHEAR = lame(1.0, 0.3)
+AMPLITUDE = np.array([1.0, -0.5, 0.7])
+
+
+def quadrature(points):
+    """Conical product rule on the tetrahedron, degree 2 points - 2 at least: barycentric coordinates, weights of mean 1."""
+    at, weight = np.polynomial.legendre.leggauss(points)
+    at, weight = 0.5 * (at + 1.0), 0.5 * weight
+    a, b, c = np.meshgrid(at, at, at, indexing="ij")
+    w = np.einsum("i,j,k->ijk", weight * (1 - at) ** 2, weight * (1 - at), weight) * 6.0
+    x, y, z = a, b * (1 - a), c * (1 - a) * (1 - b)
+    return np.stack([1 - x - y - z, x, y, z], axis=-1).reshape(-1, 4), w.ravel()
+
+
+def displacement(x):
+    return np.sin(np.pi * x).prod(axis=-1)[..., None] * AMPLITUDE
+
+
+def gradient(x):
+    """du_i / dx_j."""
+    sine, cosine = np.sin(np.pi * x), np.cos(np.pi * x)
+    each = [np.pi * cosine[..., j] * sine[..., (j + 1) % 3] * sine[..., (j + 2) % 3] for j in range(3)]
+    return AMPLITUDE[:, None] * np.stack(each, axis=-1)[..., None, :]
+
+
+def body_force(x):
+    """-div sigma = -(lambda + mu) grad div u - mu laplace u."""
+    sine, cosine = np.sin(np.pi * x), np.cos(np.pi * x)
+    second = np.empty((*x.shape[:-1], 3, 3))
+    for i in range(3):
+        for j in range(3):
+            k = 3 - i - j
+            second[..., i, j] = -sine.prod(axis=-1) if i == j else cosine[..., i] * cosine[..., j] * sine[..., k]
+    second *= np.pi**2
+    return -(FIRST + SHEAR) * second @ AMPLITUDE + 3.0 * np.pi**2 * SHEAR * displacement(x)
+
+
+def errors(order, cells):
+    """Errors in L2 of the displacement and of its gradient, relative to the norms of the exact ones."""
+    space = Space(box((1.0, 1.0, 1.0), (cells,) * 3), order)
+    at, weight = quadrature(order + 2)
+    corners = space.mesh.nodes_m[space.mesh.cells]
+    x = np.einsum("pc,mci->mpi", at, corners)
+    share = space.mesh.volumes_m3[:, None] * weight
+    shapes = shape_values(at, order)
+    local = np.einsum("mp,mpi,pa->mai", share, body_force(x), shapes, optimize=True).reshape(-1, 3)
+    nodes = space.cell_nodes.ravel()
+    load = np.stack([np.bincount(nodes, local[:, i], space.node_count) for i in range(3)], axis=1)
+    outside = ((space.nodes_m < 1e-9) | (space.nodes_m > 1.0 - 1e-9)).any(axis=1)
+    found = solve_iteratively(assemble(space, (FIRST, SHEAR)), load, np.repeat(outside[:, None], 3, axis=1))
+    at_cells = found[space.cell_nodes]
+    moved = np.einsum("pa,mai->mpi", shapes, at_cells)
+    along = np.einsum("aci,pi,mcj->mpaj", gradient_slopes(4, order), at, space.gradients[0].numpy(), optimize=True)
+    slopes = np.einsum("mai,mpaj->mpij", at_cells, along, optimize=True)
+    zero = np.sqrt(
+        (share[..., None] * (moved - displacement(x)) ** 2).sum() / (share[..., None] * displacement(x) ** 2).sum()
+    )
+    one = np.sqrt(
+        (share[..., None, None] * (slopes - gradient(x)) ** 2).sum() / (share[..., None, None] * gradient(x) ** 2).sum()
+    )
+    return zero, one
+
+
+@pytest.mark.parametrize(
+    ("order", "cells", "bounds"),
+    [(1, (10, 13, 16), (0.022, 0.14)), (2, (4, 6, 8), (0.0023, 0.026))],
+    ids=["linear", "quadratic"],
+)
+def test_slopes_and_bounds(order, cells, bounds):
+    """Orders p + 1 in displacement and p in strain, within 0.1; bounds on the finest mesh are a tenth above what is seen."""
+    zero, one = np.array([errors(order, n) for n in cells]).T
+    size = 1.0 / np.array(cells)
+    print(f"\nP{order}: L2 {zero}, slope {slope(size, zero):.3f}; H1 {one}, slope {slope(size, one):.3f}")
+    assert slope(size, zero) == pytest.approx(order + 1, abs=0.1)
+    assert slope(size, one) == pytest.approx(order, abs=0.1)
+    assert zero[-1] < bounds[0] and one[-1] < bounds[1]

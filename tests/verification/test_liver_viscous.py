@@ -1,0 +1,177 @@
+"""Creep of a finite element surface under contact: closed forms, the direct hereditary integral, Lee and Radok's limit."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import nnls
+
+from meshes.errors import InputError
+from meshes.tet_structured import box
+from tissue.liver.assembly import assemble
+from tissue.liver.space import Space
+from tissue.liver.viscous import CreepState, ViscousForce
+from tissue.materials.elasticity import lame
+from tissue.materials.prony import Prony
+
+SERIES = Prony(g=(0.3, 0.3), tau_s=(0.5, 10.0))
+STEP_S = 1e-2
+SIDE_M, DEPTH_M = 0.04, 0.02
+
+
+@pytest.fixture(scope="module")
+def surface():
+    """Top nodes of a small block of E = 5 kPa on a fixed base, and the compliance between them [m/N]."""
+    space = Space(box((SIDE_M, SIDE_M, DEPTH_M), (8, 8, 4)))
+    stiffness = assemble(space, lame(5e3, 0.4)).toarray()
+    free = np.flatnonzero(np.repeat(space.nodes_m[:, 2] > 1e-9, 3))
+    top = np.flatnonzero(space.nodes_m[:, 2] > DEPTH_M - 1e-9)
+    unknowns = (3 * top[:, None] + np.arange(3)).ravel()
+    unit = np.zeros((len(free), len(unknowns)))
+    unit[np.searchsorted(free, unknowns), np.arange(len(unknowns))] = 1.0
+    compliance = np.linalg.solve(stiffness[np.ix_(free, free)], unit)[np.searchsorted(free, unknowns)]
+    return space.nodes_m[top], 0.5 * (compliance + compliance.T)
+
+
+def test_step_of_force_creeps(surface):
+    """A force that jumps and stays: the creep compliance at every node, exactly."""
+    nodes, compliance = surface
+    elastic = (compliance @ np.random.default_rng(0).normal(size=3 * len(nodes))).reshape(-1, 3)
+    creep = CreepState(len(nodes), SERIES, step_s=STEP_S)
+    creep.restart(elastic)
+    for tick in range(1, 2001):
+        now = creep.displacement_m(elastic)
+        creep.advance(elastic)
+        if tick in (1, 10, 100, 2000):
+            np.testing.assert_allclose(now, SERIES.compliance(tick * STEP_S) * elastic, rtol=1e-11)
+
+
+def patch(surface):
+    """Vertical unknowns of the nodes within 8 mm of the middle, and the compliance between them."""
+    nodes, compliance = surface
+    near = np.flatnonzero(np.linalg.norm(nodes[:, :2] - SIDE_M / 2, axis=1) < 8e-3)
+    return near, compliance[:, 3 * near + 2]
+
+
+def pressed(surface, way, *, elastic_start=None, step_s=STEP_S):
+    """Force [N] on a bonded punch that follows ``way`` [m], solved tick by tick on the compliance."""
+    near, columns = patch(surface)
+    own = columns[3 * near + 2]
+    creep = CreepState(len(surface[0]), SERIES, step_s=step_s)
+    if elastic_start is not None:
+        creep.restart((columns @ np.linalg.solve(own, np.full(len(near), elastic_start))).reshape(-1, 3))
+    force = []
+    for depth in way:
+        nodal = np.linalg.solve(creep.instant_factor * own, depth - creep.offset_m[near, 2])
+        creep.advance((columns @ nodal).reshape(-1, 3))
+        force.append(nodal.sum())
+    return np.array(force) / np.linalg.solve(own, np.ones(len(near))).sum()
+
+
+def test_step_of_displacement_relaxes(surface):
+    """A punch that jumps in and stays: the relaxation modulus. The force is not linear in a tick: 1e-4, as asked."""
+    ticks = np.array([10, 100, 1000])
+    force = pressed(surface, np.ones(1000), elastic_start=1.0)
+    np.testing.assert_allclose(force[ticks - 1], SERIES.modulus(ticks * STEP_S), rtol=1e-4)
+
+
+def test_ramp_and_hold(surface):
+    """A ramp of 1 s and a hold: the tabulated values to 1e-4."""
+    time = STEP_S * np.arange(1, 1001)
+    force = pressed(surface, np.minimum(time, 1.0))
+    np.testing.assert_allclose(force[[49, 99, 199, 999]], (0.441130, 0.815187, 0.675873, 0.516071), atol=1e-4)
+
+
+def test_second_order_in_time(surface):
+    """The force of a ramp, at half the tick a quarter of the error."""
+    steps = np.array([0.2, 0.1, 0.05, 0.025])
+    last = [pressed(surface, h * np.arange(1, round(1.0 / h) + 1), step_s=h)[-1] for h in steps]
+    errors = np.abs(np.array(last) - 0.815187)
+    assert np.polyfit(np.log(steps), np.log(errors), 1)[0] == pytest.approx(2.0, abs=0.2)
+    assert errors[-1] < 1e-4
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_against_the_hereditary_integral(seed):
+    """Forces that come and go at changing nodes, against the integral over the whole past, term by term."""
+    random = np.random.default_rng(seed)
+    share = random.dirichlet(np.ones(4))[:-1]
+    series = Prony(tuple(share), tuple(10.0 ** random.uniform(-2.0, 1.0, 3)))
+    spread = random.normal(size=(12, 12))
+    compliance = spread @ spread.T
+    forces = random.normal(size=(60, 12)) * (random.random((60, 12)) < 0.3)
+    elastic = forces @ compliance
+    creep, found = CreepState(4, series, step_s=STEP_S), []
+    for value in elastic.reshape(-1, 4, 3):
+        found.append(creep.displacement_m(value).ravel())
+        creep.advance(value)
+    spectrum = series.retardation
+    edge = STEP_S * np.arange(61)[:, None]
+    # integral of the creep compliance from 0 to t
+    whole = edge[:, 0] + ((edge - spectrum.time_s * -np.expm1(-edge / spectrum.time_s)) * spectrum.amplitude).sum(
+        axis=1
+    )
+    mean = np.diff(whole) / STEP_S
+    steps = np.diff(elastic, axis=0, prepend=0.0)
+    direct = [sum(mean[n - m] * steps[m] for m in range(n + 1)) for n in range(60)]
+    np.testing.assert_allclose(found, direct, atol=1e-11 * np.abs(direct).max())
+
+
+def sphere_forces(surface, way):
+    """Elastic and creeping force [N] on a frictionless sphere of 20 mm at these depths [m]; nodes in contact."""
+    nodes, compliance = surface
+    up = compliance[2::3, 2::3]
+    factor = cholesky(up)
+    rise = np.sum((nodes[:, :2] - SIDE_M / 2) ** 2, axis=1) / 0.04
+    creep, found = CreepState(len(nodes), SERIES, step_s=STEP_S), []
+
+    def nodal(room, scale):
+        """Non-negative pushes f down that leave no node in the sphere: scale W f >= room, where f > 0 equal."""
+        return nnls(np.sqrt(scale) * factor, solve_triangular(factor.T, room, lower=True) / np.sqrt(scale))[0]
+
+    for depth in way:
+        elastic = nodal(depth - rise, 1.0)
+        push = nodal(depth - rise + creep.offset_m[:, 2], creep.instant_factor)
+        creep.advance(-(compliance[:, 2::3] @ push).reshape(-1, 3))
+        found.append((elastic.sum(), push.sum(), np.count_nonzero(push > 0.0)))
+    return np.array(found)
+
+
+def test_growing_contact_is_lee_and_radok(surface):
+    """While the contact grows, the relaxed elastic force is right; when it shrinks, it pulls where the contact has let go."""
+    ticks = np.arange(1, 101)
+    way = 4e-3 * np.concatenate([ticks / 100.0, 1.0 - ticks / 100.0])
+    forces = sphere_forces(surface, way)
+    assert forces[99, 2] > 4 * forces[19, 2] > 0
+    relaxed = ViscousForce(SERIES, step_s=STEP_S)
+    shortcut = np.array([relaxed.advance(np.array([0, 0, f, 0, 0, 0.0]))[2] for f in forces[:, 0]])
+    # Nodes come in between two ticks, which is of first order: 0.3 % of the largest force at 100 ticks.
+    np.testing.assert_allclose(forces[:100, 1], shortcut[:100], atol=3e-3 * shortcut.max())
+    assert shortcut[-1] < -0.02 * shortcut.max()
+    assert (forces[:, 1] >= 0.0).all()
+    lost = np.flatnonzero(forces[100:, 2] == 0)
+    assert len(lost) and way[100 + lost[0]] > 2e-4  # it lets go of a dent that is still there
+    assert (forces[100 + lost[0] :, 2] == 0).all()
+
+
+def test_a_tick_allocates_nothing():
+    """A thousand ticks on 2,000 nodes leave memory as it was; the offset stays in place."""
+    creep, value = CreepState(2000, SERIES, step_s=1e-3), np.ones((2000, 3))
+    place = creep.offset_m
+    creep.advance(value)
+    tracemalloc.start()
+    for _ in range(1000):
+        creep.advance(value)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < value.nbytes / 4
+    assert creep.offset_m is place
+
+
+def test_bad_input():
+    """A surface has nodes, a tick a length."""
+    with pytest.raises(InputError, match="node_count must be at least 1"):
+        CreepState(0, SERIES, step_s=1e-3)
+    with pytest.raises(InputError, match="step_s must be positive"):
+        CreepState(3, SERIES, step_s=-1.0)

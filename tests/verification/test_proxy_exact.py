@@ -1,0 +1,268 @@
+"""The proxy against closed forms on exact solids: planes, edges, corners, thin walls, friction, tilted boxes.
+
+``EXACT`` is what the validation case asks for (case 23: 1e-9); lengths are in metres, so it stands for a nanometre.
+"""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+
+from tissue.coupling.proxy import Proxy, ProxyOutcome
+from tissue.coupling.rotation import turn_between
+from tissue.coupling.tool_shell import ToolShell
+from tissue.coupling.virtual_coupling import VirtualCoupling, series_stiffness_N_m
+from tissue.coupling.voxmap import Ball, Box, ContactField, HalfSpace
+
+EXACT = 1e-9
+STIFFNESS = 1000.0
+FLOOR = HalfSpace((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+STILL = np.zeros(3)
+
+
+def at(*xyz):
+    return np.array(xyz, dtype=float)
+
+
+def point_on(*solids, start, friction=0.0, radius=0.0):
+    """A proxy of one ball, placed."""
+    proxy = Proxy(ToolShell.ball(radius), ContactField(*solids), friction=friction)
+    proxy.place(at(*start))
+    return proxy
+
+
+def walk(proxy, *corners, feed=1e-4, quaternion=None):
+    """Move the device along straight lines, a tick every ``feed``."""
+    more = () if quaternion is None else (quaternion,)
+    result = proxy.result
+    for start, end in zip(corners[:-1], corners[1:], strict=True):
+        ticks = max(int(np.ceil(np.linalg.norm(np.subtract(end, start)) / feed)), 1)
+        for tick in range(1, ticks + 1):
+            result = proxy.advance(at(*start) + (tick / ticks) * np.subtract(end, start), *more)
+    return result
+
+
+def test_plane_pushes_back_with_stiffness_times_depth():
+    """F = K d (case 23), along the normal, for a plane that lies askew."""
+    normal = at(1.0, 2.0, 3.0) / np.sqrt(14.0)
+    proxy = point_on(HalfSpace((0.01, 0.0, 0.0), normal), start=at(0.01, 0.0, 0.0) + 0.002 * normal)
+    coupling = VirtualCoupling(stiffness_N_m=STIFFNESS)
+    for depth in (1e-5, 1e-3, 7e-3):
+        device = at(0.01, 0.0, 0.0) - depth * normal + np.cross(normal, at(1e-3, 2e-3, 0.0))
+        result = proxy.advance(device)
+        force = coupling.force_N(result.position_m, device, STILL, STILL)
+        assert force == pytest.approx(STIFFNESS * depth * normal, abs=STIFFNESS * EXACT)
+        assert STIFFNESS * result.push_m == pytest.approx(force, abs=STIFFNESS * EXACT)
+        assert result.outcome is ProxyOutcome.CONTACT
+
+
+def test_inner_corner_of_two_and_three_planes():
+    """In a concave right angle the proxy is the device with each negative coordinate put to 0 (Zilles and Salisbury)."""
+    planes = [HalfSpace((0.0, 0.0, 0.0), normal) for normal in np.eye(3)]
+    for count in (2, 3):
+        proxy = point_on(*planes[:count], start=(1e-3, 2e-3, 1e-3))
+        for device in np.random.default_rng(count).uniform(-5e-3, 5e-3, (60, 3)):
+            expected = device.copy()
+            expected[:count] = np.maximum(device[:count], 0.0)
+            result = proxy.advance(device)
+            assert result.position_m == pytest.approx(expected, abs=EXACT)
+
+
+def test_sharp_inner_corner_needs_both_planes_at_once():
+    """A wedge of 30 degrees: the device below its apex, inside both walls, leaves the proxy in the apex."""
+    half = np.radians(15.0)
+    walls = [HalfSpace((0.0, 0.0, 0.0), (side * np.cos(half), 0.0, np.sin(half))) for side in (-1.0, 1.0)]
+    proxy = point_on(*walls, start=(0.0, 0.0, 5e-3))
+    result = walk(proxy, (0.0, 0.0, 5e-3), (1e-4, 1e-3, -3e-3))
+    assert result.position_m == pytest.approx(at(0.0, 1e-3, 0.0), abs=EXACT)
+    assert result.contacts == 2
+
+
+@pytest.mark.parametrize("radius", [0.5e-3, 2e-3])
+def test_ball_on_a_convex_edge_and_corner(radius):
+    """A ball's proxy on an edge lies at its radius from the edge, on the line from there to the device."""
+    corner = Box((-5e-3, -5e-3, -5e-3), (10e-3, 10e-3, 10e-3))
+    proxy = point_on(corner, start=(2 * radius, -2e-3, 2 * radius), radius=radius)
+    device = 0.6 * radius * at(np.cos(0.9), 0.0, np.sin(0.9)) + at(0.0, -2e-3, 0.0)
+    result = walk(proxy, (2 * radius, -2e-3, 2 * radius), device)
+    assert result.position_m == pytest.approx(at(0.0, -2e-3, 0.0) + (device + at(0, 2e-3, 0)) / 0.6, abs=EXACT)
+    way = at(1.0, 2.0, 2.0) / 3.0
+    proxy.place(3.0 * radius * way)
+    result = walk(proxy, 3.0 * radius * way, 0.7 * radius * way)
+    assert result.position_m == pytest.approx(radius * way, abs=EXACT)
+
+
+def test_point_slides_off_a_convex_edge_and_is_free():
+    """Dragged under the surface past an edge the proxy leaves the top face there and joins the device."""
+    proxy = point_on(Box((0.0, 0.0, -5e-3), (10e-3, 10e-3, 10e-3)), start=(0.0, 0.0, 1e-3))
+    walk(proxy, (0.0, 0.0, 1e-3), (0.0, 0.0, -1e-3))
+    assert walk(proxy, (0.0, 0.0, -1e-3), (4.9e-3, 0.0, -1e-3)).position_m == pytest.approx(at(4.9e-3, 0.0, 0.0), abs=EXACT)
+    result = walk(proxy, (4.9e-3, 0.0, -1e-3), (5.2e-3, 0.0, -1e-3))
+    assert (result.position_m == at(5.2e-3, 0.0, -1e-3)).all()
+    assert result.outcome is ProxyOutcome.FREE
+
+
+def test_thin_wall_holds_where_the_nearest_point_pops_through():
+    """E12: the free point nearest to the device changes sides half way through a wall; the proxy does not."""
+    wall = Box((0.0, 0.0, 0.0), (0.1, 0.1, 1e-4))
+    proxy = point_on(wall, start=(0.0, 0.0, 1e-3))
+    grid = np.arange(-3000, 3001) * 1e-6
+    free = grid[np.abs(grid) >= 0.5e-4]
+    popped = False
+    for depth in np.arange(0.0, 2.5e-3, 1e-5):
+        device = at(1e-4, 0.0, 1e-3 - depth)
+        nearest = free[np.argmin(np.abs(free - device[2]))]
+        popped |= bool(nearest < 0.0)
+        assert proxy.advance(device).position_m == pytest.approx(at(1e-4, 0.0, max(device[2], 0.5e-4)), abs=EXACT)
+    assert popped, "the printed rule should fail here"
+
+
+@pytest.mark.parametrize("speed", [0.1, 2.0, 50.0])
+def test_no_speed_gets_through_a_thin_wall(speed):
+    """One tick of 1 ms at any speed, from any side."""
+    random = np.random.default_rng(5)
+    for turn in Rotation.random(40, random_state=6).as_matrix():
+        wall = Box(random.uniform(-1e-3, 1e-3, 3), (0.2, 0.2, 2e-5), turn)
+        normal = turn[:, 2]
+        start = wall.centre_m + 1e-3 * random.uniform(0.02, 1.0) * normal
+        proxy = point_on(wall, start=start)
+        way = random.normal(size=3)
+        way *= -np.sign(way @ normal) * 1e-3 * speed / np.linalg.norm(way)
+        for _ in range(5):
+            result = proxy.advance(start + way)
+        height = (result.position_m - wall.centre_m) @ normal
+        assert height >= 1e-5 - EXACT
+        if (start + way - wall.centre_m) @ normal < 0.0 and np.linalg.norm(way) < 0.05:
+            assert height == pytest.approx(1e-5, abs=EXACT)
+
+
+def test_friction_sticks_if_and_only_if_the_pull_is_inside_the_cone():
+    """|F_t| <= mu F_n sticks; beyond, the proxy trails by mu times the depth (case 23)."""
+    for friction in (0.1, 0.5, 1.2):
+        proxy = point_on(FLOOR, start=(0.0, 0.0, 1e-3), friction=friction)
+        depth = 2e-3
+        walk(proxy, (0.0, 0.0, 1e-3), (0.0, 0.0, -depth))
+        way = at(0.6, 0.8, 0.0)
+        for share in (0.5, 0.999999):
+            result = proxy.advance(share * friction * depth * way - at(0.0, 0.0, depth))
+            assert result.position_m == pytest.approx(STILL, abs=EXACT)
+        for pull in (1.000001 * friction * depth, 2.0 * friction * depth, 9e-3):
+            result = proxy.advance(pull * way - at(0.0, 0.0, depth))
+            assert result.position_m == pytest.approx((pull - friction * depth) * way, abs=EXACT)
+            assert np.linalg.norm(result.push_m[:2]) == pytest.approx(friction * result.push_m[2], rel=1e-9)
+
+
+def test_friction_starts_where_the_surface_is_met():
+    """A device that comes down slanting sticks where its way meets the plane, not below where it set out."""
+    proxy = point_on(FLOOR, start=(0.0, 0.0, 1.03e-3), friction=2.0)
+    result = walk(proxy, (0.0, 0.0, 1.03e-3), (1.03e-3, 0.0, 0.0), (1.33e-3, 0.0, -0.3e-3), feed=0.17e-3)
+    assert result.position_m == pytest.approx(at(1.03e-3, 0.0, 0.0), abs=EXACT)
+
+
+def test_friction_on_a_slope_holds_below_its_angle():
+    """Pushed straight down on a slope a point stays if the slope is not steeper than arctan(mu)."""
+    for angle, stays in ((0.28, True), (0.31, False)):
+        slope = HalfSpace((0.0, 0.0, 0.0), (np.sin(angle), 0.0, np.cos(angle)))
+        proxy = point_on(slope, start=(0.0, 0.0, 1e-6), friction=0.3)
+        result = walk(proxy, (0.0, 0.0, 1e-6), (0.0, 0.0, -5e-3))
+        assert (np.linalg.norm(result.position_m) < 1e-6) == stays  # arctan(0.3) = 0.2915
+
+
+def sphere_shell(radius, count=800):
+    """Points of a Fibonacci lattice on a sphere about the origin, the lowest one exactly below."""
+    height = 1.0 - 2.0 * np.arange(count) / (count - 1)
+    angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
+    ring = np.sqrt(np.maximum(1.0 - height**2, 0.0))
+    normals = np.column_stack([ring * np.cos(angle), ring * np.sin(angle), height])
+    return ToolShell(radius * normals, normals)
+
+
+def test_sphere_of_shell_points_on_a_plane():
+    """The exact depth, and no torque about the centre."""
+    proxy = Proxy(sphere_shell(3e-3), ContactField(FLOOR), lever_m=0.02)
+    proxy.place(at(0.0, 0.0, 4e-3))
+    result = walk(proxy, (0.0, 0.0, 4e-3), (1e-3, 0.0, 2.2e-3), quaternion=at(0.0, 0.0, 0.0, 1.0))
+    assert result.position_m == pytest.approx(at(1e-3, 0.0, 3e-3), abs=EXACT)
+    assert result.push_m == pytest.approx(at(0.0, 0.0, 0.8e-3), abs=EXACT)
+    assert result.push_moment_m2 == pytest.approx(STILL, abs=1e-12)
+
+
+def box_shell(half, *, spacing=1e-3):
+    """Points over a box's lower and upper face, and its edges between them."""
+    rows = [np.linspace(-h, h, int(np.ceil(2 * h / spacing)) + 1) for h in half]
+    grid = np.stack(np.meshgrid(*rows, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = grid[(np.abs(grid) > np.asarray(half) - 1e-9).any(axis=1)]
+    return ToolShell(points, np.zeros_like(points))
+
+
+HALF = (6e-3, 4e-3, 2e-3)
+LEVER = 0.02
+
+
+def box_on_floor(device, turn):
+    """Settled result of a box whose device was led down to a pose below the floor."""
+    proxy = Proxy(box_shell(HALF), ContactField(FLOOR), lever_m=LEVER)
+    proxy.place(at(0.0, 0.0, 0.02))
+    for share in np.linspace(0.0, 1.0, 400):
+        pose = Rotation.from_rotvec(share * np.asarray(turn)).as_quat()
+        result = proxy.advance(at(0, 0, 0.02) + share * (device - at(0, 0, 0.02)), pose)
+    return result, pose
+
+
+def test_box_flat_on_a_plane_is_balanced():
+    """Pushed straight down: the depth is exact, the torque zero, however many points touch."""
+    result, _ = box_on_floor(at(1e-3, 0.0, HALF[2] - 1e-3), (0.0, 0.0, 0.0))
+    assert result.position_m == pytest.approx(at(1e-3, 0.0, HALF[2]), abs=EXACT)
+    assert result.push_m == pytest.approx(at(0.0, 0.0, 1e-3), abs=EXACT)
+    assert result.push_moment_m2 == pytest.approx(STILL, abs=1e-12)
+
+
+def test_tilted_device_of_a_box_that_lies_flat():
+    """While the push lies within the base the box is flat, and the torque is the rotational spring's: k l^2 theta."""
+    tilt = 0.04  # l^2 theta = 1.6e-5 < depth x half width = 2.4e-5
+    result, pose = box_on_floor(at(0.0, 0.0, HALF[2] - 4e-3), (0.0, tilt, 0.0))
+    assert turn_between(result.quaternion, at(0.0, 0.0, 0.0, 1.0)) == pytest.approx(STILL, abs=EXACT)
+    assert result.position_m[2] == pytest.approx(HALF[2], abs=EXACT)
+    torque = VirtualCoupling(stiffness_N_m=STIFFNESS, rotational_stiffness_Nm_rad=STIFFNESS * LEVER**2).torque_Nm(
+        result.quaternion, pose, STILL, STILL
+    )
+    assert torque == pytest.approx(at(0.0, -STIFFNESS * LEVER**2 * tilt, 0.0), abs=STIFFNESS * EXACT)
+    assert STIFFNESS * result.push_moment_m2 == pytest.approx(torque, abs=1e-9)
+
+
+def test_tilted_box_on_its_edge():
+    """On one edge the tilt phi balances springs and push: l^2 (theta - phi) = push x lever arm of the edge."""
+    tilt, height = 0.5, 1e-3
+    a, c = HALF[0], HALF[2]
+
+    def low(phi):  # depth of the lowest edge below the centre, and its arm
+        return a * np.sin(phi) + c * np.cos(phi), a * np.cos(phi) - c * np.sin(phi)
+
+    def balance(phi):
+        below, arm = low(phi)
+        return LEVER**2 * (tilt - phi) - (below - height) * arm
+
+    phi = brentq(balance, 0.0, tilt, xtol=1e-15)
+    result, _ = box_on_floor(at(0.0, 0.0, height), (0.0, tilt, 0.0))
+    assert turn_between(at(0.0, 0.0, 0.0, 1.0), result.quaternion) == pytest.approx(at(0.0, phi, 0.0), abs=EXACT)
+    assert result.position_m[2] == pytest.approx(low(phi)[0], abs=EXACT)
+    assert result.push_moment_m2[1] == pytest.approx(-(low(phi)[0] - height) * low(phi)[1], abs=1e-12)
+
+
+def test_one_ball_rolls_off_another():
+    """Pressed on a ball beside its top the proxy ends on the line through the device (a smooth, convex surface)."""
+    proxy = point_on(Ball((0.0, 0.0, 0.0), 5e-3), start=(0.0, 0.0, 8e-3), radius=2e-3)
+    device = 6e-3 * at(0.28, 0.0, 0.96)
+    result = walk(proxy, (0.0, 0.0, 8e-3), (0.0, 0.0, 6.5e-3), device)
+    assert result.position_m == pytest.approx(7e-3 * device / np.linalg.norm(device), abs=EXACT)
+
+
+def test_coupling_and_wall_in_series():
+    """Case 22: 1200 N/m against 1e4 N/m feels like 1071 N/m; two springs in a row share the force."""
+    felt = series_stiffness_N_m(1200.0, 1e4)
+    assert felt == pytest.approx(1071.4, abs=0.1)
+    coupling, push = VirtualCoupling(stiffness_N_m=1200.0), 2e-3
+    wall_gives = push - push * felt / 1200.0
+    force = coupling.force_N(at(0.0, 0.0, -wall_gives), at(0.0, 0.0, -push), STILL, STILL)
+    assert force[2] == pytest.approx(1e4 * wall_gives, rel=1e-12)
+    assert force[2] == pytest.approx(felt * push, rel=1e-12)

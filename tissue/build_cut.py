@@ -1,0 +1,109 @@
+"""Build what a cutter meets: bone or a tooth, as voxels."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from meshes.volume import VoxelVolume
+from tissue.anatomies import volume_of, whole_tooth
+from tissue.cutters import Cutter
+from tissue.materials import cutting_coefficients, cutting_constants
+from tissue.model import TissueModel
+from tissue.motion import Motion
+from tissue.parts import Parts
+from tissue.reach import require_outside, require_touch
+from tissue.scene import Scene, Stress
+from tissue.scene_anatomy import MolarAnatomy
+from tissue.scene_tool import ReplayMotion, Tool
+
+if TYPE_CHECKING:
+    from tissue.bone import BoneModel
+
+__all__ = ["cut"]
+
+Tell = Callable[[str, float], None]
+
+CUT_AS = {"enamel": "enamel", "dentin": "dentin", "caries": "dentin", "pulp": "soft", "ligament": "soft"}
+"""Material whose cutting coefficients a layer has; all others are bone."""
+
+
+def cut(scene: Scene, cutter: Cutter, motion: Motion, *, compute: str, cores: int | None, tell: Tell) -> Parts:
+    """Parts of a scene in which a cutter meets voxels.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be used, the voxels would not fit memory, or the tool never touches.
+    """
+    notes: dict[str, str] = {}
+    tell("building the anatomy", 0.0)
+    volume = volume_of(scene, cutter, motion, notes=notes, tell=tell)
+    require_touch(volume, cutter, motion)
+    if isinstance(scene.anatomy, MolarAnatomy) and not isinstance(scene.motion, ReplayMotion):
+        require_outside(volume, cutter, motion)
+    notes["specific cutting energy"] = _energy_note(volume)
+    tissue = _bone(scene, volume, cutter, compute=compute, cores=cores, tell=tell)
+    return Parts(motion, tissue, cutter=cutter, volume=volume, notes=notes)
+
+
+def _bone(
+    scene: Scene, volume: VoxelVolume, cutter: Cutter, *, compute: str, cores: int | None, tell: Tell
+) -> TissueModel:
+    """The bone model; loading it compiles its kernels where their cache is cold."""
+    tell("compiling kernels (the first time on a machine)", 0.0)
+    from tissue.bone import BoneModel
+
+    changes = scene.cutting.model_dump()
+    spacing_mm = scene.tool.shell_spacing_mm if isinstance(scene.tool, Tool) else None
+    milling = BoneModel(
+        volume,
+        cutter,
+        tuple(cutting_coefficients(CUT_AS.get(name, "bone"), **changes) for name in volume.layer_names),
+        removal=scene.voxels.removal,
+        shell_spacing_m=None if spacing_mm is None else spacing_mm * 1e-3,
+        device=compute,
+        cores=cores,
+    )
+    if "pulp" not in volume.layer_names:
+        return milling
+    return _tooth(scene, milling, compute=compute, tell=tell)
+
+
+def _energy_note(volume: VoxelVolume) -> str:
+    """The cited tangential chip coefficient of each material that is there, which is its specific energy."""
+    there = {CUT_AS.get(name, "bone") for i, name in enumerate(volume.layer_names) if (volume.layer == i).any()}
+    said = []
+    for material in sorted(there):
+        energy = cutting_constants(material)["tangential_chip_N_mm2"]
+        said.append(
+            f"{material} {1e-3 * energy.value:g} ({1e-3 * energy.low:g}-{1e-3 * energy.high:g}) J/mm3, "
+            f"confidence {energy.confidence}"
+        )
+    return "; ".join(said)
+
+
+def _tooth(scene: Scene, milling: "BoneModel", *, compute: str, tell: Tell) -> TissueModel:
+    """The tooth around the milled voxels, with its stress where the scene asks for it."""
+    from tissue.tooth import beside
+    from tissue.tooth.model import ToothModel
+    from tissue.tooth.warmth import Warmth
+
+    anatomy = scene.anatomy
+    if not isinstance(anatomy, MolarAnatomy) or not (scene.stress or scene.heat):
+        return ToothModel(milling, device=compute)
+    stress = scene.stress or Stress()
+    tell("assembling the tooth's stiffness", 0.0)
+    cell_m = stress.cell_mm * 1e-3
+    whole = whole_tooth(scene, spacing_m=0.5 * cell_m)
+    field = None
+    if scene.stress is not None:
+        field = beside.StressProcess(
+            whole,
+            milling.store,
+            cell_m=cell_m,
+            ligament_thickness_m=anatomy.ligament_thickness_mm * 1e-3,
+            device=compute,
+            cores=1,  # the ticks want a core of their own
+        )
+    warmth = Warmth(whole, reach_m=milling.cutter.profile.radius_m, device=compute) if scene.heat else None
+    interval_s = stress.interval_ms * 1e-3
+    return ToothModel(milling, stress=field, interval_s=interval_s, warmth=warmth, device=compute)

@@ -1,0 +1,292 @@
+"""Build what a probe presses or a needle pierces: soft organs."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.errors import InputError
+from meshes.tetrahedra import TetMesh
+from tissue.materials import constants
+from tissue.motion import Motion
+from tissue.organs import elasticity_of, held_mesh
+from tissue.parts import Parts
+from tissue.scene import Scene
+from tissue.scene_soft import LayersAnatomy, LiverAnatomy, Organ, SlabAnatomy
+from tissue.scene_tool import Needle
+from tissue.scene_tool import Probe as ProbeTable
+
+if TYPE_CHECKING:
+    from tissue.liver.probe import Probe
+    from tissue.liver.solver import HeldBody
+    from tissue.liver.space import Space
+    from tissue.materials.prony import Prony
+
+__all__ = ["pierce", "press", "probe_of"]
+
+Tell = Callable[[str, float], None]
+POSES_TRIED = 200
+"""Poses along a motion at which the organ is looked for."""
+MARGIN_EDGES = 1.0
+"""Edges of the mesh beyond the tool's way within which the surface may be touched."""
+FACTOR_UNKNOWNS = 200_000
+"""Above this, frames are solved by multigrid: a factor would take gigabytes."""
+
+
+def pierce(scene: Scene, motion: Motion) -> Parts:
+    """Parts of a scene in which a needle meets layers of tissue.
+
+    Raises
+    ------
+    InputError
+        If the vessel's wall does not lie below the capsule.
+    """
+    from tissue.needle import NeedleModel, needle_tissue
+
+    assert isinstance(scene.anatomy, LayersAnatomy) and isinstance(scene.tool, Needle)
+    depth_mm = scene.anatomy.vessel_wall_depth_mm
+    tissue = needle_tissue(vessel_wall_depth_m=None if depth_mm is None else 1e-3 * depth_mm)
+    notes = {
+        "needle": "bovine liver of Okamura 2004, fitted to one needle in one organ; the vessel wall's numbers have no "
+        "source; forces across the needle's axis are not modelled"
+    }
+    return Parts(motion, NeedleModel(tissue, diameter_m=1e-3 * scene.tool.diameter_mm), notes=notes)
+
+
+def press(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, tell: Tell) -> Parts:
+    """Parts of a scene in which a probe presses a meshed organ.
+
+    Raises
+    ------
+    InputError
+        If the organ cannot be meshed or held, the probe never touches it, or starts inside.
+    """
+    anatomy, organ = scene.anatomy, scene.organ
+    assert isinstance(anatomy, LiverAnatomy | SlabAnatomy) and isinstance(scene.tool, ProbeTable)
+    tell("meshing the organ", 0.0)
+    edge_mm = anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
+    found = held_mesh(anatomy, way_m=motion.sweep_m(), touch_edge_m=1e-3 * edge_mm, tell=tell)
+    elasticity, said = elasticity_of(found.mesh, anatomy, organ)
+    probe = probe_of(scene.tool)
+    notes = found.notes | {"modulus": said}
+    tell("compiling kernels (the first time on a machine)", 0.0)
+    from tissue.liver import LiverModel, OrganFields, Space, SurfaceContact
+
+    _require_outside(found.mesh, motion)
+    space = Space(found.mesh, organ.order, device=compute)
+    tell("assembling the stiffness", 0.0)
+    body = _body(space, elasticity, organ, found.held, notes)
+    touchable, faces = _touchable(space, probe, motion)
+    solver = _Factor(body)
+    load, rest = _weight(space, organ, body, solver, notes)
+    tell("condensing the compliance to the surface that can be touched", 0.0)
+    compliance, lazy = _compliance(body, touchable, organ, solver, tell)
+    prony = _prony(organ, notes)
+    contact = SurfaceContact(
+        space.nodes_m[touchable] + rest[touchable],
+        faces,
+        compliance,
+        probe,
+        friction=organ.friction,
+        device=compute,
+        cores=cores,
+    )
+    fields = OrganFields(
+        space,
+        elasticity,
+        solve=solver.solve_all,
+        product=lambda moved: (body.stiffness @ moved.ravel()).reshape(-1, 3),
+        touchable=touchable,
+        rest_m=rest,
+        rest_load_N=load,
+        held=found.held,
+        interval_s=1e-3 * organ.interval_ms,
+    )
+    notes["solved"] = (
+        f"{len(found.mesh.cells)} tetrahedra of order {organ.order}, {len(body.free)} unknowns; "
+        f"{len(touchable)} touchable nodes, compliance {organ.path}"
+    )
+    model = LiverModel(
+        contact,
+        space=space,
+        touchable=touchable,
+        fields=fields,
+        prony=prony,
+        lazy=lazy,
+        step_s=step_s,
+    )
+    return Parts(motion, model, notes=notes)
+
+
+def probe_of(tool: ProbeTable) -> "Probe":
+    """The probe that a scene's tool describes."""
+    from tissue.liver.probe import CylinderProbe, ShellProbe, SphereProbe
+
+    radius = 0.5e-3 * tool.diameter_mm
+    match tool.kind:
+        case "sphere-probe":
+            return SphereProbe(radius)
+        case "cylinder-probe":
+            return CylinderProbe(radius, min(0.1 * radius, 5e-4))
+        case "shell-probe":
+            return ShellProbe.from_mesh(tool.file or "", scale=1e-3 * tool.scale_mm)
+
+
+class _Factor:
+    """A sparse factor that is made when it is first needed; where it would be too large, multigrid."""
+
+    def __init__(self, body: "HeldBody") -> None:
+        self._body = body
+        self._made: Any = None
+
+    @property
+    def solver(self) -> Any:
+        """The solver."""
+        from tissue.liver.direct import DirectSolver
+        from tissue.liver.multigrid import MultigridSolver
+
+        if self._made is None:
+            large = len(self._body.free) > FACTOR_UNKNOWNS
+            self._made = MultigridSolver(self._body) if large else DirectSolver(self._body)
+        return self._made
+
+    def solve_all(self, loads_N: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Displacements [m] under several loads [N], shape (loads, n, 3) both."""
+        return np.stack([self.solve(load) for load in loads_N])
+
+    def solve(self, load_N: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Displacement [m] under a load [N], shape (n, 3)."""
+        found = self.solver.solve(load_N)
+        if not found.converged:
+            raise RuntimeError(f"the organ could not be solved: {found.outcome.value}")
+        displacement: NDArray[np.float64] = found.displacement_m
+        return displacement
+
+
+def _body(
+    space: "Space", elasticity: NDArray[np.float64], organ: Organ, held: NDArray[np.int64], notes: dict[str, str]
+) -> "HeldBody":
+    """Stiffness, capsule included, and supports."""
+    from scipy.sparse import bsr_array
+
+    from meshes.tet_regions import faces_of
+    from tissue.liver import HeldBody, Supports, assemble, capsule_stiffness
+
+    stiffness = assemble(space, elasticity)
+    if organ.capsule:
+        table = constants("soft", f"{organ.material}_capsule")
+        thickness, young = table["thickness_um"], table["modulus_kPa"]
+        membrane = capsule_stiffness(
+            space,
+            thickness_m=1e-6 * thickness.value,
+            young_pa=1e3 * young.value,
+            poisson_ratio=table["poisson_ratio"].value,
+        )
+        stiffness = bsr_array((stiffness + membrane).tobsr((3, 3)))
+        notes["capsule"] = (
+            f"{thickness.value:g} ({thickness.low:g}-{thickness.high:g}) um of {1e-3 * young.value:g} "
+            f"({1e-3 * young.low:g}-{1e-3 * young.high:g}) MPa, confidence {young.confidence}"
+        )
+    fixed = np.zeros(space.node_count, dtype=bool)
+    fixed[held] = True
+    fixed[space.with_middles(faces_of(space.mesh, held))] = True
+    return HeldBody(stiffness, space.nodes_m, Supports.of_nodes(fixed))
+
+
+def _touchable(space: "Space", probe: "Probe", motion: Motion) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Surface nodes near the tool's way, shape (t,), and the triangles between them, shape (f, 3), by their places."""
+    triangles = _linear_triangles(space.faces)
+    centres = space.nodes_m[triangles].mean(axis=1)
+    reach = np.linalg.norm(space.nodes_m[triangles] - centres[:, None], axis=2).max(axis=1)
+    corners, turns = motion.sweep_m(), motion.rotations()
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
+    wanted = np.unique(np.concatenate([np.linspace(0.0, along[-1], POSES_TRIED), along]))
+    tips = np.column_stack([np.interp(wanted, along, corners[:, c]) for c in range(3)])
+    nearest = np.full(len(triangles), np.inf)
+    for tip, turn in zip(tips, turns[np.searchsorted(along, wanted).clip(max=len(turns) - 1)], strict=True):
+        nearest = np.minimum(nearest, probe.distance((centres - tip) @ turn)[0])
+    if not (nearest < reach).any():
+        low, high = (
+            ", ".join(f"{1e3 * v:.4g}" for v in corner) for corner in (centres.min(axis=0), centres.max(axis=0))
+        )
+        raise InputError(
+            "motion must bring the tool to the organ, got a tool that never touches it: move it to the organ between "
+            f"({low}) and ({high}) mm"
+        )
+    chosen = triangles[nearest < reach * (1.0 + 2.0 * MARGIN_EDGES)]
+    nodes, places = np.unique(chosen, return_inverse=True)
+    return nodes.astype(np.int64), places.reshape(-1, 3).astype(np.int64)
+
+
+def _require_outside(mesh: TetMesh, motion: Motion) -> None:
+    """Refuse a tool whose tip starts inside the organ; a probe that only overlaps it is refused by the contact."""
+    tip = motion.sweep_m()[0]
+    corners = mesh.nodes_m[mesh.cells]
+    edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
+    weights = np.linalg.solve(edges, (tip - corners[:, 0])[:, :, None])[:, :, 0]
+    if ((weights >= 0.0).all(axis=1) & (weights.sum(axis=1) <= 1.0)).any():
+        at = ", ".join(f"{1e3 * value:.4g}" for value in tip)
+        raise InputError(f"motion must start outside the organ, got a tip inside it at ({at}) mm: start higher")
+
+
+def _linear_triangles(faces: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Faces of three nodes as they are, of six (corners, then middles of edges 01, 12, 02) as four triangles each."""
+    if faces.shape[1] == 3:
+        return faces
+    parts = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
+    return faces[:, parts].reshape(-1, 3)
+
+
+def _weight(
+    space: "Space", organ: Organ, body: "HeldBody", solver: _Factor, notes: dict[str, str]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Load of the organ's own weight [N] and the displacement by it [m], shape (n, 3) both; zero without gravity."""
+    if not organ.gravity:
+        return np.zeros((space.node_count, 3)), np.zeros((space.node_count, 3))
+    from tissue.liver.loads import gravity
+
+    load = gravity(space, density_kg_m3=constants("soft", organ.material)["density_kg_m3"].value)
+    rest = solver.solve(load)
+    notes["gravity"] = f"the organ sags by up to {1e3 * np.linalg.norm(rest, axis=1).max():.3g} mm before it is touched"
+    return load, rest
+
+
+def _compliance(
+    body: "HeldBody", touchable: NDArray[np.int64], organ: Organ, solver: _Factor, tell: Tell
+) -> tuple[NDArray[np.float64], Any]:
+    """Compliance of the touchable nodes [m/N], shape (3t, 3t), and what fills it while the tool moves."""
+    from tissue.liver import LazyCompliance, ReducedSolver, surface_compliance
+
+    if organ.path == "condensed":
+        doing = "condensing the compliance to the surface that can be touched"
+        found = surface_compliance(
+            body, touchable, solver=lambda: solver.solver, progress=lambda share: tell(doing, share)
+        )
+        return found.matrix_m_N, None
+    if organ.path == "reduced":
+        size = min(organ.basis_size, 3 * len(touchable))
+        return ReducedSolver(solver.solver, touchable, size=size).compliance_m_N(), None
+    count = 3 * len(touchable)
+    return np.full((count, count), np.nan), LazyCompliance(solver.solver, touchable)
+
+
+def _prony(organ: Organ, notes: dict[str, str]) -> "Prony | None":
+    """The cited relaxation of the organ's material, where the scene asks for it."""
+    if not organ.viscous:
+        return None
+    if organ.path == "lazy":
+        raise InputError("organ.path must not be lazy for a viscous organ, got lazy: use condensed")
+    from tissue.materials.prony import Prony
+
+    table = constants("soft", organ.material)
+    numbers = [k for k in range(1, 10) if f"prony_g{k}" in table]
+    if not numbers:
+        raise InputError(f"organ.viscous must be false for {organ.material}, got true: no relaxation is cited for it")
+    shares = tuple(table[f"prony_g{k}"].value for k in numbers)
+    times = tuple(table[f"prony_tau{k}_s"].value for k in numbers)
+    notes["relaxation"] = (
+        "; ".join(f"{g:g} in {t:g} s" for g, t in zip(shares, times, strict=True))
+        + "; the modulus is that of the first instant; confidence L"
+    )
+    return Prony(shares, times)

@@ -1,0 +1,89 @@
+"""Where the 3x3 blocks of an assembled matrix lie, and which cells each one is summed from.
+
+Pairs of nodes are grouped by two stable counting sorts, linear in their number; SciPy's conversion of one compressed
+row into columns is such a sort. Each pair stands once, lower node first; its mirror image gets a place, not a sum.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+__all__ = ["Pattern", "grouped", "local_pairs"]
+
+Integers = NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class Pattern:
+    """Blocks of a symmetric matrix over nodes, with both triangles stored in rows.
+
+    Attributes
+    ----------
+    row_start
+        First block of each node's row, shape (n + 1,).
+    column
+        Node of each block's column, rising within a row, shape (b,).
+    pair_start
+        First contribution to each pair of nodes, shape (p + 1,).
+    contribution
+        Cell times the pairs in a cell, plus the pair in the cell, shape (c,); in the order of cells within a pair. The
+        bitwise complement where the pair stands the other way round in its cell.
+    place
+        Block of each pair with the lower node as its row, shape (p,).
+    mirror
+        Block of its transpose, shape (p,); the same on the diagonal.
+    """
+
+    row_start: Integers
+    column: Integers
+    pair_start: Integers
+    contribution: Integers
+    place: Integers
+    mirror: Integers
+
+    @classmethod
+    def of(cls, cell_nodes: NDArray[np.int64], node_count: int) -> "Pattern":
+        """Pattern of cells with the nodes `cell_nodes`, shape (m, k)."""
+        a, b = local_pairs(cell_nodes.shape[1]).T
+        nodes = cell_nodes.astype(np.int32)
+        first, second = nodes[:, a].ravel(), nodes[:, b].ravel()
+        flipped = first > second
+        low, high = np.where(flipped, second, first), np.where(flipped, first, second)
+        order, start = grouped(low, high, node_count)
+        lead = order[start[:-1]]
+        low, high = low[lead], high[lead]
+        below = high != low
+        upper, lower = np.bincount(low, minlength=node_count), np.bincount(high[below], minlength=node_count)
+        row_start = np.concatenate([[0], np.cumsum(upper + lower)])
+        rank = np.arange(len(low))
+        place = row_start[low] + lower[low] + rank - (np.cumsum(upper) - upper)[low]
+        turned = _sorted_by(high, np.flatnonzero(below).astype(np.int32), node_count)
+        mirror = place.copy()
+        mirror[turned] = row_start[high[turned]] + np.arange(len(turned)) - (np.cumsum(lower) - lower)[high[turned]]
+        column = np.empty(row_start[-1], dtype=np.int32)
+        column[place], column[mirror] = high, low
+        contribution = np.where(flipped[order], ~order, order)
+        return cls(*(part.astype(np.int32) for part in (row_start, column, start, contribution, place, mirror)))
+
+
+def local_pairs(nodes_a_cell: int) -> NDArray[np.int64]:
+    """Pairs a <= b of a cell's nodes, row by row, shape (k (k + 1) / 2, 2)."""
+    return np.stack(np.triu_indices(nodes_a_cell), axis=1)
+
+
+def grouped(first: Integers, second: Integers, count: int) -> tuple[Integers, NDArray[np.int64]]:
+    """Order that sorts pairs of numbers below `count` stably, and where each new pair starts in it, shape (p + 1,)."""
+    every = np.arange(len(first), dtype=np.int32)
+    order = _sorted_by(first, _sorted_by(second, every, count), count)
+    ordered_first, ordered_second = first[order], second[order]
+    new = np.ones(len(order) + 1, dtype=bool)
+    new[1:-1] = (ordered_first[1:] != ordered_first[:-1]) | (ordered_second[1:] != ordered_second[:-1])
+    return order, np.flatnonzero(new)
+
+
+def _sorted_by(key: Integers, order: Integers, count: int) -> Integers:
+    """Indices `order` sorted stably by their keys below `count`, in time linear in both."""
+    row = csr_array((order, key[order], np.array([0, len(order)], dtype=np.int32)), shape=(1, count))
+    return np.asarray(row.tocsc().data)

@@ -1,0 +1,63 @@
+"""Shape functions of straight-sided simplices, linear and quadratic, in barycentric coordinates.
+
+On a straight simplex the gradients g_c of the barycentric coordinates l_c are constant, and the gradient of shape
+function A is ``sum_c sum_i slope[A, c, i] l_i g_c``: g_A (linear) or ``(4 l_A - 1) g_A`` (quadratic) for a corner, with
+1 = sum l_i, and ``4 (l_i g_j + l_j g_i)`` for the middle of edge ij. Products integrate exactly by
+``mean(l_i l_j) = (1 + delta_ij) / ((d + 1) (d + 2))``, so that no quadrature is needed.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["EDGES", "TRIANGLE_EDGES", "gradient_products", "gradient_slopes", "mean_shape", "shape_values"]
+
+Array = NDArray[np.float64]
+
+EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
+"""Corners of the edges of a tetrahedron in the order of their middle nodes, VTK's order."""
+
+TRIANGLE_EDGES = EDGES[:3]
+"""The same for a triangle."""
+
+
+def gradient_slopes(corners: int, order: int) -> Array:
+    """Slopes of the gradients, shape (nodes, corners, corners): by shape function, by g_c and by l_i."""
+    edges = _edges(corners, order)
+    slope = np.zeros((corners + len(edges), corners, corners))
+    for a in range(corners):
+        slope[a, a] = 1.0 if order == 1 else -1.0
+        slope[a, a, a] += 0.0 if order == 1 else 4.0
+    for middle, (i, j) in enumerate(edges, start=corners):
+        slope[middle, j, i] = slope[middle, i, j] = 4.0
+    return slope
+
+
+def gradient_products(corners: int, order: int) -> Array:
+    """Means over the simplex, shape (nodes, nodes, corners, corners): [A, B, c, d] multiplies g_c g_d^T."""
+    slope = gradient_slopes(corners, order)
+    mean = (1.0 + np.eye(corners)) / (corners * (corners + 1))
+    return np.asarray(np.einsum("aci,bdj,ij->abcd", slope, slope, mean))
+
+
+def shape_values(barycentric: Array, order: int) -> Array:
+    """Shape functions at points, shape (..., nodes), of barycentric coordinates, shape (..., corners)."""
+    if order == 1:
+        return barycentric
+    i, j = _edges(barycentric.shape[-1], order).T
+    at_corners = barycentric * (2.0 * barycentric - 1.0)
+    return np.concatenate([at_corners, 4.0 * barycentric[..., i] * barycentric[..., j]], axis=-1)
+
+
+def mean_shape(corners: int, order: int) -> Array:
+    """Means of the shape functions over the simplex, shape (nodes,): shares of a uniform load."""
+    if order == 1:
+        return np.full(corners, 1.0 / corners)
+    middle = 4.0 / (corners * (corners + 1))
+    at_corner = 4.0 / (corners * (corners + 1)) - 1.0 / corners
+    return np.concatenate([np.full(corners, at_corner), np.full(len(_edges(corners, order)), middle)])
+
+
+def _edges(corners: int, order: int) -> NDArray[np.int64]:
+    if order == 1:
+        return EDGES[:0]
+    return EDGES if corners == 4 else TRIANGLE_EDGES

@@ -1,0 +1,262 @@
+"""Linear elastic stiffness: isotropic, transversely isotropic, orthotropic, and turned to follow a fibre field.
+
+Voigt order xx, yy, zz, yz, xz, xy with engineering shear strains (twice the tensor's), so stress = D strain. Material
+axes are 1, 2, 3 = x, y, z until they are turned; the fibre of a transversely isotropic material is axis 3.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from meshes.errors import InputError
+
+__all__ = [
+    "Array",
+    "checked_stiffness",
+    "elasticity_rows",
+    "isotropic",
+    "lame",
+    "orthotropic",
+    "rotated",
+    "stiffness_of_lame",
+    "transversely_isotropic",
+]
+
+Array = NDArray[np.float64]
+
+VOIGT = np.array([[0, 0], [1, 1], [2, 2], [1, 2], [0, 2], [0, 1]])
+"""Row and column of the tensor component at each Voigt place."""
+
+SYMMETRIC = 1e-9
+"""Asymmetry allowed, relative to the largest entry: rounding of an inverse of contrast up to a million."""
+
+
+def lame(young_pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
+    """Lame constants lambda, mu [Pa], shape (..., 2), of Young's modulus [Pa] and Poisson's ratio, which broadcast.
+
+    Raises
+    ------
+    InputError
+        If a modulus is not positive and finite, or a ratio lies outside (-1, 0.5).
+    """
+    young = _positive("young_pa", young_pa)
+    ratio = np.asarray(poisson_ratio, dtype=np.float64)
+    outside = ~((ratio > -1.0) & (ratio < 0.5))
+    if outside.any():
+        raise InputError(
+            f"poisson_ratio must be in (-1, 0.5), got {ratio[outside].flat[0]:g}: use 0.499, or quadratic elements"
+        )
+    shear = young / (2.0 * (1.0 + ratio))
+    return np.stack(np.broadcast_arrays(2.0 * shear * ratio / (1.0 - 2.0 * ratio), shear), axis=-1)
+
+
+def stiffness_of_lame(lame_pa: ArrayLike) -> Array:
+    """Stiffness matrices [Pa], shape (..., 6, 6), of Lame constants [Pa], shape (..., 2)."""
+    pair = np.asarray(lame_pa, dtype=np.float64)
+    matrix = np.zeros((*pair.shape[:-1], 6, 6))
+    matrix[..., :3, :3] = pair[..., 0, None, None]
+    place = np.arange(6)
+    matrix[..., place, place] += pair[..., 1, None] * np.array([2.0, 2.0, 2.0, 1.0, 1.0, 1.0])
+    return matrix
+
+
+def isotropic(young_pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
+    """Stiffness matrix [Pa], shape (..., 6, 6); errors as of `lame`."""
+    return stiffness_of_lame(lame(young_pa, poisson_ratio))
+
+
+def orthotropic(*, young_pa: ArrayLike, shear_pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
+    """Stiffness matrix [Pa], shape (6, 6), of a material with three planes of symmetry.
+
+    Parameters
+    ----------
+    young_pa
+        E1, E2, E3 [Pa].
+    shear_pa
+        G12, G13, G23 [Pa].
+    poisson_ratio
+        nu12, nu13, nu23; nu12 is the contraction along 2 of a pull along 1, and nu21 = nu12 E2 / E1.
+
+    Raises
+    ------
+    InputError
+        If a modulus is not positive, or the ratios do not leave the matrix positive definite.
+    """
+    young, shear = _positive("young_pa", young_pa, 3), _positive("shear_pa", shear_pa, 3)
+    ratio = np.asarray(poisson_ratio, dtype=np.float64)
+    if ratio.shape != (3,) or not np.isfinite(ratio).all():
+        raise InputError(f"poisson_ratio must hold nu12, nu13, nu23, got {ratio}: give three finite numbers")
+    compliance = np.zeros((6, 6))
+    compliance[range(3), range(3)] = 1.0 / young
+    for (i, j), value in zip(((0, 1), (0, 2), (1, 2)), ratio, strict=True):
+        compliance[i, j] = compliance[j, i] = -value / young[i]
+    compliance[range(3, 6), range(3, 6)] = 1.0 / shear[::-1]
+    normal = np.linalg.eigvalsh(compliance[:3, :3])
+    if normal[0] <= 0.0:
+        raise InputError(
+            f"poisson_ratio must leave the stiffness positive definite, got {ratio.tolist()} with moduli "
+            f"{young.tolist()} Pa: keep |nu_ij| below sqrt(E_i / E_j) and their sum lower"
+        )
+    stiffness = np.linalg.inv(compliance)
+    return checked_stiffness(0.5 * (stiffness + stiffness.T))
+
+
+def transversely_isotropic(
+    *,
+    young_fibre_pa: float,
+    young_across_pa: float,
+    shear_fibre_pa: float,
+    poisson_fibre: float,
+    poisson_across: float,
+) -> Array:
+    """Stiffness matrix [Pa], shape (6, 6), of a material alike in all directions across its fibre, which is axis 3.
+
+    Parameters
+    ----------
+    young_fibre_pa, young_across_pa
+        Young's modulus along and across the fibre [Pa].
+    shear_fibre_pa
+        Shear modulus in planes that hold the fibre [Pa].
+    poisson_fibre
+        Contraction across of a pull along the fibre.
+    poisson_across
+        Contraction across of a pull across; in (-1, 1).
+
+    Raises
+    ------
+    InputError
+        As of `orthotropic`.
+    """
+    across, fibre = (
+        float(_positive(name, value))
+        for name, value in (("young_across_pa", young_across_pa), ("young_fibre_pa", young_fibre_pa))
+    )
+    if not -1.0 < poisson_across < 1.0:
+        raise InputError(f"poisson_across must be in (-1, 1), got {poisson_across}: use about 0.4")
+    back = poisson_fibre * across / fibre
+    shear_across = across / (2.0 * (1.0 + poisson_across))
+    return orthotropic(
+        young_pa=(across, across, fibre),
+        shear_pa=(shear_across, shear_fibre_pa, shear_fibre_pa),
+        poisson_ratio=(poisson_across, back, back),
+    )
+
+
+def checked_stiffness(stiffness_pa: ArrayLike) -> Array:
+    """Stiffness matrices [Pa], shape (6, 6) or (m, 6, 6), if finite, symmetric and positive definite.
+
+    Raises
+    ------
+    InputError
+        If one is not.
+    """
+    matrix = np.asarray(stiffness_pa, dtype=np.float64)
+    if matrix.ndim not in (2, 3) or matrix.shape[-2:] != (6, 6):
+        raise InputError(f"stiffness_pa must have shape (6, 6) or (m, 6, 6), got {matrix.shape}: use Voigt matrices")
+    each = matrix.reshape(-1, 6, 6)
+    if not np.isfinite(each).all():
+        bad = int(np.flatnonzero(~np.isfinite(each).all(axis=(1, 2)))[0])
+        raise InputError(f"stiffness_pa must be finite, got matrix {bad} with NaN or infinity: leave it out")
+    off = np.abs(each - each.transpose(0, 2, 1)).max(axis=(1, 2)) / np.abs(each).max(axis=(1, 2)).clip(min=1e-300)
+    if off.max() > SYMMETRIC:
+        raise InputError(
+            f"stiffness_pa must be symmetric, got matrix {int(off.argmax())} off by {off.max():.1e} of its largest "
+            "entry: use its mean with its transpose"
+        )
+    try:
+        np.linalg.cholesky(each)  # a tenth of the time of eigenvalues
+    except np.linalg.LinAlgError as problem:
+        least = np.linalg.eigvalsh(each)[:, 0]
+        raise InputError(
+            f"stiffness_pa must be positive definite, got matrix {int(least.argmin())} with eigenvalue "
+            f"{least.min():.3g} Pa: check moduli and Poisson's ratios"
+        ) from problem
+    return matrix
+
+
+def rotated(stiffness_pa: ArrayLike, axes: ArrayLike) -> Array:
+    """Stiffness matrices [Pa], shape (m, 6, 6), of a material turned to follow a fibre field (Bond 1943).
+
+    Parameters
+    ----------
+    stiffness_pa
+        In material axes [Pa], shape (6, 6) or (m, 6, 6).
+    axes
+        Fibre directions, shape (m, 3), of a material that is transversely isotropic about axis 3; or the material axes
+        1, 2, 3 as columns, shape (m, 3, 3), orthonormal and right-handed.
+
+    Raises
+    ------
+    InputError
+        If a direction has no length, axes are not a rotation, or one fibre does not fix the material's axes.
+    """
+    matrix, frame = np.asarray(stiffness_pa, dtype=np.float64), np.asarray(axes, dtype=np.float64)
+    if frame.ndim == 2 and frame.shape[1] == 3:
+        quarter = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
+        turned = _turned(matrix.reshape(-1, 6, 6), quarter[None])
+        if np.abs(turned - matrix).max() > SYMMETRIC * np.abs(matrix).max():
+            raise InputError(
+                "axes must be three directions a cell, shape (m, 3, 3), got one fibre a cell: a material that differs "
+                "across its fibre needs all its axes"
+            )
+        frame = _frames(frame)
+    off = np.abs(np.einsum("mij,mik->mjk", frame, frame) - np.eye(3)).max() if frame.ndim == 3 else np.inf
+    if not off < 1e-9 or (np.linalg.det(frame) < 0.0).any():
+        raise InputError(f"axes must be rotations, shape (m, 3, 3), got columns off by {off:.1e}: orthonormalise them")
+    return _turned(matrix.reshape(-1, 6, 6), frame)
+
+
+def elasticity_rows(elasticity: ArrayLike, cell_count: int) -> Array:
+    """An elasticity as rows of one for all cells or one a cell: Lame pairs (1 | m, 2) or matrices (1 | m, 6, 6) [Pa].
+
+    Raises
+    ------
+    InputError
+        If the shape is another, or the material is not positive definite.
+    """
+    given = np.asarray(elasticity, dtype=np.float64)
+    if given.ndim in (1, 2) and given.shape[-1] == 2:
+        rows: Array = given.reshape(-1, 2)
+        stable = np.isfinite(rows).all(axis=1) & (rows[:, 1] > 0.0) & (3.0 * rows[:, 0] + 2.0 * rows[:, 1] > 0.0)
+        if not stable.all():
+            raise InputError(
+                f"elasticity must be positive definite, got Lame constants {rows[~stable][0].tolist()} Pa: use "
+                "lame(young_pa, poisson_ratio)"
+            )
+    else:
+        rows = checked_stiffness(given).reshape(-1, 6, 6)
+    if len(rows) not in (1, cell_count):
+        raise InputError(f"elasticity must be one for all or one for each of {cell_count} cells, got {len(rows)}")
+    return rows
+
+
+def _positive(name: str, value: ArrayLike, count: int | None = None) -> Array:
+    numbers = np.asarray(value, dtype=np.float64)
+    if (count is not None and numbers.shape != (count,)) or not (np.isfinite(numbers) & (numbers > 0.0)).all():
+        wanted = "" if count is None else f"{count} numbers, "
+        raise InputError(
+            f"{name} must be {wanted}positive and finite, got {numbers.tolist()}: use pascals, about 5e3 for liver"
+        )
+    return numbers
+
+
+def _frames(fibre: Array) -> Array:
+    """Right-handed frames whose third column is the fibre."""
+    length = np.linalg.norm(fibre, axis=1)
+    if not (length > 0.0).all():
+        bad = int(np.flatnonzero(~(length > 0.0))[0])
+        raise InputError(f"axes must be directions, got {fibre[bad]} at cell {bad}: give it any length but zero")
+    third = fibre / length[:, None]
+    least = np.eye(3)[np.abs(third).argmin(axis=1)]
+    first = np.cross(least, third)
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    return np.stack([first, np.cross(third, first), third], axis=2)
+
+
+def _turned(matrix: Array, rotation: Array) -> Array:
+    """D' = M D M^T with M the rotation of stresses in Voigt order; symmetrised, since products round."""
+    i, j = VOIGT[:, 0][:, None], VOIGT[:, 1][:, None]
+    k, n = VOIGT[:, 0][None], VOIGT[:, 1][None]
+    bond = rotation[:, i, k] * rotation[:, j, n]
+    bond[:, :, 3:] += (rotation[:, i, n] * rotation[:, j, k])[:, :, 3:]
+    turned = bond @ matrix @ bond.transpose(0, 2, 1)
+    return np.asarray(0.5 * (turned + turned.transpose(0, 2, 1)))

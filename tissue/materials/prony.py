@@ -1,0 +1,163 @@
+"""Prony series: how the stiffness of a soft tissue relaxes, and how its compliance creeps.
+
+The relaxation modulus over its instantaneous value is ``s(t) = g_inf + sum g_i exp(-t / tau_i)``, ``s(0) = 1``. Stress
+is the hereditary integral of the strain rate with s; strain is that of the stress rate with the creep compliance
+``j(t) = 1 + sum j_k (1 - exp(-t / lambda_k))``, where ``p s~(p) p j~(p) = 1`` in Laplace space. With the dashpots'
+strains as state, creep is ``y' = -B y + c sigma``, ``B = diag(1 / tau) - c c^T``, ``c_i = sqrt(g_i / tau_i)``: the
+retardation times are the inverse eigenvalues of a symmetric matrix, one below each relaxation rate (Gross 1953,
+Mathematical Structure of the Theories of Viscoelasticity; Tschoegl 1989).
+
+Both integrals take one exponential a term and step. Exact where the input is linear between the steps, hence of second
+order for a smooth one (Taylor, Pister and Goudreau 1970, Int. J. Numer. Methods Eng. 2:45).
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from meshes.errors import InputError, require_positive
+
+__all__ = ["HereditaryIntegral", "Prony", "Spectrum"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """A response of ``1 + sum amplitude_k (1 - exp(-t / time_k))`` to a unit step.
+
+    Attributes
+    ----------
+    amplitude
+        Late share of each term, shape (k,); negative where the response relaxes.
+    time_s
+        Time of each term [s], shape (k,).
+    """
+
+    amplitude: Array
+    time_s: Array
+
+    def step_response(self, time_s: ArrayLike) -> Array:
+        """Response at times [s] after a unit step."""
+        terms = -np.expm1(-np.asarray(time_s, dtype=np.float64)[..., None] / self.time_s)
+        return 1.0 + terms @ self.amplitude
+
+
+@dataclass(frozen=True)
+class Prony:
+    """Prony series of a modulus over its instantaneous value.
+
+    Attributes
+    ----------
+    g
+        Share of each relaxing term, each positive, together below 1.
+    tau_s
+        Relaxation time of each term [s].
+
+    Raises
+    ------
+    InputError
+        If the lengths differ, a share or a time is not positive and finite, or nothing is left after relaxation.
+    """
+
+    g: tuple[float, ...]
+    tau_s: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.g) != len(self.tau_s) or not self.g:
+            raise InputError(
+                f"tau_s must hold one time for each of g, got {len(self.g)} shares and {len(self.tau_s)} times: "
+                "give as many times as shares, at least one"
+            )
+        for name, values in (("g", self.g), ("tau_s", self.tau_s)):
+            for index, value in enumerate(values):
+                require_positive(f"{name}[{index}]", value, "leave out a term that does not relax")
+        total = math.fsum(self.g)
+        if total > 1.0 - 1e-9:
+            raise InputError(f"g must sum to less than 1, got {total:g}: a solid keeps a share g_inf, lower a share")
+
+    @property
+    def g_inf(self) -> float:
+        """Share that is left after relaxation."""
+        return 1.0 - math.fsum(self.g)
+
+    @cached_property
+    def relaxation(self) -> Spectrum:
+        """Spectrum of the relaxing modulus: amplitudes -g, times tau."""
+        return Spectrum(-np.array(self.g, dtype=np.float64), np.array(self.tau_s, dtype=np.float64))
+
+    @cached_property
+    def retardation(self) -> Spectrum:
+        """Spectrum of the creeping compliance: amplitudes that sum to 1 / g_inf - 1, retardation times."""
+        rate = 1.0 / np.array(self.tau_s)
+        drive = np.sqrt(np.array(self.g) * rate)
+        rates, modes = np.linalg.eigh(np.diag(rate) - np.outer(drive, drive))
+        return Spectrum((drive @ modes) ** 2 / rates, 1.0 / rates)
+
+    def modulus(self, time_s: ArrayLike) -> Array:
+        """Relaxation modulus over the instantaneous one, at times [s] after a step of strain."""
+        return self.relaxation.step_response(time_s)
+
+    def compliance(self, time_s: ArrayLike) -> Array:
+        """Creep compliance times the instantaneous modulus, at times [s] after a step of stress."""
+        return self.retardation.step_response(time_s)
+
+    def storage_loss(self, omega_rad_s: ArrayLike) -> tuple[Array, Array]:
+        """Storage and loss modulus over the instantaneous one, at angular frequencies [rad/s]."""
+        turned = np.asarray(omega_rad_s, dtype=np.float64)[..., None] * np.array(self.tau_s)
+        share = np.array(self.g) / (1.0 + turned**2)
+        return self.g_inf + (share * turned**2).sum(axis=-1), (share * turned).sum(axis=-1)
+
+
+class HereditaryIntegral:
+    """The integral of a spectrum's step response over an input that is linear within each step.
+
+    With ``x`` the input, the response at the end of a step is ``y = instant_factor x + history``. The history is known
+    before the step, so that x may be found from a condition on y (a contact, say) without iterating. Nothing is
+    allocated after construction.
+
+    Parameters
+    ----------
+    spectrum
+        Step response.
+    shape
+        Shape of the input.
+    step_s
+        Length of every step [s].
+
+    Raises
+    ------
+    InputError
+        If the step is not positive and finite.
+    """
+
+    def __init__(self, spectrum: Spectrum, shape: tuple[int, ...], *, step_s: float) -> None:
+        ratio = require_positive("step_s", step_s, "use the length of a tick, 0.001") / spectrum.time_s
+        fall = -np.expm1(-ratio)
+        mean = fall / ratio
+        self.instant_factor = float(1.0 + spectrum.amplitude @ (1.0 - mean))
+        """Response at the end of a step to a unit of input reached there, 1 for a short step."""
+        self._keep = 1.0 - fall
+        self._gain = spectrum.amplitude * mean * fall
+        self._start = spectrum.amplitude * (mean - self._keep)
+        self._terms = np.zeros((len(ratio), *shape))
+        self._scaled = np.zeros(shape)
+        self.history = np.zeros(shape)
+        """Response at the end of the next step to all inputs so far, if the input then were zero."""
+
+    def advance(self, value: ArrayLike) -> None:
+        """End a step at this input."""
+        for term, keep, gain in zip(self._terms, self._keep, self._gain, strict=True):
+            term *= keep
+            np.multiply(value, gain, out=self._scaled)
+            term += self._scaled
+        np.add.reduce(self._terms, axis=0, out=self.history)
+
+    def restart(self, value: ArrayLike = 0.0) -> None:
+        """Forget all; the input jumps to this value now."""
+        for term, start in zip(self._terms, self._start, strict=True):
+            np.multiply(value, start, out=term)
+        np.add.reduce(self._terms, axis=0, out=self.history)

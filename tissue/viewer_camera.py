@@ -1,0 +1,35 @@
+"""The camera of `tissue view`: from the front and above, with what is shown between the texts and the chart."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["aim"]
+
+EYE, UP = (0.25, -0.75, 0.8), (0.0, 0.35, 1.0)
+ROOM = (0.2, 0.86, 0.36, 0.88)
+"""Left, right, lower and upper end of the room for the scene, in shares of the window."""
+MOST_POINTS = 20_000
+
+
+def aim(plotter: Any, points_mm: NDArray[np.float64]) -> None:
+    """Look down from the front so that the points fill the room; without points so that all that there is does."""
+    plotter.camera_position = [EYE, (0.0, 0.0, 0.0), UP]
+    plotter.reset_camera()
+    left, right, low, high = ROOM
+    if not len(points_mm):
+        plotter.camera.SetWindowCenter(0.0, 1.0 - (low + high))
+        return
+    wide, tall = plotter.window_size
+    matrix = plotter.camera.GetCompositeProjectionTransformMatrix(wide / tall, -1.0, 1.0)
+    view = np.array([[matrix.GetElement(row, column) for column in range(4)] for row in range(4)])
+    some = points_mm[:: max(len(points_mm) // MOST_POINTS, 1)]
+    seen = np.column_stack([some, np.ones(len(some))]) @ view.T
+    seen = seen[:, :2] / seen[:, 3:]  # -1 to 1 across the window
+    first, last = seen.min(axis=0), seen.max(axis=0)
+    room = 2.0 * np.array([right - left, high - low])
+    zoom = float((room / np.maximum(last - first, 1e-9)).min())
+    plotter.camera.zoom(zoom)
+    middle = np.array([left + right, low + high]) - 1.0
+    plotter.camera.SetWindowCenter(*(0.5 * zoom * (first + last) - middle))

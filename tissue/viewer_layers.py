@@ -1,0 +1,57 @@
+"""Layers in the window of `tissue view`: the digits switch them on and off, on the bone and on the fields alike."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+__all__ = ["LayerKeys"]
+
+MOST = 9
+"""Layers that have a key."""
+
+
+class LayerKeys:
+    """Layers that are on or off.
+
+    Parameters
+    ----------
+    plotter
+        Where the digits are bound.
+    names
+        Layers; the first has the key 1.
+    hidden
+        Layers that are off at first.
+    targets
+        Each is told the layers that are off, now and whenever they change.
+
+    Attributes
+    ----------
+    hidden
+        Layers that are off.
+    help
+        The keys, in words; empty where there is but one layer.
+    """
+
+    def __init__(
+        self,
+        plotter: Any,
+        names: Sequence[str],
+        *,
+        hidden: Sequence[str] = (),
+        targets: Sequence[Callable[[frozenset[str]], None]],
+    ) -> None:
+        self._plotter, self._targets = plotter, tuple(targets)
+        self.hidden: frozenset[str] = frozenset()
+        self.help = ""
+        if len(names) > 1:
+            self.help = "  ".join(f"{n}: {name}" for n, name in enumerate(names[:MOST], 1)) + " on or off"
+            for number, name in enumerate(names[:MOST], 1):
+                plotter.add_key_event(str(number), lambda name=name: self.toggle(name))
+        if hidden:
+            self.toggle(*hidden)
+
+    def toggle(self, *names: str) -> None:
+        """Switch layers on or off."""
+        self.hidden ^= frozenset(names)
+        for tell in self._targets:
+            tell(self.hidden)
+        self._plotter.render()
