@@ -21,6 +21,10 @@ STATE = 8
 REPORT = 11
 """1 when settled, contacts that press, steps, solves, least gap [m], force [m] and moment [m2] over the stiffness."""
 HALVINGS = 8
+STALLS = 2
+"""Steps in a row that hardly lower the springs' energy: beside voxels the proxy swings over creases, and may rest."""
+LITTLE = wp.constant(wp.float64(1.0e-4))
+"""Share of the springs' energy by which a step must lower it beside voxels."""
 TOO_DEEP = wp.constant(wp.float64(0.1))
 """Share of a step by which a point may sink in before the step is taken back."""
 ZERO = wp.constant(wp.float64(0.0))
@@ -114,17 +118,25 @@ def advance_proxy(
     turn = wp.vec3d()
     force = wp.vec3d()
     moment = wp.vec3d()
+    rub = wp.vec3d()
+    arm = wp.vec3d()
+    best = wp.float64(1.0e300)
     least = wp.float64(0.0)
     deepest = wp.float64(-1.0e30)
     steps = int(0)
     solves = int(0)
     halvings = int(0)
-    pressing = int(0)
+    stalls = int(0)
+    pressing = int(report_out[1])
     arrived = int(0)
     settled = int(0)
     while steps < step_limit:
         steps += 1
-        count, gap, clear = collect(field, shell, contacts, position, wp.quat_to_matrix(rotation), travel, step)
+        wanted = wp.length(target - position)
+        if compliance > ZERO:
+            wanted += shell.reach * wp.length(turn_between(rotation, target_turn))
+        frame = wp.quat_to_matrix(rotation)
+        count, gap, clear = collect(field, shell, contacts, position, frame, travel, wanted, step)
         if gap < deepest:
             if halvings == HALVINGS:
                 break
@@ -148,16 +160,25 @@ def advance_proxy(
             break
         arrived = int(0)
         shift = target - position
+        stored = wp.length_sq(shift)
         if compliance > ZERO:
             turn = turn_between(rotation, target_turn)
+            stored += wp.length_sq(turn) / compliance
+        stalls += 1
+        if stored < (ONE - LITTLE) * best or field.spacing == ZERO:
+            stalls = int(0)
+            best = wp.min(best, stored)
+        if stalls == STALLS:
+            settled = int(1)
+            break
         touch = wp.float64(2.0)
-        if friction > ZERO and gap > tolerance:
+        if friction > ZERO and pressing == 0 and gap > tolerance:
             touch = first_touch(contacts, count, shift, turn)
         if touch < ONE:  # friction begins where something is met, so the tool first goes there
             shift *= touch
             turn *= touch
         else:
-            members, used, rub, arm = resolve(contacts, count, compliance, friction, tolerance, shift, turn)
+            members, used, rub, arm = resolve(contacts, count, compliance, friction, tolerance, shift, turn, rub, arm)
             solves += used
             pressing, force, moment = contact_sums(contacts, members)
             force += rub

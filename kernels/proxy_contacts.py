@@ -18,9 +18,11 @@ VOXEL_PLANES = 3
 """Planes a shell point may hold on voxels: the present one and two it met before."""
 ZERO = wp.constant(wp.float64(0.0))
 FAR = wp.constant(wp.float64(1.0e30))
+AHEAD = wp.constant(wp.float64(4.0))
+"""Steps ahead that a point is looked at again."""
 LEAST_SLOPE = wp.constant(wp.float64(0.5))
 """A flatter level is read as one this steep, so that a point never believes to be farther away than a voxel."""
-SAME_WAY = wp.constant(wp.float64(0.9995))
+SAME_WAY = wp.constant(wp.float64(0.99999999))
 SLACK = wp.constant(wp.float64(1.0e-3))
 """Share of a voxel by which a kept plane may cut off free space."""
 
@@ -68,11 +70,12 @@ def add_candidate(contacts: Contacts, count: int, slot: int, arm: wp.vec3d, norm
 
 
 @wp.func
-def forget(contacts: Contacts, point: int, first: int):
+def forget(plane_normal: wp.array2d(dtype=wp.vec3d), press: wp.array(dtype=wp.float64), point: int, first: int):
     """Drop all planes of a point that has left the voxels."""
-    for k in range(VOXEL_PLANES):
-        contacts.plane_normal[point, k] = wp.vec3d()
-        contacts.press[first + k] = ZERO
+    if wp.length_sq(plane_normal[point, 0]) > ZERO:
+        for k in range(VOXEL_PLANES):
+            plane_normal[point, k] = wp.vec3d()
+            press[first + k] = ZERO
 
 
 @wp.func
@@ -91,17 +94,17 @@ def keep_plane(contacts: Contacts, point: int, first: int):
 def collect_voxels(
     field: Field, contacts: Contacts, point: int, first: int, arm: wp.vec3d, at: wp.vec3d, step: wp.float64, found: int
 ):
-    """Planes of one point near voxels: number of candidates, its gap and how far it is surely away [m]."""
+    """Planes of one point near voxels: number of candidates, its level and how far it is surely away [m]."""
     count = found
     far = voxel_clearance(field, at)
     if far > step:
-        forget(contacts, point, first)
+        forget(contacts.plane_normal, contacts.press, point, first)
         return count, far, far
     level, slope = voxel_level(field, at)
     size = wp.length(slope)
     gap = level / wp.max(size, LEAST_SLOPE)
     if size == ZERO:
-        forget(contacts, point, first)
+        forget(contacts.plane_normal, contacts.press, point, first)
         return count, step, ZERO
     normal = slope / size
     held = contacts.plane_normal[point, 0]
@@ -123,7 +126,7 @@ def collect_voxels(
                 contacts.press[first + k] = ZERO
             else:
                 count = add_candidate(contacts, count, first + k, arm, held, above)
-    return count, gap, ZERO
+    return count, level, ZERO  # the level has no jumps where the gap has them, between cells
 
 
 @wp.func
@@ -134,16 +137,21 @@ def collect(
     position: wp.vec3d,
     turn: wp.mat33d,
     travel: wp.float64,
+    wanted: wp.float64,
     step: wp.float64,
 ):
-    """All planes within a ``step`` of the shell: their number, the least gap, and the way free for every point [m]."""
+    """All planes within a ``step`` of the shell: their number, the least gap, and the way free for every point [m].
+
+    A point wakes early where its sleep would cut the ``wanted`` way [m] short, but never from farther than ``AHEAD``.
+    """
+    early = wp.min(wanted, AHEAD * step)
     count = int(0)
     worst = FAR
     clear = FAR
     solids = field.kind.shape[0]
     for i in range(shell.point.shape[0]):
         asleep = contacts.wake[i] - travel
-        if asleep > ZERO:
+        if asleep > early:
             clear = wp.min(clear, asleep + step)
         else:
             arm = turn * shell.point[i]

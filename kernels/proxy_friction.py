@@ -14,14 +14,48 @@ __all__ = ["friction_force", "resolve"]
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-ROUNDS = 8
+ROUNDS = 4
 """Times that friction and normal forces are found in turn."""
-STEPS = 200
+STEPS = 50
+NEWTON_STEPS = 30
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
-TINY = wp.constant(wp.float64(1.0e-13))
+HALF = wp.constant(wp.float64(0.5))
+SOFT = wp.constant(wp.float64(1.0e-11))
+"""Compliance given to a point that the planes hold, beside about 1 of a free one: its friction is not determined."""
 EXACT = wp.constant(wp.float64(1.0e-13))
 """Relative change of the friction force at which it is found."""
+
+
+@wp.func
+def holding_force(
+    w00: wp.float64, w01: wp.float64, w11: wp.float64, v0: wp.float64, v1: wp.float64, softer: wp.float64
+):
+    """Force that undoes the slip v of a point with compliance W, both made ``softer``: -(W + softer)^-1 v."""
+    more = softer + SOFT
+    a = w00 + more
+    d = w11 + more
+    share = ONE / (a * d - w01 * w01)
+    return share * (w01 * v1 - d * v0), share * (w01 * v0 - a * v1)
+
+
+@wp.func
+def slipping_force(
+    w00: wp.float64, w01: wp.float64, w11: wp.float64, v0: wp.float64, v1: wp.float64, bound: wp.float64
+):
+    """Force of size ``bound`` against the slip that is left: Newton on reciprocals (More and Sorensen 1983)."""
+    f0 = wp.float64(0.0)
+    f1 = wp.float64(0.0)
+    softer = wp.float64(0.0)
+    if bound > ZERO:
+        for _ in range(NEWTON_STEPS):
+            f0, f1 = holding_force(w00, w01, w11, v0, v1, softer)
+            size = wp.sqrt(f0 * f0 + f1 * f1)
+            if size <= bound * (ONE + EXACT):
+                break
+            g0, g1 = holding_force(w00, w01, w11, -f0, -f1, softer)
+            softer += (size / bound - ONE) * size * size / (f0 * g0 + f1 * g1)
+    return f0, f1
 
 
 @wp.func
@@ -32,7 +66,7 @@ def friction_force(
     friction: wp.float64,
     shift: wp.vec3d,  # without any contact force
     turn: wp.vec3d,
-    last: wp.vec3d,  # friction force found before [m]
+    last: wp.vec3d,
 ):
     """Friction of the set's resultant and its arm from the tool's origin, the normal forces answering linearly."""
     total = wp.float64(0.0)
@@ -73,22 +107,17 @@ def friction_force(
     w01 = wp.dot(first, way_second)
     v0 = wp.dot(first, slip)
     v1 = wp.dot(second, slip)
-    stiff = ONE / wp.max(wp.max(w00 + wp.abs(w01), w11 + wp.abs(w01)), TINY)
-    f0 = wp.dot(first, last)
-    f1 = wp.dot(second, last)
-    for _ in range(STEPS):
-        new0 = f0 - stiff * (v0 + w00 * f0 + w01 * f1)
-        new1 = f1 - stiff * (v1 + w01 * f0 + w11 * f1)
-        bound = friction * wp.max(hold[0] + hold[1] * f0 + hold[2] * f1, ZERO)
-        size = wp.sqrt(new0 * new0 + new1 * new1)
-        if size > bound:
-            new0 *= bound / size
-            new1 *= bound / size
-        change = wp.abs(new0 - f0) + wp.abs(new1 - f1)
-        f0 = new0
-        f1 = new1
-        if change <= EXACT * (size + bound):
-            break
+    f0, f1 = holding_force(w00, w01, w11, v0, v1, ZERO)
+    bound = friction * wp.max(hold[0] + hold[1] * f0 + hold[2] * f1, ZERO)
+    if f0 * f0 + f1 * f1 > bound * bound:
+        f0 = wp.dot(first, last)
+        f1 = wp.dot(second, last)
+        for _ in range(STEPS):  # the normal forces answer to the friction, and so does the cone
+            before = bound
+            bound = friction * wp.max(hold[0] + hold[1] * f0 + hold[2] * f1, ZERO)
+            f0, f1 = slipping_force(w00, w01, w11, v0, v1, bound)
+            if wp.abs(bound - before) <= EXACT * bound:
+                break
     return f0 * first + f1 * second, arm
 
 
@@ -101,6 +130,8 @@ def resolve(
     tolerance: wp.float64,  # [m]
     shift: wp.vec3d,  # where the springs would have the tool [m]
     turn: wp.vec3d,  # [rad]
+    last_rub: wp.vec3d,  # friction force found before [m] and its arm, from which the search starts
+    last_arm: wp.vec3d,
 ):
     """Size of the set, solves, and friction force [m] with its arm; the normal forces are left in ``press``."""
     members = int(0)
@@ -113,16 +144,23 @@ def resolve(
                 members += 1
             else:
                 contacts.press[contacts.slot[c]] = ZERO
-    rub = wp.vec3d()
-    arm = wp.vec3d()
-    members, solves = normal_forces(contacts, count, members, compliance, tolerance, shift, turn)
-    if friction > ZERO and members > 0:
-        for _ in range(ROUNDS):
+    rub = last_rub
+    arm = last_arm
+    dragged = turn + compliance * wp.cross(arm, rub)
+    members, solves = normal_forces(contacts, count, members, compliance, tolerance, shift + rub, dragged)
+    if friction > ZERO:
+        for k in range(ROUNDS):
             before = rub
+            arm_before = arm
             rub, arm = friction_force(contacts, members, compliance, friction, shift, turn, before)
+            if k > 0:  # half way, lest two sets of planes take turns
+                rub = HALF * (rub + before)
+                arm = HALF * (arm + arm_before)
             dragged = turn + compliance * wp.cross(arm, rub)
             members, more = normal_forces(contacts, count, members, compliance, tolerance, shift + rub, dragged)
             solves += more
             if wp.length(rub - before) <= tolerance:
                 break
+    if members == 0:
+        rub = wp.vec3d()
     return members, solves, rub, arm

@@ -10,7 +10,7 @@ start, which removal can only raise.
 
 import warp as wp
 
-from kernels.bricks import stored, voxel_column, voxel_row
+from kernels.bricks import voxel_column, voxel_row
 
 __all__ = ["BALL", "BOX", "CELL", "HALF_SPACE", "SURFACE", "Field", "solid_distance", "voxel_clearance", "voxel_level"]
 
@@ -43,6 +43,7 @@ class Field:
     remaining: wp.array2d(dtype=wp.uint16)
     origin: wp.vec3d  # [m]
     spacing: wp.float64  # [m], 0 without voxels
+    voxels_per_m: wp.float64  # 1 / spacing
     clearance: wp.array3d(dtype=wp.float32)  # [cell of 4 voxels], lower bound of the distance to bone [m]
 
 
@@ -88,34 +89,54 @@ def solid_distance(field: Field, solid: int, point: wp.vec3d):
 @wp.func
 def voxel_clearance(field: Field, point: wp.vec3d):
     """Lower bound of the distance [m] from a point to bone."""
-    voxel = (point - field.origin) / field.spacing
-    away = wp.vec3d()
-    cell = wp.vec3i()
-    for c in range(3):
-        count = field.clearance.shape[c]
-        inside = wp.clamp(voxel[c], ZERO, wp.float64(CELL * count))
-        away[c] = voxel[c] - inside
-        cell[c] = wp.min(int(inside * CELLS_PER_VOXEL), count - 1)
-    return wp.max(wp.length(away) * field.spacing, wp.float64(field.clearance[cell[0], cell[1], cell[2]]))
+    ux = (point[0] - field.origin[0]) * field.voxels_per_m
+    uy = (point[1] - field.origin[1]) * field.voxels_per_m
+    uz = (point[2] - field.origin[2]) * field.voxels_per_m
+    nx = field.clearance.shape[0]
+    ny = field.clearance.shape[1]
+    nz = field.clearance.shape[2]
+    cx = wp.clamp(int(wp.floor(ux * CELLS_PER_VOXEL)), 0, nx - 1)
+    cy = wp.clamp(int(wp.floor(uy * CELLS_PER_VOXEL)), 0, ny - 1)
+    cz = wp.clamp(int(wp.floor(uz * CELLS_PER_VOXEL)), 0, nz - 1)
+    bound = wp.float64(field.clearance[cx, cy, cz])
+    if ux < ZERO or uy < ZERO or uz < ZERO or cx == nx - 1 or cy == ny - 1 or cz == nz - 1:
+        # A voxel is felt half a voxel beyond itself, also beyond the grid.
+        ax = ux - wp.clamp(ux, -HALF, wp.float64(CELL * nx) + HALF)
+        ay = uy - wp.clamp(uy, -HALF, wp.float64(CELL * ny) + HALF)
+        az = uz - wp.clamp(uz, -HALF, wp.float64(CELL * nz) + HALF)
+        bound = wp.max(bound, wp.sqrt(ax * ax + ay * ay + az * az) * field.spacing)
+    return bound
 
 
 @wp.func
-def column_pair(field: Field, row: int, ix: int, iy: int, iz: int):
-    """Filled fractions of a voxel and of the next one along z; ``row`` is the brick's, or -2 where it is not known."""
+def held(remaining: wp.array2d(dtype=wp.uint16), row: int, ix: int, iy: int, iz: int):
+    """Filled fraction of a voxel in a brick's row, 0 where no brick is stored."""
+    fraction = wp.float64(0.0)
     if row >= 0:
-        low = wp.float64(field.remaining[row, voxel_column(ix, iy, iz)]) * STEP
-        return low, wp.float64(field.remaining[row, voxel_column(ix, iy, iz + 1)]) * STEP
-    return wp.float64(stored(field.brick_of, field.remaining, ix, iy, iz)), wp.float64(
-        stored(field.brick_of, field.remaining, ix, iy, iz + 1)
-    )
+        fraction = wp.float64(remaining[row, voxel_column(ix, iy, iz)]) * STEP
+    return fraction
+
+
+@wp.func
+def column_pair(
+    brick_of: wp.array3d(dtype=wp.int32), remaining: wp.array2d(dtype=wp.uint16), row: int, ix: int, iy: int, iz: int
+):
+    """Filled fractions of a voxel and of the next one along z; ``row`` is the brick's, or -2 where it is not known."""
+    low = row
+    if row < 0:
+        low = voxel_row(brick_of, ix, iy, iz)
+    high = low
+    if (iz & 7) == 7:
+        high = voxel_row(brick_of, ix, iy, iz + 1)
+    return held(remaining, low, ix, iy, iz), held(remaining, high, ix, iy, iz + 1)
 
 
 @wp.func
 def voxel_level(field: Field, point: wp.vec3d):
     """Level [m] of the voxels' surface, positive outside and zero on it, and its gradient, of length about one."""
-    ux = (point[0] - field.origin[0]) / field.spacing - HALF
-    uy = (point[1] - field.origin[1]) / field.spacing - HALF
-    uz = (point[2] - field.origin[2]) / field.spacing - HALF
+    ux = (point[0] - field.origin[0]) * field.voxels_per_m - HALF
+    uy = (point[1] - field.origin[1]) * field.voxels_per_m - HALF
+    uz = (point[2] - field.origin[2]) * field.voxels_per_m - HALF
     ix = int(wp.floor(ux))
     iy = int(wp.floor(uy))
     iz = int(wp.floor(uz))
@@ -127,10 +148,10 @@ def voxel_level(field: Field, point: wp.vec3d):
     fx = ux - wp.float64(ix)
     fy = uy - wp.float64(iy)
     fz = uz - wp.float64(iz)
-    a0, a1 = column_pair(field, row, ix, iy, iz)
-    b0, b1 = column_pair(field, row, ix, iy + 1, iz)
-    c0, c1 = column_pair(field, row, ix + 1, iy, iz)
-    d0, d1 = column_pair(field, row, ix + 1, iy + 1, iz)
+    a0, a1 = column_pair(field.brick_of, field.remaining, row, ix, iy, iz)
+    b0, b1 = column_pair(field.brick_of, field.remaining, row, ix, iy + 1, iz)
+    c0, c1 = column_pair(field.brick_of, field.remaining, row, ix + 1, iy, iz)
+    d0, d1 = column_pair(field.brick_of, field.remaining, row, ix + 1, iy + 1, iz)
     a = wp.lerp(a0, a1, fz)
     b = wp.lerp(b0, b1, fz)
     c = wp.lerp(c0, c1, fz)

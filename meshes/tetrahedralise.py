@@ -8,6 +8,7 @@ thread: a mesh is reproducible through the cache, which holds it by the content 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
@@ -25,7 +26,8 @@ __all__ = ["tetrahedralise"]
 _CELLS = 30_000
 _EDGE_PER_CELL = 2.7
 """Target edge over the cube root of the mean cell volume, as fTetWild came out on a liver."""
-_ENVELOPE = 1e-3
+_ENVELOPE = 0.1
+"""Distance that the surface may move, over the edge: tighter ones take minutes to hold."""
 _VOLUME_OFF = 0.02
 
 
@@ -74,7 +76,7 @@ def tetrahedralise(
         nodes, cells = _filled(surface, edge)
         return {"nodes": nodes, "cells": cells}
 
-    arrays = cached_arrays("tetwild-1", (surface.vertices_m, surface.faces, edge, _ENVELOPE), make)
+    arrays = cached_arrays("tetwild-2", (surface.vertices_m, surface.faces, edge, _ENVELOPE), make)
     if tell is not None:
         tell(f"filling {surface.report.source} with tetrahedra", 1.0)
     if len(arrays["cells"]) == 0:
@@ -90,12 +92,16 @@ def _filled(surface: Surface, edge: float) -> tuple[np.ndarray, np.ndarray]:
     """Nodes [m] and cells by fTetWild."""
     from pytetwild import tetrahedralize  # type: ignore[attr-defined]
 
+    left_behind = Path("__tracked_surface.stl")  # fTetWild writes it where it runs
+    there_before = left_behind.exists()
     nodes, cells = tetrahedralize(
         surface.vertices_m,
         surface.faces.astype(np.int32),
         edge_length_abs=edge,
-        epsilon=_ENVELOPE,
+        epsilon=max(_ENVELOPE * edge / float(np.linalg.norm(np.ptp(surface.vertices_m, axis=0))), 1e-4),
         quiet=True,
         vtk_ordering=True,
     )
+    if not there_before:
+        left_behind.unlink(missing_ok=True)
     return np.asarray(nodes, dtype=np.float64), np.asarray(cells, dtype=np.int64)

@@ -28,7 +28,7 @@ __all__ = ["pierce", "press", "probe_of"]
 Tell = Callable[[str, float], None]
 POSES_TRIED = 200
 """Poses along a motion at which the organ is looked for."""
-MARGIN_EDGES = 1.0
+MARGIN_EDGES = 0.25
 """Edges of the mesh beyond the tool's way within which the surface may be touched."""
 FACTOR_UNKNOWNS = 200_000
 """Above this, frames are solved by multigrid: a factor would take gigabytes."""
@@ -64,12 +64,14 @@ def press(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: i
     """
     anatomy, organ = scene.anatomy, scene.organ
     assert isinstance(anatomy, LiverAnatomy | SlabAnatomy) and isinstance(scene.tool, ProbeTable)
+    notes: dict[str, str] = {}
+    prony = _prony(organ, notes)
     tell("meshing the organ", 0.0)
     edge_mm = anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
     found = held_mesh(anatomy, way_m=motion.sweep_m(), touch_edge_m=1e-3 * edge_mm, tell=tell)
     elasticity, said = elasticity_of(found.mesh, anatomy, organ)
     probe = probe_of(scene.tool)
-    notes = found.notes | {"modulus": said}
+    notes |= found.notes | {"modulus": said}
     tell("compiling kernels (the first time on a machine)", 0.0)
     from tissue.liver import LiverModel, OrganFields, Space, SurfaceContact
 
@@ -82,7 +84,6 @@ def press(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: i
     load, rest = _weight(space, organ, body, solver, notes)
     tell("condensing the compliance to the surface that can be touched", 0.0)
     compliance, lazy = _compliance(body, touchable, organ, solver, tell)
-    prony = _prony(organ, notes)
     contact = SurfaceContact(
         space.nodes_m[touchable] + rest[touchable],
         faces,
@@ -114,6 +115,7 @@ def press(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: i
         fields=fields,
         prony=prony,
         lazy=lazy,
+        ball_radius_m=0.5e-3 * scene.tool.diameter_mm if scene.tool.kind == "sphere-probe" else None,
         step_s=step_s,
     )
     return Parts(motion, model, notes=notes)

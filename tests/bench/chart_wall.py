@@ -62,16 +62,16 @@ def main() -> None:
     given.out.mkdir(parents=True, exist_ok=True)
     start = perf_counter()
     rates, delays = ((500.0, 1000.0), (0.0, 2e-3)) if given.quick else ((500.0, 1000.0, 2000.0, 4000.0), (0.0, 5e-4, 1e-3, 2e-3, 4e-3))  # fmt: skip
-    found = wall_limits(
-        device_parameters(given.device), hand_parameters("expert"), rates_Hz=rates, delays_s=delays
-    )
+    found = wall_limits(device_parameters(given.device), hand_parameters("expert"), rates_Hz=rates, delays_s=delays)
     rows = [asdict(each) | {"ratio": each.ratio} for each in found]
     with (given.out / f"wall_{given.device}.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
     draw(found, given.device, given.out / f"wall_{given.device}.png")
-    print(table([tuple(f"{v:.3g}" if isinstance(v, float) else v for v in row.values()) for row in rows], tuple(rows[0])))
+    print(
+        table([tuple(f"{v:.3g}" if isinstance(v, float) else v for v in row.values()) for row in rows], tuple(rows[0]))
+    )
     print(f"{perf_counter() - start:.0f} s on {machine()}")
 
 

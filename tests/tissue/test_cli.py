@@ -128,13 +128,13 @@ def test_a_motion_without_end_is_refused(refused, here):
     [
         (
             ("run", "gleniod"),
-            "scene must be a built-in name (caries, glenoid, milling, molar) or a TOML file, got gleniod (did "
+            "scene must be a built-in name (caries, glenoid, liver-press, milling, molar, needle, palpation) or a TOML file, got gleniod (did "
             "you mean "
             "glenoid?): list them with `tissue scenes`",
         ),
         (
             ("scenes", "mill"),
-            "scene must be a built-in name (caries, glenoid, milling, molar) or a TOML file, got mill (did you mean "
+            "scene must be a built-in name (caries, glenoid, liver-press, milling, molar, needle, palpation) or a TOML file, got mill (did you mean "
             "milling?): list them with `tissue scenes`",
         ),
         (("run", "x.toml"), "scene must be an existing file, got x.toml: check the path or list `tissue scenes`"),

@@ -12,8 +12,16 @@ from tissue.load import parse_override
 PARTS = [
     part
     for part in vars(tissue.scene).values()
-    if isinstance(part, type) and issubclass(part, BaseModel) and part.__module__ == "tissue.scene"
+    if isinstance(part, type) and issubclass(part, BaseModel) and part.__module__.startswith("tissue.scene")
 ]
+
+
+COARSE = {
+    **dict.fromkeys(("molar", "caries"), "voxels.spacing_mm=0.125"),
+    **dict.fromkeys(("liver-press", "palpation"), "organ.order=1"),
+    "needle": "tool.diameter_mm=1.0",
+}
+"""What makes a scene quick to run."""
 
 
 @pytest.mark.parametrize("name", scene_names())
@@ -30,7 +38,7 @@ def test_a_built_in_scene_writes_and_reads_back_equal(name, tmp_path):
 def test_a_printed_scene_runs(name, command, here):
     _, printed, _ = command("scenes", name)
     (here / "mine.toml").write_text(printed)
-    coarse = f"voxels.spacing_mm={0.125 if load_scene(name).stress else 0.4}"
+    coarse = COARSE.get(name, "voxels.spacing_mm=0.4")
     code, _, error = command("run", "mine.toml", "--set", coarse, "--no-pictures", "--duration-s", 0.01, "--out", "out")
     assert (code, error) == (0, "")
 

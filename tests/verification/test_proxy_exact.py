@@ -3,6 +3,8 @@
 ``EXACT`` is what the validation case asks for (case 23: 1e-9); lengths are in metres, so it stands for a nanometre.
 """
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -35,7 +37,7 @@ def walk(proxy, *corners, feed=1e-4, quaternion=None):
     """Move the device along straight lines, a tick every ``feed``."""
     more = () if quaternion is None else (quaternion,)
     result = proxy.result
-    for start, end in zip(corners[:-1], corners[1:], strict=True):
+    for start, end in pairwise(corners):
         ticks = max(int(np.ceil(np.linalg.norm(np.subtract(end, start)) / feed)), 1)
         for tick in range(1, ticks + 1):
             result = proxy.advance(at(*start) + (tick / ticks) * np.subtract(end, start), *more)
@@ -96,7 +98,9 @@ def test_point_slides_off_a_convex_edge_and_is_free():
     """Dragged under the surface past an edge the proxy leaves the top face there and joins the device."""
     proxy = point_on(Box((0.0, 0.0, -5e-3), (10e-3, 10e-3, 10e-3)), start=(0.0, 0.0, 1e-3))
     walk(proxy, (0.0, 0.0, 1e-3), (0.0, 0.0, -1e-3))
-    assert walk(proxy, (0.0, 0.0, -1e-3), (4.9e-3, 0.0, -1e-3)).position_m == pytest.approx(at(4.9e-3, 0.0, 0.0), abs=EXACT)
+    assert walk(proxy, (0.0, 0.0, -1e-3), (4.9e-3, 0.0, -1e-3)).position_m == pytest.approx(
+        at(4.9e-3, 0.0, 0.0), abs=EXACT
+    )
     result = walk(proxy, (4.9e-3, 0.0, -1e-3), (5.2e-3, 0.0, -1e-3))
     assert (result.position_m == at(5.2e-3, 0.0, -1e-3)).all()
     assert result.outcome is ProxyOutcome.FREE
@@ -150,6 +154,16 @@ def test_friction_sticks_if_and_only_if_the_pull_is_inside_the_cone():
             result = proxy.advance(pull * way - at(0.0, 0.0, depth))
             assert result.position_m == pytest.approx((pull - friction * depth) * way, abs=EXACT)
             assert np.linalg.norm(result.push_m[:2]) == pytest.approx(friction * result.push_m[2], rel=1e-9)
+
+
+def test_friction_changes_nothing_where_planes_hold_every_way():
+    """In a corner of three planes the friction is not determined; the proxy rests there all the same."""
+    planes = [HalfSpace((0.0, 0.0, 0.0), normal) for normal in np.eye(3)]
+    proxy = point_on(*planes, start=(1e-3, 2e-3, 1e-3), friction=0.1)
+    for device in ((-1e-3, -2e-3, -3e-3), (-2e-3, -1e-3, -1e-3), (-3e-3, -2e-3, -4e-3)):
+        result = walk(proxy, (1e-3, 2e-3, 1e-3), device)
+        assert result.position_m == pytest.approx(STILL, abs=EXACT)
+        assert result.push_m == pytest.approx(-at(*device), abs=EXACT)
 
 
 def test_friction_starts_where_the_surface_is_met():

@@ -48,7 +48,8 @@ def waypoints(times_s: Array, points_m: Array) -> Path:
 class Aim:
     """Movement of the aim along a path that the person knows ahead.
 
-    Every ``correction_s`` a submovement of ``submovement_s`` begins, towards where the path will be when it ends.
+    Every ``correction_s`` a submovement of ``submovement_s`` begins, towards where the path will be half a correction
+    before it ends; the next one is under way by then, so that a steady movement neither leads nor lags.
     Submovements add up (Flash and Henis, 1991), so that the aim is smooth to its acceleration. The muscles miss by a
     share of the distance (signal-dependent noise, Harris and Wolpert, 1998); an error is seen, and corrected, a
     reaction time later. The first submovement begins a reaction time after the start.
@@ -106,7 +107,8 @@ class Aim:
         for start, way, missed in self._moves:
             unseen = start > time_s - self._reaction
             seen = [a + b - (c if unseen else 0.0) for a, b, c in zip(seen, way, missed, strict=True)]
-        wanted = [float(a) - b for a, b in zip(self._path(time_s + self._duration), seen, strict=True)]
+        ahead = time_s + self._duration - 0.5 * self._interval
+        wanted = [float(a) - b for a, b in zip(self._path(ahead), seen, strict=True)]
         size = sqrt(sum(a * a for a in wanted))
         missed = [self._noise * size * float(each) for each in self._rng.standard_normal(3)]
         self._moves.append((time_s, [a + b for a, b in zip(wanted, missed, strict=True)], missed))

@@ -22,7 +22,7 @@ RUNG = 10.0 ** (1.0 / 16.0)
 """Step of the ladder of stiffnesses: 15 %."""
 LOWEST_N_M, HIGHEST_N_M = 50.0, 4e4
 RINGING_N = 0.05
-"""Ripple that counts as ringing [N]: below the 7 % of about 1 N that a person tells apart (Pang, Tan and Durlach, 1991)."""
+"""Ripple that counts as ringing [N]: below the 7 % of about 1 N that a person tells apart (Pang et al., 1991)."""
 DEPTH_M, JERK_N, JERK_S, LASTS_S = 5e-3, 2.0, (0.8, 0.82), 1.3
 
 
@@ -93,7 +93,7 @@ def wall_limits(
 ) -> list[WallLimit]:
     """The stiffest quiet wall for every renderer, rate and delay.
 
-    Stiffness climbs in steps of 15 % until the force still ripples by more than 0.05 N in the last 0.2 s after the jerk.
+    Stiffness climbs in steps of 15 % until the force ripples by more than 0.05 N, 0.3 to 0.5 s after the jerk.
     """
     found = []
     for rate in rates_Hz:

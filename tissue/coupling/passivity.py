@@ -56,6 +56,11 @@ class PassivityObserver:
         """The force [N] that is sent out now."""
         self._forces.append(np.array(force_N))
 
+    def pause(self) -> None:
+        """Samples are missing: what happens until the next one is not booked, and no force is on its way then."""
+        self._position = None
+        self._forces.extend([np.zeros(3)] * len(self._forces))
+
     def coming_N(self) -> Array:
         """Sum over ticks of the forces that were sent out and have not acted yet [N]."""
         waiting = list(self._forces)

@@ -105,7 +105,7 @@ class Proxy:
         lever_m: float | None = None,
         friction: float = 0.0,
         step_limit: int = 64,
-        solve_limit: int = 400,
+        solve_limit: int = 150,
     ) -> None:
         require_range("friction", friction, 0.0, 10.0, "use 0 for none, about 0.3 for bone on steel")
         compliance = 0.0 if lever_m is None else require_positive("lever_m", lever_m, "use about 0.02 (20 mm)") ** -2
@@ -150,13 +150,15 @@ class Proxy:
         self._aim(position_m, quaternion)
         self._state.host[:7], self._state.host[7] = self._goal.host, 0.0
         self._state.push()
+        self._report.host[:] = 0.0
+        self._report.push()
         for array in (self._contacts.press, self._contacts.wake, self._contacts.plane_normal):
             array.zero_()
         self._run()
         if self.result.contacts > 0:
             raise InputError(
-                f"position_m must leave the tool outside everything, got ({position_m[0]:g}, {position_m[1]:g}, "
-                f"{position_m[2]:g}) m where it lies {-1e3 * float(self._report.host[4]):.3g} mm deep: start farther off"
+                f"position_m must leave the tool outside everything, got {position_m} where it lies "
+                f"{-1e3 * float(self._report.host[4]):.3g} mm deep: start farther off"
             )
         return self.result
 
@@ -222,4 +224,4 @@ def _contacts(points: int, field: ContactField, *, device: str) -> Contacts:
         ("side", (MEMBERS, 3), wp.float64),
     ):
         setattr(room, name, wp.zeros(count, dtype=kind, device=device))
-    return room  # type: ignore[no-any-return]
+    return room

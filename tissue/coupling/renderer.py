@@ -38,6 +38,10 @@ class Renderer(Protocol):
         """
         ...
 
+    def pause(self) -> None:
+        """No sample came, so that nothing is known of the motion until the next one."""
+        ...
+
 
 class PenaltyRenderer:
     """Spring and damper between the device and the nearest point of the surface: F = k d - b (v . n) n, n = d / |d|.
@@ -66,6 +70,9 @@ class PenaltyRenderer:
         along = self.stiffness_N_m - self.damping_N_s_m * float(gap @ device_velocity) / square
         return gap * max(along, 0.0)
 
+    def pause(self) -> None:
+        """Nothing is kept from tick to tick."""
+
 
 class ProxyRenderer:
     """Spring and damper between device and god-object: F = k (p_proxy - p) + b (v_proxy - v).
@@ -90,6 +97,9 @@ class ProxyRenderer:
             return np.zeros(3)
         return self._coupling.force_N(proxy_position, device_position, proxy_velocity, device_velocity)
 
+    def pause(self) -> None:
+        """Nothing is kept from tick to tick."""
+
 
 class PassivityRenderer:
     """Another law, watched by an observer that makes a controller pay for the energy it creates."""
@@ -109,6 +119,10 @@ class PassivityRenderer:
         """Force on the device [N]."""
         force = self._inner.render(device_position, device_velocity, proxy_position, proxy_velocity, dt)
         return self.control.step(force, device_position, device_velocity, dt)
+
+    def pause(self) -> None:
+        """The way to the next sample is not booked: another force was played on it."""
+        self.control.observer.pause()
 
 
 class TurningRenderer:
@@ -130,6 +144,10 @@ class TurningRenderer:
         self._before = device
         gap = np.array(logarithm(product(proxy, conjugate(device))))
         return self._inner.render(self._turned, device_spin, self._turned + gap, proxy_spin, dt)
+
+    def pause(self) -> None:
+        """Pass it on."""
+        self._inner.pause()
 
 
 def renderer(kind: str, loop: WallLoop) -> Renderer:

@@ -78,7 +78,8 @@ def press_wall(
                     foot[2] = slide[2] = 0.0
                 raw = renderer.render(position[tick], velocity[tick], foot, slide, tick_s)
                 wanted = low_pass.step(raw)
-            elif tick:
+            else:
+                renderer.pause()
                 position[tick] = position[tick - 1]
             played = nothing if wanted is None else wanted
             if guard is not None:
@@ -86,5 +87,6 @@ def press_wall(
             force[tick] = played
             device.command(played, nothing)
     moved = np.diff(position, axis=0)
-    taken = np.concatenate([[0.0], -np.cumsum(np.einsum("ij,ij->i", force[:-1], moved))])
-    return WallRun(tick_s * np.arange(ticks), position, velocity, force, taken)
+    taken = np.zeros(ticks)
+    taken[1:] = -np.cumsum(np.einsum("ij,ij->i", force[:-1], moved))
+    return WallRun(np.arange(ticks, dtype=np.float64) * tick_s, position, velocity, force, taken)

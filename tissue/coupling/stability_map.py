@@ -134,9 +134,9 @@ def stability_map(
 ) -> StabilityMap:
     """Stiffness against the wall's damping and against delay, around a chosen loop.
 
-    By default the damping goes from none to what stops the mass within a step and the delay, where no wall is stable any
-    more; the delay goes to eight ticks. The chart's rows reach from a twentieth of the lowest to three times the highest
-    critical stiffness.
+    By default the damping goes from none to what stops the mass within a step and the delay, well past the best one;
+    the delay goes to eight ticks. The chart's rows reach from a twentieth of the lowest to three times the
+    highest critical stiffness.
     """
     most = (chosen.mass_kg + chosen.hand_mass_kg) / (chosen.tick_s * chosen.model_ticks + chosen.delay_s)
     dampings = np.linspace(0.0, most, 25) if dampings_N_s_m is None else np.asarray(dampings_N_s_m)

@@ -4,7 +4,7 @@ None of them judges a run; the eigenvalues in `tissue.coupling.stability` do. Ea
 adds its damping to the device's where the bound speaks of damping.
 """
 
-from math import ceil, inf
+from math import ceil, inf, pi
 
 import numpy as np
 
@@ -19,15 +19,19 @@ def passive_bound_N_m(loop: WallLoop) -> float:
     """Stiffness up to which the wall is passive and so stable in any passive hand (Colgate and Schenkel, 1997) [N/m].
 
     Their condition b > T / 2 Re{(1 - exp(-j w T)) H} / (1 - cos w T), solved for K on a grid of w, where H holds wall,
-    filter and a delay of whole steps (a fraction counts as a whole one); the amplifier's lag is left out. Only the
+    filter and a delay of whole steps: a fraction counts as a whole one, and the amplifier's lag as delay. Only the
     device's own damping counts. Without delay and filter it is 2 (b - |B|) / T for either sign of B; T is the time for
-    which a force is held, so a slow model counts with its own step. 0 where B, delay and filter leave nothing.
+    which a force is held, so a slow model counts with its own step, and with one more of delay if a filter moves the
+    held force within it. 0 where B, delay and filter leave nothing.
     """
     step = loop.tick_s * loop.model_ticks
+    lag = loop.delay_s + 1.0 / (2.0 * pi * loop.amplifier_hz)
     turn = np.concatenate([np.geomspace(1e-3, 1e-2, 100), np.linspace(1e-2, np.pi, 4000)])
     back = np.exp(-1j * turn)
     gain = low_pass_gain(loop.filter_s, step)
-    passed = gain / (1.0 - (1.0 - gain) * back) * back ** ceil(loop.delay_s / step - 1e-9)
+    passed = (
+        gain / (1.0 - (1.0 - gain) * back) * back ** (ceil(lag / step - 1e-9) + (gain < 1.0 and loop.model_ticks > 1))
+    )
     paid = 2.0 * loop.damping_N_s_m / step * (1.0 - np.cos(turn))
     owed_to_damping = ((1.0 - back) ** 2 * passed).real * loop.wall_damping_N_s_m / step
     owed_to_stiffness = ((1.0 - back) * passed).real

@@ -41,9 +41,13 @@ class ToolShell:
         points = np.ascontiguousarray(self.points_m, dtype=np.float64)
         normals = np.ascontiguousarray(self.normals, dtype=np.float64)
         if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0 or not np.isfinite(points).all():
-            raise InputError(f"points_m must be finite, of shape (n, 3), got shape {points.shape}: give rows of x, y, z")
+            raise InputError(
+                f"points_m must be finite, of shape (n, 3), got shape {points.shape}: give rows of x, y, z"
+            )
         if normals.shape != points.shape:
-            raise InputError(f"normals must have the shape of points_m {points.shape}, got {normals.shape}: one a point")
+            raise InputError(
+                f"normals must have the shape of points_m {points.shape}, got {normals.shape}: one a point"
+            )
         lengths = np.linalg.norm(normals, axis=1)
         if not ((np.abs(lengths - 1.0) < 1e-6) | (lengths == 0.0)).all():
             raise InputError("normals must have length 1, or 0 where there is none, got others: divide by their length")

@@ -55,9 +55,7 @@ class VirtualCoupling:
             return None
         return float((self.rotational_stiffness_Nm_rad / self.stiffness_N_m) ** 0.5)
 
-    def force_N(
-        self, proxy_m: Array, device_m: Array, proxy_velocity_m_s: Array, device_velocity_m_s: Array
-    ) -> Array:
+    def force_N(self, proxy_m: Array, device_m: Array, proxy_velocity_m_s: Array, device_velocity_m_s: Array) -> Array:
         """Force on the device [N], shape (3,): k (p_proxy - p_device) + b (v_proxy - v_device)."""
         return self.stiffness_N_m * (proxy_m - device_m) + self.damping_Ns_m * (
             proxy_velocity_m_s - device_velocity_m_s
@@ -77,9 +75,7 @@ class VirtualCoupling:
     def energy_J(self, proxy_m: Array, device_m: Array, proxy: Array, device: Array) -> float:
         """Energy held in both springs [J]."""
         stretch, turn = proxy_m - device_m, turn_between(device, proxy)
-        return 0.5 * float(
-            self.stiffness_N_m * (stretch @ stretch) + self.rotational_stiffness_Nm_rad * (turn @ turn)
-        )
+        return 0.5 * float(self.stiffness_N_m * (stretch @ stretch) + self.rotational_stiffness_Nm_rad * (turn @ turn))
 
 
 def series_stiffness_N_m(coupling_N_m: float, environment_N_m: float) -> float:

@@ -75,7 +75,9 @@ class Box:
             raise InputError(f"size_m must be positive in every direction, got {self.size_m}: use about 0.01 (10 mm)")
         turn = np.asarray(self.rotation, dtype=np.float64)
         if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), rtol=0.0, atol=1e-9):
-            raise InputError("rotation must be a rotation matrix, got one whose rows are not orthonormal: use numpy.eye(3)")
+            raise InputError(
+                "rotation must be a rotation matrix, got one whose rows are not orthonormal: use numpy.eye(3)"
+            )
         object.__setattr__(self, "rotation", turn)
 
 
@@ -124,6 +126,7 @@ class ContactField:
         arrays.size = wp.array(np.reshape(sizes, (-1, 3)), dtype=wp.vec3d, device=self.device)
         arrays.spacing = self.spacing_m
         if store is not None:
+            arrays.voxels_per_m = 1.0 / self.spacing_m
             arrays.brick_of, arrays.remaining = store.brick_of, store.remaining
             arrays.origin = wp.vec3d(*store.volume.origin_m.tolist())
             clearance = _clearance(store.volume.fraction > 0, self.spacing_m)
@@ -138,7 +141,9 @@ class ContactField:
         """
         points = np.ascontiguousarray(points_m, dtype=np.float64)
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-            raise InputError(f"points_m must be finite, of shape (n, 3), got shape {points.shape}: give rows of x, y, z")
+            raise InputError(
+                f"points_m must be finite, of shape (n, 3), got shape {points.shape}: give rows of x, y, z"
+            )
         distance = wp.zeros(len(points), dtype=wp.float64, device=self.device)
         normal = wp.zeros(len(points), dtype=wp.vec3d, device=self.device)
         at: Any = wp.array(points, dtype=wp.vec3d, device=self.device)

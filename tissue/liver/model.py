@@ -16,6 +16,9 @@ from tissue.model import Response, ToolMotion
 __all__ = ["LiverModel"]
 
 Array = NDArray[np.float64]
+LINEAR_ERROR = ((0.37, 0.05), (0.57, 0.1))
+"""Depth over the ball's radius at which the linear force is off a neo-Hookean one by so much, on a block, a procedural
+and a scanned liver (0.36-0.39, 0.56-0.585): `python tests/bench/chart_liver.py`."""
 LOOK_EVERY = 20
 """Ticks between two looks for nodes whose compliance will be wanted."""
 LOOK_M = 5e-3
@@ -37,6 +40,8 @@ class LiverModel:
         How every modulus relaxes; None for an elastic organ. The contact's compliance is the instantaneous one.
     lazy
         What fills the contact's compliance while the tool moves; None where it is whole.
+    ball_radius_m
+        Radius of a ball that presses [m], for which it is known where linear elasticity stops being enough.
     step_s
         Length of a tick [s].
     """
@@ -52,6 +57,7 @@ class LiverModel:
         fields: OrganFields,
         prony: Prony | None = None,
         lazy: LazyCompliance | None = None,
+        ball_radius_m: float | None = None,
         step_s: float = 1e-3,
     ) -> None:
         self.contact, self._fields, self._lazy = contact, fields, lazy
@@ -65,6 +71,7 @@ class LiverModel:
         self._layer = int(np.bincount(_parts_at(space, touchable)).argmax())
         self._touched_m = np.full(3, np.nan)
         self._unsettled, self._ticks = False, 0
+        self._limits = [(depth * ball_radius_m, error) for depth, error in LINEAR_ERROR] if ball_radius_m else []
         self._creep = CreepState(len(touchable), prony, step_s=step_s) if prony is not None else None
         self._forces = (
             HereditaryIntegral(prony.retardation, (len(touchable), 3), step_s=step_s) if prony is not None else None
@@ -119,6 +126,12 @@ class LiverModel:
         response.engaged_m2[self._layer] = result.area_m2 if result.contacts else 0.0
         measures = response.measures
         measures[0] = 1e3 * float((self._touched_m - motion.tip_m) @ motion.rotation[:, 2]) if result.contacts else 0.0
+        while self._limits and measures[0] > 1e3 * self._limits[0][0]:
+            depth, error = self._limits.pop(0)
+            self.notices.append(
+                f"pressed {1e3 * depth:.1f} mm deep: from here linear elasticity is more than {error:.0%} off a "
+                "hyperelastic force"
+            )
         measures[1], measures[2] = result.contacts, result.iterations
         return response
 

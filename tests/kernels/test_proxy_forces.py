@@ -1,0 +1,140 @@
+"""The active set and its friction against SciPy's non-negative least squares and the laws of Coulomb."""
+
+import numpy as np
+import pytest
+import warp as wp
+from scipy.optimize import nnls
+
+from kernels.proxy_contacts import Contacts
+from kernels.proxy_forces import MEMBERS
+from kernels.proxy_friction import resolve
+
+EXACT = 1e-9
+"""Of lengths of a few mm: the set's matrix is stiffened by 1e-13 and its condition reaches 1e4."""
+
+
+@wp.kernel
+def solve_once(
+    contacts: Contacts,
+    count: int,
+    compliance: wp.float64,
+    friction: wp.float64,
+    free: wp.array(dtype=wp.vec3d),
+    wrench_out: wp.array(dtype=wp.vec3d),  # rubbing force and its arm
+    members_out: wp.array(dtype=wp.int32),
+):
+    members, _solves, rub, arm = resolve(
+        contacts, count, compliance, friction, wp.float64(1.0e-13), free[0], free[1], wp.vec3d(), wp.vec3d()
+    )
+    wrench_out[0] = rub
+    wrench_out[1] = arm
+    members_out[0] = members
+
+
+def solved(arms, normals, gaps, free, *, compliance, friction=0.0, press=None):
+    """Normal forces, friction force and its arm."""
+    count = len(gaps)
+    room = Contacts()
+    room.slots = 1
+    room.press = wp.array(np.zeros(count) if press is None else press, dtype=wp.float64, device="cpu")
+    room.slot = wp.array(np.arange(count), dtype=wp.int32, device="cpu")
+    room.arm = wp.array(arms, dtype=wp.vec3d, device="cpu")
+    room.normal = wp.array(normals, dtype=wp.vec3d, device="cpu")
+    room.moment = wp.array(np.cross(arms, normals), dtype=wp.vec3d, device="cpu")
+    room.gap = wp.array(gaps, dtype=wp.float64, device="cpu")
+    room.chosen = wp.zeros(count, dtype=wp.int32, device="cpu")
+    room.member = wp.zeros(MEMBERS, dtype=wp.int32, device="cpu")
+    room.lower = wp.zeros((MEMBERS, MEMBERS), dtype=wp.float64, device="cpu")
+    room.side = wp.zeros((MEMBERS, 3), dtype=wp.float64, device="cpu")
+    out, members = wp.zeros(2, dtype=wp.vec3d, device="cpu"), wp.zeros(1, dtype=wp.int32, device="cpu")
+    start = wp.array(free, dtype=wp.vec3d, device="cpu")
+    wp.launch(
+        solve_once, dim=1, inputs=[room, count, compliance, friction, start], outputs=[out, members], device="cpu"
+    )
+    return room.press.numpy(), *out.numpy()
+
+
+def least_distance(arms, normals, gaps, free, *, compliance):
+    """Motion nearest to the free one that keeps all planes (Lawson and Hanson 1974, least distance programming)."""
+    scale = np.sqrt(compliance)
+    rows = np.hstack([normals, scale * np.cross(arms, normals)])
+    start = np.concatenate([free[0], free[1] / scale if scale else np.zeros(3)])
+    wanted = -gaps - rows @ start
+    size = max(np.abs(wanted).max(), 1e-30)
+    u, _ = nnls(np.vstack([rows.T, wanted / size]), np.concatenate([np.zeros(6), [1.0]]), maxiter=10_000)
+    rest = np.vstack([rows.T, wanted / size]) @ u - np.concatenate([np.zeros(6), [1.0]])
+    way = start - size * rest[:6] / rest[6]
+    return way[:3], scale * way[3:]
+
+
+def moved(arms, normals, press, free, *, compliance, rub=(0, 0, 0), arm=(0, 0, 0)):
+    force = press @ normals + rub
+    moment = press @ np.cross(arms, normals) + np.cross(arm, rub)
+    return free[0] + force, free[1] + compliance * moment
+
+
+@pytest.mark.parametrize("lever", [None, 5e-3, 5e-2])
+def test_frictionless_motion_is_the_nearest_one_allowed(lever):
+    """Random planes with a common free region; three or six degrees of freedom."""
+    random = np.random.default_rng(1)
+    compliance = 0.0 if lever is None else lever**-2
+    active = 0
+    for _ in range(60):
+        count = int(random.integers(1, 60))
+        arms = random.normal(size=(count, 3)) * 3e-3
+        normals = random.normal(loc=(0.0, 0.0, 2.5), size=(count, 3))
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        normals[normals[:, 2] < 0.1] = [0.0, 0.0, 1.0]
+        gaps = random.uniform(0.0, 1e-3, count)
+        free = np.array([random.normal(size=3) * 3e-3, random.normal(size=3) * (0.1 if lever else 0.0)])
+        press, _, _ = solved(arms, normals, gaps, free, compliance=compliance)
+        shift, turn = moved(arms, normals, press, free, compliance=compliance)
+        expected = least_distance(arms, normals, gaps, free, compliance=compliance)
+        assert shift == pytest.approx(expected[0], abs=EXACT)
+        assert turn == pytest.approx(expected[1], abs=EXACT * (1.0 + np.sqrt(compliance)))
+        assert (press >= 0.0).all()
+        active = max(active, int((press > 0.0).sum()))
+    assert active >= 3
+
+
+def test_many_points_of_a_face_press_as_one():
+    """A hundred planes that depend on each other, a start from wrong forces: the motion is the same."""
+    random = np.random.default_rng(2)
+    arms = np.column_stack([random.uniform(-5e-3, 5e-3, (100, 2)), np.full(100, -1e-3)])
+    normals = np.tile([0.0, 0.0, 1.0], (100, 1))
+    free = np.array([[0.0, 0.0, -2e-3], [0.05, -0.02, 0.3]])
+    expected = least_distance(arms, normals, np.zeros(100), free, compliance=2500.0)
+    for press in (None, random.uniform(0.0, 1e-3, 100)):
+        found, _, _ = solved(arms, normals, np.zeros(100), free, compliance=2500.0, press=press)
+        shift, turn = moved(arms, normals, found, free, compliance=2500.0)
+        assert shift == pytest.approx(expected[0], abs=EXACT)
+        assert turn == pytest.approx(expected[1], abs=1e-7)
+
+
+@pytest.mark.parametrize("friction", [0.05, 0.3, 1.0])
+def test_friction_holds_or_works_against_the_slip(friction):
+    """Coulomb at the centre of pressure: inside the cone nothing slips, on it the force opposes the slip."""
+    random = np.random.default_rng(3)
+    stuck = slipped = 0
+    for _ in range(60):
+        count = int(random.integers(1, 12))
+        arms = random.normal(size=(count, 3)) * 3e-3
+        normals = np.tile([0.0, 0.0, 1.0], (count, 1))
+        free = np.array([random.normal(size=3) * [1e-3, 1e-3, 0.0] - [0, 0, 2e-3], random.normal(size=3) * 0.01])
+        press, rub, arm = solved(
+            arms, normals, 0.2e-3 + arms[:, 2] - arms[:, 2].min(), free, compliance=2500.0, friction=friction
+        )
+        total = press.sum()
+        shift, turn = moved(arms, normals, press, free, compliance=2500.0, rub=rub, arm=arm)
+        slip = (shift + np.cross(turn, arm))[:2]
+        size = np.linalg.norm(rub)
+        assert rub[2] == pytest.approx(0.0, abs=1e-15)
+        assert size <= friction * total * (1.0 + 1e-6)
+        if size < friction * total * (1.0 - 1e-6):
+            assert slip == pytest.approx(np.zeros(2), abs=1e-9)
+            stuck += 1
+        elif total > 0.0:
+            against = -rub[:2] @ slip / (size * np.linalg.norm(slip))
+            assert against == pytest.approx(1.0, abs=1e-4)
+            slipped += 1
+    assert slipped > 5 or stuck > 5

@@ -1,0 +1,174 @@
+"""Hands that let go or jerk and devices that lie: whatever happens, the force stays bounded and does not stay stale."""
+
+import numpy as np
+import pytest
+
+from tissue import InputError
+from tissue.coupling.aim import waypoints
+from tissue.coupling.device import Sample, device_parameters
+from tissue.coupling.faulty import Fault, FaultyDevice
+from tissue.coupling.guard import GuardLimits, SampleGuard
+from tissue.coupling.hand import Hand, hand_parameters
+from tissue.coupling.renderer import RENDERERS, renderer
+from tissue.coupling.rigid_wall import press_wall
+from tissue.coupling.simulated_device import SimulatedDevice
+
+TICK, SECONDS, STIFFNESS_N_M = 1e-3, 1.2, 1500.0
+FAULT_S = (0.8, 0.9)
+KINDS = ("dropped", "late", "duplicated", "non-finite", "wild")
+
+
+def pressed(kind, faults=(), *, seconds=SECONDS, **hand):
+    """Press 5 mm into a wall with a quiet expert's hand; run, guard, and the simulated device."""
+    device = device_parameters("omni")
+    path = waypoints([0.0, 1e-3], [[0.0, 0.0, 5e-3], [0.0, 0.0, -5e-3]])
+    holding = Hand(hand_parameters("expert"), path, rng=np.random.default_rng(7), **hand)
+    simulated = SimulatedDevice(device, holding, position_m=(0.0, 0.0, 5e-3))
+    guard = SampleGuard(force_limit_N=device.force_limit_N)
+    law = renderer(kind, device.loop(STIFFNESS_N_M))
+    run = press_wall(FaultyDevice(simulated, faults), law, duration_s=seconds, guard=guard)
+    return run, guard, simulated
+
+
+@pytest.mark.parametrize("kind", RENDERERS)
+@pytest.mark.parametrize("fault", KINDS)
+def test_a_faulty_device_fades_and_comes_back(kind, fault):
+    run, guard, simulated = pressed(kind, [Fault(fault, *FAULT_S)])
+    limit = device_parameters("omni").force_limit_N
+    size = np.linalg.norm(run.force_N, axis=1)
+    at = lambda seconds: int(seconds / TICK)  # noqa: E731
+    assert np.isfinite(run.force_N).all() and size.max() <= limit * (1 + 1e-12)
+    assert size[at(0.79)] > 0.3
+    if fault != "late":  # late ones are believed again as long as they are young enough
+        assert not size[at(FAULT_S[0] + 0.03) : at(FAULT_S[1]) - 1].any(), "a stale force stays"
+    assert size[at(1.15)] > 0.3, "the force does not come back"
+    jumps = np.abs(np.diff(size[at(FAULT_S[0]) - 1 : at(FAULT_S[1])]))
+    assert jumps.max() < 0.06 * size.max(), "the force steps instead of fading"
+    assert guard.bad_ticks >= 97
+    told = [what for when, what in guard.events if when > 0.1]
+    assert len(told) >= 2 and told[-1] == "samples are good again" and told[0].endswith("the force fades")
+    assert simulated.refused_commands == 0
+    assert np.abs(simulated.translation.position).max() < 0.05
+
+
+def test_one_missing_sample_costs_a_twentieth_of_the_force():
+    run, guard, _ = pressed("penalty", [Fault("dropped", 0.8, 0.801)])
+    assert guard.bad_ticks == 1
+    size = np.linalg.norm(run.force_N, axis=1)
+    assert size[800] == pytest.approx(0.95 * size[799], rel=1e-6)
+    assert size[804] == pytest.approx(size[799], rel=0.02)
+
+
+def test_without_the_guard_a_wild_sample_commands_a_wild_force():
+    """What the guard is for: 1e9 m in the wall is 1e12 N; the device itself still plays no more than it can."""
+
+    class Wild(FaultyDevice):
+        def read(self, time_s):
+            sample = super().read(time_s)
+            return sample._replace(position_m=(0.0, 0.0, -1e9)) if 0.8 <= time_s < 0.81 else sample
+
+    device = device_parameters("omni")
+    simulated = SimulatedDevice(device)
+    run = press_wall(Wild(simulated, ()), renderer("penalty", device.loop(1000.0)), duration_s=1.0)
+    assert run.force_N[:, 2].max() == pytest.approx(1e12)
+    assert simulated.saturated_ticks > 0
+    guard = SampleGuard(force_limit_N=device.force_limit_N)
+    run = press_wall(
+        Wild(SimulatedDevice(device), ()), renderer("penalty", device.loop(1000.0)), duration_s=1.0, guard=guard
+    )
+    assert not run.force_N.any() and guard.bad_ticks == 10
+
+
+@pytest.mark.parametrize("kind", RENDERERS)
+def test_a_hand_that_lets_go_is_not_thrown_at(kind):
+    """The wall gives back no more than its spring held; the omni's own friction then stops the handle."""
+    run, _, simulated = pressed(kind, let_go_s=0.8)
+    held = run.force_N[799, 2]
+    assert held > 0.3 and run.force_N[:, 2].max() <= 3.3
+    assert not run.force_N[-100:].any()
+    energy = 0.5 * held**2 / STIFFNESS_N_M
+    assert 0.0 < simulated.translation.position[2] <= energy / device_parameters("omni").friction_N + 1e-3
+    assert simulated.translation.velocity == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("kind", RENDERERS)
+@pytest.mark.parametrize("way", [(0.0, 0.0, -1.0), (0.6, 0.0, 0.8)], ids=["into the wall", "off it"])
+def test_a_jerk_of_60_N_stays_bounded_and_settles(kind, way):
+    jerk = 60.0 * np.array(way)
+    run, _, _ = pressed(kind, push=lambda t: jerk if 0.7 <= t < 0.72 else 0.0 * jerk, seconds=2.5)
+    assert np.linalg.norm(run.force_N, axis=1).max() <= 3.3 * (1 + 1e-12)
+    assert np.abs(run.velocity_m_s).max() > 0.5, "it was no jerk"
+    assert np.abs(run.position_m).max() < 0.3
+    assert run.ripple_N(0.1) < 0.2
+
+
+def test_the_guard_lets_a_fast_hand_pass_and_takes_up_a_device_that_comes_back():
+    guard = SampleGuard(force_limit_N=3.0)
+    for tick in range(50):
+        assert guard.believe(Sample(tick * TICK, (4e-3 * tick, 0.0, 0.0), (4.0, 0.0, 0.0)), tick * TICK)
+    assert guard.bad_ticks == 0
+    # Gone for 100 ms, back 0.3 m away: that is 3 m/s and believed.
+    assert guard.believe(None, 0.06) is None
+    assert guard.believe(Sample(0.15, (0.5, 0.0, 0.0)), 0.15)
+    # A jump of 0.3 m in a millisecond is not, until a hand could have got there.
+    assert guard.believe(Sample(0.151, (0.8, 0.0, 0.0)), 0.151) is None
+    assert guard.believe(Sample(0.25, (0.8, 0.0, 0.0)), 0.25)
+    assert [what for _, what in guard.events] == [
+        "no sample: the force fades", "samples are good again",
+        "a jump that no hand makes: the force fades", "samples are good again",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("sample", "word"),
+    [
+        (Sample(0.0, (np.nan, 0.0, 0.0)), "not finite"),
+        (Sample(0.0, (0.0, 0.0, 0.0), quaternion=(0.0, 0.0, 0.0, 0.0)), "not finite"),
+        (Sample(0.0, (0.0, np.inf, 0.0)), "not finite"),
+        (Sample(0.0, (0.0, 0.0, 1e9)), "no hand reaches"),
+        (Sample(0.0, (0.0, 0.0, 0.0), (0.0, 7.0, 0.0)), "no hand has"),
+        (Sample(-0.5, (0.0, 0.0, 0.0)), "old"),
+    ],
+)
+def test_a_first_sample_is_judged_too(sample, word):
+    guard = SampleGuard(force_limit_N=3.0)
+    assert guard.believe(sample, 0.0) is None
+    assert word in guard.events[0][1]
+    force, torque = guard.vouch(None)
+    assert not force.any() and not torque.any()
+
+
+def test_a_turn_that_no_hand_makes_is_refused():
+    guard = SampleGuard(force_limit_N=3.0)
+    guard.believe(Sample(0.0, (0.0, 0.0, 0.0)), 0.0)
+    assert guard.believe(Sample(TICK, (0.0, 0.0, 0.0), quaternion=(1.0, 0.0, 0.0, 0.0)), TICK) is None
+    assert "turn" in guard.events[-1][1]
+    half = Sample(2 * TICK, (0.0, 0.0, 0.0), quaternion=(0.0, 0.0, 0.02, 2.0))
+    assert np.linalg.norm(guard.believe(half, 2 * TICK).quaternion) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, 1e9])
+def test_a_model_that_fails_is_held_back_as_well(wrong):
+    guard = SampleGuard(force_limit_N=3.0, torque_limit_Nm=0.1)
+    for tick in range(60):
+        assert guard.believe(Sample(tick * TICK, (0.0, 0.0, 0.0)), tick * TICK)
+        bad = 30 <= tick < 55
+        force, torque = guard.vouch(
+            np.array([0.0, wrong if bad else 1.0, 0.0]), np.array([wrong if bad else 0.5, 0.0, 0.0])
+        )
+        assert np.linalg.norm(force) <= 3.0 * (1 + 1e-12) and np.linalg.norm(torque) <= 0.1 * (1 + 1e-12)
+        if tick == 29:
+            assert force[1] == 1.0 and torque[0] == 0.1
+    if not np.isfinite(wrong):
+        assert any("not finite" in what for _, what in guard.events)
+
+
+def test_limits_and_faults_are_checked():
+    with pytest.raises(InputError, match="fade_s must be positive"):
+        GuardLimits(fade_s=0.0)
+    with pytest.raises(InputError, match="force_limit_N must be positive"):
+        SampleGuard(force_limit_N=float("nan"))
+    with pytest.raises(InputError, match="kind must be one of dropped, late"):
+        Fault("odd", 0.0, 1.0)
+    with pytest.raises(InputError, match="end_s must be in"):
+        Fault("late", 1.0, 0.0)
