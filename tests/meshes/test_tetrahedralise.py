@@ -15,8 +15,10 @@ from meshes.tetrahedralise import tetrahedralise
 
 
 @pytest.fixture(autouse=True)
-def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TISSUE_CACHE", str(tmp_path / "cache"))
+def own_cache(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # The liver takes half a minute to fill: once for all slow tests, from the machine's own cache.
+    if request.node.get_closest_marker("slow") is None:
+        monkeypatch.setenv("TISSUE_CACHE", str(tmp_path / "cache"))
 
 
 def ball(*, flipped: bool = False) -> Surface:

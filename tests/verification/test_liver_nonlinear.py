@@ -172,7 +172,7 @@ def test_linear_limits_of_the_procedural_liver(capsys):
 @pytest.mark.slow
 def test_linear_limits_of_a_real_liver(anatomy, capsys):
     """And on a scanned one, held where it faces away from the tool."""
-    coarse, _ = tetrahedralise(read_surface(anatomy / "liver" / "liver.vtk", scale_mm=1.0), edge_m=0.016)
+    coarse, _ = tetrahedralise(read_surface(anatomy / "liver" / "liver.vtk", scale_mm=1.0), edge_m=0.02)
     top = coarse.nodes_m[coarse.surface_nodes[coarse.nodes_m[coarse.surface_nodes, 2].argmax()]]
     mesh = bisected(coarse, lambda at: 2e-3 + 0.5 * np.maximum(np.linalg.norm(at - top, axis=1) - 7e-3, 0.0))
     held = np.isin(np.arange(len(mesh.nodes_m)), nodes_facing(mesh, direction=(0.0, 0.0, -1.0), within_deg=50.0))
