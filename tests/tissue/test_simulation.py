@@ -7,10 +7,10 @@ import pytest
 from scipy.signal import lfilter
 
 from tissue import InputError, load_scene, simulate
-from tissue.parts import Parts
 from tissue.cutters import Cutter, ball_burr
 from tissue.model import FreeSpace
 from tissue.motion import FollowPath
+from tissue.parts import Parts
 from tissue.simulation import TICK_S
 
 COARSE = {"voxels.spacing_mm": 0.4, "duration_s": 0.2}

@@ -126,7 +126,7 @@ def test_capsule_gravity_and_fibres_run():
 def test_a_liver_from_a_file_is_placed_held_and_pressed(anatomy):
     """The file names no unit: it is told. The origin becomes its highest point, and what faces down is held."""
     changes = {"anatomy.file": str(anatomy / "liver" / "liver.v22.msh"), "anatomy.touch_edge_mm": 12.0}
-    with pytest.raises(InputError, match="anatomy.scale_mm must be given where the unit is not plain"):
+    with pytest.raises(InputError, match=r"anatomy\.scale_mm must be given where the unit is not plain"):
         press(**changes)
     run = press(**changes, **{"anatomy.scale_mm": 34.3})
     assert "596 tetrahedra, 1475 ml" in run.parts.notes["mesh"]
