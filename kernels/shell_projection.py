@@ -31,14 +31,14 @@ def project_shell(
     points: Points,
     triangle_out: wp.array(dtype=wp.int32),  # [point], -1 where the point meets nothing
 ):
-    """Place every point on the nearest triangle that its normal's line crosses within reach."""
+    """Place every point on the nearest triangle that its normal's line crosses within reach and its way since last."""
     i = wp.tid() + offset
     pose = pose_of(pose_rows)
     place = pose.tip + pose.turn * shell_point[i]
     way = pose.turn * shell_normal[i]
     points.tool_point[i] = place
     points.tool_normal[i] = way
-    best = wp.float64(reach)
+    best = reach + wp.length(place - pose.last_tip - pose.last_turn * shell_point[i])
     found = int(-1)
     weight = wp.vec3d()
     for k in range(lists.count[0]):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.sparse import block_array, block_diag, coo_array
 from scipy.sparse.linalg import splu, spsolve
 from scipy.spatial.transform import Rotation
@@ -221,7 +222,7 @@ def test_a_tool_smaller_than_a_triangle_is_felt_between_nodes(slab):
 
 def test_a_shell_of_points_feels_what_its_shape_feels(slab):
     """A ball by its closed form and by 5,000 points: both touch the same nodes up to the shell's spacing."""
-    import trimesh
+
 
     ball = trimesh.creation.icosphere(4, 0.012)
     ball.apply_translation([0.0, 0.0, 0.012])
@@ -233,6 +234,21 @@ def test_a_shell_of_points_feels_what_its_shape_feels(slab):
     # Points 1 mm apart on triangles of 5 mm: the flat triangles of either side count differently.
     np.testing.assert_allclose(force, exact.force_N, atol=0.06 * np.linalg.norm(exact.force_N))
     np.testing.assert_allclose(torque, exact.torque_Nm, atol=0.06 * np.linalg.norm(exact.force_N) * 0.012)
+
+
+def test_a_shell_that_jumps_is_felt_by_all_its_points(slab):
+    """A flat end in one tick of 6.5 mm, more than a triangle's radius, as in many small ones."""
+    block = trimesh.creation.box((0.02, 0.02, 0.01))
+    block.apply_translation([0.0, 0.0, 0.005])
+    shell = ShellProbe.from_mesh(block, points=800)
+    start, end = np.array([0.0, 0.0, 5e-4]), np.array([0.0, 0.0, -6e-3])
+    slow = slab.contact(shell, friction=0.0)
+    quick = slab.contact(shell, friction=0.0)
+    wanted = along(slow, np.linspace(start, end, 60))
+    force, contacts = wanted.force_N[2], wanted.contacts
+    jumped = along(quick, [start, end])
+    assert contacts > 5 and jumped.contacts > 0.7 * contacts
+    assert jumped.force_N[2] == pytest.approx(force, rel=0.1)
 
 
 def test_a_drag_sticks_first_and_then_slips_at_the_coefficient(slab):

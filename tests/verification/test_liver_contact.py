@@ -34,9 +34,7 @@ def triangles(count):
 def over_tile(antiderivative, x, y, tile):
     """Integral over a square of tile whose centre lies at (-x, -y)."""
     h = 0.5 * tile
-    return sum(
-        sign * antiderivative(x + p, y + q) for p, q, sign in ((h, h, 1), (-h, -h, 1), (h, -h, -1), (-h, h, -1))
-    )
+    return sum(sign * antiderivative(x + p, y + q) for p, q, sign in ((h, h, 1), (-h, -h, 1), (h, -h, -1), (-h, h, -1)))
 
 
 def half_space(count, tile, poisson_ratio, tangential):
@@ -119,9 +117,7 @@ def upright(nodes, height):
 
 def pressed(nodes, faces, compliance, probe, depths, *, times):
     """So many times the force on a part of a body at each of the rising depths."""
-    contact = SurfaceContact(
-        nodes, faces, compliance, probe, friction=0.0, spacing_m=1.0, tolerance=1e-6, sweeps=20000
-    )
+    contact = SurfaceContact(nodes, faces, compliance, probe, friction=0.0, spacing_m=1.0, tolerance=1e-6, sweeps=20000)
     forces = []
     for depth in depths:
         result = contact.solve(np.array([0.0, 0.0, -depth]), np.eye(3))

@@ -169,8 +169,8 @@ class CondensedSolver:
         If not all nodes are shown.
     """
 
-    tolerance = 1e-5
-    """What single precision of the response leaves."""
+    tolerance = 1e-4
+    """What single precision of the response leaves in the energy norm: 2e-6 to 1e-5 on livers."""
 
     def __init__(self, body: HeldBody, compliance: SurfaceCompliance) -> None:
         if len(compliance.shown) != len(body.nodes_m):

@@ -79,7 +79,7 @@ class OrganFields:
             elastic = self._solve(np.stack([self._spread(force) for _, force, _ in batch]))
             moved = self._solve(np.stack([self._spread(creep) for *_, creep in batch])) if viscous else elastic
             for (time_s, force, _), strained, displaced in zip(batch, elastic, moved, strict=True):
-                self.series.frames.append(self._frame(time_s, force, strained, displaced))
+                self.series.frames.append(self._frame(time_s, force, strained, displaced if viscous else strained))
         self._kept.clear()
 
     def _spread(self, force_N: Array) -> Array:
@@ -90,7 +90,9 @@ class OrganFields:
     def _frame(self, time_s: float, force_N: Array, strained_m: Array, displaced_m: Array) -> Frame:
         """Stress belongs to the force that acts, strain and displacement to how far the tissue has crept."""
         stress = cell_stress(self._space, strained_m + self._rest_m, self._elasticity)
-        strain = cell_stress(self._space, displaced_m + self._rest_m, self._elasticity).strain
+        strain = stress.strain
+        if displaced_m is not strained_m:
+            strain = cell_stress(self._space, displaced_m + self._rest_m, self._elasticity).strain
         reaction = self._product(strained_m + self._rest_m) - self._spread(force_N) - self._rest_load_N
         corners = len(self._space.mesh.nodes_m)
         for end in self._ends.T:  # a middle node's reaction is shown half at each end of its edge
