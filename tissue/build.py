@@ -13,28 +13,47 @@ from tissue.motion import FollowPath, Motion, PushAlongAxis
 from tissue.parts import Parts
 from tissue.poses import read_poses
 from tissue.scene import Scene
+from tissue.scene_coupling import WallAnatomy
 from tissue.scene_tool import Needle, PathMotion, Probe, ReplayMotion, ThrustMotion, Tool
+from tissue.wall import WallModel
 
 __all__ = ["build", "cutter_of", "motion_of"]
 
 Tell = Callable[[str, float], None]
 
 
-def build(scene: Scene, *, step_s: float, compute: str, cores: int | None, tell: Tell) -> Parts:
+def build(
+    scene: Scene, *, step_s: float, compute: str, cores: int | None, tell: Tell, allow_unstable: bool = False
+) -> Parts:
     """Build the parts of a scene.
 
     Raises
     ------
     InputError
-        If a file cannot be used, something would not fit memory, the tool never touches, or there is no such device.
+        If a file cannot be used, something would not fit memory, the tool never touches, there is no such device, or
+        its coupling is unstable and that is not allowed.
     """
     _require_device(compute)
     motion = motion_of(scene, step_s=step_s)
+    if scene.device == "none":
+        return _tissue(scene, motion, step_s=step_s, compute=compute, cores=cores, tell=tell)
+    from tissue.build_hand import by_hand
+
+    held, said = by_hand(scene, motion, step_s=step_s, allow_unstable=allow_unstable)
+    parts = _tissue(scene, held, step_s=step_s, compute=compute, cores=cores, tell=tell)
+    parts.notes["coupling"] = said
+    return parts
+
+
+def _tissue(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, tell: Tell) -> Parts:
+    """Parts of a scene in which a motion moves the tool."""
     match scene.tool:
         case Tool() as tool:
             from tissue.build_cut import cut
 
             return cut(scene, cutter_of(tool), motion, compute=compute, cores=cores, tell=tell)
+        case Probe() as probe if isinstance(scene.anatomy, WallAnatomy):
+            return Parts(motion, WallModel(1e3 * scene.anatomy.stiffness_kN_m, radius_m=0.5e-3 * probe.diameter_mm))
         case Probe():
             from tissue.build_soft import press
 
@@ -42,7 +61,7 @@ def build(scene: Scene, *, step_s: float, compute: str, cores: int | None, tell:
         case Needle():
             from tissue.build_soft import pierce
 
-            return pierce(scene, motion)
+            return pierce(scene, motion, tell=tell)
 
 
 def cutter_of(tool: Tool) -> Cutter:

@@ -34,7 +34,7 @@ FACTOR_UNKNOWNS = 200_000
 """Above this, frames are solved by multigrid: a factor would take gigabytes."""
 
 
-def pierce(scene: Scene, motion: Motion) -> Parts:
+def pierce(scene: Scene, motion: Motion, *, tell: Tell = lambda doing, share: None) -> Parts:
     """Parts of a scene in which a needle meets layers of tissue.
 
     Raises
@@ -43,15 +43,21 @@ def pierce(scene: Scene, motion: Motion) -> Parts:
         If the vessel's wall does not lie below the capsule.
     """
     from tissue.needle import NeedleModel, needle_tissue
+    from tissue.needle.fields import NeedleFields, Track
 
     assert isinstance(scene.anatomy, LayersAnatomy) and isinstance(scene.tool, Needle)
-    depth_mm = scene.anatomy.vessel_wall_depth_mm
+    depth_mm, diameter = scene.anatomy.vessel_wall_depth_mm, 1e-3 * scene.tool.diameter_mm
     tissue = needle_tissue(vessel_wall_depth_m=None if depth_mm is None else 1e-3 * depth_mm)
     notes = {
         "needle": "bovine liver of Okamura 2004, fitted to one needle in one organ; the vessel wall's numbers have no "
         "source; forces across the needle's axis are not modelled"
     }
-    return Parts(motion, NeedleModel(tissue, diameter_m=1e-3 * scene.tool.diameter_mm), notes=notes)
+    track, fields = Track.first_of(motion.sweep_m(), motion.rotations()[:, :, 2], diameter_m=diameter), None
+    if track is not None:
+        tell("solving a block of the organ around the needle", 0.0)
+        fields = NeedleFields.of_liver(track, diameter_m=diameter, interval_s=1e-3 * scene.anatomy.interval_ms)
+        notes["fields"] = fields.beside(tissue)
+    return Parts(motion, NeedleModel(tissue, diameter_m=diameter, fields=fields), notes=notes)
 
 
 def press(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, tell: Tell) -> Parts:

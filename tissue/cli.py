@@ -60,6 +60,7 @@ def run(
     format_: Annotated[tuple[str, ...], Parameter(name="--format", negative="")] = (),
     pictures: bool = True,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
+    allow_unstable: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
     """Simulate a scene and write its trace, bone and pictures.
 
@@ -85,6 +86,8 @@ def run(
         Draw pictures.
     overwrite
         Replace the run that the folder already holds.
+    allow_unstable
+        Run a device whose coupling is judged unstable, too.
     """
     from tissue.formats import check_formats
     from tissue.load import load_scene, parse_override
@@ -103,11 +106,22 @@ def run(
     with _progress() as tell:
         tell("starting Warp", 0.0)
         from tissue.simulation import simulate
+        from tissue.summary_table import print_summary
 
-        finished = simulate(loaded, compute=compute, cores=cores, out=folder, overwrite=overwrite, progress=tell)
+        finished = simulate(
+            loaded,
+            compute=compute,
+            cores=cores,
+            out=folder,
+            overwrite=overwrite,
+            progress=tell,
+            allow_unstable=allow_unstable,
+        )
         simulated = perf_counter()
         finished.save(folder, formats=format_, pictures=pictures, progress=tell)
-    _print_summary(finished.summary(), folder, wall_s=perf_counter() - started, saving_s=perf_counter() - simulated)
+    print_summary(
+        console, finished.summary(), folder, wall_s=perf_counter() - started, saving_s=perf_counter() - simulated
+    )
 
 
 @app.command
@@ -164,6 +178,41 @@ def view(
     with problems.status("drawing the movie") if movie is not None else nullcontext():
         said = show(folder, screenshot=screenshot, movie=movie, hide=hide, field=field, scale=scale, time_s=time_s)
     console.print(said, soft_wrap=True, highlight=False)
+
+
+@app.command
+def stability(
+    scene: str,
+    /,
+    *,
+    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    out: Path | None = None,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Say whether a scene's device is stable in its hand, and map stiffness against damping and delay.
+
+    Parameters
+    ----------
+    scene
+        Name of a built-in scene or a TOML file.
+    set_
+        KEY=VALUE, replaces an entry of the scene, such as device=six-dof; may be repeated.
+    out
+        Folder that takes the picture and the data; without it they are only printed.
+    overwrite
+        Replace the map that the folder already holds.
+    """
+    from tissue.load import load_scene, parse_override
+    from tissue.stability_report import scene_stability, stability_lines, write_stability_files
+
+    loaded = load_scene(scene, dict(parse_override(text) for text in set_))
+    with problems.status("running the loop at many stiffnesses"):
+        found = scene_stability(loaded)
+    for line in stability_lines(loaded, found):
+        console.print(line, soft_wrap=True, highlight=False)
+    if out is not None:
+        written = write_stability_files(loaded, found, out, overwrite=overwrite)
+        console.print(f"files in {out}: {', '.join(path.name for path in written)}", soft_wrap=True, highlight=False)
 
 
 def main() -> NoReturn:
@@ -231,30 +280,3 @@ def _progress() -> Iterator[Any]:
     with Progress(*columns, console=problems, transient=True, disable=not problems.is_terminal) as bar:
         task = bar.add_task("starting", total=1.0)
         yield lambda doing, share: bar.update(task, description=doing, completed=share)
-
-
-def _print_summary(summary: dict[str, Any], folder: Path, *, wall_s: float, saving_s: float) -> None:
-    """The table a person reads after a run."""
-    from rich.table import Table
-
-    table = Table(title=f"{summary['scene']}: {summary['simulated_s']:g} s simulated in {wall_s:.1f} s")
-    table.add_column("quantity")
-    table.add_column("value", justify="right")
-    for layer, removed in summary["removed_mm3"].items() if summary["cuts"] else ():
-        table.add_row(f"removed {layer}", f"{removed:.2f} of {summary['start_mm3'][layer]:.1f} mm³")
-    table.add_row("force, peak / mean in contact", _pair(summary["force_N"], "N"))
-    table.add_row("torque, peak / mean in contact", _pair(summary["torque_Nm"], "N·m"))
-    tick = summary["tick_us"]
-    table.add_row("tick, median / 99 % / max", f"{tick['median']:.0f} / {tick['p99']:.0f} / {tick['max']:.0f} µs")
-    table.add_row("missed 1 ms deadlines", f"{summary['missed_deadlines']} of {summary['simulated_s'] * 1e3:.0f}")
-    table.add_row("writing files and pictures", f"{saving_s:.1f} s")
-    console.print(table)
-    for event in summary["events"]:
-        console.print(f"at {event['time_s']:.3f} s: {event['what']}", soft_wrap=True, highlight=False, markup=False)
-    for name, note in summary["notes"].items():
-        console.print(f"{name}: {note}", soft_wrap=True, highlight=False, markup=False)
-    console.print(f"files in {folder}", soft_wrap=True, highlight=False)
-
-
-def _pair(figures: dict[str, float], unit: str) -> str:
-    return f"{figures['peak']:.3g} / {figures['mean_in_contact']:.3g} {unit}"

@@ -59,6 +59,9 @@ class Response:
         Area of the tool that meets tissue, by layer [m2], shape (layers,).
     measures
         What else the tissue tells of itself, in the order and units of its `measure_names`.
+    stiffness_N_m
+        How the force on a resting tool falls with its position, -dF/dx [N/m], shape (3, 3); None where the tissue does
+        not know it.
     """
 
     resistance: Array
@@ -67,6 +70,7 @@ class Response:
     engaged_m2: Array
     removal_rate_m3_s: float = 0.0
     measures: Array = field(default_factory=lambda: np.zeros(0))
+    stiffness_N_m: Array | None = None
 
     @classmethod
     def empty(cls, layer_count: int) -> "Response":

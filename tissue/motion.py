@@ -20,6 +20,10 @@ class Motion(Protocol):
 
     duration_s: float
     """How long the motion lasts by itself [s]."""
+    measure_names: tuple[str, ...] = ()
+    """Names, with units, of the motion's own columns in the trace."""
+    measures: Array = np.zeros(0)
+    """Their values at the present tick."""
 
     def sweep_m(self) -> Array:
         """Tip positions that outline where the tool can go [m], shape (n, 3)."""
@@ -37,6 +41,10 @@ class Motion(Protocol):
         """Write the pose at ``time_s``, given the response at the previous tick, into ``motion``."""
         ...
 
+    def happened(self) -> list[tuple[float, str]]:
+        """What has happened so far: time [s] and a sentence each."""
+        return []
+
 
 def frame_along(axis: tuple[float, float, float]) -> Array:
     """Rotation whose third column is the unit vector along ``axis`` and whose first lies as close to x as it can."""
@@ -47,7 +55,7 @@ def frame_along(axis: tuple[float, float, float]) -> Array:
     return np.column_stack([x, np.cross(z, x), z])
 
 
-class FollowPath:
+class FollowPath(Motion):
     """Position-driven: the tip follows straight lines at a given feed, then stays.
 
     Parameters
@@ -104,7 +112,7 @@ class FollowPath:
         motion.speed_m_s = self._feed
 
 
-class PushAlongAxis:
+class PushAlongAxis(Motion):
     """Force-driven: a thrust pushes the tool down its axis; the feed follows from the balance with the cutting force.
 
     The cutting force grows so fast with the feed (up to 1e5 N s/m) that an explicit step is unstable for steps longer

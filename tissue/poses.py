@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from meshes.errors import InputError
 from tissue.model import Response, ToolMotion
-from tissue.motion import LONGEST_S
+from tissue.motion import LONGEST_S, Motion
 
 __all__ = ["ReplayPoses", "read_poses"]
 
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 POSE_COLUMNS = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "tool_qz", "tool_qw")
 
 
-class ReplayPoses:
+class ReplayPoses(Motion):
     """Recorded motion: poses at given times, linear and on the shortest arc between them.
 
     Parameters

@@ -54,7 +54,7 @@ def write_bone(run: Run, out: Path) -> None:
 def draw_pictures(run: Run, folder: Path) -> list[str]:
     """Draw ``bone_before_after.png``, ``removed_depth.png`` and ``force_torque.png``.
 
-    A soft organ has ``press.png`` and ``held.png`` in place of the first two, a needle ``insertion.png``.
+    A soft organ has ``press.png`` and ``held.png`` in place of the first two, a needle ``insertion.png`` as well.
     Of a tissue of several layers that tells more of itself than its volumes, a tooth for one, also ``section.png`` and
     ``force_depth.png``.
 
@@ -74,13 +74,15 @@ def draw_pictures(run: Run, folder: Path) -> list[str]:
     folder.mkdir(parents=True, exist_ok=True)
     notes: dict[str, str | None] = {}
     if run.parts.volume is None:
-        draw_force_torque(run, folder / "force_torque.png")
-        if fields := run.parts.tissue.fields:
-            tool = tool_surface(run.scene.tool)
-            notes["press.png"] = draw_press(fields, run.trace, folder / "press.png", title=run.scene.name, tool=tool)
-            notes["held.png"] = draw_held(fields, folder / "held.png", title=run.scene.name)
-        else:
-            draw_insertion(run, folder / "insertion.png")
+        with ThreadPoolExecutor(1) as beside:
+            if fields := run.parts.tissue.fields:
+                tool, name = tool_surface(run.scene.tool), run.scene.name
+                held = beside.submit(draw_held, fields, folder / "held.png", title=name)
+                notes["press.png"] = draw_press(fields, run.trace, folder / "press.png", title=name, tool=tool)
+                notes["held.png"] = held.result()
+            draw_force_torque(run, folder / "force_torque.png")
+            if run.scene.tool.kind == "needle":
+                draw_insertion(run, folder / "insertion.png")
         return _told(notes)
     depth = depth_map(run)
     with ThreadPoolExecutor(1) as beside:

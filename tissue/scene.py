@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from meshes.errors import InputError
 from tissue.scene_anatomy import AnatomyFile, BlockAnatomy, GlenoidAnatomy, MolarAnatomy, Part
+from tissue.scene_coupling import Coupling, DeviceName, HandName, RendererName, WallAnatomy
 from tissue.scene_soft import LayersAnatomy, LiverAnatomy, Organ, SlabAnatomy
 from tissue.scene_tool import Needle, PathMotion, Probe, ReplayMotion, ThrustMotion, Tool
 
@@ -67,7 +68,7 @@ class Stress(Part):
 
 
 AnyAnatomy = Annotated[
-    GlenoidAnatomy | BlockAnatomy | MolarAnatomy | LiverAnatomy | SlabAnatomy | LayersAnatomy,
+    GlenoidAnatomy | BlockAnatomy | MolarAnatomy | LiverAnatomy | SlabAnatomy | LayersAnatomy | WallAnatomy,
     Field(discriminator="kind"),
 ]
 AnyTool = Annotated[Tool | Probe | Needle, Field(discriminator="kind")]
@@ -76,7 +77,7 @@ AnyMotion = Annotated[PathMotion | ThrustMotion | ReplayMotion, Field(discrimina
 
 TOOLS: dict[str, type[Part]] = {
     **dict.fromkeys(("glenoid", "block", "molar"), Tool),
-    **dict.fromkeys(("liver", "slab"), Probe),
+    **dict.fromkeys(("liver", "slab", "wall"), Probe),
     "layers": Needle,
 }
 """What meets each kind of anatomy."""
@@ -112,6 +113,14 @@ class Scene(Part):
     """Changes to the cutting coefficients."""
     output: Output = Output()
     """What becomes of the force."""
+    device: DeviceName = "none"
+    """Device by which a hand moves the tool; none lets the motion move it."""
+    hand: HandName = "expert"
+    """Whose hand holds the device."""
+    renderer: RendererName = "proxy"
+    """Law by which the device plays what the tool meets."""
+    coupling: Coupling = Coupling()
+    """How the device is coupled to the tool."""
     stress: Stress | None = None
     """Whether and how finely displacement and stress are computed."""
     heat: bool = False
@@ -128,7 +137,8 @@ class Scene(Part):
     @property
     def idle_parts(self) -> frozenset[str]:
         """Parts that this anatomy has no use for."""
-        return IDLE[TOOLS[self.anatomy.kind]]
+        idle = IDLE[TOOLS[self.anatomy.kind]]
+        return idle | {"organ"} if self.anatomy.kind == "wall" else idle
 
     @model_validator(mode="after")
     def _parts_fit(self) -> "Scene":
@@ -140,6 +150,8 @@ class Scene(Part):
         for name in sorted(self.idle_parts & self.model_fields_set):
             if getattr(self, name):
                 raise InputError(f"{name} must be left out for a {kind}, got a value: remove it")
+        if kind == "wall" and self.tool.kind != "sphere-probe":
+            raise InputError(f"tool.kind must be sphere-probe for a wall, got {self.tool.kind}: use a ball")
         if isinstance(self.tool, Tool) and isinstance(self.anatomy, AnatomyFile):
             self._cutter_fits(self.tool, self.anatomy)
         if self.heat and kind != "molar":

@@ -64,6 +64,8 @@ class LayersAnatomy(Part):
     """Layers, one below the other."""
     vessel_wall_depth_mm: float | None = Field(None, gt=0, le=200, examples=[40.0])
     """Depth of a vessel's wall; without it there is none."""
+    interval_ms: float = Field(100.0, ge=1, le=10_000)
+    """Time between two frames of displacement, strain and stress around the needle."""
 
 
 class Organ(Part):

@@ -39,6 +39,7 @@ def simulate(
     out: Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
+    allow_unstable: bool = False,
 ) -> Run:
     """Simulate a scene.
 
@@ -57,18 +58,21 @@ def simulate(
         Replace a run that ``out`` already holds.
     progress
         Told what is being done.
+    allow_unstable
+        Run a device whose coupling is judged unstable, too.
 
     Raises
     ------
     InputError
-        If the scene cannot be built, the tool never touches, or ``out`` holds another run.
+        If the scene cannot be built, the tool never touches, a device's coupling is unstable, or ``out`` holds another
+        run.
     """
     tell = progress or (lambda doing, share: None)
     if cores is not None and cores < 1:
         raise InputError(f"cores must be at least 1, got {cores}: leave it out to use all")
     if out is not None:
         RunFolder.check(out, overwrite=overwrite)
-    parts = build(scene, step_s=TICK_S, compute=compute, cores=cores, tell=tell)
+    parts = build(scene, step_s=TICK_S, compute=compute, cores=cores, tell=tell, allow_unstable=allow_unstable)
     ticks = _tick_count(scene, parts.motion)
     folder = RunFolder.begin(out, scene, overwrite=overwrite) if out is not None else None
     return _loop(scene, parts, ticks, compute=compute, folder=folder, tell=tell)
@@ -76,8 +80,8 @@ def simulate(
 
 def _loop(scene: Scene, parts: Parts, ticks: int, *, compute: str, folder: RunFolder | None, tell: Progress) -> Run:
     """All ticks of a run."""
-    tissue = parts.tissue
-    columns = trace_columns(tissue.layer_names, tissue.measure_names)
+    tissue, motion = parts.tissue, parts.motion
+    columns = trace_columns(tissue.layer_names, tissue.measure_names + motion.measure_names)
     trace = Table(columns, np.zeros((ticks, len(columns))), tissue.layer_names)
     timing = Table(TIMING_COLUMNS, np.zeros((ticks, len(TIMING_COLUMNS))))
     if folder is not None:
@@ -112,6 +116,7 @@ def _loop(scene: Scene, parts: Parts, ticks: int, *, compute: str, folder: RunFo
     tissue.finish()
     if folder is not None:
         folder.flush(ticks, force=True)
+    events = sorted(events + motion.happened(), key=lambda event: event[0])
     return Run(scene, parts, trace, timing, events=events, compute=compute, folder=folder)
 
 
@@ -141,7 +146,8 @@ class _Tick:
         passing = parts.cutter.tooth_passing_Hz if parts.cutter is not None else 0.0
         share = scene.output.vibration_share
         self._vibration = Vibration(passing, share=share, step_s=TICK_S)
-        self._layers = len(tissue.layer_names)
+        self._layers, own = len(tissue.layer_names), len(tissue.measure_names)
+        self._measured = slice(29 + self._layers, 29 + self._layers + own)
         self._rotation = np.full((3, 3), np.nan)
         self._quaternion = np.zeros(4)
 
@@ -197,5 +203,6 @@ class _Tick:
         row[27] = volumes.sum()
         area = float(response.engaged_m2.sum())
         row[28 + layers] = area * 1e6
-        row[29 + layers : -1] = response.measures
+        row[self._measured] = response.measures
+        row[self._measured.stop : -1] = self._motion.measures
         row[-1] = float(response.engaged_m2.argmax()) if area > 0.0 else -1.0

@@ -14,7 +14,7 @@ from tissue.load import scene_names, scene_text
 from tissue.trace import TraceWriter
 
 COARSE = ("--set", "voxels.spacing_mm=0.4", "--no-pictures")
-PARTS = "name, description, seed, duration_s, anatomy, voxels, tool, motion, cutting, output, stress, heat, organ"
+PARTS = "name, description, seed, duration_s, anatomy, voxels, tool, motion, cutting, output, device, hand, renderer, coupling, stress, heat, organ"
 CUTTERS = "ball-burr, pear-bur, cylinder, twist-drill, hemispherical-reamer, flat-reamer, sphere-probe, cylinder-probe, shell-probe, needle"
 POINTS = "motion.points_mm must be a list of at least two points [x, y, z], got"
 
@@ -69,7 +69,7 @@ POINTS = "motion.points_mm must be a list of at least two points [x, y, z], got"
         ("motion.kind=thrust", "motion.thrust_N must be given, got nothing: add thrust_N = 40"),
         ("motion.kind=replay", 'motion.file must be given, got nothing: add file = "runs/glenoid/trace.csv"'),
         ("motion={}", "motion.kind must be given, got nothing: see `tissue scenes NAME`"),
-        ("tool={}", 'tool.kind must be given, got nothing: see `tissue scenes NAME`'),
+        ("tool={}", "tool.kind must be given, got nothing: see `tissue scenes NAME`"),
         ("motion.points_mm=[[0,0,1]]", f"{POINTS} [[0, 0, 1]]: use [[0, 0, 0.5], [0, 0, -2]]"),
         ("motion.points_mm=7", f"{POINTS} 7: use [[0, 0, 0.5], [0, 0, -2]]"),
         ("motion.points_mm=[[0,0],[1,1,1]]", f"{POINTS} [[0, 0], [1, 1, 1]]: use [[0, 0, 0.5], [0, 0, -2]]"),
@@ -128,13 +128,13 @@ def test_a_motion_without_end_is_refused(refused, here):
     [
         (
             ("run", "gleniod"),
-            "scene must be a built-in name (caries, glenoid, liver-press, milling, molar, needle, palpation) or a TOML file, got gleniod (did "
+            "scene must be a built-in name (caries, glenoid, liver-press, milling, molar, needle, palpation, wall) or a TOML file, got gleniod (did "
             "you mean "
             "glenoid?): list them with `tissue scenes`",
         ),
         (
             ("scenes", "mill"),
-            "scene must be a built-in name (caries, glenoid, liver-press, milling, molar, needle, palpation) or a TOML file, got mill (did you mean "
+            "scene must be a built-in name (caries, glenoid, liver-press, milling, molar, needle, palpation, wall) or a TOML file, got mill (did you mean "
             "milling?): list them with `tissue scenes`",
         ),
         (("run", "x.toml"), "scene must be an existing file, got x.toml: check the path or list `tissue scenes`"),
@@ -142,13 +142,13 @@ def test_a_motion_without_end_is_refused(refused, here):
         (("run", "milling", "glenoid"), "tissue run must be given nothing more, got glenoid: see `tissue run --help`"),
         (
             ("ruin", "milling"),
-            "command must be one of run, scenes, view, got ruin (did you mean run?): see `tissue --help`",
+            "command must be one of run, scenes, view, stability, got ruin (did you mean run?): see `tissue --help`",
         ),
         (
             ("run", "milling", "--overwite"),
             "option must be one of --out, --seed, --duration-s, --set, "
             "--compute, --cores, "
-            "--format, --pictures, --no-pictures, --overwrite, got --overwite (did you mean --overwrite?): see "
+            "--format, --pictures, --no-pictures, --overwrite, --allow-unstable, got --overwite (did you mean --overwrite?): see "
             "`tissue run --help`",
         ),
         (("run", "milling", "--duration-s"), "--duration-s must be given, got nothing: see `tissue run --help`"),
@@ -379,5 +379,6 @@ def test_help_lists_every_option(command):
         "--format",
         "--no-pictures",
         "--overwrite",
+        "--allow-unstable",
     ):
         assert option in said

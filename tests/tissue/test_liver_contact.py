@@ -223,7 +223,6 @@ def test_a_tool_smaller_than_a_triangle_is_felt_between_nodes(slab):
 def test_a_shell_of_points_feels_what_its_shape_feels(slab):
     """A ball by its closed form and by 5,000 points: both touch the same nodes up to the shell's spacing."""
 
-
     ball = trimesh.creation.icosphere(4, 0.012)
     ball.apply_translation([0.0, 0.0, 0.012])
     path = away([0.002, 0.001, -0.004])

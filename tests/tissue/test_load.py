@@ -20,6 +20,7 @@ COARSE = {
     **dict.fromkeys(("molar", "caries"), "voxels.spacing_mm=0.125"),
     **dict.fromkeys(("liver-press", "palpation"), "organ.order=1"),
     "needle": "tool.diameter_mm=1.0",
+    "wall": "tool.diameter_mm=8.0",
 }
 """What makes a scene quick to run."""
 

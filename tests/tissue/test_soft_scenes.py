@@ -80,7 +80,9 @@ def test_frames_hold_the_support_and_carry_the_force(pressed):
 
 def test_paths_to_the_compliance_agree():
     """Whole and column by column to the rounding of their factors; a basis of all modes too."""
-    forces = [slab(**SMALL, **{"organ.path": path, "organ.basis_size": 3000}).trace["model_force_z_N"] for path in PATHS]
+    forces = [
+        slab(**SMALL, **{"organ.path": path, "organ.basis_size": 3000}).trace["model_force_z_N"] for path in PATHS
+    ]
     assert forces[0].max() > 0.01
     for other in forces[1:]:
         np.testing.assert_allclose(other, forces[0], atol=1e-3 * forces[0].max())

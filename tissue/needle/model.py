@@ -1,6 +1,7 @@
 """A needle in an organ, as a tissue that a tool moves through."""
 
 from math import inf, isfinite, pi
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,9 @@ from tissue.fields import FieldSeries
 from tissue.model import Response, ToolMotion
 from tissue.needle.insertion import Insertion
 from tissue.needle.parameters import NeedleTissue
+
+if TYPE_CHECKING:
+    from tissue.needle.fields import NeedleFields
 
 __all__ = ["NeedleModel"]
 
@@ -28,6 +32,8 @@ class NeedleModel:
         Of the needle [m]. It sets the area of the tip, and how far from the last track a new one begins.
     origin_m, normal
         A point on the organ's undeformed surface [m] and its outward normal, in the world frame.
+    fields
+        What shows displacement and stress around the needle; the force does not depend on it. None shows nothing.
 
     The force follows :class:`~tissue.needle.insertion.Insertion` and acts along the needle's axis; moving the needle
     sideways inside the organ, or turning it, costs nothing. Depths count along the axis, from where it meets the
@@ -47,7 +53,6 @@ class NeedleModel:
     """
 
     measure_names: tuple[str, ...] = ("insertion_mm", "deflection_mm", "elastic_N", "cutting_N", "friction_N")
-    fields: FieldSeries | None = None
 
     def __init__(
         self,
@@ -56,6 +61,7 @@ class NeedleModel:
         diameter_m: float,
         origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
         normal: tuple[float, float, float] = (0.0, 0.0, 1.0),
+        fields: "NeedleFields | None" = None,
     ) -> None:
         require_positive("diameter_m", diameter_m, "an 18 gauge needle has 1.27e-3 m")
         self._origin, outward = np.asarray(origin_m, dtype=float), np.asarray(normal, dtype=float)
@@ -67,7 +73,7 @@ class NeedleModel:
                 f"normal must be three finite numbers, not all 0, got {normal}: give the outward direction"
             )
         self._normal = outward / length
-        self.tissue, self.insertion = tissue, Insertion(tissue)
+        self.tissue, self.insertion, self._fields = tissue, Insertion(tissue), fields
         self._diameter_m, self._entry_m = diameter_m, np.full(3, np.nan)
         membranes = tuple(membrane.name for membrane in tissue.membranes)
         surface = sum(membrane.depth_m == 0.0 for membrane in tissue.membranes)
@@ -77,6 +83,11 @@ class NeedleModel:
         self.notices: list[str] = []
         self._response = Response.empty(len(self.layer_names))
         self._response.measures = np.zeros(len(self.measure_names))
+
+    @property
+    def fields(self) -> FieldSeries | None:
+        """Displacement, strain, stress and reaction of a block around the needle; computed when the run has ended."""
+        return None if self._fields is None else self._fields.series
 
     def place(self, motion: ToolMotion) -> None:
         """Put the needle where it starts, outside the organ."""
@@ -127,10 +138,20 @@ class NeedleModel:
         """Nothing is awaited here."""
 
     def catch_up(self, time_s: float, motion: ToolMotion) -> None:
-        """Nothing is slow here."""
+        """Keep the deflection where a frame is due."""
+        if self._fields is not None and time_s >= self._fields.next_s - 1e-9:
+            insertion = self.insertion
+            self._fields.keep(
+                time_s,
+                deflection_m=insertion.deflection_m,
+                inserted_m=insertion.inserted_m,
+                entry_m=self._entry_m,
+            )
 
     def finish(self) -> None:
-        """There is nothing to complete."""
+        """Compute the fields of the frames."""
+        if self._fields is not None:
+            self._fields.compute()
 
     def remaining(self) -> NDArray[np.uint8] | None:
         """There are no voxels."""

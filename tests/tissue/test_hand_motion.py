@@ -1,0 +1,323 @@
+"""A scene by a hand on a device: the tool's balance in closed form, the force's bounds, and what is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tissue import InputError, load_scene, simulate
+from tissue.build import build, motion_of
+from tissue.build_hand import by_hand, judged_loop
+from tissue.coupling import (
+    Fault,
+    FaultyDevice,
+    Hand,
+    SimulatedDevice,
+    device_parameters,
+    hand_parameters,
+    judge,
+    renderer,
+)
+from tissue.coupling.aim import waypoints
+from tissue.coupling.guidance import Lead, Thrust
+from tissue.coupling.hand_motion import MEASURES, HandMotion
+from tissue.coupling.held_tool import CuttingTool, PressingTool
+from tissue.model import FreeSpace, Response, ToolMotion
+from tissue.motion import FollowPath
+from tissue.wall import WallModel
+
+STEP_S = 1e-3
+DOWN = np.array([0.0, 0.0, -1.0])
+COARSE_LIVER = {"organ.order": 1, "anatomy.edge_mm": 30.0, "anatomy.touch_edge_mm": 8.0}
+
+
+def run_of(name, **changes):
+    allow = changes.pop("allow_unstable", False)
+    return simulate(load_scene(name, {k.replace("__", "."): v for k, v in changes.items()}), allow_unstable=allow)
+
+
+def played_N(run):
+    """Size of the force that the device played."""
+    return np.linalg.norm(run.trace.vectors("device_force", "N"), axis=1)
+
+
+def held(name="wall", **changes):
+    """A scene's hand and device without its tissue."""
+    scene = load_scene(name, {k.replace("__", "."): v for k, v in changes.items()})
+    motion, _ = by_hand(scene, motion_of(scene, step_s=STEP_S), step_s=STEP_S, allow_unstable=False)
+    return motion
+
+
+def meet(motion, tissue, seconds):
+    """Tool tips [m], measures of the motion, and forces on the tool [N], a row a tick."""
+    tool, response = ToolMotion(), Response.empty(1)
+    motion.begin(tool)
+    tissue.place(tool)
+    rows = []
+    for index in range(round(seconds / STEP_S)):
+        motion.advance(index * STEP_S, STEP_S, response, tool)
+        tissue.advance(tool)
+        response = tissue.respond(tool)
+        rows.append((tool.tip_m.copy(), motion.measures.copy(), response.wrench[:3].copy()))
+    return tuple(np.array(column) for column in zip(*rows, strict=True))
+
+
+@pytest.mark.parametrize(("name", "law"), [("wall", "proxy"), ("wall", "penalty"), ("milling", "passivity")])
+def test_in_free_space_the_tool_is_where_the_device_is_and_nothing_is_played(name, law):
+    tips, measures, _ = meet(held(name, device="touch", renderer=law), FreeSpace(), 1.0)
+    np.testing.assert_array_equal(1e3 * tips, measures[:, :3])
+    assert np.ptp(tips, axis=0).max() > 1e-3
+    assert not measures[:, 7:17].any()
+
+
+@pytest.fixture(scope="module")
+def on_the_wall():
+    return run_of("wall")
+
+
+def test_on_the_wall_spring_and_wall_balance(on_the_wall):
+    """k_c (z_tool - z_device) = k_w depth, exactly once the tool has been in the wall for a tick."""
+    trace, stiffness = on_the_wall.trace, judged_loop(on_the_wall.scene, step_s=STEP_S).stiffness_N_m
+    inside = trace["depth_mm"] > 0.0
+    settled = inside & np.roll(inside, 1)
+    assert settled.sum() > 500
+    force, stretch = trace["model_force_z_N"], 1e-3 * (trace["tool_z_mm"] - trace["device_z_mm"])
+    np.testing.assert_allclose(force[settled], 1e4 * -1e-3 * trace["tool_z_mm"][settled], rtol=1e-9)
+    np.testing.assert_allclose(force[settled], stiffness * stretch[settled], rtol=1e-6, atol=1e-9)
+
+
+def test_on_the_wall_the_played_force_settles_and_is_bounded(on_the_wall):
+    trace, force = on_the_wall.trace, played_N(on_the_wall)
+    late = (trace["time_s"] > 0.6) & (trace["time_s"] < 1.0)
+    assert 0.3 < force[late].mean() < 3.3
+    # 1 ms of low-pass behind a force that a hand changes in tenths of a second: within a few per cent.
+    np.testing.assert_allclose(force[late], trace["model_force_z_N"][late], rtol=0.1)
+    assert force.max() <= device_parameters("touch").force_limit_N
+    assert trace["passivity_J"].min() > -1e-3
+    assert not force[trace["time_s"] > 1.9].any()
+
+
+def test_a_scene_without_a_device_has_no_trace_of_one():
+    plain = run_of("wall", device="none", duration_s=0.3)
+    other = run_of("wall", device="none", duration_s=0.3, hand="novice", renderer="penalty", coupling__delay_ms=5)
+    assert not set(MEASURES) & set(plain.trace.columns)
+    np.testing.assert_array_equal(plain.trace.rows, other.trace.rows)
+    assert plain.trace["model_force_z_N"][250] == pytest.approx(1e4 * 5e-3, rel=1e-9)
+
+
+def test_the_same_seed_gives_the_same_run_and_another_hand_or_seed_another(on_the_wall):
+    np.testing.assert_array_equal(on_the_wall.trace.rows, run_of("wall").trace.rows)
+    for changes in ({"hand": "novice"}, {"seed": 1}):
+        assert not np.array_equal(on_the_wall.trace["device_z_mm"], run_of("wall", **changes).trace["device_z_mm"])
+
+
+@pytest.mark.parametrize("device", ["touch", "omni", "six-dof"])
+@pytest.mark.parametrize("law", ["penalty", "passivity", "proxy"])
+def test_every_device_and_renderer_stays_within_its_limits(device, law):
+    run, limits = run_of("wall", device=device, renderer=law, duration_s=0.8), device_parameters(device)
+    assert 0.0 < played_N(run).max() <= limits.force_limit_N
+    assert np.abs(run.trace.vectors("device_torque", "Nm")).max() <= limits.torque_limit_Nm
+    assert run.trace["margin"][0] > 0.5
+
+
+def test_an_unstable_stiffness_is_refused_with_margin_and_the_nearest_stable_one():
+    with pytest.raises(InputError, match="must be below") as refused:
+        run_of("wall", coupling__stiffness_N_m=3000.0)
+    sentence = str(refused.value)
+    assert sentence.startswith("coupling.stiffness_N_m must be below 20") and "got 3000 (margin -4" in sentence
+    nearest = float(sentence.split(": use ")[1].split(",")[0])
+    assert run_of("wall", coupling__stiffness_N_m=nearest, duration_s=0.01).trace["margin"][0] > 0.0
+
+
+def test_the_command_refuses_and_allows(command, refused, here):
+    rigid = ("run", "wall", "--duration-s", 0.02, "--no-pictures", "--set", "coupling.stiffness_N_m=3000")
+    assert refused(*rigid) == (
+        "coupling.stiffness_N_m must be below 2036 to be stable with device = touch in the hand of an expert, got 3000 "
+        "(margin -47.4 %): use 2030, or pass --allow-unstable"
+    )
+    code, said, error = command(*rigid, "--allow-unstable")
+    assert (code, error) == (0, "") and "is unstable, margin -47.4 %" in said
+
+
+def test_too_much_damping_is_refused():
+    with pytest.raises(
+        InputError, match=r"coupling\.damping_N_s_m must leave some stiffness stable, got 500: lower it"
+    ):
+        run_of("wall", coupling__damping_N_s_m=500.0)
+
+
+def test_an_unstable_stiffness_that_is_allowed_runs_and_is_bounded():
+    run = run_of("wall", coupling__stiffness_N_m=2e4, allow_unstable=True, duration_s=1.0)
+    assert run.trace["margin"][0] < 0.0 and "unstable" in run.parts.notes["coupling"]
+    assert np.isfinite(run.trace.rows).all()
+    assert played_N(run).max() <= device_parameters("touch").force_limit_N
+    assert run.trace["saturated"].any()
+
+
+def test_what_is_judged_counts_the_delay_that_is_there():
+    """Latency, the low-pass, and a tick for an organ whose balance is found a tick later."""
+    wall, late = (judged_loop(load_scene("wall", o), step_s=STEP_S) for o in ({}, {"coupling.delay_ms": 3}))
+    liver = judged_loop(load_scene("liver-press", {"device": "touch"}), step_s=STEP_S)
+    bone = judged_loop(load_scene("milling", {"device": "touch"}), step_s=STEP_S)
+    assert late.delay_s == pytest.approx(wall.delay_s + 3e-3)
+    assert liver.delay_s == pytest.approx(wall.delay_s + 1e-3)
+    assert bone.delay_s == wall.delay_s and bone.filter_s == 1e-3
+    assert judge(late).critical_N_m < judge(wall).critical_N_m
+
+
+@pytest.mark.parametrize(("share", "settles"), [(0.95, True), (1.05, False)])
+def test_the_whole_loop_is_stable_up_to_the_stiffness_that_is_judged(share, settles):
+    """Device, tool on the wall, renderer, low-pass, delay: 5 % on either side of the eigenvalues' critical stiffness.
+
+    Without what the judge leaves out: friction, encoders, noise and reflex. Coupling and wall are springs in series.
+    """
+    limits = replace(device_parameters("touch"), friction_N=0.0, encoder_step_m=0.0)
+    still = dict.fromkeys(("endpoint_noise", "force_noise", "tremor_m", "reflex_share"), 0.0)
+    person, wall = replace(hand_parameters("expert"), **still), 2e4
+    critical = judge(limits.loop(1.0, filter_s=1e-3), [person.grip[:3]]).critical_N_m
+    stiffness = 1.0 / (1.0 / (share * critical) - 1.0 / wall)
+    way = np.array([[0.0, 0.0, 1e-3], [0.0, 0.0, -5e-3]])
+    hand = Hand(person, waypoints(np.array([0.0, 0.1]), way), rng=np.random.default_rng(0))
+    loop = limits.loop(stiffness, filter_s=1e-3)
+    motion = HandMotion(
+        SimulatedDevice(limits, hand, position_m=(0.0, 0.0, 1e-3)),
+        PressingTool(stiffness, way[0]),
+        renderer("proxy", loop),
+        scripted=FollowPath(way, feed_m_s=0.06, axis=(0.0, 0.0, 1.0)),
+        limits=limits,
+        loop=loop,
+        margin=1.0 - share,
+    )
+    _, measures, _ = meet(motion, WallModel(wall, radius_m=5e-3), 2.0)
+    ripple = [np.std(measures[first : first + 200, 9]) for first in (1000, 1800)]
+    assert ripple[1] < 0.7 * ripple[0] if settles else ripple[1] > 1.4 * ripple[0]
+
+
+def test_samples_that_are_no_numbers_end_in_no_force():
+    motion = held()
+    motion.device = FaultyDevice(motion.device, [Fault("non-finite", 0.7, 5.0)])
+    tips, measures, forces = meet(motion, WallModel(1e4, radius_m=5e-3), 1.0)
+    assert np.isfinite(tips).all() and np.isfinite(forces).all()
+    played = np.linalg.norm(measures[:, 7:10], axis=1)
+    assert played[699] > 0.3 and not played[725:].any()
+    assert (np.diff(played[699:725]) <= 1e-12).all()
+    assert (tips[725:] == tips[700]).all()
+    assert [what for _, what in motion.happened()] == ["a sample that is not finite: the force fades"]
+
+
+def test_a_delay_holds_the_force_back_by_whole_ticks():
+    tips, measures, _ = meet(held(coupling__delay_ms=7, output__low_pass_ms=0.0), WallModel(1e4, radius_m=5e-3), 0.8)
+    stretch, filtered = 1e3 * tips[:, 2] - measures[:, 2], measures[:, 15]
+    touched, answered = np.flatnonzero(stretch > 0.0)[0], np.flatnonzero(filtered)[0]
+    assert answered == touched + 7
+
+
+def test_a_cutting_tool_balances_spring_edge_and_resistance():
+    """k (d - s) = edge + c s / T in closed form; below the edge force it rests and presses by its share of it."""
+    stiffness, drag, edge, device = 1e4, 5e3, 8.0, 2e-3 * DOWN
+    tool, response = CuttingTool(stiffness, np.zeros(3)), Response.empty(1)
+    response.resistance[2], response.edge[2] = drag, edge
+    tip = tool.follow(device, response, DOWN, STEP_S)
+    np.testing.assert_allclose(-tip[2], (stiffness * 2e-3 - edge) / (stiffness + drag / STEP_S), rtol=1e-12)
+    at = tip.copy()
+    tip = tool.follow(at + 4e-4 * DOWN, response, DOWN, STEP_S)
+    np.testing.assert_array_equal(tip, at)
+    assert tool.pressed == pytest.approx(0.5)
+    tip = tool.follow(at - 1e-3 * DOWN, response, DOWN, STEP_S)
+    np.testing.assert_array_equal(tip, at - 1e-3 * DOWN)  # straight back nothing resists
+
+
+def test_what_a_cutting_tool_has_felt_fades_and_then_it_is_free():
+    tool, response, nothing = CuttingTool(1e4, np.zeros(3)), Response.empty(1), Response.empty(1)
+    response.resistance[2] = 1e5
+    tool.follow(1e-3 * DOWN, response, DOWN, STEP_S)
+    ways = -np.diff([tool.follow(1e-3 * DOWN, nothing, DOWN, STEP_S)[2] for _ in range(80)])
+    assert ways[0] < 2e-6 and (ways >= 0.0).all()
+    np.testing.assert_array_equal(tool.follow(2e-3 * DOWN, nothing, DOWN, STEP_S), 2e-3 * DOWN)
+
+
+@pytest.mark.parametrize("tissue_N_m", [50.0, 400.0, 4e3, 4e4])
+def test_a_pressing_tool_finds_the_balance_of_a_spring_it_does_not_know(tissue_N_m):
+    """Device at rest in an elastic half-space: x = k_c x_d / (k_c + k_t), also a hundred times stiffer than it is."""
+    tool, response = PressingTool(400.0, np.zeros(3)), Response.empty(1)
+    for _ in range(200):
+        tip = tool.follow(1e-3 * DOWN, response, DOWN, STEP_S)
+        response.wrench[2] = max(-tissue_N_m * tip[2], 0.0)
+    np.testing.assert_allclose(tip[2], -1e-3 * 400.0 / (400.0 + tissue_N_m), rtol=1e-2)
+
+
+def test_a_led_hand_goes_farther_until_the_tool_is_there():
+    tool = PressingTool(1.0, np.zeros(3))
+    lead = Lead(lambda time_s: 1e-3 * DOWN, tool, ahead_s=0.2, furthest_m=5e-3)
+    assert lead(0.0)[2] == -1e-3
+    goals = [lead(1.0 + n)[2] for n in range(40)]
+    assert (np.diff(goals) <= 0.0).all() and goals[-1] == pytest.approx(-6e-3)
+    tool.tip_m[2] = -1e-3
+    assert lead(50.0)[2] == goals[-1]
+
+
+def test_a_thrust_pushes_until_the_way_is_gone():
+    tool = CuttingTool(1.0, np.zeros(3))
+    thrust = Thrust(np.zeros(3), 2e-3 * DOWN, tool, 1.5, 4e-3)
+    np.testing.assert_allclose(thrust.push(1.0), 1.5 * DOWN)
+    np.testing.assert_allclose(thrust.path(1.0), 4e-3 * DOWN)
+    tool.tip_m[:] = 2e-3 * DOWN
+    assert not thrust.push(1.0).any()
+    np.testing.assert_allclose(thrust.path(1.0), 2e-3 * DOWN)
+
+
+@pytest.mark.parametrize("changes", [{}, {"motion__kind": "thrust", "motion__thrust_N": 60.0}], ids=["path", "thrust"])
+def test_a_hand_reams_a_glenoid_within_the_device_s_range(changes):
+    run = run_of("glenoid", device="touch", voxels__spacing_mm=0.4, duration_s=4.0, **changes)
+    assert run.summary()["removed_mm3"]["subchondral"] > 10.0
+    force, model = played_N(run), np.linalg.norm(run.trace.vectors("model_force", "N"), axis=1)
+    assert 0.3 < force.max() <= device_parameters("touch").force_limit_N
+    # What the device plays is the tissue's force by the scene's scale, the force across the pull left out.
+    late = run.trace["time_s"] > 3.5
+    np.testing.assert_allclose(force[late].mean(), 0.03 * model[late].mean(), rtol=0.1)
+
+
+def test_a_hand_presses_a_liver():
+    run = run_of(
+        "liver-press", device="touch", duration_s=1.6, **{k.replace(".", "__"): v for k, v in COARSE_LIVER.items()}
+    )
+    trace = run.trace
+    late = (trace["time_s"] > 0.9) & (trace["time_s"] < 1.4)
+    force = trace["device_force_z_N"][late]
+    assert 0.1 < force.mean() < 1.0
+    np.testing.assert_allclose(force, trace["model_force_z_N"][late], atol=0.05 * force.mean())
+
+
+def test_a_recorded_motion_by_a_hand_turns_with_it(tmp_path):
+    path = tmp_path / "poses.csv"
+    half = np.linspace(0.0, 0.2, 5)
+    rows = [
+        f"{t:g},0,0,20,0,0,{np.sin(h):.9f},{np.cos(h):.9f}" for t, h in zip(np.linspace(0, 0.8, 5), half, strict=True)
+    ]
+    path.write_text("time_s,tool_x_mm,tool_y_mm,tool_z_mm,tool_qx,tool_qy,tool_qz,tool_qw\n" + "\n".join(rows))
+    run = run_of("wall", motion__kind="replay", motion__file=str(path), duration_s=0.9)
+    np.testing.assert_allclose(run.trace["tool_qz"][-1], np.sin(0.2), atol=1e-6)
+    np.testing.assert_allclose(run.trace["tool_qz"][400], np.sin(0.1), atol=1e-3)
+
+
+def test_a_wall_is_for_a_ball_outside_it():
+    with pytest.raises(InputError, match=r"tool\.kind must be sphere-probe for a wall"):
+        load_scene("wall", {"tool.kind": "cylinder-probe"})
+    scene = load_scene("wall", {"device": "none", "motion.points_mm": [[0, 0, -1], [0, 0, 5]]})
+    parts = build(scene, step_s=STEP_S, compute="cpu", cores=None, tell=lambda doing, share: None)
+    tool = ToolMotion()
+    parts.motion.begin(tool)
+    with pytest.raises(InputError, match="motion must start outside the wall, got a ball 1 mm inside"):
+        parts.tissue.place(tool)
+
+
+def test_a_tilted_ball_feels_the_wall_at_its_lowest_point():
+    wall, tool = WallModel(1e4, radius_m=5e-3), ToolMotion()
+    c, s = np.cos(0.3), np.sin(0.3)
+    tool.rotation[:] = [[c, 0, s], [0, 1, 0], [-s, 0, c]]
+    centre = np.array([1e-3, 2e-3, 4.9e-3])
+    tool.tip_m[:] = centre - 5e-3 * tool.rotation[:, 2]
+    response = wall.respond(tool)
+    np.testing.assert_allclose(response.wrench[:3], [0, 0, 1e4 * 1e-4], rtol=1e-9)
+    arm = centre - np.array([0, 0, 5e-3]) - tool.tip_m
+    np.testing.assert_allclose(response.wrench[3:], np.cross(arm, response.wrench[:3]), atol=1e-15)

@@ -1,0 +1,30 @@
+"""`tissue stability`: the verdict on a scene's loop, its map as picture and data, and what it refuses."""
+
+import numpy as np
+import pytest
+
+
+def test_a_map_is_printed_and_kept(command, here):
+    code, out, error = command("stability", "wall", "--out", "map")
+    assert (code, error) == (0, "")
+    assert "chosen: stiffness 400 N/m is stable" in out and "delay  0.0 ms: stable below" in out
+    assert (here / "map" / "stability.png").stat().st_size > 10_000
+    rows = np.genfromtxt(here / "map" / "stability_delay.csv", delimiter=",", names=True)
+    assert rows["delay_s"][0] == 0.0 and len(rows) > 10
+    np.testing.assert_allclose(rows["measured_N_m"], rows["exact_N_m"], rtol=0.01)
+    assert (rows["passive_N_m"] < rows["exact_N_m"]).all()
+    code, _, error = command("stability", "wall", "--out", "map")
+    assert code == 2 and "out must not hold another map" in error
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("glenoid",), "device must be one of touch, omni, six-dof for a stability map, got none"),
+        (("nowhere",), "scene must be a built-in name"),
+        (("wall", "--set", "device=phantom"), "device must be one of none, touch, omni, six-dof, got phantom"),
+    ],
+)
+def test_what_has_no_map_is_refused(command, arguments, sentence):
+    code, _, error = command("stability", *arguments)
+    assert code == 2 and sentence in error

@@ -1,0 +1,75 @@
+"""The stability of a scene's loop before it runs: `tissue stability`."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from meshes.errors import InputError
+from tissue.build_hand import judged_loop
+from tissue.coupling import hand_parameters
+from tissue.coupling.device import DEVICES
+from tissue.coupling.stability_map import StabilityMap, stability_map
+from tissue.scene import Scene
+from tissue.stability_picture import draw_stability, write_stability
+
+__all__ = ["scene_stability", "stability_lines", "write_stability_files"]
+
+TICK_S = 1e-3
+FILES = ("stability.png", "stability_damping.csv", "stability_delay.csv")
+
+
+def scene_stability(scene: Scene) -> StabilityMap:
+    """The map of a scene's device in its hand, about the coupling it would run with.
+
+    Raises
+    ------
+    InputError
+        If the scene has no device.
+    """
+    if scene.device == "none":
+        raise InputError(
+            f"device must be one of {', '.join(DEVICES)} for a stability map, got none: pass --set device=touch"
+        )
+    grip = hand_parameters(scene.hand).grip
+    loop = replace(
+        judged_loop(scene, step_s=TICK_S),
+        hand_stiffness_N_m=grip.stiffness_N_m,
+        hand_damping_N_s_m=grip.damping_N_s_m,
+        hand_mass_kg=grip.mass_kg,
+    )
+    return stability_map(loop)
+
+
+def stability_lines(scene: Scene, found: StabilityMap) -> list[str]:
+    """What a person reads: the verdict, and the boundary over some delays, measured and exact [N/m]."""
+    chosen = found.chosen
+    lines = [
+        f"{scene.device} in the hand of a person of the group {scene.hand}, {1e-3 / chosen.tick_s:g} kHz, "
+        f"{1e3 * chosen.delay_s:g} ms beside the hold, low-pass {1e3 * chosen.filter_s:g} ms",
+        f"chosen: {found.verdict.sentence(chosen.stiffness_N_m)}",
+    ]
+    data = found.over_delay
+    for index in range(0, len(data.values), 6):
+        lines.append(
+            f"delay {1e3 * data.values[index]:4.1f} ms: stable below {data.exact_N_m[index]:8.0f} N/m by eigenvalues, "
+            f"{data.measured_N_m[index]:8.0f} measured, {data.lines_N_m['passive'][index]:6.0f} passive"
+        )
+    return lines
+
+
+def write_stability_files(scene: Scene, found: StabilityMap, folder: Path, *, overwrite: bool) -> list[Path]:
+    """Write the picture and the data of a map.
+
+    Raises
+    ------
+    InputError
+        If the folder holds another map.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"out must be a folder, got the file {folder}: choose another --out")
+    there = [name for name in FILES if (folder / name).exists()]
+    if there and not overwrite:
+        raise InputError(f"out must not hold another map, got {folder / there[0]}: pass --overwrite or choose another")
+    folder.mkdir(parents=True, exist_ok=True)
+    title = f"{scene.name}: {scene.device}, {scene.hand}"
+    draw_stability(found, folder / FILES[0], title=title)
+    return [folder / FILES[0], *write_stability(found, folder)]
