@@ -10,6 +10,8 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
+TWICE = wp.constant(wp.float64(2.0))
+"""A corner of a triangle lies within two of its radii from any of its points."""
 GRAZING = wp.constant(wp.float64(0.1))
 """Cosine between a point's normal and a triangle's inward normal below which they do not meet."""
 EDGE = wp.constant(wp.float64(-1e-9))
@@ -47,6 +49,10 @@ def project_shell(
         b = body.corners[triangle, 1]
         c = body.corners[triangle, 2]
         pa = body.free[a] + body.moved[a]
+        away = place - pa
+        limit = best + TWICE * reach
+        if wp.dot(away, away) > limit * limit:
+            continue
         ab = body.free[b] + body.moved[b] - pa
         ac = body.free[c] + body.moved[c] - pa
         outward = wp.cross(ab, ac)

@@ -231,6 +231,8 @@ def _draw_force_torque(run: Run, path: Path) -> None:
             axes.plot(time, model[:, c], color=COMPONENTS[c], linewidth=1.1)
         axes.set_ylabel(label)
         axes.axhline(0.0, color="0.7", linewidth=0.6, zorder=0)
+        if not model.any() and not commanded.any():
+            axes.set_ylim(-1.0, 1.0)
     panels[0].legend(
         handles=[Line2D([], [], color=COMPONENTS[c], label="xyz"[c]) for c in range(3)]
         + [

@@ -60,7 +60,7 @@ class Probe(Part):
     length_mm: float = Field(40.0, gt=0, le=200)
     """Length of a cylinder."""
     file: str | None = Field(None, examples=["finger.stl"])
-    """Surface of a shell probe; its lowest point along z is the tip, z points to the shank."""
+    """Closed surface of a shell probe; the file's origin is the tip, z points to the shank."""
     scale_mm: float = Field(1.0, gt=0, le=1e5)
     """Millimetres per unit of that file."""
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 from meshes.errors import InputError
 from tissue import load_scene, simulate
@@ -112,6 +113,17 @@ def test_a_viscous_slab_relaxes_to_its_long_term_share():
 def test_quadratic_cells_are_softer_than_locking_linear_ones():
     linear, quadratic = (slab(**{"organ.order": order}).trace["model_force_z_N"].max() for order in (1, 2))
     assert 0.1 * linear < quadratic < 0.5 * linear
+
+
+def test_a_finger_from_a_file_feels_what_its_ball_feels(tmp_path):
+    """A capsule's round end, by a few hundred points, within 5 % of a ball of its radius."""
+    finger = trimesh.creation.capsule(height=30.0, radius=8.0)
+    finger.apply_translation([0.0, 0.0, -finger.bounds[0, 2]])
+    finger.export(tmp_path / "finger.stl")
+    ball = slab(**{"tool.diameter_mm": 16.0}).trace["model_force_z_N"]
+    shell = slab(**{"tool.kind": "shell-probe", "tool.file": str(tmp_path / "finger.stl"), "tool.diameter_mm": 16.0})
+    assert len(shell.parts.tissue.contact.probe.points_m) < 600
+    assert shell.trace["model_force_z_N"].max() == pytest.approx(ball.max(), rel=0.05)
 
 
 def test_capsule_gravity_and_fibres_run():

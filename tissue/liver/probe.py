@@ -168,15 +168,15 @@ class ShellProbe:
             raise InputError("normals must have length 1, got others: divide them by their lengths")
 
     @classmethod
-    def from_mesh(cls, mesh: Path | str | object, *, points: int = 1000, scale: float = 1.0) -> "ShellProbe":
-        """Points spread over the surface of a mesh, by the centres of its triangles, divided until there are enough.
+    def from_mesh(cls, mesh: Path | str | object, *, points: int = 300, scale: float = 1.0) -> "ShellProbe":
+        """Points spread over the surface of a mesh: centres of its triangles, divided or thinned to about the number.
 
         Parameters
         ----------
         mesh
             A file that trimesh reads, or a trimesh mesh; its origin is the tip, its z axis runs to the shank.
         points
-            Least number of points.
+            About how many points; a tick projects every one.
         scale
             Metres in a unit of the mesh; 1e-3 for millimetres.
 
@@ -195,11 +195,9 @@ class ShellProbe:
         longest = (2.0 * surface.area / points) ** 0.5
         vertices, faces = trimesh.remesh.subdivide_to_size(surface.vertices, surface.faces, 1.5 * longest)
         fine = trimesh.Trimesh(vertices, faces, process=False)
-        return cls(
-            scale * np.asarray(fine.triangles_center),
-            np.array(fine.face_normals),
-            scale**2 * np.asarray(fine.area_faces),
-        )
+        centres, normals = np.asarray(fine.triangles_center), np.array(fine.face_normals)
+        chosen, areas = _thinned(centres, normals, np.asarray(fine.area_faces), (surface.area / points) ** 0.5)
+        return cls(scale * centres[chosen], normals[chosen], scale**2 * areas)
 
     @property
     def kind(self) -> int:
@@ -224,3 +222,17 @@ class ShellProbe:
         _, nearest = cKDTree(self.points_m).query(points_m)
         way = self.normals[nearest]
         return np.einsum("ij,ij->i", points_m - self.points_m[nearest], way), way
+
+
+def _thinned(centres: Array, normals: Array, areas: Array, side: float) -> tuple[NDArray[np.int64], Array]:
+    """One point for each cube of a side and each way that its surface faces, shape (k,), and the areas of these."""
+    way = np.abs(normals).argmax(axis=1)
+    faces = 2 * way + (np.take_along_axis(normals, way[:, None], axis=1)[:, 0] > 0.0)
+    cells = np.column_stack([np.floor(centres / side).astype(np.int64), faces])
+    _, group = np.unique(cells, axis=0, return_inverse=True)
+    group = group.reshape(-1)
+    total = np.bincount(group, weights=areas)
+    middle = np.column_stack([np.bincount(group, weights=areas * centres[:, c]) for c in range(3)]) / total[:, None]
+    order = np.lexsort((np.linalg.norm(centres - middle[group], axis=1), group))
+    first = np.unique(group[order], return_index=True)[1]
+    return np.asarray(order[first], dtype=np.int64), np.asarray(total, dtype=np.float64)
