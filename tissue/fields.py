@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FieldSeries", "Frame"]
+__all__ = ["FieldSeries", "Frame", "Stress"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,3 +53,25 @@ class FieldSeries:
     layer_names: tuple[str, ...]
     frames: list[Frame] = field(default_factory=list)
     node_sets: dict[str, NDArray[np.int64]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Stress:
+    """Strain and stress at places.
+
+    Attributes
+    ----------
+    strain
+        Tensor components xx, yy, zz, yz, xz, xy, shape (n, 6).
+    stress_pa
+        The same of the stress [Pa], shape (n, 6).
+    von_mises_pa
+        Von Mises stress [Pa], shape (n,).
+    principal_pa
+        Principal stresses [Pa], largest first, shape (n, 3).
+    """
+
+    strain: NDArray[np.float64]
+    stress_pa: NDArray[np.float64]
+    von_mises_pa: NDArray[np.float64]
+    principal_pa: NDArray[np.float64]

@@ -1,7 +1,5 @@
 """Strain and stress of a displacement: in the middle of cells, and smoothed to nodes for pictures."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
@@ -9,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 from kernels.launcher import SplitLaunch
 from kernels.tet_stress import group_stress
 from meshes.errors import InputError
+from tissue.fields import Stress
 from tissue.liver.pattern import grouped
 from tissue.liver.shapes import EDGES, gradient_slopes
 from tissue.liver.space import Space
@@ -17,28 +16,6 @@ from tissue.materials.elasticity import elasticity_rows, stiffness_of_lame
 __all__ = ["Stress", "cell_stress", "node_stress"]
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class Stress:
-    """Strain and stress at places.
-
-    Attributes
-    ----------
-    strain
-        Tensor components xx, yy, zz, yz, xz, xy, shape (n, 6).
-    stress_pa
-        The same of the stress [Pa], shape (n, 6).
-    von_mises_pa
-        Von Mises stress [Pa], shape (n,).
-    principal_pa
-        Principal stresses [Pa], largest first, shape (n, 3).
-    """
-
-    strain: Array
-    stress_pa: Array
-    von_mises_pa: Array
-    principal_pa: Array
 
 
 def cell_stress(space: Space, displacement_m: Array, elasticity: ArrayLike) -> Stress:

@@ -1,6 +1,5 @@
 """Stress at particles, at the centres of cells and, averaged, at nodes."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -8,34 +7,13 @@ import warp as wp
 from numpy.typing import NDArray
 
 from kernels.particle_stress import point_stress
+from tissue.fields import Stress
 from tissue.tooth.grid import HexGrid
 from tissue.tooth.stiffness import CellStiffness
 
 __all__ = ["Stress", "cell_stress", "node_average", "particle_stress"]
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class Stress:
-    """Strain and stress at points.
-
-    Attributes
-    ----------
-    strain
-        Tensor components xx, yy, zz, yz, xz, xy, shape (n, 6).
-    stress_pa
-        The same of the stress [Pa], shape (n, 6).
-    von_mises_pa
-        Von Mises stress [Pa], shape (n,).
-    principal_pa
-        Principal stresses [Pa], largest first, shape (n, 3).
-    """
-
-    strain: Array
-    stress_pa: Array
-    von_mises_pa: Array
-    principal_pa: Array
 
 
 def particle_stress(
