@@ -42,6 +42,7 @@ FLOORS = (
     ("tissue.series",),
     ("tissue.load",),
     ("tissue.parts",),
+    ("tissue.probes",),
     ("tissue.build_cut", "tissue.build_soft", "tissue.build_hand"),
     ("tissue.build",),
     ("tissue.run_folder",),

@@ -12,6 +12,7 @@ from tissue.materials import constants
 from tissue.motion import Motion
 from tissue.organs import elasticity_of, held_mesh
 from tissue.parts import Parts
+from tissue.probes import probe_of
 from tissue.scene import Scene
 from tissue.scene_soft import LayersAnatomy, LiverAnatomy, Organ, SlabAnatomy
 from tissue.scene_tool import Needle
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from tissue.liver.space import Space
     from tissue.materials.prony import Prony
 
-__all__ = ["pierce", "press", "probe_of"]
+__all__ = ["pierce", "press"]
 
 Tell = Callable[[str, float], None]
 POSES_TRIED = 200
@@ -125,20 +126,6 @@ def press(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: i
         step_s=step_s,
     )
     return Parts(motion, model, notes=notes)
-
-
-def probe_of(tool: ProbeTable) -> "Probe":
-    """The probe that a scene's tool describes."""
-    from tissue.liver.probe import CylinderProbe, ShellProbe, SphereProbe
-
-    radius = 0.5e-3 * tool.diameter_mm
-    match tool.kind:
-        case "sphere-probe":
-            return SphereProbe(radius)
-        case "cylinder-probe":
-            return CylinderProbe(radius, min(0.1 * radius, 5e-4))
-        case "shell-probe":
-            return ShellProbe.from_mesh(tool.file or "", scale=1e-3 * tool.scale_mm)
 
 
 class _Factor:

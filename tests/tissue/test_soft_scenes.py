@@ -178,6 +178,8 @@ def test_a_needle_scene_tells_its_punctures():
         ("palpation", {"anatomy.nodule_centre_mm": [0, 0, -2]}, "anatomy.nodule_centre_mm must lie"),
         ("needle", {"motion.points_mm": [[0, 0, -5], [0, 0, -9]]}, "motion must start with the needle's tip outside"),
         ("liver-press", {"tool.kind": "shell-probe"}, "tool.file must be given for a shell-probe"),
+        ("liver-press", {"tool.kind": "shell-probe", "tool.file": "nowhere.stl"}, "tool.file must exist"),
+        ("liver-press", {"tool.kind": "shell-probe", "tool.file": __file__}, "tool.file must be a surface that can be"),
         ("liver-press", {"organ.material": "kidney", "organ.viscous": True}, "organ.viscous must be false for kidney"),
     ],
 )  # fmt: skip

@@ -85,7 +85,7 @@ def test_paths_agree_on_a_box(order, ratio):
 @pytest.mark.usefixtures("fresh_cache")
 @pytest.mark.parametrize(("name", "unit_mm"), [("liver.v22.msh", 34.3), ("liver2.v22.msh", 110.0)])
 def test_paths_agree_on_a_tetrahedral_liver(anatomy, name, unit_mm):
-    """The second has slivers of a thousandth of the largest volume."""
+    """The second has cells of a thousandth of the largest volume."""
     mesh = read_tets(anatomy / "liver" / name, unit_mm=unit_mm).mesh
     body = organ(mesh, 0.45)
     agree(body, above(mesh, body))
