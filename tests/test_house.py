@@ -27,6 +27,8 @@ FLOORS = (
     (
         "tissue.vibration",
         "tissue.coupling",
+        "tissue.prediction",
+        "tissue.perception",
         "tissue.motion",
         "tissue.poses",
         "tissue.scene_anatomy",
@@ -48,6 +50,9 @@ FLOORS = (
     ("tissue.run_folder",),
     ("tissue.run",),
     ("tissue.simulation",),
+    ("tissue.statistics", "tissue.training", "tissue.live"),
+    ("tissue.charts", "tissue.atlas"),
+    ("tissue.study", "tissue.calibration"),
     (
         "tissue.surface",
         "tissue.depth",
@@ -83,10 +88,11 @@ FLOORS = (
         "tissue.viewer",
         "tissue.view",
     ),
+    ("tissue.commands",),
     ("tissue.cli",),
 )
 """From the ground up; a room imports from its own floor and those below it."""
-LAZY = {("tissue.run", "tissue.report"), ("tissue.cli", "tissue.view")}
+LAZY = {("tissue.run", "tissue.report"), ("tissue.commands.view", "tissue.view")}
 """A run calls what draws it, and only then imports it."""
 LONGEST = 300
 

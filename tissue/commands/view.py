@@ -1,0 +1,48 @@
+"""``tissue view``."""
+
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from tissue.commands.terminal import console, problems
+
+__all__ = ["view"]
+
+
+def view(
+    folder: Path,
+    /,
+    *,
+    screenshot: Path | None = None,
+    movie: Path | None = None,
+    hide: Annotated[tuple[str, ...], Parameter(negative="")] = (),
+    field: str | None = None,
+    scale: float = 1.0,
+    time_s: float | None = None,
+) -> None:
+    """Show a run in a window.
+
+    Parameters
+    ----------
+    folder
+        Folder that `tissue run` wrote.
+    screenshot
+        Write a picture to this .png file instead of opening a window.
+    movie
+        Write a movie to this .mp4 or .gif file instead of opening a window.
+    hide
+        Layer or part that is switched off at first; may be given more than once.
+    field
+        Field that is shown at first, for example von_mises_MPa.
+    scale
+        How many times its size the displacement is drawn at first.
+    time_s
+        Moment that is shown at first, in seconds; default that of the greatest force.
+    """
+    from tissue.view import view as show
+
+    with problems.status("drawing the movie") if movie is not None else nullcontext():
+        said = show(folder, screenshot=screenshot, movie=movie, hide=hide, field=field, scale=scale, time_s=time_s)
+    console.print(said, soft_wrap=True, highlight=False)
