@@ -1,0 +1,59 @@
+"""What a loop asks of a predictor, and the one that knows nothing but the last force."""
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Hold", "Predictor"]
+
+Array = NDArray[np.float64]
+
+
+class Predictor(Protocol):
+    """Tells the force on a device some ticks ahead of what has been seen of it.
+
+    Once a tick `observe` is told where the device is and, in ticks in which the tissue has answered, the force; then
+    `ahead` gives the force to be expected. Both keep to a fixed cost.
+    """
+
+    residual_N: float
+    """Size of the last one-tick error [N]: what was expected for the newest force, less that force."""
+    own: bool
+    """Whether the last force that was told is the predictor's own, and not that of what it falls back on."""
+
+    def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
+        """Take in the device's position [m] and velocity [m/s], shape (3,), and the force on it [N], or None."""
+        ...
+
+    def ahead(self, ticks: int) -> Array:
+        """Force to be expected so many ticks after the last observation [N], shape (3,); 0 is the present one."""
+        ...
+
+    def pause(self) -> None:
+        """No sample came, so that the next one does not follow the last."""
+        ...
+
+
+class Hold:
+    """The baseline: the last force stays."""
+
+    residual_N = 0.0
+    own = True
+
+    def __init__(self) -> None:
+        self._force = np.zeros(3)
+
+    def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
+        """Keep the force."""
+        if force_N is not None:
+            change = force_N - self._force
+            self.residual_N = float(np.sqrt(change @ change))
+            self._force = force_N.copy()
+
+    def ahead(self, ticks: int) -> Array:
+        """The last force."""
+        return self._force
+
+    def pause(self) -> None:
+        """Nothing depends on the ticks between forces."""
