@@ -19,6 +19,8 @@ from tissue.coupling.rotation import quaternion_of
 from tissue.coupling.simulated_device import SimulatedDevice
 from tissue.coupling.stability import Verdict, critical_stiffness_N_m, in_hands, judge
 from tissue.motion import Motion
+from tissue.perception import Perception
+from tissue.prediction import Predictor
 from tissue.scene import Scene
 from tissue.scene_coupling import WallAnatomy
 from tissue.scene_tool import ReplayMotion, ThrustMotion, Tool
@@ -53,7 +55,7 @@ def by_hand(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable: bo
     cuts, start = isinstance(scene.tool, Tool), scripted.sweep_m()[0]
     tool: HeldTool = (CuttingTool if cuts else PressingTool)(stiffness / chosen.force_scale, start)
     path, push = _aims(scene, scripted, tool, limits, person, stiffness, step_s=step_s)
-    (rng,) = np.random.default_rng(scene.seed).spawn(1)
+    rng, feeling = np.random.default_rng(scene.seed).spawn(2)
     turn = _turn(scripted, step_s=step_s) if isinstance(scene.motion, ReplayMotion) else None
     hand = Hand(person, path, rng=rng, step_s=1.0 / limits.rate_Hz, push=push, turn=turn)
     x, y, z = start.tolist()
@@ -69,11 +71,39 @@ def by_hand(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable: bo
         margin=verdict.margin,
         stray_m=0.0 if cuts or isinstance(scene.anatomy, WallAnatomy) else STRAY_M,
         after_s=person.reaction_s + person.submovement_s,
+        model_ticks=chosen.model_ms,
+        predictor=_predictor(scene, limits),
+        lead_ticks=chosen.delay_ms + round(scene.output.low_pass_ms + 1e3 * limits.transport_delay_s),
+        perception=_perception(scene, limits, feeling),
     )
     return motion, (
         f"{scene.device} in the hand of {_a(scene.hand)}, {scene.renderer}: {told}; "
         f"{chosen.force_scale:g} N at the device for each newton at the tool"
     )
+
+
+def _predictor(scene: Scene, limits: DeviceParameters) -> Predictor | None:
+    """What tells the force ahead."""
+    if scene.prediction == "none":
+        return None
+    from tissue.prediction.build import predictor
+
+    return predictor(
+        scene.prediction,
+        scene_name=scene.name,
+        file=scene.coupling.predictor_file,
+        force_limit_N=limits.force_limit_N,
+        tick_s=1.0 / limits.rate_Hz,
+    )
+
+
+def _perception(scene: Scene, limits: DeviceParameters, rng: np.random.Generator) -> Perception | None:
+    """The person for whom the force is scaled."""
+    if scene.perception == "none":
+        return None
+    from tissue.perception.build import perception
+
+    return perception(scene.perception, rng=rng, force_limit_N=limits.force_limit_N, tick_s=1.0 / limits.rate_Hz)
 
 
 def judged_loop(scene: Scene, *, step_s: float) -> WallLoop:
@@ -96,7 +126,12 @@ def judged_loop(scene: Scene, *, step_s: float) -> WallLoop:
 def _loop(scene: Scene, limits: DeviceParameters) -> WallLoop:
     """The loop of device, filter and delay."""
     chosen = scene.coupling
-    loop = limits.loop(1.0, wall_damping_N_s_m=chosen.damping_N_s_m, filter_s=1e-3 * scene.output.low_pass_ms)
+    loop = limits.loop(
+        1.0,
+        wall_damping_N_s_m=chosen.damping_N_s_m,
+        filter_s=1e-3 * scene.output.low_pass_ms,
+        model_ticks=chosen.model_ms,
+    )
     return replace(loop, delay_s=loop.delay_s + 1e-3 * chosen.delay_ms)
 
 

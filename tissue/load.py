@@ -63,10 +63,12 @@ def load_scene(source: str | Path, overrides: Mapping[str, Any] | None = None) -
         raise InputError(
             f"scene must be valid TOML, got {said[:1].lower()}{said[1:]} in {path}: mend it there"
         ) from None
-    for part in ("anatomy", "motion", "tool"):
+    for part, name in (("anatomy", "file"), ("motion", "file"), ("tool", "file"), ("coupling", "predictor_file")):
         inner = table.get(part)
-        if isinstance(inner, dict) and isinstance(inner.get("file"), str) and inner["file"]:
-            inner["file"] = str((folder / inner["file"]).resolve())
+        if isinstance(inner, dict) and isinstance(inner.get(name), str) and inner[name]:
+            inner[name] = str((folder / inner[name]).resolve())
+    if isinstance(person := table.get("perception"), str) and person.startswith("observer:"):
+        table["perception"] = f"observer:{(folder / person.removeprefix('observer:')).resolve()}"
     # A new kind starts its part afresh, so kinds go first, in whatever order they were given.
     for key, value in sorted((overrides or {}).items(), key=lambda item: not item[0].endswith(".kind")):
         _place(table, key, value)

@@ -16,7 +16,7 @@ LONGEST_S = 3600.0
 
 
 class Motion(Protocol):
-    """Drives a tool: `begin` writes its first pose, then `advance` the pose and motion of every tick."""
+    """Drives a tool: `begin` writes its first pose, then `advance` the pose of every tick and `play` its answer."""
 
     duration_s: float
     """How long the motion lasts by itself [s]."""
@@ -24,6 +24,8 @@ class Motion(Protocol):
     """Names, with units, of the motion's own columns in the trace."""
     measures: Array = np.zeros(0)
     """Their values at the present tick."""
+    model_ticks: int = 1
+    """Ticks for which one answer of the tissue holds."""
 
     def sweep_m(self) -> Array:
         """Tip positions that outline where the tool can go [m], shape (n, 3)."""
@@ -40,6 +42,14 @@ class Motion(Protocol):
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
         """Write the pose at ``time_s``, given the response at the previous tick, into ``motion``."""
         ...
+
+    def correct(self, response: Response, motion: ToolMotion) -> bool:
+        """Move the tool once more within the tick, if the answer to its new pose asks for that; whether it did."""
+        return False
+
+    def play(self, response: Response) -> None:
+        """Do what follows from the tissue's answer at the present tick."""
+        return
 
     def happened(self) -> list[tuple[float, str]]:
         """What has happened so far: time [s] and a sentence each."""

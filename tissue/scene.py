@@ -12,7 +12,15 @@ from pydantic import Field, model_validator
 
 from meshes.errors import InputError
 from tissue.scene_anatomy import AnatomyFile, BlockAnatomy, GlenoidAnatomy, MolarAnatomy, Part
-from tissue.scene_coupling import Coupling, DeviceName, HandName, RendererName, WallAnatomy
+from tissue.scene_coupling import (
+    Coupling,
+    DeviceName,
+    HandName,
+    PerceptionName,
+    PredictionName,
+    RendererName,
+    WallAnatomy,
+)
 from tissue.scene_soft import LayersAnatomy, LiverAnatomy, Organ, SlabAnatomy
 from tissue.scene_tool import Needle, PathMotion, Probe, ReplayMotion, ThrustMotion, Tool
 
@@ -119,6 +127,10 @@ class Scene(Part):
     """Whose hand holds the device."""
     renderer: RendererName = "proxy"
     """Law by which the device plays what the tool meets."""
+    prediction: PredictionName = "none"
+    """What tells the device's force ahead of latency and slow models."""
+    perception: PerceptionName = "none"
+    """For whom the device's force is scaled: none, population, or observer:FILE, as `tissue calibrate` writes it."""
     coupling: Coupling = Coupling()
     """How the device is coupled to the tool."""
     stress: Stress | None = None
@@ -154,6 +166,9 @@ class Scene(Part):
             raise InputError(f"tool.kind must be sphere-probe for a wall, got {self.tool.kind}: use a ball")
         if isinstance(self.tool, Tool) and isinstance(self.anatomy, AnatomyFile):
             self._cutter_fits(self.tool, self.anatomy)
+        for name in ("prediction", "perception"):
+            if self.device == "none" and (got := getattr(self, name)) != "none":
+                raise InputError(f"device must be given for a {name}, got none with {name} = {got}: use touch")
         if self.heat and kind != "molar":
             raise InputError(f"heat must be false for a {kind}, got true: it is for a molar")
         return self
@@ -197,7 +212,9 @@ class Scene(Part):
     def with_files_at(self, folder: Path) -> "Scene":
         """The same scene with the paths of its files made absolute, relative ones taken from ``folder``."""
         changes: dict[str, Any] = {}
-        for part in ("anatomy", "motion", "tool"):
+        if self.perception.startswith("observer:"):
+            changes["perception"] = f"observer:{(folder / self.perception.removeprefix('observer:')).resolve()}"
+        for part in ("anatomy", "motion", "tool", "coupling"):
             value: Part = getattr(self, part)
             names = [name for name in type(value).model_fields if name == "file" or name.endswith("_file")]
             files = {name: getattr(value, name) for name in names if getattr(value, name)}

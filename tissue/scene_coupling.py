@@ -1,16 +1,20 @@
 """What a scene says of the device in a person's hand, and of the wall that shows what the device can do."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from tissue.scene_anatomy import Part
 
-__all__ = ["Coupling", "DeviceName", "HandName", "RendererName", "WallAnatomy"]
+__all__ = [
+    "Coupling", "DeviceName", "HandName", "PerceptionName", "PredictionName", "RendererName", "WallAnatomy",
+]  # fmt: skip
 
 DeviceName = Literal["none", "touch", "omni", "six-dof"]
 HandName = Literal["novice", "intermediate", "expert"]
 RendererName = Literal["penalty", "passivity", "proxy"]
+PredictionName = Literal["none", "hold", "linear", "kalman", "dmdc", "koopman"]
+PerceptionName = Annotated[str, Field(pattern=r"^(none|population|observer:.+)$", examples=["population"])]
 
 
 class Coupling(Part):
@@ -24,6 +28,10 @@ class Coupling(Part):
     """Newtons at the device for each newton at the tool."""
     delay_ms: int = Field(0, ge=0, le=200)
     """Latency added on the way to the device, in whole ticks."""
+    model_ms: int = Field(1, ge=1, le=100)
+    """Time for which one answer of the tissue holds, in whole ticks; 10 is a model at 100 Hz."""
+    predictor_file: str = ""
+    """Trained predictor, as `tissue train` writes it; empty for the scene's own."""
 
 
 class WallAnatomy(Part):

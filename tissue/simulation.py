@@ -136,7 +136,7 @@ class _Tick:
 
     def __init__(self, scene: Scene, parts: Parts, trace: Table, timing: Table) -> None:
         self._motion, self._tissue = parts.motion, parts.tissue
-        tissue = parts.tissue
+        tissue, self._model_ticks = parts.tissue, parts.motion.model_ticks
         self._rows, self._times = trace.rows, timing.rows
         self.tool = ToolMotion()
         self._response = Response.empty(len(tissue.layer_names))
@@ -160,10 +160,16 @@ class _Tick:
     def __call__(self, index: int) -> None:
         start = perf_counter()
         self._motion.advance(index * TICK_S, TICK_S, self._response, self.tool)
-        moved = perf_counter()
-        self._tissue.advance(self.tool)
-        removed = perf_counter()
-        response = self._response = self._tissue.respond(self.tool)
+        moved = removed = perf_counter()
+        response = self._response
+        if index % self._model_ticks == 0:
+            self._tissue.advance(self.tool)
+            removed = perf_counter()
+            response = self._response = self._tissue.respond(self.tool)
+            if self._motion.correct(response, self.tool):
+                self._tissue.advance(self.tool)
+                response = self._tissue.respond(self.tool)
+        self._motion.play(response)
         forced = perf_counter()
         self._filtered += self._gain * (response.wrench - self._filtered)
         np.multiply(self._filtered, 1.0 + self._vibration.factor(index), out=self._commanded)

@@ -15,8 +15,10 @@ from tissue.coupling.rotation import matrix_of
 from tissue.coupling.signal import DelayLine, ForceRange, LowPass
 from tissue.model import Response, ToolMotion
 from tissue.motion import Motion
+from tissue.perception import Perception
+from tissue.prediction import Predictor
 
-__all__ = ["MEASURES", "HandMotion"]
+__all__ = ["MEASURES", "PERCEIVED", "PREDICTED", "HandMotion"]
 
 Array = NDArray[np.float64]
 MEASURES = (
@@ -28,10 +30,16 @@ MEASURES = (
     "saturated",
     "passivity_J",
     "margin",
+    *(f"raw_force_{c}_N" for c in "xyz"),
 )
 """Columns of a device: its pose, what it was told to play, the filtered force before it was brought into the device's
-range [N at the device], whether that compressed it, the energy taken from the device, and the share of the critical
-stiffness that is left."""
+range [N at the device], whether that compressed it, the energy taken from the device, the share of the critical
+stiffness that is left, and the force of the renderer, before prediction, filter and delay."""
+PREDICTED = (*(f"predicted_force_{c}_N" for c in "xyz"), "prediction_residual_N", "predicted_by")
+"""Columns of a prediction: force, size of the last one-tick error, and whose it is: 1 the predictor's, 0 what it falls
+back on."""
+PERCEIVED = ("estimated_force_N", "perceived", "perceived_spread", "above_threshold")
+"""Columns of a perception: see `tissue.perception.Perception`."""
 SMOOTH_S = 0.01
 """Time over which the speed of a tool that goes with its device is estimated: encoders step [s]."""
 
@@ -39,10 +47,14 @@ SMOOTH_S = 0.01
 class HandMotion(Motion):
     """A tool that hangs on a device, and the force that the device plays for it.
 
-    Every tick: the sample is judged; the tool follows the device as far as the tissue of the last tick lets it; device
-    and tool give the renderer's force, which passes low-pass, delay and the device's range, and is vouched for. So the
-    force answers the sample of its own tick. Without a good sample the tool rests, the renderer pauses and the force
-    fades to zero.
+    Every tick: the sample is judged; the tool follows the device as far as the tissue of the last tick lets it; the
+    tissue answers, and a free tool that has gone into it is brought back within the tick; device and tool give the
+    renderer's force, which passes prediction, low-pass, delay, perception and the device's range, and is vouched for.
+    So the force answers the sample of its own tick. Without a good sample the tool rests, the renderer pauses and the
+    force fades to zero.
+
+    A tissue that answers only every ``model_ticks`` leaves tool and renderer's force as they are in between; a
+    predictor then goes on by the device alone.
 
     The tool is turned by the device and nothing holds the turn back: there is no coupling of rotations yet, and the
     cutting speed of turning is left out. A device that plays torque is given the tissue's own of the last tick, scaled.
@@ -71,9 +83,15 @@ class HandMotion(Motion):
         How far the tool may leave the scripted motion [m].
     after_s
         How much longer a hand takes than the scripted motion [s].
+    model_ticks
+        Ticks for which one answer of the tissue holds.
+    predictor
+        What tells the force ahead; without it the present one is played.
+    lead_ticks
+        How far ahead it is asked for.
+    perception
+        The person for whom the force is scaled; without it newtons stay newtons.
     """
-
-    measure_names = MEASURES
 
     def __init__(
         self,
@@ -89,6 +107,10 @@ class HandMotion(Motion):
         margin: float,
         stray_m: float = 0.0,
         after_s: float = 0.0,
+        model_ticks: int = 1,
+        predictor: Predictor | None = None,
+        lead_ticks: int = 0,
+        perception: Perception | None = None,
     ) -> None:
         self.device, self.tool, self.law = device, tool, law
         self.duration_s = scripted.duration_s + after_s
@@ -107,9 +129,19 @@ class HandMotion(Motion):
         lag = loop.delay_s + 1.0 / (2.0 * pi * loop.amplifier_hz)
         self.observer = PassivityObserver(delay_ticks=lag / tick)
         self._velocity = np.zeros(3)
-        self._smoothing = min(tick / SMOOTH_S, 1.0)
-        self.measures = np.zeros(len(MEASURES))
-        self.measures[3:7], self.measures[-1] = (0.0, 0.0, 0.0, 1.0), margin
+        self._smoothing = min(tick * model_ticks / SMOOTH_S, 1.0)
+        self.model_ticks, self.lead_ticks = model_ticks, lead_ticks
+        self.predictor, self.perception = predictor, perception
+        self._ticks, self._step, self._fresh = 0, tick * model_ticks, True
+        self._sample: tuple[Array, Array, Array] | None = None
+        self._before, self._went, self._raw = np.zeros(3), np.zeros(3), np.zeros(3)
+        self.measure_names = MEASURES
+        if predictor is not None:
+            self.measure_names += PREDICTED
+        if perception is not None:
+            self.measure_names += PERCEIVED
+        self.measures = np.zeros(len(self.measure_names))
+        self.measures[3:7], self.measures[18] = (0.0, 0.0, 0.0, 1.0), margin
 
     def sweep_m(self) -> Array:
         """Positions of the scripted motion [m], and the same a stray to every side."""
@@ -134,35 +166,76 @@ class HandMotion(Motion):
         return list(self.guard.events)
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Read the device, move the tool, play the force."""
+        """Read the device and let the tool follow it."""
         sample = self.guard.believe(self.device.read(time_s), time_s)
+        self._fresh = self._ticks % self.model_ticks == 0
+        self._ticks += 1
+        self._sample = None
+        if sample is None:
+            motion.speed_m_s, self._velocity[:] = 0.0, 0.0
+            return
+        at, speed, quaternion, _ = sample.arrays()
+        self._sample = at, speed, quaternion
+        if self._fresh:
+            self._before[:] = self.tool.tip_m
+            motion.rotation[:] = matrix_of(quaternion) @ self._start
+            self._follow(response, motion)
+
+    def correct(self, response: Response, motion: ToolMotion) -> bool:
+        """Bring a free tool that has gone into the tissue to where both balance."""
+        if self._sample is None or not self.tool.lands(response):
+            return False
+        self._follow(response, motion)
+        return True
+
+    def _follow(self, response: Response, motion: ToolMotion) -> None:
+        """Move the tool towards the device."""
+        assert self._sample is not None
+        at = self._sample[0]
+        tip = self.tool.follow(at, response, motion.heading[0], self._step)
+        self._went[:] = (tip - self._before) / self._step
+        motion.tip_m[:] = tip
+        self._tell_speed(motion, self._went, at - tip)
+
+    def play(self, response: Response) -> None:
+        """Give the device the force that answers its sample."""
         wanted = torque = None
         compressed = False
-        if sample is None:
-            self.law.pause()
-            self.observer.pause()
-            self._delay.step(self._low_pass.value)
-            self._turning_delay.step(self._turning.value)
-            motion.speed_m_s, self._velocity[:] = 0.0, 0.0
+        told = self.measures
+        if self._sample is None:
+            self._pause()
         else:
-            at, speed, quaternion, _ = sample.arrays()
-            before = self.tool.tip_m.copy()
-            tip = self.tool.follow(at, response, motion.heading[0], step_s)
-            went = (tip - before) / step_s
-            motion.tip_m[:], motion.rotation[:] = tip, matrix_of(quaternion) @ self._start
-            self._tell_speed(motion, went, at - tip)
-            filtered = self._delay.step(self._low_pass.step(self.law.render(at, speed, tip, went, step_s)))
-            wanted, compressed = self._range.play(filtered)
+            at, speed, quaternion = self._sample
+            if self._fresh:
+                self._raw = self.law.render(at, speed, self.tool.tip_m, self._went, self._step)
+            told[19:22] = force = self._raw
+            if self.predictor is not None:
+                self.predictor.observe(at, speed, force if self._fresh else None)
+                force = self.predictor.ahead(self.lead_ticks)
+                told[22:25], told[25], told[26] = force, self.predictor.residual_N, self.predictor.own
+            filtered = scaled = self._delay.step(self._low_pass.step(force))
+            if (person := self.perception) is not None:
+                scaled = person.step(filtered)
+                told[-4:] = person.estimated_N, person.perceived, person.perceived_spread, person.above
+            wanted, compressed = self._range.play(scaled)
             if self._torques is not None:
                 torque, _ = self._torques.play(self._turning_delay.step(self._turning.step(response.wrench[3:])))
             self.observer.observe(at)
-            told = self.measures
             told[:3], told[3:7], told[13:16] = 1e3 * at, quaternion, filtered
-        force, turning = self.guard.vouch(wanted, torque)
-        self.device.command(force, turning)
-        self.observer.hold(force)
-        told = self.measures
-        told[7:10], told[10:13], told[16], told[17] = force, turning, compressed, self.observer.energy_J
+        played, turning = self.guard.vouch(wanted, torque)
+        self.device.command(played, turning)
+        self.observer.hold(played)
+        told[7:10], told[10:13], told[16], told[17] = played, turning, compressed, self.observer.energy_J
+
+    def _pause(self) -> None:
+        """Nothing is known of the device in this tick."""
+        self.law.pause()
+        self.observer.pause()
+        for part in (self.predictor, self.perception):
+            if part is not None:
+                part.pause()
+        self._delay.step(self._low_pass.value)
+        self._turning_delay.step(self._turning.value)
 
     def _tell_speed(self, motion: ToolMotion, went_m_s: Array, pull_m: Array) -> None:
         """Heading and speed: of the balance along the pull, or estimated where the tool goes with the device."""

@@ -35,6 +35,10 @@ class HeldTool(Protocol):
         """Go a step towards the device [m], given the last response and the unit heading it was given for; the tip."""
         ...
 
+    def lands(self, response: Response) -> bool:
+        """Whether it was free, and this answer to its new place tells that it is not, so that it should go back."""
+        ...
+
 
 class CuttingTool:
     """A tool in a tissue that yields only by being cut, such as bone.
@@ -90,6 +94,10 @@ class CuttingTool:
             self.pressed = min(pull / held, 1.0)
         return self.tip_m
 
+    def lands(self, response: Response) -> bool:
+        """What is cut is gone: there is no way back."""
+        return False
+
 
 class PressingTool:
     """A tool on a tissue that pushes it back, such as an organ or a wall.
@@ -112,7 +120,7 @@ class PressingTool:
         self._stiffness = require_positive("stiffness_N_m", stiffness_N_m, "use 1e3")
         self.tip_m = np.array(tip_m, dtype=float)
         self.pressed, self.driven = 0.0, False
-        self._learnt = 0.0
+        self._learnt, self._free = 0.0, True
         self._before_m, self._before_N = self.tip_m.copy(), np.zeros(3)
 
     def follow(self, device_m: Array, response: Response, heading: Array, step_s: float) -> Array:
@@ -120,8 +128,8 @@ class PressingTool:
         force, tip, spring = response.wrench[:3], self.tip_m, self._stiffness
         if response.stiffness_N_m is None:
             self._learn(force)
-        in_balance = False
-        if force.any():
+        in_balance, self._free = False, not force.any()
+        if not self._free:
             stretch = device_m - tip
             out_of_balance = spring * stretch + force
             if response.stiffness_N_m is None:
@@ -134,6 +142,10 @@ class PressingTool:
         else:
             tip[:] = device_m
         return tip
+
+    def lands(self, response: Response) -> bool:
+        """Whether a free tool has gone into the tissue."""
+        return self._free and bool(response.wrench[:3].any())
 
     def _learn(self, force_N: Array) -> None:
         """Take the stiffness from what the last way has changed."""
