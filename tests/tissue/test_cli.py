@@ -14,7 +14,7 @@ from tissue.load import scene_names, scene_text
 from tissue.trace import TraceWriter
 
 COARSE = ("--set", "voxels.spacing_mm=0.4", "--no-pictures")
-PARTS = "name, description, seed, duration_s, anatomy, voxels, tool, motion, cutting, output, device, hand, renderer, coupling, stress, heat, organ"
+PARTS = "name, description, seed, duration_s, anatomy, voxels, tool, motion, cutting, output, device, hand, renderer, prediction, perception, coupling, stress, heat, organ"
 CUTTERS = "ball-burr, pear-bur, cylinder, twist-drill, hemispherical-reamer, flat-reamer, sphere-probe, cylinder-probe, shell-probe, needle"
 POINTS = "motion.points_mm must be a list of at least two points [x, y, z], got"
 
