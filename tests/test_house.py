@@ -50,7 +50,7 @@ FLOORS = (
     ("tissue.run_folder",),
     ("tissue.run",),
     ("tissue.simulation",),
-    ("tissue.statistics", "tissue.training", "tissue.live"),
+    ("tissue.ideal", "tissue.statistics", "tissue.training", "tissue.live"),
     ("tissue.charts", "tissue.atlas"),
     ("tissue.study", "tissue.calibration"),
     (

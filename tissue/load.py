@@ -12,7 +12,7 @@ from meshes.errors import InputError
 from tissue.faults import nearest, sentence
 from tissue.scene import Scene
 
-__all__ = ["load_scene", "parse_override", "scene_names", "scene_text"]
+__all__ = ["changed", "load_scene", "parse_override", "scene_names", "scene_text"]
 
 
 def scene_names() -> list[str]:
@@ -73,6 +73,26 @@ def load_scene(source: str | Path, overrides: Mapping[str, Any] | None = None) -
     for key, value in sorted((overrides or {}).items(), key=lambda item: not item[0].endswith(".kind")):
         _place(table, key, value)
     return _validated(table).with_files_at(Path.cwd())
+
+
+def changed(scene: Scene, overrides: Mapping[str, Any]) -> Scene:
+    """A scene with other values by dotted key; None takes an entry back to its default.
+
+    Raises
+    ------
+    InputError
+        If the changed scene is invalid.
+    """
+    table = scene.model_dump(exclude_unset=True)
+    for key, value in overrides.items():
+        _place(table, key, value)
+    return _validated(_without_nothing(table))
+
+
+def _without_nothing(table: Mapping[str, Any]) -> dict[str, Any]:
+    """A table without entries that are None."""
+    inner = {k: _without_nothing(v) if isinstance(v, dict) else v for k, v in table.items()}
+    return {k: v for k, v in inner.items() if v is not None}
 
 
 def _read(path: Path) -> str:

@@ -12,6 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from meshes.errors import InputError
 from tissue.build import build
+from tissue.coupling.device import Device
+from tissue.coupling.hand_motion import HandMotion
 from tissue.model import Response, ToolMotion
 from tissue.motion import LONGEST_S, Motion
 from tissue.parts import Parts
@@ -40,6 +42,7 @@ def simulate(
     overwrite: bool = False,
     progress: Progress | None = None,
     allow_unstable: bool = False,
+    device: Device | None = None,
 ) -> Run:
     """Simulate a scene.
 
@@ -60,6 +63,9 @@ def simulate(
         Told what is being done.
     allow_unstable
         Run a device whose coupling is judged unstable, too.
+    device
+        Device to read and to play instead of the simulated one in a simulated hand; the scene names the one by whose
+        limits it is judged.
 
     Raises
     ------
@@ -73,6 +79,10 @@ def simulate(
     if out is not None:
         RunFolder.check(out, overwrite=overwrite)
     parts = build(scene, step_s=TICK_S, compute=compute, cores=cores, tell=tell, allow_unstable=allow_unstable)
+    if device is not None:
+        if not isinstance(parts.motion, HandMotion):
+            raise InputError("scene must name the device that is given, got none: set device, such as touch")
+        parts.motion.device = device
     ticks = _tick_count(scene, parts.motion)
     folder = RunFolder.begin(out, scene, overwrite=overwrite) if out is not None else None
     return _loop(scene, parts, ticks, compute=compute, folder=folder, tell=tell)

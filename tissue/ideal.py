@@ -1,0 +1,91 @@
+"""The force that a device would play if nothing were late, coarse or filtered: what runs by a hand are held against."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.errors import InputError
+from tissue.build_hand import judged_loop
+from tissue.coupling.other_devices import RecordedDevice
+from tissue.load import changed
+from tissue.run import Run
+from tissue.scene import Scene
+from tissue.simulation import TICK_S, simulate
+from tissue.trace import Table
+
+__all__ = ["force_error", "ideal_force_N", "ideal_scene", "played_force_N"]
+
+Array = NDArray[np.float64]
+PROMPT: dict[str, Any] = {
+    "renderer": "proxy",
+    "prediction": "none",
+    "perception": "none",
+    "output.low_pass_ms": 0.0,
+    "coupling.delay_ms": 0,
+    "coupling.model_ms": 1,
+}
+"""What makes a loop prompt."""
+
+
+def ideal_scene(scene: Scene, finest: Mapping[str, Any] | None = None) -> Scene:
+    """The same scene, prompt, with the same stiffness of the coupling and the finest model.
+
+    Parameters
+    ----------
+    scene
+        A scene with a device.
+    finest
+        Settings of the converged model by dotted key, such as ``{"voxels.spacing_mm": 0.05}``.
+
+    Raises
+    ------
+    InputError
+        If the scene has no device.
+    """
+    if scene.device == "none":
+        raise InputError("scene must have a device to have a played force, got none: set device, such as touch")
+    stiffness = judged_loop(scene, step_s=TICK_S).stiffness_N_m
+    return changed(scene, {**PROMPT, "coupling.stiffness_N_m": stiffness, **(finest or {})})
+
+
+def ideal_force_N(run: Run, finest: Mapping[str, Any] | None = None, *, cores: int | None = None) -> Array:
+    """Force on the device that a prompt loop with the finest model gives on the very motion of a run [N], shape (n, 3).
+
+    The motion is that which the device has told, so that a hand's reaction to another force is no part of the
+    difference. Tissue that is cut differs by what the coarse model has cut otherwise, as it does in a run.
+
+    Raises
+    ------
+    InputError
+        If the run had no device.
+    """
+    trace = run.trace
+    told = RecordedDevice(
+        trace["time_s"],
+        1e-3 * trace.vectors("device", "mm"),
+        np.column_stack([trace[f"device_q{c}"] for c in "xyzw"]),
+        rate_Hz=1.0 / TICK_S,
+    )
+    scene = ideal_scene(run.scene, finest).model_copy(update={"duration_s": len(trace.rows) * TICK_S})
+    return simulate(scene, cores=cores, allow_unstable=True, device=told).trace.vectors("raw_force", "N")
+
+
+def played_force_N(trace: Table) -> Array:
+    """Force on the device before its range is applied [N], shape (n, 3)."""
+    return trace.vectors("filtered_force", "N")
+
+
+def force_error(force_N: Array, ideal_N: Array) -> float:
+    """Normalised error of a force over time, ||F - F_ideal|| / ||F_ideal||; shapes (n, 3).
+
+    Raises
+    ------
+    InputError
+        If the ideal force is zero throughout.
+    """
+    size = float(np.linalg.norm(ideal_N))
+    if size == 0.0:
+        raise InputError("ideal_N must be a force somewhere, got zeros: let the tool touch")
+    return float(np.linalg.norm(force_N - ideal_N)) / size
