@@ -1,6 +1,7 @@
 """Build what a probe presses or a needle pierces: soft organs."""
 
 from collections.abc import Callable
+from math import inf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -54,7 +55,7 @@ def pierce(scene: Scene, motion: Motion, *, tell: Tell = lambda doing, share: No
         "source; forces across the needle's axis are not modelled"
     }
     track, fields = Track.first_of(motion.sweep_m(), motion.rotations()[:, :, 2], diameter_m=diameter), None
-    if track is not None:
+    if track is not None and scene.anatomy.interval_ms > 0.0:
         tell("solving a block of the organ around the needle", 0.0)
         fields = NeedleFields.of_liver(track, diameter_m=diameter, interval_s=1e-3 * scene.anatomy.interval_ms)
         notes["fields"] = fields.beside(tissue)
@@ -109,7 +110,7 @@ def press(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: i
         rest_m=rest,
         rest_load_N=load,
         held=found.held,
-        interval_s=1e-3 * organ.interval_ms,
+        interval_s=1e-3 * organ.interval_ms if organ.interval_ms > 0.0 else inf,
     )
     notes["solved"] = (
         f"{len(found.mesh.cells)} tetrahedra of order {organ.order}, {len(body.free)} unknowns; "

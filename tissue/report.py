@@ -54,9 +54,9 @@ def write_bone(run: Run, out: Path) -> None:
 def draw_pictures(run: Run, folder: Path) -> list[str]:
     """Draw ``bone_before_after.png``, ``removed_depth.png`` and ``force_torque.png``.
 
-    A soft organ has ``press.png`` and ``held.png`` in place of the first two, a needle ``insertion.png`` as well.
-    Of a tissue of several layers that tells more of itself than its volumes, a tooth for one, also ``section.png`` and
-    ``force_depth.png``.
+    A soft organ has ``press.png`` and ``held.png`` in place of the first two, a needle ``insertion.png`` as well and a
+    wall ``wall.png``. Of a tissue of several layers that tells more of itself than its volumes, a tooth for one, also
+    ``section.png`` and ``force_depth.png``; of a run by a hand on a device ``played.png``.
 
     Returns
     -------
@@ -67,15 +67,19 @@ def draw_pictures(run: Run, folder: Path) -> list[str]:
     from tissue.held_picture import draw_held
     from tissue.insertion_picture import draw_insertion
     from tissue.pictures import draw_force_torque, draw_removed_depth
+    from tissue.played_picture import draw_played
     from tissue.press_picture import draw_press
     from tissue.section import draw_section
     from tissue.viewer_tool import tool_surface
+    from tissue.wall_picture import draw_wall
 
     folder.mkdir(parents=True, exist_ok=True)
     notes: dict[str, str | None] = {}
+    if run.scene.device != "none":
+        draw_played(run, folder / "played.png")
     if run.parts.volume is None:
         with ThreadPoolExecutor(1) as beside:
-            if fields := run.parts.tissue.fields:
+            if (fields := run.parts.tissue.fields) and fields.frames:
                 tool, name = tool_surface(run.scene.tool), run.scene.name
                 held = beside.submit(draw_held, fields, folder / "held.png", title=name)
                 notes["press.png"] = draw_press(fields, run.trace, folder / "press.png", title=name, tool=tool)
@@ -83,6 +87,8 @@ def draw_pictures(run: Run, folder: Path) -> list[str]:
             draw_force_torque(run, folder / "force_torque.png")
             if run.scene.tool.kind == "needle":
                 draw_insertion(run, folder / "insertion.png")
+            if run.scene.anatomy.kind == "wall":
+                draw_wall(run, folder / "wall.png")
         return _told(notes)
     depth = depth_map(run)
     with ThreadPoolExecutor(1) as beside:

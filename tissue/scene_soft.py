@@ -64,8 +64,8 @@ class LayersAnatomy(Part):
     """Layers, one below the other."""
     vessel_wall_depth_mm: float | None = Field(None, gt=0, le=200, examples=[40.0])
     """Depth of a vessel's wall; without it there is none."""
-    interval_ms: float = Field(100.0, ge=1, le=10_000)
-    """Time between two frames of displacement, strain and stress around the needle."""
+    interval_ms: float = Field(100.0, ge=0, le=10_000)
+    """Time between two frames of displacement, strain and stress around the needle; 0 computes none."""
 
 
 class Organ(Part):
@@ -101,5 +101,5 @@ class Organ(Part):
     """How the compliance at 1 kHz is had: whole, column by column where the tool is, or from a reduced basis."""
     basis_size: int = Field(300, ge=10, le=3000)
     """Vectors of a reduced basis."""
-    interval_ms: float = Field(100.0, ge=1, le=10_000)
-    """Time between two frames of displacement, strain and stress."""
+    interval_ms: float = Field(100.0, ge=0, le=10_000)
+    """Time between two frames of displacement, strain and stress; 0 computes none."""

@@ -1,7 +1,8 @@
 """Compliance of the nodes that may be touched: ``W = H K^-1 H^T``, found once and kept on disk.
 
-With it a contact solve knows nothing of the inside (Duriez et al. 2006, IEEE Trans. Vis. Comput. Graph. 12:36). The
-same back-substitutions give the displacement of all nodes that are shown.
+With it a contact solve knows nothing of the inside (Duriez et al. 2006, IEEE Trans. Vis. Comput. Graph. 12:36). Where
+nothing else is wanted it is read off one factor; else back-substitutions give it, and the displacement of all nodes
+that are shown.
 """
 
 from collections.abc import Callable
@@ -15,6 +16,7 @@ from kernels.launcher import core_count
 from meshes.cache import cached_arrays
 from meshes.errors import InputError
 from tissue.liver.direct import DirectSolver
+from tissue.liver.schur import schur_compliance_m_N
 from tissue.liver.solver import ColumnSolver, HeldBody, Outcome, Solution
 
 __all__ = ["LIMIT_BYTES", "CondensedSolver", "SurfaceCompliance", "compliance_bytes", "surface_compliance"]
@@ -23,6 +25,8 @@ Array = NDArray[np.float64]
 Nodes = NDArray[np.int64]
 LIMIT_BYTES = 2_000_000_000
 """Dense matrices above this are refused; columns are then found where the tool is, by ``LazyCompliance``."""
+SCHUR_UNKNOWNS = 60_000
+"""Above this the factor is not taken apart: copies of both halves would take gigabytes."""
 CHUNK = 8
 """Nodes whose columns one thread finds at a time."""
 
@@ -72,7 +76,7 @@ def surface_compliance(
     solver: Callable[[], ColumnSolver] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> SurfaceCompliance:
-    """The compliance from the cache, or found by three back-substitutions a node.
+    """The compliance from the cache, or found from a factor.
 
     Parameters
     ----------
@@ -85,7 +89,7 @@ def surface_compliance(
     limit_bytes
         Memory above which it is refused.
     solver
-        Makes what finds the columns, where the cache has no answer. Default: a factor.
+        Makes what finds columns where the cache has no answer and they are asked for one by one. Default: a factor.
     progress
         Told the share that is done, in (0, 1].
 
@@ -110,6 +114,12 @@ def surface_compliance(
     key = [blocks.data, blocks.indices, blocks.indptr, body.supports.fixed, touchable, shown]
 
     def make() -> dict[str, NDArray[np.generic]]:
+        if len(shown) == 0 and len(body.free) <= SCHUR_UNKNOWNS:
+            return {
+                "matrix": schur_compliance_m_N(body, touchable),
+                "response": np.empty((3 * len(touchable), 0), dtype=np.float32),
+                "asymmetry": np.array(0.0),
+            }
         return _found(solver() if solver else DirectSolver(body), touchable, shown, progress)
 
     kept = cached_arrays("compliance", key, make)

@@ -1,6 +1,7 @@
 """Displacement, strain, stress and reaction of a whole organ, computed from what its surface felt."""
 
 from collections.abc import Callable
+from math import inf
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,7 +42,7 @@ class OrganFields:
     held
         Nodes of the mesh that are held.
     interval_s
-        Time between two frames [s].
+        Time between two frames [s]; infinite for none.
     """
 
     def __init__(
@@ -59,7 +60,7 @@ class OrganFields:
     ) -> None:
         self._space, self._elasticity, self._solve, self._product = space, elasticity, solve, product
         self._touchable, self._rest_m, self._rest_load_N = touchable, rest_m, rest_load_N
-        self.interval_s, self.next_s = interval_s, 0.0
+        self.interval_s, self.next_s = interval_s, 0.0 if interval_s < inf else inf
         mesh = space.mesh
         sets = {"held": held, "touchable": touchable[touchable < len(mesh.nodes_m)]}
         self.series = FieldSeries(mesh.nodes_m, mesh.cells, mesh.part, mesh.part_names, node_sets=sets)

@@ -153,6 +153,11 @@ class LiverModel:
     def remaining(self) -> None:
         """There are no voxels."""
 
+    def displacement_m(self) -> Array:
+        """Displacement of the touchable nodes in the last tick [m], shape (t, 3); NaN where it is not known."""
+        moved = self.contact.result.displacement_m()
+        return moved if self._creep is None else moved + self._creep.offset_m
+
     def _look(self, motion: ToolMotion) -> None:
         """Ask for the compliance of the nodes around the tool."""
         assert self._lazy is not None
