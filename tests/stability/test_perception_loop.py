@@ -1,0 +1,192 @@
+"""A deadband and a steep map inside the loop: what they do to a wall that was stable, and what pays for it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tissue.coupling.aim import waypoints
+from tissue.coupling.device import device_parameters
+from tissue.coupling.faulty import Fault, FaultyDevice
+from tissue.coupling.guard import SampleGuard
+from tissue.coupling.hand import Hand, HandAction, hand_parameters
+from tissue.coupling.loop import spectral_radius
+from tissue.coupling.renderer import ProxyRenderer
+from tissue.coupling.rigid_wall import press_wall
+from tissue.coupling.simulated_device import SimulatedDevice
+from tissue.coupling.stability import critical_stiffness_N_m, in_hands
+from tissue.perception.build import CAUTION, perception_of
+from tissue.perception.deadband import held_back
+from tissue.perception.mapping import ForceMap
+from tissue.perception.population import population_observer, reference_observer
+from tissue.perception.stevens import Intensity, intensity_of
+from tissue.perception.weber import weber_of
+
+TICK = 1e-3
+LAW = weber_of(population_observer(), quantile=CAUTION)
+
+
+class Push:
+    """Nobody's hand: a constant force into the wall."""
+
+    def __init__(self, force_N):
+        self.force_N = force_N
+
+    def act(self, time_s, position_m):
+        return HandAction(push_N=(0.0, 0.0, -self.force_N))
+
+
+class Felt:
+    """A renderer whose force passes a perception; every force and command is kept."""
+
+    def __init__(self, law, person):
+        self.law, self.person, self.kept = law, person, []
+
+    def render(self, *given):
+        wanted = self.law.render(*given)
+        played = self.person.step(wanted).copy()
+        self.kept.append((wanted, played))
+        return played
+
+    def pause(self):
+        self.law.pause()
+        self.person.pause()
+
+
+def population_on(parameters, friction_N=np.inf):
+    return perception_of(
+        population_observer(),
+        rng=np.random.default_rng(1),
+        force_limit_N=parameters.force_limit_N,
+        tick_s=TICK,
+        friction_N=friction_N,
+    )
+
+
+def pressed(parameters, stiffness, hand, *, felt=True, friction_N=np.inf, duration_s=2.0):
+    """A device pressed onto a wall for two seconds, with the deadband or without."""
+    law = ProxyRenderer(stiffness, 0.0)
+    law = Felt(law, population_on(parameters, friction_N)) if felt else law
+    device = SimulatedDevice(parameters, hand, position_m=(0.0, 0.0, 1e-3))
+    return press_wall(device, law, duration_s=duration_s), law
+
+
+def half_of_critical(parameters, grip=None):
+    loop = parameters.loop(1.0)
+    loop = loop if grip is None else in_hands(loop, [grip])[0]
+    return min(0.5 * critical_stiffness_N_m(loop), parameters.stiffness_limit_N_m)
+
+
+def test_a_cycle_through_a_deadband_gives_back_what_its_threshold_says():
+    """Loaded and unloaded slowly along a spring, the held force lags by half a threshold on the average, either way.
+
+    So a cycle creates the integral of the threshold over the depth, kappa ((F2 + F0)^2 - (F1 + F0)^2) / 2 K: a Coulomb
+    friction of half the threshold with the wrong sign.
+    """
+    stiffness = 400.0
+    size = np.concatenate([np.linspace(0.3, 3.0, 40_000), np.linspace(3.0, 0.3, 40_000)])
+    held = held_back(np.column_stack([0 * size, 0 * size, size]), LAW)[0][:, 2]
+    created = -np.sum((held[:-1]) * np.diff(size / stiffness))
+    expected = LAW.kappa * ((3.0 + LAW.offset) ** 2 - (0.3 + LAW.offset) ** 2) / (2.0 * stiffness)
+    assert created == pytest.approx(expected, rel=0.1)  # the last step at either end is a part of one: 1 of 40
+    worst = np.sum(LAW.threshold(held[:-1]) * np.abs(np.diff(size / stiffness)))
+    assert created < worst
+
+
+@pytest.mark.parametrize(("name", "force_N"), [("touch", 0.5), ("six-dof", 2.0)])
+def test_a_friction_of_half_the_threshold_stops_what_the_deadband_rings(name, force_N):
+    """A wall at half of its critical stiffness, nobody's hand: it rings without friction, and not with half of it.
+
+    The same condition as that of a position quantiser, friction >= K step / 2 (Abbott and Okamura 2005), for one of
+    force.
+    """
+    threshold, ripples = float(LAW.threshold(force_N)), []
+    stiffness = half_of_critical(device_parameters(name))
+    for share in (0.0, 0.2, 0.6):  # at 0.5 it takes more than these two seconds to die
+        parameters = replace(device_parameters(name), friction_N=share * threshold, encoder_step_m=1e-6)
+        run, _ = pressed(parameters, stiffness, Push(force_N))
+        ripples.append(run.ripple_N(0.5) / threshold)
+    plain, _ = pressed(replace(parameters, friction_N=0.2 * threshold), stiffness, Push(force_N), felt=False)
+    assert ripples[0] > 4.0 and ripples[1] > 2.0 and ripples[2] < 1e-9
+    assert plain.ripple_N(0.5) < 1e-9 * threshold
+
+
+def test_a_deadband_that_knows_the_friction_does_not_ring():
+    """The six-dof device has 0.04 N of friction: at 4 N the threshold is five times that."""
+    parameters = replace(device_parameters("six-dof"), encoder_step_m=1e-6)
+    stiffness = half_of_critical(parameters)
+    blind, _ = pressed(parameters, stiffness, Push(4.0), duration_s=3.0)
+    aware, law = pressed(parameters, stiffness, Push(4.0), friction_N=parameters.friction_N, duration_s=3.0)
+    assert blind.ripple_N(0.5) > float(LAW.threshold(4.0))
+    assert aware.ripple_N(0.5) < 1e-9
+    wanted, played = (np.array(each) for each in zip(*law.kept, strict=True))
+    mapped, size = law.person.law.command_N(wanted[:, 2]), played[:, 2]
+    assert np.abs(mapped - size).max() <= parameters.friction_N + 1e-6  # by table, to 1e-7 of some newtons
+
+
+@pytest.mark.parametrize("group", ["nobody", "novice", "expert"])
+@pytest.mark.parametrize("name", ["touch", "omni", "six-dof"])
+def test_published_friction_and_a_hand_leave_less_than_the_threshold(name, group):
+    """Devices as they are, pressed with 1 N: the force ripples by less than the threshold, tremor and noise left out."""
+    parameters, person = device_parameters(name), None
+    if group == "nobody":
+        stiffness, hand = half_of_critical(parameters), Push(1.0)
+    else:
+        person = replace(hand_parameters(group), tremor_m=0.0, force_noise=0.0, endpoint_noise=0.0)
+        stiffness = half_of_critical(parameters, person.grip[:3])
+        depth = 1.0 / stiffness + 1.0 / person.stiffness_N_m
+        path = waypoints([0.0, 0.3], [[0.0, 0.0, 1e-3], [0.0, 0.0, -depth]])
+        hand = Hand(person, path, rng=np.random.default_rng(0))
+    run, _ = pressed(parameters, stiffness, hand)
+    assert run.ripple_N(0.5) < float(LAW.threshold(1.0))
+
+
+def test_a_deadband_never_creates_more_than_its_threshold_times_the_way():
+    """By the law of the error alone, tick by tick, in the worst case there is: no friction, no hand, ringing."""
+    parameters = replace(device_parameters("touch"), friction_N=0.0)
+    run, law = pressed(parameters, half_of_critical(parameters), Push(1.0))
+    wanted, played = (np.array(each) for each in zip(*law.kept, strict=True))
+    moved = np.diff(run.position_m, axis=0)
+    taken = -np.cumsum(np.einsum("ij,ij->i", wanted[:-1], moved))
+    allowed = np.cumsum(LAW.threshold(np.linalg.norm(played[:-1], axis=1)) * np.linalg.norm(moved, axis=1))
+    assert (run.taken_J[1:] >= taken - allowed * (1.0 + 1e-9) - 1e-12).all()
+    assert run.taken_J[-1] < taken[-1]
+
+
+@pytest.mark.parametrize("fault", ["dropped", "late", "duplicated", "non-finite", "wild"])
+def test_a_faulty_device_is_survived(fault):
+    """The guard before it keeps samples that no hand makes from it; the force fades and comes back, as without it."""
+    parameters = device_parameters("touch")
+    law = Felt(ProxyRenderer(200.0, 0.0), population_on(parameters))
+    device = FaultyDevice(SimulatedDevice(parameters, Push(1.0)), [Fault(fault, 0.4, 0.5)])
+    run = press_wall(device, law, duration_s=0.8, guard=SampleGuard(force_limit_N=parameters.force_limit_N))
+    size = np.linalg.norm(run.force_N, axis=1)
+    assert np.isfinite(run.force_N).all() and size.max() <= parameters.force_limit_N * (1.0 + 1e-12)
+    assert (size[430:499] == 0.0).all() or fault == "late"
+    assert size[-1] > 0.5 and all(np.isfinite(played).all() for _, played in law.kept)
+
+
+def test_a_steep_map_makes_the_wall_as_much_stiffer():
+    """An observer with exponent 1.2: stiffness times slope decides, by eigenvalues and by the run that they predict."""
+    law = ForceMap(intensity_of(reference_observer()), Intensity(log_alpha=0.0, beta=1.2), lowest_N=0.2, knee_N=2.31)
+    assert law.steepest == pytest.approx(1.7 / 1.2, rel=2e-3)
+    parameters = replace(device_parameters("touch"), friction_N=0.0, encoder_step_m=0.0)
+    loop = parameters.loop(1.0)
+    critical = critical_stiffness_N_m(loop)
+
+    class Mapped(ProxyRenderer):
+        def render(self, *given):
+            force = super().render(*given)
+            size = float(np.linalg.norm(force))
+            return force * (law.table.at(size) / size) if size > 0.0 else force
+
+    forces = np.linspace(0.05, 2.3, 4000)
+    slope = np.interp(2.0, law.command_N(forces), np.gradient(law.command_N(forces), forces))
+    assert 1.3 < slope <= law.steepest
+    start_N = float(np.interp(2.0, law.command_N(forces), forces))
+    for share, grows in ((0.9 / slope, False), (1.1 / slope, True)):
+        assert (spectral_radius(loop.with_stiffness(share * slope * critical)) > 1.0) is grows
+        device = SimulatedDevice(parameters, Push(2.0), position_m=(0.0, 0.0, -0.98 * start_N / (share * critical)))
+        run = press_wall(device, Mapped(share * critical, 0.0), duration_s=1.5)
+        swings = np.abs(run.force_N[:, 2] - 2.0)
+        assert bool(swings[1200:].max() > swings[100:400].max()) is grows

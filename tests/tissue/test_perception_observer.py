@@ -1,0 +1,172 @@
+"""Observers and their files: round trips, drawn people, and everything that is refused."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tissue import InputError
+from tissue.materials.constants import constants
+from tissue.perception.deadband import Deadband, held_back
+from tissue.perception.observer import PARAMETERS, Observer, read_observer, write_observer
+from tissue.perception.population import Population, population, population_observer, reference_observer
+from tissue.perception.weber import Weber, weber
+
+GIVEN = {"alpha": 0.9, "beta": 1.5, "kappa": 0.06, "offset_N": 0.15, "lapse": 0.03, "sigma": 0.25}
+SPREAD = {"alpha": 0.2, "beta": 0.1, "kappa": 0.15, "offset_N": 0.3, "lapse": 0.5, "sigma": 0.2}
+
+
+def observer(**changed):
+    return Observer.known("ada", **(GIVEN | changed), spread=SPREAD, trials=120)
+
+
+def test_medians_are_what_was_given():
+    one = observer()
+    for name in PARAMETERS:
+        assert getattr(one, name) == pytest.approx(GIVEN[name], rel=1e-12)
+        low, high = one.interval(name)
+        assert low < GIVEN[name] < high
+    low, high = one.interval("beta")
+    assert (low, high) == pytest.approx((1.5 - 1.959964 * 0.1, 1.5 + 1.959964 * 0.1), rel=1e-6)
+
+
+def test_draws_give_the_observer_back():
+    one = observer()
+    again = Observer.from_draws("ada", one.draws(200_000, np.random.default_rng(0)), trials=120)
+    assert again.mean == pytest.approx(one.mean, abs=0.01) and again.covariance == pytest.approx(
+        one.covariance, abs=0.01
+    )
+
+
+def test_a_file_gives_the_same_bits_back(tmp_path):
+    rng = np.random.default_rng(1)
+    root = 0.1 * rng.standard_normal((6, 6))
+    one = Observer(name="ada", mean=observer().mean, covariance=root @ root.T, trials=7)
+    write_observer(one, tmp_path / "ada.json")
+    again = read_observer(tmp_path / "ada.json")
+    assert np.array_equal(again.mean, one.mean) and np.array_equal(again.covariance, one.covariance)
+    assert (again.name, again.trials) == ("ada", 7)
+    assert [path.name for path in tmp_path.iterdir()] == ["ada.json"]
+
+
+def test_a_file_is_never_replaced_unasked(tmp_path):
+    path = tmp_path / "ada.json"
+    write_observer(observer(), path)
+    before = path.read_text("utf-8")
+    with pytest.raises(
+        InputError, match=r"out must not be a file that is there, got .*ada.json: choose another or pass"
+    ):
+        write_observer(observer(beta=1.9), path)
+    assert path.read_text("utf-8") == before
+    write_observer(observer(beta=1.9), path, overwrite=True)
+    assert read_observer(path).beta == pytest.approx(1.9)
+    with pytest.raises(InputError, match="out must be a file that can be written"):
+        write_observer(observer(), tmp_path / "no" / "folder" / "ada.json")
+
+
+def spoil(**changed):
+    def change(told):
+        return json.dumps(told | changed)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda told: "{", "observer must be a JSON file"),
+        (lambda told: "[1, 2]", "observer must be a file of an observer, got .*, which is something else"),
+        (lambda told: '{"format": "tissue run"}', "observer must be a file of an observer"),
+        (spoil(version=2), "observer must be of version 1, got .* of version 2: calibrate again"),
+        (spoil(mean="unknown"), "observer must hold name, trials, mean and covariance"),
+        (spoil(mean=[0.0] * 5), r"mean and covariance must have shapes \(6,\) and \(6, 6\), got \(5,\)"),
+        (spoil(mean=[0.0, 1.7, float("nan"), -1.6, -3.9, -1.6]), "mean and covariance must be finite"),
+        (spoil(mean=[0.0, 17.0, -2.7, -1.6, -3.9, -1.6]), r"beta must be in \[0.05, 5\], got 17"),
+        (spoil(mean=[0.0, 1.7, 5.0, -1.6, -3.9, -1.6]), r"kappa must be in \[0.001, 1\]"),
+        (spoil(mean=[0.0, 1.7, -2.7, 8.0, -3.9, -1.6]), r"offset_N must be in"),
+        (spoil(covariance=(-np.eye(6)).tolist()), "covariance must have no negative eigenvalue"),
+        (spoil(covariance=np.triu(np.ones((6, 6))).tolist()), "covariance must be symmetric"),
+        (spoil(covariance=(400.0 * np.eye(6)).tolist()), r"standard deviation must be in \[0, 10\], got 20"),
+        (spoil(trials=-3), "trials must be in"),
+    ],
+)
+def test_a_bad_file_is_told_in_one_sentence(tmp_path, change, told):
+    path = tmp_path / "ada.json"
+    write_observer(observer(), path)
+    path.write_text(change(json.loads(path.read_text("utf-8"))), "utf-8")
+    with pytest.raises(InputError, match=told) as caught:
+        read_observer(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_impossible_people_are_refused():
+    for wrong, told in (
+        ({"kappa": -0.07}, "kappa must be in"),
+        ({"beta": float("nan")}, "beta must be in"),
+        ({"lapse": 0.7}, "lapse must be in"),
+    ):
+        with pytest.raises(InputError, match=told):
+            observer(**wrong)
+    good = observer().draws(100, np.random.default_rng(2))
+    with pytest.raises(InputError, match="draws of kappa must be possible values"):
+        Observer.from_draws("x", good | {"kappa": -good["kappa"]}, trials=1)
+    with pytest.raises(InputError, match=r"draws must name .*, got none of lapse"):
+        Observer.from_draws("x", {name: row for name, row in good.items() if name != "lapse"}, trials=1)
+    with pytest.raises(InputError, match="draws must be 20 or more, got 5"):
+        Observer.from_draws("x", {name: row[:5] for name, row in good.items()}, trials=1)
+    with pytest.raises(InputError, match="parameter must be one of alpha"):
+        observer().interval("gamma")
+    with pytest.raises(InputError, match="sigma_shape must be in"):
+        Population(
+            **{name: getattr(population(), name) for name in Population.__dataclass_fields__} | {"sigma_shape": 1}
+        )
+
+
+def test_constants_are_cited_and_in_their_ranges():
+    for table in ("force", "torque", "stiffness", "exponent"):
+        for name, entry in constants("perception", table).items():
+            assert entry.low <= entry.value <= entry.high and entry.source and entry.confidence in "HML", name
+    assert constants("perception", "exponent")["finger_span"].value == 1.3
+    assert reference_observer().beta == population_observer().beta == 1.7
+    assert not reference_observer().covariance.any()
+
+
+def test_thresholds_refuse_what_is_no_size():
+    with pytest.raises(InputError, match="quantity must be one of force, torque, stiffness, got heat"):
+        weber("heat")
+    with pytest.raises(InputError, match="level must be a size of at least 0, got -1"):
+        weber("force").threshold(-1.0)
+    with pytest.raises(InputError, match="kappa must be in"):
+        Weber(kappa=-0.07, offset=0.2)
+
+
+def test_a_deadband_plays_the_wanted_vector_itself_and_nothing_of_noise():
+    law = Weber(kappa=0.07, offset=0.2)
+    rng = np.random.default_rng(3)
+    noise = rng.uniform(-1.0, 1.0, (5000, 3)) * 0.49 * float(law.threshold(2.0)) / np.sqrt(3.0) / 2.0
+    played, changed = held_back(np.array([0.0, 0.0, 2.0]) + noise, law)
+    assert changed.sum() == 1 and (played == played[0]).all()
+    ramp = np.column_stack([np.zeros(4000), np.zeros(4000), np.linspace(0.0, 4.0, 4000)])
+    played, changed = held_back(ramp, law)
+    assert np.array_equal(played[changed], ramp[changed])
+    # every step is one threshold: from F, F + kappa (F + F0), so 4.2 / 0.2 in ln(21) / ln(1.07) = 45 steps
+    assert abs(changed.sum() - np.log(21.0) / np.log(1.07)) < 3.0
+
+
+def test_a_turn_of_a_force_is_a_change():
+    """Turned by an angle a, |F| moves by 2 F sin(a / 2): at 2 N the threshold is reached after 4.4 degrees."""
+    law = Weber(kappa=0.07, offset=0.2)
+    angles = np.radians(np.linspace(0.0, 30.0, 3001))
+    _, changed = held_back(2.0 * np.column_stack([np.sin(angles), 0.0 * angles, np.cos(angles)]), law)
+    first = np.degrees(angles[np.flatnonzero(changed)[1]])
+    assert first == pytest.approx(2.0 * np.degrees(np.arcsin(0.5 * 0.07 * 2.2 / 2.0)), abs=0.02)
+
+
+def test_a_contact_that_fades_leaves_exactly_nothing():
+    law = Weber(kappa=0.07, offset=0.2)
+    fading = np.exp(-np.arange(4000) / 200.0)[:, None] * np.array([0.3, 0.0, 1.0])
+    played, _ = held_back(fading, law)
+    assert not played[-1].any()
+    assert (np.linalg.norm(fading - played, axis=1) <= law.threshold(np.linalg.norm(played, axis=1))).all()
+    deadband = Deadband(law)
+    assert deadband.step(0.0, 0.0, 0.0) and not deadband.step(0.0, 0.0, 0.0)

@@ -1,0 +1,69 @@
+"""Perception in whole runs: what the deadband leaves of recorded forces, and what the trace tells."""
+
+import numpy as np
+import pytest
+
+import tissue
+from tissue.perception.deadband import held_back
+from tissue.perception.observer import Observer, write_observer
+from tissue.perception.weber import weber
+
+
+def by_hand(scene, **changes):
+    return tissue.simulate(tissue.load_scene(scene, {"device": "touch", "seed": 3} | changes)).trace
+
+
+def check(forces, *, least_saved):
+    """Error below the threshold at every tick, no bias, and this share of the samples in contact not needed."""
+    law = weber("force")
+    played, changed = held_back(forces, law)
+    assert (
+        np.linalg.norm(played - forces, axis=1) <= law.threshold(np.linalg.norm(played, axis=1)) * (1 + 1e-12)
+    ).all()
+    contact = np.linalg.norm(forces, axis=1) > law.kappa * law.offset  # the low-pass leaves a tail that nobody feels
+    assert contact.sum() > 300
+    assert 1.0 - changed[contact].mean() > least_saved
+    bias = np.linalg.norm((played - forces)[contact].mean(axis=0))
+    assert bias < float(law.threshold(np.linalg.norm(forces[contact], axis=1)).mean())
+
+
+def test_of_a_wall_one_sample_in_ten_is_enough():
+    trace = by_hand("wall", duration_s=1.2)
+    check(trace.vectors("filtered_force", "N"), least_saved=0.9)
+
+
+def test_of_milling_one_sample_in_ten_is_enough():
+    trace = by_hand("milling", duration_s=1.2)
+    check(trace.vectors("filtered_force", "N"), least_saved=0.9)
+
+
+@pytest.mark.slow
+def test_of_a_molar_one_sample_in_ten_is_enough():
+    changes = {"voxels.spacing_mm": 0.1, "stress": None, "duration_s": 2.0, "hand": "novice"}
+    trace = by_hand("molar", **changes)
+    check(trace.vectors("filtered_force", "N"), least_saved=0.85)
+
+
+def test_a_trace_tells_what_was_estimated_perceived_and_changed():
+    trace = by_hand("wall", duration_s=1.0, perception="population")
+    played, changed = trace.vectors("device_force", "N"), trace["above_threshold"]
+    assert set(np.unique(changed)) == {0.0, 1.0} and changed.mean() < 0.1
+    moved = (np.diff(played, axis=0) != 0.0).any(axis=1)
+    at_rest = ~played[1:].any(axis=1)
+    fade = 40  # ticks in which the guard fades the force in
+    assert not (moved & (changed[1:] == 0.0) & ~at_rest)[fade:].any()
+    pressed = trace["perceived"] > 0.0
+    assert (trace["perceived_spread"][pressed] > 0.0).all()
+    size = np.linalg.norm(played, axis=1)
+    assert np.corrcoef(trace["estimated_force_N"], size)[0, 1] > 0.8  # it lags by 100 ms
+
+
+def test_an_observer_from_a_file_feels_in_a_run_what_the_reference_would(tmp_path):
+    """At ticks where a force was just rendered, the perceived intensity is the reference's of the force, by the gain."""
+    someone = Observer.known("ada", alpha=1.3, beta=1.5, kappa=0.05, offset_N=0.1, lapse=0.02, sigma=0.2)
+    write_observer(someone, tmp_path / "ada.json")
+    trace = by_hand("wall", duration_s=1.0, perception=f"observer:{tmp_path / 'ada.json'}")
+    size = np.linalg.norm(trace.vectors("filtered_force", "N"), axis=1)
+    rendered = (trace["above_threshold"] == 1.0) & (size > someone.offset_N)
+    assert rendered.sum() > 10
+    assert np.allclose(trace["perceived"][rendered], size[rendered] ** 1.7, rtol=1e-6, atol=0.0)

@@ -1,0 +1,215 @@
+"""QUEST+: the two forces whose comparison is expected to tell most about an observer's threshold."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import beta
+
+from meshes.errors import InputError, require_positive, require_range
+from tissue.perception.psychometric import two_interval
+
+__all__ = ["EDGE_MASS", "AdaptiveThreshold", "ThresholdPrior", "comparisons"]
+
+Array = NDArray[np.float64]
+EDGE_MASS = 0.05
+"""Posterior mass in the outermost cells of the Weber fraction's grid from which on the prior, not the data, decides."""
+STEPS = (0.005, 1.5)
+"""Least and greatest step that is asked, as shares of the base force plus `LOW_FORCE_N`."""
+LOW_FORCE_N = 0.2
+"""Force at which Weber's law falls short, for the choice of steps and as the median of the prior [N]: between 0.1 and
+0.3 N (memory of the literature, low confidence)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThresholdPrior:
+    """What is believed of Weber fraction, low-force term and lapse before the first trial, on a grid.
+
+    The Weber fraction is log-normal between two bounds, the low-force term log-normal around 0.2 N (factor 1.65) within
+    0.05 to 0.8 N, the lapse Beta(1, 10) (Schuett et al., 2016) up to 0.2. Cells of the Weber fraction are equal in its
+    logarithm.
+
+    Attributes
+    ----------
+    weber
+        Median of the Weber fraction: 7 % is Pang, Tan and Durlach's (1991), at low forces it is up to four times that.
+    weber_log_spread
+        Standard deviation of its logarithm.
+    lowest, highest
+        Bounds of the Weber fraction.
+    cells, floor_cells, lapse_cells
+        Size of the grid.
+    """
+
+    weber: float = 0.09
+    weber_log_spread: float = 0.6
+    lowest: float = 0.015
+    highest: float = 0.6
+    cells: int = 61
+    floor_cells: int = 7
+    lapse_cells: int = 4
+
+    def __post_init__(self) -> None:
+        require_positive("weber", self.weber, "use 0.09")
+        require_positive("weber_log_spread", self.weber_log_spread, "use 0.6")
+        require_positive("lowest", self.lowest, "use 0.015")
+        if not self.lowest < self.highest < 10.0:
+            raise InputError(f"highest must be in ({self.lowest:g}, 10), got {self.highest}: use 0.6")
+        for name, least in (("cells", 5), ("floor_cells", 1), ("lapse_cells", 1)):
+            require_range(name, getattr(self, name), least, 1000, "see the defaults")
+
+    @property
+    def weber_edges(self) -> Array:
+        """Edges of the cells of the Weber fraction, shape (cells + 1,)."""
+        return np.geomspace(self.lowest, self.highest, self.cells + 1)
+
+    @property
+    def webers(self) -> Array:
+        """Middles of those cells, shape (cells,)."""
+        edges = self.weber_edges
+        return np.sqrt(edges[1:] * edges[:-1])
+
+    @property
+    def floors_N(self) -> Array:
+        """Low-force terms [N], shape (floor_cells,)."""
+        return np.geomspace(0.05, 0.8, self.floor_cells) if self.floor_cells > 1 else np.array([LOW_FORCE_N])
+
+    @property
+    def lapses(self) -> Array:
+        """Middles of the cells of the lapse, shape (lapse_cells,)."""
+        edges = np.linspace(0.0, 0.2, self.lapse_cells + 1)
+        return 0.5 * (edges[1:] + edges[:-1])
+
+    def parameters(self) -> tuple[Array, Array, Array, Array]:
+        """Weber fractions, low-force terms [N], lapses and prior masses of the grid's points, each of shape (n,)."""
+        place = (np.log(self.webers) - np.log(self.weber)) / self.weber_log_spread
+        floors = np.log(self.floors_N / LOW_FORCE_N) / 0.5
+        lapse_edges = np.linspace(0.0, 0.2, self.lapse_cells + 1)
+        masses = np.einsum(
+            "i,j,k->ijk", np.exp(-0.5 * place**2), np.exp(-0.5 * floors**2), np.diff(beta.cdf(lapse_edges, 1.0, 10.0))
+        )
+        grid = np.meshgrid(self.webers, self.floors_N, self.lapses, indexing="ij")
+        weber, floor, lapse = (values.ravel() for values in grid)
+        return weber, floor, lapse, (masses / masses.sum()).ravel()
+
+
+def comparisons(
+    bases_N: tuple[float, ...] = (0.3, 0.8, 2.0), *, force_limit_N: float = 3.3, count: int = 25
+) -> tuple[Array, Array]:
+    """Base forces and steps [N] that can be asked, each of shape (n,): steps of equal ratio at every base force.
+
+    Parameters
+    ----------
+    bases_N
+        Smaller force of the pair [N].
+    force_limit_N
+        Greatest force of the device; no pair goes above it [N].
+    count
+        Steps at each base force.
+    """
+    require_range("count", count, 2, 1000, "use 25")
+    for each in bases_N:
+        require_positive("bases_N", each, "use forces the device can play, such as 0.3, 0.8 and 2 N")
+    bases = np.repeat(bases_N, count)
+    steps = np.tile(np.geomspace(*STEPS, count), len(bases_N)) * (bases + LOW_FORCE_N)
+    fits = bases + steps <= force_limit_N
+    if not fits.any():
+        raise InputError(f"bases_N must lie below force_limit_N, got {bases_N} with {force_limit_N}: use smaller ones")
+    return bases[fits], steps[fits]
+
+
+class AdaptiveThreshold:
+    """Posterior over the threshold of one or many observers, and the most telling next comparison for each.
+
+    The least expected entropy is the greatest mutual information of answer and parameters, H(answer) minus the mean
+    entropy of the answer at known parameters. With the likelihoods of the comparisons at the grid's points (rows and
+    columns of a matrix) and their entropies held ready, a trial costs two matrix-vector products. The choice is that of
+    QUEST+ (Watson, 2017); the arrangement is this project's.
+
+    Parameters
+    ----------
+    prior
+        Belief before the first trial.
+    stimuli
+        Base forces and steps [N] that can be asked; default `comparisons()`.
+    observers
+        How many observers answer side by side, each with a posterior of its own.
+
+    Attributes
+    ----------
+    base_N, step_N
+        The comparisons, each of shape (n,).
+    posterior
+        Masses of the grid's points, shape (points, observers).
+    trials
+        Answers taken.
+    """
+
+    def __init__(
+        self,
+        prior: ThresholdPrior | None = None,
+        stimuli: tuple[Array, Array] | None = None,
+        *,
+        observers: int = 1,
+    ) -> None:
+        self.prior = prior or ThresholdPrior()
+        self.base_N, self.step_N = stimuli or comparisons()
+        self._weber, self._floor, self._lapse, masses = self.prior.parameters()
+        self.posterior: Array = np.tile(masses[:, None], observers)
+        self._right = two_interval(self.base_N[:, None], self.step_N[:, None], self._weber, self._floor, self._lapse)
+        wrong = 1.0 - self._right
+        self._own_entropy = -(self._right * np.log(self._right) + wrong * np.log(wrong))
+        self.trials = 0
+
+    def propose(self) -> NDArray[np.intp]:
+        """Index of the comparison with the least expected entropy of the posterior, shape (observers,)."""
+        right = np.clip(self._right @ self.posterior, 1e-12, 1.0 - 1e-12)
+        marginal = -(right * np.log(right) + (1.0 - right) * np.log1p(-right))
+        return np.argmax(marginal - self._own_entropy @ self.posterior, axis=0)
+
+    def answer(self, asked: NDArray[np.intp], correct: NDArray[np.bool_]) -> None:
+        """Take one answer of each observer, right or wrong, to the comparison that it was asked."""
+        likelihood = self._right[np.asarray(asked)].T
+        self.posterior *= np.where(np.asarray(correct), likelihood, 1.0 - likelihood)
+        self.posterior /= self.posterior.sum(axis=0)
+        self.trials += 1
+
+    def weber_masses(self) -> Array:
+        """Posterior of the Weber fraction alone, shape (cells, observers)."""
+        return self.posterior.reshape(self.prior.cells, -1, self.posterior.shape[1]).sum(axis=1)
+
+    def floor_masses(self) -> Array:
+        """Posterior of the low-force term alone, shape (floor_cells, observers)."""
+        shape = (self.prior.cells, self.prior.floor_cells, -1, self.posterior.shape[1])
+        return self.posterior.reshape(shape).sum(axis=(0, 2))
+
+    def threshold_N(self, base_N: float) -> tuple[Array, Array]:
+        """Mean threshold at a base force [N] and standard deviation of its logarithm, each of shape (observers,)."""
+        logs = np.log(self._weber * (base_N + self._floor))
+        mean = logs @ self.posterior
+        return np.exp(mean), np.sqrt(np.maximum(logs**2 @ self.posterior - mean**2, 0.0))
+
+    def weber(self) -> tuple[Array, Array]:
+        """Geometric mean of the Weber fraction and standard deviation of its logarithm, each of shape (observers,)."""
+        logs, masses = np.log(self.prior.webers), self.weber_masses()
+        mean = logs @ masses
+        return np.exp(mean), np.sqrt(np.maximum(logs**2 @ masses - mean**2, 0.0))
+
+    def floor_N(self) -> Array:
+        """Geometric mean of the low-force term [N], shape (observers,)."""
+        return np.exp(np.log(self.prior.floors_N) @ self.floor_masses())
+
+    def lapse(self) -> Array:
+        """Mean of the lapse, shape (observers,)."""
+        return self._lapse @ self.posterior
+
+    def weber_quantiles(self, shares: Array) -> Array:
+        """Quantiles of the Weber fraction, shape (shares, observers), linear in its logarithm within a cell."""
+        edges = np.log(self.prior.weber_edges)
+        below = np.vstack([np.zeros(self.posterior.shape[1]), np.cumsum(self.weber_masses(), axis=0)])
+        return np.exp(np.column_stack([np.interp(shares, column, edges) for column in below.T]))
+
+    def edge_mass(self) -> tuple[Array, Array]:
+        """Posterior mass in the two cells at the lower and at the upper bound of the Weber fraction, (observers,)."""
+        masses = self.weber_masses()
+        return masses[:2].sum(axis=0), masses[-2:].sum(axis=0)

@@ -1,0 +1,199 @@
+"""Many observers as one population: a hierarchy by Hamiltonian Monte Carlo, and whether it converged."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.errors import InputError, require_range
+from tissue.perception.psychometric import D_PRIME_75
+
+__all__ = ["HYPER", "PopulationFit", "PopulationTrials", "fit_hierarchy"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+HYPER = (
+    "log_alpha",
+    "log_alpha_spread",
+    "beta",
+    "beta_spread",
+    "variance",
+    "log_kappa",
+    "log_kappa_spread",
+    "log_offset",
+    "log_offset_spread",
+)
+"""Parameters of the population: means and standard deviations between people, and the mean of sigma squared."""
+VARIANCE_SHAPE = 10.0
+"""Shape of the inverse-gamma law of sigma squared over people: they differ by a third of it (assumed, see
+perception.toml)."""
+R_HAT, ESS = 1.01, 400.0
+"""Greatest R-hat and least effective sample size of a fit that counts as converged (Vehtari et al., 2021)."""
+
+
+@dataclass(frozen=True)
+class PopulationTrials:
+    """Trials of many observers, end to end.
+
+    Attributes
+    ----------
+    observers
+        How many people.
+    who_compared, base_N, step_N, right
+        For each comparison: index of the person, smaller force and difference [N], and whether the answer was right.
+    who_told, force_N, number
+        For each number that was given: index of the person, force [N], number.
+    """
+
+    observers: int
+    who_compared: Index
+    base_N: Array
+    step_N: Array
+    right: NDArray[np.bool_]
+    who_told: Index
+    force_N: Array
+    number: Array
+
+    def counts(self) -> tuple[Index, Array, Array, Index, Index]:
+        """Comparisons summed up: person, base and step [N], how often asked and how often answered rightly."""
+        rows = np.column_stack([self.who_compared, self.base_N, self.step_N])
+        unique, which = np.unique(rows, axis=0, return_inverse=True)
+        asked = np.bincount(which.ravel(), minlength=len(unique))
+        right = np.bincount(which.ravel(), self.right, minlength=len(unique)).astype(int)
+        return unique[:, 0].astype(int), unique[:, 1], unique[:, 2], asked, right
+
+
+@dataclass(frozen=True)
+class PopulationFit:
+    """Draws of the posterior, and what tells whether they can be trusted.
+
+    Attributes
+    ----------
+    draws
+        By name, shape (chains, draws) for the population (`HYPER`), (chains, draws, observers) for alpha, beta, kappa,
+        offset_N, lapse and sigma of each person.
+    r_hat, ess
+        Split R-hat and effective sample size of each of `HYPER`, and the worst over the people's parameters as
+        ``people``.
+    divergences
+        Transitions that diverged.
+    """
+
+    draws: dict[str, Array]
+    r_hat: dict[str, float]
+    ess: dict[str, float]
+    divergences: int
+
+    def problems(self) -> list[str]:
+        """Why the fit should not be trusted, in sentences; empty where nothing speaks against it."""
+        found = []
+        worst, least = max(self.r_hat, key=self._r_hat), min(self.ess, key=lambda name: self.ess[name])
+        if not self.r_hat[worst] <= R_HAT:
+            found.append(f"R-hat of {worst} is {self.r_hat[worst]:.3f}, above {R_HAT}: the chains have not mixed")
+        if not self.ess[least] >= ESS:
+            found.append(f"the effective sample size of {least} is {self.ess[least]:.0f}, below {ESS:.0f}: draw more")
+        if self.divergences:
+            found.append(f"{self.divergences} transitions diverged: the tails may be missed")
+        return found
+
+    def _r_hat(self, name: str) -> float:
+        return np.nan_to_num(self.r_hat[name], nan=np.inf)
+
+    def interval(self, name: str, share: float = 0.95) -> tuple[float, float, float]:
+        """Lower end, median and upper end of the central interval of a population's parameter."""
+        low, middle, high = np.quantile(self.draws[name], [0.5 - share / 2.0, 0.5, 0.5 + share / 2.0])
+        return float(low), float(middle), float(high)
+
+
+def fit_hierarchy(
+    trials: PopulationTrials, *, seed: int = 0, warm_up: int = 800, draws: int = 800, chains: int = 2
+) -> PopulationFit:
+    """Posterior of the population and of each person, by NUTS (Hoffman and Gelman, 2014) in NumPyro.
+
+    People: ln alpha, beta, ln kappa and ln offset are normal over people, sigma squared inverse-gamma, lapses
+    Beta(1, 10). The means over people have wide priors around what is published, the standard deviations half-normal
+    ones. Thresholds are written as offsets from the mean, which keeps the geometry simple where a person tells
+    little; factor and exponent, which every person tells well, are not.
+
+    Parameters
+    ----------
+    trials
+        What was asked and answered.
+    seed
+        Of the draws.
+    warm_up, draws, chains
+        Draws a chain that are spent on tuning, and that are kept; chains.
+
+    Raises
+    ------
+    InputError
+        If NumPyro is not installed, or there are fewer than three people.
+    """
+    require_range("warm_up", warm_up, 50, 1e5, "use 800")
+    require_range("draws", draws, 50, 1e5, "use 800")
+    require_range("chains", chains, 2, 16, "use 2: one chain cannot be compared with another")
+    if trials.observers < 3:
+        raise InputError(f"population must hold three observers or more, got {trials.observers}: calibrate more people")
+    try:
+        from jax import random
+        from numpyro.diagnostics import effective_sample_size, split_gelman_rubin
+        from numpyro.infer import MCMC, NUTS
+    except ImportError:
+        raise InputError(
+            "population must be fitted by numpyro, got none: pip install 'tissue-sim[perception]'"
+        ) from None
+    run = MCMC(
+        NUTS(_model, target_accept_prob=0.9),
+        num_warmup=warm_up,
+        num_samples=draws,
+        num_chains=chains,
+        chain_method="vectorized",
+        progress_bar=False,
+    )
+    run.run(random.PRNGKey(seed), trials, trials.counts(), extra_fields=("diverging",))
+    drawn = {name: np.asarray(values, dtype=float) for name, values in run.get_samples(group_by_chain=True).items()}
+    people = ("alpha", "beta_person", "kappa", "offset_N", "lapse", "sigma")
+    r_hat = {name: float(split_gelman_rubin(drawn[name])) for name in HYPER}
+    ess = {name: float(effective_sample_size(drawn[name])) for name in HYPER}
+    r_hat["people"] = max(float(np.max(split_gelman_rubin(drawn[name]))) for name in people)
+    ess["people"] = min(float(np.min(effective_sample_size(drawn[name]))) for name in people)
+    kept = {name: drawn[name] for name in (*HYPER, *people)}
+    return PopulationFit(kept, r_hat, ess, int(np.sum(run.get_extra_fields()["diverging"])))
+
+
+def _model(trials: PopulationTrials, counts: tuple[Index, Array, Array, Index, Index]) -> None:
+    """The hierarchy as NumPyro reads it."""
+    import jax.numpy as jnp
+    import numpyro
+    from jax.scipy.special import ndtr
+    from numpyro import distributions as law
+
+    def person(name: str, mean: Any, spread: Any, *, told_well: bool) -> Any:
+        """A normal parameter of each person around the population's; as an offset from it where trials tell little."""
+        centre = numpyro.sample(name, mean)
+        width = numpyro.sample(f"{name}_spread", spread)
+        with numpyro.plate(f"{name}_people", trials.observers):
+            if told_well:
+                return numpyro.sample(f"{name}_person", law.Normal(centre, width))
+            return centre + width * numpyro.sample(f"{name}_offset", law.Normal(0.0, 1.0))
+
+    log_alpha = person("log_alpha", law.Normal(0.0, 1.0), law.HalfNormal(0.5), told_well=True)
+    beta = person("beta", law.Normal(1.4, 0.5), law.HalfNormal(0.4), told_well=True)
+    log_kappa = person("log_kappa", law.Normal(np.log(0.09), 0.6), law.HalfNormal(0.5), told_well=False)
+    log_offset = person("log_offset", law.Normal(np.log(0.2), 0.5), law.HalfNormal(0.4), told_well=False)
+    variance = numpyro.sample("variance", law.LogNormal(np.log(0.06), 1.0))
+    with numpyro.plate("people", trials.observers):
+        squared = numpyro.sample("squared", law.InverseGamma(VARIANCE_SHAPE, (VARIANCE_SHAPE - 1.0) * variance))
+        lapse = numpyro.sample("lapse", law.Beta(1.0, 10.0))
+    kappa = numpyro.deterministic("kappa", jnp.exp(log_kappa))
+    offset_N = numpyro.deterministic("offset_N", jnp.exp(log_offset))
+    numpyro.deterministic("alpha", jnp.exp(log_alpha))
+    sigma = numpyro.deterministic("sigma", jnp.sqrt(squared))
+    felt = log_alpha[trials.who_told] + beta[trials.who_told] * np.log(trials.force_N)
+    numpyro.sample("numbers", law.Normal(felt, sigma[trials.who_told]), obs=np.log(trials.number))
+    who, base_N, step_N, asked, right = counts
+    distance = D_PRIME_75 * step_N / (kappa[who] * (base_N + offset_N[who]))
+    blind = 2.0 * jnp.minimum(lapse[who], 0.5)
+    share = 0.5 * blind + (1.0 - blind) * ndtr(distance / np.sqrt(2.0))
+    numpyro.sample("answers", law.Binomial(asked, jnp.clip(share, 1e-6, 1.0 - 1e-6)), obs=right)

@@ -1,0 +1,254 @@
+"""An observer of force: what is known of a person's intensities and thresholds, and the file it is kept in."""
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import exp, log
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit, logit, ndtri
+
+from meshes.errors import InputError, require_range
+
+__all__ = ["PARAMETERS", "Observer", "read_observer", "write_observer"]
+
+Array = NDArray[np.float64]
+PARAMETERS = ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma")
+"""Stevens' factor and exponent, Weber's fraction and low-force term [N], share of lapses, and relative scatter of a
+reported intensity: S = alpha (F / 1 N)^beta (1 + sigma e), with e of unit variance; a change of kappa (F + offset) is
+told in 75 % of two-interval trials, lapses apart."""
+BOUNDS = {
+    "alpha": (1e-3, 1e3),
+    "beta": (0.05, 5.0),
+    "kappa": (1e-3, 1.0),
+    "offset_N": (1e-4, 10.0),
+    "lapse": (1e-6, 0.5),
+    "sigma": (1e-4, 2.0),
+}
+"""Medians that are believed of a person; what lies outside is an error of units or of a fit."""
+FORMAT, VERSION = "tissue observer", 1
+WIDEST = 10.0
+"""Greatest standard deviation of a coordinate: beyond it nothing is known, and it is an error of a fit."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Observer:
+    """What is known of a person: a normal posterior of (ln alpha, beta, ln kappa, ln offset, logit lapse, ln sigma).
+
+    In these coordinates every draw is a possible person: factor, thresholds and scatter are positive (E6), lapses lie
+    between 0 and 1.
+
+    Attributes
+    ----------
+    name
+        Who it is.
+    mean
+        Mean of the coordinates, shape (6,), in the order of `PARAMETERS`.
+    covariance
+        Their covariance, shape (6, 6), symmetric and without negative eigenvalues; zeros for a person known exactly.
+    trials
+        How many trials this rests on; 0 for a prior.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite, a median lies outside what is believed of a person, or the covariance is none.
+    """
+
+    name: str
+    mean: Array
+    covariance: Array
+    trials: int = 0
+
+    def __post_init__(self) -> None:
+        mean, covariance = np.array(self.mean, dtype=float), np.array(self.covariance, dtype=float)
+        if mean.shape != (6,) or covariance.shape != (6, 6):
+            raise InputError(f"mean and covariance must have shapes (6,) and (6, 6), got {mean.shape} and "
+                             f"{covariance.shape}: one coordinate for each of {', '.join(PARAMETERS)}")  # fmt: skip
+        if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
+            raise InputError("mean and covariance must be finite, got one that is not: calibrate again")
+        for name, (low, high) in BOUNDS.items():
+            require_range(name, _from(name, mean[PARAMETERS.index(name)]), low, high, "calibrate again, forces in N")
+        scale = max(float(np.abs(covariance).max()), 1e-300)
+        if np.abs(covariance - covariance.T).max() > 1e-9 * scale:
+            raise InputError("covariance must be symmetric, got one that is not: calibrate again")
+        if np.linalg.eigvalsh(covariance).min() < -1e-9 * scale:
+            raise InputError("covariance must have no negative eigenvalue, got one: calibrate again")
+        widest = float(np.sqrt(np.diag(covariance).clip(0.0)).max())
+        require_range("standard deviation", widest, 0.0, WIDEST, "ask more trials, or start from a narrower prior")
+        require_range("trials", self.trials, 0, 1e9, "count them")
+        mean.flags.writeable = covariance.flags.writeable = False
+        object.__setattr__(self, "mean", mean)
+        object.__setattr__(self, "covariance", covariance)
+
+    @classmethod
+    def known(
+        cls,
+        name: str,
+        *,
+        alpha: float,
+        beta: float,
+        kappa: float,
+        offset_N: float,
+        lapse: float,
+        sigma: float,
+        spread: Mapping[str, float] | None = None,
+        trials: int = 0,
+    ) -> "Observer":
+        """An observer by medians, and by the standard deviations of the coordinates that have one, independent."""
+        given = dict(zip(PARAMETERS, (alpha, beta, kappa, offset_N, lapse, sigma), strict=True))
+        for parameter, value in given.items():
+            require_range(parameter, value, *BOUNDS[parameter], "see perception.toml for what is usual")
+        spreads = [require_range(f"spread of {each}", (spread or {}).get(each, 0.0), 0.0, WIDEST, "use 0.2")
+                   for each in PARAMETERS]  # fmt: skip
+        mean = np.array([_to(parameter, np.float64(value)) for parameter, value in given.items()])
+        return cls(name=name, mean=mean, covariance=np.diag(np.square(spreads)), trials=trials)
+
+    @classmethod
+    def from_draws(cls, name: str, draws: Mapping[str, Array], *, trials: int) -> "Observer":
+        """The normal posterior with the mean and covariance of draws, each of shape (n,), by parameter's name.
+
+        Raises
+        ------
+        InputError
+            If a parameter is missing, a draw is impossible (a negative fraction), or there are fewer than 20.
+        """
+        if missing := [parameter for parameter in PARAMETERS if parameter not in draws]:
+            raise InputError(f"draws must name {', '.join(PARAMETERS)}, got none of {missing[0]}: add it")
+        with np.errstate(invalid="ignore", divide="ignore"):
+            rows = np.array([_to(parameter, np.asarray(draws[parameter], dtype=float)) for parameter in PARAMETERS])
+        if rows.shape[1] < 20:
+            raise InputError(f"draws must be 20 or more, got {rows.shape[1]}: draw some hundred")
+        for parameter, row in zip(PARAMETERS, rows, strict=True):
+            if not np.isfinite(row).all():
+                raise InputError(f"draws of {parameter} must be possible values, got one that is not: keep it positive")
+        return cls(name=name, mean=rows.mean(axis=1), covariance=np.cov(rows), trials=trials)
+
+    @property
+    def alpha(self) -> float:
+        """Median of Stevens' factor: intensity at 1 N, in units of the reference observer's."""
+        return exp(self.mean[0])
+
+    @property
+    def beta(self) -> float:
+        """Mean of Stevens' exponent."""
+        return float(self.mean[1])
+
+    @property
+    def kappa(self) -> float:
+        """Median of Weber's fraction."""
+        return exp(self.mean[2])
+
+    @property
+    def offset_N(self) -> float:
+        """Median of Weber's low-force term [N]."""
+        return exp(self.mean[3])
+
+    @property
+    def lapse(self) -> float:
+        """Median share of trials that are answered blindly."""
+        return float(expit(self.mean[4]))
+
+    @property
+    def sigma(self) -> float:
+        """Median relative scatter of a reported intensity."""
+        return exp(self.mean[5])
+
+    def interval(self, parameter: str, *, share: float = 0.95) -> tuple[float, float]:
+        """Ends of the central interval that holds a parameter with a probability."""
+        if parameter not in PARAMETERS:
+            raise InputError(f"parameter must be one of {', '.join(PARAMETERS)}, got {parameter}: choose one of these")
+        require_range("share", share, 0.0, 1.0 - 1e-12, "use 0.95")
+        index = PARAMETERS.index(parameter)
+        half = float(ndtri(0.5 + 0.5 * share)) * float(np.sqrt(max(self.covariance[index, index], 0.0)))
+        return _from(parameter, self.mean[index] - half), _from(parameter, self.mean[index] + half)
+
+    def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
+        """Possible values of every parameter, each of shape (count,), drawn together."""
+        values, vectors = np.linalg.eigh(self.covariance)
+        root = vectors * np.sqrt(values.clip(0.0))
+        drawn = self.mean + rng.standard_normal((count, 6)) @ root.T
+        return {
+            name: np.asarray(drawn[:, k] if name == "beta" else expit(drawn[:, k]) if name == "lapse" else
+                             np.exp(drawn[:, k]))
+            for k, name in enumerate(PARAMETERS)
+        }  # fmt: skip
+
+
+def write_observer(observer: Observer, path: Path, *, overwrite: bool = False) -> None:
+    """Write an observer as JSON; a file that is there is replaced only when told so, and then in one step.
+
+    Raises
+    ------
+    InputError
+        If the file is there and may not be replaced, or its folder cannot be written to.
+    """
+    if path.exists() and not overwrite:
+        raise InputError(f"out must not be a file that is there, got {path}: choose another or pass --overwrite")
+    told = {
+        "format": FORMAT,
+        "version": VERSION,
+        "name": observer.name,
+        "trials": observer.trials,
+        "coordinates": ["ln alpha", "beta", "ln kappa", "ln offset_N", "logit lapse", "ln sigma"],
+        "mean": observer.mean.tolist(),
+        "covariance": observer.covariance.tolist(),
+    }
+    beside = path.with_name(path.name + f".{os.getpid()}.part")
+    try:
+        beside.write_text(json.dumps(told, indent=1) + "\n", "utf-8")
+        beside.replace(path)
+    except OSError as problem:
+        beside.unlink(missing_ok=True) if beside.parent.is_dir() else None
+        raise InputError(f"out must be a file that can be written, got {path} ({problem.strerror}): choose another "
+                         "folder") from problem  # fmt: skip
+
+
+def read_observer(path: Path) -> Observer:
+    """Read an observer.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, is no observer, is of another version, or holds impossible numbers.
+    """
+    calibrate = "write one with tissue calibrate --out"
+    try:
+        told = json.loads(path.read_text("utf-8"))
+    except OSError as problem:
+        raise InputError(
+            f"observer must be a file that can be read, got {path} ({problem.strerror}): {calibrate}"
+        ) from problem
+    except ValueError as problem:
+        raise InputError(f"observer must be a JSON file, got {path}: {calibrate}") from problem
+    if not isinstance(told, dict) or told.get("format") != FORMAT:
+        raise InputError(f"observer must be a file of an observer, got {path}, which is something else: {calibrate}")
+    if told.get("version") != VERSION:
+        raise InputError(f"observer must be of version {VERSION}, got {path} of version {told.get('version')}: "
+                         "calibrate again, or use the version of tissue that wrote it")  # fmt: skip
+    try:
+        name, trials = str(told["name"]), int(told["trials"])
+        mean, covariance = np.array(told["mean"], dtype=float), np.array(told["covariance"], dtype=float)
+    except (KeyError, TypeError, ValueError, OverflowError) as problem:
+        raise InputError(
+            f"observer must hold name, trials, mean and covariance, got {path} without: {calibrate}"
+        ) from problem
+    try:
+        return Observer(name=name, mean=mean, covariance=covariance, trials=trials)
+    except InputError as problem:
+        raise InputError(f"observer {path}: {problem}") from problem
+
+
+def _to(parameter: str, value: Array | np.float64) -> Array:
+    """The coordinate of a value."""
+    return np.asarray(value if parameter == "beta" else logit(value) if parameter == "lapse" else np.log(value))
+
+
+def _from(parameter: str, coordinate: float) -> float:
+    """The value at a coordinate."""
+    if parameter == "beta":
+        return float(coordinate)
+    return float(expit(coordinate)) if parameter == "lapse" else exp(min(float(coordinate), log(1e300)))
