@@ -1,0 +1,380 @@
+"""Dictionaries, the fit over episodes, the choice by cross-validation, and what is refused."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from koopman_systems import duffing, record
+
+from tissue import InputError
+from tissue.prediction import (
+    Delays,
+    Edmd,
+    Episode,
+    GapProducts,
+    Gaussians,
+    Identity,
+    Polynomials,
+    ThinPlates,
+    Together,
+    choose,
+    horizon_errors,
+)
+from tissue.prediction.dictionary import from_plain, to_plain
+from tissue.prediction.radial import spread_centres
+from tissue.prediction.regression import regress
+
+CENTRES = ((0.1, -0.2), (0.5, 0.4), (-0.7, 0.0))
+DICTIONARIES = {
+    "identity": Identity(),
+    "polynomials": Polynomials(3),
+    "some polynomials": Polynomials(2, columns=(1,), middle=(0.3,), scales=(2.0,)),
+    "gaussians": Gaussians(CENTRES, scales=(0.5, 2.0), width=0.8),
+    "thin plates": ThinPlates(CENTRES),
+    "gap": GapProducts((-1.0,), distance=0.1, columns=(1,)),
+    "together": Polynomials(2) + Gaussians(((0.2,),), columns=(1,)) + GapProducts((0.0, 1.0)),
+}
+
+
+def swings(rng, count=10, rows=120, driven=True):
+    inputs = rng.normal(size=(count, rows)) if driven else np.zeros((count, rows))
+    return record(duffing, rng.uniform(-1.0, 1.0, (count, 2)), inputs, 0.02)
+
+
+@pytest.mark.parametrize("dictionary", DICTIONARIES.values(), ids=DICTIONARIES)
+def test_the_laws_of_a_dictionary(dictionary):
+    rng = np.random.default_rng(0)
+    states, rates = rng.normal(size=(2, 50, 2))
+    lifted = dictionary.lift(states)
+    assert lifted.shape == (50, dictionary.size(2))
+    assert np.array_equal(lifted[:, :2], states)
+    assert dictionary.lift(states[7]) == pytest.approx(lifted[7], rel=1e-12, abs=1e-13)
+    step = 1e-6
+    slopes = (dictionary.lift(states + step * rates) - dictionary.lift(states - step * rates)) / (2.0 * step)
+    # Central differences: rounding over the step; no state lies within a step of a switch.
+    assert dictionary.lift_rates(states, rates) == pytest.approx(slopes, rel=1e-6, abs=1e-7)
+    assert from_plain(to_plain(dictionary)) == dictionary
+
+
+@pytest.mark.parametrize(
+    "inner", [Polynomials(2), Gaussians(CENTRES, columns=(0, 3)), GapProducts((-1.0,), columns=(5,))]
+)
+def test_delays_take_windows_newest_first(inner):
+    rng = np.random.default_rng(1)
+    delayed, windows = Delays(2, inner), rng.normal(size=(5, 6))
+    lifted = delayed.lift(windows)
+    assert lifted.shape == (5, delayed.size(2))
+    assert np.array_equal(lifted, inner.lift(windows))
+    assert from_plain(to_plain(delayed)) == delayed
+    operator = Edmd(delayed, ridge=1e-6).fit(swings(rng, driven=False))
+    assert operator.lift(windows[0].reshape(3, 2)[::-1]) == pytest.approx(lifted[0], rel=1e-12)
+    assert operator.C @ lifted[0] == pytest.approx(windows[0, :2])
+
+
+def test_monomials_are_those_of_the_order():
+    x, y = 2.0, 3.0
+    assert Polynomials(3).extra(np.array([x, y])) == pytest.approx([4, 6, 9, 8, 12, 18, 27])
+    assert Polynomials(4).size(3) == 3 + 6 + 10 + 15
+
+
+def test_radial_observables_have_their_values():
+    centre = np.array([[1.0, 2.0]])
+    states = np.array([[1.0, 2.0], [2.0, 4.0]])
+    assert Gaussians(tuple(map(tuple, centre)), scales=(1.0, 2.0)).extra(states)[:, 0] == pytest.approx(
+        [1.0, np.exp(-1)]
+    )
+    assert ThinPlates(tuple(map(tuple, centre))).extra(states)[:, 0] == pytest.approx([0.0, 5.0 * 0.5 * np.log(5.0)])
+
+
+def test_gap_products_switch():
+    gap = GapProducts((-1.0,), distance=0.5, columns=(1,))
+    assert gap.extra(np.array([[0.2, 3.0], [0.9, 3.0]])) == pytest.approx(
+        np.array([[0, 0, 0, 0], [0.4, 0.16, 1.2, 3.0]])
+    )
+
+
+def test_centres_lie_where_the_data_do_and_follow_the_seed():
+    rng = np.random.default_rng(1)
+    clouds = np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 10.0]])
+    rows = (clouds[:, None] + 0.1 * rng.normal(size=(3, 200, 2))).reshape(-1, 2)
+    found = spread_centres(rows, 3, np.random.default_rng(5))
+    assert np.array_equal(found, spread_centres(rows, 3, np.random.default_rng(5)))
+    # The mean of 200 points with deviation 0.1 lies within 0.03 of its cloud's middle.
+    assert np.abs(found[np.lexsort(found.T)] - clouds[np.lexsort(clouds.T)]).max() < 0.05
+
+
+@pytest.mark.parametrize("name", ["polynomials", "gaussians", "thin plates"])
+@pytest.mark.parametrize("ridge", [0.0, 1e-3])
+def test_the_fit_is_least_squares_whatever_the_blocks(name, ridge):
+    """Against the normal equations of all rows at once, in the same scaled coordinates."""
+    episodes, dictionary = swings(np.random.default_rng(2)), DICTIONARIES[name]
+    found = Edmd(dictionary, ridge=ridge, cap=None).fit(episodes)
+    before = np.vstack([np.hstack((dictionary.lift(e.states), e.inputs))[:-1] for e in episodes])
+    after = np.vstack([dictionary.lift(e.states)[1:] for e in episodes])
+    middle, scale = before.mean(axis=0), before.std(axis=0)
+    known, count = (before - middle) / scale, after.shape[1]
+    wanted = (after - after.mean(axis=0)) / scale[:count]
+    weights = np.linalg.solve(known.T @ known + ridge * len(known) * np.eye(len(scale)), known.T @ wanted).T
+    assert found.A / found.scale[:, None] * found.scale == pytest.approx(weights[:, :count], abs=1e-7)
+    ahead = found.advance(before[:, :count], before[:, count:])
+    assert ahead.mean(axis=0) == pytest.approx(after.mean(axis=0), abs=1e-10)
+    assert found.statistics.residual_rms == pytest.approx(np.sqrt(((ahead - after) ** 2).mean(axis=0)), rel=1e-6)
+    assert found.statistics.samples == 10 * 119 and found.statistics.episodes == 10
+
+
+def test_block_by_block_is_all_at_once():
+    rng = np.random.default_rng(3)
+    known, wanted = rng.normal(size=(1000, 6)), rng.normal(size=(1000, 4))
+    cuts = [0, 3, 4, 400, 1000]
+    parts = [(known[a:b], wanted[a:b]) for a, b in pairwise(cuts)]
+    found = regress(parts, ridge=0.0, rank=None, free=1)
+    weights, squares, *_ = np.linalg.lstsq(known, wanted)
+    assert found.weights == pytest.approx(weights, abs=1e-12)
+    assert found.residual_rms == pytest.approx(np.sqrt(squares / 1000), rel=1e-10)
+    assert found.moments == pytest.approx(known.T @ known / 1000, abs=1e-12)
+
+
+def test_truncated_singular_values_are_the_pseudoinverse():
+    rng = np.random.default_rng(4)
+    known, wanted = rng.normal(size=(200, 6)) * np.logspace(0, -4, 6), rng.normal(size=(200, 2))
+    found = regress([(known, wanted)], ridge=0.0, rank=3, free=0)
+    left, values, right = np.linalg.svd(known, full_matrices=False)
+    assert found.weights == pytest.approx(right[:3].T @ (left[:, :3].T @ wanted / values[:3, None]), abs=1e-10)
+    assert found.rank == 3 and found.condition == pytest.approx(values[0] / values[2])
+
+
+@pytest.mark.parametrize("shift", [0.0, 1e3])
+def test_units_and_offsets_do_not_matter(shift):
+    """The same system in millimetres and about another zero has the same eigenvalues and predictions."""
+    episodes = swings(np.random.default_rng(5))
+    scales = np.array([1e3, 1e-2])
+    moved = [Episode(e.states * scales + shift, 7.0 * e.inputs, e.step_s) for e in episodes]
+    one, other = Edmd(Identity()).fit(episodes), Edmd(Identity()).fit(moved)
+    assert other.eigenvalues == pytest.approx(one.eigenvalues, abs=1e-9)
+    start, push = episodes[0].states[3], episodes[0].inputs[3:23]
+    ahead = (other.predict(start * scales + shift, 7.0 * push, 20) - shift) / scales
+    # 1000 beside 0.01 leaves eleven digits of it.
+    assert ahead == pytest.approx(one.predict(start, push, 20), abs=1e-8)
+
+
+def test_episodes_are_not_glued_together():
+    """The last sample of one is not followed by the first of the next."""
+    episodes = swings(np.random.default_rng(6), driven=False)
+    found, turned = Edmd(Delays(1)).fit(episodes), Edmd(Delays(1)).fit(episodes[::-1])
+    assert np.abs(turned.A - found.A).max() < 1e-6
+    assert found.statistics.samples == 10 * (120 - 2)
+
+
+def test_predictions_of_one_start_are_those_of_many():
+    episodes = swings(np.random.default_rng(7))
+    for dictionary in (Polynomials(2), Delays(2, Polynomials(2))):
+        operator, lags = Edmd(dictionary, ridge=1e-8).fit(episodes), dictionary.lags
+        states, inputs = episodes[0].states, episodes[0].inputs
+        missed = []
+        for start in range(lags, 120 - 5):
+            ahead = operator.predict(states[start - lags : start + 1], inputs[start : start + 5], 5)
+            missed.append(ahead - states[start + 1 : start + 6])
+        found = horizon_errors(operator, episodes[:1], 5)
+        assert found.starts == len(missed)
+        assert found.rms == pytest.approx(np.sqrt((np.array(missed) ** 2).mean(axis=0)), rel=1e-9)
+        held = operator.predict(states[: lags + 1], inputs[0], 3)
+        assert held == pytest.approx(operator.predict(states[: lags + 1], np.tile(inputs[0], (3, 1)), 3))
+
+
+def test_the_training_range_holds_the_training_states_and_little_else():
+    episodes = swings(np.random.default_rng(8))
+    training = Edmd(Identity()).fit(episodes).training
+    distances = [training.distance(state) for each in episodes for state in each.states]
+    assert all(training.contains(state) for each in episodes for state in each.states)
+    assert max(distances) == pytest.approx(training.farthest, rel=1e-9)
+    # The mean square of the Mahalanobis distance is the dimension.
+    assert np.mean(np.square(distances)) == pytest.approx(2.0, rel=1e-9)
+    assert not training.contains(training.highest + 1e-3)
+    assert training.contains(training.highest + 1e-3, slack=0.1)
+    assert training.distance(training.highest * 5.0) > training.farthest
+
+
+def test_cross_validation_finds_the_dictionary_that_the_data_come_from():
+    rng = np.random.default_rng(9)
+    episodes = []
+    for _ in range(10):
+        states = [rng.uniform(-1.0, 1.0, 2)]
+        for _ in range(60):
+            first, second = states[-1]
+            states.append(np.array([0.95 * first, 0.8 * second + 0.5 * first**2]) + 1e-3 * rng.normal(size=2))
+        episodes.append(Episode(np.array(states), None, 1e-3))
+    candidates = {
+        "linear": Edmd(Identity()),
+        "closed": Edmd(Polynomials(2, columns=(0,))),
+        "wide": Edmd(Gaussians.from_states(np.vstack([e.states for e in episodes]), 60, rng), ridge=1e-12),
+        "collinear": Edmd(Polynomials(2) + Polynomials(2)),
+    }
+    found = choose(candidates, episodes, horizon=10)
+    assert found.name == "closed"
+    assert found.scores["closed"].mean() < 0.5 * found.scores["linear"].mean()
+    assert "must be independent" in found.refused["collinear"] and np.isinf(found.scores["collinear"]).all()
+    assert found.operator.dictionary == candidates["closed"].dictionary
+    assert found.operator.statistics.episodes == 10
+
+
+def test_folds_are_unseen():
+    """Noise has nothing to learn: its held-out error is the error of knowing nothing, whatever the dictionary."""
+    rng = np.random.default_rng(10)
+    episodes = [Episode(rng.normal(size=(40, 2)), None, 1e-3) for _ in range(6)]
+    states = np.vstack([each.states for each in episodes])
+    found = choose({"wide": Edmd(Gaussians.from_states(states, 100, rng), ridge=1e-12)}, episodes, horizon=1, folds=3)
+    assert found.scores["wide"].mean() > 1.0
+
+
+def row(values, step=1e-3, inputs=None):
+    return Episode(np.asarray(values, dtype=float), inputs, step)
+
+
+SWING = record(duffing, np.random.default_rng(0).uniform(-1, 1, (2, 2)), np.zeros((2, 60)), 1e-3)
+BAD = {
+    "none": (Edmd(Identity()), [], "episodes must hold at least one episode, got none: record one"),
+    "not finite": (
+        Edmd(Identity()),
+        [row([[0.0, 1.0], [np.nan, 2.0], [1.0, 0.0]])],
+        "states of episode 0 must be finite, got nan in row 1, column 0: cut the episode there",
+    ),
+    "infinite input": (
+        Edmd(Identity()),
+        [row(SWING[0].states, inputs=np.full((60, 1), np.inf))],
+        "inputs of episode 0 must be finite, got inf in row 0, column 0: cut the episode there",
+    ),
+    "constant": (
+        Edmd(Identity()),
+        [row(np.column_stack([SWING[0].states, np.full(60, 0.3)]))],
+        "column 2 of states must vary, got 0.3 throughout: leave it out",
+    ),
+    "constant input": (
+        Edmd(Identity()),
+        [row(SWING[0].states, inputs=np.full((60, 1), 0.5))],
+        "column 0 of inputs must vary, got 0.5 throughout: leave it out",
+    ),
+    "collinear": (
+        Edmd(Identity()),
+        [row(np.column_stack([SWING[0].states, SWING[0].states[:, 0] * 3.0 + 1.0]))],
+        "observables and inputs must be independent, got number [02] as a combination of the others",
+    ),
+    "too short": (
+        Edmd(Delays(5)),
+        [SWING[0], row(SWING[0].states[:6])],
+        "episode 1 must have at least 7 rows for 5 delays, got 6: leave it out or take fewer delays",
+    ),
+    "mixed rates": (
+        Edmd(Identity()),
+        [SWING[0], row(SWING[0].states, step=2e-3)],
+        "step_s must be the same in all episodes, got 0.001 in 0 and 0.002 in 1: resample them to one rate",
+    ),
+    "mixed columns": (
+        Edmd(Identity()),
+        [SWING[0], row(SWING[0].states[:, :1])],
+        r"the same columns of states and inputs, got \(2, 0\) in 0 and \(1, 0\) in 1",
+    ),
+    "inputs of another length": (
+        Edmd(Identity()),
+        [row(SWING[0].states, inputs=np.zeros((59, 1)))],
+        "inputs of episode 0 must have one row for each of 60 states, got 59",
+    ),
+    "text": (Edmd(Identity()), [Episode("abc", None, 1e-3)], "states of episode 0 must be a table of numbers, got str"),
+    "one row": (Edmd(Identity()), [Episode(np.zeros(4), None, 1e-3)], r"must have shape \(rows, columns\), got \(4,\)"),
+    "no step": (Edmd(Identity()), [row(SWING[0].states, step=0.0)], "step_s of episode 0 must be positive"),
+    "column": (
+        Edmd(Polynomials(2, columns=(2,))),
+        SWING,
+        r"columns must be in \[0, 1\], got 2: the state has 2 entries",
+    ),
+    "middle": (Edmd(Polynomials(2, middle=(1.0,))), SWING, "middle must be one number for each of 2 entries, got 1"),
+    "centres": (Edmd(Gaussians(((1.0,),))), SWING, "centres must have 2 columns as the state has, got 1"),
+    "gap": (Edmd(GapProducts((0.0, 0.0, 1.0))), SWING, r"columns must be in \[0, 1\], got 2"),
+    "few": (
+        Edmd(Polynomials(4)),
+        [row(SWING[0].states[:9])],
+        "episodes must hold at least 15 samples, got 8: record more, or set ridge=1e-6",
+    ),
+    "overflow": (
+        Edmd(Polynomials(9)),
+        [row(1e40 * SWING[0].states)],
+        "observables must be finite on all states, got overflow",
+    ),
+    "rank": (Edmd(Identity(), rank=9), SWING, r"rank must be in \[1, 3\]"),
+}
+
+
+@pytest.mark.parametrize(("edmd", "episodes", "sentence"), BAD.values(), ids=BAD)
+def test_bad_data_are_refused_with_the_remedy(edmd, episodes, sentence):
+    with pytest.raises(InputError, match=sentence):
+        edmd.fit(episodes)
+
+
+def test_collinear_data_can_be_had_with_ridge_or_rank():
+    episodes = [row(np.column_stack([e.states, e.states[:, 0] * 3.0 + 1.0])) for e in SWING]
+    for edmd in (Edmd(Identity(), ridge=1e-10), Edmd(Identity(), rank=3)):
+        found = edmd.fit(episodes)
+        assert horizon_errors(found, episodes, 1).relative[0] < 0.01
+
+
+OTHER_BAD = {
+    "ridge": (lambda: Edmd(Identity(), ridge=-1.0), "ridge must be at least 0"),
+    "cap": (lambda: Edmd(Identity(), cap=0.0), "cap must be positive"),
+    "order": (lambda: Polynomials(1), "order must be a whole number of at least 2, got 1"),
+    "scale": (lambda: Polynomials(2, scales=(0.0,)), "scales must be positive"),
+    "lags": (lambda: Delays(-1), "lags must be a whole number of at least 0"),
+    "delays of delays": (lambda: Delays(1, Delays(2)), "inner must have no delays, got 2 lags"),
+    "delays in a sum": (
+        lambda: Together((Delays(2),)),
+        "parts must have no delays, got 2 lags: put Delays around the sum",
+    ),
+    "centres": (lambda: Gaussians(()), "centres must be a finite table"),
+    "width": (lambda: Gaussians(CENTRES, width=0.0), "width must be positive"),
+    "radial scales": (lambda: ThinPlates(CENTRES, scales=(1.0,)), "scales must be 2 positive numbers"),
+    "gap": (lambda: GapProducts((0.0,)), "normal must be finite and not zero"),
+    "too many centres": (
+        lambda: Gaussians.from_states(SWING[0].states[:3], 4, np.random.default_rng(0)),
+        r"count must be in \[1, 3\], the number of different states, got 4",
+    ),
+    "no rates": (
+        lambda: Edmd(Identity()).fit_generator([row(SWING[0].states)]),
+        "rates of episode 0 must have the shape",
+    ),
+    "no candidates": (lambda: choose({}, SWING, horizon=1), "candidates must hold at least one"),
+    "folds": (lambda: choose({"it": Edmd(Identity())}, SWING, horizon=1, folds=3), r"folds must be in \[2, 2\]"),
+    "horizon": (lambda: horizon_errors(Edmd(Identity()).fit(SWING), SWING, 60), "longer than 60 rows"),
+    "other inputs": (
+        lambda: horizon_errors(Edmd(Identity()).fit(SWING), swings(np.random.default_rng(0)), 1),
+        "must have 2 columns of states and 0 of inputs, as the operator, got 2 and 1",
+    ),
+    "not finite": (
+        lambda: horizon_errors(Edmd(Identity()).fit(SWING), [row(np.full((9, 2), np.nan))], 1),
+        "states of episode 0 must be finite",
+    ),
+    "kind": (lambda: from_plain({"kind": "os.system"}), "kind must be one of Identity, Polynomials"),
+    "field": (lambda: from_plain({"kind": "Polynomials", "orders": 2}), "must have the fields of this version"),
+}
+
+
+@pytest.mark.parametrize(("make", "sentence"), OTHER_BAD.values(), ids=OTHER_BAD)
+def test_bad_options_are_refused(make, sentence):
+    with pytest.raises(InputError, match=sentence):
+        make()
+
+
+def test_bad_calls_of_an_operator_are_refused():
+    operator = Edmd(Delays(1)).fit(swings(np.random.default_rng(0)))
+    state, push = np.zeros((2, 2)), np.zeros((3, 1))
+    for call, sentence in (
+        (lambda: operator.predict(state[0], push, 3), r"state must have shape \(2, 2\), oldest row first"),
+        (lambda: operator.predict(state, None, 3), "inputs must have 1 columns, got None"),
+        (lambda: operator.predict(state, push[:2], 3), r"inputs must have shape \(3, 1\) or \(1,\)"),
+        (lambda: operator.predict(state, push, 0), "horizon must be at least 1 step, got 0"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            call()
+
+
+def test_an_operator_without_a_logarithm_says_so():
+    flips = [row([[(-0.5) ** k * a] for k in range(9)]) for a in (1.0, 2.0)]
+    with pytest.raises(InputError, match="eigenvalues must be neither zero nor negative to have a logarithm"):
+        Edmd(Identity()).fit(flips).generator()

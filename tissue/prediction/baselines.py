@@ -1,0 +1,158 @@
+"""The simple predictors: a straight line, a steady-state Kalman filter, and a linear model that the device drives."""
+
+from collections import deque
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.errors import InputError, require_positive
+from tissue.prediction.lifted import Operator
+
+__all__ = ["Kalman", "Linear", "LinearControl", "kalman_gains"]
+
+Array = NDArray[np.float64]
+WINDOW = 10
+"""Ticks over which a slope is taken: of 3 to 30 the best on the recorded wall at 4 to 8 ms but for 8, and better on the
+slower scenes than that; a shorter one takes an encoder's step for a slope."""
+JERKINESS = 1e-3
+"""Variance of the force's third difference over that of its noise: of 1e-8 to 1e-2 the best on the recorded wall."""
+
+
+class Linear:
+    """The straight line through the newest force and one a window of ticks before it."""
+
+    residual_N = 0.0
+    own = trusted = True
+
+    def __init__(self, window: int = WINDOW) -> None:
+        if window < 1:
+            raise InputError(f"window must be at least 1 tick, got {window}: use {WINDOW}")
+        self._window, self._clock = window, 0
+        self._seen: deque[tuple[int, Array]] = deque([(0, np.zeros(3))])
+        self._slope = np.zeros(3)
+
+    def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
+        """Take in the force; the device is not looked at."""
+        self._clock += 1
+        if force_N is None:
+            return
+        seen = self._seen
+        missed = force_N - self.ahead(0)
+        self.residual_N = float(np.sqrt(missed @ missed))
+        seen.append((self._clock, force_N.copy()))
+        while len(seen) > 2 and self._clock - seen[1][0] >= self._window:
+            seen.popleft()
+        since, first = seen[0]
+        self._slope = (force_N - first) / max(self._clock - since, self._window)
+
+    def ahead(self, ticks: int) -> Array:
+        """Along the line."""
+        since, force = self._seen[-1]
+        return force + (self._clock - since + ticks) * self._slope
+
+    def pause(self) -> None:
+        """A line needs what belongs together: begin anew from the newest force."""
+        self._seen = deque([(self._clock, self._seen[-1][1])])
+        self._slope = np.zeros(3)
+
+
+@lru_cache
+def kalman_gains(ticks: int, jerkiness: float) -> Array:
+    """Steady gains for force, its rate a tick and that one's, shape (3,), with a force every so many ticks.
+
+    Of the process F''' = white noise, by the discrete Riccati equation (Kalman 1960).
+    """
+    from scipy.linalg import solve_discrete_are
+
+    step = float(ticks)
+    onward = np.array([[1.0, step, 0.5 * step**2], [0.0, 1.0, step], [0.0, 0.0, 1.0]])
+    noise = np.array([step**3 / 6.0, step**2 / 2.0, step])
+    look = np.array([[1.0, 0.0, 0.0]])
+    spread = solve_discrete_are(onward.T, look.T, jerkiness * np.outer(noise, noise) / step, np.eye(1))
+    gains: Array = spread[:, 0] / (spread[0, 0] + 1.0)
+    return gains
+
+
+class Kalman:
+    """A force with constant acceleration, but for white noise, seen with white noise; gains are those it settles to."""
+
+    residual_N = 0.0
+    own = trusted = True
+
+    def __init__(self, jerkiness: float = JERKINESS) -> None:
+        self._jerkiness = require_positive("jerkiness", jerkiness, f"use {JERKINESS:g}")
+        self._onward = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
+        self._state = np.zeros((3, 3))
+        self._since, self._force = 0, np.zeros(3)
+
+    def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
+        """Go a tick on and correct by the force; the device is not looked at."""
+        state = self._state = self._onward @ self._state
+        self._since += 1
+        if force_N is not None:
+            missed = force_N - state[0]
+            self.residual_N = float(np.sqrt(missed @ missed))
+            state += kalman_gains(self._since, self._jerkiness)[:, None] * missed
+            self._since, self._force = 0, force_N.copy()
+
+    def ahead(self, ticks: int) -> Array:
+        """Along the parabola; 0 ahead of a force that was just told, that force."""
+        if ticks == 0 and self._since == 0:
+            return self._force
+        return np.array((1.0, ticks, 0.5 * ticks * ticks)) @ self._state
+
+    def pause(self) -> None:
+        """Rates of another motion are of no use."""
+        self._state[1:] = 0.0
+
+
+class LinearControl:
+    """Linear dynamic mode decomposition with control (Proctor, Brunton & Kutz 2016): F+ = A F + B (x, v) + offset.
+
+    The device goes on at its present speed over the ticks ahead.
+
+    Parameters
+    ----------
+    operator
+        Its states are the force [N], shape (3,), its inputs the device's position [m] and velocity [m/s], shape (6,).
+    """
+
+    residual_N = 0.0
+    own = trusted = True
+
+    def __init__(self, operator: Operator) -> None:
+        if operator.A.shape != (3, 3) or operator.B.shape != (3, 6):
+            raise InputError(
+                f"operator must take a force by position and velocity, got {operator.B.shape}: train it again"
+            )
+        self._A, self._B, self._offset = operator.A, operator.B, operator.offset
+        self._step = operator.step_s
+        self._known = np.zeros(9)
+        self._maps = [(np.eye(3, 9), np.zeros(3))]
+
+    def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
+        """Take in the device and the force, or go a tick on by what was known."""
+        known = self._known
+        expected = self.ahead(1)
+        if force_N is not None:
+            missed = force_N - expected
+            self.residual_N = float(np.sqrt(missed @ missed))
+        known[:3] = expected if force_N is None else force_N
+        known[3:6], known[6:] = position_m, velocity_m_s
+
+    def ahead(self, ticks: int) -> Array:
+        """Powers of the operator, the device going on."""
+        while len(self._maps) <= ticks:
+            matrix, offset = self._maps[-1]
+            # Position enters at its value after the ticks gone by: x + k T v.
+            acting = self._B.copy()
+            acting[:, 3:] += (len(self._maps) - 1) * self._step * self._B[:, :3]
+            onward = self._A @ matrix
+            onward[:, 3:] += acting
+            self._maps.append((onward, self._A @ offset + self._offset))
+        matrix, offset = self._maps[ticks]
+        return matrix @ self._known + offset
+
+    def pause(self) -> None:
+        """The next sample stands for itself."""
