@@ -15,7 +15,7 @@ from tissue.scene import Scene
 from tissue.simulation import TICK_S, simulate
 from tissue.trace import Table
 
-__all__ = ["force_error", "ideal_force_N", "ideal_scene", "played_force_N"]
+__all__ = ["ideal_force_N", "ideal_scene", "played_force_N", "stretch_force_N"]
 
 Array = NDArray[np.float64]
 PROMPT: dict[str, Any] = {
@@ -72,20 +72,21 @@ def ideal_force_N(run: Run, finest: Mapping[str, Any] | None = None, *, cores: i
     return simulate(scene, cores=cores, allow_unstable=True, device=told).trace.vectors("raw_force", "N")
 
 
-def played_force_N(trace: Table) -> Array:
-    """Force on the device before its range is applied [N], shape (n, 3)."""
-    return trace.vectors("filtered_force", "N")
+def stretch_force_N(run: Run) -> Array:
+    """The same without another run, on the run's own model: the stretch of the coupling's spring [N], shape (n, 3).
 
-
-def force_error(force_N: Array, ideal_N: Array) -> float:
-    """Normalised error of a force over time, ||F - F_ideal|| / ||F_ideal||; shapes (n, 3).
+    Exact where the tissue answers every tick; a coarse model's own error is left out.
 
     Raises
     ------
     InputError
-        If the ideal force is zero throughout.
+        If the run had no device.
     """
-    size = float(np.linalg.norm(ideal_N))
-    if size == 0.0:
-        raise InputError("ideal_N must be a force somewhere, got zeros: let the tool touch")
-    return float(np.linalg.norm(force_N - ideal_N)) / size
+    stiffness, trace = ideal_scene(run.scene).coupling.stiffness_N_m, run.trace
+    assert stiffness is not None
+    return 1e-3 * stiffness * (trace.vectors("tool", "mm") - trace.vectors("device", "mm"))
+
+
+def played_force_N(trace: Table) -> Array:
+    """Force on the device before its range is applied [N], shape (n, 3)."""
+    return trace.vectors("filtered_force", "N")

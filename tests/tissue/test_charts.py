@@ -1,0 +1,135 @@
+"""Frontiers, costs and the choice by fidelity."""
+
+import numpy as np
+import pytest
+
+import tissue
+from meshes.errors import InputError
+from tissue.charts import frontier_of, undominated, with_fidelity
+from tissue.charts.cost import CostModel
+from tissue.charts.fidelity import SAFETY, choose
+from tissue.charts.frontier import read_measured, write_measured
+from tissue.charts.measure import Measured, excerpt, setting_key
+from tissue.charts.scenes import chart_scenes
+from tissue.charts.settings import Setting, by_hand, finest, settings_of
+from tissue.load import changed, load_scene, scene_names
+from tissue.scene_coupling import Fidelity
+
+COARSE = {"voxels.spacing_mm": 0.2, "anatomy.size_mm": [12, 10, 4], "motion.feed_mm_s": 20.0}
+
+
+def point(name="a", *, error=0.1, median=100.0, p99=200.0, elements=100, area=10.0, step=0.1, family="voxels", lost=""):
+    return Measured(name, "block", name, family, lost, error, median, p99, 0, 5.0, area, elements, step, 1.0, "here")
+
+
+def test_the_frontier_is_what_nothing_beats():
+    rng = np.random.default_rng(0)
+    points = [point(str(i), error=e, median=m) for i, (e, m) in enumerate(rng.uniform(0.01, 1.0, (200, 2)))]
+    best = undominated(points)
+    assert 2 < len(best) < 50
+    for one in best:
+        assert not any(other.median_us < one.median_us and other.force_error < one.force_error for other in points)
+    for other in set(points) - set(best):
+        assert any(one.median_us <= other.median_us and one.force_error <= other.force_error for one in best)
+
+
+def test_the_cheapest_that_is_good_enough_is_chosen():
+    points = [point("coarse", error=0.2, median=10), point("middle", error=0.03, median=50), point("fine", error=0.01)]
+    assert choose(points, Fidelity(force_error=0.2 * SAFETY)).setting == "coarse"
+    assert choose(points, Fidelity(force_error=0.04)).setting == "middle"
+    assert choose(points, Fidelity(tick_ms=0.5)).setting == "fine"
+    with pytest.raises(InputError, match=r"got force_error = 0.001: the nearest is fine with force_error = 0.013"):
+        choose(points, Fidelity(force_error=1e-3))
+    with pytest.raises(InputError, match="must ask for something"):
+        load_scene("milling", {"fidelity": {}})
+
+
+def test_a_cost_that_is_such_a_sum_is_found_again():
+    model = CostModel(20.0, 0.05, 0.01)
+    rng = np.random.default_rng(1)
+    points = []
+    for elements, area, step in zip(rng.integers(50, 2000, 8), rng.uniform(1, 30, 8), rng.uniform(0.05, 0.4, 8), strict=True):
+        bare = point(elements=int(elements), area=float(area), step=float(step))
+        points.append(point(elements=int(elements), area=float(area), step=float(step), median=model.tick_us(bare)))
+    found = CostModel.fitted(points[:5])
+    for each in points[5:]:
+        assert found.tick_us(each) == pytest.approx(each.median_us, rel=1e-6)
+    with pytest.raises(InputError, match="at least 3"):
+        CostModel.fitted(points[:2])
+
+
+def test_a_table_of_measurements_reads_back_bit_for_bit(tmp_path):
+    points = [point("a", error=0.1 + 1e-17), point("b", lost="displacement, and stress", median=1 / 3)]
+    write_measured(tmp_path / "deep" / "a.csv", points)
+    assert read_measured(tmp_path / "deep" / "a.csv") == points
+    cut = (tmp_path / "deep" / "a.csv").read_text("utf-8").rstrip()[:-9].rsplit(",", 1)[0]
+    (tmp_path / "cut.csv").write_text(cut, "utf-8")
+    assert read_measured(tmp_path / "cut.csv") == points[:1]
+    (tmp_path / "other.csv").write_text("a,b\n1,2\n", "utf-8")
+    assert read_measured(tmp_path / "other.csv") == []
+
+
+@pytest.mark.parametrize("name", scene_names())
+@pytest.mark.parametrize("hand", [False, True])
+def test_every_setting_of_every_scene_is_a_valid_scene(name, hand):
+    scene = load_scene(name)
+    scene = by_hand(scene) if hand else changed(scene, {"device": "none"})
+    for quick in (True, False):
+        settings = settings_of(scene, quick=quick)
+        assert len({setting.name for setting in settings}) == len(settings) >= 1
+        keys = {setting_key(scene, setting, quick=quick) for setting in settings}
+        assert len(keys) == len(settings)
+        for setting in settings:
+            changed(scene, setting.changes)
+        changed(scene, finest(scene, quick=quick))
+
+
+@pytest.fixture
+def block(monkeypatch, tmp_path):
+    monkeypatch.setenv("TISSUE_CACHE", str(tmp_path))
+    return load_scene("milling", COARSE)
+
+
+def test_an_interrupted_chart_goes_on_and_a_finished_one_is_not_measured_again(block, monkeypatch):
+    settings = [Setting("0.4 mm", "voxels", {"voxels.spacing_mm": 0.4}), Setting("0.2 mm", "voxels")]
+    monkeypatch.setattr("tissue.charts.frontier.settings_of", lambda scene, quick: settings)
+    import tissue.charts.frontier as module
+
+    real, ran = module.measure, []
+
+    def stops(scene, setting, *, quick):
+        ran.append(setting.name)
+        if len(ran) == 2:
+            raise KeyboardInterrupt
+        return real(scene, setting, quick=quick)
+
+    monkeypatch.setattr(module, "measure", stops)
+    with pytest.raises(KeyboardInterrupt):
+        frontier_of(block)
+    found = frontier_of(block)
+    assert ran == ["0.4 mm", "0.2 mm", "0.2 mm"]
+    coarse, fine = found.points
+    assert coarse.force_error > 2.0 * fine.force_error > 0.0
+    assert found.gap > 0.0 and fine.far_us < fine.p99_us and fine.elements > coarse.elements
+    frontier_of(block)
+    assert len(ran) == 3
+    wanted = changed(block, {"fidelity": {"force_error": 2.0 * SAFETY * coarse.force_error}})
+    chosen, said = with_fidelity(wanted)
+    assert chosen.fidelity is None and chosen.voxels.spacing_mm in (0.2, 0.4) and "the cheapest of 2 settings" in said
+    run = tissue.simulate(wanted.model_copy(update={"duration_s": 0.01}))
+    assert run.parts.notes["fidelity"] and run.scene.fidelity is None
+
+
+def test_an_excerpt_ends_a_while_after_the_first_contact(block):
+    short = excerpt(block, {"voxels.spacing_mm": 0.4}, quick=True)
+    run = tissue.simulate(short)
+    touching = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
+    assert 0 < touching[0] < 100 and len(run.trace.rows) == touching[0] + 1200 or short.duration_s < 1.2
+    assert len(short.motion.points_mm) <= len(block.motion.points_mm)
+
+
+def test_a_chart_is_not_overwritten(tmp_path):
+    (tmp_path / "wall.csv").write_text("mine", "utf-8")
+    with pytest.raises(InputError, match="must not hold a chart of wall yet"):
+        chart_scenes(["wall"], tmp_path, quick=True)
+    assert (tmp_path / "wall.csv").read_text("utf-8") == "mine"

@@ -1,0 +1,79 @@
+"""The cheapest setting that is good enough: model no more than a scene needs."""
+
+from collections.abc import Callable, Sequence
+
+from meshes.errors import InputError
+from tissue.charts.frontier import frontier_of
+from tissue.charts.measure import Measured
+from tissue.load import changed
+from tissue.scene import Scene
+from tissue.scene_coupling import Fidelity
+
+__all__ = ["SAFETY", "choose", "with_fidelity"]
+
+Tell = Callable[[str, float], None]
+SAFETY = 1.25
+"""How far below a demanded error a setting has to stay on the motion it was measured on, so that it holds on others."""
+
+
+def choose(points: Sequence[Measured], wanted: Fidelity, *, gap: float = 0.0) -> Measured:
+    """The cheapest of some measurements that meets a demand; no error counts as less than the reference's own, `gap`.
+
+    Raises
+    ------
+    InputError
+        If none does; the sentence names the nearest that can.
+    """
+
+    def error_of(point: Measured) -> float:
+        return max(SAFETY * point.force_error, gap)
+
+    fits = [
+        point
+        for point in points
+        if (wanted.force_error is None or error_of(point) <= wanted.force_error)
+        and (wanted.tick_ms is None or 1e-3 * point.p99_us <= wanted.tick_ms)
+    ]
+    if fits:
+        cheap = wanted.force_error is not None
+        return min(fits, key=lambda point: point.median_us if cheap else point.force_error)
+    asked = ", ".join(f"{name} = {value:g}" for name, value in wanted if value is not None)
+
+    def short_of(point: Measured) -> float:
+        error = 0.0 if wanted.force_error is None else error_of(point) / wanted.force_error
+        tick = 0.0 if wanted.tick_ms is None else 1e-3 * point.p99_us / wanted.tick_ms
+        return max(error, tick)
+
+    nearest = min(points, key=short_of)
+    raise InputError(
+        f"fidelity must be met by a setting of {nearest.scene} on this machine, got {asked}: the nearest is "
+        f"{nearest.setting} with force_error = {error_of(nearest):.2g} and tick_ms = "
+        f"{1e-3 * nearest.p99_us:.2g}"
+    )
+
+
+def with_fidelity(scene: Scene, *, tell: Tell = lambda doing, share: None) -> tuple[Scene, str]:
+    """A scene at the cheapest setting that meets its `fidelity`, and what was chosen and why.
+
+    The settings of the scene are measured first where that was not done on this machine.
+
+    Raises
+    ------
+    InputError
+        If no setting meets it.
+    """
+    wanted = scene.fidelity
+    if wanted is None:
+        return scene, "as it is: no fidelity was asked for"
+    plain = changed(scene, {"fidelity": None})
+    found = frontier_of(plain, tell=tell)
+    point = choose(found.points, wanted, gap=found.gap)
+    setting = next(each for each in found.settings if each.name == point.setting)
+    said = (
+        f"{point.setting}: force {100.0 * point.force_error:.2g} % from the converged one (which is known to "
+        f"{100.0 * found.gap:.2g} %), tick {point.median_us:.0f} us, 99 % {point.p99_us:.0f} us, the cheapest of "
+        f"{len(found.points)} settings"
+    )
+    if point.leaves_out:
+        said += f"; leaves out {point.leaves_out}, which no force needs"
+    return changed(plain, setting.changes), said

@@ -1,0 +1,129 @@
+"""All settings of a scene, measured once and kept, and those of them that nothing beats."""
+
+import csv
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from hashlib import blake2b
+from pathlib import Path
+
+from meshes.cache import cache_folder
+from tissue.charts.measure import Measured, excerpt, machine, measure, reference_gap, setting_key
+from tissue.charts.settings import Setting, settings_of
+from tissue.scene import Scene
+
+__all__ = ["Frontier", "frontier_of", "read_measured", "undominated", "write_measured"]
+
+Tell = Callable[[str, float], None]
+COLUMNS = tuple(entry.name for entry in fields(Measured))
+
+
+@dataclass(frozen=True)
+class Frontier:
+    """What was measured of a scene.
+
+    Attributes
+    ----------
+    scene
+        The scene.
+    points
+        A measurement for each setting.
+    gap
+        Error of the reference itself: its distance to one that is a step coarser.
+    settings
+        The settings in the order of the points.
+    """
+
+    scene: Scene
+    points: tuple[Measured, ...]
+    gap: float
+    settings: tuple[Setting, ...]
+
+    @property
+    def best(self) -> tuple[Measured, ...]:
+        """Settings that no other beats in both cost and error, cheapest first."""
+        return tuple(undominated(self.points))
+
+
+def undominated(points: Sequence[Measured]) -> list[Measured]:
+    """Those of some measurements that no other beats in both median tick and error, cheapest first."""
+    found: list[Measured] = []
+    for point in sorted(points, key=lambda each: (each.median_us, each.force_error)):
+        if not found or point.force_error < found[-1].force_error:
+            found.append(point)
+    return found
+
+
+def frontier_of(scene: Scene, *, quick: bool = True, tell: Tell = lambda doing, share: None) -> Frontier:
+    """Measure every setting of a scene that was not measured on this machine before.
+
+    Every measurement is kept at once, so that one that is interrupted goes on where it was.
+
+    Parameters
+    ----------
+    scene
+        A scene; with a device the settings are those of its loop, without one those of its model.
+    quick
+        Fewer settings, a shorter excerpt and a coarser reference.
+    tell
+        Told what is being measured.
+    """
+    path = _store(scene, quick=quick)
+    known = {point.key: point for point in read_measured(path)}
+    settings = settings_of(scene, quick=quick)
+    short: Scene | None = None
+    points: list[Measured] = []
+    for index, setting in enumerate(settings):
+        tell(f"{scene.name}: {setting.name}", index / (len(settings) + 1))
+        key = setting_key(scene, setting, quick=quick)
+        if key not in known:
+            if short is None:
+                short = excerpt(scene, settings[0].changes, quick=quick)
+            known[key] = _under(key, measure(short, setting, quick=quick))
+            write_measured(path, list(known.values()))
+        points.append(known[key])
+    tell(f"{scene.name}: reference", len(settings) / (len(settings) + 1))
+    return Frontier(scene, tuple(points), _gap(scene, short, settings, path, quick=quick), tuple(settings))
+
+
+def _gap(scene: Scene, short: Scene | None, settings: list[Setting], path: Path, *, quick: bool) -> float:
+    """Distance of the finest setting to the next one, kept beside the measurements."""
+    beside = path.with_suffix(".gap")
+    if beside.is_file():
+        return float(beside.read_text("utf-8"))
+    gap = reference_gap(short or excerpt(scene, settings[0].changes, quick=quick), quick=quick)
+    beside.write_text(repr(gap), "utf-8")
+    return gap
+
+
+def _under(key: str, point: Measured) -> Measured:
+    """A measurement of an excerpt under the key of its scene."""
+    return Measured(**{name: getattr(point, name) for name in COLUMNS} | {"key": key})
+
+
+def _store(scene: Scene, *, quick: bool) -> Path:
+    """Where a scene's measurements are kept: with the computed arrays of this machine."""
+    text = f"{scene.model_copy(update={'fidelity': None, 'description': ''}).to_toml()}|{machine()}|{quick}"
+    return cache_folder() / "frontiers" / f"{scene.name}-{blake2b(text.encode(), digest_size=8).hexdigest()}.csv"
+
+
+def read_measured(path: Path) -> list[Measured]:
+    """Measurements of a table; none where there is no such table or it has other columns."""
+    if not path.is_file():
+        return []
+    with path.open(encoding="utf-8", newline="") as file:
+        table = csv.DictReader(file)
+        if tuple(table.fieldnames or ()) != COLUMNS:
+            return []
+        return [Measured.of_row(row) for row in table if None not in row.values()]
+
+
+def write_measured(path: Path, points: Sequence[Measured]) -> None:
+    """Write measurements as a table; a reader never sees half of it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_suffix(".part")
+    with beside.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS)
+        writer.writeheader()
+        writer.writerows(point.row() for point in points)
+    os.replace(beside, path)

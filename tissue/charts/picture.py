@@ -1,0 +1,69 @@
+"""Speed against accuracy as a picture: every setting a point, the frontier named, the tick of 1 ms a line."""
+
+from pathlib import Path
+from typing import Any
+
+from tissue.charts.frontier import Frontier
+from tissue.pictures import figure, save
+
+__all__ = ["draw_frontiers"]
+
+FAMILIES = {
+    "voxels": ("#0072B2", "o", "voxels"),
+    "shell": ("#56B4E9", "s", "cutter's elements"),
+    "stress": ("#CC79A7", "D", "with stress"),
+    "elements": ("#009E73", "^", "elements"),
+    "path": ("#E69F00", "v", "compliance"),
+    "cores": ("0.45", "P", "one core"),
+    "loop": ("#D55E00", "X", "renderer, predictor, model rate"),
+    "model": ("0.2", "o", "the model"),
+}
+LEAST = 1e-6
+"""Error that is drawn for none."""
+
+
+def draw_frontiers(found: list[Frontier], path: Path) -> None:
+    """Draw a panel for each: median tick with its 99th percentile against force error.
+
+    Shaded is what the reference itself leaves open.
+    """
+    chart = figure(5.6 * len(found), 4.4)
+    panels = chart.subplots(1, len(found), squeeze=False)[0]
+    chart.subplots_adjust(left=0.14 / len(found), right=0.985, top=0.92, bottom=0.13, wspace=0.24)
+    for panel, each in zip(panels, found, strict=True):
+        _draw(panel, each)
+    save(chart, path)
+
+
+def _draw(axes: Any, found: Frontier) -> None:
+    """One scene."""
+    points, device = found.points, found.scene.device
+    shown = [100.0 * max(point.force_error, LEAST) for point in points]
+    low, high = 0.5 * min([*shown, 100.0 * max(found.gap, LEAST)]), 2.2 * max(*shown, 1e-3)
+    told = set()
+    for point, error in zip(points, shown, strict=True):
+        colour, mark, label = FAMILIES[point.family]
+        axes.plot([point.median_us, point.p99_us], [error, error], color=colour, linewidth=0.8, alpha=0.5)
+        new = label if point.family not in told else None
+        told.add(point.family)
+        axes.plot(point.median_us, error, mark, color=colour, markersize=6.5, label=new)
+    best = found.best
+    line = [100.0 * max(point.force_error, LEAST) for point in best]
+    axes.step([p.median_us for p in best], line, where="post", color="0.15", linewidth=1.4, label="frontier")
+    for point, error in zip(best, line, strict=True):
+        axes.annotate(point.setting, (point.median_us, error), xytext=(5, 6), textcoords="offset points", fontsize=8.5)
+    if found.gap > 0.0:
+        axes.axhspan(low, 100.0 * found.gap, color="0.9", zorder=0, label="reference not known better")
+    axes.axvline(1e3, color="#D55E00", linestyle="--", linewidth=1.3, label="1 ms")
+    axes.set(
+        xscale="log",
+        yscale="log",
+        ylim=(low, high),
+        xlabel="tick in contact / µs: median, line to its 99th percentile",
+        ylabel="error of the force / % of the converged, undelayed force",
+        title=f"{found.scene.name}, " + ("by script" if device == "none" else f"by hand on {device}"),
+    )
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter("")
+    axes.grid(alpha=0.3, which="both")
+    axes.legend(loc="best", fontsize=8)

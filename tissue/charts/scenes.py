@@ -1,0 +1,48 @@
+"""Charts of scenes: their frontiers by script and by hand, as pictures and as tables."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from meshes.errors import InputError
+from tissue.charts.frontier import Frontier, frontier_of, write_measured
+from tissue.charts.measure import machine
+from tissue.charts.picture import draw_frontiers
+from tissue.charts.settings import by_hand
+from tissue.load import load_scene, scene_names
+
+__all__ = ["chart_scenes"]
+
+Tell = Callable[[str, float], None]
+
+
+def chart_scenes(
+    names: Sequence[str], out: Path, *, quick: bool, overwrite: bool = False, tell: Tell = lambda doing, share: None
+) -> list[list[Frontier]]:
+    """Chart some scenes, or all where none is named; each leaves NAME.png and NAME.csv.
+
+    What was measured on this machine before is not measured again, so that a call that was interrupted goes on.
+
+    Raises
+    ------
+    InputError
+        If a scene is unknown, or ``out`` holds a chart already.
+    """
+    scenes = [load_scene(name) for name in names or scene_names()]
+    for scene in scenes:
+        if (out / f"{scene.name}.csv").exists() and not overwrite:
+            raise InputError(f"out must not hold a chart of {scene.name} yet, got {out}: pass --overwrite or another")
+    found = []
+    out.mkdir(parents=True, exist_ok=True)
+    for index, scene in enumerate(scenes):
+
+        def told(doing: str, share: float, index: int = index) -> None:
+            tell(doing, (index + share) / len(scenes))
+
+        # A wall is met by a hand alone; other scenes move by script as well.
+        kinds = [by_hand(scene)] if scene.device != "none" else [scene, by_hand(scene)]
+        both = [frontier_of(kind, quick=quick, tell=told) for kind in kinds]
+        draw_frontiers(both, out / f"{scene.name}.png")
+        write_measured(out / f"{scene.name}.csv", [point for each in both for point in each.points])
+        found.append(both)
+    (out / "machine.txt").write_text(machine() + "\n", "utf-8")
+    return found
