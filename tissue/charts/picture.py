@@ -39,7 +39,8 @@ def _draw(axes: Any, found: Frontier) -> None:
     """One scene."""
     points, device = found.points, found.scene.device
     shown = [100.0 * max(point.force_error, LEAST) for point in points]
-    low, high = 0.5 * min([*shown, 100.0 * max(found.gap, LEAST)]), 2.2 * max(*shown, 1e-3)
+    known = [100.0 * found.gap] if found.gap > 0.0 else []
+    low, high = 0.5 * min(shown + known), 2.2 * max(*shown, 1e-3)
     told = set()
     for point, error in zip(points, shown, strict=True):
         colour, mark, label = FAMILIES[point.family]
@@ -60,7 +61,7 @@ def _draw(axes: Any, found: Frontier) -> None:
         yscale="log",
         ylim=(low, high),
         xlabel="tick in contact / µs: median, line to its 99th percentile",
-        ylabel="error of the force / % of the converged, undelayed force",
+        ylabel="force error / %, to the converged, undelayed one",
         title=f"{found.scene.name}, " + ("by script" if device == "none" else f"by hand on {device}"),
     )
     axes.yaxis.set_major_formatter("{x:g}")

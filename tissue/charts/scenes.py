@@ -10,7 +10,7 @@ from tissue.charts.picture import draw_frontiers
 from tissue.charts.settings import by_hand
 from tissue.load import load_scene, scene_names
 
-__all__ = ["chart_scenes"]
+__all__ = ["chart_lines", "chart_scenes"]
 
 Tell = Callable[[str, float], None]
 
@@ -41,8 +41,23 @@ def chart_scenes(
         # A wall is met by a hand alone; other scenes move by script as well.
         kinds = [by_hand(scene)] if scene.device != "none" else [scene, by_hand(scene)]
         both = [frontier_of(kind, quick=quick, tell=told) for kind in kinds]
-        draw_frontiers(both, out / f"{scene.name}.png")
+        draw_frontiers([each for each in both if len(each.points) > 1], out / f"{scene.name}.png")
         write_measured(out / f"{scene.name}.csv", [point for each in both for point in each.points])
         found.append(both)
     (out / "machine.txt").write_text(machine() + "\n", "utf-8")
     return found
+
+
+def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
+    """Frontiers in words, a line for each setting that nothing beats."""
+    lines = []
+    for both in found:
+        for each in both:
+            how = "by script" if each.scene.device == "none" else f"by hand on {each.scene.device}"
+            lines.append(f"{each.scene.name} {how}; the reference is known to {100.0 * each.gap:.2g} %")
+            lines += [
+                f"  {point.setting:<28} error {100.0 * point.force_error:6.2g} %   "
+                f"tick {point.median_us:5.0f} us, 99 % {point.p99_us:6.0f} us"
+                for point in each.best
+            ]
+    return lines
