@@ -1,0 +1,156 @@
+"""A trainee's run held against a reference: alignment by place, breaches in time, and a picture."""
+
+import json
+
+import numpy as np
+import pytest
+
+from meshes.errors import InputError
+from tissue.assessment import assess, assessment_lines, write_assessment
+from tissue.cli import main
+from tissue.run_folder import SavedRun
+from tissue.statistics.alignment import aligned_rows, deviation_mm
+from tissue.trace import Table, TraceWriter, trace_columns
+
+COLUMNS = trace_columns(())
+TICK_S = 1e-3
+GRID_MM = 0.02
+"""Paths of 2 s are aligned over 800 samples, 2.5 ticks apart; 20 mm/s passes 0.05 mm in that time, the refinement less."""
+
+
+def reach(duration_s, *, pause_s=0.0, deeper_mm=0.0, aside_mm=0.0):
+    """Down 10 mm, along 20 mm, up again; the tool's axis is z and it meets the tissue below zero."""
+    count = round(duration_s / TICK_S)
+    s = np.linspace(0.0, 4.0, count)
+    pause = np.full(round(pause_s / TICK_S), 2.0)
+    s = np.concatenate([s[s < 2.0], pause, s[s >= 2.0]])
+    x = np.interp(s, [0, 1, 3, 4], [0, 0, 20, 20])
+    depth = np.interp(s, [0, 1, 3, 4], [-2, 5, 5, -2]) + deeper_mm * np.exp(-0.5 * ((s - 1.5) / 0.05) ** 2)
+    y = aside_mm * np.exp(-0.5 * ((s - 2.5) / 0.1) ** 2)
+    return np.column_stack([x, y, -depth])
+
+
+def saved(folder, path, *, scene="block", force_scale=1.0, events=(), status="complete"):
+    """A run's folder with a trace of that path and a force of 2 N per mm of depth."""
+    folder.mkdir(parents=True)
+    rows = np.zeros((len(path), len(COLUMNS)))
+    at = {name: index for index, name in enumerate(COLUMNS)}
+    rows[:, at["time_s"]] = np.arange(len(path)) * TICK_S
+    rows[:, [at[f"tool_{c}_mm"] for c in "xyz"]] = path
+    rows[:, at["tool_qw"]] = 1.0
+    rows[:, [at[f"velocity_{c}_mm_s"] for c in "xyz"]] = np.gradient(path, axis=0) / TICK_S
+    depth = np.maximum(0.0, -path[:, 2])
+    rows[:, at["model_force_z_N"]] = 2.0 * force_scale * depth
+    rows[:, at["contact_mm2"]] = depth > 0.0
+    rows[:, at["layer"]] = -1
+    writer = TraceWriter(folder / "trace.csv", Table(COLUMNS, rows))
+    writer.flush(len(rows), force=True)
+    writer.close()
+    summary = {"format": 1, "status": status, "scene": scene, "layers": []}
+    summary["events"] = [{"time_s": at_s, "what": what} for at_s, what in events]
+    (folder / "summary.json").write_text(json.dumps(summary))
+    return SavedRun(folder)
+
+
+def test_a_slower_run_with_a_pause_is_no_deviation(tmp_path):
+    reference = saved(tmp_path / "r", reach(2.0))
+    found = assess(saved(tmp_path / "t", reach(2.7, pause_s=0.5)), reference)
+    assert found.figures["deviation_mm"]["worst"] < GRID_MM
+    assert found.figures["force_error"] < 0.01 and not found.breaches
+    # Without alignment the same ticks lie millimetres apart.
+    assert np.linalg.norm(reach(2.7, pause_s=0.5)[:2000] - reach(2.0), axis=1).max() > 5.0
+    time = found.figures["time_in_contact_s"]
+    assert time["trainee"] == pytest.approx(time["reference"] * 1.35 + 0.5, abs=0.01)
+    assert "no limit was passed" in assessment_lines(found)
+
+
+def test_alignment_never_goes_back_and_keeps_crossings_apart():
+    """Up and down one line: the nearest point would be on either way, the moment is not."""
+    there = np.linspace(0.0, 10.0, 500)
+    path = np.concatenate([there, there[::-1]])[:, None]
+    rows = aligned_rows(path[::2], path)
+    assert (np.diff(rows) >= 0).all() and rows[0] == 0 and rows[-1] >= 997
+    np.testing.assert_allclose(rows, np.arange(0, 1000, 2), atol=4)
+    turned = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    line = np.column_stack([path, 0.3 * path, 0.0 * path])
+    own, other = deviation_mm(line[::2], line, rows), deviation_mm(line[::2] @ turned + 7.0, line @ turned + 7.0, rows)
+    np.testing.assert_allclose(own, other, atol=1e-9)
+
+
+def test_breaches_are_found_where_they_were_planted(tmp_path):
+    reference = saved(tmp_path / "r", reach(2.0))
+    trainee = saved(
+        tmp_path / "t",
+        reach(2.0, deeper_mm=1.5, aside_mm=1.8),
+        events=[(0.8, "pulp exposed")],
+        status="interrupted",
+    )
+    found = assess(trainee, reference, force_limit_N=12.0)
+    by_what = {each.what: each for each in found.breaches}
+    # The dip leaves the path too, so that distance is passed twice; its second time is aside.
+    assert len(found.breaches) == 4
+    assert set(by_what) == {"force", "distance from the path", "depth"}
+    depth, aside, force = by_what["depth"], by_what["distance from the path"], by_what["force"]
+    # s = 1.5 is at 0.75 s, s = 2.5 at 1.25 s of 2 s.
+    assert depth.worst_at_s == pytest.approx(0.75, abs=0.002) and depth.worst == pytest.approx(6.5, abs=0.01)
+    assert aside.worst_at_s == pytest.approx(1.25, abs=0.01) and aside.worst == pytest.approx(1.8, abs=GRID_MM)
+    # Deeper than 0.5 mm beyond the plan while exp(-x^2 / 2) > 1/3.
+    assert depth.end_s - depth.start_s == pytest.approx(2.0 * np.sqrt(2.0 * np.log(3.0)) * 0.05 / 2.0, abs=0.003)
+    assert force.limit == 12.0 and force.worst == pytest.approx(13.0, abs=0.01)
+    assert found.figures["overshoot_mm"] == pytest.approx(1.5, abs=0.01)
+    lines = assessment_lines(found)
+    assert any("pulp exposed" in line for line in lines) and "the trainee was cut short" in lines
+
+
+def test_the_limit_of_force_follows_the_reference(tmp_path):
+    reference = saved(tmp_path / "r", reach(2.0))
+    found = assess(saved(tmp_path / "t", reach(2.0), force_scale=1.3), reference)
+    assert found.force_limit_N == pytest.approx(12.5)
+    assert [each.what for each in found.breaches] == ["force"]
+    assert found.figures["force_error"] == pytest.approx(0.3, abs=0.01)
+    assert found.figures["peak_force_N"] == {"trainee": pytest.approx(13.0), "reference": pytest.approx(10.0)}
+
+
+def test_figures_and_picture_are_written_once(tmp_path):
+    run = saved(tmp_path / "r", reach(1.0))
+    found = assess(run, run)
+    assert found.figures["deviation_mm"]["worst"] < 1e-9 and found.figures["force_error"] == 0.0
+    png = write_assessment(found, tmp_path / "out", overwrite=False)[1]
+    assert png.stat().st_size > 20_000
+    assert json.loads((tmp_path / "out" / "assessment.json").read_text())["limits"]["deviation_mm"] == 1.0
+    with pytest.raises(InputError, match="out must not hold another assessment"):
+        write_assessment(found, tmp_path / "out", overwrite=False)
+    with pytest.raises(InputError, match="out must be a folder"):
+        write_assessment(found, png, overwrite=False)
+
+
+def test_what_cannot_be_assessed_is_told(tmp_path):
+    reference, other = saved(tmp_path / "r", reach(1.0)), saved(tmp_path / "o", reach(1.0), scene="wall")
+    above = saved(tmp_path / "a", reach(1.0) + np.array([0.0, 0.0, 50.0]))
+    with pytest.raises(InputError, match="must be of one scene, got wall and block"):
+        assess(other, reference)
+    with pytest.raises(InputError, match="reference must touch the tissue"):
+        assess(reference, above)
+    with pytest.raises(InputError, match="deviation_limit_mm must be positive"):
+        assess(reference, reference, deviation_limit_mm=-1.0)
+    short = saved(tmp_path / "s", reach(1.0)[:3])
+    with pytest.raises(InputError, match="run must hold a trace of ten ticks"):
+        assess(short, reference)
+
+
+def told(monkeypatch, *words):
+    """Run the command in this process; its exit code."""
+    monkeypatch.setattr("sys.argv", ["tissue", "assess", *map(str, words)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return ended.value.code or 0
+
+
+def test_the_command_prints_and_refuses(tmp_path, capsys, monkeypatch):
+    saved(tmp_path / "r", reach(1.0))
+    saved(tmp_path / "t", reach(1.2, aside_mm=3.0))
+    assert told(monkeypatch, tmp_path / "t", "--against", tmp_path / "r", "--out", tmp_path / "out") == 0
+    said = capsys.readouterr().out
+    assert "breach: distance from the path above 1 mm" in said and "assessment.png" in said
+    assert told(monkeypatch, tmp_path / "none", "--against", tmp_path / "r") == 2
+    assert "run must be a folder that `tissue run` wrote" in capsys.readouterr().err

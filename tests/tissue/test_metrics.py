@@ -1,0 +1,221 @@
+"""Metrics of a trial against closed forms, and what they refuse."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from meshes.errors import InputError
+from tissue.statistics.discrimination import classification_accuracy, discrimination_threshold
+from tissue.statistics.metrics import (
+    acceleration_change_m_s2,
+    completion_time_s,
+    force_error,
+    force_mae_N,
+    force_rms_N,
+    latency_ms,
+    overshoot_mm,
+    position_error_mm,
+    spectral_arc_length,
+)
+
+TICK_S = 1e-3
+EXACT = 1e-12
+"""Sums of a few thousand doubles."""
+
+
+def reach(duration_s, size_mm=100.0, pad_s=0.0):
+    """Time and speed of a minimum-jerk reach (Flash and Hogan 1985)."""
+    time = np.arange(0.0, duration_s + 0.5 * TICK_S, TICK_S)
+    s = time / duration_s
+    speed = size_mm / duration_s * 30.0 * s**2 * (1.0 - s) ** 2
+    pad = np.zeros(round(pad_s / TICK_S))
+    return np.concatenate([pad, speed, pad])
+
+
+def wander(rng, count, *, slow=60):
+    """A force that varies over tens of milliseconds."""
+    noise = rng.normal(size=(count + 4 * slow, 3))
+    window = np.hanning(2 * slow)
+    return np.stack([np.convolve(column, window / window.sum(), "same")[2 * slow : -2 * slow] for column in noise.T]).T
+
+
+@pytest.mark.parametrize("scale", [0.0, 0.5, 0.97, 1.0, 1.3])
+def test_a_scaled_force_errs_by_its_scale(scale):
+    ideal = wander(np.random.default_rng(1), 500)
+    assert force_error(scale * ideal, ideal) == pytest.approx(abs(scale - 1.0), abs=EXACT)
+
+
+def test_errors_of_a_constant_offset():
+    ideal = np.tile([0.0, 0.0, 5.0], (100, 1))
+    force = ideal + np.array([3.0, 4.0, 0.0])
+    assert force_mae_N(force, ideal) == pytest.approx(5.0, abs=EXACT)
+    assert force_rms_N(force, ideal) == pytest.approx(5.0, abs=EXACT)
+    assert force_error(force, ideal) == pytest.approx(1.0, abs=EXACT)
+
+
+def test_rms_weighs_one_large_error_more_than_mae():
+    ideal, force = np.ones(100), np.ones(100)
+    force[0] = 11.0
+    assert force_mae_N(force, ideal) == pytest.approx(0.1, abs=EXACT)
+    assert force_rms_N(force, ideal) == pytest.approx(1.0, abs=EXACT)
+
+
+def test_errors_do_not_turn_with_the_frame():
+    rng = np.random.default_rng(2)
+    ideal = wander(rng, 300)
+    force = ideal + 0.1 * rng.normal(size=ideal.shape)
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    for metric in (force_error, force_mae_N, force_rms_N):
+        assert metric(force @ turn.T, ideal @ turn.T) == pytest.approx(metric(force, ideal), rel=1e-12)
+
+
+@pytest.mark.parametrize("ticks", [-7, 0, 1, 4, 33])
+def test_latency_of_a_shifted_force(ticks):
+    wide = wander(np.random.default_rng(3), 2100)
+    ideal, force = wide[50:2050], wide[50 - ticks : 2050 - ticks]
+    # A parabola through three samples of a correlation this broad misses its peak by less than a hundredth of a tick.
+    assert latency_ms(force, ideal, tick_s=TICK_S) == pytest.approx(float(ticks), abs=0.01)
+
+
+def test_latency_between_ticks_and_of_a_low_pass():
+    time = np.arange(4000) * TICK_S
+    slow = 2.0 * np.pi * 3.0
+    ideal, force = np.sin(slow * time), np.sin(slow * (time - 4.3e-3))
+    assert latency_ms(force, ideal, tick_s=TICK_S) == pytest.approx(4.3, abs=0.05)
+    # A first-order low-pass lags a sine by atan(w tau) / w, 5 ms less a hundredth at 3 Hz.
+    tau = 5e-3
+    filtered = np.sin(slow * time - np.arctan(slow * tau))
+    assert latency_ms(filtered, ideal, tick_s=TICK_S) == pytest.approx(1e3 * np.arctan(slow * tau) / slow, abs=0.05)
+
+
+def test_the_printed_smoothness_is_jerk_times_tick():
+    time = np.arange(1000) * TICK_S
+    velocity = np.outer(0.5 * 2000.0 * time**2, [0.6, 0.0, 0.8])  # a jerk of 2 m/s^3
+    assert acceleration_change_m_s2(velocity, tick_s=TICK_S) == pytest.approx(2.0 * TICK_S, rel=1e-9)
+    even = np.outer(3.0 * time, [1.0, 0.0, 0.0])
+    assert acceleration_change_m_s2(even, tick_s=TICK_S) < 1e-9
+
+
+def test_the_printed_smoothness_is_lower_for_the_smoother():
+    """E13: a trembling hand scores higher by the formula, while the published table has higher for better."""
+    smooth = reach(1.0)
+    time = np.arange(len(smooth)) * TICK_S
+    trembling = smooth + 20.0 * (1.0 + np.sin(2.0 * np.pi * 9.0 * time)) * (smooth > 0.0)
+    assert acceleration_change_m_s2(trembling, tick_s=TICK_S) > 3.0 * acceleration_change_m_s2(smooth, tick_s=TICK_S)
+    assert spectral_arc_length(trembling, tick_s=TICK_S) < spectral_arc_length(smooth, tick_s=TICK_S) - 0.05
+    # No speed profile of the study's length gives 0.92 by the formula unless it shakes: 100 mm in 1 s gives 0.003.
+    assert acceleration_change_m_s2(smooth, tick_s=TICK_S) < 0.01
+
+
+def test_spectral_arc_length_of_a_bell():
+    """The spectrum of a Gaussian bell is a Gaussian: its arc by quadrature, over frequency as a share of the range."""
+    width = 0.1
+    time = np.arange(-2.0, 2.0, TICK_S)
+    edge = np.sqrt(-2.0 * np.log(0.05)) / (2.0 * np.pi * width)
+    slope = lambda x: -((2.0 * np.pi * width * edge) ** 2) * x * np.exp(-0.5 * (2.0 * np.pi * width * edge * x) ** 2)  # noqa: E731
+    exact = -quad(lambda x: np.hypot(1.0, slope(x)), 0.0, 1.0)[0]
+    found = spectral_arc_length(np.exp(-0.5 * (time / width) ** 2), tick_s=TICK_S)
+    # The last frequency above the threshold lies up to one step of 1/65 Hz short of the edge.
+    assert found == pytest.approx(exact, abs=0.005)
+
+
+def test_spectral_arc_length_ignores_size_duration_and_rest():
+    once = spectral_arc_length(reach(1.0, pad_s=0.5), tick_s=TICK_S)
+    assert spectral_arc_length(reach(1.0, size_mm=7.0, pad_s=0.5), tick_s=TICK_S) == pytest.approx(once, rel=1e-12)
+    # The spectrum is sampled more or less finely about the threshold.
+    assert spectral_arc_length(reach(2.0, pad_s=0.5), tick_s=TICK_S) == pytest.approx(once, abs=0.01)
+    assert spectral_arc_length(reach(1.0, pad_s=1.5), tick_s=TICK_S) == pytest.approx(once, abs=0.01)
+
+
+def test_spectral_arc_length_falls_with_every_stop():
+    pieces = [
+        spectral_arc_length(np.concatenate([np.r_[reach(0.6), np.zeros(300)]] * count), tick_s=TICK_S)
+        for count in (1, 2, 3, 4)
+    ]
+    assert all(later < earlier - 0.3 for earlier, later in pairwise(pieces))
+
+
+def test_position_overshoot_and_time():
+    path = np.outer(np.arange(5.0), [1.0, 0.0, 0.0])
+    assert position_error_mm(path + np.array([0.0, 3.0, 4.0]), path) == pytest.approx(5.0, abs=EXACT)
+    assert position_error_mm(path, [2.0, 0.0, 0.0]) == pytest.approx(1.2, abs=EXACT)
+    assert overshoot_mm([0.0, 9.0, 11.5, 10.0], target_mm=10.0) == 1.5
+    assert overshoot_mm([0.0, 9.0], target_mm=10.0) == 0.0
+    time = 2.0 + np.arange(6) * 0.5
+    assert completion_time_s(time, [False, True, False, True, True, True]) == 1.5
+    assert completion_time_s(time, [True] * 6) == 0.0
+    assert completion_time_s(time, [True] * 5 + [False]) == np.inf
+
+
+def test_accuracy_with_wilsons_interval():
+    """Nine of ten: 0.596 to 0.982 (Newcombe 1998 gives the formula; figures by it)."""
+    share = classification_accuracy(["caries"] * 9 + ["healthy"], ["caries"] * 10)
+    assert (share.value, share.count) == (0.9, 10)
+    assert share.low == pytest.approx(0.5958, abs=1e-4) and share.high == pytest.approx(0.9821, abs=1e-4)
+    assert classification_accuracy([1] * 5, [1] * 5).high == 1.0
+
+
+def test_wilsons_interval_covers():
+    rng = np.random.default_rng(4)
+    right = rng.random((2000, 60)) < 0.85
+    shares = [classification_accuracy(each, np.ones(60, dtype=bool)) for each in right]
+    # Wilson's coverage swings by two points about 95 % with the share (Brown et al. 2001).
+    assert 0.93 < np.mean([each.low <= 0.85 <= each.high for each in shares]) < 0.98
+
+
+def test_threshold_of_an_observer_is_recovered():
+    """d' = 0.954 at 75 % (reference): an observer of spread 0.1 N notices 0.0954 N."""
+    rng = np.random.default_rng(5)
+    shown = rng.choice(np.linspace(0.02, 0.3, 8), 20000)
+    feels = rng.normal(shown, 0.1) > rng.normal(0.0, 0.1, len(shown))
+    lapses = rng.random(len(shown)) < 0.02 * 2.0
+    found = discrimination_threshold(shown, np.where(lapses, rng.random(len(shown)) < 0.5, feels), lapse=0.02)
+    assert found.low < 0.0954 < found.high
+    assert found.value == pytest.approx(0.0954, rel=0.05)  # three standard errors of 20,000 answers
+    in_grams = discrimination_threshold(shown * 102.0, feels, lapse=0.02)
+    assert in_grams.value == pytest.approx(102.0 * discrimination_threshold(shown, feels, lapse=0.02).value, rel=1e-5)
+
+
+@pytest.mark.slow
+def test_threshold_interval_covers():
+    rng = np.random.default_rng(6)
+    held = 0
+    for _ in range(300):
+        shown = rng.choice([0.04, 0.08, 0.12, 0.2], 200)
+        found = discrimination_threshold(shown, rng.normal(shown, 0.1 * 2**0.5) > 0.0, lapse=0.0)
+        held += found.low < 0.09538 < found.high
+    assert 0.91 < held / 300 < 0.99  # 0.95 by three standard errors
+
+
+FORCE = np.ones((200, 3))
+REFUSED = {
+    "zero ideal": (lambda: force_error(FORCE, 0.0 * FORCE), "ideal_N must not be zero throughout"),
+    "shapes": (lambda: force_error(FORCE, FORCE[:-1]), "force_N must have the shape of ideal_N"),
+    "not a number": (lambda: force_rms_N(FORCE * np.nan, FORCE), "force_N must be finite, got .* at tick 0"),
+    "empty": (lambda: force_mae_N([], []), "force_N must have shape"),
+    "constant": (lambda: latency_ms(FORCE, FORCE, tick_s=TICK_S), "force_N must vary"),
+    "short": (lambda: latency_ms(FORCE[:60], FORCE[:60], tick_s=TICK_S), "longest_ms must span"),
+    "late": (
+        lambda: latency_ms(np.arange(400) > 250, np.arange(400) > 200, tick_s=TICK_S, longest_ms=20),
+        "longest_ms must exceed the lag",
+    ),
+    "tick": (lambda: acceleration_change_m_s2(FORCE, tick_s=0.0), "tick_s must be positive"),
+    "at rest": (lambda: spectral_arc_length(np.zeros(100), tick_s=TICK_S), "speed_mm_s must be non-negative and not zero"),
+    "signed speed": (lambda: spectral_arc_length(-np.ones(100), tick_s=TICK_S), "speed_mm_s must be non-negative"),
+    "target": (lambda: overshoot_mm([1.0], target_mm=np.nan), "target_mm must be finite"),
+    "done": (lambda: completion_time_s([0.0, 1.0], [True]), "done must have one entry a tick"),
+    "labels": (lambda: classification_accuracy([], []), "said and truth must hold one label a trial"),
+    "all right": (lambda: discrimination_threshold([0.1] * 9, [True] * 9), "right must hold some errors"),
+    "guessing": (lambda: discrimination_threshold([0.1] * 4, [True, False] * 2), "right must hold some errors"),
+    "equal pair": (lambda: discrimination_threshold([0.0, 0.1, 0.2], [True, True, False]), "difference must be positive"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_a_metric_refuses_it_says(case):
+    call, said = REFUSED[case]
+    with pytest.raises(InputError, match=said) as refused:
+        call()
+    assert ": " in str(refused.value)

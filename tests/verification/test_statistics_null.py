@@ -1,0 +1,283 @@
+"""False alarms where nothing differs, and effects found where they were planted."""
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.stats import studentized_range
+
+from tissue.statistics.components import Components
+from tissue.statistics.discrimination import Share
+from tissue.statistics.manova import multivariate, pillai
+from tissue.statistics.mixed import mixed_model
+from tissue.statistics.normality import anderson_darling, mardia, normal_residuals, shapiro_wilk
+from tissue.statistics.power import TESTS, power, redrawn_power, simulated_cells
+from tissue.statistics.robust import hotelling, kruskal_wallis, permutation, welch
+from tissue.statistics.strata import mauchly, scores_of, strata
+from tissue.statistics.trials import Cells, TrialTable
+from tissue.statistics.tukey import corrected, tukey_groups, tukey_levels
+
+ALPHA = 0.05
+OFF = 0.01
+"""False alarms are wanted at 5 +- 1 %: four and a half standard errors of 10,000 replications, two of 2,000."""
+USERS, TRIALS = 12, 8
+WORLD = Components(user=1.0, user_method=0.3, trial=0.5, residual=1.0)
+FLAT = np.zeros((3, 4))
+
+
+def null(count, seed=1, components=WORLD, users=USERS):
+    """Cell means of three groups of users under four equal methods."""
+    return simulated_cells(
+        components, FLAT, users_per_group=users, trials=TRIALS, populations=count, rng=np.random.default_rng(seed)
+    )
+
+
+@pytest.mark.parametrize("name", TESTS)
+def test_strata_alarm_as_they_say(name):
+    values, groups = null(10_000)
+    chosen, between = TESTS[name]
+    found = strata(values, groups, (4,), chosen, between=between)
+    assert np.mean(found.p < ALPHA) == pytest.approx(ALPHA, abs=OFF)
+    assert stats.kstest(found.p, "uniform").pvalue > 1e-3  # p is uniform, not at 5 % alone
+
+
+def test_chi_squared_alarms_too_often_with_few_users():
+    """Why Wald's statistic of a mixed model is referred to F: with five users a group, chi squared has over 8 %."""
+    values, groups = null(10_000, users=5)
+    found = strata(values, groups, (4,), between=True)
+    assert np.mean(stats.chi2.sf(2.0 * found.F, 2) < ALPHA) > 0.08
+    assert np.mean(found.p < ALPHA) == pytest.approx(ALPHA, abs=OFF)
+
+
+@pytest.mark.parametrize("name", ["method", "group x method"])
+def test_without_sphericity_the_corrected_test_holds(name):
+    """One method that users take very differently: the plain test alarms too often, Greenhouse and Geisser's does not."""
+    values, groups = null(10_000, users=20)
+    values[:, :, 3] += 3.0 * np.random.default_rng(2).normal(size=values.shape[:2])
+    chosen, between = TESTS[name]
+    found = strata(values, groups, (4,), chosen, between=between)
+    assert np.mean(found.p < ALPHA) > ALPHA + 1.5 * OFF
+    assert np.mean(found.corrected_p < ALPHA) == pytest.approx(ALPHA, abs=OFF)
+    assert mauchly(scores_of(values[0], (4,), (0,)), groups) < 1e-6
+
+
+def test_ignoring_users_alarms_far_too_often():
+    """What the random users are for: trials taken as independent reject equal groups in a third of studies and more."""
+    values, groups = null(2000)
+    rng = np.random.default_rng(3)
+    trials = values.mean(axis=2)[:, :, None] + rng.normal(0.0, 0.5, (*values.shape[:2], TRIALS))
+    found = strata(trials.reshape(2000, -1, 1), np.repeat(groups, TRIALS), (1,), between=True)
+    assert np.mean(found.p < ALPHA) > 0.3
+
+
+@pytest.mark.parametrize("between", [True, False], ids=["groups", "methods"])
+def test_manova_alarms_as_it_says(between):
+    rng = np.random.default_rng(4)
+    mix = rng.normal(size=(4, 4))
+    groups = np.repeat([0, 1, 2], USERS)
+    scores = rng.normal(size=(10_000, len(groups), 4)) @ mix
+    assert np.mean(pillai(scores, groups, between=between)[1] < ALPHA) == pytest.approx(ALPHA, abs=OFF)
+
+
+def test_tukey_alarms_once_in_twenty_families():
+    values, groups = null(10_000)
+    means = values.mean(axis=2).reshape(-1, 3, USERS)
+    ranges = np.ptp(means.mean(axis=2), axis=1) / np.sqrt(means.var(axis=2, ddof=1).mean(axis=1) / USERS)
+    below = 3 * (USERS - 1)
+    assert np.mean(ranges > studentized_range.ppf(0.95, 3, below)) == pytest.approx(ALPHA, abs=OFF)
+    one = tukey_groups(list(means[0]), "abc", metric="m")
+    assert max(each.statistic for each in one) == pytest.approx(ranges[0], rel=1e-12)
+    within = strata(values, groups, (4,), (0,), between=False)
+    spread = np.ptp(values.mean(axis=1), axis=1) / np.sqrt(within.error_square / (3 * USERS))
+    assert np.mean(spread > studentized_range.ppf(0.95, 4, within.degrees[1])) == pytest.approx(ALPHA, abs=OFF)
+    other = tukey_levels(values[0], "abcd", groups, metric="m")
+    assert max(each.statistic for each in other) == pytest.approx(spread[0], rel=1e-12)
+
+
+def test_corrections_hold_the_family():
+    """Five independent true hypotheses: one in twenty families rejects any; uncorrected, more than a fifth."""
+    rng = np.random.default_rng(5)
+    families = rng.random((10_000, 5))
+    assert np.mean(families.min(axis=1) < ALPHA) > 0.2
+    assert np.mean(5.0 * families.min(axis=1) < ALPHA) == pytest.approx(ALPHA, abs=OFF)
+    pytest.importorskip("statsmodels", reason="statsmodels is not installed: pip install 'tissue-sim[study]'")
+    for each in families[:20]:
+        assert min(corrected(each.tolist())) == pytest.approx(min(1.0, 5.0 * each.min()))
+        assert all(a <= b for a, b in zip(corrected(each.tolist(), "holm"), corrected(each.tolist()), strict=True))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("test", [welch, kruskal_wallis], ids=["Welch", "Kruskal-Wallis"])
+def test_groups_by_tests_that_rest_on_less(test):
+    """Welch with unequal variances; ranks of a distribution that is not normal. Both are good approximations at 20."""
+    rng = np.random.default_rng(6)
+    groups = np.repeat([0, 1, 2], 20)
+    samples = rng.standard_t(3, (2500, 60)) if test is kruskal_wallis else rng.normal(size=(2500, 60)) * (1.0 + groups)
+    alarms = [test(each, groups, question="?").p < ALPHA for each in samples]
+    assert np.mean(alarms) == pytest.approx(ALPHA, abs=OFF)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["Hotelling", "Friedman"])
+def test_methods_by_tests_that_rest_on_less(name):
+    values, groups = null(5000, users=10)
+    values[:, :, 3] *= 2.0
+    if name == "Hotelling":
+        p = np.array([hotelling(each, groups, question="?").p for each in scores_of(values, (4,), (0,))])
+    else:  # ranks of all populations at once
+        values = null(5000, users=10)[0]
+        ranks = values.argsort(axis=2).argsort(axis=2) + 1.0
+        p = stats.chi2.sf(12.0 * 30 / 20 * ((ranks.mean(axis=1) - 2.5) ** 2).sum(axis=1), 3)
+    assert np.mean(p < ALPHA) == pytest.approx(ALPHA, abs=OFF)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TESTS)
+def test_permutations_alarm_as_they_say(name):
+    """With 99 shuffles p takes the values 0.01, 0.02 ... so that 5 % is p <= 0.05. Errors are far from normal."""
+    chosen, between = TESTS[name]
+    rng = np.random.default_rng(7)
+    groups = np.repeat([0, 1, 2], 6)
+    alarms = []
+    for _ in range(2000):
+        values = rng.exponential(size=(18, 1)) + rng.exponential(size=(18, 4))
+        found = permutation(values, groups, (4,), chosen, between=between, question="?", rng=rng, count=99)
+        alarms.append(found.p <= ALPHA)
+    assert np.mean(alarms) == pytest.approx(ALPHA, abs=OFF)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("between", [True, False], ids=["groups", "methods"])
+def test_permuted_pillai_alarms_as_it_says(between):
+    pytest.importorskip("statsmodels", reason="statsmodels is not installed: pip install 'tissue-sim[study]'")
+    rng = np.random.default_rng(8)
+    groups = np.repeat([0, 1, 2], 6)
+    alarms = []
+    for _ in range(4000):
+        scores = rng.laplace(size=(18, 2))
+        measured, _ = pillai(scores, groups, between=between)
+        if between:
+            others = scores[rng.permuted(np.tile(np.arange(18), (99, 1)), axis=1)]
+        else:
+            others = scores * rng.choice([-1.0, 1.0], (99, 18, 1))
+        alarms.append(
+            (1 + (pillai(others, groups, between=between)[0] >= measured * (1.0 - 1e-12)).sum()) / 100 <= ALPHA
+        )
+    assert np.mean(alarms) == pytest.approx(ALPHA, abs=OFF)
+    said = multivariate(scores, groups, between=between, question="?", rng=rng, permutations=999)
+    assert said.alternatives[0].statistic == pytest.approx(float(measured), rel=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "test", [shapiro_wilk, anderson_darling, normal_residuals, mardia], ids=lambda each: each.__name__
+)
+def test_normality_alarms_as_it_says(test):
+    """The joint checks stay at or below 5 %: their parts share the chance without being independent."""
+    pytest.importorskip("statsmodels", reason="statsmodels is not installed: pip install 'tissue-sim[study]'")
+    rng = np.random.default_rng(9)
+    samples = rng.normal(size=(2000, 60, 2))
+    single = test in (shapiro_wilk, anderson_darling)
+    alarms = [
+        test(each[:, 0]).p < ALPHA if single else not test(each if test is mardia else each[:, 0]).holds
+        for each in samples
+    ]
+    assert np.mean(alarms) < ALPHA + OFF
+    assert np.mean(alarms) > (ALPHA - OFF if single else 0.02)
+
+
+@pytest.mark.slow
+def test_sphericity_alarms_as_it_says():
+    values, groups = null(4000, users=20)
+    alarms = [mauchly(each, groups) < ALPHA for each in scores_of(values, (4,), (0,))]
+    assert np.mean(alarms) == pytest.approx(ALPHA, abs=OFF)
+
+
+@pytest.mark.slow
+def test_the_mixed_model_itself_on_a_few_populations():
+    """Statsmodels' own fit, a dozen times: p as the exact test's wherever no variance is estimated as zero."""
+    pytest.importorskip("statsmodels", reason="statsmodels is not installed: pip install 'tissue-sim[study]'")
+    rng = np.random.default_rng(10)
+    apart, alarms = [], []
+    for _ in range(12):
+        rows = []
+        for group in "ab":
+            for user in range(5):
+                own, tastes = rng.normal(), 0.8 * rng.normal(size=3)
+                for trial in range(3):
+                    shared = 0.7 * rng.normal()
+                    for method in range(3):
+                        value = own + tastes[method] + shared + 0.7 * rng.normal()
+                        rows.append(
+                            {
+                                "task": "t",
+                                "group": group,
+                                "user": user,
+                                "trial": trial,
+                                "method": method,
+                                "seed": 0,
+                                "m": value,
+                            }
+                        )
+        table = TrialTable.from_rows(rows)
+        model, cells = mixed_model(table, "m"), table.cells("m")
+        exact = strata(cells.values, cells.groups, cells.sizes, (0,), between=False)
+        if min(model.components.user, model.components.user_method, model.components.trial) > 1e-3:
+            apart.append(abs(model.tests[1].p - float(exact.p)))
+        alarms.append(float(exact.p) < ALPHA)
+    assert len(apart) >= 6 and max(apart) < 5e-3  # of the optimiser; p itself lies anywhere in 0 to 1
+    assert np.mean(alarms) < 0.4
+
+
+def test_power_of_a_paired_design_is_the_noncentral_f():
+    """Rejections of a planted effect against the exact noncentral F (Cohen 1988)."""
+    means = np.tile([0.0, 0.15, 0.3, 0.45], (3, 1))
+    found = {
+        each.test: each for each in power(WORLD, means, users_per_group=8, trials=10, rng=np.random.default_rng(11))
+    }
+    error = WORLD.user_method + WORLD.residual / 10
+    shift = 24 * ((means[0] - means[0].mean()) ** 2).sum() / error
+    below = 3 * 21
+    exact = float(stats.ncf.sf(stats.f.ppf(0.95, 3, below), 3, below, shift))
+    assert 0.3 < exact < 0.9
+    assert found["method"].hits.low - 0.005 < exact < found["method"].hits.high + 0.005
+    for each in found.values():
+        assert each.false_alarms.value == pytest.approx(ALPHA, abs=OFF) and each.populations == 10_000
+    assert "false alarms" in found["group"].sentence
+
+
+def test_power_grows_with_users_and_not_beyond_them_with_trials():
+    means = np.array([[0.0, 0.0], [0.5, 0.5]])
+    rng = np.random.default_rng(12)
+    rates = [
+        {
+            each.test: each.hits.value
+            for each in power(WORLD, means, users_per_group=users, trials=trials, rng=rng, populations=2000)
+        }["group"]
+        for users, trials in ((5, 10), (20, 10), (60, 10), (5, 10_000))
+    ]
+    assert rates[0] < rates[1] < rates[2] and rates[2] > 0.6
+    assert rates[3] < rates[1]  # a hundred thousand trials of ten people are ten people
+
+
+def cells_of(values, groups):
+    return Cells(
+        "m",
+        values,
+        np.full(values.shape, TRIALS),
+        groups,
+        ("a", "b", "c"),
+        tuple("u" * len(groups)),
+        (("method", tuple("pqrs")),),
+    )
+
+
+def test_redrawn_users_alarm_nearly_as_they_say():
+    """Users drawn with replacement stand twice: error rates lie near 5 %, within two points at 12 users a group."""
+    shares = []
+    for seed in range(8):
+        values, groups = null(1, seed=seed)
+        found = redrawn_power(cells_of(values[0], groups), rng=np.random.default_rng(seed), populations=1000)
+        shares.append([each.false_alarms.value for each in found])
+    assert np.mean(shares, axis=0) == pytest.approx([ALPHA] * 3, abs=0.02)
+    wide = redrawn_power(cells_of(values[0], groups), rng=np.random.default_rng(1), users_per_group=40, populations=200)
+    assert wide[0].users_per_group == 40 and isinstance(wide[0].hits, Share)

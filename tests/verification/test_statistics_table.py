@@ -1,0 +1,338 @@
+"""The table of trials, the composite index, and one sentence for whatever cannot be compared."""
+
+import json
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from meshes.errors import InputError
+from tissue.statistics.comparison import compare
+from tissue.statistics.hpi import composite_index, weights_of
+from tissue.statistics.manova import manova
+from tissue.statistics.outcome import Assumption, Effect, Outcome
+from tissue.statistics.power import redrawn_power, simulated_cells
+from tissue.statistics.regression import regression, trial_regression
+from tissue.statistics.resampling import bootstrap
+from tissue.statistics.trials import TrialTable
+from tissue.statistics.tukey import corrected, tukey_groups
+
+METHODS = ("energy", "koopman", "penalty", "perception")
+DIRECTIONS = {"force_error": -1, "latency_ms": -1, "arc_length": 1, "position_error_mm": -1}
+
+
+def rows_of(seed=1, *, users=4, trials=3, groups=("expert", "novice"), tasks=("milling", "wall")):
+    """A small study whose methods differ by half a standard deviation each; one quality drives all metrics."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for task_index, task in enumerate(tasks):
+        for group in groups:
+            for user in range(users):
+                skill = rng.normal()
+                for trial in range(trials):
+                    for index, method in enumerate(METHODS):
+                        good = skill + 0.5 * index + 0.5 * rng.normal()
+                        rows.append(
+                            {
+                                "task": task,
+                                "group": group,
+                                "user": f"u{user}",
+                                "trial": trial,
+                                "method": method,
+                                "seed": int(rng.integers(2**40)),
+                                "force_error": (0.08 - 0.01 * good + 0.004 * rng.normal()) * (1 + 4 * task_index),
+                                "latency_ms": 4.0 - 0.3 * good + 0.3 * rng.normal(),
+                                "arc_length": -2.0 + 0.2 * good + 0.1 * rng.normal(),
+                                "position_error_mm": 0.8 - 0.1 * good + 0.2 * rng.normal(),
+                            }
+                        )
+    return rows
+
+
+def table_of(**options):
+    return TrialTable.from_rows(rows_of(**options))
+
+
+def test_a_table_does_not_know_who_finished_first(tmp_path):
+    rows = rows_of()
+    shuffled = [rows[i] for i in np.random.default_rng(2).permutation(len(rows))]
+    TrialTable.from_rows(rows).write_csv(tmp_path / "a.csv")
+    TrialTable.from_rows(shuffled).write_csv(tmp_path / "b.csv")
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+
+
+def test_a_table_reads_back_to_the_same_bits(tmp_path):
+    rows = rows_of()
+    rows[5] = {key: rows[5][key] for key in ("task", "group", "user", "trial", "method", "seed")}
+    rows[5]["failure"] = 'the tool left the bone, "quoted", and\na second line'
+    table = TrialTable.from_rows(rows)
+    table.write_csv(tmp_path / "trials.csv")
+    back = TrialTable.read_csv(tmp_path / "trials.csv")
+    for name in table.metrics:
+        np.testing.assert_array_equal(back.metrics[name], table.metrics[name])
+    assert back.failed == 1 and sorted(back.failure)[-1] == rows[5]["failure"]
+    assert (back.seed == table.seed).all() and back.seed.dtype == np.int64
+    back.write_csv(tmp_path / "again.csv")
+    assert (tmp_path / "again.csv").read_bytes() == (tmp_path / "trials.csv").read_bytes()
+
+
+def test_cells_are_means_of_users():
+    table = table_of().where(task="wall")
+    cells = table.cells("latency_ms")
+    assert cells.values.shape == (8, 4) and cells.group_names == ("expert", "novice")
+    chosen = (table.group == "novice") & (table.user == "u2") & (table.method == "koopman")
+    index = cells.users.index("novice/u2")
+    assert cells.values[index, 1] == pytest.approx(table.metrics["latency_ms"][chosen].mean(), rel=1e-14)
+    assert cells.groups[index] == 1 and (cells.counts == 3).all()
+    both = table_of().cells("latency_ms", within=("task", "method"))
+    assert both.sizes == (2, 4)
+    np.testing.assert_allclose(both.values[:, 4:], cells.values, rtol=1e-14)
+
+
+def test_a_user_whose_trials_all_failed_is_left_out_and_named():
+    rows = [
+        row | ({"failure": "diverged"} if row["user"] == "u1" and row["method"] == "penalty" else {})
+        for row in rows_of()
+    ]
+    found = compare(TrialTable.from_rows(rows), "latency_ms", task="wall", rng=np.random.default_rng(3))
+    assert found.cells.dropped == ("expert/u1", "novice/u1")
+    assert "2 users without a whole set of trials are left out" in found.tests[0].sentence
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kept", ["one method", "one group", "gaps"])
+def test_studies_that_are_not_whole_are_compared(kept):
+    """One method leaves the groups' test, one group the methods'; trials that failed leave unequal numbers, said."""
+    pytest.importorskip("statsmodels", reason="statsmodels is not installed: pip install 'tissue-sim[study]'")
+    table = table_of(users=5)
+    if kept == "gaps":
+        rng = np.random.default_rng(9)
+        table = TrialTable.from_rows(
+            row | ({"failure": "diverged"} if rng.random() < 0.1 else {}) for row in rows_of(users=5)
+        )
+    table = {"one method": lambda: table.where(method="energy"), "one group": lambda: table.where(group="novice")}.get(
+        kept, lambda: table
+    )()
+    found = compare(table, "force_error", task="wall", rng=np.random.default_rng(10))
+    wanted = {"one method": ["group"], "one group": ["method"], "gaps": ["group", "group x method", "method"]}[kept]
+    assert sorted(each.question.split(": ")[1] for each in found.tests) == wanted
+    assert sorted(each.question.split(": ")[1] for each in found.mixed.tests) == wanted
+    assert all(0.0 <= each.p <= 1.0 for each in (*found.tests, *found.mixed.tests, *found.pairs))
+    assert ("unequal numbers of trials" in found.tests[0].sentence) == (kept == "gaps")
+
+
+def test_weights_of_an_index_by_hand():
+    """Two metrics of correlation r have equal weights; three of which two agree weigh by the eigenvector."""
+    weights, loadings, variances = weights_of(np.array([[1.0, 0.6], [0.6, 1.0]]))
+    assert weights == pytest.approx([0.5, 0.5]) and variances == pytest.approx([1.6, 0.4])
+    three = np.array([[1.0, 0.8, 0.0], [0.8, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    weights, loadings, _ = weights_of(three)
+    assert weights == pytest.approx([0.5, 0.5, 0.0], abs=1e-12) and loadings.sum() > 0.0
+
+
+def test_an_index_does_not_know_units():
+    rows = rows_of()
+    scaled = [
+        row | {"force_error": 100.0 * row["force_error"], "latency_ms": 1e-3 * row["latency_ms"] + 7.0} for row in rows
+    ]
+    one = composite_index(TrialTable.from_rows(rows), DIRECTIONS, rng=np.random.default_rng(4))
+    other = composite_index(TrialTable.from_rows(scaled), DIRECTIONS, rng=np.random.default_rng(4))
+    np.testing.assert_allclose(one.values, other.values, atol=1e-10)
+    for ours, theirs in zip((*one.weights, *one.means), (*other.weights, *other.means), strict=True):
+        assert (theirs.value, theirs.low, theirs.high) == pytest.approx((ours.value, ours.low, ours.high), abs=1e-9)
+
+
+def test_an_index_orders_what_was_planted():
+    found = composite_index(table_of(users=10), DIRECTIONS, rng=np.random.default_rng(5))
+    assert sum(each.value for each in found.weights) == pytest.approx(1.0, abs=1e-12)
+    assert all(each.low <= each.value <= each.high for each in found.weights)
+    means = {each.name: each.value for each in found.means}
+    assert means["energy"] < means["koopman"] < means["penalty"] < means["perception"]  # the order they were planted in
+    assert all(each.holds for each in found.assumptions) and min(found.loadings) > 0.0
+    assert np.nanmean(found.values) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_raw_components_have_mixed_signs_and_follow_the_units():
+    """E14: weights from the covariance of raw metrics add what is good to what is bad, and change with millimetres."""
+    table = table_of(users=10).where(task="wall")
+
+    def raw(factor):
+        columns = np.column_stack([table.values(name) for name in DIRECTIONS])
+        columns[:, 3] *= factor
+        return np.linalg.eigh(np.cov(columns.T))[1][:, -1]
+
+    millimetres, metres = raw(1.0), raw(1e-3)
+    assert millimetres.min() < 0.0 < millimetres.max()
+    assert (millimetres**2)[3] > 10.0 * (metres**2)[3]
+
+
+def test_an_index_of_metrics_that_contradict_says_so():
+    table = table_of(users=10)
+    found = composite_index(table, DIRECTIONS | {"latency_ms": 1}, rng=np.random.default_rng(6))
+    assert not found.assumptions[0].holds and "better by one metric goes with worse by another" in found.sentence
+
+
+def test_weights_of_noise_are_not_called_stable():
+    rng = np.random.default_rng(7)
+    rows = [row | {name: rng.normal() for name in DIRECTIONS} for row in rows_of()]
+    found = composite_index(TrialTable.from_rows(rows), DIRECTIONS, rng=rng)
+    assert not found.assumptions[2].holds and "weights move by up to" in found.sentence
+
+
+def test_an_outcome_says_all_and_goes_into_json():
+    robust = Outcome("Welch", "m: group", "F", 1.0, (2, 17.1), 0.39)
+    found = Outcome(
+        "analysis of strata",
+        "m: group",
+        "F",
+        5.2,
+        (2, 27),
+        0.0123,
+        Effect("partial eta squared", 0.28, 0.02, 0.47),
+        (Assumption("equal variances of groups", False, "Brown-Forsythe p = 0.0010"),),
+        (robust,),
+    )
+    assert found.sentence == (
+        "m: group: an effect (analysis of strata, F(2, 27) = 5.2, p = 0.0123; partial eta squared 0.28 [0.02, 0.47]). "
+        "Not given: equal variances of groups (Brown-Forsythe p = 0.0010). Resting on less: Welch F(2, 17.1) = 1, "
+        "p = 0.3900. They do not all agree with it."
+    )
+    assert json.loads(json.dumps(found.as_dict()))["alternatives"][0]["p"] == 0.39
+
+
+@pytest.mark.slow
+def test_a_whole_analysis_runs_without_a_warning_and_repeats():
+    pytest.importorskip("statsmodels", reason="statsmodels is not installed: pip install 'tissue-sim[study]'")
+    table = table_of(users=8)
+
+    def told():
+        rng = np.random.default_rng(8)
+        found = compare(table, "force_error", task="wall", rng=rng)
+        both = [
+            manova(table.where(task="wall"), list(DIRECTIONS)[:2], factor=each, rng=rng).sentence
+            for each in ("group", "method")
+        ]
+        slopes = trial_regression(table, "position_error_mm", ["force_error", "latency_ms"]).sentence
+        rates = [each.sentence for each in redrawn_power(found.cells, rng=rng, populations=500)]
+        return [each.sentence for each in (*found.mixed.tests, *found.tests, *found.pairs)] + [
+            found.mixed.sentence,
+            *both,
+            slopes,
+            *rates,
+        ]
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        first = told()
+    assert first == told()
+    assert first[1].startswith("force_error: method: an effect (mixed model, F(3, 42)")
+
+
+LONE = {"groups": ("novice",), "users": 1}
+REFUSED = {
+    "no rows": (lambda: TrialTable.from_rows([]), "rows must hold at least one trial, got none"),
+    "no seed": (lambda: TrialTable.from_rows([{"task": "wall"}]), "rows must each hold .* got one without group"),
+    "twice": (lambda: TrialTable.from_rows(rows_of()[:1] * 2), "trial must stand once a method, got task milling, group expert"),
+    "nan": (
+        lambda: TrialTable.from_rows([row | {"latency_ms": np.nan} for row in rows_of()]),
+        "latency_ms must be finite in a trial that did not fail, got nan in task milling",
+    ),
+    "no such metric": (lambda: table_of().cells("error"), "metric must be one of force_error, latency_ms"),
+    "no such group": (lambda: table_of().where(group="intermediate"), "group 'intermediate' must have trials, got none: choose among expert, novice"),
+    "no such column": (lambda: table_of().where(seed="1"), "column must be one of task, group, user, method, got seed"),
+    "one user": (lambda: table_of(users=1).cells("latency_ms"), "group expert must keep at least two users"),
+    "all failed": (
+        lambda: TrialTable.from_rows([row | {"failure": "x"} for row in rows_of()]).cells("latency_ms"),
+        "group expert must keep at least two users with trials of latency_ms at every level, got 0",
+    ),
+    "constant": (
+        lambda: TrialTable.from_rows([row | {"latency_ms": 4.0} for row in rows_of()]).cells("latency_ms"),
+        "latency_ms must vary over the trials, got 4 in all",
+    ),
+    "nothing to compare": (
+        lambda: compare(table_of(groups=("novice",)).where(method="energy"), "latency_ms", task="wall", rng=np.random.default_rng(1)),
+        "table must hold two methods or two groups, got one of each",
+    ),
+    "the same for all": (
+        lambda: compare(
+            TrialTable.from_rows([row | {"latency_ms": 4.1 + len(row["method"])} for row in rows_of()]),
+            "latency_ms", task="wall", rng=np.random.default_rng(1),
+        ),
+        "latency_ms must vary among users to be tested, got no variation beside method",
+    ),
+    "one metric": (lambda: manova(table_of(), ["latency_ms"], factor="group", rng=np.random.default_rng(1)), "metrics must be at least two"),
+    "one group": (
+        lambda: manova(table_of(groups=("a",)), ["latency_ms", "force_error"], factor="group", rng=np.random.default_rng(1)),
+        "groups must be at least two to be compared, got one",
+    ),
+    "too many metrics": (
+        lambda: manova(table_of(users=2), list(DIRECTIONS), factor="method", rng=np.random.default_rng(1)),
+        "users must outnumber groups and columns, got 4 users, 2 groups and 12 columns",
+    ),
+    "a repeated metric": (
+        lambda: manova(
+            TrialTable.from_rows([row | {"latency_s": 1e-3 * row["latency_ms"]} for row in rows_of()]),
+            ["latency_ms", "latency_s"], factor="group", rng=np.random.default_rng(1),
+        ),
+        "columns must not be multiples of one another",
+    ),
+    "direction": (lambda: composite_index(table_of(), {"latency_ms": 0, "force_error": -1}, rng=np.random.default_rng(1)), "direction of latency_ms must be 1 or -1"),
+    "index of one": (lambda: composite_index(table_of(), {"latency_ms": -1}, rng=np.random.default_rng(1)), "directions must name at least two metrics"),
+    "index of one user": (lambda: composite_index(table_of(**LONE), DIRECTIONS, rng=np.random.default_rng(1)), "users must be at least two, got 1"),
+    "index of a constant": (
+        lambda: composite_index(TrialTable.from_rows([row | {"arc_length": 0.1} for row in rows_of()]), DIRECTIONS, rng=np.random.default_rng(1)),
+        "arc_length must vary within a task",
+    ),
+    "regression on a constant": (lambda: regression([1.0, 2.0], {"x": [3.0, 3.0]}, ["a", "b"], response="y"), "x must vary, got 3 throughout"),
+    "regression on itself": (
+        lambda: regression([1.0, 2.0, 4.0], {"x": [3.0, 1.0, 2.0], "z": [6.0, 2.0, 4.0]}, ["a", "b", "b"], response="y"),
+        "predictors must not repeat one another",
+    ),
+    "regression of one user": (lambda: regression([1.0, 2.0], {"x": [3.0, 1.0]}, ["a", "a"], response="y"), "users must be at least two, got 1"),
+    "groups of constants": (lambda: tukey_groups([[1.0, 1.0], [2.0, 2.0]], "ab", metric="m"), "groups must vary within"),
+    "group of one": (lambda: tukey_groups([[1.0], [2.0, 3.0]], "ab", metric="m"), "group a must hold at least two finite values"),
+    "correction": (lambda: corrected([0.1], "tukey"), "correction must be one of bonferroni, holm, got tukey"),
+    "no population": (lambda: simulated_cells(None, [[0.0]], users_per_group=0, trials=1, populations=1, rng=None), "users_per_group must be at least 1"),
+    "bootstrap of two": (
+        lambda: bootstrap(np.eye(2), np.zeros(2, dtype=int), lambda each: each.mean(axis=(-1, -2)), name="m", rng=np.random.default_rng(1)),
+        "users must outnumber groups by two",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_compared_is_told_in_a_sentence(case):
+    call, said = REFUSED[case]
+    with pytest.raises(InputError, match=said) as refused:
+        call()
+    assert ": " in str(refused.value) and "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("time_s,force_N\n0,1\n", "table must begin with task,group,user"),
+        ("", "table must begin"),
+        (None, "got line 4 of .* cut short"),
+    ],
+    ids=["a trace", "empty", "cut short"],
+)
+def test_a_file_that_is_no_table_is_refused(tmp_path: Path, text, said):
+    path = tmp_path / "trials.csv"
+    if text is None:
+        table_of().write_csv(path)
+        text = "\n".join(path.read_text().splitlines()[:4])[:-60]
+    path.write_text(text)
+    with pytest.raises(InputError, match=said):
+        TrialTable.read_csv(path)
+
+
+def test_without_statsmodels_the_extra_is_named(monkeypatch):
+    import sys
+
+    from tissue.statistics.mixed import mixed_model
+
+    monkeypatch.setitem(sys.modules, "statsmodels", None)
+    with pytest.raises(InputError, match=r"pip install 'tissue-sim\[study\]'"):
+        mixed_model(table_of(), "latency_ms")
