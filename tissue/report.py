@@ -95,7 +95,8 @@ def draw_pictures(run: Run, folder: Path) -> list[str]:
         render = beside.submit(draw_before_after, run, depth, folder / "bone_before_after.png")
         draw_removed_depth(run, depth, folder / "removed_depth.png")
         draw_force_torque(run, folder / "force_torque.png")
-        if len(run.parts.tissue.layer_names) > 1 and run.parts.tissue.measure_names:
+        tells = len(run.parts.tissue.layer_names) > 1 and run.parts.tissue.measure_names
+        if tells and run.cutter.spin_rad_s != 0.0:
             side = {"axis": depth.axis, "outward": depth.outward}
             draw_section(run, folder / "section.png", **side)
             notes["force_depth.png"] = draw_force_depth(run, folder / "force_depth.png", **side)

@@ -90,6 +90,7 @@ class Run:
         torque = np.linalg.norm(trace.vectors("model_torque", "Nm"), axis=1)
         mean = lambda values: float(values[contact].mean()) if contact.any() else 0.0  # noqa: E731
         ticks = self.timing["tick_us"]
+        late = self.timing["late_us"] if "late_us" in self.timing else np.zeros(len(ticks))
         return {
             "format": FORMAT,
             "status": "complete",
@@ -101,12 +102,13 @@ class Run:
             "removed_mm3": dict(zip(trace.layer_names, (tissue.removed_m3 * 1e9).tolist(), strict=True)),
             "force_N": {"peak": float(force.max()), "mean_in_contact": mean(force)},
             "torque_Nm": {"peak": float(torque.max()), "mean_in_contact": mean(torque)},
-            "tick_us": {
-                "median": float(np.median(ticks)),
-                "p99": float(np.percentile(ticks, 99)),
-                "max": float(ticks.max()),
-            },
-            "missed_deadlines": int((ticks > DEADLINE_US).sum()),
+            "tick_us": _spread(ticks),
+            "missed_deadlines": int((ticks + late > DEADLINE_US).sum()),
+            **(
+                {"late_us": _spread(late), "skipped_ms": 1e-3 * float(self.timing["skipped_us"].sum())}
+                if "late_us" in self.timing
+                else {}
+            ),
             "events": [{"time_s": time, "what": what} for time, what in self.events],
             "compute": self._compute,
             "machine": f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}, Python "
@@ -203,3 +205,12 @@ class Run:
                 self.parts.notes["pictures"] = "; ".join(notes)
         folder.write_summary(self.summary())
         return out
+
+
+def _spread(values: NDArray[np.float64]) -> dict[str, float]:
+    """Median, 99th percentile and maximum."""
+    return {
+        "median": float(np.median(values)),
+        "p99": float(np.percentile(values, 99)),
+        "max": float(values.max()),
+    }

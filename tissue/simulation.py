@@ -6,8 +6,10 @@ from collections.abc import Callable
 from math import exp
 from pathlib import Path
 from time import perf_counter
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from meshes.errors import InputError
@@ -23,7 +25,7 @@ from tissue.scene import Scene
 from tissue.trace import TIMING_COLUMNS, Table, trace_columns
 from tissue.vibration import Vibration
 
-__all__ = ["TICK_S", "simulate"]
+__all__ = ["TICK_S", "Progress", "Watch", "simulate"]
 
 SWITCH_S = 5e-5
 """How long a thread that works beside the ticks may keep the interpreter from them [s]."""
@@ -31,6 +33,29 @@ TICK_S = 1e-3
 """Length of a tick [s]."""
 Progress = Callable[[str, float], None]
 """Told what is being done and how much of it is done, 0 to 1."""
+
+
+class Watch(Protocol):
+    """What goes along with the ticks of a run, such as a clock on the wall; what they compute does not depend on it."""
+
+    timing_columns: tuple[str, ...]
+    """Its own columns in the table of timing."""
+
+    def begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
+        """The ticks begin; told what runs and the columns of its trace."""
+        ...
+
+    def due(self, index: int) -> None:
+        """Wait until a tick may begin."""
+        ...
+
+    def told(self, index: int, row: NDArray[np.float64], times: NDArray[np.float64]) -> bool:
+        """Take a tick's row of the trace and fill its own columns of its row of timing; whether the run goes on."""
+        ...
+
+    def end(self) -> list[tuple[float, str]]:
+        """The ticks have ended, or failed: what has happened, time [s] and a sentence each."""
+        ...
 
 
 def simulate(
@@ -43,6 +68,7 @@ def simulate(
     progress: Progress | None = None,
     allow_unstable: bool = False,
     device: Device | None = None,
+    watch: Watch | None = None,
 ) -> Run:
     """Simulate a scene.
 
@@ -66,6 +92,8 @@ def simulate(
     device
         Device to read and to play instead of the simulated one in a simulated hand; the scene names the one by whose
         limits it is judged.
+    watch
+        Goes along with the ticks.
 
     Raises
     ------
@@ -78,22 +106,39 @@ def simulate(
         raise InputError(f"cores must be at least 1, got {cores}: leave it out to use all")
     if out is not None:
         RunFolder.check(out, overwrite=overwrite)
+    chosen = None
+    if scene.fidelity is not None:
+        from tissue.charts import with_fidelity
+
+        scene, chosen = with_fidelity(scene, tell=tell)
     parts = build(scene, step_s=TICK_S, compute=compute, cores=cores, tell=tell, allow_unstable=allow_unstable)
+    if chosen is not None:
+        parts.notes["fidelity"] = chosen
     if device is not None:
         if not isinstance(parts.motion, HandMotion):
             raise InputError("scene must name the device that is given, got none: set device, such as touch")
-        parts.motion.device = device
+        parts.motion.device, parts.motion.after_s = device, 0.0
     ticks = _tick_count(scene, parts.motion)
     folder = RunFolder.begin(out, scene, overwrite=overwrite) if out is not None else None
-    return _loop(scene, parts, ticks, compute=compute, folder=folder, tell=tell)
+    return _loop(scene, parts, ticks, compute=compute, folder=folder, tell=tell, watch=watch)
 
 
-def _loop(scene: Scene, parts: Parts, ticks: int, *, compute: str, folder: RunFolder | None, tell: Progress) -> Run:
+def _loop(
+    scene: Scene,
+    parts: Parts,
+    ticks: int,
+    *,
+    compute: str,
+    folder: RunFolder | None,
+    tell: Progress,
+    watch: Watch | None,
+) -> Run:
     """All ticks of a run."""
     tissue, motion = parts.tissue, parts.motion
     columns = trace_columns(tissue.layer_names, tissue.measure_names + motion.measure_names)
     trace = Table(columns, np.zeros((ticks, len(columns))), tissue.layer_names)
-    timing = Table(TIMING_COLUMNS, np.zeros((ticks, len(TIMING_COLUMNS))))
+    timed = TIMING_COLUMNS + (watch.timing_columns if watch is not None else ())
+    timing = Table(timed, np.zeros((ticks, len(timed))))
     if folder is not None:
         folder.open_tables(trace, timing)
     tick = _Tick(scene, parts, trace, timing)
@@ -101,6 +146,8 @@ def _loop(scene: Scene, parts: Parts, ticks: int, *, compute: str, folder: RunFo
     events: list[tuple[float, str]] = []
     told = perf_counter()
     index = 0
+    if watch is not None:
+        watch.begin(parts, columns)
     gc.collect()
     gc.disable()
     switching = sys.getswitchinterval()
@@ -108,11 +155,16 @@ def _loop(scene: Scene, parts: Parts, ticks: int, *, compute: str, folder: RunFo
     try:
         for index in range(ticks):
             tissue.settle(index * TICK_S)
+            if watch is not None:
+                watch.due(index)
             tick(index)
             while tissue.notices:
                 events.append((index * TICK_S, tissue.notices.pop(0)))
+            goes_on = watch is None or watch.told(index, trace.rows[index], timing.rows[index])
             if folder is not None:
-                folder.flush(index + 1)
+                folder.flush(index + 1, force=watch is not None)  # a row a tick: many at once would make the next late
+            if not goes_on:
+                break
             if perf_counter() - told > 0.1:
                 told = perf_counter()
                 tell("simulating", (index + 1) / ticks)
@@ -123,16 +175,21 @@ def _loop(scene: Scene, parts: Parts, ticks: int, *, compute: str, folder: RunFo
     finally:
         gc.enable()
         sys.setswitchinterval(switching)
+        if watch is not None:
+            events += watch.end()
+    trace.rows, timing.rows = trace.rows[: index + 1], timing.rows[: index + 1]
     tissue.finish()
     if folder is not None:
-        folder.flush(ticks, force=True)
+        folder.flush(index + 1, force=True)
     events = sorted(events + motion.happened(), key=lambda event: event[0])
     return Run(scene, parts, trace, timing, events=events, compute=compute, folder=folder)
 
 
 def _tick_count(scene: Scene, motion: Motion) -> int:
-    """Ticks of a run."""
+    """Ticks of a run; one that is to see the whole motion waits for a hand that is late."""
     seconds = scene.duration_s or motion.duration_s
+    if scene.duration_s is not None and seconds >= motion.duration_s - motion.after_s:
+        seconds += motion.after_s
     if seconds > LONGEST_S:
         raise InputError(
             f"duration_s must be given for a motion of more than {LONGEST_S:g} s, got nothing for one of "
@@ -187,7 +244,7 @@ class _Tick:
         recorded = perf_counter()
         self._tissue.catch_up(index * TICK_S, self.tool)
         end = perf_counter()
-        self._times[index] = (
+        self._times[index, : len(TIMING_COLUMNS)] = (
             (end - start) * 1e6,
             (moved - start) * 1e6,
             (removed - moved) * 1e6,

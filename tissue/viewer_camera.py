@@ -13,11 +13,11 @@ ROOM = (0.2, 0.86, 0.36, 0.88)
 MOST_POINTS = 20_000
 
 
-def aim(plotter: Any, points_mm: NDArray[np.float64]) -> None:
+def aim(plotter: Any, points_mm: NDArray[np.float64], *, room: tuple[float, float, float, float] = ROOM) -> None:
     """Look down from the front so that the points fill the room; without points so that all that there is does."""
     plotter.camera_position = [EYE, (0.0, 0.0, 0.0), UP]
     plotter.reset_camera()
-    left, right, low, high = ROOM
+    left, right, low, high = room
     if not len(points_mm):
         plotter.camera.SetWindowCenter(0.0, 1.0 - (low + high))
         return
@@ -28,8 +28,8 @@ def aim(plotter: Any, points_mm: NDArray[np.float64]) -> None:
     seen = np.column_stack([some, np.ones(len(some))]) @ view.T
     seen = seen[:, :2] / seen[:, 3:]  # -1 to 1 across the window
     first, last = seen.min(axis=0), seen.max(axis=0)
-    room = 2.0 * np.array([right - left, high - low])
-    zoom = float((room / np.maximum(last - first, 1e-9)).min())
+    share = 2.0 * np.array([right - left, high - low])
+    zoom = float((share / np.maximum(last - first, 1e-9)).min())
     plotter.camera.zoom(zoom)
     middle = np.array([left + right, low + high]) - 1.0
     plotter.camera.SetWindowCenter(*(0.5 * zoom * (first + last) - middle))

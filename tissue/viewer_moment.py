@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from tissue.pictures import COMPONENTS
 from tissue.trace import Table
+from tissue.viewer_arrow import ForceArrow
 
 if TYPE_CHECKING:
     import pyvista
@@ -17,7 +18,6 @@ CHART_SHARE = 0.27
 """Height of the chart in the window."""
 MOST_POINTS = 4000
 """Rows of the trace that a path or a curve shows."""
-FORCE = "#0072B2"
 LONGEST = 0.3
 """Length of the longest arrow, in sizes of what the tool meets."""
 
@@ -39,7 +39,6 @@ class MomentShown:
 
     def __init__(self, plotter: Any, trace: Table, tool: "pyvista.PolyData | None", *, size_mm: float) -> None:
         import pyvista
-        from vtkmodules.vtkRenderingCore import vtkBillboardTextActor3D
 
         self._trace = trace
         self._tips = trace.vectors("tool", "mm")
@@ -52,16 +51,7 @@ class MomentShown:
         self._tool = None if tool is None else plotter.add_mesh(tool, color="gray", opacity=0.35, specular=0.4)
         self._greatest = float(np.linalg.norm(self._force, axis=1).max())
         self._longest = LONGEST * max(float(np.ptp(path, axis=0).max()), size_mm, tool.length if tool else 0.0, 1.0)
-        self._arrow = plotter.add_mesh(pyvista.Arrow(), color=FORCE)
-        self._value = vtkBillboardTextActor3D()
-        look = self._value.GetTextProperty()
-        look.SetFontSize(22)
-        look.SetBold(True)
-        look.SetColor(*pyvista.Color(FORCE).float_rgb)
-        look.SetBackgroundColor(1.0, 1.0, 1.0)
-        look.SetBackgroundOpacity(0.6)
-        self._value.SetDisplayOffset(8, 4)
-        plotter.add_actor(self._value, reset_camera=False, render=False)
+        self._arrow = ForceArrow(plotter, longest_mm=self._longest)
         self._text = plotter.add_text("", position=(0.012, 0.932), viewport=True, font_size=11, color="black")
         self._chart, self._cursor = _chart(plotter, trace, every)
 
@@ -79,7 +69,6 @@ class MomentShown:
 
     def at(self, time_s: float) -> None:
         """Show the moment."""
-        import pyvista
         from scipy.spatial.transform import Rotation
 
         trace = self._trace
@@ -90,21 +79,7 @@ class MomentShown:
             self._tool.user_matrix = pose
         force = self._force[row]
         size = float(np.linalg.norm(force))
-        shown = size > 1e-3 * max(self._greatest, 1e-9)
-        self._arrow.SetVisibility(shown)
-        self._value.SetVisibility(shown)
-        if shown:
-            length = self._longest * size / self._greatest
-            self._arrow.mapper.dataset = pyvista.Arrow(
-                start=self._tips[row],
-                direction=force,
-                scale=length,
-                shaft_radius=0.02 * self._longest / length,
-                tip_radius=0.05 * self._longest / length,
-                tip_length=min(0.12 * self._longest / length, 0.6),
-            )
-            self._value.SetInput(f"{size:.3g} N")
-            self._value.SetPosition(*(self._tips[row] + length * force / size))
+        self._arrow.show(self._tips[row], force, greatest_N=self._greatest)
         parts = ", ".join(f"{one:.2f}" for one in force.round(2) + 0.0)
         words = [f"{time_s:.3f} s: force {size:.2f} N ({parts})"]
         if "layer" in trace:

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
@@ -19,10 +19,12 @@ def run(
     seed: Annotated[int | None, Parameter(converter=whole)] = None,
     duration_s: float | None = None,
     set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    fidelity: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     compute: str = "cpu",
     cores: Annotated[int | None, Parameter(converter=whole)] = None,
     format_: Annotated[tuple[str, ...], Parameter(name="--format", negative="")] = (),
     pictures: bool = True,
+    live: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
     allow_unstable: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
@@ -40,6 +42,8 @@ def run(
         Simulated time in seconds.
     set_
         KEY=VALUE, replaces an entry of the scene, such as voxels.spacing_mm=0.2; may be repeated.
+    fidelity
+        force_error=0.03 or tick_ms=0.7: take the cheapest settings of this machine that meet it; may be repeated.
     compute
         Device for the kernels: cpu or cuda:0.
     cores
@@ -48,6 +52,8 @@ def run(
         Further formats of the trace beside CSV: parquet, npz, mat, h5; may be repeated.
     pictures
         Draw pictures.
+    live
+        Run against the wall clock, in a window with mouse and keys as device, or without a display scripted.
     overwrite
         Replace the run that the folder already holds.
     allow_unstable
@@ -59,6 +65,9 @@ def run(
 
     check_formats(format_)
     overrides = dict(parse_override(text) for text in set_)
+    for text in fidelity:
+        key, value = parse_override(text)
+        overrides[f"fidelity.{key}"] = value
     if seed is not None:
         overrides["seed"] = seed
     if duration_s is not None:
@@ -67,22 +76,31 @@ def run(
     folder = out or Path("runs") / loaded.name
     RunFolder.check(folder, overwrite=overwrite)
     started = perf_counter()
-    with progress() as tell:
-        tell("starting Warp", 0.0)
-        from tissue.simulation import simulate
-        from tissue.summary_table import print_summary
+    settings: dict[str, Any] = {
+        "compute": compute,
+        "cores": cores,
+        "out": folder,
+        "overwrite": overwrite,
+        "allow_unstable": allow_unstable,
+    }
+    if live:
+        from tissue.live import live as simulate_live
+        from tissue.live import moved_by
 
-        finished = simulate(
-            loaded,
-            compute=compute,
-            cores=cores,
-            out=folder,
-            overwrite=overwrite,
-            progress=tell,
-            allow_unstable=allow_unstable,
-        )
+        # No progress bar: what draws it takes the interpreter from the ticks.
+        console.print(f"live: {moved_by(loaded)[1]}; Ctrl-C ends it", soft_wrap=True, highlight=False)
+        finished = simulate_live(loaded, duration_s=duration_s, **settings)
         simulated = perf_counter()
+    with progress() as tell:
+        if not live:
+            tell("starting Warp", 0.0)
+            from tissue.simulation import simulate
+
+            finished = simulate(loaded, progress=tell, **settings)
+            simulated = perf_counter()
         finished.save(folder, formats=format_, pictures=pictures, progress=tell)
+    from tissue.summary_table import print_summary
+
     print_summary(
         console, finished.summary(), folder, wall_s=perf_counter() - started, saving_s=perf_counter() - simulated
     )

@@ -1,0 +1,73 @@
+"""Live runs of one motion with and without a window: ``python tests/bench/bench_live.py``.
+
+The scripted motion, or the hand of the scene, runs against the wall clock twice, so that all that differs is the window,
+which is opened on a virtual display (Xvfb) that draws in software. The load of the machine is told: lateness is as much
+its other work's as ours.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+
+import numpy as np  # noqa: E402
+
+from tissue import load_scene, simulate  # noqa: E402
+from tissue.live import WallClock  # noqa: E402
+from tissue.live.run import LiveWatch  # noqa: E402
+from tissue.live.window import WindowBeside  # noqa: E402
+from tissue.simulation import TICK_S  # noqa: E402
+
+SCENES = ("wall", "glenoid", "liver-press")
+DISPLAY = ":93"
+
+
+class Watched(LiveWatch):
+    """A live run whose window only watches."""
+
+    def begin(self, parts, columns):
+        super().begin(parts, columns)
+        corners = parts.motion.sweep_m()
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        self._window = WindowBeside(self._scene, parts, columns, low_m=low, high_m=high)
+
+
+def main():
+    """Measure and print a table."""
+    server = None
+    watches = [("none", LiveWatch)]
+    if shutil.which("Xvfb") is not None:
+        screen = ["-screen", "0", "1300x900x24", "-nolisten", "tcp", "-noreset"]
+        server = subprocess.Popen(["Xvfb", DISPLAY, *screen], stderr=subprocess.DEVNULL)
+        time.sleep(2.0)
+        os.environ["DISPLAY"] = DISPLAY
+        watches.append(("open", Watched))
+    print("scene, window: tick, late (median / 99 % / max us); missed of ticks; skipped ms; load")
+    try:
+        for name in SCENES:
+            for window, kind in watches:
+                scene = load_scene(name)
+                cores = None if window == "none" else max((os.cpu_count() or 2) - 1, 1)
+                run = simulate(scene, watch=kind(scene, None, WallClock(TICK_S)), cores=cores)
+                found = run.summary()
+                tick, late = (
+                    " / ".join(f"{each:.0f}" for each in found[key].values()) for key in ("tick_us", "late_us")
+                )
+                on_time = 100.0 * float(np.mean(run.timing["late_us"] < 100.0))
+                print(
+                    f"{name}, {window}: {tick}; {late} ({on_time:.0f} % within 100 us); {found['missed_deadlines']} of "
+                    f"{len(run.trace.rows)}; {found['skipped_ms']:.0f}; {os.getloadavg()[0]:.1f}",
+                    flush=True,
+                )
+    finally:
+        if server is not None:
+            server.terminate()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,341 @@
+"""The window of a live run: what it draws, how mouse and keys move the tool, and the whole of it on a virtual display."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from x_events import Person
+
+from tissue import load_scene, simulate
+from tissue.live.shared import SharedArrays
+from tissue.live.tissues import BoneShared, OrganShared
+from tissue.offscreen import display_problem
+from tissue.run_folder import SavedRun
+from tissue.viewer_live_pointer import KEY_MM, NOTCH_MM, Pointer
+from tissue.viewer_live_tissue import FADES_MM, LiveBone, LiveOrgan
+from tissue.viewer_run import faces_of
+from tissue.wall_picture import draw_wall
+
+ROOT = Path(__file__).parents[2]
+UP = np.array([0.0, 0.0, 1.0])
+
+
+class Plotter:
+    """A plotter that only remembers what it was given, so that no OpenGL is needed."""
+
+    def __init__(self):
+        self.meshes, self.texts = {}, []
+
+    def add_mesh(self, mesh, name="mesh", **look):
+        self.meshes[name] = mesh
+
+    def add_text(self, text, **look):
+        self.texts.append(text)
+
+    def remove_actor(self, name, **options):
+        del self.meshes[name]
+
+
+class Interactor:
+    """Events as VTK tells them: observers by name, and what they ask for."""
+
+    def __init__(self):
+        self.observers, self.place, self.key, self.state = {}, (0, 0), "", 0
+
+    def AddObserver(self, name, call):
+        self.observers[name] = call
+
+    def GetInteractorStyle(self):
+        return self
+
+    def GetEventPosition(self):
+        return self.place
+
+    def GetKeySym(self):
+        return self.key
+
+    def GetState(self):
+        return self.state
+
+
+@pytest.fixture
+def pointed():
+    """A pointer at the origin of a view from the front, 100 mm away, and its interactor."""
+    from types import SimpleNamespace
+
+    from vtkmodules.vtkRenderingCore import vtkCamera
+
+    camera, interactor = vtkCamera(), Interactor()
+    camera.SetPosition(0.0, -100.0, 0.0)
+    camera.SetFocalPoint(0.0, 0.0, 0.0)
+    camera.SetViewUp(0.0, 0.0, 1.0)
+    camera.SetViewAngle(30.0)
+    window = SimpleNamespace(camera=camera, window_size=(1000, 500), iren=SimpleNamespace(interactor=interactor))
+    box = {"low_mm": np.array([-20.0, -20.0, -10.0]), "high_mm": np.array([20.0, 20.0, 30.0])}
+    return Pointer(window, np.zeros(3), UP, **box), interactor
+
+
+def test_the_mouse_moves_the_target_by_what_is_under_the_pixels(pointed):
+    pointer, events = pointed
+    pixel = 2.0 * 100.0 * np.tan(np.radians(15.0)) / 500.0
+    events.place = (500, 250)
+    events.observers["MouseMoveEvent"]()
+    np.testing.assert_array_equal(pointer.target_mm, 0.0)  # where it comes in is where it counts from
+    events.place = (530, 270)
+    events.observers["MouseMoveEvent"]()
+    np.testing.assert_allclose(pointer.target_mm, [30 * pixel, 0.0, 20 * pixel], atol=1e-12)
+    events.state = 1  # a button is down: the mouse turns the view
+    events.place = (700, 100)
+    events.observers["MouseMoveEvent"]()
+    events.state = 0
+    events.observers["LeaveEvent"]()
+    events.place = (10, 10)
+    events.observers["MouseMoveEvent"]()
+    np.testing.assert_allclose(pointer.target_mm, [30 * pixel, 0.0, 20 * pixel], atol=1e-12)
+
+
+def test_wheel_and_keys_move_it_along_the_axis_and_in_the_view_within_the_box(pointed):
+    pointer, events = pointed
+    events.observers["MouseWheelForwardEvent"]()
+    np.testing.assert_allclose(pointer.target_mm, -NOTCH_MM * UP)
+    events.observers["MouseWheelBackwardEvent"]()
+    for keys, way in (
+        (("Next", "s"), -2 * KEY_MM * UP),
+        (("Prior", "w"), 0.0 * UP),
+        (("Right", "Up"), KEY_MM * np.array([1.0, 0.0, 1.0])),
+        (("Left", "Down"), 0.0 * UP),
+    ):
+        for events.key in keys:
+            events.observers["KeyPressEvent"]()
+        np.testing.assert_allclose(pointer.target_mm, way, atol=1e-12)
+    events.key = "s"
+    for _ in range(100):
+        events.observers["KeyPressEvent"]()
+    assert pointer.target_mm[2] == -10.0 and not pointer.ended
+    events.key = "q"
+    events.observers["KeyPressEvent"]()
+    assert pointer.ended
+
+
+def test_a_wall_is_a_face_under_all_of_the_way():
+    pytest.importorskip("pyvista")
+    for changes, beyond in (({}, 15.0), ({"coupling.roam_mm": 40.0}, 40.0)):
+        (face,) = faces_of(load_scene("wall", changes)).values()
+        expected = (-beyond, 50.0 + beyond, -beyond, beyond, 0.0, 0.0)
+        assert tuple(face.bounds) == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.parametrize("device", ["touch", "none"])
+def test_a_pressed_wall_is_drawn_for_the_report(tmp_path, device):
+    from PIL import Image
+
+    run = simulate(load_scene("wall", {"device": device, "duration_s": 1.2}))
+    draw_wall(run, tmp_path / "wall.png")
+    with Image.open(tmp_path / "wall.png") as picture:
+        red, green, blue = np.moveaxis(np.asarray(picture.convert("RGB"), dtype=int), 2, 0)
+    pale = (abs(red - 236) < 12) & (abs(green - 208) < 12) & (abs(blue - 224) < 12)
+    dashes = (red > 180) & (abs(green - 94) < 40) & (blue < 60)
+    assert pale.mean() > 0.01
+    assert (dashes.sum() > 500) == (device == "touch")
+
+
+@pytest.mark.parametrize("block", [2, 4])
+def test_the_drawn_bone_loses_what_the_tool_removes(tmp_path, monkeypatch, block):
+    pytest.importorskip("pyvista")
+    if block == 4:
+        monkeypatch.setattr("tissue.live.tissues.MOST_SHOWN", 0)
+    run = simulate(load_scene("milling", {"voxels.spacing_mm": 0.2, "duration_s": 0.001}))
+    milling = run.parts.tissue
+    shared = BoneShared(milling, run.volume)
+    arrays = SharedArrays(tmp_path, shared.layout)
+    shared.publish(arrays, 0)
+    plotter = Plotter()
+    bone = LiveBone(plotter, shared.start, arrays)
+    names = run.volume.layer_names
+    assert plotter.texts == [n for i, n in enumerate(names) if (run.volume.fraction[run.volume.layer == i] > 0).any()]
+    before = plotter.meshes["bone"].volume
+    # A closed surface at half full holds the bone but for its rounded edges.
+    assert before == pytest.approx(1e9 * milling.start_m3.sum(), rel=0.03)
+    assert not bone.update()
+    left = milling.store.remaining.numpy()
+    hollow = np.flatnonzero((milling.store.places == milling.store.places.max(axis=0) // 2).all(axis=1))
+    assert hollow.size == 1
+    lost_mm3 = 1e9 * milling.step_m3 * left[hollow].sum(dtype=float) / 1.0
+    left[hollow] = 0
+    shared.publish(arrays, 0)
+    assert bone.update()
+    assert before - plotter.meshes["bone"].volume == pytest.approx(
+        lost_mm3, rel=0.35
+    )  # a cube of 4 or 2 blocks, rounded
+    left[:] = 0
+    shared.publish(arrays, 0)
+    assert bone.update() and "bone" not in plotter.meshes
+
+
+def test_the_drawn_organ_moves_where_it_is_known_and_fades_beyond(tmp_path):
+    pytest.importorskip("pyvista")
+    from fake_fields import pressed_series
+
+    series = pressed_series()
+    surface = np.flatnonzero(series.nodes_m[:, 2] == 0.0)
+    near = surface[np.linalg.norm(series.nodes_m[surface, :2], axis=1) < 8e-3]
+
+    class Organ:
+        fields = series
+        moved = np.zeros((len(near) + 3, 3))  # nodes in the middle of edges come last and are not drawn
+
+        def displacement_m(self):
+            return self.moved
+
+    series.node_sets["touchable"] = near
+    organ = Organ()
+    shared = OrganShared(organ)
+    arrays = SharedArrays(tmp_path, shared.layout)
+    plotter = Plotter()
+    drawn = LiveOrgan(plotter, shared.start, arrays)
+    rest = np.array(plotter.meshes["mesh"].points)
+    assert not drawn.update()
+    organ.moved[:] = (0.0, 0.0, -2e-3)
+    organ.moved[0] = np.nan
+    shared.publish(arrays, 0)
+    assert drawn.update()
+    moved = np.array(plotter.meshes["mesh"].points) - rest
+    known = 1e3 * series.nodes_m[near[1:]]
+    away = np.linalg.norm(rest[:, None] - known[None], axis=2).min(axis=1)
+    np.testing.assert_allclose(moved[:, 2], -2.0 * np.exp(-away / FADES_MM), atol=1e-5)
+    assert np.isclose(moved[:, 2], -2.0).sum() >= len(near) - 1
+
+
+@pytest.fixture(scope="module")
+def display():
+    """Name of a display to open windows on: a virtual one, or else the real one."""
+    if shutil.which("Xvfb") is None:
+        problem = display_problem()
+        if problem is not None:
+            pytest.skip(f"{problem}, and there is no Xvfb: apt-get install xvfb")
+        yield os.environ["DISPLAY"]
+        return
+    read, write = os.pipe()
+    command = ["Xvfb", "-displayfd", str(write), "-screen", "0", "1300x900x24", "-nolisten", "tcp", "-noreset"]
+    with subprocess.Popen(command, pass_fds=[write], stderr=subprocess.DEVNULL) as server:
+        os.close(write)
+        with os.fdopen(read) as told:
+            number = told.readline().strip()
+        if not number:
+            pytest.skip("Xvfb does not start here")
+        yield f":{number}"
+        server.terminate()
+
+
+@pytest.fixture
+def started(display, tmp_path):
+    """Starts a live run on the display; gives its process and its folder once it ticks."""
+    running = []
+
+    def start(*arguments):
+        out = tmp_path / "run"
+        code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\nfrom tissue.cli import main; main()"
+        environment = os.environ | {
+            "DISPLAY": display,
+            "PYTHONPATH": str(ROOT),
+            "VTK_DEFAULT_OPENGL_WINDOW": "vtkXOpenGLRenderWindow",
+        }
+        running.append(
+            subprocess.Popen(
+                [sys.executable, "-c", code, "run", *arguments, "--live", "--no-pictures", "--out", str(out)],
+                env=environment,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+        )
+        last_row(out, running[-1], least=50)
+        return running[-1], out
+
+    yield start
+    for process in running:
+        process.kill()
+        process.communicate()
+
+
+def last_row(out, process, *, least=1):
+    """The trace's last whole row by column, once there are so many."""
+    limit = time.monotonic() + 100.0
+    while time.monotonic() < limit:
+        if process.poll() is not None:
+            said = process.stderr.read()
+            if "its window" in said or "OpenGL" in said:
+                pytest.skip(f"no window can be opened here: {said[-300:]}")
+            raise AssertionError(said)
+        if (out / "trace.csv").is_file():
+            with (out / "trace.csv").open("rb") as file:
+                columns = file.readline().decode().strip().split(",")
+                file.seek(max(file.seek(0, os.SEEK_END) - 8000, len(",".join(columns)) + 1))
+                lines = file.read().decode().split("\n")[:-1]
+            if lines and len(cells := lines[-1].split(",")) == len(columns):
+                row = {name: float(cell) for name, cell in zip(columns[:-1], cells[:-1], strict=True)}
+                if row["time_s"] >= 1e-3 * least:
+                    return row
+        time.sleep(0.05)
+    raise AssertionError(f"{out} did not grow")
+
+
+def until(out, process, holds, act=lambda: None):
+    """Act now and then until the trace's last row holds; that row, or None where it never does."""
+    limit = time.monotonic() + 40.0
+    while time.monotonic() < limit:
+        row = last_row(out, process)
+        if holds(row):
+            return row
+        act()
+        time.sleep(0.1)
+    return None
+
+
+def test_a_person_presses_the_wall_with_mouse_wheel_and_keys(started, display):
+    process, out = started("wall")
+    person = Person(display)
+    assert last_row(out, process)["tool_z_mm"] == pytest.approx(20.0, abs=0.1)
+    way = iter(range(400, 800, 5))
+    moved = until(out, process, lambda row: row["tool_x_mm"] > 5.0, lambda: person.move(next(way), 420))
+    assert moved is not None, "the mouse does not move the tool"
+    lower = until(out, process, lambda row: row["tool_z_mm"] < moved["tool_z_mm"] - 5.0, lambda: person.wheel(1))
+    assert lower is not None, "the wheel does not move the tool"
+    deeper = until(out, process, lambda row: row["tool_z_mm"] < lower["tool_z_mm"] - 3.0, lambda: person.type("s"))
+    assert deeper is not None, "the key s does not move the tool"
+    again = until(out, process, lambda row: row["tool_z_mm"] < deeper["tool_z_mm"] - 3.0, lambda: person.type("Next"))
+    assert again is not None, "the key page down does not move the tool"
+    pressed = until(out, process, lambda row: row["model_force_z_N"] > 0.5, lambda: person.type("s", 5))
+    assert pressed is not None, "the wall is not felt"
+    assert "late_us" in (out / "timing.csv").read_text("utf-8").splitlines()[0]
+    person.type("q")
+    person.leave()
+    said, _ = process.communicate(timeout=100.0)
+    assert process.returncode == 0
+    saved = SavedRun(out)
+    assert saved.complete and saved.summary["notes"]["live"].startswith("the mouse moves the tool in a window")
+    assert saved.summary["force_N"]["peak"] > 0.5 and "skipped_ms" in saved.summary
+    assert "late, median / 99 % / max" in said
+    assert not any("by itself" in event["what"] for event in saved.summary["events"])
+
+
+@pytest.mark.slow
+def test_a_person_mills_bone_and_ctrl_c_ends_it(started, display):
+    process, out = started("milling", "--set", "voxels.spacing_mm=0.3")
+    person = Person(display)
+    person.move(550, 420)
+    milled = until(out, process, lambda row: row["removed_mm3"] > 0.1, lambda: person.type("Next", 5))
+    person.leave()
+    assert milled is not None
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=100.0)
+    assert process.returncode == 0
+    saved = SavedRun(out)
+    assert saved.complete and saved.summary["removed_mm3"]["cortical"] > 0.1
+    assert (out / "bone.vtp").is_file()

@@ -1,0 +1,126 @@
+"""``tissue calibrate``."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from tissue.commands.terminal import console, problems, whole
+
+if TYPE_CHECKING:
+    from tissue.calibration.session import Session
+    from tissue.calibration.trial_log import TrialLog
+
+__all__ = ["calibrate"]
+
+
+def calibrate(
+    *,
+    observer: str | None = None,
+    ask: Annotated[bool, Parameter(negative="")] = False,
+    population: Path | None = None,
+    out: Path | None = None,
+    device: str = "mouse",
+    trials: Annotated[int, Parameter(converter=whole)] = 120,
+    numbers: Annotated[int, Parameter(converter=whole)] = 24,
+    seed: Annotated[int, Parameter(converter=whole)] = 0,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Find a person's threshold and exponent for force in an adaptive session, or a population's from many sessions.
+
+    Every trial is on disk before the next: after an interruption the same command goes on where it stopped.
+
+    Parameters
+    ----------
+    observer
+        simulated:SEED, or simulated:GROUP:SEED with novice, intermediate or expert: who answers.
+    ask
+        Put the trials to a person: forces on the device, answers from the keyboard.
+    population
+        Folder of sessions' logs (*.trials.jsonl) to which the hierarchy of observers is fitted.
+    out
+        File to write; default observer.json, or population.json. Trials and picture lie beside it.
+    device
+        What plays forces to a person: mouse (bars stand for forces), touch, omni or six-dof (simulated).
+    trials
+        Comparisons of two forces.
+    numbers
+        Forces that are given a number.
+    seed
+        Seed of the session's order, and of the population's draws.
+    overwrite
+        Replace files of an earlier session.
+    """
+    from meshes.errors import InputError
+
+    if sum((observer is not None, ask, population is not None)) != 1:
+        raise InputError(
+            "one of --observer, --ask and --population must be given, got none or several: "
+            "try --observer simulated:1 --out observer.json"
+        )
+    if population is not None:
+        from tissue.calibration.population import fit_population
+
+        with problems.status("fitting the population"):
+            told = fit_population(population, out or Path("population.json"), seed=seed, overwrite=overwrite)
+        for line in told:
+            console.print(line, soft_wrap=True, highlight=False, markup=False)
+        return
+    from tissue.calibration.posterior_view import draw_session
+    from tissue.calibration.run_session import begin, questioner
+    from tissue.calibration.session import Plan
+    from tissue.perception.observer import write_observer
+
+    target, name = out or Path("observer.json"), observer or f"person on {device}"
+    answer, limit_N = questioner(observer, device, seed=seed, read=input, show=_show)
+    plan = Plan(seed=seed, trials=trials, numbers=numbers, force_limit_N=limit_N)
+    log = begin(target, name, plan, overwrite=overwrite)
+    if log.mended:
+        problems.print(f"{log.path} ended within a line: that trial is asked again", soft_wrap=True, highlight=False)
+    if log.session.trial:
+        problems.print(f"going on at trial {log.session.trial + 1} of {log.path}", soft_wrap=True, highlight=False)
+    _ask_all(log, answer, live=not ask)
+    session = log.session
+    write_observer(session.observer(name), target, overwrite=overwrite)
+    draw_session(session, target.with_suffix(".png"))
+    for line in session.lines():
+        console.print(line, soft_wrap=True, highlight=False, markup=False)
+    for note in session.notes():
+        problems.print(f"[yellow]note:[/yellow] {note}", soft_wrap=True, highlight=False)
+    files = ", ".join(str(each) for each in (target, log.path, target.with_suffix(".png")))
+    console.print(f"wrote {files}", soft_wrap=True, highlight=False, markup=False)
+
+
+def _show(line: str) -> None:
+    """Show a line to the person."""
+    console.print(line, soft_wrap=True, highlight=False, markup=False)
+
+
+def _ask_all(log: "TrialLog", answer: object, *, live: bool) -> None:
+    """Ask what is left; a stop says how to go on."""
+    from rich.live import Live
+
+    from tissue.calibration.intervals import StoppedError
+    from tissue.calibration.posterior_view import posterior_panel
+
+    session: Session = log.session
+    moving = live and problems.is_terminal
+    try:
+        with Live(console=problems, refresh_per_second=12, transient=True, auto_refresh=moving) as shown:
+            while not session.complete:
+                asked = session.ask()
+                log.take(asked, answer(asked, session.trial))  # type: ignore[operator]
+                if moving:
+                    shown.update(posterior_panel(session))
+                elif problems.is_terminal:
+                    problems.print(posterior_panel(session))
+    except (KeyboardInterrupt, StoppedError):
+        problems.print(
+            f"stopped after trial {session.trial}: all are in {log.path}; the same command goes on there",
+            soft_wrap=True,
+            highlight=False,
+        )
+        sys.exit(130)
+    finally:
+        log.close()

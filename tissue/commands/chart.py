@@ -1,0 +1,86 @@
+"""``tissue chart``."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from meshes.errors import InputError
+from tissue.commands.terminal import console, progress, whole
+
+__all__ = ["chart"]
+
+TASKS = ("palpation", "wall", "milling")
+"""Scenes of the tasks T1 to T3."""
+
+
+def chart(
+    *what: str,
+    out: Path | None = None,
+    quick: Annotated[bool, Parameter(negative="")] = False,
+    trials: Annotated[int, Parameter(converter=whole)] = 30,
+    observer: Path | None = None,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Measure and draw speed against accuracy: of scenes, or of predictors; or what an observer feels.
+
+    Parameters
+    ----------
+    what
+        Names of built-in scenes, default all: what every setting costs and how far its force is off. `prediction`, and
+        scenes after it (default palpation, wall and milling): errors of all predictors on runs they have not seen.
+        `perception`: intensity, threshold and mapping.
+    out
+        Folder to write; default charts, charts/prediction or charts/perception.
+    quick
+        Fewer settings, shorter excerpts and a coarser reference.
+    trials
+        Unseen runs of each scene, for predictors.
+    observer
+        Observer file that is drawn beside the population.
+    overwrite
+        Replace the charts that the folder already holds.
+    """
+    match what:
+        case ["prediction", *scenes]:
+            _prediction(scenes or list(TASKS), out or Path("charts/prediction"), trials=trials, overwrite=overwrite)
+        case ["perception"]:
+            _perception(out or Path("charts/perception"), observer, overwrite=overwrite)
+        case ["perception", scene, *_]:
+            raise InputError(f"perception must stand alone, got {scene} after it: leave it out")
+        case _:
+            _scenes(list(what), out or Path("charts"), quick=quick, overwrite=overwrite)
+
+
+def _scenes(names: list[str], folder: Path, *, quick: bool, overwrite: bool) -> None:
+    """`tissue chart [SCENE ...]`."""
+    from tissue.charts.scenes import chart_lines, chart_scenes
+
+    with progress() as tell:
+        found = chart_scenes(names, folder, quick=quick, overwrite=overwrite, tell=tell)
+    for line in chart_lines(found):
+        console.print(line, soft_wrap=True, highlight=False, markup=False)
+    console.print(f"pictures and tables in {folder}", soft_wrap=True, highlight=False)
+
+
+def _prediction(scenes: list[str], folder: Path, *, trials: int, overwrite: bool) -> None:
+    """`tissue chart prediction`."""
+    from tissue.charts.prediction import chart_prediction, comparison_lines
+    from tissue.load import load_scene
+
+    loaded = [load_scene(name) for name in scenes]
+    with progress() as tell:
+        found = chart_prediction(loaded, folder, trials=trials, overwrite=overwrite, tell=tell)
+    for line in comparison_lines(found):
+        console.print(line, soft_wrap=True, highlight=False, markup=False)
+    console.print(f"pictures and tables in {folder}", soft_wrap=True, highlight=False)
+
+
+def _perception(folder: Path, observer: Path | None, *, overwrite: bool) -> None:
+    """`tissue chart perception`."""
+    from tissue.charts.perception import perception_charts
+
+    if folder.is_dir() and any(folder.iterdir()) and not overwrite:
+        raise InputError(f"out must be empty, got files in {folder}: pass --overwrite or another --out")
+    for path in perception_charts(folder, observer):
+        console.print(f"{path}", soft_wrap=True, highlight=False)

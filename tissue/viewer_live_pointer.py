@@ -1,0 +1,108 @@
+"""Mouse and keyboard of a live window as a device: where the tool is wanted."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["HELP", "Pointer"]
+
+Array = NDArray[np.float64]
+HELP = (
+    "mouse or arrows: move in the view's plane",
+    "wheel, page down/up or s/w: deeper, higher",
+    "drag: turn the view, right drag: nearer, farther",
+    "q: end",
+)
+"""What there is to press."""
+NOTCH_MM, KEY_MM = 0.5, 0.5
+"""Way of a notch of the wheel and of a press of a key [mm]."""
+DEEPER, HIGHER = ("Next", "s"), ("Prior", "w")
+ARROWS = {"Left": (-1.0, 0.0), "Right": (1.0, 0.0), "Up": (0.0, 1.0), "Down": (0.0, -1.0)}
+"""Ways right and up in the view."""
+
+
+class Pointer:
+    """The wanted place of a tool, moved by mouse and keys within a box.
+
+    The mouse moves it in the plane of the view by as much as it goes over the plane through it; with a button pressed
+    the mouse belongs to the view. The wheel and the keys for depth move it along the tool's axis.
+
+    Parameters
+    ----------
+    plotter
+        The window.
+    start_mm
+        Where it begins [mm].
+    axis
+        The tool's axis from tip to shank, shape (3,).
+    low_mm, high_mm
+        Corners of the box [mm].
+
+    Attributes
+    ----------
+    target_mm
+        Where the tool is wanted [mm], shape (3,).
+    ended
+        Whether the key to end was pressed.
+    """
+
+    def __init__(self, plotter: Any, start_mm: Array, axis: Array, *, low_mm: Array, high_mm: Array) -> None:
+        self._plotter, self._axis, self._low, self._high = plotter, axis, low_mm, high_mm
+        self.target_mm = np.array(start_mm, dtype=float)
+        self.ended = False
+        self._at: tuple[int, int] | None = None
+        interactor = self._interactor = plotter.iren.interactor
+        self._style = style = interactor.GetInteractorStyle()
+        interactor.AddObserver("MouseMoveEvent", self._moved)
+        interactor.AddObserver("LeaveEvent", self._left)
+        interactor.AddObserver("KeyPressEvent", self._pressed)
+        # An event that the style is asked for by name is not its own any more: neither zoom nor shortcuts remain.
+        style.AddObserver("MouseWheelForwardEvent", lambda *_: self.along(-NOTCH_MM))
+        style.AddObserver("MouseWheelBackwardEvent", lambda *_: self.along(NOTCH_MM))
+        style.AddObserver("CharEvent", lambda *_: None)
+
+    def along(self, way_mm: float) -> None:
+        """Go along the tool's axis [mm], positive out of the tissue."""
+        self._go(way_mm * self._axis)
+
+    def across(self, right_mm: float, up_mm: float) -> None:
+        """Go in the plane of the view [mm]."""
+        camera = self._plotter.camera
+        ahead = np.array(camera.GetDirectionOfProjection())
+        right = np.cross(ahead, camera.GetViewUp())
+        right /= np.linalg.norm(right)
+        self._go(right_mm * right + up_mm * np.cross(right, ahead))
+
+    @property
+    def mm_per_pixel(self) -> float:
+        """Size of a pixel in the plane of the view through the target [mm]."""
+        camera = self._plotter.camera
+        away = float((self.target_mm - camera.GetPosition()) @ np.array(camera.GetDirectionOfProjection()))
+        tall = self._plotter.window_size[1]
+        return 2.0 * max(away, 1.0) * float(np.tan(np.radians(0.5 * camera.GetViewAngle()))) / tall
+
+    def _go(self, way_mm: Array) -> None:
+        self.target_mm = np.clip(self.target_mm + way_mm, self._low, self._high)
+
+    def _moved(self, *_: Any) -> None:
+        before, self._at = self._at, self._interactor.GetEventPosition()
+        if before is None or self._style.GetState() != 0:
+            return
+        pixel = self.mm_per_pixel
+        self.across(pixel * (self._at[0] - before[0]), pixel * (self._at[1] - before[1]))
+
+    def _left(self, *_: Any) -> None:
+        self._at = None
+
+    def _pressed(self, *_: Any) -> None:
+        key = self._interactor.GetKeySym()
+        if key in ARROWS:
+            right, up = ARROWS[key]
+            self.across(KEY_MM * right, KEY_MM * up)
+        elif key in DEEPER:
+            self.along(-KEY_MM)
+        elif key in HIGHER:
+            self.along(KEY_MM)
+        elif key in ("q", "Escape"):
+            self.ended = True
