@@ -18,8 +18,9 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 STATE = 8
 """Position xyz [m], quaternion xyzw, travel [m]."""
-REPORT = 11
-"""1 when settled, contacts that press, steps, solves, least gap [m], force [m] and moment [m2] over the stiffness."""
+REPORT = 14
+"""1 when settled, contacts that press, steps, solves, least gap [m], force [m] and moment [m2] over the stiffness, and
+the centre of pressure from the tool's origin, in the world's axes [m]."""
 HALVINGS = 8
 STALLS = 2
 """Steps in a row that hardly lower the springs' energy: beside voxels the proxy swings over creases, and may rest."""
@@ -30,6 +31,7 @@ TOO_DEEP = wp.constant(wp.float64(0.1))
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
 HALF = wp.constant(wp.float64(0.5))
+TWO = wp.constant(wp.float64(2.0))
 SMALL = wp.constant(wp.float64(1.0e-8))
 
 
@@ -62,10 +64,12 @@ def turn_between(start: wp.quatd, goal: wp.quatd):
 
 @wp.func
 def contact_sums(contacts: Contacts, members: int):
-    """How many members press, the sum of their normal forces [m] and of its moments [m2] about the tool's origin."""
+    """How many members press, their normal forces [m] and moments [m2] in sum, and their centre of pressure [m]."""
     pressing = int(0)
     force = wp.vec3d()
     moment = wp.vec3d()
+    centre = wp.vec3d()
+    total = wp.float64(0.0)
     for m in range(members):
         c = contacts.member[m]
         press = contacts.press[contacts.slot[c]]
@@ -73,7 +77,11 @@ def contact_sums(contacts: Contacts, members: int):
             pressing += 1
             force += press * contacts.normal[c]
             moment += press * contacts.moment[c]
-    return pressing, force, moment
+            centre += press * contacts.arm[c]
+            total += press
+    if total > ZERO:
+        centre /= total
+    return pressing, force, moment, centre
 
 
 @wp.func
@@ -85,6 +93,34 @@ def first_touch(contacts: Contacts, count: int, shift: wp.vec3d, turn: wp.vec3d)
         if closing > contacts.gap[c]:
             share = wp.min(share, contacts.gap[c] / closing)
     return share
+
+
+@wp.func
+def way_to(position: wp.vec3d, rotation: wp.quatd, target: wp.vec3d, target_turn: wp.quatd, reach: wp.float64):
+    """Greatest way of a point within ``reach`` [m] to where it is wanted [m]; a reach of 0 leaves turns out."""
+    way = wp.length(target - position)
+    if reach > ZERO:
+        way += reach * wp.length(turn_between(rotation, target_turn))
+    return way
+
+
+@wp.func
+def tell_pose(state_out: wp.array(dtype=wp.float64), position: wp.vec3d, rotation: wp.quatd, travel: wp.float64):
+    """Write the state."""
+    for c in range(3):
+        state_out[c] = position[c]
+    for c in range(4):
+        state_out[3 + c] = rotation[c]
+    state_out[7] = travel
+
+
+@wp.func
+def tell_contact(report_out: wp.array(dtype=wp.float64), force: wp.vec3d, moment: wp.vec3d, centre: wp.vec3d):
+    """Write what the contacts push, and where."""
+    for c in range(3):
+        report_out[5 + c] = force[c]
+        report_out[8 + c] = moment[c]
+        report_out[11 + c] = centre[c]
 
 
 @wp.kernel
@@ -118,6 +154,7 @@ def advance_proxy(
     turn = wp.vec3d()
     force = wp.vec3d()
     moment = wp.vec3d()
+    centre = wp.vec3d()
     rub = wp.vec3d()
     arm = wp.vec3d()
     best = wp.float64(1.0e300)
@@ -130,11 +167,15 @@ def advance_proxy(
     pressing = int(report_out[1])
     arrived = int(0)
     settled = int(0)
+    near = tolerance
+    reach = shell.reach
+    if compliance == ZERO:
+        reach = ZERO
     while steps < step_limit:
         steps += 1
-        wanted = wp.length(target - position)
-        if compliance > ZERO:
-            wanted += shell.reach * wp.length(turn_between(rotation, target_turn))
+        wanted = ZERO  # beside something every step is short, so that no point needs to wake for a long one
+        if pressing == 0:
+            wanted = way_to(position, rotation, target, target_turn, reach)
         frame = wp.quat_to_matrix(rotation)
         count, gap, clear = collect(field, shell, contacts, position, frame, travel, wanted, step)
         if gap < deepest:
@@ -178,17 +219,22 @@ def advance_proxy(
             shift *= touch
             turn *= touch
         else:
-            members, used, rub, arm = resolve(contacts, count, compliance, friction, tolerance, shift, turn, rub, arm)
+            members, used, rub, arm = resolve(
+                contacts, count, compliance, friction, tolerance, shift, turn, rub, arm, near
+            )
             solves += used
-            pressing, force, moment = contact_sums(contacts, members)
+            pressing, force, moment, centre = contact_sums(contacts, members)
             force += rub
             moment += wp.cross(arm, rub)
             shift += force
             turn += compliance * moment
         size = wp.length(shift) + shell.reach * wp.length(turn)
-        if touch >= ONE and (size == ZERO or (size <= tolerance and pressing > 0)):
+        if touch >= ONE and near == tolerance and (size == ZERO or (size <= tolerance and pressing > 0)):
             settled = int(1)
             break
+        near = tolerance
+        if size > TWO * clear:
+            near = step  # the next step finds another friction
         if size > clear:
             shift *= clear / size
             turn *= clear / size
@@ -201,13 +247,8 @@ def advance_proxy(
             position = target
             if compliance > ZERO:
                 rotation = target_turn
-    for c in range(3):
-        state_out[c] = good[c]
-        report_out[5 + c] = force[c]
-        report_out[8 + c] = moment[c]
-    for c in range(4):
-        state_out[3 + c] = good_turn[c]
-    state_out[7] = travel
+    tell_pose(state_out, good, good_turn, travel)
+    tell_contact(report_out, force, moment, centre)
     report_out[0] = wp.float64(settled)
     report_out[1] = wp.float64(pressing)
     report_out[2] = wp.float64(steps)

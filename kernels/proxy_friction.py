@@ -132,6 +132,7 @@ def resolve(
     turn: wp.vec3d,  # [rad]
     last_rub: wp.vec3d,  # friction force found before [m] and its arm, from which the search starts
     last_arm: wp.vec3d,
+    near: wp.float64,  # change of the friction at which it is found [m]
 ):
     """Size of the set, solves, and friction force [m] with its arm; the normal forces are left in ``press``."""
     members = int(0)
@@ -159,7 +160,7 @@ def resolve(
             dragged = turn + compliance * wp.cross(arm, rub)
             members, more = normal_forces(contacts, count, members, compliance, tolerance, shift + rub, dragged)
             solves += more
-            if wp.length(rub - before) <= tolerance:
+            if wp.length(rub - before) <= near:
                 break
     if members == 0:
         rub = wp.vec3d()

@@ -4,7 +4,7 @@ Voxels carry no stored distance. The distance to their surface is read where it 
 voxels around the point: with F the trilinear fraction and h the spacing, ``(SURFACE - F) h`` vanishes on the surface
 and grows by about one outward. So carving needs no update, however much it removed. ``SURFACE`` lies below one half,
 because a wall one voxel thick that lies across two voxels fills neither by more than half; a shell point is sunk by the
-difference to make up for it. Away from bone, ``clearance`` holds a lower bound of the distance to the bone of the
+difference to make up for it. Away from bone, ``clearance`` holds a lower bound of the distance to the bone there
 start, which removal can only raise.
 """
 
@@ -19,7 +19,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 HALF_SPACE = 0
 BOX = 1
 BALL = 2
-CELL = 4
+CELL = 2
 """Edge of a cell of the clearance [voxel]."""
 SURFACE = 0.25
 """Trilinear fraction on the surface that a tool feels."""
@@ -44,7 +44,7 @@ class Field:
     origin: wp.vec3d  # [m]
     spacing: wp.float64  # [m], 0 without voxels
     voxels_per_m: wp.float64  # 1 / spacing
-    clearance: wp.array3d(dtype=wp.float32)  # [cell of 4 voxels], lower bound of the distance to bone [m]
+    clearance: wp.array3d(dtype=wp.float32)  # [cell of CELL voxels], lower bound of the distance to bone [m]
 
 
 @wp.func

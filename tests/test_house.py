@@ -22,6 +22,7 @@ FLOORS = (
     ("meshes", "kernels"),
     ("tissue.materials",),
     ("tissue.child", "tissue.fields", "tissue.cutters"),
+    ("tissue.offscreen",),
     ("tissue.model",),
     ("tissue.bone", "tissue.tooth", "tissue.liver", "tissue.needle", "tissue.wall"),
     (
@@ -45,18 +46,16 @@ FLOORS = (
     ("tissue.load",),
     ("tissue.parts",),
     ("tissue.probes",),
+    ("tissue.build_loop",),
     ("tissue.build_cut", "tissue.build_soft", "tissue.build_hand"),
     ("tissue.build",),
     ("tissue.run_folder",),
     ("tissue.run",),
     ("tissue.simulation",),
     ("tissue.ideal", "tissue.statistics", "tissue.training", "tissue.live"),
-    ("tissue.charts", "tissue.atlas"),
-    ("tissue.study", "tissue.calibration"),
     (
         "tissue.surface",
         "tissue.depth",
-        "tissue.offscreen",
         "tissue.event_marks",
         "tissue.pictures",
         "tissue.section",
@@ -68,8 +67,12 @@ FLOORS = (
         "tissue.press_picture",
         "tissue.held_picture",
         "tissue.insertion_picture",
+        "tissue.wall_picture",
+        "tissue.played_picture",
         "tissue.stability_picture",
         "tissue.stability_report",
+        "tissue.assessment",
+        "tissue.assessment_picture",
         "tissue.movie",
         "tissue.viewer_bone",
         "tissue.viewer_frames",
@@ -81,18 +84,25 @@ FLOORS = (
         "tissue.viewer_play",
         "tissue.viewer_tool",
         "tissue.viewer_input",
+        "tissue.viewer_arrow",
         "tissue.viewer_moment",
         "tissue.viewer_camera",
         "tissue.viewer_run",
+        "tissue.viewer_live_pointer",
+        "tissue.viewer_live_tissue",
+        "tissue.viewer_live_tool",
+        "tissue.viewer_live",
         "tissue.viewer_window",
         "tissue.viewer",
         "tissue.view",
     ),
+    ("tissue.charts", "tissue.atlas"),
+    ("tissue.study", "tissue.calibration"),
     ("tissue.commands",),
     ("tissue.cli",),
 )
 """From the ground up; a room imports from its own floor and those below it."""
-LAZY = {("tissue.run", "tissue.report"), ("tissue.commands.view", "tissue.view")}
+LAZY = {("tissue.run", "tissue.report"), ("tissue.simulation", "tissue.charts"), ("tissue.commands.view", "tissue.view")}
 """A run calls what draws it, and only then imports it."""
 LONGEST = 300
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from meshes.errors import InputError
 from meshes.volume import VoxelVolume
 from tissue.anatomies import volume_of, whole_tooth
 from tissue.cutters import Cutter
@@ -32,7 +33,8 @@ def cut(scene: Scene, cutter: Cutter, motion: Motion, *, compute: str, cores: in
     Raises
     ------
     InputError
-        If a file cannot be used, the voxels would not fit memory, or the tool never touches.
+        If a file cannot be used, the voxels would not fit memory, the tool never touches, or it neither turns nor is
+        held by a hand.
     """
     notes: dict[str, str] = {}
     tell("building the anatomy", 0.0)
@@ -40,8 +42,37 @@ def cut(scene: Scene, cutter: Cutter, motion: Motion, *, compute: str, cores: in
     require_touch(volume, cutter, motion)
     if isinstance(scene.anatomy, MolarAnatomy) and not isinstance(scene.motion, ReplayMotion):
         require_outside(volume, cutter, motion)
+    if cutter.spin_rad_s == 0.0:
+        return _probe(scene, volume, cutter, motion, compute=compute, notes=notes, tell=tell)
     notes["specific cutting energy"] = _energy_note(volume)
     tissue = _bone(scene, volume, cutter, compute=compute, cores=cores, tell=tell)
+    return Parts(motion, tissue, cutter=cutter, volume=volume, notes=notes)
+
+
+def _probe(
+    scene: Scene,
+    volume: VoxelVolume,
+    cutter: Cutter,
+    motion: Motion,
+    *,
+    compute: str,
+    notes: dict[str, str],
+    tell: Tell,
+) -> Parts:
+    """Parts of a scene whose tool does not turn: a hand feels the rigid bone with it."""
+    from tissue.coupling.hand_motion import HandMotion
+    from tissue.coupling.probing_tool import ProbedBone, ProbingTool
+    from tissue.coupling.tool_shell import ToolShell
+
+    if not (isinstance(motion, HandMotion) and isinstance(motion.tool, ProbingTool)):
+        raise InputError(
+            "tool.spin_rpm must not be 0 without a device, because a tool that does not turn cuts nothing and a motion "
+            "that is given would push it through the bone, got 0: use 500, or device = touch"
+        )
+    tell("compiling kernels (the first time on a machine)", 0.0)
+    notes["tool"] = "it does not turn: rigid contact, nothing is cut, no stress and no heat are computed"
+    shell = ToolShell.of_cutter(cutter)
+    tissue = ProbedBone(volume, shell, area_m2=cutter.cutting_area_m2, tool=motion.tool, device=compute)
     return Parts(motion, tissue, cutter=cutter, volume=volume, notes=notes)
 
 

@@ -20,6 +20,8 @@ class Motion(Protocol):
 
     duration_s: float
     """How long the motion lasts by itself [s]."""
+    after_s: float = 0.0
+    """How much of that is a hand's being late [s]."""
     measure_names: tuple[str, ...] = ()
     """Names, with units, of the motion's own columns in the trace."""
     measures: Array = np.zeros(0)

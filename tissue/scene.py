@@ -15,6 +15,7 @@ from tissue.scene_anatomy import AnatomyFile, BlockAnatomy, GlenoidAnatomy, Mola
 from tissue.scene_coupling import (
     Coupling,
     DeviceName,
+    Fidelity,
     HandName,
     PerceptionName,
     PredictionName,
@@ -108,7 +109,7 @@ class Scene(Part):
     seed: int = Field(0, ge=0, lt=2**63)
     """Seed of every random draw."""
     duration_s: float | None = Field(None, ge=1e-3, le=3600, examples=[5.0])
-    """Simulated time; without it as long as the motion lasts."""
+    """Simulated time; without it as long as the motion lasts. One that holds the whole motion waits for a late hand."""
     anatomy: AnyAnatomy
     """What the tool meets."""
     voxels: Voxels = Voxels()
@@ -139,6 +140,9 @@ class Scene(Part):
     """Whether the temperature of a tooth and its pulp is computed."""
     organ: Organ = Organ()
     """What a soft organ is made of, and how it is solved."""
+
+    fidelity: Fidelity | None = None
+    """What the run shall be worth; its settings are then chosen by what was measured on this machine."""
 
     @property
     def bone(self) -> AnatomyFile:

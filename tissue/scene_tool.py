@@ -23,7 +23,8 @@ class Tool(Part):
     flutes: int = Field(4, ge=1, le=200)
     """Cutting edges around the axis."""
     spin_rpm: float = Field(ge=-500_000, le=500_000, examples=[500.0])
-    """Spin about the axis from tip to shank by the right-hand rule; a common right-hand cutter turns negative."""
+    """Spin about the axis from tip to shank by the right-hand rule; a common right-hand cutter turns negative. A tool
+    that does not turn (0) cuts nothing: a hand on a device feels the bone with it."""
     length_mm: float = Field(10.0, gt=0, le=200)
     """Length of a cylinder, pear or drill, thickness of a flat reamer."""
     point_angle_deg: float = Field(118.0, ge=30, lt=180)
@@ -37,10 +38,10 @@ class Tool(Part):
 
     @model_validator(mode="after")
     def _spins_and_peg_fits(self) -> "Tool":
-        if abs(self.spin_rpm) < 1.0:
+        if 0.0 < abs(self.spin_rpm) < 1.0:
             raise InputError(
-                f"tool.spin_rpm must be at least 1 in size, got {self.spin_rpm:g}: a tool that does not spin does not "
-                "cut, use 500"
+                f"tool.spin_rpm must be at least 1 in size, or 0 for a tool that only touches, got {self.spin_rpm:g}: "
+                "use 500"
             )
         if self.peg_diameter_mm >= self.diameter_mm:
             raise InputError(

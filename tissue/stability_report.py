@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from meshes.errors import InputError
-from tissue.build_hand import judged_loop
+from tissue.build_loop import judged_loop
 from tissue.coupling import hand_parameters
 from tissue.coupling.device import DEVICES
 from tissue.coupling.stability_map import StabilityMap, stability_map

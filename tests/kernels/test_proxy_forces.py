@@ -24,7 +24,16 @@ def solve_once(
     members_out: wp.array(dtype=wp.int32),
 ):
     members, _solves, rub, arm = resolve(
-        contacts, count, compliance, friction, wp.float64(1.0e-13), free[0], free[1], wp.vec3d(), wp.vec3d()
+        contacts,
+        count,
+        compliance,
+        friction,
+        wp.float64(1.0e-13),
+        free[0],
+        free[1],
+        wp.vec3d(),
+        wp.vec3d(),
+        wp.float64(1.0e-13),
     )
     wrench_out[0] = rub
     wrench_out[1] = arm

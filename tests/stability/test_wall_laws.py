@@ -8,12 +8,14 @@ from math import inf, pi, sin, sqrt
 import numpy as np
 import pytest
 
+from tissue.coupling.aim import waypoints
 from tissue.coupling.device import device_parameters
-from tissue.coupling.hand import hand_parameters
+from tissue.coupling.hand import Hand, hand_parameters
 from tissue.coupling.loop import WallLoop, spectral_radius
 from tissue.coupling.passivity import PassivityControl
-from tissue.coupling.renderer import ProxyRenderer
+from tissue.coupling.renderer import ProxyRenderer, renderer
 from tissue.coupling.signal import DelayLine, LowPass, cutoff_hz, low_pass_gain, relaxation_bound
+from tissue.coupling.simulated_device import SimulatedDevice
 from tissue.coupling.stability import critical_stiffness_N_m, in_hands
 from tissue.coupling.stability_map import growth_while_running
 from tissue.coupling.theory import delay_bound_N_m, pade_bound_N_m, passive_bound_N_m
@@ -167,3 +169,40 @@ def test_a_hand_of_every_group_stiffens_what_a_free_device_can_hold():
         for group in ("novice", "intermediate", "expert"):
             held = in_hands(loop, [hand_parameters(group).grip[:3]])[0]
             assert critical_stiffness_N_m(held) > 5.0 * free
+
+
+def let_go(name, stiffness_N_m, *, two_sided, kind="proxy", aim_m=5e-3):
+    """Positions along z [m] after a hand that pressed the middle of a spring, or a wall, has opened (at 0.8 s)."""
+    limits = device_parameters(name)
+    path = waypoints(np.array([0.0, 0.3]), np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -aim_m]]))
+    hand = Hand(hand_parameters("expert"), path, rng=np.random.default_rng(0), let_go_s=0.8)
+    device, low_pass = SimulatedDevice(limits, hand), LowPass(1e-3, step_s=TICK)
+    law = renderer(kind, limits.loop(stiffness_N_m, filter_s=1e-3))
+    found = []
+    for tick in range(2500):
+        sample = device.read(tick * TICK)
+        at, speed, _, _ = sample.arrays()
+        free = not two_sided and at[2] >= 0.0
+        proxy = at if free else np.zeros(3)
+        force = low_pass.step(law.render(at, speed, proxy, speed if free else np.zeros(3), TICK))
+        device.command(force * min(limits.force_limit_N / max(float(np.linalg.norm(force)), 1e-12), 1.0), np.zeros(3))
+        found.append(device.translation.position[2])
+    return np.array(found[800:])
+
+
+def test_let_go_at_the_default_a_wall_is_left_and_between_two_walls_only_friction_helps():
+    """Why the default is that of a device in a hand: what it costs to be safe without one, and where it matters.
+
+    Half of the critical value without a hand is a seventh to a ninth of the default. It is not needed on a wall, which
+    a released device leaves within some hundredths of a second. Held from both sides, a Touch fades by its friction, a
+    six-dof device, whose friction is a sixth of that, grows until its force limit bounds it.
+    """
+    for name in ("touch", "omni", "six-dof"):
+        limits = device_parameters(name)
+        default, safe = limits.stiffness_limit_N_m, 0.5 * critical_stiffness_N_m(limits.loop(1.0, filter_s=1e-3))
+        assert 7.0 < default / safe < 9.0
+        after = let_go(name, default, two_sided=False)
+        assert (after[50:] > 0.0).all() and np.ptp(after[1000:]) < 1e-4
+    assert np.ptp(let_go("touch", 400.0, two_sided=True)[1000:]) < 1e-5
+    assert np.ptp(let_go("six-dof", 800.0, two_sided=True)[1000:]) > 5e-2
+    assert np.ptp(let_go("six-dof", 95.0, two_sided=True)[1000:]) < 1e-5

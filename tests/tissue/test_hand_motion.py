@@ -12,6 +12,8 @@ from tissue.coupling import (
     Fault,
     FaultyDevice,
     Hand,
+    LowPass,
+    RecordedDevice,
     SimulatedDevice,
     device_parameters,
     hand_parameters,
@@ -22,12 +24,15 @@ from tissue.coupling.aim import waypoints
 from tissue.coupling.guidance import Lead, Thrust
 from tissue.coupling.hand_motion import MEASURES, HandMotion
 from tissue.coupling.held_tool import CuttingTool, PressingTool
+from tissue.coupling.held_turn import HeldTurn
+from tissue.coupling.quaternion import conjugate, exponential, logarithm, product
 from tissue.model import FreeSpace, Response, ToolMotion
 from tissue.motion import FollowPath
 from tissue.wall import WallModel
 
 STEP_S = 1e-3
-DOWN = np.array([0.0, 0.0, -1.0])
+DOWN, UP = np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.0])
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 COARSE_LIVER = {"organ.order": 1, "anatomy.edge_mm": 30.0, "anatomy.touch_edge_mm": 8.0}
 
 
@@ -220,23 +225,23 @@ def test_a_cutting_tool_balances_spring_edge_and_resistance():
     stiffness, drag, edge, device = 1e4, 5e3, 8.0, 2e-3 * DOWN
     tool, response = CuttingTool(stiffness, np.zeros(3)), Response.empty(1)
     response.resistance[2], response.edge[2] = drag, edge
-    tip = tool.follow(device, response, DOWN, STEP_S)
+    tip = tool.follow(device, UPRIGHT, response, DOWN, STEP_S)
     np.testing.assert_allclose(-tip[2], (stiffness * 2e-3 - edge) / (stiffness + drag / STEP_S), rtol=1e-12)
     at = tip.copy()
-    tip = tool.follow(at + 4e-4 * DOWN, response, DOWN, STEP_S)
+    tip = tool.follow(at + 4e-4 * DOWN, UPRIGHT, response, DOWN, STEP_S)
     np.testing.assert_array_equal(tip, at)
     assert tool.pressed == pytest.approx(0.5)
-    tip = tool.follow(at - 1e-3 * DOWN, response, DOWN, STEP_S)
+    tip = tool.follow(at - 1e-3 * DOWN, UPRIGHT, response, DOWN, STEP_S)
     np.testing.assert_array_equal(tip, at - 1e-3 * DOWN)  # straight back nothing resists
 
 
 def test_what_a_cutting_tool_has_felt_fades_and_then_it_is_free():
     tool, response, nothing = CuttingTool(1e4, np.zeros(3)), Response.empty(1), Response.empty(1)
     response.resistance[2] = 1e5
-    tool.follow(1e-3 * DOWN, response, DOWN, STEP_S)
-    ways = -np.diff([tool.follow(1e-3 * DOWN, nothing, DOWN, STEP_S)[2] for _ in range(80)])
+    tool.follow(1e-3 * DOWN, UPRIGHT, response, DOWN, STEP_S)
+    ways = -np.diff([tool.follow(1e-3 * DOWN, UPRIGHT, nothing, DOWN, STEP_S)[2] for _ in range(80)])
     assert ways[0] < 2e-6 and (ways >= 0.0).all()
-    np.testing.assert_array_equal(tool.follow(2e-3 * DOWN, nothing, DOWN, STEP_S), 2e-3 * DOWN)
+    np.testing.assert_array_equal(tool.follow(2e-3 * DOWN, UPRIGHT, nothing, DOWN, STEP_S), 2e-3 * DOWN)
 
 
 @pytest.mark.parametrize("tissue_N_m", [50.0, 400.0, 4e3, 4e4])
@@ -244,7 +249,7 @@ def test_a_pressing_tool_finds_the_balance_of_a_spring_it_does_not_know(tissue_N
     """Device at rest in an elastic half-space: x = k_c x_d / (k_c + k_t), also a hundred times stiffer than it is."""
     tool, response = PressingTool(400.0, np.zeros(3)), Response.empty(1)
     for _ in range(200):
-        tip = tool.follow(1e-3 * DOWN, response, DOWN, STEP_S)
+        tip = tool.follow(1e-3 * DOWN, UPRIGHT, response, DOWN, STEP_S)
         response.wrench[2] = max(-tissue_N_m * tip[2], 0.0)
     np.testing.assert_allclose(tip[2], -1e-3 * 400.0 / (400.0 + tissue_N_m), rtol=1e-2)
 
@@ -324,3 +329,197 @@ def test_a_tilted_ball_feels_the_wall_at_its_lowest_point():
     np.testing.assert_allclose(response.wrench[:3], [0, 0, 1e4 * 1e-4], rtol=1e-9)
     arm = centre - np.array([0, 0, 5e-3]) - tool.tip_m
     np.testing.assert_allclose(response.wrench[3:], np.cross(arm, response.wrench[:3]), atol=1e-15)
+
+
+@pytest.mark.parametrize("speed_m_s", [0.1, 0.2, 0.5])
+@pytest.mark.parametrize("wall_N_m", [1e3, 1e4, 4e4])
+def test_the_first_contact_is_answered_in_its_tick_and_without_a_spike(speed_m_s, wall_N_m):
+    """Spring and wall in series from the first tick on: F = depth of the device / (1 / k_c + 1 / k_w)."""
+    motion = held(motion__feed_mm_s=1e3 * speed_m_s)
+    times = np.array([0.0, 0.3])
+    down = np.array([[0.0, 0.0, 0.02], [0.0, 0.0, 0.02 - 0.3 * speed_m_s]])
+    motion.device = RecordedDevice(times, down)
+    _, measures, forces = meet(motion, WallModel(wall_N_m, radius_m=5e-3), 0.3)
+    depth = np.maximum(-1e-3 * measures[:, 2], 0.0)
+    assert (depth > 0.0).sum() > 50
+    np.testing.assert_allclose(forces[:, 2], depth / (1.0 / 400.0 + 1.0 / wall_N_m), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(measures[:, 21], forces[:, 2], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("speed_m_s", [0.05, 0.2])
+def test_a_cutter_that_meets_bone_is_slowed_in_the_same_tick(speed_m_s):
+    """A cut that would take v c at the device's speed takes what the spring pulls, and no more, from its first tick."""
+    drag, edge, stiffness = 2e4, 5.0, 400.0 / 0.03
+
+    class Cut(FreeSpace):
+        """Resists below z = 0."""
+
+        def respond(self, motion):
+            deep, speed = motion.tip_m[2] < 0.0, motion.speed_m_s
+            self._response.resistance[:3], self._response.edge[:3] = deep * drag * UP, deep * edge * UP
+            self._response.wrench[2] = deep * (drag * speed + edge * (1.0 if speed > 0.0 else motion.pressed))
+            return self._response
+
+    motion = held("glenoid", device="touch")
+    motion.device = RecordedDevice(np.array([0.0, 0.1]), np.array([[0, 0, 1e-3], [0, 0, 1e-3 - 0.1 * speed_m_s]]))
+    tips, measures, forces = meet(motion, Cut(), 0.1)
+    stretch = tips[:, 2] - 1e-3 * measures[:, 2]
+    assert drag * speed_m_s > 500.0 and stretch.max() > 1e-3
+    np.testing.assert_allclose(forces[:, 2], stiffness * stretch, rtol=0.02, atol=2e-3)
+
+
+def test_torque_turns_the_tool_until_the_spring_balances_it_and_is_played():
+    """A ball rolled aside of its tip on the wall: arm x F of the wall = k_r theta, at the device scaled by f / m."""
+    tilt, scale, ways = 0.3, 0.5, 2.0
+    changes = {"coupling__stiffness_Nm_rad": 0.2, "coupling__force_scale": scale, "coupling__motion_scale": ways}
+    motion = held(device="six-dof", motion__axis=[np.sin(tilt), 0, np.cos(tilt)], **changes)
+    motion.device = RecordedDevice(np.array([0.0, 0.5, 1.5]), np.array([[0, 0, 20e-3], [0, 0, 7e-3], [0, 0, 7e-3]]))
+    tool, response, wall = ToolMotion(), Response.empty(1), WallModel(1e4, radius_m=5e-3)
+    motion.begin(tool)
+    for index in range(1500):
+        motion.advance(index * STEP_S, STEP_S, response, tool)
+        response = wall.respond(tool)
+        if motion.correct(response, tool):
+            response = wall.respond(tool)
+        motion.play(response)
+    theta = np.array(logarithm(motion.tool.quaternion))
+    assert abs(response.wrench[4]) > 5e-3
+    np.testing.assert_allclose(0.2 * theta, scale / ways * response.wrench[3:], rtol=1e-3, atol=1e-9)
+    np.testing.assert_allclose(motion.measures[10:13], scale / ways * response.wrench[3:], rtol=1e-2, atol=1e-9)
+    np.testing.assert_allclose(motion.measures[7:10], scale * response.wrench[:3], rtol=1e-3, atol=1e-9)
+
+
+def test_an_unstable_spring_of_rotation_is_refused_with_the_nearest_stable_one():
+    with pytest.raises(InputError, match=r"coupling\.stiffness_Nm_rad must be below .* got 20 ") as refused:
+        run_of("wall", device="six-dof", coupling__stiffness_Nm_rad=20.0)
+    nearest = float(str(refused.value).split(": use ")[1].split(",")[0])
+    run = run_of("wall", device="six-dof", coupling__stiffness_Nm_rad=nearest, duration_s=0.01)
+    assert f"stiffness {nearest:g} N m/rad is stable" in run.parts.notes["coupling"]
+
+
+@pytest.mark.parametrize(("share", "settles"), [(0.95, True), (1.05, False)])
+def test_the_turning_loop_is_stable_up_to_the_stiffness_that_is_judged(share, settles):
+    """A six-dof device whose tool a tissue holds fast in rotation, 5 % on either side of the critical value.
+
+    A tool that is held fast is where it was, so that the spring answers the tick's own turn; a soft tissue answers a
+    tick later, which is what a scene's judge counts with.
+    """
+    limits = replace(device_parameters("six-dof"), friction_Nm=0.0, encoder_step_rad=0.0, torque_limit_Nm=1e3)
+    still = dict.fromkeys(("endpoint_noise", "force_noise", "tremor_m", "reflex_share"), 0.0)
+    person = replace(hand_parameters("expert"), **still)
+    loop = limits.turning_loop(1.0, filter_s=1e-3)
+    stiffness = share * judge(loop, [person.grip[3:]]).critical_N_m
+    tissue_Nm_rad = 1e3 * stiffness
+    nudge = lambda time_s: np.array(exponential((0.02 * (time_s > 0.1), 0.0, 0.0)))  # noqa: E731
+    still_there = waypoints(np.array([0.0, 1.0]), np.zeros((2, 3)))
+    hand = Hand(person, still_there, rng=np.random.default_rng(0), turn=nudge)
+    device, tool = SimulatedDevice(limits, hand), HeldTurn(stiffness)
+    low_pass, torques, torque = LowPass(1e-3, step_s=STEP_S), [], np.zeros(3)
+    for index in range(2000):
+        at = device.read(index * STEP_S).quaternion
+        held_by = tool.follow(at, torque)
+        torque = -tissue_Nm_rad * np.array(logarithm(held_by)) + 1e-12
+        played = low_pass.step(stiffness * np.array(logarithm(product(held_by, conjugate(at)))))
+        device.command(np.zeros(3), played)
+        torques.append(played[0])
+    ripple = [np.std(torques[first : first + 300]) for first in (700, 1600)]
+    assert ripple[1] < 0.7 * ripple[0] if settles else ripple[1] > 1.4 * ripple[0]
+
+
+def test_ways_and_forces_are_scaled_by_a_stated_law():
+    """The hand goes 1 / m of the way; a tool of K is felt as m f K; the energy is that at the device."""
+    run = run_of("wall", coupling__motion_scale=2.5, coupling__force_scale=0.4)
+    trace = run.trace
+    away = 1e-3 * (trace.vectors("tool", "mm") - [0, 0, 20]), 1e-3 * (trace.vectors("device", "mm") - [0, 0, 20])
+    free = trace["depth_mm"] == 0.0
+    np.testing.assert_allclose(away[0][free], 2.5 * away[1][free], atol=1e-12)
+    stretch = away[0][:, 2] / 2.5 - away[1][:, 2]
+    np.testing.assert_allclose(trace["raw_force_z_N"], 400.0 * stretch, atol=1e-9)
+    np.testing.assert_allclose(trace["raw_force_z_N"], 0.4 * trace["model_force_z_N"], atol=1e-9)
+    moved = np.diff(trace.vectors("device", "mm"), axis=0)
+    assert abs(trace["passivity_J"][-1]) < 1e-3 * played_N(run).max() * np.abs(moved).sum()
+    assert "2.5 m at the tool for each metre at the device: a stiffness at the tool is felt as 1 of it" in str(
+        run.parts.notes["coupling"]
+    )
+
+
+def test_a_motion_that_leaves_the_workspace_is_refused_with_the_scale_that_fits():
+    far = [[0, 0, 20], [0, 0, -5], [300, 0, -5]]
+    with pytest.raises(
+        InputError, match=r"must be at least 1\.88 for a motion of 300 x 25 x 0 mm in the workspace of to"
+    ):
+        run_of("wall", motion__points_mm=far)
+    assert run_of("wall", motion__points_mm=far, coupling__motion_scale=1.88, duration_s=0.01).trace.rows.shape[0] == 10
+
+
+def test_a_run_of_the_whole_motion_waits_for_the_hand_and_a_short_one_does_not(on_the_wall):
+    person = hand_parameters("expert")
+    late = person.reaction_s + person.submovement_s + person.correction_s
+    assert len(on_the_wall.trace.rows) == round(1e3 * (2.2 + late))
+    assert len(run_of("wall", duration_s=0.3).trace.rows) == 300
+    told = RecordedDevice(np.array([0.0, 2.2]), np.tile([0.0, 0.0, 0.02], (2, 1)))
+    assert len(simulate(load_scene("wall"), device=told).trace.rows) == 2200
+
+
+@pytest.mark.parametrize("device", ["touch", "six-dof"])
+def test_a_tool_that_does_not_turn_feels_the_bone_and_cuts_nothing(device):
+    deep = {"motion__points_mm": [[0, 0, 0.5], [0, 0, -8]], "motion__feed_mm_s": 5.0, "duration_s": 2.0}
+    run = run_of("glenoid", device=device, tool__spin_rpm=0.0, voxels__spacing_mm=0.4, **deep)
+    trace, limits = run.trace, device_parameters(device)
+    touching = trace["contacts"] > 0.0
+    assert touching.sum() > 500 and trace["removed_mm3"].max() == 0.0 and trace["behind"].mean() < 0.01
+    assert trace["tool_z_mm"].min() > -0.5 and trace["device_z_mm"].min() < -1.2  # nothing pops through the face
+    k = judged_loop(run.scene, step_s=STEP_S).stiffness_N_m
+    stretch = 1e-3 * (trace.vectors("tool", "mm") - trace.vectors("device", "mm"))
+    model = 0.03 * trace.vectors("model_force", "N")
+    off = np.linalg.norm(k * stretch - model, axis=1)
+    assert np.percentile(off, 99) < 2e-3 * np.linalg.norm(model, axis=1).max()
+    assert 0.2 < played_N(run).max() <= limits.force_limit_N
+
+
+def test_without_a_hand_a_tool_that_does_not_turn_is_refused():
+    with pytest.raises(InputError, match=r"tool\.spin_rpm must not be 0 without a device"):
+        run_of("milling", tool__spin_rpm=0.0)
+
+
+def test_prediction_is_part_of_what_is_judged():
+    """4 ms of latency: a guarded prediction bears what the force it hands over to bears, and no more."""
+    late = {"coupling__delay_ms": 4, "duration_s": 0.01}
+    for kind in ("none", "hold", "linear", "kalman"):
+        with pytest.raises(InputError, match=r"coupling\.stiffness_N_m must be below 71"):
+            run_of("wall", prediction=kind, coupling__stiffness_N_m=800.0, **late)
+    for gain, hurts in ((1.0, False), (2.0, True)):
+        changes = late | {"coupling__prediction_gain": gain, "coupling__stiffness_N_m": 200.0}
+        held, ahead = (run_of("wall", prediction=kind, **changes).trace["margin"][0] for kind in ("hold", "koopman"))
+        assert (ahead < held - 0.1) == hurts
+
+
+def test_the_wall_s_hand_comes_as_deep_as_its_springs_let_it(on_the_wall):
+    """Grip (250 N/m and a fifth by reflex) against coupling and wall in series: 5 mm x 300 / (300 + 385) = 2.2 mm.
+
+    Friction of 0.26 N stops it up to 0.4 mm before or behind that.
+    """
+    trace, person = on_the_wall.trace, hand_parameters("expert")
+    grip, coupled = (1.0 + person.reflex_share) * person.stiffness_N_m, 1.0 / (1.0 / 400.0 + 1.0 / 1e4)
+    late = (trace["time_s"] > 0.75) & (trace["time_s"] < 1.05)
+    assert -trace["device_z_mm"][late].mean() == pytest.approx(5.0 * grip / (grip + coupled), abs=0.4)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("glenoid", {"voxels__spacing_mm": 0.4, "duration_s": 3.5}),
+        ("liver-press", {**{k.replace(".", "__"): v for k, v in COARSE_LIVER.items()}, "motion__axis": [0.3, 0, 1]}),
+    ],
+)
+def test_a_device_that_plays_torque_is_given_that_of_its_spring(name, changes):
+    """The spring of rotation balances the tissue's torque, which is played by the scene's scale: within 10 % late on."""
+    run = run_of(name, device="six-dof", **{"duration_s": 1.2, **changes})
+    trace, scale = run.trace, run.scene.coupling.force_scale
+    late = slice(-300, None)
+    played = trace.vectors("device_torque", "Nm")[late].mean(axis=0)
+    tissue = scale * trace.vectors("model_torque", "Nm")[late].mean(axis=0)
+    assert np.linalg.norm(tissue) > 2e-4
+    np.testing.assert_allclose(played, tissue, atol=0.1 * np.linalg.norm(tissue))
+    turned = trace["device_qz"] - trace["tool_qz"] if name == "glenoid" else trace["device_qy"] - trace["tool_qy"]
+    assert np.abs(turned[late]).max() > 1e-4

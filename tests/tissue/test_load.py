@@ -134,6 +134,6 @@ def test_whole_numbers_do_for_quantities():
 
 def test_toml_of_a_scene_holds_every_entry_that_is_set():
     table = tomllib.loads(load_scene("glenoid").to_toml())
-    assert set(table) == set(Scene.model_fields) - {"stress", "organ"}
+    assert set(table) == set(Scene.model_fields) - {"stress", "organ", "fidelity"}
     for name, part in (("voxels", tissue.scene.Voxels), ("output", tissue.scene.Output)):
         assert set(table[name]) == set(part.model_fields)

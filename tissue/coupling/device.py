@@ -84,6 +84,8 @@ class DeviceParameters:
         freely with the hand.
     stiffness_limit_N_m, damping_limit_N_s_m, stiffness_limit_Nm_rad
         What the vendor's software allows for; told, not enforced.
+    workspace_width_m, workspace_height_m, workspace_depth_m
+        Box in which the tip can be moved [m].
     """
 
     mass_kg: float
@@ -102,6 +104,9 @@ class DeviceParameters:
     stiffness_limit_N_m: float = inf
     damping_limit_N_s_m: float = inf
     stiffness_limit_Nm_rad: float = inf
+    workspace_width_m: float = inf
+    workspace_height_m: float = inf
+    workspace_depth_m: float = inf
 
     def __post_init__(self) -> None:
         for name in ("mass_kg", "force_limit_N", "inertia_kg_m2"):
@@ -130,7 +135,19 @@ class DeviceParameters:
             amplifier_hz=self.amplifier_Hz,
         )
 
-    def turning_loop(self, stiffness_Nm_rad: float, *, wall_damping_Nm_s_rad: float = 0.0) -> WallLoop:
+    @property
+    def workspace_m(self) -> Array:
+        """Edges of the workspace in ascending order [m], shape (3,)."""
+        return np.sort([self.workspace_width_m, self.workspace_height_m, self.workspace_depth_m])
+
+    def turning_loop(
+        self,
+        stiffness_Nm_rad: float,
+        *,
+        wall_damping_Nm_s_rad: float = 0.0,
+        filter_s: float = 0.0,
+        model_ticks: int = 1,
+    ) -> WallLoop:
         """The same for a rotation, in its units."""
         return WallLoop(
             mass_kg=self.inertia_kg_m2,
@@ -139,6 +156,8 @@ class DeviceParameters:
             wall_damping_N_s_m=wall_damping_Nm_s_rad,
             tick_s=1.0 / self.rate_Hz,
             delay_s=self.transport_delay_s,
+            model_ticks=model_ticks,
+            filter_s=filter_s,
             amplifier_hz=self.amplifier_Hz,
         )
 

@@ -13,7 +13,10 @@ __all__ = ["Lead", "Thrust"]
 
 Array = NDArray[np.float64]
 SHARE = 0.5
-"""Share of what is seen missing that is added in every correction; assumed."""
+"""Share of what is seen missing that is added in every correction, where the tool goes as far as the hand; assumed."""
+LEAST_YIELD = 0.6
+"""Least way of a tool for each of the hand that a person reckons with; assumed. Of 1 to 0.2 it is where reaming is
+nearly finished (0.2 mm are missing instead of 0.5) before milling overshoots."""
 
 
 @dataclass
@@ -21,7 +24,8 @@ class Lead:
     """A path on which the tool, not the hand, is brought to where it shall be.
 
     A hand that only went where the tool shall be would stop where spring and resistance balance. At every correction
-    this one goes farther by a share of what the tool is seen to lack.
+    this one goes farther by a share of what the tool is seen to lack, and by the more the less of its last ways the
+    tool has made.
 
     Attributes
     ----------
@@ -40,14 +44,28 @@ class Lead:
     ahead_s: float
     furthest_m: float
     beyond_m: Array = field(default_factory=lambda: np.zeros(3))
+    _aims_m: list[Array] = field(default_factory=list)
+    _tip_m: Array = field(default_factory=lambda: np.zeros(3))
+    _yields: float = 1.0
 
     def __call__(self, time_s: float) -> Array:
         """Where to aim at a time [s]; each call is a correction."""
         if time_s > self.ahead_s:
-            self.beyond_m += SHARE * (self.path(time_s - self.ahead_s) - self.tool.tip_m)
+            self._learn()
+            self.beyond_m += SHARE / self._yields * (self.path(time_s - self.ahead_s) - self.tool.tip_m)
             size = sqrt(self.beyond_m @ self.beyond_m)
             self.beyond_m *= min(self.furthest_m / size, 1.0) if size > 0.0 else 1.0
-        return self.path(time_s) + self.beyond_m
+        aim = self.path(time_s) + self.beyond_m
+        self._aims_m, self._tip_m = [*self._aims_m[-2:], aim], self.tool.tip_m.copy()
+        return aim
+
+    def _learn(self) -> None:
+        """Take the tool's last way for each of the hand's, which was aimed at two corrections ago."""
+        if len(self._aims_m) == 3:
+            went, aimed = self.tool.tip_m - self._tip_m, self._aims_m[1] - self._aims_m[0]
+            square = float(aimed @ aimed)
+            if square > 0.0:
+                self._yields += 0.5 * (min(max(float(went @ aimed) / square, LEAST_YIELD), 1.0) - self._yields)
 
 
 @dataclass

@@ -5,12 +5,12 @@ from math import pi
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue.coupling.device import Device, DeviceParameters
+from tissue.coupling.device import Device, DeviceParameters, Sample
 from tissue.coupling.guard import SampleGuard
 from tissue.coupling.held_tool import HeldTool
 from tissue.coupling.loop import WallLoop
 from tissue.coupling.passivity import PassivityObserver
-from tissue.coupling.renderer import Renderer
+from tissue.coupling.renderer import Renderer, TurningRenderer
 from tissue.coupling.rotation import matrix_of
 from tissue.coupling.signal import DelayLine, ForceRange, LowPass
 from tissue.model import Response, ToolMotion
@@ -33,8 +33,8 @@ MEASURES = (
     *(f"raw_force_{c}_N" for c in "xyz"),
 )
 """Columns of a device: its pose, what it was told to play, the filtered force before it was brought into the device's
-range [N at the device], whether that compressed it, the energy taken from the device, the share of the critical
-stiffness that is left, and the force of the renderer, before prediction, filter and delay."""
+range [N at the device], whether that compressed it or the torque, the energy taken from the device, the share of the
+critical stiffness that is left, and the force of the renderer, before prediction, filter and delay."""
 PREDICTED = (*(f"predicted_force_{c}_N" for c in "xyz"), "prediction_residual_N", "predicted_by")
 """Columns of a prediction: force, size of the last one-tick error, and whose it is: 1 the predictor's, 0 what it falls
 back on."""
@@ -56,8 +56,10 @@ class HandMotion(Motion):
     A tissue that answers only every ``model_ticks`` leaves tool and renderer's force as they are in between; a
     predictor then goes on by the device alone.
 
-    The tool is turned by the device and nothing holds the turn back: there is no coupling of rotations yet, and the
-    cutting speed of turning is left out. A device that plays torque is given the tissue's own of the last tick, scaled.
+    Tool and device start at the same place; from there the tool goes ``motion_scale`` metres for each of the device.
+    With a device that plays torque the tool hangs on it by a spring of rotation, too, turned by the tissue's torque of
+    the last tick; that spring's torque passes low-pass and delay and is played. The cutting speed of turning is left
+    out.
 
     Parameters
     ----------
@@ -75,20 +77,24 @@ class HandMotion(Motion):
         Loop of device and law, by whose delay energy is booked, and whose filter is applied.
     delay_ticks
         Ticks by which the force is held back here.
-    torque_scale
-        Newton metres at the device for each one at the tool.
+    turning_law
+        What turns device and tool into a torque at the device [N m]; without it none is played.
+    motion_scale
+        Metres at the tool for each metre at the device.
     margin
         Share of the critical stiffness that is left.
     stray_m
         How far the tool may leave the scripted motion [m].
     after_s
-        How much longer a hand takes than the scripted motion [s].
+        How much longer a hand takes than the scripted motion: to react, to move and to correct [s].
     model_ticks
         Ticks for which one answer of the tissue holds.
     predictor
         What tells the force ahead; without it the present one is played.
     lead_ticks
         How far ahead it is asked for.
+    prediction_gain
+        Share of the way from the present force to the one ahead that is played.
     perception
         The person for whom the force is scaled; without it newtons stay newtons.
     """
@@ -103,19 +109,22 @@ class HandMotion(Motion):
         limits: DeviceParameters,
         loop: WallLoop,
         delay_ticks: int = 0,
-        torque_scale: float = 1.0,
+        turning_law: TurningRenderer | None = None,
+        motion_scale: float = 1.0,
         margin: float,
         stray_m: float = 0.0,
         after_s: float = 0.0,
         model_ticks: int = 1,
         predictor: Predictor | None = None,
         lead_ticks: int = 0,
+        prediction_gain: float = 1.0,
         perception: Perception | None = None,
     ) -> None:
         self.device, self.tool, self.law = device, tool, law
-        self.duration_s = scripted.duration_s + after_s
+        self.duration_s, self.after_s = scripted.duration_s + after_s, after_s
         self._scripted, self._stray = scripted, stray_m
-        self._start = np.array(scripted.rotations()[0])
+        self._start, self._scale = np.array(scripted.rotations()[0]), motion_scale
+        self._shift = (1.0 - motion_scale) * scripted.sweep_m()[0]
         tick = loop.tick_s
         self.guard = SampleGuard(force_limit_N=limits.force_limit_N, torque_limit_Nm=limits.torque_limit_Nm)
         self._low_pass = LowPass(loop.filter_s, step_s=tick)
@@ -123,18 +132,17 @@ class HandMotion(Motion):
         self._range = ForceRange(limit_N=limits.force_limit_N)
         self._turning = LowPass(loop.filter_s, step_s=tick)
         self._turning_delay = DelayLine(delay_ticks)
-        self._torques: ForceRange | None = None
-        if limits.torque_limit_Nm > 0.0:
-            self._torques = ForceRange(limit_N=limits.torque_limit_Nm, scale=torque_scale)
+        self._turning_law = turning_law
+        self._torques = ForceRange(limit_N=limits.torque_limit_Nm or 1.0)
         lag = loop.delay_s + 1.0 / (2.0 * pi * loop.amplifier_hz)
         self.observer = PassivityObserver(delay_ticks=lag / tick)
         self._velocity = np.zeros(3)
         self._smoothing = min(tick * model_ticks / SMOOTH_S, 1.0)
         self.model_ticks, self.lead_ticks = model_ticks, lead_ticks
-        self.predictor, self.perception = predictor, perception
+        self.predictor, self.perception, self._gain = predictor, perception, prediction_gain
         self._ticks, self._step, self._fresh = 0, tick * model_ticks, True
-        self._sample: tuple[Array, Array, Array] | None = None
-        self._before, self._went, self._raw = np.zeros(3), np.zeros(3), np.zeros(3)
+        self._sample: Sample | None = None
+        self._before, self._went, self._raw, self._torque = np.zeros((4, 3))
         self.measure_names = MEASURES
         if predictor is not None:
             self.measure_names += PREDICTED
@@ -174,27 +182,28 @@ class HandMotion(Motion):
         if sample is None:
             motion.speed_m_s, self._velocity[:] = 0.0, 0.0
             return
-        at, speed, quaternion, _ = sample.arrays()
-        self._sample = at, speed, quaternion
+        self._sample = sample
         if self._fresh:
             self._before[:] = self.tool.tip_m
-            motion.rotation[:] = matrix_of(quaternion) @ self._start
-            self._follow(response, motion)
+            self._follow(sample, response, motion)
 
     def correct(self, response: Response, motion: ToolMotion) -> bool:
-        """Bring a free tool that has gone into the tissue to where both balance."""
-        if self._sample is None or not self.tool.lands(response):
+        """Bring a free tool that has gone into the tissue to where both balance, or to the speed at which they do."""
+        if self._sample is None or not self.tool.lands(response, motion.heading[0]):
             return False
-        self._follow(response, motion)
+        arrived = self.tool.tip_m.copy()
+        self._follow(self._sample, response, motion)
+        if self.tool.driven:
+            self._tell_speed(motion, (self.tool.tip_m - arrived) / self._step, np.zeros(3))
         return True
 
-    def _follow(self, response: Response, motion: ToolMotion) -> None:
+    def _follow(self, sample: Sample, response: Response, motion: ToolMotion) -> None:
         """Move the tool towards the device."""
-        assert self._sample is not None
-        at = self._sample[0]
-        tip = self.tool.follow(at, response, motion.heading[0], self._step)
+        at = self._scale * np.array(sample.position_m) + self._shift
+        tip = self.tool.follow(at, sample.quaternion, response, motion.heading[0], self._step)
         self._went[:] = (tip - self._before) / self._step
         motion.tip_m[:] = tip
+        motion.rotation[:] = matrix_of(np.array(self.tool.quaternion)) @ self._start
         self._tell_speed(motion, self._went, at - tip)
 
     def play(self, response: Response) -> None:
@@ -205,21 +214,27 @@ class HandMotion(Motion):
         if self._sample is None:
             self._pause()
         else:
-            at, speed, quaternion = self._sample
+            at, speed, quaternion, spin = self._sample.arrays()
             if self._fresh:
-                self._raw = self.law.render(at, speed, self.tool.tip_m, self._went, self._step)
+                tip, went = (self.tool.tip_m - self._shift) / self._scale, self._went / self._scale
+                self._raw = self.law.render(at, speed, tip, went, self._step)
+                if self._turning_law is not None:
+                    turned, still = self.tool.quaternion, np.zeros(3)
+                    self._torque = self._turning_law.render(self._sample.quaternion, spin, turned, still, self._step)
             told[19:22] = force = self._raw
             if self.predictor is not None:
                 self.predictor.observe(at, speed, force if self._fresh else None)
-                force = self.predictor.ahead(self.lead_ticks)
-                told[22:25], told[25], told[26] = force, self.predictor.residual_N, self.predictor.own
+                ahead = self.predictor.ahead(self.lead_ticks)
+                told[22:25], told[25], told[26] = ahead, self.predictor.residual_N, self.predictor.own
+                force = force + self._gain * (ahead - force) if self._gain != 1.0 else ahead
             filtered = scaled = self._delay.step(self._low_pass.step(force))
             if (person := self.perception) is not None:
                 scaled = person.step(filtered)
                 told[-4:] = person.estimated_N, person.perceived, person.perceived_spread, person.above
             wanted, compressed = self._range.play(scaled)
-            if self._torques is not None:
-                torque, _ = self._torques.play(self._turning_delay.step(self._turning.step(response.wrench[3:])))
+            if self._turning_law is not None:
+                torque, squeezed = self._torques.play(self._turning_delay.step(self._turning.step(self._torque)))
+                compressed = compressed or squeezed
             self.observer.observe(at)
             told[:3], told[3:7], told[13:16] = 1e3 * at, quaternion, filtered
         played, turning = self.guard.vouch(wanted, torque)
@@ -230,6 +245,8 @@ class HandMotion(Motion):
     def _pause(self) -> None:
         """Nothing is known of the device in this tick."""
         self.law.pause()
+        if self._turning_law is not None:
+            self._turning_law.pause()
         self.observer.pause()
         for part in (self.predictor, self.perception):
             if part is not None:

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import require_positive
+from tissue.coupling.held_turn import HeldTurn
+from tissue.coupling.quaternion import Quaternion
 from tissue.model import Response
 
 __all__ = ["CuttingTool", "HeldTool", "PressingTool"]
@@ -15,6 +17,8 @@ FADE = 0.8
 """Share of a resistance that is still reckoned with a tick after it is gone."""
 LEAST_N, LEAST_N_s_m = 1e-3, 1.0
 """Edge force and resistance that count as none."""
+TOO_MUCH = 1.2
+"""Force of a cut over the spring's pull from which the balance is found anew: they differ by what changes in a tick."""
 LEAST_M = 2e-6
 """Way from which the stiffness of a tissue is learnt [m]."""
 ROUNDING = 1e-9
@@ -22,7 +26,10 @@ ROUNDING = 1e-9
 
 
 class HeldTool(Protocol):
-    """A law for the position of a tool's tip; the spring's pull is the stiffness times the way to the device."""
+    """A law for the pose of a tool; the spring's pull is the stiffness times the way to the device.
+
+    The device is where it would have the tool: its position in the tool's metres, its turn from its first orientation.
+    """
 
     tip_m: Array
     """Where the tip is [m], shape (3,)."""
@@ -31,12 +38,17 @@ class HeldTool(Protocol):
     driven: bool
     """Whether its last way was made against resistance, and so at a speed of its own."""
 
-    def follow(self, device_m: Array, response: Response, heading: Array, step_s: float) -> Array:
+    @property
+    def quaternion(self) -> Quaternion:
+        """The tool's turn from its first orientation."""
+        ...
+
+    def follow(self, device_m: Array, device: Quaternion, response: Response, heading: Array, step_s: float) -> Array:
         """Go a step towards the device [m], given the last response and the unit heading it was given for; the tip."""
         ...
 
-    def lands(self, response: Response) -> bool:
-        """Whether it was free, and this answer to its new place tells that it is not, so that it should go back."""
+    def lands(self, response: Response, heading: Array) -> bool:
+        """Whether this answer to its new place tells that it has met more than it knew of, so that it follows anew."""
         ...
 
 
@@ -59,17 +71,26 @@ class CuttingTool:
         Of the spring, in the tissue's newtons [N/m].
     tip_m
         Where the tip starts [m], shape (3,).
+    turn
+        Spring of rotation; without it the tool turns as its device does.
     """
 
-    def __init__(self, stiffness_N_m: float, tip_m: Array) -> None:
+    def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
+        self._turn = turn or HeldTurn()
         self._stiffness = require_positive("stiffness_N_m", stiffness_N_m, "use 1e4")
         self.tip_m = np.array(tip_m, dtype=float)
         self.pressed, self.driven = 0.0, False
-        self._drag = self._edge = 0.0
+        self._drag = self._edge = self._pull_N = 0.0
         self._way = np.zeros(3)
 
-    def follow(self, device_m: Array, response: Response, heading: Array, step_s: float) -> Array:
+    @property
+    def quaternion(self) -> Quaternion:
+        """The tool's turn from its first orientation."""
+        return self._turn.quaternion
+
+    def follow(self, device_m: Array, device: Quaternion, response: Response, heading: Array, step_s: float) -> Array:
         """Solve the balance along the pull and move."""
+        self._turn.follow(device, response.wrench[3:])
         drag = max(-float(response.resistance[:3] @ heading), 0.0)
         edge = max(-float(response.edge[:3] @ heading), 0.0)
         if drag >= FADE * self._drag:
@@ -79,7 +100,7 @@ class CuttingTool:
         self.driven = self._edge > LEAST_N or self._drag > LEAST_N_s_m
         self.pressed = 0.0
         if not self.driven:
-            self.tip_m[:] = device_m
+            self.tip_m[:], self._pull_N = device_m, 0.0
             return self.tip_m
         stretch = device_m - self.tip_m
         length = float(np.sqrt(stretch @ stretch))
@@ -90,13 +111,14 @@ class CuttingTool:
             self.tip_m += stretch * (way / length)
         else:
             self.tip_m[:] = device_m
+        self._pull_N = max(pull - self._stiffness * way, 0.0)
         if way == 0.0 and held > 0.0:
             self.pressed = min(pull / held, 1.0)
         return self.tip_m
 
-    def lands(self, response: Response) -> bool:
-        """What is cut is gone: there is no way back."""
-        return False
+    def lands(self, response: Response, heading: Array) -> bool:
+        """Whether the cut takes more than the spring pulls; it is made, but the tool goes on at a speed of its own."""
+        return -float(response.wrench[:3] @ heading) > TOO_MUCH * self._pull_N + LEAST_N
 
 
 class PressingTool:
@@ -114,17 +136,26 @@ class PressingTool:
         Of the spring, in the tissue's newtons [N/m].
     tip_m
         Where the tip starts [m], shape (3,).
+    turn
+        Spring of rotation; without it the tool turns as its device does.
     """
 
-    def __init__(self, stiffness_N_m: float, tip_m: Array) -> None:
+    def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
+        self._turn = turn or HeldTurn()
         self._stiffness = require_positive("stiffness_N_m", stiffness_N_m, "use 1e3")
         self.tip_m = np.array(tip_m, dtype=float)
         self.pressed, self.driven = 0.0, False
         self._learnt, self._free = 0.0, True
         self._before_m, self._before_N = self.tip_m.copy(), np.zeros(3)
 
-    def follow(self, device_m: Array, response: Response, heading: Array, step_s: float) -> Array:
+    @property
+    def quaternion(self) -> Quaternion:
+        """The tool's turn from its first orientation."""
+        return self._turn.quaternion
+
+    def follow(self, device_m: Array, device: Quaternion, response: Response, heading: Array, step_s: float) -> Array:
         """Make a Newton step of the balance."""
+        self._turn.follow(device, response.wrench[3:])
         force, tip, spring = response.wrench[:3], self.tip_m, self._stiffness
         if response.stiffness_N_m is None:
             self._learn(force)
@@ -143,7 +174,7 @@ class PressingTool:
             tip[:] = device_m
         return tip
 
-    def lands(self, response: Response) -> bool:
+    def lands(self, response: Response, heading: Array) -> bool:
         """Whether a free tool has gone into the tissue."""
         return self._free and bool(response.wrench[:3].any())
 

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from meshes.errors import InputError, require_positive, require_range
+from tissue.coupling.forecast import Forecast
 from tissue.coupling.signal import low_pass_gain
 
-__all__ = ["WallLoop", "loop_matrix", "plant_step", "spectral_radius"]
+__all__ = ["Seen", "WallLoop", "loop_matrix", "plant_step", "spectral_radius"]
 
 Array = NDArray[np.float64]
 MOST_TICKS = 400
@@ -40,6 +41,9 @@ class WallLoop:
         Bandwidth of the amplifier [Hz]; infinite for none.
     hand_stiffness_N_m, hand_damping_N_s_m, hand_mass_kg
         A linear hand that holds the device [N/m], [N s/m], [kg]; zeros for a hand that has let go.
+    forecast
+        What a predictor makes of what was seen, before the low-pass; None for none. Its phases are those of
+        `model_ticks`.
     """
 
     mass_kg: float
@@ -54,6 +58,7 @@ class WallLoop:
     hand_stiffness_N_m: float = 0.0
     hand_damping_N_s_m: float = 0.0
     hand_mass_kg: float = 0.0
+    forecast: Forecast | None = None
 
     def __post_init__(self) -> None:
         require_positive("mass_kg", self.mass_kg, "give the device's apparent mass, such as 0.045")
@@ -64,6 +69,11 @@ class WallLoop:
         require_range("model_ticks", self.model_ticks, 1, MOST_TICKS, "use 1 for a model that answers every tick")
         require_range("delay_s", self.delay_s, 0.0, MOST_TICKS * self.tick_s, f"use at most {MOST_TICKS} ticks")
         low_pass_gain(self.filter_s, self.tick_s)
+        if self.forecast is not None and len(self.forecast.taps) != self.model_ticks:
+            raise InputError(
+                f"forecast must have a phase for each of model_ticks ({self.model_ticks}), got "
+                f"{len(self.forecast.taps)}: probe the predictor with model_ticks"
+            )
         if not self.amplifier_hz > 0.0:
             raise InputError(
                 f"amplifier_hz must be positive, got {self.amplifier_hz}: use inf for an amplifier without lag"
@@ -98,8 +108,9 @@ def plant_step(
 def loop_matrix(loop: WallLoop) -> Array:
     """Map of the loop's whole state over one step of the model, square.
 
-    The state holds position, velocity and motor force, the position at the last model step, the filtered force, and the
-    forces that are still on their way. The map is what the loop does to the columns of a unit matrix, tick by tick.
+    The state holds position, velocity and motor force, the position at the last model step, the filtered force, the
+    forces that are still on their way and, with a forecast, the positions and forces that it has seen. The map is what
+    the loop does to the columns of a unit matrix, tick by tick.
     """
     whole = int(loop.delay_s / loop.tick_s + 1e-9)
     late = max(loop.delay_s - whole * loop.tick_s, 0.0)
@@ -108,9 +119,11 @@ def loop_matrix(loop: WallLoop) -> Array:
     mass, damping = loop.mass_kg + loop.hand_mass_kg, loop.damping_N_s_m + loop.hand_damping_N_s_m
     steps = [(np.array(plant_step(mass, damping, spring, loop.amplifier_hz, s))[:, :4], back) for s, back in parts]
     queued = ceil(loop.delay_s / loop.tick_s - 1e-9)
-    size = 5 + queued
+    places, ages = (0, 0) if loop.forecast is None else loop.forecast.memory
+    size = 5 + queued + places + ages
     state = np.eye(size)
-    plant, before, filtered, queue = state[:3], state[3], state[4], list(state[5:])
+    plant, before, filtered, queue = state[:3], state[3], state[4], list(state[5 : 5 + queued])
+    seen = Seen(loop, list(state[5 + queued : size - ages]), list(state[size - ages :]))
     gain = low_pass_gain(loop.filter_s, loop.tick_s)
     model = np.zeros(size)
     for tick in range(loop.model_ticks):
@@ -118,12 +131,46 @@ def loop_matrix(loop: WallLoop) -> Array:
             speed = (plant[0] - before) / (loop.tick_s * loop.model_ticks)
             model = -loop.stiffness_N_m * plant[0] - loop.wall_damping_N_s_m * speed
             before = plant[0]
-        filtered = filtered + gain * (model - filtered)
+        filtered = filtered + gain * (seen.ahead(plant[0], model, tick) - filtered)
         queue.append(filtered)
         for matrix, back in steps:
             plant = matrix @ np.vstack([plant, queue[-1 - back]])
         queue.pop(0)
-    return np.vstack([plant, before, filtered, *queue])
+    return np.vstack([plant, before, filtered, *queue, *seen.positions, *seen.forces])
+
+
+class Seen:
+    """What a loop's forecast has seen, newest first: one value, or one row or column of them, a tick.
+
+    Parameters
+    ----------
+    loop
+        With or without a forecast.
+    positions, forces
+        What was seen before, as many as the forecast remembers [m], [N].
+    """
+
+    def __init__(self, loop: WallLoop, positions: list[Array], forces: list[Array]) -> None:
+        self._loop, self.positions, self.forces = loop, positions, forces
+
+    def ahead(self, position: Array, model: Array, tick: int) -> Array:
+        """Force to be played, from the position and the model's force at a tick of the model's step."""
+        forecast = self._loop.forecast
+        if forecast is None:
+            return model
+        rate, count = 1.0 / self._loop.tick_s, self._loop.model_ticks
+        positions, forces = [position, *self.positions], [model, *self.forces]
+        places, ages = forecast.memory
+        told = 0.0 * model
+        for age in range(ages):
+            phase = (tick - age) % count
+            by_place, by_speed, by_force = forecast.taps[phase, age]
+            if places:
+                told = told + by_place * positions[age] + by_speed * rate * (positions[age] - positions[age + 1])
+            if phase == 0:
+                told = told + by_force * forces[age]
+        self.positions, self.forces = positions[:-1], forces[:-1]
+        return model + forecast.gain * (told - model)
 
 
 def spectral_radius(loop: WallLoop) -> float:

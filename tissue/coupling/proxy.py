@@ -60,6 +60,8 @@ class ProxyResult:
     push_m, push_moment_m2
         Sum of the contact forces on the tool and of their moments about its origin, both over the coupling's stiffness
         k: times k they are N and N m. They balance the coupling's springs once the proxy has settled.
+    arm_m
+        Centre of pressure from the tool's origin, in the world's axes [m], shape (3,).
     steps, solves
         Steps of the descent and solves of the active set that the tick took.
     """
@@ -68,6 +70,7 @@ class ProxyResult:
     quaternion: Array
     push_m: Array
     push_moment_m2: Array
+    arm_m: Array
     outcome: ProxyOutcome = ProxyOutcome.FREE
     contacts: int = 0
     steps: int = 0
@@ -137,7 +140,7 @@ class Proxy:
             device=device,
             record_cmd=True,
         )  # fmt: skip
-        self.result = ProxyResult(np.zeros(3), _IDENTITY.copy(), np.zeros(3), np.zeros(3))
+        self.result = ProxyResult(np.zeros(3), _IDENTITY.copy(), np.zeros(3), np.zeros(3), np.zeros(3))
 
     def place(self, position_m: Array, quaternion: Array = _IDENTITY) -> ProxyResult:
         """Put the proxy at a pose, which must be free, and forget all contacts.
@@ -196,6 +199,7 @@ class Proxy:
         result.quaternion[:] = state[3:7]
         result.push_m[:] = self._report.host[5:8]
         result.push_moment_m2[:] = self._report.host[8:11]
+        result.arm_m[:] = self._report.host[11:14]
         result.contacts, result.steps, result.solves = int(contacts), int(steps), int(solves)
         if settled == 0.0:
             result.outcome = ProxyOutcome.BEHIND

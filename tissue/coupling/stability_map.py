@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError
-from tissue.coupling.loop import WallLoop, plant_step, spectral_radius
+from tissue.coupling.loop import Seen, WallLoop, plant_step, spectral_radius
 from tissue.coupling.signal import low_pass_gain
 from tissue.coupling.stability import Verdict, critical_stiffness_N_m, judge
 from tissue.coupling.theory import delay_bound_N_m, pade_bound_N_m, passive_bound_N_m
@@ -67,8 +67,9 @@ def growth_while_running(loops: Sequence[WallLoop], stiffnesses_N_m: Array, *, t
     kinetic and stored energy, weighed by smooth windows around 45 and 85 % of the run. Infinite where it overflows.
     """
     first = loops[0]
-    if any((each.tick_s, each.model_ticks) != (first.tick_s, first.model_ticks) for each in loops):
-        raise InputError("loops must share tick_s and model_ticks, got others: run them apart")
+    alike = (first.tick_s, first.model_ticks, first.forecast)
+    if any((each.tick_s, each.model_ticks, each.forecast) != alike for each in loops):
+        raise InputError("loops must share tick_s, model_ticks and forecast, got others: run them apart")
     tick, count = first.tick_s, len(loops)
     whole = [int(each.delay_s / tick + 1e-9) for each in loops]
     late = [max(each.delay_s - n * tick, 0.0) for each, n in zip(loops, whole, strict=True)]
@@ -87,6 +88,8 @@ def growth_while_running(loops: Sequence[WallLoop], stiffnesses_N_m: Array, *, t
     spring = stiffnesses_N_m + np.array([each.hand_stiffness_N_m for each in loops])
     damping = np.array([each.wall_damping_N_s_m for each in loops])
     gain = np.array([low_pass_gain(each.filter_s, tick) for each in loops])
+    places, ages = (0, 0) if first.forecast is None else first.forecast.memory
+    seen = Seen(first, [np.zeros(count)] * places, [np.zeros(count)] * ages)
     plant = np.zeros((4, count))
     plant[1] = 1e-3
     before, force, filtered = np.zeros(count), np.zeros(count), np.zeros(count)
@@ -98,7 +101,8 @@ def growth_while_running(loops: Sequence[WallLoop], stiffnesses_N_m: Array, *, t
             if n % first.model_ticks == 0:
                 force = -stiffnesses_N_m * plant[0] - damping * (plant[0] - before) / (tick * first.model_ticks)
                 before = plant[0].copy()
-            filtered = filtered + gain * (force - filtered)
+            ahead = seen.ahead(plant[0].copy(), force, n % first.model_ticks)
+            filtered = filtered + gain * (ahead - filtered)
             queue[n % length] = filtered
             for matrix, behind in zip(steps, (back + 1, back), strict=True):
                 plant[3] = queue[(n - behind) % length, columns]

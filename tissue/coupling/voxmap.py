@@ -129,7 +129,7 @@ class ContactField:
             arrays.voxels_per_m = 1.0 / self.spacing_m
             arrays.brick_of, arrays.remaining = store.brick_of, store.remaining
             arrays.origin = wp.vec3d(*store.volume.origin_m.tolist())
-            clearance = _clearance(store.volume.fraction > 0, self.spacing_m)
+            clearance = _clearance(store.fraction() > 0, self.spacing_m)
             arrays.clearance = wp.array(clearance, dtype=wp.float32, device=self.device)
         self.arrays = arrays
 
@@ -169,7 +169,7 @@ def _solid(solid: Solid) -> tuple[int, Array, Array, Array]:
 
 
 def _clearance(holds: NDArray[np.bool_], spacing_m: float) -> NDArray[np.float32]:
-    """Lower bound of the distance [m] from anywhere in each cell of 4 x 4 x 4 voxels to where bone is felt."""
+    """Lower bound of the distance [m] from anywhere in each cell of voxels to where bone is felt."""
     counts = [ceil(n / CELL) for n in holds.shape]
     padded = np.pad(holds, [(0, CELL * count - n) for count, n in zip(counts, holds.shape, strict=True)])
     x, y, z = counts

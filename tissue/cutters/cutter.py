@@ -67,8 +67,8 @@ class Cutter:
     flute_count
         Cutting edges N around the axis.
     spin_rad_s
-        Angular velocity about the axis [rad/s], by the right-hand rule about the axis from tip to shank; not 0. A
-        common right-hand drill or mill turns clockwise as seen from its shank: negative.
+        Angular velocity about the axis [rad/s], by the right-hand rule about the axis from tip to shank. A common
+        right-hand drill or mill turns clockwise as seen from its shank: negative. A tool that cuts turns.
     """
 
     profile: Profile
