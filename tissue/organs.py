@@ -24,6 +24,8 @@ Tell = Callable[[str, float], None]
 PART_NODULE = "nodule"
 GROWTH = 0.5
 """Growth of the edges with the distance from the tool's way."""
+LOCKING_RATIO = 0.45
+"""Poisson's ratio above which a run with linear tetrahedra is told that they lock."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +107,8 @@ def elasticity_of(mesh: TetMesh, anatomy: LiverAnatomy | SlabAnatomy, organ: Org
         young[mesh.part == mesh.part_names.index(PART_NODULE)] = organ.nodule_kPa
         said += f"; nodule {organ.nodule_kPa:g} kPa"
     said += f"; Poisson's ratio {ratio:g}"
+    if organ.order == 1 and ratio > LOCKING_RATIO:
+        said += ", at which linear tetrahedra lock: forces come out too great, take organ.order = 2"
     if organ.fibre_direction is None:
         return lame(1e3 * young, ratio), said
     along = organ.fibre_modulus_ratio

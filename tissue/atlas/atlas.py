@@ -1,0 +1,96 @@
+"""Make the atlas: run every page's sweep, judge it, ask the engine, and write pictures, data and one HTML file."""
+
+import platform
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from meshes.errors import InputError
+from tissue.atlas.drawing import picture
+from tissue.atlas.html import Entry, document
+from tissue.atlas.page import Data, Page
+
+__all__ = ["check_folder", "chosen_pages", "make_page", "write_atlas"]
+
+INDEX = "index.html"
+Progress = Callable[[str, float], None]
+
+
+def chosen_pages(pages: Sequence[Page], only: Sequence[str]) -> tuple[Page, ...]:
+    """Pages of these names, or all where none is named.
+
+    Raises
+    ------
+    InputError
+        If a name is not one of a page.
+    """
+    names = [page.name for page in pages]
+    for name in only:
+        if name not in names:
+            raise InputError(f"only must be one of {', '.join(names)}, got {name}: choose one of these")
+    return tuple(page for page in pages if not only or page.name in only)
+
+
+def check_folder(folder: Path, *, overwrite: bool) -> None:
+    """Refuse a folder that cannot take an atlas.
+
+    Raises
+    ------
+    InputError
+        If it is a file, or holds an atlas that is not to be replaced.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"out must be a folder, got the file {folder}: choose another --out")
+    if (folder / INDEX).exists() and not overwrite:
+        raise InputError(f"out must not hold another atlas, got {folder / INDEX}: pass --overwrite or choose another")
+
+
+def make_page(page: Page, *, quick: bool = False) -> tuple[Entry, Data]:
+    """Run a page's sweep, judge it, ask the engine and draw; with ``quick`` the coarser sweep."""
+    started = perf_counter()
+    data = page.measure(quick)
+    verdict, answers, drawn = page.judge(data), page.ask(), picture(page, data)
+    files = [f"{page.name}.png", *(f"{page.name}_{table}.csv" for table in data)]
+    return Entry(page, verdict, answers, drawn, files, perf_counter() - started), data
+
+
+def write_atlas(
+    folder: Path, pages: Sequence[Page], *, overwrite: bool = False, progress: Progress | None = None
+) -> list[Entry]:
+    """Make these pages and write ``index.html`` with a picture and the data (CSV) of each beside it.
+
+    Raises
+    ------
+    InputError
+        See `check_folder`.
+    """
+    check_folder(folder, overwrite=overwrite)
+    folder.mkdir(parents=True, exist_ok=True)
+    entries = []
+    for number, page in enumerate(pages):
+        if progress is not None:
+            progress(page.title, number / len(pages))
+        entry, data = make_page(page)
+        (folder / f"{page.name}.png").write_bytes(entry.picture)
+        for table, columns in data.items():
+            _write_table(folder / f"{page.name}_{table}.csv", columns)
+        entries.append(entry)
+    made = {
+        "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "machine": f"{platform.machine()}, {platform.system()}",
+        "Python": platform.python_version(),
+        **{name: version(name) for name in ("numpy", "scipy", "warp-lang")},
+    }
+    (folder / INDEX).write_text(document(entries, made), "utf-8")
+    return entries
+
+
+def _write_table(path: Path, columns: dict[str, np.ndarray]) -> None:
+    """Columns as CSV, with all digits."""
+    rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
+    lines = [",".join(columns), *(",".join(map(repr, row)) for row in rows)]
+    path.write_text("\n".join(lines) + "\n", "utf-8")
