@@ -103,6 +103,7 @@ def _ask_all(log: "TrialLog", answer: object, *, live: bool) -> None:
 
     from tissue.calibration.intervals import StoppedError
     from tissue.calibration.posterior_view import posterior_panel
+    from tissue.calibration.trial_log import read_log
 
     session: Session = log.session
     moving = live and problems.is_terminal
@@ -116,11 +117,11 @@ def _ask_all(log: "TrialLog", answer: object, *, live: bool) -> None:
                 elif problems.is_terminal:
                     problems.print(posterior_panel(session))
     except (KeyboardInterrupt, StoppedError):
+        log.close()
         problems.print(
-            f"stopped after trial {session.trial}: all are in {log.path}; the same command goes on there",
+            f"stopped after trial {read_log(log.path)[1].trial}: all are in {log.path}; the same command goes on there",
             soft_wrap=True,
             highlight=False,
         )
         sys.exit(130)
-    finally:
-        log.close()
+    log.close()

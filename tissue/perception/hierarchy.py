@@ -1,6 +1,7 @@
 """Many observers as one population: a hierarchy by Hamiltonian Monte Carlo, and whether it converged."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -107,7 +108,7 @@ class PopulationFit:
 
 
 def fit_hierarchy(
-    trials: PopulationTrials, *, seed: int = 0, warm_up: int = 800, draws: int = 800, chains: int = 2
+    trials: PopulationTrials, *, seed: int = 0, warm_up: int = 600, draws: int = 600, chains: int = 2
 ) -> PopulationFit:
     """Posterior of the population and of each person, by NUTS (Hoffman and Gelman, 2014) in NumPyro.
 
@@ -130,8 +131,8 @@ def fit_hierarchy(
     InputError
         If NumPyro is not installed, or there are fewer than three people.
     """
-    require_range("warm_up", warm_up, 50, 1e5, "use 800")
-    require_range("draws", draws, 50, 1e5, "use 800")
+    require_range("warm_up", warm_up, 50, 1e5, "use 600")
+    require_range("draws", draws, 50, 1e5, "use 600")
     require_range("chains", chains, 2, 16, "use 2: one chain cannot be compared with another")
     if trials.observers < 3:
         raise InputError(f"population must hold three observers or more, got {trials.observers}: calibrate more people")
@@ -144,14 +145,14 @@ def fit_hierarchy(
             "population must be fitted by numpyro, got none: pip install 'tissue-sim[perception]'"
         ) from None
     run = MCMC(
-        NUTS(_model, target_accept_prob=0.9),
+        NUTS(partial(_model, trials.observers), target_accept_prob=0.9),
         num_warmup=warm_up,
         num_samples=draws,
         num_chains=chains,
-        chain_method="vectorized",
+        chain_method="sequential",
         progress_bar=False,
     )
-    run.run(random.PRNGKey(seed), trials, trials.counts(), extra_fields=("diverging",))
+    run.run(random.PRNGKey(seed), *_data(trials), extra_fields=("diverging",))
     drawn = {name: np.asarray(values, dtype=float) for name, values in run.get_samples(group_by_chain=True).items()}
     people = ("alpha", "beta_person", "kappa", "offset_N", "lapse", "sigma")
     r_hat = {name: float(split_gelman_rubin(drawn[name])) for name in HYPER}
@@ -162,7 +163,12 @@ def fit_hierarchy(
     return PopulationFit(kept, r_hat, ess, int(np.sum(run.get_extra_fields()["diverging"])))
 
 
-def _model(trials: PopulationTrials, counts: tuple[Index, Array, Array, Index, Index]) -> None:
+def _data(trials: PopulationTrials) -> tuple[tuple[Index, Array, Array], tuple[Index, Array, Array, Index, Index]]:
+    """Trials as the model takes them: person, ln force and ln number; and the counts of comparisons."""
+    return (trials.who_told, np.log(trials.force_N), np.log(trials.number)), trials.counts()
+
+
+def _model(observers: int, told: tuple[Index, Array, Array], counts: tuple[Index, Array, Array, Index, Index]) -> None:
     """The hierarchy as NumPyro reads it."""
     import jax.numpy as jnp
     import numpyro
@@ -173,7 +179,7 @@ def _model(trials: PopulationTrials, counts: tuple[Index, Array, Array, Index, I
         """A normal parameter of each person around the population's; as an offset from it where trials tell little."""
         centre = numpyro.sample(name, mean)
         width = numpyro.sample(f"{name}_spread", spread)
-        with numpyro.plate(f"{name}_people", trials.observers):
+        with numpyro.plate(f"{name}_people", observers):
             if told_well:
                 return numpyro.sample(f"{name}_person", law.Normal(centre, width))
             return centre + width * numpyro.sample(f"{name}_offset", law.Normal(0.0, 1.0))
@@ -183,15 +189,16 @@ def _model(trials: PopulationTrials, counts: tuple[Index, Array, Array, Index, I
     log_kappa = person("log_kappa", law.Normal(np.log(0.09), 0.6), law.HalfNormal(0.5), told_well=False)
     log_offset = person("log_offset", law.Normal(np.log(0.2), 0.5), law.HalfNormal(0.4), told_well=False)
     variance = numpyro.sample("variance", law.LogNormal(np.log(0.06), 1.0))
-    with numpyro.plate("people", trials.observers):
+    with numpyro.plate("people", observers):
         squared = numpyro.sample("squared", law.InverseGamma(VARIANCE_SHAPE, (VARIANCE_SHAPE - 1.0) * variance))
         lapse = numpyro.sample("lapse", law.Beta(1.0, 10.0))
     kappa = numpyro.deterministic("kappa", jnp.exp(log_kappa))
     offset_N = numpyro.deterministic("offset_N", jnp.exp(log_offset))
     numpyro.deterministic("alpha", jnp.exp(log_alpha))
     sigma = numpyro.deterministic("sigma", jnp.sqrt(squared))
-    felt = log_alpha[trials.who_told] + beta[trials.who_told] * np.log(trials.force_N)
-    numpyro.sample("numbers", law.Normal(felt, sigma[trials.who_told]), obs=np.log(trials.number))
+    speaker, log_force, log_number = told
+    felt = log_alpha[speaker] + beta[speaker] * log_force
+    numpyro.sample("numbers", law.Normal(felt, sigma[speaker]), obs=log_number)
     who, base_N, step_N, asked, right = counts
     distance = D_PRIME_75 * step_N / (kappa[who] * (base_N + offset_N[who]))
     blind = 2.0 * jnp.minimum(lapse[who], 0.5)

@@ -1,0 +1,51 @@
+"""Can a hand tell a liver's capsule from the parenchyma under it, and does it help to know the hand?
+
+Expected: in the tenth of a second before the puncture the needle is held back by 2.1 N, in the one after it by 1.6 N,
+and 100 simulated people of each group tell the two apart with an error below 10 %. Scaling the force for each of them,
+after 24 numbers they gave, changes their right answers by less than 3 %: a mapping that rises with the force cannot add
+information. It spreads the difference for people whose exponent lies below the reference's and narrows it for the
+others. For an observer equal to the reference it changes nothing at all. The tissue itself scatters by more than any of
+this; people's exponents and thresholds are priors.
+Run: python examples/11_feel_the_layer.py
+"""
+
+import numpy as np
+
+import tissue
+from tissue.calibration.discrimination import calibrated_commands, gain_of, share_right, stimulus_of
+from tissue.perception.population import reference_observer
+from tissue.perception.simulated_observer import GROUPS, SimulatedObservers, draw_observers
+
+PEOPLE = 100
+WINDOW_S = 0.1
+
+
+def main() -> None:
+    run = tissue.simulate(tissue.load_scene("needle", {"duration_s": 1.5}))
+    puncture_s = next(time for time, what in run.events if "capsule" in what)
+    capsule = stimulus_of(run.trace, puncture_s - WINDOW_S - 1e-3, puncture_s - 1e-3)
+    parenchyma = stimulus_of(run.trace, puncture_s + 1e-3, puncture_s + WINDOW_S + 2e-3)
+    print(f"capsule {capsule.level_N:.2f} N, parenchyma {parenchyma.level_N:.2f} N")
+    assert 1.9 < capsule.level_N < 2.3 and 1.5 < parenchyma.level_N < 1.8
+    rng = np.random.default_rng(0)
+    for group in GROUPS:
+        people = draw_observers(group, PEOPLE, rng)
+        plain = share_right(people, capsule, parenchyma, seed=1)
+        scaled = share_right(people, capsule, parenchyma, seed=1, commands=calibrated_commands(people, rng))
+        gain = gain_of(plain, scaled, rng)
+        print(
+            f"{group}: error {100 * (1 - gain.before):.1f} %, with calibration {100 * (1 - gain.after):.1f} %; right "
+            f"answers change by {gain.percent:+.1f} % ({gain.low:+.1f} to {gain.high:+.1f})"
+        )
+        assert gain.before > 0.9 and gain.after > 0.9 and abs(gain.percent) < 3.0
+    typical = reference_observer()
+    names = ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma")
+    same = SimulatedObservers(**{name: np.full(PEOPLE, getattr(typical, name)) for name in names})
+    known = calibrated_commands(same, rng, numbers=0)
+    plain, scaled = (share_right(same, capsule, parenchyma, seed=1, commands=each) for each in (None, known))
+    print(f"reference: right answers change by {100 * abs(scaled - plain).max():.1f} %")
+    assert (plain == scaled).all()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,138 @@
+"""People telling stimuli apart: null data, what a mapping can and cannot do, and stimuli from runs."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from meshes.errors import InputError
+from tissue.calibration.discrimination import Stimulus, calibrated_commands, gain_of, share_right, stimulus_of
+from tissue.coupling.signal import ForceRange
+from tissue.perception.population import reference_observer
+from tissue.perception.psychometric import D_PRIME_75, correct_of_d_prime
+from tissue.perception.simulated_observer import GROUPS, SimulatedObservers, draw_observers
+from tissue.trace import Table
+
+
+def people(count, **given):
+    """People like the reference observer, without lapses."""
+    usual = {
+        "alpha": 1.0,
+        "beta": reference_observer().beta,
+        "kappa": 0.07,
+        "offset_N": 0.2,
+        "lapse": 0.0,
+        "sigma": 0.2,
+    }
+    return SimulatedObservers(**{name: np.full(count, given.get(name, value)) for name, value in usual.items()})
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_identical_stimuli_are_never_told_better(group):
+    """Half of the answers count, with and without calibration; four standard errors of 10,000 answers."""
+    rng = np.random.default_rng(0)
+    crowd, same = draw_observers(group, 100, rng), Stimulus(1.0, 0.1)
+    for commands in (None, calibrated_commands(crowd, rng)):
+        assert share_right(crowd, same, same, seed=1, commands=commands).mean() == pytest.approx(0.5, abs=0.02)
+
+
+def test_no_false_gain_on_null_data():
+    """Of 100 groups with identical stimuli, two to three in a hundred intervals lie above zero, and as many below.
+
+    More than 9 of 100 on either side have a probability below 1e-3 at 2.5 %.
+    """
+    rng, above, below = np.random.default_rng(1), 0, 0
+    crowd = draw_observers("novice", 20, rng)
+    commands, same = calibrated_commands(crowd, rng), Stimulus(1.0)
+    for seed in range(100):
+        before = share_right(crowd, same, same, seed=2 * seed, trials=20)
+        after = share_right(crowd, same, same, seed=2 * seed + 1, trials=20, commands=commands)
+        gain = gain_of(before, after, rng, resamples=400)
+        above, below = above + (gain.low > 0.0), below + (gain.high < 0.0)
+    assert above <= 9 and below <= 9
+
+
+def test_an_observer_like_the_reference_gains_nothing():
+    """Known exactly, not one answer changes; calibrated by numbers, the interval of the change holds zero."""
+    rng, crowd = np.random.default_rng(2), people(100)
+    stimuli = Stimulus(1.0, 0.05), Stimulus(1.1, 0.05)
+    plain = share_right(crowd, *stimuli, seed=1)
+    assert (share_right(crowd, *stimuli, seed=1, commands=calibrated_commands(crowd, rng, numbers=0)) == plain).all()
+    gain = gain_of(plain, share_right(crowd, *stimuli, seed=1, commands=calibrated_commands(crowd, rng)), rng)
+    assert gain.low < 0.0 < gain.high and abs(gain.percent) < 1.0
+
+
+def test_shares_follow_from_the_distance():
+    """Without scatter Phi(d'/sqrt 2); with scatter e before the mapping the same at d' / sqrt(1 + e^2); 40,000 answers."""
+    crowd, threshold = people(400), 0.07 * 1.2
+    for scatter in (0.0, 0.1):
+        share = share_right(crowd, Stimulus(1.0, scatter), Stimulus(1.1, scatter), seed=1).mean()
+        distance = D_PRIME_75 * 0.1 / threshold
+        own = D_PRIME_75 * scatter / threshold
+        # thresholds are taken at the smaller force, so that scatter counts a little more than to first order
+        assert share == pytest.approx(float(correct_of_d_prime(distance / np.hypot(1.0, own))), abs=0.02)
+
+
+def test_a_mapping_cannot_help_against_scatter():
+    """Where scatter of the force decides, no exponent changes the answers; where the person's noise does, all do."""
+    rng = np.random.default_rng(3)
+    for beta, sign in ((1.1, 1.0), (2.3, -1.0)):
+        crowd = people(100, beta=beta)
+        commands = calibrated_commands(crowd, rng, numbers=0)
+        changes = []
+        for scatter in (0.0, 0.5):
+            stimuli = Stimulus(1.0, scatter), Stimulus(1.0 + 0.1 + scatter, scatter)
+            before, after = (share_right(crowd, *stimuli, seed=4, commands=each).mean() for each in (None, commands))
+            changes.append(after - before)
+        assert sign * changes[0] > 0.02 and abs(changes[1]) < 0.3 * abs(changes[0])
+
+
+def test_a_device_at_its_limit_makes_forces_alike():
+    crowd = people(100)
+    strong, weak = (Stimulus(8.0), Stimulus(6.0)), (Stimulus(0.8), Stimulus(0.6))
+    assert share_right(crowd, *strong, seed=1).mean() < 0.6 < 0.9 < share_right(crowd, *weak, seed=1).mean()
+    wide = ForceRange(limit_N=100.0)
+    assert share_right(crowd, *strong, seed=1, limits=wide).mean() > 0.9
+
+
+def test_texture_is_a_second_cue():
+    crowd, stimuli = people(200), (Stimulus(0.05), Stimulus(0.06))
+    alone, both = (share_right(crowd, *stimuli, seed=1, texture_share=share).mean() for share in (0.0, 0.1))
+    force, vibration = 0.01 / (0.07 * 0.25), 0.001 / (0.15 * (0.005 + 0.005))
+    assert both == pytest.approx(float(correct_of_d_prime(D_PRIME_75 * np.hypot(force, vibration))), abs=0.02)
+    assert both > alone
+    same = Stimulus(0.05)
+    assert share_right(crowd, same, same, seed=1, texture_share=0.1).mean() == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_stimulus_is_read_from_a_run():
+    times = np.arange(0.0, 1.0, 1e-3)
+    columns = ("time_s", *(f"model_force_{c}_N" for c in "xyz"))
+    rows = np.column_stack([times, 0.0 * times, 3.0 + 0.0 * times, np.where(times < 0.5, 4.0, 0.0)])
+    trace = Table(columns, rows)
+    assert stimulus_of(trace, 0.1, 0.4) == Stimulus(5.0, 0.0)
+    half = stimulus_of(trace, 0.4, 0.6, scale=0.1)
+    assert half.level_N == pytest.approx(0.4) and half.scatter_N == pytest.approx(0.1)
+    with pytest.raises(InputError, match="end_s must be"):
+        stimulus_of(trace, 0.5, 0.55)
+    with pytest.raises(InputError, match="end_s must be"):
+        stimulus_of(trace, 2.0, 3.0)
+
+
+def test_what_makes_no_sense_is_refused():
+    with pytest.raises(InputError, match="level_N must be in"):
+        Stimulus(-1.0)
+    with pytest.raises(InputError, match="level_N must be in"):
+        Stimulus(float("nan"))
+    with pytest.raises(InputError, match="after must be paired"):
+        gain_of(np.ones(3), np.ones(4), np.random.default_rng(0))
+
+
+def test_a_wrong_noise_model_changes_shares_not_signs():
+    rng = np.random.default_rng(5)
+    crowd = draw_observers("expert", 100, rng)
+    commands = calibrated_commands(crowd, rng)
+    stimuli = Stimulus(1.0), Stimulus(1.1)
+    for each in (crowd, replace(crowd, freedom=3.0)):
+        gain = gain_of(share_right(each, *stimuli, seed=1), share_right(each, *stimuli, seed=1, commands=commands), rng)
+        assert abs(gain.percent) < 3.0

@@ -1,0 +1,142 @@
+"""A population from many sessions: the hierarchy, what tells whether it converged, and what is refused."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from meshes.errors import InputError
+from tissue.calibration.population import fit_population, new_person, pooled_trials
+from tissue.calibration.run_session import simulated_answers, simulated_observer
+from tissue.calibration.session import Plan
+from tissue.calibration.trial_log import TrialLog
+from tissue.perception.hierarchy import HYPER, PopulationFit, PopulationTrials, fit_hierarchy
+from tissue.perception.magnitude import MAGNITUDE_FORCES_N
+from tissue.perception.observer import read_observer
+from tissue.perception.simulated_observer import draw_observers
+
+
+def sessions(folder, count, **plan):
+    """Logs of simulated people."""
+    found = []
+    for seed in range(count):
+        log = TrialLog(folder / f"{seed}.trials.jsonl", f"simulated:{seed}", Plan(seed=seed, **plan))
+        answer = simulated_answers(simulated_observer(f"simulated:{seed}")[0], seed)
+        while not log.session.complete:
+            asked = log.session.ask()
+            log.take(asked, answer(asked, log.session.trial))
+        log.close()
+        found.append(log.session)
+    return found
+
+
+def a_fit(**changes):
+    """Draws of a population that is known."""
+    rng, shape = np.random.default_rng(0), (2, 500)
+    middle = {"log_alpha": 0.0, "beta": 1.7, "variance": 0.04, "log_kappa": np.log(0.08), "log_offset": np.log(0.2)}
+    draws = {name: middle.get(name, 0.2) + 0.01 * rng.standard_normal(shape) for name in HYPER}
+    draws["lapse"] = rng.uniform(0.01, 0.03, (*shape, 4))
+    given = {"draws": draws, "r_hat": dict.fromkeys(HYPER, 1.0), "ess": dict.fromkeys(HYPER, 900.0), "divergences": 0}
+    return PopulationFit(**(given | changes))
+
+
+def test_sessions_are_laid_end_to_end(tmp_path):
+    trials = pooled_trials(sessions(tmp_path, 3, trials=8, numbers=6))
+    assert trials.observers == 3 and np.bincount(trials.who_compared).tolist() == [8, 8, 8]
+    assert np.bincount(trials.who_told).tolist() == [6, 6, 6]
+    who, base, step, asked, right = trials.counts()
+    assert asked.sum() == 24 and right.sum() == trials.right.sum() and len(who) == len(base) == len(step) <= 24
+
+
+def test_a_fit_that_did_not_converge_says_so():
+    assert a_fit().problems() == []
+    assert "R-hat of beta is 1.100" in a_fit(r_hat=dict.fromkeys(HYPER, 1.0) | {"beta": 1.1}).problems()[0]
+    assert "R-hat of beta is nan" in a_fit(r_hat=dict.fromkeys(HYPER, 1.0) | {"beta": np.nan}).problems()[0]
+    assert (
+        "effective sample size of beta is 12" in a_fit(ess=dict.fromkeys(HYPER, 900.0) | {"beta": 12.0}).problems()[0]
+    )
+    assert "3 transitions diverged" in a_fit(divergences=3).problems()[0]
+
+
+def test_a_new_person_scatters_as_people_do():
+    """Medians and spreads of the draws' population, to five standard errors of a thousand draws."""
+    person = new_person(a_fit(), trials=7, rng=np.random.default_rng(1))
+    assert person.trials == 7 and person.kappa == pytest.approx(0.08, rel=0.04)
+    assert person.beta == pytest.approx(1.7, abs=0.04)
+    assert person.covariance[1, 1] ** 0.5 == pytest.approx(0.2, rel=0.15)
+
+
+@pytest.mark.parametrize("held", ["nothing", "two", "foreign", "file"])
+def test_a_folder_that_holds_no_population_is_refused(tmp_path, held):
+    folder, out = tmp_path / "people", tmp_path / "population.json"
+    folder.mkdir()
+    if held == "two":
+        sessions(folder, 2, trials=2, numbers=2)
+    if held == "foreign":
+        (folder / "a.trials.jsonl").write_text("x\n")
+    if held == "file":
+        out.write_text("mine")
+    said = {"foreign": "which is something else", "file": "out must not be a file that is there"}
+    with pytest.raises(InputError, match=said.get(held, "three sessions or more")):
+        fit_population(folder, out, seed=0, overwrite=False)
+    assert not out.exists() or out.read_text() == "mine"
+
+
+def test_too_few_people_or_draws_are_refused():
+    none, empty = np.array([], dtype=int), np.array([])
+    trials = PopulationTrials(2, none, empty, empty, empty.astype(bool), none, empty, empty)
+    with pytest.raises(InputError, match="three observers or more"):
+        fit_hierarchy(trials)
+    with pytest.raises(InputError, match="chains must be in"):
+        fit_hierarchy(trials, chains=1)
+
+
+@pytest.mark.slow
+def test_a_population_is_recovered(tmp_path):
+    """Eight people of 60 comparisons and 12 numbers: the truth lies in the 99.8 % intervals of the population's means."""
+    pytest.importorskip("numpyro", reason="the extra perception is not installed")
+    rng, count = np.random.default_rng(0), 8
+    crowd = draw_observers("intermediate", count, rng)
+    base, step = np.tile([0.3, 0.8, 2.0], 20), np.repeat(np.geomspace(0.05, 0.4, 20), 3)
+    right = np.array([crowd.correct(b, s, rng) for b, s in zip(base, step, strict=True)])
+    forces = np.resize(MAGNITUDE_FORCES_N, 12)
+    numbers = np.array([crowd.number(force, rng) for force in forces])
+    everyone = np.arange(count)
+    fit = fit_hierarchy(
+        PopulationTrials(
+            count, np.tile(everyone, 60), np.repeat(base, count), np.repeat(step, count), right.ravel(),
+            np.tile(everyone, 12), np.repeat(forces, count), numbers.ravel(),
+        ),
+        warm_up=200, draws=200,
+    )  # fmt: skip
+    truth = {
+        "beta": crowd.beta.mean(),
+        "log_alpha": np.log(crowd.alpha).mean(),
+        "log_kappa": np.log(crowd.kappa).mean(),
+    }
+    for name, value in truth.items():
+        low, _, high = fit.interval(name, 0.998)
+        assert low < value < high, name
+    assert set(fit.r_hat) == set(fit.ess) == {*HYPER, "people"} and max(fit.r_hat.values()) < 1.1
+    assert (fit.draws["kappa"] > 0.0).all() and fit.draws["kappa"].shape == (2, 200, count)
+
+
+def test_the_command_writes_a_population(command, here, monkeypatch):
+    """With a fit that is known, which costs a minute to draw."""
+    (here / "people").mkdir()
+    sessions(here / "people", 4, trials=10, numbers=6)
+    monkeypatch.setattr("tissue.calibration.population.fit_hierarchy", lambda trials, seed: a_fit(divergences=2))
+    code, out, _ = command("calibrate", "--population", "people", "--out", "all.json")
+    assert code == 0 and "4 observers" in out and "R-hat at most 1.000" in out
+    assert "2 divergences" in out and "note: 2 transitions diverged" in out
+    assert read_observer(here / "all.json").trials == 4 * 16
+    assert (here / "all.table.csv").read_text().startswith("parameter,low_95,median,high_95,r_hat,ess\nlog_alpha,")
+    code, _, error = command("calibrate", "--population", "people", "--out", "all.json")
+    assert code == 2 and "out must not be a file that is there" in error
+
+
+def test_without_the_extra_it_is_said(monkeypatch):
+    monkeypatch.setitem(sys.modules, "jax", None)
+    one, none = np.zeros(3, dtype=int), np.ones(3)
+    with pytest.raises(InputError, match=r"pip install 'tissue-sim\[perception\]'"):
+        fit_hierarchy(PopulationTrials(3, one, none, none, none.astype(bool), one, none, none))

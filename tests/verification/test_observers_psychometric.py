@@ -1,0 +1,134 @@
+"""Psychometric functions, staircases and people of known truth against printed and exact values (case 25)."""
+
+import numpy as np
+import pytest
+
+from meshes.errors import InputError
+from tissue.perception.psychometric import (
+    correct_of_d_prime,
+    cumulative_normal,
+    d_prime_of_correct,
+    log_normal,
+    two_interval,
+    weibull,
+)
+from tissue.perception.simulated_observer import GROUPS, SimulatedObservers, draw_observers
+from tissue.perception.staircase import Staircase
+
+
+def people(count, **given):
+    """Equal people."""
+    usual = {"alpha": 1.0, "beta": 1.7, "kappa": 0.07, "offset_N": 0.2, "lapse": 0.0, "sigma": 0.2}
+    arrays = {name: np.full(count, given.pop(name, value)) for name, value in usual.items()}
+    return SimulatedObservers(**arrays, **given)
+
+
+def test_printed_values():
+    """Reference case 25, to the digits that are printed."""
+    assert weibull(1.3, 1.3, 3.5, guess=0.5, lapse=0.02) == pytest.approx(0.8034, abs=5e-5)
+    assert d_prime_of_correct(0.75) == pytest.approx(0.954, abs=5e-4)
+    assert d_prime_of_correct(0.5**0.5) == pytest.approx(0.771, abs=5e-4)
+    assert d_prime_of_correct(0.5 ** (1.0 / 3.0)) == pytest.approx(1.159, abs=5e-4)
+
+
+def test_functions_agree_where_they_must():
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        guess, lapse = rng.uniform(0.0, 0.5), rng.uniform(0.0, 0.1)
+        middle, spread, x = rng.uniform(0.5, 2.0), rng.uniform(0.1, 1.0), np.sort(rng.uniform(0.0, 5.0, 30))
+        ends = guess, 1.0 - lapse
+        for values in (
+            weibull(x, middle, 1.0 / spread, guess=guess, lapse=lapse),
+            cumulative_normal(x, middle, spread, guess=guess, lapse=lapse),
+            log_normal(x, middle, spread, guess=guess, lapse=lapse),
+        ):
+            assert (
+                (np.diff(values) >= 0.0).all() and (values >= ends[0]).all() and (values <= ends[1] + 1e-12).all()
+            )  # and rounding
+        half = 0.5 * sum(ends)
+        assert cumulative_normal(middle, middle, spread, guess=guess, lapse=lapse) == pytest.approx(half)
+        assert log_normal(middle, middle, spread, guess=guess, lapse=lapse) == pytest.approx(half)
+        assert log_normal(0.0, middle, spread, guess=guess, lapse=lapse) == ends[0]
+    shares = np.linspace(0.01, 0.99, 99)
+    np.testing.assert_allclose(correct_of_d_prime(d_prime_of_correct(shares)), shares, rtol=1e-12)
+
+
+def test_a_threshold_is_told_in_three_of_four_trials():
+    base = np.array([0.0, 0.3, 2.0, 7.0])
+    np.testing.assert_allclose(two_interval(base, 0.07 * (base + 0.2), 0.07, 0.2), 0.75, rtol=1e-12)
+    assert two_interval(2.0, 0.0, 0.07, 0.2, 0.04) == 0.5
+    assert two_interval(2.0, 100.0, 0.07, 0.2, 0.04) == pytest.approx(0.96)
+
+
+def test_people_answer_as_often_as_the_function_says():
+    """40,000 answers: four standard errors."""
+    crowd, rng = people(40_000, lapse=0.03), np.random.default_rng(1)
+    for step in (0.0, 0.05, 0.154, 0.4):
+        share = two_interval(2.0, step, 0.07, 0.2, 0.03)
+        assert crowd.correct(2.0, step, rng).mean() == pytest.approx(float(share), abs=4.0 * 0.5 / 200.0)
+    numbers = crowd.number(2.0, rng)
+    assert np.exp(np.log(numbers).mean()) == pytest.approx(2.0**1.7, rel=4.0 * 0.2 / 200.0)
+
+
+def test_tired_people_and_heavy_tails():
+    rng = np.random.default_rng(2)
+    tired = people(40_000, fatigue=0.5)
+    assert tired.correct(2.0, 0.231, rng, trial=100).mean() == pytest.approx(0.75, abs=0.01)
+    heavy = people(40_000, freedom=3.0)
+    assert heavy.correct(2.0, 0.154, rng).mean() > 0.77  # at equal variance most of the noise is smaller
+    with pytest.raises(InputError, match="freedom must be in"):
+        people(2, freedom=1.0)
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_people_of_a_group_are_drawn_by_their_seed(group):
+    one, two = (draw_observers(group, 500, np.random.default_rng(3)) for _ in range(2))
+    assert (one.kappa == two.kappa).all() and (one.beta == two.beta).all()
+    median = {"novice": 0.09, "intermediate": 0.08, "expert": 0.07}[group]
+    # four standard errors of the median of a log-normal of spread 0.3
+    assert np.log(np.median(one.kappa) / median) == pytest.approx(0.0, abs=4.0 * 1.25 * 0.3 / 500**0.5)
+
+
+@pytest.mark.parametrize(("down", "target"), [(2, 0.7071), (3, 0.7937)])
+def test_a_staircase_settles_at_its_target(down, target):
+    """Up as often as down: over all moves the mean of p^n is one half, exactly, and p lies close to its root.
+
+    The first is a martingale's law and is held to four standard errors; the second is biased by the size of a step and
+    the curve's bend, and is held to 1.5 points, which tells 70.7 from 79.4 %.
+    """
+    count, rng = 200, np.random.default_rng(4)
+    crowd = people(count)
+    stairs = Staircase(0.5, down=down, observers=count, fine=1.1)
+    assert stairs.target == pytest.approx(target, abs=5e-5)
+    moves, falls = 0, 0
+    for trial in range(500):
+        before = stairs.level.copy()
+        stairs.answer(crowd.correct(2.0, stairs.level, rng))
+        if trial >= 100:
+            moves += int((stairs.level != before).sum())
+            falls += int((stairs.level < before).sum())
+    assert falls / moves == pytest.approx(0.5, abs=4.0 * 0.5 / moves**0.5)
+    middle = np.exp(np.log(stairs.threshold()).mean())
+    assert two_interval(2.0, middle, 0.07, 0.2) == pytest.approx(target, abs=0.015)
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda: weibull(-1.0, 1.0, 1.0), "strength must be a number of at least 0"),
+        (lambda: weibull(np.nan, 1.0, 1.0), "strength must be a number of at least 0"),
+        (lambda: weibull(1.0, 0.0, 1.0), "threshold must be positive"),
+        (lambda: cumulative_normal(1.0, 1.0, -1.0), "spread must be positive"),
+        (lambda: log_normal(1.0, 1.0, 1.0, lapse=0.6), "lapse must be in"),
+        (lambda: d_prime_of_correct(1.0), "share must be in"),
+        (lambda: two_interval(-1.0, 0.1, 0.07, 0.2), "strength must be a number of at least 0"),
+        (lambda: people(3, kappa=-0.1), "kappa of an observer must be positive"),
+        (lambda: people(3).correct(1.0, -0.1, np.random.default_rng(0)), "must not be negative"),
+        (lambda: people(3).number(-1.0, np.random.default_rng(0)), "force_N must be positive"),
+        (lambda: draw_observers("master", 3, np.random.default_rng(0)), "group must be one of novice"),
+        (lambda: Staircase(-1.0, down=2), "start must be positive"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(call, sentence):
+    with pytest.raises(InputError, match=sentence):
+        call()

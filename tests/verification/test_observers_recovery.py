@@ -1,0 +1,189 @@
+"""Calibration recovers people of known truth: values, intervals, ranks, and trials that are needed (case 25)."""
+
+import numpy as np
+import pytest
+from scipy.stats import chisquare, kstest
+
+from meshes.errors import InputError
+from tissue.perception.adaptive import AdaptiveThreshold, ThresholdPrior, comparisons
+from tissue.perception.magnitude import (
+    MAGNITUDE_FORCES_N,
+    PRIOR_MEAN,
+    PRIOR_SCALE,
+    PRIOR_SHAPE,
+    PRIOR_WEIGHT,
+    fit_magnitudes,
+)
+from tissue.perception.psychometric import D_PRIME_75, d_prime_of_correct, two_interval
+from tissue.perception.simulated_observer import SimulatedObservers, draw_observers
+from tissue.perception.staircase import Staircase
+
+SMALL = ThresholdPrior(cells=41, floor_cells=5, lapse_cells=3)
+
+
+def people(count, **given):
+    """Equal people."""
+    usual = {"alpha": 1.0, "beta": 1.7, "kappa": 0.07, "offset_N": 0.2, "lapse": 0.02, "sigma": 0.2}
+    arrays = {name: np.broadcast_to(given.pop(name, value), count) for name, value in usual.items()}
+    return SimulatedObservers(**arrays, **given)
+
+
+def calibrated(crowd, rng, *, trials, prior=SMALL, stimuli=None):
+    """Thresholds of a crowd after some adaptive trials each."""
+    found = AdaptiveThreshold(prior, stimuli, observers=len(crowd))
+    for trial in range(trials):
+        asked = found.propose()
+        found.answer(asked, crowd.correct(found.base_N[asked], found.step_N[asked], rng, trial=trial))
+    return found
+
+
+def test_weber_of_seven_percent_is_recovered():
+    """100 sessions of 120 trials: the mean to three standard errors and the prior's pull, one session to its spread."""
+    found = calibrated(people(100), np.random.default_rng(0), trials=120)
+    weber, spread = found.weber()
+    errors = np.log(weber / 0.07)
+    assert abs(errors.mean()) < 3.0 * errors.std() / 10.0 + 0.06
+    assert errors.std() < 0.2
+    assert (np.abs(errors) < 3.5 * spread).all()
+
+
+def test_stevens_of_1_7_is_recovered():
+    """200 sessions of 24 numbers: the mean to four standard errors, intervals that hold the truth as often as they say."""
+    crowd, rng = people(200), np.random.default_rng(1)
+    forces = np.resize(MAGNITUDE_FORCES_N, 24)
+    numbers = np.array([crowd.number(force, rng) for force in forces])
+    fits = [fit_magnitudes(forces, column) for column in numbers.T]
+    exponents = np.array([fit.mean[1] for fit in fits])
+    assert exponents.mean() == pytest.approx(1.7, abs=4.0 * exponents.std() / 200**0.5 + 0.003)  # and the prior's pull
+    assert exponents.std() < 0.07
+    held = np.mean([low < 1.7 < high for low, high in (fit.exponent_at([0.025, 0.975]) for fit in fits)])
+    assert 0.91 < held < 0.995  # of 200: three standard errors around 95 %
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth_as_often_as_they_say():
+    """95 % intervals of 800 people drawn from the prior, between the grid's points: 92 to 98 % hold it."""
+    rng, count = np.random.default_rng(2), 800
+    prior = ThresholdPrior(cells=61, floor_cells=9, lapse_cells=4)
+    weber, floor, lapse, masses = prior.parameters()
+    drawn = rng.choice(len(masses), size=count, p=masses)
+    within = np.exp((rng.random(count) - 0.5) * np.log(prior.weber_edges[1] / prior.weber_edges[0]))
+    crowd = people(count, kappa=weber[drawn] * within, offset_N=floor[drawn], lapse=lapse[drawn])
+    found = calibrated(crowd, rng, trials=60, prior=prior)
+    low, high = found.weber_quantiles(np.array([0.025, 0.975]))
+    assert 0.92 < np.mean((low < crowd.kappa) & (crowd.kappa < high)) < 0.98
+    held = []
+    for _ in range(count):
+        variance = PRIOR_SCALE / rng.gamma(PRIOR_SHAPE)
+        alpha, beta = np.array(PRIOR_MEAN) + np.sqrt(variance / PRIOR_WEIGHT) * rng.standard_normal(2)
+        forces = np.resize(MAGNITUDE_FORCES_N, 12)
+        numbers = np.exp(alpha + beta * np.log(forces) + np.sqrt(variance) * rng.standard_normal(12))
+        least, most = fit_magnitudes(forces, numbers).exponent_at([0.025, 0.975])
+        held.append(least < beta < most)
+    assert 0.92 < np.mean(held) < 0.98
+
+
+def test_ranks_of_simulated_calibrations_are_uniform():
+    """600 people from the prior: the posterior's mass below the truth, ties split at random, is uniform.
+
+    A chi-square test over twelve bins at 0.1 %. A posterior that is too narrow (answers counted twice) must fail it.
+    """
+    rng, count = np.random.default_rng(3), 600
+    weber, floor, lapse, masses = SMALL.parameters()
+    drawn = rng.choice(len(masses), size=count, p=masses)
+    crowd = people(count, kappa=weber[drawn], offset_N=floor[drawn], lapse=lapse[drawn])
+    found = calibrated(crowd, rng, trials=40)
+
+    def p_value(posterior):
+        cells = posterior.reshape(SMALL.cells, -1, count).sum(axis=1)
+        cell = drawn // (SMALL.floor_cells * SMALL.lapse_cells)
+        at = cells[cell, np.arange(count)]
+        ranks = np.cumsum(cells, axis=0)[cell, np.arange(count)] - at + rng.random(count) * at
+        return chisquare(np.histogram(ranks, bins=12, range=(0.0, 1.0))[0]).pvalue
+
+    assert p_value(found.posterior) > 1e-3
+    twice = found.posterior**2 / masses[:, None]
+    assert p_value(twice / twice.sum(axis=0)) < 1e-3
+
+
+def test_ranks_of_exponents_are_uniform():
+    """400 people from the prior: Kolmogorov and Smirnov at 0.1 %."""
+    rng, ranks, forces = np.random.default_rng(4), [], np.resize(MAGNITUDE_FORCES_N, 8)
+    for _ in range(400):
+        variance = PRIOR_SCALE / rng.gamma(PRIOR_SHAPE)
+        alpha, beta = np.array(PRIOR_MEAN) + np.sqrt(variance / PRIOR_WEIGHT) * rng.standard_normal(2)
+        numbers = np.exp(alpha + beta * np.log(forces) + np.sqrt(variance) * rng.standard_normal(8))
+        ranks.append(fit_magnitudes(forces, numbers).exponent_below(beta))
+    assert kstest(ranks, "uniform").pvalue > 1e-3
+
+
+def test_the_most_telling_comparison_is_the_one_of_least_expected_entropy():
+    """Against the definition, written out: every comparison, both answers, entropy of each posterior."""
+    prior = ThresholdPrior(cells=9, floor_cells=3, lapse_cells=2)
+    found = AdaptiveThreshold(prior, comparisons((0.5, 2.0), count=8))
+    rng = np.random.default_rng(5)
+    weber, floor, lapse, _ = prior.parameters()
+    for _ in range(12):
+        entropies = []
+        for base, step in zip(found.base_N, found.step_N, strict=True):
+            right, entropy = two_interval(base, step, weber, floor, lapse), 0.0
+            for likelihood in (right, 1.0 - right):
+                joint = likelihood * found.posterior[:, 0]
+                after = joint / joint.sum()
+                entropy -= joint.sum() * (after[after > 0.0] * np.log(after[after > 0.0])).sum()
+            entropies.append(entropy)
+        asked = found.propose()
+        assert entropies[asked[0]] == pytest.approx(min(entropies), abs=1e-12)
+        found.answer(asked, rng.random(1) < 0.8)
+
+
+@pytest.mark.slow
+def test_ten_percent_in_fewer_trials_than_staircases():
+    """300 people: after how many trials half of the thresholds lie within 10 % of the truth, for good."""
+    rng, count, trials = np.random.default_rng(6), 300, 500
+    crowd = draw_observers("intermediate", count, rng)
+    truth = crowd.kappa * (2.0 + crowd.offset_N)
+    found = AdaptiveThreshold(ThresholdPrior(floor_cells=1), comparisons((2.0,)), observers=count)
+    stairs = {down: Staircase(0.6, down=down, observers=count) for down in (2, 3)}
+    errors = {name: [] for name in ("adaptive", 2, 3)}
+    for _ in range(trials):
+        asked = found.propose()
+        found.answer(asked, crowd.correct(2.0, found.step_N[asked], rng))
+        errors["adaptive"].append(np.median(np.abs(np.log(found.threshold_N(2.0)[0] / truth))))
+        for down, each in stairs.items():
+            each.answer(crowd.correct(2.0, each.level, rng))
+            told = each.threshold() * D_PRIME_75 / d_prime_of_correct(each.target)
+            errors[down].append(np.median(np.abs(np.log(told / truth))))
+    needed = {name: trials - int(np.argmax(np.array(each)[::-1] > np.log(1.1))) for name, each in errors.items()}
+    assert needed["adaptive"] < needed[3] and needed["adaptive"] < needed[2]
+
+
+def test_a_wrong_noise_model_biases_the_threshold_by_what_is_told():
+    """Heavy tails make thresholds look 10 to 40 % lower, fatigue of 50 % a hundred trials 10 to 60 % higher."""
+    for wrong, low, high in (({"freedom": 3.0}, 0.6, 0.95), ({"fatigue": 0.5}, 1.1, 1.6)):
+        found = calibrated(people(100, **wrong), np.random.default_rng(7), trials=120)
+        assert low < np.exp(np.log(found.weber()[0] / 0.07).mean()) < high, wrong
+
+
+def test_identical_forces_tell_nothing():
+    """A step of zero is answered by chance, and leaves the prior as it was."""
+    stimuli = (np.array([2.0]), np.array([0.0]))
+    found = calibrated(people(50), np.random.default_rng(8), trials=30, stimuli=stimuli)
+    np.testing.assert_allclose(found.posterior[:, 0], SMALL.parameters()[3], rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda: fit_magnitudes([1.0, 2.0], [1.0, -2.0]), "numbers must be positive"),
+        (lambda: fit_magnitudes([1.0, -2.0], [1.0, 2.0]), "forces_N must be positive"),
+        (lambda: fit_magnitudes([1.0, 2.0], [1.0]), "numbers must be one for each force"),
+        (lambda: ThresholdPrior(lowest=0.5, highest=0.1), "highest must be in"),
+        (lambda: ThresholdPrior(weber=-0.1), "weber must be positive"),
+        (lambda: comparisons((-1.0,)), "bases_N must be positive"),
+        (lambda: comparisons((5.0,), force_limit_N=3.3), "bases_N must lie below force_limit_N"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(call, sentence):
+    with pytest.raises(InputError, match=sentence):
+        call()

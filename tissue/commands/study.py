@@ -1,0 +1,102 @@
+"""``tissue study run`` and ``tissue study report``."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, Parameter
+
+from tissue.commands.terminal import console, problems, progress, whole
+
+__all__ = ["study"]
+
+study = App(name="study", help="Compare ways to render force over many trials, and say what they show.")
+Names = Annotated[tuple[str, ...], Parameter(negative="", consume_multiple=True)]
+
+
+@study.command
+def run(
+    *,
+    trials: Annotated[int, Parameter(converter=whole)] = 100,
+    tasks: Names = (),
+    methods: Names = (),
+    groups: Names = (),
+    sensitivity: bool = True,
+    seed: Annotated[int, Parameter(converter=whole)] = 0,
+    workers: Annotated[int | None, Parameter(converter=whole)] = None,
+    scheduler: str | None = None,
+    out: Path = Path("studies/paper"),
+    only: str | None = None,
+) -> None:
+    """Run a study, or go on with one: every trial is on disk as soon as it is done.
+
+    Parameters
+    ----------
+    trials
+        Trials for each task and group; a study that is there may be given more.
+    tasks
+        Some of T1 (palpation), T2 (wall), T3 (milling), needle, reaming, drilling; default all.
+    methods
+        Some of penalty, energy, koopman, koopman-perception; default all.
+    groups
+        Some of novice, intermediate, expert; default all.
+    sensitivity
+        Also repeat a few trials with one parameter changed, and against the finest model.
+    seed
+        Seed of everything.
+    workers
+        Processes; default one a core.
+    scheduler
+        dask://ADDRESS: run on the workers of that Dask scheduler instead.
+    out
+        Folder of the study.
+    only
+        Name of one trial, such as T1-novice-0007: run that alone and print what came of it.
+    """
+    from tissue.study import Plan, TrialKey, run_study, run_trial
+
+    chosen = {"tasks": tasks, "methods": methods, "groups": groups}
+    split = {name: tuple(each for word in words for each in word.split(",") if each) for name, words in chosen.items()}
+    plan = Plan(
+        seed=seed, trials=trials, sensitivity=sensitivity, **{name: words for name, words in split.items() if words}
+    )
+    if only is not None:
+        trial = run_trial(plan, TrialKey.named(only))
+        console.print(f"{only}, seed {trial.seed}, {trial.took_s:.1f} s", highlight=False)
+        for row in trial.rows:
+            told = ", ".join(f"{name} {each if isinstance(each, str) else f'{each:.6g}'}" for name, each in row.items())
+            console.print(told, soft_wrap=True, highlight=False, markup=False)
+        return
+    with progress() as bar:
+
+        def tell(doing: str, share: float) -> None:
+            bar(doing, share)
+            if not doing.startswith("trial ") or "cut short" in doing:
+                problems.print(doing, soft_wrap=True, highlight=False, markup=False)
+
+        bar("starting workers", 0.0)
+        folder = run_study(plan, out, workers=workers, scheduler=scheduler, tell=tell)
+    kept = list(folder.trials(variant=None))
+    failed = sum(any("failure" in row for row in held["rows"]) for _, held in kept)
+    console.print(f"{len(kept)} trials in {out}, {failed} with a failure", soft_wrap=True, highlight=False)
+    for task in plan.tasks:
+        took = sorted(held["took_s"] for key, held in kept if key.task == task and not key.variant)
+        console.print(f"{task}: {took[len(took) // 2]:.1f} s a trial of {len(plan.methods)} methods", highlight=False)
+    console.print(f"next: tissue study report {out}", soft_wrap=True, highlight=False)
+
+
+@study.command
+def report(folder: Path, /) -> None:
+    """Write tables, figures and what they mean, beside the paper's figures, into a study's folder.
+
+    Parameters
+    ----------
+    folder
+        Folder that `tissue study run` wrote; a study that is not done yet is reported as far as it is.
+    """
+    with progress() as tell:
+        from tissue.study.report import write_report
+
+        written, sentences = write_report(folder, tell=tell)
+    for sentence in sentences:
+        console.print(sentence, soft_wrap=True, highlight=False, markup=False)
+    console.print(f"open {written}", soft_wrap=True, highlight=False)
