@@ -10,6 +10,7 @@ from tissue.coupling.device import device_parameters
 from tissue.coupling.signal import ForceRange
 from tissue.load import load_scene
 from tissue.materials.constants import constants
+from tissue.outputs import require_free_folder
 from tissue.perception.build import CAUTION, perception_of
 from tissue.perception.deadband import held_back
 from tissue.perception.estimate import log_posterior, map_force_N
@@ -28,20 +29,22 @@ PEOPLE, PERSON, WANTED, GREY = "#0072B2", "#D55E00", "0.25", "0.6"
 DEVICE, SCENE = "touch", "wall"
 
 
-def perception_charts(out: Path, observer: Path | None) -> list[Path]:
+def perception_charts(out: Path, observer: Path | None, *, overwrite: bool = False) -> list[Path]:
     """Draw all pictures of perception into a folder; of an observer's file, or of an example.
 
     Raises
     ------
     InputError
-        If the observer's file cannot be used.
+        If the observer's file cannot be used, or the folder is a file or holds such pictures.
     """
     someone = _example() if observer is None else read_observer(observer)
+    drawn = {"people": _people, "command": _command, "deadband": _deadband, "estimate": _estimate}
+    pictures = {f"perception-{name}.png": draw for name, draw in drawn.items()}
+    require_free_folder(out, pictures, "chart", overwrite=overwrite)
     out.mkdir(parents=True, exist_ok=True)
-    paths = [out / f"perception-{name}.png" for name in ("people", "command", "deadband", "estimate")]
-    for path, draw in zip(paths, (_people, _command, _deadband, _estimate), strict=True):
-        draw(someone, path)
-    return paths
+    for name, draw in pictures.items():
+        draw(someone, out / name)
+    return [out / name for name in pictures]
 
 
 def _example() -> Observer:

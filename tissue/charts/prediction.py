@@ -12,6 +12,7 @@ from meshes.errors import InputError
 from tissue.charts.prediction_files import FILES, write_comparisons
 from tissue.charts.prediction_picture import draw_scene, draw_tasks
 from tissue.coupling.device import device_parameters
+from tissue.outputs import require_free_folder
 from tissue.prediction import Edmd, Predictor
 from tissue.prediction.build import PREDICTORS, trained_predictor
 from tissue.prediction.trained import Trained, shipped_file
@@ -163,15 +164,11 @@ def chart_prediction(
     Raises
     ------
     InputError
-        If the folder holds another chart, there are fewer than two trials, or a scene cannot be used.
+        If the folder is a file or holds another chart, there are fewer than two trials, or a scene cannot be used.
     """
     if trials < 2:
         raise InputError(f"trials must be at least 2, got {trials}: use 30")
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"out must be a folder, got the file {folder}: choose another --out")
-    there = [name for name in FILES if (folder / name).exists()]
-    if there and not overwrite:
-        raise InputError(f"out must not hold another chart, got {folder / there[0]}: pass --overwrite or another --out")
+    require_free_folder(folder, FILES, "chart", overwrite=overwrite)
     found = []
     for index, scene in enumerate(scenes):
         onward = lambda doing, share, index=index: tell(doing, (index + share) / len(scenes))  # noqa: E731

@@ -81,12 +81,14 @@ def _over_horizon(axes: Any, found: "Comparison") -> None:
     for kind, (colour, mark) in LOOKS.items():
         at = [found.at(kind, horizon) for horizon in HORIZONS]
         strong = STRONG if kind == "koopman" else 1.1
-        axes.plot(HORIZONS, [100 * a.mean for a in at], "-" + mark, color=colour, label=kind, ms=4, linewidth=strong)
+        axes.plot(
+            HORIZONS, [100 * a.mean for a in at], "-" + mark, color=colour, label=kind, markersize=4, linewidth=strong
+        )
         axes.fill_between(HORIZONS, [100 * a.low for a in at], [100 * a.high for a in at], color=colour, alpha=0.15)
     axes.set(xlabel="horizon / ms", ylabel="force error / %", yscale="log")
     _plain(axes.yaxis)
     axes.grid(alpha=0.3, which="both")
-    axes.legend(frameon=False)
+    axes.legend(frameon=False, loc="upper left", ncols=2, fontsize=8)
 
 
 def _over_cost(axes: Any, found: "Comparison") -> None:
@@ -143,13 +145,14 @@ def _spread(axes: Any, found: "Comparison") -> None:
     axes.set(
         xticks=range(len(LOOKS)), xticklabels=list(LOOKS), ylabel="error 4 ms ahead of each run / %", ylim=(0, None)
     )
+    axes.tick_params(axis="x", labelsize=8)
     axes.grid(axis="y", alpha=0.3)
 
 
 def _plain(axis: Any) -> None:
     """Numbers instead of powers of ten."""
-    from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.set_major_formatter(ScalarFormatter())
+    axis.set_major_formatter(FuncFormatter(lambda value, place: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())

@@ -3,12 +3,12 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from meshes.errors import InputError
 from tissue.charts.frontier import Frontier, frontier_of, write_measured
 from tissue.charts.measure import machine
 from tissue.charts.picture import draw_frontiers
 from tissue.charts.settings import by_hand
 from tissue.load import load_scene, scene_names
+from tissue.outputs import require_free_folder
 
 __all__ = ["chart_lines", "chart_scenes"]
 
@@ -25,12 +25,10 @@ def chart_scenes(
     Raises
     ------
     InputError
-        If a scene is unknown, or ``out`` holds a chart already.
+        If a scene is unknown, ``out`` is a file, or it holds a chart already.
     """
     scenes = [load_scene(name) for name in names or scene_names()]
-    for scene in scenes:
-        if (out / f"{scene.name}.csv").exists() and not overwrite:
-            raise InputError(f"out must not hold a chart of {scene.name} yet, got {out}: pass --overwrite or another")
+    require_free_folder(out, [f"{scene.name}.csv" for scene in scenes], "chart", overwrite=overwrite)
     found = []
     out.mkdir(parents=True, exist_ok=True)
     for index, scene in enumerate(scenes):

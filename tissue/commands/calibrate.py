@@ -82,8 +82,8 @@ def calibrate(
         problems.print(f"going on at trial {log.session.trial + 1} of {log.path}", soft_wrap=True, highlight=False)
     _ask_all(log, answer, live=not ask)
     session = log.session
-    write_observer(session.observer(name), target, overwrite=overwrite)
     draw_session(session, target.with_suffix(".png"))
+    write_observer(session.observer(name), target, overwrite=overwrite)  # last, for where it lies the session is over
     for line in session.lines():
         console.print(line, soft_wrap=True, highlight=False, markup=False)
     for note in session.notes():

@@ -5,7 +5,6 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from meshes.errors import InputError
 from tissue.commands.terminal import console, progress, whole
 
 __all__ = ["chart"]
@@ -47,6 +46,8 @@ def chart(
         case ["perception"]:
             _perception(out or Path("charts/perception"), observer, overwrite=overwrite)
         case ["perception", scene, *_]:
+            from meshes.errors import InputError
+
             raise InputError(f"perception must stand alone, got {scene} after it: leave it out")
         case _:
             _scenes(list(what), out or Path("charts"), quick=quick, overwrite=overwrite)
@@ -80,7 +81,5 @@ def _perception(folder: Path, observer: Path | None, *, overwrite: bool) -> None
     """`tissue chart perception`."""
     from tissue.charts.perception import perception_charts
 
-    if folder.is_dir() and any(folder.iterdir()) and not overwrite:
-        raise InputError(f"out must be empty, got files in {folder}: pass --overwrite or another --out")
-    for path in perception_charts(folder, observer):
+    for path in perception_charts(folder, observer, overwrite=overwrite):
         console.print(f"{path}", soft_wrap=True, highlight=False)

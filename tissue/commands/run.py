@@ -66,7 +66,7 @@ def run(
     check_formats(format_)
     overrides = dict(parse_override(text) for text in set_)
     for text in fidelity:
-        key, value = parse_override(text)
+        key, value = parse_override(text, option="--fidelity", example="force_error=0.03")
         overrides[f"fidelity.{key}"] = value
     if seed is not None:
         overrides["seed"] = seed

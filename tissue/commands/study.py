@@ -1,6 +1,7 @@
 """``tissue study run`` and ``tissue study report``."""
 
 from pathlib import Path
+from time import perf_counter
 from typing import Annotated
 
 from cyclopts import App, Parameter
@@ -10,6 +11,8 @@ from tissue.commands.terminal import console, problems, progress, whole
 __all__ = ["study"]
 
 study = App(name="study", help="Compare ways to render force over many trials, and say what they show.")
+QUIET_S = 30.0
+"""Time between two lines about how far a study is, where there is no terminal for a bar [s]."""
 Names = Annotated[tuple[str, ...], Parameter(negative="", consume_multiple=True)]
 
 
@@ -25,6 +28,7 @@ def run(
     workers: Annotated[int | None, Parameter(converter=whole)] = None,
     scheduler: str | None = None,
     out: Path = Path("studies/paper"),
+    retry: Annotated[bool, Parameter(negative="")] = False,
     only: str | None = None,
 ) -> None:
     """Run a study, or go on with one: every trial is on disk as soon as it is done.
@@ -49,6 +53,8 @@ def run(
         dask://ADDRESS: run on the workers of that Dask scheduler instead.
     out
         Folder of the study.
+    retry
+        Run trials that failed again.
     only
         Name of one trial, such as T1-novice-0007: run that alone and print what came of it.
     """
@@ -67,14 +73,18 @@ def run(
             console.print(told, soft_wrap=True, highlight=False, markup=False)
         return
     with progress() as bar:
+        told = 0.0
 
         def tell(doing: str, share: float) -> None:
+            nonlocal told
             bar(doing, share)
-            if not doing.startswith("trial ") or "cut short" in doing:
+            going = " left" in doing
+            if not going or (not problems.is_terminal and perf_counter() - told > QUIET_S):
+                told = perf_counter()
                 problems.print(doing, soft_wrap=True, highlight=False, markup=False)
 
         bar("starting workers", 0.0)
-        folder = run_study(plan, out, workers=workers, scheduler=scheduler, tell=tell)
+        folder = run_study(plan, out, workers=workers, scheduler=scheduler, retry=retry, tell=tell)
     kept = list(folder.trials(variant=None))
     failed = sum(any("failure" in row for row in held["rows"]) for _, held in kept)
     console.print(f"{len(kept)} trials in {out}, {failed} with a failure", soft_wrap=True, highlight=False)

@@ -9,8 +9,8 @@ from rich.console import Console
 
 __all__ = ["console", "problems", "progress", "whole"]
 
-console = Console()
-problems = Console(stderr=True)
+console = Console(emoji=False)
+problems = Console(stderr=True, emoji=False)
 
 
 def whole(_: Any, tokens: Any) -> int:

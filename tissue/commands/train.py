@@ -39,11 +39,11 @@ def train(
     """
     from meshes.errors import InputError
     from tissue.load import load_scene, parse_override
+    from tissue.outputs import require_new_file
 
     loaded = load_scene(scene, dict(parse_override(text) for text in set_))
     path = out or Path(f"{loaded.name}.npz")
-    if path.exists() and not overwrite:
-        raise InputError(f"out must not exist yet, got {path}: pass --overwrite or choose another --out")
+    require_new_file(path, overwrite=overwrite)
     if not path.parent.is_dir():
         raise InputError(f"out must lie in a folder that exists, got {path}: create {path.parent}")
     with progress() as tell:

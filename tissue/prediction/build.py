@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from meshes.errors import InputError
+from tissue.model import TICK_S
 from tissue.prediction.baselines import Kalman, Linear, LinearControl
 from tissue.prediction.guard import Guarded
 from tissue.prediction.koopman import Koopman
@@ -12,8 +13,6 @@ from tissue.prediction.trained import Trained, shipped_file
 __all__ = ["PREDICTORS", "predictor", "trained_predictor"]
 
 PREDICTORS = ("hold", "linear", "kalman", "dmdc", "koopman")
-TICK_S = 1e-3
-"""Tick at which predictors are trained [s]."""
 
 
 def predictor(kind: str, *, scene_name: str, file: str, force_limit_N: float, tick_s: float) -> Predictor:

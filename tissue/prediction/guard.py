@@ -1,5 +1,6 @@
 """When a predictor is believed, and what is played while it is not."""
 
+from collections import deque
 from math import isfinite, sqrt
 from typing import Protocol
 
@@ -16,6 +17,12 @@ BLEND = 10
 """Ticks over which one predictor's force goes over into the other's."""
 ABSURD = 1e6
 """Metres, metres a second or newtons that no device has."""
+MEMORY = 0.98
+"""Share of what was missed that is still reckoned with a tick later: about 50 ticks, a touch and what follows it."""
+WORSE = 1.5
+"""Times the other's error from which a predictor is not trusted: below, both are noise; a prior."""
+LEAST_N = 3e-3
+"""Error that is never counted as worse [N]."""
 PROBATION = 50
 """Ticks for which a predictor must be trusted before it is asked again."""
 
@@ -32,9 +39,11 @@ class Judged(Predictor, Protocol):
 class Guarded:
     """A predictor for as long as it can be trusted, and another one in its place: no step in between.
 
-    The force told is the other's plus a share of the way to the predictor's own. The share falls from 1 to 0 over some
-    ticks when trust ends, and rises as slowly once it has lasted for a while. The way is bounded, and where it is not
-    finite the last one stands, so a handover changes the force by no more than the bound over those ticks.
+    The force told is the other's plus a share of the way to the predictor's own. Trust ends when the predictor itself
+    doubts, or when what it told has lately missed the force that came by more than the other's did; then the share
+    falls from 1 to 0 over some ticks, and it rises as slowly once trust has lasted for a while. The way is bounded, and
+    where it is not finite the last one stands, so a handover changes the force by no more than the bound over those
+    ticks.
 
     Parameters
     ----------
@@ -54,16 +63,29 @@ class Guarded:
         self._reach = require_positive("reach_N", reach_N, "use the device's greatest force")
         self._share, self._good = 1.0, PROBATION
         self._way = np.zeros(3)
+        self._kept: deque[tuple[Array, Array]] = deque()
+        self._lead, self._asked = 0, False
+        self._missed = [0.0, 0.0]
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
         """Pass the sample on and judge; one that is not finite, or absurd, counts as none."""
         if not (_sane(position_m) and _sane(velocity_m_s) and (force_N is None or _sane(force_N))):
             self.pause()
             return
+        self._asked = False
+        missed = self._missed = [MEMORY * self._missed[0], MEMORY * self._missed[1]]
+        if force_N is not None and self._lead and len(self._kept) == self._lead:
+            told = self._kept[0]
+            if told[1].any() and force_N.any():  # a touch that is foreseen is not held against who foresees it
+                for which, each in enumerate(told):
+                    error = force_N - each
+                    missed[which] += (1.0 - MEMORY) * float(error @ error)
         self.inner.observe(position_m, velocity_m_s, force_N)
         self.instead.observe(position_m, velocity_m_s, force_N)
         self.residual_N = self.inner.residual_N
-        self._good = self._good + 1 if self.inner.trusted else 0
+        own, other = missed
+        worse = not own <= WORSE**2 * other + LEAST_N**2
+        self._good = self._good + 1 if self.inner.trusted and not worse else 0
         change = 1.0 / BLEND
         self._share = min(self._share + change, 1.0) if self._good >= PROBATION else max(self._share - change, 0.0)
         self.own = self._share > 0.5
@@ -71,8 +93,6 @@ class Guarded:
     def ahead(self, ticks: int) -> Array:
         """Between both, by the share."""
         safe = self.instead.ahead(ticks)
-        if self._share == 0.0:
-            return safe
         way = self.inner.ahead(ticks) - safe
         size = float(way @ way)
         if not isfinite(size):
@@ -80,10 +100,20 @@ class Guarded:
         elif size > self._reach**2:
             way *= self._reach / sqrt(size)
         self._way = way
+        if not self._asked and ticks:
+            self._keep(ticks, safe + way, safe)
         return safe + self._share * way
 
+    def _keep(self, ticks: int, own: Array, safe: Array) -> None:
+        """Keep what both told until the force that they told of is there."""
+        self._asked = True
+        if ticks != self._lead:
+            self._lead, self._kept = ticks, deque(maxlen=ticks)
+        self._kept.append((own, safe))
+
     def pause(self) -> None:
-        """Pass it on."""
+        """Pass it on; what was told belongs to no force any more."""
+        self._kept.clear()
         self.inner.pause()
         self.instead.pause()
 

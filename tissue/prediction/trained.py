@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError
+from tissue.outputs import require_new_file
 from tissue.prediction.koopman import LoopTerms
 from tissue.prediction.lifted import Operator
 from tissue.prediction.predictor_file import read_predictor, write_predictor
@@ -49,8 +50,7 @@ class Trained:
         InputError
             If the file exists and may not be written over, or its folder is missing.
         """
-        if path.exists() and not overwrite:
-            raise InputError(f"out must not exist yet, got {path}: pass --overwrite or choose another --out")
+        require_new_file(path, overwrite=overwrite)
         terms = asdict(self.terms)
         following = terms.pop("following")
         operators = {"lifted": _rounded(self.operator), "control": _rounded(self.control)}

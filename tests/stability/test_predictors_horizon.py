@@ -1,0 +1,95 @@
+"""Predictors taken past where they fail: far ahead, in another tissue, without a cap, on a loop that chatters."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tissue import load_scene, simulate
+from tissue.prediction.baselines import Linear
+from tissue.prediction.build import trained_predictor
+from tissue.prediction.guard import Guarded
+from tissue.prediction.koopman import Koopman
+from tissue.prediction.trained import Trained, shipped_file
+from tissue.training import Recorder, Recording, forecast_errors, trial
+from tissue.training.evaluation import forecast
+
+LIMIT_N = 3.3
+
+
+@pytest.fixture(scope="module")
+def wall():
+    return Trained.read(shipped_file("wall"))
+
+
+@pytest.fixture(scope="module")
+def unseen():
+    return Recorder().record(trial(load_scene("wall"), 777, delay_ms=4))
+
+
+def test_far_ahead_the_capped_operator_stays_and_an_uncapped_one_explodes(wall, unseen):
+    """Printed: g(x_{t+n}) = K^n g(x_t). With a radius of 1.05 the n-th power is 1.05^n; capped, it is bounded."""
+    grown = replace(wall.operator, A=1.05 * wall.operator.A)
+    sizes = {}
+    for name, operator in (("capped", wall.operator), ("grown", grown), ("capped again", grown.capped(1.0))):
+        loop = Koopman(operator, wall.terms)
+        for row in range(1200):
+            loop.observe(unseen.position_m[row], unseen.velocity_m_s[row], unseen.force_N[row])
+        sizes[name] = [float(np.linalg.norm(loop.ahead(ticks))) for ticks in (1, 50, 400)]
+    most = float(np.abs(unseen.force_N).max())
+    assert max(sizes["capped"]) < 3.0 * most
+    assert sizes["grown"][2] > 1e3 * most
+    # What the cap leaves need not be right: it only must not grow.
+    assert sizes["capped again"][2] < 1e-3 * sizes["grown"][2]
+
+
+def test_the_guard_bounds_what_an_exploding_operator_tells(wall, unseen):
+    grown = replace(wall.operator, A=1.05 * wall.operator.A)
+    guarded = Guarded(Koopman(grown, wall.terms), Linear(), reach_N=wall.terms.reach_N)
+    told, owned = [], []
+    for position, velocity, force in zip(unseen.position_m, unseen.velocity_m_s, unseen.force_N, strict=True):
+        guarded.observe(position, velocity, force)
+        told.append(guarded.ahead(4))
+        owned.append(guarded.own)
+    line = forecast(Linear(), unseen, (4,))[:, 0]
+    assert np.linalg.norm(told - line, axis=1).max() <= wall.terms.reach_N * (1.0 + 1e-12)
+    assert np.mean(np.array(owned)[unseen.force_N.any(axis=1)]) < 0.2
+
+
+@pytest.mark.parametrize(("factor", "worst"), [(0.5, 1.4), (2.0, 1.05), (8.0, 1.15)])
+def test_in_a_force_it_was_not_trained_on_it_is_little_worse_than_what_it_falls_back_on(wall, unseen, factor, worst):
+    """Half to eight times the force of the same motion: the straight line takes over once it is felt to be off.
+
+    At half the force a touch is foreseen with twice its stiffness, which nothing tells before it is felt.
+    """
+    other = Recording(unseen.position_m, unseen.velocity_m_s, factor * unseen.force_N, "expert", 0)
+    make = lambda kind: lambda: trained_predictor(kind, wall, force_limit_N=LIMIT_N)  # noqa: E731
+    own = forecast_errors(make("koopman"), [other], horizons=(4,))[0, 0]
+    line = forecast_errors(make("linear"), [other], horizons=(4,))[0, 0]
+    assert own < worst * line, (own, line)
+
+
+def test_dropped_and_repeated_samples_leave_it_bounded(wall, unseen):
+    rng = np.random.default_rng(8)
+    predictor = trained_predictor("koopman", wall, force_limit_N=LIMIT_N)
+    most = float(np.abs(unseen.force_N).max())
+    for row in range(len(unseen.force_N)):
+        fate = rng.random()
+        if fate < 0.05:
+            predictor.pause()
+            continue
+        for _ in range(2 if fate < 0.1 else 1):
+            predictor.observe(unseen.position_m[row], unseen.velocity_m_s[row], unseen.force_N[row])
+        assert np.linalg.norm(predictor.ahead(6)) < 2.0 * most + wall.terms.reach_N
+
+
+def test_prediction_takes_a_loop_past_where_latency_makes_it_chatter():
+    """At 1.5 kN/m and 4 ms the wall throws the device off again and again (24 switches); predicted, it is held (4)."""
+    switches = {}
+    for prediction in ("none", "koopman"):
+        entries = {"seed": 500, "coupling.delay_ms": 4, "coupling.stiffness_N_m": 1500.0, "prediction": prediction}
+        trace = simulate(load_scene("wall", entries), allow_unstable=True).trace
+        touching = trace["raw_force_z_N"] != 0.0
+        switches[prediction] = int(np.abs(np.diff(touching.astype(int))).sum())
+    assert switches["none"] > 2 * switches["koopman"]
+    assert switches["koopman"] < 10
