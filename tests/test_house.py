@@ -20,7 +20,7 @@ MODULES = [
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 FLOORS = (
     ("meshes", "kernels"),
-    ("tissue.materials",),
+    ("tissue.materials", "tissue.outputs"),
     ("tissue.child", "tissue.fields", "tissue.cutters"),
     ("tissue.offscreen",),
     ("tissue.model",),
@@ -102,7 +102,11 @@ FLOORS = (
     ("tissue.cli",),
 )
 """From the ground up; a room imports from its own floor and those below it."""
-LAZY = {("tissue.run", "tissue.report"), ("tissue.simulation", "tissue.charts"), ("tissue.commands.view", "tissue.view")}
+LAZY = {
+    ("tissue.run", "tissue.report"),
+    ("tissue.simulation", "tissue.charts"),
+    ("tissue.commands.view", "tissue.view"),
+}
 """A run calls what draws it, and only then imports it."""
 LONGEST = 300
 

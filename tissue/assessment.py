@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from meshes.errors import InputError, require_positive
 from tissue.depth import tool_axes
+from tissue.model import TICK_S
+from tissue.outputs import require_free_folder
 from tissue.run_folder import SavedRun
 from tissue.statistics.alignment import aligned_rows, deviation_mm
 from tissue.statistics.metrics import acceleration_change_m_s2, force_error, overshoot_mm, spectral_arc_length
@@ -18,7 +20,6 @@ from tissue.trace import Table
 __all__ = ["Assessment", "Breach", "assess", "assessment_lines", "write_assessment"]
 
 Array = NDArray[np.float64]
-TICK_S = 1e-3
 GAP_S = 0.15
 """Breaches closer than a period of slow tremor are one."""
 MOST_BREACHES = 8
@@ -202,11 +203,7 @@ def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> lis
     """
     from tissue.assessment_picture import draw_assessment
 
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"out must be a folder, got the file {folder}: choose another --out")
-    there = [name for name in FILES if (folder / name).exists()]
-    if there and not overwrite:
-        raise InputError(f"out must not hold another assessment, got {folder / there[0]}: pass --overwrite")
+    require_free_folder(folder, FILES, "assessment", overwrite=overwrite)
     folder.mkdir(parents=True, exist_ok=True)
     limits = {
         "force_N": found.force_limit_N,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError
-from tissue.build_loop import judged_loop, judged_loops, lead_ticks, perception_of, person_of, predictor_of
+from tissue.build_loop import judged_loops, lead_ticks, perception_of, person_of, predictor_of
 from tissue.coupling.aim import Path, waypoints
 from tissue.coupling.device import DeviceParameters, device_parameters
 from tissue.coupling.guidance import Lead, Thrust
@@ -25,7 +25,7 @@ from tissue.scene import Scene
 from tissue.scene_coupling import WallAnatomy
 from tissue.scene_tool import ReplayMotion, ThrustMotion, Tool
 
-__all__ = ["by_hand", "judged_loop"]
+__all__ = ["by_hand"]
 
 Array = NDArray[np.float64]
 STRAY_M = 2e-3
@@ -94,6 +94,8 @@ def by_hand(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable: bo
         )
     if felt is not None:
         told.append(felt.sentence)
+    if chosen.predictor_file and scene.prediction not in ("dmdc", "koopman"):
+        told.append(f"coupling.predictor_file is not used, for prediction = {scene.prediction}")
     return motion, f"{scene.device} in the hand of {person_of(scene.hand)}, {scene.renderer}: {'; '.join(told)}"
 
 

@@ -45,20 +45,23 @@ class JudgedLoop:
         Of the stiffness.
     alone
         Critical stiffness of a device that was let go.
+    saves
+        What else than a hand stops its ringing.
     """
 
     loop: WallLoop
     verdict: Verdict
     unit: str
     alone: float
+    saves: str
 
     def sentence(self) -> str:
         """What was chosen, and what is known of it."""
         told = self.verdict.sentence(self.loop.stiffness_N_m).replace("N/m", self.unit)
         if self.loop.stiffness_N_m >= self.alone:
             told += (
-                f", but only in a hand: let go where it is held from two sides, nothing but friction (or renderer = "
-                f"passivity) stops its ringing from {self.alone:.3g} {self.unit} on"
+                f", but only in a hand: let go where it is held from two sides, nothing but {self.saves} stops its "
+                f"ringing from {self.alone:.3g} {self.unit} on"
             )
         return told
 
@@ -75,12 +78,17 @@ def judged_loops(scene: Scene, *, step_s: float, allow_unstable: bool) -> tuple[
     loops = [(judged_loop(scene, step_s=step_s), grip[:3], "stiffness_N_m", "N/m", _steepest(scene))]
     if device_parameters(scene.device).torque_limit_Nm > 0.0:
         loops.append((_turning_loop(scene, step_s=step_s), grip[3:], "stiffness_Nm_rad", "N m/rad", 1.0))
+    saves = (
+        "friction and the passivity controller"
+        if scene.renderer == "passivity"
+        else "friction (or renderer = passivity)"
+    )
     found: list[JudgedLoop] = []
     for loop, hand, key, unit, steepest in loops:
         verdict = _judged(loop, hand, steepest)
         if not verdict.stable and not allow_unstable:
             raise InputError(_refusal(scene, verdict, loop.stiffness_N_m, key))
-        found.append(JudgedLoop(loop, verdict, unit, critical_stiffness_N_m(loop) / steepest))
+        found.append(JudgedLoop(loop, verdict, unit, critical_stiffness_N_m(loop) / steepest, saves))
     return found[0], found[1] if len(found) > 1 else None
 
 

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 __all__ = ["pierce", "press"]
 
 Tell = Callable[[str, float], None]
+HAND_M = 0.01
+"""How far beside the planned track a hand's entry is still shown on it [m]: an eighth of its block."""
 POSES_TRIED = 200
 """Poses along a motion at which the organ is looked for."""
 MARGIN_EDGES = 0.25
@@ -57,8 +59,11 @@ def pierce(scene: Scene, motion: Motion, *, tell: Tell = lambda doing, share: No
     track, fields = Track.first_of(motion.sweep_m(), motion.rotations()[:, :, 2], diameter_m=diameter), None
     if track is not None and scene.anatomy.interval_ms > 0.0:
         tell("solving a block of the organ around the needle", 0.0)
-        fields = NeedleFields.of_liver(track, diameter_m=diameter, interval_s=1e-3 * scene.anatomy.interval_ms)
+        near = diameter if scene.device == "none" else HAND_M
+        fields = NeedleFields.of_liver(track, near_m=near, interval_s=1e-3 * scene.anatomy.interval_ms)
         notes["fields"] = fields.beside(tissue)
+        if scene.device != "none":
+            notes["fields"] += f"; a hand that enters up to {1e3 * near:g} mm beside the track is drawn as on it"
     return Parts(motion, NeedleModel(tissue, diameter_m=diameter, fields=fields), notes=notes)
 
 

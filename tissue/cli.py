@@ -9,21 +9,28 @@ from cyclopts import (
     CoercionError,
     CycloptsError,
     MissingArgumentError,
+    Parameter,
     UnknownCommandError,
     UnknownOptionError,
     UnusedCliTokensError,
 )
 
-from meshes.errors import InputError
 from tissue.commands import COMMANDS
 from tissue.commands.terminal import problems
 
 __all__ = ["app", "main"]
 
+
+def _default(value: object) -> str | None:
+    """What help tells as a default: nothing where nothing is given, or of a switch that is off."""
+    return None if value is None or value is False or value == () else str(value)
+
+
 app = App(
     name="tissue",
     help="Simulate cutting bone, drilling teeth and pressing soft organs.",
     suppress_keyboard_interrupt=False,
+    default_parameter=Parameter(show_default=_default),
 )
 for command in COMMANDS:
     app.command(command)
@@ -38,10 +45,14 @@ def main() -> NoReturn:
     """Entry point: bad input becomes one sentence and exit code 2."""
     try:
         app(sys.argv[1:], exit_on_error=False, print_error=False)
-    except InputError as error:
-        _refuse(str(error))
     except CycloptsError as error:
         _refuse(_usage(error))
+    except ValueError as error:
+        from meshes.errors import InputError  # brings NumPy, which help does without
+
+        if not isinstance(error, InputError):
+            raise
+        _refuse(str(error))
     except OSError as error:
         if error.errno not in FULL + CLOSED:
             raise
@@ -49,7 +60,8 @@ def main() -> NoReturn:
         where = f" at {error.filename}" if error.filename else ""
         _refuse(f"out must {what}, got {(error.strerror or '').lower()}{where}: {remedy} another --out")
     except KeyboardInterrupt:
-        problems.print("stopped: what was written so far is kept, see `tissue view`", highlight=False, soft_wrap=True)
+        seen = ", see `tissue view`" if sys.argv[1:2] == ["run"] else ""
+        problems.print(f"stopped: what was written so far is kept{seen}", highlight=False, soft_wrap=True)
         sys.exit(130)
     sys.exit(0)
 

@@ -78,7 +78,8 @@ def _requirement(field: FieldInfo, kind: str, inside: bool) -> str:
             return f"{noun} {bounds}".strip()
         return bounds
     if part is str:
-        return "lower-case letters, digits, - and _" if kind == "string_pattern_mismatch" else "text"
+        of = field.title or "lower-case letters, digits, - and _"
+        return of if kind == "string_pattern_mismatch" else "text"
     if get_origin(part) is tuple:
         item = get_args(part)[0]
         if get_args(part)[-1] is Ellipsis:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError
-from tissue.build_hand import judged_loop
+from tissue.build_loop import judged_loop
 from tissue.coupling.other_devices import RecordedDevice
 from tissue.load import changed
 from tissue.run import Run

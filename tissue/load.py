@@ -108,8 +108,8 @@ def _read(path: Path) -> str:
         raise InputError(f"scene must be readable, got {said} at {path}: check who may read it") from None
 
 
-def parse_override(text: str) -> tuple[str, Any]:
-    """Key and value of ``key=value``; the value is TOML, or a string where it is not.
+def parse_override(text: str, *, option: str = "--set", example: str = "voxels.spacing_mm=0.2") -> tuple[str, Any]:
+    """Key and value of ``key=value``, as an option is given it; the value is TOML, or a string where it is not.
 
     Raises
     ------
@@ -118,7 +118,7 @@ def parse_override(text: str) -> tuple[str, Any]:
     """
     key, sign, value = text.partition("=")
     if not sign or not key:
-        raise InputError(f"--set must be key=value, got {text}: use for example voxels.spacing_mm=0.2")
+        raise InputError(f"{option} must be key=value, got {text}: use for example {example}")
     try:
         return key.strip(), tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:

@@ -8,9 +8,11 @@ from numpy.typing import NDArray
 
 from tissue.fields import FieldSeries
 
-__all__ = ["FreeSpace", "Response", "TissueModel", "ToolMotion"]
+__all__ = ["TICK_S", "FreeSpace", "Response", "TissueModel", "ToolMotion"]
 
 Array = NDArray[np.float64]
+TICK_S = 1e-3
+"""Length of a tick [s]."""
 
 
 @dataclass

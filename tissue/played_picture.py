@@ -35,7 +35,7 @@ def draw_played(run: Run, path: Path) -> None:
     turns = bool(trace.vectors("device_torque", "Nm").any())
     chart = figure(8.0, 7.6 if turns else 6.4)
     panels = chart.subplots(3 + turns, 1, height_ratios=(2.4, 2.0, 1.5, 1.2)[: 3 + turns])
-    chart.subplots_adjust(left=0.12, right=0.98, top=0.86, bottom=0.08, hspace=0.42)
+    chart.subplots_adjust(left=0.13, right=0.98, top=0.86, bottom=0.08, hspace=0.42)
     steepest = int(np.abs(np.diff(sizes["raw_force"], prepend=0.0)).argmax())
     first = max(steepest - round(0.25 * MOMENT_S * 1e3), 0)
     moment = slice(first, first + round(MOMENT_S * 1e3))

@@ -15,7 +15,12 @@ DeviceName = Literal["none", "touch", "omni", "six-dof"]
 HandName = Literal["novice", "intermediate", "expert"]
 RendererName = Literal["penalty", "passivity", "proxy"]
 PredictionName = Literal["none", "hold", "linear", "kalman", "dmdc", "koopman"]
-PerceptionName = Annotated[str, Field(pattern=r"^(none|population|observer:.+)$", examples=["population"])]
+PerceptionName = Annotated[
+    str,
+    Field(
+        pattern=r"^(none|population|observer:.+)$", examples=["population"], title="none, population or observer:FILE"
+    ),
+]
 
 
 class Coupling(Part):

@@ -16,7 +16,7 @@ from meshes.errors import InputError
 from tissue.build import build
 from tissue.coupling.device import Device
 from tissue.coupling.hand_motion import HandMotion
-from tissue.model import Response, ToolMotion
+from tissue.model import TICK_S, Response, ToolMotion
 from tissue.motion import LONGEST_S, Motion
 from tissue.parts import Parts
 from tissue.run import Run
@@ -29,8 +29,6 @@ __all__ = ["TICK_S", "Progress", "Watch", "simulate"]
 
 SWITCH_S = 5e-5
 """How long a thread that works beside the ticks may keep the interpreter from them [s]."""
-TICK_S = 1e-3
-"""Length of a tick [s]."""
 Progress = Callable[[str, float], None]
 """Told what is being done and how much of it is done, 0 to 1."""
 

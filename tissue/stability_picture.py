@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from tissue.coupling.stability_map import StabilityChart, StabilityMap
+from tissue.outputs import write_columns
 from tissue.pictures import figure, save
 
 __all__ = ["draw_stability", "write_stability"]
@@ -41,11 +42,9 @@ def write_stability(found: StabilityMap, folder: Path) -> list[Path]:
     written = []
     for name, data in (("damping", found.over_damping), ("delay", found.over_delay)):
         path = folder / f"stability_{name}.csv"
-        lines = [f"{line.replace(' ', '_')}_N_m" for line in data.lines_N_m]
-        columns = [data.along, "measured_N_m", "exact_N_m", *lines]
-        rows = np.column_stack([data.values, data.measured_N_m, data.exact_N_m, *data.lines_N_m.values()])
-        text = "\n".join(",".join(map(repr, row)) for row in rows.tolist())
-        path.write_text(",".join(columns) + "\n" + text + "\n", "utf-8")
+        lines = {f"{line.replace(' ', '_')}_N_m": values for line, values in data.lines_N_m.items()}
+        columns = {data.along: data.values, "measured_N_m": data.measured_N_m, "exact_N_m": data.exact_N_m}
+        write_columns(path, columns | lines)
         written.append(path)
     return written
 

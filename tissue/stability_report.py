@@ -8,12 +8,13 @@ from tissue.build_loop import judged_loop
 from tissue.coupling import hand_parameters
 from tissue.coupling.device import DEVICES
 from tissue.coupling.stability_map import StabilityMap, stability_map
+from tissue.model import TICK_S
+from tissue.outputs import require_free_folder
 from tissue.scene import Scene
 from tissue.stability_picture import draw_stability, write_stability
 
 __all__ = ["scene_stability", "stability_lines", "write_stability_files"]
 
-TICK_S = 1e-3
 FILES = ("stability.png", "stability_damping.csv", "stability_delay.csv")
 
 
@@ -62,13 +63,9 @@ def write_stability_files(scene: Scene, found: StabilityMap, folder: Path, *, ov
     Raises
     ------
     InputError
-        If the folder holds another map.
+        If the folder is a file, or holds another map.
     """
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"out must be a folder, got the file {folder}: choose another --out")
-    there = [name for name in FILES if (folder / name).exists()]
-    if there and not overwrite:
-        raise InputError(f"out must not hold another map, got {folder / there[0]}: pass --overwrite or choose another")
+    require_free_folder(folder, FILES, "map", overwrite=overwrite)
     folder.mkdir(parents=True, exist_ok=True)
     title = f"{scene.name}: {scene.device}, {scene.hand}"
     draw_stability(found, folder / FILES[0], title=title)

@@ -59,16 +59,19 @@ def test_a_session_ends_with_observer_trials_and_picture(command, here):
     assert abs(np.log(found.kappa / truth.kappa[0])) < 4.0 * found.covariance[2, 2] ** 0.5
     assert abs(found.beta - truth.beta[0]) < 4.0 * found.covariance[1, 1] ** 0.5
     code, _, error = command("calibrate", "--observer", "simulated:4", "--out", "sub/one.json")
-    assert code == 2 and "out must not be a file that is there" in error
+    assert code == 2 and "out must not exist yet" in error
     before = (here / "sub" / "one.json").read_bytes()
     assert command("calibrate", "--observer", "simulated:4", "--out", "sub/one.json", "--overwrite")[0] == 0
+    assert (here / "sub" / "one.json").read_bytes() == before
+    (here / "sub" / "one.json").unlink()  # as if stopped before it was written
+    assert command("calibrate", "--observer", "simulated:4", "--out", "sub/one.json")[0] == 0
     assert (here / "sub" / "one.json").read_bytes() == before
 
 
 def test_a_picture_that_is_there_is_kept(refused, here):
     (here / "mine.png").write_text("mine")
     said = refused("calibrate", "--observer", "simulated:4", "--out", "mine.json")
-    assert "got mine.png: choose another --out or pass --overwrite" in said
+    assert "got mine.png: pass --overwrite or choose another --out" in said
     assert os.listdir(here) == ["mine.png"] and (here / "mine.png").read_text() == "mine"
 
 

@@ -76,7 +76,7 @@ def test_a_folder_that_holds_no_population_is_refused(tmp_path, held):
         (folder / "a.trials.jsonl").write_text("x\n")
     if held == "file":
         out.write_text("mine")
-    said = {"foreign": "which is something else", "file": "out must not be a file that is there"}
+    said = {"foreign": "which is something else", "file": "out must not exist yet"}
     with pytest.raises(InputError, match=said.get(held, "three sessions or more")):
         fit_population(folder, out, seed=0, overwrite=False)
     assert not out.exists() or out.read_text() == "mine"
@@ -132,7 +132,7 @@ def test_the_command_writes_a_population(command, here, monkeypatch):
     assert read_observer(here / "all.json").trials == 4 * 16
     assert (here / "all.table.csv").read_text().startswith("parameter,low_95,median,high_95,r_hat,ess\nlog_alpha,")
     code, _, error = command("calibrate", "--population", "people", "--out", "all.json")
-    assert code == 2 and "out must not be a file that is there" in error
+    assert code == 2 and "out must not exist yet" in error
 
 
 def test_without_the_extra_it_is_said(monkeypatch):

@@ -106,6 +106,7 @@ POINTS = "motion.points_mm must be a list of at least two points [x, y, z], got"
         ),
         ("spacing", "--set must be key=value, got spacing: use for example voxels.spacing_mm=0.2"),
         ("=1", "--set must be key=value, got =1: use for example voxels.spacing_mm=0.2"),
+        ("perception=all", 'perception must be none, population or observer:FILE, got all: use "population"'),
     ],
 )
 def test_a_bad_entry_is_refused_in_one_sentence(refused, here, override, sentence):
@@ -142,7 +143,7 @@ def test_a_motion_without_end_is_refused(refused, here):
         (("run", "milling", "glenoid"), "tissue run must be given nothing more, got glenoid: see `tissue run --help`"),
         (
             ("ruin", "milling"),
-            "command must be one of run, scenes, view, stability, calibrate, assess, train, chart, got ruin (did you mean run?): see `tissue --help`",
+            "command must be one of run, scenes, view, stability, calibrate, assess, train, chart, study, got ruin (did you mean run?): see `tissue --help`",
         ),
         (
             ("run", "milling", "--overwite"),
@@ -171,6 +172,15 @@ def test_a_motion_without_end_is_refused(refused, here):
             "format must be one of parquet, npz, mat, h5, got xlsx: csv is always written",
         ),
         (("run", "milling", *COARSE, "--compute", "cuda:99"), None),
+        (
+            ("run", "milling", "--fidelity", "fast"),
+            "--fidelity must be key=value, got fast: use for example force_error=0.03",
+        ),
+        (
+            ("calibrate", "--observer", "simulated:x"),
+            "observer must be simulated:SEED or simulated:GROUP:SEED with novice, intermediate, expert, got "
+            "simulated:x: use simulated:1",
+        ),
         (("view", "runs"), "run must be a folder that `tissue run` wrote, got runs: give for example runs/glenoid"),
     ],
 )

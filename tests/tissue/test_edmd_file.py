@@ -106,7 +106,9 @@ def test_another_file_is_refused_with_the_remedy(tmp_path, changed, sentence):
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 and no more", b"\x80\x04K\x01."], ids=["empty", "cut", "pickle"])
 def test_a_damaged_file_is_refused(tmp_path, content):
     path = tmp_path / "wall.npz"
-    with pytest.raises(InputError, match=r"predictor file must exist, got .*: train it with 'tissue train'"):
+    with pytest.raises(
+        InputError, match=r"predictor file must be an existing file, got .*: train it with 'tissue train'"
+    ):
         read_predictor(path)
     path.write_bytes(content)
     with pytest.raises(InputError, match="predictor file must be whole"):

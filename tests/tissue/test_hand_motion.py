@@ -7,7 +7,8 @@ import pytest
 
 from tissue import InputError, load_scene, simulate
 from tissue.build import build, motion_of
-from tissue.build_hand import by_hand, judged_loop
+from tissue.build_hand import by_hand
+from tissue.build_loop import judged_loop
 from tissue.coupling import (
     Fault,
     FaultyDevice,
@@ -523,3 +524,10 @@ def test_a_device_that_plays_torque_is_given_that_of_its_spring(name, changes):
     np.testing.assert_allclose(played, tissue, atol=0.1 * np.linalg.norm(tissue))
     turned = trace["device_qz"] - trace["tool_qz"] if name == "glenoid" else trace["device_qy"] - trace["tool_qy"]
     assert np.abs(turned[late]).max() > 1e-4
+
+
+def test_the_coupling_says_what_stops_a_ringing_and_what_is_not_used():
+    overrides = {"duration_s": 0.01, "renderer": "passivity", "coupling.predictor_file": "mine.npz"}
+    told = simulate(load_scene("wall", overrides)).parts.notes["coupling"]
+    assert "nothing but friction and the passivity controller stops its ringing" in told
+    assert "coupling.predictor_file is not used, for prediction = none" in told

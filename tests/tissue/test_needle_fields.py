@@ -23,7 +23,7 @@ def track(*, tilt_deg=0.0, entry_mm=(0.0, 0.0, 0.0), deepest_mm=20.0):
 
 
 def fields_of(where):
-    return NeedleFields.of_liver(where, diameter_m=NEEDLE_M, interval_s=0.05)
+    return NeedleFields.of_liver(where, near_m=NEEDLE_M, interval_s=0.05)
 
 
 def along(frame, fields):
@@ -222,3 +222,18 @@ def test_a_needle_is_drawn_with_its_insertion_and_its_block(pierced, tmp_path):
     drawn = sorted(path.name for path in (tmp_path / "pictures").iterdir())
     assert "pictures" not in pierced.parts.notes, pierced.parts.notes["pictures"]
     assert drawn == ["force_torque.png", "held.png", "insertion.png", "press.png"]
+
+
+def test_a_hand_that_misses_the_track_still_moves_the_block():
+    """A novice enters 1.6 mm beside the track, which is more than the needle's diameter."""
+    overrides = SCENE | {
+        "device": "touch",
+        "hand": "novice",
+        "duration_s": 0.7,
+        "motion.points_mm": [[0, 0, 5], [0, 0, -65]],
+    }
+    run = simulate(load_scene("needle", overrides))
+    entry = int(np.argmax(run.trace["deflection_mm"] > 0.0))
+    assert np.hypot(run.trace["tool_x_mm"][entry], run.trace["tool_y_mm"][entry]) > 1e3 * NEEDLE_M
+    assert any(frame.points["displacement_mm"].any() for frame in run.parts.tissue.fields.frames)
+    assert "10 mm beside the track" in run.parts.notes["fields"]

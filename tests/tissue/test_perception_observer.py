@@ -53,9 +53,7 @@ def test_a_file_is_never_replaced_unasked(tmp_path):
     path = tmp_path / "ada.json"
     write_observer(observer(), path)
     before = path.read_text("utf-8")
-    with pytest.raises(
-        InputError, match=r"out must not be a file that is there, got .*ada.json: choose another or pass"
-    ):
+    with pytest.raises(InputError, match=r"out must not exist yet, got .*ada.json: pass --overwrite"):
         write_observer(observer(beta=1.9), path)
     assert path.read_text("utf-8") == before
     write_observer(observer(beta=1.9), path, overwrite=True)

@@ -317,7 +317,7 @@ def test_what_cannot_be_used_is_refused(trained, tmp_path):
         InputError, match=r"must be of scene wall, got spring in .*: train it again with 'tissue train wa"
     ):
         predictor("koopman", scene_name="wall", file=path, **options)
-    with pytest.raises(InputError, match=r"must exist, got nowhere.npz: train it with"):
+    with pytest.raises(InputError, match=r"must be an existing file, got nowhere.npz: train it with"):
         predictor("dmdc", scene_name="wall", file="nowhere.npz", **options)
     with pytest.raises(InputError, match=r"prediction must be one of hold, linear, .*, got arima: choose"):
         predictor("arima", scene_name="wall", file="", **options)

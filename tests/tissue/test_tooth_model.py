@@ -165,7 +165,8 @@ def test_a_pulp_out_of_reach_is_not_measured():
     run = drill(voxels__margin_mm=0.5, **{"motion__points_mm": [[0, 0, 0.2], [0, 0, -0.4]], "duration_s": 0.2})
     assert run.trace["removed_mm3"][-1] > 0.0
     assert run.parts.tissue.measure_names == MOVES
-    assert np.isfinite(run.trace.rows).all() and not run.events
+    assert np.isfinite(run.trace.rows).all()
+    assert not any("pulp" in what for _, what in run.events)  # a busy machine may tell of late stress
 
 
 @pytest.mark.parametrize(

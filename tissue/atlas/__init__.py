@@ -1,6 +1,6 @@
 """The stability atlas: every method taken to where it fails and past it, a page each."""
 
-from tissue.atlas.atlas import check_folder, chosen_pages, make_page, write_atlas
+from tissue.atlas.atlas import chosen_pages, make_page, write_atlas
 from tissue.atlas.bad_tetrahedra import BAD_TETRAHEDRA
 from tissue.atlas.contrast import CONTRAST
 from tissue.atlas.cut_cells import CUT_CELLS
@@ -30,7 +30,7 @@ from tissue.atlas.wall_map import WALL_MAP
 from tissue.atlas.weber_law import WEBER_LAW
 from tissue.atlas.wild_input import WILD_INPUT
 
-__all__ = ["PAGES", "Answer", "Conduct", "Page", "Verdict", "check_folder", "chosen_pages", "make_page", "write_atlas"]
+__all__ = ["PAGES", "Answer", "Conduct", "Page", "Verdict", "chosen_pages", "make_page", "write_atlas"]
 
 PAGES = (
     ONE_STEP_ORDER, POWERS, LOW_PASS, PADE, FORCE_COMMAND, WEBER_LAW, TWO_MAXIMA, RECURSIVE_VARIANCE, DAMPER_SIGN,

@@ -7,14 +7,13 @@ from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
 
-import numpy as np
-
 from meshes.errors import InputError
 from tissue.atlas.drawing import picture
 from tissue.atlas.html import Entry, document
 from tissue.atlas.page import Data, Page
+from tissue.outputs import require_free_folder, write_columns
 
-__all__ = ["check_folder", "chosen_pages", "make_page", "write_atlas"]
+__all__ = ["chosen_pages", "make_page", "write_atlas"]
 
 INDEX = "index.html"
 Progress = Callable[[str, float], None]
@@ -35,20 +34,6 @@ def chosen_pages(pages: Sequence[Page], only: Sequence[str]) -> tuple[Page, ...]
     return tuple(page for page in pages if not only or page.name in only)
 
 
-def check_folder(folder: Path, *, overwrite: bool) -> None:
-    """Refuse a folder that cannot take an atlas.
-
-    Raises
-    ------
-    InputError
-        If it is a file, or holds an atlas that is not to be replaced.
-    """
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"out must be a folder, got the file {folder}: choose another --out")
-    if (folder / INDEX).exists() and not overwrite:
-        raise InputError(f"out must not hold another atlas, got {folder / INDEX}: pass --overwrite or choose another")
-
-
 def make_page(page: Page, *, quick: bool = False) -> tuple[Entry, Data]:
     """Run a page's sweep, judge it, ask the engine and draw; with ``quick`` the coarser sweep."""
     started = perf_counter()
@@ -66,9 +51,9 @@ def write_atlas(
     Raises
     ------
     InputError
-        See `check_folder`.
+        If the folder is a file, or holds an atlas that is not to be replaced.
     """
-    check_folder(folder, overwrite=overwrite)
+    require_free_folder(folder, [INDEX], "atlas", overwrite=overwrite)
     folder.mkdir(parents=True, exist_ok=True)
     entries = []
     for number, page in enumerate(pages):
@@ -77,7 +62,7 @@ def write_atlas(
         entry, data = make_page(page)
         (folder / f"{page.name}.png").write_bytes(entry.picture)
         for table, columns in data.items():
-            _write_table(folder / f"{page.name}_{table}.csv", columns)
+            write_columns(folder / f"{page.name}_{table}.csv", columns)
         entries.append(entry)
     made = {
         "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
@@ -87,10 +72,3 @@ def write_atlas(
     }
     (folder / INDEX).write_text(document(entries, made), "utf-8")
     return entries
-
-
-def _write_table(path: Path, columns: dict[str, np.ndarray]) -> None:
-    """Columns as CSV, with all digits."""
-    rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
-    lines = [",".join(columns), *(",".join(map(repr, row)) for row in rows)]
-    path.write_text("\n".join(lines) + "\n", "utf-8")

@@ -95,12 +95,6 @@ class BrickStore:
             self.touched.zero_()
         return rows, self.remaining.numpy()[rows]
 
-    @property
-    def byte_count(self) -> int:
-        """Memory of the stored arrays [bytes]."""
-        arrays = (self.brick_of, self.remaining, self.material, self.alive)
-        return int(sum(array.capacity for array in arrays))
-
     def steps_by_layer(self) -> NDArray[np.int64]:
         """Stored steps that remain in each layer, shape (layers,)."""
         count = len(self.volume.layer_names)

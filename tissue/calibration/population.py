@@ -7,6 +7,7 @@ import numpy as np
 from meshes.errors import InputError
 from tissue.calibration.session import Session
 from tissue.calibration.trial_log import read_log
+from tissue.outputs import require_new_file
 from tissue.perception.hierarchy import (
     ESS,
     HYPER,
@@ -74,8 +75,7 @@ def fit_population(folder: Path, out: Path, *, seed: int, overwrite: bool) -> li
     if out.suffix != ".json":
         raise InputError(f"out must be the name of a file that ends in .json, got {out}: use population.json")
     for path in (out, table):
-        if path.exists() and not overwrite:
-            raise InputError(f"out must not be a file that is there, got {path}: choose another or pass --overwrite")
+        require_new_file(path, overwrite=overwrite)
     if not folder.is_dir():
         raise InputError(f"population must be a folder of sessions, got {folder}: calibrate into one first")
     paths, empty, sessions = sorted(folder.glob("*.trials.jsonl")), [], []

@@ -7,6 +7,7 @@ import numpy as np
 
 from tissue.calibration.session import Session
 from tissue.perception.psychometric import D_PRIME_75, correct_of_d_prime
+from tissue.pictures import figure, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,17 +39,13 @@ def posterior_panel(session: Session) -> "Panel":
 
 def draw_session(session: Session, path: Path) -> None:
     """Draw posterior, answers and numbers of a session into a PNG file."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, (left, middle, right) = pyplot.subplots(1, 3, figsize=(13.0, 4.2), layout="constrained")
+    chart = figure(13.0, 4.2)
+    chart.set_layout_engine("constrained")
+    left, middle, right = chart.subplots(1, 3)
     _posterior(session, left)
     _answers(session, middle)
     _numbers(session, right)
-    figure.savefig(path, dpi=130)
-    pyplot.close(figure)
+    save(chart, path)
 
 
 def _posterior(session: Session, axes: "Axes") -> None:

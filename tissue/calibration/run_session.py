@@ -12,6 +12,7 @@ from tissue.calibration.trial_log import TrialLog, log_path, read_log
 from tissue.coupling.device import DEVICES, Device, device_parameters
 from tissue.coupling.other_devices import MouseDevice
 from tissue.coupling.simulated_device import SimulatedDevice
+from tissue.outputs import require_new_file
 from tissue.perception.simulated_observer import GROUPS, SimulatedObservers, draw_observers
 
 __all__ = ["Answer", "begin", "questioner", "simulated_answers", "simulated_observer"]
@@ -84,13 +85,12 @@ def begin(out: Path, observer: str, plan: Plan, *, overwrite: bool) -> TrialLog:
     if out.suffix != ".json":
         raise InputError(f"out must be the name of a file that ends in .json, got {out}: use observer.json")
     path, picture = log_path(out), out.with_suffix(".png")
-    if not overwrite:
-        for each in (out, picture):
-            if each.exists():
-                raise InputError(
-                    f"out must not be a file that is there, got {each}: choose another --out or pass --overwrite"
-                )
-    elif path.exists():
+    for each in (
+        out,
+        *([] if path.exists() else [picture]),
+    ):  # a session that was stopped last of all has drawn its own
+        require_new_file(each, overwrite=overwrite)
+    if overwrite and path.exists():
         read_log(path)
         path.unlink()
     return TrialLog(path, observer, plan)

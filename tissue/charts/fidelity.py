@@ -71,7 +71,7 @@ def with_fidelity(scene: Scene, *, tell: Tell = lambda doing, share: None) -> tu
     setting = next(each for each in found.settings if each.name == point.setting)
     said = (
         f"{point.setting}: force {100.0 * point.force_error:.2g} % from the converged one (which is known to "
-        f"{100.0 * found.gap:.2g} %), tick {point.median_us:.0f} us, 99 % {point.p99_us:.0f} us, the cheapest of "
+        f"{100.0 * found.gap:.2g} %), tick {point.median_us:.0f} µs, 99 % {point.p99_us:.0f} µs, the cheapest of "
         f"{len(found.points)} settings"
     )
     if point.leaves_out:

@@ -189,7 +189,7 @@ def comparison_lines(found: Sequence[Comparison]) -> list[str]:
             at = each.at(kind, DELAY_MS)
             lines.append(
                 f"{each.scene:>12}  {kind:<8} {100 * at.mean:6.2f} ({100 * at.low:.2f} to {100 * at.high:.2f})"
-                f"   {each.cost_us[kind][0]:5.1f} us"
+                f"   {each.cost_us[kind][0]:5.1f} µs"
             )
         own, held = each.at("koopman", DELAY_MS).mean, each.at("hold", DELAY_MS).mean
         best = min((kind for kind in PREDICTORS if kind != "koopman"), key=lambda kind: each.at(kind, DELAY_MS).mean)

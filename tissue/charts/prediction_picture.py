@@ -73,7 +73,8 @@ def draw_tasks(found: "Sequence[Comparison]", path: Path) -> None:
     _plain(axes.yaxis)
     axes.grid(axis="y", which="both", alpha=0.3)
     axes.set_axisbelow(True)
-    chart.legend(loc="upper center", ncols=7, frameon=False, fontsize=8.5, columnspacing=1.0, handletextpad=0.4)
+    columns = 7 if len(found) > 3 else 4
+    chart.legend(loc="upper center", ncols=columns, frameon=False, fontsize=8.5, columnspacing=1.0, handletextpad=0.4)
     save(chart, path)
 
 
@@ -98,7 +99,7 @@ def _over_cost(axes: Any, found: "Comparison") -> None:
         axes.plot(median, 100 * at.mean, mark, color=colour, label=kind, markersize=6)
     axes.axvline(LIMIT_US, color="#D55E00", linestyle="--", linewidth=1.0)
     axes.set(
-        xlabel="cost a tick / us, median to 99 %", ylabel="force error 4 ms ahead / %", xscale="log", ylim=(0, None)
+        xlabel="cost a tick / µs, median to 99 %", ylabel="force error 4 ms ahead / %", xscale="log", ylim=(0, None)
     )
     _plain(axes.xaxis)
     axes.grid(alpha=0.3, which="both")
@@ -129,7 +130,7 @@ def _slow(axes: Any, found: "Comparison") -> None:
         bars = [[100 * (slow.error.mean - slow.error.low)], [100 * (slow.error.high - slow.error.mean)]]
         axes.errorbar(slow.cost_us, 100 * slow.error.mean, bars, fmt=mark, color=colour, ms=6, label=f"100 Hz, {kind}")
     axes.plot(found.slow["1 kHz"].cost_us, 0.0, "*", color="0.1", markersize=11, clip_on=False, label="1 kHz")
-    axes.set(xlabel="model and prediction / us a tick", ylabel="force error now / %", xscale="log", ylim=(0, None))
+    axes.set(xlabel="model and prediction / µs a tick", ylabel="force error now / %", xscale="log", ylim=(0, None))
     _plain(axes.xaxis)
     axes.grid(alpha=0.3, which="both")
     axes.legend(frameon=False, fontsize=8)

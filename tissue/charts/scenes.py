@@ -55,7 +55,7 @@ def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
             lines.append(f"{each.scene.name} {how}; the reference is known to {100.0 * each.gap:.2g} %")
             lines += [
                 f"  {point.setting:<28} error {100.0 * point.force_error:6.2g} %   "
-                f"tick {point.median_us:5.0f} us, 99 % {point.p99_us:6.0f} us"
+                f"tick {point.median_us:5.0f} µs, 99 % {point.p99_us:6.0f} µs"
                 for point in each.best
             ]
     return lines

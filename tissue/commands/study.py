@@ -73,14 +73,14 @@ def run(
             console.print(told, soft_wrap=True, highlight=False, markup=False)
         return
     with progress() as bar:
-        told = 0.0
+        spoke = 0.0
 
         def tell(doing: str, share: float) -> None:
-            nonlocal told
+            nonlocal spoke
             bar(doing, share)
             going = " left" in doing
-            if not going or (not problems.is_terminal and perf_counter() - told > QUIET_S):
-                told = perf_counter()
+            if not going or (not problems.is_terminal and perf_counter() - spoke > QUIET_S):
+                spoke = perf_counter()
                 problems.print(doing, soft_wrap=True, highlight=False, markup=False)
 
         bar("starting workers", 0.0)

@@ -27,7 +27,7 @@ def train(
     scene
         Name of a built-in scene or a TOML file.
     trials
-        Runs; one in four validates.
+        Runs, six or more; one in four validates.
     out
         File to write; default SCENE.npz.
     set_
@@ -56,7 +56,7 @@ def train(
     lines = [
         f"{told['dictionary']}: {told['observables']} observables from {told['samples']} samples; largest eigenvalue "
         f"{told['radius_before_cap']:.6f}, {told['capped']} capped",
-        f"error on {len(checked['held_out'])} runs held out, % of the force, at "
+        f"error on {len(checked['held_out'])} run{'s' * (len(checked['held_out']) > 1)} held out, % of the force, at "
         f"{', '.join(map(str, checked['horizons_ms']))} ms:",
         *(
             f"{kind:>8}  " + "  ".join(f"{100.0 * e:6.2f}" for e in errors)

@@ -33,7 +33,7 @@ def view(
     movie
         Write a movie to this .mp4 or .gif file instead of opening a window.
     hide
-        Layer or part that is switched off at first; may be given more than once.
+        Layer or part that is switched off at first; may be repeated.
     field
         Field that is shown at first, for example von_mises_MPa.
     scale

@@ -1,6 +1,6 @@
 """What a haptic device is to a loop, and the published numbers of some."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from math import inf, isfinite
 from typing import NamedTuple, Protocol
 
@@ -149,17 +149,10 @@ class DeviceParameters:
         model_ticks: int = 1,
     ) -> WallLoop:
         """The same for a rotation, in its units."""
-        return WallLoop(
-            mass_kg=self.inertia_kg_m2,
-            damping_N_s_m=self.damping_Nm_s_rad,
-            stiffness_N_m=stiffness_Nm_rad,
-            wall_damping_N_s_m=wall_damping_Nm_s_rad,
-            tick_s=1.0 / self.rate_Hz,
-            delay_s=self.transport_delay_s,
-            model_ticks=model_ticks,
-            filter_s=filter_s,
-            amplifier_hz=self.amplifier_Hz,
+        loop = self.loop(
+            stiffness_Nm_rad, wall_damping_N_s_m=wall_damping_Nm_s_rad, filter_s=filter_s, model_ticks=model_ticks
         )
+        return replace(loop, mass_kg=self.inertia_kg_m2, damping_N_s_m=self.damping_Nm_s_rad)
 
 
 def device_parameters(name: str) -> DeviceParameters:

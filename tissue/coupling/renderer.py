@@ -23,14 +23,7 @@ RENDERERS = ("penalty", "passivity", "proxy")
 class Renderer(Protocol):
     """A law for the force on a device whose proxy is elsewhere."""
 
-    def render(
-        self,
-        device_position: Array,
-        device_velocity: Array,
-        proxy_position: Array,
-        proxy_velocity: Array,
-        dt: float,
-    ) -> Array:
+    def render(self, device: Array, device_velocity: Array, proxy: Array, proxy_velocity: Array, dt: float) -> Array:
         """Force on the device [N], shape (3,), from positions [m], velocities [m/s] and the step [s].
 
         Where the positions are the same the device is free and the force is zero. For a rotation the positions are
@@ -54,16 +47,9 @@ class PenaltyRenderer:
         self.stiffness_N_m = require_positive("stiffness_N_m", stiffness_N_m, "use 500")
         self.damping_N_s_m = require_range("damping_N_s_m", damping_N_s_m, 0.0, 1e6, "use 0 for none")
 
-    def render(
-        self,
-        device_position: Array,
-        device_velocity: Array,
-        proxy_position: Array,
-        proxy_velocity: Array,
-        dt: float,
-    ) -> Array:
+    def render(self, device: Array, device_velocity: Array, proxy: Array, proxy_velocity: Array, dt: float) -> Array:
         """Force on the device [N]."""
-        gap = proxy_position - device_position
+        gap = proxy - device
         square = float(gap @ gap)
         if square == 0.0:
             return np.zeros(3)
@@ -84,18 +70,11 @@ class ProxyRenderer:
     def __init__(self, stiffness_N_m: float, damping_N_s_m: float = 0.0) -> None:
         self._coupling = VirtualCoupling(stiffness_N_m=stiffness_N_m, damping_Ns_m=damping_N_s_m)
 
-    def render(
-        self,
-        device_position: Array,
-        device_velocity: Array,
-        proxy_position: Array,
-        proxy_velocity: Array,
-        dt: float,
-    ) -> Array:
+    def render(self, device: Array, device_velocity: Array, proxy: Array, proxy_velocity: Array, dt: float) -> Array:
         """Force on the device [N]."""
-        if not (proxy_position - device_position).any():
+        if not (proxy - device).any():
             return np.zeros(3)
-        return self._coupling.force_N(proxy_position, device_position, proxy_velocity, device_velocity)
+        return self._coupling.force_N(proxy, device, proxy_velocity, device_velocity)
 
     def pause(self) -> None:
         """Nothing is kept from tick to tick."""
@@ -108,17 +87,10 @@ class PassivityRenderer:
         self._inner = inner
         self.control = PassivityControl(damping_limit_N_s_m, delay_ticks=delay_ticks)
 
-    def render(
-        self,
-        device_position: Array,
-        device_velocity: Array,
-        proxy_position: Array,
-        proxy_velocity: Array,
-        dt: float,
-    ) -> Array:
+    def render(self, device: Array, device_velocity: Array, proxy: Array, proxy_velocity: Array, dt: float) -> Array:
         """Force on the device [N]."""
-        force = self._inner.render(device_position, device_velocity, proxy_position, proxy_velocity, dt)
-        return self.control.step(force, device_position, device_velocity, dt)
+        force = self._inner.render(device, device_velocity, proxy, proxy_velocity, dt)
+        return self.control.step(force, device, device_velocity, dt)
 
     def pause(self) -> None:
         """The way to the next sample is not booked: another force was played on it."""

@@ -58,7 +58,7 @@ class SimulatedDevice:
         substeps: int = 5,
     ) -> None:
         require_range("substeps", substeps, 1, 1000, "use 5")
-        self.parameters, self._hand, self._substeps = parameters, hand, substeps
+        self.parameters, self._hand = parameters, hand
         self.translation = Plant(
             mass_kg=parameters.mass_kg,
             damping_N_s_m=parameters.damping_N_s_m,

@@ -44,7 +44,7 @@ class Verdict:
     def sentence(self, stiffness_N_m: float) -> str:
         """The verdict in words."""
         if self.stable:
-            return f"stiffness {stiffness_N_m:g} N/m is stable, {100.0 * self.margin:.1f} % below the critical value"
+            return f"stiffness {stiffness_N_m:.4g} N/m is stable, {100.0 * self.margin:.1f} % below the critical value"
         if self.critical_N_m == 0.0:
             return f"stiffness {stiffness_N_m:g} N/m is unstable and so is every other: lower damping, delay or filter"
         return (

@@ -1,6 +1,7 @@
 """The window of a live run, in a process of its own, as the ticks see it: rows out, the pointer in."""
 
 import json
+import re
 import subprocess
 from contextlib import suppress
 from pathlib import Path
@@ -25,6 +26,8 @@ CLOCK = ("tick_us", "late_us", "missed", "skipped_ms")
 """What a window is told of the clock."""
 ROW_TICKS = 8
 """Ticks between two rows that a window is told."""
+COLOURS = re.compile(r"\x1b\[[0-9;]*m")
+"""Colours of a terminal in what a process says."""
 CLOSES_S = 10.0
 """How long a window may take to close [s]."""
 
@@ -134,7 +137,8 @@ class WindowBeside:
         self._remove()
 
     def _last_words(self) -> str:
-        words = (self._folder / "said.txt").read_text("utf-8", errors="replace").strip().splitlines()
+        said = COLOURS.sub("", (self._folder / "said.txt").read_text("utf-8", errors="replace"))
+        words = said.strip().splitlines()
         return words[-1] if words else f"its process ended with exit code {self._child.returncode}"
 
     def _remove(self) -> None:

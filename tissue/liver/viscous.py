@@ -11,11 +11,11 @@ elastic-viscoelastic correspondence gives the displacement of the surface under 
 
 where the offset per surface node is known before the tick. A contact solver uses the scaled compliance, adds the offset
 to the free surface and needs nothing else: any unilateral condition, with or without friction, for a contact that
-grows, shrinks, moves or lifts off. The shortcut of relaxing the elastic force instead (``ViscousForce``) is right only
-while the contact grows (Lee and Radok 1960, J. Appl. Mech. 27:438; Ting 1966, J. Appl. Mech. 33:845): when the tool
-retreats, it pulls where the surface, slow to rise, has let go. Both hold for small strains without inertia. Neither
-holds where parts relax by different series, nor where the shear modulus relaxes alone, unless the bulk modulus is so
-large that it does not show (Poisson's ratio near 0.5).
+grows, shrinks, moves or lifts off. The shortcut of relaxing the elastic force instead is right only while the contact
+grows (Lee and Radok 1960, J. Appl. Mech. 27:438; Ting 1966, J. Appl. Mech. 33:845): when the tool retreats, it pulls
+where the surface, slow to rise, has let go. Both hold for small strains without inertia. Neither holds where parts
+relax by different series, nor where the shear modulus relaxes alone, unless the bulk modulus is so large that it does
+not show (Poisson's ratio near 0.5).
 """
 
 import numpy as np
@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from meshes.errors import InputError
 from tissue.materials.prony import HereditaryIntegral, Prony
 
-__all__ = ["CreepState", "ViscousForce"]
+__all__ = ["CreepState"]
 
 
 class CreepState:
@@ -68,26 +68,3 @@ class CreepState:
     def restart(self, elastic_displacement_m: ArrayLike = 0.0) -> None:
         """Forget all that was; the forces jump now to those of this W f [m]."""
         self._creep.restart(elastic_displacement_m)
-
-
-class ViscousForce:
-    """Force and torque of a tool that presses deeper and deeper, from the elastic ones: a relaxing integral.
-
-    For one contact that only grows. Against ``CreepState`` it saves the pass over all surface nodes.
-
-    Parameters
-    ----------
-    prony
-        The series that every modulus of the body follows.
-    step_s
-        Length of a tick [s].
-    """
-
-    def __init__(self, prony: Prony, *, step_s: float) -> None:
-        self._relaxing = HereditaryIntegral(prony.relaxation, (6,), step_s=step_s)
-
-    def advance(self, elastic_wrench: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Relaxed force [N] and torque [N m], shape (6,), at the end of a tick that ends at this elastic one."""
-        wrench = self._relaxing.instant_factor * elastic_wrench + self._relaxing.history
-        self._relaxing.advance(elastic_wrench)
-        return wrench

@@ -112,8 +112,8 @@ class NeedleFields:
         Where the needle goes in.
     elasticity
         Lame constants [Pa], shape (2,).
-    diameter_m
-        Diameter of the needle [m]: how far an entry may lie from the track's to be of it.
+    near_m
+        How far an entry may lie from the track's to be of it [m], such as the needle's diameter.
     interval_s
         Time between two frames [s].
 
@@ -121,7 +121,7 @@ class NeedleFields:
     edges of the mesh, for a line that is moved through an elastic body has no limit; so does the force it takes.
     """
 
-    def __init__(self, track: Track, elasticity: ArrayLike, *, diameter_m: float, interval_s: float) -> None:
+    def __init__(self, track: Track, elasticity: ArrayLike, *, near_m: float, interval_s: float) -> None:
         mesh, nodes, self._depths_m = needle_block(track)
         held = slab_floor(mesh)
         rows = np.broadcast_to(np.asarray(elasticity, dtype=float), (len(mesh.cells), 2))
@@ -130,7 +130,7 @@ class NeedleFields:
         fixed[held] = True
         body = HeldBody(assemble(space, rows), space.nodes_m, Supports.of_nodes(fixed))
         self.track, self.nodes, self._inward = track, nodes, -track.outward
-        self._diameter_m = diameter_m
+        self._near_m = near_m
         self._columns = self._axial_columns(DirectSolver(body))
         self._compliance = self._columns[:, nodes] @ self._inward
         self._fields = OrganFields(
@@ -147,11 +147,11 @@ class NeedleFields:
         self.next_s, self._kept = 0.0, list[tuple[float, float, float]]()
 
     @classmethod
-    def of_liver(cls, track: Track, *, diameter_m: float, interval_s: float) -> "NeedleFields":
+    def of_liver(cls, track: Track, *, near_m: float, interval_s: float) -> "NeedleFields":
         """Fields in a liver of the cited modulus; Poisson's ratio is the least cited, for linear cells lock at more."""
         cited = constants("soft", "liver")
         elasticity = lame(1e3 * cited["modulus_kPa"].value, cited["poisson_ratio"].low)
-        return cls(track, elasticity, diameter_m=diameter_m, interval_s=interval_s)
+        return cls(track, elasticity, near_m=near_m, interval_s=interval_s)
 
     @property
     def series(self) -> FieldSeries:
@@ -161,7 +161,7 @@ class NeedleFields:
     def keep(self, time_s: float, *, deflection_m: float, inserted_m: float, entry_m: Array) -> None:
         """Remember the organ's deflection and the needle's inserted length [m], and where it went in."""
         self.next_s += self._fields.interval_s
-        here = float(np.linalg.norm(entry_m - self.track.entry_m)) <= self._diameter_m
+        here = float(np.linalg.norm(entry_m - self.track.entry_m)) <= self._near_m
         self._kept.append((time_s, deflection_m, inserted_m) if here else (time_s, 0.0, 0.0))
 
     def compute(self) -> None:

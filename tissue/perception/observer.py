@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import expit, logit, ndtri
 
 from meshes.errors import InputError, require_range
+from tissue.outputs import require_new_file
 
 __all__ = ["PARAMETERS", "Observer", "read_observer", "write_observer"]
 
@@ -149,7 +150,7 @@ class Observer:
 
     @property
     def lapse(self) -> float:
-        """Median share of trials that are answered blindly."""
+        """Median share of strong stimuli that is answered wrongly."""
         return float(expit(self.mean[4]))
 
     @property
@@ -186,8 +187,7 @@ def write_observer(observer: Observer, path: Path, *, overwrite: bool = False) -
     InputError
         If the file is there and may not be replaced, or its folder cannot be written to.
     """
-    if path.exists() and not overwrite:
-        raise InputError(f"out must not be a file that is there, got {path}: choose another or pass --overwrite")
+    require_new_file(path, overwrite=overwrite)
     told = {
         "format": FORMAT,
         "version": VERSION,

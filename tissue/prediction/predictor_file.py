@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
+from zipfile import BadZipFile, is_zipfile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,8 +123,10 @@ def read_predictor(path: str | Path, *, scene: str | None = None) -> StoredPredi
     """
     path = Path(path)
     if not path.is_file():
-        raise InputError(f"predictor file must exist, got {path}: train it with 'tissue train'")
+        raise InputError(f"predictor file must be an existing file, got {path}: train it with 'tissue train'")
     again = f"train it again with 'tissue train {scene or 'SCENE'}'"
+    if not is_zipfile(path):  # NumPy would take it for a pickle, and say how to load one
+        raise InputError(f"predictor file must be whole and one that 'tissue train' wrote, got {path}: {again}")
     try:
         with np.load(path, allow_pickle=False) as archive:
             whole = json.loads(str(archive["json"]))

@@ -79,7 +79,7 @@ def discrimination_threshold(
     share
         Share of right answers that defines the threshold, lapses not counted.
     lapse
-        Share of answers that are wrong whatever was shown; 0.02 is usual (Wichmann and Hill 2001).
+        Share of strong stimuli that is answered wrongly; 0.02 is usual (Wichmann and Hill 2001).
 
     Raises
     ------

@@ -87,7 +87,7 @@ class StressField:
         self._lost = np.zeros(len(places))
         origin = cell_m * np.floor(particles.position_m.min(axis=0) / cell_m)
         grid = HexGrid.around(particles.position_m, edge_m=cell_m, origin_m=origin)
-        springs, self.held_area_m2 = _ligament_springs(tooth, solid, grid, ligament_thickness_m)
+        springs = _ligament_springs(tooth, solid, grid, ligament_thickness_m)
         self.body = ParticleBody(
             particles, grid, Supports.of(grid.node_count, spring_n_m=springs), device=device, cores=cores
         )
@@ -188,7 +188,7 @@ def _bed_layers(tooth: VoxelVolume) -> list[int]:
 
 def _ligament_springs(
     tooth: VoxelVolume, solid: NDArray[np.bool_], grid: HexGrid, thickness_m: float
-) -> tuple[NDArray[np.float64], float]:
+) -> NDArray[np.float64]:
     """Springs where the tooth borders on ligament or bone; on its lower third where the data hold neither."""
     table = constants("tooth", "ligament")
     across, along = bed_stiffness(1e9 * table["modulus_GPa"].value, table["poisson_ratio"].value, thickness_m)
@@ -208,7 +208,7 @@ def _ligament_springs(
     )
     if area == 0.0:
         raise InputError("anatomy must hold a tooth that something supports, got none: give its ligament or its bone")
-    return springs, area
+    return springs
 
 
 def _cell_layers(body: ParticleBody) -> NDArray[np.uint8]:

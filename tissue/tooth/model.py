@@ -10,14 +10,12 @@ from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror
 from tissue.bone import BoneModel
 from tissue.fields import FieldSeries
-from tissue.model import Response, ToolMotion
+from tissue.model import TICK_S, Response, ToolMotion
 from tissue.tooth.beside import Drilled, StressBeside
 from tissue.tooth.warmth import PULP_LIMIT_K, Warmth
 
 __all__ = ["ToothModel"]
 
-TICK_S = 1e-3
-"""Length of a tick [s], over which cutting power is summed."""
 WARM_EVERY_S = 0.02
 """Time between two steps of the heat [s]."""
 WARN_M = (1.0e-3, 0.5e-3)

@@ -1,0 +1,238 @@
+"""The compliance of touchable nodes: whole, column by column on demand, and cut to a basis of modes."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+from held_cube import BOTTOM, SURFACE, body_of, condensed_path, energy_error, load_on
+
+from meshes.errors import InputError
+from tissue.liver import condensed
+from tissue.liver.condensed import CondensedSolver, compliance_bytes, surface_compliance
+from tissue.liver.direct import DirectSolver
+from tissue.liver.lazy_compliance import LazyCompliance
+from tissue.liver.multigrid import MultigridSolver
+from tissue.liver.reduced import ReducedSolver
+from tissue.liver.solver import Outcome
+
+
+@pytest.fixture(autouse=True)
+def fresh_cache(tmp_path, monkeypatch):
+    """A cache of its own for every test."""
+    monkeypatch.setenv("TISSUE_CACHE", str(tmp_path))
+
+
+def test_the_compliance_is_found_once_symmetric_and_positive(monkeypatch):
+    body = body_of()
+    free = SURFACE[~BOTTOM[SURFACE]]
+    shares = []
+    first = surface_compliance(body, free, shown=SURFACE, progress=shares.append)
+    assert np.array_equal(first.matrix_m_N, first.matrix_m_N.T)
+    assert first.asymmetry < 1e-12  # rounding of two back-substitutions
+    assert np.linalg.eigvalsh(first.matrix_m_N)[0] > 0.0
+    assert shares == sorted(shares) and shares[-1] == 1.0
+    monkeypatch.setattr(condensed, "DirectSolver", None)  # a second start may not factorise
+    again = surface_compliance(body, free, shown=SURFACE)
+    assert np.array_equal(again.matrix_m_N, first.matrix_m_N)
+    assert np.array_equal(again.response_m_N, first.response_m_N)
+    with pytest.raises(TypeError):
+        surface_compliance(body_of(law=(6e3, 0.45)), free, shown=SURFACE)
+
+
+def test_the_compliance_read_off_a_factor_is_that_of_back_substitutions():
+    """Held nodes among the touchable ones give nothing; rounding of two factors in different orders."""
+    body = body_of()
+    read, solved = surface_compliance(body, SURFACE), surface_compliance(body, SURFACE, shown=SURFACE[:1])
+    np.testing.assert_allclose(read.matrix_m_N, solved.matrix_m_N, atol=1e-12 * np.abs(solved.matrix_m_N).max())
+    np.testing.assert_array_equal(read.matrix_m_N, read.matrix_m_N.T)
+    assert (np.diag(read.matrix_m_N) == 0.0).any() and np.diag(read.matrix_m_N).max() > 0.0
+
+
+def test_a_compliance_that_would_not_fit_is_refused_beforehand():
+    body = body_of()
+    needed = compliance_bytes(len(SURFACE), 0)
+    assert surface_compliance(body, SURFACE, limit_bytes=needed).matrix_m_N.nbytes == needed
+    with pytest.raises(InputError, match=r"must fit in .* GB, got 98 and 0 nodes that need .*LazyCompliance"):
+        surface_compliance(body, SURFACE, limit_bytes=needed - 1)
+
+
+@pytest.mark.parametrize(
+    ("touchable", "said"),
+    [
+        ([], "touchable must name at least one node"),
+        ([3, 125], "touchable must name nodes 0 to 124, got 3 to 125"),
+        ([3, 3, 4], "touchable must name each node once, got 1 twice"),
+    ],
+)
+def test_touchable_nodes_are_checked(touchable, said):
+    with pytest.raises(InputError, match=said):
+        surface_compliance(body_of(), np.array(touchable, dtype=np.int64))
+
+
+def test_the_condensed_path_refuses_what_it_does_not_know():
+    body = body_of()
+    with pytest.raises(InputError, match="compliance must show all 125 nodes, got 0"):
+        CondensedSolver(body, surface_compliance(body, SURFACE))
+    inside = np.setdiff1d(np.arange(125), SURFACE)
+    with pytest.raises(InputError, match="load_N must act on touchable nodes"):
+        condensed_path(body).solve(load_on(inside))
+
+
+def test_multigrid_finds_columns_too_to_its_tolerance():
+    body = body_of()
+    exact = surface_compliance(body, SURFACE).matrix_m_N
+    unknowns = (3 * SURFACE[50:53, None] + np.arange(3)).ravel()
+    rows = (3 * SURFACE[:, None] + np.arange(3)).ravel()
+    found = MultigridSolver(body).columns(unknowns)[rows]
+    assert np.abs(found - exact[:, 150:159]).max() < 1e-7 * np.abs(exact).max()
+    with pytest.raises(InputError, match="stiffness must have columns by multigrid, got NOT_CONVERGED"):
+        MultigridSolver(body, limit=1).columns(unknowns)
+
+
+def lazy(nodes, **options):
+    return LazyCompliance(DirectSolver(body_of()), nodes, **options)
+
+
+def test_columns_on_demand_are_those_of_the_whole_compliance():
+    whole = surface_compliance(body_of(), SURFACE).matrix_m_N
+    there = lazy(SURFACE)
+    near = np.array([40, 7, 63, 8])
+    there.want(near)
+    assert not there.ready(near)
+    with pytest.raises(InputError, match="nodes must be ready, got 4 that are not"):
+        there.block(near)
+    there.fill()
+    assert there.ready(near) and not there.ready(np.array([41]))
+    rows = (3 * near[:, None] + np.arange(3)).ravel()
+    out = np.empty((20, 20))
+    block = there.block(near, out)
+    assert block.base is out and np.array_equal(block, block.T)
+    rounding = 1e-12 * np.abs(whole).max()
+    assert np.abs(block - whole[np.ix_(rows, rows)]).max() < rounding
+    force = np.random.default_rng(0).normal(size=(4, 3))
+    expected = whole[:, rows] @ force.ravel()
+    assert np.abs(there.displacement_m(near, force).ravel() - expected).max() < 1e-11 * np.abs(expected).max()
+
+
+def test_columns_are_poured_one_node_at_a_time_into_a_matrix_of_all():
+    there = lazy(SURFACE)
+    matrix = np.full((3 * len(SURFACE),) * 2, np.nan)
+    for near in ([5, 9, 30], [9, 31]):
+        there.want(np.array(near))
+        there.fill()
+        while there.pour(matrix):
+            pass
+    rows = (3 * np.array([5, 9, 30, 31])[:, None] + np.arange(3)).ravel()
+    assert np.array_equal(matrix[np.ix_(rows, rows)], there.block(np.array([5, 9, 30, 31])))
+    assert np.isnan(matrix).sum() == matrix.size - len(rows) ** 2
+    assert there.pour(matrix) == 0
+    with pytest.raises(InputError, match="matrix_m_N must be contiguous"):
+        there.pour(matrix[:, ::2])
+
+
+def test_the_node_wanted_longest_ago_makes_room():
+    each = 3 * 3 * 8 * len(SURFACE)
+    there = lazy(SURFACE, capacity_bytes=3 * each + 5)
+    assert there.capacity == 3
+    for near in ([0, 1, 2], [0], [3]):
+        there.want(np.array(near))
+        there.fill()
+    assert there.ready(np.array([0, 2, 3])) and not there.ready(np.array([1]))
+    there.want(np.array([0, 2, 4]))
+    there.fill()
+    assert there.ready(np.array([0, 2, 4]))  # what is wanted stays whatever its age
+    with pytest.raises(InputError, match="nodes must be at most the 3 that the buffer holds, got 4"):
+        there.want(np.arange(4))
+    with pytest.raises(InputError, match="capacity_bytes must hold one node"):
+        lazy(SURFACE, capacity_bytes=each - 1)
+
+
+def test_a_thread_finds_columns_beside_the_ticks_and_drops_what_is_no_longer_wanted():
+    there = lazy(SURFACE)
+    there.start()
+    try:
+        there.want(np.arange(60))
+        there.want(np.array([70, 71]))
+        deadline = time.monotonic() + 20.0
+        while not there.ready(np.array([70, 71])):
+            assert time.monotonic() < deadline
+            time.sleep(0.001)
+        assert not there.ready(np.arange(60))
+    finally:
+        there.stop()
+    assert not [thread for thread in threading.enumerate() if thread.name == "compliance"]
+    there.want(np.array([72]))
+    there.fill()
+    assert np.array_equal(there.block(np.array([71, 72])), there.block(np.array([71, 72])).T)
+
+
+def test_a_failure_in_the_thread_is_told(monkeypatch):
+    there = lazy(SURFACE)
+    monkeypatch.setattr(there._solver, "columns", lambda unknowns: 1 / 0)
+    there.start()
+    there.want(np.array([1]))
+    there._thread.join(timeout=20.0)
+    with pytest.raises(RuntimeError, match="the compliance could not be found"):
+        there.ready(np.array([1]))
+    there.stop()
+
+
+def test_modes_are_orthonormal_in_the_stiffness_and_cut_the_compliance_best():
+    body = body_of()
+    free = SURFACE[~BOTTOM[SURFACE]]
+    solver = ReducedSolver(DirectSolver(body), free, size=20)
+    gram = solver.modes.T @ (body.stiffness @ solver.modes)
+    assert np.abs(gram - np.eye(20)).max() < 1e-10
+    whole = surface_compliance(body, free).matrix_m_N
+    rows = (3 * free[:, None] + np.arange(3)).ravel()
+    reduced = solver.modes[rows] @ solver.modes[rows].T
+    missed = np.linalg.eigvalsh(whole - reduced)
+    assert missed[0] > -1e-12 * missed[-1]  # a basis is never softer than the body
+    assert missed[-1] == pytest.approx(solver.values_m_N[20], rel=1e-8)
+
+
+def test_more_modes_leave_out_less_and_the_error_told_is_the_error():
+    body = body_of()
+    free = SURFACE[~BOTTOM[SURFACE]]
+    factor = DirectSolver(body)
+    load = load_on(free[:6])
+    exact = factor.solve(load).displacement_m
+    told_errors = []
+    for size in (5, 20, 60, 200):
+        found = ReducedSolver(factor, free, size=size).solve(load)
+        told_errors.append(found.residual)
+        assert found.residual == pytest.approx(energy_error(body, found.displacement_m, exact), rel=1e-6)
+        assert found.converged is (found.residual <= 0.1)
+    assert told_errors == sorted(told_errors, reverse=True)
+    assert told_errors[0] > 0.1 > told_errors[-1]
+    told = ReducedSolver(factor, free, size=5).errors([5, 20, 60, 200])
+    for name in ("energy", "point", "corrected"):
+        values = [getattr(error, name) for error in told]
+        assert values == sorted(values, reverse=True) and 0.0 < values[-1] < values[0] <= 1.0
+
+
+def test_residual_blocks_make_a_single_node_as_soft_as_it_is():
+    body = body_of()
+    free = SURFACE[~BOTTOM[SURFACE]]
+    solver = ReducedSolver(DirectSolver(body), free, size=10)
+    whole, reduced = surface_compliance(body, free).matrix_m_N, solver.compliance_m_N()
+    for node in range(0, len(free), 7):
+        part = slice(3 * node, 3 * node + 3)
+        assert np.abs(reduced[part, part] - whole[part, part]).max() < 1e-12 * np.abs(whole).max()
+    assert np.array_equal(reduced, reduced.T)
+    assert np.linalg.eigvalsh(reduced)[0] > 0.0  # the blocks of what is left out are positive definite
+
+
+def test_a_load_beside_the_basis_is_told():
+    body = body_of()
+    solver = ReducedSolver(DirectSolver(body), SURFACE[:20], size=60)
+    inside = np.setdiff1d(np.arange(125), SURFACE)
+    assert solver.solve(load_on(inside)).outcome is Outcome.OUTSIDE_BASIS
+
+
+@pytest.mark.parametrize(("options", "said"), [({"size": 0}, "size must be in"), ({"size": 9999}, "size must be in"),
+                                               ({"size": 5, "tolerance": 1.0}, "tolerance must be in")])  # fmt: skip
+def test_a_basis_that_makes_no_sense_is_refused(options, said):
+    with pytest.raises(InputError, match=said):
+        ReducedSolver(DirectSolver(body_of()), SURFACE, **options)

@@ -1,0 +1,50 @@
+"""Figures of the paper that a study is printed beside; none of them is tuned to."""
+
+from dataclasses import dataclass
+
+__all__ = ["CASES", "COMPOSITE", "FORCE_ERROR", "LATENCY", "SOURCE", "TASK_METRICS", "Figure"]
+
+SOURCE = (
+    "A Koopman-Bayesian Framework for High-Fidelity, Perceptually Optimized Haptic Surgical Simulation, "
+    "N = 900 trials (3 tasks x 3 expertise groups x 100)"
+)
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A published mean with its standard deviation, zero where none is given."""
+
+    mean: float
+    spread: float = 0.0
+
+    def __str__(self) -> str:
+        return f"{self.mean:g} ± {self.spread:g}" if self.spread else f"{self.mean:g}"
+
+
+FORCE_ERROR = {
+    "T1": {"penalty": Figure(8.2, 2.1), "koopman": Figure(3.5, 1.0), "koopman-perception": Figure(2.1, 0.7)},
+    "T2": {"penalty": Figure(7.1, 1.8), "koopman": Figure(3.0, 0.9), "koopman-perception": Figure(1.8, 0.6)},
+    "T3": {"penalty": Figure(9.5, 2.4), "koopman": Figure(4.2, 1.2), "koopman-perception": Figure(2.8, 0.8)},
+}
+"""Normalised L2 error of force [%]; the paper's columns are raw, Koopman-adjusted and perceptual."""
+TASK_METRICS = {
+    "T1": {"time_s": Figure(14.2, 1.8), "position_error_mm": Figure(0.71, 0.12), "smoothness": Figure(0.92, 0.03)},
+    "T2": {"time_s": Figure(12.5, 1.2), "position_error_mm": Figure(0.63, 0.10), "smoothness": Figure(0.95, 0.02)},
+    "T3": {"time_s": Figure(18.3, 2.1), "position_error_mm": Figure(0.85, 0.15), "smoothness": Figure(0.88, 0.04)},
+}
+"""Completion time [s], position error [mm] and an index of smoothness that is printed as if higher were better."""
+LATENCY = Figure(4.3)
+"""Mean latency [ms]."""
+COMPOSITE = {"penalty": Figure(0.72, 0.05), "koopman-perception": Figure(0.91, 0.03)}
+"""Composite index."""
+CASES = {
+    "discrimination_gain_percent": Figure(20.0, 2.0),
+    "overshoot_penalty_mm": Figure(1.34, 0.21),
+    "overshoot_koopman_mm": Figure(0.92, 0.15),
+    "capsule_error_percent": Figure(10.0),
+    "reaming_rms_N": Figure(2.5),
+    "torque_step_Nm": Figure(0.08),
+    "caries_right_percent": Figure(92.0),
+    "drilling_latency_ms": Figure(4.5),
+}
+"""Case studies; capsule error, reaming error and drilling latency are upper bounds, the gain is printed as 18 to 22."""

@@ -1,0 +1,109 @@
+"""Where trials run: processes of this machine, or those of a Dask scheduler, behind one standard executor."""
+
+import asyncio
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor
+from contextlib import contextmanager
+
+from meshes.errors import InputError
+from tissue.study.folder import engine_version
+
+__all__ = ["LOST", "executor"]
+
+LOST = (BrokenExecutor, CancelledError, ConnectionError, TimeoutError)
+"""What tells that workers are gone, and not that a trial is wrong."""
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""A worker has one thread for linear algebra: sums are then the same on every machine, and workers not in each other's
+way."""
+
+
+@contextmanager
+def executor(workers: int, scheduler: str | None, *, patience_s: float) -> Iterator[Executor]:
+    """Own processes, or those of a Dask scheduler.
+
+    Parameters
+    ----------
+    workers
+        Own processes.
+    scheduler
+        ``dask://ADDRESS``, or None.
+    patience_s
+        How long a scheduler may take to answer [s].
+
+    Raises
+    ------
+    InputError
+        If the scheduler's name cannot be read, Dask is not installed, or its workers have another version.
+    ConnectionError
+        If no scheduler answers.
+    """
+    if scheduler is None:
+        with _own_processes(workers) as pool:
+            yield pool
+    else:
+        with _dask(scheduler, patience_s) as pool:
+            yield pool
+
+
+@contextmanager
+def _own_processes(workers: int) -> Iterator[Executor]:
+    """Processes that end with this one, whatever ends it."""
+    kept = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    others = set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"), initializer=_begin_worker)
+    try:
+        yield pool
+        pool.shutdown()
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for child in set(multiprocessing.active_children()) - others:
+            child.terminate()
+        for name, value in kept.items():
+            os.environ.pop(name)
+            if value is not None:
+                os.environ[name] = value
+
+
+def _begin_worker() -> None:
+    """Leave Ctrl-C to the process that began this one, and end when it ends: killed, it could not say so."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
+    """Workers of a Dask scheduler."""
+    kind, sign, address = scheduler.partition("://")
+    if kind != "dask" or not sign or not address:
+        raise InputError(f"scheduler must be dask://ADDRESS, got {scheduler}: use for example dask://node1:8786")
+    try:
+        from distributed import Client
+        from distributed.comm.core import CommClosedError
+    except ImportError:
+        raise InputError(
+            "scheduler must have dask.distributed, got none installed: pip install 'tissue-sim[cluster]'"
+        ) from None
+    try:
+        client = Client(f"tcp://{address}", timeout=f"{patience_s:g}s", set_as_default=False)
+    except OSError as error:
+        raise ConnectionError(f"no Dask scheduler answers at {address}") from error
+    with client:
+        for worker, version in client.run(engine_version).items():
+            if version != engine_version():
+                raise InputError(f"workers must have version {engine_version()}, got {version} at {worker}: update it")
+        try:
+            yield client.get_executor(pure=False)
+        except (asyncio.CancelledError, CommClosedError) as error:  # not of the kinds that executors raise
+            raise ConnectionError(f"the Dask scheduler at {address} was lost") from error
