@@ -179,8 +179,24 @@ def _loop(
     tissue.finish()
     if folder is not None:
         folder.flush(index + 1, force=True)
+    if isinstance(motion, HandMotion) and motion.predictor is not None and (said := _foreseen(trace, motion)):
+        parts.notes["prediction"] = said
     events = sorted(events + motion.happened(), key=lambda event: event[0])
     return Run(scene, parts, trace, timing, events=events, compute=compute, folder=folder)
+
+
+def _foreseen(trace: Table, motion: HandMotion) -> str:
+    """How near the predicted forces came to those that followed, in words; nothing where none did."""
+    told, came, ticks = trace.vectors("predicted_force", "N"), trace.vectors("raw_force", "N"), motion.lead_ticks
+    size = float(np.linalg.norm(came))
+    if size == 0.0 or not 0 < ticks < len(came) or motion.model_ticks > 1:
+        return ""
+    missed, held = (100.0 * float(np.linalg.norm(came[ticks:] - f[:-ticks])) / size for f in (told, came))
+    own = 100.0 * float(trace["predicted_by"][np.any(came != 0.0, axis=1)].mean())
+    return (
+        f"{ticks} ms ahead, off by {missed:.2g} % of the force where holding it is off by {held:.2g} %; its "
+        f"own force in {own:.3g} % of the ticks in contact"
+    )
 
 
 def _tick_count(scene: Scene, motion: Motion) -> int:

@@ -495,6 +495,15 @@ def test_prediction_is_part_of_what_is_judged():
         assert (ahead < held - 0.1) == hurts
 
 
+def test_what_a_controller_adds_is_not_extrapolated():
+    """Its one-tick pulses passed through a predictor were spikes of 0.9 N; no step is far above the bare law's."""
+    late = {"coupling__delay_ms": 4, "prediction": "koopman"}
+    watched, bare = run_of("wall", renderer="passivity", **late), run_of("wall", renderer="proxy", **late)
+    steps = [np.abs(np.diff(run.trace.vectors("device_force", "N"), axis=0)).max() for run in (watched, bare)]
+    assert steps[0] < 1.5 * steps[1]
+    assert "6 ms ahead" in bare.parts.notes["prediction"]
+
+
 def test_the_wall_s_hand_comes_as_deep_as_its_springs_let_it(on_the_wall):
     """Grip (250 N/m and a fifth by reflex) against coupling and wall in series: 5 mm x 300 / (300 + 385) = 2.2 mm.
 

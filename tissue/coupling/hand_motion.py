@@ -10,7 +10,7 @@ from tissue.coupling.guard import SampleGuard
 from tissue.coupling.held_tool import HeldTool
 from tissue.coupling.loop import WallLoop
 from tissue.coupling.passivity import PassivityObserver
-from tissue.coupling.renderer import Renderer, TurningRenderer
+from tissue.coupling.renderer import PassivityRenderer, Renderer, TurningRenderer
 from tissue.coupling.rotation import matrix_of
 from tissue.coupling.signal import DelayLine, ForceRange, LowPass
 from tissue.model import Response, ToolMotion
@@ -121,6 +121,11 @@ class HandMotion(Motion):
         perception: Perception | None = None,
     ) -> None:
         self.device, self.tool, self.law = device, tool, law
+        self._contact, self._control = law, None
+        if predictor is not None and isinstance(law, PassivityRenderer):
+            # What a controller adds in one tick is no course that a force is on: it comes after the prediction.
+            self._contact, self._control = law.inner, law.control
+        self._tick = loop.tick_s
         self.duration_s, self.after_s = scripted.duration_s + after_s, after_s
         self._scripted, self._stray = scripted, stray_m
         self._start, self._scale = np.array(scripted.rotations()[0]), motion_scale
@@ -217,7 +222,7 @@ class HandMotion(Motion):
             at, speed, quaternion, spin = self._sample.arrays()
             if self._fresh:
                 tip, went = (self.tool.tip_m - self._shift) / self._scale, self._went / self._scale
-                self._raw = self.law.render(at, speed, tip, went, self._step)
+                self._raw = self._contact.render(at, speed, tip, went, self._step)
                 if self._turning_law is not None:
                     turned, still = self.tool.quaternion, np.zeros(3)
                     self._torque = self._turning_law.render(self._sample.quaternion, spin, turned, still, self._step)
@@ -227,6 +232,8 @@ class HandMotion(Motion):
                 ahead = self.predictor.ahead(self.lead_ticks)
                 told[22:25], told[25], told[26] = ahead, self.predictor.residual_N, self.predictor.own
                 force = force + self._gain * (ahead - force) if self._gain != 1.0 else ahead
+                if self._control is not None:
+                    force = self._control.step(force, at, speed, self._tick)
             filtered = scaled = self._delay.step(self._low_pass.step(force))
             if (person := self.perception) is not None:
                 scaled = person.step(filtered)

@@ -84,12 +84,12 @@ class PassivityRenderer:
     """Another law, watched by an observer that makes a controller pay for the energy it creates."""
 
     def __init__(self, inner: Renderer, *, damping_limit_N_s_m: float, delay_ticks: float = 0.0) -> None:
-        self._inner = inner
+        self.inner = inner
         self.control = PassivityControl(damping_limit_N_s_m, delay_ticks=delay_ticks)
 
     def render(self, device: Array, device_velocity: Array, proxy: Array, proxy_velocity: Array, dt: float) -> Array:
         """Force on the device [N]."""
-        force = self._inner.render(device, device_velocity, proxy, proxy_velocity, dt)
+        force = self.inner.render(device, device_velocity, proxy, proxy_velocity, dt)
         return self.control.step(force, device, device_velocity, dt)
 
     def pause(self) -> None:

@@ -1,6 +1,6 @@
 """Sections of a report on what the statistics of a study hold: tests, sizes of effects, index, regression, power."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from tissue.statistics.regression import trial_regression
 from tissue.statistics.tukey import corrected
 from tissue.study.paper import COMPOSITE
 from tissue.study.section import Section, drawing, image
-from tissue.study.tasks import TASKS
+from tissue.study.tasks import METHODS, TASKS
 
 __all__ = ["DIRECTIONS", "composite_section", "power_section", "regression_section", "tests_sections"]
 
@@ -40,15 +40,16 @@ def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]
     same: list[str] = []
     refused: dict[str, list[str]] = {}
     for task in (each for each in TASKS if each in table.task):
-        own, found_same = _distinct(table.where(task=task))
-        same += [f"{task}: {each}" for each in found_same]
         for metric in COMPARED:
+            own, equal = _distinct(table.where(task=task), (metric,))
+            same += [f"{task}: {each}" for each in equal]
             try:
                 found.append(compare(own, metric, task=task, rng=rng))
             except InputError as error:
                 refused.setdefault(str(error), []).append(f"{task} {metric}")
                 continue
             outcomes += [(task, each) for each in found[-1].tests]
+        own, _ = _distinct(table.where(task=task), COMPARED)
         for factor in ("method", "group"):
             try:
                 outcomes.append((task, manova(own, COMPARED, factor=factor, rng=rng)))
@@ -65,20 +66,25 @@ def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]
     return [_outcomes(outcomes, told), _pairs(found), _assumptions(outcomes)]
 
 
-def _distinct(table: TrialTable) -> tuple[TrialTable, list[str]]:
-    """A task's trials without methods that give another's metrics bit for bit, which have no spread to be tested by."""
-    kept: dict[bytes, str] = {}
+def _distinct(table: TrialTable, metrics: Sequence[str]) -> tuple[TrialTable, list[str]]:
+    """A task's trials without methods that give a metric of another's bit for bit: there is no spread to test it by."""
+    kept: list[str] = []
     said = []
-    for method in np.unique(table.method)[::-1].tolist():
-        own = table.where(method=method)
-        print_of = b"".join(own.values(metric).tobytes() for metric in COMPARED)
-        if print_of in kept:
+    for method in (each for each in METHODS if each in table.method):
+        own = {metric: table.where(method=method).values(metric).tobytes() for metric in metrics}
+        same = [
+            (other, metric)
+            for other in kept
+            for metric in metrics
+            if table.where(method=other).values(metric).tobytes() == own[metric]
+        ]
+        if same:
             said.append(
-                f"{method} gives the same as {kept[print_of]} in every trial, to the last bit, and is left out."
+                f"{method} has the {same[0][1]} of {same[0][0]} in every trial, to the last bit, and is left out."
             )
         else:
-            kept[print_of] = method
-    return table.where(method=list(kept.values())), said
+            kept.append(method)
+    return table.where(method=kept), said
 
 
 def _outcomes(outcomes: list[tuple[str, Outcome]], told: list[str]) -> Section:
@@ -107,7 +113,7 @@ def _outcomes(outcomes: list[tuple[str, Outcome]], told: list[str]) -> Section:
     ]
     sentences = [
         f"{kept} of {len(rows)} tests show an effect after Bonferroni's correction over all of them. The unit is the "
-        "person, not the trial: ten people a group meet every method, so that many trials alone do not make an effect.",
+        "person, not the trial: a group has ten people at most, who meet every method, so that many trials alone do not make an effect.",
         f"An assumption is refused in {unsound} of them; the tests in the last column rest on less."
         + (f" They do not all agree on {'; '.join(differing)}." if differing else " They all agree with the test."),
         *told,
@@ -243,7 +249,9 @@ def power_section(table: TrialTable, rng: np.random.Generator) -> Section:
     def made() -> Section:
         rows, told = [], []
         for task in (each for each in TASKS if each in table.task):
-            for each in redrawn_power(_distinct(table.where(task=task))[0].cells("force_error"), rng=rng):
+            for each in redrawn_power(
+                _distinct(table.where(task=task), ("force_error",))[0].cells("force_error"), rng=rng
+            ):
                 told.append(f"{task}, {each.sentence}")
                 shares = [f"{100.0 * value:.1f}" for value in (each.false_alarms.value, each.hits.value)]
                 rows.append((task, each.test, *shares, f"{100.0 * (1.0 - each.hits.value):.1f}", str(each.populations)))
