@@ -383,7 +383,7 @@ def test_latency_is_hidden_on_the_wall():
 def test_train_writes_what_a_run_can_use(command, refused, here, monkeypatch):
     monkeypatch.setattr(fitting, "LAGS", (5,))  # fewer dictionaries to choose from
     code, said, _ = command("train", "wall", "--trials", "6", "--out", "mine.npz")
-    assert code == 0 and "error on 1 runs held out" in said and "koopman" in said
+    assert code == 0 and "error on 1 run held out" in said and "koopman" in said
     hidden, _ = played_error("koopman", **{"coupling.predictor_file": str(here / "mine.npz")})
     assert hidden < 0.025
     assert refused("train", "wall", "--out", "mine.npz") == (

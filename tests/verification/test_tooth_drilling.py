@@ -172,7 +172,8 @@ def test_stress_after_warm_starts_is_that_of_a_cold_solve(drilled):
 
 def test_the_pulp_is_told_before_it_is_hit(drilled):
     """Both limits and the exposure once each, in their order; the exposure within a voxel of the pulp's roof."""
-    times, said = zip(*drilled.run.events, strict=True)
+    told = [event for event in drilled.run.events if "pulp" in event[1]]  # a busy machine also tells of late stress
+    times, said = zip(*told, strict=True)
     assert said == (
         "less than 1 mm of dentin is left over the pulp",
         "less than 0.5 mm of dentin is left over the pulp",
