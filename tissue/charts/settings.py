@@ -125,7 +125,7 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
         spacing = round(factor * base, 4)
         if spacing > 0.25 * tool.diameter_mm:
             continue
-        for removal in ("subvoxel",) if quick and factor != 2.0 else ("subvoxel", "binary"):
+        for removal in ("subvoxel",) if quick else ("subvoxel", "binary"):
             name = f"{spacing:g} mm" + (" binary" if removal == "binary" else "")
             yield Setting(name, "voxels", plain | {"voxels.spacing_mm": spacing, "voxels.removal": removal}, lost)
     shell = _shell_mm(tool, base)

@@ -1,0 +1,347 @@
+"""How ticks and memory grow: `python tests/bench/chart_growth.py --out DIR [--quick] [NAME ...]`.
+
+Voxels, voxels under the tool, points of a cutter's shell, tetrahedra, touchable nodes, contact points, particles,
+observables of a predictor, length of a run: each over two decades where memory allows, with exponents fitted over all
+sizes and over the upper half. Memory is that of all arrays that a model holds on to. `growth.csv` and `growth.png`.
+"""
+
+import argparse
+import csv
+import gc
+import os
+import types
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads that wait for each other on a busy machine are no growth
+import numpy as np
+import warp as wp
+from harness import cost_of, machine, table
+from peers.works import bricks_in_tetrahedra
+
+ABOVE = 1.2
+"""Exponent above which a growth has to be explained."""
+BECAUSE = {
+    ("tetrahedra, factorise", "time"): "a factor of a body in space takes n^2 operations (George 1973); once a mesh",
+    ("tetrahedra, factorise", "memory"): "and n^4/3 entries",
+    ("touchable nodes, area", "memory"): "the compliance is a full matrix of touchable nodes",
+    ("touchable nodes, density", "memory"): "the compliance is a full matrix of touchable nodes",
+    ("touchable nodes, density", "time"): "each of the points in touch moves every other: their square",
+    ("observables, fit", "time"): "normal equations: samples x observables^2, and eigenvalues: observables^3",
+    ("observables, fit", "memory"): "an operator is a full matrix of observables",
+    ("observables, tick", "memory"): "an operator is a full matrix of observables",
+}
+"""Why a growth is what it is."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """One size: its median time [us], and the bytes of its arrays."""
+
+    size: float
+    time_us: float
+    memory: int
+
+
+Series = Iterator[tuple[str, Point]]
+
+
+def array_bytes(root: Any) -> int:
+    """Bytes of all NumPy and Warp arrays that an object holds on to, each buffer once."""
+    seen: set[int] = set()
+    buffers: dict[int, int] = {}
+    waiting = [root]
+    while waiting:
+        each = waiting.pop()
+        if id(each) in seen or isinstance(
+            each, type | types.ModuleType | types.FunctionType | types.FrameType | wp.Kernel
+        ):
+            continue
+        seen.add(id(each))
+        if isinstance(each, np.ndarray):
+            if each.size:
+                buffers[each.__array_interface__["data"][0]] = max(
+                    each.nbytes, buffers.get(each.__array_interface__["data"][0], 0)
+                )
+        elif isinstance(each, wp.array):
+            if each.ptr:
+                buffers[each.ptr] = max(each.capacity, buffers.get(each.ptr, 0))
+        elif type(each).__module__.startswith("warp") and not hasattr(each, "_cls"):
+            continue
+        if not isinstance(each, str | bytes | int | float):
+            waiting += gc.get_referents(each)
+    return sum(buffers.values())
+
+
+def median_us(call: Callable[[int], object], *, count: int, warm_up: int = 2) -> float:
+    """The lesser of two medians."""
+    return min(cost_of(call, count=count + warm_up, warm_up=warm_up).median for _ in range(2))
+
+
+def burr_ticks(edge_mm: float, spacing_mm: float, shell_m: float | None = None) -> tuple[Any, float, float]:
+    """A ball burr of 2 mm, half of it in a block: model, mean of carving and median of force [us].
+
+    Bricks take turns, so that a median tick carves few of them; the slowest fifth of the ticks is left out.
+    """
+    from meshes import cortical_block, voxelise
+    from tissue.bone import BoneModel
+    from tissue.cutters import Cutter, ball_burr
+    from tissue.materials import cutting_coefficients
+    from tissue.model import ToolMotion
+
+    volume = voxelise(cortical_block(size_mm=(edge_mm,) * 3), spacing_m=1e-3 * spacing_mm)
+    model = BoneModel(volume, Cutter(ball_burr(diameter_m=2e-3), 6, 1000.0), (cutting_coefficients("bone"),), cores=1,
+                      shell_spacing_m=shell_m)  # fmt: skip
+    motion = ToolMotion(speed_m_s=4e-3)
+    motion.heading[0] = (1.0, 0.0, 0.0)
+    motion.tip_m[:] = (-1e-3, 0.0, -1e-3)
+    model.place(motion)
+    carving, forces = [], []
+    gc.disable()
+    for tick in range(500):
+        motion.tip_m[0] = -1e-3 + 4e-6 * tick
+        times = [perf_counter()]
+        model.advance(motion)
+        times.append(perf_counter())
+        model.respond(motion)
+        times.append(perf_counter())
+        carving.append(times[1] - times[0])
+        forces.append(times[2] - times[1])
+    gc.enable()
+    carve = 1e6 * float(np.mean(np.sort(carving[100:])[:320]))
+    force = 1e6 * float(np.median(forces[100:]))
+    return model, carve, force
+
+
+def voxels(quick: bool) -> Series:
+    """The block grows, the tool stays: a tick must not."""
+    for edge in (4.0, 6.4, 9.6) if quick else (4.0, 6.4, 9.6, 14.4, 19.2):
+        model, carve, force = burr_ticks(edge, 0.1)
+        yield "voxels of the block, tick", Point((edge / 0.1) ** 3, carve + force, array_bytes(model))
+
+
+def resolution(quick: bool) -> Series:
+    """The same block and tool in finer voxels: the tick follows the surface in touch, the memory the volume."""
+    for spacing in (0.2, 0.14, 0.1) if quick else (0.25, 0.2, 0.14, 0.1, 0.07, 0.05):
+        model, carve, _ = burr_ticks(4.0, spacing, 1e-4)
+        yield "voxels of a finer block, carve", Point((4.0 / spacing) ** 3, carve, array_bytes(model))
+
+
+def shell(quick: bool) -> Series:
+    """Elements of the cutter."""
+    for spacing in (0.2, 0.1, 0.05) if quick else (0.2, 0.1, 0.05, 0.03, 0.02):
+        model, _, force = burr_ticks(4.0, 0.1, 1e-3 * spacing)
+        yield "shell points, force", Point(len(model.shell.areas_m2), force, array_bytes(model.shell))
+
+
+def tetrahedra(quick: bool) -> Series:
+    """Assembly, a factor, and multigrid of a clamped cube."""
+    from meshes.tetrahedra import TetMesh
+    from tissue.liver.assembly import assemble
+    from tissue.liver.direct import DirectSolver
+    from tissue.liver.multigrid import MultigridSolver
+    from tissue.liver.solver import HeldBody, Supports
+    from tissue.liver.space import Space
+    from tissue.materials.elasticity import lame
+
+    material = lame(5e3, 0.45)
+    for cells in (6, 9, 12) if quick else (5, 7, 10, 14, 19, 25):
+        mesh = TetMesh(*bricks_in_tetrahedra((1.0, 1.0, 1.0), (cells,) * 3))
+        size = len(mesh.cells)
+        made: dict[str, Any] = {}
+
+        def structured(_: int, mesh: Any = mesh, made: dict[str, Any] = made) -> None:
+            made["space"] = Space(mesh, 1)
+            made["K"] = assemble(made["space"], material)
+
+        yield (
+            "tetrahedra, assemble",
+            Point(size, median_us(structured, count=3), array_bytes((made["space"], made["K"]))),
+        )
+        space = made["space"]
+        load = np.zeros(space.nodes_m.shape)
+        load[space.nodes_m[:, 2] > 1.0 - 1e-9, 2] = -1.0
+        body = HeldBody(made["K"], space.nodes_m, Supports.of_nodes(space.nodes_m[:, 2] < 1e-9))
+        if cells < 20:
+
+            def factorised(_: int, body: Any = body, made: dict[str, Any] = made) -> None:
+                made["factor"] = DirectSolver(body)
+
+            time_us = median_us(factorised, count=1, warm_up=1 if cells < 12 else 0)
+            yield "tetrahedra, factorise", Point(size, time_us, made["factor"].memory_bytes)
+
+        def solved(_: int, body: Any = body, made: dict[str, Any] = made, load: Any = load) -> None:
+            made["grids"] = MultigridSolver(body)
+            made["grids"].solve(load)
+
+        yield "tetrahedra, multigrid", Point(size, median_us(solved, count=1), made["grids"].memory_bytes)
+
+
+def touched(edge_m: float, cells: int) -> Point:
+    """A ball of 10 mm stroked over a flat surface whose compliance falls with distance, as that of a deep body does."""
+    from tissue.liver.contact import SurfaceContact
+    from tissue.liver.probe import SphereProbe
+
+    at = np.linspace(-0.5 * edge_m, 0.5 * edge_m, cells + 1)
+    nodes = np.stack(np.meshgrid(at, at, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
+    number = np.arange(len(nodes)).reshape(cells + 1, cells + 1)
+    a, b, c, d = (n.ravel() for n in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
+    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    step = edge_m / cells
+    far = np.linalg.norm(nodes[:, None] - nodes[None], axis=2)
+    one = 1.0 / (2.0 * np.pi * 5e3) / np.sqrt(far**2 + (0.5 * step) ** 2)
+    contact = SurfaceContact(nodes, faces, np.kron(one, np.eye(3)), SphereProbe(0.01))
+    contact.place(np.array([0.0, 0.0, 1e-3]), np.eye(3))
+
+    def tick(index: int) -> None:
+        contact.solve(np.array([max(0, index - 100) * 1e-5, 0.0, -2e-3 * min(1.0, index / 100)]), np.eye(3))
+
+    time_us = cost_of(tick, count=400, warm_up=110).median
+    return Point(len(nodes), time_us, array_bytes(contact))
+
+
+def touchable(quick: bool) -> Series:
+    """Nodes that may be touched: more area, then a denser mesh."""
+    for cells in (6, 12, 24) if quick else (5, 8, 13, 20, 32, 44):
+        yield "touchable nodes, area", touched(4e-3 * cells, cells)
+    for cells in (6, 12, 18) if quick else (5, 8, 13, 20, 32, 44):
+        yield "touchable nodes, density", touched(0.04, cells)
+
+
+def particles(quick: bool) -> Series:
+    """A ball cuts a block: update, solve and stress of a step."""
+    from bench_tooth import FEED_M, SIDE_M, TOLERANCE, body_of
+
+    for cells in (6, 10, 14) if quick else (6, 9, 13, 19, 27):
+        body = body_of(cells)
+        position, costs = body.particles.position_m, []
+        for step in range(8):
+            tip = np.array([0.52, 0.47, 1.0]) * SIDE_M - [0.0, 0.0, FEED_M * step]
+            hit = np.flatnonzero(np.linalg.norm(position - tip, axis=1) < 0.1 * SIDE_M)
+            start = perf_counter()
+            body.set_remaining(hit, np.zeros(len(hit), dtype=np.int64))
+            body.update()
+            body.solve(body.spread(tip - [0.0, 0.0, 1e-3], np.array([0.2, 0.0, -1.0])), tolerance=TOLERANCE)
+            costs.append(perf_counter() - start)
+        yield "particles, cut and solve", Point(len(position), 1e6 * float(np.median(costs[2:])), array_bytes(body))
+
+
+def observables(quick: bool) -> Series:
+    """Delays of a predictor of position and force."""
+    from peers.works import contacts
+
+    from tissue.prediction import Delays, Edmd, Episode
+    from tissue.prediction.koopman import Koopman, LoopTerms
+
+    episodes = [Episode(contacts(seed), None, 1e-3) for seed in range(2)]
+    terms = LoopTerms(gains=(0.0,) * 4, residual_N=1e3, correction_N=1.0, quiet_N=0.0, reach_N=1e3, growth=1e3,
+                      following=np.zeros((3, 3)))  # fmt: skip
+    run = episodes[0].states
+    for delays in (0, 4, 16) if quick else (0, 1, 4, 9, 24, 49, 99):
+        edmd, made = Edmd(Delays(delays), ridge=1e-8), {}
+
+        def fit(_: int, edmd: Any = edmd, made: dict[str, Any] = made) -> None:
+            made["it"] = edmd.fit(episodes)
+
+        size = 6 * (delays + 1)
+        yield "observables, fit", Point(size, median_us(fit, count=1), array_bytes(made["it"].A))
+        predictor = Koopman(made["it"], terms)
+
+        def tick(index: int, predictor: Any = predictor) -> None:
+            predictor.observe(run[index, :3], np.zeros(3), run[index, 3:])
+            predictor.ahead(4)
+
+        yield "observables, tick", Point(size, median_us(tick, count=1500, warm_up=100), array_bytes(predictor))
+
+
+def ticks(quick: bool) -> Series:
+    """Length of a run: time of all its ticks, and its tables."""
+    from tissue.load import load_scene
+    from tissue.simulation import simulate
+
+    for seconds in (0.2, 0.6, 2.0) if quick else (0.1, 0.3, 1.0, 3.0, 9.0):
+        run = simulate(load_scene("milling", {"voxels.spacing_mm": 0.2, "duration_s": seconds}))
+        time_us = float(run.timing["tick_us"].sum())
+        yield (
+            "ticks of a run, all of them",
+            Point(1e3 * seconds, time_us, run.trace.rows.nbytes + run.timing.rows.nbytes),
+        )
+
+
+SERIES = (voxels, resolution, shell, tetrahedra, touchable, particles, observables, ticks)
+
+
+def exponent(points: list[Point], of: str, *, upper: bool) -> float:
+    """Slope of log time or memory over log size."""
+    taken = points[len(points) // 2 - (len(points) < 4) :] if upper else points
+    values = [point.time_us if of == "time" else point.memory for point in taken]
+    return float(np.polyfit(np.log([point.size for point in taken]), np.log(values), 1)[0])
+
+
+def draw(found: dict[str, list[Point]], path: Path) -> None:
+    """Time beside memory, each over the size."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    pyplot.rcParams.update({"font.size": 11})
+    colours = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "0.1")
+    marks = "os^vDP"
+    figure, axes = pyplot.subplots(1, 2, figsize=(13, 6.4), layout="constrained")
+    for index, (name, points) in enumerate(found.items()):
+        sizes = [point.size for point in points]
+        look = {"color": colours[index % len(colours)], "marker": marks[index % len(marks)], "markersize": 5}
+        style = "-" if index < len(colours) else "--"
+        time, memory = (exponent(points, of, upper=True) for of in ("time", "memory"))
+        axes[0].plot(
+            sizes, [point.time_us for point in points], style, **look, label=f"{name}: {time:.2f}, {memory:.2f}"
+        )
+        axes[1].plot(sizes, [1e-6 * point.memory for point in points], style, **look)
+    axes[0].set(xscale="log", yscale="log", xlabel="size / 1", ylabel="median time / us")
+    axes[1].set(xscale="log", yscale="log", xlabel="size / 1", ylabel="arrays / MB")
+    for axis in axes:
+        axis.grid(alpha=0.3)
+    figure.legend(loc="outside lower center", ncols=3, fontsize=9.5, title="exponent of time, of memory (upper half)")
+    figure.savefig(path, dpi=110)
+    pyplot.close(figure)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", help=f"of {', '.join(each.__name__ for each in SERIES)}; default all")
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--quick", action="store_true", help="fewer and smaller sizes")
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    print(machine())
+    found: dict[str, list[Point]] = {}
+    for series in SERIES:
+        if not given.names or series.__name__ in given.names:
+            for name, point in series(given.quick):
+                found.setdefault(name, []).append(point)
+            print(series.__name__, flush=True)
+    rows = []
+    for name, points in found.items():
+        told = [exponent(points, of, upper=upper) for of in ("time", "memory") for upper in (False, True)]
+        why = [BECAUSE.get((name, of), "NOT EXPLAINED") for of, power in (("time", told[1]), ("memory", told[3])) if power > ABOVE]  # fmt: skip
+        rows.append((name, f"{points[0].size:.0f}-{points[-1].size:.0f}", f"{points[0].time_us:.0f}-{points[-1].time_us:.0f}",
+                     f"{points[-1].memory / 1e6:.3g}", *(f"{each:.2f}" for each in told), "; ".join(why)))  # fmt: skip
+    print(
+        table(
+            rows,
+            ("growth with", "sizes", "us", "MB", "time", "upper half", "memory", "upper half", "above 1.2 because"),
+        )
+    )
+    with (given.out / "growth.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(("series", "size", "time_us", "memory_bytes"))
+        writer.writerows((name, p.size, p.time_us, p.memory) for name, points in found.items() for p in points)
+    draw(found, given.out / "growth.png")
+
+
+if __name__ == "__main__":
+    main()

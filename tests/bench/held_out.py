@@ -1,0 +1,217 @@
+"""Do chosen settings hold where they were not measured: `python tests/bench/held_out.py --out DIR [--seeds N] [SCENE ...]`.
+
+1. Every setting of a scene is measured on the scene's own motion, as `fidelity` does it, then on others: feed x 0.8-1.25,
+   depth x 0.9-1.1, the path moved aside by up to half a voxel (half a millimetre where no hole guides the tool); and on
+   real anatomy where `../shared/anatomy` is there. Printed: in how many runs what `fidelity` chooses for a demanded error
+   meets it, for several factors of safety.
+2. `--cost`: the tick of each setting predicted from all the others of its scene, least of several medians.
+"""
+
+import argparse
+import csv
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from harness import machine, table
+
+from meshes.errors import InputError
+from tissue.charts import fidelity
+from tissue.charts.cost import CostModel
+from tissue.charts.frontier import read_measured, undominated, write_measured
+from tissue.charts.measure import Measured, excerpt, measure
+from tissue.charts.settings import Setting, finest, settings_of
+from tissue.load import changed, load_scene
+from tissue.scene import Scene
+from tissue.scene_coupling import Fidelity
+from tissue.scene_tool import PathMotion
+from tissue.simulation import simulate
+from tissue.statistics.metrics import force_error
+
+SCENES = ("milling", "molar", "glenoid", "liver-press")
+ASIDE_MM = {"milling": 0.5, "molar": 0.5, "liver-press": 0.5}
+"""How far a path is moved aside where no hole guides the tool."""
+DEMANDS = (0.01, 0.02, 0.03, 0.05, 0.08, 0.12, 0.2, 0.3)
+"""Demanded errors."""
+FACTORS = (1.0, 1.25, 1.5, 1.75, 2.0, 2.5)
+"""Factors of safety that are tried beside the one in use."""
+ROOT = Path(__file__).resolve().parents[3] / "shared" / "anatomy"
+REAL: dict[str, dict[str, dict[str, Any]]] = {
+    "glenoid": {
+        "openforge scapula": {"anatomy.file": "scapula/openforge_scapula_left.stl", "anatomy.scale_mm": 50.0},
+        "myosim scapula": {"anatomy.file": "scapula/myosim_scapula.stl"},
+    },
+    "molar": {
+        "carious tooth 2": {"anatomy.file": "tooth/caries_tooth_2.nii.gz", "anatomy.spacing_mm": 0.034},
+        "carious tooth 4": {"anatomy.file": "tooth/caries_tooth_4.nii.gz", "anatomy.spacing_mm": 0.034},
+    },
+    "liver-press": {"scanned liver": {"anatomy.file": "liver/liver.vtk", "anatomy.scale_mm": 1.0}},
+}
+"""Anatomy that was imaged, by scene."""
+REAL_SEEDS = 1
+COST_RUNS = 3
+
+
+def moved(scene: Scene, seed: int) -> Scene:
+    """The scene with a motion that was not measured."""
+    motion, rng = scene.motion, np.random.default_rng(seed)
+    assert isinstance(motion, PathMotion)
+    feed, depth = rng.uniform(0.8, 1.25), rng.uniform(0.9, 1.1)
+    most = ASIDE_MM.get(scene.name, 0.5 * scene.voxels.spacing_mm)
+    points = np.array(motion.points_mm)
+    points[:, 2] = np.where(points[:, 2] < 0.0, depth * points[:, 2], points[:, 2])
+    points[:, :2] += rng.uniform(-most, most, 2)
+    path = tuple((x, y, z) for x, y, z in points.round(4).tolist())
+    made = motion.model_copy(update={"points_mm": path, "feed_mm_s": round(feed * motion.feed_mm_s, 4)})
+    return scene.model_copy(update={"motion": made, "duration_s": round((scene.duration_s or 1.0) / feed, 3)})
+
+
+def held_out(scene: Scene, short: Scene, seeds: int) -> Iterator[tuple[str, Scene]]:
+    """Runs of which nothing was measured."""
+    for seed in range(1, seeds + 1):
+        yield f"motion {seed}", moved(short, seed)
+    for name, changes in REAL.get(scene.name, {}).items():
+        file = ROOT / changes["anatomy.file"]
+        if not file.exists():
+            print(f"{name}: {file.name} is not here")
+            continue
+        other = changed(scene, changes | {"anatomy.file": str(file)})
+        other = excerpt(other, settings_of(other, quick=True)[0].changes, quick=True)
+        yield name, other
+        for seed in range(101, 101 + REAL_SEEDS):
+            yield f"{name}, motion {seed}", moved(other, seed)
+
+
+def forces(scene: Scene, changes: Any) -> np.ndarray:
+    return simulate(changed(scene, changes)).trace.vectors("model_force", "N")
+
+
+def errors(name: str, seeds: int, out: Path) -> tuple[list[Measured], dict[str, dict[str, float]]]:
+    """Measurements of a scene, and the error of each of its best settings on every run that was not measured.
+
+    What a call that was interrupted has found is not run again.
+    """
+    scene = load_scene(name)
+    settings = settings_of(scene, quick=True)
+    short = excerpt(scene, settings[0].changes, quick=True)
+    path, ran = out / f"{name}.measured.csv", out / f"{name}.csv"
+    points = read_measured(path)
+    if [point.setting for point in points] != [setting.name for setting in settings]:
+        points = [measure(short, setting, quick=True) for setting in settings]
+        write_measured(path, points)
+    best = [setting for setting in settings if setting.name in {point.setting for point in undominated(points)}]
+    found: dict[str, dict[str, float]] = {setting.name: {} for setting in best}
+    if ran.exists():
+        with ran.open(encoding="utf-8", newline="") as file:
+            for setting, where, error in csv.reader(file):
+                found.setdefault(setting, {})[where] = float(error)
+    for where, other in held_out(scene, short, seeds):
+        left = [setting for setting in best if where not in found[setting.name]]
+        try:
+            right = forces(other, finest(other, quick=True)) if left else None
+            for setting in left:
+                # The finest setting may be the reference itself.
+                same = dict(setting.changes) == dict(finest(other, quick=True))
+                found[setting.name][where] = 0.0 if same else force_error(forces(other, setting.changes), right)
+                with ran.open("a", encoding="utf-8", newline="") as file:
+                    csv.writer(file).writerow((setting.name, where, found[setting.name][where]))
+        except InputError as refusal:
+            print(f"{name}, {where}: {refusal}", flush=True)
+    return points, {setting.name: found[setting.name] for setting in best}
+
+
+def chosen(points: Sequence[Measured], demand: float, factor: float) -> str | None:
+    """What `fidelity` would choose with a factor of safety."""
+    before, fidelity.SAFETY = fidelity.SAFETY, factor
+    try:
+        return fidelity.choose(points, Fidelity(force_error=demand)).setting
+    except InputError:
+        return None
+    finally:
+        fidelity.SAFETY = before
+
+
+def report(name: str, points: Sequence[Measured], found: dict[str, dict[str, float]]) -> dict[float, list[bool]]:
+    """What was chosen and whether it held; all verdicts by factor."""
+    base = {point.setting: point.force_error for point in points}
+    rows = []
+    for setting, each in found.items():
+        values = np.array(list(each.values()))
+        ratio = values / base[setting] if base[setting] > 0.0 else np.full(len(values), np.nan)
+        real = [error for where, error in each.items() if not where.startswith("motion")]
+        rows.append((setting, f"{100 * base[setting]:.2g}", f"{100 * np.median(values):.2g}", f"{100 * values.max():.2g}",
+                     f"{100 * max(real):.2g}" if real else "", f"{np.quantile(ratio, 0.95):.2f}"))  # fmt: skip
+    print(f"\n{name}: error to the converged force / %, as measured and on {len(values)} other runs")
+    print(table(rows, ("setting", "measured", "median", "worst", "worst real", "95 % of ratios")))
+    verdicts: dict[float, list[bool]] = defaultdict(list)
+    rows = []
+    for demand in DEMANDS:
+        cells = []
+        for factor in sorted({fidelity.SAFETY, *FACTORS}):
+            setting = chosen(points, demand, factor)
+            if setting is None or setting not in found:
+                cells.append("refused")
+                continue
+            met = [error <= demand for error in found[setting].values()]
+            verdicts[factor] += met
+            cells.append(f"{100 * np.mean(met):.0f} {setting}")
+        rows.append((f"{100 * demand:g} %", *cells))
+    print(table(rows, ("demanded", *(f"x {factor:g}" for factor in sorted({fidelity.SAFETY, *FACTORS})))))
+    return verdicts
+
+
+def cost_settings(scene: Scene) -> list[Setting]:
+    """Settings whose ticks are compared: those of a full chart that compute in one way, without the stress."""
+    return [each for each in settings_of(scene, quick=False)
+            if each.family in ("voxels", "shell", "elements") and "binary" not in each.name]  # fmt: skip
+
+
+def cost(name: str) -> list[float]:
+    """Each setting's tick predicted from the others; ratios of predicted to measured."""
+    scene = load_scene(name)
+    settings = cost_settings(scene)
+    short = excerpt(scene, settings[0].changes, quick=True)
+    rounds = [[measure(short, setting, quick=True) for setting in settings] for _ in range(COST_RUNS)]
+    points = [min(each, key=lambda point: point.median_us) for each in zip(*rounds, strict=True)]
+    ratios, rows = [], []
+    for index, point in enumerate(points):
+        told = CostModel.fitted(points[:index] + points[index + 1 :]).tick_us(point)
+        ratios.append(told / point.median_us)
+        rows.append((point.setting, f"{point.elements}", f"{point.engaged_mm2:.1f}", f"{point.median_us:.0f}",
+                     f"{told:.0f}", f"{100 * (ratios[-1] - 1):+.0f} %"))  # fmt: skip
+    print(f"\n{name}: {CostModel.fitted(points)}")
+    print(table(rows, ("setting", "elements", "mm2", "tick us", "predicted", "off")), flush=True)
+    return ratios
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", nargs="*", help="default: " + ", ".join(SCENES))
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--cost", action="store_true", help="the cost model instead")
+    parser.add_argument("--out", type=Path, default=Path("held_out"), help="folder of what was found")
+    given = parser.parse_args()
+    print(machine())
+    names = given.scenes or SCENES
+    if given.cost:
+        ratios = np.array([ratio for name in names for ratio in cost(name)])
+        within = np.mean(np.abs(ratios - 1.0) <= 0.25)
+        print(
+            f"\n{100 * within:.0f} % of {len(ratios)} ticks within 25 %, worst {100 * np.abs(ratios - 1.0).max():.0f} % off"
+        )
+        return
+    together: dict[float, list[bool]] = defaultdict(list)
+    given.out.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        points, found = errors(name, given.seeds, given.out)
+        for factor, met in report(name, points, found).items():
+            together[factor] += met
+    print("\nall demands that were not refused, all runs")
+    shares = [(f"x {f:g}", f"{100 * np.mean(met):.1f} %", str(len(met))) for f, met in sorted(together.items())]
+    print(table(shares, ("safety", "met", "runs")))
+
+
+if __name__ == "__main__":
+    main()

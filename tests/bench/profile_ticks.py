@@ -1,0 +1,108 @@
+"""Where a tick's time goes, scene by scene, by script and by hand: `python tests/bench/profile_ticks.py [--deep] [SCENE ...]`.
+
+Stages are medians over ticks in contact [us], of the faster of two runs. By hand the stage `motion` holds the simulated
+device and hand, which a real device does not need. `--deep` runs once more under cProfile and names the functions with the
+most time of their own: shares, since a profiler makes small functions look larger than they are.
+"""
+
+import argparse
+import cProfile
+import pstats
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from harness import machine, table
+
+from tissue.charts.measure import excerpt
+from tissue.charts.settings import by_hand
+from tissue.load import load_scene, scene_names
+from tissue.run import Run
+from tissue.scene import Scene
+from tissue.simulation import simulate
+from tissue.trace import TIMING_COLUMNS
+
+STAGES = tuple(name.removesuffix("_us") for name in TIMING_COLUMNS[1:])
+SHOWN = 6
+
+
+class Profiled:
+    """Goes along with a run and profiles its ticks from the first contact on."""
+
+    timing_columns: tuple[str, ...] = ()
+
+    def __init__(self) -> None:
+        self.profile, self.ticks, self._contact = cProfile.Profile(), 0, 0
+
+    def begin(self, parts: Any, columns: tuple[str, ...]) -> None:
+        self._contact = columns.index("contact_mm2")
+
+    def due(self, index: int) -> None:
+        if self.ticks:
+            self.profile.enable()
+
+    def told(self, index: int, row: np.ndarray, times: np.ndarray) -> bool:
+        self.profile.disable()
+        self.ticks += int(self.ticks > 0 or row[self._contact] > 0.0)
+        return True
+
+    def end(self) -> list[tuple[float, str]]:
+        self.profile.disable()
+        return []
+
+
+def ran(scene: Scene) -> Run:
+    """The faster of two runs."""
+    return min(
+        (simulate(scene, allow_unstable=True) for _ in range(2)), key=lambda run: np.median(run.timing["tick_us"])
+    )
+
+
+def stages(run: Run) -> dict[str, float]:
+    """Median of the tick and of each stage in contact [us], and the 99th percentile of the tick."""
+    touching = np.flatnonzero(run.trace["contact_mm2"] > 0.0)[20:]
+    counted = touching if touching.size else np.arange(len(run.trace.rows))
+    found = {name: float(np.median(run.timing[f"{name}_us"][counted])) for name in ("tick", *STAGES)}
+    return found | {"p99": float(np.percentile(run.timing["tick_us"][counted], 99))}
+
+
+def deepest(scene: Scene) -> list[tuple[str, float, float]]:
+    """Functions with the most time of their own: name, share of the ticks, calls a tick."""
+    watch = Profiled()
+    simulate(scene, allow_unstable=True, watch=watch)
+    found = pstats.Stats(watch.profile).stats  # type: ignore[attr-defined]
+    total = sum(entry[2] for entry in found.values())
+    ranked = sorted(found.items(), key=lambda entry: -entry[1][2])[:SHOWN]
+    names = [f"{Path(file).stem}.{what}" if file != "~" else what for (file, _, what), _ in ranked]
+    return [
+        (name, entry[2] / total, entry[1] / max(watch.ticks, 1)) for name, (_, entry) in zip(names, ranked, strict=True)
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", nargs="*", help="default: all")
+    parser.add_argument("--deep", action="store_true", help="name functions, too")
+    given = parser.parse_args()
+    print(machine())
+    rows, deep = [], []
+    for name in given.scenes or scene_names():
+        scene = load_scene(name)
+        kinds = {"hand": by_hand(scene)} | ({"script": scene} if scene.device == "none" else {})
+        for kind, whole in sorted(kinds.items(), reverse=True):
+            short = excerpt(whole, {}, quick=True)
+            at = stages(ran(short))
+            largest = max(STAGES, key=at.__getitem__)
+            rows.append(
+                (name, kind, f"{at['tick']:.0f}", f"{at['p99']:.0f}", *(f"{at[s]:.0f}" for s in STAGES), largest)
+            )
+            if given.deep:
+                told = [f"{100 * share:.0f} % {what} ({calls:.3g} calls)" for what, share, calls in deepest(short)]
+                deep.append(f"{name}, {kind}: " + "; ".join(told))
+            print(f"{name}, {kind}", flush=True)
+    print("\n" + table(rows, ("scene", "moved by", "tick", "99 %", *STAGES, "largest")))
+    print("\n" + "\n".join(deep))
+
+
+if __name__ == "__main__":
+    main()
