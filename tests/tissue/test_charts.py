@@ -36,9 +36,9 @@ def test_the_frontier_is_what_nothing_beats():
 def test_the_cheapest_that_is_good_enough_is_chosen():
     points = [point("coarse", error=0.2, median=10), point("middle", error=0.03, median=50), point("fine", error=0.01)]
     assert choose(points, Fidelity(force_error=0.2 * SAFETY)).setting == "coarse"
-    assert choose(points, Fidelity(force_error=0.04)).setting == "middle"
+    assert choose(points, Fidelity(force_error=0.031 * SAFETY)).setting == "middle"
     assert choose(points, Fidelity(tick_ms=0.5)).setting == "fine"
-    with pytest.raises(InputError, match=r"got force_error = 0.001: the nearest is fine with force_error = 0.013"):
+    with pytest.raises(InputError, match=r"got force_error = 0.001: the nearest is fine with force_error = 0.01"):
         choose(points, Fidelity(force_error=1e-3))
     with pytest.raises(InputError, match="must ask for something"):
         load_scene("milling", {"fidelity": {}})
@@ -112,7 +112,7 @@ def test_an_interrupted_chart_goes_on_and_a_finished_one_is_not_measured_again(b
     assert ran == ["0.4 mm", "0.2 mm", "0.2 mm"]
     coarse, fine = found.points
     assert coarse.force_error > 2.0 * fine.force_error > 0.0
-    assert found.gap > 0.0 and fine.far_us < fine.p99_us and fine.elements > coarse.elements
+    assert found.gap > 0.0 and fine.elements > coarse.elements
     frontier_of(block)
     assert len(ran) == 3
     wanted = changed(block, {"fidelity": {"force_error": 2.0 * SAFETY * coarse.force_error}})

@@ -15,6 +15,7 @@ from tissue.statistics.power import redrawn_power
 from tissue.statistics.regression import trial_regression
 from tissue.statistics.tukey import corrected
 from tissue.study.paper import COMPOSITE
+from tissue.study.plan import USERS
 from tissue.study.section import Section, drawing, image
 from tissue.study.tasks import METHODS, TASKS
 
@@ -52,6 +53,10 @@ def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]
         own, _ = _distinct(table.where(task=task), COMPARED)
         for factor in ("method", "group"):
             try:
+                if factor == "method" and len(np.unique(own.method)) < 2:
+                    raise InputError(
+                        "methods must differ in every metric, got none that do: compare metrics one by one"
+                    )
                 outcomes.append((task, manova(own, COMPARED, factor=factor, rng=rng)))
             except InputError as error:
                 refused.setdefault(str(error), []).append(f"{task} all metrics by {factor}")
@@ -67,24 +72,23 @@ def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]
 
 
 def _distinct(table: TrialTable, metrics: Sequence[str]) -> tuple[TrialTable, list[str]]:
-    """A task's trials without methods that give a metric of another's bit for bit: there is no spread to test it by."""
+    """A task's trials without methods that give a metric of another's: there is no spread to test the two by."""
     kept: list[str] = []
     said = []
     for method in (each for each in METHODS if each in table.method):
-        own = {metric: table.where(method=method).values(metric).tobytes() for metric in metrics}
-        same = [
-            (other, metric)
-            for other in kept
-            for metric in metrics
-            if table.where(method=other).values(metric).tobytes() == own[metric]
-        ]
+        same = [(other, metric) for other in kept for metric in metrics if _equal(table, metric, method, other)]
         if same:
-            said.append(
-                f"{method} has the {same[0][1]} of {same[0][0]} in every trial, to the last bit, and is left out."
-            )
+            said.append(f"{method} has the {same[0][1]} of {same[0][0]} in every trial and is left out.")
         else:
             kept.append(method)
     return table.where(method=kept), said
+
+
+def _equal(table: TrialTable, metric: str, one: str, other: str) -> bool:
+    """Whether a metric is the same under two methods, to a thousandth of its spread."""
+    first, second = (table.where(method=each).values(metric) for each in (one, other))
+    both = np.isfinite(first) & np.isfinite(second)
+    return bool((np.abs(first - second)[both] <= 1e-3 * first[both].std()).all())
 
 
 def _outcomes(outcomes: list[tuple[str, Outcome]], told: list[str]) -> Section:
@@ -113,7 +117,8 @@ def _outcomes(outcomes: list[tuple[str, Outcome]], told: list[str]) -> Section:
     ]
     sentences = [
         f"{kept} of {len(rows)} tests show an effect after Bonferroni's correction over all of them. The unit is the "
-        "person, not the trial: a group has ten people at most, who meet every method, so that many trials alone do not make an effect.",
+        f"person, not the trial: a group has at most {USERS} people, who meet every method, so that many trials alone "
+        "do not make an effect.",
         f"An assumption is refused in {unsound} of them; the tests in the last column rest on less."
         + (f" They do not all agree on {'; '.join(differing)}." if differing else " They all agree with the test."),
         *told,
