@@ -13,8 +13,8 @@ __all__ = ["SAFETY", "choose", "with_fidelity"]
 
 Tell = Callable[[str, float], None]
 SAFETY = 1.75
-"""How far below a demanded error a setting has to stay on the motion it was measured on, so that it holds on others: with
-it 98 % of 44 other motions kept it, with 1.25 95 %, with 1 94 % (milling and glenoid, tests/bench/held_out.py)."""
+"""How far below a demanded error a setting has to stay on the motion it was measured on, so that it holds on others:
+with it 98 % of 44 other motions kept it, with 1.25 95 %, with 1 94 % (milling and glenoid, tests/bench/held_out.py)."""
 
 
 def choose(points: Sequence[Measured], wanted: Fidelity, *, gap: float = 0.0) -> Measured:

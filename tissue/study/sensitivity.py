@@ -34,10 +34,11 @@ def sensitivity_section(folder: StudyFolder) -> Section | None:
     most = max(moves, key=lambda name: abs(np.log(moves[name])))
     above = [f"{row[0]}, {row[1]} ({task})" for row in rows for task, value in zip(tasks, row[2:], strict=False)
              if value and float(value) >= 1.0]  # fmt: skip
+    count = min(SENSITIVITY_TRIALS, folder.plan().trials)
     sentences = (
-        f"Force error under Koopman over that under penalty, {SENSITIVITY_TRIALS} trials each with the seeds of the "
-        f"study. It moves most with {VARIANTS[most].parameter} ({VARIANTS[most].told}: "
-        f"{100.0 * (moves[most] - 1.0):+.0f} % on the average over tasks).",
+        f"Force error under Koopman over that under penalty, {count} trials each with the seeds of the study. It moves "
+        f"most with {VARIANTS[most].parameter} ({VARIANTS[most].told}: {100.0 * (moves[most] - 1.0):+.0f} % on the "
+        "average over tasks).",
         f"Prediction does harm at: {'; '.join(above)}." if above else "Prediction does no harm at any of these values.",
     )
     header = ("parameter", "value", *tasks, "change")
@@ -60,7 +61,8 @@ def reference_section(folder: StudyFolder) -> Section | None:
     sentences = (
         f"F_ideal is the prompt force on the study's own model; against the finest model on the same motion it is off "
         f"by {', '.join(told)}. That error is the model's, common to all methods, and no part of their errors above: a "
-        "method whose error lies below it is better than the model that it renders.",
+        "method whose error lies below it is better than the model that it renders. Where it is zero there is "
+        "no finer model.",
     )
     return Section("reference", "The reference's own error", sentences, ("task", "error %", "trials"), tuple(rows))
 

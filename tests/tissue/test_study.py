@@ -1,0 +1,230 @@
+"""A study: its plan, its folder, and runs that are stopped, resumed and broken, with trials that cost nothing."""
+
+import json
+import os
+from concurrent.futures import BrokenExecutor, Executor, Future
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from meshes.errors import InputError
+from tissue.coupling.hand import GROUPS
+from tissue.study import METHODS, TASKS, Plan, StudyFolder, TrialKey, run_study, runner
+from tissue.study.trial import Trial, run_trial, trial_seed
+
+SMALL = Plan(trials=3, tasks=("T2", "needle"), sensitivity=False)
+
+
+def cheap(plan, key):
+    """A trial of the right shape whose numbers follow from its seed."""
+    seed = trial_seed(plan, key)
+    rng = np.random.default_rng(seed)
+    rows = [{"method": each, "force_error": rng.random(), "position_error_mm": rng.random()} for each in plan.methods]
+    return Trial(key, seed, tuple(rows), 0.0)
+
+
+class Direct(Executor):
+    """Runs at once what is submitted; `lose` may break it before a trial."""
+
+    def __init__(self, lose):
+        self._lose, self.calls = lose, []
+
+    def submit(self, act, /, *given):
+        self.calls.append(given[1])
+        future = Future()
+        if self._lose(given[1]):
+            future.set_exception(BrokenExecutor("a worker was killed"))
+        else:
+            try:
+                future.set_result(act(*given))
+            except Exception as error:
+                future.set_exception(error)
+        return future
+
+
+@pytest.fixture
+def pool(monkeypatch):
+    """Trials that cost nothing, on an executor that can be made to lose workers."""
+    held = Direct(lambda key: False)
+
+    @contextmanager
+    def given(workers, scheduler, *, patience_s):
+        yield held
+
+    monkeypatch.setattr(runner, "executor", given)
+    monkeypatch.setattr(runner, "run_trial", cheap)
+    monkeypatch.setattr(runner, "sleep", lambda seconds: None)
+    return held
+
+
+def table(out):
+    return (out / "trials.csv").read_bytes(), (out / "needle.csv").read_bytes()
+
+
+def test_a_plan_counts_its_trials():
+    """3 tasks x 3 groups x 100 are the paper's 900; case studies and variants come beside them."""
+    keys = list(Plan().all_trials())
+    assert sum(not TASKS[key.task].case and not key.variant for key in keys) == 900
+    assert sum(key.task == "reaming" for key in keys) == 51
+    assert len({key.name for key in keys}) == len(keys)
+    assert all(TrialKey.named(key.name) == key for key in keys)
+
+
+def test_seeds_belong_to_trials_and_to_nothing_else():
+    few, many = Plan(trials=2, tasks=("T2",), methods=("penalty",)), Plan(trials=50)
+    key = TrialKey("T2", "expert", 1)
+    assert trial_seed(few, key) == trial_seed(many, key) != trial_seed(Plan(seed=1), key)
+    base = [key for key in many.all_trials() if not key.variant]
+    assert len({trial_seed(many, key) for key in base}) == len(base)
+    assert trial_seed(many, replace(key, variant="pace-fast")) == trial_seed(many, key)
+    people = [many.person(TrialKey(task, "novice", trial)).random() for task in TASKS for trial in (3, 13)]
+    assert len(set(people)) == 1
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"trials": 0}, r"trials must be in \[1, 10000\], got 0: use 100"),
+        ({"tasks": ("T9",)}, "tasks must each be one of T1, T2, T3, needle, reaming, drilling, got T9"),
+        ({"groups": ()}, "groups must each be one of novice, intermediate, expert, got nothing"),
+        ({"methods": ("penalty", "penalty")}, "methods must each be .* got penalty,penalty: choose among these, once"),
+    ],
+)
+def test_a_plan_that_makes_no_sense_is_refused(given, said):
+    with pytest.raises(InputError, match=said):
+        Plan(**given)
+
+
+@pytest.mark.parametrize("name", ["T1", "T1-novice", "T1-novice-x", "T9-novice-0001", "T1-novice-0001-nothing"])
+def test_a_trial_has_a_name(name):
+    with pytest.raises(InputError, match=f"trial must be named as its file is, got {name}"):
+        TrialKey.named(name)
+
+
+def test_a_study_that_is_stopped_goes_on(tmp_path, pool):
+    """Stopped after every trial in turn, it runs each once and gives the table of an unbroken study."""
+    run_study(SMALL, tmp_path / "whole", workers=2)
+    whole = len(pool.calls)
+    pool.calls.clear()
+    out, total = tmp_path / "broken", len(list(SMALL.all_trials()))
+
+    class StopError(Exception):
+        pass
+
+    def stop(doing, share):
+        raise StopError
+
+    for done in range(1, total + 1):
+        with pytest.raises(StopError):
+            run_study(SMALL, out, workers=1, tell=stop)
+        assert len(list((out / "trials").glob("*.json"))) == min(3 * done, total) or done * 3 > total
+        if len(list((out / "trials").glob("*.json"))) == total:
+            break
+    run_study(SMALL, out, workers=1)
+    assert table(out) == table(tmp_path / "whole")
+    assert whole == total and set(pool.calls) == set(SMALL.all_trials())
+
+
+def test_a_lost_worker_costs_nothing(tmp_path, pool):
+    run_study(SMALL, tmp_path / "whole")
+    rng, told = np.random.default_rng(0), []
+    pool._lose = lambda key: rng.random() < 0.1
+    run_study(SMALL, tmp_path / "lossy", workers=3, tell=lambda doing, share: told.append(doing))
+    assert any("workers were lost" in each for each in told)
+    assert table(tmp_path / "lossy") == table(tmp_path / "whole")
+
+
+def test_a_trial_that_ends_its_worker_is_kept_as_failed(tmp_path, pool):
+    """The others are not blamed, though they were under way when it went."""
+    culprit = TrialKey("T2", "expert", 1)
+    pool._lose = lambda key: key == culprit
+    folder = run_study(SMALL, tmp_path / "study", workers=2)
+    failed = folder.table("T2")
+    assert failed.failed == len(METHODS) and set(failed.where(group="expert").failure) == {
+        "",
+        "RuntimeError: the worker was lost each time this trial ran on it",
+    }
+    pool._lose = lambda key: False
+    assert run_study(SMALL, tmp_path / "study").table("T2").failed == len(METHODS)
+    assert run_study(SMALL, tmp_path / "study", retry=True).table("T2").failed == 0
+
+
+def test_a_study_whose_workers_never_live_gives_up(tmp_path, pool):
+    pool._lose = lambda key: True
+    with pytest.raises(InputError, match="workers must stay alive, got"):
+        run_study(SMALL, tmp_path / "study")
+
+
+def test_a_trial_file_that_is_cut_short_is_run_again(tmp_path, pool):
+    out, told = tmp_path / "study", []
+    folder = run_study(SMALL, out)
+    before = table(out)
+    cut, gone = out / "trials" / "T2-novice-0001.json", out / "trials" / "needle-expert-0002.json"
+    cut.write_bytes(cut.read_bytes()[:50])
+    gone.unlink()
+    pool.calls.clear()
+    run_study(SMALL, out, tell=lambda doing, share: told.append(doing))
+    assert told[0] == "trial T2-novice-0001 was cut short and is run again"
+    assert sorted(key.name for key in pool.calls) == ["T2-novice-0001", "needle-expert-0002"]
+    assert table(out) == before and len(folder.table("T2")) == 3 * 3 * len(METHODS)
+
+
+def test_a_study_may_grow_but_not_change(tmp_path, pool):
+    out = tmp_path / "study"
+    run_study(SMALL, out)
+    pool.calls.clear()
+    run_study(replace(SMALL, trials=4), out)
+    assert len(pool.calls) == 6 and {key.trial for key in pool.calls} == {3}
+    for other, named in ((replace(SMALL, seed=5, trials=4), "seed 0"), (SMALL, "trials 4")):
+        with pytest.raises(InputError, match=f"out must hold a part of the same study, got one with {named}"):
+            run_study(other, out)
+
+
+def test_folders_of_another_kind_are_refused(tmp_path, pool):
+    out = tmp_path / "study"
+    run_study(SMALL, out)
+    held = json.loads((out / "study.json").read_text())
+    for key, value in (("format", 99), ("version", "0.0.1")):
+        (out / "study.json").write_text(json.dumps(held | {key: value}))
+        with pytest.raises(InputError, match=f"study must be of format 1 and version .* got .*{value}"):
+            run_study(SMALL, out)
+    (out / "study.json").write_text("{")
+    with pytest.raises(InputError, match="study must be a folder that `tissue study run` wrote"):
+        StudyFolder(out).plan()
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "thesis.txt").write_text("words")
+    with pytest.raises(InputError, match="out must be empty or hold this study, got other files"):
+        run_study(SMALL, tmp_path / "other")
+    with pytest.raises(InputError, match="study must be a folder"):
+        StudyFolder(tmp_path / "none").plan()
+
+
+def test_no_trial_yet_is_told(tmp_path):
+    folder = StudyFolder(tmp_path)
+    folder.begin(SMALL)
+    with pytest.raises(InputError, match="study must hold trials of T2, got none"):
+        folder.table("T2")
+
+
+@pytest.mark.parametrize("address", ["node:8786", "ssh://node", "dask://"])
+def test_a_scheduler_has_an_address(tmp_path, address):
+    with pytest.raises(InputError, match="scheduler must be dask://ADDRESS"):
+        run_study(SMALL, tmp_path / "study", scheduler=address)
+
+
+def test_a_trial_alone_is_the_trial_of_its_study_and_fails_alone(monkeypatch):
+    """One method on the quickest task, twice bit for bit; then one whose method cannot be run."""
+    plan, key = Plan(methods=("koopman-perception",)), TrialKey("drilling", "novice", 2)
+    one, other = (run_trial(each, key) for each in (plan, replace(plan, trials=7, groups=("novice",))))
+    assert one.rows == other.rows and "failure" not in one.rows[0]
+    assert one.rows[0]["force_error"] > 0.0 and one.seed == trial_seed(plan, key)
+    broken = {"penalty": {"renderer": "nothing"}, "koopman": METHODS["koopman"]}
+    monkeypatch.setattr("tissue.study.trial.METHODS", dict(METHODS) | broken)
+    failed = run_trial(replace(plan, methods=("penalty", "koopman")), key)
+    assert all(row["failure"].startswith("InputError: renderer must be one of") for row in failed.rows)
+
+
+def test_groups_and_methods_have_their_names():
+    assert set(Plan().groups) == set(GROUPS) and os.cpu_count()

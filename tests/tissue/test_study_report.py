@@ -1,0 +1,132 @@
+"""The report of a study: tables beside the paper's, sentences that follow from the data, whatever is missing."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tissue.study import METHODS, Plan, StudyFolder, TrialKey
+from tissue.study.fidelity import force_section
+from tissue.study.measures import _from_path
+from tissue.study.paper import FORCE_ERROR, Figure
+from tissue.study.report import sections_of, write_report
+from tissue.study.section import agreement
+from tissue.study.sensitivity import reference_section, sensitivity_section
+from tissue.study.trial import Trial
+
+PLAN = Plan(trials=4, tasks=("T1", "T2", "needle", "reaming", "drilling"))
+LEFT = {"penalty": 1.0, "energy": 1.0, "koopman": 0.4, "koopman-perception": 0.4}
+"""What each method leaves of the force error."""
+
+
+def planted(key, rng):
+    """Metrics of a trial: methods differ in force error alone, energy not at all from penalty."""
+    shared = {
+        "time_s": 3.0 + rng.random(),
+        "position_error_mm": 0.7 + 0.1 * rng.random(),
+        "completed": 1.0,
+        "acceleration_change_m_s2": 2.0 + rng.random(),
+        "spectral_arc_length": -3.0 - rng.random(),
+        "force_mae_N": 0.1,
+        "force_rms_N": 0.1,
+        "peak_force_N": 1.0 + rng.random(),
+        "specimen": float(key.trial % 2),
+        "level_N": (1.0 + 0.3 * (key.trial % 2)) * (1.0 + 0.01 * rng.random()),
+        "overshoot_mm": 0.5,
+        "capsule_N": 2.1 + 0.01 * rng.random(),
+        "parenchyma_N": 1.6,
+        "tracking_rms_N": 1.0,
+        "torque_Nm": 0.5,
+        "torque_scatter_Nm": 0.01,
+    }
+    error = 0.08 * np.exp(0.1 * rng.standard_normal())
+    if key.variant == "reference":
+        return [{"method": "penalty", "reference_error": 0.02}]
+    doubled = 2.0 if key.variant == "pace-fast" else 1.0
+    rows = []
+    for method, left in LEFT.items():
+        own = left * (doubled if left < 1.0 else 1.0) * error * (1.0 if left == 1.0 else np.exp(0.05 * rng.normal()))
+        latency = 4.3 * left + 0.01 * rng.random() * (left < 1.0)
+        felt = {"force_error": own, "perceived_error": own + 0.1, "latency_ms": latency}
+        rows.append({"method": method} | shared | felt)
+    return rows
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    """A study with planted differences, one failed method and one group that ends early."""
+    folder = StudyFolder(tmp_path_factory.mktemp("study") / "study")
+    folder.begin(PLAN)
+    for number, key in enumerate(PLAN.all_trials()):
+        rows = planted(key, np.random.default_rng(number))
+        if key == TrialKey("T1", "expert", 3):
+            rows[2] = {"method": "koopman", "failure": "InputError: it was too late"}
+        folder.write(Trial(key, number, tuple(rows), 1.5))
+    return folder
+
+
+@pytest.mark.slow
+def test_the_report_finds_what_was_planted(study):
+    page, said = write_report(study.path)
+    text = page.read_text("utf-8")
+    assert text.count("<section") >= 14 and text.count("data:image/png;base64,") == 5
+    assert "http" not in text.replace("http-equiv", "") and "<script" not in text
+    assert any("1 failed, koopman: InputError: it was too late (T1-expert-0003)" in each for each in said)
+    assert any(each.startswith("Prediction leaves of the force error: T1 0.4") for each in said)
+    assert "T1: energy has the force_error of penalty in every trial and is left out" in text
+    tests = {(row["task"], row["question"]): row for row in rows_of(page.parent / "tests.csv")}
+    assert tests["T1", "force_error: method"]["shows"] == "effect"
+    assert tests["T2", "perceived_error: group"]["shows"] == "none shown"
+    means = [row for row in rows_of(page.parent / "index.csv") if row["what"] == "mean"]
+    assert max(means, key=lambda row: float(row["value"]))["name"].startswith("koopman")
+
+
+def rows_of(path: Path):
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_force_errors_stand_beside_the_papers(study):
+    section = force_section(study.table("T1", "T2").complete())
+    rows = {row[:2]: row for row in section.rows}
+    assert set(rows) == {(task, method) for task in ("T1", "T2") for method in METHODS}
+    assert rows["T1", "penalty"][3] == str(FORCE_ERROR["T1"]["penalty"]) == "8.2 ± 2.1"
+    assert rows["T1", "penalty"][4] == "agrees" and rows["T2", "energy"][3] == ""
+    assert section.picture.startswith(b"\x89PNG")
+
+
+def test_agreement_is_within_the_spread_of_the_difference():
+    ours = np.array([1.0, 2.0, 3.0])  # 2 ± 1
+    assert agreement(ours, Figure(3.0, 0.1)) == "agrees" == agreement(ours, Figure(3.4, 1.0))
+    assert agreement(ours, Figure(4.0, 1.0)) == "0.50 of it"
+    assert agreement(np.full(3, 4.2), Figure(4.3)) == "agrees" != agreement(np.full(3, 4.0), Figure(4.3))
+
+
+def test_the_sensitivity_names_what_moves_the_headline(study):
+    section = sensitivity_section(study)
+    assert "It moves most with pace (1.4 of the usual: +" in section.sentences[0]
+    moved = {row[1]: row[-1] for row in section.rows}
+    assert 60 < float(moved["1.4 of the usual"].split()[0]) < 140
+    assert abs(float(moved["2 ms instead of 4"].split()[0])) < 20
+    assert reference_section(study).rows == (("T1", "2.00 ± 0.00", "2"), ("T2", "2.00 ± 0.00", "2"))
+
+
+def test_a_study_that_has_hardly_begun_is_reported(tmp_path):
+    """One trial of one group: its figures, and why nothing could be tested."""
+    folder = StudyFolder(tmp_path / "study")
+    folder.begin(PLAN)
+    key = TrialKey("T2", "novice", 0)
+    folder.write(Trial(key, 1, tuple(planted(key, np.random.default_rng(0))), 1.0))
+    sections = {each.name: each for each in sections_of(folder)}
+    told = " ".join(sections["overview"].sentences)
+    assert "No trial yet of intermediate, expert: the figures are of the other groups." in told
+    assert "could not be tested" in " ".join(sections["tests"].sentences)
+    assert "force" in sections and "sensitivity" not in sections and "case-needle" not in sections
+
+
+def test_distances_from_a_path():
+    """Points beside, beyond and on a path of two legs at a right angle."""
+    path = np.array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0]])
+    tips = np.array([[5.0, 3, 0], [13, 0, 4], [10, 4, 0], [-3, 0, 4]])
+    assert _from_path(tips, path) == pytest.approx([3.0, 5.0, 0.0, 5.0])
