@@ -2,6 +2,7 @@
 
 from collections import deque
 from functools import lru_cache
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +40,7 @@ class Linear:
             return
         seen = self._seen
         missed = force_N - self.ahead(0)
-        self.residual_N = float(np.sqrt(missed @ missed))
+        self.residual_N = sqrt(missed @ missed)
         seen.append((self._clock, force_N.copy()))
         while len(seen) > 2 and self._clock - seen[1][0] >= self._window:
             seen.popleft()
@@ -92,7 +93,7 @@ class Kalman:
         self._since += 1
         if force_N is not None:
             missed = force_N - state[0]
-            self.residual_N = float(np.sqrt(missed @ missed))
+            self.residual_N = sqrt(missed @ missed)
             state += kalman_gains(self._since, self._jerkiness)[:, None] * missed
             self._since, self._force = 0, force_N.copy()
 
@@ -137,7 +138,7 @@ class LinearControl:
         expected = self.ahead(1)
         if force_N is not None:
             missed = force_N - expected
-            self.residual_N = float(np.sqrt(missed @ missed))
+            self.residual_N = sqrt(missed @ missed)
         known[:3] = expected if force_N is None else force_N
         known[3:6], known[6:] = position_m, velocity_m_s
 

@@ -13,6 +13,7 @@ from tissue.prediction.predictor import Predictor
 __all__ = ["Guarded", "Judged"]
 
 Array = NDArray[np.float64]
+Triple = tuple[float, float, float]
 BLEND = 10
 """Ticks over which one predictor's force goes over into the other's."""
 ABSURD = 1e6
@@ -62,8 +63,8 @@ class Guarded:
         self.inner, self.instead = inner, instead
         self._reach = require_positive("reach_N", reach_N, "use the device's greatest force")
         self._share, self._good = 1.0, PROBATION
-        self._way = np.zeros(3)
-        self._kept: deque[tuple[Array, Array]] = deque()
+        self._way: Triple = (0.0, 0.0, 0.0)
+        self._kept: deque[tuple[Triple, Triple]] = deque()
         self._lead, self._asked = 0, False
         self._missed = [0.0, 0.0]
 
@@ -75,11 +76,12 @@ class Guarded:
         self._asked = False
         missed = self._missed = [MEMORY * self._missed[0], MEMORY * self._missed[1]]
         if force_N is not None and self._lead and len(self._kept) == self._lead:
-            told = self._kept[0]
-            if told[1].any() and force_N.any():  # a touch that is foreseen is not held against who foresees it
-                for which, each in enumerate(told):
-                    error = force_N - each
-                    missed[which] += (1.0 - MEMORY) * float(error @ error)
+            told, (fx, fy, fz) = self._kept[0], force_N.tolist()
+            # A touch that is foreseen is not held against who foresees it.
+            if any(told[1]) and (fx or fy or fz):
+                for which, (x, y, z) in enumerate(told):
+                    square = (fx - x) ** 2 + (fy - y) ** 2 + (fz - z) ** 2
+                    missed[which] += (1.0 - MEMORY) * square
         self.inner.observe(position_m, velocity_m_s, force_N)
         self.instead.observe(position_m, velocity_m_s, force_N)
         self.residual_N = self.inner.residual_N
@@ -92,19 +94,23 @@ class Guarded:
 
     def ahead(self, ticks: int) -> Array:
         """Between both, by the share."""
-        safe = self.instead.ahead(ticks)
-        way = self.inner.ahead(ticks) - safe
-        size = float(way @ way)
+        # Three numbers are quicker one by one than as arrays.
+        u, v, w = self.inner.ahead(ticks).tolist()
+        x, y, z = self.instead.ahead(ticks).tolist()
+        u, v, w = u - x, v - y, w - z
+        size = u * u + v * v + w * w
         if not isfinite(size):
-            way = self._way
+            u, v, w = self._way
         elif size > self._reach**2:
-            way *= self._reach / sqrt(size)
-        self._way = way
+            share = self._reach / sqrt(size)
+            u, v, w = u * share, v * share, w * share
+        self._way = u, v, w
         if not self._asked and ticks:
-            self._keep(ticks, safe + way, safe)
-        return safe + self._share * way
+            self._keep(ticks, (x + u, y + v, z + w), (x, y, z))
+        share = self._share
+        return np.array((x + share * u, y + share * v, z + share * w))
 
-    def _keep(self, ticks: int, own: Array, safe: Array) -> None:
+    def _keep(self, ticks: int, own: Triple, safe: Triple) -> None:
         """Keep what both told until the force that they told of is there."""
         self._asked = True
         if ticks != self._lead:
@@ -121,4 +127,4 @@ class Guarded:
 def _sane(vector: Array) -> bool:
     """Whether three numbers are finite and not absurd."""
     x, y, z = vector.tolist()
-    return -ABSURD < x < ABSURD and -ABSURD < y < ABSURD and -ABSURD < z < ABSURD
+    return abs(x) < ABSURD and abs(y) < ABSURD and abs(z) < ABSURD

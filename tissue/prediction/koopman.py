@@ -100,6 +100,8 @@ class Koopman:
         self._box = list(zip(low.tolist(), high.tolist(), strict=True))
         self._powers = [(operator.A[:WIDTH], operator.offset[:WIDTH])]
         self._force, self._correction = np.zeros(3), np.zeros(3)
+        self._lead, self._both, self._both_offset = 0, operator.A[:WIDTH], operator.offset[:WIDTH]
+        self._told = self._both @ self._lifted + self._both_offset
         self._ticks = self._free = 0
         self._error = 0.0
         self.ahead(len(terms.gains))
@@ -121,8 +123,8 @@ class Koopman:
         window = self._window
         if self._ticks == 0:
             window.reshape(-1, WIDTH)[:] = (*position_m, *(self._force if force_N is None else force_N))
-        matrix, offset = self._powers[0]
-        expected = matrix @ self._lifted + offset
+            self._told = self._both @ self._lifted + self._both_offset
+        expected = self._told[:WIDTH]
         self._ticks += 1
         if force_N is None:
             force = expected[3:] + self.terms.following @ (position_m - expected[:3])
@@ -137,22 +139,32 @@ class Koopman:
         window[WIDTH:] = window[:-WIDTH]
         window[:3], window[3:WIDTH] = position_m, force
         self._lifted[len(window) :] = self.operator.dictionary.extra(window)
+        self._told = self._both @ self._lifted + self._both_offset
         self._force = window[3:WIDTH]
 
     def ahead(self, ticks: int) -> Array:
         """Force after so many ticks."""
         if ticks == 0:
             return self._force.copy()
+        if ticks != self._lead:
+            self._look(ticks)
+        gains = self.terms.gains
+        force: Array = self._told[WIDTH:] + gains[min(ticks, len(gains)) - 1] * self._correction
+        if self._free >= RELEASED and float(force @ force) < self.terms.quiet_N**2:
+            return np.zeros(3)
+        return force
+
+    def _look(self, ticks: int) -> None:
+        """Ask for the force so far ahead, from now on: one product gives the next state and that force."""
         powers = self._powers
         while len(powers) < ticks:
             matrix, offset = powers[-1]
             powers.append((matrix @ self.operator.A, matrix @ self.operator.offset + offset))
-        matrix, offset = powers[ticks - 1]
-        gains = self.terms.gains
-        force: Array = matrix[3:] @ self._lifted + offset[3:] + gains[min(ticks, len(gains)) - 1] * self._correction
-        if self._free >= RELEASED and float(force @ force) < self.terms.quiet_N**2:
-            return np.zeros(3)
-        return force
+        (next_matrix, next_offset), (matrix, offset) = powers[0], powers[ticks - 1]
+        self._lead = ticks
+        self._both = np.concatenate((next_matrix, matrix[3:]))
+        self._both_offset = np.concatenate((next_offset, offset[3:]))
+        self._told = self._both @ self._lifted + self._both_offset
 
     def pause(self) -> None:
         """The window is filled anew from the next sample on, and not trusted until it is full."""
