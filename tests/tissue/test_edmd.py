@@ -194,6 +194,7 @@ def test_the_training_range_holds_the_training_states_and_little_else():
     assert training.distance(training.highest * 5.0) > training.farthest
 
 
+@pytest.mark.slow
 def test_cross_validation_finds_the_dictionary_that_the_data_come_from():
     rng = np.random.default_rng(9)
     episodes = []

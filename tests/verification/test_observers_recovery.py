@@ -158,6 +158,7 @@ def test_ten_percent_in_fewer_trials_than_staircases():
     assert needed["adaptive"] < needed[3] and needed["adaptive"] < needed[2]
 
 
+@pytest.mark.slow
 def test_a_wrong_noise_model_biases_the_threshold_by_what_is_told():
     """Heavy tails make thresholds look 10 to 40 % lower, fatigue of 50 % a hundred trials 10 to 60 % higher."""
     for wrong, low, high in (({"freedom": 3.0}, 0.6, 0.95), ({"fatigue": 0.5}, 1.1, 1.6)):
