@@ -181,6 +181,7 @@ def test_a_motion_about_a_slanting_axis_is_named_by_its_direction():
     assert only.startswith("rotation about (0.577, 0.577, 0.577) through")
 
 
+@pytest.mark.slow
 def test_named_motions_are_those_that_cost_no_energy():
     """Six for the stiffness alone; after supports, as many words as zero eigenvalues."""
     body = body_of()

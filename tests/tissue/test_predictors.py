@@ -380,6 +380,7 @@ def test_latency_is_hidden_on_the_wall():
     assert {"predicted_force_z_N", "prediction_residual_N"} <= set(trace)
 
 
+@pytest.mark.slow
 def test_train_writes_what_a_run_can_use(command, refused, here, monkeypatch):
     monkeypatch.setattr(fitting, "LAGS", (5,))  # fewer dictionaries to choose from
     code, said, _ = command("train", "wall", "--trials", "6", "--out", "mine.npz")

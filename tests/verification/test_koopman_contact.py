@@ -104,6 +104,7 @@ def growth(operator, start, rows=20_000):
     return away[: rows // 2].max(), away[rows // 2 :].max()
 
 
+@pytest.mark.slow
 def test_second_order_polynomials_of_contact_diverge_without_the_cap_and_hold_with_it():
     diverged = 0
     for seed in range(3):

@@ -134,6 +134,7 @@ def told(name: str, limits: LinearLimits) -> str:
     )
 
 
+@pytest.mark.slow
 def test_linear_limits_of_a_block(capsys):
     """A soft block pressed by a sphere: the linear law is too soft, the more so the deeper, and right as depth goes to zero."""
     mesh = bisected(

@@ -37,6 +37,7 @@ def calibrated(crowd, rng, *, trials, prior=SMALL, stimuli=None):
     return found
 
 
+@pytest.mark.slow
 def test_weber_of_seven_percent_is_recovered():
     """100 sessions of 120 trials: the mean to three standard errors and the prior's pull, one session to its spread."""
     found = calibrated(people(100), np.random.default_rng(0), trials=120)

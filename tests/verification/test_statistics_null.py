@@ -93,6 +93,7 @@ def test_tukey_alarms_once_in_twenty_families():
     assert max(each.statistic for each in other) == pytest.approx(spread[0], rel=1e-12)
 
 
+@pytest.mark.slow
 def test_corrections_hold_the_family():
     """Five independent true hypotheses: one in twenty families rejects any; uncorrected, more than a fifth."""
     rng = np.random.default_rng(5)

@@ -139,6 +139,7 @@ def test_particles_beside_body_fitted_tetrahedra():
         assert ours[0] < theirs[0] and ours[1] < theirs[1]
 
 
+@pytest.mark.slow
 def test_what_stabilisation_costs():
     """Condition number of the diagonally scaled stiffness, and errors, over particles a cell and inner stiffness.
 
