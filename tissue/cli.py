@@ -2,6 +2,7 @@
 
 import errno
 import sys
+from importlib.metadata import version
 from typing import NoReturn
 
 from cyclopts import (
@@ -28,6 +29,7 @@ def _default(value: object) -> str | None:
 
 app = App(
     name="tissue",
+    version=lambda: version("tissue-sim"),  # read only when asked for
     help="Simulate cutting bone, drilling teeth and pressing soft organs.",
     suppress_keyboard_interrupt=False,
     default_parameter=Parameter(show_default=_default),

@@ -4,6 +4,7 @@ import errno
 import os
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -375,6 +376,11 @@ def test_scenes_are_listed_and_printed(command, here):
     for name in scene_names():
         code, said, _ = command("scenes", name)
         assert code == 0 and f'name = "{name}"' in said
+
+
+def test_the_version_is_that_of_the_project(command):
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text("utf-8"))["project"]
+    assert command("--version") == (0, f"{project['version']}\n", "")
 
 
 def test_help_lists_every_option(command):

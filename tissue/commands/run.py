@@ -39,7 +39,7 @@ def run(
     seed
         Seed of every random draw.
     duration_s
-        Simulated time in seconds.
+        Simulated time in seconds; one that holds the whole motion is longer by what a hand is late, under 1 s.
     set_
         KEY=VALUE, replaces an entry of the scene, such as voxels.spacing_mm=0.2; may be repeated.
     fidelity
