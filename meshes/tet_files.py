@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError, require_positive
+from meshes.progress import Progress, silent
 from meshes.surface import surface_from_triangles
 from meshes.tet_msh import read_msh
 from meshes.tet_quality import repair_tets
@@ -18,8 +18,6 @@ from meshes.tetrahedra import TetMesh
 from meshes.tetrahedralise import tetrahedralise
 
 __all__ = ["TetFile", "read_tets"]
-
-Tell = Callable[[str, float], None]
 
 _ORGAN_MM = (20.0, 450.0)
 _TYPICAL_MM = 200.0
@@ -60,7 +58,7 @@ class _Stored:
 
 
 def read_tets(
-    path: str | Path, *, unit_mm: float | None = None, edge_m: float | None = None, tell: Tell | None = None
+    path: str | Path, *, unit_mm: float | None = None, edge_m: float | None = None, tell: Progress = silent
 ) -> TetFile:
     """Read a tetrahedral mesh, or read a closed surface and fill it with tetrahedra.
 

@@ -7,13 +7,13 @@ thread: a mesh is reproducible through the cache, which holds it by the content 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from meshes.cache import cached_arrays
 from meshes.errors import InputError, require_range
+from meshes.progress import Progress, silent
 from meshes.repair import edge_counts
 from meshes.surface import Surface
 from meshes.tet_crossings import crossing_triangles
@@ -32,7 +32,7 @@ _VOLUME_OFF = 0.02
 
 
 def tetrahedralise(
-    surface: Surface, *, edge_m: float | None = None, tell: Callable[[str, float], None] | None = None
+    surface: Surface, *, edge_m: float | None = None, tell: Progress = silent
 ) -> tuple[TetMesh, tuple[str, ...]]:
     """Fill a closed surface with tetrahedra, from the cache where it has been done before.
 
@@ -71,14 +71,12 @@ def tetrahedralise(
         )
 
     def make() -> dict[str, np.ndarray]:
-        if tell is not None:
-            tell(f"filling {surface.report.source} with tetrahedra (once; a minute or two)", 0.0)
+        tell(f"filling {surface.report.source} with tetrahedra (once; a minute or two)", 0.0)
         nodes, cells = _filled(surface, edge)
         return {"nodes": nodes, "cells": cells}
 
     arrays = cached_arrays("tetwild-2", (surface.vertices_m, surface.faces, edge, _ENVELOPE), make)
-    if tell is not None:
-        tell(f"filling {surface.report.source} with tetrahedra", 1.0)
+    tell(f"filling {surface.report.source} with tetrahedra", 1.0)
     if len(arrays["cells"]) == 0:
         raise InputError(f"surface must enclose a solid, got none of edge {edge:g} m: use a smaller edge_m")
     mesh, report = repair_tets(arrays["nodes"], arrays["cells"])

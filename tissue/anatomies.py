@@ -1,6 +1,6 @@
 """The bone a scene asks for, as voxels: procedural, or read from a file and placed at its site."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from meshes.glenoid import glenoid
 from meshes.label_volume import label_volume
 from meshes.layered_surfaces import layered_surfaces
 from meshes.molar import molar
+from meshes.progress import Progress
 from meshes.volume import VoxelVolume
 from meshes.voxelise import voxelise
 from tissue.cutters import Cutter
@@ -24,7 +25,6 @@ from tissue.scene_anatomy import AnatomyFile, BlockAnatomy, GlenoidAnatomy, Mola
 
 __all__ = ["volume_of", "whole_tooth"]
 
-Tell = Callable[[str, float], None]
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
 DENSE_BYTES_PER_VOXEL = 16
 """Peak memory of a voxel of the region while bricks are made and results written, measured on the glenoid."""
@@ -40,7 +40,7 @@ def whole_tooth(scene: Scene, *, spacing_m: float) -> VoxelVolume:
         return voxelise(_anatomy(scene, {}), spacing_m=spacing_m)
 
 
-def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, str], tell: Tell) -> VoxelVolume:
+def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, str], tell: Progress) -> VoxelVolume:
     """Voxels of the bone that the tool can reach, with the guide hole drilled."""
     spacing = scene.voxels.spacing_mm * 1e-3
     parameters = scene.bone

@@ -1,12 +1,12 @@
 """Turn a scene's names into parts: the registry of tools, motions and tissues."""
 
-from collections.abc import Callable
 from math import pi, radians
 from pathlib import Path
 
 import numpy as np
 
 from meshes.errors import InputError
+from meshes.progress import Progress
 from tissue import cutters
 from tissue.cutters import Cutter
 from tissue.motion import FollowPath, Motion, PushAlongAxis
@@ -19,11 +19,9 @@ from tissue.wall import WallModel
 
 __all__ = ["build", "cutter_of", "motion_of"]
 
-Tell = Callable[[str, float], None]
-
 
 def build(
-    scene: Scene, *, step_s: float, compute: str, cores: int | None, tell: Tell, allow_unstable: bool = False
+    scene: Scene, *, step_s: float, compute: str, cores: int | None, tell: Progress, allow_unstable: bool = False
 ) -> Parts:
     """Build the parts of a scene.
 
@@ -45,7 +43,7 @@ def build(
     return parts
 
 
-def _tissue(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, tell: Tell) -> Parts:
+def _tissue(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, tell: Progress) -> Parts:
     """Parts of a scene in which a motion moves the tool."""
     match scene.tool:
         case Tool() as tool:

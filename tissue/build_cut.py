@@ -1,9 +1,9 @@
 """Build what a cutter meets: bone or a tooth, as voxels."""
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from meshes.errors import InputError
+from meshes.progress import Progress
 from meshes.volume import VoxelVolume
 from tissue.anatomies import volume_of, whole_tooth
 from tissue.cutters import Cutter
@@ -21,13 +21,12 @@ if TYPE_CHECKING:
 
 __all__ = ["cut"]
 
-Tell = Callable[[str, float], None]
 
 CUT_AS = {"enamel": "enamel", "dentin": "dentin", "caries": "dentin", "pulp": "soft", "ligament": "soft"}
 """Material whose cutting coefficients a layer has; all others are bone."""
 
 
-def cut(scene: Scene, cutter: Cutter, motion: Motion, *, compute: str, cores: int | None, tell: Tell) -> Parts:
+def cut(scene: Scene, cutter: Cutter, motion: Motion, *, compute: str, cores: int | None, tell: Progress) -> Parts:
     """Parts of a scene in which a cutter meets voxels.
 
     Raises
@@ -57,7 +56,7 @@ def _probe(
     *,
     compute: str,
     notes: dict[str, str],
-    tell: Tell,
+    tell: Progress,
 ) -> Parts:
     """Parts of a scene whose tool does not turn: a hand feels the rigid bone with it."""
     from tissue.coupling.hand_motion import HandMotion
@@ -77,7 +76,7 @@ def _probe(
 
 
 def _bone(
-    scene: Scene, volume: VoxelVolume, cutter: Cutter, *, compute: str, cores: int | None, tell: Tell
+    scene: Scene, volume: VoxelVolume, cutter: Cutter, *, compute: str, cores: int | None, tell: Progress
 ) -> TissueModel:
     """The bone model; loading it compiles its kernels where their cache is cold."""
     tell("compiling kernels (the first time on a machine)", 0.0)
@@ -112,7 +111,7 @@ def _energy_note(volume: VoxelVolume) -> str:
     return "; ".join(said)
 
 
-def _tooth(scene: Scene, milling: "BoneModel", *, compute: str, tell: Tell) -> TissueModel:
+def _tooth(scene: Scene, milling: "BoneModel", *, compute: str, tell: Progress) -> TissueModel:
     """The tooth around the milled voxels, with its stress where the scene asks for it."""
     from tissue.tooth import beside
     from tissue.tooth.model import ToothModel

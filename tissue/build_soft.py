@@ -1,6 +1,5 @@
 """Build what a probe presses or a needle pierces: soft organs."""
 
-from collections.abc import Callable
 from math import inf
 from typing import TYPE_CHECKING, Any
 
@@ -8,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError
+from meshes.progress import Progress, silent
 from meshes.tetrahedra import TetMesh
 from tissue.materials import constants
 from tissue.motion import Motion
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 __all__ = ["pierce", "press"]
 
-Tell = Callable[[str, float], None]
 HAND_M = 0.01
 """How far beside the planned track a hand's entry is still shown on it [m]: an eighth of its block."""
 POSES_TRIED = 200
@@ -38,7 +37,7 @@ FACTOR_UNKNOWNS = 200_000
 """Above this, frames are solved by multigrid: a factor would take gigabytes."""
 
 
-def pierce(scene: Scene, motion: Motion, *, tell: Tell = lambda doing, share: None) -> Parts:
+def pierce(scene: Scene, motion: Motion, *, tell: Progress = silent) -> Parts:
     """Parts of a scene in which a needle meets layers of tissue.
 
     Raises
@@ -67,7 +66,7 @@ def pierce(scene: Scene, motion: Motion, *, tell: Tell = lambda doing, share: No
     return Parts(motion, NeedleModel(tissue, diameter_m=diameter, fields=fields), notes=notes)
 
 
-def press(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, tell: Tell) -> Parts:
+def press(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, tell: Progress) -> Parts:
     """Parts of a scene in which a probe presses a meshed organ.
 
     Raises
@@ -254,7 +253,7 @@ def _weight(
 
 
 def _compliance(
-    body: "HeldBody", touchable: NDArray[np.int64], organ: Organ, solver: _Factor, tell: Tell
+    body: "HeldBody", touchable: NDArray[np.int64], organ: Organ, solver: _Factor, tell: Progress
 ) -> tuple[NDArray[np.float64], Any]:
     """Compliance of the touchable nodes [m/N], shape (3t, 3t), and what fills it while the tool moves."""
     from tissue.liver import LazyCompliance, ReducedSolver, surface_compliance

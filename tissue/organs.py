@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from meshes.errors import InputError
 from meshes.liver import Nodule, liver, liver_region, slab, slab_floor
+from meshes.progress import Progress
 from meshes.tet_bisection import bisected
 from meshes.tet_files import read_tets
 from meshes.tet_regions import nodes_behind_plane, nodes_facing, nodes_of_part
@@ -20,7 +21,6 @@ from tissue.scene_soft import LiverAnatomy, Organ, SlabAnatomy
 
 __all__ = ["HeldMesh", "elasticity_of", "held_mesh"]
 
-Tell = Callable[[str, float], None]
 PART_NODULE = "nodule"
 GROWTH = 0.5
 """Growth of the edges with the distance from the tool's way."""
@@ -48,7 +48,7 @@ class HeldMesh:
 
 
 def held_mesh(
-    anatomy: LiverAnatomy | SlabAnatomy, *, way_m: NDArray[np.float64], touch_edge_m: float, tell: Tell
+    anatomy: LiverAnatomy | SlabAnatomy, *, way_m: NDArray[np.float64], touch_edge_m: float, tell: Progress
 ) -> HeldMesh:
     """Mesh of a scene's organ, procedural or from its file, made fine where the tool goes.
 
@@ -140,7 +140,7 @@ def _away(points_m: NDArray[np.float64], way_m: NDArray[np.float64]) -> NDArray[
     return nearest
 
 
-def _from_file(anatomy: LiverAnatomy, fine: Callable[[TetMesh], TetMesh], tell: Tell) -> HeldMesh:
+def _from_file(anatomy: LiverAnatomy, fine: Callable[[TetMesh], TetMesh], tell: Progress) -> HeldMesh:
     """Mesh of a file, turned and moved to its site."""
     if anatomy.nodule_diameter_mm > 0.0:
         raise InputError(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError
+from meshes.progress import Progress, silent
 from meshes.volume import VoxelVolume
 from tissue.cutters import Cutter
 from tissue.parts import Parts
@@ -154,7 +155,7 @@ class Run:
         formats: Iterable[str] = (),
         pictures: bool = True,
         overwrite: bool = False,
-        progress: Any = None,
+        progress: Progress | None = None,
     ) -> Path:
         """Write the run's folder; see the README for its files.
 
@@ -180,7 +181,7 @@ class Run:
         from tissue.report import draw_pictures, write_bone
         from tissue.series import write_fields
 
-        tell = progress or (lambda doing, share: None)
+        tell = progress or silent
         formats = tuple(formats)
         check_formats(formats)
         out = Path(out)

@@ -2,7 +2,6 @@
 
 import gc
 import sys
-from collections.abc import Callable
 from math import exp
 from pathlib import Path
 from time import perf_counter
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from meshes.errors import InputError
+from meshes.progress import Progress, silent
 from tissue.build import build
 from tissue.coupling.device import Device
 from tissue.coupling.hand_motion import HandMotion
@@ -25,12 +25,10 @@ from tissue.scene import Scene
 from tissue.trace import TIMING_COLUMNS, Table, trace_columns
 from tissue.vibration import Vibration
 
-__all__ = ["TICK_S", "Progress", "Watch", "simulate"]
+__all__ = ["TICK_S", "Watch", "simulate"]
 
 SWITCH_S = 5e-5
 """How long a thread that works beside the ticks may keep the interpreter from them [s]."""
-Progress = Callable[[str, float], None]
-"""Told what is being done and how much of it is done, 0 to 1."""
 
 
 class Watch(Protocol):
@@ -99,7 +97,7 @@ def simulate(
         If the scene cannot be built, the tool never touches, a device's coupling is unstable, or ``out`` holds another
         run.
     """
-    tell = progress or (lambda doing, share: None)
+    tell = progress or silent
     if cores is not None and cores < 1:
         raise InputError(f"cores must be at least 1, got {cores}: leave it out to use all")
     if out is not None:

@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from meshes.errors import InputError
+from meshes.progress import silent
 from meshes.volume import VoxelVolume
 from tissue.run_folder import SavedRun
 from tissue.scene import Scene
@@ -56,9 +57,7 @@ def bone_of(saved: SavedRun) -> "tuple[pyvista.PolyData | None, VoxelVolume | No
     spacing = max(COARSE_MM, scene.voxels.spacing_mm)
     coarse = scene.model_copy(update={"voxels": scene.voxels.model_copy(update={"spacing_mm": spacing})})
     try:
-        volume = volume_of(
-            coarse, cutter_of(scene.tool), motion_of(scene, step_s=1e-3), notes={}, tell=lambda doing, share: None
-        )
+        volume = volume_of(coarse, cutter_of(scene.tool), motion_of(scene, step_s=1e-3), notes={}, tell=silent)
     except InputError:
         return None, None
     return with_layers(bone_surface(volume, volume.fraction), volume), volume

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from meshes import VoxelVolume, cortical_block, voxelise
+from meshes.progress import silent
 from tissue import load_scene
 from tissue.bone import BoneModel
 from tissue.build import build
@@ -39,8 +40,7 @@ def pressed_slab():
     ball = {"tool.diameter_mm": 6.0, "anatomy.size_mm": [16, 16, 8], "anatomy.edge_mm": 4.0, "organ.order": 1}
     way = {"motion.points_mm": [[-2, -2, 0.6], [2, 2, -1.2], [2, -2, -1.2], [-2, 2, -1.2]], "organ.young_end_kPa": None}
     scene = load_scene("palpation", {**ball, **way, "anatomy.nodule_diameter_mm": 0.0, "anatomy.touch_edge_mm": 1.5})
-    tell = lambda doing, share: None  # noqa: E731
-    return build(scene, step_s=STEP_S, compute="cpu", cores=None, tell=tell).tissue
+    return build(scene, step_s=STEP_S, compute="cpu", cores=None, tell=silent).tissue
 
 
 MODELS = {

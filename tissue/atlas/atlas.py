@@ -1,13 +1,14 @@
 """Make the atlas: run every page's sweep, judge it, ask the engine, and write pictures, data and one HTML file."""
 
 import platform
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
 
 from meshes.errors import InputError
+from meshes.progress import Progress, silent
 from tissue.atlas.drawing import picture
 from tissue.atlas.html import Entry, document
 from tissue.atlas.page import Data, Page
@@ -16,7 +17,6 @@ from tissue.outputs import require_free_folder, write_columns
 __all__ = ["chosen_pages", "make_page", "write_atlas"]
 
 INDEX = "index.html"
-Progress = Callable[[str, float], None]
 
 
 def chosen_pages(pages: Sequence[Page], only: Sequence[str]) -> tuple[Page, ...]:
@@ -44,7 +44,7 @@ def make_page(page: Page, *, quick: bool = False) -> tuple[Entry, Data]:
 
 
 def write_atlas(
-    folder: Path, pages: Sequence[Page], *, overwrite: bool = False, progress: Progress | None = None
+    folder: Path, pages: Sequence[Page], *, overwrite: bool = False, progress: Progress = silent
 ) -> list[Entry]:
     """Make these pages and write ``index.html`` with a picture and the data (CSV) of each beside it.
 
@@ -57,8 +57,7 @@ def write_atlas(
     folder.mkdir(parents=True, exist_ok=True)
     entries = []
     for number, page in enumerate(pages):
-        if progress is not None:
-            progress(page.title, number / len(pages))
+        progress(page.title, number / len(pages))
         entry, data = make_page(page)
         (folder / f"{page.name}.png").write_bytes(entry.picture)
         for table, columns in data.items():

@@ -1,8 +1,9 @@
 """The cheapest setting that is good enough: model no more than a scene needs."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from meshes.errors import InputError
+from meshes.progress import Progress, silent
 from tissue.charts.frontier import frontier_of
 from tissue.charts.measure import Measured
 from tissue.load import changed
@@ -11,7 +12,6 @@ from tissue.scene_coupling import Fidelity
 
 __all__ = ["SAFETY", "choose", "with_fidelity"]
 
-Tell = Callable[[str, float], None]
 SAFETY = 1.75
 """How far below a demanded error a setting has to stay on the motion it was measured on, so that it holds on others:
 with it 98 % of 44 other motions kept it, with 1.25 95 %, with 1 94 % (milling and glenoid, tests/bench/held_out.py)."""
@@ -53,7 +53,7 @@ def choose(points: Sequence[Measured], wanted: Fidelity, *, gap: float = 0.0) ->
     )
 
 
-def with_fidelity(scene: Scene, *, tell: Tell = lambda doing, share: None) -> tuple[Scene, str]:
+def with_fidelity(scene: Scene, *, tell: Progress = silent) -> tuple[Scene, str]:
     """A scene at the cheapest setting that meets its `fidelity`, and what was chosen and why.
 
     The settings of the scene are measured first where that was not done on this machine.

@@ -2,19 +2,19 @@
 
 import csv
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from hashlib import blake2b
 from pathlib import Path
 
 from meshes.cache import cache_folder
+from meshes.progress import Progress, silent
 from tissue.charts.measure import Measured, excerpt, machine, measure, reference_gap, setting_key
 from tissue.charts.settings import Setting, settings_of
 from tissue.scene import Scene
 
 __all__ = ["Frontier", "frontier_of", "read_measured", "undominated", "write_measured"]
 
-Tell = Callable[[str, float], None]
 COLUMNS = tuple(entry.name for entry in fields(Measured))
 
 
@@ -54,7 +54,7 @@ def undominated(points: Sequence[Measured]) -> list[Measured]:
     return found
 
 
-def frontier_of(scene: Scene, *, quick: bool = True, tell: Tell = lambda doing, share: None) -> Frontier:
+def frontier_of(scene: Scene, *, quick: bool = True, tell: Progress = silent) -> Frontier:
     """Measure every setting of a scene that was not measured on this machine before.
 
     Every measurement is kept at once, so that one that is interrupted goes on where it was.

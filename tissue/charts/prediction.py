@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError
+from meshes.progress import Progress, silent
 from tissue.charts.prediction_files import FILES, write_comparisons
 from tissue.charts.prediction_picture import draw_scene, draw_tasks
 from tissue.coupling.device import device_parameters
@@ -24,7 +25,6 @@ from tissue.training.fitting import loop_terms
 __all__ = ["Comparison", "Interval", "SlowModel", "chart_prediction", "compare", "comparison_lines", "interval"]
 
 Array = NDArray[np.float64]
-Tell = Callable[[str, float], None]
 FIRST_SEED = 10_000
 """Seeds of unseen runs begin here; training uses those from 0 on."""
 SHARES = (0.7, 1.3)
@@ -95,7 +95,7 @@ def interval(values: Array) -> Interval:
     return Interval(mean, mean - half, mean + half)
 
 
-def compare(scene: Scene, *, trials: int, tell: Tell = lambda doing, share: None) -> Comparison:
+def compare(scene: Scene, *, trials: int, tell: Progress = silent) -> Comparison:
     """Measure all predictors on unseen runs of a scene: other seeds, tissue 30 % softer and stiffer, 4 ms of latency.
 
     Raises
@@ -157,7 +157,7 @@ def _cost_us(make: Callable[[], Predictor], run: Recording) -> tuple[float, floa
 
 
 def chart_prediction(
-    scenes: Sequence[Scene], folder: Path, *, trials: int, overwrite: bool, tell: Tell = lambda doing, share: None
+    scenes: Sequence[Scene], folder: Path, *, trials: int, overwrite: bool, tell: Progress = silent
 ) -> list[Comparison]:
     """Measure and draw some scenes: ``prediction_SCENE.png``, ``prediction_tasks.png`` and tables.
 

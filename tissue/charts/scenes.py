@@ -1,8 +1,9 @@
 """Charts of scenes: their frontiers by script and by hand, as pictures and as tables."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
+from meshes.progress import Progress, silent
 from tissue.charts.frontier import Frontier, frontier_of, write_measured
 from tissue.charts.measure import machine
 from tissue.charts.picture import draw_frontiers
@@ -12,11 +13,9 @@ from tissue.outputs import require_free_folder
 
 __all__ = ["chart_lines", "chart_scenes"]
 
-Tell = Callable[[str, float], None]
-
 
 def chart_scenes(
-    names: Sequence[str], out: Path, *, quick: bool, overwrite: bool = False, tell: Tell = lambda doing, share: None
+    names: Sequence[str], out: Path, *, quick: bool, overwrite: bool = False, tell: Progress = silent
 ) -> list[list[Frontier]]:
     """Chart some scenes, or all where none is named; each leaves NAME.png and NAME.csv.
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.progress import Progress
 from tissue.build import motion_of
 from tissue.coupling.other_devices import MouseDevice
 from tissue.live.clock import BEHIND_S, WallClock
@@ -19,7 +20,7 @@ from tissue.parts import Parts
 from tissue.run import DEADLINE_US, Run
 from tissue.scene import Scene
 from tissue.scene_tool import Tool
-from tissue.simulation import TICK_S, Progress, simulate
+from tissue.simulation import TICK_S, simulate
 
 __all__ = ["LiveWatch", "live", "moved_by"]
 

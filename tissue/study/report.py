@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from meshes.errors import InputError
+from meshes.progress import Progress, silent
 from tissue.atlas.html import STYLE
-from tissue.simulation import Progress
 from tissue.statistics import TrialTable
 from tissue.study.cases import case_sections, discrimination_section
 from tissue.study.fidelity import force_section, latency_section, task_section
@@ -26,7 +26,7 @@ __all__ = ["sections_of", "write_report"]
 WIDE = ".wide { overflow-x: auto; } .wide td { overflow-wrap: break-word; }"
 
 
-def write_report(path: Path, *, tell: Progress = lambda doing, share: None) -> tuple[Path, list[str]]:
+def write_report(path: Path, *, tell: Progress = silent) -> tuple[Path, list[str]]:
     """Write ``report/index.html`` and its tables into a study's folder; its path, and the first sentences of it.
 
     Raises
@@ -44,7 +44,7 @@ def write_report(path: Path, *, tell: Progress = lambda doing, share: None) -> t
     return page, [sentence for section in sections[:2] for sentence in section.sentences]
 
 
-def sections_of(folder: StudyFolder, *, tell: Progress = lambda doing, share: None) -> list[Section]:
+def sections_of(folder: StudyFolder, *, tell: Progress = silent) -> list[Section]:
     """All sections that a study's trials allow."""
     plan = folder.plan()
     folder.write_tables()

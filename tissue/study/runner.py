@@ -2,12 +2,13 @@
 
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from pathlib import Path
 from time import perf_counter, sleep
 
 from meshes.errors import InputError, require_range
+from meshes.progress import Progress, silent
 from tissue.study.folder import StudyFolder
 from tissue.study.plan import Plan, TrialKey
 from tissue.study.pools import LOST, executor
@@ -23,7 +24,6 @@ BARREN = 20
 """Losses without a trial in between after which a study gives up."""
 PATIENCE_S = 30.0
 """How long a scheduler may take to answer [s]."""
-Tell = Callable[[str, float], None]
 
 
 def run_study(
@@ -33,7 +33,7 @@ def run_study(
     workers: int | None = None,
     scheduler: str | None = None,
     retry: bool = False,
-    tell: Tell = lambda doing, share: None,
+    tell: Progress = silent,
 ) -> StudyFolder:
     """Run the trials of a plan that its folder does not hold yet, and write the tables of all.
 
@@ -97,7 +97,7 @@ def run_study(
 class _Work:
     """What is left of a plan."""
 
-    def __init__(self, plan: Plan, folder: StudyFolder, tell: Tell) -> None:
+    def __init__(self, plan: Plan, folder: StudyFolder, tell: Progress) -> None:
         self.plan, self.folder, self._tell = plan, folder, tell
         keys = list(plan.all_trials())
         self.total = len(keys)

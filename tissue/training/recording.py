@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError
+from meshes.progress import silent
 from tissue.build import build, motion_of
 from tissue.build_hand import by_hand
 from tissue.build_loop import judged_loop
@@ -148,8 +149,7 @@ class Recorder:
         if organ and self._organ is not None:
             motion, _ = by_hand(scene, motion_of(scene, step_s=TICK_S), step_s=TICK_S, allow_unstable=True)
             return motion, self._organ
-        quiet = lambda doing, share: None  # noqa: E731
-        parts = build(scene, step_s=TICK_S, compute="cpu", cores=self._cores, tell=quiet, allow_unstable=True)
+        parts = build(scene, step_s=TICK_S, compute="cpu", cores=self._cores, tell=silent, allow_unstable=True)
         assert isinstance(parts.motion, HandMotion)
         if organ:
             self._organ = parts.tissue

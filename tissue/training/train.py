@@ -1,11 +1,11 @@
 """Train a scene's predictors: run it, fit, and validate on runs held out."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from meshes.errors import InputError
+from meshes.progress import Progress, silent
 from tissue.coupling.device import device_parameters
 from tissue.prediction.build import PREDICTORS, trained_predictor
 from tissue.prediction.trained import Trained
@@ -20,8 +20,6 @@ TRIALS = 12
 LEAST_TRIALS = 6
 HELD_OUT = 4
 """One run in so many validates; the others train."""
-Progress = Callable[[str, float], None]
-"""Told what is being done and how much of it is done, 0 to 1."""
 
 
 def train(scene: Scene, *, trials: int = TRIALS, cores: int | None = None, progress: Progress | None = None) -> Trained:
@@ -36,7 +34,7 @@ def train(scene: Scene, *, trials: int = TRIALS, cores: int | None = None, progr
     """
     if trials < LEAST_TRIALS:
         raise InputError(f"trials must be at least {LEAST_TRIALS}, got {trials}: use {TRIALS}")
-    tell = progress or (lambda doing, share: None)
+    tell = progress or silent
     recorder, runs = Recorder(cores=cores), []
     for index in range(trials):
         tell(f"running trial {index + 1} of {trials}", index / (trials + 2))
