@@ -3,13 +3,14 @@
 import hashlib
 import os
 import sys
-import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
+
+from meshes.whole_file import whole_file
 
 __all__ = ["cache_folder", "cached_arrays"]
 
@@ -60,10 +61,8 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
     arrays = make()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, partial = tempfile.mkstemp(dir=path.parent, suffix=".part")
-        with os.fdopen(handle, "wb") as file:
-            np.savez(file, **arrays)  # type: ignore[arg-type]
-        os.replace(partial, path)
+        with whole_file(path) as beside:
+            np.savez(beside, **arrays)  # type: ignore[arg-type]
     except OSError:
         pass
     return arrays

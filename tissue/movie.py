@@ -1,6 +1,5 @@
 """Movies of a run, as GIF with nothing further installed or as MP4."""
 
-import os
 from collections.abc import Iterable
 from importlib.util import find_spec
 from pathlib import Path
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError
+from meshes.whole_file import whole_file
 
 __all__ = ["FRAMES_PER_S", "check_movie", "movie_times_s", "write_movie"]
 
@@ -56,12 +56,8 @@ def write_movie(path: Path, pictures: Iterable[NDArray[np.uint8]]) -> None:
     pictures
         Red, green and blue of every picture, shape (height, width, 3), both even.
     """
-    part = path.with_name(f".part-{path.name}")
-    try:
-        (_write_mp4 if path.suffix.lower() == ".mp4" else _write_gif)(part, pictures)
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
+    with whole_file(path) as beside:
+        (_write_mp4 if path.suffix.lower() == ".mp4" else _write_gif)(beside, pictures)
 
 
 def _write_gif(path: Path, pictures: Iterable[NDArray[np.uint8]]) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from meshes.errors import InputError
+from meshes.whole_file import whole_file
 from tissue.formats import FORMATS
 from tissue.scene import Scene
 from tissue.trace import Table, TraceWriter, read_table
@@ -21,7 +22,6 @@ OWN_FILES = (
     "timing.csv",
     "scene.toml",
     "summary.json",
-    "summary.json.part",
     "bone.vti",
     "bone.nrrd",
     "bone.stl",
@@ -107,9 +107,8 @@ class RunFolder:
 
     def write_summary(self, summary: dict[str, Any]) -> None:
         """Write ``summary.json`` at once: it is either the old one or the new one."""
-        part = self.path / "summary.json.part"
-        part.write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
-        os.replace(part, self.path / "summary.json")
+        with whole_file(self.path / "summary.json") as beside:
+            beside.write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
 
 
 class SavedRun:

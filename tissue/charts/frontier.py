@@ -1,7 +1,6 @@
 """All settings of a scene, measured once and kept, and those of them that nothing beats."""
 
 import csv
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from hashlib import blake2b
@@ -9,6 +8,7 @@ from pathlib import Path
 
 from meshes.cache import cache_folder
 from meshes.progress import Progress, silent
+from meshes.whole_file import whole_file
 from tissue.charts.measure import Measured, excerpt, machine, measure, reference_gap, setting_key
 from tissue.charts.settings import Setting, settings_of
 from tissue.scene import Scene
@@ -121,9 +121,7 @@ def read_measured(path: Path) -> list[Measured]:
 def write_measured(path: Path, points: Sequence[Measured]) -> None:
     """Write measurements as a table; a reader never sees half of it."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_suffix(".part")
-    with beside.open("w", encoding="utf-8", newline="") as file:
+    with whole_file(path) as beside, beside.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS)
         writer.writeheader()
         writer.writerows(point.row() for point in points)
-    os.replace(beside, path)

@@ -1,7 +1,6 @@
 """An observer of force: what is known of a person's intensities and thresholds, and the file it is kept in."""
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import exp, log
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import expit, logit, ndtri
 
 from meshes.errors import InputError, require_range
+from meshes.whole_file import whole_file
 from tissue.outputs import require_new_file
 
 __all__ = ["PARAMETERS", "Observer", "read_observer", "write_observer"]
@@ -197,12 +197,10 @@ def write_observer(observer: Observer, path: Path, *, overwrite: bool = False) -
         "mean": observer.mean.tolist(),
         "covariance": observer.covariance.tolist(),
     }
-    beside = path.with_name(path.name + f".{os.getpid()}.part")
     try:
-        beside.write_text(json.dumps(told, indent=1) + "\n", "utf-8")
-        beside.replace(path)
+        with whole_file(path) as beside:
+            beside.write_text(json.dumps(told, indent=1) + "\n", "utf-8")
     except OSError as problem:
-        beside.unlink(missing_ok=True) if beside.parent.is_dir() else None
         raise InputError(f"out must be a file that can be written, got {path} ({problem.strerror}): choose another "
                          "folder") from problem  # fmt: skip
 

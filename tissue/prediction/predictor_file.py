@@ -1,8 +1,6 @@
 """Operators in a file: arrays and one line of JSON in an npz archive, nothing that could run."""
 
 import json
-import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -13,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError
+from meshes.whole_file import whole_file
 from tissue.prediction.dictionary import from_plain, to_plain
 from tissue.prediction.lifted import FitStatistics, Operator
 from tissue.prediction.training_range import TrainingRange
@@ -102,14 +101,8 @@ def write_predictor(
         line = json.dumps(whole, allow_nan=False)
     except (TypeError, ValueError) as problem:
         raise InputError(f"header must hold what JSON can, got {problem}: use numbers, names and lists") from None
-    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
-        try:
-            np.savez_compressed(part, allow_pickle=False, json=np.array(line), **stored)
-        except BaseException:
-            os.unlink(part.name)
-            raise
-    os.chmod(part.name, 0o644)
-    os.replace(part.name, path)
+    with whole_file(path) as beside, beside.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, json=np.array(line), **stored)
     return path
 
 

@@ -1,7 +1,6 @@
 """The folder of a study: its plan, a file a trial, and the tables of what it holds."""
 
 import json
-import os
 from collections.abc import Iterator
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
@@ -9,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from meshes.errors import InputError
+from meshes.whole_file import whole_file
 from tissue.statistics import TrialTable
 from tissue.study.plan import Plan, TrialKey
 from tissue.study.tasks import TASKS
@@ -166,6 +166,5 @@ def _told(value: object) -> str:
 
 def _write(path: Path, content: dict[str, Any]) -> None:
     """Write JSON so that a reader never sees half of it."""
-    beside = path.with_suffix(".part")
-    beside.write_text(json.dumps(content, indent=1), "utf-8")
-    os.replace(beside, path)
+    with whole_file(path) as beside:
+        beside.write_text(json.dumps(content, indent=1), "utf-8")

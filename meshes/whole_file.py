@@ -1,0 +1,25 @@
+"""Files that are there whole or not at all."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from uuid import uuid4
+
+__all__ = ["whole_file"]
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """A name beside a file, of the same ending, to write to in the block.
+
+    What was written takes the file's place in one step when the block ends, and goes when it fails; so no reader sees
+    half of it, and of two writers one wins.
+    """
+    beside = path.with_name(f".{uuid4().hex[:12]}-{path.name}")
+    try:
+        yield beside
+        os.replace(beside, path)
+    finally:
+        with suppress(OSError):
+            beside.unlink()
