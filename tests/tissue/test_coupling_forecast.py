@@ -114,15 +114,15 @@ def test_hold_and_no_gain_change_nothing():
         assert critical_stiffness_N_m(loop) == pytest.approx(critical_stiffness_N_m(plain), rel=1e-9)
 
 
-def test_a_system_in_states_is_the_same_as_its_probed_predictor():
-    """A recursive average a + 0.3 (F - a), told as it is: A = 0.7, B = (0, 0, 0.3), C = 0.7, D = (0, 0, 0.3)."""
+def test_a_probed_predictor_has_the_taps_of_its_closed_form():
+    """A recursive average a + 0.3 (F - a): the force seen k ticks ago has the share 0.3 0.7^k."""
 
     class Average(Hold):
         def observe(self, position_m, velocity_m_s, force_N):
             self._force = self._force + 0.3 * (force_N - self._force)
 
     probed = forecast_of(Average(), lead_ticks=0, stiffness_N_m=400.0)
-    stated = Forecast.of_states(np.array([[0.7]]), np.array([[0.0, 0.0, 0.3]]), np.array([0.7]), np.array([0, 0, 0.3]))
+    stated = Forecast(taps=np.multiply.outer(0.3 * 0.7 ** np.arange(80.0), [0.0, 0.0, 1.0])[None])
     count = min(probed.taps.shape[1], stated.taps.shape[1])
     np.testing.assert_allclose(probed.taps[:, :count], stated.taps[:, :count], atol=1e-6)
     plain, _, _ = loop_with()

@@ -14,6 +14,7 @@ from tissue.model import ToolMotion
 from tissue.motion import PushAlongAxis, implicit_speed
 
 BONE = cutting_coefficients("bone")
+SHARP = replace(BONE, tangential_edge_N_m=0.0, radial_edge_N_m=0.0, axial_edge_N_m=0.0)
 
 
 def pull(model, start_m, direction, *, length_m, feed_m_s, step_m, rotation=None):
@@ -77,7 +78,7 @@ def sharp_slot():
     """A ball draws a slot with sharp edges: wrench, removal rate and volume over time."""
     volume = voxelise(cortical_block(size_mm=(12, 7, 4)), spacing_m=1e-4)
     cutter = Cutter(ball_burr(diameter_m=6e-3), 6, 1000.0)
-    model = BoneModel(volume, cutter, (BONE.without_edges(),))
+    model = BoneModel(volume, cutter, (SHARP,))
     rows = pull(model, (-4e-3, 2e-5, -1.2e-3), (1, 0, 0), length_m=5e-3, feed_m_s=2e-3, step_m=2e-6)
     return cutter, rows
 

@@ -54,23 +54,6 @@ class Forecast:
         ages = self.taps.shape[1]
         return ages if self.taps[:, :, :2].any() else 0, ages
 
-    @classmethod
-    def of_states(cls, A: Array, B: Array, C: Array, D: Array, *, gain: float = 1.0) -> "Forecast":
-        """Of a system that is told every tick: F = C z + D u, z' = A z + B u, u = (x, v, F).
-
-        Shapes (n, n), (n, 3), (n,) and (3,).
-
-        Raises
-        ------
-        InputError
-            If its memory does not fade.
-        """
-        answers, state = [np.asarray(D, dtype=np.float64)], np.asarray(B, dtype=np.float64)
-        for _ in range(LONGEST):
-            answers.append(C @ state)
-            state = A @ state
-        return cls(taps=_faded(np.array([answers])), gain=gain)
-
 
 def forecast_of(
     predictor: "Predictor",

@@ -1,6 +1,6 @@
 """Cutting coefficients, read from ``cutting.toml``."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 from meshes.errors import InputError
@@ -33,10 +33,6 @@ class CuttingCoefficients:
         "radial_edge": "radial_edge_N_m",
         "axial_edge": "axial_edge_N_m",
     }
-
-    def without_edges(self) -> "CuttingCoefficients":
-        """The same material with sharp edges: no edge forces."""
-        return replace(self, tangential_edge_N_m=0.0, radial_edge_N_m=0.0, axial_edge_N_m=0.0)
 
 
 def cutting_constants(material: str) -> dict[str, Constant]:
