@@ -1,7 +1,6 @@
 """The window of a live run: what it draws, how mouse and keys move the tool, and the whole of it on a virtual display."""
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -15,7 +14,6 @@ from x_events import Person
 from tissue import load_scene, simulate
 from tissue.live.shared import SharedArrays
 from tissue.live.tissues import BoneShared, OrganShared
-from tissue.offscreen import display_problem
 from tissue.run_folder import SavedRun
 from tissue.viewer_live_pointer import KEY_MM, NOTCH_MM, Pointer
 from tissue.viewer_live_tissue import FADES_MM, LiveBone, LiveOrgan
@@ -210,27 +208,6 @@ def test_the_drawn_organ_moves_where_it_is_known_and_fades_beyond(tmp_path):
     away = np.linalg.norm(rest[:, None] - known[None], axis=2).min(axis=1)
     np.testing.assert_allclose(moved[:, 2], -2.0 * np.exp(-away / FADES_MM), atol=1e-5)
     assert np.isclose(moved[:, 2], -2.0).sum() >= len(near) - 1
-
-
-@pytest.fixture(scope="module")
-def display():
-    """Name of a display to open windows on: a virtual one, or else the real one."""
-    if shutil.which("Xvfb") is None:
-        problem = display_problem()
-        if problem is not None:
-            pytest.skip(f"{problem}, and there is no Xvfb: apt-get install xvfb")
-        yield os.environ["DISPLAY"]
-        return
-    read, write = os.pipe()
-    command = ["Xvfb", "-displayfd", str(write), "-screen", "0", "1300x900x24", "-nolisten", "tcp", "-noreset"]
-    with subprocess.Popen(command, pass_fds=[write], stderr=subprocess.DEVNULL) as server:
-        os.close(write)
-        with os.fdopen(read) as told:
-            number = told.readline().strip()
-        if not number:
-            pytest.skip("Xvfb does not start here")
-        yield f":{number}"
-        server.terminate()
 
 
 @pytest.fixture

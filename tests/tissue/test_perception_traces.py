@@ -13,9 +13,22 @@ def by_hand(scene, **changes):
     return tissue.simulate(tissue.load_scene(scene, {"device": "touch", "seed": 3} | changes)).trace
 
 
-def check(forces, *, least_saved):
+@pytest.mark.parametrize(
+    ("scene", "changes", "least_saved"),
+    [
+        ("wall", {"duration_s": 1.2}, 0.9),
+        ("milling", {"duration_s": 1.2}, 0.9),
+        pytest.param(
+            "molar",
+            {"voxels.spacing_mm": 0.1, "stress": None, "duration_s": 2.0, "hand": "novice"},
+            0.85,
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_one_sample_in_ten_is_enough(scene, changes, least_saved):
     """Error below the threshold at every tick, no bias, and this share of the samples in contact not needed."""
-    law = weber("force")
+    law, forces = weber("force"), by_hand(scene, **changes).vectors("filtered_force", "N")
     played, changed = held_back(forces, law)
     assert (
         np.linalg.norm(played - forces, axis=1) <= law.threshold(np.linalg.norm(played, axis=1)) * (1 + 1e-12)
@@ -25,23 +38,6 @@ def check(forces, *, least_saved):
     assert 1.0 - changed[contact].mean() > least_saved
     bias = np.linalg.norm((played - forces)[contact].mean(axis=0))
     assert bias < float(law.threshold(np.linalg.norm(forces[contact], axis=1)).mean())
-
-
-def test_of_a_wall_one_sample_in_ten_is_enough():
-    trace = by_hand("wall", duration_s=1.2)
-    check(trace.vectors("filtered_force", "N"), least_saved=0.9)
-
-
-def test_of_milling_one_sample_in_ten_is_enough():
-    trace = by_hand("milling", duration_s=1.2)
-    check(trace.vectors("filtered_force", "N"), least_saved=0.9)
-
-
-@pytest.mark.slow
-def test_of_a_molar_one_sample_in_ten_is_enough():
-    changes = {"voxels.spacing_mm": 0.1, "stress": None, "duration_s": 2.0, "hand": "novice"}
-    trace = by_hand("molar", **changes)
-    check(trace.vectors("filtered_force", "N"), least_saved=0.85)
 
 
 def test_a_trace_tells_what_was_estimated_perceived_and_changed():

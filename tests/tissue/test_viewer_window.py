@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 from itertools import pairwise
@@ -13,7 +12,6 @@ import pytest
 from fake_fields import PARTS, pressed_run, pressed_series
 
 from tissue import InputError, load_scene
-from tissue.offscreen import display_problem
 from tissue.press_picture import draw_press
 from tissue.run_folder import SavedRun
 from tissue.scene_tool import Needle, Probe
@@ -28,27 +26,6 @@ TESTS = Path(__file__).parent
 def pressed(tmp_path_factory):
     """Folder of a run that pressed a soft box by 6 mm within a second."""
     return pressed_run(tmp_path_factory.mktemp("runs") / "press")
-
-
-@pytest.fixture(scope="module")
-def display():
-    """Name of a display to open windows on: a virtual one, or else the real one."""
-    if shutil.which("Xvfb") is None:
-        problem = display_problem()
-        if problem is not None:
-            pytest.skip(f"{problem}, and there is no Xvfb: apt-get install xvfb")
-        yield os.environ["DISPLAY"]
-        return
-    read, write = os.pipe()
-    command = ["Xvfb", "-displayfd", str(write), "-screen", "0", "1600x1100x24", "-nolisten", "tcp"]
-    with subprocess.Popen(command, pass_fds=[write], stderr=subprocess.DEVNULL) as server:
-        os.close(write)
-        with os.fdopen(read) as told:
-            number = told.readline().strip()
-        if not number:
-            pytest.skip("Xvfb does not start here")
-        yield f":{number}"
-        server.terminate()
 
 
 @pytest.fixture(scope="module")

@@ -36,7 +36,7 @@ def energy_error(body, found, exact):
     return np.sqrt(off @ (body.sprung @ off) / (exact.ravel() @ (body.sprung @ exact.ravel())))
 
 
-def agree(body, touchable):
+def assert_paths_agree(body, touchable):
     """Hold every path against the factor under a press on the top and under random forces on all touchable nodes."""
     factor = DirectSolver(body)
     compliance = surface_compliance(body, touchable, shown=np.arange(len(body.nodes_m)), solver=lambda: factor)
@@ -79,7 +79,7 @@ def above(mesh, body):
 def test_paths_agree_on_a_box(order, ratio):
     mesh = box((0.1, 0.08, 0.06), (5, 4, 3))
     body = organ(mesh, ratio, order)
-    agree(body, above(mesh, body))
+    assert_paths_agree(body, above(mesh, body))
 
 
 @pytest.mark.usefixtures("fresh_cache")
@@ -88,7 +88,7 @@ def test_paths_agree_on_a_tetrahedral_liver(anatomy, name, unit_mm):
     """The second has cells of a thousandth of the largest volume."""
     mesh = read_tets(anatomy / "liver" / name, unit_mm=unit_mm).mesh
     body = organ(mesh, 0.45)
-    agree(body, above(mesh, body))
+    assert_paths_agree(body, above(mesh, body))
 
 
 @pytest.mark.slow
@@ -100,7 +100,7 @@ def test_paths_agree_on_the_surface_of_a_liver_filled_with_tetrahedra(anatomy, t
     for ratio in (0.45, 0.49):
         body = organ(mesh, ratio)
         top = above(mesh, body)
-        agree(body, top[:: len(top) // 150 + 1])
+        assert_paths_agree(body, top[:: len(top) // 150 + 1])
 
 
 def test_iterations_follow_refinement_little_and_the_ratio_as_stated():

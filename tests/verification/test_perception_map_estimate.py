@@ -52,20 +52,12 @@ def off_the_grid(seen, noise, middle, spread):
     return np.concatenate(better), np.concatenate(cells)
 
 
-def check(count, seed):
+@pytest.mark.parametrize(("count", "seed"), [(4000, 0), pytest.param(100_000, 10, marks=pytest.mark.slow)])
+def test_it_is_the_best_of_a_grid(count, seed):
     for given in (cases(count, seed), two_maxima(count // 4, seed + 1)):
         better, cells = off_the_grid(*given)
         assert better.max() < 1e-9  # rounding of a logarithm of density of up to 1e4
         assert cells.max() < 1.0 + 1e-6  # the grid's best is a neighbour of the true maximum
-
-
-def test_it_is_the_best_of_a_grid():
-    check(4000, 0)
-
-
-@pytest.mark.slow
-def test_it_is_the_best_of_a_grid_for_100_000_posteriors():
-    check(100_000, 10)
 
 
 def test_bimodal_posteriors_are_among_them_and_both_sides_win():
