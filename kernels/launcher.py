@@ -65,6 +65,7 @@ class SplitLaunch:
         parts = 1 if device != "cpu" else min(cores or core_count(), along)
 
         def record(first: int, last: int) -> Any:
+            """The launch of the threads from ``first`` up to ``last``."""
             arguments = list(inputs)
             arguments[offset_index] = first
             return wp.launch(

@@ -237,6 +237,7 @@ def _layers(plate: _Plate, radius: float, wall: float, densities: tuple[float, .
     decay = 5e-3
 
     def classify(points: NDArray[Any], depth: NDArray[Any]) -> tuple[NDArray[np.uint8], NDArray[Any]]:
+        """Layer and density [kg/m3], shape (n,), of points [m], shape (n, 3), at depths below the surface [m]."""
         x, y, z = points[:, 0], points[:, 1], points[:, 2]
         below = np.sqrt(x**2 + y**2 + (z - radius) ** 2) - radius - plate.thickness(x, y)
         layer = np.where(below < 0.0, 0, np.where(depth < wall, 1, 2)).astype(np.uint8)

@@ -166,6 +166,7 @@ def _layers(
         return layer
 
     def layer_of(points: NDArray[Any]) -> NDArray[np.uint8]:
+        """Layer, shape (n,), of points [m], shape (n, 3)."""
         distance = dentin_distance(points)
         layer = np.full(len(points), DENTIN, dtype=np.uint8)
         outside = distance >= 0.0
@@ -179,6 +180,7 @@ def _layers(
         return layer
 
     def classify(points: NDArray[Any], depth: NDArray[Any]) -> tuple[NDArray[np.uint8], NDArray[Any]]:
+        """Layer and density [kg/m3], shape (n,), of points [m], shape (n, 3), at any depth."""
         layer = in_chunks(layer_of, points)
         density = _DENSITY[layer]
         if lesion is not None:

@@ -103,6 +103,8 @@ def sphere_shell(inner_m: float, outer_m: float, cells: tuple[int, int], *, octa
         raise InputError(f"outer_m must exceed inner_m {inner:g}, got {outer:g}: swap them")
 
     def patch(axis: int) -> Map:
+        """Map of the unit cube onto the third of the octant around an axis."""
+
         def into(unit: NDArray[np.float64]) -> NDArray[np.float64]:
             across = np.tan(0.25 * np.pi * unit[:, :2])
             ray = np.roll(np.column_stack([np.ones(len(unit)), across]), axis, axis=1)
@@ -129,6 +131,7 @@ def cylinder(radius_m: float, height_m: float, cells: tuple[int, int]) -> TetMes
     height = require_positive("height_m", height_m, "use about 0.03")
 
     def quarter(unit: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points of the quarter [m], shape (n, 3), from those of the unit cube."""
         across = unit[:, :2]
         ring = across.max(axis=1, keepdims=True)
         long = np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)

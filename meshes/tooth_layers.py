@@ -79,6 +79,7 @@ def every_voxel(shape: Shape) -> GridSampler:
     """
 
     def sample(grid: Grid) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Share of each voxel inside the tooth, and its depth below the surface [m]."""
         fraction = shape_fraction(shape, grid)
         index = np.nonzero(fraction)
         points = np.stack([(i + f + 0.5) * grid.spacing_m for i, f in zip(index, grid.first, strict=True)], axis=1)

@@ -67,6 +67,7 @@ def voxelise(
     starts = range(0, blocked.shape[0], thickness)
 
     def fill(start: int) -> None:
+        """Fill the slab that begins at a row of blocks."""
         stop = min(start + thickness, blocked.shape[0])
         slab, part = blocked.slab(start, stop), arrays.slab(start, stop)
         if anatomy.sample is None:

@@ -14,15 +14,15 @@ __all__ = ["WallModel"]
 class WallModel:
     """A linear unilateral spring along z over the plane z = 0: F = k depth, without friction.
 
+    Its measure is the depth of the ball's deepest point [mm]; ``engaged_m2`` is the circle in which ball and plane
+    cross. The response tells its stiffness, by which a tool on a device finds its balance at once.
+
     Parameters
     ----------
     stiffness_N_m
         Of the wall [N/m].
     radius_m
         Of the ball [m]; its tip is a radius from its centre, against the tool's axis.
-
-    Its measure is the depth of the ball's deepest point [mm]; ``engaged_m2`` is the circle in which ball and plane
-    cross. The response tells its stiffness, by which a tool on a device finds its balance at once.
     """
 
     layer_names: tuple[str, ...] = ("wall",)

@@ -106,6 +106,9 @@ class NeedleFields:
     A frame costs a tick a copy of three numbers; the fields are computed when the run has ended. Of other tracks
     nothing is shown: the block is at rest then.
 
+    The cells are linear: Poisson's ratio should keep away from 0.5. Right at the shaft strain and stress depend on the
+    edges of the mesh, for a line that is moved through an elastic body has no limit; so does the force it takes.
+
     Parameters
     ----------
     track
@@ -116,9 +119,6 @@ class NeedleFields:
         How far an entry may lie from the track's to be of it [m], such as the needle's diameter.
     interval_s
         Time between two frames [s].
-
-    The cells are linear: Poisson's ratio should keep away from 0.5. Right at the shaft strain and stress depend on the
-    edges of the mesh, for a line that is moved through an elastic body has no limit; so does the force it takes.
     """
 
     def __init__(self, track: Track, elasticity: ArrayLike, *, near_m: float, interval_s: float) -> None:

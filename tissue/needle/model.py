@@ -24,6 +24,16 @@ LEAST_COSINE = 0.17
 class NeedleModel:
     """An organ with a flat surface that a needle is pushed into and drawn out of, along the needle's axis.
 
+    The force follows :class:`~tissue.needle.insertion.Insertion` and acts along the needle's axis; moving the needle
+    sideways inside the organ, or turning it, costs nothing. Depths count along the axis, from where it meets the
+    undeformed surface. Only the latest track is remembered: a needle that leaves and comes back within a diameter of
+    where it went in finds it open, elsewhere the organ is whole.
+
+    The response's ``edge`` is the pull of the organ, which is there at rest too and whatever the speed; ``resistance``
+    is the viscous friction of a sliding shaft. ``engaged_m2`` is the cross-section of the tip, in the layer it touches.
+    Measures: length of needle in the organ and deflection of the organ [mm], then the parts of the axial force that
+    are held by membranes, cut by the tip and rubbed along the shaft [N]; they add up to it, positive against insertion.
+
     Parameters
     ----------
     tissue
@@ -34,16 +44,6 @@ class NeedleModel:
         A point on the organ's undeformed surface [m] and its outward normal, in the world frame.
     fields
         What shows displacement and stress around the needle; the force does not depend on it. None shows nothing.
-
-    The force follows :class:`~tissue.needle.insertion.Insertion` and acts along the needle's axis; moving the needle
-    sideways inside the organ, or turning it, costs nothing. Depths count along the axis, from where it meets the
-    undeformed surface. Only the latest track is remembered: a needle that leaves and comes back within a diameter of
-    where it went in finds it open, elsewhere the organ is whole.
-
-    The response's ``edge`` is the pull of the organ, which is there at rest too and whatever the speed; ``resistance``
-    is the viscous friction of a sliding shaft. ``engaged_m2`` is the cross-section of the tip, in the layer it touches.
-    Measures: length of needle in the organ and deflection of the organ [mm], then the parts of the axial force that
-    are held by membranes, cut by the tip and rubbed along the shaft [N]; they add up to it, positive against insertion.
 
     Raises
     ------

@@ -25,6 +25,14 @@ WARN_M = (1.0e-3, 0.5e-3)
 class ToothModel:
     """A tooth that a bur drills: the bone model's carving and forces, and the dentin left over the pulp.
 
+    The distance of the bur from the pulp is measured from the voxels that the pulp filled at the start, and is the
+    least that has been reached so far: what is left of the dentin at its thinnest. Its error is half a voxel. Where
+    the voxels hold no pulp it is not measured: the pulp is then farther away than the margin around the bur's reach.
+
+    The tooth's displacement follows the force at every tick by the compliance of its ligament, since enamel does not
+    bend. Stress is solved beside the ticks, on a copy of the voxels and the force taken every ``interval_s``; the
+    result is told one interval later, so that it is the same however long the solve took.
+
     Parameters
     ----------
     milling
@@ -37,14 +45,6 @@ class ToothModel:
         Heat in the whole tooth; None where the scene does not ask for it.
     device
         Warp device name.
-
-    The distance of the bur from the pulp is measured from the voxels that the pulp filled at the start, and is the
-    least that has been reached so far: what is left of the dentin at its thinnest. Its error is half a voxel. Where
-    the voxels hold no pulp it is not measured: the pulp is then farther away than the margin around the bur's reach.
-
-    The tooth's displacement follows the force at every tick by the compliance of its ligament, since enamel does not
-    bend. Stress is solved beside the ticks, on a copy of the voxels and the force taken every ``interval_s``; the
-    result is told one interval later, so that it is the same however long the solve took.
     """
 
     def __init__(
