@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = ["cut"]
 
-
 CUT_AS = {"enamel": "enamel", "dentin": "dentin", "caries": "dentin", "pulp": "soft", "ligament": "soft"}
 """Material whose cutting coefficients a layer has; all others are bone."""
 

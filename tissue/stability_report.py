@@ -1,12 +1,12 @@
 """The stability of a scene's loop before it runs: `tissue stability`."""
 
-from dataclasses import replace
 from pathlib import Path
 
 from meshes.errors import InputError
 from tissue.build_loop import judged_loop
 from tissue.coupling import hand_parameters
 from tissue.coupling.device import DEVICES
+from tissue.coupling.stability import in_hands
 from tissue.coupling.stability_map import StabilityMap, stability_map
 from tissue.model import TICK_S
 from tissue.outputs import require_free_folder
@@ -30,14 +30,8 @@ def scene_stability(scene: Scene) -> StabilityMap:
         raise InputError(
             f"device must be one of {', '.join(DEVICES)} for a stability map, got none: pass --set device=touch"
         )
-    grip = hand_parameters(scene.hand).grip
-    loop = replace(
-        judged_loop(scene, step_s=TICK_S),
-        hand_stiffness_N_m=grip.stiffness_N_m,
-        hand_damping_N_s_m=grip.damping_N_s_m,
-        hand_mass_kg=grip.mass_kg,
-    )
-    return stability_map(loop)
+    held = in_hands(judged_loop(scene, step_s=TICK_S), [hand_parameters(scene.hand).grip[:3]])
+    return stability_map(held[0])
 
 
 def stability_lines(scene: Scene, found: StabilityMap) -> list[str]:

@@ -76,7 +76,8 @@ class LiveBone:
             "render": False,
             **SHADING,
         }
-        there = [names[i] for i in np.unique(layer[self._filled(np.arange(len(self._places)))])]
+        self._fill(np.arange(len(self._places)))
+        there = [names[i] for i in np.unique(layer[self._fraction > 0])]
         for row, name in enumerate(there):
             place = (0.87, 0.93 - 0.035 * row)
             plotter.add_text(name, position=place, viewport=True, font_size=11, color=colours[name])
@@ -90,21 +91,19 @@ class LiveBone:
         if not rows.size:
             return False
         self._seen[rows] = now[rows]
-        self._filled(rows)
+        self._fill(rows)
         self._draw()
         return True
 
-    def _filled(self, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Bring the blocks of some bricks up to date; which blocks of the whole are not empty."""
+    def _fill(self, rows: NDArray[np.intp]) -> None:
+        """Bring the blocks of some bricks up to date."""
         block, count = self._block, BRICK // self._block
         bricks = self._seen[rows].reshape(-1, 4, 4, 4, 2, 2, 2).transpose(0, 1, 4, 2, 5, 3, 6)
         parts = bricks.reshape(-1, count, block, count, block, count, block)
         means = np.rint(parts.mean(axis=(2, 4, 6)) / 257.0).astype(np.uint8)
         offsets = np.arange(count)
-        x, y, z = (count * self._places[rows].T[:, :, None] + offsets)[:, :, :]
+        x, y, z = count * self._places[rows].T[:, :, None] + offsets
         self._fraction[x[:, :, None, None], y[:, None, :, None], z[:, None, None, :]] = means
-        filled: NDArray[np.bool_] = self._fraction > 0
-        return filled
 
     def _draw(self) -> None:
         self._surface: Any = bone_surface(self._volume, self._fraction)

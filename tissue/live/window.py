@@ -2,8 +2,8 @@
 
 import json
 import re
+import shutil
 import subprocess
-from contextlib import suppress
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
@@ -96,7 +96,7 @@ class WindowBeside:
         if self._child.stdout.readline().strip() != "ready":
             self._child.communicate()
             last = self._last_words()
-            self._remove()
+            shutil.rmtree(self._folder, ignore_errors=True)
             raise InputError(
                 f"--live must open its window where there is a display, but {last[:200]}: mend the display, or unset "
                 "DISPLAY to run without a window"
@@ -134,16 +134,9 @@ class WindowBeside:
         except subprocess.TimeoutExpired:
             self._child.kill()
             self._child.communicate()
-        self._remove()
+        shutil.rmtree(self._folder, ignore_errors=True)
 
     def _last_words(self) -> str:
         said = COLOURS.sub("", (self._folder / "said.txt").read_text("utf-8", errors="replace"))
         words = said.strip().splitlines()
         return words[-1] if words else f"its process ended with exit code {self._child.returncode}"
-
-    def _remove(self) -> None:
-        for file in self._folder.iterdir():
-            with suppress(OSError):
-                file.unlink()
-        with suppress(OSError):
-            self._folder.rmdir()
