@@ -98,13 +98,11 @@ class Koopman:
         room = terms.slack * (operator.training.highest - operator.training.lowest)
         low, high = operator.training.lowest - room, operator.training.highest + room
         self._box = list(zip(low.tolist(), high.tolist(), strict=True))
-        self._powers = [(operator.A[:WIDTH], operator.offset[:WIDTH])]
+        self._powers = operator.states_ahead(len(terms.gains))
         self._force, self._correction = np.zeros(3), np.zeros(3)
-        self._lead, self._both, self._both_offset = 0, operator.A[:WIDTH], operator.offset[:WIDTH]
-        self._told = self._both @ self._lifted + self._both_offset
         self._ticks = self._free = 0
         self._error = 0.0
-        self.ahead(len(terms.gains))
+        self._look(len(terms.gains))
 
     @property
     def trusted(self) -> bool:
@@ -156,11 +154,9 @@ class Koopman:
 
     def _look(self, ticks: int) -> None:
         """Ask for the force so far ahead, from now on: one product gives the next state and that force."""
-        powers = self._powers
-        while len(powers) < ticks:
-            matrix, offset = powers[-1]
-            powers.append((matrix @ self.operator.A, matrix @ self.operator.offset + offset))
-        (next_matrix, next_offset), (matrix, offset) = powers[0], powers[ticks - 1]
+        if ticks > len(self._powers):
+            self._powers = self.operator.states_ahead(ticks)
+        (next_matrix, next_offset), (matrix, offset) = self._powers[0], self._powers[ticks - 1]
         self._lead = ticks
         self._both = np.concatenate((next_matrix, matrix[3:]))
         self._both_offset = np.concatenate((next_offset, offset[3:]))

@@ -156,6 +156,14 @@ class Operator(LiftedMap):
                 states[step] = lifted[: self.state_size]
         return states
 
+    def states_ahead(self, horizon: int) -> list[tuple[Array, Array]]:
+        """Matrix M (d, D) and offset c (d,) for 1 to `horizon` steps: the state then is M φ + c, without inputs."""
+        ahead = [(self.A[: self.state_size], self.offset[: self.state_size])]
+        while len(ahead) < horizon:
+            matrix, offset = ahead[-1]
+            ahead.append((matrix @ self.A, matrix @ self.offset + offset))
+        return ahead
+
     def capped(self, limit: float) -> Self:
         """The operator with no eigenvalue larger than `limit`, turned about the training data's mean.
 
