@@ -14,6 +14,7 @@ from time import perf_counter
 import numpy as np
 import warp as wp
 from harness import Cost, cost_of, machine, table
+from peers.brute_force import carve
 
 import tissue
 from meshes import cortical_block, voxelise
@@ -28,26 +29,6 @@ UP_M = np.array([0.0, 0.0, RADIUS_M])
 BOX = int(2 * RADIUS_M / SPACING_M) + 4
 
 
-@wp.kernel
-def brute_force(
-    centre: wp.array(dtype=wp.vec3),
-    low: wp.array(dtype=wp.vec3i),
-    radius: float,
-    remaining: wp.array3d(dtype=wp.uint16),
-    removed: wp.array(dtype=wp.int64),
-):
-    """Every voxel of the burr's box loses what a linear ramp says lies inside the ball."""
-    i, j, k = wp.tid()
-    x, y, z = low[0][0] + i, low[0][1] + j, low[0][2] + k
-    at = wp.vec3(float(x) + 0.5, float(y) + 0.5, float(z) + 0.5)
-    inside = wp.clamp(0.5 - (wp.length(at - centre[0]) - radius), 0.0, 1.0)
-    left = int(65535.0 * (1.0 - inside))
-    old = int(remaining[x, y, z])
-    if left < old:
-        remaining[x, y, z] = wp.uint16(left)
-        wp.atomic_add(removed, 0, wp.int64(old - left))
-
-
 def position(index: int) -> np.ndarray:
     return START_M + np.array([FEED_M_S * TICK_S * index, 0.0, 0.0])
 
@@ -57,7 +38,7 @@ def brute_force_warp(volume, count: int) -> Cost:
     centre, low = wp.zeros(1, dtype=wp.vec3, device="cpu"), wp.zeros(1, dtype=wp.vec3i, device="cpu")
     removed = wp.zeros(1, dtype=wp.int64, device="cpu")
     inputs = [centre, low, RADIUS_M / SPACING_M, remaining, removed]
-    command = wp.launch(brute_force, dim=(BOX,) * 3, inputs=inputs, device="cpu", record_cmd=True)
+    command = wp.launch(carve, dim=(BOX,) * 3, inputs=inputs, device="cpu", record_cmd=True)
     centre_view, low_view = centre.numpy(), low.numpy()
 
     def tick(index: int) -> None:

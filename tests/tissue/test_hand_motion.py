@@ -1,9 +1,10 @@
-"""A scene by a hand on a device: the tool's balance in closed form, the force's bounds, and what is refused."""
+"""A scene by a hand on a device: balances in closed form, and the force within its bounds."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hand_runs import played_N, run_of
 
 from meshes.progress import silent
 from tissue import InputError, load_scene, simulate
@@ -14,7 +15,6 @@ from tissue.coupling import (
     Fault,
     FaultyDevice,
     Hand,
-    LowPass,
     RecordedDevice,
     SimulatedDevice,
     device_parameters,
@@ -23,11 +23,9 @@ from tissue.coupling import (
     renderer,
 )
 from tissue.coupling.aim import waypoints
-from tissue.coupling.guidance import Lead, Thrust
 from tissue.coupling.hand_motion import MEASURES, HandMotion
-from tissue.coupling.held_tool import CuttingTool, PressingTool
-from tissue.coupling.held_turn import HeldTurn
-from tissue.coupling.quaternion import conjugate, exponential, logarithm, product
+from tissue.coupling.held_tool import PressingTool
+from tissue.coupling.quaternion import logarithm
 from tissue.model import FreeSpace, Response, ToolMotion
 from tissue.motion import FollowPath
 from tissue.wall import WallModel
@@ -36,16 +34,6 @@ STEP_S = 1e-3
 DOWN, UP = np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.0])
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 COARSE_LIVER = {"organ.order": 1, "anatomy.edge_mm": 30.0, "anatomy.touch_edge_mm": 8.0}
-
-
-def run_of(name, **changes):
-    allow = changes.pop("allow_unstable", False)
-    return simulate(load_scene(name, {k.replace("__", "."): v for k, v in changes.items()}), allow_unstable=allow)
-
-
-def played_N(run):
-    """Size of the force that the device played."""
-    return np.linalg.norm(run.trace.vectors("device_force", "N"), axis=1)
 
 
 def held(name="wall", **changes):
@@ -130,51 +118,6 @@ def test_every_device_and_renderer_stays_within_its_limits(device, law):
     assert run.trace["margin"][0] > 0.5
 
 
-def test_an_unstable_stiffness_is_refused_with_margin_and_the_nearest_stable_one():
-    with pytest.raises(InputError, match="must be below") as refused:
-        run_of("wall", coupling__stiffness_N_m=3000.0)
-    sentence = str(refused.value)
-    assert sentence.startswith("coupling.stiffness_N_m must be below 20") and "got 3000 (margin -4" in sentence
-    nearest = float(sentence.split(": use ")[1].split(",")[0])
-    assert run_of("wall", coupling__stiffness_N_m=nearest, duration_s=0.01).trace["margin"][0] > 0.0
-
-
-def test_the_command_refuses_and_allows(command, refused, here):
-    rigid = ("run", "wall", "--duration-s", 0.02, "--no-pictures", "--set", "coupling.stiffness_N_m=3000")
-    assert refused(*rigid) == (
-        "coupling.stiffness_N_m must be below 2036 to be stable with device = touch in the hand of an expert, got 3000 "
-        "(margin -47.4 %): use 2030, or pass --allow-unstable"
-    )
-    code, said, error = command(*rigid, "--allow-unstable")
-    assert (code, error) == (0, "") and "is unstable, margin -47.4 %" in said
-
-
-def test_too_much_damping_is_refused():
-    with pytest.raises(
-        InputError, match=r"coupling\.damping_N_s_m must leave some stiffness stable, got 500: lower it"
-    ):
-        run_of("wall", coupling__damping_N_s_m=500.0)
-
-
-def test_an_unstable_stiffness_that_is_allowed_runs_and_is_bounded():
-    run = run_of("wall", coupling__stiffness_N_m=2e4, allow_unstable=True, duration_s=1.0)
-    assert run.trace["margin"][0] < 0.0 and "unstable" in run.parts.notes["coupling"]
-    assert np.isfinite(run.trace.rows).all()
-    assert played_N(run).max() <= device_parameters("touch").force_limit_N
-    assert run.trace["saturated"].any()
-
-
-def test_what_is_judged_counts_the_delay_that_is_there():
-    """Latency, the low-pass, and a tick for an organ whose balance is found a tick later."""
-    wall, late = (judged_loop(load_scene("wall", o), step_s=STEP_S) for o in ({}, {"coupling.delay_ms": 3}))
-    liver = judged_loop(load_scene("liver-press", {"device": "touch"}), step_s=STEP_S)
-    bone = judged_loop(load_scene("milling", {"device": "touch"}), step_s=STEP_S)
-    assert late.delay_s == pytest.approx(wall.delay_s + 3e-3)
-    assert liver.delay_s == pytest.approx(wall.delay_s + 1e-3)
-    assert bone.delay_s == wall.delay_s and bone.filter_s == 1e-3
-    assert judge(late).critical_N_m < judge(wall).critical_N_m
-
-
 @pytest.mark.parametrize(("share", "settles"), [(0.95, True), (1.05, False)])
 def test_the_whole_loop_is_stable_up_to_the_stiffness_that_is_judged(share, settles):
     """Device, tool on the wall, renderer, low-pass, delay: 5 % on either side of the eigenvalues' critical stiffness.
@@ -222,60 +165,6 @@ def test_a_delay_holds_the_force_back_by_whole_ticks():
     assert answered == touched + 7
 
 
-def test_a_cutting_tool_balances_spring_edge_and_resistance():
-    """k (d - s) = edge + c s / T in closed form; below the edge force it rests and presses by its share of it."""
-    stiffness, drag, edge, device = 1e4, 5e3, 8.0, 2e-3 * DOWN
-    tool, response = CuttingTool(stiffness, np.zeros(3)), Response.empty(1)
-    response.resistance[2], response.edge[2] = drag, edge
-    tip = tool.follow(device, UPRIGHT, response, DOWN, STEP_S)
-    np.testing.assert_allclose(-tip[2], (stiffness * 2e-3 - edge) / (stiffness + drag / STEP_S), rtol=1e-12)
-    at = tip.copy()
-    tip = tool.follow(at + 4e-4 * DOWN, UPRIGHT, response, DOWN, STEP_S)
-    np.testing.assert_array_equal(tip, at)
-    assert tool.pressed == pytest.approx(0.5)
-    tip = tool.follow(at - 1e-3 * DOWN, UPRIGHT, response, DOWN, STEP_S)
-    np.testing.assert_array_equal(tip, at - 1e-3 * DOWN)  # straight back nothing resists
-
-
-def test_what_a_cutting_tool_has_felt_fades_and_then_it_is_free():
-    tool, response, nothing = CuttingTool(1e4, np.zeros(3)), Response.empty(1), Response.empty(1)
-    response.resistance[2] = 1e5
-    tool.follow(1e-3 * DOWN, UPRIGHT, response, DOWN, STEP_S)
-    ways = -np.diff([tool.follow(1e-3 * DOWN, UPRIGHT, nothing, DOWN, STEP_S)[2] for _ in range(80)])
-    assert ways[0] < 2e-6 and (ways >= 0.0).all()
-    np.testing.assert_array_equal(tool.follow(2e-3 * DOWN, UPRIGHT, nothing, DOWN, STEP_S), 2e-3 * DOWN)
-
-
-@pytest.mark.parametrize("tissue_N_m", [50.0, 400.0, 4e3, 4e4])
-def test_a_pressing_tool_finds_the_balance_of_a_spring_it_does_not_know(tissue_N_m):
-    """Device at rest in an elastic half-space: x = k_c x_d / (k_c + k_t), also a hundred times stiffer than it is."""
-    tool, response = PressingTool(400.0, np.zeros(3)), Response.empty(1)
-    for _ in range(200):
-        tip = tool.follow(1e-3 * DOWN, UPRIGHT, response, DOWN, STEP_S)
-        response.wrench[2] = max(-tissue_N_m * tip[2], 0.0)
-    np.testing.assert_allclose(tip[2], -1e-3 * 400.0 / (400.0 + tissue_N_m), rtol=1e-2)
-
-
-def test_a_led_hand_goes_farther_until_the_tool_is_there():
-    tool = PressingTool(1.0, np.zeros(3))
-    lead = Lead(lambda time_s: 1e-3 * DOWN, tool, ahead_s=0.2, furthest_m=5e-3)
-    assert lead(0.0)[2] == -1e-3
-    goals = [lead(1.0 + n)[2] for n in range(40)]
-    assert (np.diff(goals) <= 0.0).all() and goals[-1] == pytest.approx(-6e-3)
-    tool.tip_m[2] = -1e-3
-    assert lead(50.0)[2] == goals[-1]
-
-
-def test_a_thrust_pushes_until_the_way_is_gone():
-    tool = CuttingTool(1.0, np.zeros(3))
-    thrust = Thrust(np.zeros(3), 2e-3 * DOWN, tool, 1.5, 4e-3)
-    np.testing.assert_allclose(thrust.push(1.0), 1.5 * DOWN)
-    np.testing.assert_allclose(thrust.path(1.0), 4e-3 * DOWN)
-    tool.tip_m[:] = 2e-3 * DOWN
-    assert not thrust.push(1.0).any()
-    np.testing.assert_allclose(thrust.path(1.0), 2e-3 * DOWN)
-
-
 @pytest.mark.parametrize("changes", [{}, {"motion__kind": "thrust", "motion__thrust_N": 60.0}], ids=["path", "thrust"])
 def test_a_hand_reams_a_glenoid_within_the_device_s_range(changes):
     run = run_of("glenoid", device="touch", voxels__spacing_mm=0.4, duration_s=4.0, **changes)
@@ -319,18 +208,6 @@ def test_a_wall_is_for_a_ball_outside_it():
     parts.motion.begin(tool)
     with pytest.raises(InputError, match="motion must start outside the wall, got a ball 1 mm inside"):
         parts.tissue.place(tool)
-
-
-def test_a_tilted_ball_feels_the_wall_at_its_lowest_point():
-    wall, tool = WallModel(1e4, radius_m=5e-3), ToolMotion()
-    c, s = np.cos(0.3), np.sin(0.3)
-    tool.rotation[:] = [[c, 0, s], [0, 1, 0], [-s, 0, c]]
-    centre = np.array([1e-3, 2e-3, 4.9e-3])
-    tool.tip_m[:] = centre - 5e-3 * tool.rotation[:, 2]
-    response = wall.respond(tool)
-    np.testing.assert_allclose(response.wrench[:3], [0, 0, 1e4 * 1e-4], rtol=1e-9)
-    arm = centre - np.array([0, 0, 5e-3]) - tool.tip_m
-    np.testing.assert_allclose(response.wrench[3:], np.cross(arm, response.wrench[:3]), atol=1e-15)
 
 
 @pytest.mark.parametrize("speed_m_s", [0.1, 0.2, 0.5])
@@ -391,43 +268,6 @@ def test_torque_turns_the_tool_until_the_spring_balances_it_and_is_played():
     np.testing.assert_allclose(motion.measures[7:10], scale * response.wrench[:3], rtol=1e-3, atol=1e-9)
 
 
-def test_an_unstable_spring_of_rotation_is_refused_with_the_nearest_stable_one():
-    with pytest.raises(InputError, match=r"coupling\.stiffness_Nm_rad must be below .* got 20 ") as refused:
-        run_of("wall", device="six-dof", coupling__stiffness_Nm_rad=20.0)
-    nearest = float(str(refused.value).split(": use ")[1].split(",")[0])
-    run = run_of("wall", device="six-dof", coupling__stiffness_Nm_rad=nearest, duration_s=0.01)
-    assert f"stiffness {nearest:g} N m/rad is stable" in run.parts.notes["coupling"]
-
-
-@pytest.mark.parametrize(("share", "settles"), [(0.95, True), (1.05, False)])
-def test_the_turning_loop_is_stable_up_to_the_stiffness_that_is_judged(share, settles):
-    """A six-dof device whose tool a tissue holds fast in rotation, 5 % on either side of the critical value.
-
-    A tool that is held fast is where it was, so that the spring answers the tick's own turn; a soft tissue answers a
-    tick later, which is what a scene's judge counts with.
-    """
-    limits = replace(device_parameters("six-dof"), friction_Nm=0.0, encoder_step_rad=0.0, torque_limit_Nm=1e3)
-    still = dict.fromkeys(("endpoint_noise", "force_noise", "tremor_m", "reflex_share"), 0.0)
-    person = replace(hand_parameters("expert"), **still)
-    loop = limits.turning_loop(1.0, filter_s=1e-3)
-    stiffness = share * judge(loop, [person.grip[3:]]).critical_N_m
-    tissue_Nm_rad = 1e3 * stiffness
-    nudge = lambda time_s: np.array(exponential((0.02 * (time_s > 0.1), 0.0, 0.0)))  # noqa: E731
-    still_there = waypoints(np.array([0.0, 1.0]), np.zeros((2, 3)))
-    hand = Hand(person, still_there, rng=np.random.default_rng(0), turn=nudge)
-    device, tool = SimulatedDevice(limits, hand), HeldTurn(stiffness)
-    low_pass, torques, torque = LowPass(1e-3, step_s=STEP_S), [], np.zeros(3)
-    for index in range(2000):
-        at = device.read(index * STEP_S).quaternion
-        held_by = tool.follow(at, torque)
-        torque = -tissue_Nm_rad * np.array(logarithm(held_by)) + 1e-12
-        played = low_pass.step(stiffness * np.array(logarithm(product(held_by, conjugate(at)))))
-        device.command(np.zeros(3), played)
-        torques.append(played[0])
-    ripple = [np.std(torques[first : first + 300]) for first in (700, 1600)]
-    assert ripple[1] < 0.7 * ripple[0] if settles else ripple[1] > 1.4 * ripple[0]
-
-
 def test_ways_and_forces_are_scaled_by_a_stated_law():
     """The hand goes 1 / m of the way; a tool of K is felt as m f K; the energy is that at the device."""
     run = run_of("wall", coupling__motion_scale=2.5, coupling__force_scale=0.4)
@@ -443,15 +283,6 @@ def test_ways_and_forces_are_scaled_by_a_stated_law():
     assert "2.5 m at the tool for each metre at the device: a stiffness at the tool is felt as 1 of it" in str(
         run.parts.notes["coupling"]
     )
-
-
-def test_a_motion_that_leaves_the_workspace_is_refused_with_the_scale_that_fits():
-    far = [[0, 0, 20], [0, 0, -5], [300, 0, -5]]
-    with pytest.raises(
-        InputError, match=r"must be at least 1\.88 for a motion of 300 x 25 x 0 mm in the workspace of to"
-    ):
-        run_of("wall", motion__points_mm=far)
-    assert run_of("wall", motion__points_mm=far, coupling__motion_scale=1.88, duration_s=0.01).trace.rows.shape[0] == 10
 
 
 def test_a_run_of_the_whole_motion_waits_for_the_hand_and_a_short_one_does_not(on_the_wall):
@@ -477,23 +308,6 @@ def test_a_tool_that_does_not_turn_feels_the_bone_and_cuts_nothing(device):
     off = np.linalg.norm(k * stretch - model, axis=1)
     assert np.percentile(off, 99) < 2e-3 * np.linalg.norm(model, axis=1).max()
     assert 0.2 < played_N(run).max() <= limits.force_limit_N
-
-
-def test_without_a_hand_a_tool_that_does_not_turn_is_refused():
-    with pytest.raises(InputError, match=r"tool\.spin_rpm must not be 0 without a device"):
-        run_of("milling", tool__spin_rpm=0.0)
-
-
-def test_prediction_is_part_of_what_is_judged():
-    """4 ms of latency: a guarded prediction bears what the force it hands over to bears, and no more."""
-    late = {"coupling__delay_ms": 4, "duration_s": 0.01}
-    for kind in ("none", "hold", "linear", "kalman"):
-        with pytest.raises(InputError, match=r"coupling\.stiffness_N_m must be below 71"):
-            run_of("wall", prediction=kind, coupling__stiffness_N_m=800.0, **late)
-    for gain, hurts in ((1.0, False), (2.0, True)):
-        changes = late | {"coupling__prediction_gain": gain, "coupling__stiffness_N_m": 200.0}
-        held, ahead = (run_of("wall", prediction=kind, **changes).trace["margin"][0] for kind in ("hold", "koopman"))
-        assert (ahead < held - 0.1) == hurts
 
 
 def test_what_a_controller_adds_is_not_extrapolated():
@@ -534,10 +348,3 @@ def test_a_device_that_plays_torque_is_given_that_of_its_spring(name, changes):
     np.testing.assert_allclose(played, tissue, atol=0.1 * np.linalg.norm(tissue))
     turned = trace["device_qz"] - trace["tool_qz"] if name == "glenoid" else trace["device_qy"] - trace["tool_qy"]
     assert np.abs(turned[late]).max() > 1e-4
-
-
-def test_the_coupling_says_what_stops_a_ringing_and_what_is_not_used():
-    overrides = {"duration_s": 0.01, "renderer": "passivity", "coupling.predictor_file": "mine.npz"}
-    told = simulate(load_scene("wall", overrides)).parts.notes["coupling"]
-    assert "nothing but friction and the passivity controller stops its ringing" in told
-    assert "coupling.predictor_file is not used, for prediction = none" in told

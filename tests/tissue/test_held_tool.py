@@ -1,0 +1,79 @@
+"""A tool on a device without its scene: balances in closed form, and what leads or pushes it."""
+
+import numpy as np
+import pytest
+
+from tissue.coupling.guidance import Lead, Thrust
+from tissue.coupling.held_tool import CuttingTool, PressingTool
+from tissue.model import Response, ToolMotion
+from tissue.wall import WallModel
+
+STEP_S = 1e-3
+DOWN = np.array([0.0, 0.0, -1.0])
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+
+
+def test_a_cutting_tool_balances_spring_edge_and_resistance():
+    """k (d - s) = edge + c s / T in closed form; below the edge force it rests and presses by its share of it."""
+    stiffness, drag, edge, device = 1e4, 5e3, 8.0, 2e-3 * DOWN
+    tool, response = CuttingTool(stiffness, np.zeros(3)), Response.empty(1)
+    response.resistance[2], response.edge[2] = drag, edge
+    tip = tool.follow(device, UPRIGHT, response, DOWN, STEP_S)
+    np.testing.assert_allclose(-tip[2], (stiffness * 2e-3 - edge) / (stiffness + drag / STEP_S), rtol=1e-12)
+    at = tip.copy()
+    tip = tool.follow(at + 4e-4 * DOWN, UPRIGHT, response, DOWN, STEP_S)
+    np.testing.assert_array_equal(tip, at)
+    assert tool.pressed == pytest.approx(0.5)
+    tip = tool.follow(at - 1e-3 * DOWN, UPRIGHT, response, DOWN, STEP_S)
+    np.testing.assert_array_equal(tip, at - 1e-3 * DOWN)  # straight back nothing resists
+
+
+def test_what_a_cutting_tool_has_felt_fades_and_then_it_is_free():
+    tool, response, nothing = CuttingTool(1e4, np.zeros(3)), Response.empty(1), Response.empty(1)
+    response.resistance[2] = 1e5
+    tool.follow(1e-3 * DOWN, UPRIGHT, response, DOWN, STEP_S)
+    ways = -np.diff([tool.follow(1e-3 * DOWN, UPRIGHT, nothing, DOWN, STEP_S)[2] for _ in range(80)])
+    assert ways[0] < 2e-6 and (ways >= 0.0).all()
+    np.testing.assert_array_equal(tool.follow(2e-3 * DOWN, UPRIGHT, nothing, DOWN, STEP_S), 2e-3 * DOWN)
+
+
+@pytest.mark.parametrize("tissue_N_m", [50.0, 400.0, 4e3, 4e4])
+def test_a_pressing_tool_finds_the_balance_of_a_spring_it_does_not_know(tissue_N_m):
+    """Device at rest in an elastic half-space: x = k_c x_d / (k_c + k_t), also a hundred times stiffer than it is."""
+    tool, response = PressingTool(400.0, np.zeros(3)), Response.empty(1)
+    for _ in range(200):
+        tip = tool.follow(1e-3 * DOWN, UPRIGHT, response, DOWN, STEP_S)
+        response.wrench[2] = max(-tissue_N_m * tip[2], 0.0)
+    np.testing.assert_allclose(tip[2], -1e-3 * 400.0 / (400.0 + tissue_N_m), rtol=1e-2)
+
+
+def test_a_led_hand_goes_farther_until_the_tool_is_there():
+    tool = PressingTool(1.0, np.zeros(3))
+    lead = Lead(lambda time_s: 1e-3 * DOWN, tool, ahead_s=0.2, furthest_m=5e-3)
+    assert lead(0.0)[2] == -1e-3
+    goals = [lead(1.0 + n)[2] for n in range(40)]
+    assert (np.diff(goals) <= 0.0).all() and goals[-1] == pytest.approx(-6e-3)
+    tool.tip_m[2] = -1e-3
+    assert lead(50.0)[2] == goals[-1]
+
+
+def test_a_thrust_pushes_until_the_way_is_gone():
+    tool = CuttingTool(1.0, np.zeros(3))
+    thrust = Thrust(np.zeros(3), 2e-3 * DOWN, tool, 1.5, 4e-3)
+    np.testing.assert_allclose(thrust.push(1.0), 1.5 * DOWN)
+    np.testing.assert_allclose(thrust.path(1.0), 4e-3 * DOWN)
+    tool.tip_m[:] = 2e-3 * DOWN
+    assert not thrust.push(1.0).any()
+    np.testing.assert_allclose(thrust.path(1.0), 2e-3 * DOWN)
+
+
+def test_a_tilted_ball_feels_the_wall_at_its_lowest_point():
+    wall, tool = WallModel(1e4, radius_m=5e-3), ToolMotion()
+    c, s = np.cos(0.3), np.sin(0.3)
+    tool.rotation[:] = [[c, 0, s], [0, 1, 0], [-s, 0, c]]
+    centre = np.array([1e-3, 2e-3, 4.9e-3])
+    tool.tip_m[:] = centre - 5e-3 * tool.rotation[:, 2]
+    response = wall.respond(tool)
+    np.testing.assert_allclose(response.wrench[:3], [0, 0, 1e4 * 1e-4], rtol=1e-9)
+    arm = centre - np.array([0, 0, 5e-3]) - tool.tip_m
+    np.testing.assert_allclose(response.wrench[3:], np.cross(arm, response.wrench[:3]), atol=1e-15)

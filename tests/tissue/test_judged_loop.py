@@ -1,0 +1,138 @@
+"""The loop by which a scene's coupling is judged: what counts, what is refused, and the nearest that is not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hand_runs import played_N, run_of
+
+from tissue import InputError, load_scene, simulate
+from tissue.build_loop import judged_loop
+from tissue.coupling import (
+    Hand,
+    LowPass,
+    SimulatedDevice,
+    device_parameters,
+    hand_parameters,
+    judge,
+)
+from tissue.coupling.aim import waypoints
+from tissue.coupling.held_turn import HeldTurn
+from tissue.coupling.quaternion import conjugate, exponential, logarithm, product
+
+STEP_S = 1e-3
+
+
+def test_an_unstable_stiffness_is_refused_with_margin_and_the_nearest_stable_one():
+    with pytest.raises(InputError, match="must be below") as refused:
+        run_of("wall", coupling__stiffness_N_m=3000.0)
+    sentence = str(refused.value)
+    assert sentence.startswith("coupling.stiffness_N_m must be below 20") and "got 3000 (margin -4" in sentence
+    nearest = float(sentence.split(": use ")[1].split(",")[0])
+    assert run_of("wall", coupling__stiffness_N_m=nearest, duration_s=0.01).trace["margin"][0] > 0.0
+
+
+def test_the_command_refuses_and_allows(command, refused, here):
+    rigid = ("run", "wall", "--duration-s", 0.02, "--no-pictures", "--set", "coupling.stiffness_N_m=3000")
+    assert refused(*rigid) == (
+        "coupling.stiffness_N_m must be below 2036 to be stable with device = touch in the hand of an expert, got 3000 "
+        "(margin -47.4 %): use 2030, or pass --allow-unstable"
+    )
+    code, said, error = command(*rigid, "--allow-unstable")
+    assert (code, error) == (0, "") and "is unstable, margin -47.4 %" in said
+
+
+def test_too_much_damping_is_refused():
+    with pytest.raises(
+        InputError, match=r"coupling\.damping_N_s_m must leave some stiffness stable, got 500: lower it"
+    ):
+        run_of("wall", coupling__damping_N_s_m=500.0)
+
+
+def test_an_unstable_stiffness_that_is_allowed_runs_and_is_bounded():
+    run = run_of("wall", coupling__stiffness_N_m=2e4, allow_unstable=True, duration_s=1.0)
+    assert run.trace["margin"][0] < 0.0 and "unstable" in run.parts.notes["coupling"]
+    assert np.isfinite(run.trace.rows).all()
+    assert played_N(run).max() <= device_parameters("touch").force_limit_N
+    assert run.trace["saturated"].any()
+
+
+def test_what_is_judged_counts_the_delay_that_is_there():
+    """Latency, the low-pass, and a tick for an organ whose balance is found a tick later."""
+    wall, late = (judged_loop(load_scene("wall", o), step_s=STEP_S) for o in ({}, {"coupling.delay_ms": 3}))
+    liver = judged_loop(load_scene("liver-press", {"device": "touch"}), step_s=STEP_S)
+    bone = judged_loop(load_scene("milling", {"device": "touch"}), step_s=STEP_S)
+    assert late.delay_s == pytest.approx(wall.delay_s + 3e-3)
+    assert liver.delay_s == pytest.approx(wall.delay_s + 1e-3)
+    assert bone.delay_s == wall.delay_s and bone.filter_s == 1e-3
+    assert judge(late).critical_N_m < judge(wall).critical_N_m
+
+
+def test_an_unstable_spring_of_rotation_is_refused_with_the_nearest_stable_one():
+    with pytest.raises(InputError, match=r"coupling\.stiffness_Nm_rad must be below .* got 20 ") as refused:
+        run_of("wall", device="six-dof", coupling__stiffness_Nm_rad=20.0)
+    nearest = float(str(refused.value).split(": use ")[1].split(",")[0])
+    run = run_of("wall", device="six-dof", coupling__stiffness_Nm_rad=nearest, duration_s=0.01)
+    assert f"stiffness {nearest:g} N m/rad is stable" in run.parts.notes["coupling"]
+
+
+@pytest.mark.parametrize(("share", "settles"), [(0.95, True), (1.05, False)])
+def test_the_turning_loop_is_stable_up_to_the_stiffness_that_is_judged(share, settles):
+    """A six-dof device whose tool a tissue holds fast in rotation, 5 % on either side of the critical value.
+
+    A tool that is held fast is where it was, so that the spring answers the tick's own turn; a soft tissue answers a
+    tick later, which is what a scene's judge counts with.
+    """
+    limits = replace(device_parameters("six-dof"), friction_Nm=0.0, encoder_step_rad=0.0, torque_limit_Nm=1e3)
+    still = dict.fromkeys(("endpoint_noise", "force_noise", "tremor_m", "reflex_share"), 0.0)
+    person = replace(hand_parameters("expert"), **still)
+    loop = limits.turning_loop(1.0, filter_s=1e-3)
+    stiffness = share * judge(loop, [person.grip[3:]]).critical_N_m
+    tissue_Nm_rad = 1e3 * stiffness
+    nudge = lambda time_s: np.array(exponential((0.02 * (time_s > 0.1), 0.0, 0.0)))  # noqa: E731
+    still_there = waypoints(np.array([0.0, 1.0]), np.zeros((2, 3)))
+    hand = Hand(person, still_there, rng=np.random.default_rng(0), turn=nudge)
+    device, tool = SimulatedDevice(limits, hand), HeldTurn(stiffness)
+    low_pass, torques, torque = LowPass(1e-3, step_s=STEP_S), [], np.zeros(3)
+    for index in range(2000):
+        at = device.read(index * STEP_S).quaternion
+        held_by = tool.follow(at, torque)
+        torque = -tissue_Nm_rad * np.array(logarithm(held_by)) + 1e-12
+        played = low_pass.step(stiffness * np.array(logarithm(product(held_by, conjugate(at)))))
+        device.command(np.zeros(3), played)
+        torques.append(played[0])
+    ripple = [np.std(torques[first : first + 300]) for first in (700, 1600)]
+    assert ripple[1] < 0.7 * ripple[0] if settles else ripple[1] > 1.4 * ripple[0]
+
+
+def test_a_motion_that_leaves_the_workspace_is_refused_with_the_scale_that_fits():
+    far = [[0, 0, 20], [0, 0, -5], [300, 0, -5]]
+    with pytest.raises(
+        InputError, match=r"must be at least 1\.88 for a motion of 300 x 25 x 0 mm in the workspace of to"
+    ):
+        run_of("wall", motion__points_mm=far)
+    assert run_of("wall", motion__points_mm=far, coupling__motion_scale=1.88, duration_s=0.01).trace.rows.shape[0] == 10
+
+
+def test_without_a_hand_a_tool_that_does_not_turn_is_refused():
+    with pytest.raises(InputError, match=r"tool\.spin_rpm must not be 0 without a device"):
+        run_of("milling", tool__spin_rpm=0.0)
+
+
+def test_prediction_is_part_of_what_is_judged():
+    """4 ms of latency: a guarded prediction bears what the force it hands over to bears, and no more."""
+    late = {"coupling__delay_ms": 4, "duration_s": 0.01}
+    for kind in ("none", "hold", "linear", "kalman"):
+        with pytest.raises(InputError, match=r"coupling\.stiffness_N_m must be below 71"):
+            run_of("wall", prediction=kind, coupling__stiffness_N_m=800.0, **late)
+    for gain, hurts in ((1.0, False), (2.0, True)):
+        changes = late | {"coupling__prediction_gain": gain, "coupling__stiffness_N_m": 200.0}
+        held, ahead = (run_of("wall", prediction=kind, **changes).trace["margin"][0] for kind in ("hold", "koopman"))
+        assert (ahead < held - 0.1) == hurts
+
+
+def test_the_coupling_says_what_stops_a_ringing_and_what_is_not_used():
+    overrides = {"duration_s": 0.01, "renderer": "passivity", "coupling.predictor_file": "mine.npz"}
+    told = simulate(load_scene("wall", overrides)).parts.notes["coupling"]
+    assert "nothing but friction and the passivity controller stops its ringing" in told
+    assert "coupling.predictor_file is not used, for prediction = none" in told
