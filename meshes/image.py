@@ -71,7 +71,7 @@ def read_volume(
     up: str = "+z",
     layer_name: str = "trabecular",
     array: str | None = None,
-    tell: Callable[[str], None] | None = None,
+    remark: Callable[[str], None] | None = None,
 ) -> VoxelVolume:
     """Bone from an image file, see `meshes.image_file.read_image` for the files and `image_volume` for the rest.
 
@@ -79,7 +79,7 @@ def read_volume(
     ----------
     spacing_mm
         Voxel size [mm], instead of the file's; required for TIFF slices.
-    tell
+    remark
         Called with each sentence on what was assumed.
     """
     image = read_image(path, spacing_mm=spacing_mm, array=array)
@@ -93,7 +93,7 @@ def read_volume(
         resample_mm=resample_mm,
         up=up,
         layer_name=layer_name,
-        tell=tell,
+        remark=remark,
     )
 
 
@@ -108,7 +108,7 @@ def image_volume(
     resample_mm: float | None = None,
     up: str = "+z",
     layer_name: str = "trabecular",
-    tell: Callable[[str], None] | None = None,
+    remark: Callable[[str], None] | None = None,
 ) -> VoxelVolume:
     """Bone voxels of one layer; the origin is the centre of the block's top face, +z upward.
 
@@ -169,8 +169,8 @@ def image_volume(
     for axis, size in enumerate(image.spacing_mm):
         fraction, mass = (_averaged(a, axis, spacing / size) for a in (fraction, mass))
     for note in notes:
-        if tell is not None:
-            tell(note)
+        if remark is not None:
+            remark(note)
     return _placed(fraction, mass, 1e-3 * spacing, up, layer_name)
 
 

@@ -85,7 +85,7 @@ def label_volume(
     priority: Sequence[str] | None = None,
     pulp_from_cavity: bool = True,
     array: str | None = None,
-    tell: Callable[[str], None] | None = None,
+    remark: Callable[[str], None] | None = None,
 ) -> VoxelVolume:
     """Tooth from a label image file; `meshes.image_file.read_image` says which files, `labelled_volume` the rest.
 
@@ -102,7 +102,7 @@ def label_volume(
         resample_mm=resample_mm,
         priority=priority,
         pulp_from_cavity=pulp_from_cavity,
-        tell=tell,
+        remark=remark,
     )
 
 
@@ -113,7 +113,7 @@ def labelled_volume(
     resample_mm: float | None = None,
     priority: Sequence[str] | None = None,
     pulp_from_cavity: bool = True,
-    tell: Callable[[str], None] | None = None,
+    remark: Callable[[str], None] | None = None,
 ) -> VoxelVolume:
     """Voxels of a tooth in the site frame of teeth, its layers those of `meshes.tooth_layers.TOOTH_LAYERS`.
 
@@ -134,7 +134,7 @@ def labelled_volume(
         dentin, ligament, bone.
     pulp_from_cavity
         Where no label is the pulp: whether the empty cavity in the dentin is taken as pulp.
-    tell
+    remark
         Called with each sentence on what was assumed, found and dropped.
 
     Raises
@@ -161,9 +161,9 @@ def labelled_volume(
     if "pulp" not in named.counts:
         volume, sentence = _pulp(volume, pulp_from_cavity)
         sentences.append(sentence)
-    if tell is not None:
+    if remark is not None:
         for sentence in sentences:
-            tell(sentence)
+            remark(sentence)
     return volume
 
 

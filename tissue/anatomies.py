@@ -159,7 +159,7 @@ def _image(scene: Scene, *, notes: dict[str, str]) -> VoxelVolume:
         spacing_mm=parameters.spacing_mm,
         density_kg_m3=parameters.density_kg_m3 if isinstance(parameters, BlockAnatomy) else 1800.0,
         resample_mm=scene.voxels.spacing_mm,
-        tell=said.append,
+        remark=said.append,
     )
     notes["image"] = " ".join(said) or f"{parameters.file}: {volume.shape} voxels"
     return volume
@@ -169,7 +169,7 @@ def _labelled(scene: Scene, *, spacing_m: float, notes: dict[str, str]) -> Voxel
     """A tooth from a label volume."""
     said: list[str] = []
     volume = label_volume(
-        scene.bone.file or "", spacing_mm=scene.bone.spacing_mm, resample_mm=1e3 * spacing_m, tell=said.append
+        scene.bone.file or "", spacing_mm=scene.bone.spacing_mm, resample_mm=1e3 * spacing_m, remark=said.append
     )
     notes["labels"] = " ".join(said)
     return volume

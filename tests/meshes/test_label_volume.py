@@ -60,19 +60,19 @@ def test_islands_are_dropped_and_told():
     values, said = tooth_labels(), []
     values[2:4, 2:4, 2:4] = 3
     values[135, 65, 55] = 2
-    volume = labelled_volume(image(values), resample_mm=0.2, tell=said.append)
+    volume = labelled_volume(image(values), resample_mm=0.2, remark=said.append)
     assert "Dropped 2 loose pieces of 9 voxels, 0.009 mm3 in all." in said
     assert volume.volume_m3() == labelled_volume(image(tooth_labels()), resample_mm=0.2).volume_m3()
 
 
 def test_cavity_becomes_pulp_unless_told_not_to():
     said = []
-    volume = labelled_volume(image(tooth_labels()), resample_mm=0.1, tell=said.append)
+    volume = labelled_volume(image(tooth_labels()), resample_mm=0.1, remark=said.append)
     assert 1e9 * volume.volume_m3("pulp") == pytest.approx(4.0, rel=0.1)
     assert any("in the dentin is taken as pulp" in sentence for sentence in said)
     assert 1e9 * volume.volume_m3() == pytest.approx(240.0, rel=5e-3)
     said.clear()
-    empty = labelled_volume(image(tooth_labels()), resample_mm=0.1, pulp_from_cavity=False, tell=said.append)
+    empty = labelled_volume(image(tooth_labels()), resample_mm=0.1, pulp_from_cavity=False, remark=said.append)
     assert empty.volume_m3("pulp") == 0.0 and any("cannot be told" in sentence for sentence in said)
 
 
@@ -159,7 +159,7 @@ def test_real_carious_teeth(anatomy, number, islands, counts):
     """Voxel counts and islands are those of the data's README; the islands hold less than 0.2 mm3."""
     said = []
     path = anatomy / "tooth" / f"caries_tooth_{number}.nii.gz"
-    volume = label_volume(path, spacing_mm=0.034, resample_mm=0.1, tell=said.append)
+    volume = label_volume(path, spacing_mm=0.034, resample_mm=0.1, remark=said.append)
     assert any(f"Dropped {islands - 1} loose pieces" in sentence for sentence in said)  # the tooth is one of them
     for name, count in counts.items():
         expected = count * 0.034**3

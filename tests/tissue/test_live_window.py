@@ -164,7 +164,7 @@ def test_the_drawn_bone_loses_what_the_tool_removes(tmp_path, monkeypatch, block
     left = milling.store.remaining.numpy()
     hollow = np.flatnonzero((milling.store.places == milling.store.places.max(axis=0) // 2).all(axis=1))
     assert hollow.size == 1
-    lost_mm3 = 1e9 * milling.step_m3 * left[hollow].sum(dtype=float) / 1.0
+    lost_mm3 = 1e9 * milling.step_m3 * left[hollow].sum(dtype=float)
     left[hollow] = 0
     shared.publish(arrays, 0)
     assert bone.update()
