@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from meshes.errors import InputError
+from tissue.coupling.hand import GROUPS
 from tissue.perception.psychometric import (
     correct_of_d_prime,
     cumulative_normal,
@@ -12,7 +13,7 @@ from tissue.perception.psychometric import (
     two_interval,
     weibull,
 )
-from tissue.perception.simulated_observer import GROUPS, SimulatedObservers, draw_observers
+from tissue.perception.simulated_observer import SimulatedObservers, draw_observers
 from tissue.perception.staircase import Staircase
 
 

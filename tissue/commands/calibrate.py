@@ -60,7 +60,7 @@ def calibrate(
             "try --observer simulated:1 --out observer.json"
         )
     if population is not None:
-        from tissue.calibration.population import fit_population
+        from tissue.calibration.fitted_population import fit_population
 
         with problems.status("fitting the population"):
             told = fit_population(population, out or Path("population.json"), seed=seed, overwrite=overwrite)
