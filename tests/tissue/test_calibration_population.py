@@ -125,7 +125,9 @@ def test_the_command_writes_a_population(command, here, monkeypatch):
     """With a fit that is known, which costs a minute to draw."""
     (here / "people").mkdir()
     sessions(here / "people", 4, trials=10, numbers=6)
-    monkeypatch.setattr("tissue.calibration.fitted_population.fit_hierarchy", lambda trials, seed, progress: a_fit(divergences=2))
+    monkeypatch.setattr(
+        "tissue.calibration.fitted_population.fit_hierarchy", lambda trials, seed, progress: a_fit(divergences=2)
+    )
     code, out, _ = command("calibrate", "--population", "people", "--out", "all.json")
     assert code == 0 and "4 observers" in out and "R-hat at most 1.000" in out
     assert "2 divergences" in out and "note: 2 transitions diverged" in out
