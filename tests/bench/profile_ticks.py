@@ -15,7 +15,7 @@ import numpy as np
 from harness import machine, table
 
 from tissue.charts.measure import excerpt
-from tissue.charts.settings import in_hand
+from tissue.charts.settings import by_hand
 from tissue.load import load_scene, scene_names
 from tissue.run import Run
 from tissue.scene import Scene
@@ -88,7 +88,7 @@ def main() -> None:
     rows, deep = [], []
     for name in given.scenes or scene_names():
         scene = load_scene(name)
-        kinds = {"hand": in_hand(scene)} | ({"script": scene} if scene.device == "none" else {})
+        kinds = {"hand": by_hand(scene)} | ({"script": scene} if scene.device == "none" else {})
         for kind, whole in sorted(kinds.items(), reverse=True):
             short = excerpt(whole, {}, quick=True)
             at = stages(ran(short))

@@ -11,7 +11,7 @@ from tissue.charts.fidelity import SAFETY, choose
 from tissue.charts.frontier import read_measured, write_measured
 from tissue.charts.measure import Measured, excerpt, setting_key
 from tissue.charts.scenes import chart_scenes
-from tissue.charts.settings import Setting, finest, in_hand, settings_of
+from tissue.charts.settings import Setting, by_hand, finest, settings_of
 from tissue.load import changed, load_scene, scene_names
 from tissue.scene_coupling import Fidelity
 
@@ -75,7 +75,7 @@ def test_a_table_of_measurements_reads_back_bit_for_bit(tmp_path):
 @pytest.mark.parametrize("hand", [False, True])
 def test_every_setting_of_every_scene_is_a_valid_scene(name, hand):
     scene = load_scene(name)
-    scene = in_hand(scene) if hand else changed(scene, {"device": "none"})
+    scene = by_hand(scene) if hand else changed(scene, {"device": "none"})
     for quick in (True, False):
         settings = settings_of(scene, quick=quick)
         assert len({setting.name for setting in settings}) == len(settings) >= 1

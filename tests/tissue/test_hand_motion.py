@@ -7,7 +7,7 @@ import pytest
 
 from tissue import InputError, load_scene, simulate
 from tissue.build import build, motion_of
-from tissue.build_hand import by_hand
+from tissue.build_hand import hand_motion
 from tissue.build_loop import judged_loop
 from tissue.coupling import (
     Fault,
@@ -50,7 +50,7 @@ def played_N(run):
 def held(name="wall", **changes):
     """A scene's hand and device without its tissue."""
     scene = load_scene(name, {k.replace("__", "."): v for k, v in changes.items()})
-    motion, _ = by_hand(scene, motion_of(scene, step_s=STEP_S), step_s=STEP_S, allow_unstable=False)
+    motion, _ = hand_motion(scene, motion_of(scene, step_s=STEP_S), step_s=STEP_S, allow_unstable=False)
     return motion
 
 

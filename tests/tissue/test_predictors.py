@@ -1,13 +1,11 @@
 """Predictors in the loop: laws of all of them, exact signals, the guard's handover, files, and latency that they hide."""
 
 from dataclasses import replace
-from typing import get_args
 
 import numpy as np
 import pytest
 
 from tissue import InputError, load_scene, simulate
-from tissue.charts.prediction_picture import LOOKS
 from tissue.prediction import Edmd, Hold, Identity, Operator
 from tissue.prediction.baselines import Kalman, Linear, LinearControl, kalman_gains
 from tissue.prediction.build import PREDICTORS, predictor, trained_predictor
@@ -16,7 +14,6 @@ from tissue.prediction.guard import BLEND, PROBATION, Guarded
 from tissue.prediction.koopman import WIDTH, Koopman
 from tissue.prediction.overlaps import Overlaps
 from tissue.prediction.trained import Trained, shipped_file
-from tissue.scene_coupling import PredictionName
 from tissue.training import Recording, fit, fitting, forecast_errors, trial
 
 STIFFNESS_N_M = 400.0
@@ -56,10 +53,6 @@ def feed(predictor, forces, positions=None):
         position = np.zeros(3) if positions is None else positions[index]
         predictor.observe(position, np.zeros(3), np.array([0.0, 0.0, force]))
     return predictor
-
-
-def test_scenes_and_charts_know_every_predictor():
-    assert get_args(PredictionName) == ("none", *PREDICTORS) and set(LOOKS) == set(PREDICTORS)
 
 
 @pytest.mark.parametrize("kind", PREDICTORS)

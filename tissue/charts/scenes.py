@@ -6,7 +6,7 @@ from pathlib import Path
 from tissue.charts.frontier import Frontier, frontier_of, write_measured
 from tissue.charts.measure import machine
 from tissue.charts.picture import draw_frontiers
-from tissue.charts.settings import in_hand
+from tissue.charts.settings import by_hand
 from tissue.load import load_scene, scene_names
 from tissue.outputs import require_free_folder
 
@@ -37,7 +37,7 @@ def chart_scenes(
             tell(doing, (index + share) / len(scenes))
 
         # A wall is met by a hand alone; other scenes move by script as well.
-        kinds = [in_hand(scene)] if scene.device != "none" else [scene, in_hand(scene)]
+        kinds = [by_hand(scene)] if scene.device != "none" else [scene, by_hand(scene)]
         both = [frontier_of(kind, quick=quick, tell=told) for kind in kinds]
         draw_frontiers([each for each in both if len(each.points) > 1], out / f"{scene.name}.png")
         write_measured(out / f"{scene.name}.csv", [point for each in both for point in each.points])

@@ -11,7 +11,7 @@ from tissue.scene import Scene
 from tissue.scene_soft import LayersAnatomy, LiverAnatomy, SlabAnatomy
 from tissue.scene_tool import Tool
 
-__all__ = ["LATENCY_MS", "Setting", "finest", "in_hand", "nearly_finest", "settings_of"]
+__all__ = ["LATENCY_MS", "Setting", "by_hand", "finest", "nearly_finest", "settings_of"]
 
 LATENCY_MS = 4
 """Latency at which loops are compared where a scene has none, the mean that the paper reports being 4.3 ms."""
@@ -47,7 +47,7 @@ class Setting:
     compute: str = "cpu"
 
 
-def in_hand(scene: Scene) -> Scene:
+def by_hand(scene: Scene) -> Scene:
     """The scene on a device, with a latency to be hidden."""
     changes: dict[str, Any] = {} if scene.device != "none" else {"device": "touch"}
     if scene.coupling.delay_ms == 0:
