@@ -6,7 +6,6 @@ import inspect
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -200,9 +199,10 @@ def fresh(code, **environment):
 
 
 def test_importing_tissue_is_quick_and_starts_nothing():
+    """By processor time, as the next one: wall time charges with what else the machine does."""
     heavy = "('warp', 'vtk', 'vtkmodules', 'pyvista', 'scipy', 'pydantic', 'kernels')"
     code = (
-        "import sys, time; start = time.perf_counter(); import tissue; print(time.perf_counter() - start); "
+        "import sys, time; start = time.process_time(); import tissue; print(time.process_time() - start); "
         f"print([name for name in {heavy} if name in sys.modules])"
     )
     took = []
@@ -214,15 +214,13 @@ def test_importing_tissue_is_quick_and_starts_nothing():
 
 
 def test_help_is_quick():
-    took = []
-    for _ in range(5):
-        start = time.perf_counter()
-        told = subprocess.run(
-            [sys.executable, "-c", "from tissue.cli import main; main()", "--help"], capture_output=True, check=True
-        )
-        took.append(time.perf_counter() - start)
-        assert b"run" in told.stdout
-    assert min(took) < 1.0
+    code = (
+        "import atexit, sys, time; atexit.register(lambda: print(time.process_time(), file=sys.stderr)); "
+        "sys.argv = ['tissue', '--help']; from tissue.cli import main; main()"
+    )
+    told = [fresh(code) for _ in range(5)]
+    assert all("run" in each.stdout and each.returncode == 0 for each in told)
+    assert min(float(each.stderr) for each in told) < 1.0
 
 
 def test_every_name_of_tissue_can_be_had():

@@ -35,9 +35,9 @@ def build(
     motion = motion_of(scene, step_s=step_s)
     if scene.device == "none":
         return _tissue(scene, motion, step_s=step_s, compute=compute, cores=cores, tell=tell)
-    from tissue.build_hand import by_hand
+    from tissue.build_hand import hand_motion
 
-    held, said = by_hand(scene, motion, step_s=step_s, allow_unstable=allow_unstable)
+    held, said = hand_motion(scene, motion, step_s=step_s, allow_unstable=allow_unstable)
     parts = _tissue(scene, held, step_s=step_s, compute=compute, cores=cores, tell=tell)
     parts.notes["coupling"] = said
     return parts

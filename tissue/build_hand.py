@@ -25,14 +25,14 @@ from tissue.scene import Scene
 from tissue.scene_coupling import WallAnatomy
 from tissue.scene_tool import ReplayMotion, ThrustMotion, Tool
 
-__all__ = ["by_hand"]
+__all__ = ["hand_motion"]
 
 Array = NDArray[np.float64]
 STRAY_M = 2e-3
 """How far from the scripted way an organ's surface may be met [m]."""
 
 
-def by_hand(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable: bool) -> tuple[HandMotion, str]:
+def hand_motion(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable: bool) -> tuple[HandMotion, str]:
     """The scene's motion as its hand makes it on its device, and what was chosen and found of that.
 
     Forces are scaled by f and ways by m, so that a stiffness K at the tool is felt as m f K, and torques by f / m: work

@@ -12,7 +12,7 @@ import numpy as np
 from harness import Cost, cost_of, machine, table
 
 import tissue
-from tissue.perception.build import perception_of
+from tissue.perception.build import perception_for
 from tissue.perception.deadband import held_back
 from tissue.perception.estimate import map_force_N
 from tissue.perception.observer import Observer
@@ -27,7 +27,7 @@ RECORDED = {"wall": {}, "milling": {}, "palpation": {}, "molar": {"voxels.spacin
 
 def built(observer: Observer):
     """Perception on a Touch."""
-    return perception_of(observer, rng=np.random.default_rng(0), force_limit_N=LIMIT_N, tick_s=TICK_S)
+    return perception_for(observer, rng=np.random.default_rng(0), force_limit_N=LIMIT_N, tick_s=TICK_S)
 
 
 def ticks(count: int) -> list[tuple[str, ...]]:

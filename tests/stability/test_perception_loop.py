@@ -15,7 +15,7 @@ from tissue.coupling.renderer import ProxyRenderer
 from tissue.coupling.rigid_wall import press_wall
 from tissue.coupling.simulated_device import SimulatedDevice
 from tissue.coupling.stability import critical_stiffness_N_m, in_hands
-from tissue.perception.build import CAUTION, perception_of
+from tissue.perception.build import CAUTION, perception_for
 from tissue.perception.deadband import held_back
 from tissue.perception.mapping import ForceMap
 from tissue.perception.population import population_observer, reference_observer
@@ -54,7 +54,7 @@ class Felt:
 
 
 def population_on(parameters, friction_N=np.inf):
-    return perception_of(
+    return perception_for(
         population_observer(),
         rng=np.random.default_rng(1),
         force_limit_N=parameters.force_limit_N,

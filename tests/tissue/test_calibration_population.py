@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from meshes.errors import InputError
-from tissue.calibration.population import fit_population, new_person, pooled_trials
+from tissue.calibration.fitted_population import fit_population, new_person, pooled_trials
 from tissue.calibration.run_session import simulated_answers, simulated_observer
 from tissue.calibration.session import Plan
 from tissue.calibration.trial_log import TrialLog
@@ -125,7 +125,9 @@ def test_the_command_writes_a_population(command, here, monkeypatch):
     """With a fit that is known, which costs a minute to draw."""
     (here / "people").mkdir()
     sessions(here / "people", 4, trials=10, numbers=6)
-    monkeypatch.setattr("tissue.calibration.population.fit_hierarchy", lambda trials, seed: a_fit(divergences=2))
+    monkeypatch.setattr(
+        "tissue.calibration.fitted_population.fit_hierarchy", lambda trials, seed, progress: a_fit(divergences=2)
+    )
     code, out, _ = command("calibrate", "--population", "people", "--out", "all.json")
     assert code == 0 and "4 observers" in out and "R-hat at most 1.000" in out
     assert "2 divergences" in out and "note: 2 transitions diverged" in out

@@ -9,7 +9,7 @@ from hand_runs import played_N, run_of
 from meshes.progress import silent
 from tissue import InputError, load_scene, simulate
 from tissue.build import build, motion_of
-from tissue.build_hand import by_hand
+from tissue.build_hand import hand_motion
 from tissue.build_loop import judged_loop
 from tissue.coupling import (
     Fault,
@@ -39,7 +39,7 @@ COARSE_LIVER = {"organ.order": 1, "anatomy.edge_mm": 30.0, "anatomy.touch_edge_m
 def held(name="wall", **changes):
     """A scene's hand and device without its tissue."""
     scene = load_scene(name, {k.replace("__", "."): v for k, v in changes.items()})
-    motion, _ = by_hand(scene, motion_of(scene, step_s=STEP_S), step_s=STEP_S, allow_unstable=False)
+    motion, _ = hand_motion(scene, motion_of(scene, step_s=STEP_S), step_s=STEP_S, allow_unstable=False)
     return motion
 
 

@@ -6,7 +6,7 @@ import pytest
 from tissue import InputError
 from tissue.coupling.signal import ForceRange
 from tissue.perception import Perception
-from tissue.perception.build import perception, perception_of
+from tissue.perception.build import perception, perception_for
 from tissue.perception.observer import Observer, write_observer
 from tissue.perception.population import population_observer, reference_observer
 
@@ -162,8 +162,8 @@ def test_observers_who_cannot_be_inverted_are_refused():
     unsure = Observer.known("unsure", alpha=1.0, beta=0.5, kappa=0.07, offset_N=0.1, lapse=0.02, sigma=0.2,
                             spread={"beta": 1.5})  # fmt: skip
     with pytest.raises(InputError, match=r"beta must be known well enough to be inverted, got 0.5"):
-        perception_of(unsure, rng=np.random.default_rng(0), force_limit_N=LIMIT_N, tick_s=TICK)
+        perception_for(unsure, rng=np.random.default_rng(0), force_limit_N=LIMIT_N, tick_s=TICK)
     with pytest.raises(InputError, match=r"force_limit_N must be positive|limit_N must be positive"):
-        perception_of(reference_observer(), rng=np.random.default_rng(0), force_limit_N=-1.0, tick_s=TICK)
+        perception_for(reference_observer(), rng=np.random.default_rng(0), force_limit_N=-1.0, tick_s=TICK)
     with pytest.raises(InputError, match="tick_s must be positive"):
-        perception_of(population_observer(), rng=np.random.default_rng(0), force_limit_N=LIMIT_N, tick_s=0.0)
+        perception_for(population_observer(), rng=np.random.default_rng(0), force_limit_N=LIMIT_N, tick_s=0.0)

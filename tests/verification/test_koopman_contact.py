@@ -123,6 +123,7 @@ def test_second_order_polynomials_of_contact_diverge_without_the_cap_and_hold_wi
         # At exactly 1 a constant force still drifts in proportion to time: twice as far in twice the time.
         first, second = growth(wild.capped(1.0), start)
         assert second < 2.5 * first + 1.0
+    print(f"second-order polynomials on contact: {diverged} of 3 fits diverge without the cap")
     assert diverged >= 2
 
 

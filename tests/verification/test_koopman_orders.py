@@ -32,6 +32,7 @@ def test_a_closed_dictionary_keeps_the_claim_and_has_no_error_with_the_exponenti
         STEPS_S * 100,
     )
     assert found.defect < 1e-12
+    print(f"closed dictionary, step by Euler: order {found.orders[0]:.2f}")
     assert found.orders[0] == pytest.approx(PRINTED_ORDER, abs=0.05)
     assert found.exact.max() < 1e-13
 
@@ -54,6 +55,7 @@ def test_other_dictionaries_are_of_first_order_whatever_the_theorem_says(field, 
     # A spring of 500 N/m under 0.1 kg moves in 0.1 s: finer steps show the limit there.
     steps = STEPS_S * (0.1 if field is contact else 1.0)
     found = step_errors(generator, states, field(states), lambda step: advance(field, states, step, substeps=8), steps)
+    print(f"{field.__name__}, {lifted}: orders {found.orders[0]:.2f} (Euler), {found.orders[1]:.2f} (exponential)")
     assert found.defect > 0.1
     for errors, order in zip((found.euler, found.exact), found.orders, strict=True):
         assert order == pytest.approx(1.0, abs=0.05)
@@ -88,6 +90,7 @@ def test_errors_fall_with_the_root_of_the_samples():
     rng, counts = np.random.default_rng(11), [100, 400, 1600, 6400]
     errors = [noisy_fit_errors(count, rng, process=1.0, measured=0.0) for count in counts]
     slope = np.polyfit(np.log(counts), np.log(errors), 1)[0]
+    print(f"error over noisy samples: slope {slope:.2f}")
     # Thirty runs a count leave a standard error of about 0.04 in the slope.
     assert slope == pytest.approx(-0.5, abs=0.12)
 

@@ -43,6 +43,9 @@ def test_weber_of_seven_percent_is_recovered():
     found = calibrated(people(100), np.random.default_rng(0), trials=120)
     weber, spread = found.weber()
     errors = np.log(weber / 0.07)
+    print(
+        f"Weber fraction of 7 %: {7.0 * np.exp(errors.mean()):.2f} %, one session scatters by {100 * errors.std():.0f} %"
+    )
     assert abs(errors.mean()) < 3.0 * errors.std() / 10.0 + 0.06
     assert errors.std() < 0.2
     assert (np.abs(errors) < 3.5 * spread).all()
@@ -56,6 +59,7 @@ def test_stevens_of_1_7_is_recovered():
     fits = [fit_magnitudes(forces, column) for column in numbers.T]
     exponents = np.array([fit.mean[1] for fit in fits])
     assert exponents.mean() == pytest.approx(1.7, abs=4.0 * exponents.std() / 200**0.5 + 0.003)  # and the prior's pull
+    print(f"exponent of 1.7: {exponents.mean():.2f}, one session scatters by {exponents.std():.2f}")
     assert exponents.std() < 0.07
     held = np.mean([low < 1.7 < high for low, high in (fit.exponent_at([0.025, 0.975]) for fit in fits)])
     assert 0.91 < held < 0.995  # of 200: three standard errors around 95 %
@@ -72,7 +76,8 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     crowd = people(count, kappa=weber[drawn] * within, offset_N=floor[drawn], lapse=lapse[drawn])
     found = calibrated(crowd, rng, trials=60, prior=prior)
     low, high = found.weber_quantiles(np.array([0.025, 0.975]))
-    assert 0.92 < np.mean((low < crowd.kappa) & (crowd.kappa < high)) < 0.98
+    covered = np.mean((low < crowd.kappa) & (crowd.kappa < high))
+    assert 0.92 < covered < 0.98
     held = []
     for _ in range(count):
         variance = PRIOR_SCALE / rng.gamma(PRIOR_SHAPE)
@@ -81,6 +86,9 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
         numbers = np.exp(alpha + beta * np.log(forces) + np.sqrt(variance) * rng.standard_normal(12))
         least, most = fit_magnitudes(forces, numbers).exponent_at([0.025, 0.975])
         held.append(least < beta < most)
+    print(
+        f"95 % intervals hold {100 * covered:.1f} % of the Weber fractions, {100 * np.mean(held):.1f} % of the exponents"
+    )
     assert 0.92 < np.mean(held) < 0.98
 
 

@@ -166,6 +166,7 @@ def test_e8_the_steady_state_is_0_618_and_not_the_printed_0_5():
     law, variance = LocalLevel(wander=1.0, noise=1.0), 1.0
     for _ in range(60):
         _, variance = law.step(0.0, variance, 0.0)
+    print(f"recursive variance at q = r = 1: {variance:.6f}")
     assert variance == pytest.approx((np.sqrt(5.0) - 1.0) / 2.0, abs=1e-15)
     assert law.steady_variance == pytest.approx(variance, abs=1e-15)
     assert 1.0 * 1.0 / (1.0 + 1.0) == 0.5  # printed

@@ -56,6 +56,7 @@ def off_the_grid(seen, noise, middle, spread):
 def test_it_is_the_best_of_a_grid(count, seed):
     for given in (cases(count, seed), two_maxima(count // 4, seed + 1)):
         better, cells = off_the_grid(*given)
+        print(f"{len(better)} posteriors: the grid is better by {better.max():.0e} at most")
         assert better.max() < 1e-9  # rounding of a logarithm of density of up to 1e4
         assert cells.max() < 1.0 + 1e-6  # the grid's best is a neighbour of the true maximum
 

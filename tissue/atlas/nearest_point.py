@@ -80,7 +80,7 @@ def judge(data: Data) -> Verdict:
 
 
 def ask() -> list[Answer]:
-    """A start inside the wall, a device that is not a number, and one pulled out on the far side."""
+    """A start inside the wall, a device that is not a number, and one that jumps to the far side."""
     proxy = point_proxy(1e-3, start_m=2e-3)
     inside = proxy.advance(np.array([0.0, 0.0, -5e-3])).position_m[2]
     return [

@@ -10,10 +10,11 @@ from tissue.calibration.intervals import Person
 from tissue.calibration.session import Comparison, Magnitude, Plan
 from tissue.calibration.trial_log import TrialLog, log_path, read_log
 from tissue.coupling.device import DEVICES, Device, device_parameters
+from tissue.coupling.hand import GROUPS
 from tissue.coupling.other_devices import MouseDevice
 from tissue.coupling.simulated_device import SimulatedDevice
 from tissue.outputs import require_new_file
-from tissue.perception.simulated_observer import GROUPS, SimulatedObservers, draw_observers
+from tissue.perception.simulated_observer import SimulatedObservers, draw_observers
 
 __all__ = ["Answer", "begin", "questioner", "simulated_answers", "simulated_observer"]
 

@@ -11,7 +11,7 @@ from tissue.coupling.signal import ForceRange
 from tissue.load import load_scene
 from tissue.materials.constants import constants
 from tissue.outputs import require_free_folder
-from tissue.perception.build import CAUTION, perception_of
+from tissue.perception.build import CAUTION, perception_for
 from tissue.perception.deadband import held_back
 from tissue.perception.estimate import log_posterior, map_force_N
 from tissue.perception.observer import Observer, read_observer
@@ -93,7 +93,7 @@ def _command(someone: Observer, path: Path) -> None:
     knee_N = device.knee_share * limit_N
     right.plot(forces, forces**1.7, "--", color=WANTED, label="wanted: reference, physical force")
     for who, colour in ((population_observer(), PEOPLE), (someone, PERSON)):
-        law = perception_of(who, rng=np.random.default_rng(0), force_limit_N=limit_N, tick_s=1e-3).law
+        law = perception_for(who, rng=np.random.default_rng(0), force_limit_N=limit_N, tick_s=1e-3).law
         commands = law.command_N(forces)
         played = np.array([device.play(np.array([force, 0.0, 0.0]))[0][0] for force in commands])
         left.plot(forces, commands, ":", color=colour, linewidth=1.2)

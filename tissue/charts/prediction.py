@@ -182,7 +182,10 @@ def chart_prediction(
 
 
 def comparison_lines(found: Sequence[Comparison]) -> list[str]:
-    """What a person reads: errors at 4 ms, and how the lifted predictor stands to hold and to the best other."""
+    """What a person reads: errors at 4 ms, and how the lifted predictor stands to hold and to the best other.
+
+    It is called better or worse only where the interval of the paired difference over runs excludes zero.
+    """
     lines = ["error at 4 ms on unseen runs, % of the force (mean and 95 % interval)"]
     for each in found:
         for kind in PREDICTORS:
@@ -193,6 +196,10 @@ def comparison_lines(found: Sequence[Comparison]) -> list[str]:
             )
         own, held = each.at("koopman", DELAY_MS).mean, each.at("hold", DELAY_MS).mean
         best = min((kind for kind in PREDICTORS if kind != "koopman"), key=lambda kind: each.at(kind, DELAY_MS).mean)
-        ahead = "better" if own < each.at(best, DELAY_MS).mean else "worse"
-        lines.append(f"{each.scene:>12}  koopman {own / held:.2f} of hold, {ahead} than the best baseline, {best}")
+        apart = interval((each.errors["koopman"] - each.errors[best])[:, HORIZONS.index(DELAY_MS)])
+        told = "better than" if apart.high < 0.0 else "worse than" if apart.low > 0.0 else "not told apart from"
+        lines.append(
+            f"{each.scene:>12}  koopman {own / held:.2f} of hold, {told} the best baseline, {best}: "
+            f"{100 * apart.mean:+.2f} in pairs ({100 * apart.low:+.2f} to {100 * apart.high:+.2f})"
+        )
     return lines

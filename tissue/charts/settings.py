@@ -6,6 +6,7 @@ from typing import Any
 
 from tissue.build import cutter_of
 from tissue.load import changed
+from tissue.prediction.build import PREDICTORS
 from tissue.scene import Scene
 from tissue.scene_soft import LayersAnatomy, LiverAnatomy, SlabAnatomy
 from tissue.scene_tool import Tool
@@ -184,8 +185,8 @@ def _loops(scene: Scene, *, quick: bool) -> Iterator[Setting]:
     for law in ("penalty", "passivity", "proxy"):
         if not quick or law == "proxy":
             yield Setting(law, "loop", plain | {"renderer": law, "prediction": "none"}, lost)
-    for kind in ("linear", "kalman", "dmdc", "koopman"):
+    for kind in PREDICTORS[1:]:
         if not quick or kind in ("kalman", "koopman"):
             yield Setting(kind, "loop", plain | {"prediction": kind}, lost)
-    for kind in ("hold", "koopman") if quick else ("hold", "linear", "kalman", "dmdc", "koopman"):
+    for kind in ("hold", "koopman") if quick else PREDICTORS:
         yield Setting(f"100 Hz, {kind}", "loop", plain | {"prediction": kind, "coupling.model_ms": 10}, lost)

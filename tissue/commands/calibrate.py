@@ -60,11 +60,10 @@ def calibrate(
             "try --observer simulated:1 --out observer.json"
         )
     if population is not None:
-        from tissue.calibration.population import fit_population
+        from tissue.calibration.fitted_population import fit_population
 
-        with problems.status("fitting the population"):
-            told = fit_population(population, out or Path("population.json"), seed=seed, overwrite=overwrite)
-        for line in told:
+        target = out or Path("population.json")
+        for line in fit_population(population, target, seed=seed, overwrite=overwrite, progress=problems.is_terminal):
             console.print(line, soft_wrap=True, highlight=False, markup=False)
         return
     from tissue.calibration.posterior_view import draw_session

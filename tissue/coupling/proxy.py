@@ -159,9 +159,10 @@ class Proxy:
             array.zero_()
         self._run()
         if self.result.contacts > 0:
+            out_m = float(np.linalg.norm(self.result.position_m - position_m))
             raise InputError(
-                f"position_m must leave the tool outside everything, got {position_m} where it lies "
-                f"{-1e3 * float(self._report.host[4]):.3g} mm deep: start farther off"
+                f"position_m must leave the tool outside everything, got {position_m} where it lies about "
+                f"{1e3 * out_m:.3g} mm deep: start farther off"
             )
         return self.result
 

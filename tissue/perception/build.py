@@ -17,7 +17,7 @@ from tissue.perception.scaling import PerceivedForce
 from tissue.perception.stevens import intensity_of
 from tissue.perception.weber import weber_of
 
-__all__ = ["CAUTION", "perception", "perception_of"]
+__all__ = ["CAUTION", "perception", "perception_for"]
 
 CAUTION = 0.1
 """Quantile of what is known of the threshold that bounds the deadband: nine in ten have a greater one."""
@@ -58,10 +58,10 @@ def perception(
         raise InputError(
             f"perception must be one of none, population, observer:FILE, got {choice}: choose one of these"
         )
-    return perception_of(observer, rng=rng, force_limit_N=force_limit_N, tick_s=tick_s, friction_N=friction_N)
+    return perception_for(observer, rng=rng, force_limit_N=force_limit_N, tick_s=tick_s, friction_N=friction_N)
 
 
-def perception_of(
+def perception_for(
     observer: Observer,
     *,
     rng: np.random.Generator,

@@ -108,7 +108,13 @@ class PopulationFit:
 
 
 def fit_hierarchy(
-    trials: PopulationTrials, *, seed: int = 0, warm_up: int = 600, draws: int = 600, chains: int = 2
+    trials: PopulationTrials,
+    *,
+    seed: int = 0,
+    warm_up: int = 600,
+    draws: int = 600,
+    chains: int = 2,
+    progress: bool = False,
 ) -> PopulationFit:
     """Posterior of the population and of each person, by NUTS (Hoffman and Gelman, 2014) in NumPyro.
 
@@ -125,6 +131,8 @@ def fit_hierarchy(
         Of the draws.
     warm_up, draws, chains
         Draws a chain that are spent on tuning, and that are kept; chains.
+    progress
+        Show a bar for each chain.
 
     Raises
     ------
@@ -150,7 +158,7 @@ def fit_hierarchy(
         num_samples=draws,
         num_chains=chains,
         chain_method="sequential",
-        progress_bar=False,
+        progress_bar=progress,
     )
     run.run(random.PRNGKey(seed), *_data(trials), extra_fields=("diverging",))
     drawn = {name: np.asarray(values, dtype=float) for name, values in run.get_samples(group_by_chain=True).items()}

@@ -72,7 +72,9 @@ class Observer:
         if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
             raise InputError("mean and covariance must be finite, got one that is not: calibrate again")
         for name, (low, high) in BOUNDS.items():
-            require_range(name, _from(name, mean[PARAMETERS.index(name)]), low, high, "calibrate again, forces in N")
+            require_range(
+                name, float(_from(name, mean[PARAMETERS.index(name)])), low, high, "calibrate again, forces in N"
+            )
         scale = max(float(np.abs(covariance).max()), 1e-300)
         if np.abs(covariance - covariance.T).max() > 1e-9 * scale:
             raise InputError("covariance must be symmetric, got one that is not: calibrate again")
@@ -165,18 +167,14 @@ class Observer:
         require_range("share", share, 0.0, 1.0 - 1e-12, "use 0.95")
         index = PARAMETERS.index(parameter)
         half = float(ndtri(0.5 + 0.5 * share)) * float(np.sqrt(max(self.covariance[index, index], 0.0)))
-        return _from(parameter, self.mean[index] - half), _from(parameter, self.mean[index] + half)
+        return float(_from(parameter, self.mean[index] - half)), float(_from(parameter, self.mean[index] + half))
 
     def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
         """Possible values of every parameter, each of shape (count,), drawn together."""
         values, vectors = np.linalg.eigh(self.covariance)
         root = vectors * np.sqrt(values.clip(0.0))
         drawn = self.mean + rng.standard_normal((count, 6)) @ root.T
-        return {
-            name: np.asarray(drawn[:, k] if name == "beta" else expit(drawn[:, k]) if name == "lapse" else
-                             np.exp(drawn[:, k]))
-            for k, name in enumerate(PARAMETERS)
-        }  # fmt: skip
+        return {name: _from(name, drawn[:, k]) for k, name in enumerate(PARAMETERS)}
 
 
 def write_observer(observer: Observer, path: Path, *, overwrite: bool = False) -> None:
@@ -245,8 +243,8 @@ def _to(parameter: str, value: Array | np.float64) -> Array:
     return np.asarray(value if parameter == "beta" else logit(value) if parameter == "lapse" else np.log(value))
 
 
-def _from(parameter: str, coordinate: float) -> float:
+def _from(parameter: str, coordinate: Array | np.float64) -> Array:
     """The value at a coordinate."""
-    if parameter == "beta":
-        return float(coordinate)
-    return float(expit(coordinate)) if parameter == "lapse" else exp(min(float(coordinate), log(1e300)))
+    if parameter == "lapse":
+        return np.asarray(expit(coordinate))
+    return np.asarray(coordinate if parameter == "beta" else np.exp(np.minimum(coordinate, log(1e300))))

@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from meshes.errors import InputError, require_range
+from tissue.coupling.hand import GROUPS
 from tissue.materials.constants import constants
 from tissue.perception.population import population
 from tissue.perception.psychometric import D_PRIME_75
 
-__all__ = ["GROUPS", "SimulatedObservers", "draw_observers"]
+__all__ = ["SimulatedObservers", "draw_observers"]
 
 Array = NDArray[np.float64]
-GROUPS = ("novice", "intermediate", "expert")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,11 +4,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError
-from tissue.calibration.discrimination import Command, Stimulus, calibrated_commands, gain_of, share_right
+from tissue.calibration.told_apart import Command, Stimulus, calibrated_commands, gain_of, share_right
 from tissue.coupling.device import device_parameters
+from tissue.coupling.hand import GROUPS
 from tissue.coupling.signal import ForceRange
 from tissue.materials.constants import constants
-from tissue.perception.simulated_observer import GROUPS, SimulatedObservers, draw_observers
+from tissue.perception.simulated_observer import SimulatedObservers, draw_observers
 from tissue.statistics import TrialTable
 from tissue.study.folder import StudyFolder
 from tissue.study.paper import CASES

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from meshes.errors import InputError
 from meshes.progress import silent
 from tissue.build import build, motion_of
-from tissue.build_hand import by_hand
+from tissue.build_hand import hand_motion
 from tissue.build_loop import judged_loop
 from tissue.coupling.hand import GROUPS
 from tissue.coupling.hand_motion import HandMotion
@@ -147,7 +147,7 @@ class Recorder:
         """The hand of a scene and what it meets."""
         organ = isinstance(scene.tool, Probe) and not isinstance(scene.anatomy, WallAnatomy) and not scene.organ.viscous
         if organ and self._organ is not None:
-            motion, _ = by_hand(scene, motion_of(scene, step_s=TICK_S), step_s=TICK_S, allow_unstable=True)
+            motion, _ = hand_motion(scene, motion_of(scene, step_s=TICK_S), step_s=TICK_S, allow_unstable=True)
             return motion, self._organ
         parts = build(scene, step_s=TICK_S, compute="cpu", cores=self._cores, tell=silent, allow_unstable=True)
         assert isinstance(parts.motion, HandMotion)

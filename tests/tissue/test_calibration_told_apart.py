@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from meshes.errors import InputError
-from tissue.calibration.discrimination import Stimulus, calibrated_commands, gain_of, share_right, stimulus_of
+from tissue.calibration.told_apart import Stimulus, calibrated_commands, gain_of, share_right, stimulus_of
+from tissue.coupling.hand import GROUPS
 from tissue.coupling.signal import ForceRange
 from tissue.perception.population import reference_observer
 from tissue.perception.psychometric import D_PRIME_75, correct_of_d_prime
-from tissue.perception.simulated_observer import GROUPS, SimulatedObservers, draw_observers
+from tissue.perception.simulated_observer import SimulatedObservers, draw_observers
 from tissue.trace import Table
 
 

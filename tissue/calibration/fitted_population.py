@@ -59,11 +59,11 @@ def new_person(fit: PopulationFit, *, trials: int, rng: np.random.Generator) -> 
     return Observer.from_draws("population", drawn, trials=trials)
 
 
-def fit_population(folder: Path, out: Path, *, seed: int, overwrite: bool) -> list[str]:
+def fit_population(folder: Path, out: Path, *, seed: int, overwrite: bool, progress: bool = False) -> list[str]:
     """Fit the hierarchy to all logs in a folder and write the population; gives what was found, in sentences.
 
     The file is that of an observer, of whom it is known that it belongs to the population; beside it a table with
-    intervals and diagnostics of every parameter of the population.
+    intervals and diagnostics of every parameter of the population. With ``progress`` every chain shows a bar.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def fit_population(folder: Path, out: Path, *, seed: int, overwrite: bool) -> li
             f"population must hold three sessions or more with comparisons and numbers, got {len(sessions)} in "
             f"{folder}: calibrate more people"
         )
-    fit = fit_hierarchy(pooled_trials(sessions), seed=seed)
+    fit = fit_hierarchy(pooled_trials(sessions), seed=seed, progress=progress)
     person = new_person(fit, trials=sum(each.trial for each in sessions), rng=np.random.default_rng(seed))
     write_observer(person, out, overwrite=overwrite)
     rows = [

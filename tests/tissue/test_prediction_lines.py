@@ -1,0 +1,45 @@
+"""What `tissue chart prediction` says of its figures, and that scenes and charts know the same predictors."""
+
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from tissue.charts.prediction import Comparison, Interval, comparison_lines
+from tissue.charts.prediction_picture import LOOKS
+from tissue.prediction.build import PREDICTORS
+from tissue.scene_coupling import PredictionName
+from tissue.training.evaluation import HORIZONS
+
+
+def said(differences):
+    """The sentence on runs of very different errors, in which koopman's are these much greater than all others'."""
+    runs = np.geomspace(0.01, 0.5, len(differences))
+    errors = {kind: np.tile(runs[:, None], len(HORIZONS)) for kind in PREDICTORS}
+    errors["koopman"] = errors["koopman"] + np.array(differences)[:, None]
+    empty, nothing = np.array([], dtype=complex), Interval(0.0, 0.0, 0.0)
+    found = Comparison("wall", errors, dict.fromkeys(PREDICTORS, (1.0, 2.0)), empty, {1: nothing}, {})
+    return comparison_lines([found])[-1]
+
+
+@pytest.mark.parametrize(
+    ("differences", "told"),
+    [
+        ([-0.011, -0.009] * 4, "better than"),  # though the runs scatter fifty times as wide
+        ([0.011, 0.009] * 4, "worse than"),
+        ([-0.011, 0.005] * 4, "not told apart from"),  # mean -0.003, standard error 0.003
+        ([-0.03, -0.001], "not told apart from"),  # both runs better, but two tell nothing
+    ],
+)
+def test_one_predictor_is_better_only_where_pairs_of_runs_say_so(differences, told):
+    assert f"{told} the best baseline, " in said(differences)
+
+
+def test_the_interval_of_pairs_is_that_of_student():
+    """Mean -1 %, standard deviation 0.1 %, three runs: 4.3027 is the 97.5 % quantile of t at two degrees of freedom."""
+    half = 4.3027 * 0.1 / np.sqrt(3.0)
+    assert f"-1.00 in pairs ({-1.0 - half:+.2f} to {-1.0 + half:+.2f})" in said([-0.009, -0.010, -0.011])
+
+
+def test_scenes_and_charts_know_every_predictor():
+    assert get_args(PredictionName) == ("none", *PREDICTORS) and set(LOOKS) == set(PREDICTORS)
