@@ -100,8 +100,13 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
     except OSError as error:
         raise ConnectionError(f"no Dask scheduler answers at {address}") from error
     with client:
-        for worker, version in client.run(engine_version).items():
-            if version != engine_version():
+        try:
+            versions = client.run(engine_version, on_error="return")
+        except OSError as error:
+            raise ConnectionError(f"the Dask scheduler at {address} was lost") from error
+        for worker, version in versions.items():
+            # A worker that is lost while it is asked is no reason to stop.
+            if version != engine_version() and not isinstance(version, OSError):
                 raise InputError(f"workers must have version {engine_version()}, got {version} at {worker}: update it")
         try:
             yield client.get_executor(pure=False)
