@@ -1,6 +1,7 @@
 """Where trials run: processes of this machine, or those of a Dask scheduler, behind one standard executor."""
 
 import asyncio
+import logging
 import multiprocessing
 import os
 import signal
@@ -95,6 +96,7 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
         raise InputError(
             "scheduler must have dask.distributed, got none installed: pip install 'tissue-sim[cluster]'"
         ) from None
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what is lost is told by who runs the study
     try:
         client = Client(f"tcp://{address}", timeout=f"{patience_s:g}s", set_as_default=False)
     except OSError as error:
