@@ -19,6 +19,8 @@ from tissue.statistics.tukey import tukey_groups, tukey_levels
 __all__ = ["Comparison", "across_tasks", "compare", "stratum_test"]
 
 Array = NDArray[np.float64]
+SINGULAR = 1e-9
+"""Share of all variation below which a direction has none but rounding."""
 ROUNDING = 1e-12
 """Variation among users below this share of the values is the rounding of their sums."""
 
@@ -165,7 +167,9 @@ def stratum_test(cells: Cells, within: tuple[int, ...], *, between: bool, rng: n
             kruskal_wallis(scores[:, 0], groups, question=question),
         ]
     elif not between:
-        if len(values) - len(means) >= count:
+        # Levels that repeat one another on some task leave no spread to invert.
+        whole = np.linalg.matrix_rank(residuals, tol=SINGULAR * np.linalg.norm(residuals)) == count
+        if len(values) - len(means) >= count and whole:
             beside.append(hotelling(scores, groups, question=question))
         if len(sizes) == 1 and sizes[0] > 2:
             beside.append(friedman(values, question=question))

@@ -60,8 +60,10 @@ def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]
             except InputError as error:
                 refused.setdefault(str(error), []).append(f"{task} all metrics by {factor}")
     for metric in COMPARED:
+        own, equal = _distinct(table, (metric,))
+        same.setdefault("all", []).extend(equal)
         try:
-            whole = across_tasks(table, metric, rng=rng)
+            whole = across_tasks(own, metric, rng=rng)
         except InputError as error:
             refused.setdefault(str(error), []).append(f"{metric} over all tasks")
         else:
