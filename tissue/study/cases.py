@@ -110,11 +110,11 @@ def _reaming(table: TrialTable, seed: int) -> Section:
     rows = []
     papers = {"tracking_rms_N": CASES["reaming_rms_N"], "position_error_mm": CASES["reaming_position_mm"]}
     for method in (each for each in ("penalty", "energy", "koopman", "koopman-perception") if each in table.method):
-        told = [method]
+        row = [method]
         for metric, paper in papers.items():
             own = table.where(method=method).values(metric)
-            told += [spread(own, 3), f"< {paper}", "agrees" if own.max() < paper.mean else "exceeds it"]
-        rows.append((*told, str(len(table.where(method=method)))))
+            row += [spread(own, 3), f"< {paper}", "agrees" if own.max() < paper.mean else "exceeds it"]
+        rows.append((*row, str(len(table.where(method=method)))))
     level, scatter = (float(table.values(name).mean()) for name in ("torque_Nm", "torque_scatter_Nm"))
     torque = constants("perception", "torque")
     kappa, offset = torque["kappa"].value, torque["offset_Nm"].value
@@ -143,8 +143,8 @@ def _reaming(table: TrialTable, seed: int) -> Section:
         "75 % being the threshold; the paper says that it is told.",
     )
     return Section("case-reaming", "Case: reaming of a glenoid", sentences,
-                   ("method", "tracking RMS N", "paper N", "against paper", "position error mm", "paper mm",
-                    "against paper", "trials"), tuple(rows))  # fmt: skip
+                   ("method", "tracking RMS N", "paper N", "force against paper", "position error mm", "paper mm",
+                    "position against paper", "trials"), tuple(rows))  # fmt: skip
 
 
 def _drilling(table: TrialTable, seed: int) -> Section:
