@@ -82,7 +82,7 @@ def stretch_force_N(run: Run) -> Array:
     InputError
         If the run had no device.
     """
-    stiffness, trace = ideal_scene(run.scene).coupling.stiffness_N_m, run.trace
+    stiffness, trace = run.scene.coupling.stiffness_N_m or ideal_scene(run.scene).coupling.stiffness_N_m, run.trace
     assert stiffness is not None
     return 1e-3 * stiffness * (trace.vectors("tool", "mm") - trace.vectors("device", "mm"))
 

@@ -1,74 +1,187 @@
 """What a study costs: seconds a trial by task, efficiency against workers, and memory against the number of trials.
 
-Run from the repository: python tests/bench/bench_study.py
+Run from the repository: python tests/bench/bench_study.py [--trials 4] [--workers 1 2 4] [--out study_cost.png]
+
+The same study, its tasks in turn, is run by each number of workers. Efficiency is t_1 / (n t_n): of the whole study,
+the workers' start included, and of its steady part, from the trial at which every worker has done one to the last.
+More workers than cores cannot be efficient; they show what crowding costs.
 """
 
+import argparse
 import os
-import resource
 import tempfile
+import threading
+from dataclasses import dataclass, field
 from pathlib import Path
-from time import perf_counter, process_time
+from time import perf_counter
 
 import numpy as np
+import psutil
 from harness import machine, table
 
-from tissue.study import TASKS, Plan, TrialKey, run_study, run_trial, runner
-from tissue.study.trial import Trial, trial_seed
+from tissue.study import Plan, StudyFolder, TrialKey, run_study, run_trial
 
-WORKERS = (1, 2, 4)
+TASKS = ("T1", "T2", "T3")
+PAPER_TRIALS = 300
+"""Trials a task in the whole study: 3 groups of 100."""
+SAMPLE_S = 0.25
 
 
 def main() -> None:
+    asked = argparse.ArgumentParser()
+    asked.add_argument("--trials", type=int, default=4, help="trials for each task and group")
+    asked.add_argument("--workers", type=int, nargs="+", default=[1, 2, 4])
+    asked.add_argument("--out", type=Path, default=Path("study_cost.png"))
+    chosen = asked.parse_args()
     print(machine())
-    print(table([*_trials()], ("task", "processor s", "wall s", "900 trials on 2 workers, min")))
-    print(table([*_efficiency()], ("workers", "wall s", "efficiency")))
-    print(table([*_memory()], ("trials", "peak memory of the runner, MB")))
+    warm_caches()
+    plan = Plan(trials=chosen.trials, tasks=TASKS, sensitivity=False)
+    runs = [measured(plan, workers) for workers in chosen.workers]
+    if any(each.rows != runs[0].rows for each in runs):
+        raise SystemExit("the tables of the workers differ")
+    print(f"{runs[0].done[-1][1]} trials of {len(plan.methods)} methods, the same table each time")
+    print(table([efficiency(each, runs[0]) for each in runs], HEADER))
+    print(table([costs(each) for each in runs], ("workers", *(f"{task} s" for task in TASKS), "900 trials, min")))
+    draw(runs, chosen.out)
+    print(chosen.out)
 
 
-def _trials():
-    """Three trials of each task under all methods; the first one warms caches and is left out."""
-    plan, total = Plan(), 0.0
+def warm_caches() -> None:
+    """One trial of each task, so that no run pays for compiling kernels or condensing organs."""
     for task in TASKS:
-        took = []
-        for trial in range(4):
-            start, used = perf_counter(), process_time()
-            run_trial(plan, TrialKey(task, "novice", trial))
-            took.append((process_time() - used, perf_counter() - start))
-        used_s, wall_s = np.median(took[1:], axis=0)
-        total += 0.0 if TASKS[task].case else 300.0 * wall_s / 2.0 / 60.0
-        yield task, f"{used_s:.2f}", f"{wall_s:.2f}", f"{total:.1f}"
+        run_trial(Plan(), TrialKey(task, "novice", 0))
 
 
-def _efficiency():
-    """The same twelve trials of the wall on one, two and four workers, their start included."""
-    plan, alone = Plan(trials=4, tasks=("T2",), sensitivity=False), None
-    for workers in WORKERS:
-        with tempfile.TemporaryDirectory() as folder:
-            start = perf_counter()
-            run_study(plan, Path(folder) / "study", workers=workers)
-            wall = perf_counter() - start
-        alone = alone or wall
-        yield str(workers), f"{wall:.1f}", f"{alone / wall / min(workers, os.cpu_count() or 1):.2f}"
+@dataclass
+class Measured:
+    """A study and what it cost: its wall time [s], trials done at times [s], and samples of memory [MB]."""
+
+    workers: int
+    wall_s: float = 0.0
+    done: list[tuple[float, int]] = field(default_factory=list)
+    rows: bytes = b""
+    took_s: dict[str, float] = field(default_factory=dict)
+    memory: list[tuple[int, float, float]] = field(default_factory=list)
+    """Trials done, memory of the runner and of its greatest worker [MB]."""
+    threads: int = 0
+    processor_s: dict[int, float] = field(default_factory=dict)
+    """Processor time of each worker."""
+
+    @property
+    def steady_s(self) -> float:
+        """Time a trial after every worker has done one [s]."""
+        began = next((each for each in self.done if each[1] >= self.workers), self.done[0])
+        ended = self.done[-1]
+        return (ended[0] - began[0]) / max(1, ended[1] - began[1])
 
 
-def _memory():
-    """Trials that cost nothing, so that only what the runner keeps of them counts; peaks of one process only rise."""
-    kept = runner.run_trial
-    runner.run_trial = _cheap
-    try:
-        for trials in (10, 100, 300):
-            with tempfile.TemporaryDirectory() as folder:
-                run_study(Plan(trials=trials, tasks=("T2",), sensitivity=False), Path(folder) / "study", workers=1)
-            yield str(3 * trials), f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f}"
-    finally:
-        runner.run_trial = kept
+def measured(plan: Plan, workers: int) -> Measured:
+    """Run a study, looking at its processes meanwhile."""
+    found, over = Measured(workers), threading.Event()
+    start = perf_counter()
+    with tempfile.TemporaryDirectory() as held:
+        folder = StudyFolder(Path(held) / "study")
+        kept = folder.path / "trials"
+
+        def look() -> None:
+            while not over.wait(SAMPLE_S):
+                sample(found, len(list(kept.glob("*.json"))) if kept.is_dir() else 0)
+
+        def tell(doing: str, share: float) -> None:
+            found.done.append((perf_counter() - start, len(list(kept.glob("*.json")))))
+
+        watch = threading.Thread(target=look)
+        watch.start()
+        try:
+            run_study(plan, folder.path, workers=workers, tell=tell)
+        finally:
+            over.set()
+            watch.join()
+        found.wall_s = perf_counter() - start
+        found.rows = (folder.path / "trials.csv").read_bytes()
+        for task in plan.tasks:
+            took = [each["took_s"] for key, each in folder.trials() if key.task == task]
+            found.took_s[task] = float(np.median(took))
+    return found
 
 
-def _cheap(plan: Plan, key: TrialKey) -> Trial:
-    """A trial of the right size."""
-    row = {f"metric_{index}": float(index) for index in range(13)}
-    rows = tuple({"method": method} | row for method in plan.methods)
-    return Trial(key, trial_seed(plan, key), rows, 0.0)
+def sample(found: Measured, done: int) -> None:
+    """Memory, threads and processor time of this process and its workers now."""
+    me = psutil.Process()
+    greatest = 0.0
+    for child in me.children():
+        try:
+            if "spawn_main" in " ".join(child.cmdline()):
+                greatest = max(greatest, child.memory_info().rss / 1e6)
+                found.threads = max(found.threads, child.num_threads())
+                used = child.cpu_times()
+                found.processor_s[child.pid] = used.user + used.system
+        except psutil.NoSuchProcess:
+            continue
+    if greatest:
+        found.memory.append((done, me.memory_info().rss / 1e6, greatest))
+
+
+HEADER = (
+    "workers", "wall s", "efficiency", "steady s a trial", "steady efficiency", "processors a worker", "threads",
+    "worker MB at a third", "at the end", "runner MB",
+)  # fmt: skip
+
+
+def efficiency(each: Measured, alone: Measured) -> tuple[str, ...]:
+    """One row of the table of workers."""
+    share, count = alone.workers / each.workers, each.done[-1][1]
+    third = [row for row in each.memory if row[0] <= count / 3][-1:] or each.memory[:1]
+    return (
+        str(each.workers),
+        f"{each.wall_s:.1f}",
+        f"{share * alone.wall_s / each.wall_s:.2f}",
+        f"{each.steady_s:.2f}",
+        f"{share * alone.steady_s / each.steady_s:.2f}",
+        f"{sum(each.processor_s.values()) / each.wall_s / each.workers:.2f}",
+        str(each.threads),
+        *(f"{value:.0f}" for value in (third[0][2], each.memory[-1][2], each.memory[-1][1])),
+    )
+
+
+def costs(each: Measured) -> tuple[str, ...]:
+    """Median wall time of a trial of each task, and what the whole study would take."""
+    whole = PAPER_TRIALS * len(TASKS) * each.steady_s / 60.0
+    return (str(each.workers), *(f"{each.took_s[task]:.2f}" for task in TASKS), f"{whole:.0f}")
+
+
+def draw(runs: list[Measured], path: Path) -> None:
+    """Efficiency against workers, and memory against trials."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.0, 4.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    alone, counts = runs[0], [each.workers for each in runs]
+    for times, colour, mark, what in (
+        ([each.wall_s for each in runs], "#0072B2", "o-", "whole study, start of workers included"),
+        ([each.steady_s for each in runs], "#E69F00", "s--", "after each worker's first trial"),
+    ):
+        shares = [alone.workers * times[0] / (n * t) for n, t in zip(counts, times, strict=True)]
+        left.plot(counts, shares, mark, color=colour, label=what, lw=2, ms=8)
+    cores = os.cpu_count() or 1
+    most = np.array([min(1.0, cores / n) for n in counts])
+    left.plot(counts, most, ":", color="black", lw=1.5, label=f"at most, on {cores} cores")
+    left.set(xlabel="workers", ylabel="efficiency t₁ / (n tₙ)", xticks=counts, ylim=(0.0, 1.15))
+    right.set(xlabel="trials done", ylabel="memory MB")
+    for each, colour in zip(runs, ("#0072B2", "#E69F00", "#009E73", "#CC79A7"), strict=False):
+        counts_done = sorted({row[0] for row in each.memory})
+        peaks = [np.max([row for row in each.memory if row[0] == count], axis=0) for count in counts_done]
+        done, runner, worker = np.array(peaks).T
+        right.plot(done, worker, color=colour, lw=2, label=f"greatest worker of {each.workers}")
+        right.plot(done, runner, ":", color=colour, lw=2, label=f"runner with {each.workers}")
+    right.set_ylim(bottom=0.0)
+    for axes in (left, right):
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.legend(frameon=False, fontsize=10)
+        axes.xaxis.label.set_size(12)
+        axes.yaxis.label.set_size(12)
+        axes.tick_params(labelsize=11)
+    figure.savefig(path, dpi=120)
 
 
 if __name__ == "__main__":

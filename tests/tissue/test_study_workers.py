@@ -14,7 +14,7 @@ import pytest
 
 from tissue.study import Plan, StudyFolder, run_study
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
 ROOT = Path(__file__).resolve().parents[2]
 PLAN = Plan(trials=3, tasks=("drilling", "T2"), methods=("penalty",), sensitivity=False)
 COMMAND = (
@@ -95,7 +95,7 @@ def test_dask_gives_the_same_table(tmp_path, alone):
             failed.append(error)
 
     with cluster(port, tmp_path / "first") as (scheduler, workers):
-        thread = threading.Thread(target=study)
+        thread = threading.Thread(target=study, daemon=True)
         thread.start()
         wait_for(lambda: len(kept(out)) >= 3 or failed)
         workers[0].kill()
@@ -103,9 +103,11 @@ def test_dask_gives_the_same_table(tmp_path, alone):
         scheduler.kill()
         had = len(kept(out))
     with cluster(port, tmp_path / "second"):
-        thread.join(180.0)
+        while thread.is_alive():  # as long as trials come: how fast they do is the machine's affair
+            at = len(kept(out))
+            wait_for(lambda at=at: len(kept(out)) > at or not thread.is_alive())
     assert not failed, failed
-    assert not thread.is_alive() and had < len(list(PLAN.all_trials()))
+    assert had < len(list(PLAN.all_trials()))
     assert any("workers were lost" in doing for doing, _ in told)
     assert tables(out) == tables(alone)
     assert len(StudyFolder(out).table("T2")) == 9

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tissue.statistics.comparison import compare
+from tissue.statistics.comparison import across_tasks, compare
 from tissue.statistics.components import balanced_components, balanced_values
 from tissue.statistics.effects import cohens_d, partial_eta_squared
 from tissue.statistics.manova import multivariate, pillai
@@ -284,10 +284,15 @@ def test_several_tasks_in_one_model():
          "seed": 0, "force_error": one.metrics["force_error"][i] + shift + 0.5 * rng.normal()}
         for task, shift in (("milling", 0.0), ("wall", 2.0)) for i in range(len(one))
     ]  # fmt: skip
-    model = mixed_model(TrialTable.from_rows(rows), "force_error")
+    model = across_tasks(TrialTable.from_rows(rows), "force_error", rng=rng)
     degrees = {each.question.split(": ")[1]: each.degrees for each in model.tests}
     assert degrees["group"] == (1, 10) and degrees["task"] == (1, 10) and degrees["task x method"] == (2, 20)
     assert model.tests[1].found and "task" in model.tests[1].question
+    for each in model.tests:
+        # Every term has its own stratum's exact test beside it, and one by shuffling, which rests on neither.
+        exact, shuffled = each.alternatives[:2]
+        assert exact.test == "analysis of strata" and exact.degrees == each.degrees
+        assert shuffled.test == "permutation" and abs(shuffled.p - exact.p) < 0.1
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])

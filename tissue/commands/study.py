@@ -58,7 +58,7 @@ def run(
     only
         Name of one trial, such as T1-novice-0007: run that alone and print what came of it.
     """
-    from tissue.study import Plan, TrialKey, run_study, run_trial
+    from tissue.study import Plan, StudyFolder, TrialKey, run_study, run_trial
 
     chosen = {"tasks": tasks, "methods": methods, "groups": groups}
     split = {name: tuple(each for word in words for each in word.split(",") if each) for name, words in chosen.items()}
@@ -72,6 +72,9 @@ def run(
             told = ", ".join(f"{name} {each if isinstance(each, str) else f'{each:.6g}'}" for name, each in row.items())
             console.print(told, soft_wrap=True, highlight=False, markup=False)
         return
+    wanted = list(plan.all_trials())
+    if there := sum(map(StudyFolder(out).has, wanted)):
+        problems.print(f"{there} of {len(wanted)} trials are there, missing ones are run", highlight=False)
     with progress() as bar:
         spoke = 0.0
 

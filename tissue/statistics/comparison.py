@@ -16,9 +16,11 @@ from tissue.statistics.strata import mauchly, scores_of, strata
 from tissue.statistics.trials import Cells, TrialTable
 from tissue.statistics.tukey import tukey_groups, tukey_levels
 
-__all__ = ["Comparison", "compare", "stratum_test"]
+__all__ = ["Comparison", "across_tasks", "compare", "stratum_test"]
 
 Array = NDArray[np.float64]
+SINGULAR = 1e-9
+"""Share of all variation below which a direction has none but rounding."""
 ROUNDING = 1e-12
 """Variation among users below this share of the values is the rounding of their sums."""
 
@@ -101,6 +103,27 @@ def compare(table: TrialTable, metric: str, *, task: str, rng: np.random.Generat
     return Comparison(metric, task, cells, mixed, tests, pairs, tuple(sizes))
 
 
+def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) -> MixedModel:
+    """The mixed model over all tasks, each test with the exact one of its stratum and what rests on less beside it.
+
+    A question whose stratum holds no variation keeps the model's test alone.
+    """
+    mixed = mixed_model(table, metric)
+    within = [name for name in ("task", "method") if len(np.unique(getattr(table, name))) > 1]
+    cells = table.cells(metric, within=within or ["method"])
+    beside: dict[str, Outcome] = {}
+    for each in mixed.tests:
+        asked = each.question.removeprefix(f"{metric}: ").split(" x ")
+        chosen = tuple(index for index, (name, _) in enumerate(cells.factors) if name in asked)
+        try:
+            beside[each.question] = stratum_test(cells, chosen, between="group" in asked, rng=rng)
+        except InputError:
+            continue
+    return replace(
+        mixed, tests=tuple(_with_exact(each, beside) if each.question in beside else each for each in mixed.tests)
+    )
+
+
 def stratum_test(cells: Cells, within: tuple[int, ...], *, between: bool, rng: np.random.Generator) -> Outcome:
     """The exact test of one effect with its checks, and the tests that rest on less.
 
@@ -144,7 +167,9 @@ def stratum_test(cells: Cells, within: tuple[int, ...], *, between: bool, rng: n
             kruskal_wallis(scores[:, 0], groups, question=question),
         ]
     elif not between:
-        if len(values) - len(means) >= count:
+        # Levels that repeat one another on some task leave no spread to invert.
+        whole = np.linalg.matrix_rank(residuals, tol=SINGULAR * np.linalg.norm(residuals)) == count
+        if len(values) - len(means) >= count and whole:
             beside.append(hotelling(scores, groups, question=question))
         if len(sizes) == 1 and sizes[0] > 2:
             beside.append(friedman(values, question=question))

@@ -1,6 +1,7 @@
 """Where trials run: processes of this machine, or those of a Dask scheduler, behind one standard executor."""
 
 import asyncio
+import logging
 import multiprocessing
 import os
 import signal
@@ -95,13 +96,19 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
         raise InputError(
             "scheduler must have dask.distributed, got none installed: pip install 'tissue-sim[cluster]'"
         ) from None
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what is lost is told by who runs the study
     try:
         client = Client(f"tcp://{address}", timeout=f"{patience_s:g}s", set_as_default=False)
     except OSError as error:
         raise ConnectionError(f"no Dask scheduler answers at {address}") from error
     with client:
-        for worker, version in client.run(engine_version).items():
-            if version != engine_version():
+        try:
+            versions = client.run(engine_version, on_error="return")
+        except OSError as error:
+            raise ConnectionError(f"the Dask scheduler at {address} was lost") from error
+        for worker, version in versions.items():
+            # A worker that is lost while it is asked is no reason to stop.
+            if version != engine_version() and not isinstance(version, OSError):
                 raise InputError(f"workers must have version {engine_version()}, got {version} at {worker}: update it")
         try:
             yield client.get_executor(pure=False)

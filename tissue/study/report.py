@@ -15,6 +15,7 @@ from tissue.study.cases import case_sections, discrimination_section
 from tissue.study.fidelity import force_section, latency_section, task_section
 from tissue.study.folder import StudyFolder, engine_version
 from tissue.study.paper import SOURCE
+from tissue.study.parameters import parameters_section
 from tissue.study.plan import LATENCY_MS, USERS
 from tissue.study.section import Section
 from tissue.study.sensitivity import reference_section, sensitivity_section, speed_section
@@ -65,7 +66,7 @@ def sections_of(folder: StudyFolder, *, tell: Progress = silent) -> list[Section
     tell("case studies", 0.9)
     sections += case_sections(folder, plan.seed)
     sections += [each for each in (sensitivity_section(folder), reference_section(folder)) if each is not None]
-    return [*sections, speed_section(folder)]
+    return [*sections, speed_section(folder), parameters_section(plan)]
 
 
 def _tested(table: TrialTable, rng: np.random.Generator) -> list[Section]:

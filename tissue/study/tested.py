@@ -6,10 +6,9 @@ import numpy as np
 
 from meshes.errors import InputError
 from tissue.statistics import TrialTable
-from tissue.statistics.comparison import Comparison, compare
+from tissue.statistics.comparison import Comparison, across_tasks, compare
 from tissue.statistics.hpi import composite_index
 from tissue.statistics.manova import manova
-from tissue.statistics.mixed import mixed_model
 from tissue.statistics.outcome import ALPHA, Effect, Outcome, told_p
 from tissue.statistics.power import redrawn_power
 from tissue.statistics.regression import trial_regression
@@ -38,12 +37,12 @@ def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]
     """Every metric on every task, then metrics together; sizes of effects with their picture."""
     found: list[Comparison] = []
     outcomes: list[tuple[str, Outcome]] = []
-    same: list[str] = []
+    same: dict[str, list[str]] = {}
     refused: dict[str, list[str]] = {}
     for task in (each for each in TASKS if each in table.task):
         for metric in COMPARED:
             own, equal = _distinct(table.where(task=task), (metric,))
-            same += [f"{task}: {each}" for each in equal]
+            same.setdefault(task, []).extend(equal)
             try:
                 found.append(compare(own, metric, task=task, rng=rng))
             except InputError as error:
@@ -61,13 +60,16 @@ def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]
             except InputError as error:
                 refused.setdefault(str(error), []).append(f"{task} all metrics by {factor}")
     for metric in COMPARED:
+        own, equal = _distinct(table, (metric,))
+        same.setdefault("all", []).extend(equal)
         try:
-            whole = mixed_model(table, metric)
+            whole = across_tasks(own, metric, rng=rng)
         except InputError as error:
             refused.setdefault(str(error), []).append(f"{metric} over all tasks")
         else:
             outcomes += [("all", each) for each in whole.tests]
-    told = same + [f"{'; '.join(what)} {TOLD}{why}." for why, what in refused.items()]
+    told = [f"{task}: {'; '.join(equal)}." for task, equal in same.items() if equal]
+    told += [f"{'; '.join(what)} {TOLD}{why}." for why, what in refused.items()]
     return [_outcomes(outcomes, told), _pairs(found), _assumptions(outcomes)]
 
 
@@ -78,7 +80,7 @@ def _distinct(table: TrialTable, metrics: Sequence[str]) -> tuple[TrialTable, li
     for method in (each for each in METHODS if each in table.method):
         same = [(other, metric) for other in kept for metric in metrics if _equal(table, metric, method, other)]
         if same:
-            said.append(f"{method} has the {same[0][1]} of {same[0][0]} in every trial and is left out.")
+            said.append(f"{method} has the {same[0][1]} of {same[0][0]} in every trial and is left out")
         else:
             kept.append(method)
     return table.where(method=kept), said
