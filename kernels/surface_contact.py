@@ -3,8 +3,8 @@
 The unknowns are the forces at contact points, given on the triangles by barycentric weights. In a triangle's turn its
 points take the force of one contact after the other (``kernels.friction_cone``) with distance and normal of the tool
 where the point is now, so that normals need no outer loop; then each of its nodes whose force F_a changed pushes the
-displacements of all loaded nodes, ``u_b += W_ba dF_a`` (``kernels.near_compliance``). Only triangles that touch or carry force take turns; when they rest, all others nearby are
-looked at again, and those that the tool would enter join.
+displacements of all loaded nodes, ``u_b += W_ba dF_a`` (``kernels.near_compliance``). Only triangles that touch or
+carry force take turns; when they rest, all others nearby are looked at again, and those that the tool would enter join.
 """
 
 import warp as wp

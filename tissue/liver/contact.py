@@ -56,8 +56,8 @@ class SurfaceContact:
     faces
         Triangles between them, counter-clockwise seen from outside, shape (f, 3).
     compliance_m_N
-        W = H K^-1 H^T [m/N], symmetric, float64, shape (3s, 3s). On a CPU it is used where it lies and may be filled while
-        contacts go on, block by block, with NaN in what is not there; a block that is there must not change.
+        W = H K^-1 H^T [m/N], symmetric, float64, shape (3s, 3s). On a CPU it is used where it lies and may be filled
+        while contacts go on, block by block, with NaN in what is not there; a block that is there must not change.
     probe
         The tool.
     friction
