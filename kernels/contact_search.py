@@ -2,8 +2,18 @@
 
 import warp as wp
 
-from kernels.contact_state import LARGEST, Body, Lists, Points, block, displaced, distance_to, pose_of
+from kernels.contact_state import LARGEST, Body, Lists, Points, block, distance_to, pose_of
 from kernels.friction_cone import safe_inverse
+from kernels.near_compliance import (
+    Patch,
+    add_node,
+    drop_idle,
+    drop_left,
+    gather_again,
+    keep_loaded,
+    move_all,
+    moved_at,
+)
 from kernels.probe_distance import SHELL, Pose, axis_distance
 
 __all__ = ["find_near", "join_touching", "start_over"]
@@ -28,16 +38,20 @@ def find_near(
     reach: wp.float64,  # [m]
     # in and out
     lists: Lists,
+    patch: Patch,
     results: wp.array(dtype=wp.float64),
 ):
     """Triangles whose rest position is within reach or that work, their nodes, and where those nodes are."""
     pose = pose_of(pose_rows)
     margin = reach + results[LARGEST]
     middle = pose.tip + pose.turn * wp.vec3d(ZERO, ZERO, size[1])
-    tick = lists.count[4] + 1
-    lists.count[4] = tick
+    tick = lists.count[2] + 1
+    lists.count[2] = tick
     near = int(0)
-    nodes = int(0)
+    known = patch.count[0]
+    stale = patch.count[2]
+    if stale == 1:
+        gather_again(body, patch)
     for t in range(centre.shape[0]):
         distance = wp.length(centre[t] - middle) - size[0]
         if kind != SHELL:
@@ -47,31 +61,28 @@ def find_near(
             near += 1
             for a in range(3):
                 node = body.corners[t, a]
-                if lists.near_mark[node] != tick:
-                    lists.near_mark[node] = tick
-                    lists.near_node[nodes] = node
-                    nodes += 1
+                patch.near_mark[node] = tick
+                if patch.slot[node] < 0:
+                    add_node(body, patch, node)
     lists.count[0] = near
-    lists.count[1] = nodes
-    for k in range(nodes):
-        node = lists.near_node[k]
-        body.moved[node] = displaced(body, lists, node)
+    stale = wp.max(stale, patch.count[0] - known)
+    drop_left(patch, tick)
+    if stale > 0:
+        move_all(body, patch, patch.count[0])
+    for slot in range(patch.count[0]):
+        body.moved[patch.node[slot]] = moved_at(patch, slot)
 
 
 @wp.func
-def begin_work(body: Body, points: Points, lists: Lists, pose: Pose, triangle: int):
+def begin_work(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pose, triangle: int):
     """Let a triangle work: its nodes may carry load, its points know their responses and anchors; the number of points
     whose compliance is not there."""
     missing = int(0)
-    lists.working[lists.count[2]] = triangle
-    lists.count[2] = lists.count[2] + 1
+    lists.working[lists.count[1]] = triangle
+    lists.count[1] = lists.count[1] + 1
     lists.working_mark[triangle] = 1
     for a in range(3):
-        node = body.corners[triangle, a]
-        if lists.loaded_mark[node] == 0:
-            lists.loaded_mark[node] = 1
-            lists.loaded[lists.count[3]] = node
-            lists.count[3] = lists.count[3] + 1
+        keep_loaded(body, patch, body.corners[triangle, a], lists.count[2])
     point = points.first[triangle]
     while point >= 0:
         weight = points.weight[point]
@@ -102,12 +113,11 @@ def begin_work(body: Body, points: Points, lists: Lists, pose: Pose, triangle: i
 
 @wp.func
 def join_touching(
-    body: Body, points: Points, lists: Lists, kind: int, size: wp.vec2d, pose: Pose, current: int, missing: int
+    body: Body, points: Points, lists: Lists, patch: Patch, kind: int, size: wp.vec2d, pose: Pose, missing: int
 ):
     """Let nearby triangles work that the tool enters; how many joined, and points whose compliance is not there.
 
-    With ``current`` 0 nodes are taken where they were before this tick. A tool is met from the side that a triangle's
-    outward normal points to.
+    A tool is met from the side that a triangle's outward normal points to.
     """
     joined = int(0)
     lost = int(missing)
@@ -117,22 +127,18 @@ def join_touching(
             a = body.corners[triangle, 0]
             b = body.corners[triangle, 1]
             c = body.corners[triangle, 2]
-            pa = body.free[a] + body.moved[a]
-            pb = body.free[b] + body.moved[b]
-            pc = body.free[c] + body.moved[c]
-            if current == 1:
-                pa = body.free[a] + displaced(body, lists, a)
-                pb = body.free[b] + displaced(body, lists, b)
-                pc = body.free[c] + displaced(body, lists, c)
-            outward = wp.cross(pb - pa, pc - pa)
-            middle = (pa + pb + pc) / wp.float64(3.0)
-            wide = SLACK * wp.max(wp.length(pa - middle), wp.max(wp.length(pb - middle), wp.length(pc - middle)))
+            pa = body.free[a] + moved_at(patch, patch.slot[a])
+            pb = body.free[b] + moved_at(patch, patch.slot[b])
+            pc = body.free[c] + moved_at(patch, patch.slot[c])
             close = kind == SHELL
             if not close:
+                middle = (pa + pb + pc) / wp.float64(3.0)
+                wide = wp.max(wp.length_sq(pa - middle), wp.max(wp.length_sq(pb - middle), wp.length_sq(pc - middle)))
                 far, _way = axis_distance(kind, size, pose, middle)
-                close = far < wide
+                close = far < ZERO or far * far < SLACK * SLACK * wide
             enters = int(0)
             if close:
+                outward = wp.cross(pb - pa, pc - pa)
                 point = points.first[triangle]
                 while point >= 0 and enters == 0:
                     weight = points.weight[point]
@@ -143,20 +149,18 @@ def join_touching(
                     point = points.following[point]
             if enters == 1:
                 joined += 1
-                lost += begin_work(body, points, lists, pose, triangle)
+                lost += begin_work(body, points, lists, patch, pose, triangle)
     return joined, lost
 
 
 @wp.func
-def start_over(body: Body, points: Points, lists: Lists, pose: Pose):
+def start_over(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pose):
     """Rebuild work and loads from the forces that points still carry; points whose compliance is not there."""
-    for k in range(lists.count[2]):
+    for k in range(lists.count[1]):
         lists.working_mark[lists.working[k]] = 0
-    for k in range(lists.count[3]):
-        lists.loaded_mark[lists.loaded[k]] = 0
-        body.force[lists.loaded[k]] = wp.vec3d()
-    lists.count[2] = 0
-    lists.count[3] = 0
+    lists.count[1] = 0
+    for k in range(patch.count[1]):
+        body.force[patch.node[k]] = wp.vec3d()
     missing = int(0)
     for k in range(lists.count[0]):
         triangle = lists.near[k]
@@ -172,5 +176,6 @@ def start_over(body: Body, points: Points, lists: Lists, pose: Pose):
                     body.force[node] = body.force[node] + weight[a] * force
             point = points.following[point]
         if carries == 1:
-            missing += begin_work(body, points, lists, pose, triangle)
+            missing += begin_work(body, points, lists, patch, pose, triangle)
+    drop_idle(patch, lists.count[2])
     return missing

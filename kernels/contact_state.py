@@ -6,7 +6,7 @@ from kernels.probe_distance import SHELL, Pose, axis_distance
 
 __all__ = [
     "AREA", "CONTACTS", "DEEPEST", "DONE", "FORCE", "IMMOVABLE", "LARGEST", "MISSING", "RESULTS", "RUN_OUT", "STATE",
-    "SWEEPS", "TORQUE", "Body", "Lists", "Points", "block", "displaced", "distance_to", "pose_of",
+    "SWEEPS", "TORQUE", "Body", "Lists", "Points", "block", "distance_to", "pose_of",
 ]  # fmt: skip
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -48,16 +48,12 @@ class Points:
 
 @wp.struct
 class Lists:
-    """Work lists; the counts are those of nearby triangles, nearby nodes, working triangles, loaded nodes, ticks."""
+    """Work lists; the counts are those of nearby triangles, working triangles, ticks."""
 
-    count: wp.array(dtype=wp.int32)  # [5]
+    count: wp.array(dtype=wp.int32)  # [3]
     near: wp.array(dtype=wp.int32)  # triangles
-    near_node: wp.array(dtype=wp.int32)
-    near_mark: wp.array(dtype=wp.int32)  # [node], tick in which the node was nearby
     working: wp.array(dtype=wp.int32)  # triangles
     working_mark: wp.array(dtype=wp.int32)  # [triangle], 1 while it works
-    loaded: wp.array(dtype=wp.int32)  # nodes
-    loaded_mark: wp.array(dtype=wp.int32)  # [node], 1 while loaded
 
 
 @wp.func
@@ -84,16 +80,6 @@ def block(body: Body, a: int, b: int):
         compliance[i + 1, j], compliance[i + 1, j + 1], compliance[i + 1, j + 2],
         compliance[i + 2, j], compliance[i + 2, j + 1], compliance[i + 2, j + 2],
     )  # fmt: skip
-
-
-@wp.func
-def displaced(body: Body, lists: Lists, node: int):
-    """Displacement of a node under all loaded nodes [m]."""
-    total = wp.vec3d()
-    for k in range(lists.count[3]):
-        other = lists.loaded[k]
-        total += block(body, node, other) * body.force[other]
-    return total
 
 
 @wp.func

@@ -1,10 +1,10 @@
 """A tool against triangles of a body whose nodes move by a dense compliance: nonlinear Gauss-Seidel, one thread.
 
-The unknowns are the forces at contact points, given on the triangles by barycentric weights. A triangle's turn pulls
-the displacements of its three nodes, ``u_a = sum_b W_ab F_b`` over loaded nodes; its points then take the force of one
-contact in turn (``kernels.friction_cone``) with distance and normal of the tool where the point is now, so that
-normals need no outer loop. Only triangles that touch or carry force take turns; when they rest, all others nearby are
-looked at again, and those that the tool would enter join.
+The unknowns are the forces at contact points, given on the triangles by barycentric weights. In a triangle's turn its
+points take the force of one contact after the other (``kernels.friction_cone``) with distance and normal of the tool
+where the point is now, so that normals need no outer loop; then each of its nodes whose force F_a changed pushes the
+displacements of all loaded nodes, ``u_b += W_ba dF_a`` (``kernels.near_compliance``). Only triangles that touch or
+carry force take turns; when they rest, all others nearby are looked at again, and those that the tool would enter join.
 """
 
 import warp as wp
@@ -26,12 +26,11 @@ from kernels.contact_state import (
     Body,
     Lists,
     Points,
-    block,
-    displaced,
     distance_to,
     pose_of,
 )  # fmt: skip
 from kernels.friction_cone import coulomb_force
+from kernels.near_compliance import Patch, move_all, moved_at, push
 from kernels.probe_distance import Pose
 
 __all__ = ["solve_contact"]
@@ -42,10 +41,18 @@ ZERO = wp.constant(wp.float64(0.0))
 
 
 @wp.func
+def load(body: Body, patch: Patch, node: int, change: wp.vec3d):
+    """Add to a node's force, and move all loaded nodes."""
+    if wp.length_sq(change) > ZERO:
+        body.force[node] = body.force[node] + change
+        push(patch, patch.slot[node], change, patch.count[1])
+
+
+@wp.func
 def turn_of(
     body: Body,
     points: Points,
-    lists: Lists,
+    patch: Patch,
     kind: int,
     size: wp.vec2d,
     pose: Pose,
@@ -56,16 +63,9 @@ def turn_of(
     a = body.corners[triangle, 0]
     b = body.corners[triangle, 1]
     c = body.corners[triangle, 2]
-    ua = wp.vec3d()
-    ub = wp.vec3d()
-    uc = wp.vec3d()
-    for k in range(lists.count[3]):
-        other = lists.loaded[k]
-        load = body.force[other]
-        if wp.length_sq(load) > ZERO:
-            ua += block(body, a, other) * load
-            ub += block(body, b, other) * load
-            uc += block(body, c, other) * load
+    ua = moved_at(patch, patch.slot[a])
+    ub = moved_at(patch, patch.slot[b])
+    uc = moved_at(patch, patch.slot[c])
     largest = wp.max(wp.length(ua), wp.max(wp.length(ub), wp.length(uc)))
     pa = body.free[a] + ua
     pb = body.free[b] + ub
@@ -94,21 +94,18 @@ def turn_of(
             fc += weight[2] * change
             worst = wp.max(worst, wp.length(own * change))
         point = points.following[point]
-    body.force[a] = body.force[a] + fa
-    body.force[b] = body.force[b] + fb
-    body.force[c] = body.force[c] + fc
+    load(body, patch, a, fa)
+    load(body, patch, b, fb)
+    load(body, patch, c, fc)
     return worst, largest
 
 
 @wp.func
-def report(
-    body: Body, points: Points, lists: Lists, kind: int, size: wp.vec2d, pose: Pose, slack: wp.float64, state: int,
-    results: wp.array(dtype=wp.float64),
-):  # fmt: skip
-    """Sum what the tool feels; a penetration that no force can end turns a finished solve into an immovable one."""
-    for k in range(lists.count[3]):  # sums of changes carry rounding, and would leave it behind
-        body.force[lists.loaded[k]] = wp.vec3d()
-    for k in range(lists.count[2]):
+def sum_loads(body: Body, points: Points, lists: Lists, patch: Patch):
+    """Nodal forces and displacements afresh: sums of changes carry rounding, and would leave it behind."""
+    for k in range(patch.count[1]):
+        body.force[patch.node[k]] = wp.vec3d()
+    for k in range(lists.count[1]):
         triangle = lists.working[k]
         point = points.first[triangle]
         while point >= 0:
@@ -117,13 +114,22 @@ def report(
                 node = body.corners[triangle, a]
                 body.force[node] = body.force[node] + weight[a] * points.force[point]
             point = points.following[point]
+    move_all(body, patch, patch.count[0])
+
+
+@wp.func
+def report(
+    body: Body, points: Points, lists: Lists, patch: Patch, kind: int, size: wp.vec2d, pose: Pose, slack: wp.float64,
+    state: int, results: wp.array(dtype=wp.float64),
+):  # fmt: skip
+    """Sum what the tool feels; a penetration that no force can end turns a finished solve into an immovable one."""
     force = wp.vec3d()
     torque = wp.vec3d()
     area = wp.float64(0.0)
     deepest = wp.float64(0.0)
     contacts = int(0)
     ended = int(state)
-    for k in range(lists.count[2]):
+    for k in range(lists.count[1]):
         triangle = lists.working[k]
         point = points.first[triangle]
         while point >= 0:
@@ -131,7 +137,7 @@ def report(
             weight = points.weight[point]
             for a in range(3):
                 node = body.corners[triangle, a]
-                place += weight[a] * (body.free[node] + displaced(body, lists, node))
+                place += weight[a] * (body.free[node] + moved_at(patch, patch.slot[node]))
             carried = points.force[point]
             distance, way = distance_to(kind, size, pose, points, point, place)
             deepest = wp.max(deepest, -distance)
@@ -167,31 +173,36 @@ def solve_contact(
     sweeps: int,
     # in and out
     lists: Lists,
+    patch: Patch,
     results: wp.array(dtype=wp.float64),
 ):
     """Sweep over working triangles until their points rest and no other triangle is entered."""
     pose = pose_of(pose_rows)
     state = int(RUN_OUT)
-    missing = start_over(body, points, lists, pose)
-    joined, missing = join_touching(body, points, lists, kind, size, pose, 0, missing)
+    missing = start_over(body, points, lists, patch, pose)
+    joined, missing = join_touching(body, points, lists, patch, kind, size, pose, missing)
+    move_all(body, patch, patch.count[1])
     largest = wp.float64(0.0)
     sweep = int(0)
-    if lists.count[2] == 0:
-        state = int(DONE)
-    while state == RUN_OUT and missing == 0 and sweep < sweeps:
+    while state == RUN_OUT and missing == 0 and sweep < sweeps and lists.count[1] > 0:
         sweep += 1
         worst = wp.float64(0.0)
         largest = wp.float64(0.0)
-        for k in range(lists.count[2]):
-            step, way = turn_of(body, points, lists, kind, size, pose, friction, lists.working[k])
+        for k in range(lists.count[1]):
+            step, way = turn_of(body, points, patch, kind, size, pose, friction, lists.working[k])
             worst = wp.max(worst, step)
             largest = wp.max(largest, way)
         if worst <= tolerance * largest:
-            joined, missing = join_touching(body, points, lists, kind, size, pose, 1, missing)
+            sum_loads(body, points, lists, patch)
+            joined, missing = join_touching(body, points, lists, patch, kind, size, pose, missing)
             if joined == 0:
                 state = int(DONE)
+    if lists.count[1] == 0:
+        state = int(DONE)
+    if sweep == 0 or state == RUN_OUT:
+        sum_loads(body, points, lists, patch)
     if missing > 0:
         state = int(MISSING)
     results[SWEEPS] = wp.float64(sweep)
     results[LARGEST] = largest
-    report(body, points, lists, kind, size, pose, tolerance * largest, state, results)
+    report(body, points, lists, patch, kind, size, pose, tolerance * largest, state, results)

@@ -27,9 +27,9 @@ ABOVE = 1.2
 BECAUSE = {
     ("tetrahedra, factorise", "time"): "a factor of a body in space takes n^2 operations (George 1973); once a mesh",
     ("tetrahedra, factorise", "memory"): "and n^4/3 entries",
-    ("touchable nodes, area", "memory"): "the compliance is a full matrix of touchable nodes",
-    ("touchable nodes, density", "memory"): "the compliance is a full matrix of touchable nodes",
-    ("touchable nodes, density", "time"): "each of the points in touch moves every other: their square",
+    ("touchable nodes, area", "memory"): "the compliance is a full matrix; as much is reserved, not taken, for rows",
+    ("touchable nodes, density", "memory"): "the compliance is a full matrix; as much is reserved, not taken, for rows",
+    ("touchable nodes, density", "time"): "each point in touch moves every node near the tool: their product",
     ("observables, fit", "time"): "normal equations: samples x observables^2, and eigenvalues: observables^3",
     ("observables, fit", "memory"): "an operator is a full matrix of observables",
     ("observables, tick", "memory"): "an operator is a full matrix of observables",

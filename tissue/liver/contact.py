@@ -24,6 +24,7 @@ from kernels.contact_state import (
 )  # fmt: skip
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror
+from kernels.near_compliance import gather_all_again, new_patch
 from kernels.shell_projection import link_points, project_shell
 from kernels.surface_contact import solve_contact
 from meshes.errors import InputError, require_positive, require_range
@@ -55,8 +56,8 @@ class SurfaceContact:
     faces
         Triangles between them, counter-clockwise seen from outside, shape (f, 3).
     compliance_m_N
-        W = H K^-1 H^T [m/N], float64, shape (3s, 3s). On a CPU it is used where it lies and may be filled while
-        contacts go on, block by block, with NaN in what is not there; a block that is there must not change.
+        W = H K^-1 H^T [m/N], symmetric, float64, shape (3s, 3s). On a CPU it is used where it lies and may be filled
+        while contacts go on, block by block, with NaN in what is not there; a block that is there must not change.
     probe
         The tool.
     friction
@@ -139,14 +140,13 @@ class SurfaceContact:
         for name in ("tool_point", "tool_normal", "force", "anchor"):
             setattr(points, name, new(len(weights), wp.vec3d))
         points.response, points.ready = new((len(weights), 5), wp.mat33d), new(len(weights), wp.int32)
-        lists.count = new(5, wp.int32)
+        lists.count = new(3, wp.int32)
         for name in ("near", "working", "working_mark"):
             setattr(lists, name, new(len(faces), wp.int32))
-        for name in ("near_node", "near_mark", "loaded", "loaded_mark"):
-            setattr(lists, name, new(count, wp.int32))
-        self._body, self._points, self._lists = body, points, lists
+        patch = new_patch(count, device)
+        self._body, self._points, self._lists, self._patch = body, points, lists, patch
         size = wp.vec2d(*probe.size_m)
-        rows, results = self._pose.device, self._results.device
+        pose, results = self._pose.device, self._results.device
         centres, radii = put(self._centres, wp.vec3d), put(self._radii, wp.float64)
 
         def record(kernel: Any, inputs: list[Any]) -> Any:
@@ -154,18 +154,18 @@ class SurfaceContact:
 
         def build() -> list[Any]:
             stages: list[Any] = [
-                record(find_near, [body, centres, radii, probe.kind, size, rows, REACH_M, lists, results])
+                record(find_near, [body, centres, radii, probe.kind, size, pose, REACH_M, lists, patch, results])
             ]
             if isinstance(probe, ShellProbe):
                 home = new(len(weights), wp.int32)
-                shell = [put(probe.points_m, wp.vec3d), put(probe.normals, wp.vec3d), rows, float(self._radii.max()), 0]
+                shell = [put(probe.points_m, wp.vec3d), put(probe.normals, wp.vec3d), pose, float(self._radii.max()), 0]
                 project = SplitLaunch(
                     project_shell, dim=len(weights), inputs=[*shell, body, lists], outputs=[points, home],
                     offset_index=4, device=device, cores=cores,
                 )  # fmt: skip
                 stages += [project, record(link_points, [home, lists, points])]
             law = [self.friction, tolerance, sweeps]
-            stages.append(record(solve_contact, [body, points, probe.kind, size, rows, *law, lists, results]))
+            stages.append(record(solve_contact, [body, points, probe.kind, size, pose, *law, lists, patch, results]))
             return stages
 
         self._build = build
@@ -203,6 +203,7 @@ class SurfaceContact:
         """Drop all forces and the tool's way so far."""
         self._points.force.zero_()
         self._body.force.zero_()
+        self._patch.moved.zero_()
         self._placed = False
         self._read(np.zeros(RESULTS))
 
@@ -216,6 +217,7 @@ class SurfaceContact:
         self._result.compliance_scale = require_positive("factor", factor, "use 1 to leave it")
         self._body.scale = wp.float64(factor)
         self._points.ready.zero_()
+        gather_all_again(self._patch)
         self._stages = self._build()
 
     def shift(self, offset_m: Array) -> None:

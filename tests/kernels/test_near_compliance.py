@@ -1,0 +1,53 @@
+"""Gathered rows against the compliance they come from, after nodes came near, were loaded, rested and left."""
+
+import numpy as np
+import pytest
+
+from tissue.liver.contact import SurfaceContact
+from tissue.liver.probe import SphereProbe
+
+ROUNDING = 1e-13
+"""Sums of at most a hundred products, relative to their largest."""
+
+
+def sheet(cells=22, edge_m=0.04):
+    """A flat surface, and a symmetric positive compliance with full blocks."""
+    at = np.linspace(-0.5 * edge_m, 0.5 * edge_m, cells + 1)
+    nodes = np.stack(np.meshgrid(at, at, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
+    number = np.arange(len(nodes)).reshape(cells + 1, cells + 1)
+    a, b, c, d = (n.ravel() for n in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
+    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    falling = 0.03 / np.sqrt(np.sum((nodes[:, None] - nodes) ** 2, axis=2) + 2e-6)
+    return nodes, faces, np.kron(falling, np.array([[1.0, 0.2, 0.1], [0.2, 1.1, 0.0], [0.1, 0.0, 0.9]]))
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.4])
+def test_rows_stay_those_of_the_compliance_while_nodes_come_and_go(scale):
+    """The tool wanders, lifts off and comes back; halfway the compliance is scaled.
+
+    Rows are kept however a solve ends: in a few of these ticks the sweeps run out.
+    """
+    nodes, faces, compliance = sheet()
+    contact = SurfaceContact(nodes, faces, compliance, SphereProbe(0.006))
+    contact.place(np.array([-0.008, 0.0, 1e-3]), np.eye(3))
+    patch, seen = contact._patch, []
+    for tick in range(240):
+        if tick == 120:
+            contact.scale_compliance(scale)
+        at = 0.05 * tick
+        result = contact.solve(np.array([0.009 * np.sin(at), 0.007 * np.sin(0.7 * at), 2e-3 * np.cos(at)]), np.eye(3))
+        near, loaded, _ = patch.count.numpy()
+        seen.append((near, loaded))
+        node = patch.node.numpy()[:near]
+        assert len(np.unique(node)) == near
+        np.testing.assert_array_equal(np.flatnonzero(patch.slot.numpy() >= 0), np.sort(node))
+        np.testing.assert_array_equal(patch.slot.numpy()[node], np.arange(near))
+        assert np.isin(np.flatnonzero(result.nodal_forces_N.any(axis=1)), node[:loaded]).all()
+        columns = (3 * node[:, None] + np.arange(3)).ravel()
+        factor = scale if tick >= 120 else 1.0
+        expected = factor * compliance[np.ix_(columns[: 3 * loaded], columns)]
+        np.testing.assert_array_equal(patch.row.numpy()[: 3 * loaded, : 3 * near], expected)
+        moved, right = patch.moved.numpy()[: 3 * near].reshape(-1, 3), result.displacement_m()
+        assert np.abs(moved - right[node]).max(initial=0.0) <= ROUNDING * np.abs(right).max()
+    counts = np.array(seen)
+    assert counts[:, 1].min() == 0 and counts[:, 1].max() > 12 and np.ptp(counts[:, 0]) > 12
