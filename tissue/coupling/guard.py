@@ -1,7 +1,7 @@
 """What a loop believes of a device: samples that a hand could have made; without them the force fades to nothing."""
 
 from dataclasses import dataclass
-from math import dist
+from math import dist, isfinite, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from tissue.coupling.quaternion import conjugate, logarithm, product, unit
 __all__ = ["GuardLimits", "SampleGuard"]
 
 Array = NDArray[np.float64]
+NO_TORQUE = np.zeros(3)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,8 +97,8 @@ class SampleGuard:
     def vouch(self, force_N: Array | None, torque_Nm: Array | None = None) -> tuple[Array, Array]:
         """Force and torque to play now; None or a wrench that is not finite is a fault of this tick."""
         change = self._step / self._limits.fade_s
-        torque = np.zeros(3) if torque_Nm is None else torque_Nm
-        if force_N is not None and not (np.isfinite(force_N).all() and np.isfinite(torque).all()):
+        torque = NO_TORQUE if torque_Nm is None else torque_Nm
+        if force_N is not None and not all(map(isfinite, (*force_N.tolist(), *torque.tolist()))):
             self.events.append((self._clock or 0.0, "the force is not finite: it fades"))
             force_N = None
         if force_N is not None and not self._fault:
@@ -131,5 +132,5 @@ class SampleGuard:
 
 def _capped(vector: Array, limit: float) -> Array:
     """A vector no longer than a limit."""
-    size = float(np.sqrt(vector @ vector))
+    size = sqrt(vector.dot(vector))
     return vector * (limit / size) if size > limit else np.array(vector)
