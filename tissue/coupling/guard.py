@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from meshes.errors import require_positive
 from tissue.coupling.device import Sample
-from tissue.coupling.quaternion import conjugate, logarithm, product, unit
+from tissue.coupling.quaternion import Quaternion, conjugate, logarithm, product, unit
 
 __all__ = ["GuardLimits", "SampleGuard"]
 
@@ -84,14 +84,15 @@ class SampleGuard:
         """The sample if a hand can have made it, with its quaternion at unit length; else None."""
         self._step = 0.0 if self._clock is None else max(time_s - self._clock, 0.0)
         self._clock = time_s
-        fault = self._fault_of(sample, time_s)
+        turned = None if sample is None else unit(sample.quaternion)
+        fault = self._fault_of(sample, turned, time_s)
         if fault != self._fault:
             self.events.append((time_s, f"{fault}: the force fades" if fault else "samples are good again"))
             self._fault = fault
-        if fault or sample is None:
+        if fault or sample is None or turned is None:
             self.bad_ticks += 1
             return None
-        self._good = sample._replace(quaternion=unit(sample.quaternion) or (0.0, 0.0, 0.0, 1.0))
+        self._good = sample._replace(quaternion=turned)
         return self._good
 
     def vouch(self, force_N: Array | None, torque_Nm: Array | None = None) -> tuple[Array, Array]:
@@ -108,12 +109,12 @@ class SampleGuard:
             self.share = max(self.share - change, 0.0)
         return self.share * self._wrench[0], self.share * self._wrench[1]
 
-    def _fault_of(self, sample: Sample | None, time_s: float) -> str:
-        """What is wrong with a sample, or nothing."""
+    def _fault_of(self, sample: Sample | None, turned: Quaternion | None, time_s: float) -> str:
+        """What is wrong with a sample, or nothing; its quaternion at unit length beside it."""
         limits, good = self._limits, self._good
         if sample is None:
             return "no sample"
-        if not sample.finite or unit(sample.quaternion) is None:
+        if turned is None or not sample.finite:
             return "a sample that is not finite"
         if time_s - sample.time_s > limits.oldest_s:
             return "an old sample"
@@ -124,7 +125,7 @@ class SampleGuard:
         elapsed = max(sample.time_s - good.time_s, 0.0) + limits.oldest_s
         if dist(sample.position_m, good.position_m) > limits.fastest_m_s * elapsed:
             return "a jump that no hand makes"
-        turn = logarithm(product(unit(sample.quaternion) or sample.quaternion, conjugate(good.quaternion)))
+        turn = logarithm(product(turned, conjugate(good.quaternion)))
         if sum(angle * angle for angle in turn) > (limits.fastest_rad_s * elapsed) ** 2:
             return "a turn that no hand makes"
         return ""

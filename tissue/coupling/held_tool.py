@@ -5,6 +5,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dgesv
 
 from meshes.errors import require_positive
 from tissue.coupling.held_turn import HeldTurn
@@ -146,6 +147,7 @@ class PressingTool:
         self._stiffness = require_positive("stiffness_N_m", stiffness_N_m, "use 1e3")
         self.tip_m = np.array(tip_m, dtype=float)
         self.pressed, self.driven = 0.0, False
+        self._own = self._stiffness * np.eye(3)
         self._learnt, self._free = 0.0, True
         self._before_m, self._before_N = self.tip_m.copy(), np.zeros(3)
 
@@ -165,10 +167,10 @@ class PressingTool:
             stretch = device_m - tip
             out_of_balance = spring * stretch + force
             if response.stiffness_N_m is None:
-                step = out_of_balance / (spring + self._learnt)
+                step, singular = out_of_balance / (spring + self._learnt), False
             else:
-                step = np.linalg.solve(spring * np.eye(3) + response.stiffness_N_m, out_of_balance)
-            in_balance = float((step - stretch).dot(force)) > 0.0
+                *_, step, singular = dgesv(self._own + response.stiffness_N_m, out_of_balance)
+            in_balance = not singular and float((step - stretch).dot(force)) > 0.0
         if in_balance:
             tip += step
         else:

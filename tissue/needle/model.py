@@ -122,9 +122,10 @@ class NeedleModel:
         axis = motion.rotation[:, 2]
         along = float(motion.heading[0].dot(axis))
         drag = insertion.drag_N_s_m * along
-        np.multiply(axis, insertion.pull_N, out=response.edge[:3])
-        np.multiply(axis, -drag, out=response.resistance[:3])
-        np.multiply(axis, insertion.pull_N - drag * motion.speed_m_s, out=response.wrench[:3])
+        pull = insertion.pull_N
+        response.edge[:3] = pull * axis
+        response.resistance[:3] = -drag * axis
+        response.wrench[:3] = (pull - drag * motion.speed_m_s) * axis
         response.engaged_m2[:] = 0.0
         if insertion.travel_m > 0.0 or insertion.inserted_m > 0.0:
             response.engaged_m2[self._layer()] = 0.25 * pi * self._diameter_m**2
