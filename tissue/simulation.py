@@ -10,12 +10,12 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from meshes.errors import InputError
 from tissue.build import build
 from tissue.coupling.device import Device
 from tissue.coupling.hand_motion import HandMotion
+from tissue.coupling.rotation import quaternion_of
 from tissue.model import TICK_S, Response, ToolMotion
 from tissue.motion import LONGEST_S, Motion
 from tissue.parts import Parts
@@ -271,7 +271,7 @@ class _Tick:
         tool, layers = self.tool, self._layers
         if tool.rotation.tobytes() != self._rotation:
             self._rotation = tool.rotation.tobytes()
-            self._quaternion[:] = Rotation.from_matrix(tool.rotation).as_quat(canonical=True)
+            self._quaternion[:] = quaternion_of(tool.rotation)
         moved, turned = tool.heading
         row[0] = index * TICK_S
         row[1:4] = 1e3 * tool.tip_m
