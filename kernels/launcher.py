@@ -1,8 +1,10 @@
 """Recorded launches that may be split over processor cores.
 
 A Warp launch on a CPU runs on one core but releases the interpreter lock, so the halves of a launch can run on two
-threads. Handing work to a thread costs about 50 us: a launch is split only while its last run took longer than
-``SPLIT_ABOVE_S``. Kernels are written so that the split does not change a bit of the result.
+threads. Handing work to a thread costs about 50 us: a launch is split only while its last runs took longer than
+``SPLIT_ABOVE_S``; one run that another process interrupted is no large launch. A part that no thread has begun, because
+other processes keep its core, is taken back: waiting for it would cost milliseconds. Kernels are written so that the
+split does not change a bit of the result.
 """
 
 import os
@@ -18,6 +20,10 @@ import warp as wp
 __all__ = ["SPLIT_ABOVE_S", "SplitLaunch", "core_count"]
 
 SPLIT_ABOVE_S = 2.5e-4
+GROWTH = 2.0
+"""Factor by which a launch is believed to grow from one run to the next."""
+FIRST_S = 1e-5
+"""What a launch is believed to take before its first run [s]."""
 
 
 def core_count() -> int:
@@ -83,17 +89,20 @@ class SplitLaunch:
         self._pool = _pool(parts - 1) if parts > 1 else None
         for waiting in [self._pool.submit(perf_counter) for _ in self._parts[1:]] if self._pool is not None else []:
             waiting.result()  # threads start now, not in the first large tick
-        self._work_s = 0.0
+        self._work_s = FIRST_S
 
     def __call__(self) -> None:
         """Run the launch and wait until it is done (on a GPU: until it is queued)."""
-        start = perf_counter()
+        start, parallel = perf_counter(), 1
         if self._pool is not None and self._work_s > SPLIT_ABOVE_S:
-            waiting = [self._pool.submit(part.launch) for part in self._parts[1:]]
+            waiting = [(self._pool.submit(part.launch), part) for part in self._parts[1:]]
             self._parts[0].launch()
-            for part in waiting:
-                part.result()
-            self._work_s = (perf_counter() - start) * len(self._parts)
+            for begun, part in waiting:
+                if begun.cancel():
+                    part.launch()
+                else:
+                    begun.result()
+                    parallel += 1
         else:
             self._whole.launch()
-            self._work_s = perf_counter() - start
+        self._work_s = min((perf_counter() - start) * parallel, GROWTH * self._work_s)

@@ -185,8 +185,8 @@ class PushAlongAxis(Motion):
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
         """Solve the balance along the axis for the new speed and move."""
-        drag = max(-float(response.resistance[:3] @ self._heading), 0.0)
-        edge = max(-float(response.edge[:3] @ self._heading), 0.0)
+        drag = max(-float(response.resistance[:3].dot(self._heading)), 0.0)
+        edge = max(-float(response.edge[:3].dot(self._heading)), 0.0)
         self._speed = implicit_speed(self._speed, thrust=self._thrust - edge, drag=drag, mass=self._mass, step_s=step_s)
         self._speed = max(min(self._speed, self._max_feed, (self._longest - self._travel) / step_s), 0.0)
         self._travel += self._speed * step_s

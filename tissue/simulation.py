@@ -9,13 +9,13 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from meshes.errors import InputError
 from meshes.progress import Progress, silent
 from tissue.build import build
 from tissue.coupling.device import Device
 from tissue.coupling.hand_motion import HandMotion
+from tissue.coupling.rotation import quaternion_of
 from tissue.model import TICK_S, Response, ToolMotion
 from tissue.motion import LONGEST_S, Motion
 from tissue.parts import Parts
@@ -227,8 +227,7 @@ class _Tick:
         self._vibration = Vibration(passing, share=share, step_s=TICK_S)
         self._layers, own = len(tissue.layer_names), len(tissue.measure_names)
         self._measured = slice(29 + self._layers, 29 + self._layers + own)
-        self._rotation = np.full((3, 3), np.nan)
-        self._quaternion = np.zeros(4)
+        self._rotation, self._quaternion = b"", np.zeros(4)
 
     def place(self) -> None:
         """Put the tool where the motion starts; what that costs belongs to no tick."""
@@ -268,26 +267,22 @@ class _Tick:
     def _record(self, row: np.ndarray, index: int, response: Response) -> None:
         """Write one row of the trace, in the units of its columns."""
         tool, layers = self.tool, self._layers
-        if not np.array_equal(tool.rotation, self._rotation):
-            self._rotation[:] = tool.rotation
-            self._quaternion[:] = Rotation.from_matrix(tool.rotation).as_quat(canonical=True)
+        if tool.rotation.tobytes() != self._rotation:
+            self._rotation = tool.rotation.tobytes()
+            self._quaternion[:] = quaternion_of(tool.rotation)
+        moved, turned = tool.heading
         row[0] = index * TICK_S
-        row[1:4] = tool.tip_m
-        row[1:4] *= 1e3
+        row[1:4] = 1e3 * tool.tip_m
         row[4:8] = self._quaternion
-        row[8:11] = tool.heading[0]
-        row[8:11] *= 1e3 * tool.speed_m_s
-        row[11:14] = tool.heading[1]
-        row[11:14] *= tool.speed_m_s
+        row[8:11] = (1e3 * tool.speed_m_s) * moved
+        row[11:14] = tool.speed_m_s * turned
         row[14:20] = self._commanded
         row[20:26] = response.wrench
         row[26] = response.removal_rate_m3_s * 1e9
-        volumes = row[28 : 28 + layers]
-        volumes[:] = self._tissue.removed_m3
-        volumes *= 1e9
-        row[27] = volumes.sum()
-        area = float(response.engaged_m2.sum())
+        row[28 : 28 + layers] = volumes = 1e9 * self._tissue.removed_m3
+        row[27] = np.add.reduce(volumes)
+        area = np.add.reduce(response.engaged_m2)
         row[28 + layers] = area * 1e6
         row[self._measured] = response.measures
         row[self._measured.stop : -1] = self._motion.measures
-        row[-1] = float(response.engaged_m2.argmax()) if area > 0.0 else -1.0
+        row[-1] = response.engaged_m2.argmax() if area > 0.0 else -1.0

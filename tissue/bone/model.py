@@ -101,6 +101,7 @@ class BoneModel:
         self._plan = Mirror(5, dtype=wp.int32, device=device)
         self._removed = Mirror((workers, layers), dtype=wp.int64, device=device)
         self._motion = Mirror((6, 3), dtype=wp.float64, device=device)
+        self._rows = self._motion.host[0], self._motion.host[1:4], self._motion.host[4:6]
         self._sums = Mirror((chunks, AREA + layers), dtype=wp.float64, device=device)
         store = self.store
         self._carve = SplitLaunch(
@@ -173,7 +174,7 @@ class BoneModel:
             self._visit(PHASES)  # the tool turns: first complete what it cut on its old way
         self._heading[:] = motion.heading
         moved = now - self._pose.host[0]
-        step = sqrt(moved[:3] @ moved[:3]) + self._lever * sqrt(moved[3:] @ moved[3:])
+        step = sqrt(moved[:3].dot(moved[:3])) + self._lever * sqrt(moved[3:].dot(moved[3:]))
         if step > LONGEST_STEP_VOXELS:
             self._sweep(now, parts=ceil(step / LONGEST_STEP_VOXELS))
         elif step > 0.0:
@@ -205,15 +206,16 @@ class BoneModel:
 
     def respond(self, motion: ToolMotion) -> Response:
         """Cutting force at the motion's pose, as a part that grows with speed and a part that does not."""
-        rows = self._motion.host
-        rows[0] = (motion.tip_m - self._origin) / self._spacing
-        rows[1:4] = motion.rotation.T
-        rows[4:6] = motion.heading @ motion.rotation
+        tip, axes, velocities = self._rows
+        np.subtract(motion.tip_m, self._origin, out=tip)
+        tip /= self._spacing
+        axes[:] = motion.rotation.T
+        np.dot(motion.heading, motion.rotation, out=velocities)
         self._motion.push()
         self._forces()
         self._sums.pull()
         sums = np.add.reduce(self._sums.host, axis=0)
-        np.matmul(sums[:RATE].reshape(4, 3), motion.rotation.T, out=self._parts)
+        np.dot(sums[:RATE].reshape(4, 3), motion.rotation.T, out=self._parts)
         response, speed = self._response, motion.speed_m_s
         response.engaged_m2[:] = sums[AREA:]
         response.removal_rate_m3_s = float(sums[RATE]) * speed

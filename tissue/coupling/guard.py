@@ -1,18 +1,19 @@
 """What a loop believes of a device: samples that a hand could have made; without them the force fades to nothing."""
 
 from dataclasses import dataclass
-from math import dist
+from math import dist, isfinite, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import require_positive
 from tissue.coupling.device import Sample
-from tissue.coupling.quaternion import conjugate, logarithm, product, unit
+from tissue.coupling.quaternion import Quaternion, conjugate, logarithm, product, unit
 
 __all__ = ["GuardLimits", "SampleGuard"]
 
 Array = NDArray[np.float64]
+NO_TORQUE = np.zeros(3)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,21 +84,22 @@ class SampleGuard:
         """The sample if a hand can have made it, with its quaternion at unit length; else None."""
         self._step = 0.0 if self._clock is None else max(time_s - self._clock, 0.0)
         self._clock = time_s
-        fault = self._fault_of(sample, time_s)
+        turned = None if sample is None else unit(sample.quaternion)
+        fault = self._fault_of(sample, turned, time_s)
         if fault != self._fault:
             self.events.append((time_s, f"{fault}: the force fades" if fault else "samples are good again"))
             self._fault = fault
-        if fault or sample is None:
+        if fault or sample is None or turned is None:
             self.bad_ticks += 1
             return None
-        self._good = sample._replace(quaternion=unit(sample.quaternion) or (0.0, 0.0, 0.0, 1.0))
+        self._good = sample._replace(quaternion=turned)
         return self._good
 
     def vouch(self, force_N: Array | None, torque_Nm: Array | None = None) -> tuple[Array, Array]:
         """Force and torque to play now; None or a wrench that is not finite is a fault of this tick."""
         change = self._step / self._limits.fade_s
-        torque = np.zeros(3) if torque_Nm is None else torque_Nm
-        if force_N is not None and not (np.isfinite(force_N).all() and np.isfinite(torque).all()):
+        torque = NO_TORQUE if torque_Nm is None else torque_Nm
+        if force_N is not None and not all(map(isfinite, (*force_N.tolist(), *torque.tolist()))):
             self.events.append((self._clock or 0.0, "the force is not finite: it fades"))
             force_N = None
         if force_N is not None and not self._fault:
@@ -107,12 +109,12 @@ class SampleGuard:
             self.share = max(self.share - change, 0.0)
         return self.share * self._wrench[0], self.share * self._wrench[1]
 
-    def _fault_of(self, sample: Sample | None, time_s: float) -> str:
-        """What is wrong with a sample, or nothing."""
+    def _fault_of(self, sample: Sample | None, turned: Quaternion | None, time_s: float) -> str:
+        """What is wrong with a sample, or nothing; its quaternion at unit length beside it."""
         limits, good = self._limits, self._good
         if sample is None:
             return "no sample"
-        if not sample.finite or unit(sample.quaternion) is None:
+        if turned is None or not sample.finite:
             return "a sample that is not finite"
         if time_s - sample.time_s > limits.oldest_s:
             return "an old sample"
@@ -123,7 +125,7 @@ class SampleGuard:
         elapsed = max(sample.time_s - good.time_s, 0.0) + limits.oldest_s
         if dist(sample.position_m, good.position_m) > limits.fastest_m_s * elapsed:
             return "a jump that no hand makes"
-        turn = logarithm(product(unit(sample.quaternion) or sample.quaternion, conjugate(good.quaternion)))
+        turn = logarithm(product(turned, conjugate(good.quaternion)))
         if sum(angle * angle for angle in turn) > (limits.fastest_rad_s * elapsed) ** 2:
             return "a turn that no hand makes"
         return ""
@@ -131,5 +133,5 @@ class SampleGuard:
 
 def _capped(vector: Array, limit: float) -> Array:
     """A vector no longer than a limit."""
-    size = float(np.sqrt(vector @ vector))
+    size = sqrt(vector.dot(vector))
     return vector * (limit / size) if size > limit else np.array(vector)

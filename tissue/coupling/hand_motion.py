@@ -1,6 +1,6 @@
 """A hand on a device as what moves a tool: samples in, forces out, once a tick."""
 
-from math import pi
+from math import pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from tissue.coupling.guard import SampleGuard
 from tissue.coupling.held_tool import HeldTool
 from tissue.coupling.loop import WallLoop
 from tissue.coupling.passivity import PassivityObserver
+from tissue.coupling.quaternion import Quaternion
 from tissue.coupling.renderer import PassivityRenderer, Renderer, TurningRenderer
 from tissue.coupling.rotation import matrix_of
 from tissue.coupling.signal import DelayLine, ForceRange, LowPass
@@ -141,6 +142,7 @@ class HandMotion(Motion):
         self._torques = ForceRange(limit_N=limits.torque_limit_Nm or 1.0)
         lag = loop.delay_s + 1.0 / (2.0 * pi * loop.amplifier_hz)
         self.observer = PassivityObserver(delay_ticks=lag / tick)
+        self._turned: Quaternion | None = None
         self._velocity = np.zeros(3)
         self._smoothing = min(tick * model_ticks / SMOOTH_S, 1.0)
         self.model_ticks, self.lead_ticks = model_ticks, lead_ticks
@@ -208,7 +210,9 @@ class HandMotion(Motion):
         tip = self.tool.follow(at, sample.quaternion, response, motion.heading[0], self._step)
         self._went[:] = (tip - self._before) / self._step
         motion.tip_m[:] = tip
-        motion.rotation[:] = matrix_of(np.array(self.tool.quaternion)) @ self._start
+        if self.tool.quaternion != self._turned:
+            self._turned = self.tool.quaternion
+            motion.rotation[:] = matrix_of(np.array(self._turned)) @ self._start
         self._tell_speed(motion, self._went, at - tip)
 
     def play(self, response: Response) -> None:
@@ -216,16 +220,16 @@ class HandMotion(Motion):
         wanted = torque = None
         compressed = False
         told = self.measures
-        if self._sample is None:
+        if (sample := self._sample) is None:
             self._pause()
         else:
-            at, speed, quaternion, spin = self._sample.arrays()
+            at, speed = np.array(sample.position_m), np.array(sample.velocity_m_s)
             if self._fresh:
                 tip, went = (self.tool.tip_m - self._shift) / self._scale, self._went / self._scale
                 self._raw = self._contact.render(at, speed, tip, went, self._step)
                 if self._turning_law is not None:
-                    turned, still = self.tool.quaternion, np.zeros(3)
-                    self._torque = self._turning_law.render(self._sample.quaternion, spin, turned, still, self._step)
+                    turned, spin, still = self.tool.quaternion, np.array(sample.spin_rad_s), np.zeros(3)
+                    self._torque = self._turning_law.render(sample.quaternion, spin, turned, still, self._step)
             told[19:22] = force = self._raw
             if self.predictor is not None:
                 self.predictor.observe(at, speed, force if self._fresh else None)
@@ -243,7 +247,7 @@ class HandMotion(Motion):
                 torque, squeezed = self._torques.play(self._turning_delay.step(self._turning.step(self._torque)))
                 compressed = compressed or squeezed
             self.observer.observe(at)
-            told[:3], told[3:7], told[13:16] = 1e3 * at, quaternion, filtered
+            told[:3], told[3:7], told[13:16] = 1e3 * at, sample.quaternion, filtered
         played, turning = self.guard.vouch(wanted, torque)
         self.device.command(played, turning)
         self.observer.hold(played)
@@ -266,9 +270,9 @@ class HandMotion(Motion):
         self._velocity += self._smoothing * (went_m_s - self._velocity)
         velocity, heading = self._velocity, self._velocity
         if self.tool.driven:
-            velocity, heading = went_m_s, went_m_s if went_m_s.any() else pull_m
-        size = float(np.sqrt(heading @ heading))
+            velocity, heading = went_m_s, went_m_s if any(went_m_s.tolist()) else pull_m
+        size = sqrt(heading.dot(heading))
         if size > 0.0:
             motion.heading[0] = heading / size
-        motion.speed_m_s = float(np.sqrt(velocity @ velocity))
+        motion.speed_m_s = sqrt(velocity.dot(velocity))
         motion.pressed = self.tool.pressed

@@ -1,9 +1,11 @@
 """Where a tool is that hangs on a device by a spring: in balance with what it cuts, or with what pushes it back."""
 
+from math import sqrt
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dgesv
 
 from meshes.errors import require_positive
 from tissue.coupling.held_turn import HeldTurn
@@ -91,8 +93,8 @@ class CuttingTool:
     def follow(self, device_m: Array, device: Quaternion, response: Response, heading: Array, step_s: float) -> Array:
         """Solve the balance along the pull and move."""
         self._turn.follow(device, response.wrench[3:])
-        drag = max(-float(response.resistance[:3] @ heading), 0.0)
-        edge = max(-float(response.edge[:3] @ heading), 0.0)
+        drag = max(-float(response.resistance[:3].dot(heading)), 0.0)
+        edge = max(-float(response.edge[:3].dot(heading)), 0.0)
         if drag >= FADE * self._drag:
             self._drag, self._edge, self._way = drag, edge, heading.copy()
         else:
@@ -103,8 +105,8 @@ class CuttingTool:
             self.tip_m[:], self._pull_N = device_m, 0.0
             return self.tip_m
         stretch = device_m - self.tip_m
-        length = float(np.sqrt(stretch @ stretch))
-        along = 0.5 * (1.0 + float(self._way @ stretch) / length) if length > 0.0 else 1.0
+        length = sqrt(stretch.dot(stretch))
+        along = 0.5 * (1.0 + float(self._way.dot(stretch)) / length) if length > 0.0 else 1.0
         pull, held = self._stiffness * length, along * self._edge
         way = max(pull - held, 0.0) / (self._stiffness + along * self._drag / step_s)
         if way < length * (1.0 - ROUNDING):
@@ -118,7 +120,7 @@ class CuttingTool:
 
     def lands(self, response: Response, heading: Array) -> bool:
         """Whether the cut takes more than the spring pulls; it is made, but the tool goes on at a speed of its own."""
-        return -float(response.wrench[:3] @ heading) > TOO_MUCH * self._pull_N + LEAST_N
+        return -float(response.wrench[:3].dot(heading)) > TOO_MUCH * self._pull_N + LEAST_N
 
 
 class PressingTool:
@@ -145,6 +147,7 @@ class PressingTool:
         self._stiffness = require_positive("stiffness_N_m", stiffness_N_m, "use 1e3")
         self.tip_m = np.array(tip_m, dtype=float)
         self.pressed, self.driven = 0.0, False
+        self._own = self._stiffness * np.eye(3)
         self._learnt, self._free = 0.0, True
         self._before_m, self._before_N = self.tip_m.copy(), np.zeros(3)
 
@@ -159,15 +162,15 @@ class PressingTool:
         force, tip, spring = response.wrench[:3], self.tip_m, self._stiffness
         if response.stiffness_N_m is None:
             self._learn(force)
-        in_balance, self._free = False, not force.any()
+        in_balance, self._free = False, not any(force.tolist())
         if not self._free:
             stretch = device_m - tip
             out_of_balance = spring * stretch + force
             if response.stiffness_N_m is None:
-                step = out_of_balance / (spring + self._learnt)
+                step, singular = out_of_balance / (spring + self._learnt), False
             else:
-                step = np.linalg.solve(spring * np.eye(3) + response.stiffness_N_m, out_of_balance)
-            in_balance = float((step - stretch) @ force) > 0.0
+                *_, step, singular = dgesv(self._own + response.stiffness_N_m, out_of_balance)
+            in_balance = not singular and float((step - stretch).dot(force)) > 0.0
         if in_balance:
             tip += step
         else:
@@ -176,12 +179,12 @@ class PressingTool:
 
     def lands(self, response: Response, heading: Array) -> bool:
         """Whether a free tool has gone into the tissue."""
-        return self._free and bool(response.wrench[:3].any())
+        return self._free and any(response.wrench[:3].tolist())
 
     def _learn(self, force_N: Array) -> None:
         """Take the stiffness from what the last way has changed."""
         moved, changed = self.tip_m - self._before_m, force_N - self._before_N
-        square = float(moved @ moved)
+        square = float(moved.dot(moved))
         if square > LEAST_M**2:
-            self._learnt = max(-float(moved @ changed) / square, FADE * self._learnt)
+            self._learnt = max(-float(moved.dot(changed)) / square, FADE * self._learnt)
             self._before_m[:], self._before_N[:] = self.tip_m, force_N

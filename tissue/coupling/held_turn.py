@@ -45,13 +45,13 @@ class HeldTurn:
     def follow(self, device: Quaternion, torque_Nm: Array) -> Quaternion:
         """Make a Newton step of the balance with the torque on the tool [N m], shape (3,); the tool's turn."""
         spring = self.stiffness_Nm_rad
-        if spring == inf or not torque_Nm.any():
+        if spring == inf or not any(torque_Nm.tolist()):
             self.quaternion = device
             return device
         self._learn(torque_Nm)
         ahead = np.array(logarithm(product(device, conjugate(self.quaternion))))
         turn = (spring * ahead + torque_Nm) / (spring + self._learnt)
-        if float((turn - ahead) @ torque_Nm) <= 0.0:
+        if float((turn - ahead).dot(torque_Nm)) <= 0.0:
             self.quaternion = device
             return device
         x, y, z = turn - ahead
@@ -63,7 +63,7 @@ class HeldTurn:
     def _learn(self, torque_Nm: Array) -> None:
         """Take the stiffness from what the last turn has changed."""
         turned = np.array(logarithm(product(self.quaternion, conjugate(self._before))))
-        square = float(turned @ turned)
+        square = float(turned.dot(turned))
         if square > LEAST_RAD**2:
-            self._learnt = max(-float(turned @ (torque_Nm - self._torque)) / square, FADE * self._learnt)
+            self._learnt = max(-float(turned.dot(torque_Nm - self._torque)) / square, FADE * self._learnt)
             self._before, self._torque = self.quaternion, np.array(torque_Nm)

@@ -46,8 +46,8 @@ class PassivityObserver:
         """Book what the acting forces did on the way to this position [m]; the energy [J]."""
         if self._position is not None:
             moved = position_m - self._position
-            self.energy_J -= (1.0 - self._late) * float(self._forces[1] @ moved)
-            self.energy_J -= self._late * float(self._forces[0] @ moved)
+            self.energy_J -= (1.0 - self._late) * float(self._forces[1].dot(moved))
+            self.energy_J -= self._late * float(self._forces[0].dot(moved))
             self.lowest_J = min(self.lowest_J, self.energy_J)
         self._position = position_m.copy()
         return self.energy_J
@@ -109,13 +109,13 @@ class PassivityControl:
         observer = self.observer
         energy = observer.observe(position_m)
         coming = force_N + observer.coming_N() if self._delayed else force_N
-        if energy > 0.0 and not coming.any():
+        if energy > 0.0 and not any(coming.tolist()):
             observer.energy_J = energy = 0.0
-        square = float(velocity_m_s @ velocity_m_s)
-        left = energy - step_s * float(coming @ velocity_m_s)
+        square = float(velocity_m_s.dot(velocity_m_s))
+        left = energy - step_s * float(coming.dot(velocity_m_s))
         self.damping_N_s_m = 0.0
         played = force_N
-        if left < 0.0 and force_N.any() and square > 1e-12:
+        if left < 0.0 and square > 1e-12 and any(force_N.tolist()):
             self.damping_N_s_m = min(-left / (step_s * square), self._limit)
             self.dissipated_J += self.damping_N_s_m * square * step_s
             played = force_N - self.damping_N_s_m * velocity_m_s

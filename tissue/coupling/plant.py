@@ -64,11 +64,9 @@ class Plant:
         )
         u0, u1, u2 = command
         w0, w1, w2 = external
-        stop = self._friction * vw
+        stop, work = self._friction * vw, self.motor_work_J
+        (x0, x1, x2), (v0, v1, v2), (f0, f1, f2) = self.position, self.velocity, self.motor_force
         for _ in range(substeps):
-            x0, x1, x2 = self.position
-            v0, v1, v2 = self.velocity
-            f0, f1, f2 = self.motor_force
             p0 = xx * x0 + xv * v0 + xf * f0 + xu * u0 + xw * w0
             p1 = xx * x1 + xv * v1 + xf * f1 + xu * u1 + xw * w1
             p2 = xx * x2 + xv * v2 + xf * f2 + xu * u2 + xw * w2
@@ -84,5 +82,7 @@ class Plant:
                 if share == 1.0 and v0 == v1 == v2 == 0.0:
                     p0, p1, p2 = x0, x1, x2  # friction follows a motor force that changes within the substep
             g0, g1, g2 = ff * f0 + fu * u0, ff * f1 + fu * u1, ff * f2 + fu * u2
-            self.motor_work_J += 0.5 * ((f0 + g0) * (p0 - x0) + (f1 + g1) * (p1 - x1) + (f2 + g2) * (p2 - x2))
-            self.position, self.velocity, self.motor_force = (p0, p1, p2), (q0, q1, q2), (g0, g1, g2)
+            work += 0.5 * ((f0 + g0) * (p0 - x0) + (f1 + g1) * (p1 - x1) + (f2 + g2) * (p2 - x2))
+            x0, x1, x2, v0, v1, v2, f0, f1, f2 = p0, p1, p2, q0, q1, q2, g0, g1, g2
+        self.position, self.velocity, self.motor_force = (x0, x1, x2), (v0, v1, v2), (f0, f1, f2)
+        self.motor_work_J = work

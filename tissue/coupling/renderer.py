@@ -50,10 +50,10 @@ class PenaltyRenderer:
     def render(self, device: Array, device_velocity: Array, proxy: Array, proxy_velocity: Array, dt: float) -> Array:
         """Force on the device [N]."""
         gap = proxy - device
-        square = float(gap @ gap)
+        square = float(gap.dot(gap))
         if square == 0.0:
             return np.zeros(3)
-        along = self.stiffness_N_m - self.damping_N_s_m * float(gap @ device_velocity) / square
+        along = self.stiffness_N_m - self.damping_N_s_m * float(gap.dot(device_velocity)) / square
         return gap * max(along, 0.0)
 
     def pause(self) -> None:
@@ -72,7 +72,7 @@ class ProxyRenderer:
 
     def render(self, device: Array, device_velocity: Array, proxy: Array, proxy_velocity: Array, dt: float) -> Array:
         """Force on the device [N]."""
-        if not (proxy - device).any():
+        if not any((proxy - device).tolist()):
             return np.zeros(3)
         return self._coupling.force_N(proxy, device, proxy_velocity, device_velocity)
 

@@ -111,7 +111,7 @@ class SimulatedDevice:
 
     def _limited(self, wanted: Array, limit: float) -> Triple:
         """A vector no longer than a limit."""
-        x, y, z = (float(component) for component in wanted)
+        x, y, z = wanted.tolist()
         size = sqrt(x * x + y * y + z * z)
         if not isfinite(size):
             self.refused_commands += 1
@@ -159,7 +159,8 @@ class SimulatedDevice:
         self._tick += 1
         before, rate = self._sample, self.parameters.rate_Hz
         position, orientation = self._read_position(), self._read_orientation()
-        turn = logarithm(product(orientation, conjugate(before.quaternion)))
+        still = orientation == before.quaternion
+        turn = NOTHING if still else logarithm(product(orientation, conjugate(before.quaternion)))
         self._sample = Sample(
             self._tick * self._step,
             position,

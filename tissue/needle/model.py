@@ -107,7 +107,7 @@ class NeedleModel:
         if travel > 0.0 and insertion.travel_m <= 0.0 and insertion.inserted_m == 0.0:
             insertion = self._touch(motion, travel)
         inside, punctured = insertion.inserted_m > 0.0, insertion.punctured
-        insertion.advance(travel, motion.speed_m_s * float(motion.heading[0] @ motion.rotation[:, 2]))
+        insertion.advance(travel, motion.speed_m_s * float(motion.heading[0].dot(motion.rotation[:, 2])))
         while punctured < insertion.punctured:
             at, force = insertion.punctures[punctured]
             name = self.tissue.membranes[punctured].name
@@ -120,11 +120,12 @@ class NeedleModel:
         """Force on the needle along its axis."""
         insertion, response = self.insertion, self._response
         axis = motion.rotation[:, 2]
-        along = float(motion.heading[0] @ axis)
+        along = float(motion.heading[0].dot(axis))
         drag = insertion.drag_N_s_m * along
-        np.multiply(axis, insertion.pull_N, out=response.edge[:3])
-        np.multiply(axis, -drag, out=response.resistance[:3])
-        np.multiply(axis, insertion.pull_N - drag * motion.speed_m_s, out=response.wrench[:3])
+        pull = insertion.pull_N
+        response.edge[:3] = pull * axis
+        response.resistance[:3] = -drag * axis
+        response.wrench[:3] = (pull - drag * motion.speed_m_s) * axis
         response.engaged_m2[:] = 0.0
         if insertion.travel_m > 0.0 or insertion.inserted_m > 0.0:
             response.engaged_m2[self._layer()] = 0.25 * pi * self._diameter_m**2
@@ -159,8 +160,8 @@ class NeedleModel:
 
     def _travel_m(self, motion: ToolMotion) -> float:
         """How far the tip lies beyond the surface, along the needle's axis [m]; negative outside."""
-        below = float((self._origin - motion.tip_m) @ self._normal)
-        cosine = float(motion.rotation[:, 2] @ self._normal)
+        below = float((self._origin - motion.tip_m).dot(self._normal))
+        cosine = float(motion.rotation[:, 2].dot(self._normal))
         if not (isfinite(below) and isfinite(cosine)):
             raise InputError(f"the needle's pose must be finite, got its tip at {motion.tip_m}: mend the motion")
         if cosine >= LEAST_COSINE:

@@ -122,15 +122,15 @@ class ToothModel:
         if self._pulp_near:
             self._clearance()
             self._nearest.pull()
-            self._watch(float(self._nearest.host.min()))
+            self._watch(float(np.minimum.reduce(self._nearest.host)))
             response.measures[0] = 1e3 * min(self._least_m, self._reach_m)
         if self.stress is not None:
-            force, arm = response.wrench[:3], motion.tip_m - self.stress.reference_m
-            self._load[:3] = force
-            self._load[3:] = response.wrench[3:] + np.cross(arm, force)
-            response.measures[self._moves] = -1e6 * (self.stress.compliance.matrix[:3] @ self._load)
+            (a, b, c), (x, y, z) = (motion.tip_m - self.stress.reference_m).tolist(), response.wrench[:3].tolist()
+            self._load[:] = response.wrench
+            self._load[3:] += (b * z - c * y, c * x - a * z, a * y - b * x)
+            response.measures[self._moves] = -1e6 * self.stress.compliance.matrix[:3].dot(self._load)
         if self.warmth is not None:
-            torque = float(response.wrench[3:] @ motion.rotation[:, 2])
+            torque = float(response.wrench[3:].dot(motion.rotation[:, 2]))
             self._energy_J += abs(torque * self.milling.cutter.spin_rad_s) * TICK_S
             response.measures[-1] = self._pulp_rise_K
         return response
