@@ -208,6 +208,12 @@ def test_no_trial_yet_is_told(tmp_path):
         folder.table("T2")
 
 
+@pytest.mark.parametrize("workers", [0, -1, 5000])
+def test_a_number_of_workers_out_of_range_is_refused(tmp_path, workers):
+    with pytest.raises(InputError, match="workers must be .* 1 .* 4096"):
+        run_study(SMALL, tmp_path / "study", workers=workers)
+
+
 @pytest.mark.parametrize("address", ["node:8786", "ssh://node", "dask://"])
 def test_a_scheduler_has_an_address(tmp_path, address):
     with pytest.raises(InputError, match="scheduler must be dask://ADDRESS"):

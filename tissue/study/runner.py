@@ -60,7 +60,9 @@ def run_study(
     InputError
         If the folder holds another study, no scheduler answers, or workers are lost again and again.
     """
-    count = int(require_range("workers", workers or os.cpu_count() or 1, 1, 4096, "use one a core"))
+    count = int(
+        require_range("workers", (os.cpu_count() or 1) if workers is None else workers, 1, 4096, "use one a core")
+    )
     folder = StudyFolder(out)
     for sentence in folder.begin(plan):
         tell(sentence, 0.0)
@@ -77,7 +79,9 @@ def run_study(
                 work.drain(pool, suspects[:1] or list(work.waiting), 1 if suspects else AHEAD * count)
         except LOST as error:
             if not connected:
-                raise InputError(f"scheduler must answer, got {error}: start it with `dask scheduler`") from error
+                raise InputError(
+                    f"scheduler must answer, got {scheduler} ({error}): start it with `dask scheduler`"
+                ) from error
             barren = barren + 1 if work.done == before else 1
             if barren > BARREN:
                 raise InputError(
