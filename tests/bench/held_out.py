@@ -30,8 +30,8 @@ from tissue.scene_tool import PathMotion
 from tissue.simulation import simulate
 from tissue.statistics.metrics import force_error
 
-SCENES = ("milling", "molar", "glenoid", "liver-press")
-ASIDE_MM = {"milling": 0.5, "molar": 0.5, "liver-press": 0.5}
+SCENES = ("milling", "molar", "caries", "glenoid", "liver-press", "palpation")
+ASIDE_MM = {"milling": 0.5, "molar": 0.5, "caries": 0.5, "liver-press": 0.5, "palpation": 0.5}
 """How far a path is moved aside where no hole guides the tool."""
 DEMANDS = (0.01, 0.02, 0.03, 0.05, 0.08, 0.12, 0.2, 0.3)
 """Demanded errors."""

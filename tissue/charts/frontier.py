@@ -8,7 +8,7 @@ from hashlib import blake2b
 from pathlib import Path
 
 from meshes.cache import cache_folder
-from tissue.charts.measure import Measured, excerpt, machine, measure, reference_gap, setting_key
+from tissue.charts.measure import WAY, Measured, excerpt, machine, measure, of_model, reference_gap, setting_key
 from tissue.charts.settings import Setting, settings_of
 from tissue.scene import Scene
 
@@ -78,20 +78,25 @@ def frontier_of(scene: Scene, *, quick: bool = True, tell: Tell = lambda doing, 
         key = setting_key(scene, setting, quick=quick)
         if key not in known:
             if short is None:
-                short = excerpt(scene, settings[0].changes, quick=quick)
+                short = _short(scene, quick=quick)
             known[key] = _under(key, measure(short, setting, quick=quick))
             write_measured(path, list(known.values()))
         points.append(known[key])
     tell(f"{scene.name}: reference", len(settings) / (len(settings) + 1))
-    return Frontier(scene, tuple(points), _gap(scene, short, settings, path, quick=quick), tuple(settings))
+    return Frontier(scene, tuple(points), _gap(scene, path, quick=quick), tuple(settings))
 
 
-def _gap(scene: Scene, short: Scene | None, settings: list[Setting], path: Path, *, quick: bool) -> float:
+def _short(scene: Scene, *, quick: bool) -> Scene:
+    """The excerpt of a scene that its settings are run on."""
+    return excerpt(scene, settings_of(of_model(scene), quick=quick)[0].changes, quick=quick)
+
+
+def _gap(scene: Scene, path: Path, *, quick: bool) -> float:
     """Distance of the finest setting to the next one, kept beside the measurements."""
     beside = path.with_suffix(".gap")
     if beside.is_file():
         return float(beside.read_text("utf-8"))
-    gap = reference_gap(short or excerpt(scene, settings[0].changes, quick=quick), quick=quick)
+    gap = reference_gap(_short(of_model(scene), quick=quick), quick=quick)
     beside.write_text(repr(gap), "utf-8")
     return gap
 
@@ -103,7 +108,7 @@ def _under(key: str, point: Measured) -> Measured:
 
 def _store(scene: Scene, *, quick: bool) -> Path:
     """Where a scene's measurements are kept: with the computed arrays of this machine."""
-    text = f"{scene.model_copy(update={'fidelity': None, 'description': ''}).to_toml()}|{machine()}|{quick}"
+    text = f"{scene.model_copy(update={'fidelity': None, 'description': ''}).to_toml()}|{machine()}|{quick}|{WAY}"
     return cache_folder() / "frontiers" / f"{scene.name}-{blake2b(text.encode(), digest_size=8).hexdigest()}.csv"
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from tissue.charts.frontier import Frontier, frontier_of, write_measured
 from tissue.charts.measure import machine
+from tissue.charts.overview import draw_overview
 from tissue.charts.picture import draw_frontiers
 from tissue.charts.settings import by_hand
 from tissue.load import load_scene, scene_names
@@ -18,7 +19,7 @@ Tell = Callable[[str, float], None]
 def chart_scenes(
     names: Sequence[str], out: Path, *, quick: bool, overwrite: bool = False, tell: Tell = lambda doing, share: None
 ) -> list[list[Frontier]]:
-    """Chart some scenes, or all where none is named; each leaves NAME.png and NAME.csv.
+    """Chart some scenes, or all where none is named; each leaves NAME.png and NAME.csv, all frontier.png.
 
     What was measured on this machine before is not measured again, so that a call that was interrupted goes on.
 
@@ -29,7 +30,7 @@ def chart_scenes(
     """
     scenes = [load_scene(name) for name in names or scene_names()]
     require_free_folder(out, [f"{scene.name}.csv" for scene in scenes], "chart", overwrite=overwrite)
-    found = []
+    found, drawn = [], []
     out.mkdir(parents=True, exist_ok=True)
     for index, scene in enumerate(scenes):
 
@@ -39,9 +40,11 @@ def chart_scenes(
         # A wall is met by a hand alone; other scenes move by script as well.
         kinds = [by_hand(scene)] if scene.device != "none" else [scene, by_hand(scene)]
         both = [frontier_of(kind, quick=quick, tell=told) for kind in kinds]
-        draw_frontiers([each for each in both if len(each.points) > 1], out / f"{scene.name}.png")
+        drawn.append([each for each in both if len(each.points) > 1])
+        draw_frontiers(drawn[-1], out / f"{scene.name}.png")
         write_measured(out / f"{scene.name}.csv", [point for each in both for point in each.points])
         found.append(both)
+    draw_overview(drawn, out / "frontier.png")
     (out / "machine.txt").write_text(machine() + "\n", "utf-8")
     return found
 
