@@ -12,7 +12,7 @@ from tissue.charts.measure import WAY, Measured, excerpt, machine, measure, of_m
 from tissue.charts.settings import Setting, settings_of
 from tissue.scene import Scene
 
-__all__ = ["Frontier", "frontier_of", "read_measured", "undominated", "write_measured"]
+__all__ = ["Frontier", "frontier_of", "measured_keys", "read_measured", "short_of", "undominated", "write_measured"]
 
 Tell = Callable[[str, float], None]
 COLUMNS = tuple(entry.name for entry in fields(Measured))
@@ -78,7 +78,7 @@ def frontier_of(scene: Scene, *, quick: bool = True, tell: Tell = lambda doing, 
         key = setting_key(scene, setting, quick=quick)
         if key not in known:
             if short is None:
-                short = _short(scene, quick=quick)
+                short = short_of(scene, quick)
             known[key] = _under(key, measure(short, setting, quick=quick))
             write_measured(path, list(known.values()))
         points.append(known[key])
@@ -86,9 +86,14 @@ def frontier_of(scene: Scene, *, quick: bool = True, tell: Tell = lambda doing, 
     return Frontier(scene, tuple(points), _gap(scene, path, quick=quick), tuple(settings))
 
 
-def _short(scene: Scene, *, quick: bool) -> Scene:
+def short_of(scene: Scene, quick: bool) -> Scene:
     """The excerpt of a scene that its settings are run on."""
     return excerpt(scene, settings_of(of_model(scene), quick=quick)[0].changes, quick=quick)
+
+
+def measured_keys(scene: Scene, *, quick: bool) -> set[str]:
+    """Keys of the settings that were measured on this machine before."""
+    return {point.key for point in read_measured(_store(scene, quick=quick))}
 
 
 def _gap(scene: Scene, path: Path, *, quick: bool) -> float:
@@ -96,7 +101,7 @@ def _gap(scene: Scene, path: Path, *, quick: bool) -> float:
     beside = path.with_suffix(".gap")
     if beside.is_file():
         return float(beside.read_text("utf-8"))
-    gap = reference_gap(_short(of_model(scene), quick=quick), quick=quick)
+    gap = reference_gap(short_of(of_model(scene), quick), quick=quick)
     beside.write_text(repr(gap), "utf-8")
     return gap
 

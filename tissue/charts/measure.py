@@ -23,7 +23,7 @@ from tissue.scene_tool import PathMotion, Probe, Tool
 from tissue.simulation import TICK_S, simulate
 from tissue.statistics.metrics import force_error
 
-__all__ = ["Measured", "excerpt", "machine", "measure", "of_model", "reference_gap", "setting_key"]
+__all__ = ["Measured", "excerpt", "machine", "measure", "of_model", "reference_force_N", "reference_gap", "setting_key"]
 
 Array = NDArray[np.float64]
 EXCERPT_S = {True: 1.2, False: 3.0}
@@ -234,7 +234,7 @@ def reference_gap(scene: Scene, *, quick: bool) -> float:
     changes = nearly_finest(model, quick=quick)
     if not changes:
         return 0.0
-    return force_error(_forces(model, changes), _forces(model, finest(model, quick=quick)))
+    return force_error(reference_force_N(model, changes), reference_force_N(model, finest(model, quick=quick)))
 
 
 def of_model(scene: Scene) -> Scene:
@@ -247,10 +247,10 @@ def _error(run: Run, scene: Scene, *, quick: bool) -> float:
     changes = finest(scene, quick=quick)
     if scene.device != "none":
         return force_error(played_force_N(run.trace), ideal_force_N(run, changes))
-    return force_error(run.trace.vectors("model_force", "N"), _forces(scene, changes))
+    return force_error(run.trace.vectors("model_force", "N"), reference_force_N(scene, changes))
 
 
-def _forces(scene: Scene, changes: Changes) -> Array:
+def reference_force_N(scene: Scene, changes: Changes) -> Array:
     """Force on the tool over time [N], shape (n, 3), kept on disk."""
     at = changed(of_model(scene), changes)
     forces = cached_arrays(

@@ -1,27 +1,38 @@
 """Charts of scenes: their frontiers by script and by hand, as pictures and as tables."""
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 
 from tissue.charts.frontier import Frontier, frontier_of, write_measured
 from tissue.charts.measure import machine
 from tissue.charts.overview import draw_overview
 from tissue.charts.picture import draw_frontiers
+from tissue.charts.ready import make_ready
 from tissue.charts.settings import by_hand
 from tissue.load import load_scene, scene_names
 from tissue.outputs import require_free_folder
 
 __all__ = ["chart_lines", "chart_scenes"]
 
+READY_SHARE = 0.3
+"""Share of a chart's time that making ready takes."""
 Tell = Callable[[str, float], None]
 
 
 def chart_scenes(
-    names: Sequence[str], out: Path, *, quick: bool, overwrite: bool = False, tell: Tell = lambda doing, share: None
+    names: Sequence[str],
+    out: Path,
+    *,
+    quick: bool,
+    overwrite: bool = False,
+    pool: Executor | None = None,
+    tell: Tell = lambda doing, share: None,
 ) -> list[list[Frontier]]:
     """Chart some scenes, or all where none is named; each leaves NAME.png and NAME.csv, all frontier.png.
 
-    What was measured on this machine before is not measured again, so that a call that was interrupted goes on.
+    What was measured on this machine before is not measured again, so that a call that was interrupted goes on. Where
+    there are other processes, they make references and meshes ready, and are idle while anything is timed.
 
     Raises
     ------
@@ -30,20 +41,25 @@ def chart_scenes(
     """
     scenes = [load_scene(name) for name in names or scene_names()]
     require_free_folder(out, [f"{scene.name}.csv" for scene in scenes], "chart", overwrite=overwrite)
+    # A wall is met by a hand alone; other scenes move by script as well.
+    kinds = [[by_hand(scene)] if scene.device != "none" else [scene, by_hand(scene)] for scene in scenes]
+    begin = 0.0
+    if pool is not None:
+        begin = READY_SHARE
+        every = [kind for both in kinds for kind in both]
+        make_ready(every, pool, quick=quick, tell=lambda doing, share: tell(doing, begin * share))
     found, drawn = [], []
     out.mkdir(parents=True, exist_ok=True)
-    for index, scene in enumerate(scenes):
+    for index, (scene, both) in enumerate(zip(scenes, kinds, strict=True)):
 
         def told(doing: str, share: float, index: int = index) -> None:
-            tell(doing, (index + share) / len(scenes))
+            tell(doing, begin + (1.0 - begin) * (index + share) / len(scenes))
 
-        # A wall is met by a hand alone; other scenes move by script as well.
-        kinds = [by_hand(scene)] if scene.device != "none" else [scene, by_hand(scene)]
-        both = [frontier_of(kind, quick=quick, tell=told) for kind in kinds]
-        drawn.append([each for each in both if len(each.points) > 1])
+        frontiers = [frontier_of(kind, quick=quick, tell=told) for kind in both]
+        drawn.append([each for each in frontiers if len(each.points) > 1])
         draw_frontiers(drawn[-1], out / f"{scene.name}.png")
-        write_measured(out / f"{scene.name}.csv", [point for each in both for point in each.points])
-        found.append(both)
+        write_measured(out / f"{scene.name}.csv", [point for each in frontiers for point in each.points])
+        found.append(frontiers)
     draw_overview(drawn, out / "frontier.png")
     (out / "machine.txt").write_text(machine() + "\n", "utf-8")
     return found
