@@ -179,10 +179,10 @@ def cost(name: str) -> list[float]:
     for index, point in enumerate(points):
         told = CostModel.fitted(points[:index] + points[index + 1 :]).tick_us(point)
         ratios.append(told / point.median_us)
-        rows.append((point.setting, f"{point.elements}", f"{point.engaged_mm2:.1f}", f"{point.median_us:.0f}",
+        rows.append((point.setting, f"{point.elements}", f"{point.met:.0f}", f"{point.median_us:.0f}",
                      f"{told:.0f}", f"{100 * (ratios[-1] - 1):+.0f} %"))  # fmt: skip
     print(f"\n{name}: {CostModel.fitted(points)}")
-    print(table(rows, ("setting", "elements", "mm2", "tick us", "predicted", "off")), flush=True)
+    print(table(rows, ("setting", "elements", "met", "tick us", "predicted", "off")), flush=True)
     return ratios
 
 

@@ -20,7 +20,10 @@ COARSE = {"voxels.spacing_mm": 0.2, "anatomy.size_mm": [12, 10, 4], "motion.feed
 
 
 def point(name="a", *, error=0.1, median=100.0, p99=200.0, elements=100, area=10.0, step=0.1, family="voxels", lost=""):
-    return Measured(name, "block", name, family, lost, error, median, p99, 0, 5.0, area, elements, step, 1.0, "here")
+    met = area / step**2
+    return Measured(
+        name, "block", name, family, lost, error, median, p99, 0, 5.0, area, elements, step, met, 1.0, "here"
+    )
 
 
 def test_the_frontier_is_what_nothing_beats():

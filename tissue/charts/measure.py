@@ -36,7 +36,7 @@ STRAY_MM = 1.5
 """The same by hand, which strays from the path."""
 REPEATS = 2
 """Runs of a setting at one place, of which the faster counts; a quick chart of a loop makes do with one."""
-WAY = "three places"
+WAY = "three places, visits"
 """How errors are measured: part of every key, to be changed with it."""
 SETTLED = 20
 """Ticks in contact that are not counted: the first ones load code."""
@@ -58,9 +58,11 @@ class Measured:
         Tick in contact [us], and ticks over 1 ms.
     far_us
         Median tick out of contact [us]; NaN where there was none.
-    engaged_mm2, elements, step_mm
-        Mean area in contact, elements of the tool or contact points, and edge of a voxel or element: what a tick may
-        grow with.
+    engaged_mm2, step_mm
+        Mean area in contact, and edge of a voxel or element.
+    elements, met
+        What a tick grows with: elements of a cutter and voxels over its area of contact; of an organ contacts that a
+        tick visits, in all its sweeps, and other contacts that these meet.
     built_s
         Time to build the scene, run it and find its error [s], of one run.
     machine
@@ -80,6 +82,7 @@ class Measured:
     engaged_mm2: float
     elements: int
     step_mm: float
+    met: float
     built_s: float
     machine: str
 
@@ -91,7 +94,7 @@ class Measured:
     def of_row(cls, row: dict[str, str]) -> "Measured":
         """From a table's row."""
         kinds = {"missed": int, "elements": int}
-        numbers = {"force_error", "median_us", "p99_us", "far_us", "engaged_mm2", "step_mm", "built_s"}
+        numbers = {"force_error", "median_us", "p99_us", "far_us", "engaged_mm2", "step_mm", "met", "built_s"}
         return cls(**{k: float(v) if k in numbers else kinds.get(k, str)(v) for k, v in row.items()})  # type: ignore[arg-type]
 
 
@@ -203,7 +206,7 @@ def measure(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
     if counted.size == 0:
         counted = np.flatnonzero(touching) if touching.any() else np.arange(len(ticks))
     far = ticks[~touching]
-    elements, step = _counts(run)
+    elements, met, step = _counts(run, counted)
     return Measured(
         key=setting_key(scene, setting, quick=quick),
         scene=scene.name,
@@ -218,6 +221,7 @@ def measure(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
         engaged_mm2=float(trace["contact_mm2"][counted].mean()),
         elements=elements,
         step_mm=step,
+        met=met,
         built_s=took,
         machine=machine(),
     )
@@ -261,17 +265,17 @@ def reference_force_N(scene: Scene, changes: Changes) -> Array:
     return np.asarray(forces["force_N"], dtype=np.float64)
 
 
-def _counts(run: Run) -> tuple[int, float]:
-    """Elements of the tool or touchable nodes, and edge of a voxel or element [mm]."""
-    tissue, scene = run.parts.tissue, run.scene
+def _counts(run: Run, counted: NDArray[np.intp]) -> tuple[int, float, float]:
+    """Elements or visits, what they meet, and the edge of a voxel or element [mm]."""
+    tissue, scene, trace = run.parts.tissue, run.scene, run.trace
     if run.parts.cutter is not None:
         from tissue.tooth.model import ToothModel
 
         milling: Any = tissue.milling if isinstance(tissue, ToothModel) else tissue
-        return len(milling.shell.areas_m2), scene.voxels.spacing_mm
+        step = scene.voxels.spacing_mm
+        return len(milling.shell.areas_m2), float(trace["contact_mm2"][counted].mean()) / step**2, step
     if isinstance(scene.anatomy, LiverAnatomy | SlabAnatomy) and isinstance(scene.tool, Probe):
-        from tissue.liver import LiverModel
-
-        assert isinstance(tissue, LiverModel)
-        return len(tissue.contact.point_forces_N()), scene.anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
-    return 1, 1.0
+        contacts, sweeps = trace["contact_points"][counted], trace["sweeps"][counted]
+        visits, pairs = float(np.median(contacts * sweeps)), float(np.median(contacts**2 * sweeps))
+        return round(visits), pairs, scene.anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
+    return 1, 1.0, 1.0
