@@ -9,6 +9,7 @@ from pathlib import Path
 
 from meshes.cache import cache_folder
 from tissue.charts.measure import WAY, Measured, excerpt, machine, measure, of_model, reference_gap, setting_key
+from tissue.charts.rounding import float32_error
 from tissue.charts.settings import Setting, settings_of
 from tissue.scene import Scene
 
@@ -32,12 +33,15 @@ class Frontier:
         Error of the reference itself: its distance to one that is a step coarser.
     settings
         The settings in the order of the points.
+    rounding
+        Change of the force by what float32 rounds; NaN where it was not asked for or nothing is computed in it.
     """
 
     scene: Scene
     points: tuple[Measured, ...]
     gap: float
     settings: tuple[Setting, ...]
+    rounding: float = float("nan")
 
     @property
     def best(self) -> tuple[Measured, ...]:
@@ -83,7 +87,8 @@ def frontier_of(scene: Scene, *, quick: bool = True, tell: Tell = lambda doing, 
             write_measured(path, list(known.values()))
         points.append(known[key])
     tell(f"{scene.name}: reference", len(settings) / (len(settings) + 1))
-    return Frontier(scene, tuple(points), _gap(scene, path, quick=quick), tuple(settings))
+    rounding = float("nan") if quick or scene.device != "none" else float32_error(short_of(scene, quick))
+    return Frontier(scene, tuple(points), _gap(scene, path, quick=quick), tuple(settings), rounding)
 
 
 def short_of(scene: Scene, quick: bool) -> Scene:

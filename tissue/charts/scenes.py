@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
+from math import isnan
 from pathlib import Path
 
 from tissue.charts.frontier import Frontier, frontier_of, write_measured
@@ -12,9 +13,15 @@ from tissue.charts.ready import make_ready
 from tissue.charts.settings import by_hand
 from tissue.load import load_scene, scene_names
 from tissue.outputs import require_free_folder
+from tissue.scene_soft import LiverAnatomy, SlabAnatomy
 
 __all__ = ["chart_lines", "chart_scenes"]
 
+LAW = (
+    "all in float64 and linear: a neo-Hookean organ answers 1, 5 and 10 % more than that from 1-2, 4 and 6 mm deep under "
+    "a ball of 10 mm (python tests/bench/chart_liver.py)"
+)
+"""What no setting of an organ changes."""
 READY_SHARE = 0.3
 """Share of a chart's time that making ready takes."""
 Tell = Callable[[str, float], None]
@@ -72,6 +79,10 @@ def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
         for each in both:
             how = "by script" if each.scene.device == "none" else f"by hand on {each.scene.device}"
             lines.append(f"{each.scene.name} {how}; the reference is known to {100.0 * each.gap:.2g} %")
+            if not isnan(each.rounding):
+                lines.append(f"  float32: a path moved by a last place, 1 nm, moves the force by {each.rounding:.1e}")
+            if each.scene.device == "none" and isinstance(each.scene.anatomy, LiverAnatomy | SlabAnatomy):
+                lines.append(f"  {LAW}")
             lines += [
                 f"  {point.setting:<28} error {100.0 * point.force_error:6.2g} %   "
                 f"tick {point.median_us:5.0f} µs, 99 % {point.p99_us:6.0f} µs"
