@@ -18,8 +18,8 @@ from tissue.scene_soft import LiverAnatomy, SlabAnatomy
 __all__ = ["chart_lines", "chart_scenes"]
 
 LAW = (
-    "all in float64 and linear: a neo-Hookean organ answers 1, 5 and 10 % more than that from 1-2, 4 and 6 mm deep under "
-    "a ball of 10 mm (python tests/bench/chart_liver.py)"
+    "all in float64 and by the linear law, which is off a neo-Hookean one by 1, 5 and 10 % from 1-2, 4 and 6 mm deep "
+    "under a ball of 10 mm (python tests/bench/chart_liver.py)"
 )
 """What no setting of an organ changes."""
 READY_SHARE = 0.3
