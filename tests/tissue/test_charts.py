@@ -1,5 +1,7 @@
 """Frontiers, costs and the choice by fidelity."""
 
+from concurrent.futures import Executor, Future
+
 import numpy as np
 import pytest
 
@@ -8,9 +10,10 @@ from meshes.errors import InputError
 from tissue.charts import frontier_of, undominated, with_fidelity
 from tissue.charts.cost import CostModel
 from tissue.charts.fidelity import SAFETY, _in_words, choose
-from tissue.charts.frontier import read_measured, write_measured
-from tissue.charts.measure import Measured, excerpt, setting_key
+from tissue.charts.frontier import read_measured, short_of, write_measured
+from tissue.charts.measure import Measured, excerpt, measure, reference_gap, setting_key
 from tissue.charts.places import placed
+from tissue.charts.ready import make_ready
 from tissue.charts.scenes import chart_scenes
 from tissue.charts.settings import Setting, by_hand, finest, settings_of
 from tissue.load import changed, load_scene, scene_names
@@ -154,6 +157,25 @@ def test_places_keep_a_peg_in_its_hole_and_leave_hands_alone(block):
         assert 0.0 < np.abs(away[:, :2]).max() <= 0.5 * glenoid.voxels.spacing_mm
         assert scene.motion.points_mm[-1][2] != own[-1, 2] and scene.motion.points_mm[0][2] == own[0, 2]
     assert placed(block)[0] is block and len({scene.motion for scene in placed(block)}) == 3
+
+
+class Inline(Executor):
+    """Runs what is submitted at once."""
+
+    def submit(self, call, *arguments):
+        done = Future()
+        done.set_result(call(*arguments))
+        return done
+
+
+def test_what_is_made_ready_is_found(block, tmp_path):
+    make_ready([block], Inline(), quick=True, tell=lambda doing, share: None)
+    made = set(tmp_path.glob("reference-*"))
+    assert len(made) == len(placed(block)) + 1  # the finest at every place, and a step coarser
+    short = short_of(block, True)
+    assert reference_gap(short, quick=True) > 0.0
+    found = measure(short, Setting("0.4 mm", "voxels", {"voxels.spacing_mm": 0.4}), quick=True)
+    assert found.force_error > 0.0 and set(tmp_path.glob("reference-*")) == made
 
 
 def test_a_chart_is_not_overwritten(tmp_path):

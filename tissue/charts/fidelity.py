@@ -14,9 +14,11 @@ __all__ = ["SAFETY", "choose", "with_fidelity"]
 
 Tell = Callable[[str, float], None]
 SAFETY = 1.5
-"""How far below a demanded error a setting has to stay at the places it was measured at, so that it holds elsewhere. Set
-on ten other motions a scene, of which it kept all; on ten more 99.4 %, on imaged anatomy all. With 1.25 a demand of 8 %
-in milling was kept in half of the runs, since a coarse grid is met by accident (tests/bench/held_out.py)."""
+"""How far below a demanded error a setting has to stay at the places it was measured at, so that it holds elsewhere.
+
+Set on ten other motions a scene, which all kept it; on ten more 99.4 % did, on imaged anatomy all. With 1.25 a demand
+of 8 % was kept by half of milling's motions: a coarse grid is met by accident (tests/bench/held_out.py).
+"""
 
 
 def choose(points: Sequence[Measured], wanted: Fidelity, *, gap: float = 0.0) -> Measured:
