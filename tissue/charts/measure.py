@@ -23,7 +23,18 @@ from tissue.scene_tool import PathMotion, Probe, Tool
 from tissue.simulation import TICK_S, simulate
 from tissue.statistics.metrics import force_error
 
-__all__ = ["Measured", "excerpt", "machine", "measure", "of_model", "reference_force_N", "reference_gap", "setting_key"]
+__all__ = [
+    "SETTLED",
+    "Measured",
+    "counts",
+    "excerpt",
+    "machine",
+    "measure",
+    "of_model",
+    "reference_force_N",
+    "reference_gap",
+    "setting_key",
+]
 
 Array = NDArray[np.float64]
 EXCERPT_S = {True: 1.2, False: 3.0}
@@ -206,7 +217,7 @@ def measure(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
     if counted.size == 0:
         counted = np.flatnonzero(touching) if touching.any() else np.arange(len(ticks))
     far = ticks[~touching]
-    elements, met, step = _counts(run, counted)
+    elements, met, step = counts(run, counted)
     return Measured(
         key=setting_key(scene, setting, quick=quick),
         scene=scene.name,
@@ -265,7 +276,7 @@ def reference_force_N(scene: Scene, changes: Changes) -> Array:
     return np.asarray(forces["force_N"], dtype=np.float64)
 
 
-def _counts(run: Run, counted: NDArray[np.intp]) -> tuple[int, float, float]:
+def counts(run: Run, counted: NDArray[np.intp]) -> tuple[int, float, float]:
     """Elements or visits, what they meet, and the edge of a voxel or element [mm]."""
     tissue, scene, trace = run.parts.tissue, run.scene, run.trace
     if run.parts.cutter is not None:
