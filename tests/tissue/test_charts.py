@@ -101,6 +101,7 @@ def block(monkeypatch, tmp_path):
 
 def test_an_interrupted_chart_goes_on_and_a_finished_one_is_not_measured_again(block, monkeypatch):
     settings = [Setting("0.4 mm", "voxels", {"voxels.spacing_mm": 0.4}), Setting("0.2 mm", "voxels")]
+    monkeypatch.setattr("tissue.charts.measure.EXCERPT_S", {True: 0.4})
     monkeypatch.setattr("tissue.charts.frontier.settings_of", lambda scene, quick: settings)
     import tissue.charts.frontier as module
 
@@ -168,7 +169,8 @@ class Inline(Executor):
         return done
 
 
-def test_what_is_made_ready_is_found(block, tmp_path):
+def test_what_is_made_ready_is_found(block, tmp_path, monkeypatch):
+    monkeypatch.setattr("tissue.charts.measure.EXCERPT_S", {True: 0.2})
     make_ready([block], Inline(), quick=True, tell=lambda doing, share: None)
     made = set(tmp_path.glob("reference-*"))
     assert len(made) == len(placed(block)) + 1  # the finest at every place, and a step coarser
