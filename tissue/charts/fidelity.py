@@ -82,8 +82,9 @@ def with_fidelity(scene: Scene, *, tell: Tell = lambda doing, share: None) -> tu
         + f" of {len(found.points)} settings that meets {_asked(wanted)}"
     )
     leaves_out = [f"{point.leaves_out}, which no force needs"] if point.leaves_out else []
-    if at.device != "none" and at.prediction in ("none", "hold"):
-        leaves_out.append(f"prediction, so that the force comes {at.coupling.delay_ms:g} ms late")
+    late_ms = at.coupling.delay_ms + at.coupling.model_ms - 1
+    if at.device != "none" and at.prediction in ("none", "hold") and late_ms > 0:
+        leaves_out.append(f"prediction, so that the force comes up to {late_ms} ms late")
     if leaves_out:
         said += f"; leaves out {'; and '.join(leaves_out)}"
     return at, said
@@ -97,11 +98,11 @@ def _asked(wanted: Fidelity) -> str:
 def _in_words(scene: Scene, setting: Setting, among: Sequence[Setting]) -> str:
     """What a scene is at a setting, and of which it was chosen."""
     if scene.device == "none":
-        return f"{setting.name}, of {', '.join(each.name for each in among)}"
+        return f"{setting.name}, of {'; '.join(each.name for each in among)}"
     foresight = {"none": "no prediction", "hold": "the tissue's last force held"}
     predictor = foresight.get(scene.prediction, f"forces foretold by the {scene.prediction} predictor")
-    others, rate = ", ".join(each.name for each in among if each is not setting), 1e3 / scene.coupling.model_ms
+    others, rate = "; ".join(each.name for each in among if each is not setting), 1e3 / scene.coupling.model_ms
     return (
-        f"renderer {scene.renderer}, {predictor}, tissue asked at {rate:g} Hz ({setting.name}, "
-        f"rather than {others}; the tissue itself is as the scene has it)"
+        f"renderer {scene.renderer}, {predictor}, tissue asked at {rate:g} Hz ({setting.name!r}, "
+        f"rather than {others}), the tissue itself as the scene has it"
     )

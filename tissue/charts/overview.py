@@ -11,7 +11,7 @@ from tissue.pictures import figure, save
 
 __all__ = ["draw_overview"]
 
-LOOKS = {"script": ("#0072B2", "o", "by script: the model's settings"), "hand": ("#B34700", "s", "by hand: the loop's")}
+LOOKS = {"script": ("#0072B2", "o", "by script: model"), "hand": ("#B34700", "s", "by hand: loop")}
 """Colours after Okabe and Ito, the second one darker, so that it can be read as text."""
 COLUMNS = 4
 WIDE_IN, HIGH_IN, TOP_IN = 2.7, 2.45, 0.6
@@ -52,7 +52,11 @@ def draw_overview(found: Sequence[Sequence[Frontier]], path: Path) -> None:
             panel.set_xlabel("tick / µs", fontsize=10)
     lines = {str(line.get_label()): line for panel in panels for line in panel.lines}
     told = {label: line for label, line in lines.items() if not label.startswith("_")}
-    chart.legend(told.values(), told.keys(), loc="upper center", ncols=len(told), frameon=False, fontsize=10.5)
+    wide = columns > 2
+    chart.legend(
+        told.values(), told.keys(), loc="upper center", ncols=len(told) if columns > 1 else 2, frameon=False,
+        fontsize=10.5 if wide else 7.5, columnspacing=2.0 if wide else 0.8, handlelength=2.0 if wide else 1.2,
+    )  # fmt: skip
     save(chart, path)
     with Image.open(path) as drawn:  # few colours: a third of the bytes
         drawn.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
@@ -69,7 +73,7 @@ def _draw(axes: Any, both: Sequence[Frontier]) -> None:
         median = [point.median_us for point in found.best]
         names += [(y, x, point.setting, colour) for x, y, point in zip(median, error, found.best, strict=True)]
         axes.step([*median, 1e3], [*error, error[-1]], where="post", color=colour, linewidth=1.5)
-        axes.plot(median, error, mark, color=colour, markersize=5.5, label=f"moved {label}")
+        axes.plot(median, error, mark, color=colour, markersize=5.5, label=label)
     axes.axvline(1e3, color="0.2", linestyle="--", linewidth=1.2, label="1 ms, the haptic tick")
     names.sort()
     heights = np.log([y for y, *_ in names])
