@@ -1,5 +1,7 @@
 """Frontiers, costs and the choice by fidelity."""
 
+from concurrent.futures import Executor, Future
+
 import numpy as np
 import pytest
 
@@ -7,9 +9,11 @@ import tissue
 from meshes.errors import InputError
 from tissue.charts import frontier_of, undominated, with_fidelity
 from tissue.charts.cost import CostModel
-from tissue.charts.fidelity import SAFETY, choose
-from tissue.charts.frontier import read_measured, write_measured
-from tissue.charts.measure import Measured, excerpt, setting_key
+from tissue.charts.fidelity import SAFETY, _in_words, choose
+from tissue.charts.frontier import read_measured, short_of, write_measured
+from tissue.charts.measure import Measured, excerpt, measure, reference_gap, setting_key
+from tissue.charts.places import placed
+from tissue.charts.ready import make_ready
 from tissue.charts.scenes import chart_scenes
 from tissue.charts.settings import Setting, by_hand, finest, settings_of
 from tissue.load import changed, load_scene, scene_names
@@ -19,7 +23,10 @@ COARSE = {"voxels.spacing_mm": 0.2, "anatomy.size_mm": [12, 10, 4], "motion.feed
 
 
 def point(name="a", *, error=0.1, median=100.0, p99=200.0, elements=100, area=10.0, step=0.1, family="voxels", lost=""):
-    return Measured(name, "block", name, family, lost, error, median, p99, 0, 5.0, area, elements, step, 1.0, "here")
+    met = area / step**2
+    return Measured(
+        name, "block", name, family, lost, error, median, p99, 0, 5.0, area, elements, step, met, 1.0, "here"
+    )
 
 
 def test_the_frontier_is_what_nothing_beats():
@@ -94,6 +101,7 @@ def block(monkeypatch, tmp_path):
 
 def test_an_interrupted_chart_goes_on_and_a_finished_one_is_not_measured_again(block, monkeypatch):
     settings = [Setting("0.4 mm", "voxels", {"voxels.spacing_mm": 0.4}), Setting("0.2 mm", "voxels")]
+    monkeypatch.setattr("tissue.charts.measure.EXCERPT_S", {True: 0.4})
     monkeypatch.setattr("tissue.charts.frontier.settings_of", lambda scene, quick: settings)
     import tissue.charts.frontier as module
 
@@ -115,9 +123,10 @@ def test_an_interrupted_chart_goes_on_and_a_finished_one_is_not_measured_again(b
     assert found.gap > 0.0 and fine.elements > coarse.elements
     frontier_of(block)
     assert len(ran) == 3
-    wanted = changed(block, {"fidelity": {"force_error": 2.0 * SAFETY * coarse.force_error}})
+    wanted = changed(block, {"fidelity": {"force_error": 1.01 * SAFETY * coarse.force_error}})
     chosen, said = with_fidelity(wanted)
     assert chosen.fidelity is None and chosen.voxels.spacing_mm in (0.2, 0.4) and "the cheapest of 2 settings" in said
+    assert said.startswith(("0.4 mm, of 0.4 mm; 0.2 mm: force", "0.2 mm, of 0.4 mm; 0.2 mm: force"))
     run = tissue.simulate(wanted.model_copy(update={"duration_s": 0.01}))
     assert run.parts.notes["fidelity"] and run.scene.fidelity is None
 
@@ -128,6 +137,47 @@ def test_an_excerpt_ends_a_while_after_the_first_contact(block):
     touching = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
     assert (0 < touching[0] < 100 and len(run.trace.rows) == touching[0] + 1200) or short.duration_s < 1.2
     assert len(short.motion.points_mm) <= len(block.motion.points_mm)
+
+
+def test_a_loop_is_told_in_plain_words():
+    scene = by_hand(load_scene("milling"))
+    settings = settings_of(scene, quick=True)
+    said = {each.name: _in_words(changed(scene, each.changes), each, settings) for each in settings}
+    assert said["koopman"].startswith(
+        "renderer proxy, forces foretold by the koopman predictor, tissue asked at 1000 Hz"
+    )
+    assert said["100 Hz, hold"].startswith("renderer proxy, the tissue's last force held, tissue asked at 100 Hz")
+    assert "rather than proxy; kalman; koopman; 100 Hz, koopman" in said["100 Hz, hold"]
+
+
+def test_places_keep_a_peg_in_its_hole_and_leave_hands_alone(block):
+    glenoid, own = load_scene("glenoid"), np.array(load_scene("glenoid").motion.points_mm)
+    assert [each.motion for each in placed(by_hand(block))] == [block.motion]
+    for scene in placed(glenoid)[1:]:
+        away = np.array(scene.motion.points_mm) - own
+        assert 0.0 < np.abs(away[:, :2]).max() <= 0.5 * glenoid.voxels.spacing_mm
+        assert scene.motion.points_mm[-1][2] != own[-1, 2] and scene.motion.points_mm[0][2] == own[0, 2]
+    assert placed(block)[0] is block and len({scene.motion for scene in placed(block)}) == 3
+
+
+class Inline(Executor):
+    """Runs what is submitted at once."""
+
+    def submit(self, call, *arguments):
+        done = Future()
+        done.set_result(call(*arguments))
+        return done
+
+
+def test_what_is_made_ready_is_found(block, tmp_path, monkeypatch):
+    monkeypatch.setattr("tissue.charts.measure.EXCERPT_S", {True: 0.2})
+    make_ready([block], Inline(), quick=True, tell=lambda doing, share: None)
+    made = set(tmp_path.glob("reference-*"))
+    assert len(made) == len(placed(block)) + 1  # the finest at every place, and a step coarser
+    short = short_of(block, True)
+    assert reference_gap(short, quick=True) > 0.0
+    found = measure(short, Setting("0.4 mm", "voxels", {"voxels.spacing_mm": 0.4}), quick=True)
+    assert found.force_error > 0.0 and set(tmp_path.glob("reference-*")) == made
 
 
 def test_a_chart_is_not_overwritten(tmp_path):

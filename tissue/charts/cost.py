@@ -19,8 +19,9 @@ Array = NDArray[np.float64]
 class CostModel:
     """Median tick of a scene's model: a constant, a share for each element of the tool, and one for each cell it meets.
 
-    ``tick = a + b elements + c area / step^2`` with none of them negative, fitted to relative errors. What a tool meets
-    is a surface, so cells are counted over the area of contact.
+    ``tick = a + b elements + c met`` with none of them negative, fitted to relative errors. What a cutter meets is a
+    surface, so voxels are counted over the area of contact. An organ's contacts are swept until they rest, and each
+    sums over all others: there an element is a contact that a sweep visits, and what it meets are the others.
 
     Attributes
     ----------
@@ -57,4 +58,4 @@ class CostModel:
 
 def _terms(point: Measured) -> Array:
     """What the cost is a sum over."""
-    return np.array([1.0, float(point.elements), point.engaged_mm2 / point.step_mm**2])
+    return np.array([1.0, float(point.elements), point.met])

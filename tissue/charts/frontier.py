@@ -9,11 +9,12 @@ from pathlib import Path
 from meshes.cache import cache_folder
 from meshes.progress import Progress, silent
 from meshes.whole_file import whole_file
-from tissue.charts.measure import Measured, excerpt, machine, measure, reference_gap, setting_key
+from tissue.charts.measure import WAY, Measured, excerpt, machine, measure, of_model, reference_gap, setting_key
+from tissue.charts.rounding import float32_error
 from tissue.charts.settings import Setting, settings_of
 from tissue.scene import Scene
 
-__all__ = ["Frontier", "frontier_of", "read_measured", "undominated", "write_measured"]
+__all__ = ["Frontier", "frontier_of", "measured_keys", "read_measured", "short_of", "undominated", "write_measured"]
 
 COLUMNS = tuple(entry.name for entry in fields(Measured))
 
@@ -32,12 +33,15 @@ class Frontier:
         Error of the reference itself: its distance to one that is a step coarser.
     settings
         The settings in the order of the points.
+    rounding
+        Change of the force by what float32 rounds; NaN where it was not asked for or nothing is computed in it.
     """
 
     scene: Scene
     points: tuple[Measured, ...]
     gap: float
     settings: tuple[Setting, ...]
+    rounding: float = float("nan")
 
     @property
     def best(self) -> tuple[Measured, ...]:
@@ -78,20 +82,31 @@ def frontier_of(scene: Scene, *, quick: bool = True, tell: Progress = silent) ->
         key = setting_key(scene, setting, quick=quick)
         if key not in known:
             if short is None:
-                short = excerpt(scene, settings[0].changes, quick=quick)
+                short = short_of(scene, quick)
             known[key] = _under(key, measure(short, setting, quick=quick))
             write_measured(path, list(known.values()))
         points.append(known[key])
     tell(f"{scene.name}: reference", len(settings) / (len(settings) + 1))
-    return Frontier(scene, tuple(points), _gap(scene, short, settings, path, quick=quick), tuple(settings))
+    rounding = float("nan") if quick or scene.device != "none" else float32_error(short_of(scene, quick))
+    return Frontier(scene, tuple(points), _gap(scene, path, quick=quick), tuple(settings), rounding)
 
 
-def _gap(scene: Scene, short: Scene | None, settings: list[Setting], path: Path, *, quick: bool) -> float:
+def short_of(scene: Scene, quick: bool) -> Scene:
+    """The excerpt of a scene that its settings are run on."""
+    return excerpt(scene, settings_of(of_model(scene), quick=quick)[0].changes, quick=quick)
+
+
+def measured_keys(scene: Scene, *, quick: bool) -> set[str]:
+    """Keys of the settings that were measured on this machine before."""
+    return {point.key for point in read_measured(_store(scene, quick=quick))}
+
+
+def _gap(scene: Scene, path: Path, *, quick: bool) -> float:
     """Distance of the finest setting to the next one, kept beside the measurements."""
     beside = path.with_suffix(".gap")
     if beside.is_file():
         return float(beside.read_text("utf-8"))
-    gap = reference_gap(short or excerpt(scene, settings[0].changes, quick=quick), quick=quick)
+    gap = reference_gap(short_of(of_model(scene), quick), quick=quick)
     beside.write_text(repr(gap), "utf-8")
     return gap
 
@@ -103,7 +118,7 @@ def _under(key: str, point: Measured) -> Measured:
 
 def _store(scene: Scene, *, quick: bool) -> Path:
     """Where a scene's measurements are kept: with the computed arrays of this machine."""
-    text = f"{scene.model_copy(update={'fidelity': None, 'description': ''}).to_toml()}|{machine()}|{quick}"
+    text = f"{scene.model_copy(update={'fidelity': None, 'description': ''}).to_toml()}|{machine()}|{quick}|{WAY}"
     return cache_folder() / "frontiers" / f"{scene.name}-{blake2b(text.encode(), digest_size=8).hexdigest()}.csv"
 
 

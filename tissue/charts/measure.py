@@ -12,23 +12,43 @@ from numpy.typing import NDArray
 
 from meshes.cache import cached_arrays
 from meshes.errors import InputError
+from tissue.charts.places import placed
 from tissue.charts.settings import Changes, Setting, finest, nearly_finest
 from tissue.ideal import ideal_force_N, played_force_N
 from tissue.load import changed
 from tissue.run import Run
 from tissue.scene import Scene
 from tissue.scene_soft import LiverAnatomy, SlabAnatomy
-from tissue.scene_tool import PathMotion, Probe
+from tissue.scene_tool import PathMotion, Probe, Tool
 from tissue.simulation import TICK_S, simulate
 from tissue.statistics.metrics import force_error
 
-__all__ = ["Measured", "excerpt", "machine", "measure", "reference_gap", "setting_key"]
+__all__ = [
+    "SETTLED",
+    "Measured",
+    "counts",
+    "excerpt",
+    "machine",
+    "measure",
+    "of_model",
+    "reference_force_N",
+    "reference_gap",
+    "setting_key",
+]
 
 Array = NDArray[np.float64]
 EXCERPT_S = {True: 1.2, False: 3.0}
 """Time that is run beyond the first contact [s], quick or not."""
+LATE_S = 0.3
+"""How much later than a path a hand on it may come [s]."""
+MARGIN_MM = 0.5
+"""Bone around what a script reaches, the least that a scene takes: no force needs more, and building grows with it."""
+STRAY_MM = 1.5
+"""The same by hand, which strays from the path."""
 REPEATS = 2
-"""Runs of each setting, of which the faster counts."""
+"""Runs of a setting at one place, of which the faster counts; a quick chart of a loop makes do with one."""
+WAY = "three places, visits"
+"""How errors are measured: part of every key, to be changed with it."""
 SETTLED = 20
 """Ticks in contact that are not counted: the first ones load code."""
 
@@ -44,16 +64,18 @@ class Measured:
     scene, setting, family, leaves_out
         Of what.
     force_error
-        ||F - F_ref|| / ||F_ref|| over the run.
+        ||F - F_ref|| / ||F_ref|| over the run, the worst of the places it was run at.
     median_us, p99_us, missed
         Tick in contact [us], and ticks over 1 ms.
     far_us
         Median tick out of contact [us]; NaN where there was none.
-    engaged_mm2, elements, step_mm
-        Mean area in contact, elements of the tool or contact points, and edge of a voxel or element: what a tick may
-        grow with.
+    engaged_mm2, step_mm
+        Mean area in contact, and edge of a voxel or element.
+    elements, met
+        What a tick grows with: elements of a cutter and voxels over its area of contact; of an organ contacts that a
+        tick visits, in all its sweeps, and other contacts that these meet.
     built_s
-        Time to build the scene and run it [s].
+        Time to build the scene, run it and find its error [s], of one run.
     machine
         Where.
     """
@@ -71,6 +93,7 @@ class Measured:
     engaged_mm2: float
     elements: int
     step_mm: float
+    met: float
     built_s: float
     machine: str
 
@@ -82,7 +105,7 @@ class Measured:
     def of_row(cls, row: dict[str, str]) -> "Measured":
         """From a table's row."""
         kinds = {"missed": int, "elements": int}
-        numbers = {"force_error", "median_us", "p99_us", "far_us", "engaged_mm2", "step_mm", "built_s"}
+        numbers = {"force_error", "median_us", "p99_us", "far_us", "engaged_mm2", "step_mm", "met", "built_s"}
         return cls(**{k: float(v) if k in numbers else kinds.get(k, str)(v) for k, v in row.items()})  # type: ignore[arg-type]
 
 
@@ -98,7 +121,7 @@ def machine() -> str:
 
 def setting_key(scene: Scene, setting: Setting, *, quick: bool) -> str:
     """Hash of a scene at a setting and of the machine."""
-    text = f"{_plain(changed(scene, setting.changes))}|{setting.cores}|{setting.compute}|{quick}|{machine()}"
+    text = f"{_plain(changed(scene, setting.changes))}|{setting.cores}|{setting.compute}|{quick}|{WAY}|{machine()}"
     return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
 
 
@@ -108,34 +131,84 @@ def _plain(scene: Scene) -> str:
 
 
 def excerpt(scene: Scene, coarse: Changes, *, quick: bool) -> Scene:
-    """The scene up to some time after its first contact, found with a coarse setting."""
-    run = simulate(changed(scene, coarse), allow_unstable=True)
-    touching = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
-    if touching.size == 0:
-        raise InputError(f"scene must touch to be charted, got no contact in {scene.name}: move its tool further")
-    end = min(TICK_S * float(touching[0]) + EXCERPT_S[quick], TICK_S * len(run.trace.rows))
-    changes: dict[str, Any] = {"duration_s": max(round(end, 3), TICK_S)}
+    """The scene up to some time after its path first touches, with little tissue around it.
+
+    A hand is given the path that a script is, and more time for being late, so that both have the same references.
+    """
+    if isinstance(scene.tool, Tool):
+        margin = MARGIN_MM if scene.device == "none" else max(MARGIN_MM, min(scene.voxels.margin_mm, STRAY_MM))
+        scene = changed(scene, {"voxels.margin_mm": margin})
+    end = _first_contact_s(changed(of_model(scene), coarse), EXCERPT_S[quick]) + EXCERPT_S[quick]
+    short = _until(scene, end)
+    if scene.device == "none" or short.duration_s is None:
+        return short
+    return short.model_copy(update={"duration_s": round(short.duration_s + LATE_S, 3)})
+
+
+def _first_contact_s(scene: Scene, span_s: float) -> float:
+    """When a script first touches [s], found on as little of it as will do and kept on disk."""
+
+    def found() -> dict[str, NDArray[Any]]:
+        whole, span = _length_s(scene), span_s
+        while True:
+            last = span >= whole
+            try:
+                run = simulate(scene if last else _until(scene, span), allow_unstable=True)
+                touching = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
+                if touching.size:
+                    return {"time_s": TICK_S * touching[:1].astype(float)}
+            except InputError:
+                # A tool that comes nowhere near is refused; further on it may.
+                if last:
+                    raise
+            if last:
+                raise InputError(
+                    f"scene must touch to be charted, got no contact in {scene.name}: move its tool further"
+                )
+            span *= 2.0
+
+    key = (_plain(scene), span_s, version("tissue-sim"))
+    return float(np.asarray(cached_arrays("contact", key, found)["time_s"])[0])
+
+
+def _length_s(scene: Scene) -> float:
+    """Length of a scene; zero where only its run can tell, so that the first try is all of it."""
+    if scene.duration_s is not None or not isinstance(scene.motion, PathMotion):
+        return scene.duration_s or 0.0
+    points = np.array(scene.motion.points_mm)
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()) / scene.motion.feed_mm_s
+
+
+def _until(scene: Scene, end_s: float) -> Scene:
+    """The scene up to a time; a path ends there, since an organ is only made ready where the tool can go."""
+    if 0.0 < _length_s(scene) <= end_s:
+        return scene
+    changes: dict[str, Any] = {"duration_s": round(end_s, 3)}
     if isinstance(scene.motion, PathMotion):
-        changes["motion"] = _cut_off(scene.motion, end)
+        points = np.array(scene.motion.points_mm)
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        stop = min(scene.motion.feed_mm_s * end_s, along[-1])
+        last = [float(np.interp(stop, along, points[:, axis])) for axis in range(3)]
+        kept = [*points[along < stop].tolist(), last]
+        path = tuple((x, y, z) for x, y, z in kept)
+        changes["motion"] = scene.motion.model_copy(update={"points_mm": path})
     return scene.model_copy(update=changes)
 
 
-def _cut_off(motion: PathMotion, end_s: float) -> PathMotion:
-    """A path up to where it is at a time: an organ is only made ready where the tool can go."""
-    points = np.array(motion.points_mm)
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    stop = min(motion.feed_mm_s * end_s, along[-1])
-    last = [float(np.interp(stop, along, points[:, axis])) for axis in range(3)]
-    kept = [*points[along < stop].tolist(), last]
-    return motion.model_copy(update={"points_mm": tuple((x, y, z) for x, y, z in kept)})
-
-
 def measure(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
-    """Run a scene, already cut to its excerpt, at a setting."""
-    chosen = changed(scene, setting.changes)
-    started = perf_counter()
-    runs = [simulate(chosen, compute=setting.compute, cores=setting.cores, allow_unstable=True) for _ in range(REPEATS)]
-    took = (perf_counter() - started) / REPEATS
+    """Run a scene, already cut to its excerpt, at a setting: once at each place, or again where there is only one."""
+    started, runs, errors = perf_counter(), [], []
+    for count, place in enumerate(placed(scene)):
+        try:
+            runs.append(_run(place, setting))
+            errors.append(_error(runs[-1], place, quick=quick))
+        except InputError:
+            # Aside or deeper a tool may start inside the tissue or meet none.
+            if count == 0:
+                raise
+    if len(placed(scene)) == 1 and not (quick and scene.device != "none"):
+        runs += [_run(scene, setting) for _ in range(REPEATS - 1)]
+    took = (perf_counter() - started) / len(runs)
     # What else the machine does only adds time.
     run = min(runs, key=lambda each: float(np.median(each.timing["tick_us"])))
     trace, ticks = run.trace, run.timing["tick_us"]
@@ -144,14 +217,14 @@ def measure(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
     if counted.size == 0:
         counted = np.flatnonzero(touching) if touching.any() else np.arange(len(ticks))
     far = ticks[~touching]
-    elements, step = _counts(run)
+    elements, met, step = counts(run, counted)
     return Measured(
         key=setting_key(scene, setting, quick=quick),
         scene=scene.name,
         setting=setting.name,
         family=setting.family,
         leaves_out=setting.leaves_out,
-        force_error=_error(run, scene, quick=quick),
+        force_error=max(errors),
         median_us=float(np.median(ticks[counted])),
         p99_us=float(np.percentile(ticks[counted], 99)),
         missed=int((ticks > 1e3).sum()),
@@ -159,23 +232,29 @@ def measure(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
         engaged_mm2=float(trace["contact_mm2"][counted].mean()),
         elements=elements,
         step_mm=step,
+        met=met,
         built_s=took,
         machine=machine(),
     )
 
 
+def _run(scene: Scene, setting: Setting) -> Run:
+    at = changed(scene, setting.changes)
+    return simulate(at, compute=setting.compute, cores=setting.cores, allow_unstable=True)
+
+
 def reference_gap(scene: Scene, *, quick: bool) -> float:
     """Distance of the finest setting to one a step coarser: below it nothing is told apart."""
-    model = _of_model(scene)
+    model = of_model(scene)
     changes = nearly_finest(model, quick=quick)
     if not changes:
         return 0.0
-    return force_error(_forces(model, changes), _forces(model, finest(model, quick=quick)))
+    return force_error(reference_force_N(model, changes), reference_force_N(model, finest(model, quick=quick)))
 
 
-def _of_model(scene: Scene) -> Scene:
-    """The same scene moved by its script."""
-    return changed(scene, {"device": "none", "prediction": "none", "perception": "none"})
+def of_model(scene: Scene) -> Scene:
+    """The same scene moved by its script, without all that no script depends on."""
+    return changed(scene, {"device": "none", "prediction": "none", "perception": "none", "coupling": None})
 
 
 def _error(run: Run, scene: Scene, *, quick: bool) -> float:
@@ -183,12 +262,12 @@ def _error(run: Run, scene: Scene, *, quick: bool) -> float:
     changes = finest(scene, quick=quick)
     if scene.device != "none":
         return force_error(played_force_N(run.trace), ideal_force_N(run, changes))
-    return force_error(run.trace.vectors("model_force", "N"), _forces(scene, changes))
+    return force_error(run.trace.vectors("model_force", "N"), reference_force_N(scene, changes))
 
 
-def _forces(scene: Scene, changes: Changes) -> Array:
+def reference_force_N(scene: Scene, changes: Changes) -> Array:
     """Force on the tool over time [N], shape (n, 3), kept on disk."""
-    at = changed(scene, changes)
+    at = changed(of_model(scene), changes)
     forces = cached_arrays(
         "reference",
         (_plain(at), version("tissue-sim"), version("warp-lang")),
@@ -197,17 +276,17 @@ def _forces(scene: Scene, changes: Changes) -> Array:
     return np.asarray(forces["force_N"], dtype=np.float64)
 
 
-def _counts(run: Run) -> tuple[int, float]:
-    """Elements of the tool or touchable nodes, and edge of a voxel or element [mm]."""
-    tissue, scene = run.parts.tissue, run.scene
+def counts(run: Run, counted: NDArray[np.intp]) -> tuple[int, float, float]:
+    """Elements or visits, what they meet, and the edge of a voxel or element [mm]."""
+    tissue, scene, trace = run.parts.tissue, run.scene, run.trace
     if run.parts.cutter is not None:
         from tissue.tooth.model import ToothModel
 
         milling: Any = tissue.milling if isinstance(tissue, ToothModel) else tissue
-        return len(milling.shell.areas_m2), scene.voxels.spacing_mm
+        step = scene.voxels.spacing_mm
+        return len(milling.shell.areas_m2), float(trace["contact_mm2"][counted].mean()) / step**2, step
     if isinstance(scene.anatomy, LiverAnatomy | SlabAnatomy) and isinstance(scene.tool, Probe):
-        from tissue.liver import LiverModel
-
-        assert isinstance(tissue, LiverModel)
-        return len(tissue.contact.point_forces_N()), scene.anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
-    return 1, 1.0
+        contacts, sweeps = trace["contact_points"][counted], trace["sweeps"][counted]
+        visits, pairs = float(np.median(contacts * sweeps)), float(np.median(contacts**2 * sweeps))
+        return round(visits), pairs, scene.anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
+    return 1, 1.0, 1.0

@@ -37,6 +37,8 @@ def draw_frontiers(found: list[Frontier], path: Path) -> None:
 
 def _draw(axes: Any, found: Frontier) -> None:
     """One scene."""
+    from matplotlib.ticker import LogLocator
+
     points, device = found.points, found.scene.device
     shown = [100.0 * max(point.force_error, LEAST) for point in points]
     known = [100.0 * found.gap] if found.gap > 0.0 else []
@@ -64,6 +66,7 @@ def _draw(axes: Any, found: Frontier) -> None:
         ylabel="force error / %, to the converged, undelayed one",
         title=f"{found.scene.name}, " + ("by script" if device == "none" else f"by hand on {device}"),
     )
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter("")
     axes.grid(alpha=0.3, which="both")

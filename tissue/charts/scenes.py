@@ -1,25 +1,45 @@
 """Charts of scenes: their frontiers by script and by hand, as pictures and as tables."""
 
 from collections.abc import Sequence
+from concurrent.futures import Executor
+from math import isnan
 from pathlib import Path
 
 from meshes.progress import Progress, silent
 from tissue.charts.frontier import Frontier, frontier_of, write_measured
 from tissue.charts.measure import machine
+from tissue.charts.overview import draw_overview
 from tissue.charts.picture import draw_frontiers
+from tissue.charts.ready import make_ready
 from tissue.charts.settings import by_hand
 from tissue.load import load_scene, scene_names
 from tissue.outputs import require_free_folder
+from tissue.scene_soft import LiverAnatomy, SlabAnatomy
 
 __all__ = ["chart_lines", "chart_scenes"]
 
+LAW = (
+    "all in float64 and by the linear law, which is off a neo-Hookean one by 1, 5 and 10 % from 1-2, 4 and 6 mm deep "
+    "under a ball of 10 mm (python tests/bench/chart_liver.py)"
+)
+"""What no setting of an organ changes."""
+READY_SHARE = 0.3
+"""Share of a chart's time that making ready takes."""
+
 
 def chart_scenes(
-    names: Sequence[str], out: Path, *, quick: bool, overwrite: bool = False, tell: Progress = silent
+    names: Sequence[str],
+    out: Path,
+    *,
+    quick: bool,
+    overwrite: bool = False,
+    pool: Executor | None = None,
+    tell: Progress = silent,
 ) -> list[list[Frontier]]:
-    """Chart some scenes, or all where none is named; each leaves NAME.png and NAME.csv.
+    """Chart some scenes, or all where none is named; each leaves NAME.png and NAME.csv, all frontier.png.
 
-    What was measured on this machine before is not measured again, so that a call that was interrupted goes on.
+    What was measured on this machine before is not measured again, so that a call that was interrupted goes on. Where
+    there are other processes, they make references and meshes ready, and are idle while anything is timed.
 
     Raises
     ------
@@ -28,19 +48,26 @@ def chart_scenes(
     """
     scenes = [load_scene(name) for name in names or scene_names()]
     require_free_folder(out, [f"{scene.name}.csv" for scene in scenes], "chart", overwrite=overwrite)
-    found = []
+    # A wall is met by a hand alone; other scenes move by script as well.
+    kinds = [[by_hand(scene)] if scene.device != "none" else [scene, by_hand(scene)] for scene in scenes]
+    begin = 0.0
+    if pool is not None:
+        begin = READY_SHARE
+        every = [kind for both in kinds for kind in both]
+        make_ready(every, pool, quick=quick, tell=lambda doing, share: tell(doing, begin * share))
+    found, drawn = [], []
     out.mkdir(parents=True, exist_ok=True)
-    for index, scene in enumerate(scenes):
+    for index, (scene, both) in enumerate(zip(scenes, kinds, strict=True)):
 
         def told(doing: str, share: float, index: int = index) -> None:
-            tell(doing, (index + share) / len(scenes))
+            tell(doing, begin + (1.0 - begin) * (index + share) / len(scenes))
 
-        # A wall is met by a hand alone; other scenes move by script as well.
-        kinds = [by_hand(scene)] if scene.device != "none" else [scene, by_hand(scene)]
-        both = [frontier_of(kind, quick=quick, tell=told) for kind in kinds]
-        draw_frontiers([each for each in both if len(each.points) > 1], out / f"{scene.name}.png")
-        write_measured(out / f"{scene.name}.csv", [point for each in both for point in each.points])
-        found.append(both)
+        frontiers = [frontier_of(kind, quick=quick, tell=told) for kind in both]
+        drawn.append([each for each in frontiers if len(each.points) > 1])
+        draw_frontiers(drawn[-1], out / f"{scene.name}.png")
+        write_measured(out / f"{scene.name}.csv", [point for each in frontiers for point in each.points])
+        found.append(frontiers)
+    draw_overview(drawn, out / "frontier.png")
     (out / "machine.txt").write_text(machine() + "\n", "utf-8")
     return found
 
@@ -52,6 +79,10 @@ def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
         for each in both:
             how = "by script" if each.scene.device == "none" else f"by hand on {each.scene.device}"
             lines.append(f"{each.scene.name} {how}; the reference is known to {100.0 * each.gap:.2g} %")
+            if not isnan(each.rounding):
+                lines.append(f"  float32: a path moved by a last place, 1 nm, moves the force by {each.rounding:.1e}")
+            if each.scene.device == "none" and isinstance(each.scene.anatomy, LiverAnatomy | SlabAnatomy):
+                lines.append(f"  {LAW}")
             lines += [
                 f"  {point.setting:<28} error {100.0 * point.force_error:6.2g} %   "
                 f"tick {point.median_us:5.0f} µs, 99 % {point.p99_us:6.0f} µs"

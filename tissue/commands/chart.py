@@ -11,6 +11,8 @@ __all__ = ["chart"]
 
 TASKS = ("palpation", "wall", "milling")
 """Scenes of the tasks T1 to T3."""
+MOST_WORKERS = 4
+"""Processes that make a chart ready; each may take some gigabytes for the factor of an organ."""
 
 
 def chart(
@@ -55,10 +57,14 @@ def chart(
 
 def _scenes(names: list[str], folder: Path, *, quick: bool, overwrite: bool) -> None:
     """`tissue chart [SCENE ...]`."""
-    from tissue.charts.scenes import chart_lines, chart_scenes
+    import psutil
 
-    with progress() as tell:
-        found = chart_scenes(names, folder, quick=quick, overwrite=overwrite, tell=tell)
+    from tissue.charts.scenes import chart_lines, chart_scenes
+    from tissue.study.pools import executor
+
+    workers = max(1, min(psutil.cpu_count(logical=True) or 1, MOST_WORKERS))
+    with progress() as tell, executor(workers, None, patience_s=0.0) as pool:
+        found = chart_scenes(names, folder, quick=quick, overwrite=overwrite, pool=pool, tell=tell)
     for line in chart_lines(found):
         console.print(line, soft_wrap=True, highlight=False, markup=False)
     console.print(f"pictures and tables in {folder}", soft_wrap=True, highlight=False)
