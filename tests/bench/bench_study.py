@@ -167,7 +167,7 @@ def draw(runs: list[Measured], path: Path) -> None:
     most = np.array([min(1.0, cores / n) for n in counts])
     left.plot(counts, most, ":", color="black", lw=1.5, label=f"at most, on {cores} cores")
     left.set(xlabel="workers", ylabel="efficiency t₁ / (n tₙ)", xticks=counts, ylim=(0.0, 1.15))
-    right.set(xlabel="trials done", ylabel="memory MB")
+    right.set(xlabel="trials done", ylabel="memory / MB")
     for each, colour in zip(runs, ("#0072B2", "#E69F00", "#009E73", "#CC79A7"), strict=False):
         counts_done = sorted({row[0] for row in each.memory})
         peaks = [np.max([row for row in each.memory if row[0] == count], axis=0) for count in counts_done]

@@ -1,13 +1,14 @@
 """The report of a study: tables beside the paper's, sentences that follow from the data, whatever is missing."""
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tissue.study import METHODS, Plan, StudyFolder, TrialKey
-from tissue.study.fidelity import force_section
+from tissue.study.fidelity import force_section, latency_section
 from tissue.study.measures import _from_path
 from tissue.study.paper import FORCE_ERROR, Figure
 from tissue.study.report import sections_of, write_report
@@ -98,6 +99,14 @@ def test_force_errors_stand_beside_the_papers(study):
     assert rows["T1", "penalty"][3] == str(FORCE_ERROR["T1"]["penalty"]) == "8.2 ± 2.1"
     assert rows["T1", "penalty"][4] == "agrees" and rows["T2", "energy"][3] == ""
     assert section.picture.startswith(b"\x89PNG")
+
+
+def test_forces_that_come_early_on_one_task_are_named(study):
+    table = study.table("T1", "T2").complete()
+    assert latency_section(table).sentences[0].endswith("comes early; none does.")
+    shift = np.where((table.task == "T2") & (table.method == "koopman"), 3.0, 0.0)
+    early = replace(table, metrics=dict(table.metrics) | {"latency_ms": table.values("latency_ms") - shift})
+    assert latency_section(early).sentences[0].endswith("comes early (T2 koopman).")
 
 
 def test_agreement_is_within_the_spread_of_the_difference():

@@ -107,7 +107,12 @@ def latency_section(table: TrialTable) -> Section:
             rows.append((task, method, spread(lag), str(LATENCY), agreement(lag, LATENCY)))
     means = {each: table.where(method=each).complete().values("latency_ms").mean() for each in methods}
     told = ", ".join(f"{name} {value:.1f} ms" for name, value in means.items())
-    early = [name for name, value in means.items() if value < 0.0]
+    early = [
+        f"{task} {method}"
+        for task in tasks
+        for method in methods
+        if table.where(task=task, method=method).complete().values("latency_ms").mean() < 0.0
+    ]
     sentences = (
         f"Shift at which played and ideal force correlate best, over all tasks: {told}. The loop is late by 4 ms in "
         f"every trial by construction, as the paper's mean is {LATENCY} ms; what prediction takes off is the result, "
