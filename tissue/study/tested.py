@@ -268,9 +268,9 @@ def power_section(table: TrialTable, rng: np.random.Generator) -> Section:
                 rows.append((task, each.test, *shares, f"{100.0 * (1.0 - each.hits.value):.1f}", str(each.populations)))
         if loose:
             told.append(
-                f"More false alarms than {100.0 * LOOSE:.0f} % for {', '.join(loose)}: where the spread differs between "
-                "groups or between pairs of methods, the usual F finds too much, and the tests that rest on less, in the "
-                "last column of Tests, are the ones to believe."
+                f"More false alarms than {100.0 * LOOSE:.0f} % for {', '.join(loose)}: where the spread differs "
+                "between groups or between pairs of methods, the usual F finds too much, and the tests that rest on "
+                "less, in the last column of Tests, are the ones to believe."
             )
         header = ("task", "test", "type I %", "power %", "type II %", "populations")
         return Section("power", "Power and error rates", tuple(told), header, tuple(rows))
