@@ -29,8 +29,8 @@ SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
 DENSE_BYTES_PER_VOXEL = 16
 """Peak memory of a voxel of the region while bricks are made and results written, measured on the glenoid."""
 BRICK = 8
-"""The region is cut at whole bricks of the world's lattice, so that a voxel lies at the same place in any region; where a
-tool only grazes voxels, float32 coordinates from another origin still decide otherwise in single ticks."""
+"""The region is cut at whole bricks of the world's lattice, so that a voxel lies at the same place in any region; where
+a tool only grazes voxels, float32 coordinates from another origin still decide otherwise in single ticks."""
 
 
 def whole_tooth(scene: Scene, *, spacing_m: float) -> VoxelVolume:
