@@ -38,8 +38,10 @@ INSTANTS = 6
 """Instants of the contact that are solved, in the middle of as many equal parts of it."""
 POSES = 400
 """Poses of the motion at which contact is looked for."""
-COARSER = 1.4
-"""Edges of a second mesh, which tells what the first is worth, over those of the first, which are the scene's."""
+EDGES = (1.4, 2.0)
+"""Edges of the mesh, and of one that tells what it is worth, over the scene's: a minute for all on one core."""
+TOLERANCE = 1e-4
+"""Residual of a solve, and how far a node may be off the ball over its radius: the laws differ by per cents."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,15 +132,15 @@ def law_error(scene: Scene, *, tell: Progress = silent) -> LawError | None:
         return None
     if organ.fibre_direction is not None or organ.capsule or organ.gravity:
         return None
-    edge_mm, radius = anatomy.touch_edge_mm or 0.25 * tool.diameter_mm, 0.5e-3 * tool.diameter_mm
+    radius = 0.5e-3 * tool.diameter_mm
 
     def make() -> dict[str, NDArray[np.generic]]:
         from tissue.liver.hyperelastic import Law
 
         started = perf_counter()
         tell(f"{scene.name}: linear law and neo-Hookean one", 0.99)
-        linear, neo = _solvers(scene, edge_mm, (Law.LINEAR, Law.NEO_HOOKEAN))
-        (coarse,) = _solvers(scene, COARSER * edge_mm, (Law.NEO_HOOKEAN,))
+        linear, neo = _solvers(scene, EDGES[0], (Law.LINEAR, Law.NEO_HOOKEAN))
+        (coarse,) = _solvers(scene, EDGES[1], (Law.NEO_HOOKEAN,))
         at = _instants(scene, linear, radius)
         force_N, depth_m, solve_us = _pressed(neo, at, radius)
         return {
@@ -152,25 +154,29 @@ def law_error(scene: Scene, *, tell: Progress = silent) -> LawError | None:
         }
 
     alone = scene.model_copy(update={"description": "", "fidelity": None}).to_toml()
-    kept = cached_arrays("law", (alone, INSTANTS, COARSER, machine()), make)
+    kept = cached_arrays("law", (alone, INSTANTS, EDGES, machine()), make)
     return LawError(**{entry.name: kept[entry.name] for entry in fields(LawError)})  # type: ignore[arg-type]
 
 
-def _solvers(scene: Scene, edge_mm: float, laws: "Sequence[Law]") -> "list[NewtonSolver]":
-    """The scene's organ under each law, with edges of that length where the tool goes."""
+def _solvers(scene: Scene, coarser: float, laws: "Sequence[Law]") -> "list[NewtonSolver]":
+    """The scene's organ under each law, its edges longer by a factor."""
     from tissue.liver.hyperelastic import NonlinearBody
-    from tissue.liver.judge import TOLERANCE
     from tissue.liver.newton import NewtonSolver
     from tissue.liver.space import Space
 
-    assert isinstance(scene.anatomy, LiverAnatomy | SlabAnatomy)
+    assert isinstance(scene.anatomy, LiverAnatomy | SlabAnatomy) and isinstance(scene.tool, Probe)
+    edge_mm = coarser * scene.anatomy.edge_mm
+    if scene.anatomy.nodule_diameter_mm > 0.0:  # no longer than its radius
+        edge_mm = min(edge_mm, max(scene.anatomy.edge_mm, 0.5 * scene.anatomy.nodule_diameter_mm))
+    anatomy = scene.anatomy.model_copy(update={"edge_mm": edge_mm})
+    touch_mm = coarser * (anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm)
     way = motion_of(scene, step_s=TICK_S).sweep_m()
-    found = held_mesh(scene.anatomy, way_m=way, touch_edge_m=1e-3 * edge_mm, tell=silent)
+    found = held_mesh(anatomy, way_m=way, touch_edge_m=1e-3 * touch_mm, tell=silent)
     space = Space(found.mesh, scene.organ.order)
     held = np.zeros((space.node_count, 3), dtype=bool)
     held[found.held] = True
     held[space.with_middles(faces_of(space.mesh, found.held))] = True
-    lame, _ = elasticity_of(found.mesh, scene.anatomy, scene.organ)
+    lame, _ = elasticity_of(found.mesh, anatomy, scene.organ)
     solvers: list[NewtonSolver] = []
     for law in laws:  # the stiffness at rest is the same for all
         known = solvers[0].precondition if solvers else None
@@ -206,7 +212,7 @@ def _pressed(solver: "NewtonSolver", at: Instants, radius_m: float) -> tuple[Arr
 
     found = []
     for tip, way, step in at:
-        solution, sphere, depth = press_at(solver, tip, way, radius_m=radius_m)
+        solution, sphere, depth = press_at(solver, tip, way, radius_m=radius_m, tolerance=TOLERANCE)
         force, took = np.full(3, np.nan), float("nan")
         if solution.converged:
             force = solution.tool_force_N

@@ -17,13 +17,15 @@ from tissue.liver.newton import NewtonSolution, NewtonSolver
 from tissue.liver.obstacle import RigidSphere
 from tissue.liver.space import Space
 
-__all__ = ["TOLERANCE", "LinearLimits", "linear_limits", "press", "press_at"]
+__all__ = ["LinearLimits", "linear_limits", "press", "press_at"]
 
 Array = NDArray[np.float64]
 STIFFER = 10.0
 """Penalty of a surface node over its own stiffness."""
 TOLERANCE = 1e-6
-"""Residual of a solve; with nodes 1e-5 of the radius off, forces hold to about 1e-5."""
+"""Residual of a solve; with nodes `NODES` off, forces hold to about 1e-5."""
+NODES = 1e-5
+"""How far a node may be off the sphere, over its radius."""
 LONGEST = 0.3
 """Longest step of the sphere over its radius."""
 
@@ -98,7 +100,7 @@ def press(
     if not (np.diff(depths, prepend=0.0) > 0.0).all() or not np.isfinite(depths).all():
         raise InputError(f"depths_m must be positive, finite and rising, got {depths}: use (1e-3, 2e-3, 4e-3)")
     solver = solver or NewtonSolver(body, np.repeat(held[:, None], 3, axis=1))
-    sphere, touching = _resting(solver, start, way, radius_m)
+    sphere, touching = _resting(solver, start, way, radius_m, NODES)
     solutions: list[NewtonSolution] = []
     now, reached = None, 0.0
     for depth in depths:
@@ -116,7 +118,7 @@ def press(
 
 
 def press_at(
-    solver: NewtonSolver, tip_m: Array, way: Array, *, radius_m: float
+    solver: NewtonSolver, tip_m: Array, way: Array, *, radius_m: float, tolerance: float = NODES
 ) -> tuple[NewtonSolution, RigidSphere, float]:
     """Equilibrium with a rigid sphere that comes straight to its place, the body being at rest before.
 
@@ -128,6 +130,8 @@ def press_at(
         Foremost point of the sphere at its place [m], and the unit direction that it comes along, shapes (3,).
     radius_m
         Radius of the sphere [m].
+    tolerance
+        Depth of a node in the sphere that is allowed, over the radius.
 
     Returns
     -------
@@ -139,7 +143,7 @@ def press_at(
     InputError
         If the radius is not positive or no node of the surface lies in the sphere's way.
     """
-    sphere, touching = _resting(solver, tip_m, way, radius_m)
+    sphere, touching = _resting(solver, tip_m, way, radius_m, tolerance)
     depth, now = -radius_m - touching, None
     for stop in np.linspace(touching, -radius_m, 2 + max(0, int(depth / (LONGEST * radius_m))))[1:]:
         sphere.move_to(tip_m + stop * way)
@@ -150,7 +154,9 @@ def press_at(
     return solution, sphere, depth
 
 
-def _resting(solver: NewtonSolver, point_m: Array, way: Array, radius_m: float) -> tuple[RigidSphere, float]:
+def _resting(
+    solver: NewtonSolver, point_m: Array, way: Array, radius_m: float, tolerance: float
+) -> tuple[RigidSphere, float]:
     """A sphere aimed at a point [m] where it first touches a node, and how far beyond the point its centre is [m]."""
     radius, body = require_positive("radius_m", radius_m, "use 0.01"), solver.body
     surface = np.unique(body.space.faces)
@@ -164,7 +170,8 @@ def _resting(solver: NewtonSolver, point_m: Array, way: Array, radius_m: float) 
         raise InputError(f"point_m must lie on the surface, got {point_m}: no node of it is in the sphere's way")
     touching = float((along[inside] - np.sqrt(radius**2 - aside[inside] ** 2)).min())
     penalty = STIFFER * solver.rest_diagonal.reshape(-1, 3)[surface].mean(axis=1)
-    return RigidSphere(surface, penalty, radius_m=radius, centre_m=point_m + touching * way, tolerance=1e-5), touching
+    centre = point_m + touching * way
+    return RigidSphere(surface, penalty, radius_m=radius, centre_m=centre, tolerance=tolerance), touching
 
 
 def linear_limits(
