@@ -34,7 +34,7 @@ __all__ = ["LawError", "law_error"]
 
 Array = NDArray[np.float64]
 Instants = list[tuple[Array, Array, Array]]
-INSTANTS = 6
+INSTANTS = 4
 """Instants of the contact that are solved, in the middle of as many equal parts of it."""
 POSES = 400
 """Poses of the motion at which contact is looked for."""
@@ -53,7 +53,7 @@ class LawError:
     depth_m
         Way of the tool into the undeformed body [m], shape (k,).
     linear_N, neo_N, coarse_N
-        By the linear law, by the neo-Hookean one, and by that on the coarser mesh [N], shape (k, 3).
+        By the linear law, by the neo-Hookean one, and by that on a coarser mesh, where deepest [N], shape (k, 3).
     solve_us
         Time of a neo-Hookean solve a tick's way from one that is done [us], shape (k,).
     cells, took_s
@@ -70,8 +70,8 @@ class LawError:
 
     @property
     def solved(self) -> NDArray[np.bool_]:
-        """Instants at which all converged, shape (k,)."""
-        return np.isfinite(self.linear_N + self.neo_N + self.coarse_N).all(axis=1)
+        """Instants at which both laws converged, shape (k,)."""
+        return np.asarray(np.isfinite(self.linear_N + self.neo_N).all(axis=1))
 
     @property
     def error(self) -> float:
@@ -80,11 +80,11 @@ class LawError:
 
     @property
     def gap(self) -> float:
-        """The same of the neo-Hookean force on the coarser mesh: what its mesh leaves open."""
+        """The same of the neo-Hookean force on the coarser mesh: what its mesh leaves open; NaN where it is unknown."""
         return self._off(self.coarse_N)
 
     def _off(self, force_N: Array) -> float:
-        on = self.solved
+        on = np.isfinite(force_N + self.neo_N).all(axis=1)
         return force_error(force_N[on], self.neo_N[on]) if on.any() else float("nan")
 
     def rows(self, scene: Scene) -> tuple[Measured, ...]:
@@ -143,11 +143,14 @@ def law_error(scene: Scene, *, tell: Progress = silent) -> LawError | None:
         (coarse,) = _solvers(scene, EDGES[1], (Law.NEO_HOOKEAN,))
         at = _instants(scene, linear, radius)
         force_N, depth_m, solve_us = _pressed(neo, at, radius)
+        coarse_N = np.full(force_N.shape, np.nan)
+        deepest = [int(depth_m.argmax())] if at else []
+        coarse_N[deepest] = _pressed(coarse, [at[k] for k in deepest], radius)[0]
         return {
             "depth_m": depth_m,
             "linear_N": _pressed(linear, at, radius)[0],
             "neo_N": force_N,
-            "coarse_N": _pressed(coarse, at, radius)[0],
+            "coarse_N": coarse_N,
             "solve_us": solve_us,
             "cells": np.array(len(neo.body.space.cell_nodes)),
             "took_s": np.array(perf_counter() - started),
@@ -165,9 +168,8 @@ def _solvers(scene: Scene, coarser: float, laws: "Sequence[Law]") -> "list[Newto
     from tissue.liver.space import Space
 
     assert isinstance(scene.anatomy, LiverAnatomy | SlabAnatomy) and isinstance(scene.tool, Probe)
-    edge_mm = coarser * scene.anatomy.edge_mm
-    if scene.anatomy.nodule_diameter_mm > 0.0:  # no longer than its radius
-        edge_mm = min(edge_mm, max(scene.anatomy.edge_mm, 0.5 * scene.anatomy.nodule_diameter_mm))
+    # A nodule asks for cells as short as the scene's.
+    edge_mm = scene.anatomy.edge_mm * (1.0 if scene.anatomy.nodule_diameter_mm else coarser)
     anatomy = scene.anatomy.model_copy(update={"edge_mm": edge_mm})
     touch_mm = coarser * (anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm)
     way = motion_of(scene, step_s=TICK_S).sweep_m()

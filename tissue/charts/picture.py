@@ -98,5 +98,11 @@ def _draw_beside(axes: Any, row: Measured, low: float) -> None:
         axes.plot([row.median_us, row.p99_us], [error, error], color=colour, linewidth=0.8, alpha=0.5)
         axes.plot(row.median_us, error, mark, color=colour, markersize=10, label=label)
         axes.annotate(
-            row.setting, (row.median_us, error), xytext=(0, 9), textcoords="offset points", ha="center", fontsize=8.5
+            f"{row.setting},\nits mesh known to {error:.2g} %",
+            (row.median_us, error),
+            xytext=(6, 9),
+            textcoords="offset points",
+            ha="right",
+            fontsize=8.5,
+            color=colour,
         )
