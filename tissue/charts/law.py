@@ -6,6 +6,7 @@ and without friction, so that the difference is the law's alone.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from math import isnan
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -115,8 +116,8 @@ class LawError:
             f"the linear law is {100.0 * self.error:.2g} % off a neo-Hookean one on this motion, whatever the setting: "
             f"{on.sum()} instants without friction, up to {1e3 * self.depth_m[on].max():.2g} mm deep"
             + ("" if on.all() else f", {len(on) - on.sum()} more did not converge")
-            + f"; a neo-Hookean solve takes {1e-3 * np.median(self.solve_us[on]):.0f} ms, its force is known to "
-            f"{100.0 * self.gap:.2g} %"
+            + f"; a neo-Hookean solve takes {1e-3 * np.median(self.solve_us[on]):.0f} ms"
+            + ("" if isnan(self.gap) else f", its force is known to {100.0 * self.gap:.2g} %")
         )
 
 

@@ -46,7 +46,8 @@ def _draw(axes: Any, found: Frontier) -> None:
     points, device = found.points, found.scene.device
     shown = [100.0 * max(point.force_error, LEAST) for point in points]
     known = [100.0 * found.gap] if found.gap > 0.0 else []
-    law = [100.0 * max(row.force_error, LEAST) for row in found.beside if row.family == "law"]
+    beside = [row for row in found.beside if not isnan(row.force_error)]
+    law = [100.0 * max(row.force_error, LEAST) for row in beside if row.family == "law"]
     low, high = 0.5 * min(shown + known + law), 2.2 * max(*shown, *law, 1e-3)
     told = set()
     for point, error in zip(points, shown, strict=True):
@@ -62,7 +63,7 @@ def _draw(axes: Any, found: Frontier) -> None:
         axes.annotate(point.setting, (point.median_us, error), xytext=(5, 6), textcoords="offset points", fontsize=8.5)
     if found.gap > 0.0:
         axes.axhspan(low, 100.0 * found.gap, color="0.9", zorder=0, label="reference not known better")
-    for row in found.beside:
+    for row in beside:
         _draw_beside(axes, row, low)
     axes.axvline(1e3, color="#D55E00", linestyle="--", linewidth=1.3, label="1 ms")
     axes.set(
