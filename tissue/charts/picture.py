@@ -92,8 +92,8 @@ def _draw_beside(axes: Any, row: Measured, low: float) -> None:
         axes.axhline(error, color=colour, linestyle="--", linewidth=1.3)
         said = f"linear law: {error:.2g} % off neo-Hookean on this motion;\nbelow it the law is what is wrong"
         axes.text(
-            0.015, error, said, transform=axes.get_yaxis_transform(), fontsize=8, color=colour, va="center",
-            linespacing=1.15, bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.5},
+            0.985, 0.96 * error, said, transform=axes.get_yaxis_transform(), fontsize=8, color=colour, ha="right",
+            va="top", linespacing=1.15,
         )  # fmt: skip
     else:
         axes.plot([row.median_us, row.p99_us], [error, error], color=colour, linewidth=0.8, alpha=0.5)
