@@ -7,16 +7,24 @@ import pytest
 
 import tissue
 from meshes.errors import InputError
+from meshes.tet_structured import box
 from tissue.charts import frontier_of, undominated, with_fidelity
 from tissue.charts.cost import CostModel
 from tissue.charts.fidelity import SAFETY, _in_words, choose
-from tissue.charts.frontier import read_measured, short_of, write_measured
+from tissue.charts.frontier import Frontier, read_measured, short_of, write_measured
+from tissue.charts.law import LawError
 from tissue.charts.measure import Measured, excerpt, measure, reference_gap, setting_key
+from tissue.charts.picture import draw_frontiers
 from tissue.charts.places import placed
 from tissue.charts.ready import make_ready
-from tissue.charts.scenes import chart_scenes
+from tissue.charts.scenes import chart_lines, chart_scenes
 from tissue.charts.settings import Setting, by_hand, finest, settings_of
+from tissue.liver.hyperelastic import Law, NonlinearBody
+from tissue.liver.judge import press_at
+from tissue.liver.newton import NewtonSolver
+from tissue.liver.space import Space
 from tissue.load import changed, load_scene, scene_names
+from tissue.materials.elasticity import lame
 from tissue.scene_coupling import Fidelity
 
 COARSE = {"voxels.spacing_mm": 0.2, "anatomy.size_mm": [12, 10, 4], "motion.feed_mm_s": 20.0}
@@ -49,6 +57,69 @@ def test_the_cheapest_that_is_good_enough_is_chosen():
         choose(points, Fidelity(force_error=1e-3))
     with pytest.raises(InputError, match="must ask for something"):
         load_scene("milling", {"fidelity": {}})
+
+
+def test_what_is_no_setting_stands_in_the_table_and_is_never_chosen(tmp_path):
+    """A law that cannot run at 1 kHz, and rounding, are rows; the law's errors are those of its forces, by hand."""
+    scene, settings = load_scene("liver-press"), (Setting("P2", "elements"),)
+    neo = np.array([[0.0, 0.0, 3.0], [0.0, 4.0, 0.0], [np.nan] * 3])
+    law = LawError(
+        np.array([1e-3, 2e-3, 3e-3]),
+        0.9 * neo,
+        neo,
+        1.02 * neo,
+        np.array([2e4, 4e4, np.nan]),
+        np.array(70),
+        np.array(9.0),
+    )
+    found = Frontier(scene, (point("P2", error=0.05),), 0.01, settings, 3e-7, law)
+    write_measured(tmp_path / "a.csv", (*found.points, *found.beside))
+    setting, linear, hyperelastic, rounding = read_measured(tmp_path / "a.csv")
+    assert (linear.setting, linear.family) == ("linear law", "law") and np.isnan(linear.median_us)
+    assert linear.force_error == pytest.approx(0.1, rel=1e-12)
+    assert (
+        hyperelastic.setting == "neo-Hookean (statics)" and hyperelastic.median_us == 3e4 and hyperelastic.missed == 2
+    )
+    assert hyperelastic.force_error == pytest.approx(0.02, rel=1e-12)
+    assert (rounding.family, rounding.force_error) == ("rounding", 3e-7)
+    assert found.best == (setting,) == found.points
+    everything = [rounding, hyperelastic, setting, linear]
+    assert (
+        choose(everything, Fidelity(force_error=0.05 * SAFETY)) == setting == choose(everything, Fidelity(tick_ms=100))
+    )
+    with pytest.raises(InputError, match="the nearest is P2"):
+        choose(everything, Fidelity(force_error=0.02 * SAFETY))
+    said = chart_lines([[found]])
+    assert "linear law is 10 % off" in said[2] and "2 instants" in said[2] and "1 more did not converge" in said[2]
+    draw_frontiers([found], tmp_path / "a.png")
+    assert (tmp_path / "a.png").stat().st_size > 10_000
+
+
+def test_the_error_of_the_linear_law_in_a_column_that_cannot_widen():
+    """A column between smooth walls, pressed by a ball so flat that its strain e is even: with s = 1 - e both laws are
+    closed, (lambda + 2 mu) e and mu (1/s - s) - lambda ln(s)/s a unit of area; they part in proportion to e where e is small.
+
+    The ball's rim comes 10 um later than its middle, of 0.5 mm and more: forces to 2 %, their ratio to 0.5 %.
+    """
+    side, height, first_pa, shear_pa = 2e-3, 10e-3, *lame(5e3, 0.45)
+    space = Space(box((side, side, height), (2, 2, 4)), 2)
+    x, y, z = space.nodes_m.T
+    held = np.column_stack([(x < 1e-9) | (x > side - 1e-9), (y < 1e-9) | (y > side - 1e-9), z < 1e-9])
+    force, strains = {}, np.array([0.05, 0.1, 0.2])
+    for law in (Law.LINEAR, Law.NEO_HOOKEAN):
+        solver = NewtonSolver(NonlinearBody(space, (first_pa, shear_pa), law=law), held, tolerance=1e-6)
+        tips = [np.array([0.5 * side, 0.5 * side, height - e * height]) for e in strains]
+        found = [press_at(solver, tip, np.array([0.0, 0.0, -1.0]), radius_m=0.05) for tip in tips]
+        assert [depth for *_, depth in found] == pytest.approx(strains * height, rel=1e-9)
+        force[law] = np.array([solution.tool_force_N[2] for solution, *_ in found])
+    s = 1.0 - strains
+    linear_pa = (first_pa + 2.0 * shear_pa) * strains
+    neo_pa = shear_pa * (1.0 / s - s) - first_pa * np.log(s) / s
+    np.testing.assert_allclose(force[Law.LINEAR], side**2 * linear_pa, rtol=0.02)
+    np.testing.assert_allclose(force[Law.NEO_HOOKEAN], side**2 * neo_pa, rtol=0.02)
+    error = force[Law.LINEAR] / force[Law.NEO_HOOKEAN] - 1.0
+    np.testing.assert_allclose(error, linear_pa / neo_pa - 1.0, atol=5e-3)
+    assert error[1] / error[0] == pytest.approx(2.0, rel=0.05) and (np.diff(error) < 0.0).all()
 
 
 def test_a_cost_that_is_such_a_sum_is_found_again():

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from meshes.errors import InputError
 from meshes.progress import Progress, silent
+from tissue.charts.beside import BESIDE
 from tissue.charts.frontier import frontier_of
 from tissue.charts.measure import Measured
 from tissue.charts.settings import Setting
@@ -24,11 +25,15 @@ of 8 % was kept by half of milling's motions: a coarse grid is met by accident (
 def choose(points: Sequence[Measured], wanted: Fidelity, *, gap: float = 0.0) -> Measured:
     """The cheapest of some measurements that meets a demand; no error counts as less than the reference's own, `gap`.
 
+    What is no setting, a law that no tick can run or the rounding of numbers, is passed over.
+
     Raises
     ------
     InputError
         If none does; the sentence names the nearest that can.
     """
+
+    points = [point for point in points if point.family not in BESIDE]
 
     def error_of(point: Measured) -> float:
         return max(SAFETY * point.force_error, gap)

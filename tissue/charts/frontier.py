@@ -2,13 +2,16 @@
 
 import csv
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from hashlib import blake2b
+from math import isnan
 from pathlib import Path
 
 from meshes.cache import cache_folder
 from meshes.progress import Progress, silent
 from meshes.whole_file import whole_file
+from tissue.charts.beside import beside
+from tissue.charts.law import LawError, law_error
 from tissue.charts.measure import WAY, Measured, excerpt, machine, measure, of_model, reference_gap, setting_key
 from tissue.charts.rounding import float32_error
 from tissue.charts.settings import Setting, settings_of
@@ -35,6 +38,8 @@ class Frontier:
         The settings in the order of the points.
     rounding
         Change of the force by what float32 rounds; NaN where it was not asked for or nothing is computed in it.
+    law
+        The linear law against a neo-Hookean one; None where it was not asked for or there is no organ to compare.
     """
 
     scene: Scene
@@ -42,11 +47,18 @@ class Frontier:
     gap: float
     settings: tuple[Setting, ...]
     rounding: float = float("nan")
+    law: LawError | None = None
 
     @property
     def best(self) -> tuple[Measured, ...]:
         """Settings that no other beats in both cost and error, cheapest first."""
         return tuple(undominated(self.points))
+
+    @property
+    def beside(self) -> tuple[Measured, ...]:
+        """Rows of a table that are no settings: of the law and of rounding, where they were measured."""
+        law = self.law.rows(self.scene) if self.law else ()
+        return law if isnan(self.rounding) else (*law, beside(self.scene, "float32", "rounding", self.rounding))
 
 
 def undominated(points: Sequence[Measured]) -> list[Measured]:
@@ -87,8 +99,11 @@ def frontier_of(scene: Scene, *, quick: bool = True, tell: Progress = silent) ->
             write_measured(path, list(known.values()))
         points.append(known[key])
     tell(f"{scene.name}: reference", len(settings) / (len(settings) + 1))
-    rounding = float("nan") if quick or scene.device != "none" else float32_error(short_of(scene, quick))
-    return Frontier(scene, tuple(points), _gap(scene, path, quick=quick), tuple(settings), rounding)
+    found = Frontier(scene, tuple(points), _gap(scene, path, quick=quick), tuple(settings))
+    if quick or scene.device != "none":
+        return found
+    short = short or short_of(scene, quick)
+    return replace(found, rounding=float32_error(short), law=law_error(short, tell=tell))
 
 
 def short_of(scene: Scene, quick: bool) -> Scene:

@@ -62,9 +62,9 @@ class Measured:
     key
         Hash of everything that was run.
     scene, setting, family, leaves_out
-        Of what.
+        Of what; rows of the families law and rounding are no settings.
     force_error
-        ||F - F_ref|| / ||F_ref|| over the run, the worst of the places it was run at.
+        ||F - F_ref|| / ||F_ref|| over the run, the worst of the places it was run at; of a law F_ref is neo-Hookean.
     median_us, p99_us, missed
         Tick in contact [us], and ticks over 1 ms.
     far_us

@@ -1,9 +1,11 @@
 """Speed against accuracy as a picture: every setting a point, the frontier named, the tick of 1 ms a line."""
 
+from math import isnan
 from pathlib import Path
 from typing import Any
 
 from tissue.charts.frontier import Frontier
+from tissue.charts.measure import Measured
 from tissue.pictures import figure, save
 
 __all__ = ["draw_frontiers"]
@@ -17,6 +19,7 @@ FAMILIES = {
     "cores": ("0.45", "P", "one core"),
     "loop": ("#D55E00", "X", "renderer, predictor, model rate"),
     "model": ("0.2", "o", "the model"),
+    "law": ("#882255", "*", "elastic law"),
 }
 LEAST = 1e-6
 """Error that is drawn for none."""
@@ -25,7 +28,8 @@ LEAST = 1e-6
 def draw_frontiers(found: list[Frontier], path: Path) -> None:
     """Draw a panel for each: median tick with its 99th percentile against force error.
 
-    Shaded is what the reference itself leaves open.
+    Shaded is what the reference itself leaves open, lines across are errors that no setting goes below: of the linear
+    law, dashed, and of float32, dotted.
     """
     chart = figure(5.6 * len(found), 4.4)
     panels = chart.subplots(1, len(found), squeeze=False)[0]
@@ -42,7 +46,9 @@ def _draw(axes: Any, found: Frontier) -> None:
     points, device = found.points, found.scene.device
     shown = [100.0 * max(point.force_error, LEAST) for point in points]
     known = [100.0 * found.gap] if found.gap > 0.0 else []
-    low, high = 0.5 * min(shown + known), 2.2 * max(*shown, 1e-3)
+    beside = [row for row in found.beside if not isnan(row.force_error)]
+    law = [100.0 * max(row.force_error, LEAST) for row in beside if row.family == "law"]
+    low, high = 0.5 * min(shown + known + law), 2.2 * max(*shown, *law, 1e-3)
     told = set()
     for point, error in zip(points, shown, strict=True):
         colour, mark, label = FAMILIES[point.family]
@@ -57,6 +63,8 @@ def _draw(axes: Any, found: Frontier) -> None:
         axes.annotate(point.setting, (point.median_us, error), xytext=(5, 6), textcoords="offset points", fontsize=8.5)
     if found.gap > 0.0:
         axes.axhspan(low, 100.0 * found.gap, color="0.9", zorder=0, label="reference not known better")
+    for row in beside:
+        _draw_beside(axes, row, low)
     axes.axvline(1e3, color="#D55E00", linestyle="--", linewidth=1.3, label="1 ms")
     axes.set(
         xscale="log",
@@ -71,3 +79,31 @@ def _draw(axes: Any, found: Frontier) -> None:
     axes.yaxis.set_minor_formatter("")
     axes.grid(alpha=0.3, which="both")
     axes.legend(loc="best", fontsize=8)
+
+
+def _draw_beside(axes: Any, row: Measured, low: float) -> None:
+    """What is no setting: a line across where it has no tick, else a point; the picture ends at ``low`` [%]."""
+    colour, mark, label = FAMILIES["law"]
+    error = 100.0 * max(row.force_error, LEAST)
+    if row.family == "rounding":
+        said = f"float32 rounding, {error:.1g} %" + (", below the picture" if error < low else "")
+        axes.axhline(max(error, low), color="0.35", linestyle=":", linewidth=1.6, label=said)
+    elif isnan(row.median_us):
+        axes.axhline(error, color=colour, linestyle="--", linewidth=1.3)
+        said = f"linear law: {error:.2g} % off neo-Hookean on this motion;\nbelow it the law is what is wrong"
+        axes.text(
+            0.985, 0.96 * error, said, transform=axes.get_yaxis_transform(), fontsize=8, color=colour, ha="right",
+            va="top", linespacing=1.15,
+        )  # fmt: skip
+    else:
+        axes.plot([row.median_us, row.p99_us], [error, error], color=colour, linewidth=0.8, alpha=0.5)
+        axes.plot(row.median_us, error, mark, color=colour, markersize=10, label=label)
+        axes.annotate(
+            f"{row.setting},\nits mesh known to {error:.2g} %",
+            (row.median_us, error),
+            xytext=(6, 9),
+            textcoords="offset points",
+            ha="right",
+            fontsize=8.5,
+            color=colour,
+        )

@@ -18,11 +18,6 @@ from tissue.scene_soft import LiverAnatomy, SlabAnatomy
 
 __all__ = ["chart_lines", "chart_scenes"]
 
-LAW = (
-    "all in float64 and by the linear law, which is off a neo-Hookean one by 1, 5 and 10 % from 1-2, 4 and 6 mm deep "
-    "under a ball of 10 mm (python tests/bench/chart_liver.py)"
-)
-"""What no setting of an organ changes."""
 READY_SHARE = 0.3
 """Share of a chart's time that making ready takes."""
 
@@ -65,7 +60,7 @@ def chart_scenes(
         frontiers = [frontier_of(kind, quick=quick, tell=told) for kind in both]
         drawn.append([each for each in frontiers if len(each.points) > 1])
         draw_frontiers(drawn[-1], out / f"{scene.name}.png")
-        write_measured(out / f"{scene.name}.csv", [point for each in frontiers for point in each.points])
+        write_measured(out / f"{scene.name}.csv", [row for each in frontiers for row in (*each.points, *each.beside)])
         found.append(frontiers)
     draw_overview(drawn, out / "frontier.png")
     (out / "machine.txt").write_text(machine() + "\n", "utf-8")
@@ -82,7 +77,11 @@ def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
             if not isnan(each.rounding):
                 lines.append(f"  float32: a path moved by a last place, 1 nm, moves the force by {each.rounding:.1e}")
             if each.scene.device == "none" and isinstance(each.scene.anatomy, LiverAnatomy | SlabAnatomy):
-                lines.append(f"  {LAW}")
+                law = each.law.line() if each.law else "all by the linear law, not compared with a neo-Hookean one"
+                lines += [
+                    f"  {law}",
+                    "  forces all in float64; float32 are only the frames that a run keeps to be shown",
+                ]
             lines += [
                 f"  {point.setting:<28} error {100.0 * point.force_error:6.2g} %   "
                 f"tick {point.median_us:5.0f} µs, 99 % {point.p99_us:6.0f} µs"

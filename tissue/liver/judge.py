@@ -17,13 +17,15 @@ from tissue.liver.newton import NewtonSolution, NewtonSolver
 from tissue.liver.obstacle import RigidSphere
 from tissue.liver.space import Space
 
-__all__ = ["LinearLimits", "linear_limits", "press"]
+__all__ = ["LinearLimits", "linear_limits", "press", "press_at"]
 
 Array = NDArray[np.float64]
 STIFFER = 10.0
 """Penalty of a surface node over its own stiffness."""
 TOLERANCE = 1e-6
-"""Residual of a solve; with nodes 1e-5 of the radius off, forces hold to about 1e-5."""
+"""Residual of a solve; with nodes `NODES` off, forces hold to about 1e-5."""
+NODES = 1e-5
+"""How far a node may be off the sphere, over its radius."""
 LONGEST = 0.3
 """Longest step of the sphere over its radius."""
 
@@ -89,7 +91,6 @@ def press(
         If the direction has no length, depths do not rise, no node of the surface lies in the sphere's way, or nothing
         is held.
     """
-    radius = require_positive("radius_m", radius_m, "use 0.01")
     start, way = np.asarray(point_m, dtype=np.float64), np.asarray(inward, dtype=np.float64)
     length = float(np.linalg.norm(way))
     if not length > 0.0:
@@ -98,24 +99,13 @@ def press(
     depths = np.fromiter(depths_m, dtype=np.float64)
     if not (np.diff(depths, prepend=0.0) > 0.0).all() or not np.isfinite(depths).all():
         raise InputError(f"depths_m must be positive, finite and rising, got {depths}: use (1e-3, 2e-3, 4e-3)")
-    surface = np.unique(body.space.faces)
-    offset = body.nodes_m[surface] - start
-    near = np.linalg.norm(offset, axis=1) < 3.0 * radius
-    surface, offset = surface[near], offset[near]
-    along = offset @ way
-    aside = np.linalg.norm(offset - along[:, None] * way, axis=1)
-    if not (aside < radius).any():
-        raise InputError(f"point_m must lie on the surface, got {start}: no node of it is in the sphere's way")
-    inside = aside < radius
-    touching = (along[inside] - np.sqrt(radius**2 - aside[inside] ** 2)).min()
     solver = solver or NewtonSolver(body, np.repeat(held[:, None], 3, axis=1))
-    stiffness = solver.rest_diagonal.reshape(-1, 3)[surface].mean(axis=1)
-    sphere = RigidSphere(surface, STIFFER * stiffness, radius_m=radius, centre_m=start + touching * way, tolerance=1e-5)
+    sphere, touching = _resting(solver, start, way, radius_m, NODES)
     solutions: list[NewtonSolution] = []
     now, reached = None, 0.0
     for depth in depths:
         # A sphere that jumped by its radius would find nodes behind its centre and keep them there.
-        stops = np.linspace(reached, depth, 2 + int((depth - reached) / (LONGEST * radius)))[1:]
+        stops = np.linspace(reached, depth, 2 + int((depth - reached) / (LONGEST * sphere.radius_m)))[1:]
         for stop in stops:
             sphere.move_to(start + (touching + stop) * way)
             solution = solver.solve(sphere=sphere, start_m=now)
@@ -125,6 +115,63 @@ def press(
         solutions.append(solution)
         reached = depth
     return solutions
+
+
+def press_at(
+    solver: NewtonSolver, tip_m: Array, way: Array, *, radius_m: float, tolerance: float = NODES
+) -> tuple[NewtonSolution, RigidSphere, float]:
+    """Equilibrium with a rigid sphere that comes straight to its place, the body being at rest before.
+
+    Parameters
+    ----------
+    solver
+        Solver of the body.
+    tip_m, way
+        Foremost point of the sphere at its place [m], and the unit direction that it comes along, shapes (3,).
+    radius_m
+        Radius of the sphere [m].
+    tolerance
+        Depth of a node in the sphere that is allowed, over the radius.
+
+    Returns
+    -------
+    The equilibrium, the first that did not converge if one does not; the sphere; its way from the first touch [m],
+    not positive where it does not reach the body.
+
+    Raises
+    ------
+    InputError
+        If the radius is not positive or no node of the surface lies in the sphere's way.
+    """
+    sphere, touching = _resting(solver, tip_m, way, radius_m, tolerance)
+    depth, now = -radius_m - touching, None
+    for stop in np.linspace(touching, -radius_m, 2 + max(0, int(depth / (LONGEST * radius_m))))[1:]:
+        sphere.move_to(tip_m + stop * way)
+        solution = solver.solve(sphere=sphere, start_m=now)
+        if not solution.converged:
+            break
+        now = solution.displacement_m
+    return solution, sphere, depth
+
+
+def _resting(
+    solver: NewtonSolver, point_m: Array, way: Array, radius_m: float, tolerance: float
+) -> tuple[RigidSphere, float]:
+    """A sphere aimed at a point [m] where it first touches a node, and how far beyond the point its centre is [m]."""
+    radius, body = require_positive("radius_m", radius_m, "use 0.01"), solver.body
+    surface = np.unique(body.space.faces)
+    offset = body.nodes_m[surface] - point_m
+    near = np.linalg.norm(offset, axis=1) < 3.0 * radius
+    surface, offset = surface[near], offset[near]
+    along = offset @ way
+    aside = np.linalg.norm(offset - along[:, None] * way, axis=1)
+    inside = aside < radius
+    if not inside.any():
+        raise InputError(f"point_m must lie on the surface, got {point_m}: no node of it is in the sphere's way")
+    touching = float((along[inside] - np.sqrt(radius**2 - aside[inside] ** 2)).min())
+    penalty = STIFFER * solver.rest_diagonal.reshape(-1, 3)[surface].mean(axis=1)
+    centre = point_m + touching * way
+    return RigidSphere(surface, penalty, radius_m=radius, centre_m=centre, tolerance=tolerance), touching
 
 
 def linear_limits(
