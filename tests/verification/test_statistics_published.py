@@ -221,6 +221,8 @@ def test_tukey_within_users_of_two_levels_is_the_paired_test():
     values = rng.normal([0.0, 0.6], size=(12, 2))
     (pair,) = tukey_levels(values, ("a", "b"), np.zeros(12, dtype=int), metric="m")
     assert pair.p == pytest.approx(float(stats.ttest_rel(values[:, 0], values[:, 1]).pvalue), rel=1e-6)
+    assert "b minus a" in pair.question and pair.effect.value > 0.0
+    assert pair.alternatives[0].statistic == pytest.approx(float(stats.ttest_rel(values[:, 1], values[:, 0]).statistic))
 
 
 @pytest.mark.parametrize("within", [(0,), (1,), (0, 1)], ids=["first", "second", "both"])

@@ -86,7 +86,7 @@ def tukey_levels(values: Array, names: Sequence[str], groups: NDArray[np.int64],
     means = np.stack([values[groups == group].mean(axis=0) for group in range(len(counts))]).mean(axis=0)
     error = float(np.sqrt(float(found.error_square) * (1.0 / counts).sum() / len(counts) ** 2))
     pairs = list(combinations(range(len(names)), 2))
-    raw = [ttest_rel(values[:, a], values[:, b]) for a, b in pairs]
+    raw = [ttest_rel(values[:, b], values[:, a]) for a, b in pairs]
     p_values = corrected([float(each.pvalue) for each in raw], "holm")
     beside = [
         Outcome("paired t, Holm", _question(metric, names, pair), "t", float(each.statistic), (float(each.df),), p)
