@@ -103,7 +103,7 @@ class ForceRange:
         InputError
             If the force is not finite.
         """
-        x, y, z = force.tolist()
+        x, y, z = np.asarray(force).tolist()
         size = self.scale * float(np.sqrt(x * x + y * y + z * z))
         if not size < inf:
             raise InputError(f"force must be finite, got {force}: hold it back with a SampleGuard")

@@ -111,7 +111,7 @@ class SimulatedDevice:
 
     def _limited(self, wanted: Array, limit: float) -> Triple:
         """A vector no longer than a limit."""
-        x, y, z = wanted.tolist()
+        x, y, z = np.asarray(wanted).tolist()
         size = sqrt(x * x + y * y + z * z)
         if not isfinite(size):
             self.refused_commands += 1
