@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from tissue.charts.frontier import Frontier
+from tissue.charts.picture import apart
 from tissue.pictures import figure, save
 
 __all__ = ["draw_overview"]
@@ -79,7 +80,7 @@ def _draw(axes: Any, both: Sequence[Frontier]) -> None:
     heights = np.log([y for y, *_ in names])
     low, high = heights.min() - 0.5, max(heights.max(), heights.min() + 1.0) + 0.3
     axes.set(xscale="log", yscale="log", xlim=SPAN_US, ylim=np.exp([low, high]))
-    for place, (y, x, name, colour) in zip(_apart((heights - low) / (high - low)), names, strict=True):
+    for place, (y, x, name, colour) in zip(apart((heights - low) / (high - low), ROW), names, strict=True):
         aside = np.exp(low + place * (high - low))
         axes.plot([x, 1e3, NAMES_US], [y, y, aside], color=colour, linewidth=0.5, alpha=0.6)
         axes.text(
@@ -92,14 +93,3 @@ def _draw(axes: Any, both: Sequence[Frontier]) -> None:
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter("")
     axes.grid(alpha=0.25)
-
-
-def _apart(places: np.ndarray) -> np.ndarray:
-    """Rising places of names, moved up so that none covers another, and down where they would leave the panel."""
-    found = places.copy()
-    for index in range(1, len(found)):
-        found[index] = max(found[index], found[index - 1] + ROW)
-    top = 1.0 - 0.5 * ROW
-    for index in reversed(range(len(found))):
-        found[index] = min(found[index], top - (len(found) - 1 - index) * ROW)
-    return found

@@ -4,11 +4,13 @@ from math import isnan
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tissue.charts.frontier import Frontier
 from tissue.charts.measure import Measured
 from tissue.pictures import figure, save
 
-__all__ = ["draw_frontiers"]
+__all__ = ["apart", "draw_frontiers"]
 
 FAMILIES = {
     "voxels": ("#0072B2", "o", "voxels"),
@@ -23,6 +25,8 @@ FAMILIES = {
 }
 LEAST = 1e-6
 """Error that is drawn for none."""
+NAME_POINTS = 11.0
+"""Height of a name [pt]."""
 
 
 def draw_frontiers(found: list[Frontier], path: Path) -> None:
@@ -59,8 +63,12 @@ def _draw(axes: Any, found: Frontier) -> None:
     best = found.best
     line = [100.0 * max(point.force_error, LEAST) for point in best]
     axes.step([p.median_us for p in best], line, where="post", color="0.15", linewidth=1.4, label="frontier")
-    for point, error in zip(best, line, strict=True):
-        axes.annotate(point.setting, (point.median_us, error), xytext=(5, 6), textcoords="offset points", fontsize=8.5)
+    height = axes.get_position().height * axes.figure.get_figheight() * 72.0
+    places = np.log(np.array(line) / low)[::-1] / np.log(high / low) + 6.0 / height
+    names = zip(best[::-1], line[::-1], places, apart(places, NAME_POINTS / height), strict=True)
+    for point, error, place, moved in names:
+        up = 6.0 + height * (moved - place)
+        axes.annotate(point.setting, (point.median_us, error), xytext=(5, up), textcoords="offset points", fontsize=8.5)
     if found.gap > 0.0:
         axes.axhspan(low, 100.0 * found.gap, color="0.9", zorder=0, label="reference not known better")
     for row in beside:
@@ -107,3 +115,14 @@ def _draw_beside(axes: Any, row: Measured, low: float) -> None:
             fontsize=8.5,
             color=colour,
         )
+
+
+def apart(places: np.ndarray, row: float) -> np.ndarray:
+    """Rising places of names, shares of a panel's height, a row or more apart and within the panel."""
+    found = places.copy()
+    for index in range(1, len(found)):
+        found[index] = max(found[index], found[index - 1] + row)
+    top = 1.0 - 0.5 * row
+    for index in reversed(range(len(found))):
+        found[index] = min(found[index], top - (len(found) - 1 - index) * row)
+    return found
