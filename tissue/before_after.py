@@ -38,6 +38,7 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
     cameras: list[Camera] = []
 
     def make() -> tuple[list[Coloured], Camera]:
+        """Both surfaces, and where they are seen from."""
         whole = bone_surface(volume, volume.fraction)
         camera = _camera(whole, depth)
         before = with_layers(_seen(whole, camera), volume)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError
+from meshes.polyline import ways_along
 from tissue.build_loop import judged_loops, lead_ticks, perception_of, person_of, predictor_of
 from tissue.coupling.aim import Path, waypoints
 from tissue.coupling.device import DeviceParameters, device_parameters
@@ -159,8 +160,7 @@ def _timed(scripted: Motion, *, recorded: bool, step_s: float) -> tuple[Array, A
     corners_m = scripted.sweep_m()
     if recorded:
         return step_s * np.arange(len(corners_m), dtype=np.float64), corners_m
-    lengths = np.linalg.norm(np.diff(corners_m, axis=0), axis=1)
-    keep = np.concatenate([[True], lengths > 0.0])
-    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    along = ways_along(corners_m)
+    keep = np.diff(along, prepend=-1.0) > 0.0
     times = along * (scripted.duration_s / along[-1])
     return times[keep], corners_m[keep]

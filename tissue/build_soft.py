@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError
+from meshes.polyline import points_along, ways_along
 from meshes.progress import Progress, silent
 from meshes.tetrahedra import TetMesh
 from tissue.materials import constants
@@ -200,9 +201,9 @@ def _touchable(space: "Space", probe: "Probe", motion: Motion) -> tuple[NDArray[
     centres = space.nodes_m[triangles].mean(axis=1)
     reach = np.linalg.norm(space.nodes_m[triangles] - centres[:, None], axis=2).max(axis=1)
     corners, turns = motion.sweep_m(), motion.rotations()
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
+    along = ways_along(corners)
     wanted = np.unique(np.concatenate([np.linspace(0.0, along[-1], POSES_TRIED), along]))
-    tips = np.column_stack([np.interp(wanted, along, corners[:, c]) for c in range(3)])
+    tips = points_along(corners, wanted)
     nearest = np.full(len(triangles), np.inf)
     for tip, turn in zip(tips, turns[np.searchsorted(along, wanted).clip(max=len(turns) - 1)], strict=True):
         nearest = np.minimum(nearest, probe.distance((centres - tip) @ turn)[0])

@@ -46,7 +46,7 @@ def ideal_scene(scene: Scene, finest: Mapping[str, Any] | None = None) -> Scene:
     """
     if scene.device == "none":
         raise InputError("scene must have a device to have a played force, got none: set device, such as touch")
-    stiffness = judged_loop(scene, step_s=TICK_S).stiffness_N_m
+    stiffness = scene.coupling.stiffness_N_m or judged_loop(scene, step_s=TICK_S).stiffness_N_m
     return changed(scene, {**PROMPT, "coupling.stiffness_N_m": stiffness, **(finest or {})})
 
 
@@ -82,7 +82,7 @@ def stretch_force_N(run: Run) -> Array:
     InputError
         If the run had no device.
     """
-    stiffness, trace = run.scene.coupling.stiffness_N_m or ideal_scene(run.scene).coupling.stiffness_N_m, run.trace
+    stiffness, trace = ideal_scene(run.scene).coupling.stiffness_N_m, run.trace
     assert stiffness is not None
     return 1e-3 * stiffness * (trace.vectors("tool", "mm") - trace.vectors("device", "mm"))
 

@@ -56,6 +56,7 @@ def draw_press(
     cameras: list[Camera] = []
 
     def make() -> tuple[list[Coloured], Camera]:
+        """The deformed organ, whole and cut open, and where it is seen from."""
         mesh: Any = frame_mesh(series, frame)
         unit = IN_MM[names[0].rpartition("_")[2]]
         mesh.points = np.asarray(mesh.points) + np.float32(unit) * mesh.point_data[names[0]]

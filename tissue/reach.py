@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError
+from meshes.polyline import points_along, ways_along
 from meshes.volume import VoxelVolume
 from tissue.cutters import Cutter
 from tissue.motion import Motion
@@ -30,10 +31,10 @@ def require_touch(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
     """Refuse a motion that never brings the cutting surface into bone."""
     shell = cutter.shell(spacing_m=max(cutter.profile.radius_m / 24.0, volume.spacing_m)).points_m
     corners, rotations = motion.sweep_m(), motion.rotations()
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
+    along = ways_along(corners)
     between, own = np.linspace(0.0, along[-1], POSES_TRIED), along[:: len(along) // POSES_TRIED + 1]
     wanted = np.unique(np.concatenate([between, own]))
-    tips = np.column_stack([np.interp(wanted, along, corners[:, c]) for c in range(3)])
+    tips = points_along(corners, wanted)
     turns = rotations[np.searchsorted(along, wanted)]
     limits = np.array(volume.shape)
     for tip, turn in zip(tips[::-1], turns[::-1], strict=True):

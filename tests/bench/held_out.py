@@ -18,7 +18,7 @@ import numpy as np
 from harness import machine, table
 
 from meshes.errors import InputError
-from tissue.charts import fidelity
+from tissue.charts import fidelity, places
 from tissue.charts.cost import CostModel
 from tissue.charts.frontier import read_measured, short_of, undominated, write_measured
 from tissue.charts.measure import SETTLED, Measured, counts, excerpt, measure
@@ -60,12 +60,12 @@ def moved(scene: Scene, seed: int) -> Scene:
     assert isinstance(motion, PathMotion)
     feed, depth = rng.uniform(0.8, 1.25), rng.uniform(0.9, 1.1)
     most = ASIDE_MM.get(scene.name, 0.5 * scene.voxels.spacing_mm)
-    points = np.array(motion.points_mm)
-    points[:, 2] = np.where(points[:, 2] < 0.0, depth * points[:, 2], points[:, 2])
-    points[:, :2] += rng.uniform(-most, most, 2)
-    path = tuple((x, y, z) for x, y, z in points.round(4).tolist())
-    made = motion.model_copy(update={"points_mm": path, "feed_mm_s": round(feed * motion.feed_mm_s, 4)})
-    return scene.model_copy(update={"motion": made, "duration_s": round((scene.duration_s or 1.0) / feed, 3)})
+    aside = places.moved(scene, *rng.uniform(-most, most, 2), depth=depth)
+    paced = {
+        "motion.feed_mm_s": round(feed * motion.feed_mm_s, 4),
+        "duration_s": round((scene.duration_s or 1.0) / feed, 3),
+    }
+    return changed(aside, paced)
 
 
 def held_out(scene: Scene, short: Scene, seeds: int) -> Iterator[tuple[str, Scene]]:

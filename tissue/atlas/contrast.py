@@ -54,6 +54,7 @@ def plain_iterations(body: ParticleBody, *, scaled: bool) -> float:
         """The goal is reached."""
 
     def watch(found: Any) -> None:
+        """Stop where every fifth iterate is near enough."""
         nonlocal count
         count += 1
         if count % 5 == 0:

@@ -12,7 +12,7 @@ from meshes.progress import Progress, silent
 from meshes.whole_file import whole_file
 from tissue.charts.beside import beside
 from tissue.charts.law import LawError, law_error
-from tissue.charts.measure import WAY, Measured, excerpt, machine, measure, of_model, reference_gap, setting_key
+from tissue.charts.measure import WAY, Measured, excerpt, machine, measure, of_model, plain, reference_gap, setting_key
 from tissue.charts.rounding import float32_error
 from tissue.charts.settings import Setting, settings_of
 from tissue.scene import Scene
@@ -128,12 +128,12 @@ def _gap(scene: Scene, path: Path, *, quick: bool) -> float:
 
 def _under(key: str, point: Measured) -> Measured:
     """A measurement of an excerpt under the key of its scene."""
-    return Measured(**{name: getattr(point, name) for name in COLUMNS} | {"key": key})
+    return replace(point, key=key)
 
 
 def _store(scene: Scene, *, quick: bool) -> Path:
     """Where a scene's measurements are kept: with the computed arrays of this machine."""
-    text = f"{scene.model_copy(update={'fidelity': None, 'description': ''}).to_toml()}|{machine()}|{quick}|{WAY}"
+    text = f"{plain(scene)}|{machine()}|{quick}|{WAY}"
     return cache_folder() / "frontiers" / f"{scene.name}-{blake2b(text.encode(), digest_size=8).hexdigest()}.csv"
 
 

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from meshes.cache import cached_arrays
+from meshes.polyline import points_along, ways_along
 from meshes.progress import Progress, silent
 from meshes.tet_regions import faces_of
 from tissue.build import motion_of
 from tissue.charts.beside import beside
-from tissue.charts.measure import Measured, machine
+from tissue.charts.measure import Measured, machine, plain
 from tissue.organs import elasticity_of, held_mesh
 from tissue.scene import Scene
 from tissue.scene_soft import LiverAnatomy, SlabAnatomy
@@ -139,6 +140,7 @@ def law_error(scene: Scene, *, tell: Progress = silent) -> LawError | None:
     radius = 0.5e-3 * tool.diameter_mm
 
     def make() -> dict[str, NDArray[np.generic]]:
+        """Both laws at the instants, as arrays that a file can hold."""
         from tissue.liver.hyperelastic import Law
 
         started = perf_counter()
@@ -160,8 +162,7 @@ def law_error(scene: Scene, *, tell: Progress = silent) -> LawError | None:
             "took_s": np.array(perf_counter() - started),
         }
 
-    alone = scene.model_copy(update={"description": "", "fidelity": None}).to_toml()
-    kept = cached_arrays("law", (alone, INSTANTS, EDGES, machine()), make)
+    kept = cached_arrays("law", (plain(scene), INSTANTS, POSES, EDGES, TOLERANCE, machine()), make)
     return LawError(**{entry.name: kept[entry.name] for entry in fields(LawError)})  # type: ignore[arg-type]
 
 
@@ -196,20 +197,17 @@ def _instants(scene: Scene, solver: "NewtonSolver", radius_m: float) -> Instants
     assert isinstance(scene.motion, PathMotion)
     motion = motion_of(scene, step_s=TICK_S)
     corners, axis = motion.sweep_m(), motion.rotations()[0][:, 2]
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
-    wanted = np.linspace(0.0, along[-1], POSES)
-
-    def tips(places: Array) -> Array:
-        return np.column_stack([np.interp(places, along, corners[:, c]) for c in range(3)])
+    wanted = np.linspace(0.0, ways_along(corners)[-1], POSES)
 
     surface = solver.body.nodes_m[np.unique(solver.body.space.faces)]
-    away, _ = KDTree(surface).query(tips(wanted) + radius_m * axis)
+    away, _ = KDTree(surface).query(points_along(corners, wanted) + radius_m * axis)
     touching = wanted[away < radius_m]
     chosen = (
         touching[((np.arange(INSTANTS) + 0.5) / INSTANTS * len(touching)).astype(int)] if len(touching) else touching
     )
-    steps = tips(chosen + 1e-3 * scene.motion.feed_mm_s * TICK_S) - tips(chosen)
-    return [(tip, -axis, step) for tip, step in zip(tips(chosen), steps, strict=True)]
+    tips = points_along(corners, chosen)
+    steps = points_along(corners, chosen + 1e-3 * scene.motion.feed_mm_s * TICK_S) - tips
+    return [(tip, -axis, step) for tip, step in zip(tips, steps, strict=True)]
 
 
 def _pressed(solver: "NewtonSolver", at: Instants, radius_m: float) -> tuple[Array, Array, Array]:

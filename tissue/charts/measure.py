@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from meshes.cache import cached_arrays
 from meshes.errors import InputError
+from meshes.polyline import points_along, ways_along
 from tissue.charts.places import placed
 from tissue.charts.settings import Changes, Setting, finest, nearly_finest
 from tissue.ideal import ideal_force_N, played_force_N
@@ -31,6 +32,7 @@ __all__ = [
     "machine",
     "measure",
     "of_model",
+    "plain",
     "reference_force_N",
     "reference_gap",
     "setting_key",
@@ -121,12 +123,12 @@ def machine() -> str:
 
 def setting_key(scene: Scene, setting: Setting, *, quick: bool) -> str:
     """Hash of a scene at a setting and of the machine."""
-    text = f"{_plain(changed(scene, setting.changes))}|{setting.cores}|{setting.compute}|{quick}|{WAY}|{machine()}"
+    text = f"{plain(changed(scene, setting.changes))}|{setting.cores}|{setting.compute}|{quick}|{WAY}|{machine()}"
     return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
 
 
-def _plain(scene: Scene) -> str:
-    """A scene without its words and its wishes."""
+def plain(scene: Scene) -> str:
+    """A scene without its words and its wishes, as text: what its numbers depend on."""
     return scene.model_copy(update={"description": "", "fidelity": None}).to_toml()
 
 
@@ -149,6 +151,7 @@ def _first_contact_s(scene: Scene, span_s: float) -> float:
     """When a script first touches [s], found on as little of it as will do and kept on disk."""
 
     def found() -> dict[str, NDArray[Any]]:
+        """Time of the first contact, on twice as much of the scene until there is one."""
         whole, span = _length_s(scene), span_s
         while True:
             last = span >= whole
@@ -167,7 +170,7 @@ def _first_contact_s(scene: Scene, span_s: float) -> float:
                 )
             span *= 2.0
 
-    key = (_plain(scene), span_s, version("tissue-sim"))
+    key = (plain(scene), span_s, version("tissue-sim"))
     return float(np.asarray(cached_arrays("contact", key, found)["time_s"])[0])
 
 
@@ -175,8 +178,7 @@ def _length_s(scene: Scene) -> float:
     """Length of a scene; zero where only its run can tell, so that the first try is all of it."""
     if scene.duration_s is not None or not isinstance(scene.motion, PathMotion):
         return scene.duration_s or 0.0
-    points = np.array(scene.motion.points_mm)
-    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()) / scene.motion.feed_mm_s
+    return float(ways_along(scene.motion.points_mm)[-1]) / scene.motion.feed_mm_s
 
 
 def _until(scene: Scene, end_s: float) -> Scene:
@@ -186,10 +188,9 @@ def _until(scene: Scene, end_s: float) -> Scene:
     changes: dict[str, Any] = {"duration_s": round(end_s, 3)}
     if isinstance(scene.motion, PathMotion):
         points = np.array(scene.motion.points_mm)
-        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        along = ways_along(points)
         stop = min(scene.motion.feed_mm_s * end_s, along[-1])
-        last = [float(np.interp(stop, along, points[:, axis])) for axis in range(3)]
-        kept = [*points[along < stop].tolist(), last]
+        kept = [*points[along < stop].tolist(), *points_along(points, [stop]).tolist()]
         path = tuple((x, y, z) for x, y, z in kept)
         changes["motion"] = scene.motion.model_copy(update={"points_mm": path})
     return scene.model_copy(update=changes)
@@ -197,8 +198,8 @@ def _until(scene: Scene, end_s: float) -> Scene:
 
 def measure(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
     """Run a scene, already cut to its excerpt, at a setting: once at each place, or again where there is only one."""
-    started, runs, errors = perf_counter(), [], []
-    for count, place in enumerate(placed(scene)):
+    started, places, runs, errors = perf_counter(), placed(scene), [], []
+    for count, place in enumerate(places):
         try:
             runs.append(_run(place, setting))
             errors.append(_error(runs[-1], place, quick=quick))
@@ -206,7 +207,7 @@ def measure(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
             # Aside or deeper a tool may start inside the tissue or meet none.
             if count == 0:
                 raise
-    if len(placed(scene)) == 1 and not (quick and scene.device != "none"):
+    if len(places) == 1 and not (quick and scene.device != "none"):
         runs += [_run(scene, setting) for _ in range(REPEATS - 1)]
     took = (perf_counter() - started) / len(runs)
     # What else the machine does only adds time.
@@ -270,7 +271,7 @@ def reference_force_N(scene: Scene, changes: Changes) -> Array:
     at = changed(of_model(scene), changes)
     forces = cached_arrays(
         "reference",
-        (_plain(at), version("tissue-sim"), version("warp-lang")),
+        (plain(at), version("tissue-sim"), version("warp-lang")),
         lambda: {"force_N": simulate(at).trace.vectors("model_force", "N")},
     )
     return np.asarray(forces["force_N"], dtype=np.float64)

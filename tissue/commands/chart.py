@@ -57,12 +57,12 @@ def chart(
 
 def _scenes(names: list[str], folder: Path, *, quick: bool, overwrite: bool) -> None:
     """`tissue chart [SCENE ...]`."""
-    import psutil
+    import os
 
     from tissue.charts.scenes import chart_lines, chart_scenes
     from tissue.study.pools import executor
 
-    workers = max(1, min(psutil.cpu_count(logical=True) or 1, MOST_WORKERS))
+    workers = min(os.cpu_count() or 1, MOST_WORKERS)
     with progress() as tell, executor(workers, None, patience_s=0.0) as pool:
         found = chart_scenes(names, folder, quick=quick, overwrite=overwrite, pool=pool, tell=tell)
     for line in chart_lines(found):

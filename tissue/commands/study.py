@@ -79,6 +79,7 @@ def run(
         spoke = 0.0
 
         def tell(doing: str, share: float) -> None:
+            """Move the bar; speak of what is no mere progress, and of that now and then where there is no bar."""
             nonlocal spoke
             bar(doing, share)
             going = " left" in doing

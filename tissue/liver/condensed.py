@@ -114,6 +114,7 @@ def surface_compliance(
     key = [blocks.data, blocks.indices, blocks.indptr, body.supports.fixed, touchable, shown]
 
     def make() -> dict[str, NDArray[np.generic]]:
+        """The matrix, and what moves the nodes that are shown."""
         if len(shown) == 0 and len(body.free) <= SCHUR_UNKNOWNS:
             return {
                 "matrix": schur_compliance_m_N(body, touchable),

@@ -153,6 +153,7 @@ class SurfaceContact:
             return wp.launch(kernel, dim=1, inputs=inputs, device=device, record_cmd=True).launch
 
         def build() -> list[Any]:
+            """Record the launches of a tick, in order."""
             stages: list[Any] = [
                 record(find_near, [body, centres, radii, probe.kind, size, pose, REACH_M, lists, patch, results])
             ]

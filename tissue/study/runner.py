@@ -1,9 +1,11 @@
 """Run a study: trials on worker processes or on a cluster, stopped and resumed at any of them."""
 
+import gc
 import os
 from collections import Counter
 from collections.abc import Iterable
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from functools import cache
 from pathlib import Path
 from time import perf_counter, sleep
 
@@ -98,6 +100,20 @@ def run_study(
     return folder
 
 
+def _in_worker(plan: Plan, key: TrialKey) -> Trial:
+    """A trial, in a process that does nothing else."""
+    trial = run_trial(plan, key)
+    _keep_what_stays()
+    return trial
+
+
+@cache
+def _keep_what_stays() -> None:
+    """Spare every further run the search for garbage among modules and kernels, which outlives all trials."""
+    gc.collect()
+    gc.freeze()
+
+
 class _Work:
     """What is left of a plan."""
 
@@ -122,7 +138,7 @@ class _Work:
         fresh = iter(keys)
         while True:
             while len(self.running) < ahead and (key := next(fresh, None)) is not None:
-                self.running[pool.submit(run_trial, self.plan, key)] = key
+                self.running[pool.submit(_in_worker, self.plan, key)] = key
             if not self.running:
                 return
             finished, _ = wait(self.running, return_when=FIRST_COMPLETED)

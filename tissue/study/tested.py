@@ -204,6 +204,7 @@ def composite_section(table: TrialTable, rng: np.random.Generator) -> Section:
     """The composite index."""
 
     def made() -> Section:
+        """The index of each method and its weights."""
         index = composite_index(table, DIRECTIONS, rng=rng)
         rows = [
             ("weight", each.name, f"{each.value:.3f}", f"{each.low:.3f}", f"{each.high:.3f}", "")
@@ -239,6 +240,7 @@ def regression_section(table: TrialTable) -> Section:
     """Task error on force error and latency."""
 
     def made() -> Section:
+        """Slopes by task."""
         rows, told = [], []
         for task in (each for each in TASKS if each in table.task):
             found = trial_regression(table.where(task=task), "position_error_mm", ("force_error", "latency_ms"))
@@ -256,6 +258,7 @@ def power_section(table: TrialTable, rng: np.random.Generator) -> Section:
     """Error rates of the tests with users drawn again 10,000 times."""
 
     def made() -> Section:
+        """Rates by task and test."""
         rows, told, loose = [], [], []
         for task in (each for each in TASKS if each in table.task):
             for each in redrawn_power(

@@ -1,10 +1,9 @@
 """One trial of a study: the same person, specimen and noise under every method, and the metrics of each."""
 
-import gc
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import lru_cache
 from math import floor
 from pathlib import Path
 from time import perf_counter
@@ -97,7 +96,6 @@ def run_trial(plan: Plan, key: TrialKey) -> Trial:
                 except Exception as error:  # a trial that fails must not take the study with it, whatever the fault
                     found = {"failure": _told(error)}
                 rows.append({"method": method} | found)
-    _keep_what_stays()
     return Trial(key, trial_seed(plan, key), tuple(rows), perf_counter() - started)
 
 
@@ -133,13 +131,6 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
 def _stiffness_N_m(scene: Scene) -> float:
     """Stiffness that is chosen for a scene [N/m]; neither seed nor pace counts, so that few are ever asked for."""
     return judged_loop(scene, step_s=TICK_S).stiffness_N_m
-
-
-@cache
-def _keep_what_stays() -> None:
-    """Spare every further run the search for garbage among modules and kernels, which outlives all trials."""
-    gc.collect()
-    gc.freeze()
 
 
 def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Observer]:

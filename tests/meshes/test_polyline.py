@@ -1,0 +1,20 @@
+"""Points along a line through corners."""
+
+import numpy as np
+import pytest
+
+from meshes.polyline import points_along, ways_along
+
+CORNERS = [[0.0, 0.0, 0.0], [3.0, 4.0, 0.0], [3.0, 4.0, 0.0], [3.0, 4.0, -2.0]]
+
+
+def test_ways_are_sums_of_lengths():
+    assert ways_along(CORNERS).tolist() == [0.0, 5.0, 5.0, 7.0]
+
+
+@pytest.mark.parametrize(
+    ("way", "point"),
+    [(0.0, (0, 0, 0)), (2.5, (1.5, 2, 0)), (6.0, (3, 4, -1)), (-1.0, (0, 0, 0)), (9.0, (3, 4, -2))],
+)
+def test_points_lie_on_the_legs_and_at_the_ends_beyond(way, point):
+    assert points_along(CORNERS, [way])[0] == pytest.approx(np.array(point, dtype=float), abs=1e-15)
