@@ -11,9 +11,11 @@ from meshes.image import CT_DENSITY, DensityLaw, read_volume
 from meshes.label_volume import label_volume
 from meshes.layered_surfaces import layered_surfaces
 from meshes.molar import molar
+from meshes.placement import Placement
 from meshes.sdf import Shape
-from meshes.site import Site, find_glenoid, surface_anatomy
+from meshes.site import Site, find_glenoid, place_site
 from meshes.surface import Surface, SurfaceReport, read_surface
+from meshes.surface_anatomy import surface_anatomy
 from meshes.tooth_layers import TOOTH_LAYERS, caries_softness
 from meshes.volume import VoxelVolume
 from meshes.voxelise import voxelise
@@ -24,6 +26,7 @@ __all__ = [
     "Anatomy",
     "DensityLaw",
     "InputError",
+    "Placement",
     "Shape",
     "Site",
     "Surface",
@@ -36,6 +39,7 @@ __all__ = [
     "label_volume",
     "layered_surfaces",
     "molar",
+    "place_site",
     "read_surface",
     "read_volume",
     "surface_anatomy",

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError, require_range
+from meshes.placement import Placement
 from meshes.sdf import Shape, box
 
 if TYPE_CHECKING:
@@ -48,6 +49,10 @@ class Anatomy:
     sample
         Where the signed distance is too dear to ask voxel by voxel (a triangle mesh): fraction and depth of a whole
         grid at once. None: the shape is sampled.
+    placement
+        Where the site frame lies in that of the file that it came from; None where it came from none.
+    caps_m
+        Points [m], shape (k, 3), of each face at which the bone was cut off by the edge of its scan.
     """
 
     name: str
@@ -56,6 +61,8 @@ class Anatomy:
     classify: Classify
     notes: Mapping[str, str] = field(default_factory=dict)
     sample: GridSampler | None = None
+    placement: Placement | None = None
+    caps_m: tuple[NDArray[np.float64], ...] = ()
 
 
 def cortical_block(

@@ -1,19 +1,22 @@
 """Arrays that are dear to compute, kept on disk by the hash of what they were computed from."""
 
 import hashlib
+import json
 import os
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from zipfile import BadZipFile
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.file_version import package_version
 from meshes.whole_file import whole_file
 
 __all__ = ["cache_folder", "cached_arrays"]
 
+_SEAL = "tissue cache entry"
 Arrays = dict[str, NDArray[np.generic]]
 
 
@@ -43,7 +46,9 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
 
     Notes
     -----
-    A file that cannot be read is computed again; a folder that cannot be written is done without.
+    A file holds beside its arrays the version of the code that made them (that of tissue, and the module of ``make``),
+    their kinds, their shapes and a checksum. One that does not fit, or cannot be read, is made again. A folder that
+    cannot be written is done without.
     """
     digest = hashlib.blake2b(digest_size=16)
     for part in key:
@@ -53,16 +58,47 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
         else:
             digest.update(repr(part).encode())
     path = cache_folder() / f"{kind}-{digest.hexdigest()}.npz"
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            return {name: stored[name] for name in stored.files}
-    except (OSError, ValueError, BadZipFile, EOFError, KeyError):
-        pass
-    arrays = make()
+    code = _code(make)
+    kept = _read(path, code)
+    if kept is not None:
+        return kept
+    arrays = {name: np.asarray(array) for name, array in make().items()}
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(path) as beside:
-            np.savez(beside, **arrays)  # type: ignore[arg-type]
+            sealed: dict[str, Any] = {_SEAL: np.array(_seal(arrays, code)), **arrays}
+            np.savez(beside, **sealed)
     except OSError:
         pass
     return arrays
+
+
+def _read(path: Path, code: str) -> Arrays | None:
+    """Arrays of a file that is whole and was written by the same code, else None."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+            return arrays if str(arrays.pop(_SEAL)) == _seal(arrays, code) else None
+    except FileNotFoundError:
+        return None
+    except Exception:  # a damaged archive raises many kinds, and is made again
+        return None
+
+
+def _seal(arrays: Arrays, code: str) -> str:
+    """What a file says of its arrays, as JSON: code, kinds, shapes and a checksum."""
+    checksum = hashlib.blake2b(digest_size=16)
+    for array in arrays.values():
+        checksum.update(np.ascontiguousarray(array).tobytes())
+    described = {name: [array.dtype.str, array.shape] for name, array in arrays.items()}
+    return json.dumps({"format": 1, "code": code, "arrays": described, "checksum": checksum.hexdigest()})
+
+
+def _code(make: Callable[[], Arrays]) -> str:
+    """Version of tissue and of the module in which a function stands."""
+    module = sys.modules.get(make.__module__)
+    try:
+        source = Path(module.__file__).read_bytes() if module is not None and module.__file__ else b""
+    except OSError:
+        source = b""
+    return f"{package_version()} {hashlib.blake2b(source, digest_size=8).hexdigest()}"

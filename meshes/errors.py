@@ -2,11 +2,20 @@
 
 import math
 
-__all__ = ["InputError", "require_positive", "require_range"]
+__all__ = ["DamagedFileError", "InputError", "counted", "require_positive", "require_range"]
 
 
 class InputError(ValueError):
     """An input that cannot be used: one sentence with argument, value, requirement and remedy."""
+
+
+class DamagedFileError(Exception):
+    """What is wrong inside a file, in words of its format; its reader makes it part of the sentence that refuses it."""
+
+
+def counted(count: int, noun: str) -> str:
+    """A number of things with their noun, in the plural where there are other than one."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def require_positive(name: str, value: float, remedy: str) -> float:

@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError, require_positive, require_range
-from meshes.image_file import Image, read_image
+from meshes.image_file import read_image
+from meshes.image_frame import Image
+from meshes.placement import Placement
 from meshes.volume import FULL, VoxelVolume
 
 __all__ = ["CT_DENSITY", "DensityLaw", "image_volume", "read_volume"]
@@ -110,7 +112,7 @@ def image_volume(
     layer_name: str = "trabecular",
     remark: Callable[[str], None] | None = None,
 ) -> VoxelVolume:
-    """Bone voxels of one layer; the origin is the centre of the block's top face, +z upward.
+    """Bone voxels of one layer; the origin is the centre of the block's top face, +z upward, its place in LPS kept.
 
     Parameters
     ----------
@@ -124,12 +126,12 @@ def image_volume(
     smooth_voxels
         Standard deviation of a Gaussian filter applied first [voxels], 0 to 10.
     crop
-        First and past-the-last voxel to keep, along the file's axes.
+        First and past-the-last voxel to keep, along the image's axes (LPS).
     resample_mm
         New voxel size [mm]. Finer: grey values are interpolated first. Coarser: fractions are averaged, bone volume
         kept. None: the file's, or the finest of its three.
     up
-        Axis of the file that becomes +z: one of +x, -x, +y, -y, +z, -z.
+        Axis of the image (LPS) that becomes +z: one of +x, -x, +y, -y, +z, -z.
     layer_name
         Name of the layer.
 
@@ -171,14 +173,27 @@ def image_volume(
     for note in notes:
         if remark is not None:
             remark(note)
-    return _placed(fraction, mass, 1e-3 * spacing, up, layer_name)
+    first = np.array(crop[0] if crop is not None else (0, 0, 0)) - 0.5
+    corner_mm = np.array(image.origin_mm) + first * image.spacing_mm
+    return _placed(fraction, mass, spacing, corner_mm, up, layer_name)
 
 
 def _placed(
-    fraction: NDArray[np.float32], mass: NDArray[np.float32], spacing_m: float, up: str, layer_name: str
+    fraction: NDArray[np.float32],
+    mass: NDArray[np.float32],
+    spacing_mm: float,
+    corner_mm: NDArray[np.float64],
+    up: str,
+    layer_name: str,
 ) -> VoxelVolume:
-    """Volume with the axis `up` of the arrays along +z and the centre of its top face at the origin."""
+    """Volume with the axis `up` of the arrays along +z and the centre of its top face at the origin.
+
+    `corner_mm` is the lowest corner of the arrays in the image's frame.
+    """
+    spacing_m, shape = 1e-3 * spacing_mm, np.array(fraction.shape)
     fraction, mass = _upright(fraction, up), _upright(mass, up)
+    rotation = _upright_axes(up)
+    far_mm = corner_mm + spacing_mm * shape * (rotation.sum(axis=1) < 0)
     density = np.divide(mass, fraction, out=np.zeros_like(mass), where=fraction > 0.25 / FULL)
     nx, ny, nz = fraction.shape
     origin = -spacing_m * np.array([nx // 2, ny // 2, nz], dtype=np.float64)
@@ -189,6 +204,7 @@ def _placed(
         np.zeros(fraction.shape, np.uint8),
         np.ascontiguousarray(np.rint(density), dtype=np.uint16),
         (layer_name,),
+        Placement(far_mm - 1e3 * rotation @ origin, rotation),
     )
 
 
@@ -264,6 +280,14 @@ def _averaged(values: NDArray[np.float32], axis: int, ratio: float) -> NDArray[n
     part = (edges - low).reshape([-1 if k == axis else 1 for k in range(3)])
     below, above = np.take(running, low, axis=axis), np.take(running, low + 1, axis=axis)
     return (np.diff(below + (above - below) * part, axis=axis) / ratio).astype(np.float32)
+
+
+def _upright_axes(up: str) -> NDArray[np.float64]:
+    """Axes as columns, in the image's frame, of what `_upright` makes of it."""
+    axis, sign = "xyz".index(up[1]), 1.0 if up[0] == "+" else -1.0
+    axes = np.zeros((3, 3))
+    axes[(axis + 1) % 3, 0], axes[(axis + 2) % 3, 1], axes[axis, 2] = sign, 1.0, sign
+    return axes
 
 
 def _upright(values: NDArray[Any], up: str) -> NDArray[Any]:

@@ -16,6 +16,7 @@ __all__ = ["EMPTY", "LayerImage", "layer_image"]
 
 EMPTY = 255
 """Layer index of a voxel outside the tooth."""
+_FEW_LABELS = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,12 +31,15 @@ class LayerImage:
         Voxels by layer name.
     island_count, island_voxels
         Loose pieces that were dropped, and voxels in them.
+    first
+        Voxel of the image that is the first of `layer`.
     """
 
     layer: NDArray[np.uint8]
     counts: Mapping[str, int]
     island_count: int
     island_voxels: int
+    first: tuple[int, int, int]
 
 
 def layer_image(values: NDArray[Any], labels: Mapping[int, str], source: str) -> LayerImage:
@@ -81,6 +85,7 @@ def layer_image(values: NDArray[Any], labels: Mapping[int, str], source: str) ->
         {name: int(counts[k]) for k, name in enumerate(TOOTH_LAYERS) if counts[k]},
         len(sizes) - 2,
         dropped,
+        (crop[0].start, crop[1].start, crop[2].start),
     )
 
 
@@ -89,12 +94,25 @@ def _label_counts(values: NDArray[Any], source: str) -> dict[int, int]:
     found: dict[int, int] = {}
     for k in range(values.shape[2]):
         plane = values[:, :, k]
-        numbers, counts = np.unique(plane[plane != 0], return_counts=True)
+        numbers, counts = _distinct(plane)
         for number, count in zip(numbers.tolist(), counts.tolist(), strict=True):
+            if number == 0:
+                continue
             if number != int(number):
                 raise InputError(f"labels must be whole numbers, got {number:g} in {source}: use a label image")
             found[int(number)] = found.get(int(number), 0) + count
     return dict(sorted(found.items()))
+
+
+def _distinct(plane: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]:
+    """Numbers in an array and how often each is there; without a sort where they are whole and few."""
+    if plane.dtype.kind in "iu":
+        lowest = int(plane.min())
+        if int(plane.max()) - lowest < _FEW_LABELS:
+            counts = np.bincount(plane.ravel(order="K").astype(np.int64) - lowest)
+            numbers = np.flatnonzero(counts)
+            return numbers + lowest, counts[numbers]
+    return np.unique(plane, return_counts=True)
 
 
 def _pieces(filled: NDArray[np.bool_]) -> tuple[NDArray[np.int32], int, NDArray[np.int64]]:

@@ -14,9 +14,12 @@ from meshes.errors import InputError, require_range
 from meshes.glenoid_search import sample_surface
 from meshes.layer_contact import PITCH_M, LayerContact, inside_lattice, inside_surface, measure_contact
 from meshes.layered_solid import Lattice, LayeredSolid, joined, socket_lattice
+from meshes.lesion_site import lesion_site
 from meshes.mesh_sampling import column_crossings, triangle_distance
+from meshes.placement import Placement
 from meshes.repair import Triangles
 from meshes.sdf import Shape
+from meshes.site import Site
 from meshes.surface import Surface, read_surface
 from meshes.tooth_checks import (
     require_known,
@@ -27,11 +30,13 @@ from meshes.tooth_checks import (
 )
 from meshes.tooth_layers import TOOTH_LAYERS
 from meshes.tooth_site import tooth_axes
+from meshes.voxelise import voxelise
 
 __all__ = ["layered_anatomy", "layered_surfaces"]
 
 _SAMPLE_PITCH_M, _MOST_SAMPLES = 0.1e-3, 300_000
 _NEAR_M = 0.2e-3
+_LESION_M = 0.15e-3
 
 
 def layered_surfaces(
@@ -40,6 +45,7 @@ def layered_surfaces(
     scale_mm: float | None = None,
     priority: Sequence[str] | None = None,
     socket_mm: float = 0.0,
+    at_lesion: bool = False,
 ) -> Anatomy:
     """Tooth from surface files, one closed surface per layer, in one common frame and unit.
 
@@ -49,7 +55,7 @@ def layered_surfaces(
         File by layer name; enamel and dentin at least.
     scale_mm
         Millimetres per unit of the files; None: guessed from the dentin, used for all.
-    priority, socket_mm
+    priority, socket_mm, at_lesion
         As in `layered_anatomy`.
 
     Raises
@@ -58,17 +64,28 @@ def layered_surfaces(
         If a file cannot be used, or as in `layered_anatomy`.
     """
     require_known(paths_by_layer, "paths_by_layer")
-    dentin = read_surface(paths_by_layer["dentin"], scale_mm=scale_mm)
+    dentin = _read("dentin", paths_by_layer["dentin"], scale_mm)
     scale = dentin.report.scale_mm
-    surfaces = {
-        name: dentin if name == "dentin" else read_surface(path, scale_mm=scale)
-        for name, path in paths_by_layer.items()
-    }
-    return layered_anatomy(surfaces, priority=priority, socket_mm=socket_mm)
+    surfaces = {name: dentin if name == "dentin" else _read(name, path, scale) for name, path in paths_by_layer.items()}
+    return layered_anatomy(surfaces, priority=priority, socket_mm=socket_mm, at_lesion=at_lesion)
+
+
+def _read(layer: str, path: str | Path, scale_mm: float | None) -> Surface:
+    """The surface of a layer; a refusal of its file says which layer it is."""
+    try:
+        return read_surface(path, scale_mm=scale_mm)
+    except InputError as error:
+        said = str(error)
+        raise InputError(said if said.startswith("anatomy.") else f"{layer} {said}") from error
 
 
 def layered_anatomy(
-    surfaces: Mapping[str, Surface], *, priority: Sequence[str] | None = None, socket_mm: float = 0.0
+    surfaces: Mapping[str, Surface],
+    *,
+    priority: Sequence[str] | None = None,
+    socket_mm: float = 0.0,
+    at_lesion: bool = False,
+    at: Site | None = None,
 ) -> Anatomy:
     """Tooth from closed surfaces by layer name, in the site frame of teeth.
 
@@ -86,6 +103,11 @@ def layered_anatomy(
     socket_mm
         Thickness of bone added around the ligament [mm], 0 (none) to 10: the points nearer to the ligament than to the
         rest of the tooth.
+
+    at_lesion
+        Whether the origin lies over the lesion, see `meshes.lesion_site.lesion_site`.
+    at
+        The site in the frame of the surfaces, where it is known.
 
     Raises
     ------
@@ -107,7 +129,12 @@ def layered_anatomy(
     size_mm, scale = 1e3 * float(np.ptp(whole, axis=0).max()), surfaces["dentin"].report.scale_mm
     if "bone" not in surfaces:
         require_tooth_size(size_mm, "scale_mm", f"{scale:g}", size_mm / scale)
-    centre, rotation, said = _site(surfaces, samples)
+    if at_lesion:
+        upright = layered_anatomy(surfaces, priority=priority)
+        assert upright.placement is not None
+        found = lesion_site(voxelise(upright, spacing_m=_LESION_M))
+        return layered_anatomy(surfaces, priority=priority, socket_mm=socket_mm, at=found.within(upright.placement))
+    centre, rotation, said = _site(surfaces, samples) if at is None else (at.centre_m, at.rotation, at.confidence)
     placed = {name: ((surfaces[name].vertices_m - centre) @ rotation, surfaces[name].faces) for name in surfaces}
     samples = {name: (points - centre) @ rotation for name, points in samples.items()}
     origin, contact = _contact(placed, order)
@@ -139,7 +166,8 @@ def layered_anatomy(
         tuple(np.maximum(points.max(axis=0), samples.get("ligament", points).max(axis=0) + margin).tolist()),
     )
     notes = _notes(surfaces, said, contact, order, socket_mm)
-    return Anatomy("tooth from surfaces", shape, TOOTH_LAYERS, layers.classify, notes, layers.sample)
+    placement = Placement(1e3 * centre, rotation, scale)
+    return Anatomy("tooth from surfaces", shape, TOOTH_LAYERS, layers.classify, notes, layers.sample, placement)
 
 
 def _spread(surface: Surface) -> NDArray[np.float64]:

@@ -8,6 +8,7 @@ Depth: the distance to the surface on a lattice of 0.4 mm or a voxel, interpolat
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ __all__ = ["ColumnCrossings", "TriangleSampler", "column_crossings", "triangle_d
 _LINES = 3
 _PAIRS_AT_ONCE = 2_000_000
 _WIDEST_LATTICE_M = 0.41e-3
+_CELLS_BEYOND = 4
 _OFFSET = np.array([0.0137, 0.0071])
 
 
@@ -52,10 +54,29 @@ class TriangleSampler:
         Vertices in the frame of the grid [m], shape (n, 3).
     faces
         Triangles wound outward, shape (m, 3).
+    exact_m
+        Depth up to which it has to be right; farther in it is only not less than that. Triangles farther away than that
+        are left out.
     """
 
     vertices_m: NDArray[np.float64]
     faces: NDArray[np.int64]
+    exact_m: float = np.inf
+
+    @cached_property
+    def _box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Lowest and highest corner of each triangle [m], shape (m, 3)."""
+        corners = self.vertices_m[self.faces]
+        return corners.min(axis=1), corners.max(axis=1)
+
+    def _within(self, grid: Grid, margin: float, axes: int) -> NDArray[np.int64]:
+        """Triangles whose box meets that of the grid, grown by a margin [m], along its first `axes` axes."""
+        low, high = self._box
+        first, last = (np.array(corner) * grid.spacing_m for corner in (grid.first, grid.last))
+        near = np.ones(len(self.faces), dtype=bool)
+        for axis in range(axes):
+            near &= (low[:, axis] <= last[axis] + margin) & (high[:, axis] >= first[axis] - margin)
+        return self.faces[near]
 
     def __call__(self, grid: Grid) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Fraction 0 to 1 and depth [m], positive inside, float32, shape of the blocked grid.
@@ -70,7 +91,7 @@ class TriangleSampler:
         pitch = grid.spacing_m / _LINES
         x = ((np.arange(nx * _LINES) + grid.first[0] * _LINES + 0.5) + _OFFSET[0]) * pitch
         y = ((np.arange(ny * _LINES) + grid.first[1] * _LINES + 0.5) + _OFFSET[1]) * pitch
-        crossings = column_crossings(self.vertices_m, self.faces, x, y)
+        crossings = column_crossings(self.vertices_m, self._within(grid, grid.spacing_m, 2), x, y)
         level = np.clip(crossings.height / grid.spacing_m - grid.first[2], 0.0, nz)
         voxel = np.minimum(level.astype(np.int64), nz - 1)
         row, column = crossings.line // len(y) // _LINES, crossings.line % len(y) // _LINES
@@ -82,6 +103,22 @@ class TriangleSampler:
         filled = np.cumsum(change.reshape(nx, ny, nz + 1), axis=2)[:, :, :nz] / _LINES**2
         return np.clip(filled, 0.0, 1.0).astype(np.float32)
 
+    def _depth_at(self, grid: Grid, points: NDArray[Any]) -> NDArray[np.float64]:
+        """Depth of points [m] in cells with bone in them."""
+        if np.isinf(self.exact_m):
+            return -triangle_distance(self.vertices_m, self.faces, points)
+        margin = self.exact_m + _CELLS_BEYOND * max(_WIDEST_LATTICE_M, grid.spacing_m)
+        near = self._within(grid, margin, 3)
+        if len(near) == 0:
+            return np.full(len(points), margin)
+        vertices, faces = _used(self.vertices_m, near)
+        enough = self.exact_m + 2.0 * max(_WIDEST_LATTICE_M, grid.spacing_m)
+        depth = _kept_away(vertices, faces, points, enough)
+        close = depth < enough
+        depth[close] = -triangle_distance(vertices, faces, points[close])
+        # So far from all that was kept, a point of a cell with bone lies inside, whatever side the nearest would say.
+        return np.where(np.abs(depth) >= margin, np.abs(depth), depth)
+
     def _depth(self, grid: Grid, fraction: NDArray[np.float32]) -> NDArray[np.float32]:
         step = next((n for n in (8, 4, 2) if n * grid.spacing_m <= _WIDEST_LATTICE_M), 1)
         bx, by, bz = (n // step for n in grid.shape)
@@ -91,7 +128,7 @@ class TriangleSampler:
             needed[i : bx + i, j : by + j, k : bz + k] |= occupied
         lattice = (np.argwhere(needed) * step + grid.first) * grid.spacing_m
         corners = np.zeros(needed.shape, dtype=np.float32)
-        corners[needed] = -triangle_distance(self.vertices_m, self.faces, lattice)
+        corners[needed] = self._depth_at(grid, lattice)
         weight = ((np.arange(step) + 0.5) / step).astype(np.float32)
         for axis in range(3):
             low, high = np.delete(corners, -1, axis=axis), np.delete(corners, 0, axis=axis)
@@ -101,6 +138,25 @@ class TriangleSampler:
             low, high = np.expand_dims(low, axis + 1), np.expand_dims(high, axis + 1)
             corners = (low + (high - low) * along).reshape(shape)
         return corners
+
+
+def _kept_away(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], points: NDArray[Any], enough: float
+) -> NDArray[np.float64]:
+    """Distance [m] that points, shape (n, 3), keep at least from the triangles, as far as `enough`."""
+    from scipy.spatial import cKDTree
+
+    corners = vertices[faces]
+    longest = np.sqrt(((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max())
+    to_vertex, _ = cKDTree(vertices).query(points, distance_upper_bound=enough + longest)
+    return np.where(np.isinf(to_vertex), enough, to_vertex - longest)
+
+
+def _used(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Triangles with the vertices that they use and no others."""
+    named = np.zeros(len(vertices), dtype=bool)
+    named[faces] = True
+    return vertices[named], (np.cumsum(named) - 1)[faces]
 
 
 def column_crossings(

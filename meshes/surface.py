@@ -9,20 +9,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.errors import InputError, require_positive
-from meshes.repair import drop_debris, edge_counts, fill_holes, merge_vertices, orient, signed_volume
+from meshes.errors import InputError, counted
+from meshes.obj_file import read_obj
+from meshes.parse_apart import parse_apart
+from meshes.ply_header import require_whole_ply
+from meshes.repair import Triangles, drop_debris, edge_counts, fill_holes, merge_vertices, orient, signed_volume
+from meshes.stl_file import read_binary_stl
+from meshes.surface_unit import unit_of
 
-__all__ = ["SURFACE_SUFFIXES", "Surface", "SurfaceReport", "read_surface", "surface_from_triangles"]
+__all__ = ["SURFACE_SUFFIXES", "Surface", "SurfaceReport", "read_surface", "read_triangles", "surface_from_triangles"]
 
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
-_SMALLEST_MM, _LARGEST_MM = 1.0, 1000.0
-_UNITS = (("millimetres", 1.0, 5.0, 700.0), ("metres", 1000.0, 0.005, 0.7))
-_CENTIMETRES = (6.0, 60.0)
 _MERGE_TOLERANCE = 1e-6
 _DEBRIS_AREA = 0.01
 _HOLE_AREA = 0.03
+_CAP_M2 = 1e-5
+"""A hole of more area is told of as a cap: what closes it is a guess, which matters where a tool goes."""
 _FLATTEST = 1e-3
-_TYPICAL_BONE_MM = 140.0
+_FARTHEST = 1e100
+"""Coordinates beyond it count as not finite: their squares overflow."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +46,8 @@ class SurfaceReport:
         Sides of the bounding box [mm].
     volume_mm3
         Volume enclosed [mm3].
-    repairs
-        What was changed, a sentence each.
+    repairs, turned
+        What was changed, a sentence each, and how many triangles or whole bodies were turned.
     """
 
     source: str
@@ -51,6 +56,7 @@ class SurfaceReport:
     size_mm: tuple[float, float, float]
     volume_mm3: float
     repairs: tuple[str, ...]
+    turned: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,14 +71,20 @@ class Surface:
         Vertex numbers of the triangles, shape (m, 3), int64.
     report
         Where it came from and what was done to it.
+    caps_m
+        Points [m], shape (k, 3), of each face laid over a hole of more than 10 mm2, where the scan of the bone may end.
+    scanned
+        Vertices [m] and triangles without what was laid over holes, from which a site takes its axes.
     """
 
     vertices_m: NDArray[np.float64]
     faces: NDArray[np.int64]
     report: SurfaceReport
+    caps_m: tuple[NDArray[np.float64], ...]
+    scanned: Triangles
 
 
-def read_surface(path: str | Path, *, scale_mm: float | None = None) -> Surface:
+def read_surface(path: str | Path, *, scale_mm: float | None = None, cut_off: bool = False) -> Surface:
     """Read a surface from STL, OBJ, PLY, VTK or VTP and make it enclose a solid.
 
     Parameters
@@ -82,6 +94,8 @@ def read_surface(path: str | Path, *, scale_mm: float | None = None) -> Surface:
     scale_mm
         Millimetres per unit of the file; None: guessed from the longest side of the bounding box (5 to 700:
         millimetres; 0.005 to 0.7: metres; anything else is refused).
+    cut_off
+        Whether the bone may end at the edge of its scan: a large hole is closed by a face, where else it is refused.
 
     Raises
     ------
@@ -90,21 +104,17 @@ def read_surface(path: str | Path, *, scale_mm: float | None = None) -> Surface:
         solid of 1 mm to 1 m.
     """
     file = Path(path)
-    if file.suffix.lower() not in SURFACE_SUFFIXES:
-        raise InputError(
-            f"file must end in {', '.join(SURFACE_SUFFIXES)}, got {file.name}: convert it, or read a "
-            "volume with read_volume"
-        )
-    if not file.is_file():
-        raise InputError(f"file must exist, got {file}: check the path, which is taken from the working directory")
-    if file.stat().st_size == 0:
-        raise InputError(f"file must hold a surface, got the empty file {file.name}: export it again")
-    vertices, faces = _read_triangles(file)
-    return surface_from_triangles(vertices, faces, source=file.name, scale_mm=scale_mm)
+    vertices, faces = read_triangles(file)
+    return surface_from_triangles(vertices, faces, source=file.name, scale_mm=scale_mm, cut_off=cut_off)
 
 
 def surface_from_triangles(
-    vertices: NDArray[Any], faces: NDArray[Any], *, source: str = "triangles", scale_mm: float | None = None
+    vertices: NDArray[Any],
+    faces: NDArray[Any],
+    *,
+    source: str = "triangles",
+    scale_mm: float | None = None,
+    cut_off: bool = False,
 ) -> Surface:
     """Make triangles enclose a solid: one unit, vertices merged, debris dropped, wound outward, small holes filled.
 
@@ -114,7 +124,7 @@ def surface_from_triangles(
         Vertices [file units], shape (n, 3).
     faces
         Vertex numbers, shape (m, 3).
-    source, scale_mm
+    source, scale_mm, cut_off
         As in `read_surface`.
 
     Raises
@@ -123,39 +133,33 @@ def surface_from_triangles(
         As in `read_surface`.
     """
     vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
-    if len(vertices) == 0 or len(faces) == 0:
-        raise InputError(
-            f"file must hold triangles, got {len(vertices)} vertices and {len(faces)} triangles in "
-            f"{source}: export the surface as triangles"
-        )
-    bad = int((~np.isfinite(vertices).all(axis=1)).sum())
+    _require_triangles(vertices, faces, source)
+    bad = int((~(np.abs(vertices) < _FARTHEST).all(axis=1)).sum())
     if bad:
         raise InputError(
             f"vertices must be finite, got {bad} of {len(vertices)} that are not in {source}: export it again"
         )
-    used = vertices[np.unique(faces)]
+    named = np.zeros(len(vertices), dtype=bool)
+    named[faces] = True
+    used = vertices[named]
     longest = float(np.ptp(used, axis=0).max())
     _require_thickness(used, longest, source)
-    scale, guess = _unit(longest, scale_mm, source)
+    scale, guess = unit_of(longest, scale_mm, source)
     vertices = vertices * (1e-3 * scale)
     longest *= 1e-3 * scale
-    vertices, faces, repairs = _repaired(vertices, faces, longest, source)
-    size = np.ptp(vertices, axis=0) * 1e3
-    report = SurfaceReport(
-        source,
-        scale,
-        guess,
-        (float(size[0]), float(size[1]), float(size[2])),
-        signed_volume(vertices, faces) * 1e9,
-        tuple(repairs),
-    )
-    return Surface(vertices, faces, report)
+    vertices, faces, repairs, turned, caps, scanned = _repaired(vertices, faces, longest, source, cut_off)
+    x, y, z = (float(side) for side in np.ptp(vertices, axis=0) * 1e3)
+    volume_mm3 = signed_volume(vertices, faces) * 1e9
+    report = SurfaceReport(source, scale, guess, (x, y, z), volume_mm3, tuple(repairs), turned)
+    return Surface(vertices, faces, report, caps, (vertices, faces[:scanned]))
 
 
 def _repaired(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], longest: float, source: str
-) -> tuple[NDArray[np.float64], NDArray[np.int64], list[str]]:
-    """Vertices [m] and triangles of a closed surface wound outward, and what was done."""
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], longest: float, source: str, cut_off: bool
+) -> tuple[NDArray[np.float64], NDArray[np.int64], list[str], int, tuple[NDArray[np.float64], ...], int]:
+    """Vertices [m] and triangles of a closed surface wound outward, what was done, how many triangles or bodies were
+    turned, faces over holes, and how many triangles come before these.
+    """
     repairs = []
     before = len(vertices)
     vertices, faces = merge_vertices(vertices, faces, _MERGE_TOLERANCE * longest)
@@ -163,13 +167,15 @@ def _repaired(
         repairs.append(f"Merged or dropped {before - len(vertices)} of {before} vertices that coincide or are unused.")
     (vertices, faces), dropped = drop_debris(vertices, faces, _DEBRIS_AREA)
     if dropped:
-        repairs.append(f"Dropped {len(dropped)} loose pieces, the largest {1e3 * max(dropped):.3g} mm long.")
+        pieces = counted(len(dropped), "loose piece")
+        repairs.append(f"Dropped {pieces}, the largest {1e3 * max(dropped):.3g} mm long.")
     counts = edge_counts(faces)
     faces, turned, inside_out = orient(vertices, faces)
     if turned:
         repairs.append(f"Turned {turned} of {len(faces)} triangles to agree with their neighbours.")
-    (vertices, faces), holes = fill_holes(vertices, faces, _HOLE_AREA)
-    if holes.left:
+    scanned = len(faces)
+    (vertices, faces), holes = fill_holes(vertices, faces, _HOLE_AREA, least_cap=_CAP_M2)
+    if holes.large and not cut_off:
         raise InputError(
             f"surface must enclose a solid, got {counts[0]} open and {counts[1]} non-manifold edges in "
             f"{source}, the largest hole {1e6 * holes.largest_area:.3g} mm2: close it in a mesh editor"
@@ -179,7 +185,7 @@ def _repaired(
         repairs.append("Turned the surface outward: it was wound inward.")
     if holes.filled:
         repairs.append(
-            f"Closed {holes.filled} holes along {counts[0]} open and {counts[1]} non-manifold edges, the "
+            f"Closed {counted(holes.filled, 'hole')} along {counts[0]} open and {counts[1]} non-manifold edges, the "
             f"largest {1e6 * holes.largest_area:.3g} mm2."
         )
     if signed_volume(vertices, faces) <= 1e-6 * longest**3:
@@ -187,80 +193,78 @@ def _repaired(
             f"surface must enclose a solid, got {1e9 * signed_volume(vertices, faces):.3g} mm3 inside "
             f"{source}: close it in a mesh editor"
         )
-    return vertices, faces, repairs
+    if holes.large:
+        repairs.append(f"The bone is cut off at {counted(holes.large, 'large hole')}, closed by a face each.")
+    return vertices, faces, repairs, turned + inside_out + late, holes.caps, scanned
 
 
-def _read_triangles(file: Path) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Vertices, shape (n, 3), and triangles, shape (m, 3), as stored."""
+def read_triangles(file: Path) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Read vertices, shape (n, 3), and triangles, shape (m, 3), as a file stores them, in its unit.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, empty, of unknown format or not readable, or a triangle names no vertex of it.
+    """
+    if file.suffix.lower() not in SURFACE_SUFFIXES:
+        raise InputError(
+            f"file must end in {', '.join(SURFACE_SUFFIXES)}, got {file.name}: convert it, or read a "
+            "volume with read_volume"
+        )
+    if not file.is_file():
+        raise InputError(f"file must exist, got {file}: check the path, which is taken from the working directory")
+    if file.stat().st_size == 0:
+        raise InputError(f"file must hold a surface, got the empty file {file.name}: export it again")
+    vertices, faces = _stored(file)
+    _require_triangles(vertices, faces, file.name)
+    return vertices, faces
+
+
+def _stored(file: Path) -> tuple[NDArray[Any], NDArray[Any]]:
+    kind = file.suffix.lower()[1:].upper()
+    if kind in ("VTK", "VTP"):
+        parsed = parse_apart("meshes.vtk_reading:vtk_triangles", file, what=f"{kind} surface", remedy="export it again")
+        return parsed.arrays["points"], parsed.arrays["triangles"]
+    if kind == "OBJ":
+        return read_obj(file)
+    if kind == "STL" and (binary := read_binary_stl(file)) is not None:
+        return binary
+    if kind == "PLY":
+        require_whole_ply(file)
     try:
-        if file.suffix.lower() in (".vtk", ".vtp"):
-            return _read_vtk(file)
         import trimesh
 
         mesh: Any = trimesh.load(file, force="mesh", process=False)
         return np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    except InputError:
-        raise
     except Exception as problem:  # the readers raise many kinds, none documented
+        said = f"file must be a readable {kind} surface, got {file.name} (it is damaged or cut off): export it again"
+        raise InputError(said) from problem
+
+
+def _require_triangles(vertices: NDArray[Any], faces: NDArray[Any], source: str) -> None:
+    """Refuse triangles that are none, or that name vertices which are not there."""
+    if len(vertices) == 0 or len(faces) == 0:
         raise InputError(
-            f"file must be a readable {file.suffix.lower()[1:].upper()} surface, got {file.name} "
-            f"({type(problem).__name__}): export it again"
-        ) from problem
-
-
-def _read_vtk(file: Path) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Triangles of a VTK file; its readers print their complaints, which are kept off the terminal."""
-    import pyvista
-    import vtk
-
-    shown = vtk.vtkObject.GetGlobalWarningDisplay()
-    vtk.vtkObject.SetGlobalWarningDisplay(0)
-    try:
-        data: Any = pyvista.read(file)
-        if not isinstance(data, pyvista.PolyData):
-            data = data.extract_surface(algorithm="dataset_surface")
-        surface = data.triangulate()
-        return np.asarray(surface.points), np.asarray(surface.faces).reshape(-1, 4)[:, 1:]
-    finally:
-        vtk.vtkObject.SetGlobalWarningDisplay(shown)
-
-
-def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, str]:
-    """Millimetres per file unit and how they were found, for a longest side in file units."""
-    plain = [scale for _, scale, lowest, highest in _UNITS if lowest <= longest <= highest]
-    suggestion = plain[0] if plain else float(f"{_TYPICAL_BONE_MM / longest:.2g}")
-    if scale_mm is not None:
-        scale = require_positive("anatomy.scale_mm", scale_mm, "use 1 for millimetres, 1000 for metres")
-        if not _SMALLEST_MM <= longest * scale <= _LARGEST_MM:
-            raise InputError(
-                f"anatomy.scale_mm must make the longest side 1 mm to 1 m, got {scale:g}, which makes "
-                f"{source} {_length(longest * scale)} long: use about {suggestion:g}"
-            )
-        return scale, f"{scale:g} mm per unit, as told: the longest side is {longest * scale:.4g} mm"
-    for name, scale, lowest, highest in _UNITS:
-        if lowest <= longest <= highest:
-            guess = f"{name}, since the longest side {longest:.3g} would be {longest * scale:.3g} mm"
-            if name == "millimetres" and _CENTIMETRES[0] <= longest <= _CENTIMETRES[1]:
-                guess += f" (in centimetres it would be {10 * longest:.3g} mm: set anatomy.scale_mm to be sure)"
-            return scale, guess
-    raise InputError(
-        f"anatomy.scale_mm must be given where the unit is not plain, got none for {source}, whose "
-        "longest side "
-        f"{longest:.3g} would be {_length(longest)} in millimetres and {_length(1e3 * longest)} in "
-        f"metres: use millimetres per unit, for example {suggestion:g}"
-    )
+            f"file must hold triangles, got {len(vertices)} vertices and {len(faces)} triangles in "
+            f"{source}: export the surface as triangles"
+        )
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
+        raise InputError(
+            f"file must hold triangles in space, got vertices of shape {vertices.shape} and faces of shape "
+            f"{faces.shape} in {source}: export it again"
+        )
+    count = len(vertices)
+    wrong = np.argwhere((faces < 0) | (faces >= count))
+    if len(wrong):
+        face, corner = wrong[0]
+        raise InputError(
+            f"faces must name vertices 0 to {count - 1} of the file, got {faces[face, corner]} in face {face} of "
+            f"{source}, counted from 0: export it again"
+        )
 
 
 def _require_thickness(points: NDArray[np.float64], longest: float, source: str) -> None:
     """Refuse points that lie in a plane or on a line, in any direction."""
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) / np.sqrt(len(points))
-    if not longest > 0.0 or spread[2] < _FLATTEST * spread[0]:
+    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(points.T, bias=True)), 0.0))
+    if not longest > 0.0 or spread[0] < _FLATTEST * spread[2]:
         raise InputError(f"surface must have thickness, got a flat one in {source}: use a closed surface")
-
-
-def _length(millimetres: float) -> str:
-    """Length in the unit a person would say it in."""
-    for name, factor in (("km", 1e6), ("m", 1e3), ("mm", 1.0)):
-        if millimetres >= factor:
-            return f"{millimetres / factor:.3g} {name}"
-    return f"{millimetres * 1e3:.3g} µm"

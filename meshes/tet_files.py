@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError, require_positive
+from meshes.parse_apart import parse_apart
 from meshes.progress import Progress, silent
 from meshes.surface import surface_from_triangles
 from meshes.tet_msh import read_msh
@@ -38,11 +38,14 @@ class TetFile:
         Millimetres per unit of the file.
     sentences
         The unit, what was found and what was done, a sentence each.
+    filled
+        Whether the tetrahedra were made here, in a surface.
     """
 
     mesh: TetMesh
     unit_mm: float
     sentences: tuple[str, ...]
+    filled: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +91,7 @@ def read_tets(
         raise InputError(f"file must exist, got {file}: check the path, which is taken from the working directory")
     if file.stat().st_size == 0:
         raise InputError(f"file must hold a mesh, got the empty file {file.name}: export it again")
-    stored = _from_msh(file) if file.suffix.lower() == ".msh" else _from_pyvista(file)
+    stored = _from_msh(file) if file.suffix.lower() == ".msh" else _from_vtk(file)
     used = stored.points[np.unique(stored.tets if len(stored.tets) else stored.triangles)]
     bad = int((~np.isfinite(used).all(axis=1)).sum())
     if bad:
@@ -101,7 +104,7 @@ def read_tets(
         return TetFile(mesh, scale, (why, *stored.notes, *report.sentences()))
     surface = surface_from_triangles(stored.points, stored.triangles, source=file.name, scale_mm=scale)
     filled, said = tetrahedralise(surface, edge_m=edge_m, tell=tell)
-    return TetFile(filled, scale, (why, *stored.notes, *surface.report.repairs, *said))
+    return TetFile(filled, scale, (why, *stored.notes, *surface.report.repairs, *said), filled=True)
 
 
 def _unit(size: NDArray[np.float64], unit_mm: float | None, name: str) -> tuple[float, str]:
@@ -135,59 +138,26 @@ def _from_msh(file: Path) -> _Stored:
     return _Stored(stored.points, stored.tets, stored.triangles, stored.physical, stored.names, notes)
 
 
-def _from_pyvista(file: Path) -> _Stored:
-    """A file as pyvista reads it; its readers print their complaints, which are kept off the terminal."""
-    import pyvista
-    import vtk
-
-    shown = vtk.vtkObject.GetGlobalWarningDisplay()
-    vtk.vtkObject.SetGlobalWarningDisplay(0)
-    try:
-        data: Any = pyvista.read(file)
-        if isinstance(data, pyvista.MultiBlock):
-            data = data.combine()
-        if isinstance(data, pyvista.UnstructuredGrid):
-            found = _tets_of(data, pyvista)
-            if found is not None:
-                return found
-            data = data.extract_surface(algorithm="dataset_surface")
-        surface = data.triangulate()
-        triangles = np.asarray(surface.faces).reshape(-1, 4)[:, 1:].astype(np.int64)
-        points = np.asarray(surface.points, dtype=np.float64)
-    except Exception as problem:  # the readers raise many kinds, none documented
-        lacking = "; pip install meshio reads more formats" if isinstance(problem, ImportError) else ""
-        raise InputError(
-            f"file must be a mesh that can be read, got {file.name} ({type(problem).__name__}): export it as .vtu, "
-            f".vtk, .msh or .stl{lacking}"
-        ) from problem
-    finally:
-        vtk.vtkObject.SetGlobalWarningDisplay(shown)
-    if len(triangles) == 0:
-        raise InputError(f"file must hold tetrahedra or triangles, got none in {file.name}: export it again")
-    return _Stored(points, np.zeros((0, 4), dtype=np.int64), triangles, np.zeros(0, dtype=np.int64), {})
-
-
-def _tets_of(grid: Any, pyvista: Any) -> _Stored | None:
-    """Tetrahedra of a grid and their parts, quadratic ones by their corners; None where there are none."""
-    kinds = np.asarray(grid.celltypes)
-    straight, curved = int(pyvista.CellType.TETRA), int(pyvista.CellType.QUADRATIC_TETRA)
-    by_kind = grid.cells_dict
-    tets = [np.asarray(by_kind[kind])[:, :4] for kind in (straight, curved) if kind in by_kind]
-    if not tets:
-        return None
-    order = np.concatenate([np.flatnonzero(kinds == kind) for kind in (straight, curved) if kind in by_kind])
-    part, notes = np.zeros(len(order), dtype=np.int64), []
+def _from_vtk(file: Path) -> _Stored:
+    """A file as pyvista reads it."""
+    remedy = "export it as .vtu, .vtk, .msh or .stl"
+    parsed = parse_apart("meshes.vtk_reading:vtk_mesh", file, what="mesh", remedy=remedy)
+    points, none = parsed.arrays["points"].astype(np.float64), np.zeros((0, 3), dtype=np.int64)
+    if "tets" not in parsed.arrays:
+        triangles = parsed.arrays["triangles"]
+        if len(triangles) == 0:
+            raise InputError(f"file must hold tetrahedra or triangles, got none in {file.name}: export it again")
+        return _Stored(points, np.zeros((0, 4), dtype=np.int64), triangles, np.zeros(0, dtype=np.int64), {})
+    tets, names = parsed.arrays["tets"], parsed.facts["names"]
+    part, notes = np.zeros(len(tets), dtype=np.int64), []
     for name in _PART_ARRAYS:
-        values = np.asarray(grid.cell_data[name]) if name in grid.cell_data else np.zeros(0)
+        values = parsed.arrays[f"cells {names.index(name)}"] if name in names else np.zeros(0)
         whole = values.ndim == 1 and len(values) > 0 and bool(np.isfinite(values).all())
-        if whole and (values == np.round(values)).all() and len(np.unique(values[order])) <= _MOST_PARTS:
-            part = values[order].astype(np.int64)
+        if whole and (values == np.round(values)).all() and len(np.unique(values)) <= _MOST_PARTS:
+            part = values.astype(np.int64)
             break
-    others = len(kinds) - len(order)
-    if others:
-        notes.append(f"Left out {others} cells that are not tetrahedra.")
-    if curved in by_kind:
+    if parsed.facts["others"]:
+        notes.append(f"Left out {parsed.facts['others']} cells that are not tetrahedra.")
+    if parsed.facts["quadratic"]:
         notes.append("Took the corners of quadratic tetrahedra: their edges became straight.")
-    cells = np.concatenate(tets).astype(np.int64)
-    none = np.zeros((0, 3), dtype=np.int64)
-    return _Stored(np.asarray(grid.points, dtype=np.float64), cells, none, part, {}, tuple(notes))
+    return _Stored(points, tets, none, part, {}, tuple(notes))

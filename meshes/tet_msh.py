@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError
+from meshes.visible import visible
 
 __all__ = ["MshMesh", "read_msh"]
 
 _TRIANGLE, _TETRAHEDRON = 2, 4
+_LONGEST_NAME = 60
 _OPENINGS = {"$NOD": 1, "$MeshFormat": 2}
 
 
@@ -50,7 +52,12 @@ def read_msh(file: Path) -> MshMesh:
     InputError
         If the file is of another version, binary, cut short, or names nodes it does not hold.
     """
-    lines = file.read_bytes().decode("latin-1").splitlines()
+    content = file.read_bytes()
+    try:
+        text = content.decode("utf-8")
+    except UnicodeDecodeError:
+        text = content.decode("latin-1")
+    lines = [line.rstrip("\r") for line in text.split("\n")]
     version = next((_OPENINGS[line.strip()] for line in lines[:1] if line.strip() in _OPENINGS), 0)
     if version == 2:
         form = lines[1].split() if len(lines) > 1 else []
@@ -68,10 +75,12 @@ def read_msh(file: Path) -> MshMesh:
         begins = [5 if version == 1 else 3 + element[2] for element in elements]
         physical = [element[2] if version == 1 else (element[3] if element[2] else 0) for element in elements]
         kinds = np.array([element[1] for element in elements])
-        names = _names(_section(lines, "$PhysicalNames")) if "$PhysicalNames" in lines else {}
+        names = _names(_section(lines, "$PhysicalNames"), file) if "$PhysicalNames" in lines else {}
         tets = _of_kind(elements, begins, _TETRAHEDRON, 4)
         triangles = _of_kind(elements, begins, _TRIANGLE, 3)
-    except (ValueError, IndexError) as problem:
+    except InputError:
+        raise
+    except (ValueError, IndexError, OverflowError) as problem:
         raise InputError(
             f"file must hold whole sections of nodes and elements, got a broken one in {file.name}: export it again"
         ) from problem
@@ -101,15 +110,33 @@ def _section(lines: list[str], opening: str) -> list[str]:
 
 def _nodes(lines: list[str]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     rows = [line.split() for line in lines]
-    return np.array([int(row[0]) for row in rows]), np.array([[float(x) for x in row[1:4]] for row in rows])
+    if not rows or any(len(row) < 4 for row in rows):
+        raise ValueError("nodes")
+    numbers = np.array([int(row[0]) for row in rows], dtype=np.int64)
+    if len(np.unique(numbers)) != len(numbers):
+        raise ValueError("nodes of one number")
+    return numbers, np.array([[float(x) for x in row[1:4]] for row in rows])
 
 
 def _of_kind(elements: list[list[int]], begins: list[int], kind: int, corners: int) -> NDArray[np.int64]:
-    chosen = [e[b : b + corners] for e, b in zip(elements, begins, strict=True) if e[1] == kind]
+    chosen = [e[b:] for e, b in zip(elements, begins, strict=True) if e[1] == kind]
+    if any(len(each) != corners for each in chosen):
+        raise ValueError("elements")
     return np.array(chosen, dtype=np.int64).reshape(-1, corners)
 
 
-def _names(lines: list[str]) -> dict[int, str]:
+def _names(lines: list[str], file: Path) -> dict[int, str]:
     """Names of physical volumes: dimension, number, "name"."""
-    split = [line.split(maxsplit=2) for line in lines]
-    return {int(number): name.strip().strip('"') for dimension, number, name in split if dimension == "3"}
+    names: dict[int, str] = {}
+    for line in lines:
+        dimension, number, name = line.split(maxsplit=2)
+        if int(dimension) != 3:
+            continue
+        told = visible(name.strip().removeprefix('"').removesuffix('"')).replace("\n", " ").strip()
+        if not told or len(told) > _LONGEST_NAME or told in names.values() or told == "none":
+            raise InputError(
+                f"physical volumes must have names that differ, of 1 to {_LONGEST_NAME} characters and not 'none', got "
+                f"{told[:_LONGEST_NAME]!r} for {number} in {file.name}: name it otherwise in Gmsh"
+            )
+        names[int(number)] = told
+    return names

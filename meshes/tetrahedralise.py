@@ -82,7 +82,7 @@ def tetrahedralise(
     mesh, report = repair_tets(arrays["nodes"], arrays["cells"])
     off = float(mesh.volumes_m3.sum()) / volume - 1.0
     if abs(off) > _VOLUME_OFF:
-        said.append(f"The mesh encloses {100.0 * off:+.1f} % of volume against the surface: use a smaller edge_m.")
+        said.append(f"The mesh encloses {100.0 * off:+.1f} % of volume against the surface: use smaller edges.")
     return mesh, (*said, *report.sentences())
 
 

@@ -98,8 +98,8 @@ def require_touching(points_m: Mapping[str, NDArray[np.float64]], solids: Mappin
         few = tested[:: max(len(tested) // 100, 1)]
         if not any(inside_surface(*solid, few).any() for other, solid in solids.items() if other != name):
             raise InputError(
-                f"layers must touch in one common frame and unit, got {name} {1e3 * apart[nearest]:.3g} mm from "
-                f"{nearest}, the nearest: check the unit and the origin of the {name} surface"
+                f"{name} surface must touch the others in one common frame and unit, got one "
+                f"{1e3 * apart[nearest]:.3g} mm from {nearest}, the nearest: check its unit and its origin"
             )
 
 

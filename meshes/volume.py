@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError, require_positive
+from meshes.placement import Placement
 
 if TYPE_CHECKING:
     import pyvista
@@ -37,6 +38,8 @@ class VoxelVolume:
         Apparent density of the bone in the voxel [kg/m3], uint16, shape (nx, ny, nz).
     layer_names
         Name of each layer.
+    placement
+        Where the frame lies in that of the file that the bone came from; None where it came from none.
 
     Raises
     ------
@@ -50,6 +53,7 @@ class VoxelVolume:
     layer: NDArray[np.uint8]
     density_kg_m3: NDArray[np.uint16]
     layer_names: tuple[str, ...]
+    placement: Placement | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "origin_m", np.asarray(self.origin_m, dtype=np.float64))
@@ -115,6 +119,7 @@ class VoxelVolume:
             np.ascontiguousarray(self.layer[part]),
             np.ascontiguousarray(self.density_kg_m3[part]),
             self.layer_names,
+            self.placement,
         )
 
     def to_image(self) -> pyvista.ImageData:

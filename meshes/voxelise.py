@@ -89,6 +89,7 @@ def voxelise(
         np.ascontiguousarray(arrays.layer[kept]),
         np.ascontiguousarray(arrays.density[kept]),
         anatomy.layer_names,
+        anatomy.placement,
     )
 
 

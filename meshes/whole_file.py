@@ -20,6 +20,10 @@ def whole_file(path: Path) -> Iterator[Path]:
     try:
         yield beside
         os.replace(beside, path)
+    except OSError as error:
+        if error.filename == str(beside):
+            error.filename = str(path)  # the name that is known to who asked for it
+        raise
     finally:
         with suppress(OSError):
             beside.unlink()

@@ -1,9 +1,15 @@
-"""What all tests share: real anatomy where it is there."""
+"""What all tests share: real anatomy where it is there, and the `tissue` command run within the tests' process."""
 
+import os
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+# Before anything loads NumPy: tests run beside each other, and threads that wait for a core cost more than they save.
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(name, "1")
 ANATOMY = Path(__file__).resolve().parents[2] / "shared" / "anatomy"
 
 
@@ -13,3 +19,45 @@ def anatomy() -> Path:
     if not ANATOMY.is_dir():
         pytest.skip("real anatomy is not there: ../shared/anatomy beside the checkout")
     return ANATOMY
+
+
+@pytest.fixture
+def command(monkeypatch, capfd):
+    """Run the command; return exit code, standard output and standard error."""
+    from tissue.cli import main
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["tissue", *map(str, arguments)])
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            main()
+        said = capfd.readouterr()
+        return ended.value.code, said.out, said.err
+
+    return run
+
+
+@pytest.fixture
+def refused(command):
+    """Run the command with bad input; return the one sentence that it says."""
+
+    def run(*arguments):
+        code, _, said = command(*arguments)
+        assert code == 2, said
+        assert said.startswith("error: ") and said.endswith("\n") and said.count("\n") == 1, said
+        return said.removeprefix("error: ").removesuffix("\n")
+
+    return run
+
+
+@pytest.fixture
+def full_disk(monkeypatch):
+    """Give a file no room: what is written to take its place goes to a device that is always full."""
+    if not Path("/dev/full").exists():
+        pytest.skip("needs a device that is always full")
+    monkeypatch.setattr("meshes.whole_file.uuid4", lambda: SimpleNamespace(hex="0" * 32))
+
+    def fill(path):
+        (path.parent / f".{'0' * 12}-{path.name}").symlink_to("/dev/full")
+
+    return fill

@@ -1,7 +1,7 @@
 """The bone a scene asks for, as voxels: procedural, or read from a file and placed at its site."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -11,21 +11,23 @@ from meshes import sdf
 from meshes.anatomy import Anatomy, cortical_block
 from meshes.errors import InputError
 from meshes.glenoid import glenoid
-from meshes.label_volume import label_volume
+from meshes.label_volume import LabelledTooth, labelled_tooth
 from meshes.layered_surfaces import layered_surfaces
 from meshes.molar import molar
-from meshes.progress import Progress
+from meshes.progress import Progress, silent
+from meshes.tooth_layers import TOOTH_LAYERS
 from meshes.volume import VoxelVolume
 from meshes.voxelise import voxelise
+from tissue.bone_from_file import bone_from_file, require_whole, threshold_of
 from tissue.cutters import Cutter
 from tissue.motion import Motion
-from tissue.reach import box_text, reach
+from tissue.reach import Corners, box_text, reach
 from tissue.scene import Scene
 from tissue.scene_anatomy import AnatomyFile, BlockAnatomy, GlenoidAnatomy, MolarAnatomy
+from tissue.scene_keys import FILE_WORDS, scene_keys
 
 __all__ = ["volume_of", "whole_tooth"]
 
-SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
 DENSE_BYTES_PER_VOXEL = 16
 """Peak memory of a voxel of the region while bricks are made and results written, measured on the glenoid."""
 BRICK = 8
@@ -33,11 +35,11 @@ BRICK = 8
 a tool only grazes voxels, float32 coordinates from another origin still decide otherwise in single ticks."""
 
 
-def whole_tooth(scene: Scene, *, spacing_m: float) -> VoxelVolume:
+def whole_tooth(scene: Scene, *, spacing_m: float, tell: Progress = silent) -> VoxelVolume:
     """The whole tooth that a scene describes, in coarser voxels, undrilled."""
     with _named(scene.bone):
         if scene.bone.file is not None:
-            return _labelled(scene, spacing_m=spacing_m, notes={})
+            return _labelled(scene, spacing_m=spacing_m, notes={}, tell=tell)
         return voxelise(_anatomy(scene, {}), spacing_m=spacing_m)
 
 
@@ -46,14 +48,15 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
     spacing = scene.voxels.spacing_mm * 1e-3
     parameters = scene.bone
     region = reach(cutter, motion, scene.voxels.margin_mm * 1e-3)
-    if _is_image(parameters) and isinstance(parameters, BlockAnatomy) and parameters.centre_mm is None:
+    if parameters.is_image and isinstance(parameters, BlockAnatomy) and parameters.centre_mm is None:
         with _named(parameters):
             return _image(scene, notes=notes)
     if isinstance(parameters, MolarAnatomy) and parameters.file is not None:
         with _named(parameters):
-            return _labelled(scene, spacing_m=spacing, notes=notes).cropped(*region)
+            return _labelled(scene, spacing_m=spacing, region=region, notes=notes, tell=tell)
     with _named(parameters):
-        anatomy = _anatomy(scene, notes)
+        anatomy = _anatomy(scene, notes, region)
+    require_whole(anatomy, region, is_image=parameters.is_image)
     bone = np.array(anatomy.shape.lower_m), np.array(anatomy.shape.upper_m)
     low = np.maximum(region[0], bone[0])
     high = np.minimum(region[1], bone[1])
@@ -74,25 +77,18 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
     )
 
 
-def _anatomy(scene: Scene, notes: dict[str, str]) -> Anatomy:
-    """The procedural bone, or the one in a surface file placed at its site."""
+def _anatomy(scene: Scene, notes: dict[str, str], region: Corners | None = None) -> Anatomy:
+    """The procedural bone, or the one in a file placed at its site and right in a region of it."""
     parameters = scene.bone
     if isinstance(parameters, MolarAnatomy) and parameters.layer_files:
-        anatomy = layered_surfaces(parameters.layer_files, scale_mm=parameters.scale_mm, socket_mm=parameters.socket_mm)
+        anatomy = layered_surfaces(
+            parameters.layer_files,
+            scale_mm=parameters.scale_mm,
+            socket_mm=parameters.socket_mm,
+            at_lesion=parameters.site == "caries",
+        )
     elif parameters.file is not None:
-        from meshes.image_file import read_image
-        from meshes.image_surface import image_surface
-        from meshes.site import find_glenoid, surface_anatomy
-        from meshes.surface import read_surface
-
-        if _is_image(parameters):
-            image = read_image(parameters.file, spacing_mm=parameters.spacing_mm)
-            notes["image"] = " ".join(image.notes)
-            surface = image_surface(image, threshold=_threshold(parameters))
-        else:
-            surface = read_surface(parameters.file, scale_mm=parameters.scale_mm)
-        site = find_glenoid(surface, centre_mm=parameters.centre_mm, normal=parameters.normal)
-        anatomy = surface_anatomy(surface, site, cortical_thickness_mm=parameters.cortical_thickness_mm)
+        anatomy = bone_from_file(parameters, region, notes)
     elif isinstance(parameters, MolarAnatomy):
         anatomy = molar(
             crown_width_mm=parameters.crown_width_mm,
@@ -117,35 +113,17 @@ def _anatomy(scene: Scene, notes: dict[str, str]) -> Anatomy:
     return anatomy
 
 
-@contextmanager
-def _named(parameters: AnatomyFile) -> Iterator[None]:
+def _named(parameters: AnatomyFile) -> AbstractContextManager[None]:
     """Let a refusal name the scene's key: geometry knows its arguments, not where a scene gives them."""
-    try:
-        yield
-    except InputError as error:
-        said = str(error)
-        argument = said.split(" ", 1)[0]
-        if argument in ("resample_mm", "paths_by_layer"):
-            key = "voxels.spacing_mm" if argument == "resample_mm" else "anatomy.enamel_file and its like"
-            said = key + said.removeprefix(argument)
-        elif argument.split("[")[0] in type(parameters).model_fields:
-            said = f"anatomy.{said}"
-        raise InputError(said) from error
-
-
-def _is_image(parameters: AnatomyFile) -> bool:
-    """Whether the anatomy comes from an image volume or a folder of slices."""
-    return parameters.file is not None and Path(parameters.file).suffix.lower() not in SURFACE_SUFFIXES
-
-
-def _threshold(parameters: AnatomyFile) -> float:
-    """Grey value of an image above which a voxel is bone."""
-    if parameters.threshold is None:
-        raise InputError(
-            f"anatomy.threshold must be given for an image, got nothing for {parameters.file}: "
-            "set the grey value above which a voxel is bone"
-        )
-    return parameters.threshold
+    own = {name: f"anatomy.{name}" for name in type(parameters).model_fields}
+    names = dict.fromkeys(FILE_WORDS, "anatomy.file") | own
+    layers = parameters.layer_files if isinstance(parameters, MolarAnatomy) else {}
+    if layers:
+        names |= {f"{layer} {word}": f"anatomy.{layer}_file" for layer in layers for word in FILE_WORDS}
+        missing = "dentin" if "enamel" in layers else "enamel"
+        names["paths_by_layer must give enamel and dentin"] = f"anatomy.{missing}_file must be given"
+        names |= {"layers": "anatomy.enamel_file and anatomy.dentin_file", "pulp": "anatomy.pulp_file"}
+    return scene_keys(names | {"resample_mm": "voxels.spacing_mm"})
 
 
 def _image(scene: Scene, *, notes: dict[str, str]) -> VoxelVolume:
@@ -156,7 +134,7 @@ def _image(scene: Scene, *, notes: dict[str, str]) -> VoxelVolume:
     said: list[str] = []
     volume = read_volume(
         parameters.file or "",
-        threshold=_threshold(parameters),
+        threshold=threshold_of(parameters),
         spacing_mm=parameters.spacing_mm,
         density_kg_m3=parameters.density_kg_m3 if isinstance(parameters, BlockAnatomy) else 1800.0,
         resample_mm=scene.voxels.spacing_mm,
@@ -166,14 +144,53 @@ def _image(scene: Scene, *, notes: dict[str, str]) -> VoxelVolume:
     return volume
 
 
-def _labelled(scene: Scene, *, spacing_m: float, notes: dict[str, str]) -> VoxelVolume:
-    """A tooth from a label volume."""
+def _labelled(
+    scene: Scene,
+    *,
+    spacing_m: float,
+    region: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
+    notes: dict[str, str],
+    tell: Progress,
+) -> VoxelVolume:
+    """A tooth from a label volume, or the part of it in a box of the site's frame [m]."""
     said: list[str] = []
-    volume = label_volume(
-        scene.bone.file or "", spacing_mm=scene.bone.spacing_mm, resample_mm=1e3 * spacing_m, remark=said.append
+    file = Path(scene.bone.file or "")
+    stamp = file.stat() if file.is_file() else None
+    tell("reading the label volume", 0.0)
+    over_lesion = isinstance(scene.bone, MolarAnatomy) and scene.bone.site == "caries"
+    tooth = _read_tooth(file, scene.bone.spacing_mm, over_lesion, stamp and (stamp.st_mtime_ns, stamp.st_size))
+    volume = tooth.volume(
+        resample_mm=1e3 * spacing_m,
+        region_m=region,
+        remark=said.append,
+        progress=lambda share: tell("voxelising the tooth", share),
     )
     notes["labels"] = " ".join(said)
+    if (found := _lesion(tooth)) is not None:
+        notes["lesion"] = found
     return volume
+
+
+@lru_cache(maxsize=1)
+def _read_tooth(
+    file: Path, spacing_mm: float | None, over_lesion: bool, stamp: tuple[int, int] | None
+) -> LabelledTooth:
+    """The tooth of a label volume, kept for the next who asks: for the tool and for the stress the same is read."""
+    from meshes.image_file import read_image
+
+    tooth = labelled_tooth(read_image(file, spacing_mm=spacing_mm, labels=True))
+    return tooth.at_lesion() if over_lesion else tooth
+
+
+def _lesion(tooth: LabelledTooth) -> str | None:
+    """Where the caries of a whole tooth lies in the frame of its site, so that a motion can be aimed at it."""
+    placed = tooth.placed
+    at = np.argwhere(placed.layer == TOOTH_LAYERS.index("caries"))
+    if len(at) == 0:
+        return None
+    points = 1e3 * ((at * placed.spacing - placed.origin) @ placed.rotation)
+    low, high = (", ".join(f"{value:.3g}" for value in corner) for corner in (points.min(axis=0), points.max(axis=0)))
+    return f"caries between ({low}) and ({high}) mm of the site"
 
 
 def _guide_hole(scene: Scene, motion: Motion) -> sdf.Shape | None:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError, require_positive
+from meshes.whole_file import whole_file
 from tissue.depth import tool_axes
 from tissue.model import TICK_S
 from tissue.outputs import require_free_folder
@@ -215,7 +216,8 @@ def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> lis
         "breaches": [asdict(each) for each in found.breaches],
         "events": [{"time_s": at, "what": what} for at, what in found.events],
     }
-    (folder / FILES[0]).write_text(json.dumps(data, indent=2) + "\n", "utf-8")
+    with whole_file(folder / FILES[0]) as beside:
+        beside.write_text(json.dumps(data, indent=2) + "\n", "utf-8")
     draw_assessment(found, folder / FILES[1])
     return [folder / name for name in FILES]
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from tissue.assessment import Assessment
-from tissue.pictures import figure, save
+from tissue.figure import figure, save
 
 __all__ = ["draw_assessment"]
 

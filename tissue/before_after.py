@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue.depth import HALF, DepthMap
-from tissue.pictures import BONE, DPI, axis_names, depth_colours, depth_limit, figure, layer_colours, save
+from tissue.figure import DPI, figure, save
+from tissue.pictures import BONE, axis_names, depth_colours, depth_limit, layer_colours
 from tissue.reach import reach
 from tissue.rendering import Camera, Coloured, render
 from tissue.run import Run

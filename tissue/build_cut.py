@@ -2,6 +2,8 @@
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from meshes.errors import InputError
 from meshes.progress import Progress
 from meshes.volume import VoxelVolume
@@ -15,6 +17,7 @@ from tissue.reach import require_outside, require_touch
 from tissue.scene import Scene, Stress
 from tissue.scene_anatomy import MolarAnatomy
 from tissue.scene_tool import ReplayMotion, Tool
+from tissue.unused_keys import is_given
 
 if TYPE_CHECKING:
     from tissue.bone import BoneModel
@@ -42,9 +45,32 @@ def cut(scene: Scene, cutter: Cutter, motion: Motion, *, compute: str, cores: in
         require_outside(volume, cutter, motion)
     if cutter.spin_rad_s == 0.0:
         return _probe(scene, volume, cutter, motion, compute=compute, notes=notes, tell=tell)
+    _require_effect(scene, volume)
     notes["specific cutting energy"] = _energy_note(volume)
     tissue = _bone(scene, volume, cutter, compute=compute, cores=cores, tell=tell)
-    return Parts(motion, tissue, cutter=cutter, volume=volume, notes=notes)
+    return Parts(motion, tissue, cutter=cutter, volume=volume, placement=volume.placement, notes=notes)
+
+
+def _require_effect(scene: Scene, volume: VoxelVolume) -> None:
+    """Refuse keys that have no effect on the voxels that the tool can reach."""
+    anatomy, cutting = scene.anatomy, scene.cutting
+    filled = volume.fraction > 0
+    if is_given(cutting, "density_exponent"):
+        materials = (cutting_coefficients(CUT_AS.get(name, "bone")) for name in volume.layer_names)
+        reference = np.array([each.reference_density_kg_m3 for each in materials])
+        if (volume.density_kg_m3[filled] == reference[volume.layer[filled]]).all():
+            raise InputError(
+                "cutting.density_exponent must be left out where all that the tool can reach has the density of the "
+                f"coefficients, got {cutting.density_exponent:g}: set cutting.tangential_chip_N_mm2, "
+                "cutting.radial_chip_N_mm2 or another coefficient, or remove it"
+            )
+    if isinstance(anatomy, MolarAnatomy) and scene.stress is None and is_given(anatomy, "ligament_thickness_mm"):
+        at = volume.layer_names.index("ligament")
+        if not (volume.layer[filled] == at).any():
+            raise InputError(
+                "anatomy.ligament_thickness_mm must be left out where the tool reaches no ligament and no stress is "
+                f"computed, got {anatomy.ligament_thickness_mm:g}: add [stress], or remove it"
+            )
 
 
 def _probe(
@@ -71,7 +97,7 @@ def _probe(
     notes["tool"] = "it does not turn: rigid contact, nothing is cut, no stress and no heat are computed"
     shell = ToolShell.of_cutter(cutter)
     tissue = ProbedBone(volume, shell, area_m2=cutter.cutting_area_m2, tool=motion.tool, device=compute)
-    return Parts(motion, tissue, cutter=cutter, volume=volume, notes=notes)
+    return Parts(motion, tissue, cutter=cutter, volume=volume, placement=volume.placement, notes=notes)
 
 
 def _bone(
@@ -122,7 +148,7 @@ def _tooth(scene: Scene, milling: "BoneModel", *, compute: str, tell: Progress) 
     stress = scene.stress or Stress()
     tell("assembling the tooth's stiffness", 0.0)
     cell_m = stress.cell_mm * 1e-3
-    whole = whole_tooth(scene, spacing_m=0.5 * cell_m)
+    whole = whole_tooth(scene, spacing_m=0.5 * cell_m, tell=tell)
     field = None
     if scene.stress is not None:
         field = beside.StressProcess(

@@ -50,8 +50,8 @@ def hand_motion(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable
     _require_room(scene, scripted, limits)
     loop, scale = replace(judged.loop, delay_s=_delay_s(scene, limits)), chosen.motion_scale
     start, touches = scripted.sweep_m()[0], isinstance(scene.tool, Tool) and scene.tool.spin_rpm == 0.0
-    spring = judged.loop.stiffness_N_m / (scale * chosen.force_scale)
-    turning_spring = turning.loop.stiffness_N_m * scale / chosen.force_scale if turning else inf
+    spring = judged.loop.stiffness_N_m / (scale * scene.force_scale)
+    turning_spring = turning.loop.stiffness_N_m * scale / scene.force_scale if turning else inf
     tool: HeldTool
     if touches:
         tool = ProbingTool(spring, start, stiffness_Nm_rad=turning_spring)
@@ -85,18 +85,16 @@ def hand_motion(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable
         prediction_gain=chosen.prediction_gain,
         perception=felt,
     )
-    told = [judged.sentence(), f"{chosen.force_scale:g} N at the device for each newton at the tool"]
+    told = [judged.sentence(), f"{scene.force_scale:g} N at the device for each newton at the tool"]
     if turning:
         told.insert(1, turning.sentence())
     if scale != 1.0:
         told.append(
             f"{scale:g} m at the tool for each metre at the device: a stiffness at the tool is felt as "
-            f"{scale * chosen.force_scale:g} of it, a torque as {chosen.force_scale / scale:g}"
+            f"{scale * scene.force_scale:g} of it, a torque as {scene.force_scale / scale:g}"
         )
     if felt is not None:
         told.append(felt.sentence)
-    if chosen.predictor_file and scene.prediction not in ("dmdc", "koopman"):
-        told.append(f"coupling.predictor_file is not used, for prediction = {scene.prediction}")
     return motion, f"{scene.device} in the hand of {person_of(scene.hand)}, {scene.renderer}: {'; '.join(told)}"
 
 
@@ -139,7 +137,7 @@ def _aims(
     corners, scale = scripted.sweep_m(), scene.coupling.motion_scale
     furthest = scale * limits.force_limit_N * (1.0 / stiffness_N_m + 1.0 / person.stiffness_N_m)
     if isinstance(scene.motion, ThrustMotion):
-        push_N = min(scene.coupling.force_scale * scene.motion.thrust_N, limits.force_limit_N)
+        push_N = min(scene.force_scale * scene.motion.thrust_N, limits.force_limit_N)
         thrust = Thrust(corners[0], corners[-1] - corners[0], tool, push_N, scale * push_N / stiffness_N_m)
         return thrust.path, thrust.push
     path = waypoints(*_timed(scripted, recorded=isinstance(scene.motion, ReplayMotion), step_s=step_s))

@@ -14,8 +14,9 @@ from tissue.materials import constants
 from tissue.motion import Motion
 from tissue.organs import elasticity_of, held_mesh
 from tissue.parts import Parts
-from tissue.probes import probe_of
+from tissue.probes import probe_of, shell_note
 from tissue.scene import Scene
+from tissue.scene_keys import scene_keys
 from tissue.scene_soft import LayersAnatomy, LiverAnatomy, Organ, SlabAnatomy
 from tissue.scene_tool import Needle
 from tissue.scene_tool import Probe as ProbeTable
@@ -83,8 +84,12 @@ def press(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: i
     edge_mm = anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
     found = held_mesh(anatomy, way_m=motion.sweep_m(), touch_edge_m=1e-3 * edge_mm, tell=tell)
     elasticity, said = elasticity_of(found.mesh, anatomy, organ)
+    from tissue.liver.probe import ShellProbe
+
     probe = probe_of(scene.tool)
     notes |= found.notes | {"modulus": said}
+    if isinstance(probe, ShellProbe):
+        notes["tool"] = shell_note(scene.tool, probe)
     tell("compiling kernels (the first time on a machine)", 0.0)
     from tissue.liver import LiverModel, OrganFields, Space, SurfaceContact
 
@@ -97,15 +102,16 @@ def press(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: i
     load, rest = _weight(space, organ, body, solver, notes)
     tell("condensing the compliance to the surface that can be touched", 0.0)
     compliance, lazy = _compliance(body, touchable, organ, solver, tell)
-    contact = SurfaceContact(
-        space.nodes_m[touchable] + rest[touchable],
-        faces,
-        compliance,
-        probe,
-        friction=organ.friction,
-        device=compute,
-        cores=cores,
-    )
+    with scene_keys({"nodes_m must lie closer to each other": "anatomy.touch_edge_mm must give shorter edges"}):
+        contact = SurfaceContact(
+            space.nodes_m[touchable] + rest[touchable],
+            faces,
+            compliance,
+            probe,
+            friction=organ.friction,
+            device=compute,
+            cores=cores,
+        )
     fields = OrganFields(
         space,
         elasticity,
@@ -131,7 +137,7 @@ def press(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: i
         ball_radius_m=0.5e-3 * scene.tool.diameter_mm if scene.tool.kind == "sphere-probe" else None,
         step_s=step_s,
     )
-    return Parts(motion, model, notes=notes)
+    return Parts(motion, model, placement=found.placement, notes=notes)
 
 
 class _Factor:

@@ -2,7 +2,9 @@
 
 import errno
 import sys
+from contextlib import suppress
 from importlib.metadata import version
+from pathlib import Path
 from typing import NoReturn
 
 from cyclopts import (
@@ -16,8 +18,10 @@ from cyclopts import (
     UnusedCliTokensError,
 )
 
+from tissue.child import HelperLostError
 from tissue.commands import COMMANDS
 from tissue.commands.terminal import problems
+from tissue.stopping import Terminated, terminated_as_exception
 
 __all__ = ["app", "main"]
 
@@ -44,9 +48,10 @@ CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG)
 
 
 def main() -> NoReturn:
-    """Entry point: bad input becomes one sentence and exit code 2."""
+    """Entry point: bad input becomes one sentence and exit code 2, Ctrl-C ends with 130, SIGTERM with 143."""
     try:
-        app(sys.argv[1:], exit_on_error=False, print_error=False)
+        with terminated_as_exception():
+            app(sys.argv[1:], exit_on_error=False, print_error=False)
     except CycloptsError as error:
         _refuse(_usage(error))
     except ValueError as error:
@@ -60,17 +65,38 @@ def main() -> NoReturn:
             raise
         what, remedy = ("have room", "free some space or choose") if error.errno in FULL else ("be writable", "choose")
         where = f" at {error.filename}" if error.filename else ""
-        _refuse(f"out must {what}, got {(error.strerror or '').lower()}{where}: {remedy} another --out")
-    except KeyboardInterrupt:
+        place, other = _place(error.filename)
+        _refuse(f"{place} must {what}, got {(error.strerror or '').lower()}{where}: {remedy} {other}")
+    except HelperLostError as lost:
+        _refuse(f"{lost}: run it again", code=1)
+    except KeyboardInterrupt as stopped:
         seen = ", see `tissue view`" if sys.argv[1:2] == ["run"] else ""
-        problems.print(f"stopped: what was written so far is kept{seen}", highlight=False, soft_wrap=True)
-        sys.exit(130)
+        said = (
+            next(filter(lambda each: isinstance(each, str), stopped.args), "")
+            or f"stopped: what was written so far is kept{seen}"
+        )
+        with suppress(OSError):  # such as a terminal that was closed
+            problems.print(said, highlight=False, soft_wrap=True)
+        sys.exit(stopped.exit_code if isinstance(stopped, Terminated) else 130)
     sys.exit(0)
 
 
-def _refuse(sentence: str) -> NoReturn:
-    problems.print(f"[red]error:[/red] {_escaped(sentence)}", soft_wrap=True, highlight=False)
-    sys.exit(BAD_INPUT)
+def _place(file: object) -> tuple[str, str]:
+    """What a file that could not be written belongs to, and how another place for that is chosen."""
+    from meshes.cache import cache_folder
+
+    warp = sys.modules.get("warp")
+    kernels = getattr(getattr(warp, "config", None), "kernel_cache_dir", None)
+    caches = ((cache_folder(), "another folder by TISSUE_CACHE"), (kernels, "another folder by WARP_CACHE_PATH"))
+    for folder, other in caches:
+        if folder and file and Path(str(file)).absolute().is_relative_to(Path(folder).absolute()):
+            return "cache", other
+    return "out", "another --out"
+
+
+def _refuse(sentence: str, *, code: int = BAD_INPUT) -> NoReturn:
+    problems.print(f"[red]error:[/red] {_escaped(sentence)}", soft_wrap=True, highlight=False, markup=True)
+    sys.exit(code)
 
 
 def _usage(error: CycloptsError) -> str:

@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from meshes.volume import FULL
 from tissue.run import Run
+from tissue.trace import Table
 
-__all__ = ["HALF", "DepthMap", "depth_map", "tool_axes"]
+__all__ = ["HALF", "DepthMap", "depth_map", "facing", "tool_axes"]
 
 HALF = (FULL + 1) // 2
 """A voxel with at least this much in it counts as bone."""
@@ -51,7 +52,7 @@ def depth_map(run: Run) -> DepthMap:
     from scipy.ndimage import binary_opening
 
     volume, remaining = run.volume, run.remaining
-    axis, outward = _facing(run)
+    axis, outward = facing(run.trace)
     across = [a for a in range(3) if a != axis]
     spacing, origin = volume.spacing_m * 1e3, volume.origin_m * 1e3
     start = origin[axis] if outward > 0 else origin[axis] + spacing * volume.shape[axis]
@@ -82,10 +83,10 @@ def tool_axes(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.column_stack([2.0 * (x * z + y * w), 2.0 * (y * z - x * w), 1.0 - 2.0 * (x * x + y * y)])
 
 
-def _facing(run: Run) -> tuple[int, int]:
+def facing(trace: Table) -> tuple[int, int]:
     """The world axis closest to the tool's while it cut, and its sign."""
-    rows = run.trace["contact_mm2"] > 0.0
-    quaternions = np.column_stack([run.trace[f"tool_q{c}"] for c in "xyzw"])
+    rows = trace["contact_mm2"] > 0.0
+    quaternions = np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"])
     mean = tool_axes(quaternions[rows] if rows.any() else quaternions).mean(axis=0)
     axis = int(np.abs(mean).argmax())
     return axis, 1 if mean[axis] >= 0.0 else -1

@@ -8,11 +8,15 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from meshes.errors import InputError
 from tissue.scene import Scene
+from tissue.unused_keys import given_keys, refused_keys
 
-__all__ = ["nearest", "sentence"]
+__all__ = ["nearest", "require_used", "sentence"]
 
 BOUNDS = (("gt", "greater than"), ("ge", "at least"), ("lt", "below"), ("le", "at most"))
+LONGEST = 120
+"""Characters of a value that a sentence repeats."""
 SEE = "see `tissue scenes NAME`"
 Table = Mapping[str, Any]
 
@@ -21,12 +25,12 @@ def sentence(fault: Mapping[str, Any], table: Table) -> str:
     """One sentence for a fault that pydantic found in a scene's table."""
     path = _without_tags(fault["loc"], table)
     names = tuple(str(step) for step in path[: next((i for i, s in enumerate(path) if isinstance(s, int)), len(path))])
-    key, kind, context = ".".join(names), str(fault["type"]), fault.get("ctx", {})
+    key, kind, context = ".".join(map(shown, names)), str(fault["type"]), fault.get("ctx", {})
     if kind == "value_error":
         return str(context["error"])
     if kind == "extra_forbidden":
         known, word = list(_model_at(names[:-1], table).model_fields), names[-1]
-        return f"{key} must be one of {', '.join(known)}, got {word}{nearest(word, known)}: rename or remove it"
+        return f"{key} must be one of {', '.join(known)}, got {shown(word)}{nearest(word, known)}: rename or remove it"
     field = _model_at(names[:-1], table).model_fields[names[-1]]
     if kind == "missing" and len(path) == len(names):
         return f"{key} must be given, got nothing: {_addition(names, field)}"
@@ -34,12 +38,41 @@ def sentence(fault: Mapping[str, Any], table: Table) -> str:
         return f"{key}.kind must be given, got nothing: {SEE}"
     if kind == "union_tag_invalid":
         choices = [tag.strip("'") for tag in context["expected_tags"].split(", ")]
-        return _choice(f"{key}.kind", choices, context["tag"])
+        return _choice(
+            f"{key}.kind",
+            choices,
+            shown(context["tag"] if isinstance(context["tag"], str) else _value_at((*names, "kind"), table)),
+        )
     got = fault["input"] if len(path) == len(names) else _value_at(names, table)
-    choices = [c for part in _alternatives(field.annotation) if get_origin(part) is Literal for c in get_args(part)]
+    literals = [part for part in _alternatives(field.annotation) if get_origin(part) is Literal]
+    choices = [str(choice) for part in literals for choice in get_args(part)]
     if choices:
         return _choice(key, choices, shown(got))
     return f"{key} must be {_requirement(field, kind, len(path) > len(names))}, got {_told(got)}: {_remedy(field)}"
+
+
+def require_used(scene: Scene) -> None:
+    """Refuse a scene with a key that has no effect in it.
+
+    Raises
+    ------
+    InputError
+        Names the key, or all that have none for the same reason, and what has an effect instead.
+    """
+    refused = refused_keys(scene)
+    if not refused:
+        return
+    values, why = dict(given_keys(scene)), next(iter(refused.values()))
+    keys = [key for key, each in refused.items() if each == why]
+    got = _got(values[keys[0]]) if len(keys) == 1 else ", ".join(f"{key} = {_got(values[key])}" for key in keys)
+    raise InputError(
+        f"{' and '.join(keys)} must be left out {why.where}, got {got}: {why.remedy}, or remove "
+        + ("it" if len(keys) == 1 else "them")
+    )
+
+
+def _got(value: Any) -> str:
+    return "a table" if isinstance(value, BaseModel) else shown(value)
 
 
 def nearest(word: str, known: list[str]) -> str:
@@ -54,7 +87,12 @@ def shown(value: Any) -> str:
         return f"{value:g}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(shown(item) for item in value) + "]"
-    return {True: "true", False: "false"}[value] if isinstance(value, bool) else str(value)
+    if isinstance(value, Mapping):
+        return "a table"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    text = "".join(each if each.isprintable() else repr(each)[1:-1] for each in str(value))
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}... ({len(text)} characters)"
 
 
 def _told(value: Any) -> str:
@@ -77,6 +115,8 @@ def _requirement(field: FieldInfo, kind: str, inside: bool) -> str:
         if kind in ("float_type", "int_type") or not bounds:
             return f"{noun} {bounds}".strip()
         return bounds
+    if part is bool:
+        return "true or false"
     if part is str:
         of = field.title or "lower-case letters, digits, - and _"
         return of if kind == "string_pattern_mismatch" else "text"

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue.depth import HALF, tool_axes
-from tissue.pictures import COMPONENTS, STYLE, figure, layer_colours, save, spells
+from tissue.figure import STYLE, figure, save
+from tissue.pictures import COMPONENTS, layer_colours, spells
 from tissue.run import Run
 from tissue.trace import NO_LAYER
 

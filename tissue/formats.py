@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from meshes.errors import InputError
+from meshes.whole_file import whole_file
 from tissue.trace import Table
 
 __all__ = ["FORMATS", "check_formats", "write_trace"]
@@ -38,7 +39,8 @@ def check_formats(formats: Iterable[str]) -> None:
 def write_trace(trace: Table, folder: Path, kind: str) -> Path:
     """Write ``folder/trace.kind`` and return its path."""
     path = folder / f"trace.{kind}"
-    FORMATS[kind]({name: trace[name] for name in trace}, path)
+    with whole_file(path) as beside:
+        FORMATS[kind]({name: trace[name] for name in trace}, beside)
     return path
 
 

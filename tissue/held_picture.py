@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue.fields import FieldSeries
-from tissue.pictures import DPI, figure, save
+from tissue.figure import DPI, figure, save
 from tissue.press_picture import camera_of
 from tissue.rendering import Camera, Coloured, render
 

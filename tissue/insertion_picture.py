@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tissue.pictures import figure, save
+from tissue.figure import figure, save
 from tissue.run import Run
 
 __all__ = ["draw_insertion"]

@@ -1,5 +1,6 @@
 """What moves the tool: given feed or given thrust."""
 
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -28,6 +29,10 @@ class Motion(Protocol):
     """Their values at the present tick."""
     model_ticks: int = 1
     """Ticks for which one answer of the tissue holds."""
+
+    def around(self, ticks: Callable[[], None]) -> None:
+        """Run all ticks; what the motion holds is taken before them and left after them, whatever ends them."""
+        ticks()
 
     def sweep_m(self) -> Array:
         """Tip positions that outline where the tool can go [m], shape (n, 3)."""

@@ -1,5 +1,6 @@
 """Movies of a run, as GIF with nothing further installed or as MP4."""
 
+import subprocess
 from collections.abc import Iterable
 from importlib.util import find_spec
 from pathlib import Path
@@ -33,11 +34,26 @@ def check_movie(path: Path) -> None:
         raise InputError(f"movie must be a .mp4 or .gif file, got {path}: use {path.with_suffix('.gif')}")
     if not path.absolute().parent.is_dir():
         raise InputError(f"movie must lie in an existing folder, got {path}: make the folder first")
-    if kind == ".mp4" and (find_spec("imageio") is None or find_spec("imageio_ffmpeg") is None):
+    problem = _encoder_problem() if kind == ".mp4" else None
+    if problem is not None:
         raise InputError(
-            f"movie must be a .gif without imageio-ffmpeg, got {path}: use {path.with_suffix('.gif')} or pip install "
-            "imageio imageio-ffmpeg"
+            f"movie must be a .gif where {problem}, got {path}: use {path.with_suffix('.gif')} or pip install imageio "
+            "imageio-ffmpeg"
         )
+
+
+def _encoder_problem() -> str | None:
+    """Why no MP4 can be encoded here, or None."""
+    if find_spec("imageio") is None or find_spec("imageio_ffmpeg") is None:
+        return "imageio and imageio-ffmpeg are not installed"
+    import imageio_ffmpeg
+
+    try:
+        encoder = imageio_ffmpeg.get_ffmpeg_exe()
+        subprocess.run([encoder, "-version"], check=True, capture_output=True, stdin=subprocess.DEVNULL, timeout=60.0)
+    except (RuntimeError, OSError, subprocess.SubprocessError):
+        return "imageio-ffmpeg has no ffmpeg that runs"
+    return None
 
 
 def movie_times_s(first_s: float, last_s: float) -> NDArray[np.float64]:

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from meshes.errors import InputError
 from meshes.liver import Nodule, liver, liver_region, slab, slab_floor
+from meshes.placement import Placement
 from meshes.progress import Progress
+from meshes.site import axes_along
 from meshes.tet_bisection import bisected
 from meshes.tet_files import read_tets
 from meshes.tet_regions import nodes_behind_plane, nodes_facing, nodes_of_part
@@ -17,11 +19,29 @@ from meshes.tetrahedra import TetMesh
 from tissue.materials import constants
 from tissue.materials.elasticity import lame, rotated, transversely_isotropic
 from tissue.motion import frame_along
+from tissue.scene_keys import FILE_WORDS, scene_keys
 from tissue.scene_soft import LiverAnatomy, Organ, SlabAnatomy
+from tissue.unused_keys import is_given
 
 __all__ = ["HeldMesh", "elasticity_of", "held_mesh"]
 
 PART_NODULE = "nodule"
+NODULE_KPA = 50.0
+"""Young's modulus of a nodule where a scene says nothing [kPa]."""
+KEYS = {
+    **dict.fromkeys(FILE_WORDS, "anatomy.file"),
+    "nodule.radius_m": "anatomy.nodule_diameter_mm",
+    "nodule.centre_m": "anatomy.nodule_centre_mm",
+    "spacing_m": "anatomy.edge_mm",
+    "edge_m": "anatomy.edge_mm",
+    "surface must enclose a solid, got none of edge": "anatomy.edge_mm must fill the surface, got",
+    "nodule_diameter_mm": "anatomy.nodule_diameter_mm",
+    "held_part": "anatomy.held_part",
+    "part": "anatomy.held_part",
+    "unit_mm": "anatomy.scale_mm",
+    "support": "anatomy.held",
+}
+"""Keys of a scene by what functions of meshes call them."""
 GROWTH = 0.5
 """Growth of the edges with the distance from the tool's way."""
 LOCKING_RATIO = 0.45
@@ -40,11 +60,14 @@ class HeldMesh:
         Nodes that do not move, in rising order.
     notes
         What was found and assumed, by what it is about.
+    placement
+        Where the scene's frame lies in that of the organ's file; None without one.
     """
 
     mesh: TetMesh
     held: NDArray[np.int64]
     notes: dict[str, str]
+    placement: Placement | None = None
 
 
 def held_mesh(
@@ -72,7 +95,7 @@ def held_mesh(
     def fine(mesh: TetMesh) -> TetMesh:
         return bisected(mesh, lambda points: touch_edge_m + GROWTH * _away(points, way_m))
 
-    try:
+    with scene_keys(KEYS):
         if isinstance(anatomy, SlabAnatomy):
             size = tuple(1e-3 * side for side in anatomy.size_mm)
             block = slab(size_m=(size[0], size[1], size[2]), spacing_m=1e-3 * anatomy.edge_mm, nodule=_nodule(anatomy))
@@ -84,8 +107,6 @@ def held_mesh(
             notes = {"liver": f"procedural, {litres:.2f} l; no vessels and no ligaments", "held": _held_note(anatomy)}
             return HeldMesh(mesh, _held(anatomy, mesh), notes)
         return _from_file(anatomy, fine, tell)
-    except InputError as error:
-        raise InputError(_named(str(error))) from error
 
 
 def elasticity_of(mesh: TetMesh, anatomy: LiverAnatomy | SlabAnatomy, organ: Organ) -> tuple[NDArray[np.float64], str]:
@@ -103,9 +124,11 @@ def elasticity_of(mesh: TetMesh, anatomy: LiverAnatomy | SlabAnatomy, organ: Org
         share = (x - x.min()) / np.ptp(x)
         young += (organ.young_end_kPa - first) * share**organ.grading_exponent
         said += f" to {organ.young_end_kPa:g} kPa along x, by the way to the power {organ.grading_exponent:g}"
-    if PART_NODULE in mesh.part_names:
-        young[mesh.part == mesh.part_names.index(PART_NODULE)] = organ.nodule_kPa
-        said += f"; nodule {organ.nodule_kPa:g} kPa"
+    nodule = _nodule_part(mesh, organ)
+    if nodule is not None:
+        stiff = NODULE_KPA if organ.nodule_kPa is None else organ.nodule_kPa
+        young[mesh.part == nodule] = stiff
+        said += f"; {mesh.part_names[nodule]} {stiff:g} kPa"
     said += f"; Poisson's ratio {ratio:g}"
     if organ.order == 1 and ratio > LOCKING_RATIO:
         said += ", at which linear tetrahedra lock: forces come out too great, take organ.order = 2"
@@ -123,9 +146,37 @@ def elasticity_of(mesh: TetMesh, anatomy: LiverAnatomy | SlabAnatomy, organ: Org
     return young[:, None, None] * turned, said + f"; {along:g} times as stiff along its fibres"
 
 
+def _nodule_part(mesh: TetMesh, organ: Organ) -> int | None:
+    """Number of the part that is the nodule; None where there is none, which a scene that asks for one is told."""
+    names, wanted = mesh.part_names, organ.nodule_part or PART_NODULE
+    for name in (wanted, f"part {wanted}"):
+        if name in names:
+            return names.index(name)
+    known = ", ".join(names)
+    if organ.nodule_part is not None:
+        raise InputError(f"organ.nodule_part must be one of {known}, got {wanted}: use one of these names or numbers")
+    if organ.nodule_kPa is None:
+        return None
+    if len(names) == 1:
+        raise InputError(
+            f"organ.nodule_kPa must be left out for a file of one part without a nodule, got {organ.nodule_kPa:g}: "
+            "give the nodule as a part of the file, or remove it"
+        )
+    raise InputError(
+        f"organ.nodule_part must be given with organ.nodule_kPa = {organ.nodule_kPa:g} for a file without a part named "
+        f"{PART_NODULE}, got nothing: use one of {known}"
+    )
+
+
 def _nodule(anatomy: LiverAnatomy | SlabAnatomy) -> Nodule | None:
     if anatomy.nodule_diameter_mm == 0.0:
         return None
+    if anatomy.nodule_diameter_mm < 2.0 * anatomy.edge_mm:
+        raise InputError(
+            f"anatomy.nodule_diameter_mm must be at least twice anatomy.edge_mm ({anatomy.edge_mm:g}), got "
+            f"{anatomy.nodule_diameter_mm:g}: use {2.0 * anatomy.edge_mm:g}, or anatomy.edge_mm = "
+            f"{0.5 * anatomy.nodule_diameter_mm:g}"
+        )
     x, y, z = (1e-3 * value for value in anatomy.nodule_centre_mm)
     return Nodule(0.5e-3 * anatomy.nodule_diameter_mm, (x, y, z))
 
@@ -142,13 +193,15 @@ def _away(points_m: NDArray[np.float64], way_m: NDArray[np.float64]) -> NDArray[
 
 def _from_file(anatomy: LiverAnatomy, fine: Callable[[TetMesh], TetMesh], tell: Progress) -> HeldMesh:
     """Mesh of a file, turned and moved to its site."""
-    if anatomy.nodule_diameter_mm > 0.0:
-        raise InputError(
-            f"nodule_diameter_mm must be 0 for an organ from a file, got {anatomy.nodule_diameter_mm:g}: give the "
-            "nodule as a part of the file"
-        )
     found = read_tets(anatomy.file or "", unit_mm=anatomy.scale_mm, edge_m=1e-3 * anatomy.edge_mm, tell=tell)
+    if not found.filled and is_given(anatomy, "edge_mm"):
+        raise InputError(
+            f"anatomy.edge_mm must be left out for tetrahedra from a file, got {anatomy.edge_mm:g}: set "
+            "anatomy.touch_edge_mm, by which they are divided where the tool goes, or remove it"
+        )
     mesh, turn = found.mesh, frame_along(anatomy.normal)
+    if anatomy.along is not None:
+        turn = axes_along(turn[:, 2], anatomy.along)
     surface = mesh.nodes_m[mesh.surface_nodes]
     if anatomy.centre_mm is None:
         origin = surface[np.argmax(surface @ turn[:, 2])]
@@ -162,7 +215,7 @@ def _from_file(anatomy: LiverAnatomy, fine: Callable[[TetMesh], TetMesh], tell: 
         "site": f"origin at ({at}) mm of the file",
         "held": _held_note(anatomy),
     }
-    return HeldMesh(placed, _held(anatomy, placed), notes)
+    return HeldMesh(placed, _held(anatomy, placed), notes, Placement(1e3 * origin, turn, found.unit_mm))
 
 
 def _held(anatomy: LiverAnatomy, mesh: TetMesh) -> NDArray[np.int64]:
@@ -173,7 +226,8 @@ def _held(anatomy: LiverAnatomy, mesh: TetMesh) -> NDArray[np.int64]:
     if anatomy.held == "part":
         if anatomy.held_part is None:
             raise InputError(f"held_part must be given, got nothing: use one of {', '.join(mesh.part_names)}")
-        return nodes_of_part(mesh, anatomy.held_part)
+        numbered = f"part {anatomy.held_part}"
+        return nodes_of_part(mesh, numbered if numbered in mesh.part_names else anatomy.held_part)
     if anatomy.file is None:
         return liver_region(mesh, anatomy.held)
     return nodes_facing(mesh, direction=(0.0, 0.0, -1.0) if anatomy.held == "below" else (0.0, 1.0, 0.0))
@@ -187,21 +241,3 @@ def _held_note(anatomy: LiverAnatomy) -> str:
         "part": f"the part {anatomy.held_part}",
     }
     return said[anatomy.held]
-
-
-def _named(said: str) -> str:
-    """Let a refusal name the scene's key."""
-    for argument, key in (
-        ("nodule.radius_m", "anatomy.nodule_diameter_mm"),
-        ("nodule.centre_m", "anatomy.nodule_centre_mm"),
-        ("spacing_m", "anatomy.edge_mm"),
-        ("edge_m", "anatomy.edge_mm"),
-        ("nodule_diameter_mm", "anatomy.nodule_diameter_mm"),
-        ("held_part", "anatomy.held_part"),
-        ("file", "anatomy.file"),
-        ("unit_mm", "anatomy.scale_mm"),
-        ("support", "anatomy.held"),
-    ):
-        if said.startswith(argument + " "):
-            return key + said.removeprefix(argument)
-    return said

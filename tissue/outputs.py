@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshes.errors import InputError
+from meshes.whole_file import whole_file
 
 __all__ = ["require_free_folder", "require_new_file", "write_columns"]
 
@@ -45,4 +46,5 @@ def write_columns(path: Path, columns: Mapping[str, ArrayLike]) -> None:
     """Write columns of equal length as CSV, by their names, with all digits."""
     rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
     lines = [",".join(columns), *(",".join(map(repr, row)) for row in rows)]
-    path.write_text("\n".join(lines) + "\n", "utf-8")
+    with whole_file(path) as beside:
+        beside.write_text("\n".join(lines) + "\n", "utf-8")

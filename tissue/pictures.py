@@ -8,28 +8,24 @@ from numpy.typing import NDArray
 
 from tissue.depth import DepthMap, tool_axes
 from tissue.event_marks import EVENT_IN, event_lines, mark_events
+from tissue.figure import STYLE, figure, save
 from tissue.run import Run
 from tissue.trace import NO_LAYER
 
 if TYPE_CHECKING:
     from matplotlib.colors import Colormap
-    from matplotlib.figure import Figure
 
 __all__ = [
     "BONE",
-    "DPI",
     "axis_names",
     "depth_colours",
     "depth_limit",
     "draw_force_torque",
     "draw_removed_depth",
-    "figure",
     "layer_colours",
-    "save",
     "spells",
 ]
 
-DPI = 200
 BONE = (0.93, 0.89, 0.81)
 """Colour of bone that was not cut."""
 LAYERS = {
@@ -58,24 +54,6 @@ SMALL_NM = 0.02
 """Torque below which a picture shows thousandths [N m]."""
 ANATOMICAL = {"glenoid": ("anterior", "superior", "lateral")}
 """What the world's axes mean, by kind of anatomy."""
-STYLE: dict[Any, Any] = {"font.size": 9.0, "axes.linewidth": 0.7, "legend.fontsize": 8.5, "lines.linewidth": 1.2}
-
-
-def figure(width_in: float, height_in: float) -> "Figure":
-    """A figure that no window knows of."""
-    import matplotlib
-    from matplotlib.figure import Figure
-
-    with matplotlib.rc_context(STYLE):
-        return Figure(figsize=(width_in, height_in), dpi=DPI)
-
-
-def save(chart: "Figure", path: Path) -> None:
-    """Write a figure as PNG, the same bytes for the same figure."""
-    import matplotlib
-
-    with matplotlib.rc_context(STYLE):
-        chart.savefig(path, format="png", dpi=DPI, metadata={"Software": None}, pil_kwargs={"compress_level": 3})
 
 
 def axis_names(run: Run) -> tuple[str, ...]:
@@ -84,8 +62,11 @@ def axis_names(run: Run) -> tuple[str, ...]:
     if meanings is None:
         return tuple("xyz")
     named = tuple(f"{c} ({meaning})" for c, meaning in zip("xyz", meanings, strict=True))
+    bone = run.scene.bone
+    if bone.centre_mm is not None or bone.along is not None:
+        return tuple("xyz")  # what was pointed at on a bone need not be its glenoid
     # On bone from a file x points forward or backward with the side of the body, which the file does not tell.
-    return ("x", *named[1:]) if run.scene.bone.file else named
+    return ("x", *named[1:]) if bone.file else named
 
 
 def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float]]:
@@ -267,7 +248,7 @@ def _draw_force_torque(run: Run, path: Path) -> None:
             panels[3].axvspan(time[first], end, color=colours[name], alpha=0.45, linewidth=0.0)
     if met:
         panels[3].legend(
-            handles=[Patch(facecolor=colours[name], alpha=0.45, label=f"in {name}") for name in met],
+            handles=[Patch(facecolor=colours[name], alpha=0.45, label=_literal(f"in {name}")) for name in met],
             loc="lower left",
             ncols=3,
             frameon=False,
@@ -282,8 +263,13 @@ def _draw_force_torque(run: Run, path: Path) -> None:
     chart.align_ylabels(panels)
     mark_events(panels, run.events)
     for line, sentence in enumerate(told):
-        chart.text(0.11, (foot - 0.6 - EVENT_IN * line) / full, sentence, va="center", size=8.5)
+        chart.text(0.11, (foot - 0.6 - EVENT_IN * line) / full, _literal(sentence), va="center", size=8.5)
     save(chart, path)
+
+
+def _literal(text: str) -> str:
+    """Text that matplotlib draws as it is: dollars are no formula."""
+    return text.replace("$", r"\$")
 
 
 def spells(names: NDArray[Any]) -> list[tuple[int, int, str]]:

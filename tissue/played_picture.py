@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue.coupling import device_parameters
-from tissue.pictures import figure, save
+from tissue.figure import figure, save
 from tissue.run import Run
 from tissue.trace import Table
 
@@ -30,7 +30,7 @@ SATURATED = "#F0E442"
 def draw_played(run: Run, path: Path) -> None:
     """Draw forces at the device [N], compressed spans, the greatest change at 1 ms, and tool and device [mm]."""
     trace, scene = run.trace, run.scene
-    sizes = _sizes(trace, scene.coupling.force_scale)
+    sizes = _sizes(trace, scene.force_scale)
     time, limits = trace["time_s"], device_parameters(scene.device)
     turns = bool(trace.vectors("device_torque", "Nm").any())
     chart = figure(8.0, 7.6 if turns else 6.4)
@@ -74,9 +74,7 @@ def draw_played(run: Run, path: Path) -> None:
     handles, labels = panels[0].get_legend_handles_labels()
     chart.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.11, 0.95), ncols=3, frameon=False)
     said = f"{scene.name}: what the {scene.device} played ({scene.hand}, {scene.renderer})"
-    chart.text(
-        0.12, 0.965, f"{said}; {scene.coupling.force_scale:g} N for each newton at the tool", va="center", size=10.0
-    )
+    chart.text(0.12, 0.965, f"{said}; {scene.force_scale:g} N for each newton at the tool", va="center", size=10.0)
     save(chart, path)
 
 

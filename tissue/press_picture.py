@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue.fields import FieldSeries, Frame
-from tissue.pictures import DPI, figure, save
+from tissue.figure import DPI, figure, save
 from tissue.rendering import Camera, Coloured, render
 from tissue.series import frame_mesh
 from tissue.trace import Table

@@ -3,13 +3,16 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from meshes.errors import InputError
+from tissue.scene_keys import FILE_WORDS, scene_keys
 from tissue.scene_tool import Probe as ProbeTable
 
 if TYPE_CHECKING:
-    from tissue.liver.probe import Probe
+    from tissue.liver.probe import Probe, ShellProbe
 
-__all__ = ["probe_of"]
+__all__ = ["probe_of", "shell_note"]
 
 
 def probe_of(tool: ProbeTable) -> "Probe":
@@ -31,11 +34,17 @@ def probe_of(tool: ProbeTable) -> "Probe":
     if not file.is_file():
         raise InputError(f"tool.file must exist, got {file}: check the path")
     try:
-        return ShellProbe.from_mesh(file, scale=1e-3 * tool.scale_mm)
-    except InputError as error:
-        raise InputError(f"tool.file: {error}") from error
+        with scene_keys(dict.fromkeys(("mesh", *FILE_WORDS), "tool.file")):
+            return ShellProbe.from_mesh(file, scale=1e-3 * tool.scale_mm)
+    except InputError:
+        raise
     except Exception as problem:  # trimesh's readers raise whatever their format's parser does
-        why = type(problem).__name__
         raise InputError(
-            f"tool.file must be a surface that can be read, got {file.name} ({why}): export it as STL"
+            f"tool.file must be a surface that can be read, got {file.name} (damaged or cut off): export it as STL"
         ) from problem
+
+
+def shell_note(tool: ProbeTable, probe: "ShellProbe") -> str:
+    """The unit in which a probe's file was taken, and the size that gives."""
+    sides = " x ".join(f"{1e3 * side:.3g}" for side in np.ptp(probe.points_m, axis=0))
+    return f"{Path(tool.file or '').name} taken at {tool.scale_mm:g} mm per unit: {sides} mm"

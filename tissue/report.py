@@ -1,13 +1,18 @@
 """What a run leaves behind to look at: the bone as files, and pictures."""
 
 import gzip
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from meshes.whole_file import whole_file
 from tissue.depth import depth_map
+from tissue.file_frame import image_in_file, mesh_in_file
+from tissue.offscreen import end_drawing
 from tissue.run import Run
 from tissue.surface import bone_surface, with_depth, with_layers
 from tissue.vtk_files import write_vtk, write_vtk_xml
@@ -16,6 +21,9 @@ if TYPE_CHECKING:
     import pyvista
 
 __all__ = ["carved_surface", "draw_pictures", "write_bone"]
+
+UNIT_NAMES = {1.0: "mm", 10.0: "cm", 1000.0: "m"}
+"""Units of a file by their length [mm], as NRRD names them."""
 
 
 def carved_surface(run: Run) -> "pyvista.PolyData":
@@ -32,6 +40,8 @@ def write_bone(run: Run, out: Path) -> None:
     (uint8, an index into the field ``layer_names``) and ``density_kg_m3`` (uint16); ParaView opens it. ``bone.nrrd``
     holds ``remaining`` for 3D Slicer, which reads no .vti. ``bone.stl`` and ``bone.vtp`` hold the carved surface in mm,
     the latter with ``removed_depth_mm`` and ``layer``. A bone that was cut away altogether has no ``bone.stl``.
+
+    Bone from a file is written in the frame and unit of that file, so that it overlays it.
     """
     if run.parts.volume is None:
         return
@@ -40,14 +50,17 @@ def write_bone(run: Run, out: Path) -> None:
 
     image = run.dataset()
     image.set_active_scalars("remaining", preference="cell")
-    write_vtk_xml(vtkXMLImageDataWriter(), image, out / "bone.vti")
+    placement = run.parts.placement
+    write_vtk_xml(vtkXMLImageDataWriter(), image_in_file(image, placement), out / "bone.vti")
     _write_nrrd(run, out / "bone.nrrd")
-    surface = carved_surface(run)
+    surface = mesh_in_file(carved_surface(run), placement)
     write_vtk_xml(vtkXMLPolyDataWriter(), surface, out / "bone.vtp")
     if surface.n_cells:
         writer = vtkSTLWriter()
         writer.SetFileTypeToBinary()
-        writer.SetHeader("tissue: carved bone in mm")
+        writer.SetHeader(
+            "tissue: carved bone in mm" if placement is None else "tissue: carved bone in its file's frame"
+        )
         write_vtk(writer, surface, out / "bone.stl")
 
 
@@ -78,7 +91,7 @@ def draw_pictures(run: Run, folder: Path) -> list[str]:
     if run.scene.device != "none":
         draw_played(run, folder / "played.png")
     if run.parts.volume is None:
-        with ThreadPoolExecutor(1) as beside:
+        with _beside() as beside:
             if (fields := run.parts.tissue.fields) and fields.frames:
                 tool, name = tool_surface(run.scene.tool), run.scene.name
                 held = beside.submit(draw_held, fields, folder / "held.png", title=name)
@@ -91,7 +104,7 @@ def draw_pictures(run: Run, folder: Path) -> list[str]:
                 draw_wall(run, folder / "wall.png")
         return _told(notes)
     depth = depth_map(run)
-    with ThreadPoolExecutor(1) as beside:
+    with _beside() as beside:
         render = beside.submit(draw_before_after, run, depth, folder / "bone_before_after.png")
         draw_removed_depth(run, depth, folder / "removed_depth.png")
         draw_force_torque(run, folder / "force_torque.png")
@@ -104,6 +117,17 @@ def draw_pictures(run: Run, folder: Path) -> list[str]:
     return _told(notes)
 
 
+@contextmanager
+def _beside() -> Iterator[ThreadPoolExecutor]:
+    """A thread that draws in 3D; what ends the block before its end, such as Ctrl-C, does not wait for it."""
+    with ThreadPoolExecutor(1) as thread:
+        try:
+            yield thread
+        except BaseException:
+            end_drawing()
+            raise
+
+
 def _told(notes: dict[str, str | None]) -> list[str]:
     """A sentence for every picture that could not be drawn."""
     return [f"{name} was not drawn: {note}" for name, note in notes.items() if note is not None]
@@ -111,8 +135,13 @@ def _told(notes: dict[str, str | None]) -> list[str]:
 
 def _write_nrrd(run: Run, path: Path) -> None:
     """Write ``remaining`` as a compressed NRRD image; its axes are those of the surface files in 3D Slicer (LPS)."""
-    volume = run.volume
-    spacing, origin = volume.spacing_m * 1e3, (volume.origin_m + 0.5 * volume.spacing_m) * 1e3
+    volume, placement = run.volume, run.parts.placement
+    directions, origin = volume.spacing_m * 1e3 * np.eye(3), (volume.origin_m + 0.5 * volume.spacing_m) * 1e3
+    units = []
+    if placement is not None:
+        directions, origin = directions @ placement.rotation.T / placement.unit_mm, placement.to_file(origin[None])[0]
+        name = UNIT_NAMES.get(placement.unit_mm)
+        units = [f'space units: "{name}" "{name}" "{name}"'] if name else []
     header = "\n".join(
         [
             "NRRD0004",
@@ -120,12 +149,13 @@ def _write_nrrd(run: Run, path: Path) -> None:
             "dimension: 3",
             "space: left-posterior-superior",
             f"sizes: {' '.join(map(str, volume.shape))}",
-            "space directions: "
-            + " ".join(f"({','.join(repr(float(v)) for v in row)})" for row in spacing * np.eye(3)),
+            "space directions: " + " ".join(f"({','.join(repr(float(v)) for v in row)})" for row in directions),
+            *units,
             "kinds: domain domain domain",
             "encoding: gzip",
             f"space origin: ({','.join(repr(float(v)) for v in origin)})",
         ]
     )
     data = gzip.compress(run.remaining.tobytes(order="F"), compresslevel=1, mtime=0)
-    path.write_bytes(header.encode("ascii") + b"\n\n" + data)
+    with whole_file(path) as beside:
+        beside.write_bytes(header.encode("ascii") + b"\n\n" + data)

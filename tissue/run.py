@@ -10,16 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError
+from meshes.file_version import package_version
 from meshes.progress import Progress, silent
 from meshes.volume import VoxelVolume
 from tissue.cutters import Cutter
 from tissue.parts import Parts
-from tissue.run_folder import FORMAT, RunFolder
+from tissue.run_folder import RunFolder
+from tissue.run_summary import FORMAT
 from tissue.scene import Scene
 from tissue.trace import Table
 
 if TYPE_CHECKING:
     import pyvista
+
+    from tissue.bone import CarvingReplay
 
 __all__ = ["DEADLINE_US", "Run"]
 
@@ -38,6 +42,8 @@ class Run:
         One row a tick; columns by name, ``run.trace["force_z_N"]``.
     events
         What happened on the way: time [s] and a sentence each.
+    poses
+        Poses of a tool that cuts, see `tissue.pose_log.PoseLog`; None of one that does not.
     """
 
     def __init__(
@@ -50,9 +56,10 @@ class Run:
         events: list[tuple[float, str]],
         compute: str,
         folder: RunFolder | None,
+        poses: NDArray[np.float64] | None = None,
     ) -> None:
         self.scene, self.parts, self.trace, self.timing, self.events = scene, parts, trace, timing, events
-        self._compute, self._folder = compute, folder
+        self._compute, self._folder, self.poses = compute, folder, poses
         self._fraction: NDArray[np.uint8] | None = None
 
     @property
@@ -83,6 +90,21 @@ class Run:
             self._fraction = self.volume.fraction if left is None else left
         return self._fraction
 
+    def replay(self) -> "CarvingReplay":
+        """The carving once more, for the bone at any tick: ``run.replay().at(tick)``.
+
+        Raises
+        ------
+        InputError
+            If nothing was cut.
+        """
+        from tissue.bone import CarvingReplay
+
+        if self.poses is None:
+            raise InputError(f"run must have a tool that cuts, got {self.scene.tool.kind}: see its trace and fields")
+        removal = self.scene.voxels.removal
+        return CarvingReplay(self.volume, self.cutter, self.poses, removal=removal, device=self._compute)
+
     def summary(self) -> dict[str, Any]:
         """Figures of the run: volumes per layer, forces, tick cost, deadlines, notes, machine."""
         trace, tissue = self.trace, self.parts.tissue
@@ -94,6 +116,7 @@ class Run:
         late = self.timing["late_us"] if "late_us" in self.timing else np.zeros(len(ticks))
         return {
             "format": FORMAT,
+            "tissue": package_version(),
             "status": "complete",
             "scene": self.scene.name,
             "layers": list(trace.layer_names),
@@ -112,13 +135,14 @@ class Run:
             ),
             "events": [{"time_s": time, "what": what} for time, what in self.events],
             "compute": self._compute,
+            **self.parts.placement_record,
             "machine": f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}, Python "
             f"{platform.python_version()}",
             "notes": self.parts.notes,
         }
 
     def dataset(self) -> "pyvista.ImageData | pyvista.UnstructuredGrid":
-        """What was simulated, as pyvista shows it, in mm.
+        """What was simulated, as pyvista shows it, in the scene's frame in mm.
 
         Voxels: an image with the cell arrays start and remaining (255 = full), layer, density_kg_m3. Elements: the mesh
         of the last frame with its fields.
@@ -177,6 +201,7 @@ class Run:
         InputError
             If the folder holds another run or a format is unknown.
         """
+        from tissue.carving_series import write_carving
         from tissue.formats import check_formats, write_trace
         from tissue.report import draw_pictures, write_bone
         from tissue.series import write_fields
@@ -185,26 +210,31 @@ class Run:
         formats = tuple(formats)
         check_formats(formats)
         out = Path(out)
-        folder = self._folder
-        if folder is None or folder.path != out:
-            folder = RunFolder.begin(out, self.scene, overwrite=overwrite)
-            folder.open_tables(self.trace, self.timing)
-            folder.flush(len(self.trace.rows), force=True)
-        folder.close()
-        for kind in formats:
-            write_trace(self.trace, out, kind)
-        tell("writing the bone", 0.0)
-        write_bone(self, out)
-        fields = self.parts.tissue.fields
-        if fields is not None and fields.frames:
-            tell("writing the fields", 0.0)
-            write_fields(fields, out)
-        if pictures:
-            tell("drawing pictures", 0.0)
-            notes = draw_pictures(self, out / "pictures")
-            if notes:
-                self.parts.notes["pictures"] = "; ".join(notes)
-        folder.write_summary(self.summary())
+        folder, self._folder = self._folder, None  # what is saved once is another's to replace
+        begun = folder is not None and folder.path == out
+        if folder is None or not begun:
+            folder = RunFolder(out, overwrite=overwrite)
+        with folder.ending():
+            if not begun:
+                folder.begin(self.scene, self.parts.placement)
+                folder.open_tables(self.trace, self.timing)
+                folder.flush(len(self.trace.rows), force=True)
+            folder.close_tables()
+            for kind in formats:
+                write_trace(self.trace, out, kind)
+            tell("writing the bone", 0.0)
+            write_bone(self, out)
+            write_carving(self, out, tell=tell)
+            fields = self.parts.tissue.fields
+            if fields is not None and fields.frames:
+                tell("writing the fields", 0.0)
+                write_fields(fields, out, self.parts.placement)
+            if pictures:
+                tell("drawing pictures", 0.0)
+                notes = draw_pictures(self, out / "pictures")
+                if notes:
+                    self.parts.notes["pictures"] = "; ".join(notes)
+            folder.complete(self.summary())
         return out
 
 

@@ -3,19 +3,27 @@
 import json
 import os
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from meshes.errors import InputError
+from meshes.file_version import package_version
+from meshes.placement import Placement
 from meshes.whole_file import whole_file
 from tissue.formats import FORMATS
+from tissue.load import load_scene, saved_text
+from tissue.model import TICK_S
+from tissue.output_lock import OutputLock
+from tissue.process_identity import identity, is_alive
+from tissue.run_summary import FORMAT, read_summary, summary_of
 from tissue.scene import Scene
-from tissue.trace import Table, TraceWriter, read_table
+from tissue.stopping import Terminated
+from tissue.trace import Table, TraceWriter, read_trace
 
-__all__ = ["FORMAT", "RunFolder", "SavedRun"]
+__all__ = ["FORMAT", "RunFolder", "SavedRun", "saved_placement"]
 
-FORMAT = 1
-"""Version of the run folder."""
 OWN_FILES = (
     "trace.csv",
     *(f"trace.{kind}" for kind in FORMATS),
@@ -26,6 +34,8 @@ OWN_FILES = (
     "bone.nrrd",
     "bone.stl",
     "bone.vtp",
+    "carving.pvd",
+    "carving",
     "fields.pvd",
     "fields",
     "pictures",
@@ -34,15 +44,30 @@ OWN_FILES = (
 
 
 class RunFolder:
-    """A folder that takes a run while it goes on.
+    """A folder that takes a run while it goes on, held against other processes until the run has ended.
 
     It never replaces files that it did not write: a folder that holds a run is kept unless told to overwrite it, and
-    one that holds other files of the same names is always kept.
+    one that holds other files of the same names is always kept. Nothing in it changes before `begin`.
+
+    Parameters
+    ----------
+    path
+        The folder.
+    overwrite
+        Replace a run that it holds.
+
+    Raises
+    ------
+    InputError
+        If it holds another run or files of other origin, or another process writes to it.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, *, overwrite: bool) -> None:
+        self.check(path, overwrite=overwrite)
+        self.path, self._overwrite = path, overwrite
         self._writers: list[TraceWriter] = []
+        self._summary: dict[str, Any] = {}
+        self._lock = OutputLock(path, folder=True)
 
     @staticmethod
     def check(path: Path, *, overwrite: bool) -> None:
@@ -66,29 +91,46 @@ class RunFolder:
                 f"out must not hold another run, got {path}: pass --overwrite to replace it or choose another --out"
             )
 
-    @classmethod
-    def begin(cls, path: Path, scene: Scene, *, overwrite: bool) -> "RunFolder":
-        """Make the folder ready and mark it as running.
-
-        Raises
-        ------
-        InputError
-            If it holds another run, or files of other origin.
-        """
-        cls.check(path, overwrite=overwrite)
-        path.mkdir(parents=True, exist_ok=True)
-        folder = cls(path)
-        folder.write_summary({"format": FORMAT, "status": "running", "scene": scene.name})
-        for name in _own_files(path):
+    def begin(self, scene: Scene, placement: Placement | None = None) -> None:
+        """Take away what is replaced, and mark the folder as that of a run which goes on."""
+        self.check(self.path, overwrite=self._overwrite)  # another process may have ended a run here in between
+        placed = {} if placement is None else {"placement": placement.to_record()}
+        written = {"format": FORMAT, "tissue": package_version(), "status": "running", "process": identity()}
+        self._write_summary(written | {"scene": scene.name} | placed)
+        for name in _own_files(self.path):
             if name != "summary.json":
-                entry = path / name
+                entry = self.path / name
                 shutil.rmtree(entry) if entry.is_dir() and not entry.is_symlink() else entry.unlink()
-        (path / "scene.toml").write_text(scene.to_toml(), "utf-8")
-        return folder
+        with whole_file(self.path / "scene.toml") as beside:
+            beside.write_text(saved_text(scene) + _remark(placement), "utf-8")
+
+    @contextmanager
+    def ending(self) -> Iterator[None]:
+        """Say in the summary what ended a block before its end, and let go of the folder then."""
+        try:
+            yield
+        except BaseException as error:
+            with suppress(OSError):  # such as a full disk: the run is then told as one whose process is gone
+                self.close_tables()
+                self._stopped(error)
+            self._lock.release()
+            raise
+
+    def _stopped(self, error: BaseException) -> None:
+        """Mark a run that was begun as interrupted or failed."""
+        if not self._summary:
+            return
+        if isinstance(error, KeyboardInterrupt):
+            status, problem = "interrupted", error.name if isinstance(error, Terminated) else "Ctrl-C"
+        else:
+            kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
+            status, problem = "failed", kind + " ".join(str(error).split())
+        summary = {name: value for name, value in self._summary.items() if name != "process"}
+        self._write_summary(summary | {"status": status, "problem": problem})
 
     def open_tables(self, trace: Table, timing: Table) -> None:
         """Start to write the trace and the timing."""
-        self.write_summary(json.loads((self.path / "summary.json").read_text("utf-8")) | {"layers": trace.layer_names})
+        self._write_summary(self._summary | {"layers": trace.layer_names})
         self._writers = [
             TraceWriter(self.path / "trace.csv", trace),
             TraceWriter(self.path / "timing.csv", timing),
@@ -99,14 +141,20 @@ class RunFolder:
         for writer in self._writers:
             writer.flush(row_count, force=force)
 
-    def close(self) -> None:
-        """Close the tables."""
+    def close_tables(self) -> None:
+        """Close the trace and the timing."""
         for writer in self._writers:
             writer.close()
         self._writers = []
 
-    def write_summary(self, summary: dict[str, Any]) -> None:
+    def complete(self, summary: dict[str, Any]) -> None:
+        """Write the summary of a run whose files are all there, and let go of the folder."""
+        self._write_summary(summary)
+        self._lock.release()
+
+    def _write_summary(self, summary: dict[str, Any]) -> None:
         """Write ``summary.json`` at once: it is either the old one or the new one."""
+        self._summary = summary
         with whole_file(self.path / "summary.json") as beside:
             beside.write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
 
@@ -120,29 +168,75 @@ class SavedRun:
         The folder.
     summary
         Contents of ``summary.json``.
+    status
+        ``complete``, ``failed``, ``interrupted`` or ``running``; a run whose process is gone was interrupted.
+    problem
+        What ended a run that failed or was interrupted, empty where that is not known.
+    scene
+        The scene, None where its file is missing.
     trace
-        The trace, up to the last whole row.
+        The trace, up to the last whole row; None where its file is missing.
 
     Raises
     ------
     InputError
-        If the folder holds no run.
+        If the folder holds no run, one of another version, or a damaged summary, scene or trace; a trace of a complete
+        run that is shorter or longer than the run was is damaged.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        if not _holds_run(self.path):
-            raise InputError(
-                f"run must be a folder that `tissue run` wrote, got {self.path}: give for example runs/glenoid"
-            )
-        self.summary: dict[str, Any] = json.loads((self.path / "summary.json").read_text("utf-8"))
-        table = self.path / "trace.csv"
-        self.trace = read_table(table, tuple(self.summary.get("layers", ()))) if table.is_file() else None
+        self.summary: dict[str, Any] = read_summary(self.path)
+        self.status = _status_of(self.summary)
+        self.problem = str(self.summary.get("problem", ""))
+        kept, table = self.path / "scene.toml", self.path / "trace.csv"
+        self.scene = load_scene(kept) if kept.is_file() else None
+        self.trace = read_trace(table, tuple(self.summary.get("layers", ()))) if table.is_file() else None
+        if self.complete and self.trace is not None:
+            self._require_ticks(len(self.trace.rows))
 
     @property
     def complete(self) -> bool:
         """Whether the run came to its end."""
-        return bool(self.summary["status"] == "complete")
+        return self.status == "complete"
+
+    def _require_ticks(self, found: int) -> None:
+        """Refuse a trace that is not as long as the summary of the complete run says."""
+        said = round(self.summary["simulated_s"] / TICK_S)
+        if found != said:
+            raise InputError(
+                f"trace.csv must hold {said} ticks as summary.json says, got {found} in {self.path / 'trace.csv'}: run "
+                "the scene again"
+            )
+
+
+def saved_placement(path: Path) -> Placement | None:
+    """Where the frame of a run's scene lies in that of its bone and field files; None where they are the same.
+
+    Raises
+    ------
+    InputError
+        If the summary's placement is no rigid motion.
+    """
+    try:
+        record = json.loads((path / "summary.json").read_text("utf-8")).get("placement")
+    except (OSError, ValueError, AttributeError):
+        return None
+    return None if record is None else Placement.from_record(record)
+
+
+def _remark(placement: Placement | None) -> str:
+    """Where the scene lies in the anatomy's file, as comments of TOML that pin the site where they are copied."""
+    if placement is None:
+        return ""
+    values = {
+        "centre_mm": placement.origin_mm,
+        "normal": placement.rotation[:, 2],
+        "along": placement.rotation[:, 0],
+        "file_to_scene_mm": placement.file_to_scene_mm,
+    }
+    title = "# Where the scene lies in the anatomy's file; as keys of anatomy, the first three would fix it there:\n"
+    return "\n" + title + "".join(f"# {name} = {array.tolist()}\n" for name, array in values.items())
 
 
 def _own_files(path: Path) -> list[str]:
@@ -152,9 +246,12 @@ def _own_files(path: Path) -> list[str]:
     return sorted(entry.name for entry in path.iterdir() if entry.name in OWN_FILES)
 
 
+def _status_of(summary: dict[str, Any]) -> str:
+    """How a run stands: what its summary says, but one that is said to go on has to have its process."""
+    status = str(summary.get("status", "interrupted"))
+    return status if status != "running" or is_alive(summary.get("process")) else "interrupted"
+
+
 def _holds_run(path: Path) -> bool:
     """Whether a folder holds a run."""
-    try:
-        return bool(json.loads((path / "summary.json").read_text("utf-8")).get("format"))
-    except (OSError, ValueError, AttributeError):
-        return False
+    return bool(summary_of(path).get("format"))

@@ -24,6 +24,7 @@ from tissue.scene_coupling import (
 )
 from tissue.scene_soft import LayersAnatomy, LiverAnatomy, Organ, SlabAnatomy
 from tissue.scene_tool import Needle, PathMotion, Probe, ReplayMotion, ThrustMotion, Tool
+from tissue.unused_keys import unused_keys
 
 __all__ = ["Cutting", "Output", "Scene", "Stress", "Voxels"]
 
@@ -90,13 +91,8 @@ TOOLS: dict[str, type[Part]] = {
     "layers": Needle,
 }
 """What meets each kind of anatomy."""
-VOXEL_PARTS = frozenset({"voxels", "cutting", "stress", "heat"})
-IDLE: dict[type[Part], frozenset[str]] = {
-    Tool: frozenset({"organ"}),
-    Probe: VOXEL_PARTS,
-    Needle: VOXEL_PARTS | {"organ"},
-}
-"""Parts of a scene that are of no use to what a tool meets."""
+FORCE_SCALES = {"glenoid": 0.03, "block": 0.03, "molar": 0.1}
+"""Newtons at the device for each one at the tool where a scene says nothing: what keeps cutting within its range."""
 
 
 class Scene(Part):
@@ -151,10 +147,10 @@ class Scene(Part):
         return self.anatomy
 
     @property
-    def idle_parts(self) -> frozenset[str]:
-        """Parts that this anatomy has no use for."""
-        idle = IDLE[TOOLS[self.anatomy.kind]]
-        return idle | {"organ"} if self.anatomy.kind == "wall" else idle
+    def force_scale(self) -> float:
+        """Newtons at the device for each newton at the tool."""
+        given = self.coupling.force_scale
+        return FORCE_SCALES.get(self.anatomy.kind, 1.0) if given is None else given
 
     @model_validator(mode="after")
     def _parts_fit(self) -> "Scene":
@@ -163,23 +159,15 @@ class Scene(Part):
             names = ", ".join(get_args(wanted.model_fields["kind"].annotation))
             got = self.tool.kind
             raise InputError(f"tool.kind must be one of {names} for a {kind}, got {got}: choose one of these")
-        for name in sorted(self.idle_parts & self.model_fields_set):
-            if getattr(self, name):
-                raise InputError(f"{name} must be left out for a {kind}, got a value: remove it")
         if kind == "wall" and self.tool.kind != "sphere-probe":
             raise InputError(f"tool.kind must be sphere-probe for a wall, got {self.tool.kind}: use a ball")
         if isinstance(self.tool, Tool) and isinstance(self.anatomy, AnatomyFile):
             self._cutter_fits(self.tool, self.anatomy)
-        for name in ("prediction", "perception"):
-            if self.device == "none" and (got := getattr(self, name)) != "none":
-                raise InputError(f"device must be given for a {name}, got none with {name} = {got}: use touch")
-        if self.heat and kind != "molar":
-            raise InputError(f"heat must be false for a {kind}, got true: it is for a molar")
         return self
 
     def _cutter_fits(self, tool: Tool, anatomy: AnatomyFile) -> None:
         hole, peg = anatomy.guide_hole_diameter_mm, tool.peg_diameter_mm
-        if peg > 0.0 and (hole < peg or anatomy.guide_hole_depth_mm < tool.peg_length_mm):
+        if tool.can_have_peg and peg > 0.0 and (hole < peg or anatomy.guide_hole_depth_mm < tool.peg_length_mm):
             depth, length = anatomy.guide_hole_depth_mm, tool.peg_length_mm
             raise InputError(
                 f"tool.peg_diameter_mm must fit the guide hole ({hole:g} mm wide, {depth:g} mm deep), got a peg of "
@@ -191,12 +179,10 @@ class Scene(Part):
                 f"voxels.spacing_mm must be at most a quarter of tool.diameter_mm ({tool.diameter_mm:g}), got "
                 f"{self.voxels.spacing_mm:g}: use {tool.diameter_mm / 20:g}"
             )
-        if self.stress is not None:
+        if self.stress is not None and isinstance(anatomy, MolarAnatomy):
             self._stress_fits(self.stress)
 
     def _stress_fits(self, stress: Stress) -> None:
-        if self.anatomy.kind != "molar":
-            raise InputError(f"stress must be left out for a {self.anatomy.kind}, got a table: it is for a molar")
         spacing = self.voxels.spacing_mm
         ratio = 0.5 * stress.cell_mm / spacing
         if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
@@ -208,10 +194,17 @@ class Scene(Part):
             )
 
     def to_toml(self) -> str:
-        """The whole scene, defaults included, as TOML."""
+        """The whole scene, defaults included, as TOML, without keys that have no effect in it."""
         import tomli_w
 
-        return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True, exclude=set(self.idle_parts)))
+        table = self.model_dump(mode="json", exclude_none=True)
+        for key in unused_keys(self):
+            part, _, name = key.partition(".")
+            if name:
+                table[part].pop(name, None)
+            else:
+                table.pop(part, None)
+        return tomli_w.dumps({name: value for name, value in table.items() if value != {}})
 
     def with_files_at(self, folder: Path) -> "Scene":
         """The same scene with the paths of its files made absolute, relative ones taken from ``folder``."""

@@ -1,5 +1,6 @@
 """What a scene says of the anatomy: procedural, or read from files."""
 
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, Strict, field_validator
@@ -7,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, Strict, field_validator
 __all__ = ["AnatomyFile", "BlockAnatomy", "GlenoidAnatomy", "Length_mm", "MolarAnatomy", "Part", "Vector"]
 
 Vector = Annotated[tuple[float, float, float], Strict(False)]
+SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
 Length_mm = Annotated[float, Field(ge=0.1, le=500)]
 
 
@@ -26,9 +28,11 @@ class AnatomyFile(Part):
     scale_mm: float | None = Field(None, gt=0, le=1e5, examples=[1.0])
     """Millimetres per unit of a surface file; without it the unit is guessed and shown."""
     centre_mm: Vector | None = Field(None, examples=[(0.0, 0.0, 0.0)])
-    """Centre of the working face in the file's frame [mm]; without it a glenoid is searched for."""
+    """Centre of the working face in the file's frame [mm]; without it that of a glenoid is searched for."""
     normal: Vector | None = Field(None, examples=[(0.0, 0.0, 1.0)])
     """Outward normal of the working face in the file's frame."""
+    along: Vector | None = Field(None, examples=[(1.0, 0.0, 0.0)])
+    """Direction in the file's frame that becomes x, as far as it lies across the normal."""
     spacing_mm: float | None = Field(None, gt=0, le=10, examples=[0.0195])
     """Voxel edge of an image that does not state one, such as TIFF slices."""
     threshold: float | None = Field(None, ge=-1e9, le=1e9, examples=[200.0])
@@ -39,6 +43,11 @@ class AnatomyFile(Part):
     """Diameter of a guide hole drilled along the tool's axis before the run; 0 drills none."""
     guide_hole_depth_mm: float = Field(0.0, ge=0, le=100)
     """Depth of the guide hole under the face."""
+
+    @property
+    def is_image(self) -> bool:
+        """Whether the bone comes from an image volume or a folder of slices, and from no surface."""
+        return self.file is not None and Path(self.file).suffix.lower() not in SURFACE_SUFFIXES
 
     @field_validator("file", mode="before")
     @classmethod
@@ -69,7 +78,7 @@ class BlockAnatomy(AnatomyFile):
     size_mm: Annotated[tuple[Length_mm, Length_mm, Length_mm], Strict(False)] = (20.0, 12.0, 8.0)
     """Edge lengths along x, y and z."""
     density_kg_m3: float = Field(1800.0, ge=100, le=2500)
-    """Apparent density; 1800 to 2000 is cortical bone."""
+    """Apparent density; 1800 to 2000 is cortical bone. Of a surface from a file that of its shell."""
 
 
 class MolarAnatomy(AnatomyFile):
@@ -104,6 +113,8 @@ class MolarAnatomy(AnatomyFile):
     """Closed surface of a lesion."""
     ligament_file: str | None = Field(None, examples=["ligament.stl"])
     """Closed surface of the periodontal ligament."""
+    site: Literal["enamel", "caries"] = "enamel"
+    """Where the tool comes in: down the axis of a tooth from files, or straight over its lesion."""
     socket_mm: float = Field(0.0, ge=0, le=10)
     """Bone laid around the ligament of a tooth from surfaces."""
 

@@ -38,12 +38,14 @@ class LiverAnatomy(SoftAnatomy):
     """Where the tool comes in, in the file's frame; the nearest point of the surface becomes the origin."""
     normal: Vector = (0.0, 0.0, 1.0)
     """Direction in the file's frame that points up to the tool."""
+    along: Vector | None = Field(None, examples=[(1.0, 0.0, 0.0)])
+    """Direction in the file's frame that becomes x, as far as it lies across the normal."""
     held: Literal["below", "back", "plane", "part"] = "below"
     """What holds it: the surface it rests on, its back, all below `held_below_mm`, or the part `held_part`."""
     held_below_mm: float = Field(-80.0, ge=-1000, le=0)
     """Height below which the surface is held by `held = "plane"`."""
     held_part: str | None = Field(None, examples=["ligament"])
-    """Part of the file that is held by `held = "part"`."""
+    """Part of the file, by its name or number, that is held by `held = "part"`."""
 
 
 class SlabAnatomy(SoftAnatomy):
@@ -79,8 +81,10 @@ class Organ(Part):
     """Young's modulus at the greatest x; between, it is graded from `young_kPa` at the least x."""
     grading_exponent: float = Field(1.0, ge=0.2, le=5)
     """Power of the way from one end to the other by which it is graded; 1 is linear."""
-    nodule_kPa: float = Field(50.0, ge=0.1, le=1e5)
-    """Young's modulus of the nodule."""
+    nodule_kPa: float | None = Field(None, ge=0.1, le=1e5, examples=[50.0])
+    """Young's modulus of the nodule; without it 50 kPa."""
+    nodule_part: str | None = Field(None, examples=["tumour"])
+    """Part of a file that is the nodule, by its name or number; without it the one named nodule."""
     poisson_ratio: float | None = Field(None, gt=-1, lt=0.5, examples=[0.45])
     """Poisson's ratio; without it the cited one."""
     fibre_direction: Vector | None = Field(None, examples=[(1.0, 0.0, 0.0)])

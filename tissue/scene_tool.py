@@ -36,6 +36,11 @@ class Tool(Part):
     shell_spacing_mm: float | None = Field(None, gt=0, le=10, examples=[0.2])
     """Distance between the cutter's elements; without it two voxels, or wider where that gives over 1600 elements."""
 
+    @property
+    def can_have_peg(self) -> bool:
+        """Whether it is a reamer."""
+        return self.kind in ("hemispherical-reamer", "flat-reamer")
+
     @model_validator(mode="after")
     def _spins_and_peg_fits(self) -> "Tool":
         if 0.0 < abs(self.spin_rpm) < 1.0:
@@ -43,7 +48,7 @@ class Tool(Part):
                 f"tool.spin_rpm must be at least 1 in size, or 0 for a tool that only touches, got {self.spin_rpm:g}: "
                 "use 500"
             )
-        if self.peg_diameter_mm >= self.diameter_mm:
+        if self.can_have_peg and self.peg_diameter_mm >= self.diameter_mm:
             raise InputError(
                 f"tool.peg_diameter_mm must be below tool.diameter_mm ({self.diameter_mm:g}), got "
                 f"{self.peg_diameter_mm:g}: use {0.2 * self.diameter_mm:g}"
@@ -67,11 +72,8 @@ class Probe(Part):
 
     @model_validator(mode="after")
     def _shell_has_file(self) -> "Probe":
-        if (self.kind == "shell-probe") != (self.file is not None):
-            raise InputError(
-                f"tool.file must be given for a shell-probe and for no other, got {self.file or 'nothing'} for a "
-                f"{self.kind}: " + ("add the surface's file" if self.file is None else "use tool.kind = shell-probe")
-            )
+        if self.kind == "shell-probe" and self.file is None:
+            raise InputError("tool.file must be given for a shell-probe, got nothing: add the surface's file")
         return self
 
 

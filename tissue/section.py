@@ -1,4 +1,4 @@
-"""A section through the deepest point that the tool reached: layers, what was removed, and stress."""
+"""A section through the deepest point that the tool reached, at one moment: layers, what was removed, and stress."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from meshes.volume import FULL
 from tissue.depth import HALF, tool_axes
 from tissue.fields import FieldSeries, Frame
-from tissue.pictures import STYLE, axis_names, figure, layer_colours, save
+from tissue.figure import STYLE, figure, save
+from tissue.pictures import axis_names, layer_colours
 from tissue.run import Run
 from tissue.series import frame_mesh
 
-__all__ = ["Section", "draw_section", "loaded_frame", "section_of"]
+__all__ = ["Section", "draw_section", "loaded_frame", "moment_of", "section_of"]
 
 STRESS = "von_mises_MPa"
 REMOVED_TINT = 0.28
@@ -38,11 +39,11 @@ class Section:
     place_mm
         Coordinate of the plane along the normal [mm].
     row
-        Row of the trace at which the tool was deepest.
+        Row of the trace at the moment.
     extent_mm
         Lowest and highest coordinate along the two axes, (u0, u1, v0, v1) [mm].
     start, left
-        Tissue before and after, 0 to 1, shape (nu, nv).
+        Tissue before the first cut and at the moment, 0 to 1, shape (nu, nv).
     layer
         Layer of each voxel, shape (nu, nv).
     """
@@ -58,8 +59,8 @@ class Section:
     layer: NDArray[np.uint8]
 
 
-def section_of(run: Run, *, axis: int, outward: int) -> Section:
-    """The section through the deepest point, along the tool's axis and the way that the tool went most.
+def section_of(run: Run, *, axis: int, outward: int, row: int) -> Section:
+    """The section through the deepest point so far, along the tool's axis and the way that the tool went most.
 
     Parameters
     ----------
@@ -67,16 +68,19 @@ def section_of(run: Run, *, axis: int, outward: int) -> Section:
         A run with voxels.
     axis, outward
         World axis closest to the tool's, and the side that the tool comes from.
+    row
+        Row of the trace at the moment that is shown.
     """
     volume, tips = run.volume, run.trace.vectors("tool", "mm")
     cutting = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
     rows = cutting if cutting.size else np.arange(len(tips))
-    row = int(rows[np.argmin(outward * tips[rows, axis])])
+    so_far = rows[rows <= row] if (rows <= row).any() else rows
+    deepest = int(so_far[np.argmin(outward * tips[so_far, axis])])
     sides = [a for a in range(3) if a != axis]
     across = sides[int(np.ptp(tips[rows][:, sides], axis=0).argmax())]
     normal = next(a for a in sides if a != across)
     spacing, origin = 1e3 * volume.spacing_m, 1e3 * volume.origin_m
-    place = float(tips[row, normal])
+    place = float(tips[deepest, normal])
     index = int(np.clip(np.floor((place - origin[normal]) / spacing), 0, volume.shape[normal] - 1))
     cut = lambda array: _upright(np.take(array, index, axis=normal), across < axis)  # noqa: E731
     ends = [(float(origin[a]), float(origin[a] + spacing * volume.shape[a])) for a in (across, axis)]
@@ -88,7 +92,7 @@ def section_of(run: Run, *, axis: int, outward: int) -> Section:
         row=row,
         extent_mm=(*ends[0], *ends[1]),
         start=cut(volume.fraction) / FULL,
-        left=cut(run.remaining) / FULL,
+        left=cut(run.remaining if run.poses is None else run.replay().at(row)) / FULL,
         layer=cut(volume.layer),
     )
 
@@ -111,17 +115,27 @@ def loaded_frame(series: FieldSeries) -> Frame | None:
     )
 
 
+def moment_of(run: Run) -> tuple[int, Frame | None]:
+    """Row of the trace at the moment that a section shows, and the fields then: under load, else at the last cut."""
+    series, cutting = run.parts.tissue.fields, np.flatnonzero(run.trace["contact_mm2"] > 0.0)
+    frame = None if series is None else loaded_frame(series)
+    if frame is None:
+        return int(cutting[-1]) if cutting.size else len(run.trace.rows) - 1, None
+    times = run.trace["time_s"]
+    return int(np.clip(np.searchsorted(times, frame.time_s - 1e-9), 0, len(times) - 1)), frame
+
+
 def draw_section(run: Run, path: Path, *, axis: int, outward: int) -> None:
-    """Draw layers with what was removed and, where fields were computed, the stress in the same section."""
+    """Draw layers with what was removed and, where fields were computed, the stress in the same section and moment."""
     import matplotlib
 
+    row, frame = moment_of(run)
     with matplotlib.rc_context(STYLE):
-        _draw_section(run, path, section_of(run, axis=axis, outward=outward))
+        _draw_section(run, path, section_of(run, axis=axis, outward=outward, row=row), frame)
 
 
-def _draw_section(run: Run, path: Path, section: Section) -> None:
+def _draw_section(run: Run, path: Path, section: Section, frame: Frame | None) -> None:
     series = run.parts.tissue.fields
-    frame = None if series is None else loaded_frame(series)
     u0, u1, v0, v1 = section.extent_mm
     wide = 3.05 if frame is not None else min(5.2, 5.2 * (u1 - u0) / (v1 - v0))
     tall = wide * (v1 - v0) / (u1 - u0)
@@ -130,22 +144,22 @@ def _draw_section(run: Run, path: Path, section: Section) -> None:
     left = 0.62 if frame is not None else 0.5 * (8.0 - wide)
     panel = chart.add_axes((left / 8.0, 1.15 / full, wide / 8.0, tall / full))
     _draw_layers(panel, run, section)
-    _draw_tool(panel, run, section, section.row)
+    _draw_tool(panel, run, section)
     _label(panel, run, section, "layers and what was removed")
     _legend(chart, run, section, 0.5, 0.3 / full, borders=frame is not None)
     if series is not None and frame is not None:
         panel = chart.add_axes(((left + wide + 0.28) / 8.0, 1.15 / full, wide / 8.0, tall / full))
-        row = int(np.clip(np.searchsorted(run.trace["time_s"], frame.time_s), 0, len(run.trace.rows) - 1))
         drawn = _draw_stress(panel, series, frame, section)
         _draw_borders(panel, section)
-        _draw_tool(panel, run, section, row)
-        _label(panel, run, section, f"stress at {frame.time_s:.3f} s")
+        _draw_tool(panel, run, section)
+        _label(panel, run, section, "stress")
         panel.set(ylabel="", yticklabels=[])
         bar = chart.add_axes(((left + 2.0 * wide + 0.4) / 8.0, 1.15 / full, 0.14 / 8.0, tall / full))
         chart.colorbar(drawn, cax=bar, extend="both", label="von Mises stress / MPa")
     names = axis_names(run)
     title = (
-        f"{run.scene.name}: section at {names[section.normal]} = {section.place_mm:.2f} mm, through the deepest point"
+        f"{run.scene.name} at {run.trace['time_s'][section.row]:.3f} s: section at {names[section.normal]} = "
+        f"{section.place_mm:.2f} mm, through the deepest point"
     )
     chart.text(0.5, 1.0 - 0.22 / full, title, ha="center", va="center", size=10.5)
     save(chart, path)
@@ -182,11 +196,11 @@ def _contour(axes: Any, section: Section, values: NDArray[np.float64], **line: A
     axes.contour(u, v, np.pad(values, 1).T, levels=[0.5], **{f"{name}s": [value] for name, value in line.items()})
 
 
-def _draw_tool(axes: Any, run: Run, section: Section, row: int) -> None:
-    """Outline of the tool at one moment, and the way of its tip."""
+def _draw_tool(axes: Any, run: Run, section: Section) -> None:
+    """Outline of the tool at one moment, and the way of its tip so far."""
     from matplotlib.patheffects import withStroke
 
-    trace = run.trace
+    trace, row = run.trace, section.row
     tips = trace.vectors("tool", "mm")
     turn = tool_axes(np.column_stack([trace[f"tool_q{c}"][row : row + 1] for c in "xyzw"]))[0]
     along = turn[[section.across, section.axis]]
@@ -197,7 +211,7 @@ def _draw_tool(axes: Any, run: Run, section: Section, row: int) -> None:
         points = tips[row, [section.across, section.axis]] + outline @ np.stack([sign * side, along])
         halo = [withStroke(linewidth=2.2, foreground="white")]  # for what lies on dark colours
         axes.plot(*points.T, color="0.1", linewidth=1.0, linestyle=(0, (3, 1.5)), path_effects=halo)
-    axes.plot(*tips[:, [section.across, section.axis]].T, **WAY)
+    axes.plot(*tips[: row + 1, [section.across, section.axis]].T, **WAY)
     axes.set(xlim=section.extent_mm[:2], ylim=section.extent_mm[2:], aspect="equal")
 
 
@@ -250,7 +264,7 @@ def _legend(chart: Any, run: Run, section: Section, x: float, y: float, *, borde
     handles.append(Line2D([], [], color="0.1", linewidth=1.0, linestyle=(0, (3, 1.5)), label="tool"))
     handles.append(Line2D([], [], **WAY, label="way of its tip"))
     if borders:
-        handles.append(Line2D([], [], color="0.55", linewidth=0.7, label="edges of the layers at the end"))
+        handles.append(Line2D([], [], color="0.55", linewidth=0.7, label="edges of the layers that are left"))
     chart.legend(
         handles=handles,
         loc="center",

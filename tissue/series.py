@@ -5,7 +5,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from meshes.placement import Placement
+from meshes.whole_file import whole_file
 from tissue.fields import FieldSeries, Frame
+from tissue.file_frame import mesh_in_file
 from tissue.vtk_files import write_vtk_xml
 
 if TYPE_CHECKING:
@@ -46,19 +49,23 @@ def frame_mesh(series: FieldSeries, frame: Frame) -> "pyvista.UnstructuredGrid":
     return mesh
 
 
-def write_fields(series: FieldSeries, folder: Path) -> None:
-    """Write ``fields.pvd`` with times in seconds, and a mesh for each frame: ``fields/frame_0000.vtu`` and so on."""
+def write_fields(series: FieldSeries, folder: Path, placement: Placement | None = None) -> None:
+    """Write ``fields.pvd`` with times in seconds, and a mesh for each frame: ``fields/frame_0000.vtu`` and so on.
+
+    With a placement they lie in the frame and unit of the anatomy's file.
+    """
     from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
     (folder / "fields").mkdir(parents=True, exist_ok=True)
     entries = []
     for index, frame in enumerate(series.frames):
         name = f"fields/frame_{index:04d}.vtu"
-        write_vtk_xml(vtkXMLUnstructuredGridWriter(), frame_mesh(series, frame), folder / name)
+        mesh = mesh_in_file(frame_mesh(series, frame), placement)
+        write_vtk_xml(vtkXMLUnstructuredGridWriter(), mesh, folder / name)
         entries.append(f'    <DataSet timestep="{float(frame.time_s)!r}" part="0" file="{name}"/>\n')
-    (folder / "fields.pvd").write_text(
-        '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n  <Collection>\n'
-        + "".join(entries)
-        + "  </Collection>\n</VTKFile>\n",
-        "utf-8",
-    )
+    with whole_file(folder / "fields.pvd") as beside:
+        beside.write_text(
+            '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n'
+            "  <Collection>\n" + "".join(entries) + "  </Collection>\n</VTKFile>\n",
+            "utf-8",
+        )

@@ -2,7 +2,7 @@
 
 import gc
 import sys
-from math import exp
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from time import perf_counter
 from typing import Protocol
@@ -15,15 +15,17 @@ from meshes.progress import Progress, silent
 from tissue.build import build
 from tissue.coupling.device import Device
 from tissue.coupling.hand_motion import HandMotion
-from tissue.coupling.rotation import quaternion_of
-from tissue.model import TICK_S, Response, ToolMotion
+from tissue.coupling.safe_device import SafeDevice
+from tissue.faults import require_used
+from tissue.model import TICK_S
 from tissue.motion import LONGEST_S, Motion
 from tissue.parts import Parts
 from tissue.run import Run
 from tissue.run_folder import RunFolder
 from tissue.scene import Scene
+from tissue.shortfalls import shortfalls, unfinished_path
+from tissue.tick import Tick
 from tissue.trace import TIMING_COLUMNS, Table, trace_columns
-from tissue.vibration import Vibration
 
 __all__ = ["TICK_S", "Watch", "simulate"]
 
@@ -59,11 +61,11 @@ def simulate(
     *,
     compute: str = "cpu",
     cores: int | None = None,
-    out: Path | None = None,
+    out: str | Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
     allow_unstable: bool = False,
-    device: Device | None = None,
+    device: Device | SafeDevice | None = None,
     watch: Watch | None = None,
 ) -> Run:
     """Simulate a scene.
@@ -87,36 +89,43 @@ def simulate(
         Run a device whose coupling is judged unstable, too.
     device
         Device to read and to play instead of the simulated one in a simulated hand; the scene names the one by whose
-        limits it is judged.
+        limits it is judged. The run opens and closes one that is a context manager; give it without ``with``, or for
+        several runs as ``with SafeDevice(device) as held``. Its ticks run in a second thread, and whatever ends them
+        its last command is zero; see `tissue.coupling.safe_device.SafeDevice`.
     watch
         Goes along with the ticks.
 
     Raises
     ------
     InputError
-        If the scene cannot be built, the tool never touches, a device's coupling is unstable, or ``out`` holds another
-        run.
+        If a key has no effect in the scene or it cannot be built, the tool never touches, a device's coupling is
+        unstable, or ``out`` holds another run; as `DeviceError`, if the given device fails.
     """
     tell = progress or silent
     if cores is not None and cores < 1:
         raise InputError(f"cores must be at least 1, got {cores}: leave it out to use all")
-    if out is not None:
-        RunFolder.check(out, overwrite=overwrite)
-    chosen = None
-    if scene.fidelity is not None:
-        from tissue.charts import with_fidelity
+    if device is None:
+        require_used(scene)
+    folder = RunFolder(Path(out), overwrite=overwrite) if out is not None else None
+    with folder.ending() if folder is not None else nullcontext():
+        chosen = None
+        if scene.fidelity is not None:
+            from tissue.charts import with_fidelity
 
-        scene, chosen = with_fidelity(scene, tell=tell)
-    parts = build(scene, step_s=TICK_S, compute=compute, cores=cores, tell=tell, allow_unstable=allow_unstable)
-    if chosen is not None:
-        parts.notes["fidelity"] = chosen
-    if device is not None:
-        if not isinstance(parts.motion, HandMotion):
-            raise InputError("scene must name the device that is given, got none: set device, such as touch")
-        parts.motion.device, parts.motion.after_s = device, 0.0
-    ticks = _tick_count(scene, parts.motion)
-    folder = RunFolder.begin(out, scene, overwrite=overwrite) if out is not None else None
-    return _loop(scene, parts, ticks, compute=compute, folder=folder, tell=tell, watch=watch)
+            scene, chosen = with_fidelity(scene, tell=tell)
+        parts = build(scene, step_s=TICK_S, compute=compute, cores=cores, tell=tell, allow_unstable=allow_unstable)
+        if chosen is not None:
+            parts.notes["fidelity"] = chosen
+        if device is not None:
+            if not isinstance(parts.motion, HandMotion):
+                raise InputError("scene must name the device that is given, got none: set device, such as touch")
+            parts.motion.device, parts.motion.after_s = device, 0.0
+        ticks = _tick_count(scene, parts.motion)
+        if device is None:
+            parts.notes |= unfinished_path(scene, parts.motion, lasts_s=ticks * TICK_S)
+        if folder is not None:
+            folder.begin(scene, parts.placement)
+        return _loop(scene, parts, ticks, compute=compute, folder=folder, tell=tell, watch=watch)
 
 
 def _loop(
@@ -137,18 +146,16 @@ def _loop(
     timing = Table(timed, np.zeros((ticks, len(timed))))
     if folder is not None:
         folder.open_tables(trace, timing)
-    tick = _Tick(scene, parts, trace, timing)
+    tick = Tick(scene, parts, trace, timing)
     tick.place()
     events: list[tuple[float, str]] = []
     told = perf_counter()
     index = 0
     if watch is not None:
         watch.begin(parts, columns)
-    gc.collect()
-    gc.disable()
-    switching = sys.getswitchinterval()
-    sys.setswitchinterval(SWITCH_S)
-    try:
+
+    def go_through() -> None:
+        nonlocal index, told
         for index in range(ticks):
             tissue.settle(index * TICK_S)
             if watch is not None:
@@ -164,9 +171,17 @@ def _loop(
             if perf_counter() - told > 0.1:
                 told = perf_counter()
                 tell("simulating", (index + 1) / ticks)
-    except KeyboardInterrupt:
+
+    gc.collect()
+    gc.disable()
+    switching = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH_S)
+    try:
+        motion.around(go_through)
+    except BaseException:
         if folder is not None:
-            folder.flush(index, force=True)
+            with suppress(OSError):
+                folder.flush(index, force=True)
         raise
     finally:
         gc.enable()
@@ -175,12 +190,15 @@ def _loop(
             events += watch.end()
     trace.rows, timing.rows = trace.rows[: index + 1], timing.rows[: index + 1]
     tissue.finish()
+    events += [((index + 1) * TICK_S, notice) for notice in tissue.notices]
+    tissue.notices.clear()
     if folder is not None:
         folder.flush(index + 1, force=True)
     if isinstance(motion, HandMotion) and motion.predictor is not None and (said := _foreseen(trace, motion)):
         parts.notes["prediction"] = said
+    parts.notes |= shortfalls(scene, parts, trace)
     events = sorted(events + motion.happened(), key=lambda event: event[0])
-    return Run(scene, parts, trace, timing, events=events, compute=compute, folder=folder)
+    return Run(scene, parts, trace, timing, events=events, compute=compute, folder=folder, poses=tick.poses)
 
 
 def _foreseen(trace: Table, motion: HandMotion) -> str:
@@ -208,81 +226,3 @@ def _tick_count(scene: Scene, motion: Motion) -> int:
             f"{seconds:g} s: give it, or a greater feed"
         )
     return max(round(seconds / TICK_S), 1)
-
-
-class _Tick:
-    """One tick: motion, removal, force, output, record. Everything it needs is allocated here, once."""
-
-    def __init__(self, scene: Scene, parts: Parts, trace: Table, timing: Table) -> None:
-        self._motion, self._tissue = parts.motion, parts.tissue
-        tissue, self._model_ticks = parts.tissue, parts.motion.model_ticks
-        self._rows, self._times = trace.rows, timing.rows
-        self.tool = ToolMotion()
-        self._response = Response.empty(len(tissue.layer_names))
-        lag = scene.output.low_pass_ms * 1e-3
-        self._gain = 1.0 - exp(-TICK_S / lag) if lag > 0.0 else 1.0
-        self._filtered, self._commanded = np.zeros(6), np.zeros(6)
-        passing = parts.cutter.tooth_passing_Hz if parts.cutter is not None else 0.0
-        share = scene.output.vibration_share
-        self._vibration = Vibration(passing, share=share, step_s=TICK_S)
-        self._layers, own = len(tissue.layer_names), len(tissue.measure_names)
-        self._measured = slice(29 + self._layers, 29 + self._layers + own)
-        self._rotation, self._quaternion = b"", np.zeros(4)
-
-    def place(self) -> None:
-        """Put the tool where the motion starts; what that costs belongs to no tick."""
-        self._motion.begin(self.tool)
-        self._tissue.place(self.tool)
-        self._record(self._rows[0], 0, self._tissue.respond(self.tool))
-
-    def __call__(self, index: int) -> None:
-        start = perf_counter()
-        self._motion.advance(index * TICK_S, TICK_S, self._response, self.tool)
-        moved = removed = perf_counter()
-        response = self._response
-        if index % self._model_ticks == 0:
-            self._tissue.advance(self.tool)
-            removed = perf_counter()
-            response = self._response = self._tissue.respond(self.tool)
-            if self._motion.correct(response, self.tool):
-                self._tissue.advance(self.tool)
-                response = self._tissue.respond(self.tool)
-        self._motion.play(response)
-        forced = perf_counter()
-        self._filtered += self._gain * (response.wrench - self._filtered)
-        np.multiply(self._filtered, 1.0 + self._vibration.factor(index), out=self._commanded)
-        self._record(self._rows[index], index, response)
-        recorded = perf_counter()
-        self._tissue.catch_up(index * TICK_S, self.tool)
-        end = perf_counter()
-        self._times[index, : len(TIMING_COLUMNS)] = (
-            (end - start) * 1e6,
-            (moved - start) * 1e6,
-            (removed - moved) * 1e6,
-            (forced - removed) * 1e6,
-            (recorded - forced) * 1e6,
-            (end - recorded) * 1e6,
-        )
-
-    def _record(self, row: np.ndarray, index: int, response: Response) -> None:
-        """Write one row of the trace, in the units of its columns."""
-        tool, layers = self.tool, self._layers
-        if tool.rotation.tobytes() != self._rotation:
-            self._rotation = tool.rotation.tobytes()
-            self._quaternion[:] = quaternion_of(tool.rotation)
-        moved, turned = tool.heading
-        row[0] = index * TICK_S
-        row[1:4] = 1e3 * tool.tip_m
-        row[4:8] = self._quaternion
-        row[8:11] = (1e3 * tool.speed_m_s) * moved
-        row[11:14] = tool.speed_m_s * turned
-        row[14:20] = self._commanded
-        row[20:26] = response.wrench
-        row[26] = response.removal_rate_m3_s * 1e9
-        row[28 : 28 + layers] = volumes = 1e9 * self._tissue.removed_m3
-        row[27] = np.add.reduce(volumes)
-        area = np.add.reduce(response.engaged_m2)
-        row[28 + layers] = area * 1e6
-        row[self._measured] = response.measures
-        row[self._measured.stop : -1] = self._motion.measures
-        row[-1] = response.engaged_m2.argmax() if area > 0.0 else -1.0

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from tissue.coupling.stability_map import StabilityChart, StabilityMap
+from tissue.figure import figure, save
 from tissue.outputs import write_columns
-from tissue.pictures import figure, save
 
 __all__ = ["draw_stability", "write_stability"]
 

@@ -2,19 +2,24 @@
 
 import json
 import math
+import shutil
 import sys
 from dataclasses import asdict
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from meshes.errors import InputError
+from meshes.progress import Progress, silent
+from meshes.whole_file import whole_file
+from tissue.model import TICK_S
 from tissue.movie import check_movie
 from tissue.offscreen import LONGEST_S, display_problem, draw_apart
 from tissue.run_folder import SavedRun
 from tissue.viewer import show
 from tissue.viewer_frames import SavedFields, field_names
-from tissue.viewer_run import scene_of
+from tissue.viewer_run import require_whole
 from tissue.viewer_window import Choice
 
 __all__ = ["view"]
@@ -32,6 +37,7 @@ def view(
     field: str | None = None,
     scale: float = 1.0,
     time_s: float | None = None,
+    progress: Progress | None = None,
 ) -> str:
     """Show a run, or draw it into a file.
 
@@ -51,6 +57,8 @@ def view(
         How many times its size the displacement is drawn at first.
     time_s
         Moment that is shown at first [s]; without it that of the greatest force.
+    progress
+        Told how much of a file is drawn.
 
     Returns
     -------
@@ -64,6 +72,7 @@ def view(
     """
     saved = SavedRun(path)
     said = _about(saved)
+    require_whole(saved)
     choice = Choice(hide=hide, field=field, scale=scale, time_s=time_s)
     _check(saved, choice)
     if movie is not None:
@@ -88,28 +97,39 @@ def view(
         show(saved, said, choice)
     for kind, file in (("screenshot", screenshot), ("movie", movie)):
         if file is not None:
-            _draw(saved, choice, kind, file)
+            _draw(saved, choice, kind, file, progress or silent)
             said += f"\n{kind} in {file}"
     return said
 
 
-def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path) -> None:
-    """Draw a file in a process of its own; where that fails, nothing new is left behind."""
-    file.open("ab").close()
+def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, tell: Progress) -> None:
+    """Draw a file in a process of its own; it is there whole, or as it was before."""
     longest_s = LONGEST_MOVIE_S if kind == "movie" else LONGEST_S
-    chosen = json.dumps(asdict(choice))
-    problem = draw_apart("tissue.view", str(saved.path), kind, str(file), chosen, longest_s=longest_s)
-    if problem is not None:
-        if file.stat().st_size == 0:
-            file.unlink()
-        raise InputError(f"{kind} must be drawn in 3D, but {problem}")
+    chosen, doing = json.dumps(asdict(choice)), f"drawing the {kind}"
+    tell(doing, 0.0)
+    with whole_file(file) as beside, TemporaryDirectory(prefix="tissue-", ignore_cleanup_errors=True) as folder:
+        beside.touch()
+        beside.unlink()  # a folder that takes no file says so before anything is drawn
+        drawn = Path(folder) / file.name
+        problem = draw_apart(
+            "tissue.view",
+            str(saved.path),
+            kind,
+            str(drawn),
+            chosen,
+            longest_s=longest_s,
+            drawn=lambda share: tell(doing, share),
+        )
+        if problem is not None:
+            raise InputError(f"{kind} must be drawn in 3D, but {problem}")
+        shutil.copyfile(drawn, beside)
 
 
 def _check(saved: SavedRun, choice: Choice) -> None:
     """Refuse what the run does not have."""
     fields = field_names(saved.path)
     ticks = saved.trace is not None and len(saved.trace.rows) > 0
-    if saved.complete and not ticks and not fields and not (saved.path / "bone.vtp").is_file():
+    if saved.complete and not ticks and not fields and not (saved.path / "bone.vti").is_file():
         raise InputError(
             f"run must hold a trace, bone or frames to be shown, got none of them in {saved.path}: run the scene again"
         )
@@ -151,22 +171,29 @@ def _about(saved: SavedRun) -> str:
         force, torque = saved.summary["force_N"]["peak"], saved.summary["torque_Nm"]["peak"]
         seconds = saved.summary["simulated_s"]
         return f"{saved.summary['scene']}: {seconds:g} s, force up to {force:.3g} N, torque up to {torque:.3g} N·m"
+    begun = {"running": "goes on", "failed": "failed"}.get(saved.status, "was interrupted")
     if saved.trace is None or not len(saved.trace.rows):
-        return "run is incomplete: it stopped before its first tick was written"
-    last = float(saved.trace["time_s"][-1])
-    planned = _planned_s(saved)
-    return f"run is incomplete: it stopped at {last:.3f} s" + (f" of {planned:g} s" if planned else "")
+        where = "before its first tick was written"
+    else:
+        last = float(saved.trace["time_s"][-1])
+        planned = _planned_s(saved)
+        where = f"at {last:.3f} s" + (f" of {planned:g} s" if planned else "")
+        if planned and last > planned - 1.5 * TICK_S:
+            where = "after its last tick, while its files were written"
+    if saved.status == "running":
+        where += f", process {saved.summary['process']['id']} writes it"
+    return f"run is incomplete: it {begun} {where}" + (f" ({saved.problem})" if saved.problem else "")
 
 
 def _planned_s(saved: SavedRun) -> float | None:
     """How long a run was meant to last [s]."""
     from tissue.build import motion_of
 
-    scene = scene_of(saved)
+    scene = saved.scene
     if scene is None:
         return None
     try:
-        return scene.duration_s or motion_of(scene, step_s=1e-3).duration_s
+        return scene.duration_s or motion_of(scene, step_s=TICK_S).duration_s
     except InputError:
         return None
 

@@ -1,6 +1,10 @@
 """A run in the window of `tissue view`, or drawn off screen into files."""
 
+from collections.abc import Iterator
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from tissue.movie import write_movie
 from tissue.run_folder import SavedRun
@@ -25,13 +29,20 @@ def show(
     screenshot
         PNG file.
     movie
-        MP4 or GIF file.
+        MP4 or GIF file; how much of it is drawn is printed, 0 to 1, a line each.
     """
     window = Window(saved, title, choice, off_screen=screenshot is not None or movie is not None)
     if screenshot is not None:
         window.plotter.screenshot(str(screenshot))
     if movie is not None:
-        write_movie(movie, window.pictures())
+        write_movie(movie, _told(window))
     if screenshot is None and movie is None:
         window.open()
     window.plotter.close()
+
+
+def _told(window: Window) -> Iterator[NDArray[np.uint8]]:
+    count = window.picture_count
+    for index, picture in enumerate(window.pictures()):
+        yield picture
+        print((index + 1) / count, flush=True)

@@ -1,19 +1,13 @@
 """The bone in the window of `tissue view`: by layer or by removed depth, its layers switched on and off."""
 
-from collections.abc import Collection
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from meshes.volume import VoxelVolume
 from tissue.pictures import BONE, layer_colours
-from tissue.surface import bone_surface, smooth_normals, with_layers
+from tissue.viewer_carving import BoneOverTime
 
-if TYPE_CHECKING:
-    import pyvista
-
-__all__ = ["BoneShown", "read_voxels", "surface_of_layers"]
+__all__ = ["BoneShown"]
 
 DEPTH, DEPTH_TITLE = "removed_depth_mm", "removed depth / mm"
 SHADING: dict[str, Any] = {
@@ -26,64 +20,6 @@ SHADING: dict[str, Any] = {
 }
 
 
-def read_voxels(file: Path) -> VoxelVolume | None:
-    """Voxels of a run's ``bone.vti``, filled as far as the run left them; None without the file."""
-    if not file.is_file():
-        return None
-    import pyvista
-
-    image: Any = pyvista.read(file)
-    shape = tuple(np.array(image.dimensions) - 1)
-    left, layer, density = (
-        np.ascontiguousarray(image.cell_data[name].reshape(shape, order="F"))
-        for name in ("remaining", "layer", "density_kg_m3")
-    )
-    names = tuple(str(name) for name in image.field_data["layer_names"])
-    return VoxelVolume(1e-3 * np.array(image.origin), 1e-3 * float(image.spacing[0]), left, layer, density, names)
-
-
-def surface_of_layers(
-    surface: "pyvista.PolyData", voxels: VoxelVolume | None, shown: Collection[int]
-) -> "pyvista.PolyData":
-    """Surface of some of the bone's layers: what lay under those left out comes to light.
-
-    Without voxels it is the part of the bone's own surface that belongs to the layers.
-
-    Parameters
-    ----------
-    surface
-        Surface of the whole bone [mm] with the cell array ``layer``.
-    voxels
-        The bone, as full as it is left.
-    shown
-        Layers to show.
-    """
-    import pyvista
-
-    if set(np.unique(surface.cell_data["layer"]).tolist()) <= set(shown) and voxels is None:
-        return surface
-    if voxels is None:
-        keep = np.isin(surface.cell_data["layer"], list(shown))
-        part = pyvista.PolyData.from_regular_faces(surface.points, surface.regular_faces[keep])
-        for name, values in surface.point_data.items():
-            part.point_data[name] = values
-        part.cell_data["layer"] = surface.cell_data["layer"][keep]
-        return part
-    from scipy.spatial import cKDTree
-
-    part = bone_surface(voxels, np.where(np.isin(voxels.layer, list(shown)), voxels.fraction, np.uint8(0)))
-    if not part.n_cells:
-        return part
-    with_layers(part, voxels)
-    part.point_data["Normals"] = smooth_normals(part)
-    if DEPTH in surface.point_data:
-        # What was laid bare is still the same face; all else was inside.
-        far, near = cKDTree(surface.points).query(part.points, distance_upper_bound=1e3 * voxels.spacing_m)
-        depth = np.append(surface.point_data[DEPTH], 0.0)
-        part.point_data[DEPTH] = np.where(np.isfinite(far), depth[near], 0.0).astype(np.float32)
-    return part
-
-
 class BoneShown:
     """The bone in a plotter.
 
@@ -91,10 +27,8 @@ class BoneShown:
     ----------
     plotter
         Where it is shown; the key c is bound there.
-    surface
-        Its surface [mm] with cell array ``layer``, field ``layer_names`` and perhaps point array ``removed_depth_mm``.
-    voxels
-        The bone, as full as it is left, for what lies under a layer; may be None.
+    bone
+        The bone over time.
 
     Attributes
     ----------
@@ -102,27 +36,40 @@ class BoneShown:
         Layers that can be switched, by name.
     help
         Its key, in words; empty where it has none.
+    points_mm
+        Points of its surface when it was made [mm], shape (n, 3).
     """
 
-    def __init__(self, plotter: Any, surface: "pyvista.PolyData", voxels: VoxelVolume | None) -> None:
-        self._plotter, self._whole, self._voxels = plotter, surface, voxels
-        surface.point_data["Normals"] = smooth_normals(surface)
-        names = tuple(str(name) for name in surface.field_data["layer_names"])
+    def __init__(self, plotter: Any, bone: BoneOverTime) -> None:
+        self._plotter, self._bone = plotter, bone
+        names = bone.layer_names
         self._names, self._colours = names, layer_colours(names)
-        present = np.unique(surface.cell_data["layer"])
-        if voxels is not None:
-            present = np.unique(voxels.layer[voxels.fraction > 0])
-        self._index = {names[int(i)]: int(i) for i in present}
+        self._index = {names[i]: i for i in bone.layers}
         self.layers = list(self._index)
         self._hidden: frozenset[str] = frozenset()
-        self._deep = DEPTH in surface.point_data
-        self._limit = float(max(surface.point_data[DEPTH].max(), 1e-3)) if self._deep else 0.0
-        self._by_depth, self._visible = self._deep, True
-        self.help = "c: removed depth or layer" if self._deep else ""
-        if self._deep:
+        self._limit = max(bone.deepest_mm, 1e-3)
+        self._by_depth, self._visible = bone.deepest_mm > 0.0, True
+        self.help = "c: removed depth or layer" if self._by_depth else ""
+        if self._by_depth:
             plotter.add_key_event("c", self.change)
-        self._part = surface
+        self._take(rest=True)
+        self.points_mm = np.vstack([np.asarray(part.points) for part in self._parts.values()])
         self._draw()
+
+    def at(self, tick: int) -> None:
+        """Show the bone at the end of a tick."""
+        if self._bone.at(tick):
+            self._take(rest=False)
+            if self._visible:
+                self._draw_part("bone")
+
+    def _take(self, *, rest: bool) -> None:
+        """Take the surfaces of the layers that are shown anew, that of the rest only where it is asked for."""
+        shown = [index for name, index in self._index.items() if name not in self._hidden]
+        if rest:
+            self._parts = {"bone": self._bone.cut(shown), "bone beyond the cut": self._bone.rest(shown)}
+        else:
+            self._parts["bone"] = self._bone.cut(shown)
 
     def change(self) -> None:
         """Change between removed depth and layer."""
@@ -134,8 +81,7 @@ class BoneShown:
         """Leave out some layers, and colour the bone by layer."""
         self._hidden = hidden
         self._by_depth = False
-        shown = [index for name, index in self._index.items() if name not in self._hidden]
-        self._part = surface_of_layers(self._whole, self._voxels, shown) if self._hidden else self._whole
+        self._take(rest=True)
         self._draw()
 
     def show(self, visible: bool) -> None:
@@ -144,42 +90,40 @@ class BoneShown:
         self._draw()
 
     def _draw(self) -> None:
-        """Bring what is shown up to date."""
-        from matplotlib.colors import ListedColormap
-
+        """Bring all that is shown up to date."""
         plotter = self._plotter
-        plotter.remove_actor("bone", reset_camera=False, render=False)
         plotter.remove_legend(render=False)
         if DEPTH_TITLE in plotter.scalar_bars:
             plotter.remove_scalar_bar(DEPTH_TITLE, render=False)
-        if not self._visible:
-            return
-        part = self._part.copy(deep=False)
-        if self._by_depth and part.n_cells:
-            actor = plotter.add_mesh(
-                part,
-                scalars=DEPTH,
-                cmap="viridis",
-                clim=(0.02 * self._limit, self._limit),
-                below_color=BONE,
-                name="bone",
-                render=False,
-                **SHADING,
-            )
-            self._add_bar(actor)
-        elif part.n_cells:
-            plotter.add_mesh(
-                part,
-                scalars="layer",
-                preference="cell",
-                cmap=ListedColormap([self._colours[name] for name in self._names]),
-                clim=(-0.5, len(self._names) - 0.5),
-                name="bone",
-                render=False,
-                **SHADING,
-            )
-        if not self._by_depth:
+        actors = [self._draw_part(name) for name in self._parts]
+        shown = [actor for actor in actors if actor is not None]
+        if self._by_depth and shown:
+            self._add_bar(shown[0])
+        elif self._visible and not self._by_depth:
             self._add_legend()
+
+    def _draw_part(self, name: str) -> Any:
+        """Draw one of the surfaces anew; its actor, None where there is nothing to show."""
+        from matplotlib.colors import ListedColormap
+
+        self._plotter.remove_actor(name, reset_camera=False, render=False)
+        part = self._parts[name].copy(deep=False)
+        if not self._visible or not part.n_cells:
+            return None
+        look: dict[str, Any] = {
+            "scalars": "layer",
+            "preference": "cell",
+            "cmap": ListedColormap([self._colours[name] for name in self._names]),
+            "clim": (-0.5, len(self._names) - 0.5),
+        }
+        if self._by_depth:
+            look = {
+                "scalars": DEPTH,
+                "cmap": "viridis",
+                "clim": (0.02 * self._limit, self._limit),
+                "below_color": BONE,
+            }
+        return self._plotter.add_mesh(part, name=name, render=False, **look, **SHADING)
 
     def _add_bar(self, actor: Any) -> None:
         self._plotter.add_scalar_bar(

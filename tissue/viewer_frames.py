@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError
+from tissue.file_frame import mesh_in_scene
+from tissue.run_folder import saved_placement
 
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["SavedFields", "field_label", "field_limits", "field_names", "field_values"]
+__all__ = ["SavedFields", "field_label", "field_limits", "field_names", "field_values", "frames_of"]
 
 PEAK = 99.8
 """Percentile of a cell field that ends its scale: single cells at the tool stand out from it."""
@@ -50,6 +52,29 @@ def field_names(folder: Path) -> list[str]:
     return fields.names if len(fields.times_s) else []
 
 
+def frames_of(folder: Path) -> list[tuple[float, str]]:
+    """Times [s] and files of the frames that ``fields.pvd`` names, in the order of time.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or its times do not rise.
+    """
+    from xml.etree import ElementTree
+
+    index = folder / "fields.pvd"
+    try:
+        root = ElementTree.fromstring(index.read_bytes())
+        frames = [(float(one.attrib["timestep"]), one.attrib["file"]) for one in root.iter("DataSet")]
+        times = [time for time, _ in frames]
+        inside = all((folder / file).resolve().is_relative_to(folder.resolve()) for _, file in frames)
+        if root.tag != "VTKFile" or not np.isfinite(times).all() or (np.diff(times) <= 0.0).any() or not inside:
+            raise ValueError(index)
+    except (ElementTree.ParseError, KeyError, ValueError, LookupError):
+        raise InputError(f"fields.pvd must be a ParaView collection, got {index}: run the scene again") from None
+    return frames
+
+
 class SavedFields:
     """Fields over time, read from ``fields.pvd`` and the files that it names.
 
@@ -75,21 +100,14 @@ class SavedFields:
     Raises
     ------
     InputError
-        If ``fields.pvd`` cannot be read, or a file that it names is missing.
+        As `frames_of`, or if a file that it names is missing.
     """
 
     def __init__(self, folder: Path) -> None:
-        from xml.etree import ElementTree
-
         import pyvista
 
-        index = folder / "fields.pvd"
-        try:
-            frames = [
-                (float(one.attrib["timestep"]), one.attrib["file"]) for one in ElementTree.parse(index).iter("DataSet")
-            ]
-        except (ElementTree.ParseError, KeyError, ValueError):
-            raise InputError(f"fields.pvd must be a ParaView collection, got {index}: run the scene again") from None
+        self._placement = saved_placement(folder)
+        frames = frames_of(folder)
         self._files = [folder / file for _, file in frames]
         missing = [file for file in self._files if not file.is_file()]
         if missing:
@@ -114,11 +132,11 @@ class SavedFields:
 
     @property
     def frames(self) -> list[Any]:
-        """Meshes of all frames in their reference configuration [mm], read when they are first asked for."""
+        """Meshes of all frames in their reference configuration [mm], in the scene's frame, read when needed."""
         if not self._frames:
             import pyvista
 
-            frames = self._frames = [pyvista.read(file) for file in self._files]
+            frames = self._frames = [mesh_in_scene(pyvista.read(file), self._placement) for file in self._files]
             self._same = [_same_mesh(a, b) for a, b in pairwise(frames)]
         return self._frames
 

@@ -2,10 +2,8 @@
 
 import json
 import os
-import shutil
 import signal
 import sys
-import threading
 from pathlib import Path
 from time import perf_counter, sleep
 from typing import Any
@@ -13,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from tissue.live.shared import SharedArrays
-from tissue.load import load_scene
 from tissue.pictures import layer_colours
+from tissue.scene import Scene
 from tissue.viewer_camera import aim
 from tissue.viewer_live_pointer import HELP, Pointer
 from tissue.viewer_live_tissue import live_tissue
@@ -57,7 +55,7 @@ class LiveWindow:
         self.arrays = SharedArrays(folder)
         with np.load(folder / "start.npz", allow_pickle=False) as file:
             start: dict[str, Any] = dict(file)
-        scene = load_scene(folder / "scene.toml")
+        scene = Scene.model_validate_json((folder / "scene.json").read_text("utf-8"))
         columns = tuple(json.loads((folder / "columns.json").read_text("utf-8")))
         plotter: Any = pyvista.Plotter
         self.plotter: Any = plotter(window_size=list(SIZE), title=f"tissue: {scene.name}, live")
@@ -113,6 +111,7 @@ class LiveWindow:
             self.tissue.update()
             self._updated, self._took = now, perf_counter() - now
         self.plotter.render()
+        self.arrays["frames"][0] += 1
 
     def run(self) -> None:
         """Frame after frame until it is over."""
@@ -134,20 +133,11 @@ def _main(folder: str) -> None:
     os.environ.setdefault("LP_NUM_THREADS", "1")  # OpenGL in software would take every core from the ticks
     told = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
-    threading.Thread(target=_end_with_ticks, args=(folder, SharedArrays(Path(folder))), daemon=True).start()
     window = LiveWindow(Path(folder))
     window.open()
     window.frame()
     print("ready", file=told, flush=True)
     window.run()
-
-
-def _end_with_ticks(folder: str, arrays: SharedArrays) -> None:
-    """End when the process of the ticks is gone without a word, and clean up for it: then the standard input ends."""
-    sys.stdin.read()
-    if not arrays["ended"][0]:
-        shutil.rmtree(folder, ignore_errors=True)
-        os._exit(0)
 
 
 if __name__ == "__main__":

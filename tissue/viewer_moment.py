@@ -67,12 +67,17 @@ class MomentShown:
         """When the force was greatest [s]."""
         return float(self._trace["time_s"][np.linalg.norm(self._force, axis=1).argmax()])
 
+    def row(self, time_s: float) -> int:
+        """Row of the trace at a moment."""
+        times = self._trace["time_s"]
+        return int(np.clip(np.searchsorted(times, time_s - 1e-9), 0, len(times) - 1))
+
     def at(self, time_s: float) -> None:
         """Show the moment."""
         from scipy.spatial.transform import Rotation
 
         trace = self._trace
-        row = int(np.clip(np.searchsorted(trace["time_s"], time_s - 1e-9), 0, len(trace.rows) - 1))
+        row = self.row(time_s)
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = Rotation.from_quat(self._turns[row]).as_matrix(), self._tips[row]
         if self._tool is not None:

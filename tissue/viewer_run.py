@@ -1,66 +1,47 @@
-"""What a saved run holds for the window of `tissue view`: its scene, its bone, the faces that a tool meets."""
+"""What a saved run holds for the window of `tissue view`: whether its files are whole, the faces that a tool meets."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from meshes.errors import InputError
-from meshes.progress import silent
-from meshes.volume import VoxelVolume
+from meshes.parse_apart import parse_apart
 from tissue.run_folder import SavedRun
 from tissue.scene import Scene
-from tissue.scene_anatomy import BlockAnatomy, GlenoidAnatomy, MolarAnatomy
 from tissue.scene_coupling import WallAnatomy
 from tissue.scene_soft import LayersAnatomy
-from tissue.scene_tool import Tool
-from tissue.surface import bone_surface, with_layers
-from tissue.viewer_bone import read_voxels
+from tissue.viewer_frames import frames_of
 
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["bone_of", "faces_of", "scene_of"]
+__all__ = ["faces_of", "require_whole"]
 
-COARSE_MM = 0.4
-"""Spacing at which the starting bone of an incomplete run is built again."""
 FACE_MM = 30.0
 """Edge of a drawn piece of a face that goes on, and what of a wall goes beyond the way on it."""
 WALL_MESH_MM = 5.0
 """Width of the squares of a drawn wall."""
 
 
-def scene_of(saved: SavedRun) -> Scene | None:
-    """The scene of a run, if its file is there and whole."""
-    from tissue.load import load_scene
+def require_whole(saved: SavedRun) -> None:
+    """Refuse a run whose bone or frames are damaged, before VTK reads them in this process, which it could end.
 
-    try:
-        return load_scene(saved.path / "scene.toml")
-    except (InputError, OSError, ValueError):
-        return None
-
-
-def bone_of(saved: SavedRun) -> "tuple[pyvista.PolyData | None, VoxelVolume | None]":
-    """The carved bone, surface and voxels; of an incomplete run the bone it started from, coarse; None without."""
-    import pyvista
-
-    file = saved.path / "bone.vtp"
+    Raises
+    ------
+    InputError
+        If a file is damaged or lacks what it should hold; says which.
+    """
+    wanted: dict[str, list[str]] = {}
     if saved.complete:
-        surface: Any = pyvista.read(file) if file.is_file() else pyvista.PolyData()
-        return (surface, read_voxels(saved.path / "bone.vti")) if surface.n_cells else (None, None)
-    scene = scene_of(saved)
-    if scene is None or not isinstance(scene.tool, Tool):
-        return None, None
-    anatomy = scene.anatomy
-    if not isinstance(anatomy, GlenoidAnatomy | BlockAnatomy | MolarAnatomy) or anatomy.file is not None:
-        return None, None
-    from tissue.anatomies import volume_of
-    from tissue.build import cutter_of, motion_of
-
-    spacing = max(COARSE_MM, scene.voxels.spacing_mm)
-    coarse = scene.model_copy(update={"voxels": scene.voxels.model_copy(update={"spacing_mm": spacing})})
-    try:
-        volume = volume_of(coarse, cutter_of(scene.tool), motion_of(scene, step_s=1e-3), notes={}, tell=silent)
-    except InputError:
-        return None, None
-    return with_layers(bone_surface(volume, volume.fraction), volume), volume
+        wanted = {"bone.vti": ["remaining", "layer", "density_kg_m3"]}
+    if (saved.path / "fields.pvd").is_file():
+        wanted |= {name: [] for _, name in frames_of(saved.path)}
+    there = {name: arrays for name, arrays in wanted.items() if (saved.path / name).is_file()}
+    if there:
+        parse_apart(
+            "meshes.vtk_reading:check_vtk",
+            saved.path,
+            what="folder of a run",
+            remedy="run the scene again",
+            arrays_by_file=there,
+        )
 
 
 def faces_of(scene: Scene | None) -> "dict[str, pyvista.PolyData]":

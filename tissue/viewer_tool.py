@@ -1,10 +1,13 @@
 """The surface of a scene's tool, to be shown."""
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.errors import InputError
+from meshes.surface import read_triangles
 from tissue.scene_tool import Needle, Probe, Tool
 
 if TYPE_CHECKING:
@@ -60,8 +63,8 @@ def _shell(file: str, unit_mm: float) -> "pyvista.PolyData | None":
     import pyvista
 
     try:
-        surface: Any = pyvista.read(file).extract_surface(algorithm="dataset_surface")
-    except (OSError, ValueError, TypeError):
+        vertices, faces = read_triangles(Path(file))
+    except InputError:
         return None
-    shell: pyvista.PolyData = surface.scale(unit_mm, inplace=False)
+    shell = pyvista.PolyData.from_regular_faces(unit_mm * np.asarray(vertices, dtype=np.float64), faces)
     return shell

@@ -13,6 +13,7 @@ from tissue.pictures import layer_colours
 from tissue.run_folder import SavedRun
 from tissue.viewer_bone import BoneShown
 from tissue.viewer_camera import aim
+from tissue.viewer_carving import bone_of
 from tissue.viewer_clip import HELP as CLIP_HELP
 from tissue.viewer_clip import ClipPlane
 from tissue.viewer_fields import FieldsShown, Plane
@@ -23,7 +24,7 @@ from tissue.viewer_list import NameList
 from tissue.viewer_moment import CHART_SHARE, MomentShown
 from tissue.viewer_pick import PointRead
 from tissue.viewer_play import Playback
-from tissue.viewer_run import bone_of, faces_of, scene_of
+from tissue.viewer_run import faces_of
 from tissue.viewer_tool import tool_surface
 
 __all__ = ["Choice", "Window"]
@@ -88,8 +89,9 @@ class Window:
             off_screen=off_screen, window_size=list(SIZE), title=f"tissue: {saved.summary.get('scene', 'run')}"
         )
         self.plotter.set_background("white")
-        surface, voxels = bone_of(saved)
-        self.bone = None if surface is None else BoneShown(self.plotter, surface, voxels)
+        scene = saved.scene
+        bone = bone_of(saved, scene)
+        self.bone = None if bone is None else BoneShown(self.plotter, bone)
         self._series = SavedFields(saved.path) if field_names(saved.path) else None
         self.fields: FieldsShown | None = None
         if self._series is not None:
@@ -98,11 +100,11 @@ class Window:
         self.names: NameList | None = None
         self.point: PointRead | None = None
         self.clip: ClipPlane | None = None
-        scene = scene_of(saved)
         self._faces = faces_of(scene)
         self._face_actors = self._add_faces()
         self._add_layers(choice)
-        size = max(surface.length if surface is not None else 0.0, self._series.size_mm if self._series else 0.0)
+        points = np.zeros((1, 3)) if self.bone is None else self.bone.points_mm
+        size = max(float(np.linalg.norm(np.ptp(points, axis=0))), self._series.size_mm if self._series else 0.0)
         self.moment: MomentShown | None = None
         self.playback: Playback | None = None
         if saved.trace is not None and len(saved.trace.rows):
@@ -115,7 +117,7 @@ class Window:
         if not off_screen:
             self._add_controls(size)
         self._write(title)
-        aim(self.plotter, np.vstack([np.zeros((0, 3)), *self._extent(surface)]))
+        aim(self.plotter, np.vstack([np.zeros((0, 3)), *self._extent()]))
 
     def choose(self, name: str | None) -> None:
         """Show a field, or the bone."""
@@ -139,8 +141,15 @@ class Window:
         """Show the moment."""
         if self.moment is not None:
             self.moment.at(time_s)
+            if self.bone is not None:
+                self.bone.at(self.moment.row(time_s))
         if self.fields is not None:
             self.fields.at(time_s)
+
+    @property
+    def picture_count(self) -> int:
+        """How many pictures a movie has."""
+        return len(movie_times_s(*self.playback.span_s)) if self.playback is not None else 0
 
     def pictures(self) -> Iterator[NDArray[np.uint8]]:
         """Pictures of a movie over the whole run."""
@@ -233,10 +242,10 @@ class Window:
             )
         on_click(plotter, self._click)
 
-    def _extent(self, surface: Any) -> Iterator[NDArray[np.float64]]:
+    def _extent(self) -> Iterator[NDArray[np.float64]]:
         """Points that have to be seen [mm]."""
-        if surface is not None:
-            yield np.asarray(surface.points)
+        if self.bone is not None:
+            yield self.bone.points_mm
         if self._series is not None:
             yield np.asarray(self._series.frames[0].points)
         yield from (np.asarray(face.points) for face in self._faces.values())

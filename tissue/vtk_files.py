@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from meshes.whole_file import whole_file
+
 if TYPE_CHECKING:
     import pyvista
 
@@ -23,20 +25,21 @@ def write_vtk(writer: Any, data: "pyvista.DataSet", path: Path) -> None:
     """Let a VTK writer write, and turn its silent failure into the system's error."""
     from vtkmodules.vtkCommonCore import vtkObject
 
-    path.open("wb").close()
-    writer.SetFileName(str(path))
-    writer.SetInputData(data)
-    failures: list[int] = []
-    writer.AddObserver("ErrorEvent", lambda *_: failures.append(writer.GetErrorCode()))
-    shown = vtkObject.GetGlobalWarningDisplay()
-    vtkObject.SetGlobalWarningDisplay(0)  # VTK would print its own account of what is raised below
-    try:
-        written = writer.Write()
-    finally:
-        vtkObject.SetGlobalWarningDisplay(shown)
-    if not written or failures:
-        import errno
-        import os
+    with whole_file(path) as beside:
+        beside.open("wb").close()
+        writer.SetFileName(str(beside))
+        writer.SetInputData(data)
+        failures: list[int] = []
+        writer.AddObserver("ErrorEvent", lambda *_: failures.append(writer.GetErrorCode()))
+        shown = vtkObject.GetGlobalWarningDisplay()
+        vtkObject.SetGlobalWarningDisplay(0)  # VTK would print its own account of what is raised below
+        try:
+            written = writer.Write()
+        finally:
+            vtkObject.SetGlobalWarningDisplay(shown)
+        if not written or failures:
+            import errno
+            import os
 
-        # VTK reports a full disk as an error of its own; it is the only one left once the file could be opened.
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+            # VTK reports a full disk as an error of its own; it is the only one left once the file could be opened.
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from tissue.pictures import figure, save
+from tissue.figure import figure, save
 from tissue.run import Run
 from tissue.scene_coupling import WallAnatomy
 from tissue.scene_tool import Probe

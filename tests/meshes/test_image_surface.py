@@ -30,6 +30,7 @@ def test_ball_has_its_volume_and_place():
 
 def test_bone_cut_by_the_edge_of_the_image_is_closed_there():
     surface = image_surface(ball(cut_at_mm=8.0), threshold=500.0)
+    assert len(surface.caps_m) == 1 and not image_surface(ball(), threshold=500.0).caps_m
     assert surface.report.volume_mm3 == pytest.approx(2.0 / 3.0 * np.pi * RADIUS_MM**3, rel=0.15)
 
 

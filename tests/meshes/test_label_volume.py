@@ -7,7 +7,7 @@ import pytest
 
 from meshes import TOOTH_LAYERS, InputError, label_volume
 from meshes.image_file import Image
-from meshes.label_volume import labelled_volume
+from meshes.label_volume import labelled_tooth, labelled_volume
 from meshes.tooth_layers import ENAMEL
 
 SPACING_MM = 0.1
@@ -151,7 +151,7 @@ def test_refusals(make, options, message):
 @pytest.mark.parametrize(
     ("number", "islands", "counts"),
     [
-        (2, 147, {"caries": 163638, "enamel": 4794143, "dentin": 13024153}),
+        pytest.param(2, 147, {"caries": 163638, "enamel": 4794143, "dentin": 13024153}, marks=pytest.mark.slow),
         pytest.param(4, 1405, {"caries": 19993, "enamel": 5448491, "dentin": 18636124}, marks=pytest.mark.slow),
     ],
 )
@@ -167,3 +167,23 @@ def test_real_carious_teeth(anatomy, number, islands, counts):
         assert 1e9 * volume.volume_m3(name) == pytest.approx(expected, rel=rel), name
     assert 15e-9 < volume.volume_m3("pulp") < 60e-9
     assert np.ptp(np.array(volume.bounds_m), axis=0)[2] > 17e-3
+
+
+def test_a_site_over_the_caries_leads_straight_in_from_the_nearest_surface():
+    """The cube of decay lies 0.5 mm under the side of the tooth, its middle 1 mm."""
+    tooth = labelled_tooth(image(tooth_labels())).at_lesion()
+    volume = tooth.volume(resample_mm=0.1)
+    index = np.argwhere((volume.layer == TOOTH_LAYERS.index("caries")) & (volume.fraction > 127))
+    middle = 1e3 * (volume.origin_m + volume.spacing_m * (index.mean(axis=0) + 0.5))
+    assert middle == pytest.approx([0.0, 0.0, -1.0], abs=0.15)
+    assert volume.placement.rotation[:, 2] == pytest.approx([0.0, 0.0, -1.0], abs=0.02)
+    assert 1e9 * volume.volume_m3() == pytest.approx(240.0, rel=5e-3)
+    at = volume.placement.to_file(middle[None])[0]  # back where the labels are: voxels 35-44, 30-39, 15-24
+    assert at == pytest.approx([3.95, 3.45, 1.95], abs=0.1)
+
+
+def test_a_sound_tooth_has_no_site_over_its_caries():
+    values = tooth_labels()
+    values[values == 1] = 3
+    with pytest.raises(InputError, match=r"^site must not be caries for a tooth without a lesion"):
+        labelled_tooth(image(values)).at_lesion()

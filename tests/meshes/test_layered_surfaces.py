@@ -22,7 +22,9 @@ def surface(*bodies):
 
 
 def ball(radius, centre=(0.0, 0.0, 0.0), hollow=False):
-    mesh = trimesh.creation.icosphere(subdivisions=5, radius=radius)
+    """An icosphere with the volume of the ball."""
+    mesh = trimesh.creation.icosphere(subdivisions=4, radius=radius)
+    mesh.apply_scale((ball_mm3(radius) / mesh.volume) ** (1.0 / 3.0))
     mesh.apply_translation(centre)
     if hollow:
         mesh.invert()
@@ -65,9 +67,16 @@ def volumes_mm3(volume):
     return {name: 1e9 * volume.volume_m3(name) for name in TOOTH_LAYERS}
 
 
-@pytest.mark.parametrize("hollow", [True, False])
-@pytest.mark.parametrize("first", ["enamel", "dentin"])
-def test_balls_have_their_volumes_and_the_overlap_goes_by_priority(hollow, first):
+@pytest.mark.parametrize(
+    ("first", "hollow"),
+    [
+        ("enamel", True),
+        ("dentin", False),
+        pytest.param("enamel", False, marks=pytest.mark.slow),
+        pytest.param("dentin", True, marks=pytest.mark.slow),
+    ],
+)
+def test_balls_have_their_volumes_and_the_overlap_goes_by_priority(first, hollow):
     """0.2 %: facets of the icospheres, and nine lines a voxel."""
     lens = lens_mm3(5.0, 3.0, 7.0)
     dentin = [ball(5.0), ball(2.0, hollow=True)] if hollow else [ball(5.0)]
@@ -132,7 +141,7 @@ def test_inside_of_scattered_points():
     sphere = surface(ball(5.0))
     expected = np.linalg.norm(points, axis=1) < 5e-3
     found = inside_surface(sphere.vertices_m, sphere.faces, points)
-    assert (found == expected).mean() > 0.999  # facets of the icosphere lie 3 µm inside
+    assert (found == expected).mean() > 0.997  # facets of the icosphere lie up to 8 µm off
 
 
 @pytest.mark.parametrize(
@@ -145,7 +154,7 @@ def test_inside_of_scattered_points():
         ({"enamel": None}, "surfaces must give enamel and dentin, got dentin, pulp: add the enamel"),
         (
             {"enamel": "apart"},
-            "layers must touch in one common frame and unit, got enamel 4 mm from dentin, the nearest",
+            "enamel surface must touch the others in one common frame and unit, got one 4 mm from dentin, the nearest",
         ),
         ({"pulp": "beside"}, "pulp must lie within the dentin, got 2"),
     ],
@@ -201,6 +210,7 @@ def real(anatomy):
     return {name: anatomy / "tooth" / f"openmandible_L6_{part}.stl" for name, part in files.items()}
 
 
+@pytest.mark.slow
 def test_real_molar_keeps_the_volume_of_every_layer(real):
     anatomy = layered_surfaces(real)
     volume = voxelise(anatomy, spacing_m=SPACING)

@@ -10,8 +10,10 @@ from meshes import glenoid, sdf, voxelise
 from meshes.errors import InputError
 from meshes.grid import Grid
 from meshes.mesh_sampling import TriangleSampler
-from meshes.site import Site, find_glenoid, surface_anatomy
+from meshes.placement import Placement
+from meshes.site import Site, find_glenoid, place_site
 from meshes.surface import read_surface, surface_from_triangles
+from meshes.surface_anatomy import surface_anatomy
 
 
 def as_surface(mesh):
@@ -53,11 +55,11 @@ def test_overlapping_bodies_count_once():
 
 def test_mesh_agrees_with_the_shape_it_came_from():
     anatomy = glenoid()
-    vertices, faces = voxelise(anatomy, spacing_m=2e-4).surface()
+    vertices, faces = voxelise(anatomy, spacing_m=4e-4).surface()
     surface = surface_from_triangles(vertices * 1e3, faces, scale_mm=1)
     region = ((-8e-3, -8e-3, -5e-3), (8e-3, 8e-3, 3e-3))
-    found = voxelise(surface_anatomy(surface, AT_ORIGIN), spacing_m=2e-4, region_m=region)
-    exact = voxelise(anatomy, spacing_m=2e-4, region_m=region)
+    found = voxelise(surface_anatomy(surface, AT_ORIGIN), spacing_m=4e-4, region_m=region)
+    exact = voxelise(anatomy, spacing_m=4e-4, region_m=region)
     assert found.volume_m3() == pytest.approx(exact.volume_m3(), rel=2e-3)
     assert np.abs(found.fraction.astype(int) - exact.fraction).max() < 80  # a third of a voxel, by marching cubes
 
@@ -74,8 +76,9 @@ def test_mesh_voxels_do_not_depend_on_the_region_and_take_a_hole():
     assert np.array_equal(part.fraction[kept], whole.fraction[window])
     assert np.array_equal(part.layer[kept], whole.layer[window])
     hole = sdf.cylinder(2e-3, (0, 0, -6e-3), (0, 0, 6e-3))
-    drilled = voxelise(anatomy, spacing_m=4e-4, minus=hole)
-    assert whole.volume_m3() - drilled.volume_m3() == pytest.approx(math.pi * 4e-6 * 12e-3, rel=5e-3)
+    box = np.array([2.4e-3, 2.4e-3, 6.8e-3])  # solid before it is drilled
+    drilled = voxelise(anatomy, spacing_m=4e-4, region_m=(-box, box), minus=hole)
+    assert np.prod(2.0 * box) - drilled.volume_m3() == pytest.approx(math.pi * 4e-6 * 12e-3, rel=5e-3)
     core = 4 / 3 * math.pi * 10e-3**3
     assert whole.volume_m3("trabecular") == pytest.approx(core, rel=0.03)
 
@@ -103,20 +106,38 @@ def test_glenoid_is_found_where_it_was_put():
     assert site.confidence.startswith("found by search: face 2") and "concave" in site.confidence
 
 
-def test_site_as_told_lies_on_the_surface():
+def test_site_as_given_lies_on_the_surface():
     surface = as_surface(trimesh.creation.icosphere(subdivisions=4, radius=30.0))
-    site = find_glenoid(surface, centre_mm=(0, 0, 27), normal=(0, 0, 2))
+    site = place_site(surface, centre_mm=(0, 0, 27), normal=(0, 0, 2))
     assert site.centre_m == pytest.approx([0, 0, 30e-3], abs=2e-4)
     assert site.rotation[:, 2] == pytest.approx([0, 0, 1])
-    assert site.confidence == "centre and normal as told"
+    assert site.confidence == "centre and normal as given"
+
+
+def test_without_a_normal_it_is_that_of_the_surface_and_x_lies_along_the_direction_given():
+    surface = as_surface(trimesh.creation.icosphere(subdivisions=4, radius=30.0))
+    out, along = np.array([2.0, -1.0, 2.0]) / 3.0, np.array([0.3, 0.9, 0.1])
+    site = place_site(surface, centre_mm=29e0 * out, along=5.0 * along)
+    assert site.rotation[:, 2] @ out > math.cos(math.radians(1.5))  # facets of 2.6 mm lean by 2.5 degrees
+    across = along - (along @ site.rotation[:, 2]) * site.rotation[:, 2]
+    assert site.rotation[:, 0] == pytest.approx(across / np.linalg.norm(across))
+    assert np.linalg.det(site.rotation) == pytest.approx(1.0)
+    assert site.confidence == "centre as given, normal of the surface around it, x along the direction given"
+    placed = site.placement(1.0)
+    corner = placed.to_scene(1e3 * (site.centre_m + 2e-3 * site.rotation[:, 0])[None])[0]
+    assert corner == pytest.approx([2, 0, 0], abs=1e-12)
+    assert placed.to_file(corner[None])[0] == pytest.approx(1e3 * site.centre_m + 2 * site.rotation[:, 0])
+    again = Placement.from_record(placed.to_record())
+    assert again.origin_mm == pytest.approx(placed.origin_mm) and again.rotation == pytest.approx(placed.rotation)
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         (
-            {"normal": (0, 0, 1)},
-            "anatomy.centre_mm must be given with anatomy.normal, got none with (0, 0, 1): give both",
+            {"centre_mm": (0, 0, 30), "normal": (0, 0, 1), "along": (0, 0, -3)},
+            "anatomy.along must lead across the normal (0, 0, 1), got (0, 0, -1): give a direction in the plane of the "
+            "site",
         ),
         (
             {"centre_mm": (0, 0)},
@@ -129,14 +150,14 @@ def test_site_as_told_lies_on_the_surface():
         (
             {"centre_mm": (0, 0, 300), "normal": (0, 0, 1)},
             "anatomy.centre_mm must lie within 10 mm of the surface along the normal, got (0, 0, 300) in triangles: give a "
-            "point on the face, in mm in the frame of the file",
+            "point on the face, in mm in the frame of the file; the nearest corner is (0, 0, 30)",
         ),
     ],
 )
 def test_refused_sites(options, message):
     surface = as_surface(trimesh.creation.icosphere(subdivisions=3, radius=30.0))
     with pytest.raises(InputError) as refusal:
-        find_glenoid(surface, **options)
+        place_site(surface, **options)
     assert str(refusal.value) == message
 
 

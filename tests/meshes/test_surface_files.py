@@ -105,10 +105,12 @@ def test_two_bodies_stay_and_a_cavity_stays_a_cavity():
 def test_small_holes_are_closed():
     vertices, faces = parts(bone())
     surface = surface_from_triangles(vertices, np.delete(faces, [5, 600, 601], axis=0))
-    assert "Closed" in surface.report.repairs[-1] and "open and 0 non-manifold edges" in surface.report.repairs[-1]
+    assert surface.report.repairs[-1].startswith("Closed 3 holes along 9 open and 0 non-manifold edges, ")
     assert surface.report.volume_mm3 == pytest.approx(bone().volume, rel=2e-3)
     edges = np.sort(trimesh.Trimesh(surface.vertices_m, surface.faces, process=False).edges, axis=1)
     assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
+    one = surface_from_triangles(vertices, np.delete(faces, 5, axis=0)).report
+    assert one.repairs[-1].startswith("Closed 1 hole along 3 open and 0 non-manifold edges, ")
 
 
 def test_doubled_and_cancelling_triangles_leave_a_closed_surface():
@@ -250,7 +252,7 @@ def test_real_liver_is_turned_and_cleaned(anatomy):
 
 def test_real_scapulae(anatomy):
     open_one = read_surface(anatomy / "scapula" / "myosim_scapula.stl").report
-    assert open_one.scale_mm == 1000 and "Closed" in open_one.repairs[-1]
+    assert open_one.scale_mm == 1000 and open_one.repairs[-1].startswith("Closed 7 holes along ")
     scaled = read_surface(anatomy / "scapula" / "openforge_scapula_left.stl", scale_mm=50).report
     assert scaled.volume_mm3 == pytest.approx(0.4155 * 50**3, rel=1e-3)
     with pytest.raises(InputError, match=r"^anatomy\.scale_mm must be given .* for example 50$"):

@@ -62,11 +62,9 @@ def test_a_surface_wound_inward_is_turned_first() -> None:
 
 def test_a_surface_that_crosses_itself_is_filled_as_a_union_and_told() -> None:
     one = ball()
-    both = Surface(
-        np.vstack([one.vertices_m, one.vertices_m + np.array([0.06, 0.003, 0.001])]),
-        np.vstack([one.faces, one.faces + len(one.vertices_m)]),
-        one.report,
-    )
+    vertices = np.vstack([one.vertices_m, one.vertices_m + np.array([0.06, 0.003, 0.001])])
+    faces = np.vstack([one.faces, one.faces + len(one.vertices_m)])
+    both = Surface(vertices, faces, one.report, (), (vertices, faces))
     mesh, said = tetrahedralise(both, edge_m=0.03)
     assert "triangles of the surface cross others, the first at" in said[0]
     # Two balls of radius r whose centres are d apart overlap in pi (4 r + d) (2 r - d)^2 / 12.

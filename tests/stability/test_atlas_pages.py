@@ -6,7 +6,7 @@ import pytest
 from tissue.atlas import PAGES, write_atlas
 from tissue.atlas.page import Conduct
 
-HEAVY = {"large_rotation", "sampled_wall", "wall_map", "horizon", "trained_elsewhere"}
+HEAVY = {"large_rotation", "sampled_wall", "wall_map", "horizon", "trained_elsewhere", "cut_cells", "nearest_point"}
 """Pages that take about a second and more."""
 SPOILT = {
     "one_step_order": ("closed", "exact", "printed"),

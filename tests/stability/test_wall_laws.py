@@ -160,6 +160,12 @@ def test_a_controller_without_bound_would_itself_ring():
     control.step(np.zeros(3), np.zeros(3), np.zeros(3), TICK)
     played = control.step(np.array([0.0, 0.0, 3.0]), np.array([0.0, 0.0, 1e-5]), np.array([0.0, 0.0, 1e-2]), TICK)
     assert control.damping_N_s_m == limit and played[2] == pytest.approx(3.0 - limit * 1e-2)
+    for speed in (0.1, 1.0):  # a fast device without energy in store: no push, and the damping within its bound
+        control = PassivityControl(0.5 * mass / TICK)
+        control.step(np.zeros(3), np.zeros(3), np.zeros(3), TICK)
+        at = np.array([0.0, 0.0, speed * TICK])
+        played = control.step(np.array([0.0, 0.0, 3.0]), at, np.array([0.0, 0.0, speed]), TICK)
+        assert -limit * speed - 1e-12 <= played[2] <= 1e-12
 
 
 def test_a_hand_of_every_group_stiffens_what_a_free_device_can_hold():

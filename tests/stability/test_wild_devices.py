@@ -143,7 +143,7 @@ def test_a_turn_that_no_hand_makes_is_refused():
     guard.believe(Sample(0.0, (0.0, 0.0, 0.0)), 0.0)
     assert guard.believe(Sample(TICK, (0.0, 0.0, 0.0), quaternion=(1.0, 0.0, 0.0, 0.0)), TICK) is None
     assert "turn" in guard.events[-1][1]
-    half = Sample(2 * TICK, (0.0, 0.0, 0.0), quaternion=(0.0, 0.0, 0.02, 2.0))
+    half = Sample(2 * TICK, (0.0, 0.0, 0.0), quaternion=(0.0, 0.0, 0.01, 1.005))
     assert np.linalg.norm(guard.believe(half, 2 * TICK).quaternion) == pytest.approx(1.0)
 
 

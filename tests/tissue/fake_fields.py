@@ -56,7 +56,7 @@ def told(run, *, fields=True):
     series = block_series(*volume.bounds_m, (8, 8, 6), volume.layer_names) if fields else None
     parts = replace(run.parts, tissue=Told(run.parts.tissue, series))
     events = [(0.1, "something gives way"), (0.11, "something else does"), (0.3, "all is gone")]
-    return Run(run.scene, parts, table, run.timing, events=events, compute="cpu", folder=None)
+    return Run(run.scene, parts, table, run.timing, events=events, compute="cpu", folder=None, poses=run.poses)
 
 
 KUHN = ((0, 1, 3, 7), (0, 1, 7, 5), (0, 5, 7, 4), (0, 3, 2, 7), (0, 6, 4, 7), (0, 2, 6, 7))
@@ -164,7 +164,7 @@ def pressed_run(folder, *, frames=11, end_s=1.0, depth_mm=6.0, status="complete"
     writer.flush(len(rows), force=True)
     writer.close()
     peak = float(np.linalg.norm([force, 0.15 * force], axis=0).max())
-    summary = {"format": 1, "status": status, "scene": "press", "layers": PARTS, "simulated_s": end_s}
+    summary = {"format": 1, "status": status, "scene": "press", "layers": PARTS, "simulated_s": 1e-3 * len(time)}
     summary |= {"force_N": {"peak": peak, "mean_in_contact": 0.5 * peak}}
     summary |= {"torque_Nm": {"peak": 0.0, "mean_in_contact": 0.0}}
     (folder / "summary.json").write_text(json.dumps(summary), "utf-8")

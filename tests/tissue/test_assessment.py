@@ -46,7 +46,8 @@ def saved(folder, path, *, scene="block", force_scale=1.0, events=(), status="co
     writer = TraceWriter(folder / "trace.csv", Table(COLUMNS, rows))
     writer.flush(len(rows), force=True)
     writer.close()
-    summary = {"format": 1, "status": status, "scene": scene, "layers": []}
+    summary = {"format": 1, "status": status, "scene": scene, "layers": [], "simulated_s": len(rows) * TICK_S}
+    summary |= {"force_N": {"peak": 2.0 * force_scale * depth.max()}, "torque_Nm": {"peak": 0.0}}
     summary["events"] = [{"time_s": at_s, "what": what} for at_s, what in events]
     (folder / "summary.json").write_text(json.dumps(summary))
     return SavedRun(folder)

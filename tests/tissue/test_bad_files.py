@@ -70,15 +70,15 @@ def mesh_cases():
         "flat",
         cube * (1, 1, 0),
         CUBE_FACES,
-        ("surface must have thickness, got a flat one in flat.stl: use a closed surface"),
+        ("anatomy.file must have thickness, got a flat one in flat.stl: use a closed surface"),
     )
     yield (
         "open",
         cube,
         CUBE_FACES[2:],
         (
-            "surface must enclose a solid, got 4 open and 0 non-manifold edges in open.stl, the largest hole 900 mm2: "
-            "close it in a mesh editor"
+            "anatomy.file must show a glenoid of about 28 x 37 mm, got none in open.stl (best face 0.0 x 0.0 mm, score "
+            "1.00): check anatomy.scale_mm, or give anatomy.centre_mm and anatomy.normal"
         ),
     )
     yield (
@@ -86,8 +86,8 @@ def mesh_cases():
         np.vstack([cube, third]),
         (*CUBE_FACES, (0, 1, 10)),
         (
-            "surface must enclose a solid, got 2 open and 1 non-manifold edges in fin.stl, the largest hole 503 mm2: "
-            "close it in a mesh editor"
+            "anatomy.file must show a glenoid of about 28 x 37 mm, got none in fin.stl (best face 0.0 x 0.0 mm, score "
+            "1.00): check anatomy.scale_mm, or give anatomy.centre_mm and anatomy.normal"
         ),
     )
     yield (

@@ -170,6 +170,7 @@ def block(monkeypatch, tmp_path):
     return load_scene("milling", COARSE)
 
 
+@pytest.mark.slow
 def test_an_interrupted_chart_goes_on_and_a_finished_one_is_not_measured_again(block, monkeypatch):
     settings = [Setting("0.4 mm", "voxels", {"voxels.spacing_mm": 0.4}), Setting("0.2 mm", "voxels")]
     monkeypatch.setattr("tissue.charts.measure.EXCERPT_S", {True: 0.4})

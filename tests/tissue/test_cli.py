@@ -99,11 +99,9 @@ POINTS = "motion.points_mm must be a list of at least two points [x, y, z], got"
             "tool.diameter_mm=0.3",
             "voxels.spacing_mm must be at most a quarter of tool.diameter_mm (0.3), got 0.1: use 0.015",
         ),
-        ("tool.peg_diameter_mm=7", "tool.peg_diameter_mm must be below tool.diameter_mm (6), got 7: use 1.2"),
         (
             "tool.peg_diameter_mm=2",
-            "tool.peg_diameter_mm must fit the guide hole (0 mm wide, 0 mm deep), got a peg of "
-            "2 x 0 mm: widen or deepen it by anatomy.guide_hole_diameter_mm and anatomy.guide_hole_depth_mm",
+            "tool.peg_diameter_mm must be left out for a ball-burr, got 2: set tool.kind = flat-reamer, or remove it",
         ),
         ("spacing", "--set must be key=value, got spacing: use for example voxels.spacing_mm=0.2"),
         ("=1", "--set must be key=value, got =1: use for example voxels.spacing_mm=0.2"),
@@ -244,13 +242,13 @@ def test_a_folder_with_another_run_is_kept_unless_told(refused, command, here):
     quick = ("run", "milling", *COARSE, "--duration-s", 0.02)
     assert command(*quick, "--out", "first", "--format", "npz")[0] == 0
     (here / "first" / "trace.txt").write_text("notes of a person")
-    before = {path: path.read_bytes() for path in (here / "first").iterdir()}
+    before = {path: path.read_bytes() for path in (here / "first").rglob("*") if path.is_file()}
     assert refused(*quick, "--out", "first") == (
         "out must not hold another run, got first: pass --overwrite to replace it or choose another --out"
     )
-    assert {path: path.read_bytes() for path in (here / "first").iterdir()} == before
+    assert {path: path.read_bytes() for path in (here / "first").rglob("*") if path.is_file()} == before
     assert command("run", "milling", *COARSE, "--duration-s", 0.03, "--out", "first", "--overwrite")[0] == 0
-    after = {path: path.read_bytes() for path in (here / "first").iterdir()}
+    after = {path: path.read_bytes() for path in (here / "first").rglob("*") if path.is_file()}
     assert set(before) - set(after) == {here / "first" / "trace.npz"}
     assert after[here / "first" / "trace.txt"] == b"notes of a person"
     assert after[here / "first" / "trace.csv"].count(b"\n") == 31
@@ -290,7 +288,7 @@ def test_a_folder_that_cannot_be_written_is_refused(refused, here, monkeypatch):
 
     monkeypatch.setattr(Path, "mkdir", read_only)
     assert refused("run", "milling", *COARSE, "--out", "shut/run") == (
-        "out must be writable, got read-only file system at shut/run: choose another --out"
+        f"out must be writable, got read-only file system at {here / 'shut' / 'run'}: choose another --out"
     )
 
 
@@ -399,3 +397,11 @@ def test_help_lists_every_option(command):
         "--allow-unstable",
     ):
         assert option in said
+
+
+def test_a_peg_that_fits_neither_tool_nor_hole_is_refused(refused):
+    loose = refused("run", "glenoid", "--set", "tool.peg_diameter_mm=12")
+    wide = refused("run", "glenoid", "--set", "tool.peg_diameter_mm=12", "--set", "tool.diameter_mm=10")
+    assert wide.startswith("tool.peg_diameter_mm must be below tool.diameter_mm (10), got 12")
+    assert loose.startswith("tool.peg_diameter_mm must fit the guide hole (")
+    assert "widen or deepen it by anatomy.guide_hole_diameter_mm and anatomy.guide_hole_depth_mm" in loose

@@ -204,7 +204,7 @@ def test_every_device_keeps_the_contract(make):
     before = None
     for tick in range(250):
         sample = device.read(tick * TICK)
-        assert isinstance(sample, Sample) and sample.finite
+        assert isinstance(sample, Sample) and all(np.isfinite(part).all() for part in sample)
         assert sample == again.read(tick * TICK), "not deterministic"
         assert sample.time_s == pytest.approx(tick * TICK, abs=1e-9)
         assert np.linalg.norm(sample.quaternion) == pytest.approx(1.0, abs=1e-12)
@@ -214,7 +214,6 @@ def test_every_device_keeps_the_contract(make):
         before = sample
         for each in (device, again):
             each.command(np.array([0.1, 0.0, 0.0]), np.array([0.0, 1e-3, 0.0]))
-    assert isinstance(device.six_dof, bool)
     position, velocity, quaternion, spin = before.arrays()
     assert position.shape == velocity.shape == spin.shape == (3,) and quaternion.shape == (4,)
 

@@ -124,7 +124,7 @@ def test_the_same_generator_gives_the_same_movement_and_another_another():
     assert np.abs(runs[0] - runs[2]).max() > 1e-4
 
 
-@pytest.mark.parametrize("name", ["omni", "six-dof"])
+@pytest.mark.parametrize("name", ["omni", pytest.param("six-dof", marks=pytest.mark.slow)])
 def test_experts_are_steadier_than_novices(name):
     path = waypoints([0.0, 0.2, 1.2, 3.0], [[0, 0, 0], [0.02, 0, 0], [0.02, 0.03, 0], [0, 0.03, 0]])
     late = []

@@ -86,7 +86,10 @@ def again(path, **changed):
 @pytest.mark.parametrize(
     ("changed", "sentence"),
     [
-        ({"version": 2}, "predictor file must be of version 1, got 2 in .*: train it again with 'tissue train wall'"),
+        (
+            {"version": 2},
+            "predictor file must be of format 1 or older, got 2, written by tissue .*: read it with that version",
+        ),
         ({"scene": "liver"}, "predictor file must be of scene wall, got liver in .*: train it again"),
         ({"format": "other"}, "predictor file must be one that 'tissue train' wrote"),
         ({"free__A": np.zeros((2, 2))}, "must be whole, got .* instead of"),

@@ -62,12 +62,8 @@ def test_an_unknown_format_is_refused():
 
 
 @pytest.mark.parametrize("kind", FORMATS)
-def test_a_full_disk_is_an_error_of_the_system(trace, tmp_path, kind):
-    from pathlib import Path
-
-    if not Path("/dev/full").exists():
-        pytest.skip("needs a device that is always full")
-    (tmp_path / f"trace.{kind}").symlink_to("/dev/full")
+def test_a_full_disk_is_an_error_of_the_system(trace, tmp_path, kind, full_disk):
+    full_disk(tmp_path / f"trace.{kind}")
     with pytest.raises(OSError) as error:
         write_trace(trace, tmp_path, kind)
     assert error.value.errno == 28

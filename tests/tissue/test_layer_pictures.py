@@ -9,7 +9,7 @@ from tissue.event_marks import event_lines
 from tissue.fields import Frame
 from tissue.force_depth import first_descent, layers_passed
 from tissue.report import draw_pictures
-from tissue.section import loaded_frame, section_of
+from tissue.section import loaded_frame, moment_of, section_of
 
 pytest.importorskip("pyvista")
 
@@ -24,10 +24,12 @@ def run():
 
 
 def test_section_holds_the_voxels_at_the_deepest_point(run):
-    section = section_of(run, axis=2, outward=1)
+    last = len(run.trace.rows) - 1
+    section = section_of(run, axis=2, outward=1, row=last)
     volume = run.parts.volume
-    assert sorted((section.across, section.axis, section.normal)) == [0, 1, 2]
-    assert run.trace["tool_z_mm"][section.row] == run.trace["tool_z_mm"].min()
+    assert sorted((section.across, section.axis, section.normal)) == [0, 1, 2] and section.row == last
+    deepest = run.trace["tool_z_mm"].argmin()
+    assert section.place_mm == run.trace[f"tool_{'xyz'[section.normal]}_mm"][deepest]
     index = int((section.place_mm * 1e-3 - volume.origin_m[section.normal]) / volume.spacing_m)
     np.testing.assert_array_equal(section.layer, np.take(volume.layer, index, axis=section.normal))
     removed = np.take(volume.fraction - run.remaining, index, axis=section.normal) / 255
@@ -35,6 +37,26 @@ def test_section_holds_the_voxels_at_the_deepest_point(run):
     assert removed.sum() > 10.0
     u0, u1, v0, v1 = section.extent_mm
     assert section.start.shape == (round((u1 - u0) / SPACING_MM), round((v1 - v0) / SPACING_MM))
+
+
+def test_a_section_shows_one_moment(run):
+    row, frame = moment_of(run)
+    assert frame is None and run.trace["contact_mm2"][row] > 0.0 and not run.trace["contact_mm2"][row + 1 :].any()
+    # With fields it is the time of the last one under load: the bone is that of a run stopped there.
+    row = 350
+    section = section_of(run, axis=2, outward=1, row=row)
+    changes = {"voxels.spacing_mm": SPACING_MM, "motion.feed_mm_s": 5.0, "duration_s": 1e-3 * (row + 1)}
+    stopped = section_of(simulate(load_scene("glenoid", changes)), axis=2, outward=1, row=row)
+    np.testing.assert_array_equal(section.left, stopped.left)
+    assert section.left.sum() > section_of(run, axis=2, outward=1, row=599).left.sum() + 1.0
+    assert (section.place_mm, section.across) == (stopped.place_mm, stopped.across)
+
+
+def test_the_moment_of_a_section_is_that_of_its_stress(run):
+    loaded = told(run)
+    row, frame = moment_of(loaded)
+    assert frame is loaded_frame(loaded.parts.tissue.fields)
+    assert loaded.trace["time_s"][row] == pytest.approx(frame.time_s)
 
 
 def test_descent_ends_where_the_tool_is_deepest_before_it_rises():

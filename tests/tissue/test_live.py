@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -10,13 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tissue import load_scene, simulate
+from tissue import InputError, load_scene, simulate
 from tissue.coupling.other_devices import MouseDevice
 from tissue.live import WallClock, moved_by
 from tissue.live import live as run_live
 from tissue.live.run import LiveWatch
 from tissue.live.shared import SharedArrays
 from tissue.live.tissues import TURN_TICKS, BoneShared
+from tissue.offscreen import await_display, display_problem
 from tissue.run_folder import SavedRun
 from tissue.simulation import TICK_S
 
@@ -101,6 +103,8 @@ def test_a_write_that_is_under_way_is_never_read(tmp_path):
             if (told := ours.read("row")) is not None:
                 assert (told[1] == told[1][0]).all()
                 seen.add(told[1][0])
+            if not seen:
+                time.sleep(1e-3)  # it has not begun
         ours["end"][0] = 1
     assert len(seen) == 50
 
@@ -193,6 +197,10 @@ class FakeWindow:
     def __init__(self, scene, parts, columns, *, low_m, high_m):
         self.closed, self.box, self.shown, self._told = False, (low_m, high_m), 0, False
 
+    @property
+    def frames(self):
+        return self.shown
+
     def pointed_m(self):
         if self._told:
             return None
@@ -233,11 +241,79 @@ def test_a_window_that_fails_ends_the_run_and_is_told(monkeypatch):
 
 
 def test_what_moves_the_tool_is_told_before_it_runs(monkeypatch):
-    monkeypatch.setattr("tissue.live.run.display_problem", lambda: "the display :9 does not answer")
+    monkeypatch.setattr("tissue.live.run.display_problem", lambda: "libGL is missing (install libgl1)")
     assert moved_by(load_scene("wall", {"hand": "novice"})) == (
         False,
-        "no window, for the display :9 does not answer: a simulated novice moves it",
+        "no window, for libGL is missing (install libgl1): a simulated novice moves it",
     )
+
+
+@pytest.fixture
+def stalled(monkeypatch):
+    """A window that draws nothing after its first 200 ticks, until a time on the clock."""
+    until = []
+
+    def frames(self):
+        if self.shown > 200 and not until:
+            until.append(time.monotonic() + 0.4)
+        return self.shown if not until or time.monotonic() > until[0] else 200
+
+    monkeypatch.setattr("tissue.live.run.await_display", lambda: None)
+    monkeypatch.setattr("tissue.live.run.display_problem", lambda: None)
+    monkeypatch.setattr("tissue.live.run.WindowBeside", FakeWindow)
+    monkeypatch.setattr(FakeWindow, "frames", property(frames))
+    monkeypatch.setattr("tissue.live.run.STALLED_S", 0.1)
+
+
+def test_a_run_waits_for_a_window_that_stands_still_and_says_so(stalled):
+    run = run_live(load_scene("wall"))
+    assert len(run.trace.rows) == 600
+    (time_s, said), *more = [event for event in run.events if "drew nothing" in event[1]]
+    assert said.startswith("the window drew nothing: the run waited ") and not more
+    waited_us = 1e6 * float(said.split("waited ")[1].split(" s")[0])
+    paused = round(time_s / TICK_S)
+    assert run.timing["skipped_us"][paused : paused + 2].max() < waited_us, "a pause of the run is no lateness"
+
+
+def test_a_run_ends_when_its_window_stands_still_for_ever(stalled, monkeypatch):
+    monkeypatch.setattr("tissue.live.run.HELD_S", 0.2)
+    run = run_live(load_scene("wall"))
+    assert len(run.trace.rows) < 600
+    assert [what for _, what in run.events if "drew nothing" in what] == [
+        "the window drew nothing for 0 s: the run ended"
+    ]
+
+
+def test_a_display_that_comes_late_is_waited_for(monkeypatch):
+    monkeypatch.setenv("DISPLAY", ":9")
+    problems = ["the display :9 does not answer"] * 3 + [None]
+    monkeypatch.setattr("tissue.offscreen.display_problem", lambda: problems.pop(0))
+    assert await_display(longest_s=60.0) is None and not problems
+    monkeypatch.setattr("tissue.offscreen.display_problem", lambda: "the display :9 does not answer")
+    with pytest.raises(
+        InputError, match=r"got :9, which did not within 0\.3 s: start it, or unset DISPLAY to go without"
+    ):
+        await_display(longest_s=0.3)
+    monkeypatch.setattr("tissue.offscreen.display_problem", lambda: "there is no display (DISPLAY is not set)")
+    assert await_display() == "there is no display (DISPLAY is not set)"
+
+
+@pytest.mark.skipif(not Path("/tmp/.X11-unix").is_dir(), reason="no X server keeps its sockets here")
+def test_a_display_that_takes_the_call_and_says_nothing_is_no_display(monkeypatch):
+    number = 7000 + os.getpid() % 1000
+    place = f"/tmp/.X11-unix/X{number}"
+    monkeypatch.setenv("DISPLAY", f":{number}")
+    monkeypatch.setattr("tissue.offscreen.ANSWERS_S", 0.3)
+    with socket.socket(socket.AF_UNIX) as deaf:
+        deaf.bind(place)
+        try:
+            deaf.listen()
+            assert display_problem() in (
+                f"the display :{number} does not answer",
+                "libX11 is missing (install libx11-6, libgl1 and libxcursor1)",
+            )
+        finally:
+            os.unlink(place)
 
 
 def test_ctrl_c_is_given_back(monkeypatch):

@@ -74,6 +74,14 @@ def test_a_movie_needs_an_ending_and_a_place(tmp_path, name, message):
 
 def test_without_ffmpeg_the_remedy_is_a_gif(tmp_path, monkeypatch):
     monkeypatch.setattr("tissue.movie.find_spec", lambda name: None if name == "imageio_ffmpeg" else object())
-    with pytest.raises(InputError, match=r"use .*run.gif or pip install imageio imageio-ffmpeg$"):
+    with pytest.raises(InputError, match=r"not installed, got .*use .*run.gif or pip install imageio imageio-ffmpeg$"):
         check_movie(tmp_path / "run.mp4")
     check_movie(tmp_path / "run.gif")
+
+
+@pytest.mark.parametrize("encoder", ["/nowhere/ffmpeg", "false"])
+def test_an_ffmpeg_that_does_not_run_is_told_before_anything_is_drawn(tmp_path, monkeypatch, encoder):
+    pytest.importorskip("imageio_ffmpeg")
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", encoder)
+    with pytest.raises(InputError, match=r"where imageio-ffmpeg has no ffmpeg that runs, got .*: use .*run.gif or "):
+        check_movie(tmp_path / "run.mp4")

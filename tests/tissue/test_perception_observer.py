@@ -75,8 +75,11 @@ def spoil(**changed):
         (lambda told: "{", "observer must be a JSON file"),
         (lambda told: "[1, 2]", "observer must be a file of an observer, got .*, which is something else"),
         (lambda told: '{"format": "tissue run"}', "observer must be a file of an observer"),
-        (spoil(version=2), "observer must be of version 1, got .* of version 2: calibrate again"),
-        (spoil(mean="unknown"), "observer must hold name, trials, mean and covariance"),
+        (
+            spoil(version=2),
+            "observer must be of format 1 or older, got 2, written by tissue .*: read it with that version",
+        ),
+        (spoil(mean="unknown"), "observer must hold name, trials, coordinates, mean and covariance"),
         (spoil(mean=[0.0] * 5), r"mean and covariance must have shapes \(6,\) and \(6, 6\), got \(5,\)"),
         (spoil(mean=[0.0, 1.7, float("nan"), -1.6, -3.9, -1.6]), "mean and covariance must be finite"),
         (spoil(mean=[0.0, 17.0, -2.7, -1.6, -3.9, -1.6]), r"beta must be in \[0.05, 5\], got 17"),

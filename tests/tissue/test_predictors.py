@@ -326,7 +326,7 @@ def test_what_cannot_be_used_is_refused(trained, tmp_path):
         predictor("koopman", scene_name="mine", file="", **options)
     with pytest.raises(InputError, match="device must have a tick of 1 ms for a trained predictor, got 2"):
         predictor("koopman", scene_name="wall", file="", force_limit_N=LIMIT_N, tick_s=2e-3)
-    with pytest.raises(InputError, match="device must be given for a prediction, got none"):
+    with pytest.raises(InputError, match="prediction must be left out without a device, got koopman"):
         load_scene("palpation", {"prediction": "koopman"})
     still = [
         Recording(run.position_m, run.velocity_m_s, 0.0 * run.force_N, "expert", run.seed) for run in [spring_run(1)]

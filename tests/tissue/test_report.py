@@ -1,7 +1,6 @@
 """A run's files and pictures, read back."""
 
 import gzip
-import os
 
 import numpy as np
 import pytest
@@ -186,8 +185,7 @@ def test_a_drawing_process_that_dies_leaves_this_one_alive(tmp_path, monkeypatch
     assert problem is not None and "OpenGL does not work on this machine (exit code" in problem
 
 
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs a device that is always full")
-def test_a_full_disk_is_an_error_of_the_system(run, tmp_path):
-    (tmp_path / "bone.vti").symlink_to("/dev/full")
+def test_a_full_disk_is_an_error_of_the_system(run, tmp_path, full_disk):
+    full_disk(tmp_path / "bone.vti")
     with pytest.raises(OSError, match="No space left"):
         write_bone(run, tmp_path)

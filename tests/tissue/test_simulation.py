@@ -103,7 +103,7 @@ def test_the_removed_volume_is_that_of_the_layers_and_never_falls():
 
 
 def test_the_seed_is_recorded(tmp_path):
-    run = run_of(seed=42, duration_s=0.01)
+    run = run_of(seed=42, device="touch", duration_s=0.01)
     assert run.scene.seed == 42
     assert load_scene(run.save(tmp_path / "out", pictures=False) / "scene.toml").seed == 42
 

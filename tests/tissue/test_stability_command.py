@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 
+@pytest.mark.slow
 def test_a_map_is_printed_and_kept(command, here):
     code, out, error = command("stability", "wall", "--out", "map")
     assert (code, error) == (0, "")

@@ -35,7 +35,7 @@ def test_trials_differ_in_hand_seed_and_latency():
     assert [each.hand for each in scenes[:3]] == ["novice", "intermediate", "expert"]
     assert [each.coupling.delay_ms for each in scenes] == [0, 0, 0, 4, 4, 4, 8, 8, 8]
     assert len({each.seed for each in scenes}) == 9 and all(each.stress is None for each in scenes)
-    assert trial(scene, 3, share=0.7).coupling.force_scale == pytest.approx(0.7 * scene.coupling.force_scale)
+    assert trial(scene, 3, share=0.7).coupling.force_scale == pytest.approx(0.7 * scene.force_scale)
 
 
 def played_error(prediction, **changes):

@@ -1,7 +1,10 @@
 """`tissue view`: of whole and of stopped runs, with and without a display."""
 
+import dataclasses
 import json
 import shutil
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,10 +12,13 @@ import pytest
 from fake_fields import block_series
 
 from tissue import InputError, load_scene, simulate
-from tissue.offscreen import display_problem
+from tissue.offscreen import display_problem, draw_apart
+from tissue.pose_log import write_poses
+from tissue.run_folder import SavedRun
 from tissue.series import write_fields
-from tissue.view import view
-from tissue.viewer_bone import BoneShown, read_voxels, surface_of_layers
+from tissue.view import _about, view
+from tissue.viewer_bone import BoneShown
+from tissue.viewer_carving import bone_of, read_voxels
 from tissue.viewer_fields import FieldsShown
 from tissue.viewer_frames import SavedFields
 from tissue.viewer_layers import LayerKeys
@@ -76,25 +82,75 @@ def layered(tmp_path_factory):
     return folder
 
 
+def carved_bone(folder):
+    """The bone of a run's folder over time."""
+    saved = SavedRun(folder)
+    return bone_of(saved, saved.scene)
+
+
 def test_a_layer_taken_away_lays_bare_what_lies_under_it(layered):
-    pyvista = pytest.importorskip("pyvista")
-    surface, voxels = pyvista.read(layered / "bone.vtp"), read_voxels(layered / "bone.vti")
-    present = np.unique(voxels.layer[voxels.fraction > 0]).tolist()
-    for layer in present:
-        part = surface_of_layers(surface, voxels, {layer})
+    pytest.importorskip("pyvista")
+    bone, (volume, left) = carved_bone(layered), read_voxels(layered / "bone.vti")
+    bone.at(10**6)
+    for layer in bone.layers:
+        rest, cut = bone.rest({layer}), bone.cut({layer})
+        part = cut.append_polydata(rest).clean(tolerance=1e-4, absolute=True)
         # Every layer is a closed body. It is off by the steps at its face, less than a voxel's half on either side.
         assert part.n_open_edges == 0
-        held = (voxels.fraction / 255.0)[voxels.layer == layer].sum() * 0.5**3
+        held = (left / 255.0)[volume.layer == layer].sum() * 0.5**3
         assert abs(part.volume - held) < 0.25 * part.area
-        share = np.bincount(part.cell_data["layer"], minlength=len(voxels.layer_names)) / part.n_cells
+        share = np.bincount(part.cell_data["layer"], minlength=len(volume.layer_names)) / part.n_cells
         assert share[layer] > 0.9
-        assert part.point_data["removed_depth_mm"].max() <= surface.point_data["removed_depth_mm"].max() + 1e-6
-    assert surface_of_layers(surface, voxels, set()).n_cells == 0
-    # Without voxels the bone's own surface is all there is.
-    counts = np.bincount(surface.cell_data["layer"])
-    for layer in np.flatnonzero(counts):
-        assert surface_of_layers(surface, None, {int(layer)}).n_cells == counts[layer]
-    assert surface_of_layers(surface, None, set(present)) is surface
+        assert part.point_data["removed_depth_mm"].max() <= bone.deepest_mm + 1e-6
+    assert bone.rest(set()).n_cells == bone.cut(set()).n_cells == 0
+
+
+def surface_of(bone, tick):
+    """What is drawn of all layers at a tick."""
+    bone.at(tick)
+    return bone.cut(bone.layers).append_polydata(bone.rest(bone.layers)).clean(tolerance=1e-4, absolute=True)
+
+
+def test_the_bone_at_a_time_is_that_of_a_run_stopped_there(layered, tmp_path):
+    pyvista = pytest.importorskip("pyvista")
+    bone = carved_bone(layered)
+    last = surface_of(bone, 499)
+    stopped = load_scene("glenoid", {"voxels.spacing_mm": 0.5, "motion.feed_mm_s": 5.0, "duration_s": 0.35})
+    short = carved_bone(simulate(stopped).save(tmp_path / "short", pictures=False))
+    for mine, other in ((surface_of(bone, 349), surface_of(short, 349)), (surface_of(bone, 499), last)):
+        assert mine.n_cells == other.n_cells and mine.volume == pytest.approx(other.volume, rel=1e-6)
+    whole = pyvista.read(layered / "bone.vtp")
+    assert last.n_cells == whole.n_cells and last.volume == pytest.approx(whole.volume, rel=1e-6)
+    assert surface_of(bone, 349).volume > last.volume + 1.0
+    # Without the poses, as of an earlier version, the trace gives the same within what is cut in 20 µm.
+    (layered / "carving" / "poses.npz").rename(tmp_path / "poses.npz")
+    try:
+        by_trace = surface_of(carved_bone(layered), 349)
+    finally:
+        (tmp_path / "poses.npz").rename(layered / "carving" / "poses.npz")
+    assert by_trace.volume == pytest.approx(surface_of(bone, 349).volume, abs=0.02 * 30.0)
+
+
+def test_a_stopped_run_shows_its_bone_carved_as_far_as_it_came(stopped):
+    pytest.importorskip("pyvista")
+    bone = carved_bone(stopped)
+    assert surface_of(bone, 149).volume < surface_of(bone, 0).volume
+
+
+@pytest.mark.parametrize("damage", ["poses", "bone", "another"])
+def test_damaged_files_of_the_bone_are_told(layered, tmp_path, damage):
+    folder = tmp_path / "run"
+    shutil.copytree(layered, folder)
+    if damage == "poses":
+        (folder / "carving" / "poses.npz").write_bytes(b"PK")
+    elif damage == "another":
+        volume, _ = read_voxels(folder / "bone.vti")
+        moved = dataclasses.replace(volume, origin_m=volume.origin_m + 1e-3)
+        write_poses(folder / "carving" / "poses.npz", np.zeros((1, 13)), moved)
+    else:
+        shutil.copy(folder / "carving" / "rest.vtp", folder / "bone.vti")
+    with pytest.raises(InputError, match=r"^(poses|bone.vti) must be .*, got .*: run the scene again$"):
+        carved_bone(folder)
 
 
 class Seen:
@@ -130,19 +186,20 @@ class Seen:
 
 
 def test_keys_switch_layers_and_colours(layered):
-    pyvista = pytest.importorskip("pyvista")
+    pytest.importorskip("pyvista")
     plotter = Seen()
-    bone = BoneShown(plotter, pyvista.read(layered / "bone.vtp"), read_voxels(layered / "bone.vti"))
+    bone = BoneShown(plotter, carved_bone(layered))
+    cells = lambda: sum(mesh.n_cells for mesh, _, _ in plotter.meshes.values())  # noqa: E731
     keys = LayerKeys(plotter, bone.layers, targets=[bone.hide])
     assert bone.help == "c: removed depth or layer"
     assert keys.help == "  ".join(f"{n}: {name}" for n, name in enumerate(bone.layers, 1)) + " on or off"
     assert list(plotter.scalar_bars) == ["removed depth / mm"] and not plotter.legend
-    whole = plotter.meshes["bone"][0].n_cells
+    whole = cells()
     plotter.keys["1"]()
-    assert plotter.meshes["bone"][1] == "layer" and plotter.meshes["bone"][0].n_cells != whole
+    assert plotter.meshes["bone"][1] == "layer" and cells() != whole
     assert plotter.legend == bone.layers[1:] and not plotter.scalar_bars
     plotter.keys["1"]()
-    assert plotter.legend == bone.layers and plotter.meshes["bone"][0].n_cells == whole
+    assert plotter.legend == bone.layers and cells() == whole
     plotter.keys["c"]()
     assert plotter.meshes["bone"][1] == "removed_depth_mm"
     for key in range(1, len(bone.layers) + 1):
@@ -179,6 +236,7 @@ def test_stress_follows_the_time(layered):
     assert not plotter.meshes and not plotter.scalar_bars
 
 
+@pytest.mark.slow
 def test_hidden_layers_and_stress_show_in_the_picture(layered, tmp_path):
     from PIL import Image
 
@@ -216,8 +274,16 @@ def test_a_run_without_fields_says_so(whole, tmp_path):
 
 def test_a_stopped_run_says_so_and_shows_what_it_has(stopped, tmp_path):
     said = _screenshot(stopped, tmp_path / "view.png")
-    assert said.splitlines()[0] == "run is incomplete: it stopped at 0.149 s of 0.3 s"
+    assert said.splitlines()[0] == "run is incomplete: it was interrupted at 0.149 s of 0.3 s"
     assert _colours(tmp_path / "view.png") > 100
+
+
+def test_a_run_stopped_while_its_files_were_written_says_so(whole, tmp_path):
+    folder = tmp_path / "stopped"
+    shutil.copytree(whole, folder)
+    summary = json.loads((folder / "summary.json").read_text("utf-8"))
+    (folder / "summary.json").write_text(json.dumps(summary | {"status": "running"}), "utf-8")
+    assert _about(SavedRun(folder)).endswith("it was interrupted after its last tick, while its files were written")
 
 
 @pytest.mark.parametrize("rows", [0, 1])
@@ -227,9 +293,10 @@ def test_a_run_stopped_at_once_can_be_seen(stopped, tmp_path, rows):
     (stopped / "scene.toml").unlink()
     said = _screenshot(stopped, tmp_path / "view.png")
     assert said.startswith(
-        ("run is incomplete: it stopped before its first tick was written", "run is incomplete: it stopped at 0.000 s")[
-            rows
-        ]
+        (
+            "run is incomplete: it was interrupted before its first tick",
+            "run is incomplete: it was interrupted at 0.000 s",
+        )[rows]
     )
 
 
@@ -258,4 +325,59 @@ def test_a_screenshot_that_cannot_be_drawn_leaves_no_file(whole, tmp_path, monke
     monkeypatch.setattr("tissue.offscreen._windows", lambda: iter(()))
     with pytest.raises(InputError, match="screenshot must be drawn in 3D, but this machine has no OpenGL library"):
         view(whole, screenshot=tmp_path / "view.png")
+    assert not (tmp_path / "view.png").exists()
+
+
+@pytest.mark.parametrize(("kind", "name"), [("movie", "run.gif"), ("movie", "run.mp4"), ("screenshot", "run.png")])
+@pytest.mark.parametrize("older", [b"an older one", None])
+@pytest.mark.parametrize("ends", [KeyboardInterrupt(), "drawing was stopped", InputError("bone.vti must be whole")])
+def test_what_is_not_drawn_to_its_end_leaves_no_file_and_keeps_an_older_one(
+    whole, tmp_path, monkeypatch, kind, name, older, ends
+):
+    file = tmp_path / name
+    if older is not None:
+        file.write_bytes(older)
+
+    def half(module, folder, kind, into, *rest, **options):
+        Path(into).write_bytes(b"half of it")
+        options["drawn"](0.5)
+        if isinstance(ends, str):
+            return ends
+        raise ends
+
+    told = []
+    monkeypatch.setattr("tissue.view.draw_apart", half)
+    monkeypatch.setattr("tissue.view.check_movie", lambda path: None)
+    with pytest.raises(KeyboardInterrupt if isinstance(ends, KeyboardInterrupt) else InputError):
+        view(whole, **{kind: file}, progress=lambda doing, share: told.append((doing, share)))
+    assert told == [(f"drawing the {kind}", 0.0), (f"drawing the {kind}", 0.5)]
+    assert [one.name for one in tmp_path.iterdir()] == ([] if older is None else [name])
+    assert older is None or file.read_bytes() == older
+
+
+def test_a_movie_tells_how_much_of_it_is_drawn(tmp_path, monkeypatch):
+    (tmp_path / "drawing.py").write_text(
+        "import sys\nsys.stdin.readline()\nprint('VTK says')\nprint(0.25, flush=True)\nprint('0.', end='', flush=True)\n"
+        f"import pathlib, time\nwhile not pathlib.Path({str(tmp_path / 'seen')!r}).exists(): time.sleep(0.01)\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setattr("tissue.offscreen.child_command", lambda module: [sys.executable, "-m", module])
+    monkeypatch.setattr("tissue.offscreen.LOOK_S", 0.05)
+    shares = []
+
+    def told(share):
+        shares.append(share)
+        if share > 0.0:
+            (tmp_path / "seen").touch()
+
+    assert draw_apart("drawing", drawn=told) is None
+    assert set(shares) <= {0.0, 0.25} and shares[-1] == 0.25
+
+
+def test_what_is_wrong_with_a_run_is_said_by_the_one_who_draws_it(layered, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(layered, folder)
+    (folder / "carving" / "poses.npz").write_bytes(b"PK")
+    with pytest.raises(InputError, match=r"^poses must be a whole file that a run wrote, got .*: run the scene again$"):
+        _screenshot(folder, tmp_path / "view.png")
     assert not (tmp_path / "view.png").exists()

@@ -134,6 +134,7 @@ def _drawn(folder, **options):
         raise
 
 
+@pytest.mark.slow
 def test_a_screenshot_shows_the_field_at_a_time_and_scale(pressed, tmp_path):
     from PIL import Image
 

@@ -48,16 +48,17 @@ def test_running_loops_give_the_printed_table_and_the_eigenvalues():
     assert found == pytest.approx([critical_stiffness_N_m(each) for each in loops], rel=1e-3)
 
 
-def test_real_devices_held_and_free_filtered_and_slow():
+@pytest.mark.parametrize("model_ticks", [1, pytest.param(8, marks=pytest.mark.slow)])
+def test_real_devices_held_and_free_filtered_and_slow(model_ticks):
     loops = []
     for name in DEVICES:
         bare = device_parameters(name).loop(100.0)
         held = in_hands(bare, [hand_parameters(group).grip[:3] for group in GROUPS])
         loops += [bare, *held, replace(held[0], filter_s=1e-3), replace(held[0], wall_damping_N_s_m=2.0)]
-    found = measured_critical_N_m(loops)
-    assert found == pytest.approx([critical_stiffness_N_m(each) for each in loops], rel=BY_RUNNING)
-    slow = [replace(each, model_ticks=8) for each in loops]
-    assert measured_critical_N_m(slow) == pytest.approx([critical_stiffness_N_m(each) for each in slow], rel=BY_RUNNING)
+    loops = [replace(each, model_ticks=model_ticks) for each in loops]
+    assert measured_critical_N_m(loops) == pytest.approx(
+        [critical_stiffness_N_m(each) for each in loops], rel=BY_RUNNING
+    )
 
 
 class Push:
@@ -166,6 +167,7 @@ def test_the_worst_hand_decides():
     assert judge(loop, hands) == replace(free, spectral_radius=max(free.spectral_radius, held.spectral_radius))
 
 
+@pytest.mark.slow
 def test_a_map_holds_measured_exact_and_theory():
     chosen = in_hands(device_parameters("omni").loop(700.0), [hand_parameters("expert").grip[:3]])[0]
     found = stability_map(chosen, dampings_N_s_m=np.linspace(0.0, 60.0, 5), delays_s=np.linspace(0.0, 6e-3, 5), rows=12)

@@ -7,10 +7,15 @@ import pytest
 
 from tissue.prediction import Delays, Edmd, Episode, Identity, Polynomials
 
-pykoop = pytest.importorskip("pykoop", reason="pykoop is not installed: pip install 'tissue-sim[test]'")
+pytestmark = pytest.mark.slow  # pykoop takes seconds to import; test_koopman_exact holds the same operators
 
 SAME = 1e-8
 """Of the contract. pykoop solves normal equations, so that it loses twice the digits of the condition number."""
+
+
+@pytest.fixture(scope="module")
+def pykoop():
+    return pytest.importorskip("pykoop", reason="pykoop is not installed: pip install 'tissue-sim[dev]'")
 
 
 def recorded(seed, scaled=False):
@@ -33,7 +38,7 @@ def recorded(seed, scaled=False):
     return episodes, table
 
 
-def theirs(table, lifting, alpha=0.0):
+def theirs(pykoop, table, lifting, alpha=0.0):
     """pykoop's [A B]."""
     pipeline = pykoop.KoopmanPipeline(lifting_functions=lifting, regressor=pykoop.Edmd(alpha=alpha))
     with warnings.catch_warnings():
@@ -47,32 +52,34 @@ def ours(episodes, dictionary, ridge=0.0):
     return np.hstack((operator.A, operator.B))
 
 
-def split(function):
+def split(pykoop, function):
     """A function of the state alone."""
     return [("of the state", pykoop.SplitPipeline(lifting_functions_state=[("it", function)]))]
 
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("order", [2, 3])
-def test_polynomials(seed, order):
+def test_polynomials(pykoop, seed, order):
     episodes, table = recorded(seed)
-    found = theirs(table, split(pykoop.PolynomialLiftingFn(order=order)))
+    found = theirs(pykoop, table, split(pykoop, pykoop.PolynomialLiftingFn(order=order)))
     off = np.abs(ours(episodes, Polynomials(order)) - found).max()
     print(f"pykoop, polynomials of order {order}: {off:.0e}")
     assert off < SAME
 
 
 @pytest.mark.parametrize("lags", [1, 2, 3])
-def test_delays(lags):
+def test_delays(pykoop, lags):
     episodes, table = recorded(0)
-    found = theirs(table, [("delays", pykoop.DelayLiftingFn(n_delays_state=lags, n_delays_input=0))])
+    found = theirs(pykoop, table, [("delays", pykoop.DelayLiftingFn(n_delays_state=lags, n_delays_input=0))])
     off = np.abs(ours(episodes, Delays(lags)) - found).max()
     print(f"pykoop, {lags} delays: {off:.0e}")
     assert off < SAME
 
 
-def test_ridge():
+def test_ridge(pykoop):
     """Their weight is one for the sum over samples of unscaled data; ours one for the mean over scaled data."""
     episodes, table = recorded(1, scaled=True)
     samples = sum(len(each.states) - 1 for each in episodes)
-    assert np.abs(ours(episodes, Identity(), ridge=0.05) - theirs(table, None, alpha=0.05 * samples)).max() < SAME
+    assert (
+        np.abs(ours(episodes, Identity(), ridge=0.05) - theirs(pykoop, table, None, alpha=0.05 * samples)).max() < SAME
+    )

@@ -54,7 +54,7 @@ def settlement(radius, layer, young, *, below, capsule=None):
     return -moved[axis & (np.abs(z) < small), 2][0] / (1.5 * radius / below)
 
 
-QUICK = ((2, 0.5), (100, 0.25))
+QUICK = ((100, 0.25),)
 REST = [(contrast, depth) for contrast in TABLE for depth in TABLE[contrast] if (contrast, depth) not in QUICK]
 
 

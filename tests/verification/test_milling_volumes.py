@@ -125,7 +125,7 @@ def test_result_does_not_depend_on_cores():
     runs = []
     for cores in (1, 2, 3):
         model = BoneModel(block(0.1e-3), Cutter(ball_burr(diameter_m=2 * RADIUS_M), 6, 1000.0), BONE, cores=cores)
-        model._carve._work_s = model._forces._work_s = 1.0  # split from the first launch on
+        model.carver._carve._work_s = model._forces._work_s = 1.0  # split from the first launch on
         sweep(model, (-5e-4, 0, 1e-4), (5e-4, 0, -8e-4), step_m=2e-5)
         motion = ToolMotion(tip_m=np.array([5e-4, 0, -8e-4]), speed_m_s=1e-3)
         motion.heading[0] = (0, 0, -1)

@@ -130,6 +130,7 @@ def test_lame_sphere_converges():
     assert particle[-1, 0] < 0.01  # the case's 1 %
 
 
+@pytest.mark.slow
 def test_particles_beside_body_fitted_tetrahedra():
     """On grids of equal edge the cut cells err less than linear tetrahedra that follow the surfaces."""
     print("\ncells  particles: energy, stress   tetrahedra: energy, stress")

@@ -9,6 +9,7 @@ from time import perf_counter
 
 from meshes.errors import InputError
 from meshes.progress import Progress, silent
+from meshes.whole_file import whole_file
 from tissue.atlas.drawing import picture
 from tissue.atlas.html import Entry, document
 from tissue.atlas.page import Data, Page
@@ -69,5 +70,6 @@ def write_atlas(
         "Python": platform.python_version(),
         **{name: version(name) for name in ("numpy", "scipy", "warp-lang")},
     }
-    (folder / INDEX).write_text(document(entries, made), "utf-8")
+    with whole_file(folder / INDEX) as beside:
+        beside.write_text(document(entries, made), "utf-8")
     return entries

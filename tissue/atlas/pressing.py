@@ -36,7 +36,7 @@ def pressed(
 class _Changed:
     """A device one of whose samples is altered."""
 
-    six_dof = False
+    in_process = True
 
     def __init__(self, device: Device, change: Callable[[Sample], Sample]) -> None:
         self._device, self._change, self.command = device, change, device.command

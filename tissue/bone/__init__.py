@@ -1,6 +1,8 @@
 """Bone: voxels that a cutter removes."""
 
 from tissue.bone.bricks import BrickStore
-from tissue.bone.model import BoneModel, Removal
+from tissue.bone.carver import Removal
+from tissue.bone.model import BoneModel
+from tissue.bone.replay import CarvingReplay
 
-__all__ = ["BoneModel", "BrickStore", "Removal"]
+__all__ = ["BoneModel", "BrickStore", "CarvingReplay", "Removal"]

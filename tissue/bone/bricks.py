@@ -111,14 +111,20 @@ class BrickStore:
         wp.launch(sample, dim=len(voxels), inputs=inputs, outputs=[found], device=device)
         return np.asarray(found.numpy())
 
+    def write_fraction(self, fraction: NDArray[np.uint8], rows: NDArray[np.intp]) -> None:
+        """Write what remains in some bricks into an array of the volume's shape, 255 = full."""
+        bricks = _bricks(_nearest(self.remaining.numpy()[rows]))
+        for (x, y, z), brick in zip(BRICK * self.places[rows], bricks, strict=True):
+            part = fraction[x : x + BRICK, y : y + BRICK, z : z + BRICK]
+            part[:] = brick[: part.shape[0], : part.shape[1], : part.shape[2]]
+
     def fraction(self) -> NDArray[np.uint8]:
         """Remaining fraction of every voxel of the volume, 255 = full, shape of the volume."""
         brick_of = self.brick_of.numpy()
         nx, ny, nz = (BRICK * n for n in brick_of.shape)
         dense = np.zeros((*brick_of.shape, BRICK, BRICK, BRICK), dtype=np.uint8)
         held = brick_of >= 0
-        nearest = (self.remaining.numpy().astype(np.uint32) + np.uint32(STEPS // 2)) // np.uint32(STEPS)
-        dense[held] = _bricks(nearest).astype(np.uint8)[brick_of[held]]
+        dense[held] = _bricks(_nearest(self.remaining.numpy()))[brick_of[held]]
         x, y, z = self.volume.shape
         whole = dense.transpose(0, 3, 1, 4, 2, 5).reshape(nx, ny, nz)
         return np.ascontiguousarray(whole[:x, :y, :z])
@@ -136,6 +142,11 @@ def voxels_of(
     inside = np.stack([block >> 4, (block >> 2) & 3, block & 3], axis=1) * 2
     inside += np.stack([corner >> 2, (corner >> 1) & 1, corner & 1], axis=1)
     return BRICK * places[rows[row]] + inside, steps[row, column]
+
+
+def _nearest(remaining: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """Stored steps as 8-bit fractions."""
+    return ((remaining.astype(np.uint32) + np.uint32(STEPS // 2)) // np.uint32(STEPS)).astype(np.uint8)
 
 
 def _blocked(array: NDArray[Any], counts: tuple[int, ...]) -> NDArray[Any]:

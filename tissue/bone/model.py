@@ -1,39 +1,27 @@
 """Bone that a rotating cutter mills: carving over bricks and the force on the cutter's elements."""
 
-from math import ceil, sqrt
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from kernels.bricks import BRICK, FULL
-from kernels.carving import PHASES, carve
+from kernels.bricks import FULL
 from kernels.cutting import AREA, CHUNK, DENSITIES, RATE, Coefficients, Elements, cutting_forces
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror
-from kernels.revolution import Revolution
 from meshes.volume import VoxelVolume
 from tissue.bone.bricks import BrickStore
-from tissue.cutters import Cutter, DistanceTable, PointShell, Profile
+from tissue.bone.carver import Carver, Removal
+from tissue.cutters import Cutter, PointShell
 from tissue.fields import FieldSeries
 from tissue.materials import CuttingCoefficients
 from tissue.model import Response, ToolMotion
 
 __all__ = ["BoneModel", "Removal"]
 
-Removal = Literal["subvoxel", "binary"]
-
-CARVE_LAG_M = 2.0e-5
-"""How far the tool may move between two visits of a brick, at most a quarter voxel [m]."""
-LONGEST_STEP_VOXELS = 0.5
-"""Longest step between two carvings; a faster tool is carved in parts of a tick."""
-TURN = 0.9
-"""The tool turns where its heading keeps less than this share of its last one."""
 SHELL_ELEMENTS = 1600
 """Elements wanted over the cutting surface where the voxels would allow more."""
-WORKERS_CPU, WORKERS_GPU = 32, 2048
-"""Workers that share a carving launch."""
 
 
 class BoneModel:
@@ -75,52 +63,20 @@ class BoneModel:
         self.cutter = cutter
         self.store = BrickStore.from_volume(volume, device=device)
         self.start_steps = self.store.steps_by_layer()
-        self.removed_steps = np.zeros_like(self.start_steps)
-        self._binary = int(removal == "binary")
+        self.carver = Carver(self.store, cutter, removal=removal, device=device, cores=cores)
         layers = len(self.layer_names)
         spacing = volume.spacing_m
         self._origin, self._spacing = volume.origin_m, spacing
         self.shell = cutter.shell(
             spacing_m=shell_spacing_m or max(2.0 * spacing, (cutter.cutting_area_m2 / SHELL_ELEMENTS) ** 0.5)
         )
-        table = cutter.table(spacing_m=spacing)
-        self._lag = min(CARVE_LAG_M / spacing, 0.25)
-        self._lever = max(abs(table.low), abs(table.high))
         self._parts = np.zeros((4, 3))  # chip force and torque, edge force and torque
         self._response = Response(self._parts[:2].reshape(6), self._parts[2:].reshape(6), np.zeros(6), np.zeros(layers))
-        self._next_group = 0
-        # Groups follow the world's lattice, so that the same cut in a larger region is visited at the same ticks.
-        self._first_group = int(np.rint(self._origin / (BRICK * spacing)).sum()) % PHASES
-        self._debt = 0.0  # visits owed for the way made so far
-        self._behind = 0  # groups that have not seen the present pose
-        self._heading = np.zeros((2, 3))
-        self._now = np.zeros(6)
-        workers = WORKERS_CPU if device == "cpu" else WORKERS_GPU
         chunks = -(-len(self.shell.areas_m2) // CHUNK)
-        self._pose = Mirror((1 + PHASES, 6), dtype=wp.float64, device=device)
-        self._plan = Mirror(5, dtype=wp.int32, device=device)
-        self._removed = Mirror((workers, layers), dtype=wp.int64, device=device)
         self._motion = Mirror((6, 3), dtype=wp.float64, device=device)
         self._rows = self._motion.host[0], self._motion.host[1:4], self._motion.host[4:6]
         self._sums = Mirror((chunks, AREA + layers), dtype=wp.float64, device=device)
         store = self.store
-        self._carve = SplitLaunch(
-            carve,
-            dim=workers,
-            inputs=[
-                _revolution(table, cutter.profile, device=device),
-                self._pose.device,
-                self._plan.device,
-                1.5 * self._lag,
-                0,
-                workers,
-                store.brick_of,
-            ],
-            outputs=[store.remaining, store.material, store.alive, store.touched, self._removed.device],
-            offset_index=4,
-            device=device,
-            cores=cores,
-        )
         self.elements = _elements(self.shell, cutter, device=device)
         self._forces = SplitLaunch(
             cutting_forces,
@@ -147,6 +103,11 @@ class BoneModel:
         return self._motion.device
 
     @property
+    def removed_steps(self) -> NDArray[np.int64]:
+        """Stored steps removed from each layer so far, shape (layers,)."""
+        return self.carver.removed_steps
+
+    @property
     def step_m3(self) -> float:
         """Volume of one stored step [m3]."""
         return self._spacing**3 / FULL
@@ -163,46 +124,11 @@ class BoneModel:
 
     def place(self, motion: ToolMotion) -> None:
         """Carve all that lies inside the tool at its first pose."""
-        self._pose.host[:] = self._pose_of(motion)
-        self._heading[:] = motion.heading
-        self._visit(PHASES, every_side=True)
+        self.carver.place(motion)
 
     def advance(self, motion: ToolMotion) -> None:
         """Carve what the tool reaches at its new pose; a slow tool's carving is spread over ticks."""
-        now = self._pose_of(motion)
-        if self._behind > 0 and np.vdot(motion.heading, self._heading) < TURN * np.vdot(self._heading, self._heading):
-            self._visit(PHASES)  # the tool turns: first complete what it cut on its old way
-        self._heading[:] = motion.heading
-        moved = now - self._pose.host[0]
-        step = sqrt(moved[:3].dot(moved[:3])) + self._lever * sqrt(moved[3:].dot(moved[3:]))
-        if step > LONGEST_STEP_VOXELS:
-            self._sweep(now, parts=ceil(step / LONGEST_STEP_VOXELS))
-        elif step > 0.0:
-            self._pose.host[0] = now
-            self._behind = PHASES
-            self._debt += PHASES * step / self._lag
-            groups = min(int(self._debt), PHASES)
-            if groups > 0:
-                self._visit(groups)
-        elif self._behind > 0:
-            self._visit(1)  # the tool rests: bring the other bricks to its pose, one group a tick
-
-    def _pose_of(self, motion: ToolMotion) -> NDArray[np.float64]:
-        """Tip [voxel] and axis of a motion, in an array that the next call overwrites."""
-        now = self._now
-        np.subtract(motion.tip_m, self._origin, out=now[:3])
-        now[:3] /= self._spacing
-        now[3:] = motion.rotation[:, 2]
-        return now
-
-    def _sweep(self, now: NDArray[np.float64], *, parts: int) -> None:
-        """Carve a fast tool at several poses on its way."""
-        before = self._pose.host[0].copy()
-        for part in range(1, parts + 1):
-            pose = before + part / parts * (now - before)
-            pose[3:] /= np.linalg.norm(pose[3:])
-            self._pose.host[0] = pose
-            self._visit(PHASES)
+        self.carver.advance(motion)
 
     def respond(self, motion: ToolMotion) -> Response:
         """Cutting force at the motion's pose, as a part that grows with speed and a part that does not."""
@@ -231,38 +157,11 @@ class BoneModel:
 
     def finish(self) -> None:
         """Complete the carving that was spread over ticks."""
-        if self._behind > 0:
-            self._visit(PHASES)
+        self.carver.finish()
 
     def remaining(self) -> NDArray[np.uint8]:
         """Bone left in every voxel, 255 = full, shape of the volume."""
         return self.store.fraction()
-
-    def _visit(self, groups: int, *, every_side: bool = False) -> None:
-        """Carve ``groups`` groups of bricks at the current pose and book what they lost."""
-        first = self._next_group
-        self._plan.host[:] = (first, groups, self._binary, every_side, self._first_group)
-        self._plan.push()
-        self._pose.push()
-        self._carve()
-        self._removed.pull()
-        self.removed_steps += np.add.reduce(self._removed.host, axis=0)
-        for visit in range(groups):
-            self._pose.host[1 + (first + visit) % PHASES] = self._pose.host[0]
-        self._next_group = (first + groups) % PHASES
-        self._debt = 0.0 if groups == PHASES else max(self._debt - groups, 0.0)
-        self._behind -= min(groups, self._behind)
-
-
-def _revolution(table: DistanceTable, profile: Profile, *, device: str) -> Revolution:
-    """The cutter's distance table on a device."""
-    tool: Any = Revolution()
-    tool.distance = wp.array(table.distance, dtype=wp.float32, device=device)
-    tool.bend = wp.array(table.bend, dtype=wp.float32, device=device)
-    tool.height_min, tool.cells_per_voxel = table.height_min, table.cells_per_voxel
-    tool.radius, tool.low, tool.high = table.radius, table.low, table.high
-    tool.convex, tool.round = int(profile.convex), int(len(profile.pieces) == 1)
-    return tool
 
 
 def _elements(shell: PointShell, cutter: Cutter, *, device: str) -> Elements:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from meshes.errors import InputError
+from meshes.whole_file import whole_file
 from tissue.calibration.session import Session
 from tissue.calibration.trial_log import read_log
 from tissue.outputs import require_new_file
@@ -97,7 +98,8 @@ def fit_population(folder: Path, out: Path, *, seed: int, overwrite: bool, progr
         ",".join([name, *(f"{value:.6g}" for value in (*fit.interval(name), fit.r_hat[name], fit.ess[name]))])
         for name in HYPER
     ]
-    table.write_text("\n".join(["parameter,low_95,median,high_95,r_hat,ess", *rows]) + "\n", "utf-8")
+    with whole_file(table) as beside:
+        beside.write_text("\n".join(["parameter,low_95,median,high_95,r_hat,ess", *rows]) + "\n", "utf-8")
     kappa, beta = fit.interval("log_kappa"), fit.interval("beta")
     worst, least = max(fit.r_hat.values()), min(fit.ess.values())
     return [

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tissue.calibration.session import Session
+from tissue.figure import figure, save
 from tissue.perception.psychometric import D_PRIME_75, correct_of_d_prime
-from tissue.pictures import figure, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from meshes.errors import InputError
+from meshes.file_version import package_version, require_version
 from tissue.calibration.session import Comparison, Magnitude, Plan, Session
 from tissue.perception.adaptive import ThresholdPrior
 
@@ -45,7 +46,8 @@ class TrialLog:
     """
 
     def __init__(self, path: Path, observer: str, plan: Plan) -> None:
-        head = json.dumps({"format": FORMAT, "version": VERSION, "observer": observer, "plan": plan.told()}) + "\n"
+        told = {"format": FORMAT, "version": VERSION, "tissue": package_version(), "observer": observer}
+        head = json.dumps(told | {"plan": plan.told()}) + "\n"
         self.path, self.mended = path, False
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -110,8 +112,7 @@ def read_log(path: Path) -> tuple[str, Session]:
         known = False
     if not known:
         raise InputError(f"log must be a file of trials, got {path}, which is something else: choose another --out")
-    if head.get("version") != VERSION:
-        raise InputError(f"log must be of version {VERSION}, got {path} of version {head.get('version')}: begin anew")
+    require_version("log", head, VERSION, key="version", where=path, remedy="begin anew")
     try:
         plan = Plan(**(head["plan"] | {"prior": ThresholdPrior(**head["plan"]["prior"])}))
         who = str(head["observer"])

@@ -96,6 +96,7 @@ def frontier_of(scene: Scene, *, quick: bool = True, tell: Progress = silent) ->
             if short is None:
                 short = short_of(scene, quick)
             known[key] = _under(key, measure(short, setting, quick=quick))
+            known = {point.key: point for point in read_measured(path)} | known  # of another process that charts it
             write_measured(path, list(known.values()))
         points.append(known[key])
     tell(f"{scene.name}: reference", len(settings) / (len(settings) + 1))
@@ -122,7 +123,8 @@ def _gap(scene: Scene, path: Path, *, quick: bool) -> float:
     if beside.is_file():
         return float(beside.read_text("utf-8"))
     gap = reference_gap(short_of(of_model(scene), quick), quick=quick)
-    beside.write_text(repr(gap), "utf-8")
+    with whole_file(beside) as file:
+        file.write_text(repr(gap), "utf-8")
     return gap
 
 

@@ -175,7 +175,9 @@ def _solvers(scene: Scene, coarser: float, laws: "Sequence[Law]") -> "list[Newto
     assert isinstance(scene.anatomy, LiverAnatomy | SlabAnatomy) and isinstance(scene.tool, Probe)
     # A nodule asks for cells as short as the scene's.
     edge_mm = scene.anatomy.edge_mm * (1.0 if scene.anatomy.nodule_diameter_mm else coarser)
-    anatomy = scene.anatomy.model_copy(update={"edge_mm": edge_mm})
+    coarse = dict(scene.anatomy) | {"edge_mm": edge_mm}
+    # Not as if it had been set: tetrahedra from a file have edges of their own.
+    anatomy = type(scene.anatomy).model_construct(scene.anatomy.model_fields_set, **coarse)
     touch_mm = coarser * (anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm)
     way = motion_of(scene, step_s=TICK_S).sweep_m()
     found = held_mesh(anatomy, way_m=way, touch_edge_m=1e-3 * touch_mm, tell=silent)

@@ -8,7 +8,7 @@ import numpy as np
 
 from tissue.charts.frontier import Frontier
 from tissue.charts.picture import apart
-from tissue.pictures import figure, save
+from tissue.figure import figure, save
 
 __all__ = ["draw_overview"]
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from tissue.coupling.device import device_parameters
 from tissue.coupling.signal import ForceRange
+from tissue.figure import figure, save
 from tissue.load import load_scene
 from tissue.materials.constants import constants
 from tissue.outputs import require_free_folder
@@ -19,7 +20,6 @@ from tissue.perception.population import population, population_observer, refere
 from tissue.perception.sensitivity import of_one_look, of_the_recursion
 from tissue.perception.stevens import intensity_of
 from tissue.perception.weber import weber_of
-from tissue.pictures import figure, save
 from tissue.simulation import simulate
 
 __all__ = ["perception_charts"]

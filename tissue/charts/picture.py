@@ -8,7 +8,7 @@ import numpy as np
 
 from tissue.charts.frontier import Frontier
 from tissue.charts.measure import Measured
-from tissue.pictures import figure, save
+from tissue.figure import figure, save
 
 __all__ = ["apart", "draw_frontiers"]
 

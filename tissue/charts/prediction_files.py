@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from meshes.whole_file import whole_file
 from tissue.training.evaluation import HORIZONS
 
 if TYPE_CHECKING:
@@ -39,7 +40,8 @@ def write_comparisons(found: "Sequence[Comparison]", folder: Path) -> None:
             at = slow.error
             rows["slow_model.csv"].append(_line(each.scene, kind, at.mean, at.low, at.high, slow.cost_us))
     for name, lines in rows.items():
-        (folder / name).write_text("\n".join(lines) + "\n", "utf-8")
+        with whole_file(folder / name) as beside:
+            beside.write_text("\n".join(lines) + "\n", "utf-8")
 
 
 def _line(*cells: object) -> str:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tissue.pictures import figure, save
+from tissue.figure import figure, save
 from tissue.training.evaluation import HORIZONS
 
 if TYPE_CHECKING:

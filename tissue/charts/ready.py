@@ -4,7 +4,7 @@ Nothing is handed back; it all goes to the cache on disk, where measuring finds 
 """
 
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor, as_completed
+from concurrent.futures import BrokenExecutor, Executor
 from typing import Any, NamedTuple
 
 from meshes.errors import InputError
@@ -18,6 +18,7 @@ from tissue.load import changed
 from tissue.scene import Scene
 from tissue.scene_soft import LiverAnatomy, SlabAnatomy
 from tissue.simulation import TICK_S, simulate
+from tissue.workers import first_done
 
 __all__ = ["make_ready", "pieces"]
 
@@ -32,11 +33,14 @@ class Piece(NamedTuple):
 def make_ready(kinds: Sequence[Scene], pool: Executor, *, quick: bool, tell: Progress) -> None:
     """Make ready what scenes by script and by hand need that were not measured on this machine yet."""
     waiting = [kind for kind in kinds if _unknown(kind, quick=quick)]
-    for name, done in _told(pool, [(kind.name, (short_of, kind, quick)) for kind in waiting]):
-        tell(f"{name}: first contact", 0.2 * done)
-    work = [(kind.name, (_make, each)) for kind in waiting for each in pieces(kind, quick=quick)]
-    for name, done in _told(pool, work):
-        tell(f"{name}: references and meshes", 0.2 + 0.8 * done)
+    try:
+        for name, done in _told(pool, [(kind.name, (short_of, kind, quick)) for kind in waiting], tell):
+            tell(f"{name}: first contact", 0.2 * done)
+        work = [(kind.name, (_make, each)) for kind in waiting for each in pieces(kind, quick=quick)]
+        for name, done in _told(pool, work, tell):
+            tell(f"{name}: references and meshes", 0.2 + 0.8 * done)
+    except BrokenExecutor:
+        tell("the processes that make charts ready were lost: what is missing is made where it is measured", 1.0)
 
 
 def pieces(scene: Scene, *, quick: bool) -> list[Piece]:
@@ -81,9 +85,11 @@ def _make(piece: Piece) -> None:
         return
 
 
-def _told(pool: Executor, work: Sequence[tuple[str, tuple[Any, ...]]]) -> Iterator[tuple[str, float]]:
+def _told(pool: Executor, work: Sequence[tuple[str, tuple[Any, ...]]], tell: Progress) -> Iterator[tuple[str, float]]:
     """Do some work, and tell whose was done and what share that makes."""
     names = {pool.submit(*call): name for name, call in work}
-    for count, future in enumerate(as_completed(names), 1):
-        future.result()
-        yield names[future], count / len(names)
+    count = len(names)
+    while names:
+        for future in first_done(pool, names, tell):
+            future.result()
+            yield names.pop(future), 1.0 - len(names) / count

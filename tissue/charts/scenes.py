@@ -6,6 +6,7 @@ from math import isnan
 from pathlib import Path
 
 from meshes.progress import Progress, silent
+from meshes.whole_file import whole_file
 from tissue.charts.frontier import Frontier, frontier_of, write_measured
 from tissue.charts.measure import machine
 from tissue.charts.overview import draw_overview
@@ -63,7 +64,8 @@ def chart_scenes(
         write_measured(out / f"{scene.name}.csv", [row for each in frontiers for row in (*each.points, *each.beside)])
         found.append(frontiers)
     draw_overview(drawn, out / "frontier.png")
-    (out / "machine.txt").write_text(machine() + "\n", "utf-8")
+    with whole_file(out / "machine.txt") as beside:
+        beside.write_text(machine() + "\n", "utf-8")
     return found
 
 

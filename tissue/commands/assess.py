@@ -5,7 +5,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from tissue.commands.terminal import console
+from tissue.commands.terminal import console, left_out
+from tissue.output_lock import output_locked
 
 __all__ = ["assess"]
 
@@ -44,6 +45,8 @@ def assess(
     from tissue.assessment import assessment_lines, write_assessment
     from tissue.run_folder import SavedRun
 
+    if out is None:
+        left_out("without --out, for nothing is written", "remove it", overwrite=overwrite)
     found = hold_against(
         SavedRun(folder),
         SavedRun(against),
@@ -52,7 +55,8 @@ def assess(
         overshoot_limit_mm=overshoot_limit_mm,
     )
     for line in assessment_lines(found):
-        console.print(line, soft_wrap=True, highlight=False, markup=False)
+        console.print(line, soft_wrap=True, highlight=False)
     if out is not None:
-        written = write_assessment(found, out, overwrite=overwrite)
+        with output_locked(out, folder=True):
+            written = write_assessment(found, out, overwrite=overwrite)
         console.print(f"files in {out}: {', '.join(path.name for path in written)}", soft_wrap=True, highlight=False)

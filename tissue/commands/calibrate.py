@@ -6,13 +6,20 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from tissue.commands.terminal import console, problems, whole
+from tissue.commands.terminal import console, left_out, problems, whole
+from tissue.output_lock import output_locked
+from tissue.stopping import Terminated
 
 if TYPE_CHECKING:
-    from tissue.calibration.session import Session
+    from tissue.calibration.run_session import Answer
+    from tissue.calibration.session import Plan, Session
     from tissue.calibration.trial_log import TrialLog
 
 __all__ = ["calibrate"]
+
+
+TRIALS, NUMBERS = 120, 24
+"""Comparisons, and forces that are given a number, in a session where nobody says."""
 
 
 def calibrate(
@@ -21,9 +28,9 @@ def calibrate(
     ask: Annotated[bool, Parameter(negative="")] = False,
     population: Path | None = None,
     out: Path | None = None,
-    device: str = "mouse",
-    trials: Annotated[int, Parameter(converter=whole)] = 120,
-    numbers: Annotated[int, Parameter(converter=whole)] = 24,
+    device: str | None = None,
+    trials: Annotated[int | None, Parameter(converter=whole)] = None,
+    numbers: Annotated[int | None, Parameter(converter=whole)] = None,
     seed: Annotated[int, Parameter(converter=whole)] = 0,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
@@ -42,11 +49,11 @@ def calibrate(
     out
         File to write; default observer.json, or population.json. Trials and picture lie beside it.
     device
-        What plays forces to a person: mouse (bars stand for forces), touch, omni or six-dof (simulated).
+        What plays forces to a person, default mouse: mouse (bars stand for forces), touch, omni or six-dof (simulated).
     trials
-        Comparisons of two forces.
+        Comparisons of two forces; default 120.
     numbers
-        Forces that are given a number.
+        Forces that are given a number; default 24.
     seed
         Seed of the session's order, and of the population's draws.
     overwrite
@@ -60,43 +67,57 @@ def calibrate(
             "try --observer simulated:1 --out observer.json"
         )
     if population is not None:
+        left_out("with --population, which fits sessions that are over", "remove it",
+                 device=device, trials=trials, numbers=numbers)  # fmt: skip
         from tissue.calibration.fitted_population import fit_population
 
         target = out or Path("population.json")
-        for line in fit_population(population, target, seed=seed, overwrite=overwrite, progress=problems.is_terminal):
-            console.print(line, soft_wrap=True, highlight=False, markup=False)
+        with output_locked(target, folder=False):
+            said = fit_population(population, target, seed=seed, overwrite=overwrite, progress=problems.is_terminal)
+        for line in said:
+            console.print(line, soft_wrap=True, highlight=False)
         return
-    from tissue.calibration.posterior_view import draw_session
-    from tissue.calibration.run_session import begin, questioner
+    from tissue.calibration.run_session import questioner
     from tissue.calibration.session import Plan
-    from tissue.perception.observer import write_observer
 
+    device = device or "mouse"
     target, name = out or Path("observer.json"), observer or f"person on {device}"
     answer, limit_N = questioner(observer, device, seed=seed, read=input, show=_show)
-    plan = Plan(seed=seed, trials=trials, numbers=numbers, force_limit_N=limit_N)
+    plan = Plan(seed=seed, trials=TRIALS if trials is None else trials,
+                numbers=NUMBERS if numbers is None else numbers, force_limit_N=limit_N)  # fmt: skip
+    with output_locked(target, folder=False):
+        _session(target, name, plan, answer, live=not ask, overwrite=overwrite)
+
+
+def _session(target: Path, name: str, plan: "Plan", answer: "Answer", *, live: bool, overwrite: bool) -> None:
+    """A session from where its log stands to its files."""
+    from tissue.calibration.posterior_view import draw_session
+    from tissue.calibration.run_session import begin
+    from tissue.perception.observer import write_observer
+
     log = begin(target, name, plan, overwrite=overwrite)
     if log.mended:
         problems.print(f"{log.path} ended within a line: that trial is asked again", soft_wrap=True, highlight=False)
     if log.session.trial:
         problems.print(f"going on at trial {log.session.trial + 1} of {log.path}", soft_wrap=True, highlight=False)
-    _ask_all(log, answer, live=not ask)
+    _ask_all(log, answer, live=live)
     session = log.session
     draw_session(session, target.with_suffix(".png"))
     write_observer(session.observer(name), target, overwrite=overwrite)  # last, for where it lies the session is over
     for line in session.lines():
-        console.print(line, soft_wrap=True, highlight=False, markup=False)
+        console.print(line, soft_wrap=True, highlight=False)
     for note in session.notes():
-        problems.print(f"[yellow]note:[/yellow] {note}", soft_wrap=True, highlight=False)
+        problems.print("note:", note, soft_wrap=True, highlight=False)
     files = ", ".join(str(each) for each in (target, log.path, target.with_suffix(".png")))
-    console.print(f"wrote {files}", soft_wrap=True, highlight=False, markup=False)
+    console.print(f"wrote {files}", soft_wrap=True, highlight=False)
 
 
 def _show(line: str) -> None:
     """Show a line to the person."""
-    console.print(line, soft_wrap=True, highlight=False, markup=False)
+    console.print(line, soft_wrap=True, highlight=False)
 
 
-def _ask_all(log: "TrialLog", answer: object, *, live: bool) -> None:
+def _ask_all(log: "TrialLog", answer: "Answer", *, live: bool) -> None:
     """Ask what is left; a stop says how to go on."""
     from rich.live import Live
 
@@ -110,17 +131,17 @@ def _ask_all(log: "TrialLog", answer: object, *, live: bool) -> None:
         with Live(console=problems, refresh_per_second=12, transient=True, auto_refresh=moving) as shown:
             while not session.complete:
                 asked = session.ask()
-                log.take(asked, answer(asked, session.trial))  # type: ignore[operator]
+                log.take(asked, answer(asked, session.trial))
                 if moving:
                     shown.update(posterior_panel(session))
                 elif problems.is_terminal:
                     problems.print(posterior_panel(session))
-    except (KeyboardInterrupt, StoppedError):
+    except (KeyboardInterrupt, StoppedError) as stopped:
         log.close()
         problems.print(
             f"stopped after trial {read_log(log.path)[1].trial}: all are in {log.path}; the same command goes on there",
             soft_wrap=True,
             highlight=False,
         )
-        sys.exit(130)
+        sys.exit(stopped.exit_code if isinstance(stopped, Terminated) else 130)
     log.close()

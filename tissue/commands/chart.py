@@ -5,10 +5,13 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from tissue.commands.terminal import console, progress, whole
+from tissue.commands.terminal import console, left_out, progress, whole
+from tissue.output_lock import output_locked
 
 __all__ = ["chart"]
 
+TRIALS = 30
+"""Unseen runs of each scene on which predictors are charted."""
 TASKS = ("palpation", "wall", "milling")
 """Scenes of the tasks T1 to T3."""
 MOST_WORKERS = 4
@@ -19,7 +22,7 @@ def chart(
     *what: str,
     out: Path | None = None,
     quick: Annotated[bool, Parameter(negative="")] = False,
-    trials: Annotated[int, Parameter(converter=whole)] = 30,
+    trials: Annotated[int | None, Parameter(converter=whole)] = None,
     observer: Path | None = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
@@ -36,7 +39,7 @@ def chart(
     quick
         Fewer settings, shorter excerpts and a coarser reference.
     trials
-        Unseen runs of each scene, for predictors.
+        Unseen runs of each scene, for predictors; default 30.
     observer
         Observer file that is drawn beside the population.
     overwrite
@@ -44,14 +47,21 @@ def chart(
     """
     match what:
         case ["prediction", *scenes]:
-            _prediction(scenes or list(TASKS), out or Path("charts/prediction"), trials=trials, overwrite=overwrite)
+            left_out("with prediction", "remove it", quick=quick, observer=observer)
+            folder, runs = out or Path("charts/prediction"), TRIALS if trials is None else trials
+            _prediction(scenes or list(TASKS), folder, trials=runs, overwrite=overwrite)
         case ["perception"]:
+            left_out("with perception", "remove it", quick=quick, trials=trials)
             _perception(out or Path("charts/perception"), observer, overwrite=overwrite)
         case ["perception", scene, *_]:
             from meshes.errors import InputError
 
             raise InputError(f"perception must stand alone, got {scene} after it: leave it out")
         case _:
+            left_out("unless predictors are charted", "add prediction before the scenes, or remove it", trials=trials)
+            left_out(
+                "unless perception is charted", "name perception in place of scenes, or remove it", observer=observer
+            )
             _scenes(list(what), out or Path("charts"), quick=quick, overwrite=overwrite)
 
 
@@ -60,13 +70,13 @@ def _scenes(names: list[str], folder: Path, *, quick: bool, overwrite: bool) -> 
     import os
 
     from tissue.charts.scenes import chart_lines, chart_scenes
-    from tissue.study.pools import executor
+    from tissue.workers import own_processes
 
     workers = min(os.cpu_count() or 1, MOST_WORKERS)
-    with progress() as tell, executor(workers, None, patience_s=0.0) as pool:
+    with output_locked(folder, folder=True), progress() as tell, own_processes(workers) as pool:
         found = chart_scenes(names, folder, quick=quick, overwrite=overwrite, pool=pool, tell=tell)
     for line in chart_lines(found):
-        console.print(line, soft_wrap=True, highlight=False, markup=False)
+        console.print(line, soft_wrap=True, highlight=False)
     console.print(f"pictures and tables in {folder}", soft_wrap=True, highlight=False)
 
 
@@ -76,10 +86,10 @@ def _prediction(scenes: list[str], folder: Path, *, trials: int, overwrite: bool
     from tissue.load import load_scene
 
     loaded = [load_scene(name) for name in scenes]
-    with progress() as tell:
+    with output_locked(folder, folder=True), progress() as tell:
         found = chart_prediction(loaded, folder, trials=trials, overwrite=overwrite, tell=tell)
     for line in comparison_lines(found):
-        console.print(line, soft_wrap=True, highlight=False, markup=False)
+        console.print(line, soft_wrap=True, highlight=False)
     console.print(f"pictures and tables in {folder}", soft_wrap=True, highlight=False)
 
 
@@ -87,5 +97,7 @@ def _perception(folder: Path, observer: Path | None, *, overwrite: bool) -> None
     """`tissue chart perception`."""
     from tissue.charts.perception import perception_charts
 
-    for path in perception_charts(folder, observer, overwrite=overwrite):
+    with output_locked(folder, folder=True):
+        drawn = perception_charts(folder, observer, overwrite=overwrite)
+    for path in drawn:
         console.print(f"{path}", soft_wrap=True, highlight=False)

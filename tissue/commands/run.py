@@ -1,12 +1,14 @@
 """``tissue run``."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from tissue.commands.terminal import console, progress, whole
+from tissue.commands.terminal import console, left_out, progress, whole
 
 __all__ = ["run"]
 
@@ -61,6 +63,7 @@ def run(
     """
     from tissue.formats import check_formats
     from tissue.load import load_scene, parse_override
+    from tissue.offscreen import await_display
     from tissue.run_folder import RunFolder
 
     check_formats(format_)
@@ -72,7 +75,12 @@ def run(
         overrides["seed"] = seed
     if duration_s is not None:
         overrides["duration_s"] = duration_s
-    loaded = load_scene(scene, overrides)
+    loaded = load_scene(scene, overrides, live=live and await_display() is None)
+    by_hand = loaded.device != "none" or live
+    left_out("without a device", "set device = touch, or remove it", allow_unstable=allow_unstable and not by_hand)
+    if loaded.anatomy.kind in ("wall", "layers"):
+        there = compute if compute != "cpu" else None
+        left_out(f"for a {loaded.anatomy.kind}, which no kernel computes", "remove it", cores=cores, compute=there)
     folder = out or Path("runs") / loaded.name
     RunFolder.check(folder, overwrite=overwrite)
     started = perf_counter()
@@ -89,9 +97,10 @@ def run(
 
         # No progress bar: what draws it takes the interpreter from the ticks.
         console.print(f"live: {moved_by(loaded)[1]}; Ctrl-C ends it", soft_wrap=True, highlight=False)
-        finished = simulate_live(loaded, duration_s=duration_s, **settings)
+        with _stopping_told(folder):
+            finished = simulate_live(loaded, duration_s=duration_s, **settings)
         simulated = perf_counter()
-    with progress() as tell:
+    with _stopping_told(folder), progress() as tell:
         if not live:
             tell("starting Warp", 0.0)
             from tissue.simulation import simulate
@@ -104,3 +113,24 @@ def run(
     print_summary(
         console, finished.summary(), folder, wall_s=perf_counter() - started, saving_s=perf_counter() - simulated
     )
+
+
+@contextmanager
+def _stopping_told(folder: Path) -> Iterator[None]:
+    """Let Ctrl-C or SIGTERM say so where the run in that folder has not been begun: what it held is as it was."""
+    before = _written(folder)
+    try:
+        yield
+    except KeyboardInterrupt as stopped:
+        if _written(folder) == before:
+            stopped.args = ("stopped before anything was written",)
+        raise
+
+
+def _written(folder: Path) -> tuple[int, int] | None:
+    """Which summary a folder holds; None without any."""
+    try:
+        found = (folder / "summary.json").stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_ino

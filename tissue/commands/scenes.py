@@ -21,4 +21,4 @@ def scenes(name: str | None = None, /) -> None:
         sys.stdout.write(scene_text(name))
         return
     for each in scene_names():
-        console.print(f"[bold]{each:<12}[/bold] {load_scene(each).description}", soft_wrap=True)
+        console.print(f"[bold]{each:<12}[/bold] {load_scene(each).description}", soft_wrap=True, markup=True)

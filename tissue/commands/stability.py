@@ -5,7 +5,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from tissue.commands.terminal import console, problems, progress
+from tissue.commands.terminal import console, left_out, problems, progress
+from tissue.output_lock import output_locked
 
 __all__ = ["stability"]
 
@@ -47,6 +48,8 @@ def stability(
         return
     if only:
         raise InputError(f"--only must go without a scene, got {only[0]} with {scene}: leave the scene out")
+    if out is None:
+        left_out("with a scene and no --out, for nothing is written", "remove it", overwrite=overwrite)
     from tissue.load import load_scene, parse_override
     from tissue.stability_report import scene_stability, stability_lines, write_stability_files
 
@@ -56,13 +59,14 @@ def stability(
     for line in stability_lines(loaded, found):
         console.print(line, soft_wrap=True, highlight=False)
     if out is not None:
-        written = write_stability_files(loaded, found, out, overwrite=overwrite)
+        with output_locked(out, folder=True):
+            written = write_stability_files(loaded, found, out, overwrite=overwrite)
         console.print(f"files in {out}: {', '.join(path.name for path in written)}", soft_wrap=True, highlight=False)
 
 
 def _atlas(folder: Path, only: tuple[str, ...], *, overwrite: bool) -> None:
     """Make the atlas and say what every page shows."""
-    with progress() as tell:
+    with output_locked(folder, folder=True), progress() as tell:
         tell("loading methods", 0.0)
         from tissue.atlas import PAGES, chosen_pages, write_atlas
 

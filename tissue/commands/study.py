@@ -6,7 +6,8 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from tissue.commands.terminal import console, problems, progress, whole
+from tissue.commands.terminal import console, left_out, problems, progress, whole
+from tissue.output_lock import output_locked
 
 __all__ = ["study"]
 
@@ -27,7 +28,7 @@ def run(
     seed: Annotated[int, Parameter(converter=whole)] = 0,
     workers: Annotated[int | None, Parameter(converter=whole)] = None,
     scheduler: str | None = None,
-    out: Path = Path("studies/paper"),
+    out: Path | None = None,
     retry: Annotated[bool, Parameter(negative="")] = False,
     only: str | None = None,
 ) -> None:
@@ -52,7 +53,7 @@ def run(
     scheduler
         dask://ADDRESS: run on the workers of that Dask scheduler instead.
     out
-        Folder of the study.
+        Folder of the study; default studies/paper.
     retry
         Run trials that failed again.
     only
@@ -66,16 +67,19 @@ def run(
         seed=seed, trials=trials, sensitivity=sensitivity, **{name: words for name, words in split.items() if words}
     )
     if only is not None:
+        left_out("with --only, which runs one trial here and keeps nothing", "remove it",
+                 workers=workers, scheduler=scheduler, out=out, retry=retry)  # fmt: skip
         trial = run_trial(plan, TrialKey.named(only))
         console.print(f"{only}, seed {trial.seed}, {trial.took_s:.1f} s", highlight=False)
         for row in trial.rows:
             told = ", ".join(f"{name} {each if isinstance(each, str) else f'{each:.6g}'}" for name, each in row.items())
-            console.print(told, soft_wrap=True, highlight=False, markup=False)
+            console.print(told, soft_wrap=True, highlight=False)
         return
+    out = out or Path("studies/paper")
     wanted = list(plan.all_trials())
     if there := sum(map(StudyFolder(out).has, wanted)):
         problems.print(f"{there} of {len(wanted)} trials are there, missing ones are run", highlight=False)
-    with progress() as bar:
+    with output_locked(out, folder=True), progress() as bar:
         spoke = 0.0
 
         def tell(doing: str, share: float) -> None:
@@ -85,7 +89,7 @@ def run(
             going = " left" in doing
             if not going or (not problems.is_terminal and perf_counter() - spoke > QUIET_S):
                 spoke = perf_counter()
-                problems.print(doing, soft_wrap=True, highlight=False, markup=False)
+                problems.print(doing, soft_wrap=True, highlight=False)
 
         bar("starting workers", 0.0)
         folder = run_study(plan, out, workers=workers, scheduler=scheduler, retry=retry, tell=tell)
@@ -112,5 +116,5 @@ def report(folder: Path, /) -> None:
 
         written, sentences = write_report(folder, tell=tell)
     for sentence in sentences:
-        console.print(sentence, soft_wrap=True, highlight=False, markup=False)
+        console.print(sentence, soft_wrap=True, highlight=False)
     console.print(f"open {written}", soft_wrap=True, highlight=False)

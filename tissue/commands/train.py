@@ -6,6 +6,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from tissue.commands.terminal import console, progress, whole
+from tissue.output_lock import output_locked
 
 __all__ = ["train"]
 
@@ -46,12 +47,12 @@ def train(
     require_new_file(path, overwrite=overwrite)
     if not path.parent.is_dir():
         raise InputError(f"out must lie in a folder that exists, got {path}: create {path.parent}")
-    with progress() as tell:
+    with output_locked(path, folder=False), progress() as tell:
         tell("starting Warp", 0.0)
         from tissue.training import train as trained_on
 
         found = trained_on(loaded, trials=trials, cores=cores, progress=tell)
-    found.write(path, overwrite=overwrite)
+        found.write(path, overwrite=overwrite)
     told, checked = found.told, found.told["validation"]
     lines = [
         f"{told['dictionary']}: {told['observables']} observables from {told['samples']} samples; largest eigenvalue "
@@ -65,4 +66,4 @@ def train(
         f"written to {path}; use it with --set prediction=koopman --set coupling.predictor_file={path}",
     ]
     for line in lines:
-        console.print(line, soft_wrap=True, highlight=False, markup=False)
+        console.print(line, soft_wrap=True, highlight=False)

@@ -2,11 +2,11 @@
 
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from tissue.commands.terminal import console, problems
+from tissue.commands.terminal import console, progress
 
 __all__ = ["view"]
 
@@ -43,6 +43,7 @@ def view(
     """
     from tissue.view import view as show
 
-    with problems.status("drawing the movie") if movie is not None else nullcontext():
-        said = show(folder, screenshot=screenshot, movie=movie, hide=hide, field=field, scale=scale, time_s=time_s)
+    chosen: dict[str, Any] = {"hide": hide, "field": field, "scale": scale, "time_s": time_s}
+    with nullcontext() if movie is None else progress() as tell:
+        said = show(folder, screenshot=screenshot, movie=movie, progress=tell, **chosen)
     console.print(said, soft_wrap=True, highlight=False)

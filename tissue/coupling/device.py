@@ -1,8 +1,9 @@
 """What a haptic device is to a loop, and the published numbers of some."""
 
 from dataclasses import dataclass, fields, replace
-from math import inf, isfinite
-from typing import NamedTuple, Protocol
+from math import inf
+from types import TracebackType
+from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from tissue.coupling.plant import Triple
 from tissue.coupling.quaternion import Quaternion
 from tissue.materials.constants import constants
 
-__all__ = ["DEVICES", "Device", "DeviceParameters", "Sample", "device_parameters"]
+__all__ = ["DEVICES", "ComputedDevice", "Device", "DeviceError", "DeviceParameters", "Sample", "device_parameters"]
 
 Array = NDArray[np.float64]
 DEVICES = ("touch", "omni", "six-dof")
@@ -37,20 +38,20 @@ class Sample(NamedTuple):
             np.array(self.spin_rad_s),
         )
 
-    @property
-    def finite(self) -> bool:
-        """Whether every number is one."""
-        numbers = (self.time_s, *self.position_m, *self.velocity_m_s, *self.quaternion, *self.spin_rad_s)
-        return all(map(isfinite, numbers))
+
+class DeviceError(InputError):
+    """A device that does not do what a device has to: one sentence with the call, what it did and what to check."""
 
 
 class Device(Protocol):
-    """A haptic device: position in, force out."""
+    """A haptic device: position in, force out.
 
-    @property
-    def six_dof(self) -> bool:
-        """Whether it can play a torque."""
-        ...
+    These two are all that a loop needs; see `tissue.coupling.safe_device.SafeDevice` for how it holds a device. One
+    that is a context manager is entered before its first read and left after its last command, which is zero: give it
+    to a run without a ``with`` of your own, which would open it twice, or as ``with SafeDevice(device) as held``. A
+    device may have ``close()``, which takes all force off it by other means and may be called from another thread: it
+    is used where ``command`` fails.
+    """
 
     def read(self, time_s: float) -> Sample | None:
         """The newest sample at a time; None where there is none."""
@@ -59,6 +60,24 @@ class Device(Protocol):
     def command(self, force_N: Array, torque_Nm: Array) -> None:
         """Play a force and a torque, on the hand and in the world frame, until the next command."""
         ...
+
+
+class ComputedDevice:
+    """What the devices that are computed here have in common: they answer at once, and end at zero."""
+
+    in_process = True
+    """Whether read and command only compute, so that they cannot block."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.command(np.zeros(3), np.zeros(3))
+
+    def command(self, force_N: Array, torque_Nm: Array) -> None:
+        """Take a force and a torque and forget them, for a device without motors."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,13 +92,15 @@ class DeviceParameters:
         Step in which positions are read [m]; 0 for exact ones.
     force_limit_N
         Greatest force [N].
+    force_slew_N_ms
+        Greatest change of the force that it is commanded [N/ms].
     rate_Hz
         Samples and force updates a second.
     transport_delay_s
         From a sample to the force that answers it, beside the hold [s].
     amplifier_Hz
         Bandwidth of the amplifiers; infinite for none.
-    inertia_kg_m2, damping_Nm_s_rad, friction_Nm, encoder_step_rad, torque_limit_Nm
+    inertia_kg_m2, damping_Nm_s_rad, friction_Nm, encoder_step_rad, torque_limit_Nm, torque_slew_Nm_ms
         The same for rotation; a torque limit of 0 makes a device of three degrees of freedom, whose rotation moves
         freely with the hand.
     stiffness_limit_N_m, damping_limit_N_s_m, stiffness_limit_Nm_rad
@@ -93,6 +114,7 @@ class DeviceParameters:
     friction_N: float = 0.0
     encoder_step_m: float = 0.0
     force_limit_N: float = 1e3
+    force_slew_N_ms: float = inf
     rate_Hz: float = 1000.0
     transport_delay_s: float = 0.0
     amplifier_Hz: float = inf
@@ -101,6 +123,7 @@ class DeviceParameters:
     friction_Nm: float = 0.0
     encoder_step_rad: float = 0.0
     torque_limit_Nm: float = 0.0
+    torque_slew_Nm_ms: float = inf
     stiffness_limit_N_m: float = inf
     damping_limit_N_s_m: float = inf
     stiffness_limit_Nm_rad: float = inf
@@ -116,8 +139,11 @@ class DeviceParameters:
                      "encoder_step_rad", "torque_limit_Nm"):  # fmt: skip
             require_range(name, getattr(self, name), 0.0, 1e4, "use 0 for none")
         require_range("transport_delay_s", self.transport_delay_s, 0.0, 0.2, "use 0 for none")
-        if not self.amplifier_Hz > 0.0:
-            raise InputError(f"amplifier_Hz must be positive, got {self.amplifier_Hz}: use inf for one without lag")
+        for name, none in (
+            ("amplifier_Hz", "one without lag"), ("force_slew_N_ms", "no limit"), ("torque_slew_Nm_ms", "no limit"),
+        ):  # fmt: skip
+            if not getattr(self, name) > 0.0:
+                raise InputError(f"{name} must be positive, got {getattr(self, name)}: use inf for {none}")
 
     def loop(
         self, stiffness_N_m: float, *, wall_damping_N_s_m: float = 0.0, filter_s: float = 0.0, model_ticks: int = 1

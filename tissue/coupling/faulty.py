@@ -2,9 +2,11 @@
 
 from collections import deque
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from math import nan
-from typing import Literal, get_args
+from types import TracebackType
+from typing import Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,9 +46,20 @@ class FaultyDevice:
         self._told: Sample | None = None
 
     @property
-    def six_dof(self) -> bool:
-        """Whether the device can play a torque."""
-        return self._device.six_dof
+    def in_process(self) -> bool:
+        """Whether the device only computes."""
+        return bool(getattr(self._device, "in_process", False))
+
+    def __enter__(self) -> Self:
+        if isinstance(self._device, AbstractContextManager):
+            self._device.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if isinstance(self._device, AbstractContextManager):
+            self._device.__exit__(kind, error, trace)
 
     def read(self, time_s: float) -> Sample | None:
         """A sample, or what the fault of the time makes of it."""

@@ -1,5 +1,6 @@
 """A hand on a device as what moves a tool: samples in, forces out, once a tick."""
 
+from collections.abc import Callable
 from math import pi, sqrt
 
 import numpy as np
@@ -13,7 +14,9 @@ from tissue.coupling.passivity import PassivityObserver
 from tissue.coupling.quaternion import Quaternion
 from tissue.coupling.renderer import PassivityRenderer, Renderer, TurningRenderer
 from tissue.coupling.rotation import matrix_of
+from tissue.coupling.safe_device import SafeDevice
 from tissue.coupling.signal import DelayLine, ForceRange, LowPass
+from tissue.coupling.supervision import run_held
 from tissue.model import Response, ToolMotion
 from tissue.motion import Motion
 from tissue.perception import Perception
@@ -50,7 +53,8 @@ class HandMotion(Motion):
 
     Every tick: the sample is judged; the tool follows the device as far as the tissue of the last tick lets it; the
     tissue answers, and a free tool that has gone into it is brought back within the tick; device and tool give the
-    renderer's force, which passes prediction, low-pass, delay, perception and the device's range, and is vouched for.
+    renderer's force, which passes prediction, low-pass, delay, perception and the device's range, is vouched for and
+    changes no faster than the device's slew.
     So the force answers the sample of its own tick. Without a good sample the tool rests, the renderer pauses and the
     force fades to zero.
 
@@ -73,7 +77,7 @@ class HandMotion(Motion):
     scripted
         Motion that the hand is to make; it gives start, orientation, region and duration.
     limits
-        Greatest force and torque of the device.
+        Greatest force and torque of the device, and their greatest change.
     loop
         Loop of device and law, by whose delay energy is booked, and whose filter is applied.
     delay_ticks
@@ -121,17 +125,17 @@ class HandMotion(Motion):
         prediction_gain: float = 1.0,
         perception: Perception | None = None,
     ) -> None:
-        self.device, self.tool, self.law = device, tool, law
+        self._limits, self._tick, self.device = limits, loop.tick_s, device
+        self.tool, self.law = tool, law
         self._contact, self._control = law, None
         if predictor is not None and isinstance(law, PassivityRenderer):
             # What a controller adds in one tick is no course that a force is on: it comes after the prediction.
             self._contact, self._control = law.inner, law.control
-        self._tick = loop.tick_s
         self.duration_s, self.after_s = scripted.duration_s + after_s, after_s
         self._scripted, self._stray = scripted, stray_m
         self._start, self._scale = np.array(scripted.rotations()[0]), motion_scale
         self._shift = (1.0 - motion_scale) * scripted.sweep_m()[0]
-        tick = loop.tick_s
+        tick = self._tick
         self.guard = SampleGuard(force_limit_N=limits.force_limit_N, torque_limit_Nm=limits.torque_limit_Nm)
         self._low_pass = LowPass(loop.filter_s, step_s=tick)
         self._delay = DelayLine(delay_ticks)
@@ -141,7 +145,8 @@ class HandMotion(Motion):
         self._turning_law = turning_law
         self._torques = ForceRange(limit_N=limits.torque_limit_Nm or 1.0)
         lag = loop.delay_s + 1.0 / (2.0 * pi * loop.amplifier_hz)
-        self.observer = PassivityObserver(delay_ticks=lag / tick)
+        # What it books has passed the delay that is made here.
+        self.observer = PassivityObserver(delay_ticks=max(lag / tick - delay_ticks, 0.0))
         self._turned: Quaternion | None = None
         self._velocity = np.zeros(3)
         self._smoothing = min(tick * model_ticks / SMOOTH_S, 1.0)
@@ -157,6 +162,19 @@ class HandMotion(Motion):
             self.measure_names += PERCEIVED
         self.measures = np.zeros(len(self.measure_names))
         self.measures[3:7], self.measures[18] = (0.0, 0.0, 0.0, 1.0), margin
+
+    @property
+    def device(self) -> Device:
+        """What the hand moves."""
+        return self.held.device
+
+    @device.setter
+    def device(self, device: Device | SafeDevice) -> None:
+        self.held = SafeDevice(device, limits=self._limits, tick_s=self._tick)
+
+    def around(self, ticks: Callable[[], None]) -> None:
+        """Hold the device while the ticks run, and leave it without force."""
+        run_held(ticks, self.held)
 
     def sweep_m(self) -> Array:
         """Positions of the scripted motion [m], and the same a stray to every side."""
@@ -177,12 +195,15 @@ class HandMotion(Motion):
         self.measures[:3] = 1e3 * motion.tip_m
 
     def happened(self) -> list[tuple[float, str]]:
-        """Every change between good samples and bad."""
-        return list(self.guard.events)
+        """Every change between good samples and bad, and how the device kept up."""
+        return self.guard.events + self.held.happened()
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
         """Read the device and let the tool follow it."""
-        sample = self.guard.believe(self.device.read(time_s), time_s)
+        sample = self.guard.believe(self.held.read(time_s), time_s)
+        if self.held.released:
+            self.held.released = False
+            self.guard.let_go()
         self._fresh = self._ticks % self.model_ticks == 0
         self._ticks += 1
         self._sample = None
@@ -248,8 +269,7 @@ class HandMotion(Motion):
                 compressed = compressed or squeezed
             self.observer.observe(at)
             told[:3], told[3:7], told[13:16] = 1e3 * at, sample.quaternion, filtered
-        played, turning = self.guard.vouch(wanted, torque)
-        self.device.command(played, turning)
+        played, turning = self.held.play(*self.guard.vouch(wanted, torque))
         self.observer.hold(played)
         told[7:10], told[10:13], told[16], told[17] = played, turning, compressed, self.observer.energy_J
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from meshes.errors import InputError, require_positive
-from tissue.coupling.device import Sample
+from tissue.coupling.device import ComputedDevice, Sample
 from tissue.coupling.plant import Triple
 from tissue.coupling.quaternion import Quaternion, conjugate, logarithm, product
 
@@ -16,7 +16,7 @@ __all__ = ["MouseDevice", "RecordedDevice"]
 Array = NDArray[np.float64]
 
 
-class RecordedDevice:
+class RecordedDevice(ComputedDevice):
     """A table of poses, replayed; forces are taken and forgotten.
 
     Parameters
@@ -35,8 +35,6 @@ class RecordedDevice:
     InputError
         If times do not increase, a number is not finite or a quaternion is zero.
     """
-
-    six_dof = False
 
     def __init__(
         self, times_s: Array, positions_m: Array, quaternions: Array | None = None, *, rate_Hz: float = 1000.0
@@ -70,11 +68,8 @@ class RecordedDevice:
             return None
         return self._samples[min(int((time_s - self._first) * self._rate + 1e-6), len(self._samples) - 1)]
 
-    def command(self, force_N: Array, torque_Nm: Array) -> None:
-        """A record cannot be moved."""
 
-
-class MouseDevice:
+class MouseDevice(ComputedDevice):
     """Positions that a window pushes in at its own rate, smoothed to a motion that a tissue can be met with.
 
     Between two pushes the pose follows the last one as a critically damped second-order system, exactly for a target
@@ -87,8 +82,6 @@ class MouseDevice:
     response_s
         Time constant with which a push is followed [s].
     """
-
-    six_dof = False
 
     def __init__(self, position_m: Triple = (0.0, 0.0, 0.0), *, response_s: float = 0.03) -> None:
         self._response = require_positive("response_s", response_s, "use 0.03")
@@ -118,6 +111,3 @@ class MouseDevice:
         spin = tuple(angle / step for angle in turn)
         self._sample = Sample(time_s, self._position, self._velocity, self._turned, spin)  # type: ignore[arg-type]
         return self._sample
-
-    def command(self, force_N: Array, torque_Nm: Array) -> None:
-        """A mouse cannot push back."""

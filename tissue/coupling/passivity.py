@@ -1,15 +1,25 @@
 """Passivity observer and controller in the time domain (Hannaford and Ryu, 2002)."""
 
 from collections import deque
+from math import copysign, inf, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.errors import require_positive, require_range
+from meshes.errors import InputError, require_positive, require_range
 
-__all__ = ["PassivityControl", "PassivityObserver"]
+__all__ = ["RELEASE_RAD_S", "PassivityControl", "PassivityObserver"]
 
 Array = NDArray[np.float64]
+SPEED_TICKS = 3
+"""Ticks over which the speed is taken."""
+RELEASE_M_S, RELEASE_RAD_S = (0.03, 0.1), (1.2, 4.0)
+"""Outward speeds from which a force without energy begins to be taken off, and is taken off whole: far above those of
+an encoder's steps, and of a hand that rests on a wall. In radians for a handle of 25 mm."""
+LEAST_N = 1e-6
+"""Force that counts as none [N], such as the end of a low-pass."""
+STILL = 1e-6
+"""Speed below which nothing can be paid [m/s]."""
 
 
 class PassivityObserver:
@@ -61,22 +71,23 @@ class PassivityObserver:
         self._position = None
         self._forces.extend([np.zeros(3)] * len(self._forces))
 
-    def coming_N(self) -> Array:
-        """Sum over ticks of the forces that were sent out and have not acted yet [N]."""
-        waiting = list(self._forces)
-        coming = self._late * waiting[1]
-        for force in waiting[2:]:
-            coming = coming + force
-        return coming
+    def waiting_N(self) -> Array:
+        """Forces that were sent out and have not acted yet, each by its share of a tick, oldest first, shape (n, 3)."""
+        waiting = np.array(self._forces)[1:]
+        waiting[0] *= self._late
+        return waiting
 
 
 class PassivityControl:
-    """Pays back what an environment is about to create, by damping along the motion.
+    """Holds back what an environment is about to create, and pays back what it has created.
 
-    If the force, and those on their way, would at the present velocity v bring the observer below zero, a force -d v is
-    added with d = -E / (T v.v), E the energy that would be left and T the step. That also pays back what the errors of
-    earlier predictions have left open. d has an upper bound, because damping is sampled, too: beyond m / T it would
-    itself be unstable. Near rest nothing can be paid and the debt waits.
+    A force acts when those on their way have acted. Until then they go on pushing the device, so its speed along the
+    force is predicted as v + sum F T / m with the device's own mass, which overstates what a held device does. The work
+    that the forces on their way and the new one would do at those speeds, as far as they drive the device out, must not
+    exceed the energy E in the observer's ledger. What exceeds it is taken off the new force: where the device will move
+    out fast, as far as to nothing; and a damper -d v is added, which also pays a debt on the way in. d has an upper
+    bound, because damping is sampled, too: beyond m / T it would itself be unstable. Near rest nothing can be paid and
+    the debt waits. v is the mean speed over the last ticks, for encoders step.
 
     An environment that exerts no force stores nothing, so what was taken until then has been dissipated: it is struck
     off, lest a later contact should live on it. A debt stays.
@@ -87,6 +98,8 @@ class PassivityControl:
         Upper bound of d [N s/m]; a half of m / (T + t_d) is safe.
     delay_ticks
         See `PassivityObserver`.
+    mass_kg
+        What the forces move [kg]; infinite for a motion that they do not change.
 
     Attributes
     ----------
@@ -95,29 +108,60 @@ class PassivityControl:
     dissipated_J
         What the control has planned to dissipate so far [J].
     damping_N_s_m
-        d in the last step [N s/m].
+        What was taken off over the predicted speed in the last step [N s/m].
+    release_speeds
+        Outward speeds between which the force may be taken off whole.
     """
 
-    def __init__(self, damping_limit_N_s_m: float, *, delay_ticks: float = 0.0) -> None:
+    def __init__(self, damping_limit_N_s_m: float, *, delay_ticks: float = 0.0, mass_kg: float = inf) -> None:
         self._limit = require_positive("damping_limit_N_s_m", damping_limit_N_s_m, "use a half of m / T")
-        self._delayed = delay_ticks > 0.0
+        if not mass_kg > 0.0:
+            raise InputError(f"mass_kg must be positive, got {mass_kg}: use inf for a prescribed motion")
+        self._mass = mass_kg
         self.observer = PassivityObserver(delay_ticks=delay_ticks)
         self.damping_N_s_m = self.dissipated_J = 0.0
+        self.release_speeds = RELEASE_M_S
+        self._places: deque[Array] = deque(maxlen=SPEED_TICKS + 1)
 
     def step(self, force_N: Array, position_m: Array, velocity_m_s: Array, step_s: float) -> Array:
         """The force [N] to play instead of ``force_N`` for a step [s]."""
-        observer = self.observer
+        observer, places = self.observer, self._places
         energy = observer.observe(position_m)
-        coming = force_N + observer.coming_N() if self._delayed else force_N
-        if energy > 0.0 and not any(coming.tolist()):
-            observer.energy_J = energy = 0.0
-        square = float(velocity_m_s.dot(velocity_m_s))
-        left = energy - step_s * float(coming.dot(velocity_m_s))
+        places.append(position_m.copy())
         self.damping_N_s_m = 0.0
+        size = sqrt(force_N.dot(force_N))
+        if size < LEAST_N:
+            if energy > 0.0 and np.abs(observer.waiting_N()).max() < LEAST_N:
+                observer.energy_J = 0.0
+            observer.hold(force_N)
+            return force_N
+        if len(places) > 1:
+            velocity_m_s = (places[-1] - places[0]) / (step_s * (len(places) - 1))
+        way = force_N / size
+        pushes = np.append(observer.waiting_N() @ way, size)
+        gained = (step_s / self._mass) * pushes
+        speeds = float(velocity_m_s.dot(way)) + np.cumsum(gained) - 0.5 * gained
+        speeds[-1] -= 0.5 * gained[-1]  # a device at rest feels its spring
+        speed = float(speeds[-1])
+        left = energy - step_s * float(pushes.dot(np.maximum(speeds, 0.0)))
         played = force_N
-        if left < 0.0 and square > 1e-12 and any(force_N.tolist()):
-            self.damping_N_s_m = min(-left / (step_s * square), self._limit)
-            self.dissipated_J += self.damping_N_s_m * square * step_s
-            played = force_N - self.damping_N_s_m * velocity_m_s
+        if left < 0.0 and abs(speed) > STILL:
+            slow, fast = self.release_speeds
+            released = min(max((speed - slow) / (fast - slow), 0.0), 1.0)
+            most = self._limit * abs(speed) + released * size
+            taken = min(-left / (step_s * abs(speed)), most)
+            self.damping_N_s_m = taken / abs(speed)
+            self.dissipated_J += taken * abs(speed) * step_s
+            played = force_N - copysign(taken, speed) * way
         observer.hold(played)
         return played
+
+    def pause(self) -> None:
+        """Samples are missing: nothing is known of the motion until the next one.
+
+        The force fades then and comes back slowly, so that less is taken on the way in than is booked: what was taken
+        until now is struck off, lest the way out should live on it.
+        """
+        self.observer.pause()
+        self.observer.energy_J = min(self.observer.energy_J, 0.0)
+        self._places.clear()

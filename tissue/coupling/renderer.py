@@ -1,6 +1,6 @@
 """How a contact becomes a force: laws between a device and its proxy, behind one contract."""
 
-from math import pi
+from math import inf, pi
 from typing import Protocol
 
 import numpy as np
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from meshes.errors import InputError, require_positive, require_range
 from tissue.coupling.loop import WallLoop
-from tissue.coupling.passivity import PassivityControl
+from tissue.coupling.passivity import RELEASE_RAD_S, PassivityControl
 from tissue.coupling.quaternion import Quaternion, conjugate, logarithm, product
 from tissue.coupling.virtual_coupling import VirtualCoupling
 
@@ -81,11 +81,17 @@ class ProxyRenderer:
 
 
 class PassivityRenderer:
-    """Another law, watched by an observer that makes a controller pay for the energy it creates."""
+    """Another law, watched by an observer that makes a controller pay for the energy it creates.
 
-    def __init__(self, inner: Renderer, *, damping_limit_N_s_m: float, delay_ticks: float = 0.0) -> None:
+    Measured at the motors on walls of up to 1.5 kN/m with latencies of up to 8 ms: never ahead by more than 0.3 mJ.
+    It does not see a force that fades while samples are missing; what was taken before such a gap counts for nothing.
+    """
+
+    def __init__(
+        self, inner: Renderer, *, damping_limit_N_s_m: float, delay_ticks: float = 0.0, mass_kg: float = inf
+    ) -> None:
         self.inner = inner
-        self.control = PassivityControl(damping_limit_N_s_m, delay_ticks=delay_ticks)
+        self.control = PassivityControl(damping_limit_N_s_m, delay_ticks=delay_ticks, mass_kg=mass_kg)
 
     def render(self, device: Array, device_velocity: Array, proxy: Array, proxy_velocity: Array, dt: float) -> Array:
         """Force on the device [N]."""
@@ -94,7 +100,7 @@ class PassivityRenderer:
 
     def pause(self) -> None:
         """The way to the next sample is not booked: another force was played on it."""
-        self.control.observer.pause()
+        self.control.pause()
 
 
 class TurningRenderer:
@@ -106,6 +112,8 @@ class TurningRenderer:
 
     def __init__(self, inner: Renderer) -> None:
         self._inner = inner
+        if isinstance(inner, PassivityRenderer):
+            inner.control.release_speeds = RELEASE_RAD_S
         self._turned = np.zeros(3)
         self._before: Quaternion | None = None
 
@@ -125,8 +133,8 @@ class TurningRenderer:
 def renderer(kind: str, loop: WallLoop) -> Renderer:
     """A renderer by its name for the wall of a loop: penalty, passivity (penalty, watched) or proxy.
 
-    The loop gives stiffness and damping to all, and to the passivity renderer its lag (delay and amplifier) and the
-    damping that mass, tick and lag leave it, a half of m / (T + lag).
+    The loop gives stiffness and damping to all, and to the passivity renderer its mass, its lag (delay and amplifier)
+    and the damping that they leave it, a half of m / (T + lag).
 
     Raises
     ------
@@ -139,9 +147,11 @@ def renderer(kind: str, loop: WallLoop) -> Renderer:
             return PenaltyRenderer(stiffness_N_m, damping_N_s_m)
         case "passivity":
             inner = PenaltyRenderer(stiffness_N_m, damping_N_s_m)
-            lag = loop.delay_s + 1.0 / (2.0 * pi * loop.amplifier_hz)
+            lag = loop.delay_s + loop.filter_s + 1.0 / (2.0 * pi * loop.amplifier_hz)
             limit = 0.5 * loop.mass_kg / (loop.tick_s + lag)
-            return PassivityRenderer(inner, damping_limit_N_s_m=limit, delay_ticks=lag / loop.tick_s)
+            return PassivityRenderer(
+                inner, damping_limit_N_s_m=limit, delay_ticks=lag / loop.tick_s, mass_kg=loop.mass_kg
+            )
         case "proxy":
             return ProxyRenderer(stiffness_N_m, damping_N_s_m)
     raise InputError(f"renderer must be one of {', '.join(RENDERERS)}, got {kind}: choose one of these")

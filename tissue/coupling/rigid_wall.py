@@ -9,7 +9,9 @@ from meshes.errors import require_positive
 from tissue.coupling.device import Device
 from tissue.coupling.guard import SampleGuard
 from tissue.coupling.renderer import Renderer
+from tissue.coupling.safe_device import SafeDevice
 from tissue.coupling.signal import LowPass
+from tissue.coupling.supervision import run_held
 
 __all__ = ["WallRun", "press_wall"]
 
@@ -56,7 +58,8 @@ def press_wall(
     """Run device, proxy on the plane, renderer, low-pass and guard for a time [s].
 
     The proxy of a plane is the device's point where it is free and its foot on the plane elsewhere; its velocity is the
-    part along the plane. Without a guard every sample is believed and no sample means no force.
+    part along the plane. Without a guard every sample is believed and no sample means no force. Whatever ends the run,
+    the device is left without force.
     """
     require_positive("duration_s", duration_s, "use 1")
     require_positive("tick_s", tick_s, "use 1e-3 for 1 kHz")
@@ -64,10 +67,12 @@ def press_wall(
     position, velocity, force = np.zeros((ticks, 3)), np.zeros((ticks, 3)), np.zeros((ticks, 3))
     low_pass = LowPass(filter_s, step_s=tick_s)
     nothing = np.zeros(3)
-    with np.errstate(invalid="ignore", over="ignore"):
+    held = SafeDevice(device, tick_s=tick_s)
+
+    def press() -> None:
         for tick in range(ticks):
             time = tick * tick_s
-            sample = device.read(time)
+            sample = held.read(time)
             if guard is not None:
                 sample = guard.believe(sample, time)
             wanted: Array | None = None
@@ -85,7 +90,10 @@ def press_wall(
             if guard is not None:
                 played, _ = guard.vouch(wanted)
             force[tick] = played
-            device.command(played, nothing)
+            held.play(played, nothing)
+
+    with np.errstate(invalid="ignore", over="ignore"):
+        run_held(press, held)
     moved = np.diff(position, axis=0)
     taken = np.zeros(ticks)
     taken[1:] = -np.cumsum(np.einsum("ij,ij->i", force[:-1], moved))

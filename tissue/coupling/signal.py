@@ -1,15 +1,15 @@
-"""What a force passes on its way to a device: low-pass, exact delay, relaxation, and the range the device can play."""
+"""What a force passes on its way to a device: low-pass, exact delay, relaxation, the device's range and its slew."""
 
 from collections import deque
 from dataclasses import dataclass
-from math import exp, expm1, inf, pi, sin
+from math import exp, expm1, inf, pi, sin, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError, require_positive, require_range
 
-__all__ = ["DelayLine", "ForceRange", "LowPass", "cutoff_hz", "low_pass_gain", "relaxation_bound"]
+__all__ = ["DelayLine", "ForceRange", "LowPass", "SlewLimit", "cutoff_hz", "low_pass_gain", "relaxation_bound"]
 
 Array = NDArray[np.float64]
 
@@ -62,6 +62,41 @@ class DelayLine:
         """Put a value in and take out the one that is due."""
         self._queue.append(np.array(value, dtype=float))
         return self._queue.popleft()
+
+
+class SlewLimit:
+    """A vector that changes by no more than a limit a step, straight towards what is wanted.
+
+    Parameters
+    ----------
+    most
+        Greatest size of the change in a step; infinite for no limit.
+
+    Attributes
+    ----------
+    value
+        Where the vector is, shape (3,).
+    limited
+        Steps in which the limit has acted.
+    """
+
+    def __init__(self, most: float) -> None:
+        if not most > 0.0:
+            raise InputError(f"most must be positive, got {most}: use inf for no limit")
+        self._most = most
+        self.value: Array = np.zeros(3)
+        self.limited = 0
+
+    def step(self, wanted: Array) -> Array:
+        """The new value: ``wanted`` itself where that is near enough."""
+        change = wanted - self.value
+        square = float(change.dot(change))
+        if square <= self._most * self._most:
+            self.value = wanted
+        else:
+            self.limited += 1
+            self.value = self.value + change * (self._most / sqrt(square))
+        return self.value
 
 
 @dataclass(frozen=True, kw_only=True)

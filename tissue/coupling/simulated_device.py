@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import require_range
-from tissue.coupling.device import DeviceParameters, Sample
+from tissue.coupling.device import ComputedDevice, DeviceParameters, Sample
 from tissue.coupling.hand import Grip, HandAction, HoldingHand
 from tissue.coupling.plant import Plant, Triple
 from tissue.coupling.quaternion import Quaternion, conjugate, exponential, logarithm, product
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 NOTHING: Triple = (0.0, 0.0, 0.0)
 
 
-class SimulatedDevice:
+class SimulatedDevice(ComputedDevice):
     """A device of known physics in a simulated hand.
 
     It has ticks of its own. At each it is sampled by its encoders and its velocity is the difference to the sample

@@ -67,3 +67,8 @@ class WallClock:
         if self.late_s > self._behind:
             self._start += self.late_s
             self.skipped_s = self.late_s
+
+    def hold(self, seconds: float) -> None:
+        """Move the schedule by a pause of the run, which is no lateness."""
+        if self._start is not None:
+            self._start += seconds

@@ -4,6 +4,7 @@ import os
 import signal
 import threading
 from pathlib import Path
+from time import perf_counter, sleep
 from types import FrameType
 from typing import Any
 
@@ -15,7 +16,7 @@ from tissue.build import motion_of
 from tissue.coupling.other_devices import MouseDevice
 from tissue.live.clock import BEHIND_S, WallClock
 from tissue.live.window import WindowBeside
-from tissue.offscreen import display_problem
+from tissue.offscreen import await_display, display_problem
 from tissue.parts import Parts
 from tissue.run import DEADLINE_US, Run
 from tissue.scene import Scene
@@ -31,7 +32,9 @@ STANDS_FOR = "touch"
 ROAM_MM, ROAM_ON_WALL_MM = 8.0, 40.0
 """How far beside the scripted way the pointer may take the tool; a wall goes on for ever."""
 LOOK_TICKS = 200
-"""Ticks between two looks whether the window's process is still there."""
+"""Ticks between two looks whether the window's process is still there and draws."""
+STALLED_S, HELD_S = 3.0, 60.0
+"""How long a window may draw nothing before the run waits for it, and how long it waits [s]."""
 ABOVE_M, BELOW_M = 0.02, 0.01
 """How far the pointer may draw a tool back from the scripted way and press a probe beyond it [m]; a tool that cuts it
 presses as far as there is bone beyond what the script reaches."""
@@ -76,8 +79,9 @@ def live(
     Raises
     ------
     InputError
-        As `tissue.simulate`, and if a window does not open where there is a display.
+        As `tissue.simulate`, and if a display does not answer, or a window does not open on it, in time.
     """
+    await_display()
     by_mouse, said = moved_by(scene)
     mouse = MouseDevice(_start_m(scene)) if by_mouse else None
     if by_mouse:
@@ -126,6 +130,7 @@ class LiveWatch:
         self._stopped, self._missed, self._skipped_s = False, 0, 0.0
         self._events: list[tuple[float, str]] = []
         self._handler: Any = None
+        self._frames, self._drawn_s = -1, 0.0
         self._start, self._scale = np.array(_start_m(scene)), scene.coupling.motion_scale
 
     def begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
@@ -137,7 +142,9 @@ class LiveWatch:
             self._handler = signal.signal(signal.SIGINT, self._stop)
 
     def due(self, index: int) -> None:
-        """Wait until a tick is due, and take what the pointer wants by then."""
+        """Wait until a tick is due, and for a window that stands still; take what the pointer wants by then."""
+        if self._window is not None and index % LOOK_TICKS == 0:
+            self._hold(self._window, index)
         self._clock.wait(index)
         if self._window is not None and self._mouse is not None:
             pointed = self._window.pointed_m()
@@ -163,6 +170,26 @@ class LiveWatch:
             self._events.append((float(row[0]), f"the window ended by itself, and the run with it: {words}"))
             self._stopped = True
         return not (self._stopped or self._window.closed)
+
+    def _hold(self, window: WindowBeside, index: int) -> None:
+        """Let the run wait while its window draws nothing: nobody could see or move the tool."""
+        began = now = perf_counter()
+        if window.frames != self._frames:
+            self._frames, self._drawn_s = window.frames, now
+        if now - self._drawn_s < STALLED_S:
+            return
+        while window.frames == self._frames and now - began < HELD_S and not self._stopped and not window.closed:
+            if window.failed() is not None:
+                break
+            sleep(0.01)
+            now = perf_counter()
+        self._clock.hold(now - began)
+        self._drawn_s, waited_s = now, now - began
+        if window.frames == self._frames and waited_s >= HELD_S:
+            self._stopped = True
+            self._events.append((index * TICK_S, f"the window drew nothing for {waited_s:.0f} s: the run ended"))
+        else:
+            self._events.append((index * TICK_S, f"the window drew nothing: the run waited {waited_s:.1f} s for it"))
 
     def end(self) -> list[tuple[float, str]]:
         """Close the window and leave Ctrl-C as it was; what has happened, as `Motion.happened`."""

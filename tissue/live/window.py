@@ -1,18 +1,21 @@
 """The window of a live run, in a process of its own, as the ticks see it: rows out, the pointer in."""
 
 import json
+import os
 import re
 import shutil
 import subprocess
+import threading
 from pathlib import Path
-from tempfile import mkdtemp
+from queue import Empty, SimpleQueue
+from tempfile import gettempdir, mkdtemp
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError
-from tissue.child import child_command
+from tissue.child import LOOK_S, Patience, child_command
 from tissue.live.shared import MEMORY, Layout, SharedArrays
 from tissue.live.tissues import shared_tissue
 from tissue.parts import Parts
@@ -30,6 +33,9 @@ COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 """Colours of a terminal in what a process says."""
 CLOSES_S = 10.0
 """How long a window may take to close [s]."""
+OPENS_S = 120.0
+"""How long a window may take to open [s]."""
+FOLDER = "tissue-live-"
 
 
 class WindowBeside:
@@ -62,7 +68,7 @@ class WindowBeside:
         low_m: NDArray[np.float64],
         high_m: NDArray[np.float64],
     ) -> None:
-        self._folder = Path(mkdtemp(prefix="tissue-live-", dir=MEMORY if MEMORY.is_dir() else None))
+        self._folder = _new_folder()
         self._shared = shared_tissue(parts)
         layout: Layout = {
             "row": ("float64", (len(columns) + len(CLOCK),)),
@@ -71,12 +77,16 @@ class WindowBeside:
             "pointer_turn": ("int64", (1,)),
             "ended": ("int64", (1,)),
             "closed": ("int64", (1,)),
+            "frames": ("int64", (1,)),
         }
         self.arrays = SharedArrays(self._folder, layout | self._shared.layout)
         self._row = np.zeros(len(columns) + len(CLOCK))
         self._turn, self._closed = self.arrays["pointer_turn"], self.arrays["closed"]
+        self._drawn = self.arrays["frames"]
         self._seen = 0
-        (self._folder / "scene.toml").write_text(scene.to_toml(), "utf-8")
+        (self._folder / "scene.json").write_text(
+            scene.model_dump_json(exclude_unset=True), "utf-8"
+        )  # as it is, changed for the mouse
         (self._folder / "columns.json").write_text(json.dumps([*columns, *CLOCK]), "utf-8")
         turn = parts.motion.rotations()[0]
         box = {"low_m": low_m, "high_m": high_m, "start_m": parts.motion.sweep_m()[0], "axis": turn[:, 2]}
@@ -92,15 +102,48 @@ class WindowBeside:
                 start_new_session=True,
                 text=True,
             )
-        assert self._child.stdout is not None
-        if self._child.stdout.readline().strip() != "ready":
-            self._child.communicate()
-            last = self._last_words()
-            shutil.rmtree(self._folder, ignore_errors=True)
+        self._words = (self._folder / "said.txt").open(encoding="utf-8", errors="replace")
+        try:
+            last = self._unready()
+        except BaseException:
+            self._child.kill()
+            self.end()
+            raise
+        if last is not None:
+            self._child.kill()
+            self.end()
             raise InputError(
                 f"--live must open its window where there is a display, but {last[:200]}: mend the display, or unset "
                 "DISPLAY to run without a window"
             )
+        shutil.rmtree(self._folder, ignore_errors=True)  # both sides have it open: nothing is left behind by a kill
+
+    def _unready(self) -> str | None:
+        """Wait for the window to stand; why it does not, or None."""
+        stdout, first, patience = (
+            self._child.stdout,
+            SimpleQueue[str](),
+            Patience(lambda: [self._child.pid], longest_s=OPENS_S),
+        )
+        assert stdout is not None
+        threading.Thread(target=lambda: first.put(stdout.readline()), daemon=True).start()
+        while True:
+            try:
+                if first.get(timeout=LOOK_S).strip() == "ready":
+                    return None
+                self._child.wait(CLOSES_S)
+                return self._last_words()
+            except Empty:
+                why = patience.look()
+            except subprocess.TimeoutExpired:
+                return "its process says nothing"
+            if why is not None:
+                return f"it {why}"
+
+    @property
+    def frames(self) -> int:
+        """How many pictures it has drawn."""
+        return int(self._drawn[0])
 
     @property
     def closed(self) -> bool:
@@ -134,9 +177,23 @@ class WindowBeside:
         except subprocess.TimeoutExpired:
             self._child.kill()
             self._child.communicate()
+        self._words.close()
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def _last_words(self) -> str:
-        said = COLOURS.sub("", (self._folder / "said.txt").read_text("utf-8", errors="replace"))
+        self._words.seek(0)
+        said = COLOURS.sub("", self._words.read())
         words = said.strip().splitlines()
         return words[-1] if words else f"its process ended with exit code {self._child.returncode}"
+
+
+def _new_folder() -> Path:
+    """A folder for what both processes see; those of processes that were killed before they could go are taken away."""
+    import psutil
+
+    place = MEMORY if MEMORY.is_dir() else Path(gettempdir())
+    for left in place.glob(f"{FOLDER}*-*"):
+        number = left.name.removeprefix(FOLDER).split("-")[0]
+        if number.isdecimal() and not psutil.pid_exists(int(number)):
+            shutil.rmtree(left, ignore_errors=True)
+    return Path(mkdtemp(prefix=f"{FOLDER}{os.getpid()}-", dir=place))

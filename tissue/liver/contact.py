@@ -195,8 +195,11 @@ class SurfaceContact:
         deepest = float(np.linalg.norm(result.displacement_m(), axis=1).max())
         self.forget()
         if touching and max(deepest, depth) > START_M:
-            raise InputError(f"tip_m must start outside the organ, got {tip_m} that enters it by about {deepest:.3g} "
-                             "m: start farther away")  # fmt: skip
+            at = ", ".join(f"{1e3 * each:.4g}" for each in tip_m)
+            raise InputError(
+                f"motion must start outside the organ, got a tool at ({at}) mm that enters it by about "
+                f"{1e3 * deepest:.3g} mm: start farther away"
+            )
         self._keep(tip_m, rotation)
         self._placed = True
 

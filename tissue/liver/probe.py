@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from kernels.probe_distance import CYLINDER, SHELL, SPHERE
 from meshes.errors import InputError, require_positive
+from meshes.surface import read_triangles
 
 __all__ = ["CylinderProbe", "Probe", "ShellProbe", "SphereProbe"]
 
@@ -174,7 +175,8 @@ class ShellProbe:
         Parameters
         ----------
         mesh
-            A file that trimesh reads, or a trimesh mesh; its origin is the tip, its z axis runs to the shank.
+            A surface file, see `meshes.surface.read_triangles`, or a trimesh mesh; its origin is the tip, its z axis
+            runs to the shank.
         points
             About how many points; a tick projects every one.
         scale
@@ -187,7 +189,7 @@ class ShellProbe:
         """
         import trimesh
 
-        surface = trimesh.load_mesh(mesh) if isinstance(mesh, (str, Path)) else mesh
+        surface = trimesh.Trimesh(*read_triangles(Path(mesh))) if isinstance(mesh, (str, Path)) else mesh
         if not isinstance(surface, trimesh.Trimesh):
             raise InputError(f"mesh must be a surface of triangles, got {type(surface).__name__}: convert it first")
         if not (surface.is_watertight and surface.volume > 0.0):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import expit, logit, ndtri
 
 from meshes.errors import InputError, require_range
+from meshes.file_version import package_version, require_version
 from meshes.whole_file import whole_file
 from tissue.outputs import require_new_file
 
@@ -31,6 +32,7 @@ BOUNDS = {
 }
 """Medians that are believed of a person; what lies outside is an error of units or of a fit."""
 FORMAT, VERSION = "tissue observer", 1
+COORDINATES = ("ln alpha", "beta", "ln kappa", "ln offset_N", "logit lapse", "ln sigma")
 WIDEST = 10.0
 """Greatest standard deviation of a coordinate: beyond it nothing is known, and it is an error of a fit."""
 
@@ -189,9 +191,10 @@ def write_observer(observer: Observer, path: Path, *, overwrite: bool = False) -
     told = {
         "format": FORMAT,
         "version": VERSION,
+        "tissue": package_version(),
         "name": observer.name,
         "trials": observer.trials,
-        "coordinates": ["ln alpha", "beta", "ln kappa", "ln offset_N", "logit lapse", "ln sigma"],
+        "coordinates": list(COORDINATES),
         "mean": observer.mean.tolist(),
         "covariance": observer.covariance.tolist(),
     }
@@ -222,15 +225,15 @@ def read_observer(path: Path) -> Observer:
         raise InputError(f"observer must be a JSON file, got {path}: {calibrate}") from problem
     if not isinstance(told, dict) or told.get("format") != FORMAT:
         raise InputError(f"observer must be a file of an observer, got {path}, which is something else: {calibrate}")
-    if told.get("version") != VERSION:
-        raise InputError(f"observer must be of version {VERSION}, got {path} of version {told.get('version')}: "
-                         "calibrate again, or use the version of tissue that wrote it")  # fmt: skip
+    require_version("observer", told, VERSION, key="version", where=path, remedy="calibrate again")
     try:
         name, trials = str(told["name"]), int(told["trials"])
         mean, covariance = np.array(told["mean"], dtype=float), np.array(told["covariance"], dtype=float)
+        if told["coordinates"] != list(COORDINATES):
+            raise ValueError("other coordinates")
     except (KeyError, TypeError, ValueError, OverflowError) as problem:
         raise InputError(
-            f"observer must hold name, trials, mean and covariance, got {path} without: {calibrate}"
+            f"observer must hold name, trials, coordinates, mean and covariance, got {path} without: {calibrate}"
         ) from problem
     try:
         return Observer(name=name, mean=mean, covariance=covariance, trials=trials)

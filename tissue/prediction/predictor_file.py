@@ -5,12 +5,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile, is_zipfile
+from zipfile import is_zipfile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError
+from meshes.file_version import package_version, require_version
 from meshes.whole_file import whole_file
 from tissue.prediction.dictionary import from_plain, to_plain
 from tissue.prediction.lifted import FitStatistics, Operator
@@ -96,7 +97,8 @@ def write_predictor(
         }
         stored |= {f"{name}.{each}": getattr(operator, each) for each in ARRAYS}
         stored |= {f"{name}.training.{each}": getattr(operator.training, each) for each in RANGE}
-    whole = {"format": FORMAT, "version": VERSION, "scene": scene, "operators": described, "header": dict(header)}
+    whole = {"format": FORMAT, "version": VERSION, "tissue": package_version(), "scene": scene}
+    whole |= {"operators": described, "header": dict(header)}
     try:
         line = json.dumps(whole, allow_nan=False)
     except (TypeError, ValueError) as problem:
@@ -125,17 +127,14 @@ def read_predictor(path: str | Path, *, scene: str | None = None) -> StoredPredi
             whole = json.loads(str(archive["json"]))
             if not isinstance(whole, dict) or whole.get("format") != FORMAT:
                 raise InputError(f"predictor file must be one that 'tissue train' wrote, got {path}: {again}")
-            if whole["version"] != VERSION:
-                raise InputError(
-                    f"predictor file must be of version {VERSION}, got {whole['version']} in {path}: {again}"
-                )
+            require_version("predictor file", whole, VERSION, key="version", where=path, remedy=again)
             if scene is not None and whole["scene"] != scene:
                 raise InputError(f"predictor file must be of scene {scene}, got {whole['scene']} in {path}: {again}")
             arrays = {name: archive[name] for name in archive.files if name != "json"}
         operators = {name: _operator(name, each, arrays) for name, each in whole["operators"].items()}
     except InputError:
         raise
-    except (OSError, EOFError, BadZipFile, ValueError, KeyError, TypeError, AttributeError) as problem:
+    except Exception as problem:  # a damaged archive raises many kinds, zlib's own among them
         raise InputError(f"predictor file must be whole, got {path} ({problem}): {again}") from None
     further = {name.removeprefix("further."): each for name, each in arrays.items() if name.startswith("further.")}
     return StoredPredictor(whole["scene"], operators, whole["header"], further)

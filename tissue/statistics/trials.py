@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError
+from meshes.whole_file import whole_file
 
 __all__ = ["FACTORS", "Cells", "TrialTable"]
 
@@ -150,7 +151,7 @@ class TrialTable:
         """Write the table; the same trials give the same bytes, and reading them back the same bits."""
         columns = [getattr(self, name).tolist() for name in KEYS]
         columns += [[repr(value) for value in values.tolist()] for values in self.metrics.values()]
-        with path.open("w", encoding="utf-8", newline="") as file:
+        with whole_file(path) as beside, beside.open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow([*KEYS, *self.metrics])
             writer.writerows(zip(*columns, strict=True))
@@ -164,14 +165,29 @@ class TrialTable:
         InputError
             If the file is not such a table, or a line of it is cut short.
         """
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = list(csv.reader(file))
+        try:
+            with path.open(encoding="utf-8", newline="") as file:
+                rows = list(csv.reader(file, strict=True))
+        except OSError as problem:
+            raise InputError(
+                f"table must be a file that can be read, got {path} ({problem.strerror}): give a study's trials.csv"
+            ) from None
+        except (UnicodeDecodeError, csv.Error) as problem:
+            raise InputError(f"table must be CSV, got {path} ({problem}): give a study's trials.csv") from None
         if not rows or tuple(rows[0][: len(KEYS)]) != KEYS:
             raise InputError(f"table must begin with {','.join(KEYS)}, got {path}: give a study's trials.csv")
         for line, row in enumerate(rows[1:], start=2):
             if len(row) != len(rows[0]):
                 raise InputError(f"table must hold whole lines, got line {line} of {path} cut short: run the study on")
-        return cls.from_rows(dict(zip(rows[0], row, strict=True)) for row in rows[1:])
+        try:
+            return cls.from_rows(dict(zip(rows[0], row, strict=True)) for row in rows[1:])
+        except InputError:
+            raise
+        except (ValueError, OverflowError) as problem:
+            raise InputError(
+                f"table must hold whole numbers for trial and seed and numbers for metrics, got {path} ({problem}): "
+                "run the study on"
+            ) from None
 
     def __len__(self) -> int:
         return len(self.task)

@@ -3,31 +3,24 @@
 import json
 from collections.abc import Iterator
 from dataclasses import asdict
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from meshes.errors import InputError
+from meshes.file_version import package_version, require_version
 from meshes.whole_file import whole_file
+from tissue.output_lock import LOCK
 from tissue.statistics import TrialTable
 from tissue.study.plan import Plan, TrialKey
 from tissue.study.tasks import TASKS
 from tissue.study.trial import Trial
 
-__all__ = ["StudyFolder", "engine_version"]
+__all__ = ["StudyFolder"]
 
 FORMAT = 1
 """Version of a study's folder."""
 PLAN = "study.json"
 KEYS = {"seed", "took_s", "rows"}
-
-
-def engine_version() -> str:
-    """Version of this library, by which trials may be put together."""
-    try:
-        return version("tissue-sim")
-    except PackageNotFoundError:
-        return "unknown"
 
 
 class StudyFolder:
@@ -61,10 +54,10 @@ class StudyFolder:
                 raise InputError(
                     f"out must hold a part of the same study, got one with {told} in {self.path}: choose another folder"
                 )
-        elif self.path.is_dir() and any(self.path.iterdir()):
+        elif self.path.is_dir() and any(each.name != LOCK for each in self.path.iterdir()):
             raise InputError(f"out must be empty or hold this study, got other files in {self.path}: choose another")
         (self.path / "trials").mkdir(parents=True, exist_ok=True)
-        _write(self.path / PLAN, {"format": FORMAT, "version": engine_version()} | asdict(plan))
+        _write(self.path / PLAN, {"format": FORMAT, "tissue": package_version()} | asdict(plan))
         broken = [key for key in plan.all_trials() if self._file(key).exists() and self.read(key) is None]
         for key in broken:
             self._file(key).unlink()
@@ -81,11 +74,15 @@ class StudyFolder:
         path = self.path / PLAN
         try:
             held: dict[str, Any] = json.loads(path.read_text("utf-8"))
-            made = (held.pop("format"), held.pop("version", "unknown"))
-            if made != (FORMAT, engine_version()):
+            if not isinstance(held, dict):
+                raise TypeError(held)
+            require_version("study", held, FORMAT, where=path, remedy="run it in a new folder")
+            del held["format"]
+            made = held.pop("tissue", None) or held.pop("version", "unknown")  # as the first files call it
+            if made != package_version():
                 raise InputError(
-                    f"study must be of format {FORMAT} and version {engine_version()}, got {made[0]} and {made[1]} in "
-                    f"{self.path}: run it in a new folder"
+                    f"study must be of tissue {package_version()}, got {str(made)[:40]} in {path}: run it in a new "
+                    "folder, trials of two versions are not put together"
                 )
             kept: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in held.items()}
             return Plan(**kept)
@@ -104,9 +101,9 @@ class StudyFolder:
         """A trial, or None where its file is missing or cut short."""
         try:
             held = json.loads(self._file(key).read_text("utf-8"))
-        except (OSError, ValueError):
+        except (OSError, ValueError, RecursionError):
             return None
-        return held if isinstance(held, dict) and held.keys() >= KEYS else None
+        return held if _is_trial(held) else None
 
     def write(self, trial: Trial) -> None:
         """Keep a trial."""
@@ -158,6 +155,25 @@ class StudyFolder:
 
     def _file(self, key: TrialKey) -> Path:
         return self.path / "trials" / f"{key.name}.json"
+
+
+def _is_trial(held: Any) -> bool:
+    """Whether a file's content is a trial: a seed, and rows of a method and its numbers, or its failure."""
+    if not (
+        isinstance(held, dict) and held.keys() >= KEYS and _is_whole(held["seed"]) and isinstance(held["rows"], list)
+    ):
+        return False
+    return all(
+        isinstance(row, dict)
+        and "method" in row
+        and all(isinstance(value, str | int | float) for value in row.values())
+        and all(isinstance(value, str) == (name in ("method", "failure")) for name, value in row.items())
+        for row in held["rows"]
+    )
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int) and 0 <= value < 2**63
 
 
 def _told(value: object) -> str:

@@ -94,7 +94,7 @@ def _pierced(run: Run, wanted_mm: Array) -> dict[str, float]:
 
 def _reamed(run: Run, touching: NDArray[np.bool_]) -> dict[str, float]:
     """Tracking error in newtons at the reamer, and its torque while it cuts."""
-    scale = run.scene.coupling.force_scale
+    scale = run.scene.force_scale
     torque = np.abs(run.trace["model_torque_z_Nm"][touching])
     windows = [part.mean() for part in np.array_split(torque, max(1, round(len(torque) * TICK_S / WINDOW_S)))]
     played, ideal = played_force_N(run.trace), stretch_force_N(run)

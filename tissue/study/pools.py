@@ -2,24 +2,18 @@
 
 import asyncio
 import logging
-import multiprocessing
-import os
-import signal
-import threading
 from collections.abc import Iterator
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, CancelledError, Executor
 from contextlib import contextmanager
 
 from meshes.errors import InputError
-from tissue.study.folder import engine_version
+from meshes.file_version import package_version
+from tissue.workers import own_processes
 
 __all__ = ["LOST", "executor"]
 
 LOST = (BrokenExecutor, CancelledError, ConnectionError, TimeoutError)
 """What tells that workers are gone, and not that a trial is wrong."""
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""A worker has one thread for linear algebra: sums are then the same on every machine, and workers not in each other's
-way."""
 
 
 @contextmanager
@@ -43,44 +37,11 @@ def executor(workers: int, scheduler: str | None, *, patience_s: float) -> Itera
         If no scheduler answers.
     """
     if scheduler is None:
-        with _own_processes(workers) as pool:
+        with own_processes(workers) as pool:
             yield pool
     else:
         with _dask(scheduler, patience_s) as pool:
             yield pool
-
-
-@contextmanager
-def _own_processes(workers: int) -> Iterator[Executor]:
-    """Processes that end with this one, whatever ends it."""
-    kept = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, "1"))
-    others = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"), initializer=_begin_worker)
-    try:
-        yield pool
-        pool.shutdown()
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)
-        for child in set(multiprocessing.active_children()) - others:
-            child.terminate()
-        for name, value in kept.items():
-            os.environ.pop(name)
-            if value is not None:
-                os.environ[name] = value
-
-
-def _begin_worker() -> None:
-    """Leave Ctrl-C to the process that began this one, and end when it ends: killed, it could not say so."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-
-    def watch() -> None:
-        if parent is not None:
-            parent.join()
-            os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 @contextmanager
@@ -103,13 +64,13 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
         raise ConnectionError(f"no Dask scheduler answers at {address}") from error
     with client:
         try:
-            versions = client.run(engine_version, on_error="return")
+            versions = client.run(package_version, on_error="return")
         except OSError as error:
             raise ConnectionError(f"the Dask scheduler at {address} was lost") from error
         for worker, version in versions.items():
             # A worker that is lost while it is asked is no reason to stop.
-            if version != engine_version() and not isinstance(version, OSError):
-                raise InputError(f"workers must have version {engine_version()}, got {version} at {worker}: update it")
+            if version != package_version() and not isinstance(version, OSError):
+                raise InputError(f"workers must have version {package_version()}, got {version} at {worker}: update it")
         try:
             yield client.get_executor(pure=False)
         except (asyncio.CancelledError, CommClosedError) as error:  # not of the kinds that executors raise

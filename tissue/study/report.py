@@ -8,12 +8,15 @@ from typing import Any
 import numpy as np
 
 from meshes.errors import InputError
+from meshes.file_version import package_version
 from meshes.progress import Progress, silent
+from meshes.whole_file import whole_file
 from tissue.atlas.html import STYLE
+from tissue.output_lock import output_locked
 from tissue.statistics import TrialTable
 from tissue.study.cases import case_sections, discrimination_section
 from tissue.study.fidelity import force_section, latency_section, task_section
-from tissue.study.folder import StudyFolder, engine_version
+from tissue.study.folder import StudyFolder
 from tissue.study.paper import SOURCE
 from tissue.study.parameters import parameters_section
 from tissue.study.plan import LATENCY_MS, USERS
@@ -33,15 +36,16 @@ def write_report(path: Path, *, tell: Progress = silent) -> tuple[Path, list[str
     Raises
     ------
     InputError
-        If the folder is no study, or holds no trial of the tasks that are compared.
+        If the folder is no study, holds no trial of the tasks that are compared, or another process writes a report.
     """
-    folder = StudyFolder(path)
-    sections = sections_of(folder, tell=tell)
-    out = path / "report"
-    out.mkdir(exist_ok=True)
-    files = [section.write_csv(out) for section in sections]
+    folder, out = StudyFolder(path), path / "report"
+    folder.plan()  # refuses what is no study before anything is made in it
     page = out / "index.html"
-    page.write_text(_document(sections, files), "utf-8")
+    with output_locked(out, folder=True):
+        sections = sections_of(folder, tell=tell)
+        files = [section.write_csv(out) for section in sections]
+        with whole_file(page) as beside:
+            beside.write_text(_document(sections, files), "utf-8")
     return page, [sentence for section in sections[:2] for sentence in section.sentences]
 
 
@@ -95,7 +99,7 @@ def _overview(folder: StudyFolder) -> Section:
     empty = [group for group in plan.groups if not any(key.group == group and not key.variant for key, _ in kept)]
     total = sum(1 for _ in plan.all_trials())
     sentences = [
-        f"{len(kept)} of {total} trials are there, seed {plan.seed}, version {engine_version()}; methods "
+        f"{len(kept)} of {total} trials are there, seed {plan.seed}, version {package_version()}; methods "
         f"{', '.join(plan.methods)}. Every trial has a latency of {LATENCY_MS} ms on the device touch.",
         f"{USERS} simulated people a group differ in pace, exponent and threshold, groups in hand and threshold. "
         "No person took part, and nothing here is a measure of physical fidelity: forces are held against the "

@@ -4,7 +4,7 @@ import gc
 import os
 from collections import Counter
 from collections.abc import Iterable
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from concurrent.futures import Executor, Future
 from functools import cache
 from pathlib import Path
 from time import perf_counter, sleep
@@ -15,6 +15,7 @@ from tissue.study.folder import StudyFolder
 from tissue.study.plan import Plan, TrialKey
 from tissue.study.pools import LOST, executor
 from tissue.study.trial import Trial, run_trial, trial_seed
+from tissue.workers import first_done
 
 __all__ = ["run_study"]
 
@@ -141,8 +142,7 @@ class _Work:
                 self.running[pool.submit(_in_worker, self.plan, key)] = key
             if not self.running:
                 return
-            finished, _ = wait(self.running, return_when=FIRST_COMPLETED)
-            for future in finished:
+            for future in first_done(pool, self.running, lambda doing, _: self._tell(doing, self.share)):
                 try:
                     trial = future.result()
                 except LOST:

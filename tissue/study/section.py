@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.whole_file import whole_file
 from tissue.statistics import TrialTable
 from tissue.study.paper import Figure
 
@@ -53,7 +54,7 @@ class Section:
         """Write the table; the name of its file, empty where there is no table."""
         if not self.rows:
             return ""
-        with (folder / f"{self.name}.csv").open("w", encoding="utf-8", newline="") as file:
+        with whole_file(folder / f"{self.name}.csv") as beside, beside.open("w", encoding="utf-8", newline="") as file:
             csv.writer(file, lineterminator="\n").writerows([self.header, *self.rows])
         return f"{self.name}.csv"
 

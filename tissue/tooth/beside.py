@@ -6,8 +6,6 @@ process of its own is told what the bur took away and with what force it pushed;
 
 import os
 import pickle
-import signal
-import subprocess
 import sys
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
@@ -19,12 +17,15 @@ from kernels.bricks import BRICK_VOXELS
 from meshes.errors import InputError
 from meshes.volume import VoxelVolume
 from tissue.bone.bricks import BrickStore, voxels_of
-from tissue.child import child_command
 from tissue.fields import FieldSeries
+from tissue.helper import Helper
 from tissue.tooth.compliance import SupportCompliance
 from tissue.tooth.field import SolveRecord, StressField
 
 __all__ = ["Drilled", "StressBeside", "StressHere", "StressProcess"]
+
+ASSEMBLY_S, SOLVE_S = 3600.0, 600.0
+"""How long the other process may work before its first answer, and on one solve [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,22 +143,21 @@ class StressProcess:
     ------
     InputError
         As `StressField`.
+    HelperLostError
+        If the process ends, is stopped or hangs, here and wherever it is waited for; its frames are lost with it.
     """
 
     def __init__(self, whole: VoxelVolume, store: BrickStore, **options: Any) -> None:
-        self._child = subprocess.Popen(
-            child_command("tissue.tooth.beside"), stdin=subprocess.PIPE, stdout=subprocess.PIPE
-        )
-        self._send((whole, _bricks_of(store), options))
-        self.compliance, self.reference_m, self.root_guessed, self.series = self._receive()
+        self._helper = Helper("tissue.tooth.beside", does="solves the stress")
+        self._helper.send((whole, _bricks_of(store), options))
+        self.compliance, self.reference_m, self.root_guessed, self.series = self._helper.receive(longest_s=ASSEMBLY_S)
         self.records: list[SolveRecord] = []
-        self._begun = False
+        self._begun = self._finished = False
 
     def begin(self, state: Drilled) -> None:
         """Send what is to be solved; the other process waits for it."""
-        self._send(
-            (state.time_s, *(array.tobytes() for array in (state.rows, state.left, state.force_N, state.point_m)))
-        )
+        arrays = (state.rows, state.left, state.force_N, state.point_m)
+        self._helper.send((state.time_s, *(array.tobytes() for array in arrays)))
         self._begun = True
 
     def wait(self) -> SolveRecord | None:
@@ -165,38 +165,18 @@ class StressProcess:
         if not self._begun:
             return None
         self._begun = False
-        self.records.append(self._receive())
+        self.records.append(self._helper.receive(longest_s=SOLVE_S))
         return self.records[-1]
 
     def finish(self) -> None:
         """Await what was begun, fetch the frames and end the process."""
-        if self._child.poll() is not None:
+        if self._finished:
             return
         self.wait()
-        self._send(None)
-        self.series.frames.extend(self._receive())
-        self._child.communicate()
-
-    def _send(self, message: object) -> None:
-        assert self._child.stdin is not None
-        try:
-            self._child.stdin.write(pickle.dumps(message, protocol=5))  # at once: in parts it wakes the other too early
-            self._child.stdin.flush()
-        except BrokenPipeError:
-            self._receive()
-
-    def _receive(self) -> Any:
-        """The other process's answer; an error there is raised here."""
-        assert self._child.stdout is not None
-        try:
-            answer = pickle.load(self._child.stdout)
-        except EOFError:
-            code = self._child.wait()
-            raise RuntimeError(f"the process that solves the stress ended with exit code {code}") from None
-        if isinstance(answer, BaseException):
-            self._child.communicate()
-            raise answer
-        return answer
+        self._finished = True
+        self._helper.send(None)
+        self.series.frames.extend(self._helper.receive(longest_s=SOLVE_S))
+        self._helper.end()
 
 
 def _bricks_of(store: BrickStore) -> dict[str, Any]:
@@ -217,7 +197,6 @@ def _drilled(time_s: float, rows: bytes, left: bytes, force_N: bytes, point_m: b
 
 def _serve() -> None:
     """Solve what comes on the standard input until it ends; the standard output is for answers alone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the ticks decide when it ends
     if hasattr(os, "nice"):
         os.nice(5)  # on a busy machine the ticks come first
     answers = os.fdopen(os.dup(1), "wb")

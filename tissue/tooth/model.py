@@ -10,6 +10,7 @@ from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror
 from tissue.bone import BoneModel
 from tissue.fields import FieldSeries
+from tissue.helper import HelperLostError
 from tissue.model import TICK_S, Response, ToolMotion
 from tissue.tooth.beside import Drilled, StressBeside
 from tissue.tooth.warmth import PULP_LIMIT_K, Warmth
@@ -70,7 +71,7 @@ class ToothModel:
         if warmth is not None:
             self.measure_names += ("pulp_rise_K",)
         self._energy_J, self._pulp_rise_K, self._warmed_s = 0.0, 0.0, 0.0
-        self._interval_s, self._next_s, self._late = interval_s, 0.0, False
+        self._interval_s, self._next_s, self._late, self._stress_lost = interval_s, 0.0, False, False
         self.notices: list[str] = []
         if stress is not None and stress.root_guessed:
             self.notices.append("neither ligament nor bone is given: the tooth's lower third is held as its root")
@@ -149,7 +150,7 @@ class ToothModel:
         """Every interval: begin the next solve, on a copy of what changed."""
         if self.warmth is not None and time_s - self._warmed_s >= WARM_EVERY_S - 1e-9:
             self._warm(time_s, motion)
-        if self.stress is None or time_s < self._next_s - 1e-9:
+        if self.stress is None or self._stress_lost or time_s < self._next_s - 1e-9:
             return
         self._next_s += self._interval_s
         rows, left = self.milling.store.take_touched()
@@ -172,7 +173,13 @@ class ToothModel:
             self.notices.append(f"the pulp is {PULP_LIMIT_K:g} K warmer than at the start")
 
     def _await(self) -> None:
-        record = self.stress.wait() if self.stress is not None else None
+        if self.stress is None or self._stress_lost:
+            return
+        try:
+            record = self.stress.wait()
+        except HelperLostError as lost:
+            self._lose_stress(lost)
+            return
         if record is None:
             return
         if record.debris_m3 > 0.0:
@@ -189,9 +196,17 @@ class ToothModel:
     def finish(self) -> None:
         """Complete the carving that was spread over ticks, and the last solve."""
         self._await()
-        if self.stress is not None:
-            self.stress.finish()
+        if self.stress is not None and not self._stress_lost:
+            try:
+                self.stress.finish()
+            except HelperLostError as lost:
+                self._lose_stress(lost)
         self.milling.finish()
+
+    def _lose_stress(self, lost: HelperLostError) -> None:
+        """Go on without the stress: nothing else comes from the other process once the tooth's compliance is there."""
+        self._stress_lost = True
+        self.notices.append(f"{lost}: this run has no stress and no frames, everything else goes on")
 
     def remaining(self) -> NDArray[np.uint8]:
         """Tooth left in every voxel, 255 = full, shape of the volume."""

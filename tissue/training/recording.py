@@ -92,7 +92,7 @@ def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float
         "perception": "none",
         "coupling.delay_ms": delay,
         "coupling.model_ms": 1,
-        "coupling.force_scale": share * scene.coupling.force_scale,
+        "coupling.force_scale": share * scene.force_scale,
     }
     made = changed(scene, entries | ({"stress": None} if scene.stress is not None else {}))
     # A loop whose latency is hidden is as stiff as a prompt one, whatever the latency of the trial.

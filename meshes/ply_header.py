@@ -1,0 +1,30 @@
+"""Whether a PLY file in text holds as many lines as its header says, which its reader does not ask."""
+
+from pathlib import Path
+
+from meshes.errors import InputError
+
+__all__ = ["require_whole_ply"]
+
+
+def require_whole_ply(file: Path) -> None:
+    """Refuse a PLY file in text that is not as long as its header says; binary ones are checked as they are read.
+
+    Raises
+    ------
+    InputError
+        If a count is none, or the lines are more or fewer.
+    """
+    lines = file.read_bytes().decode("latin-1").splitlines()
+    head = next((number for number, line in enumerate(lines) if line.strip() == "end_header"), len(lines))
+    if not any(line.split()[:2] == ["format", "ascii"] for line in lines[:head]):
+        return
+    counts = [line.split()[2:3] for line in lines[:head] if line.split()[:1] == ["element"]]
+    said = sum(int(count[0]) if count and count[0].isdecimal() else -(10**30) for count in counts)
+    found = sum(bool(line.strip()) for line in lines[head + 1 :])
+    if said != found:
+        told = f"{said} lines" if said >= 0 else "a count that is none"
+        raise InputError(
+            f"file must be a readable PLY surface, got {told} in the header and {found} after it in {file.name}: "
+            "export it again"
+        )

@@ -1,0 +1,15 @@
+"""Text from files as a person may see it: what would move a terminal's cursor or colour it is shown by its code."""
+
+import unicodedata
+
+__all__ = ["visible"]
+
+
+def visible(text: str) -> str:
+    """Text with control and formatting characters but line feeds as escapes, such as ``\\x1b``."""
+    if text.isascii() and text.isprintable():
+        return text
+    return "".join(
+        each.encode("unicode_escape").decode() if unicodedata.category(each) in ("Cc", "Cf", "Cs") else each
+        for each in text
+    ).replace("\\n", "\n")

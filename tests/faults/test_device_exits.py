@@ -1,0 +1,287 @@
+"""Whatever ends a run, a device is left without force: every way out, for every kind of device."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from device_doubles import PRESSED_S, Computed, Managed, Recording, block
+
+from tissue import InputError, load_scene, simulate
+from tissue.coupling import FaultyDevice, SafeDevice, device_parameters
+from tissue.coupling.device import DeviceError
+from tissue.coupling.hand_motion import HandMotion
+from tissue.coupling.safe_device import RAMP_S
+from tissue.model import TICK_S
+from tissue.run_folder import SavedRun
+from tissue.stopping import STOPS
+
+KINDS = (Recording, Managed, Computed)
+SECONDS = 0.4
+PUSHING_N = 1.0
+"""Force at the time of a fault: the wall is pressed by some millimetres."""
+
+
+def pressed(device, **options):
+    return simulate(load_scene("wall", {"duration_s": SECONDS}), device=device, **options)
+
+
+def raising(error):
+    def fault(device):
+        raise error
+
+    return fault
+
+
+def assert_left_alone(device, *, pushed=True):
+    """It was pushing, and its last command is zero."""
+    assert not pushed or device.sizes_N.max() > PUSHING_N
+    assert not any(device.commands[-1])
+    if isinstance(device, Managed):
+        assert device.entered == 1 and (device.left or device.closed)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_normal_end_ramps_the_force_off(kind):
+    device = kind()
+    run = pressed(device)
+    assert_left_alone(device)
+    ticks = round(SECONDS / TICK_S)
+    assert len(run.trace.rows) == ticks
+    if kind is Computed:  # what follows the wall clock is as even as the machine's load lets it be
+        played = np.array(device.commands)[:ticks, :3]
+        np.testing.assert_allclose(run.trace.vectors("device_force", "N"), played, rtol=0.0, atol=1e-12)
+        ramp = device.sizes_N[ticks - 1 :]
+        assert ramp[0] > PUSHING_N and len(ramp) <= RAMP_S / TICK_S + 2
+        np.testing.assert_allclose(np.diff(ramp)[:-1], -ramp[0] * TICK_S / RAMP_S, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "error", [OSError("the cable is out"), ValueError(), KeyboardInterrupt(), SystemExit(3)], ids=repr
+)
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_exception_in_read_ends_at_zero_and_says_one_sentence(kind, error, tmp_path):
+    device, own = kind(raising(error)), isinstance(error, Exception)
+    with pytest.raises(DeviceError if own else type(error)) as raised:
+        pressed(device, out=tmp_path / "run")
+    assert_left_alone(device)
+    saved = SavedRun(tmp_path / "run")
+    assert len(saved.trace.rows) == round(PRESSED_S / TICK_S)
+    assert saved.status == ("interrupted" if isinstance(error, KeyboardInterrupt) else "failed")
+    if own:
+        said = str(raised.value)
+        assert said.startswith(f"device.read must not fail, got {type(error).__name__}") and "\n" not in said
+        assert "at 0.300 s: check the device" in said and saved.problem == said
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_exception_in_command_ends_at_zero(kind):
+    device = kind(raising(OSError("no answer")), where="command")
+    with pytest.raises(DeviceError, match=r"device\.command must not fail, got OSError \(no answer\) at 0\.300 s"):
+        pressed(device)
+    assert_left_alone(device)
+
+
+def test_a_command_that_fails_for_good_closes_the_device():
+    device = Managed()
+    device.command = lambda force_N, torque_Nm: raising(OSError("dead"))(device)
+    with pytest.raises(DeviceError, match=r"device\.command must not fail"):
+        SafeDevice(device).play(np.ones(3), np.zeros(3))
+    with pytest.raises(DeviceError, match="got OSError"), SafeDevice(device):
+        pass
+    assert device.closed == 1
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_exception_elsewhere_in_the_run_ends_at_zero(kind, monkeypatch):
+    device, play = kind(), HandMotion.play
+
+    def fails(motion, response):
+        if device.time_s >= PRESSED_S:
+            raise RuntimeError("the process that solves the stress ended")
+        play(motion, response)
+
+    monkeypatch.setattr(HandMotion, "play", fails)
+    with pytest.raises(RuntimeError, match="solves the stress"):
+        pressed(device)
+    assert_left_alone(device)
+
+
+@pytest.mark.parametrize("where", ["read", "command"])
+@pytest.mark.parametrize("kind", [Recording, Managed])
+def test_a_call_that_never_returns_is_given_up(kind, where, tmp_path):
+    """Zero goes out from another thread, or the device is closed; the run ends while the call still blocks."""
+    device = kind(block, where=where)
+    with pytest.raises(DeviceError, match=rf"device\.{where} must .*, got no answer for .* s: check the device"):
+        pressed(device, out=tmp_path / "run")
+    assert device.blocked.is_set() and not device.freed.is_set()
+    saved = SavedRun(tmp_path / "run")
+    assert saved.status == "failed" and len(saved.trace.rows) >= round(PRESSED_S / TICK_S) - 1
+    if where == "read" or kind is Managed:
+        assert_left_alone(device)
+    else:
+        assert "it has no close and may still push, switch it off" in saved.problem
+    count = len(device.commands)
+    device.freed.set()
+    for thread in threading.enumerate():
+        if thread.name in ("ticks", "device"):
+            thread.join(10.0)
+    late = device.sizes_N[count:]
+    assert np.count_nonzero(late) <= (where == "command"), "the run that was given up commands again"
+    assert not any(device.commands[-1])
+
+
+def test_a_loop_that_stands_still_lets_the_device_go_and_takes_it_up_again(monkeypatch):
+    """Not the device but the tissue blocks: zero within a tenth of a second, and the force comes back gradually."""
+    device, play, stood = Recording(), HandMotion.play, []
+
+    def slow(motion, response):
+        if device.time_s >= PRESSED_S and not stood:
+            before = len(device.commands)
+            until = time.perf_counter() + 5.0
+            while len(device.commands) == before and time.perf_counter() < until:
+                time.sleep(0.005)
+            stood.append((before, device.commands[-1]))
+        play(motion, response)
+
+    monkeypatch.setattr(HandMotion, "play", slow)
+    pressed(device)
+    before, told = stood[0]
+    assert not any(told) and device.sizes_N[before - 1] > PUSHING_N
+    slew = device_parameters("touch").force_slew_N_ms
+    back = device.sizes_N[before : before + 100]
+    assert np.diff(back).max() <= slew * (1 + 1e-9) and back.max() > PUSHING_N
+    assert_left_alone(device)
+
+
+def test_a_read_that_is_slow_counts_as_none(monkeypatch):
+    device = Recording()
+
+    def read(time_s):
+        if abs(time_s - PRESSED_S) < 0.5 * TICK_S:
+            time.sleep(0.01)
+        return Recording.read(device, time_s)
+
+    monkeypatch.setattr(device, "read", read)
+    events = [what for _, what in pressed(device).events]
+    assert any(what.startswith("no sample") for what in events)
+    assert any("took longer than a tick, the slowest" in what for what in events)
+
+
+CHILD = """
+import json, sys, threading
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from device_doubles import Managed
+from tissue import load_scene, simulate
+
+class Told(Managed):
+    def read(self, time_s):
+        if time_s >= 0.35:
+            print("pressed", flush=True)
+            threading.Event().wait(0.02)
+        return super().read(time_s)
+
+device = Told()
+try:
+    simulate(load_scene("wall", {"duration_s": 60.0}), device=device, out=Path(sys.argv[2]))
+finally:
+    told = [list(map(float, device.commands[-1])), float(max(device.sizes_N)), device.left]
+    Path(sys.argv[3]).write_text(json.dumps(told))
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows delivers none of these signals to a process")
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("SIGINT", marks=pytest.mark.slow),
+        "SIGTERM",
+        "SIGHUP",
+        pytest.param("SIGQUIT", marks=pytest.mark.slow),
+    ],
+)
+def test_a_signal_ends_at_zero(name, tmp_path):
+    out, said = tmp_path / "run", tmp_path / "last"
+    command = [sys.executable, "-c", CHILD, str(Path(__file__).parents[1]), str(out), str(said)]
+    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    try:
+        while (line := child.stdout.readline()) and line != "pressed\n":
+            pass
+        child.send_signal(getattr(signal, name))
+        child.communicate(timeout=60)
+    finally:
+        child.kill()
+    last, greatest, left = json.loads(said.read_text("utf-8"))
+    assert last == [0.0] * 6 and greatest > PUSHING_N and left == 1
+    assert (SavedRun(out).status, SavedRun(out).problem) == ("interrupted", "Ctrl-C" if name == "SIGINT" else name)
+    assert child.returncode != 0
+
+
+class Port(Managed):
+    """A port that cannot be opened twice."""
+
+    def __enter__(self):
+        if self.entered > self.left:
+            raise RuntimeError("port already open")
+        return super().__enter__()
+
+
+def test_a_device_that_is_held_is_opened_once_for_many_runs(tmp_path):
+    device = Port()
+    with SafeDevice(device) as held:
+        pressed(held, out=str(tmp_path / "run"))
+        assert not any(device.commands[-1]) and (device.entered, device.left) == (1, 0)
+        pressed(held)
+        assert not any(device.commands[-1]) and device.left == 0
+    assert device.left == 1 and (tmp_path / "run" / "trace.csv").is_file()
+    assert_left_alone(device)
+
+
+def test_a_device_of_which_nothing_is_held_is_opened_by_the_run():
+    device = Port()
+    pressed(SafeDevice(device))
+    assert_left_alone(device)
+
+
+def test_a_device_that_is_open_already_gets_its_remedy():
+    device = Port()
+    with device, pytest.raises(DeviceError, match=r"port already open.*give it without `with`: the run opens"):
+        pressed(device)
+
+
+def test_signals_are_handled_as_before_after_a_run():
+    before = [signal.getsignal(number) for number in (signal.SIGINT, *STOPS)]
+    simulate(load_scene("wall", {"duration_s": 0.01}), device=Recording())
+    assert [signal.getsignal(number) for number in (signal.SIGINT, *STOPS)] == before
+
+
+def test_a_faulty_device_passes_on_that_it_is_entered_and_left():
+    device = Managed()
+    simulate(load_scene("wall", {"duration_s": SECONDS}), device=FaultyDevice(device, ()))
+    assert_left_alone(device)
+
+
+@pytest.mark.parametrize(
+    ("sample", "said"),
+    [
+        ((0.0, 0.0, 0.02), "device.read must return a Sample or None, got tuple: use tissue.coupling.Sample"),
+        (None, ""),
+    ],
+)
+def test_what_is_no_sample_is_an_error(sample, said):
+    device = Recording()
+    device.read = lambda time_s: sample
+    if said:
+        with pytest.raises(InputError) as raised:
+            pressed(device)
+        assert str(raised.value).startswith(said)
+    else:
+        assert not pressed(device).trace["raw_force_z_N"].any()
+    assert_left_alone(device, pushed=False)

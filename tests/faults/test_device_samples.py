@@ -1,0 +1,291 @@
+"""What a loop believes of a device: dates, types and noise, and that no hand is taken for noise."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from device_doubles import Recording
+
+from tissue import load_scene, simulate
+from tissue.coupling import (
+    GROUPS,
+    GuardLimits,
+    Hand,
+    Sample,
+    SampleGuard,
+    SimulatedDevice,
+    device_parameters,
+    hand_parameters,
+    renderer,
+)
+from tissue.coupling.aim import waypoints
+from tissue.coupling.device import DEVICES, ComputedDevice, DeviceError
+from tissue.coupling.rigid_wall import press_wall
+from tissue.coupling.roughness import Roughness
+from tissue.coupling.signal import SlewLimit
+
+TICK = 1e-3
+NOISE_M = 2e-3
+AT = (0.0, 0.0, 0.0)
+
+
+def believed(samples, **limits):
+    """Share of samples that are believed, and the faults found."""
+    guard = SampleGuard(GuardLimits(**limits), force_limit_N=3.0)
+    for tick, sample in enumerate(samples):
+        guard.believe(sample, tick * TICK)
+    return 1.0 - guard.bad_ticks / len(samples), [what for _, what in guard.events]
+
+
+def moving(offsets, *, speed_m_s=0.1):
+    """Samples of a straight motion with offsets [m], shape (n, 3)."""
+    return [Sample(tick * TICK, (speed_m_s * tick * TICK + x, y, z)) for tick, (x, y, z) in enumerate(offsets.tolist())]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_white_noise_is_a_fault_from_its_first_tenths_of_a_second(seed):
+    noise = np.random.default_rng(seed).normal(scale=NOISE_M, size=(2000, 3))
+    share, events = believed(moving(noise))
+    assert share < 0.05 and events[0].startswith("noise that no hand makes")
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_noise_along_one_axis_is_a_fault(axis):
+    noise = np.zeros((2000, 3))
+    noise[:, axis] = np.random.default_rng(axis).normal(scale=NOISE_M, size=2000)
+    share, _ = believed(moving(noise))
+    assert share < 0.2
+
+
+def test_noise_of_a_turn_is_a_fault_and_smooth_samples_are_believed_again():
+    rng = np.random.default_rng(0)
+    turns = np.zeros((1000, 3))
+    turns[200:600] = rng.normal(scale=0.05, size=(400, 3))
+    samples = [
+        Sample(tick * TICK, AT, quaternion=(*(0.5 * turn), np.sqrt(1.0 - 0.25 * turn @ turn)))
+        for tick, turn in enumerate(turns)
+    ]
+    guard = SampleGuard(force_limit_N=3.0)
+    good = np.array([guard.believe(sample, tick * TICK) is not None for tick, sample in enumerate(samples)])
+    assert good[:200].all() and good[220:600].mean() < 0.05 and good[750:].all()
+
+
+@pytest.mark.parametrize("scale_m", [2e-5, 1e-4, 2e-4])
+def test_the_noise_of_a_sensor_is_none(scale_m):
+    noise = np.random.default_rng(1).normal(scale=scale_m, size=(5000, 3))
+    assert believed(moving(noise, speed_m_s=1.0)) == (1.0, [])
+
+
+def test_roughness_by_its_closed_form():
+    """Three samples of an acceleration a lie a T^2 / 2 off the straight line: rough above the limit, not below."""
+    for share, noisy in ((0.99, False), (1.01, True)):
+        course = Roughness(2000.0)
+        for tick in range(100):
+            course.observe(tick * TICK, 0.5 * share * 2000.0 * (tick * TICK) ** 2, 0.0, 0.0)
+        assert course.noisy == noisy
+    course = Roughness(2000.0)
+    for tick in range(100):  # one leap of a metre
+        course.observe(tick * TICK, float(tick == 50), 0.0, 0.0)
+        assert not course.noisy
+
+
+@pytest.mark.parametrize("held", [1, 2, 5])
+def test_a_device_that_repeats_its_samples_is_no_noise(held):
+    """A sensor of 1000, 500 or 200 Hz behind a loop of 1 kHz, moved by 2 m/s to and fro."""
+    times = TICK * held * (np.arange(3000) // held)
+    places = 0.1 * np.sin(20.0 * times)
+    samples = [Sample(tick * TICK, (x, 0.0, 0.0)) for tick, x in enumerate(places.tolist())]
+    assert believed(samples, oldest_s=0.02) == (1.0, [])
+
+
+def test_clocks_that_jitter_are_no_noise():
+    rng = np.random.default_rng(2)
+    true = np.arange(3000) * TICK + rng.uniform(-4e-4, 4e-4, size=3000)
+    samples = [Sample(tick * TICK, (0.1 * np.sin(10.0 * at), 0.0, 0.0)) for tick, at in enumerate(true.tolist())]
+    assert believed(samples) == (1.0, [])
+
+
+@pytest.mark.parametrize("name", DEVICES)
+@pytest.mark.parametrize("group", GROUPS)
+def test_no_hand_on_no_device_is_taken_for_noise(group, name):
+    """Fast taps on the stiffest wall that a vendor allows, with tremor, encoder steps, and a jerk of 19 N."""
+    device, rng = device_parameters(name), np.random.default_rng(3)
+    times = np.arange(0.0, 3.0, 0.2)
+    depths = np.where(np.arange(len(times)) % 2, -0.02, 0.02)
+    person = replace(hand_parameters(group), tremor_m=2.0 * hand_parameters(group).tremor_m)
+    jerk, nothing = np.array([0.0, 6.0, 18.0]), np.zeros(3)
+    hand = Hand(
+        person,
+        waypoints(times, np.column_stack([0.02 * np.sin(9.0 * times), 0.0 * times, depths])),
+        rng=rng,
+        push=lambda time_s: jerk if 1.0 <= time_s < 1.02 else nothing,
+    )
+    guard = SampleGuard(force_limit_N=device.force_limit_N)
+    roughest = []
+    observe = guard._places.observe
+    guard._places.observe = lambda *sample: (observe(*sample), roughest.append(guard._places.share))[0]
+    run = press_wall(
+        SimulatedDevice(device, hand, position_m=(0.0, 0.0, 0.02)),
+        renderer("proxy", device.loop(device.stiffness_limit_N_m)),
+        duration_s=2.5,
+        guard=guard,
+    )
+    assert guard.bad_ticks == 0 and np.abs(run.velocity_m_s).max() > 0.4
+    assert max(roughest) < 0.3  # two rough samples in a row at most, where five make noise
+
+
+@pytest.mark.parametrize(
+    ("sample", "what"),
+    [
+        (Sample(0.2, AT), "a sample of the future"),
+        (Sample(1e9, AT), "a sample of the future"),
+        (Sample(0.0, AT), "an old sample"),
+        (Sample(0.098, AT), "a sample from before the last one"),
+        (Sample(np.nan, AT), "a sample that is not finite"),
+        (Sample(0.1, (np.inf, 0.0, 0.0)), "a sample that is not finite"),
+        (Sample(0.1, AT, spin_rad_s=(0.0, 0.0, np.nan)), "a sample that is not finite"),
+        (Sample(0.1, AT, spin_rad_s=(0.0, 0.0, -1e9)), "a spin that no hand has"),
+        (Sample(0.1, AT, quaternion=(0.0, 0.0, 0.0, 2.0)), "a quaternion that is not of unit length"),
+        (Sample(0.1, AT, quaternion=(0.0, 0.0, 0.0, 0.98)), "a quaternion that is not of unit length"),
+    ],
+)
+def test_what_cannot_be_is_a_fault(sample, what):
+    guard = SampleGuard(force_limit_N=3.0)
+    for tick in range(100):
+        assert guard.believe(Sample(tick * TICK, AT), tick * TICK)
+    assert guard.believe(sample, 0.1) is None
+    assert guard.events == [(0.1, f"{what}: the force fades")]
+    assert guard.believe(Sample(0.101, AT), 0.101)
+
+
+@pytest.mark.parametrize(
+    ("sample", "said"),
+    [
+        ((0.0, AT), "device.read must return a Sample or None, got tuple"),
+        ([0.0, 0.0, 0.0], "device.read must return a Sample or None, got list"),
+        (7.0, "device.read must return a Sample or None, got float"),
+        (Sample(0.0, (0.0, 0.0)), r"position_m is 3 numbers, got \(0.0, 0.0\)"),
+        (Sample(0.0, (0.0, 0.0, 0.0, 0.0)), "position_m is 3 numbers"),
+        (Sample(0.0, "abc"), "position_m is 3 numbers, got 'abc'"),
+        (Sample(0.0, ("a", 0.0, 0.0)), "position_m is 3 numbers"),
+        (Sample(0.0, None), "position_m is 3 numbers, got None"),
+        (Sample(0.0, 5.0), "position_m is 3 numbers, got 5.0"),
+        (Sample(0.0, np.zeros((3, 1))), "position_m is 3 numbers"),
+        (Sample(0.0, AT, (0.0, 0.0)), "velocity_m_s is 3 numbers"),
+        (Sample(0.0, AT, quaternion=(0.0, 0.0, 1.0)), "quaternion is 4 numbers"),
+        (Sample(0.0, AT, spin_rad_s=(0.0,)), "spin_rad_s is 3 numbers"),
+        (Sample("now", AT), "time_s is a number, got 'now'"),
+        (Sample("1", AT), "time_s is a number, got '1'"),
+        (Sample(True, AT), "time_s is a number, got True"),
+        (Sample(0.0, ("0", "0", "-0.003")), "position_m is 3 numbers"),
+        (Sample(0.0, (True, 0.0, 0.0)), "position_m is 3 numbers, got .True"),
+        (Sample(0.0, np.array([True, False, False])), "position_m is 3 numbers"),
+        (Sample(0.0, (1j, 0.0, 0.0)), "position_m is 3 numbers"),
+        (Sample(0.0, (10**400, 0.0, 0.0)), "position_m is 3 numbers"),
+    ],
+)
+def test_what_is_no_sample_is_an_error_of_one_sentence(sample, said):
+    with pytest.raises(DeviceError, match=said) as raised:
+        SampleGuard(force_limit_N=3.0).believe(sample, 0.0)
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("kind", [np.array, list, lambda numbers: np.array(numbers, dtype=np.float32)])
+def test_vectors_may_be_lists_or_arrays(kind):
+    guard = SampleGuard(force_limit_N=3.0)
+    for tick in range(20):
+        sample = Sample(tick * TICK, kind((0.0, 0.0, 0.001 * tick)), kind(AT), kind((0.0, 0.0, 0.0, 1.005)), kind(AT))
+        found = guard.believe(sample, tick * TICK)
+        assert found is not None and found.quaternion == (0.0, 0.0, 0.0, 1.0)
+
+
+def test_faults_that_never_end_do_not_fill_the_memory():
+    guard = SampleGuard(force_limit_N=3.0)
+    for tick in range(5000):
+        guard.believe(Sample(tick * TICK, AT) if tick % 2 else None, tick * TICK)
+    assert guard.bad_ticks == 2500 and len(guard.events) < 300
+
+
+class Restless(Recording):
+    """Random samples within 20 mm of the wall."""
+
+    def __init__(self):
+        super().__init__()
+        self._rng = np.random.default_rng(5)
+
+    def read(self, time_s):
+        x, y, z = (0.02 * self._rng.standard_normal(3)).tolist()
+        return Sample(time_s, (x, y, z))
+
+
+class Trembling(Recording):
+    """Presses the wall, with white noise."""
+
+    def __init__(self):
+        super().__init__()
+        self._rng = np.random.default_rng(6)
+
+    def read(self, time_s):
+        sample = super().read(time_s)
+        x, y, z = (np.array(sample.position_m) + NOISE_M * self._rng.standard_normal(3)).tolist()
+        return sample._replace(position_m=(x, y, z))
+
+
+@pytest.mark.parametrize("kind", [Restless, Trembling])
+def test_random_samples_never_push(kind):
+    device = kind()
+    run = simulate(load_scene("wall", {"duration_s": 0.4}), device=device)
+    slew = device_parameters("touch").force_slew_N_ms
+    assert np.abs(np.diff(device.sizes_N)).max() <= slew * (1 + 1e-9)
+    assert not device.sizes_N[100:].any()
+    assert any("no hand" in what for _, what in run.events)
+
+
+@pytest.mark.parametrize("name", DEVICES)
+def test_a_force_changes_no_faster_than_its_device_states(name):
+    device = device_parameters(name)
+    limit, wanted = SlewLimit(device.force_slew_N_ms), np.array([0.0, 3.0, -1.0])
+    steps = [limit.step(wanted).copy() for _ in range(20)]
+    sizes = np.linalg.norm(np.diff([np.zeros(3), *steps], axis=0), axis=1)
+    whole = int(np.linalg.norm(wanted) / device.force_slew_N_ms)
+    np.testing.assert_allclose(sizes[:whole], device.force_slew_N_ms, rtol=1e-12)
+    assert limit.limited == whole and (steps[-1] == wanted).all()
+    assert limit.step(wanted) is wanted  # nothing is rounded where it does not act
+    np.testing.assert_allclose(np.cross(steps[0], wanted), 0.0, atol=1e-12)
+
+
+class Missing(ComputedDevice):
+    """A mass that a hand presses onto the wall to and fro, some of whose samples are missing; it sums what was played."""
+
+    def __init__(self):
+        self.depth_m, self.speed_m_s, self.force_N, self.time_s = 0.01, 0.0, 0.0, 0.0
+        self.work_J = self.most_J = 0.0
+        self._rng, self._gap = np.random.default_rng(1), 0
+
+    def read(self, time_s):
+        step_s = 5e-5
+        while self.time_s < time_s - 1e-9:
+            push = -0.8 - 1.2 * np.sin(10.0 * np.pi * self.time_s)
+            before = self.speed_m_s
+            self.speed_m_s += step_s * (push + self.force_N - 0.2 * before) / 0.045
+            way = 0.5 * step_s * (before + self.speed_m_s)
+            self.depth_m += way
+            self.work_J += self.force_N * way
+            self.time_s += step_s
+        self.most_J = max(self.most_J, self.work_J)
+        if self._gap == 0 and self._rng.random() < 0.02:
+            self._gap = self._rng.integers(1, 21)
+        self._gap = max(self._gap - 1, 0)
+        return None if self._gap else Sample(time_s, (0.0, 0.0, float(self.depth_m)), (0.0, 0.0, float(self.speed_m_s)))
+
+    def command(self, force_N, torque_Nm):
+        self.force_N = float(force_N[2])
+
+
+@pytest.mark.parametrize("delay_ms", [0, 2])
+def test_a_passive_wall_creates_nothing_though_samples_are_missing(delay_ms):
+    device = Missing()
+    scene = load_scene("wall", {"duration_s": 0.8, "renderer": "passivity", "coupling.delay_ms": delay_ms})
+    run = simulate(scene, device=device, allow_unstable=True)
+    assert any("no sample" in what for _, what in run.events) and device.work_J < -0.02
+    assert device.most_J < 3e-4

@@ -1,0 +1,141 @@
+"""Every key of every kind of scene: another value changes what a run gives, or the key is refused with one that does."""
+
+import hashlib
+import json
+
+import numpy as np
+import pytest
+import tomli_w
+from scene_kinds import kinds, write_files
+from scene_values import changes, keys_of
+
+from tissue import InputError, load_scene, simulate
+from tissue.load import saved_text
+
+FILES = ("bone", "image", "enamel", "dentin", "pulp", "ligament", "labels", "tets", "organ", "finger", "poses")
+NAMES = sorted(kinds(dict.fromkeys(FILES, "")))
+EXEMPT = {
+    "description": "it describes the scene to people, and is kept in scene.toml",
+    "fidelity.force_error": "it is measured on the machine, in minutes: tests/tissue/test_charts.py",
+    "fidelity.tick_ms": "the same",
+}
+BY_DATA = {
+    "anatomy.site": "anatomy.site must not be caries for a tooth without a lesion, got caries: ",
+}
+"""Refusals of keys that only the contents of files leave without effect, beside those that say "must be left out"."""
+CLOCK = ("tick_us", "missed_deadlines", "events", "machine", "tissue")
+"""Entries of a summary that a clock or a machine decides."""
+QUICK = ("wall",)
+"""Kinds that the plain run walks through; the others take seconds each, and go to the slow set."""
+
+UNFINISHED = (
+    *("molar, labels", "block, image", "block, image with a site", "liver", "liver, surface", "liver, tetrahedra"),
+    *("slab", "slab by hand", "slab, cylinder", "slab, fibres", "slab, nodule", "slab, reduced", "slab, shell"),
+)
+"""Kinds for which a value of this walk is refused for its size or place, so that its key is not walked yet."""
+
+
+def marks(kind):
+    """Marks of a kind: slow unless it is quick, and expected to fail where its values are unfinished."""
+    slow = [] if kind in QUICK else [pytest.mark.slow]
+    return slow + ([pytest.mark.xfail(reason="a value of the walk does not fit")] if kind in UNFINISHED else [])
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    return write_files(tmp_path_factory.mktemp("files"))
+
+
+@pytest.fixture(autouse=True)
+def stress_in_this_process(monkeypatch):
+    """A process of its own takes seconds to start and computes the same."""
+    from tissue.tooth import beside
+
+    monkeypatch.setattr(beside, "StressProcess", beside.StressHere)
+
+
+def fingerprint(scene):
+    """A digest of all that a run gives but for times, events, which tell times too, and the machine."""
+    from tissue.viewer_tool import tool_surface
+
+    run = simulate(scene)
+    told = {k: v for k, v in run.summary().items() if k not in CLOCK}
+    digest = hashlib.blake2b(json.dumps(told, sort_keys=True, default=str).encode())
+    arrays = [run.trace.rows, tool_surface(scene.tool).points]
+    if (volume := run.parts.volume) is not None:
+        arrays += [volume.origin_m, np.float64(volume.spacing_m), volume.fraction, volume.layer, volume.density_kg_m3]
+    for frame in run.parts.tissue.fields.frames if run.parts.tissue.fields is not None else ():
+        arrays += [frame.points[name] for name in sorted(frame.points)]
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.digest()
+
+
+def without_effect(kind, files, folder):
+    """Keys of a kind whose other value changes nothing, or is refused for another reason than having no effect."""
+    table, base = kinds(files)[kind], folder / "base.toml"
+    base.write_text(tomli_w.dumps(table))
+    plain, found = fingerprint(load_scene(base)), []
+    assert fingerprint(load_scene(base)) == plain, "a run repeats itself"
+    for key in keys_of(table):
+        if key in EXEMPT:
+            continue
+        values = changes(table, key, files)
+        try:
+            if fingerprint(load_scene(base, values)) == plain:
+                found.append(f"{values} changes nothing")
+        except InputError as refusal:
+            if not is_refused(key, str(refusal)):
+                found.append(f"{values}: {refusal}")
+    return found
+
+
+def is_refused(key, said):
+    """Whether a refusal says that a key, or the whole part that it is in, has no effect."""
+    keys, must, rest = said.partition(" must be left out ")
+    named = keys.replace(",", " ").split()
+    told = must and "\n" not in said and ", got " in rest and ": " in rest
+    by_data = key in BY_DATA and said.startswith(BY_DATA[key])
+    return by_data or (bool(told) and (key in named or key.split(".")[0] in named))
+
+
+@pytest.mark.parametrize("kind", [pytest.param(kind, marks=marks(kind)) for kind in NAMES])
+@pytest.mark.timeout(1200)
+def test_another_value_of_every_key_changes_the_run_or_is_refused(kind, files, tmp_path):
+    assert without_effect(kind, files, tmp_path) == []
+
+
+def test_every_kind_of_scene_is_walked_through():
+    from tissue import scene_names
+
+    made = kinds(dict.fromkeys(FILES, "x.stl"))
+    anatomies = {table["anatomy"]["kind"] for table in made.values()}
+    tools = {table["tool"]["kind"] for table in made.values()}
+    motions = {table["motion"]["kind"] for table in made.values()}
+    for name in scene_names():
+        scene = load_scene(name)
+        assert scene.anatomy.kind in anatomies and scene.tool.kind in tools and scene.motion.kind in motions
+    assert motions == {"path", "thrust", "replay"} and len(anatomies) == 7 and len(tools) == 10
+
+
+@pytest.mark.parametrize("kind", NAMES)
+def test_a_saved_scene_is_the_same_scene_and_is_not_refused(kind, files, tmp_path):
+    base = tmp_path / "base.toml"
+    base.write_text(tomli_w.dumps(kinds(files)[kind]))
+    scene = load_scene(base)
+    (tmp_path / "saved.toml").write_text(saved_text(scene))
+    assert load_scene(tmp_path / "saved.toml") == scene
+
+
+def test_a_default_that_the_file_leaves_without_effect_is_refused_unless_a_run_kept_it(files, tmp_path):
+    from tissue.organs import held_mesh
+
+    base, kept = tmp_path / "base.toml", tmp_path / "kept.toml"
+    base.write_text(tomli_w.dumps(kinds(files)["liver, tetrahedra"]))
+    asked = load_scene(base, {"anatomy.edge_mm": 20.0})
+    kept.write_text(saved_text(asked))
+    assert "edge_mm = 20" in kept.read_text()
+    place = {"way_m": np.zeros((2, 3)), "touch_edge_m": 0.02, "tell": lambda what, share: None}
+    with pytest.raises(InputError, match="edge_mm must be left out for tetrahedra from a file, got 20: "):
+        held_mesh(asked.anatomy, **place)
+    assert held_mesh(load_scene(kept).anatomy, **place).mesh.cells.size

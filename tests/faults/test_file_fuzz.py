@@ -1,0 +1,93 @@
+"""Damaged files of every kind are read or refused in one sentence: no traceback, no crash, no hang."""
+
+import shutil
+from pathlib import Path
+
+import fuzz_sources
+import numpy as np
+import pytest
+from fuzz_files import Reading, damaged
+
+QUICK = {"surface": 5, "tets": 16, "poses": 8, "scene": 8, "predictor": 6, "observer": 10, "trials": 10, "table": 8}
+QUICK |= {"study": 4, "assess": 5, "surface apart": 0, "tets apart": 0, "run apart": 0, "image": 2, "image apart": 0}
+"""Damaged files from each whole one, by reader; one that parses in a process of its own takes most of a second, and goes
+to the slow set."""
+SLOW = {reader: 14 if reader.endswith(" apart") else 18 * count for reader, count in QUICK.items()}
+
+
+@pytest.fixture(scope="session")
+def sources(tmp_path_factory):
+    """Whole files by reader, and the folder that they lie in."""
+    folder = tmp_path_factory.mktemp("whole")
+    return folder, fuzz_sources.write_meshes(folder) | fuzz_sources.write_own(folder)
+
+
+def spoilt_file(folder: Path, source: Path, reader: str, seed: int, work: Path) -> Path:
+    """A damaged copy of a file, in a copy of its folder where it has one; what the reader is given."""
+    content = damaged(source.read_bytes(), seed)
+    whole = {"study": "study", "assess": "run", "run apart": "run"}.get(reader)
+    if whole is None:
+        given = work / source.name
+        given.write_bytes(content)
+        return given
+    given = work / f"{whole} {seed}"
+    shutil.rmtree(given, ignore_errors=True)
+    shutil.copytree(folder / whole, given)
+    (given / source.relative_to(folder / whole)).write_bytes(content)
+    if reader == "assess" and not (work / "run").exists():
+        shutil.copytree(folder / "run", work / "run")
+    return given
+
+
+def fuzz(sources, work, counts, first_seed):
+    """Read damaged files; outcomes by kind, and what is wrong with any."""
+    folder, by_reader = sources
+    reading, outcomes, wrong = Reading(), {}, []
+    for reader, paths in by_reader.items():
+        for source in paths:
+            for seed in range(first_seed, first_seed + counts[reader]):
+                given = spoilt_file(folder, source, reader, seed, work)
+                outcome, said = reading.read(reader.removesuffix(" apart"), given)
+                outcomes[outcome] = outcomes.get(outcome, 0) + 1
+                sentence = outcome != "refused" or (said.count("\n") == 0 and ": " in said)
+                if outcome not in ("read", "refused") or not sentence:
+                    wrong.append(f"{reader} of {source.name}, seed {seed}: {outcome} {said}")
+                if given.is_dir():
+                    shutil.rmtree(given)
+    reading.close()
+    return outcomes, wrong
+
+
+@pytest.mark.parametrize("apart", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_whole_files_are_read(sources, apart):
+    folder, by_reader = sources
+    reading = Reading()
+    for reader, paths in by_reader.items():
+        if reader.endswith(" apart") != apart:
+            continue
+        for source in paths:
+            given = {"study": folder / "study", "assess": folder / "run", "run apart": folder / "run"}.get(
+                reader, source
+            )
+            assert reading.read(reader.removesuffix(" apart"), given) == ("read", ""), source
+    reading.close()
+
+
+def test_damaged_files_are_read_or_refused(sources, tmp_path):
+    outcomes, wrong = fuzz(sources, tmp_path, QUICK, 0)
+    assert not wrong, "\n".join(wrong)
+    assert sum(outcomes.values()) > 100 and outcomes["refused"] > 50
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_two_thousand_damaged_files_are_read_or_refused(sources, tmp_path):
+    outcomes, wrong = fuzz(sources, tmp_path, SLOW, 1000)
+    assert not wrong, "\n".join(wrong)
+    assert sum(outcomes.values()) >= 2000
+
+
+def test_damage_follows_from_its_seed():
+    content = bytes(np.random.default_rng(0).integers(32, 127, size=1000, dtype=np.uint8))
+    assert [damaged(content, seed) for seed in range(50)] == [damaged(content, seed) for seed in range(50)]
+    assert sum(damaged(content, seed) != content for seed in range(50)) > 45

@@ -1,0 +1,211 @@
+"""Helper processes that are killed, stopped, or left behind by a killed run."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import psutil
+import pytest
+
+from tissue import SavedRun, child, load_scene, simulate
+from tissue.child import HelperLostError, Patience, child_command
+from tissue.helper import Helper
+from tissue.tooth import beside
+
+TOOTH = {
+    "voxels.spacing_mm": 0.2,
+    "stress.cell_mm": 0.8,
+    "stress.interval_ms": 10.0,
+    "motion.points_mm": [[0, 0, 0.0], [0, 0, -2]],
+    "motion.feed_mm_s": 3.0,
+    "duration_s": 0.1,
+}
+STOPS = pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="this system has no SIGSTOP")
+ECHO = """
+import pickle, sys, time
+def main():
+    while True:
+        sent = pickle.load(sys.stdin.buffer)
+        if isinstance(sent, str):
+            if sent == "raise":
+                sent = ValueError("no")
+            while sent == "busy": pass
+            if sent == "sleep":
+                time.sleep(1000)
+        pickle.dump(sent, sys.stdout.buffer); sys.stdout.buffer.flush()
+main()
+"""
+
+
+def start_in(folder):
+    """What a child runs to find the modules of a folder, too."""
+    return f"import sys; sys.path.insert(0, {str(folder)!r}); {child.START}"
+
+
+@pytest.fixture
+def echo(tmp_path, monkeypatch):
+    """A helper that answers what it is sent, or does not."""
+    (tmp_path / "echoing.py").write_text(ECHO)
+    monkeypatch.setattr("tissue.child.IDLE_S", 1.5)
+    monkeypatch.setattr("tissue.child.LOOK_S", 0.25)
+    monkeypatch.setattr("tissue.helper.LOOK_S", 0.25)
+    monkeypatch.setattr("tissue.child.START", start_in(tmp_path))
+    helper = Helper("echoing", does="echoes")
+    yield helper
+    helper.kill()
+
+
+def gone(number, within_s=20.0):
+    """Whether a process ends soon."""
+    until = time.monotonic() + within_s
+    while time.monotonic() < until:
+        try:
+            if psutil.Process(number).status() == psutil.STATUS_ZOMBIE:
+                return True
+        except psutil.NoSuchProcess:
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def test_a_helper_answers_and_ends(echo):
+    large = np.arange(300_000)
+    echo.send(large)  # more than a pipe holds
+    np.testing.assert_array_equal(echo.receive(longest_s=60.0), large)
+    echo.send("again")
+    assert echo.receive(longest_s=60.0) == "again"
+    echo.send("raise")
+    with pytest.raises(ValueError, match="no"):
+        echo.receive(longest_s=60.0)
+    assert gone(echo.number)
+
+
+@STOPS
+def test_a_helper_that_is_stopped_is_given_up_and_sending_to_it_does_not_block(echo):
+    echo.send(1)
+    assert echo.receive(longest_s=60.0) == 1
+    os.kill(echo.number, signal.SIGSTOP)
+    echo.send(np.zeros(1_000_000))
+    with pytest.raises(HelperLostError, match=r"the process that echoes was stopped and has done nothing for 1\.5 s"):
+        echo.receive(longest_s=60.0)
+    assert gone(echo.number)
+
+
+@pytest.mark.parametrize(
+    ("does", "said"), [("sleep", "hangs and has done nothing for 1.5 s"), ("busy", "took longer than 2.5 s")]
+)
+def test_a_helper_that_hangs_or_works_for_ever_is_given_up(echo, does, said):
+    echo.send(does)
+    with pytest.raises(HelperLostError, match=f"the process that echoes {said}"):
+        echo.receive(longest_s=2.5)
+    assert gone(echo.number)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no signals end a process on Windows")
+def test_a_helper_that_is_killed_is_told_by_its_signal(echo):
+    os.kill(echo.number, signal.SIGKILL)
+    echo.send(1)
+    with pytest.raises(
+        HelperLostError, match=r"the process that echoes was ended by SIGKILL \(memory may have run out\)"
+    ):
+        echo.receive(longest_s=60.0)
+
+
+def test_patience_does_not_pass_while_this_process_is_stopped(monkeypatch):
+    """It counts looks and no time of the clock, and work begins it anew."""
+    work_s = [0.0]
+    monkeypatch.setattr("tissue.child._work_of", lambda _: (work_s[0], False))
+    patience = Patience(lambda: [1], longest_s=12.0, idle_s=3.0)
+    assert [patience.look() for _ in range(3)] == [None] * 3
+    work_s[0] = 1.0
+    assert [patience.look() for _ in range(3)] == [None] * 3
+    assert patience.look() == "hangs and has done nothing for 3 s"
+    for _ in range(4):
+        work_s[0] += 1.0
+        assert patience.look() is None
+    work_s[0] += 1.0
+    assert patience.look() == "took longer than 12 s"
+
+
+@pytest.fixture(scope="module")
+def plain():
+    """The run that nothing disturbs."""
+    return simulate(load_scene("molar", TOOTH))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("when", ["begun", "last"])
+@pytest.mark.parametrize("name", ["SIGKILL", "SIGSTOP"])
+def test_a_run_that_loses_its_stress_keeps_all_else(plain, tmp_path, monkeypatch, name, when):
+    """Bone, trace and pictures are those of the run that nothing disturbs; one sentence says what is missing."""
+    if not hasattr(signal, name):
+        pytest.skip(f"this system has no {name}")
+    monkeypatch.setattr("tissue.child.IDLE_S", 2.0)
+    begin, hit = beside.StressProcess.begin, []
+
+    def hitting(self, state):
+        begin(self, state)
+        if not hit and state.time_s > (0.085 if when == "last" else 0.035):
+            hit.append(self._helper.number)
+            os.kill(self._helper.number, getattr(signal, name))
+
+    monkeypatch.setattr(beside.StressProcess, "begin", hitting)
+    out = tmp_path / "run"
+    run = simulate(load_scene("molar", TOOTH), out=out)
+    run.save(out, pictures=when == "begun" and name == "SIGKILL")
+    assert gone(hit[0])
+    saved = SavedRun(out)
+    assert saved.complete and (out / "bone.stl").is_file()
+    np.testing.assert_array_equal(saved.trace.rows, plain.trace.rows)
+    np.testing.assert_array_equal(run.remaining, plain.remaining)
+    said = [each["what"] for each in saved.summary["events"] if "solves the stress" in each["what"]]
+    how = "was ended by SIGKILL" if name == "SIGKILL" else "was stopped and has done nothing for 2 s"
+    assert len(said) == 1 and how in said[0] and said[0].endswith("no stress and no frames, everything else goes on")
+    if (out / "pictures").is_dir():
+        assert {"removed_depth.png", "force_torque.png"} <= {each.name for each in (out / "pictures").iterdir()}
+
+
+PARENT = """
+import subprocess, sys, time
+from tissue.child import child_command
+pipe = subprocess.PIPE
+child = subprocess.Popen(child_command("waiting"), stdin=pipe, start_new_session=True)
+print(child.pid, flush=True)
+time.sleep(1000)
+"""
+WAITING = "import subprocess, sys, time\nfrom tissue.child import child_command\n\
+print(subprocess.Popen(child_command('sleeping')).pid, flush=True)\ntime.sleep(1000)\n"
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_a_killed_process_leaves_neither_helper_nor_its_helper(tmp_path, monkeypatch, stopped):
+    if stopped and sys.platform != "linux":
+        pytest.skip("only Linux ends a stopped process with the one that started it")
+    (tmp_path / "sleeping.py").write_text("import time\ntime.sleep(1000)\n")
+    code = f"import tissue.child; tissue.child.START = {start_in(tmp_path)!r}\n"
+    (tmp_path / "waiting.py").write_text(code + WAITING)
+    with subprocess.Popen([sys.executable, "-c", code + PARENT], stdout=subprocess.PIPE, text=True) as parent:
+        numbers = [int(parent.stdout.readline()), int(parent.stdout.readline())]
+        if stopped:
+            os.kill(numbers[0], signal.SIGSTOP)
+        parent.kill()
+    assert all(gone(number) for number in numbers)
+
+
+def test_a_command_of_no_python_is_empty(monkeypatch):
+    monkeypatch.setattr(sys, "executable", "")
+    assert child_command("tissue.view") == []
+
+
+def test_a_helper_that_is_lost_before_the_first_tick_ends_the_run_in_a_sentence(tmp_path, monkeypatch, command):
+    def lost(*_, **__):
+        raise HelperLostError("the process that solves the stress was ended by SIGKILL")
+
+    monkeypatch.setattr("tissue.tooth.beside.StressProcess", lost)
+    changes = [f"--set={key}={value}" for key, value in TOOTH.items() if key.startswith(("voxels", "stress"))]
+    code, _, said = command("run", "molar", *changes, "--duration-s", 0.01, "--out", tmp_path / "run")
+    assert (code, said) == (1, "error: the process that solves the stress was ended by SIGKILL: run it again\n")
+    assert not (tmp_path / "run").exists()

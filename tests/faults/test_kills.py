@@ -1,0 +1,241 @@
+"""Commands killed at random moments, and stopped by signals: what was finished is kept, nothing is left behind."""
+
+import csv
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from uuid import uuid4
+
+import numpy as np
+import psutil
+import pytest
+
+from tissue import SavedRun
+from tissue.prediction.trained import Trained
+
+pytestmark = [
+    pytest.mark.timeout(1800),
+    pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL"),
+]
+ROOT = Path(__file__).resolve().parents[2]
+SEED, KILLS = 15, 4
+"""Seed of all moments, and kills of each command: five commands make twenty."""
+MARK = "TISSUE_TEST_MARK"
+TIMED = ("median_us", "p99_us", "missed", "far_us", "built_s")
+"""Columns of a chart that are measured by the clock."""
+MOLAR = (
+    *("run", "molar", "--set", "voxels.spacing_mm=0.2", "--set", "stress.cell_mm=0.8"),
+    *("--set", "stress.interval_ms=10", "--set", "motion.feed_mm_s=3", "--duration-s", "0.1", "--no-pictures"),
+)
+STUDY = (
+    *("study", "run", "--trials", "3", "--tasks", "T2", "--groups", "novice", "--methods", "penalty"),
+    *("--no-sensitivity", "--workers", "2"),
+)
+
+
+class Command:
+    """The ``tissue`` command in a process of its own, by whose mark all that it starts are found."""
+
+    def __init__(self, place, *arguments):
+        self.mark = uuid4().hex
+        own = {"PYTHONPATH": str(ROOT), "TISSUE_CACHE": str(place / "cache"), MARK: self.mark}
+        heeding = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        self.begun = place / f"{self.mark}.begun"
+        code = heeding + f"from tissue.__main__ import main; open({str(self.begun)!r}, 'w').close(); main()"
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", code, *map(str, arguments)],
+            cwd=place,
+            env=os.environ | own,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def stopped_after(self, seconds, how):
+        """Send a signal a while after its first own line, unless it has ended; whether it was sent, what it said."""
+        until = time.monotonic() + 60.0
+        while not self.begun.exists() and time.monotonic() < until:
+            time.sleep(0.005)
+        try:
+            said = self.process.communicate(timeout=seconds)[1]
+            return False, said
+        except subprocess.TimeoutExpired:
+            self.process.send_signal(how)
+            return True, self.process.communicate(timeout=120.0)[1]
+
+    def left(self, within_s=30.0):
+        """What it started and has not ended after a while."""
+        until = time.monotonic() + within_s
+        while (found := [each for each in psutil.process_iter() if self._own(each)]) and time.monotonic() < until:
+            time.sleep(0.1)
+        return found
+
+    def _own(self, process):
+        try:
+            return process.environ().get(MARK) == self.mark and process.status() != psutil.STATUS_ZOMBIE
+        except psutil.Error:
+            return False
+
+
+def check_run(out, whole, *, killed):
+    """An interrupted run has the first rows of the whole one; a whole one all its files."""
+    if not out.is_dir():
+        return
+    if not (out / "summary.json").is_file():
+        assert killed and not [each for each in out.iterdir() if not each.name.startswith(".")]
+        return
+    saved = SavedRun(out)
+    assert saved.status == ("interrupted" if killed and not saved.complete else "complete")
+    if (out / "trace.csv").is_file():
+        text = (out / "trace.csv").read_bytes()
+        rows = text[: text.rfind(b"\n") + 1]
+        assert (whole / "trace.csv").read_bytes().startswith(rows) and (killed or rows == text)
+    if not killed:
+        for name in ("trace.csv", "bone.stl", "bone.nrrd", "scene.toml"):
+            assert (out / name).read_bytes() == (whole / name).read_bytes(), name
+        assert len(list((out / "fields").glob("*.vtu"))) == len(list((whole / "fields").glob("*.vtu"))) > 5
+
+
+def check_study(out, whole, *, killed):
+    """Every trial that is there is whole; the tables of a study that went on are those of one that never stopped."""
+    kept = [each for each in out.glob("trials/*.json") if not each.name.startswith(".")]
+    for each in kept:
+        assert json.loads(each.read_text())["rows"] == json.loads((whole / "trials" / each.name).read_text())["rows"]
+    if not killed:
+        assert len(kept) == 3
+        assert (out / "trials.csv").read_bytes() == (whole / "trials.csv").read_bytes()
+
+
+def check_trained(out, whole, *, killed):
+    """A predictor is there whole or not at all."""
+    if not out.exists():
+        assert killed
+        return
+    found, wanted = Trained.read(out, scene="wall"), Trained.read(whole, scene="wall")
+    np.testing.assert_array_equal(found.operator.eigenvalues, wanted.operator.eigenvalues)
+    assert found.terms.gains == wanted.terms.gains
+
+
+def check_session(out, whole, *, killed):
+    """The log holds the first trials of the whole session; the observer is there at the end alone."""
+    name = "observer.trials.jsonl"
+    log = out.with_name(name)
+    if log.exists():
+        text = log.read_bytes()
+        lines = text[: text.rfind(b"\n") + 1]
+        assert whole.with_name(name).read_bytes().startswith(lines)
+    if out.exists() or not killed:
+        assert out.read_bytes() == whole.read_bytes() and log.read_bytes() == whole.with_name(name).read_bytes()
+
+
+def check_chart(out, whole, *, killed):
+    """A table is there whole or not at all, and equal but for what the clock says."""
+    if not (out / "wall.csv").exists():
+        assert killed
+        return
+    tables = []
+    for folder in (out, whole):
+        with (folder / "wall.csv").open(encoding="utf-8", newline="") as file:
+            tables.append([{k: v for k, v in row.items() if k not in TIMED} for row in csv.DictReader(file)])
+    assert tables[0] == tables[1] and len(tables[0]) > 3
+
+
+CASES = {
+    "run": (MOLAR, "run", check_run, True),
+    "study": (STUDY, "study", check_study, False),
+    "train": (("train", "wall", "--trials", "6", "--set", "duration_s=0.5"), "wall.npz", check_trained, True),
+    "calibrate": (
+        ("calibrate", "--observer", "simulated:1", "--trials", "12", "--numbers", "4"),
+        "observer.json",
+        check_session,
+        False,
+    ),
+    "chart": (("chart", "wall", "--quick"), "charts", check_chart, False),
+}
+"""Command line, name of its output, what is held of it, and whether it begins anew after a kill."""
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Make a command's output without a stop, once: where it lies, and how long it took [s]."""
+    made = {}
+
+    def make(kind):
+        if kind not in made:
+            place = tmp_path_factory.mktemp(kind)
+            line, name, *_ = CASES[kind]
+            began = time.monotonic()
+            command = Command(place, *line, "--out", place / name)
+            said = command.process.communicate(timeout=900.0)[1]
+            assert command.process.returncode == 0, said
+            assert not command.left(10.0)
+            made[kind] = place / name, time.monotonic() - began
+        return made[kind]
+
+    return make
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", CASES)
+def test_a_kill_at_any_moment_costs_only_what_was_under_way(tmp_path, whole, kind):
+    """Moments are drawn within what the command takes; after the kills it is run to its end on what they left."""
+    wanted, lasts_s = whole(kind)
+    line, name, check, anew = CASES[kind]
+    out, rng = tmp_path / name, random.Random(f"{SEED} {kind}")
+    for turn in range(KILLS):
+        again = ["--overwrite"] if anew and turn else []
+        command = Command(tmp_path, *line, "--out", out, *again)
+        killed, said = command.stopped_after(rng.uniform(0.1, 1.0) * lasts_s, signal.SIGKILL)
+        assert not command.left(), "a helper outlived it"
+        assert killed or command.process.returncode == 0, said
+        check(out, wanted, killed=killed)
+        if not killed and not anew:
+            break  # it had come to its end
+    command = Command(tmp_path, *line, "--out", out, *(["--overwrite"] if anew else []))
+    said = command.process.communicate(timeout=900.0)[1]
+    if "must not" not in said:  # else it had come to its end before
+        assert command.process.returncode == 0, said
+    check(out, wanted, killed=False)
+
+
+STOPPED = {
+    **{kind: line for kind, (line, *_) in CASES.items()},
+    "pictures": MOLAR[:-1],
+    "atlas": ("stability", "--only", "wall-map"),
+    "stability": ("stability", "wall"),
+    "prediction": ("chart", "prediction", "wall", "--trials", "2"),
+    "perception": ("chart", "perception"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("kind", STOPPED)
+def test_a_stop_is_met_in_one_sentence(tmp_path, kind, how):
+    """With 130 and 143, at moments from the first import on; and nothing is left running."""
+    rng = random.Random(f"{SEED} {kind} {how}")
+    for seconds in (rng.uniform(0.1, 0.6), rng.uniform(1.5, 6.0)):
+        out = tmp_path / f"{seconds:.3f}{'.json' if kind == 'calibrate' else '.npz' if kind == 'train' else ''}"
+        command = Command(tmp_path, *STOPPED[kind], "--out", out)
+        stopped, said = command.stopped_after(seconds, getattr(signal, how))
+        assert "Traceback" not in said and said.count("\n") <= 1, said
+        if stopped and command.process.returncode != 0:
+            assert command.process.returncode == (130 if how == "SIGINT" else 143), said
+            assert said.startswith("stopped")
+        assert not command.left(), "a helper outlived it"
+        if (out / "summary.json").is_file():
+            assert SavedRun(out).status in ("interrupted", "complete")
+        assert not list(tmp_path.rglob(".lock")) and not list(tmp_path.rglob(".*.lock"))
+
+
+def test_a_stop_at_once_is_met_in_one_sentence(tmp_path):
+    """While the command is still being imported."""
+    for how, code in ((signal.SIGINT, 130), (signal.SIGTERM, 143)):
+        command = Command(tmp_path, "scenes")
+        stopped, said = command.stopped_after(0.02, how)
+        assert stopped and command.process.returncode == code and said == "stopped before anything was begun\n"

@@ -1,0 +1,146 @@
+"""Options of commands that have no effect, and what a run says that it left undone."""
+
+import errno
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from meshes.tet_structured import box
+from tissue import InputError, load_scene, scene_names, scene_text, simulate
+from tissue.faults import require_used
+from tissue.organs import elasticity_of
+from tissue.scene_keys import in_scene_words
+from tissue.scene_soft import LiverAnatomy, Organ
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """An empty working directory."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("run", "wall", "--cores", "2"), "--cores must be left out for a wall, which no kernel computes, got 2: remove it"),
+        (("run", "milling", "--allow-unstable"), "--allow-unstable must be left out without a device, got it: set device = touch, or remove it"),
+        (("run", "milling", "--seed", "3"), "seed must be left out without a device, for nothing is drawn at random then, got 3: set device = touch, or remove it"),
+        (("run", "milling", "--fidelity", "force_error=0.1", "--set", "voxels.removal=binary"), "voxels.removal must be left out with fidelity, which chooses it, got binary: leave fidelity out, or remove it"),
+        (("chart", "wall", "--trials", "5"), "--trials must be left out unless predictors are charted, got 5: add prediction before the scenes, or remove it"),
+        (("chart", "perception", "--quick"), "--quick must be left out with perception, got it: remove it"),
+        (("calibrate", "--population", "x", "--trials", "5"), "--trials must be left out with --population, which fits sessions that are over, got 5: remove it"),
+        (("study", "run", "--only", "T1-novice-0001", "--workers", "2"), "--workers must be left out with --only, which runs one trial here and keeps nothing, got 2: remove it"),
+        (("assess", "a", "--against", "b", "--overwrite"), "--overwrite must be left out without --out, for nothing is written, got it: remove it"),
+        (("stability", "wall", "--overwrite"), "--overwrite must be left out with a scene and no --out, for nothing is written, got it: remove it"),
+    ],
+    ids=lambda value: " ".join(value[:2]) if isinstance(value, tuple) else "",
+)  # fmt: skip
+def test_an_option_without_effect_is_refused(refused, here, arguments, sentence):
+    assert refused(*arguments) == sentence
+
+
+def test_a_cache_that_cannot_be_written_is_named_as_the_cache(refused, here, monkeypatch):
+    from tissue.commands import run
+
+    monkeypatch.setenv("TISSUE_CACHE", str(here / "cache"))
+
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device", str(here / "cache" / "frontiers" / "x.csv"))
+
+    monkeypatch.setattr("tissue.load.load_scene", full)
+    assert run is not None
+    assert refused("run", "milling") == (
+        f"cache must have room, got no space left on device at {here / 'cache' / 'frontiers' / 'x.csv'}: free some "
+        "space or choose another folder by TISSUE_CACHE"
+    )
+
+
+@pytest.mark.parametrize("name", scene_names())
+def test_a_built_in_scene_holds_no_key_without_effect_and_lasts_as_long_as_its_motion(name, tmp_path):
+    scene = load_scene(name)
+    require_used(scene)
+    if scene.duration_s is not None and scene.motion.kind == "path":
+        points = scene.motion.points_mm
+        way = sum(sum((a - b) ** 2 for a, b in zip(p, q, strict=True)) ** 0.5 for p, q in pairwise(points))
+        assert scene.duration_s >= way / scene.motion.feed_mm_s - 1e-9
+
+
+def test_what_an_override_makes_idle_is_left_out_and_what_a_file_holds_idle_is_refused(tmp_path):
+    assert load_scene("wall", {"device": "none"}).hand == "expert"
+    (tmp_path / "mine.toml").write_text(scene_text("wall").replace('device = "touch"', 'device = "none"'))
+    with pytest.raises(
+        InputError, match=r"coupling\.force_scale and hand and renderer must be left out without a device"
+    ):
+        load_scene(tmp_path / "mine.toml")
+    assert load_scene(tmp_path / "mine.toml", {"device": "omni"}).renderer == "proxy"
+    with pytest.raises(InputError, match="force_scale"):
+        load_scene(tmp_path / "mine.toml", {"duration_s": 1.0})
+
+
+MILLING = {"voxels.spacing_mm": 0.5, "voxels.margin_mm": 0.5}
+
+
+def test_a_run_that_ends_before_its_path_says_so(tmp_path):
+    short = simulate(load_scene("milling", MILLING | {"duration_s": 0.2}))
+    assert short.summary()["notes"]["path"] == (
+        "not finished: the run ends at 0.2 s, the motion at 8.09 s; set duration_s = 8.09 or leave it out to see all of it"
+    )
+    rows = [f"{t},0,0,{0.5 - 0.05 * t},0,0,0,1" for t in range(22)]
+    head = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,tool_qx,tool_qy,tool_qz,tool_qw"
+    (tmp_path / "poses.csv").write_text("\n".join([head, *rows]) + "\n")
+    replay = {"motion.kind": "replay", "motion.file": str(tmp_path / "poses.csv"), "duration_s": 0.1}
+    notes = simulate(load_scene("milling", MILLING | replay)).summary()["notes"]
+    assert "ends at 0.1 s, the motion at 21 s" in notes["path"] and notes["removed"].startswith("nothing: ")
+    whole = simulate(
+        load_scene("milling", MILLING | {"motion.points_mm": [[0, 0, 0.1], [0, 0, -0.1]], "duration_s": None})
+    )
+    assert not {"path", "removed"} & set(whole.summary()["notes"])
+    stuck = {"motion.kind": "thrust", "motion.thrust_N": 0.5, "motion.start_mm": [0, 0, 0.1], "duration_s": 0.1}
+    assert "of motion.depth_mm = 2" in simulate(load_scene("milling", MILLING | stuck)).summary()["notes"]["path"]
+
+
+def test_a_lesion_that_the_tool_never_meets_is_told():
+    beside = {"voxels.spacing_mm": 0.25, "stress": None, "motion.points_mm": [[3.5, 0, 4.5], [3.5, 0, 0.5]]}
+    run = simulate(load_scene("caries", beside | {"motion.feed_mm_s": 20.0, "duration_s": None}))
+    assert run.summary()["removed_mm3"]["enamel"] > 0.0 and run.summary()["removed_mm3"]["caries"] == 0.0
+    assert run.summary()["notes"]["removed"].startswith("nothing of the caries: the tool never met the lesion")
+
+
+def test_a_part_of_a_file_is_named_as_the_nodule():
+    """By its name or its number; one that is not there is refused with those that are."""
+    whole = box((0.02, 0.02, 0.02), (2, 2, 2))
+    part = (np.arange(len(whole.cells)) % 2).astype(whole.part.dtype)
+    mesh, liver = replace(whole, part=part, part_names=("part 1", "tumour")), LiverAnatomy(file="organ.vtu")
+    plain = elasticity_of(mesh, liver, Organ())[0]
+    for named, number in (("tumour", 1), ("part 1", 0), ("1", 0)):
+        found, said = elasticity_of(mesh, liver, Organ(nodule_part=named, nodule_kPa=300.0))
+        np.testing.assert_array_equal((found != plain).any(axis=1), part == number)
+        assert f"{mesh.part_names[number]} 300 kPa" in said
+    with pytest.raises(InputError, match=r"organ\.nodule_part must be one of part 1, tumour, got liver: use one"):
+        elasticity_of(mesh, liver, Organ(nodule_part="liver"))
+    with pytest.raises(InputError, match=r"organ\.nodule_part must be given .* got nothing: use one of part 1, tumour"):
+        elasticity_of(mesh, liver, Organ(nodule_kPa=300.0))
+    with pytest.raises(
+        InputError, match=r"organ\.nodule_kPa must be left out for a file of one part without a nodule, got 80"
+    ):
+        elasticity_of(whole, liver, Organ(nodule_kPa=80.0))
+
+
+def test_refusals_of_functions_below_come_in_keys_and_millimetres():
+    said = in_scene_words("edge_m must be in [0.001, 0.05], got 0.2: use about 0.01", {"edge_m": "anatomy.edge_mm"})
+    assert said == "anatomy.edge_mm must be in [1, 50], got 200: use about 10"
+    names = {"nodes_m must lie closer to each other": "anatomy.touch_edge_mm must give shorter edges"}
+    assert (
+        in_scene_words(
+            "nodes_m must lie closer to each other under this tool, got an edge of 0.035 m, more than 16 times 0.002 m: mesh",
+            names,
+        )
+        == "anatomy.touch_edge_mm must give shorter edges under this tool, got an edge of 35 mm, more than 16 times 2 mm: mesh"
+    )
+    assert in_scene_words("file must exist, got file.stl: check", {"file": "anatomy.file"}) == (
+        "anatomy.file must exist, got file.stl: check"
+    )
+    assert in_scene_words("filed must exist", {"file": "anatomy.file"}) == "filed must exist"

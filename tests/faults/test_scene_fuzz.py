@@ -1,0 +1,192 @@
+"""Scenes broken at random: each loads, or is refused in one sentence; some of those that load are built and run."""
+
+import random
+import sys
+import time
+import tomllib
+from copy import deepcopy
+
+import numpy as np
+import pytest
+import tomli_w
+from scene_kinds import kinds, write_files
+
+from tissue import InputError, load_scene, scene_names, scene_text, simulate
+
+WILD = (
+    0, -1, 1, 1e300, -1e300, 1e-300, float("nan"), float("inf"), -float("inf"), 2**63, -(2**63), True, False, "", "0.1",
+    "none", "ä\u202e\x07", "a" * 5000, [], [0.0], [0, 0, 0], [[0, 0, 0]], [1, "x", None], {}, {"kind": "path"},
+    {"kind": 3}, {"a": {"b": {"c": 1}}}, [[float("nan")] * 3] * 2, "../..", "/", "\\", "novice", "touch",
+)  # fmt: skip
+CHARACTERS = "=[]{}\",.#\n\t -+eE0159abz_'\\ä\x00\ufeff"
+COARSE = {"voxels.spacing_mm": 0.8}
+
+
+def leaves(table, above=()):
+    """Every entry of nested tables, by its keys."""
+    for key, value in table.items():
+        yield (*above, key)
+        if isinstance(value, dict):
+            yield from leaves(value, (*above, key))
+
+
+def of(table, path):
+    """The table that holds the last key of a path."""
+    for key in path[:-1]:
+        table = table[key]
+    return table
+
+
+def mutated_table(table, chance):
+    """A copy of a scene's table with one to four entries broken."""
+    table = tomllib.loads(tomli_w.dumps(table))
+    for _ in range(chance.randint(1, 4)):
+        path = chance.choice(list(leaves(table)))
+        inner, key = of(table, path), path[-1]
+        value = inner[key]
+        match chance.randrange(9):
+            case 0:
+                del inner[key]
+            case 1:
+                inner[key + chance.choice(["", "s", "_m", "_mm", "."])] = chance.choice(WILD)
+            case 2:
+                inner[key.replace("_mm", "_m")] = inner.pop(key)
+            case 3 if isinstance(value, int | float):
+                inner[key] = value * chance.choice([-1, 0, 1e3, 1e-3, 1e9])
+            case 4 if isinstance(value, list):
+                inner[key] = value[: chance.randrange(len(value) + 1)] * chance.randrange(3)
+            case 5:
+                inner[key] = {key: value}
+            case 6:
+                other = of(table, chance.choice(list(leaves(table))))
+                inner[key] = deepcopy(chance.choice(list(other.values()) or [0]))
+            case 7:
+                table[chance.choice(["stress", "heat", "organ", "coupling", "cutting", "x"])] = chance.choice(WILD)
+            case _:
+                inner[key] = chance.choice(WILD)
+    return table
+
+
+def mutated_text(text, chance):
+    """A scene's text with some characters, words or lines broken."""
+    for _ in range(chance.randint(1, 6)):
+        at = chance.randrange(len(text) + 1)
+        match chance.randrange(5):
+            case 0:
+                text = text[:at] + chance.choice(CHARACTERS) + text[at:]
+            case 1:
+                text = text[:at] + text[at + chance.randint(1, 12) :]
+            case 2:
+                lines = text.splitlines(keepends=True)
+                chance.shuffle(lines)
+                text = "".join(lines)
+            case 3:
+                end = at + chance.randint(1, 60)
+                text = text[:end] + text[at:end] + text[end:]
+            case _:
+                text = (
+                    text[:at]
+                    + chance.choice(["nan", "-inf", "1e999", "0x7f", "''", "[[", "true", "1979-05-27"])
+                    + text[at:]
+                )
+    return text
+
+
+def written(number, tables, folder):
+    """The file of the mutated scene of a number."""
+    chance = random.Random(number)
+    name = chance.choice(sorted(tables))
+    text = tables[name] if isinstance(tables[name], str) else tomli_w.dumps(tables[name])
+    if chance.random() < 0.6:
+        broken = mutated_table(tomllib.loads(text), chance)
+        try:
+            text = tomli_w.dumps(broken)
+        except (TypeError, ValueError):
+            text = mutated_text(text, chance)
+    else:
+        text = mutated_text(text, chance)
+    path = folder / "scene.toml"
+    path.write_bytes(text.encode("utf-8", "surrogatepass") if chance.random() < 0.98 else text.encode("utf-16"))
+    return path
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory):
+    files = write_files(tmp_path_factory.mktemp("files"))
+    return kinds(files) | {f"built-in {name}": scene_text(name) for name in scene_names()}
+
+
+def outcome(path):
+    """The scene, or the sentence that refuses it."""
+    started = time.process_time()
+    try:
+        found = load_scene(path)
+    except InputError as refusal:
+        found = str(refusal)
+        assert "\n" not in found and ", got " in found and 20 < len(found) < 2000, found[:500]
+    assert time.process_time() - started < 5.0
+    return found
+
+
+def all_outcomes(numbers, tables, folder):
+    """Outcomes of mutated scenes; the number of the one that fails is in the error."""
+    found = {}
+    for number in numbers:
+        path = written(number, tables, folder)
+        try:
+            found[number] = outcome(path)
+        except Exception as problem:
+            raise AssertionError(f"scene {number}: {path.read_bytes()[:2000]!r}") from problem
+    refused = [each for each in found.values() if isinstance(each, str)]
+    assert 0.3 * len(found) < len(refused) < len(found), "mutations that break some and not all"
+    return found
+
+
+def test_some_hundred_broken_scenes_load_or_are_refused_in_a_sentence(tables, tmp_path):
+    all_outcomes(range(300), tables, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_ten_thousand_broken_scenes_load_or_are_refused_in_a_sentence(tables, tmp_path):
+    all_outcomes(range(10_000), tables, tmp_path)
+
+
+@pytest.mark.parametrize("count", [4, pytest.param(120, marks=pytest.mark.slow)])
+@pytest.mark.timeout(1800)
+def test_broken_scenes_that_load_are_built_or_refused_in_a_sentence(count, tables, tmp_path):
+    cheap = count < 10
+    small = (
+        {name: each for name, each in tables.items() if name in ("block", "slab", "wall")}
+        if cheap
+        else {name: each for name, each in tables.items() if not isinstance(each, str)}
+    )
+    built = 0
+    for number in range(20_000, 30_000):
+        found = outcome(written(number, small, tmp_path))
+        if isinstance(found, str):
+            continue
+        try:
+            run = simulate(found.model_copy(update={"duration_s": 0.01}))
+            assert np.isfinite(run.trace.rows).all(), f"scene {number}"
+        except InputError as refusal:
+            assert "\n" not in str(refusal) and ", got " in str(refusal), f"scene {number}: {refusal}"
+        except Exception as problem:
+            raise AssertionError(f"scene {number}: {(tmp_path / 'scene.toml').read_text('utf-8')[:2000]}") from problem
+        built += 1
+        if built == count:
+            return
+    raise AssertionError("too few scenes loaded")
+
+
+def test_a_broken_scene_ends_the_command_with_2(tables, tmp_path, refused):
+    for number in range(40_000, 40_020):
+        path = written(number, tables, tmp_path)
+        if isinstance(outcome(path), str):
+            assert refused("run", path, "--out", tmp_path / "out")
+            assert not (tmp_path / "out").exists()
+
+
+def test_mutations_are_the_same_on_every_machine(tables, tmp_path):
+    first = written(7, tables, tmp_path).read_bytes()
+    assert written(7, tables, tmp_path).read_bytes() == first and sys.byteorder in ("little", "big")

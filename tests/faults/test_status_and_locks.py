@@ -1,0 +1,215 @@
+"""How a run stands is told truly, whatever ended it, and two processes never write one output."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import psutil
+import pytest
+
+from tissue import InputError, SavedRun, load_scene, simulate
+from tissue.output_lock import OutputLock, output_locked
+from tissue.process_identity import identity, is_alive
+from tissue.run_folder import RunFolder
+from tissue.stopping import Terminated, terminated_as_exception
+from tissue.view import _about
+
+QUICK = {"voxels.spacing_mm": 0.8, "duration_s": 0.02}
+HOLD = "import sys; from pathlib import Path; from tissue.output_lock import OutputLock; \
+held = OutputLock(Path(sys.argv[1]), folder=sys.argv[2] == 'folder'); print('held', flush=True); sys.stdin.read()"
+
+
+@pytest.fixture
+def holder():
+    """Start a process that holds an output; it ends with the test."""
+    started = []
+
+    def begin(path, kind):
+        pipe = subprocess.PIPE
+        process = subprocess.Popen([sys.executable, "-c", HOLD, str(path), kind], stdin=pipe, stdout=pipe, text=True)
+        started.append(process)
+        assert process.stdout.readline() == "held\n"
+        return process
+
+    yield begin
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize("kind", ["folder", "file"])
+def test_a_second_process_is_kept_off_and_told_whose_it_is(tmp_path, holder, kind):
+    out = tmp_path / "deep" / "out"
+    if kind == "file":
+        out.parent.mkdir()
+    process = holder(out, kind)
+    for _ in range(2):  # the first refusal must not take the number away
+        with pytest.raises(InputError, match=f"which process {process.pid} is writing: wait for it"):
+            OutputLock(out, folder=kind == "folder")
+    process.kill()
+    process.wait()
+    with output_locked(out, folder=kind == "folder"):
+        pass
+    assert not out.exists() or not list(out.iterdir())
+
+
+def test_a_lock_leaves_nothing_and_excludes_its_own_process(tmp_path):
+    out = tmp_path / "a" / "b"
+    lock = OutputLock(out, folder=True)
+    with pytest.raises(InputError, match=f"process {os.getpid()} is writing"):
+        OutputLock(out, folder=True)
+    lock.release()
+    lock.release()
+    assert not (tmp_path / "a").exists()
+    with output_locked(tmp_path / "file.npz", folder=False):
+        assert [each.name for each in tmp_path.iterdir()] == [".file.npz.lock"]
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_run_is_kept_out_of_a_folder_that_another_writes(tmp_path, holder, refused, overwrite):
+    out = tmp_path / "run"
+    process = holder(out, "folder")
+    said = refused("run", "milling", "--out", out, *(["--overwrite"] if overwrite else []))
+    assert said == (
+        f"out must have one writer at a time, got {out}, which process {process.pid} is writing: wait for it, end it, "
+        "or choose another --out"
+    )
+    assert [each.name for each in out.iterdir()] == [".lock"]
+
+
+def test_a_process_is_known_by_more_than_its_number():
+    me = identity()
+    assert is_alive(me)
+    assert not is_alive(me | {"started_s": me["started_s"] - 60.0}), "a number that was given again"
+    assert is_alive(me | {"machine": "elsewhere", "id": 2**30}), "one of another machine cannot be looked for"
+    assert not is_alive(me | {"id": 2**30}) and not is_alive({}) and not is_alive(None)
+    child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    other = me | {"id": child.pid, "started_s": psutil.Process(child.pid).create_time()}
+    assert is_alive(other)
+    child.kill()
+    os.waitid(os.P_PID, child.pid, os.WEXITED | os.WNOWAIT) if hasattr(os, "waitid") else child.wait()
+    assert not is_alive(other), "a zombie runs no longer"
+    child.communicate()
+
+
+def test_a_run_is_running_complete_failed_or_interrupted(tmp_path):
+    out = tmp_path / "run"
+    folder = RunFolder(out, overwrite=False)
+    folder.begin(load_scene("milling"))
+    saved = SavedRun(out)
+    assert (saved.status, saved.complete) == ("running", False)
+    assert f"goes on before its first tick was written, process {os.getpid()} writes it" in _about(saved)
+    held = json.loads((out / "summary.json").read_text())
+    held["process"]["started_s"] -= 1000.0
+    (out / "summary.json").write_text(json.dumps(held))
+    assert SavedRun(out).status == "interrupted"
+    with pytest.raises(ZeroDivisionError), folder.ending():
+        raise ZeroDivisionError("over\nnothing")
+    saved = SavedRun(out)
+    assert (saved.status, saved.problem) == ("failed", "ZeroDivisionError: over nothing")
+    assert _about(saved).startswith("run is incomplete: it failed before its first tick")
+    assert not (out / ".lock").exists()
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "problem"),
+    [
+        (KeyboardInterrupt(), "interrupted", "Ctrl-C"),
+        (Terminated(), "interrupted", "SIGTERM"),
+        (InputError("device must answer"), "failed", "device must answer"),
+        (MemoryError("no more"), "failed", "MemoryError: no more"),
+    ],
+)
+@pytest.mark.parametrize("when", ["ticks", "saving"])
+def test_what_ends_a_run_is_in_its_summary_and_its_trace_is_kept(tmp_path, monkeypatch, error, status, problem, when):
+    class Ends:
+        timing_columns = ()
+
+        def begin(self, parts, columns):
+            pass
+
+        def due(self, index):
+            if index == 7 and when == "ticks":
+                raise error
+
+        def told(self, index, row, times):
+            return True
+
+        def end(self):
+            return []
+
+    def fail(*_):
+        raise error
+
+    out = tmp_path / "run"
+    scene = load_scene("milling", QUICK)
+    monkeypatch.setattr("tissue.report.write_bone", fail)
+    with pytest.raises(type(error)):
+        simulate(scene, out=out, watch=Ends()).save(out, pictures=False)
+    saved = SavedRun(out)
+    assert (saved.status, saved.problem) == (status, problem)
+    assert len(saved.trace.rows) == (7 if when == "ticks" else 20)
+    assert not (out / ".lock").exists()
+    if not isinstance(error, Terminated):
+        return
+    monkeypatch.undo()
+    simulate(scene, out=out, overwrite=True).save(out, pictures=False)
+    assert SavedRun(out).status == "complete" and "process" not in SavedRun(out).summary
+
+
+def test_a_refused_scene_leaves_the_old_run_and_no_new_folder(tmp_path, monkeypatch):
+    def refuse(*_, **__):
+        raise InputError("it cannot be built")
+
+    out = tmp_path / "run"
+    simulate(load_scene("milling", QUICK), out=out).save(out, pictures=False)
+    before = {each.relative_to(out): each.read_bytes() for each in out.rglob("*") if each.is_file()}
+    monkeypatch.setattr("tissue.simulation.build", refuse)
+    for folder, overwrite in ((out, True), (tmp_path / "new", False)):
+        with pytest.raises(InputError):
+            simulate(load_scene("milling", QUICK), out=folder, overwrite=overwrite)
+    assert {each.relative_to(out): each.read_bytes() for each in out.rglob("*") if each.is_file()} == before
+    assert [each.name for each in tmp_path.iterdir()] == ["run"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="os.kill ends a process at once on Windows")
+@pytest.mark.parametrize(("name", "code"), [("SIGTERM", 143), ("SIGHUP", 129), ("SIGQUIT", 131)])
+def test_a_request_to_end_is_an_exception_inside_and_what_it_was_outside(name, code):
+    number = getattr(signal, name)
+    before = signal.signal(number, signal.default_int_handler)
+    try:
+        with pytest.raises(Terminated) as caught, terminated_as_exception():
+            os.kill(os.getpid(), number)
+        assert (caught.value.name, caught.value.exit_code) == (name, code)
+        assert signal.getsignal(number) is signal.default_int_handler
+        signal.signal(number, signal.SIG_IGN)
+        with terminated_as_exception():
+            os.kill(os.getpid(), number)  # as under nohup
+        assert signal.getsignal(number) is signal.SIG_IGN
+    finally:
+        signal.signal(number, before)
+
+
+@pytest.mark.parametrize(
+    ("kind", "command_line"),
+    [
+        ("folder", ["study", "run", "--trials", "1", "--tasks", "T2"]),
+        ("folder", ["chart", "milling", "--quick", "--overwrite"]),
+        ("folder", ["chart", "prediction", "wall", "--overwrite"]),
+        ("folder", ["chart", "perception", "--overwrite"]),
+        ("folder", ["stability", "--only", "locking", "--overwrite"]),
+        ("file.json", ["calibrate", "--observer", "simulated:1", "--overwrite"]),
+        ("file.npz", ["train", "wall", "--overwrite"]),
+    ],
+    ids=lambda value: "-".join(value[:2]) if isinstance(value, list) else value,
+)
+def test_no_command_writes_what_another_process_writes(tmp_path, refused, kind, command_line):
+    out = tmp_path / kind
+    with output_locked(out, folder=kind == "folder"):
+        before = sorted(each.relative_to(tmp_path) for each in tmp_path.rglob("*"))
+        said = refused(*command_line, "--out", out)
+        assert said.startswith(f"out must have one writer at a time, got {out}, which process {os.getpid()} is writing")
+        assert sorted(each.relative_to(tmp_path) for each in tmp_path.rglob("*")) == before

@@ -1,0 +1,267 @@
+"""Where images lie: every format, order and direction of axes gives the same values at the same place in LPS [mm].
+
+The files are written byte by byte by `image_writers`, and what they must say is plain arithmetic here.
+"""
+
+from itertools import permutations, product
+
+import image_writers
+import numpy as np
+import pytest
+
+from meshes import InputError
+from meshes.image_file import read_image
+from meshes.image_surface import image_surface
+
+SHAPE, SPACING, ORIGIN = (5, 4, 3), np.array([0.5, 0.75, 2.0]), np.array([-30.0, 12.0, 101.0])
+VALUES = np.arange(60, dtype=np.int16).reshape(SHAPE) + 100
+TURNS = list(product(permutations(range(3)), product((1, -1), repeat=3)))
+"""The 48 ways of storing an image along LPS: which axis of LPS each axis of the array is, and which way it runs."""
+FORMATS = (".nii", ".nii.gz", ".nrrd", "ras.nrrd", "gzip.nrrd", ".mhd", ".mha", "dicom")
+VTK = pytest.param(".vti", marks=pytest.mark.slow)  # a process is started for each
+
+
+def write(folder, kind, values, axes, origin):
+    """Write an image in a format and return its path."""
+    path = folder / f"image{kind if kind[0] == '.' else '_' + kind}"
+    if kind.startswith(".nii"):
+        image_writers.write_nifti(path, values, axes, origin)
+    elif kind == "ras.nrrd":
+        image_writers.write_nrrd(path, values, axes, origin, space="right-anterior-superior")
+    elif kind.endswith(".nrrd"):
+        image_writers.write_nrrd(path, values, axes, origin, encoding="gzip" if "gzip" in kind else "raw")
+    elif kind in (".mhd", ".mha"):
+        image_writers.write_meta(path, values, axes, origin)
+    elif kind == ".vti":
+        image_writers.write_vti(path, values, axes, origin)
+    else:
+        stored = (values.astype(np.int32) + 1024).astype(np.uint16)
+        image_writers.write_dicom(path, stored, axes, origin, slope=1.0, intercept=-1024.0)
+    return path
+
+
+def stored(turn):
+    """`VALUES` as an array along other axes, with its steps and the centre of its first voxel."""
+    order, signs = turn
+    array = np.empty([SHAPE[k] for k in order], dtype=VALUES.dtype)
+    for index in np.ndindex(*array.shape):
+        place = [0, 0, 0]
+        for axis, sign, i in zip(order, signs, index, strict=True):
+            place[axis] = i if sign > 0 else SHAPE[axis] - 1 - i
+        array[index] = VALUES[tuple(place)]
+    axes = np.zeros((3, 3))
+    origin = ORIGIN.copy()
+    for k, (axis, sign) in enumerate(zip(order, signs, strict=True)):
+        axes[axis, k] = sign * SPACING[axis]
+        origin[axis] += 0.0 if sign > 0 else SPACING[axis] * (SHAPE[axis] - 1)
+    return array, axes, origin
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_all_48_ways_of_storing_an_image_are_one(tmp_path, kind):
+    for number, turn in enumerate(TURNS):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        found = read_image(write(folder, kind, *stored(turn)))
+        assert np.array_equal(found.values, VALUES)
+        assert found.spacing_mm == pytest.approx(SPACING) and found.origin_mm == pytest.approx(ORIGIN)
+        assert not any("oblique" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("turn", [TURNS[7], pytest.param(TURNS[44], marks=pytest.mark.slow)])
+def test_vtk_images_have_origin_and_directions(tmp_path, turn):
+    found = read_image(write(tmp_path, ".vti", *stored(turn)))
+    assert np.array_equal(found.values, VALUES)
+    assert found.spacing_mm == pytest.approx(SPACING) and found.origin_mm == pytest.approx(ORIGIN)
+
+
+def test_cells_of_a_vtk_image_lie_between_its_points(tmp_path):
+    import pyvista
+
+    grid = pyvista.ImageData(dimensions=(6, 5, 4), spacing=SPACING, origin=ORIGIN)
+    grid.cell_data["grey"] = VALUES.ravel(order="F")
+    grid.save(tmp_path / "cells.vti")
+    found = read_image(tmp_path / "cells.vti")
+    assert np.array_equal(found.values, VALUES) and found.origin_mm == pytest.approx(ORIGIN + 0.5 * SPACING)
+
+
+def test_nifti_counts_right_and_front(tmp_path):
+    """By hand: 10 mm right, 20 mm front and 30 mm up in RAS is (-10, -20, 30) in LPS; a step of +x is to the right."""
+    data = image_writers.nifti_bytes(
+        VALUES, np.diag(SPACING), ORIGIN, sform=np.array([[0.5, 0, 0, 10], [0, 0.75, 0, 20], [0, 0, 2.0, 30]])
+    )
+    (tmp_path / "hand.nii").write_bytes(data)
+    found = read_image(tmp_path / "hand.nii")
+    assert found.origin_mm == pytest.approx((-10 - 4 * 0.5, -20 - 3 * 0.75, 30))
+    assert found.values[4, 3, 0] == VALUES[0, 0, 0] and found.values[0, 3, 0] == VALUES[4, 0, 0]
+
+
+def phantom(axes, origin, shape):
+    """An L of two blocks in LPS [mm], on a grid: x 0 to 6, y 0 to 3, z 0 to 2, and x 0 to 2, y 3 to 8, z 0 to 2."""
+    index = np.stack(np.meshgrid(*[np.arange(n) for n in shape], indexing="ij"), axis=-1)
+    x, y, z = np.moveaxis(index @ axes.T + origin, -1, 0)
+    flat = (z >= 0) & (z <= 2)
+    foot, leg = (x >= 0) & (x <= 6) & (y >= 0) & (y <= 3), (x >= 0) & (x <= 2) & (y >= 3) & (y <= 8)
+    return np.where(flat & (foot | leg), 1000, 0).astype(np.int16)
+
+
+@pytest.mark.parametrize("kind", [*FORMATS, VTK])
+def test_corners_of_an_l_lie_where_they_were_put(tmp_path, kind):
+    """A voxel's centre lies inside or not, so the surface at half the height lies half a voxel outside the last."""
+    axes = np.array([[0.0, -0.5, 0.0], [0.0, 0.0, -0.5], [0.5, 0.0, 0.0]])  # up, right, front: a coronal-like stack
+    origin = np.array([9.75, 10.75, -2.75])
+    values = phantom(axes, origin, (16, 28, 30))
+    surface = image_surface(read_image(write(tmp_path, kind, values, axes, origin)), threshold=500.0)
+    points = 1e3 * surface.vertices_m
+    assert points.min(axis=0) == pytest.approx([0.0, 0.0, 0.0], abs=1e-4)
+    assert points.max(axis=0) == pytest.approx([6.0, 8.0, 2.0], abs=1e-4)
+    leg = points[points[:, 1] > 3.6]
+    assert leg[:, 0].max() == pytest.approx(2.0, abs=1e-4)  # the leg of the L, not its mirror image
+    assert surface.report.volume_mm3 == pytest.approx(2.0 * (6 * 3 + 2 * 5), rel=0.06)  # corners are cut
+
+
+TURN = np.linalg.qr(np.array([[0.9, 0.3, -0.2], [-0.25, 0.92, 0.3], [0.28, -0.2, 0.93]]))[0]
+TURN = TURN * np.sign(np.diag(TURN))  # columns near x, y, z
+
+
+@pytest.mark.parametrize("kind", [*FORMATS, VTK])
+def test_oblique_images_are_resampled_where_they_lie(tmp_path, kind):
+    """Linear interpolation is exact on a linear field; 0.5: it is stored in whole numbers."""
+    axes, origin, shape = TURN * (0.8, 0.6, 1.5), np.array([5.0, -7.0, 40.0]), (24, 22, 12)
+    index = np.stack(np.meshgrid(*[np.arange(n) for n in shape], indexing="ij"), axis=-1)
+    places = index @ axes.T + origin
+
+    def field(p):
+        return 500.0 + 20.0 * p[..., 0] - 13.0 * p[..., 1] + 7.0 * p[..., 2]
+
+    found = read_image(write(tmp_path, kind, np.rint(field(places)).astype(np.int16), axes, origin))
+    assert len(found.notes) >= 1 and "are oblique: resampled linearly along LPS" in found.notes[-1]
+    grid = np.stack(np.meshgrid(*[np.arange(n) for n in found.values.shape], indexing="ij"), axis=-1)
+    at = grid * found.spacing_mm + found.origin_mm
+    back = (at - origin) @ np.linalg.inv(axes).T
+    inside = ((back > 1e-3) & (back < np.array(shape) - 1.001)).all(axis=-1)
+    assert inside.sum() > 3000
+    assert np.abs(found.values - field(at))[inside].max() <= 0.5 + 1e-3
+    assert (at.reshape(-1, 3).min(axis=0) <= places.reshape(-1, 3).min(axis=0) + 1e-4).all()
+    assert (at.reshape(-1, 3).max(axis=0) >= places.reshape(-1, 3).max(axis=0) - 1e-4).all()
+
+
+def test_labels_of_an_oblique_image_are_those_of_the_nearest_voxel(tmp_path):
+    axes, origin, shape = TURN * 0.5, np.array([1.0, 2.0, 3.0]), (20, 21, 22)
+    labels = np.random.default_rng(4).integers(1, 4, shape).astype(np.uint8)
+    image_writers.write_nrrd(tmp_path / "l.nrrd", labels, axes, origin)
+    found = read_image(tmp_path / "l.nrrd", labels=True)
+    assert found.values.dtype == np.uint8 and "resampled to the nearest label" in found.notes[-1]
+    grid = np.argwhere(found.values > 0)
+    back = (grid * found.spacing_mm + found.origin_mm - origin) @ np.linalg.inv(axes).T
+    clear = (np.abs(back - np.rint(back)).max(axis=1) < 0.499) & (back > 0).all(axis=1)
+    clear &= (back < np.array(shape) - 1).all(axis=1)
+    assert clear.sum() > 5000
+    at = np.rint(back[clear]).astype(int)
+    assert np.array_equal(found.values[tuple(grid[clear].T)], labels[tuple(at.T)])
+
+
+def test_a_tilted_gantry_is_undone(tmp_path):
+    """Slices pushed along y by tan(15 degrees) of their distance, the stack straight along z."""
+    tilt = np.radians(15.0)
+    axes = np.array([[0.5, 0.0, 0.0], [0.0, 0.5, 2.0 * np.tan(tilt)], [0.0, 0.0, 2.0]])
+    index = np.stack(np.meshgrid(np.arange(20), np.arange(20), np.arange(6), indexing="ij"), axis=-1)
+    values = np.rint((index @ axes.T) @ (30.0, 40.0, 50.0)).astype(np.uint16)
+    image_writers.write_dicom(tmp_path / "ct", values, axes, (0, 0, 0), tilt=15.0, intercept=0.0)
+    found = read_image(tmp_path / "ct")
+    assert found.notes[0] == "The slices of ct are sheared by 15 degrees, as a tilted gantry leaves them."
+    grid = np.stack(np.meshgrid(*[np.arange(n) for n in found.values.shape], indexing="ij"), axis=-1)
+    at = grid * found.spacing_mm + found.origin_mm
+    back = at @ np.linalg.inv(axes).T
+    inside = ((back > 1e-3) & (back < np.array([18.99, 18.99, 4.99]))).all(axis=-1)
+    assert inside.sum() > 1000
+    assert np.abs(found.values - at @ (30.0, 40.0, 50.0))[inside].max() <= 0.5 + 1e-2
+
+
+@pytest.mark.parametrize(
+    ("quaternion", "factor", "columns"),
+    [
+        ((0.0, 0.0, 0.0), 1.0, [[1, 0, 0], [0, 1, 0], [0, 0, 1]]),
+        ((0.0, 0.0, np.sqrt(0.5)), 1.0, [[0, -1, 0], [1, 0, 0], [0, 0, 1]]),  # 90 degrees about z
+        ((0.0, 1.0, 0.0), 1.0, [[-1, 0, 0], [0, 1, 0], [0, 0, -1]]),  # 180 degrees about y
+        ((0.0, 0.0, 0.0), -1.0, [[1, 0, 0], [0, 1, 0], [0, 0, -1]]),  # left-handed
+    ],
+)
+def test_nifti_by_its_quaternion(tmp_path, quaternion, factor, columns):
+    """Steps and offset in RAS, from the standard's formula by hand; LPS turns the signs of x and y."""
+    data = bytearray(image_writers.nifti_bytes(VALUES, np.diag(SPACING), ORIGIN, code=0, pixdim=(factor, *SPACING)))
+    image_writers.set_qform(data, quaternion, (10.0, 20.0, 30.0))
+    (tmp_path / "q.nii").write_bytes(data)
+    found = read_image(tmp_path / "q.nii")
+    axes = np.diag([-1.0, -1.0, 1.0]) @ np.array(columns, float) * SPACING
+    for index in [(0, 0, 0), (4, 0, 0), (0, 3, 0), (0, 0, 2), (1, 2, 1)]:
+        place = np.array([-10.0, -20.0, 30.0]) + axes @ index
+        at = np.rint((place - found.origin_mm) / found.spacing_mm).astype(int)
+        assert np.allclose(at * found.spacing_mm + found.origin_mm, place, atol=1e-5)
+        assert found.values[tuple(at)] == VALUES[index]
+
+
+def test_nifti_slope_intercept_and_units(tmp_path):
+    axes = np.diag(SPACING)
+    image_writers.write_nifti(tmp_path / "s.nii", VALUES, axes, ORIGIN, slope=2.0, intercept=-1024.0)
+    assert np.array_equal(read_image(tmp_path / "s.nii").values, 2.0 * VALUES - 1024.0)
+    image_writers.write_nifti(tmp_path / "m.nii", VALUES, 1e-3 * axes, 1e-3 * ORIGIN, units=1)
+    found = read_image(tmp_path / "m.nii")
+    assert found.spacing_mm == pytest.approx(SPACING) and found.origin_mm == pytest.approx(ORIGIN)
+    image_writers.write_nifti(tmp_path / "u.nii", VALUES, axes, ORIGIN, units=0)
+    assert read_image(tmp_path / "u.nii").notes == ("u.nii states no unit of length: taken as mm.",)
+
+
+def test_other_scales_and_units(tmp_path):
+    axes = np.diag(SPACING)
+    image_writers.write_meta(
+        tmp_path / "s.mha",
+        VALUES,
+        axes,
+        ORIGIN,
+        ElementToIntensityFunctionSlope="2",
+        ElementToIntensityFunctionOffset="-1024",
+        DistanceUnits="um",
+    )
+    found = read_image(tmp_path / "s.mha")
+    assert np.array_equal(found.values, 2.0 * VALUES - 1024.0) and found.spacing_mm == pytest.approx(1e-3 * SPACING)
+    image_writers.write_nrrd(tmp_path / "m.nrrd", VALUES, axes, ORIGIN, space_units='"cm" "cm" "cm"')
+    assert read_image(tmp_path / "m.nrrd").origin_mm == pytest.approx(10.0 * ORIGIN)
+
+
+@pytest.mark.parametrize("suffix", [".mha", ".mhd"])
+def test_metaimage_voxels_compressed_and_in_either_byte_order(tmp_path, suffix):
+    path = tmp_path / f"image{suffix}"
+    image_writers.write_meta(path, VALUES, np.diag(SPACING), ORIGIN, compressed=True)
+    assert np.array_equal(read_image(path).values, VALUES)
+    swapped = VALUES.byteswap()
+    image_writers.write_meta(path, swapped, np.diag(SPACING), ORIGIN, BinaryDataByteOrderMSB="True", HeaderSize="-1")
+    assert np.array_equal(read_image(path).values, VALUES)
+
+
+def test_each_dicom_slice_has_its_own_scale(tmp_path):
+    values = np.abs(VALUES).astype(np.uint16)
+    image_writers.write_dicom(
+        tmp_path / "ct", values, np.diag(SPACING), ORIGIN, each=lambda k: {"slope": 1.0 + k, "intercept": -10.0 * k}
+    )
+    expected = values * np.array([1.0, 2.0, 3.0]) - np.array([0.0, 10.0, 20.0])
+    assert np.array_equal(read_image(tmp_path / "ct").values, expected)
+
+
+def test_padding_of_dicom_is_no_bone(tmp_path):
+    values = (VALUES + 924).astype(np.uint16)  # HU 0 to 59 at an intercept of -1024
+    values[0, 0, :] = 63536
+    image_writers.write_dicom(tmp_path / "ct", values, np.diag(SPACING), ORIGIN, padding=63536)
+    found = read_image(tmp_path / "ct")
+    assert found.values.max() == 59 and found.values[0, 0, 0] == found.values[:, :, 0].min() == 3
+    assert found.notes == ("3 voxels of ct are padding: they take the lowest value of their slice.",)
+
+
+def test_a_given_spacing_keeps_directions_and_origin(tmp_path):
+    array, axes, origin = stored(TURNS[13])
+    spacing = np.linalg.norm(axes, axis=0)
+    image_writers.write_nrrd(tmp_path / "i.nrrd", array, axes / spacing * 1.8e19, origin)
+    with pytest.raises(InputError, match=r"spacing must be in \[1e-05, 10000\] mm, got 1.8e\+19 x 1.8e\+19 x 1.8e\+19"):
+        read_image(tmp_path / "i.nrrd")
+    found = read_image(tmp_path / "i.nrrd", spacing_mm=0.25)
+    assert found.spacing_mm == (0.25, 0.25, 0.25) and np.array_equal(found.values, VALUES)

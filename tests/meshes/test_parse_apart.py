@@ -1,0 +1,123 @@
+"""Parsers in a process of their own: what they find comes back, and what they do wrong stays there."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+import meshes.parse_apart
+from meshes.errors import InputError
+from meshes.parse_apart import parse_apart
+
+ROOT = Path(__file__).resolve().parents[2]
+PARSERS = """
+import ctypes, time
+import numpy as np
+from meshes.errors import DamagedFileError, InputError
+
+def well(path, offset):
+    print("a library talks")
+    arrays = {"a": np.arange(6.0).reshape(2, 3) + offset, "b": np.zeros((0, 3), np.uint8), "c": np.array([True])[::-1]}
+    return {"name": path.name}, arrays
+
+def crashes(path):
+    ctypes.string_at(0)
+
+def ends(path):
+    raise SystemExit(3)
+
+def raises(path):
+    raise KeyError("no such thing")
+
+def tells(path):
+    raise DamagedFileError("cell 3 has no points")
+
+def refuses(path):
+    raise InputError("file must be good, got a bad one: mend it")
+
+def hangs(path):
+    while True:
+        time.sleep(1.0)
+
+def grows(path):
+    held = []
+    while True:
+        held.append(np.ones(5_000_000))
+        time.sleep(0.01)
+"""
+
+
+@pytest.fixture
+def parse(tmp_path, monkeypatch):
+    """Run one of the parsers above on a file."""
+    (tmp_path / "parsers_of_the_test.py").write_text(PARSERS)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    file = tmp_path / "bone.abc"
+    file.write_text("x")
+
+    def run(parser, **options):
+        return parse_apart(
+            f"parsers_of_the_test:{parser}", file, what="ABC surface", remedy="export it again", **options
+        )
+
+    return run
+
+
+def test_what_a_parser_finds_comes_back(parse):
+    parsed = parse("well", offset=0.1)
+    assert parsed.facts == {"name": "bone.abc"}
+    np.testing.assert_array_equal(parsed.arrays["a"], np.arange(6.0).reshape(2, 3) + 0.1)
+    assert parsed.arrays["b"].shape == (0, 3) and parsed.arrays["b"].dtype == np.uint8
+    assert parsed.arrays["c"].tolist() == [True]
+
+
+@pytest.mark.parametrize(
+    ("parser", "reason"),
+    [
+        ("crashes", "its parser crashed with exit code "),
+        ("ends", "its parser crashed with exit code 3"),
+        ("raises", "it is damaged or cut off"),
+        ("tells", "cell 3 has no points"),
+        ("hangs", "its parser took longer than 3 s"),
+    ],
+)
+def test_a_parser_that_fails_is_told(parse, parser, reason):
+    with pytest.raises(InputError) as told:
+        parse(parser, longest_s=3.0 if parser == "hangs" else None)
+    assert str(told.value).startswith(f"file must be a readable ABC surface, got bone.abc ({reason}")
+    assert str(told.value).endswith("): export it again")
+
+
+def test_a_refusal_of_the_parser_is_passed_on(parse):
+    with pytest.raises(InputError, match=r"^file must be good, got a bad one: mend it$"):
+        parse("refuses")
+
+
+def test_a_parser_that_takes_too_much_memory_is_ended(parse, monkeypatch):
+    monkeypatch.setattr(meshes.parse_apart, "_LEAST_BYTES", 300 << 20)
+    with pytest.raises(InputError, match=r"its parser took more than 0.29 GiB of memory"):
+        parse("grows")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere it ends at its own time limit")
+def test_a_parser_ends_with_the_process_that_started_it(parse, tmp_path):
+    code = (
+        "from pathlib import Path; from meshes.parse_apart import parse_apart; "
+        f"parse_apart('parsers_of_the_test:hangs', Path({str(tmp_path / 'bone.abc')!r}), what='', remedy='')"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], cwd=ROOT) as parent:
+        children = []
+        while not children and parent.poll() is None:
+            time.sleep(0.05)
+            children = psutil.Process(parent.pid).children()
+        time.sleep(1.0)
+        os.kill(parent.pid, signal.SIGKILL)
+    gone, left = psutil.wait_procs(children, timeout=20.0)
+    assert gone and not left

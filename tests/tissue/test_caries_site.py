@@ -1,0 +1,59 @@
+"""A tooth from files is entered over its lesion, and a run beside the lesion says how to come there."""
+
+import pytest
+import trimesh
+
+from tissue import load_scene, simulate
+
+STRAIGHT_IN = {
+    "voxels.spacing_mm": 0.2,
+    "voxels.margin_mm": 1.0,
+    "stress": None,
+    "tool.diameter_mm": 1.5,
+    "motion.points_mm": [[0, 0, 1.5], [0, 0, -1.5]],
+    "motion.feed_mm_s": 20.0,
+    "duration_s": None,
+}
+
+
+@pytest.fixture
+def layers(tmp_path):
+    """Enamel on hollow dentin with a pulp in it, and decay 0.4 mm under the dentin's side at x = 4 [mm]."""
+
+    def block(size, x, bottom):
+        return trimesh.creation.box(size).apply_translation((x, 0.0, bottom + 0.5 * size[2]))
+
+    hollow = block((2, 2, 6), 0, 4)
+    hollow.invert()
+    bodies = {
+        "enamel": block((8, 6, 3), 0, 12),
+        "dentin": trimesh.util.concatenate([block((8, 6, 12), 0, 0), hollow]),
+        "pulp": block((2, 2, 6), 0, 4),
+        "caries": block((1.4, 1.4, 1.4), 2.9, 7),
+    }
+    for name, body in bodies.items():
+        body.export(tmp_path / f"{name}.stl")
+    return {f"anatomy.{name}_file": str(tmp_path / f"{name}.stl") for name in bodies}
+
+
+@pytest.mark.slow
+def test_surfaces_are_drilled_over_their_caries_or_told_how(layers):
+    run = simulate(load_scene("molar", layers | STRAIGHT_IN | {"anatomy.site": "caries"})).summary()
+    assert run["removed_mm3"]["caries"] > 0.5 and run["removed_mm3"]["enamel"] == 0.0
+    beside = simulate(load_scene("molar", layers | STRAIGHT_IN)).summary()
+    assert beside["removed_mm3"]["enamel"] > 0.5 and beside["removed_mm3"]["caries"] == 0.0
+    assert "nothing of the caries" in beside["notes"]["removed"]
+    assert "set anatomy.site = caries, or move motion.points_mm" in beside["notes"]["removed"]
+
+
+@pytest.mark.slow
+def test_labels_are_drilled_over_their_caries_and_what_stays_is_told(anatomy):
+    labels = {
+        "anatomy.file": str(anatomy / "tooth" / "caries_tooth_2.nii.gz"),
+        "anatomy.spacing_mm": 0.034,
+        "anatomy.site": "caries",
+    }
+    run = simulate(load_scene("molar", labels | STRAIGHT_IN)).summary()
+    removed, there = run["removed_mm3"]["caries"], run["start_mm3"]["caries"]
+    assert 0.5 < removed < there < 7.0
+    assert removed >= 0.5 * there or run["notes"]["removed"].startswith(f"only {removed:.3g} of {there:.3g} mm3 of the")

@@ -1,0 +1,240 @@
+"""Bone from a file: where its outputs lie, and that a run does not depend on where and how the file was stored."""
+
+import contextlib
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from meshes import sdf, voxelise
+from meshes.anatomy import Anatomy, cortical_block
+from meshes.errors import InputError
+from meshes.image import image_volume
+from meshes.image_frame import Image
+from tissue import load_scene, simulate
+from tissue.bone_from_file import require_whole
+from tissue.run_folder import saved_placement
+from tissue.viewer_carving import read_voxels
+
+pyvista = pytest.importorskip("pyvista")
+
+SPACING_MM = 0.5
+SITE = {"centre_mm": (4.0, -3.0, 10.0), "normal": (0.0, 0.0, 1.0), "along": (1.0, 0.0, 0.0)}
+TURN = trimesh.transformations.rotation_matrix(1.1, (1, -2, 0.7))
+MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
+
+
+def lump():
+    """Two balls and a block grown together, which no symmetry maps onto itself [mm]."""
+    body = sdf.box((40e-3, 30e-3, 20e-3), rounding_m=3e-3)
+    body = body | sdf.sphere(9e-3, (12e-3, 8e-3, 6e-3)) | sdf.sphere(7e-3, (-14e-3, -9e-3, -6e-3))
+    solid = Anatomy("lump", body, ("bone",), cortical_block().classify)
+    vertices, faces = voxelise(solid, spacing_m=1e-3).surface()
+    return trimesh.Trimesh(1e3 * vertices, faces, process=False)
+
+
+def milled(path, mesh, *, motion=None, unit_mm=1.0, mirrored=False):
+    """Write a mesh [mm] moved by a matrix into a file, mill it at the same site, and return the run."""
+    moved, motion = mesh.copy(), np.eye(4) if motion is None else motion
+    moved.apply_transform(motion)
+    moved.apply_scale(1.0 / unit_mm)
+    if path.suffix == ".vtp":
+        pyvista.PolyData.from_regular_faces(moved.vertices, moved.faces).save(path)
+    else:
+        moved.export(path)
+    way = motion[:3, :3]
+    site = {
+        "anatomy.centre_mm": (way @ SITE["centre_mm"] + motion[:3, 3]).tolist(),
+        "anatomy.normal": (way @ SITE["normal"]).tolist(),
+        "anatomy.along": (way @ SITE["along"]).tolist(),
+    }
+    side = -1.0 if mirrored else 1.0  # x is mirrored by `along`, so y is what changes its side
+    scene = {
+        "anatomy.file": str(path),
+        "anatomy.scale_mm": unit_mm,
+        **site,
+        "voxels.spacing_mm": SPACING_MM,
+        "motion.points_mm": [[-3, side * 1.5, 1.0], [-3, side * 1.5, -1.0], [3, side * 2.5, -1.0]],
+        "motion.feed_mm_s": 20.0,
+        "duration_s": 0.4,
+    }
+    return simulate(load_scene("milling", scene))
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    mesh = lump()
+    return mesh, milled(tmp_path_factory.mktemp("mm") / "lump.stl", mesh)
+
+
+def compared(run, other, *, rel):
+    """Peak force and removed volume of two runs."""
+    one, two = run.summary(), other.summary()
+    assert one["force_N"]["peak"] > 0.5 and sum(one["removed_mm3"].values()) > 5.0
+    assert two["force_N"]["peak"] == pytest.approx(one["force_N"]["peak"], rel=rel)
+    assert sum(two["removed_mm3"].values()) == pytest.approx(sum(one["removed_mm3"].values()), rel=rel)
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        pytest.param(
+            "moved.stl", {"motion": trimesh.transformations.translation_matrix((210, -90, 400))}, marks=pytest.mark.slow
+        ),
+        ("turned.stl", {"motion": TURN}),
+        pytest.param("mirrored.stl", {"motion": MIRROR, "mirrored": True}, marks=pytest.mark.slow),
+        pytest.param("metres.stl", {"unit_mm": 1000.0}, marks=pytest.mark.slow),
+        pytest.param("same.ply", {}, marks=pytest.mark.slow),
+        pytest.param("same.obj", {}, marks=pytest.mark.slow),
+        pytest.param("same.vtp", {}, marks=pytest.mark.slow),
+    ],
+)
+def test_a_run_does_not_depend_on_how_the_file_was_stored(reference, tmp_path, name, options):
+    """STL holds single precision: 2e-5 mm at 400 mm, 1e-4 of the depth cut; a voxel's share is kept in 1/255."""
+    mesh, run = reference
+    compared(run, milled(tmp_path / name, mesh, **options), rel=2e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("unit_mm", [1.0, 1000.0])
+def test_outputs_lie_on_the_file_in_its_unit(reference, tmp_path, unit_mm):
+    mesh, _ = reference
+    move = TURN @ trimesh.transformations.translation_matrix((30, 60, -20))
+    run = milled(tmp_path / "lump.stl", mesh, motion=move, unit_mm=unit_mm)
+    out = run.save(tmp_path / "run", pictures=False)
+    file = pyvista.read(tmp_path / "lump.stl")
+    volume, placement = run.volume, run.parts.placement
+    inner = [1e3 * corner for corner in volume.bounds_m]
+    surface = pyvista.read(out / "bone.vtp")
+    scene = placement.to_scene(surface.points)
+    kept = (surface["removed_depth_mm"] == 0.0) & (scene > inner[0] + SPACING_MM).all(axis=1)
+    kept &= (scene < inner[1] - SPACING_MM).all(axis=1)
+    away = unit_mm * np.abs(surface.compute_implicit_distance(file)["implicit_distance"])
+    assert kept.sum() > 200 and away[kept].max() < SPACING_MM
+    np.testing.assert_allclose(pyvista.read(out / "bone.stl").bounds, surface.bounds, rtol=1e-5)
+    image = pyvista.read(out / "bone.vti")
+    np.testing.assert_allclose(image.direction_matrix, placement.rotation, atol=1e-9)
+    centres = image.cell_centers().points
+    bone = image.cell_data["remaining"] == 255
+    assert (
+        unit_mm * pyvista.PolyData(centres[bone]).compute_implicit_distance(file)["implicit_distance"].max()
+        < SPACING_MM
+    )
+    header = (out / "bone.nrrd").read_bytes().split(b"\n\n")[0].decode()
+    fields = dict(line.split(": ", 1) for line in header.splitlines()[1:])
+    first = np.array(fields["space origin"].strip("()").split(","), dtype=float)
+    np.testing.assert_allclose(first, centres[0], rtol=1e-6, atol=1e-6 / unit_mm)
+    assert fields["space units"].startswith('"mm"' if unit_mm == 1.0 else '"m"')
+
+
+@pytest.mark.slow
+def test_the_record_takes_the_file_to_the_scene_and_the_viewer_sees_the_scene(reference, tmp_path):
+    mesh, _ = reference
+    run = milled(tmp_path / "lump.stl", mesh, motion=TURN)
+    out = run.save(tmp_path / "run", pictures=False)
+    record = json.loads((out / "summary.json").read_text())["placement"]
+    centre = TURN[:3, :3] @ SITE["centre_mm"]
+    at = np.array(record["file_to_scene_mm"]) @ [*centre, 1.0]
+    assert record["file_unit_mm"] == 1.0 and np.abs(at[:2]).max() < 1e-6
+    assert "# file_to_scene_mm = [[" in (out / "scene.toml").read_text()
+    voxels, left = read_voxels(out / "bone.vti", saved_placement(out))
+    np.testing.assert_allclose(voxels.origin_m, run.volume.origin_m, atol=1e-9)
+    assert voxels.spacing_m == pytest.approx(run.volume.spacing_m)
+    np.testing.assert_array_equal(left, run.remaining)
+
+
+def test_procedural_bone_has_no_placement():
+    run = simulate(load_scene("milling", {"voxels.spacing_mm": SPACING_MM, "duration_s": 0.01}))
+    assert run.parts.placement is None and "placement" not in run.summary()
+
+
+def cut_off(mesh, at_mm):
+    """The part of a mesh below a height, open there."""
+    below = mesh.vertices[mesh.faces][:, :, 0].max(axis=1) < at_mm
+    return trimesh.Trimesh(mesh.vertices, mesh.faces[below], process=False)
+
+
+@pytest.mark.slow
+def test_bone_cut_off_outside_the_reach_is_taken_and_inside_it_is_refused(reference, tmp_path):
+    mesh, run = reference
+    open_end = cut_off(mesh, 16.5)
+    compared(run, milled(tmp_path / "far.stl", open_end), rel=2e-3)
+    with pytest.raises(
+        InputError, match=r"^anatomy\.file must enclose a solid where the tool goes, got near\.stl with a"
+    ):
+        milled(tmp_path / "near.stl", cut_off(mesh, 5.0))
+
+
+@pytest.mark.parametrize(("away_mm", "taken"), [(3.0, False), (30.0, True)])
+def test_the_cut_of_a_long_bone_is_refused_within_the_reach_however_small_its_share(tmp_path, away_mm, taken):
+    """A shaft of 230 mm: its open end is 2 % of its surface."""
+    shaft = trimesh.creation.cylinder(radius=10.0, height=230.0, sections=14)
+    trimesh.Trimesh(shaft.vertices, shaft.faces[np.ptp(shaft.triangles[:, :, 2], axis=1) > 0]).export(
+        tmp_path / "s.stl"
+    )
+    scene = {
+        "anatomy.file": str(tmp_path / "s.stl"),
+        "anatomy.centre_mm": [10.0, 0.0, 115.0 - away_mm],
+        "anatomy.normal": [1.0, 0.0, 0.0],
+        "anatomy.along": [0.0, 0.0, 1.0],
+        "voxels.spacing_mm": 1.0,
+        "motion.points_mm": [[-5, 0, 5], [-5, 0, -1], [5, 0, -1]],
+        "duration_s": 0.01,
+    }
+    if taken:
+        assert "Closed 2 holes" in simulate(load_scene("milling", scene)).parts.notes["repairs"]
+        return
+    with pytest.raises(InputError, match=r"^anatomy\.file must enclose a solid where the tool goes, got s\.stl with a"):
+        simulate(load_scene("milling", scene))
+
+
+def test_the_box_of_an_oblique_cut_may_meet_the_reach_where_the_cut_does_not():
+    turn = trimesh.transformations.rotation_matrix(np.pi / 4, (0, 1, 0))[:3, :3]
+    cap = np.array([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0], [0, 0, 0.1]]) @ turn.T * 1e-3
+    region = np.array([-1e-3] * 3), np.array([1e-3] * 3)
+    for away, taken in ((0.0, False), (5e-3, True)):
+        bone = replace(cortical_block(), caps_m=(cap + away * turn[:, 2],))
+        with contextlib.nullcontext() if taken else pytest.raises(InputError, match="with a hole"):
+            require_whole(bone, region, is_image=False)
+
+
+@pytest.mark.parametrize("up", ["+z", "-z", "+x", "-y"])
+def test_an_image_as_it_is_keeps_its_place(up):
+    values = np.zeros((12, 10, 8), dtype=np.int16)
+    values[2:5, 3:9, 1:6] = 1000
+    image = Image(values, (1.0, 1.0, 1.0), "block", (), (-40.0, 25.0, 700.0))
+    volume = image_volume(image, threshold=500, up=up)
+    index = np.argwhere(volume.fraction > 0)
+    centres = 1e3 * (volume.origin_m + volume.spacing_m * (index + 0.5))
+    found = volume.placement.to_file(centres)
+    expected = np.argwhere(values > 0) + np.array(image.origin_mm)
+    assert sorted(map(tuple, np.rint(found).astype(int).tolist())) == sorted(map(tuple, expected.astype(int).tolist()))
+    np.testing.assert_allclose(found, np.rint(found), atol=1e-9)
+
+
+@pytest.mark.slow
+def test_an_image_that_cuts_bone_off_within_the_reach_is_refused(tmp_path):
+    values = np.zeros((40, 40, 30), dtype=np.int16)
+    values[5:35, 5:35, 5:20] = 1000
+    scene = {
+        "anatomy.threshold": 500.0,
+        "anatomy.centre_mm": (19.0, 19.0, 19.5),
+        "anatomy.along": (1.0, 0.0, 0.0),
+        "anatomy.normal": (0.0, 0.0, 1.0),
+        "voxels.spacing_mm": SPACING_MM,
+        "motion.points_mm": [[-3, 0, 1.0], [3, 0, -1.0]],
+        "duration_s": 0.01,
+    }
+
+    def prepared(name, start):
+        image = pyvista.ImageData(dimensions=values[start:].shape, origin=(start, 0, 0))
+        image.point_data["values"] = values[start:].ravel(order="F")
+        image.save(tmp_path / name)
+        return load_scene("milling", scene | {"anatomy.file": str(tmp_path / name)})
+
+    run = simulate(prepared("far.vti", 6))
+    assert "cut off at 1 places by the edge of the image" in run.parts.notes["image"]
+    with pytest.raises(InputError, match=r"^anatomy\.file must enclose a solid .* cut off by the edge of the image"):
+        simulate(prepared("near.vti", 17))

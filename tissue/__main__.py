@@ -1,0 +1,27 @@
+"""The ``tissue`` command, also by ``python -m tissue``: a stop is met from its first import to its last clean-up."""
+
+import signal
+import sys
+from typing import NoReturn
+
+from tissue.stopping import Terminated, terminated_as_exception
+
+__all__ = ["main"]
+
+
+def main() -> NoReturn:
+    """Entry point; see `tissue.cli.main`."""
+    try:
+        with terminated_as_exception():
+            from tissue.cli import main as command
+
+            command()
+    except KeyboardInterrupt as stopped:
+        print("stopped before anything was begun", file=sys.stderr)
+        sys.exit(stopped.exit_code if isinstance(stopped, Terminated) else 130)
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # once more while Python ends: it ends at once, and says nothing
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,114 @@
+"""The bone in a surface or image file: placed at its site, refused where its scan ends within the tool's reach."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.anatomy import Anatomy
+from meshes.errors import InputError
+from tissue.reach import Corners, box_text
+from tissue.scene_anatomy import AnatomyFile, BlockAnatomy, GlenoidAnatomy
+
+if TYPE_CHECKING:
+    from meshes.site import Site
+    from meshes.surface import Surface
+
+__all__ = ["bone_from_file", "require_whole", "threshold_of"]
+
+_BEYOND_M = 3e-3
+"""How far beyond the reach and the shell around it a surface is kept as it is."""
+
+
+def bone_from_file(parameters: AnatomyFile, region: Corners | None, notes: dict[str, str]) -> Anatomy:
+    """The bone in a surface or image, placed at its site."""
+    from meshes.image_file import read_image
+    from meshes.image_surface import image_cuts, image_triangles
+    from meshes.surface import read_triangles
+    from meshes.surface_anatomy import surface_anatomy
+    from meshes.surface_detail import surface_at_site
+
+    assert parameters.file is not None and region is not None
+    cuts: tuple[NDArray[np.float64], ...] = ()
+    if parameters.is_image:
+        image, threshold = read_image(parameters.file, spacing_mm=parameters.spacing_mm), threshold_of(parameters)
+        triangles, source = image_triangles(image, threshold=threshold), image.source
+        cuts = image_cuts(image, threshold=threshold)
+        places = f"{len(cuts)} places" if len(cuts) > 1 else "one place"
+        said = [*image.notes, *([f"The bone is cut off at {places} by the edge of the image."] if cuts else [])]
+        if said:
+            notes["image"] = " ".join(said)
+    else:
+        file = Path(parameters.file)
+        triangles, source = read_triangles(file), file.name
+    shell = 1e-3 * parameters.cortical_thickness_mm
+    surface, site = surface_at_site(
+        *triangles,
+        lambda surface: _site(parameters, surface),
+        (region[0] - shell - _BEYOND_M, region[1] + shell + _BEYOND_M),
+        source=source,
+        scale_mm=1.0 if parameters.is_image else parameters.scale_mm,
+        cut_off=True,
+    )
+    return surface_anatomy(
+        replace(surface, caps_m=surface.caps_m + cuts),
+        site,
+        cortical_thickness_mm=parameters.cortical_thickness_mm,
+        cortical_density_kg_m3=parameters.density_kg_m3 if isinstance(parameters, BlockAnatomy) else 1800.0,
+    )
+
+
+def require_whole(anatomy: Anatomy, region: Corners, *, is_image: bool) -> None:
+    """Refuse bone that the edge of its scan cuts off where the tool goes."""
+    how, remedy = (
+        ("with a hole", "close it in a mesh editor")
+        if not is_image
+        else (
+            "cut off by the edge of the image",
+            "take an image that holds more of the bone",
+        )
+    )
+    for points in anatomy.caps_m:
+        low, high = points.min(axis=0), points.max(axis=0)
+        if (low <= region[1]).all() and (high >= region[0]).all() and not _beside(points, region):
+            raise InputError(
+                f"anatomy.file must enclose a solid where the tool goes, got {anatomy.name} {how} "
+                f"{box_text((low, high), between=True)} within the tool's reach {box_text(region)}: {remedy}, or move "
+                "the site away from it"
+            )
+
+
+def _beside(points: NDArray[np.float64], region: Corners) -> bool:
+    """Whether a box lies all on one side of a cap, whose own box is wide where a cut is oblique."""
+    normal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]
+    corners = np.array(np.meshgrid(*np.array(region).T)).reshape(3, -1).T
+    cap, box = points @ normal, corners @ normal
+    return bool(box.max() < cap.min() or box.min() > cap.max())
+
+
+def _site(parameters: AnatomyFile, surface: "Surface") -> "Site":
+    """The site on a bone surface: where the scene puts it, else the glenoid that it searches for."""
+    from meshes.site import find_glenoid, place_site
+
+    centre, normal, along = parameters.centre_mm, parameters.normal, parameters.along
+    if isinstance(parameters, GlenoidAnatomy) and normal is None:
+        return find_glenoid(surface, centre_mm=centre, along=along)
+    if centre is None:
+        box = surface.vertices_m.min(axis=0), surface.vertices_m.max(axis=0)
+        raise InputError(
+            f"anatomy.centre_mm must be given for {parameters.file}, got none: give a point on its surface, which lies "
+            f"{box_text(box, between=True)}, and anatomy.normal, or use anatomy.kind = glenoid"
+        )
+    return place_site(surface, centre_mm=centre, normal=normal, along=along)
+
+
+def threshold_of(parameters: AnatomyFile) -> float:
+    """Grey value of an image above which a voxel is bone."""
+    if parameters.threshold is None:
+        raise InputError(
+            f"anatomy.threshold must be given for an image, got nothing for {parameters.file}: "
+            "set the grey value above which a voxel is bone"
+        )
+    return parameters.threshold

@@ -1,0 +1,77 @@
+"""Recognise samples that leap to and fro as nothing that a hand holds can."""
+
+__all__ = ["Roughness"]
+
+MEMORY = 8.0
+"""New samples over which roughness is averaged."""
+STALE = 0.25
+"""Weight of a sample that only repeats the last one."""
+ROUGH, SMOOTH = 0.5, 0.05
+"""Share of rough samples from which a course is noise, and below which it is none any more."""
+SHORTEST_S = 2e-3
+"""Shortest span of three samples that is judged by itself [s]: encoders step, and clocks jitter."""
+
+Place = tuple[float, float, float, float, float]
+"""Time [s] and up to four coordinates."""
+
+
+class Roughness:
+    """Whether a course of samples is noise, by the acceleration that it would take.
+
+    The middle one of three samples lies off the straight line between its neighbours by a T^2 / 2 for steps of T at
+    the acceleration a, and by no more in between. A sample is rough where that is more than the limit allows; a course
+    is noise once more than half of its last samples (exponential mean over 8 of them) are rough, and is believed again
+    when fewer than a twentieth are. One leap, a lost sample, an encoder's step or a blow are rough for two samples at
+    most. White noise is recognised from a standard deviation of about a quarter of the limit times (1 ms)^2 an axis.
+
+    Parameters
+    ----------
+    limit
+        Greatest acceleration, in the unit of the samples over s^2.
+
+    Attributes
+    ----------
+    noisy
+        Whether the course is noise.
+    share
+        Share of rough samples among the last ones.
+    """
+
+    def __init__(self, limit: float) -> None:
+        self._limit = limit / 8.0
+        self.noisy, self.share = False, 0.0
+        self._first: Place | None = None
+        self._middle: Place | None = None
+
+    def observe(self, time_s: float, x: float, y: float, z: float, w: float = 0.0) -> bool:
+        """Take a sample with its time [s]; whether the course is noise."""
+        first, middle = self._first, self._middle
+        if middle is not None and x == middle[1] and y == middle[2] and z == middle[3] and w == middle[4]:
+            if self.share > 0.0:
+                self._count(False, STALE / MEMORY)
+            return self.noisy
+        self._first, self._middle = middle, (time_s, x, y, z, w)
+        if first is None or middle is None:
+            return False
+        start, ax, ay, az, aw = first
+        between, bx, by, bz, bw = middle
+        span = time_s - start
+        part = (between - start) / span if span > 0.0 else 0.5
+        dx, dy, dz = bx - ax - part * (x - ax), by - ay - part * (y - ay), bz - az - part * (z - az)
+        dw = bw - aw - part * (w - aw)
+        square = dx * dx + dy * dy + dz * dz + dw * dw
+        span = span if span > SHORTEST_S else SHORTEST_S
+        allowed = self._limit * span * span
+        rough = square > allowed * allowed
+        if rough or self.share > 0.0:
+            self._count(rough, 1.0 / MEMORY)
+        return self.noisy
+
+    def _count(self, rough: bool, weight: float) -> None:
+        self.share += weight * (rough - self.share)
+        if self.share > ROUGH:
+            self.noisy = True
+        elif self.share < SMOOTH:
+            self.noisy = False
+            if self.share < 1e-6:
+                self.share = 0.0
