@@ -52,10 +52,10 @@ def read_vtk(file: Path) -> Any:
         If a cell names a point that is not there.
     """
     import pyvista
-    import vtk
+    from vtkmodules.vtkCommonCore import vtkOutputWindow, vtkStringOutputWindow
 
-    window = vtk.vtkStringOutputWindow()
-    vtk.vtkOutputWindow.SetInstance(window)
+    window = vtkStringOutputWindow()
+    vtkOutputWindow.SetInstance(window)
     data: Any = pyvista.read(file)
     said = window.GetOutput() or ""
     if "error" in said.lower():

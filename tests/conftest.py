@@ -10,6 +10,9 @@ import pytest
 # Before anything loads NumPy: tests run beside each other, and threads that wait for a core cost more than they save.
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
+# Some two hundred tests start Python anew; without compiled modules each would compile all that it imports.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 ANATOMY = Path(__file__).resolve().parents[2] / "shared" / "anatomy"
 
 

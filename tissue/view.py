@@ -70,24 +70,14 @@ def view(
         If the folder holds no run or nothing to show, there is no such layer, field or moment, no display for a window,
         or the picture cannot be drawn.
     """
+    _check_files(screenshot, movie, time_s)
     saved = SavedRun(path)
     said = _about(saved)
     require_whole(saved)
     choice = Choice(hide=hide, field=field, scale=scale, time_s=time_s)
     _check(saved, choice)
-    if movie is not None:
-        check_movie(movie)
-        if len(_times(saved)) < 2:
-            raise InputError(f"movie must be of a run that lasts, got {saved.path}: use --screenshot")
-        if time_s is not None:
-            raise InputError(
-                f"time_s must be left out with movie, which shows all of them, got {time_s:g}: leave it out"
-            )
-    if screenshot is not None:
-        if screenshot.suffix.lower() != ".png":
-            raise InputError(f"screenshot must be a .png file, got {screenshot}: use {screenshot.with_suffix('.png')}")
-        if not screenshot.absolute().parent.is_dir():
-            raise InputError(f"screenshot must lie in an existing folder, got {screenshot}: make the folder first")
+    if movie is not None and len(_times(saved)) < 2:
+        raise InputError(f"movie must be of a run that lasts, got {saved.path}: use --screenshot")
     if screenshot is None and movie is None:
         problem = display_problem()
         if problem is not None:
@@ -123,6 +113,21 @@ def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, tell: Progress
         if problem is not None:
             raise InputError(f"{kind} must be drawn in 3D, but {problem}")
         shutil.copyfile(drawn, beside)
+
+
+def _check_files(screenshot: Path | None, movie: Path | None, time_s: float | None) -> None:
+    """Refuse files that cannot be written, before those of the run are read."""
+    if movie is not None:
+        check_movie(movie)
+        if time_s is not None:
+            raise InputError(
+                f"time_s must be left out with movie, which shows all of them, got {time_s:g}: leave it out"
+            )
+    if screenshot is not None:
+        if screenshot.suffix.lower() != ".png":
+            raise InputError(f"screenshot must be a .png file, got {screenshot}: use {screenshot.with_suffix('.png')}")
+        if not screenshot.absolute().parent.is_dir():
+            raise InputError(f"screenshot must lie in an existing folder, got {screenshot}: make the folder first")
 
 
 def _check(saved: SavedRun, choice: Choice) -> None:

@@ -124,6 +124,9 @@ def drive(window, out):
 
 
 if __name__ == "__main__":
+    import pyvista
+
+    pyvista.global_theme.multi_samples = 1  # drawn in software, smooth edges take half of the time
     run, out = map(Path, sys.argv[1:])
     shown = Window(SavedRun(run), "press", Choice(), off_screen=False)
     show = shown.plotter.show
