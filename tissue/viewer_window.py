@@ -117,7 +117,7 @@ class Window:
         if not off_screen:
             self._add_controls(size)
         self._write(title)
-        aim(self.plotter, np.vstack([np.zeros((0, 3)), *self._extent()]))
+        aim(self.plotter, np.vstack([np.zeros((0, 3)), *self._extent(choice)]))
 
     def choose(self, name: str | None) -> None:
         """Show a field, or the bone."""
@@ -242,11 +242,11 @@ class Window:
             )
         on_click(plotter, self._click)
 
-    def _extent(self) -> Iterator[NDArray[np.float64]]:
-        """Points that have to be seen [mm]."""
+    def _extent(self, choice: Choice) -> Iterator[NDArray[np.float64]]:
+        """Points that have to be seen [mm]; a field may reach far beyond the bone in whose place it is chosen."""
         if self.bone is not None:
             yield self.bone.points_mm
-        if self._series is not None:
+        if self._series is not None and (self.bone is None or choice.field is not None):
             yield np.asarray(self._series.frames[0].points)
         yield from (np.asarray(face.points) for face in self._faces.values())
         if self.moment is not None:
