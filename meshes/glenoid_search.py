@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.repair import triangle_areas
+
 __all__ = ["Face", "SurfaceSamples", "best_seed", "grow_face", "sample_surface"]
 
 _DISC, _RING, _REACH = 10e-3, 20e-3, 26e-3
@@ -66,16 +68,15 @@ class Face:
 
 def sample_surface(vertices: NDArray[np.float64], faces: NDArray[np.int64], count: int) -> SurfaceSamples:
     """Spread `count` points evenly by area, the same ones every time (Kronecker sequence within the triangles)."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    cross = np.cross(b - a, c - a)
-    double = np.linalg.norm(cross, axis=1)
-    total = np.cumsum(double)
+    total = np.cumsum(triangle_areas(vertices, faces))
     chosen = np.searchsorted(total, (np.arange(count) + 0.5) / count * total[-1])
     chosen = np.minimum(chosen, len(faces) - 1)
     u, v = np.modf(np.arange(count)[:, None] * np.array([0.7548776662466927, 0.5698402909980532]))[0].T
     u, v = np.where(u + v > 1.0, 1.0 - u, u), np.where(u + v > 1.0, 1.0 - v, v)
-    points = a[chosen] + u[:, None] * (b - a)[chosen] + v[:, None] * (c - a)[chosen]
-    return SurfaceSamples(points, cross[chosen] / double[chosen, None], 0.5 * float(total[-1]) / count)
+    a, b, c = (vertices[faces[chosen, k]] for k in range(3))
+    points = a + u[:, None] * (b - a) + v[:, None] * (c - a)
+    cross = np.cross(b - a, c - a)
+    return SurfaceSamples(points, cross / np.linalg.norm(cross, axis=1)[:, None], float(total[-1]) / count)
 
 
 def best_seed(samples: SurfaceSamples) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.mesh_sampling import column_crossings
+from meshes.column_crossings import column_crossings
 from meshes.tooth_layers import TOOTH_LAYERS
 
 __all__ = ["PITCH_M", "LayerContact", "inside_lattice", "inside_surface", "measure_contact"]

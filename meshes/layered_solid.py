@@ -117,7 +117,7 @@ def joined(solids: Sequence[Triangles]) -> Triangles:
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in solids)])
     vertices = np.concatenate([vertices for vertices, _ in solids])
     faces = np.concatenate([faces + start for (_, faces), start in zip(solids, starts, strict=False)])
-    return merge_vertices(vertices, faces, _MERGE_TOLERANCE_M)
+    return merge_vertices(vertices, faces, _MERGE_TOLERANCE_M)[:2]
 
 
 def socket_lattice(ligament: NDArray[np.float64], others: NDArray[np.float64], margin: float) -> Lattice:

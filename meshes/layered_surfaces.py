@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.anatomy import Anatomy
+from meshes.column_crossings import column_crossings
 from meshes.errors import InputError, require_range
 from meshes.glenoid_search import sample_surface
 from meshes.layer_contact import PITCH_M, LayerContact, inside_lattice, inside_surface, measure_contact
 from meshes.layered_solid import Lattice, LayeredSolid, joined, socket_lattice
 from meshes.lesion_site import lesion_site
-from meshes.mesh_sampling import column_crossings, triangle_distance
+from meshes.mesh_sampling import triangle_distance
 from meshes.placement import Placement
 from meshes.repair import Triangles
 from meshes.sdf import Shape

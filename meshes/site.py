@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.column_crossings import column_crossings
 from meshes.errors import InputError
 from meshes.glenoid_search import Face, SurfaceSamples, best_seed, grow_face, sample_surface
-from meshes.mesh_sampling import column_crossings
 from meshes.placement import Placement
 from meshes.surface import Surface
 
@@ -130,12 +130,13 @@ def place_site(
         If the centre is off the surface, a direction is zero, or `along` is along the normal.
     """
     centre = _three("anatomy.centre_mm", centre_mm) * 1e-3
-    samples = sample_surface(*surface.scanned, _FACE_SAMPLES)
     if normal is None:
+        samples = sample_surface(*surface.scanned, _FACE_SAMPLES)
         axis, said = _normal_near(samples, centre), "centre as given, normal of the surface around it"
     else:
         axis, said = _direction("anatomy.normal", normal, "the outward direction"), "centre and normal as given"
     if along is None:
+        samples = sample_surface(*surface.scanned, _FACE_SAMPLES)
         rotation = _axes(axis, samples.points.mean(axis=0) - centre, None)
     else:
         rotation, said = axes_along(axis, along), said + ", x along the direction given"

@@ -10,10 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError, counted
+from meshes.holes import fill_holes
 from meshes.obj_file import read_obj
 from meshes.parse_apart import parse_apart
 from meshes.ply_header import require_whole_ply
-from meshes.repair import Triangles, drop_debris, edge_counts, fill_holes, merge_vertices, orient, signed_volume
+from meshes.repair import (
+    Triangles,
+    bodies,
+    drop_debris,
+    edge_counts,
+    merge_vertices,
+    orient,
+    signed_volume,
+)
 from meshes.stl_file import read_binary_stl
 from meshes.surface_unit import unit_of
 
@@ -26,6 +35,7 @@ _HOLE_AREA = 0.03
 _CAP_M2 = 1e-5
 """A hole of more area is told of as a cap: what closes it is a guess, which matters where a tool goes."""
 _FLATTEST = 1e-3
+_TURNED = "Turned the surface outward: it was wound inward."
 _FARTHEST = 1e100
 """Coordinates beyond it count as not finite: their squares overflow."""
 
@@ -134,23 +144,27 @@ def surface_from_triangles(
     """
     vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
     _require_triangles(vertices, faces, source)
-    bad = int((~(np.abs(vertices) < _FARTHEST).all(axis=1)).sum())
-    if bad:
+    if not -_FARTHEST < vertices.min() <= vertices.max() < _FARTHEST:
+        bad = int((~(np.abs(vertices) < _FARTHEST).all(axis=1)).sum())
         raise InputError(
             f"vertices must be finite, got {bad} of {len(vertices)} that are not in {source}: export it again"
         )
     named = np.zeros(len(vertices), dtype=bool)
     named[faces] = True
-    used = vertices[named]
-    longest = float(np.ptp(used, axis=0).max())
+    used = vertices if named.all() else vertices[named]
+    longest = max(_sides(used))
     _require_thickness(used, longest, source)
     scale, guess = unit_of(longest, scale_mm, source)
     vertices = vertices * (1e-3 * scale)
     longest *= 1e-3 * scale
     vertices, faces, repairs, turned, caps, scanned = _repaired(vertices, faces, longest, source, cut_off)
-    x, y, z = (float(side) for side in np.ptp(vertices, axis=0) * 1e3)
-    volume_mm3 = signed_volume(vertices, faces) * 1e9
-    report = SurfaceReport(source, scale, guess, (x, y, z), volume_mm3, tuple(repairs), turned)
+    volume = signed_volume(vertices, faces)
+    if volume <= 1e-6 * longest**3:
+        raise InputError(
+            f"surface must enclose a solid, got {1e9 * volume:.3g} mm3 inside {source}: close it in a mesh editor"
+        )
+    x, y, z = (1e3 * side for side in _sides(vertices))
+    report = SurfaceReport(source, scale, guess, (x, y, z), 1e9 * volume, tuple(repairs), turned)
     return Surface(vertices, faces, report, caps, (vertices, faces[:scanned]))
 
 
@@ -162,18 +176,21 @@ def _repaired(
     """
     repairs = []
     before = len(vertices)
-    vertices, faces = merge_vertices(vertices, faces, _MERGE_TOLERANCE * longest)
+    vertices, faces, manifold = merge_vertices(vertices, faces, _MERGE_TOLERANCE * longest)
     if before > len(vertices):
         repairs.append(f"Merged or dropped {before - len(vertices)} of {before} vertices that coincide or are unused.")
-    (vertices, faces), dropped = drop_debris(vertices, faces, _DEBRIS_AREA)
+    (vertices, faces), body, dropped = drop_debris(vertices, faces, bodies(len(vertices), faces), _DEBRIS_AREA)
     if dropped:
         pieces = counted(len(dropped), "loose piece")
         repairs.append(f"Dropped {pieces}, the largest {1e3 * max(dropped):.3g} mm long.")
-    counts = edge_counts(faces)
-    faces, turned, inside_out = orient(vertices, faces)
+    faces, turned, inside_out = orient(vertices, faces, body, manifold=manifold)
     if turned:
         repairs.append(f"Turned {turned} of {len(faces)} triangles to agree with their neighbours.")
-    scanned = len(faces)
+    if manifold:
+        if inside_out:
+            repairs.append(_TURNED)
+        return vertices, faces, repairs, inside_out, (), len(faces)
+    counts, scanned = edge_counts(faces), len(faces)
     (vertices, faces), holes = fill_holes(vertices, faces, _HOLE_AREA, least_cap=_CAP_M2)
     if holes.large and not cut_off:
         raise InputError(
@@ -182,16 +199,11 @@ def _repaired(
         )
     faces, _, late = orient(vertices, faces)
     if inside_out + late:
-        repairs.append("Turned the surface outward: it was wound inward.")
+        repairs.append(_TURNED)
     if holes.filled:
         repairs.append(
             f"Closed {counted(holes.filled, 'hole')} along {counts[0]} open and {counts[1]} non-manifold edges, the "
             f"largest {1e6 * holes.largest_area:.3g} mm2."
-        )
-    if signed_volume(vertices, faces) <= 1e-6 * longest**3:
-        raise InputError(
-            f"surface must enclose a solid, got {1e9 * signed_volume(vertices, faces):.3g} mm3 inside "
-            f"{source}: close it in a mesh editor"
         )
     if holes.large:
         repairs.append(f"The bone is cut off at {counted(holes.large, 'large hole')}, closed by a face each.")
@@ -254,9 +266,8 @@ def _require_triangles(vertices: NDArray[Any], faces: NDArray[Any], source: str)
             f"{faces.shape} in {source}: export it again"
         )
     count = len(vertices)
-    wrong = np.argwhere((faces < 0) | (faces >= count))
-    if len(wrong):
-        face, corner = wrong[0]
+    if faces.min() < 0 or faces.max() >= count:
+        face, corner = np.argwhere((faces < 0) | (faces >= count))[0]
         raise InputError(
             f"faces must name vertices 0 to {count - 1} of the file, got {faces[face, corner]} in face {face} of "
             f"{source}, counted from 0: export it again"
@@ -265,6 +276,12 @@ def _require_triangles(vertices: NDArray[Any], faces: NDArray[Any], source: str)
 
 def _require_thickness(points: NDArray[np.float64], longest: float, source: str) -> None:
     """Refuse points that lie in a plane or on a line, in any direction."""
-    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(points.T, bias=True)), 0.0))
+    centred = np.stack([column - column.mean() for column in points.T])
+    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(centred @ centred.T / len(points)), 0.0))
     if not longest > 0.0 or spread[0] < _FLATTEST * spread[2]:
         raise InputError(f"surface must have thickness, got a flat one in {source}: use a closed surface")
+
+
+def _sides(points: NDArray[np.float64]) -> list[float]:
+    """Sides of the bounding box; by column, where NumPy is slow along the rows of many points."""
+    return [float(column.max() - column.min()) for column in points.T]

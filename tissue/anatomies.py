@@ -21,7 +21,7 @@ from meshes.voxelise import voxelise
 from tissue.bone_from_file import bone_from_file, require_whole, threshold_of
 from tissue.cutters import Cutter
 from tissue.motion import Motion
-from tissue.reach import Corners, box_text, reach
+from tissue.reach import box_text, reach
 from tissue.scene import Scene
 from tissue.scene_anatomy import AnatomyFile, BlockAnatomy, GlenoidAnatomy, MolarAnatomy
 from tissue.scene_keys import FILE_WORDS, scene_keys
@@ -55,7 +55,7 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
         with _named(parameters):
             return _labelled(scene, spacing_m=spacing, region=region, notes=notes, tell=tell)
     with _named(parameters):
-        anatomy = _anatomy(scene, notes, region)
+        anatomy = _anatomy(scene, notes)
     require_whole(anatomy, region, is_image=parameters.is_image)
     bone = np.array(anatomy.shape.lower_m), np.array(anatomy.shape.upper_m)
     low = np.maximum(region[0], bone[0])
@@ -77,8 +77,8 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
     )
 
 
-def _anatomy(scene: Scene, notes: dict[str, str], region: Corners | None = None) -> Anatomy:
-    """The procedural bone, or the one in a file placed at its site and right in a region of it."""
+def _anatomy(scene: Scene, notes: dict[str, str]) -> Anatomy:
+    """The procedural bone, or the one in a file placed at its site."""
     parameters = scene.bone
     if isinstance(parameters, MolarAnatomy) and parameters.layer_files:
         anatomy = layered_surfaces(
@@ -88,7 +88,7 @@ def _anatomy(scene: Scene, notes: dict[str, str], region: Corners | None = None)
             at_lesion=parameters.site == "caries",
         )
     elif parameters.file is not None:
-        anatomy = bone_from_file(parameters, region, notes)
+        anatomy = bone_from_file(parameters, notes)
     elif isinstance(parameters, MolarAnatomy):
         anatomy = molar(
             crown_width_mm=parameters.crown_width_mm,

@@ -18,19 +18,15 @@ if TYPE_CHECKING:
 
 __all__ = ["bone_from_file", "require_whole", "threshold_of"]
 
-_BEYOND_M = 3e-3
-"""How far beyond the reach and the shell around it a surface is kept as it is."""
 
-
-def bone_from_file(parameters: AnatomyFile, region: Corners | None, notes: dict[str, str]) -> Anatomy:
+def bone_from_file(parameters: AnatomyFile, notes: dict[str, str]) -> Anatomy:
     """The bone in a surface or image, placed at its site."""
     from meshes.image_file import read_image
     from meshes.image_surface import image_cuts, image_triangles
-    from meshes.surface import read_triangles
+    from meshes.surface import read_triangles, surface_from_triangles
     from meshes.surface_anatomy import surface_anatomy
-    from meshes.surface_detail import surface_at_site
 
-    assert parameters.file is not None and region is not None
+    assert parameters.file is not None
     cuts: tuple[NDArray[np.float64], ...] = ()
     if parameters.is_image:
         image, threshold = read_image(parameters.file, spacing_mm=parameters.spacing_mm), threshold_of(parameters)
@@ -43,18 +39,11 @@ def bone_from_file(parameters: AnatomyFile, region: Corners | None, notes: dict[
     else:
         file = Path(parameters.file)
         triangles, source = read_triangles(file), file.name
-    shell = 1e-3 * parameters.cortical_thickness_mm
-    surface, site = surface_at_site(
-        *triangles,
-        lambda surface: _site(parameters, surface),
-        (region[0] - shell - _BEYOND_M, region[1] + shell + _BEYOND_M),
-        source=source,
-        scale_mm=1.0 if parameters.is_image else parameters.scale_mm,
-        cut_off=True,
-    )
+    scale_mm = 1.0 if parameters.is_image else parameters.scale_mm
+    surface = surface_from_triangles(*triangles, source=source, scale_mm=scale_mm, cut_off=True)
     return surface_anatomy(
         replace(surface, caps_m=surface.caps_m + cuts),
-        site,
+        _site(parameters, surface),
         cortical_thickness_mm=parameters.cortical_thickness_mm,
         cortical_density_kg_m3=parameters.density_kg_m3 if isinstance(parameters, BlockAnatomy) else 1800.0,
     )

@@ -17,7 +17,7 @@ MEASURED_LIGAMENT = 0.5e6  # within the measured 0.05-1 MPa; finite element pape
 
 def inside(vertices, faces, axes):
     """Which points of a lattice lie in a closed surface, by the winding number along vertical lines."""
-    from meshes.mesh_sampling import column_crossings
+    from meshes.column_crossings import column_crossings
 
     x, y, z = axes
     crossed = column_crossings(vertices, faces, x, y)
