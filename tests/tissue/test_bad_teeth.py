@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from meshes import sdf
-from meshes.anatomy import Anatomy
-from meshes.voxelise import voxelise
+from meshes import InputError
+from meshes.volume import VoxelVolume
 
 FORCE_ONLY = ("--set", "voxels.spacing_mm=0.125", "--no-pictures", "--duration-s", "0.02")
 
@@ -80,20 +79,40 @@ def test_what_only_a_tooth_has_is_refused_elsewhere(refused, here, part):
     )
 
 
-def test_a_tooth_that_nothing_supports_is_refused():
-    """A ball of dentin with neither ligament nor bone, and no lower third to hold: only its springs would be left."""
-    from meshes import InputError
+def blocks(*labels):
+    """Voxels of 0.5 mm with a block of 6 x 4 x 9 of dentin in air, and others of a layer where they are named."""
+    layers, names = np.zeros((16, 14, 30), np.uint8), ("dentin", "bone")
+    fraction = np.zeros(layers.shape, np.uint8)
+    fraction[5:11, 5:9, 8:17] = 255
+    for part, name in labels:
+        fraction[part], layers[part] = 255, names.index(name)
+    return VoxelVolume((0.0, 0.0, 0.0), 5e-4, fraction, layers, np.full(layers.shape, 2100, np.uint16), names)
+
+
+def springs(volume):
+    """Springs of a volume's dentin [N/m], summed over the nodes at each height."""
     from tissue.tooth.field import _ligament_springs
     from tissue.tooth.grid import HexGrid
 
-    ball = Anatomy(
-        "ball",
-        sdf.sphere(1e-3),
-        ("dentin",),
-        lambda points, depth: (np.zeros(len(points), np.uint8), np.full(len(points), 2100.0)),
-    )
-    volume = voxelise(ball, spacing_m=5e-4)
-    solid = volume.fraction > 0
+    solid = (volume.fraction > 0) & (volume.layer == 0)
     grid = HexGrid.around(volume.origin_m + 5e-4 * (np.argwhere(solid) + 0.5), edge_m=1e-3)
+    found = _ligament_springs(volume, solid, grid, 2e-4)
+    heights = np.rint(grid.node_position_m[:, 2] / 5e-4)
+    return {height: found[heights == height].sum(axis=0) for height in np.unique(heights)}
+
+
+def test_a_tooth_whose_bone_does_not_touch_it_is_refused():
     with pytest.raises(InputError, match="anatomy must hold a tooth that something supports, got none"):
-        _ligament_springs(volume, np.ones_like(solid), grid, 2e-4)
+        springs(blocks((np.s_[:, :, 26:], "bone")))
+
+
+def test_a_tooth_without_a_bed_is_held_at_its_lower_third_whether_or_not_it_fills_its_volume():
+    volume = blocks()
+    arrays = (volume.fraction, volume.layer, volume.density_kg_m3)
+    cut = [np.ascontiguousarray(array[5:11, 5:9, 8:17]) for array in arrays]
+    filled = VoxelVolume((25e-4, 25e-4, 40e-4), 5e-4, *cut, ("dentin", "bone"))
+    wanted, found = springs(volume), springs(filled)
+    assert found.keys() == wanted.keys() and min(found) == 8
+    for height, sums in wanted.items():
+        np.testing.assert_allclose(found[height], sums, rtol=1e-6)
+        assert (sums > 0.0).all() == (height <= 10)
