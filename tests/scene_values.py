@@ -17,9 +17,9 @@ VALUES = {
     "anatomy.centre_mm": [13.0, 8.0, 6.0],
     "tool.spin_rpm": 900.0,
     "tool.peg_diameter_mm": 2.0,
-    "anatomy.nodule_diameter_mm": 9.0,
-    "stress.cell_mm": 1.5,
-    "anatomy.spacing_mm": 0.3,
+    "organ.friction": 0.05,
+    "anatomy.along": [0.6, 0.8, 0.0],
+    "stress.cell_mm": 1.0,
 }
 """Values that fit every kind and reach something there."""
 LAYERS = ("enamel", "dentin", "pulp", "ligament")
@@ -45,13 +45,19 @@ def changes(table: dict[str, Any], key: str, files: dict[str, str]) -> dict[str,
     if key == "anatomy.file":
         # Labels name neither ligament nor bone, so that no stress could be computed.
         return _other_anatomy(table["anatomy"], files) | ({"stress": None} if "stress" in table else {})
+    if key == "anatomy.nodule_diameter_mm":
+        liver = table["anatomy"]["kind"] == "liver"
+        diameter, centre = (37.0, [-15.0, -5.0, -60.0]) if liver else (13.0, [0.0, 0.0, -13.0])
+        return {key: diameter, "anatomy.nodule_centre_mm": centre}  # a centre alone has no effect
     named: dict[str, Any] = {
         "device": "omni" if table.get("device", "none") != "none" else "touch",  # a tool that stands still needs one
         "tool.file": files["other finger"],
         "motion.file": files["other poses"],
         "coupling.predictor_file": files["other predictor"],
         "anatomy.held_part": "2",
-        "organ.nodule_part": "2" if table["anatomy"].get("file", "").endswith(".vtu") else "1",
+        "organ.nodule_part": "body" if table["anatomy"].get("file", "").endswith(".stl") else "1",
+        "anatomy.spacing_mm": 0.3 if table["anatomy"]["kind"] == "molar" else 0.9,
+        "anatomy.edge_mm": 0.85 * table["anatomy"].get("edge_mm", 20.0),
     }
     if table["anatomy"]["kind"] == "liver":
         named["anatomy.centre_mm"] = [6.0, 3.0, 30.0]
@@ -97,7 +103,7 @@ def another(table: dict[str, Any], key: str) -> Any:
     if name == "points_mm":
         return [[1.1 * each for each in point] for point in value]
     if isinstance(value, tuple):
-        return [0.8 * each + 0.1 * (i + 1) for i, each in enumerate(value)]
+        return [1.1 * each + 0.1 * (i + 1) for i, each in enumerate(value)]
     return f"{value}-other"
 
 

@@ -51,7 +51,7 @@ FLOORS = (
     ("tissue.series",),
     ("tissue.load", "tissue.run_summary"),
     ("tissue.parts",),
-    ("tissue.probes",),
+    ("tissue.probes", "tissue.touchable"),
     ("tissue.build_loop",),
     ("tissue.build_cut", "tissue.build_soft", "tissue.build_hand"),
     ("tissue.build",),

@@ -7,9 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.errors import InputError
-from meshes.polyline import points_along, ways_along
 from meshes.progress import Progress, silent
-from meshes.tetrahedra import TetMesh
 from tissue.materials import constants
 from tissue.motion import Motion
 from tissue.organs import elasticity_of, held_mesh
@@ -20,9 +18,9 @@ from tissue.scene_keys import scene_keys
 from tissue.scene_soft import LayersAnatomy, LiverAnatomy, Organ, SlabAnatomy
 from tissue.scene_tool import Needle
 from tissue.scene_tool import Probe as ProbeTable
+from tissue.touchable import require_outside, touchable_surface
 
 if TYPE_CHECKING:
-    from tissue.liver.probe import Probe
     from tissue.liver.solver import HeldBody
     from tissue.liver.space import Space
     from tissue.materials.prony import Prony
@@ -31,10 +29,6 @@ __all__ = ["pierce", "press"]
 
 HAND_M = 0.01
 """How far beside the planned track a hand's entry is still shown on it [m]: an eighth of its block."""
-POSES_TRIED = 200
-"""Poses along a motion at which the organ is looked for."""
-MARGIN_EDGES = 0.25
-"""Edges of the mesh beyond the tool's way within which the surface may be touched."""
 FACTOR_UNKNOWNS = 200_000
 """Above this, frames are solved by multigrid: a factor would take gigabytes."""
 
@@ -93,11 +87,16 @@ def press(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: i
     tell("compiling kernels (the first time on a machine)", 0.0)
     from tissue.liver import LiverModel, OrganFields, Space, SurfaceContact
 
-    _require_outside(found.mesh, motion)
+    require_outside(found.mesh, motion)
     space = Space(found.mesh, organ.order, device=compute)
     tell("assembling the stiffness", 0.0)
     body = _body(space, elasticity, organ, found.held, notes)
-    touchable, faces = _touchable(space, probe, motion)
+    touchable, faces = touchable_surface(space, probe, motion)
+    if body.supports.fixed[touchable].all():
+        raise InputError(
+            "motion must bring the tool to tissue that can move, got a tool that touches only what is held: move it, "
+            "or change what holds the organ"
+        )
     solver = _Factor(body)
     load, rest = _weight(space, organ, body, solver, notes)
     tell("condensing the compliance to the surface that can be touched", 0.0)
@@ -199,50 +198,6 @@ def _body(
     fixed[held] = True
     fixed[space.with_middles(faces_of(space.mesh, held))] = True
     return HeldBody(stiffness, space.nodes_m, Supports.of_nodes(fixed))
-
-
-def _touchable(space: "Space", probe: "Probe", motion: Motion) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Surface nodes near the tool's way, shape (t,), and the triangles between them, shape (f, 3), by their places."""
-    triangles = _linear_triangles(space.faces)
-    centres = space.nodes_m[triangles].mean(axis=1)
-    reach = np.linalg.norm(space.nodes_m[triangles] - centres[:, None], axis=2).max(axis=1)
-    corners, turns = motion.sweep_m(), motion.rotations()
-    along = ways_along(corners)
-    wanted = np.unique(np.concatenate([np.linspace(0.0, along[-1], POSES_TRIED), along]))
-    tips = points_along(corners, wanted)
-    nearest = np.full(len(triangles), np.inf)
-    for tip, turn in zip(tips, turns[np.searchsorted(along, wanted).clip(max=len(turns) - 1)], strict=True):
-        nearest = np.minimum(nearest, probe.distance((centres - tip) @ turn)[0])
-    if not (nearest < reach).any():
-        low, high = (
-            ", ".join(f"{1e3 * v:.4g}" for v in corner) for corner in (centres.min(axis=0), centres.max(axis=0))
-        )
-        raise InputError(
-            "motion must bring the tool to the organ, got a tool that never touches it: move it to the organ between "
-            f"({low}) and ({high}) mm"
-        )
-    chosen = triangles[nearest < reach * (1.0 + 2.0 * MARGIN_EDGES)]
-    nodes, places = np.unique(chosen, return_inverse=True)
-    return nodes.astype(np.int64), places.reshape(-1, 3).astype(np.int64)
-
-
-def _require_outside(mesh: TetMesh, motion: Motion) -> None:
-    """Refuse a tool whose tip starts inside the organ; a probe that only overlaps it is refused by the contact."""
-    tip = motion.sweep_m()[0]
-    corners = mesh.nodes_m[mesh.cells]
-    edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
-    weights = np.linalg.solve(edges, (tip - corners[:, 0])[:, :, None])[:, :, 0]
-    if ((weights >= 0.0).all(axis=1) & (weights.sum(axis=1) <= 1.0)).any():
-        at = ", ".join(f"{1e3 * value:.4g}" for value in tip)
-        raise InputError(f"motion must start outside the organ, got a tip inside it at ({at}) mm: start higher")
-
-
-def _linear_triangles(faces: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Faces of three nodes as they are, of six (corners, then middles of edges 01, 12, 02) as four triangles each."""
-    if faces.shape[1] == 3:
-        return faces
-    parts = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
-    return faces[:, parts].reshape(-1, 3)
 
 
 def _weight(

@@ -171,6 +171,11 @@ def test_a_needle_scene_tells_its_punctures():
             {"motion.points_mm": [[0, 0, 60], [0, 0, 40]]},
             "motion must bring the tool to the organ, got a tool that never touches it: move it to the organ between",
         ),
+        (
+            "liver-press",
+            {"anatomy.held": "plane", "anatomy.held_below_mm": 0.0},
+            "motion must bring the tool to tissue that can move, got a tool that touches only what is held: move it",
+        ),
         ("liver-press", {"motion.points_mm": [[0, 0, -20], [0, 0, -30]]}, "motion must start outside the organ"),
         ("liver-press", {"tool.kind": "ball-burr", "tool.diameter_mm": 6, "tool.spin_rpm": 500}, "tool.kind must be one "
          "of sphere-probe, cylinder-probe, shell-probe for a liver, got ball-burr: choose one of these"),
