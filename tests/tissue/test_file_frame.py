@@ -69,12 +69,20 @@ def reference(tmp_path_factory):
     return mesh, milled(tmp_path_factory.mktemp("mm") / "lump.stl", mesh)
 
 
-def compared(run, other, *, rel):
-    """Peak force and removed volume of two runs."""
-    one, two = run.summary(), other.summary()
-    assert one["force_N"]["peak"] > 0.5 and sum(one["removed_mm3"].values()) > 5.0
-    assert two["force_N"]["peak"] == pytest.approx(one["force_N"]["peak"], rel=rel)
-    assert sum(two["removed_mm3"].values()) == pytest.approx(sum(one["removed_mm3"].values()), rel=rel)
+def figures(run):
+    """Peak force [N] and removed volume [mm3] of a run."""
+    summary = run.summary()
+    return summary["force_N"]["peak"], sum(summary["removed_mm3"].values())
+
+
+STORED = 2e-3
+"""Part by which figures may differ: STL holds single precision, 2e-5 mm at 400 mm, 1e-4 of the depth cut; a voxel's share
+is kept in 1/255."""
+
+
+def test_the_reference_cuts_bone(reference):
+    force_N, removed_mm3 = figures(reference[1])
+    assert force_N > 0.5 and removed_mm3 > 5.0
 
 
 @pytest.mark.parametrize(
@@ -92,9 +100,8 @@ def compared(run, other, *, rel):
     ],
 )
 def test_a_run_does_not_depend_on_how_the_file_was_stored(reference, tmp_path, name, options):
-    """STL holds single precision: 2e-5 mm at 400 mm, 1e-4 of the depth cut; a voxel's share is kept in 1/255."""
     mesh, run = reference
-    compared(run, milled(tmp_path / name, mesh, **options), rel=2e-3)
+    assert figures(milled(tmp_path / name, mesh, **options)) == pytest.approx(figures(run), rel=STORED)
 
 
 @pytest.mark.slow
@@ -160,7 +167,7 @@ def cut_off(mesh, at_mm):
 def test_bone_cut_off_outside_the_reach_is_taken_and_inside_it_is_refused(reference, tmp_path):
     mesh, run = reference
     open_end = cut_off(mesh, 16.5)
-    compared(run, milled(tmp_path / "far.stl", open_end), rel=2e-3)
+    assert figures(milled(tmp_path / "far.stl", open_end)) == pytest.approx(figures(run), rel=STORED)
     with pytest.raises(
         InputError, match=r"^anatomy\.file must enclose a solid where the tool goes, got near\.stl with a"
     ):
