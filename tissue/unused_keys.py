@@ -19,10 +19,14 @@ if TYPE_CHECKING:
 
 __all__ = ["Unused", "given_keys", "is_given", "refused_keys", "unused_keys"]
 
-PROCEDURAL_GLENOID = "width_mm height_mm curvature_radius_mm subchondral_thickness_mm"
-PROCEDURAL_MOLAR = "crown_width_mm crown_length_mm enamel_thickness_mm pulp_roof_mm caries_depth_mm caries_diameter_mm"
+PROCEDURAL_GLENOID = "anatomy.width_mm anatomy.height_mm anatomy.curvature_radius_mm anatomy.subchondral_thickness_mm"
+PROCEDURAL_MOLAR = (
+    "anatomy.crown_width_mm anatomy.crown_length_mm anatomy.enamel_thickness_mm anatomy.pulp_roof_mm "
+    "anatomy.caries_depth_mm anatomy.caries_diameter_mm"
+)
+LAYER_FILES = "anatomy.enamel_file anatomy.dentin_file anatomy.pulp_file anatomy.caries_file anatomy.ligament_file"
 SITE = "anatomy.centre_mm anatomy.normal anatomy.along"
-LAYERS = ("enamel", "dentin", "pulp", "caries", "ligament")
+HOLE = "anatomy.guide_hole_diameter_mm anatomy.guide_hole_depth_mm"
 
 
 @dataclass(frozen=True)
@@ -40,7 +44,7 @@ Rule = tuple[str, bool, str, str]
 def unused_keys(scene: "Scene") -> dict[str, Unused]:
     """Keys, or whole parts, that have no effect in a scene, and why."""
     found: dict[str, Unused] = {}
-    for rules in (_device, _tool, _motion, _cutting, _bone, _tooth, _organ, _soft, _chosen):
+    for rules in (_device, _tool, _motion, _cutting, _bone, _hole, _tooth, _organ, _soft, _chosen):
         for keys, unused, where, remedy in rules(scene):
             if unused:
                 for key in keys.split():
@@ -81,13 +85,7 @@ def _asks_for_nothing(scene: "Scene", key: str, value: Any) -> bool:
     """Whether a value is a default that states that something is not there."""
     *parts, name = key.split(".")
     model: Part = getattr(scene, parts[0]) if parts else scene
-    none = value is None or value is False or value in (0, "", "none")
-    return none and bool(value == type(model).model_fields[name].default)
-
-
-def _of(part: str, names: str) -> str:
-    """Names as dotted keys of a part."""
-    return " ".join(f"{part}.{name}" for name in names.split())
+    return (value is None or value in (0, "", "none")) and bool(value == type(model).model_fields[name].default)
 
 
 def _device(scene: "Scene") -> Iterator[Rule]:
@@ -159,20 +157,7 @@ def _bone(scene: "Scene") -> Iterator[Rule]:
     file, image = anatomy.file, anatomy.is_image
     tooth = isinstance(anatomy, MolarAnatomy)
     layered = isinstance(anatomy, MolarAnatomy) and bool(anatomy.layer_files)
-    as_it_is = isinstance(anatomy, BlockAnatomy) and image and anatomy.centre_mm is None
-    hole = "anatomy.guide_hole_diameter_mm anatomy.guide_hole_depth_mm"
-    yield (
-        "anatomy.guide_hole_depth_mm",
-        anatomy.guide_hole_diameter_mm == 0.0,
-        "without a hole",
-        ("set anatomy.guide_hole_diameter_mm"),
-    )
-    yield (
-        "anatomy.guide_hole_diameter_mm",
-        anatomy.guide_hole_depth_mm == 0.0,
-        "without a depth",
-        ("set anatomy.guide_hole_depth_mm"),
-    )
+    as_it_is = _is_as_it_is(anatomy)
     if file is None:
         where, remedy = f"for a procedural {anatomy.kind}", "set anatomy.file"
         yield "anatomy.scale_mm", not layered, where, remedy
@@ -181,19 +166,33 @@ def _bone(scene: "Scene") -> Iterator[Rule]:
         return
     name = f"with anatomy.file = {Path(file).name}"
     shape = f"{name}, which gives the shape"
-    yield _of("anatomy", PROCEDURAL_GLENOID), isinstance(anatomy, GlenoidAnatomy), shape, "remove anatomy.file"
+    yield PROCEDURAL_GLENOID, isinstance(anatomy, GlenoidAnatomy), shape, "remove anatomy.file"
     yield "anatomy.size_mm", isinstance(anatomy, BlockAnatomy), shape, "set anatomy.scale_mm"
     yield "anatomy.scale_mm", image, f"{name}, an image", "set anatomy.spacing_mm"
     yield "anatomy.spacing_mm anatomy.threshold", not image, f"{name}, a surface", "set anatomy.scale_mm"
     yield "anatomy.cortical_thickness_mm", as_it_is, f"{name}, an image as it is", "set anatomy.threshold"
     loose = not tooth and anatomy.centre_mm is None
     yield "anatomy.normal", loose, f"{name} without anatomy.centre_mm", "set anatomy.centre_mm"
-    yield (
-        f"anatomy.normal anatomy.along {hole} voxels.margin_mm",
-        as_it_is,
-        f"{name}, an image as it is",
-        "set anatomy.centre_mm",
-    )
+    placed = f"{name}, an image as it is"
+    yield "anatomy.along voxels.margin_mm", as_it_is, placed, "set anatomy.centre_mm"
+
+
+def _hole(scene: "Scene") -> Iterator[Rule]:
+    anatomy = scene.anatomy
+    if not isinstance(anatomy, AnatomyFile):
+        return
+    name = f"with anatomy.file = {Path(anatomy.file or '').name}"
+    yield HOLE, _is_as_it_is(anatomy), f"{name}, an image as it is", "set anatomy.centre_mm"
+    labels = isinstance(anatomy, MolarAnatomy) and anatomy.file is not None
+    yield HOLE, labels, f"{name}, a label volume", "give a surface a layer, such as anatomy.enamel_file"
+    bare, flat = anatomy.guide_hole_diameter_mm == 0.0, anatomy.guide_hole_depth_mm == 0.0
+    yield "anatomy.guide_hole_depth_mm", bare, "without a hole", "set anatomy.guide_hole_diameter_mm"
+    yield "anatomy.guide_hole_diameter_mm", flat, "without a depth", "set anatomy.guide_hole_depth_mm"
+
+
+def _is_as_it_is(anatomy: AnatomyFile) -> bool:
+    """Whether the bone is the whole block of an image, which no site turns or moves."""
+    return isinstance(anatomy, BlockAnatomy) and anatomy.is_image and anatomy.centre_mm is None
 
 
 def _tooth(scene: "Scene") -> Iterator[Rule]:
@@ -210,19 +209,13 @@ def _tooth(scene: "Scene") -> Iterator[Rule]:
         return
     what = f"with anatomy.file = {Path(anatomy.file).name}" if anatomy.file else "for a tooth from surfaces"
     own = f"{what}, which gives the shape"
-    yield _of("anatomy", PROCEDURAL_MOLAR), True, own, "remove the file"
+    yield PROCEDURAL_MOLAR, True, own, "remove the file"
     yield "anatomy.ligament_thickness_mm", scene.stress is None, f"{own}, without stress", "add [stress]"
     yield SITE, True, f"{what}, which is placed by its enamel", "set motion.points_mm and motion.axis"
     if labels:
-        files = _of("anatomy", " ".join(f"{layer}_file" for layer in LAYERS))
-        yield f"{files} anatomy.socket_mm", True, what, "remove anatomy.file"
-        hole = "anatomy.guide_hole_diameter_mm anatomy.guide_hole_depth_mm"
-        yield (
-            f"anatomy.threshold anatomy.cortical_thickness_mm {hole}",
-            True,
-            f"{what}, a label volume",
-            ("set anatomy.spacing_mm"),
-        )
+        yield f"{LAYER_FILES} anatomy.socket_mm", True, what, "remove anatomy.file"
+        volume = f"{what}, a label volume"
+        yield "anatomy.threshold anatomy.cortical_thickness_mm", True, volume, "set anatomy.spacing_mm"
 
 
 def _organ(scene: "Scene") -> Iterator[Rule]:
@@ -231,9 +224,9 @@ def _organ(scene: "Scene") -> Iterator[Rule]:
         yield "organ", True, f"for a {anatomy.kind}", "set anatomy.kind = liver"
         return
     yield "organ.grading_exponent", organ.young_end_kPa is None, "without a gradient", "set organ.young_end_kPa"
-    own = anatomy.nodule_diameter_mm == 0.0 and not (isinstance(anatomy, LiverAnatomy) and anatomy.file)
-    yield "organ.nodule_kPa", own, "without a nodule", "set anatomy.nodule_diameter_mm"
     from_file = isinstance(anatomy, LiverAnatomy) and bool(anatomy.file)
+    bare = anatomy.nodule_diameter_mm == 0.0 and not from_file
+    yield "organ.nodule_kPa", bare, "without a nodule", "set anatomy.nodule_diameter_mm"
     yield "organ.nodule_part", not from_file, f"for a procedural {anatomy.kind}", "set anatomy.nodule_diameter_mm"
     yield "organ.fibre_modulus_ratio", organ.fibre_direction is None, "without fibres", "set organ.fibre_direction"
     even = organ.fibre_modulus_ratio == 1.0
@@ -241,28 +234,22 @@ def _organ(scene: "Scene") -> Iterator[Rule]:
     reduced = organ.path == "reduced"
     yield "organ.basis_size", not reduced, f"with organ.path = {organ.path}", "set organ.path = reduced"
     given = organ.young_kPa is not None and organ.poisson_ratio is not None
-    needed = organ.capsule or organ.gravity or organ.viscous
-    yield (
-        "organ.material",
-        given and not needed,
-        "with both organ.young_kPa and organ.poisson_ratio",
-        ("remove one of them"),
-    )
+    cited = organ.capsule or organ.gravity or organ.viscous
+    both = "with both organ.young_kPa and organ.poisson_ratio"
+    yield "organ.material", given and not cited, both, "remove one of them"
 
 
 def _soft(scene: "Scene") -> Iterator[Rule]:
     anatomy = scene.anatomy
     if isinstance(anatomy, LiverAnatomy | SlabAnatomy):
-        none = anatomy.nodule_diameter_mm == 0.0
-        yield "anatomy.nodule_centre_mm", none, "without a nodule", "set anatomy.nodule_diameter_mm"
+        bare = anatomy.nodule_diameter_mm == 0.0
+        yield "anatomy.nodule_centre_mm", bare, "without a nodule", "set anatomy.nodule_diameter_mm"
     if isinstance(anatomy, LiverAnatomy):
-        filed = anatomy.file is not None
+        procedural = anatomy.file is None
         name = f"with anatomy.file = {Path(anatomy.file or '').name}"
         ball = "anatomy.nodule_diameter_mm anatomy.nodule_centre_mm"
-        yield ball, filed, name, "set organ.nodule_part to the part of the file that is the nodule"
-        bare = anatomy.file is None
-        where = "for a procedural liver"
-        yield f"anatomy.scale_mm {SITE}", bare, where, "set anatomy.file"
+        yield ball, not procedural, name, "set organ.nodule_part to the part of the file that is the nodule"
+        yield f"anatomy.scale_mm {SITE}", procedural, "for a procedural liver", "set anatomy.file"
         held = f"with anatomy.held = {anatomy.held}"
         yield "anatomy.held_below_mm", anatomy.held != "plane", held, "set anatomy.held = plane"
         yield "anatomy.held_part", anatomy.held != "part", held, "set anatomy.held = part"
