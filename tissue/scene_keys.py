@@ -32,7 +32,7 @@ def in_scene_words(said: str, names: Mapping[str, str]) -> str:
             continue
         argument = words.split(" ", 1)[0]
         if argument.endswith("_m") and " mm" not in said:
-            said = re.sub(rf"{NUMBER}(?! times)( m\b)?", lambda found: _millimetres(found, found[1]), said)
+            said = re.sub(rf"{NUMBER}(?! times)( m\b)?", _millimetres, said)
         said = key + said.removeprefix(words)
         if "_" not in argument:
             return said  # a plain word, which may stand for itself further on
@@ -40,6 +40,6 @@ def in_scene_words(said: str, names: Mapping[str, str]) -> str:
     return said
 
 
-def _millimetres(found: re.Match[str], unit: str | None) -> str:
+def _millimetres(found: re.Match[str]) -> str:
     """A length in metres as one in millimetres, with its unit where it had one."""
-    return f"{1e3 * float(found[0].removesuffix(' m')):.4g}" + (" mm" if unit else "")
+    return f"{1e3 * float(found[0].removesuffix(' m')):.4g}" + (" mm" if found[1] else "")

@@ -48,16 +48,23 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table) -> dict[str, str]:
         )
     if parts.cutter is None or parts.cutter.spin_rad_s == 0.0:
         return found
-    removed = dict(zip(parts.tissue.layer_names, parts.tissue.removed_m3, strict=True))
     if not np.any(parts.tissue.removed_m3):
         found["removed"] = "nothing: the tool cut no tissue; move it deeper, or let the run last longer"
-    elif _has_lesion(scene, parts) and (missed := _missed_caries(parts, removed.get("caries", 0.0))):
-        found["removed"] = missed + _to_the_lesion(scene, parts)
+    elif isinstance(tooth := scene.anatomy, MolarAnatomy) and _has_lesion(tooth, parts):
+        missed = _missed_caries(parts)
+        found |= {"removed": missed + _to_the_lesion(tooth, parts)} if missed else {}
     return found
 
 
-def _missed_caries(parts: Parts, removed_m3: float) -> str:
+def _has_lesion(anatomy: MolarAnatomy, parts: Parts) -> bool:
+    """Whether the tooth has a lesion, within the tool's reach or not."""
+    procedural = anatomy.file is None and not anatomy.layer_files
+    return anatomy.caries_file is not None or "lesion" in parts.notes or (procedural and anatomy.caries_depth_mm > 0.0)
+
+
+def _missed_caries(parts: Parts) -> str:
     """What a tool left of the caries, where that is all or, within the reach in a tooth from files, most of it."""
+    removed_m3 = dict(zip(parts.tissue.layer_names, parts.tissue.removed_m3, strict=True)).get("caries", 0.0)
     if removed_m3 == 0.0:
         return "nothing of the caries: the tool never met the lesion"
     if parts.placement is None:
@@ -68,18 +75,8 @@ def _missed_caries(parts: Parts, removed_m3: float) -> str:
     return f"only {1e9 * removed_m3:.3g} of {1e9 * there_m3:.3g} mm3 of the caries within reach"
 
 
-def _to_the_lesion(scene: Scene, parts: Parts) -> str:
+def _to_the_lesion(anatomy: MolarAnatomy, parts: Parts) -> str:
     """Where the caries lies, if known, and how to bring the tool to it."""
-    at, anatomy = parts.notes.get("lesion"), scene.anatomy
-    aimed = not isinstance(anatomy, MolarAnatomy) or anatomy.site == "caries" or parts.placement is None
+    at, aimed = parts.notes.get("lesion"), anatomy.site == "caries" or parts.placement is None
     how = "move motion.points_mm to it" if aimed else "set anatomy.site = caries, or move motion.points_mm to it"
     return (f" ({at})" if at else "") + f"; {how}"
-
-
-def _has_lesion(scene: Scene, parts: Parts) -> bool:
-    """Whether the tooth has a lesion, within the tool's reach or not."""
-    anatomy = scene.anatomy
-    if not isinstance(anatomy, MolarAnatomy):
-        return False
-    procedural = anatomy.file is None and not anatomy.layer_files
-    return anatomy.caries_file is not None or "lesion" in parts.notes or (procedural and anatomy.caries_depth_mm > 0.0)

@@ -29,6 +29,8 @@ def here(tmp_path, monkeypatch):
         (("run", "milling", "--allow-unstable"), "--allow-unstable must be left out without a device, got it: set device = touch, or remove it"),
         (("run", "milling", "--seed", "3"), "seed must be left out without a device, for nothing is drawn at random then, got 3: set device = touch, or remove it"),
         (("run", "milling", "--fidelity", "force_error=0.1", "--set", "voxels.removal=binary"), "voxels.removal must be left out with fidelity, which chooses it, got binary: leave fidelity out, or remove it"),
+        (("run", "wall", "--fidelity", "force_error=0.1", "--set", "prediction=hold"), "prediction must be left out with fidelity, which chooses it, got hold: leave fidelity out, or remove it"),
+        (("run", "liver-press", "--fidelity", "force_error=0.1", "--set", "organ.order=1"), "organ.order must be left out with fidelity, which chooses it, got 1: leave fidelity out, or remove it"),
         (("chart", "wall", "--trials", "5"), "--trials must be left out unless predictors are charted, got 5: add prediction before the scenes, or remove it"),
         (("chart", "perception", "--quick"), "--quick must be left out with perception, got it: remove it"),
         (("calibrate", "--population", "x", "--trials", "5"), "--trials must be left out with --population, which fits sessions that are over, got 5: remove it"),
@@ -100,6 +102,17 @@ def test_a_run_that_ends_before_its_path_says_so(tmp_path):
     assert not {"path", "removed"} & set(whole.summary()["notes"])
     stuck = {"motion.kind": "thrust", "motion.thrust_N": 0.5, "motion.start_mm": [0, 0, 0.1], "duration_s": 0.1}
     assert "of motion.depth_mm = 2" in simulate(load_scene("milling", MILLING | stuck)).summary()["notes"]["path"]
+
+
+def test_a_vessel_that_the_needle_never_reaches_is_told():
+    shallow = {"anatomy.interval_ms": 0.0, "motion.points_mm": [[0, 0, 1], [0, 0, -20]], "duration_s": None}
+    run = simulate(load_scene("needle", shallow))
+    went_mm, deep_mm = run.trace["insertion_mm"].max(), run.scene.anatomy.vessel_wall_depth_mm
+    assert 0.0 < went_mm < 20.0 < deep_mm
+    assert run.summary()["notes"]["vessel"] == (
+        f"never reached: the needle went {went_mm:.3g} mm in, the vessel's wall lies at anatomy.vessel_wall_depth_mm = "
+        f"{deep_mm:g}"
+    )
 
 
 def test_a_lesion_that_the_tool_never_meets_is_told():
