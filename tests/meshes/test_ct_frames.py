@@ -8,10 +8,12 @@ import io
 import image_writers as write
 import numpy as np
 import pytest
+from scipy.ndimage import binary_opening
 from scipy.spatial import cKDTree
 
 from meshes.image_file import read_image
 from meshes.image_surface import image_surface
+from meshes.mesh_sampling import triangle_distance
 
 BONE_HU = 300.0
 WINDOW = (slice(215, 285), slice(300, 370))
@@ -71,14 +73,15 @@ def part(whole):
 @pytest.fixture(scope="module")
 def bone(part):
     """Surface of the bone in the window [mm], from the truth by marching cubes and the affine written out."""
-    return surface_points(part.values, part.spacing, part.origin)
+    return surface(part.values, part.spacing, part.origin)
 
 
-def surface_points(values, spacing, origin):
+def surface(values, spacing, origin):
+    """Vertices [mm] and triangles around the bone."""
     from skimage.measure import marching_cubes
 
-    vertices, _, _, _ = marching_cubes(np.pad(values.astype(np.float32), 1, constant_values=-1024.0), BONE_HU)
-    return (vertices - 1.0) * spacing + origin
+    vertices, faces, _, _ = marching_cubes(np.pad(values.astype(np.float32), 1, constant_values=-1024.0), BONE_HU)
+    return (vertices - 1.0) * spacing + origin, faces
 
 
 def save(folder, kind, values, axes, origin):
@@ -143,12 +146,24 @@ def inside(part, points):
     return ((points > part.origin + 3.0) & (points < last - 3.0)).all(axis=1)
 
 
+def away(points, vertices, faces):
+    """Distance [mm] of points from a surface."""
+    return np.abs(triangle_distance(vertices, faces, points))
+
+
+def near_thick(part, points, mask):
+    """Whether the voxel of a kind that is nearest to each point [mm] lies in a block of 2 x 2 x 2 of its kind."""
+    voxels = np.argwhere(mask)
+    _, nearest = cKDTree(voxels * part.spacing + part.origin).query(points)
+    return binary_opening(mask, np.ones((2, 2, 2)))[tuple(voxels[nearest].T)]
+
+
 def test_bone_surface_is_that_of_the_truth(tmp_path, part, bone):
     """The whole path to a surface. Single precision in mm 800 mm from the origin; merging moves by a millionth."""
     values, axes, origin = stored(part, STORED["permuted and mirrored"])
-    surface = image_surface(read_image(save(tmp_path, ".nrrd", values, axes, origin)), threshold=BONE_HU)
-    points = 1e3 * surface.vertices_m
-    apart, _ = cKDTree(bone).query(points[inside(part, points)])
+    found = image_surface(read_image(save(tmp_path, ".nrrd", values, axes, origin)), threshold=BONE_HU)
+    points = 1e3 * found.vertices_m
+    apart, _ = cKDTree(bone[0]).query(points[inside(part, points)])
     assert len(apart) > 10_000 and np.quantile(apart, 0.99) < 1e-3
 
 
@@ -157,8 +172,8 @@ def test_bone_surface_is_that_of_the_truth(tmp_path, part, bone):
 def test_oblique_ct_gives_the_same_bone_within_half_a_voxel(tmp_path, part, bone, kind, order):
     """The patient lies turned by 17 and 9 degrees: the same voxels, other directions, so the truth is turned bone.
 
-    Half the diagonal of a voxel of 0.98 x 0.98 x 2 mm. Of the truth 95 %: trabeculae thinner than a voxel fade when
-    they are interpolated.
+    Where the bone and what lies beside it are two voxels thick every point of the surface is found within half a voxel,
+    of 2 mm along z. Farther off are points of thinner bone alone, which falls between the new voxels: 24 of 14,568.
     """
     a, b = np.radians(17.0), np.radians(9.0)
     about_z = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
@@ -167,11 +182,13 @@ def test_oblique_ct_gives_the_same_bone_within_half_a_voxel(tmp_path, part, bone
     values, axes, origin = stored(part, STORED[order])
     found = read_image(save(tmp_path, kind, values, turn @ axes, turn @ origin))
     assert "oblique" in found.notes[-1]
-    points = surface_points(found.values, np.array(found.spacing_mm), np.array(found.origin_mm)) @ turn
-    points = points[inside(part, points)]
-    apart, nearest = cKDTree(bone).query(points)
-    missed, _ = cKDTree(points).query(bone[inside(part, bone)])
-    half = 0.5 * float(np.linalg.norm(part.spacing))
-    assert len(points) > 10_000 and apart.max() < half
-    assert np.quantile(missed, 0.95) < half
-    assert np.linalg.norm((bone[nearest] - points).mean(axis=0)) < 0.1
+    points, triangles = surface(found.values, np.array(found.spacing_mm), np.array(found.origin_mm))
+    points = points @ turn
+    truth = bone[0][inside(part, bone[0])]
+    missed, apart = away(truth, points, triangles), away(points[inside(part, points)], *bone)
+    half = 0.5 * part.spacing.max()
+    thick = near_thick(part, truth, part.values > BONE_HU) & near_thick(part, truth, part.values <= BONE_HU)
+    assert thick.mean() > 0.4 and missed[thick].max() < half
+    assert np.mean(missed > half) < 0.005 and np.mean(apart > half) < 0.002
+    _, nearest = cKDTree(truth).query(points[inside(part, points)])
+    assert np.linalg.norm((truth[nearest] - points[inside(part, points)]).mean(axis=0)) < 0.1
