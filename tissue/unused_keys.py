@@ -170,11 +170,11 @@ def _bone(scene: "Scene") -> Iterator[Rule]:
     yield "anatomy.size_mm", isinstance(anatomy, BlockAnatomy), shape, "set anatomy.scale_mm"
     yield "anatomy.scale_mm", image, f"{name}, an image", "set anatomy.spacing_mm"
     yield "anatomy.spacing_mm anatomy.threshold", not image, f"{name}, a surface", "set anatomy.scale_mm"
-    yield "anatomy.cortical_thickness_mm", as_it_is, f"{name}, an image as it is", "set anatomy.threshold"
+    whole = f"{name}, an image as it is"
+    yield "anatomy.cortical_thickness_mm", as_it_is, whole, "set anatomy.threshold"
+    yield "anatomy.along voxels.margin_mm", as_it_is, whole, "set anatomy.centre_mm"
     loose = not tooth and anatomy.centre_mm is None
     yield "anatomy.normal", loose, f"{name} without anatomy.centre_mm", "set anatomy.centre_mm"
-    placed = f"{name}, an image as it is"
-    yield "anatomy.along voxels.margin_mm", as_it_is, placed, "set anatomy.centre_mm"
 
 
 def _hole(scene: "Scene") -> Iterator[Rule]:

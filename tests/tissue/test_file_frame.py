@@ -242,6 +242,6 @@ def test_an_image_that_cuts_bone_off_within_the_reach_is_refused(tmp_path):
         return load_scene("milling", scene | {"anatomy.file": str(tmp_path / name)})
 
     run = simulate(prepared("far.vti", 6))
-    assert "cut off at 1 places by the edge of the image" in run.parts.notes["image"]
+    assert "cut off at one place by the edge of the image" in run.parts.notes["image"]
     with pytest.raises(InputError, match=r"^anatomy\.file must enclose a solid .* cut off by the edge of the image"):
         simulate(prepared("near.vti", 17))
