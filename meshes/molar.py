@@ -48,6 +48,7 @@ __all__ = ["molar"]
 
 _CREST_M = 1.5e-3
 _LEAST_OVER_PULP_M = 0.3e-3
+_SHALLOWEST_LESION_M = 0.1e-3
 _DENSITY = np.array([LAYER_DENSITY_KG_M3[name] for name in TOOTH_LAYERS], dtype=np.float32)
 
 
@@ -90,7 +91,7 @@ def molar(
     socket_mm
         Bone left beside and below the roots in a block with a flat crest [mm], 0.5 to 10.
     caries_depth_mm
-        Depth of a lesion under the fossa [mm], 0 (none) to 0.3 short of the chamber's roof. Its softness is
+        Depth of a lesion under the fossa [mm], 0 (none) or 0.1 to 0.3 short of the chamber's roof. Its softness is
         (1 - r²)², r the distance from its centre relative to its rim, an ellipsoid from the fossa down;
         see `meshes.tooth_layers.caries_softness`.
     caries_diameter_mm
@@ -113,6 +114,11 @@ def molar(
     socket = 1e-3 * check("socket_mm", socket_mm, 0.5, 10.0, "use 2.5")
     depth = 1e-3 * check("caries_depth_mm", caries_depth_mm, 0.0, 6.2, "use 0 for none, or about 3")
     diameter = 1e-3 * check("caries_diameter_mm", caries_diameter_mm, 0.5, 6.0, "use 3")
+    if 0.0 < depth < _SHALLOWEST_LESION_M:
+        raise InputError(
+            f"caries_depth_mm must be 0 or at least {1e3 * _SHALLOWEST_LESION_M:g}, got {caries_depth_mm:g}: use 0 for "
+            "none, or about 3"
+        )
     if depth > roof - _LEAST_OVER_PULP_M:
         raise InputError(
             f"caries_depth_mm must leave 0.3 mm over the pulp, got {caries_depth_mm} with the chamber's roof at "

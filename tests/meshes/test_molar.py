@@ -205,6 +205,10 @@ def test_softness_and_density_are_one_law():
         ({"crown_width_mm": 20}, "crown_width_mm must be in [9, 13], got 20: use 11"),
         ({"enamel_thickness_mm": math.nan}, "enamel_thickness_mm must be in [1, 3], got nan: use 2.2"),
         ({"ligament_thickness_mm": 0}, "ligament_thickness_mm must be in [0.1, 0.5], got 0: use 0.22"),
+        (
+            {"caries_depth_mm": 1e-300},
+            "caries_depth_mm must be 0 or at least 0.1, got 1e-300: use 0 for none, or about 3",
+        ),
         ({"caries_depth_mm": -1}, "caries_depth_mm must be in [0, 6.2], got -1: use 0 for none, or about 3"),
         ({"socket_mm": "wide"}, "socket_mm must be a number, got 'wide': use 2.5"),
         (
