@@ -169,7 +169,7 @@ def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
             f"{path.name} must be a file that can be read, got {path} ({problem.strerror}): check it"
         ) from None
     except (UnicodeDecodeError, csv.Error) as problem:
-        raise InputError(f"{path.name} must be a CSV table, got {path} ({problem}): run the scene again") from None
+        raise InputError(f"{path.name} must be a CSV table, got other data in {path}: run the scene again") from problem
     columns = tuple(whole[0]) if whole else ()
     index = {name: float(i) for i, name in enumerate(layer_names)} | {NO_LAYER: -1.0}
     rows = np.empty((max(len(whole) - 1, 0), len(columns)))

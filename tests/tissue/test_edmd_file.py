@@ -125,3 +125,13 @@ def test_a_file_cut_anywhere_is_refused(tmp_path):
         path.write_bytes(whole[:length])
         with pytest.raises(InputError, match="predictor file must be whole"):
             read_predictor(path)
+
+
+def test_a_refusal_holds_no_text_of_the_archive_reader(tmp_path):
+    path = written(tmp_path)
+    content = bytearray(path.read_bytes())
+    for at in range(40, len(content), 97):
+        content[at] ^= 255
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"must be whole, got [^()]* \(it is damaged\): train it again"):
+        read_predictor(path)

@@ -15,7 +15,7 @@ from tissue.statistics.outcome import Assumption, Effect, Outcome
 from tissue.statistics.power import redrawn_power, simulated_cells
 from tissue.statistics.regression import regression, trial_regression
 from tissue.statistics.resampling import bootstrap
-from tissue.statistics.trials import TrialTable
+from tissue.statistics.trials import KEYS, TrialTable
 from tissue.statistics.tukey import corrected, tukey_groups
 
 METHODS = ("energy", "koopman", "penalty", "perception")
@@ -315,8 +315,9 @@ def test_what_cannot_be_compared_is_told_in_a_sentence(case):
         ("time_s,force_N\n0,1\n", "table must begin with task,group,user"),
         ("", "table must begin"),
         (None, "got line 4 of .* cut short"),
+        (f"{','.join(KEYS)}\n{','.join(['one'] * len(KEYS))}\n", "got others in .*trials.csv: run the study on$"),
     ],
-    ids=["a trace", "empty", "cut short"],
+    ids=["a trace", "empty", "cut short", "words"],
 )
 def test_a_file_that_is_no_table_is_refused(tmp_path: Path, text, said):
     path = tmp_path / "trials.csv"

@@ -101,8 +101,9 @@ def read_log(path: Path) -> tuple[str, Session]:
     try:
         text = path.read_bytes().decode()
     except (OSError, UnicodeDecodeError) as problem:
+        found = str(problem.strerror) if isinstance(problem, OSError) else "other data"
         raise InputError(
-            f"log must be a file of trials, got {path} ({problem}): give one that tissue wrote"
+            f"log must be a file of trials, got {found} in {path}: give one that tissue wrote"
         ) from problem
     lines = text[: text.rfind("\n") + 1].splitlines()
     try:
@@ -117,7 +118,7 @@ def read_log(path: Path) -> tuple[str, Session]:
         plan = Plan(**(head["plan"] | {"prior": ThresholdPrior(**head["plan"]["prior"])}))
         who = str(head["observer"])
     except (KeyError, TypeError, InputError) as problem:
-        raise InputError(f"log must begin with a plan, got {path} with {problem}: begin anew") from problem
+        raise InputError(f"log must begin with a plan, got another first line in {path}: begin anew") from problem
     session = Session(plan)
     for number, line in enumerate(lines[1:], start=2):
         try:
@@ -126,8 +127,11 @@ def read_log(path: Path) -> tuple[str, Session]:
                 raise InputError(f"trial must be {session.trial}, got {trial}")
             session.take(asked, answer)
         except (ValueError, KeyError, TypeError) as problem:
-            raise InputError(f"log must hold one trial of its session a line, got {problem} in line {number} of "
-                             f"{path}: mend that line or choose another --out") from problem  # fmt: skip
+            wrong = problem if isinstance(problem, InputError) else "something else"
+            raise InputError(
+                f"log must hold one trial of its session a line, got {wrong} in line {number} of {path}: mend that "
+                "line or choose another --out"
+            ) from problem
     return who, session
 
 

@@ -10,7 +10,7 @@ from zipfile import is_zipfile
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.errors import InputError
+from meshes.errors import DamagedFileError, InputError
 from meshes.file_version import package_version, require_version
 from meshes.whole_file import whole_file
 from tissue.prediction.dictionary import from_plain, to_plain
@@ -135,7 +135,8 @@ def read_predictor(path: str | Path, *, scene: str | None = None) -> StoredPredi
     except InputError:
         raise
     except Exception as problem:  # a damaged archive raises many kinds, zlib's own among them
-        raise InputError(f"predictor file must be whole, got {path} ({problem}): {again}") from None
+        found = problem if isinstance(problem, DamagedFileError) else "it is damaged"
+        raise InputError(f"predictor file must be whole, got {path} ({found}): {again}") from problem
     further = {name.removeprefix("further."): each for name, each in arrays.items() if name.startswith("further.")}
     return StoredPredictor(whole["scene"], operators, whole["header"], further)
 
@@ -144,7 +145,7 @@ def _operator(name: str, plain: Mapping[str, Any], arrays: Mapping[str, Array]) 
     """One operator, its shapes and numbers checked."""
     for key, each in arrays.items():
         if each.dtype != np.float64 or not np.isfinite(each).all():
-            raise ValueError(f"{key} is not finite")
+            raise DamagedFileError(f"{key} is not finite")
     given = {key: arrays[f"{name}.{key}"] for key in ARRAYS}
     dictionary = from_plain(plain["dictionary"])
     edges = {key: arrays[f"{name}.training.{key}"] for key in RANGE}
@@ -154,7 +155,7 @@ def _operator(name: str, plain: Mapping[str, Any], arrays: Mapping[str, Array]) 
     shapes |= {"input_middle": (inputs,), "input_scale": (inputs,)}
     for key, shape in shapes.items():
         if given[key].shape != shape:
-            raise ValueError(f"{name}.{key} has shape {given[key].shape} instead of {shape}")
+            raise DamagedFileError(f"{name}.{key} has shape {given[key].shape} instead of {shape}")
     statistics = dict(plain["statistics"])
     statistics["residual_rms"] = np.array(statistics["residual_rms"])
     return Operator(

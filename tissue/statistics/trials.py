@@ -173,7 +173,7 @@ class TrialTable:
                 f"table must be a file that can be read, got {path} ({problem.strerror}): give a study's trials.csv"
             ) from None
         except (UnicodeDecodeError, csv.Error) as problem:
-            raise InputError(f"table must be CSV, got {path} ({problem}): give a study's trials.csv") from None
+            raise InputError(f"table must be CSV, got other data in {path}: give a study's trials.csv") from problem
         if not rows or tuple(rows[0][: len(KEYS)]) != KEYS:
             raise InputError(f"table must begin with {','.join(KEYS)}, got {path}: give a study's trials.csv")
         for line, row in enumerate(rows[1:], start=2):
@@ -185,9 +185,9 @@ class TrialTable:
             raise
         except (ValueError, OverflowError) as problem:
             raise InputError(
-                f"table must hold whole numbers for trial and seed and numbers for metrics, got {path} ({problem}): "
-                "run the study on"
-            ) from None
+                f"table must hold whole numbers for trial and seed and numbers for metrics, got others in {path}: run "
+                "the study on"
+            ) from problem
 
     def __len__(self) -> int:
         return len(self.task)
