@@ -4,11 +4,9 @@ The child runs one named function and sends plain numbers back through a pipe: a
 arrays. It is ended when it takes too long or too much memory, and ends with the process that started it.
 """
 
-import ctypes
 import faulthandler
 import json
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -23,16 +21,16 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.child_process import kill_with_parent, python_command, start_code
 from meshes.errors import DamagedFileError, InputError
 
 __all__ = ["Parsed", "parse_apart"]
 
-_START = "import sys; sys.path.append(sys.argv.pop(1)); from meshes.parse_apart import _serve; _serve(*sys.argv[1:])"
+_START = start_code("meshes.parse_apart", "_serve")
 _LONGEST_S, _BYTES_A_SECOND = 60.0, 1_000_000
 _LEAST_BYTES, _BYTES_A_BYTE = 2 << 30, 64
 """Memory that a parser may take at least, and for each byte of the file: label images shrink to a hundredth."""
 _LOOK_EVERY_S, _LAST_S = 0.05, 2.0
-_DIE_WITH_PARENT = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +82,7 @@ def parse_apart(
     size = sum(each.stat().st_size for each in (file.rglob("*") if file.is_dir() else [file]) if each.is_file())
     limit_s = longest_s if longest_s is not None else _LONGEST_S + size / _BYTES_A_SECOND
     request = json.dumps([parser, str(file.absolute()), options])
-    command = [sys.executable, "-P", "-c", _START, str(Path(__file__).resolve().parents[1])]
-    command += [request, str(os.getpid()), str(limit_s)]
+    command = python_command(_START, request, str(os.getpid()), str(limit_s))
     with subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
     ) as process:
@@ -114,7 +111,7 @@ def parse_apart(
 
 
 class _Watch:
-    """Ends a process that takes too long or too much memory, and says which."""
+    """Ends a process that takes too long or too much memory; `reason` names which."""
 
     def __init__(self, process: subprocess.Popen[bytes], longest_s: float, most_bytes: int) -> None:
         import psutil
@@ -122,7 +119,7 @@ class _Watch:
         self.reason, self.done = "", Event()
         most_bytes = min(most_bytes, int(0.8 * psutil.virtual_memory().available))
 
-        def look() -> None:
+        def end_when_over() -> None:
             end = monotonic() + longest_s
             while not self.done.wait(_LOOK_EVERY_S):
                 try:
@@ -137,7 +134,7 @@ class _Watch:
                     process.kill()
                     return
 
-        Thread(target=look, daemon=True).start()
+        Thread(target=end_when_over, daemon=True).start()
 
 
 def _receive(answers: IO[bytes]) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
@@ -154,13 +151,13 @@ def _receive(answers: IO[bytes]) -> tuple[dict[str, Any], dict[str, NDArray[Any]
     return answer, arrays
 
 
-def _serve(request: str, parent: str, limit_s: str) -> None:
-    """Parse in this process, which is the child, and answer on the standard output."""
+def _serve() -> None:
+    """Parse in this process, which is the child, what the command line asks for; answer on the standard output."""
+    request, parent, limit_s = sys.argv[1:]
     faulthandler.dump_traceback_later(2.0 * float(limit_s), exit=True)  # where nobody is left to end it
-    if sys.platform.startswith("linux"):
-        ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
-        if os.getppid() != int(parent):
-            return
+    kill_with_parent()
+    if sys.platform.startswith("linux") and os.getppid() != int(parent):
+        return
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what the libraries print goes where nobody looks
     name, file, options = json.loads(request)
@@ -169,14 +166,14 @@ def _serve(request: str, parent: str, limit_s: str) -> None:
     try:
         facts, arrays = getattr(import_module(module), function)(Path(file), **options)
         arrays = {key: np.ascontiguousarray(array) for key, array in arrays.items()}
-        told = {"facts": facts, "arrays": [(key, each.dtype.str, each.shape) for key, each in arrays.items()]}
+        answer = {"facts": facts, "arrays": [(key, each.dtype.str, each.shape) for key, each in arrays.items()]}
     except InputError as problem:
-        told = {"refused": str(problem)}
+        answer = {"refused": str(problem)}
     except DamagedFileError as problem:
-        told = {"problem": " ".join(str(problem).split())[:160]}
+        answer = {"problem": " ".join(str(problem).split())[:160]}
     except Exception:  # the libraries raise many kinds, none documented
-        told, arrays = {"problem": "it is damaged or cut off"}, {}
-    answers.write(json.dumps(told).encode() + b"\n")
+        answer, arrays = {"problem": "it is damaged or cut off"}, {}
+    answers.write(json.dumps(answer).encode() + b"\n")
     for array in arrays.values():
         if array.size:
             answers.write(array.reshape(-1).view(np.uint8).data)

@@ -20,11 +20,11 @@ def require_whole_ply(file: Path) -> None:
     if not any(line.split()[:2] == ["format", "ascii"] for line in lines[:head]):
         return
     counts = [line.split()[2:3] for line in lines[:head] if line.split()[:1] == ["element"]]
-    said = sum(int(count[0]) if count and count[0].isdecimal() else -(10**30) for count in counts)
+    stated = sum(int(count[0]) if count and count[0].isdecimal() else -(10**30) for count in counts)
     found = sum(bool(line.strip()) for line in lines[head + 1 :])
-    if said != found:
-        told = f"{said} lines" if said >= 0 else "a count that is none"
+    if stated != found:
+        counted = f"{stated} lines" if stated >= 0 else "a count that is none"
         raise InputError(
-            f"file must be a readable PLY surface, got {told} in the header and {found} after it in {file.name}: "
+            f"file must be a readable PLY surface, got {counted} in the header and {found} after it in {file.name}: "
             "export it again"
         )

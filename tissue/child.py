@@ -2,23 +2,22 @@
 
 import os
 import runpy
-import signal
 import sys
 import threading
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from time import sleep
+
+from meshes.child_process import kill_with_parent, python_command, start_code
 
 __all__ = ["LOOK_S", "HelperLostError", "Patience", "child_command", "end_with"]
 
-START = "import sys; sys.path.append(sys.argv.pop(1)); from tissue.child import _main; _main()"
+START = start_code("tissue.child", "_main")
 LOOK_S = 1.0
 """Time between two looks at a process that is waited for [s]."""
 IDLE_S = 30.0
 """How long a process that is waited for may do nothing [s]."""
 WORK_S = 0.05
 """Processor time that counts as having done something [s]; watching for the parent's end takes less."""
-PR_SET_PDEATHSIG = 1
 
 
 class HelperLostError(RuntimeError):
@@ -27,11 +26,8 @@ class HelperLostError(RuntimeError):
 
 def child_command(module: str, *arguments: str) -> list[str]:
     """Command that runs ``python -m module arguments`` and ends with this process; empty where none can be started."""
-    if not sys.executable:
-        return []
     strictly = threading.current_thread() is threading.main_thread()
-    own = [str(Path(__file__).resolve().parent.parent), str(os.getpid()), str(int(strictly)), module]
-    return [sys.executable, "-P", "-c", START, *own, *arguments]
+    return python_command(START, str(os.getpid()), str(int(strictly)), module, *arguments)
 
 
 def end_with(parent: int, *, strictly: bool) -> None:
@@ -45,10 +41,8 @@ def end_with(parent: int, *, strictly: bool) -> None:
         Let the system do it, too, where it can (Linux): then it ends though it was stopped. The system goes by the
         thread that started this process, which must not end before its process.
     """
-    if strictly and sys.platform == "linux":
-        import ctypes
-
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    if strictly:
+        kill_with_parent()
     threading.Thread(target=_await_end, args=(parent,), daemon=True).start()
 
 
