@@ -86,7 +86,7 @@ def _read(path: Path, code: str) -> Arrays | None:
 
 
 def _seal(arrays: Arrays, code: str) -> str:
-    """What a file says of its arrays, as JSON: code, kinds, shapes and a checksum."""
+    """What a file states of its arrays, as JSON: code, kinds, shapes and a checksum."""
     checksum = hashlib.blake2b(digest_size=16)
     for array in arrays.values():
         checksum.update(np.ascontiguousarray(array).tobytes())

@@ -119,7 +119,7 @@ def _header(file: Path, place: str) -> dict[str, Any]:
         raise InputError(_damaged(place))
     if not compressed and found != needed + needed % 2:
         raise InputError(
-            f"a DICOM slice must hold the {needed} bytes of pixels that its header says, got {found} in {place}: "
+            f"a DICOM slice must hold the {needed} bytes of pixels that its header states, got {found} in {place}: "
             "export the series again"
         )
     return header
@@ -130,7 +130,7 @@ def _damaged(place: str) -> str:
 
 
 def _require_one_series(headers: Sequence[Mapping[str, Any]], folder: Path) -> None:
-    """Refuse several series, told apart by identifier and number but named by number and slices alone."""
+    """Refuse several series, distinguished by identifier and number but named by number and slices alone."""
     found = Counter((str(header["SeriesInstanceUID"]), _whole(header)) for header in headers)
     if len(found) > 1:
         named = ", ".join(f"number {number} of {count} slices" for (_, number), count in sorted(found.items()))

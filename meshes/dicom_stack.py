@@ -50,7 +50,7 @@ class Slice:
 
 
 def stack_step(slices: Sequence[Slice], source: str) -> tuple[list[int], NDArray[np.float64], list[str]]:
-    """Order of the slices along their normal, the step from one to the next [mm, LPS], and what is to be said.
+    """Order of the slices along their normal, the step from one to the next [mm, LPS], and notes on it.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def _require_even(heights: NDArray[np.float64], source: str) -> None:
 
 
 def _shear_notes(step: NDArray[np.float64], normal: NDArray[np.float64], tilt_deg: float, source: str) -> list[str]:
-    """Say that a tilted gantry is undone; refuse a tilt that the positions do not show."""
+    """Note that a tilted gantry is undone; refuse a tilt that the positions do not show."""
     along = float(step @ normal)
     shear_deg = float(np.degrees(np.arctan2(np.linalg.norm(step - along * normal), along)))
     if abs(tilt_deg) > _TILT_DEG and abs(abs(tilt_deg) - shear_deg) > _TILT_DEG:

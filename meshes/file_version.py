@@ -36,7 +36,7 @@ def require_version(
     what
         Name of the file as a person knows it.
     held
-        What the file says of itself: its format's version under ``key``, and ``tissue``, the version that wrote it.
+        What the file states of itself: its format's version under ``key``, and ``tissue``, the version that wrote it.
     newest, oldest
         Versions that are read.
     where
@@ -49,15 +49,15 @@ def require_version(
     InputError
         If the version is none, older or newer; names both versions and what wrote the file.
     """
-    said = held.get(key)
-    if isinstance(said, bool) or not isinstance(said, int) or said < 1:
-        raise InputError(f"{what} must say the version of its format, got {str(said)[:40]} in {where}: {remedy}")
-    if said > newest:
+    stated = held.get(key)
+    if isinstance(stated, bool) or not isinstance(stated, int) or stated < 1:
+        raise InputError(f"{what} must state the version of its format, got {str(stated)[:40]} in {where}: {remedy}")
+    if stated > newest:
         writer = str(held.get("tissue", "a later version"))[:40]
         raise InputError(
-            f"{what} must be of format {newest} or older, got {said}, written by tissue {writer}, in {where}: read it "
-            "with that version of tissue"
+            f"{what} must be of format {newest} or older, got {stated}, written by tissue {writer}, in {where}: read "
+            "it with that version of tissue"
         )
-    if said < oldest:
-        raise InputError(f"{what} must be of format {oldest} or newer, got {said} in {where}: {remedy}")
-    return said
+    if stated < oldest:
+        raise InputError(f"{what} must be of format {oldest} or newer, got {stated} in {where}: {remedy}")
+    return stated

@@ -1,4 +1,4 @@
-"""The voxels of an image file: as many as its header says, and where compressed with a checksum that fits."""
+"""The voxels of an image file: as many as its header states, and where compressed with a checksum that fits."""
 
 from __future__ import annotations
 
@@ -133,6 +133,4 @@ def _damaged(path: Path) -> str:
 
 
 def _sizes_differ(path: Path, needed: int, found: str) -> str:
-    return (
-        f"file must hold the {needed} bytes of voxels that its header says, got {found} in {path.name}: export it again"
-    )
+    return f"file must hold the {needed} bytes of voxels its header states, got {found} in {path.name}: export it again"

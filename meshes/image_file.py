@@ -43,7 +43,7 @@ def read_image(
         Image file; folder with a DICOM series or TIFF slices; or a pattern of TIFF slices (`slices/*.tif`). TIFF slices
         count upward in z in the order of their names.
     spacing_mm
-        Distance between neighbours [mm] in all directions; None: what the file says. TIFF files say nothing.
+        Distance between neighbours [mm] in all directions; None: what the file states. TIFF files state none.
     array
         Name of the array, where the file holds several; None: the active one.
     labels
@@ -72,7 +72,7 @@ def read_image(
         note = f"The spacing in {source} is exactly 1 mm, often a placeholder: set anatomy.spacing_mm to be sure."
         stored = replace(stored, notes=(*stored.notes, note))
     if given is not None:
-        note = f"The spacing in {source} is {_by(stored.spacing_mm)} mm; {given:g} mm is used, as told."
+        note = f"The spacing in {source} is {_by(stored.spacing_mm)} mm; {given:g} mm is used, as given."
         notes = stored.notes if slices or stored.spacing_mm == (given,) * 3 else (*stored.notes, note)
         stored = replace(stored, spacing_mm=(given,) * 3, notes=notes)
     values = stored.values

@@ -62,7 +62,7 @@ class StoredImage:
     values
         Shape (ni, nj, nk).
     spacing_mm
-        Distance between neighbours along each axis of the array [mm], as the header says it, unchecked.
+        Distance between neighbours along each axis of the array [mm], as the header states it, unchecked.
     directions
         Direction of each axis of the array in LPS, unit vectors in the columns, shape (3, 3); at right angles or not.
     origin_mm

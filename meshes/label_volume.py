@@ -100,7 +100,7 @@ class LabelledTooth:
         if region_m is not None:
             corners = np.stack([np.maximum(corners[0], region_m[0]), np.minimum(corners[1], region_m[1])])
             if (corners[0] >= corners[1]).any():
-                corners = self.placed.corners  # a tool that misses is told where the tooth lies
+                corners = self.placed.corners  # a refusal of a tool that misses names where the tooth lies
         _require_room(corners, size)
         volume = resampled(self.placed, corners, size, order, progress=progress)
         said = list(self.sentences)
@@ -116,7 +116,7 @@ class LabelledTooth:
         """The volume with its cavity as pulp where wanted, and a sentence on it."""
         cavity = self.cavity if wanted else None
         if cavity is None:
-            return volume, "No label for the pulp: its distance and exposure cannot be told."
+            return volume, "No label for the pulp: its distance and exposure are unknown."
         said = f"the empty cavity of {1e9 * cavity.volume_m3:.3g} mm3 in the dentin is taken as pulp"
         return with_pulp(volume, cavity.voxels(volume)), f"No label for the pulp: {said}."
 
@@ -132,7 +132,7 @@ def label_volume(
     array: str | None = None,
     remark: Callable[[str], None] | None = None,
 ) -> VoxelVolume:
-    """Tooth from a label image file; `meshes.image_file.read_image` says which files, `labelled_volume` the rest.
+    """Tooth from a label image file; files as in `meshes.image_file.read_image`, the rest as in `labelled_volume`.
 
     Parameters
     ----------

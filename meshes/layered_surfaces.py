@@ -72,7 +72,7 @@ def layered_surfaces(
 
 
 def _read(layer: str, path: str | Path, scale_mm: float | None) -> Surface:
-    """The surface of a layer; a refusal of its file says which layer it is."""
+    """The surface of a layer; a refusal of its file names the layer."""
     try:
         return read_surface(path, scale_mm=scale_mm)
     except InputError as error:
@@ -231,7 +231,7 @@ def _notes(
         "surfaces": ", ".join(f"{name} {surface.report.volume_mm3:.4g} mm3" for name, surface in surfaces.items()),
         "unit": surfaces["dentin"].report.unit_guess,
         "long axis": said,
-        "mesial and buccal": "not told apart: x is the wider direction of the roots",
+        "mesial and buccal": "not distinguished: x is the wider direction of the roots",
         "overlaps": listed(contact.overlap_mm3) or "none",
         "gaps": listed(contact.gap_mm3) or "none",
         "priority": " > ".join(kept),
@@ -240,7 +240,7 @@ def _notes(
     if contact.void_mm3 > 0.0:
         notes["voids"] = f"{contact.void_mm3:.3g} mm3 enclosed by the layers and in none, left empty"
     if "pulp" not in surfaces:
-        notes["pulp"] = "none given: distance and exposure of the pulp cannot be told"
+        notes["pulp"] = "none given: distance and exposure of the pulp are unknown"
     if "ligament" not in surfaces:
         notes["ligament"] = "none given: the tooth has no support but what the scene states"
     if socket_mm > 0.0:

@@ -82,7 +82,7 @@ def _slope_and_intercept(fields: dict[str, str], path: Path) -> tuple[float, flo
 
 
 def _voxels(fields: dict[str, str], path: Path, start: int) -> NDArray[Any]:
-    """The voxels, from one file, as many as the header says, and where compressed with a checksum that fits."""
+    """The voxels, from one file, as many as the header states, and where compressed with a checksum that fits."""
     name = fields["elementdatafile"]
     local = name.upper() == "LOCAL"
     data = path if local else path.parent / name
@@ -112,5 +112,5 @@ def _voxels(fields: dict[str, str], path: Path, start: int) -> NDArray[Any]:
 
 
 def _is_true(fields: dict[str, str], key: str, absent: str) -> bool:
-    """Whether a header says yes."""
+    """Whether a key of a header is true."""
     return fields.get(key, absent).lower() in ("true", "1", "t")

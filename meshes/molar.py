@@ -138,7 +138,7 @@ def molar(
         "crown": f"{crown_width_mm:g} x {crown_length_mm:g} x {crown_height_mm:g} mm, roots {root_length_mm:g} mm",
         "enamel": f"{enamel_thickness_mm:g} mm over the cusps, {1e3 * crown.fossa_enamel:.2g} mm in the fossa",
         "pulp": f"roof {pulp_roof_mm:g} mm below the fossa; chamber and canals of a young adult, a prior",
-        "bone": f"one density, a block {socket_mm:g} mm beyond the roots; cortical plate and marrow are not told apart",
+        "bone": f"one density, a block {socket_mm:g} mm beyond the roots; cortical plate and marrow are one",
         "caries": f"{caries_depth_mm:g} mm deep, {caries_diameter_mm:g} mm wide" if lesion else "none",
         "gum and cementum": "not modelled",
     }

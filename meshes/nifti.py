@@ -134,7 +134,7 @@ def _affine(header: Any, path: Path, notes: list[str]) -> NDArray[np.float64]:
     stated = np.linalg.norm(sform[:3, :3], axis=0)
     if not np.allclose(stated, spacing, rtol=_AGREE, atol=0.0):
         raise InputError(
-            f"pixdim and sform must say the same spacing, got {_by(spacing)} and {_by(stated)} in {path.name}: "
+            f"pixdim and sform must state the same spacing, got {_by(spacing)} and {_by(stated)} in {path.name}: "
             "mend the header"
         )
     if qform is not None:

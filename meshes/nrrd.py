@@ -68,7 +68,7 @@ def _unit_mm(fields: dict[str, str], path: Path) -> float:
 
 
 def _require_data(fields: dict[str, str], path: Path, start: int, needed: int) -> None:
-    """Refuse a data file that holds more than the header says, or does not fit its checksum; ITK refuses less."""
+    """Refuse a data file that holds more than the header states, or does not fit its checksum; ITK refuses less."""
     name = fields.get("data file", fields.get("datafile"))
     skips = any(
         fields.get(key.replace(" ", gap), "0") != "0" for key in ("line skip", "byte skip") for gap in (" ", "")

@@ -15,7 +15,7 @@ __all__ = ["read_obj"]
 _IGNORED = frozenset(("vt", "vn", "vp", "p", "l", "g", "s", "mg", "o", "usemtl", "mtllib", "usemap", "maplib", "lod"))
 _IGNORED |= {"bevel", "c_interp", "d_interp", "shadow_obj", "trace_obj", "ctech", "stech", "call", "csh", "deg", "bmat"}
 _IGNORED |= {"step", "cstype", "curv", "curv2", "surf", "parm", "trim", "hole", "scrv", "sp", "end", "con"}
-"""Keywords of the format that say nothing of vertices and polygons."""
+"""Keywords of the format that do not concern vertices and polygons."""
 _FURTHER = re.compile(r"/\S*")
 
 

@@ -1,4 +1,4 @@
-"""Whether a PLY file in text holds as many lines as its header says, which its reader does not ask."""
+"""Whether a PLY file in text holds as many lines as its header states, which its reader does not check."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ __all__ = ["require_whole_ply"]
 
 
 def require_whole_ply(file: Path) -> None:
-    """Refuse a PLY file in text that is not as long as its header says; binary ones are checked as they are read.
+    """Refuse a PLY file in text that is not as long as its header states; binary ones are checked as they are read.
 
     Raises
     ------

@@ -44,8 +44,8 @@ class PulpCavity:
         margin = int(np.ceil(_WIDEST_OPENING_M / tooth.spacing_m)) + 1
         empty = np.pad(tooth.fraction < FULL / 2, margin, constant_values=True)
         radius = 0.5 * _WIDEST_OPENING_M / tooth.spacing_m
-        ways, _ = label(distance_transform_edt(empty) > radius)
-        outside = ways == ways[0, 0, 0]
+        passages, _ = label(distance_transform_edt(empty) > radius)
+        outside = passages == passages[0, 0, 0]
         away = distance_transform_edt(~outside)
         pieces, count = label(empty & (away > radius))
         if count == 0:

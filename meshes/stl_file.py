@@ -20,7 +20,7 @@ def read_binary_stl(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]
     Raises
     ------
     InputError
-        If the file is not as long as its header says.
+        If the file is not as long as its header states.
     """
     size = file.stat().st_size
     with file.open("rb") as stored:
@@ -30,9 +30,9 @@ def read_binary_stl(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]
             if b"\0" not in head:  # text holds none; a count below 16 million does
                 return None
             room = max(size - _HEADER, 0) // _RECORD.itemsize
-            said = f"{count} triangles in its header" if size >= _HEADER else "a part of its header"
+            stated = f"{count} triangles in its header" if size >= _HEADER else "a part of its header"
             raise InputError(
-                f"file must be a whole STL surface, got {said} and room for {room} in {file.name}: it is cut off or "
+                f"file must be a whole STL surface, got {stated} and room for {room} in {file.name}: it is cut off or "
                 "damaged, export it again"
             )
         records = np.fromfile(stored, dtype=_RECORD, count=count)

@@ -33,7 +33,7 @@ _MERGE_TOLERANCE = 1e-6
 _DEBRIS_AREA = 0.01
 _HOLE_AREA = 0.03
 _CAP_M2 = 1e-5
-"""A hole of more area is told of as a cap: what closes it is a guess, which matters where a tool goes."""
+"""A hole of more area is listed as a cap: what closes it is a guess, which matters where a tool goes."""
 _FLATTEST = 1e-3
 _TURNED = "Turned the surface outward: it was wound inward."
 _FARTHEST = 1e100
@@ -249,8 +249,9 @@ def _stored(file: Path) -> tuple[NDArray[Any], NDArray[Any]]:
         mesh: Any = trimesh.load(file, force="mesh", process=False)
         return np.asarray(mesh.vertices), np.asarray(mesh.faces)
     except Exception as problem:  # the readers raise many kinds, none documented
-        said = f"file must be a readable {kind} surface, got {file.name} (it is damaged or cut off): export it again"
-        raise InputError(said) from problem
+        raise InputError(
+            f"file must be a readable {kind} surface, got {file.name} (it is damaged or cut off): export it again"
+        ) from problem
 
 
 def _require_triangles(vertices: NDArray[Any], faces: NDArray[Any], source: str) -> None:

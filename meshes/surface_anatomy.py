@@ -29,7 +29,7 @@ def surface_anatomy(
 ) -> Anatomy:
     """Anatomy of a bone surface in the site frame: a cortical shell of even thickness over trabecular bone.
 
-    A surface says nothing of what is inside: thickness and densities are assumptions, recorded in the notes. The
+    A surface holds nothing of what is inside: thickness and densities are assumptions, recorded in the notes. The
     default thickness is the mean of the subchondral plate (1.2-2.9 mm, six glenoids, Frich); densities as in
     `meshes.glenoid`.
 

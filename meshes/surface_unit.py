@@ -1,4 +1,4 @@
-"""The unit of length of a surface file, which most formats do not say: told, or guessed from its size."""
+"""The unit of length of a surface file, which most formats do not hold: given, or guessed from its size."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def unit_of(longest: float, scale_mm: float | None, source: str) -> tuple[float,
     Raises
     ------
     InputError
-        If a scale told makes a bone of impossible size, or none is told where the size leaves the unit open.
+        If the scale given makes a bone of impossible size, or none is given where the size leaves the unit open.
     """
     plain = [scale for _, scale, lowest, highest in _UNITS if lowest <= longest <= highest]
     suggestion = plain[0] if plain else float(f"{_TYPICAL_BONE_MM / longest:.2g}")
@@ -29,7 +29,7 @@ def unit_of(longest: float, scale_mm: float | None, source: str) -> tuple[float,
                 f"anatomy.scale_mm must make the longest side 1 mm to 1 m, got {scale:g}, which makes "
                 f"{source} {_length(longest * scale)} long: use about {suggestion:g}"
             )
-        return scale, f"{scale:g} mm per unit, as told: the longest side is {longest * scale:.4g} mm"
+        return scale, f"{scale:g} mm per unit, as given: the longest side is {longest * scale:.4g} mm"
     for name, scale, lowest, highest in _UNITS:
         if lowest <= longest <= highest:
             guess = f"{name}, since the longest side {longest:.3g} would be {longest * scale:.3g} mm"
@@ -45,7 +45,7 @@ def unit_of(longest: float, scale_mm: float | None, source: str) -> tuple[float,
 
 
 def _length(millimetres: float) -> str:
-    """Length in the unit a person would say it in."""
+    """Length in the unit a person would use."""
     for name, factor in (("km", 1e6), ("m", 1e3), ("mm", 1.0)):
         if millimetres >= factor:
             return f"{millimetres / factor:.3g} {name}"

@@ -79,7 +79,7 @@ def read_tets(
     edge_m
         Edge of the tetrahedra that fill a surface [m]; None: about 30,000 of them.
     tell
-        Told what is being done and how far it is (0 to 1).
+        Called with what is being done and the share of it that is done (0 to 1).
 
     Raises
     ------
@@ -103,8 +103,8 @@ def read_tets(
         mesh, report = repair_tets(stored.points * (1e-3 * scale), stored.tets, part.reshape(-1), names)
         return TetFile(mesh, scale, (why, *stored.notes, *report.sentences()))
     surface = surface_from_triangles(stored.points, stored.triangles, source=file.name, scale_mm=scale)
-    filled, said = tetrahedralise(surface, edge_m=edge_m, tell=tell)
-    return TetFile(filled, scale, (why, *stored.notes, *surface.report.repairs, *said), filled=True)
+    filled, sentences = tetrahedralise(surface, edge_m=edge_m, tell=tell)
+    return TetFile(filled, scale, (why, *stored.notes, *surface.report.repairs, *sentences), filled=True)
 
 
 def _unit(size: NDArray[np.float64], unit_mm: float | None, name: str) -> tuple[float, str]:
@@ -114,7 +114,7 @@ def _unit(size: NDArray[np.float64], unit_mm: float | None, name: str) -> tuple[
     if unit_mm is not None:
         scale = require_positive("anatomy.scale_mm", unit_mm, "use 1 for millimetres, 1000 for metres")
         sides = " x ".join(f"{scale * s:.3g}" for s in size)
-        said = f"{name} was read at {scale:g} mm per unit, as told: {sides} mm."
+        said = f"{name} was read at {scale:g} mm per unit, as given: {sides} mm."
         if not _ORGAN_MM[0] <= longest * scale <= _ORGAN_MM[1]:
             said = said[:-1] + f", which is not the size of an organ ({_ORGAN_MM[0]:g} to {_ORGAN_MM[1]:g} mm)."
         return scale, said

@@ -99,7 +99,7 @@ def read_msh(file: Path) -> MshMesh:
 
 
 def _section(lines: list[str], opening: str) -> list[str]:
-    """Lines of a section after its count, as many as the count says."""
+    """Lines of a section after its count, as many as the count states."""
     start = lines.index(opening)
     count = int(lines[start + 1])
     body = lines[start + 2 : start + 2 + count]
@@ -132,11 +132,11 @@ def _names(lines: list[str], file: Path) -> dict[int, str]:
         dimension, number, name = line.split(maxsplit=2)
         if int(dimension) != 3:
             continue
-        told = visible(name.strip().removeprefix('"').removesuffix('"')).replace("\n", " ").strip()
-        if not told or len(told) > _LONGEST_NAME or told in names.values() or told == "none":
+        shown = visible(name.strip().removeprefix('"').removesuffix('"')).replace("\n", " ").strip()
+        if not shown or len(shown) > _LONGEST_NAME or shown in names.values() or shown == "none":
             raise InputError(
                 f"physical volumes must have names that differ, of 1 to {_LONGEST_NAME} characters and not 'none', got "
-                f"{told[:_LONGEST_NAME]!r} for {number} in {file.name}: name it otherwise in Gmsh"
+                f"{shown[:_LONGEST_NAME]!r} for {number} in {file.name}: name it otherwise in Gmsh"
             )
-        names[int(number)] = told
+        names[int(number)] = shown
     return names

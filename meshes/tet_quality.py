@@ -9,8 +9,8 @@ inverted        volume negative, not flat                              turned; r
 flat            6 V below 1e-6 of the longest edge cubed               dropped at the surface where that leaves the mesh
                                                                        whole; inside, its nodes are moved; else refused
 debris          pieces linked by faces, below 1 % of the largest       dropped
-sliver          mean ratio below 0.1                                   inner nodes moved; what stays is kept and told
-pinched edges   surface edges of more than two triangles               kept and told
+sliver          mean ratio below 0.1                                   inner nodes moved; the rest is kept, reported
+pinched edges   surface edges of more than two triangles               kept and reported
 ==============  =====================================================  ================================================
 """
 
@@ -143,7 +143,7 @@ def _without_flat(
 
 
 def _flat_turned(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Flat cells, whose own volume says nothing, turned where their solid neighbours say so."""
+    """Flat cells, whose own volume has no sign, turned where their solid neighbours require it."""
     flat = flatness(nodes, cells) < FLAT
     if not flat.any():
         return cells

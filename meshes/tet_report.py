@@ -66,7 +66,7 @@ class TetReport:
     pinched_at_mm: tuple[float, float, float] | None
 
     def sentences(self) -> tuple[str, ...]:
-        """What was found and done, a sentence each; the first tells the mesh itself."""
+        """What was found and done, a sentence each; the first describes the mesh itself."""
         said = [
             f"{self.cell_count} tetrahedra on {self.node_count} nodes, {self.volume_mm3 * 1e-3:.4g} ml, "
             f"{' x '.join(f'{s:.3g}' for s in self.size_mm)} mm, lowest mean ratio {self.worst_quality:.2g} "

@@ -150,15 +150,15 @@ def graded(start_m: float, end_m: float, first_m: float, growth: float) -> NDArr
     Raises
     ------
     InputError
-        If the first step is not positive or longer than the way, or the growth is below 1.
+        If the first step is not positive or longer than the distance, or the growth is below 1.
     """
-    way = abs(end_m - start_m)
-    if not 0.0 < first_m <= way:
-        raise InputError(f"first_m must be in (0, {way:g}], got {first_m}: use a tenth of the way")
+    distance = abs(end_m - start_m)
+    if not 0.0 < first_m <= distance:
+        raise InputError(f"first_m must be in (0, {distance:g}], got {first_m}: use a tenth of the distance")
     if not growth >= 1.0:
         raise InputError(f"growth must be at least 1, got {growth}: use 1.2")
     steps = [first_m]
-    while sum(steps) < way * (1.0 - 1e-12):
+    while sum(steps) < distance * (1.0 - 1e-12):
         steps.append(steps[-1] * growth)
     at = np.concatenate([[0.0], np.cumsum(steps)])
     at *= (end_m - start_m) / at[-1]

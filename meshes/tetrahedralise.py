@@ -43,7 +43,7 @@ def tetrahedralise(
     edge_m
         Target edge [m]; None: about 30,000 tetrahedra.
     tell
-        Told what is being done and how far it is (0 to 1).
+        Called with what is being done and the share of it that is done (0 to 1).
 
     Returns
     -------
@@ -58,14 +58,16 @@ def tetrahedralise(
     longest = 1e-3 * max(surface.report.size_mm)
     edge = _EDGE_PER_CELL * (volume / _CELLS) ** (1.0 / 3.0) if edge_m is None else edge_m
     edge = require_range("edge_m", edge, longest / 200.0, longest / 2.0, f"use about {longest / 20.0:.2g}")
-    said = []
+    sentences = []
     pinched = edge_counts(surface.faces)[1]
     if pinched:
-        said.append(f"The surface has {pinched} edges of more than two triangles, which the mesher parts or thickens.")
+        sentences.append(
+            f"The surface has {pinched} edges of more than two triangles, which the mesher parts or thickens."
+        )
     crossing = crossing_triangles(surface.vertices_m, surface.faces)
     if len(crossing):
         at = place(millimetres(surface.vertices_m[surface.faces[crossing[0]]]))
-        said.append(
+        sentences.append(
             f"{len(crossing)} triangles of the surface cross others, the first at {at} mm: what they enclose together "
             "was filled; mend the surface in a mesh editor if that is not meant."
         )
@@ -82,8 +84,8 @@ def tetrahedralise(
     mesh, report = repair_tets(arrays["nodes"], arrays["cells"])
     off = float(mesh.volumes_m3.sum()) / volume - 1.0
     if abs(off) > _VOLUME_OFF:
-        said.append(f"The mesh encloses {100.0 * off:+.1f} % of volume against the surface: use smaller edges.")
-    return mesh, (*said, *report.sentences())
+        sentences.append(f"The mesh encloses {100.0 * off:+.1f} % of volume against the surface: use smaller edges.")
+    return mesh, (*sentences, *report.sentences())
 
 
 def _filled(surface: Surface, edge: float) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""What the layers of a tooth are called, how dense they are, and how density tells softened dentin from sound.
+"""What the layers of a tooth are called, how dense they are, and how softened dentin differs from sound in density.
 
 M = from memory of the literature, with confidence H, M or L.
 

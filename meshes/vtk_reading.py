@@ -47,7 +47,7 @@ def read_vtk(file: Path) -> Any:
     Raises
     ------
     DamagedFileError
-        If the reader complained, with its first complaint, or cells are not where the file says.
+        If the reader complained, with its first complaint, or cells are not where the file states.
     InputError
         If a cell names a point that is not there.
     """
@@ -143,7 +143,7 @@ def _require_cells(cells: Any, file: Path, point_count: int, kinds: NDArray[Any]
     points = vtk_to_numpy(cells.GetConnectivityArray()).astype(np.int64)
     sizes = np.diff(offsets)
     if len(offsets) and (offsets[0] != 0 or offsets[-1] != len(points) or (sizes < 0).any()):
-        raise DamagedFileError("cells are not where their offsets say")
+        raise DamagedFileError("cells are not where their offsets point")
     if kinds is not None:
         if len(kinds) != len(sizes):
             raise DamagedFileError(f"{len(kinds)} types of {len(sizes)} cells")

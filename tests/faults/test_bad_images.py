@@ -90,7 +90,7 @@ def flipped_bit(folder, kind):
 
 BAD = {
     # NIfTI
-    "nifti cut": (lambda f: nifti(f, left=0.8), "must hold the 280 bytes of voxels that its header says, got 153"),
+    "nifti cut": (lambda f: nifti(f, left=0.8), "must hold the 280 bytes of voxels its header states, got 153"),
     "nifti cut in its header": (lambda f: nifti(f, left=0.3), "must be a NIfTI image, got image.nii"),
     "gzip cut": (lambda f: nifti(f, suffix=".nii.gz", left=0.95), "compressed data are damaged or cut off"),
     "gzip cut to 30 %": (lambda f: nifti(f, suffix=".nii.gz", left=0.3), "file must "),
@@ -101,8 +101,8 @@ BAD = {
     "nifti spacing below 0": (lambda f: nifti(f, code=0, pixdim=(1, -0.8, 0.5, 2)), "pixdim must be positive"),
     "nifti spacing nan": (lambda f: nifti(f, pixdim=(1, np.nan, 0.5, 2)), "pixdim must be positive"),
     "nifti spacing 1.8e19": (lambda f: nifti(f, code=0, pixdim=(1, 1.8e19, 0.5, 2)), r"spacing must be in \[1e-05, 1"),
-    "nifti sform against pixdim": (lambda f: nifti(f, pixdim=(1, 1.6, 0.5, 2)), "pixdim and sform must say the same"),
-    "nifti sform nan": (lambda f: nifti(f, sform=np.full((3, 4), np.nan)), "pixdim and sform must say the same"),
+    "nifti sform against pixdim": (lambda f: nifti(f, pixdim=(1, 1.6, 0.5, 2)), "pixdim and sform must state the same"),
+    "nifti sform nan": (lambda f: nifti(f, sform=np.full((3, 4), np.nan)), "pixdim and sform must state the same"),
     "nifti slope infinite": (lambda f: nifti(f, slope=np.inf), "scl_slope and scl_inter must be finite"),
     "nifti intercept nan": (lambda f: nifti(f, intercept=np.nan), "scl_slope and scl_inter must be finite"),
     "nifti offset": (lambda f: nifti(f, vox_offset=-8.0), "vox_offset must be at least 352"),
@@ -142,7 +142,7 @@ BAD = {
     # MetaImage
     "meta cut": (
         lambda f: meta(f, left=0.3),
-        "must hold the 280 bytes of voxels that its header says, got a file of 84",
+        "must hold the 280 bytes of voxels its header states, got a file of 84",
     ),
     "mha cut": (lambda f: meta(f, suffix=".mha", left=0.7), "file must "),
     "meta data missing": (
@@ -181,7 +181,10 @@ BAD = {
     "slice cut": (lambda f: dicom(f, change=lambda p: cut(slice_2(p), 0.97)), "70 bytes of pixels .* file 3 of 4"),
     "slice cut to 30 %": (lambda f: dicom(f, change=lambda p: cut(slice_2(p), 0.3)), "a damaged one, file 3 of 4"),
     "slice empty": (lambda f: dicom(f, change=lambda p: slice_2(p).write_bytes(b"")), "another kind as file 3 of 4"),
-    "rows against pixels": (lambda f: dicom(f, rows=50), "must hold the 700 bytes of pixels that its header says, got"),
+    "rows against pixels": (
+        lambda f: dicom(f, rows=50),
+        "must hold the 700 bytes of pixels that its header states, got",
+    ),
     "two series": (
         lambda f: dicom(f, each=lambda k: {"series": f"1.2.{k % 2}", "series_number": 3 + k % 2}),
         r"got 2 in series \(number 3 of 2 slices, number 4 of 2 slices\)",

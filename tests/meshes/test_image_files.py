@@ -90,12 +90,14 @@ def test_placeholder_spacing_is_told(tmp_path):
     grid = pyvista.ImageData(dimensions=(3, 3, 3))
     grid.point_data["v"] = np.arange(27.0)
     grid.save(tmp_path / "one.vti")
-    told = []
-    read_volume(tmp_path / "one.vti", threshold=5, remark=told.append)
-    assert told == ["The spacing in one.vti is exactly 1 mm, often a placeholder: set anatomy.spacing_mm to be sure."]
-    told.clear()
-    assert read_volume(tmp_path / "one.vti", threshold=5, spacing_mm=0.03, remark=told.append).spacing_m == 3e-5
-    assert told == ["The spacing in one.vti is 1 x 1 x 1 mm; 0.03 mm is used, as told."]
+    remarks = []
+    read_volume(tmp_path / "one.vti", threshold=5, remark=remarks.append)
+    assert remarks == [
+        "The spacing in one.vti is exactly 1 mm, often a placeholder: set anatomy.spacing_mm to be sure."
+    ]
+    remarks.clear()
+    assert read_volume(tmp_path / "one.vti", threshold=5, spacing_mm=0.03, remark=remarks.append).spacing_m == 3e-5
+    assert remarks == ["The spacing in one.vti is 1 x 1 x 1 mm; 0.03 mm is used, as given."]
 
 
 def test_threshold_and_ramp():
@@ -128,10 +130,10 @@ def test_coarser_voxels_keep_bone_and_mass(ratio):
 def test_finer_voxels_interpolate_grey_and_make_cubes():
     x = np.linspace(-1, 1, 21)
     ball = 100 * (0.8 - np.sqrt(x[:, None, None] ** 2 + x[None, :, None] ** 2 + x[None, None, ::2] ** 2))
-    told = []
-    volume = image_volume(image(ball, (0.1, 0.1, 0.2)), threshold=0, full_value=5, remark=told.append)
+    remarks = []
+    volume = image_volume(image(ball, (0.1, 0.1, 0.2)), threshold=0, full_value=5, remark=remarks.append)
     assert volume.spacing_m == pytest.approx(1e-4) and volume.shape == (21, 21, 22)
-    assert told == ["The voxels of test are not cubes; resampled to 0.1 mm."]
+    assert remarks == ["The voxels of test are not cubes; resampled to 0.1 mm."]
     assert volume.volume_m3() == pytest.approx(4 / 3 * math.pi * 0.8e-3**3, rel=0.02)
 
 

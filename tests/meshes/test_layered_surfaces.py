@@ -1,4 +1,4 @@
-"""A tooth from surfaces: exact volumes of nested bodies, overlaps and gaps told, its place, and the real molar."""
+"""A tooth from surfaces: exact volumes of nested bodies, overlaps and gaps, its place, and the real molar."""
 
 import math
 
@@ -88,9 +88,9 @@ def test_balls_have_their_volumes_and_the_overlap_goes_by_priority(first, hollow
     expected[second] -= lens
     for name, value in expected.items():
         assert found[name] == pytest.approx(value, rel=2e-3), name
-    told = dict(part.rsplit(" ", 2)[:2] for part in anatomy.notes["overlaps"].split(", "))
-    assert float(told[f"{first} and {second}"]) == pytest.approx(lens, rel=0.02)  # points of 0.1 mm
-    assert ("pulp and dentin" in told) == (not hollow)
+    overlaps = dict(part.rsplit(" ", 2)[:2] for part in anatomy.notes["overlaps"].split(", "))
+    assert float(overlaps[f"{first} and {second}"]) == pytest.approx(lens, rel=0.02)  # points of 0.1 mm
+    assert ("pulp and dentin" in overlaps) == (not hollow)
     assert anatomy.notes["gaps"] == "none" and anatomy.notes["priority"] == f"pulp > {first} > {second}"
 
 
@@ -116,7 +116,7 @@ def test_cavity_without_a_pulp_is_told_and_left_empty():
     del surfaces["pulp"]
     anatomy = layered_anatomy(surfaces)
     assert float(anatomy.notes["voids"].split()[0]) == pytest.approx(24.0, rel=0.03)
-    assert "cannot be told" in anatomy.notes["pulp"] and "no support" in anatomy.notes["ligament"]
+    assert "are unknown" in anatomy.notes["pulp"] and "no support" in anatomy.notes["ligament"]
     assert 1e9 * voxelise(anatomy, spacing_m=2e-4).volume_m3() == pytest.approx(720.0 - 24.0, rel=3e-3)
 
 

@@ -95,7 +95,7 @@ def test_a_slab_takes_a_nodule(radius: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("make", "told"),
+    ("make", "message"),
     [
         (lambda: liver(nodule=Nodule(0.005, (0.0, 0.0, -0.03))), "nodule.radius_m must be at least the spacing"),
         (lambda: liver(nodule=Nodule(0.012, (0.0, 0.0, -0.01))), "nodule.centre_m must lie at least"),
@@ -107,6 +107,6 @@ def test_a_slab_takes_a_nodule(radius: float) -> None:
         (lambda: slab(nodule=Nodule(0.01, (0.045, 0.0, -0.02))), "nodule.centre_m must lie at least"),
     ],
 )
-def test_what_makes_no_tissue_is_refused(make: object, told: str) -> None:
-    with pytest.raises(InputError, match=told):
+def test_what_makes_no_tissue_is_refused(make: object, message: str) -> None:
+    with pytest.raises(InputError, match=message):
         make()  # type: ignore[operator]

@@ -35,7 +35,7 @@ def ends(path):
 def raises(path):
     raise KeyError("no such thing")
 
-def tells(path):
+def names_the_damage(path):
     raise DamagedFileError("cell 3 has no points")
 
 def refuses(path):
@@ -83,15 +83,15 @@ def test_what_a_parser_finds_comes_back(parse):
         ("crashes", "its parser crashed with exit code "),
         ("ends", "its parser crashed with exit code 3"),
         ("raises", "it is damaged or cut off"),
-        ("tells", "cell 3 has no points"),
+        ("names_the_damage", "cell 3 has no points"),
         ("hangs", "its parser took longer than 3 s"),
     ],
 )
 def test_a_parser_that_fails_is_told(parse, parser, reason):
-    with pytest.raises(InputError) as told:
+    with pytest.raises(InputError) as refused:
         parse(parser, longest_s=3.0 if parser == "hangs" else None)
-    assert str(told.value).startswith(f"file must be a readable ABC surface, got bone.abc ({reason}")
-    assert str(told.value).endswith("): export it again")
+    assert str(refused.value).startswith(f"file must be a readable ABC surface, got bone.abc ({reason}")
+    assert str(refused.value).endswith("): export it again")
 
 
 def test_a_refusal_of_the_parser_is_passed_on(parse):

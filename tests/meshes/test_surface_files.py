@@ -62,9 +62,9 @@ def test_unit_guess(write, size, scale_mm, guess):
     assert (report.scale_mm, report.unit_guess) == (scale_mm, guess)
 
 
-def test_unit_as_told(write):
+def test_unit_as_given(write):
     report = read_surface(write(bone((2.8, 1.2, 2.3))), scale_mm=50).report
-    assert report.unit_guess == "50 mm per unit, as told: the longest side is 140 mm"
+    assert report.unit_guess == "50 mm per unit, as given: the longest side is 140 mm"
     assert report.size_mm[0] == pytest.approx(140, rel=1e-5)
 
 

@@ -29,8 +29,8 @@ def test_the_coarse_liver_is_read_with_a_unit_told(anatomy: Path) -> None:
     assert (len(found.mesh.nodes_m), len(found.mesh.cells), len(found.mesh.surface)) == (181, 596, 276)
     assert found.mesh.volumes_m3.sum() == pytest.approx(36.5609 * 0.0343**3, rel=1e-5)
     assert found.mesh.volumes_m3.min() == pytest.approx(0.00321 * 0.0343**3, rel=0.01)
-    assert "34.3 mm per unit, as told: 222 x 169 x 152 mm" in found.sentences[0]
-    assert not any("inverted" in said or "sliver" in said for said in found.sentences)
+    assert "34.3 mm per unit, as given: 222 x 169 x 152 mm" in found.sentences[0]
+    assert not any("inverted" in sentence or "sliver" in sentence for sentence in found.sentences)
 
 
 def test_the_finer_liver_keeps_its_tetrahedra_only_and_tells_the_smallest(anatomy: Path) -> None:
@@ -41,8 +41,8 @@ def test_the_finer_liver_keeps_its_tetrahedra_only_and_tells_the_smallest(anatom
     assert "Left out 931 elements that are not tetrahedra." in found.sentences
     smallest = found.mesh.cells[int(found.mesh.volumes_m3.argmin())]
     at = ", ".join(f"{x:.3g}" for x in 1e3 * found.mesh.nodes_m[smallest].mean(axis=0))
-    assert any(f"at ({at}) mm, has 1/1769 of the volume" in said for said in found.sentences)
-    assert any("lowest mean ratio 0.34" in said for said in found.sentences)
+    assert any(f"at ({at}) mm, has 1/1769 of the volume" in sentence for sentence in found.sentences)
+    assert any("lowest mean ratio 0.34" in sentence for sentence in found.sentences)
 
 
 @pytest.mark.parametrize("name", ["liver", "liver2"])
@@ -110,11 +110,11 @@ def test_hexahedra_beside_tetrahedra_are_left_out_and_told(tmp_path: Path) -> No
     grid.merge(hexahedron).save(tmp_path / "organ.vtu")
     found = read_tets(tmp_path / "organ.vtu", unit_mm=1.0)
     assert len(found.mesh.cells) == 48
-    assert any("Left out 1 cells" in said for said in found.sentences)
+    assert any("Left out 1 cells" in sentence for sentence in found.sentences)
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("", "the empty file"),
         ("nonsense", "Gmsh text of version 1 or 2, got neither"),
@@ -128,10 +128,10 @@ def test_hexahedra_beside_tetrahedra_are_left_out_and_told(tmp_path: Path) -> No
         (FORM + NODES.replace("0 0 100", "100 100 0") + CELL, "cells must have volume, got 1 flat"),
     ],
 )
-def test_a_gmsh_file_that_cannot_be_used_is_refused_in_a_sentence(tmp_path: Path, text: str, told: str) -> None:
+def test_a_gmsh_file_that_cannot_be_used_is_refused_in_a_sentence(tmp_path: Path, text: str, message: str) -> None:
     file = tmp_path / "organ.msh"
     file.write_text(text)
-    with pytest.raises(InputError, match=told) as refused:
+    with pytest.raises(InputError, match=message) as refused:
         read_tets(file)
     assert "\n" not in str(refused.value)
 

@@ -43,7 +43,7 @@ def test_inverted_cells_are_turned_counted_and_located(cube: TetMesh) -> None:
     assert report.inverted == 3
     assert report.inverted_at_mm == pytest.approx(1e3 * cube.nodes_m[cells[17]].mean(axis=0))
     assert mesh.volumes_m3.sum() == pytest.approx(1e-3, rel=1e-12)
-    assert any("Turned 3 inverted" in said for said in report.sentences())
+    assert any("Turned 3 inverted" in sentence for sentence in report.sentences())
 
 
 def test_a_mesh_that_folds_over_itself_is_refused_with_the_place(cube: TetMesh) -> None:
@@ -105,12 +105,12 @@ def test_a_sliver_inside_is_counted_located_and_mended() -> None:
     assert mean_ratio(mesh.nodes_m, mesh.cells).min() > SLIVER
 
 
-def test_a_sliver_on_the_surface_is_kept_and_told() -> None:
+def test_a_sliver_on_the_surface_is_kept_and_reported() -> None:
     corner = np.vstack([np.zeros(3), 0.05 * np.eye(3)])
     corner[3] *= 0.01
     _, report = repair_tets(corner, np.array([[0, 1, 2, 3]]))
     assert (report.slivers, report.slivers_left, report.nodes_moved) == (1, 1, 0)
-    assert any("Found 1 slivers" in said and "left 1" in said for said in report.sentences())
+    assert any("Found 1 slivers" in sentence and "left 1" in sentence for sentence in report.sentences())
 
 
 def test_debris_is_dropped_with_its_volume(cube: TetMesh) -> None:
@@ -127,7 +127,7 @@ def test_two_bodies_are_kept_and_told(cube: TetMesh) -> None:
     nodes = np.vstack([cube.nodes_m, np.array([0.2, 0.0, 0.0]) + cube.nodes_m])
     _, report = repair_tets(nodes, np.vstack([cube.cells, cube.cells + 125]))
     assert report.bodies == 2
-    assert any("2 bodies" in said for said in report.sentences())
+    assert any("2 bodies" in sentence for sentence in report.sentences())
 
 
 def test_coincident_nodes_are_joined_and_repeated_cells_dropped(cube: TetMesh) -> None:
@@ -150,7 +150,7 @@ def test_a_pinched_edge_is_told() -> None:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "told"),
+    ("spoil", "message"),
     [
         (lambda n, c: (np.where(np.arange(len(n))[:, None] == 3, np.nan, n), c), "nodes must be finite, got 1 of 125"),
         (lambda n, c: (n, c + 1), "cells must name nodes 0 to 124"),
@@ -161,8 +161,8 @@ def test_a_pinched_edge_is_told() -> None:
         ),
     ],
 )
-def test_what_is_no_mesh_is_refused(cube: TetMesh, spoil: object, told: str) -> None:
-    with pytest.raises(InputError, match=told):
+def test_what_is_no_mesh_is_refused(cube: TetMesh, spoil: object, message: str) -> None:
+    with pytest.raises(InputError, match=message):
         repair_tets(*spoil(cube.nodes_m, cube.cells))  # type: ignore[operator]
 
 

@@ -75,7 +75,7 @@ def test_a_support_that_touches_nothing_tells_how_near_the_nearest_node_is() -> 
 
 
 @pytest.mark.parametrize(
-    ("choose", "told"),
+    ("choose", "message"),
     [
         (
             lambda: nodes_behind_plane(MESH, point_m=(0, 0, float("nan")), normal=(0, 0, 1)),
@@ -87,6 +87,6 @@ def test_a_support_that_touches_nothing_tells_how_near_the_nearest_node_is() -> 
         (lambda: nodes_facing(MESH, direction=(0, 0, 1), within_deg=0.0), "within_deg must be in"),
     ],
 )
-def test_what_names_no_region_is_refused(choose: object, told: str) -> None:
-    with pytest.raises(InputError, match=told):
+def test_what_names_no_region_is_refused(choose: object, message: str) -> None:
+    with pytest.raises(InputError, match=message):
         choose()  # type: ignore[operator]

@@ -91,7 +91,7 @@ def test_meshes_that_meet_node_on_node_become_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("make", "told"),
+    ("make", "message"),
     [
         (lambda: box((0.1, -0.1, 0.1), (1, 1, 1)), "size_m must be positive"),
         (lambda: box((0.1, 0.1, 0.1), (1, 0, 1)), "cells must be three numbers"),
@@ -103,6 +103,6 @@ def test_meshes_that_meet_node_on_node_become_one() -> None:
         (lambda: graded(0.0, 1.0, 0.1, 0.9), "growth must be at least 1"),
     ],
 )
-def test_what_makes_no_mesh_is_refused(make: object, told: str) -> None:
-    with pytest.raises(InputError, match=told):
+def test_what_makes_no_mesh_is_refused(make: object, message: str) -> None:
+    with pytest.raises(InputError, match=message):
         make()  # type: ignore[operator]

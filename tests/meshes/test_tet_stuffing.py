@@ -76,7 +76,7 @@ def test_two_parts_do_not_take_from_each_other() -> None:
 
 
 @pytest.mark.parametrize(
-    ("make", "told"),
+    ("make", "message"),
     [
         (lambda: stuffed(half_space((0.0, 0.0, 1.0)), 0.01), "shape must have an end"),
         (lambda: stuffed(sphere(0.05), -1.0), "spacing_m must be positive"),
@@ -85,8 +85,8 @@ def test_two_parts_do_not_take_from_each_other() -> None:
         (lambda: with_part(stuffed(sphere(0.05), 0.02), sphere(0.01, (1.0, 0.0, 0.0)), "nodule"), "nodule must hold"),
     ],
 )
-def test_what_cannot_be_filled_is_refused(make: object, told: str) -> None:
-    with pytest.raises(InputError, match=told):
+def test_what_cannot_be_filled_is_refused(make: object, message: str) -> None:
+    with pytest.raises(InputError, match=message):
         make()  # type: ignore[operator]
 
 

@@ -1,4 +1,4 @@
-"""Surfaces filled with tetrahedra: a ball, the real liver, the cache, and what is said of bad surfaces."""
+"""Surfaces filled with tetrahedra: a ball, the real liver, the cache, and the reports on bad surfaces."""
 
 from pathlib import Path
 
@@ -31,12 +31,12 @@ def ball(*, flipped: bool = False) -> Surface:
 def test_a_ball_is_filled_quietly_once_and_comes_from_the_cache_after(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told: list[tuple[str, float]] = []
+    calls: list[tuple[str, float]] = []
     surface = ball()
-    mesh, said = tetrahedralise(surface, edge_m=0.02, tell=lambda doing, share: told.append((doing, share)))
+    mesh, said = tetrahedralise(surface, edge_m=0.02, tell=lambda doing, share: calls.append((doing, share)))
     assert capfd.readouterr() == ("", "")
-    assert told[0][1] == 0.0
-    assert told[-1][1] == 1.0
+    assert calls[0][1] == 0.0
+    assert calls[-1][1] == 1.0
     assert mesh.volumes_m3.sum() == pytest.approx(surface.report.volume_mm3 * 1e-9, rel=0.02)
     # The envelope is a thousandth of the box's diagonal, and every surface point lies within it of the ball's chords.
     radius = np.linalg.norm(mesh.nodes_m[mesh.surface_nodes], axis=1)
