@@ -1,5 +1,6 @@
 """Whether a PLY file in text holds as many lines as its header states, which its reader does not check."""
 
+from itertools import takewhile
 from pathlib import Path
 
 from meshes.errors import InputError
@@ -15,13 +16,13 @@ def require_whole_ply(file: Path) -> None:
     InputError
         If a count is none, or the lines are more or fewer.
     """
-    lines = file.read_bytes().decode("latin-1").splitlines()
-    head = next((number for number, line in enumerate(lines) if line.strip() == "end_header"), len(lines))
-    if not any(line.split()[:2] == ["format", "ascii"] for line in lines[:head]):
-        return
-    counts = [line.split()[2:3] for line in lines[:head] if line.split()[:1] == ["element"]]
-    stated = sum(int(count[0]) if count and count[0].isdecimal() else -(10**30) for count in counts)
-    found = sum(bool(line.strip()) for line in lines[head + 1 :])
+    with file.open("rb") as stored:
+        head = [line.split() for line in takewhile(lambda line: line.strip() != b"end_header", stored)]
+        if not any(line[:2] == [b"format", b"ascii"] for line in head):
+            return
+        found = sum(bool(line.strip()) for line in stored)
+    counts = [line[2:3] for line in head if line[:1] == [b"element"]]
+    stated = sum(int(count[0]) if count and count[0].isdigit() else -(10**30) for count in counts)
     if stated != found:
         counted = f"{stated} lines" if stated >= 0 else "a count that is none"
         raise InputError(

@@ -118,7 +118,7 @@ def orient(
     body: NDArray[np.int64] | None = None,
     *,
     manifold: bool = False,
-) -> tuple[NDArray[np.int64], int, int]:
+) -> tuple[NDArray[np.int64], int, int, float]:
     """Give all triangles of a body one winding, outward.
 
     Each triangle is a node twice, as it is and turned; neighbours across an edge of two triangles are linked in the
@@ -134,7 +134,8 @@ def orient(
 
     Returns
     -------
-    Triangles, shape (m, 3); how many were turned to agree with their neighbours; how many bodies were inside out.
+    Triangles, shape (m, 3); how many were turned to agree with their neighbours; how many bodies were inside out; the
+    volume enclosed, in cubed units of the vertices.
     """
     turned = np.zeros(0, dtype=bool) if manifold or is_manifold(faces) else _disagreeing(faces)
     if turned.any():
@@ -148,7 +149,7 @@ def orient(
     if volumes.sum() < 0.0:
         volumes, inside_out, faces = -volumes, count, faces[:, ::-1].copy()
     if count == 1:
-        return faces, int(turned.sum()), inside_out
+        return faces, int(turned.sum()), inside_out, float(volumes.sum())
     boxes = [_box(vertices, faces[body == k]) for k in range(count)]
     faces = faces.copy()
     for k in np.flatnonzero(volumes < 0.0):
@@ -158,8 +159,9 @@ def orient(
         )
         if not within:
             faces[body == k] = faces[body == k][:, ::-1]
+            volumes[k] = -volumes[k]
             inside_out += 1
-    return faces, int(turned.sum()), inside_out
+    return faces, int(turned.sum()), inside_out, float(volumes.sum())
 
 
 def edge_counts(faces: NDArray[np.int64]) -> tuple[int, int]:

@@ -21,7 +21,6 @@ from meshes.repair import (
     edge_counts,
     merge_vertices,
     orient,
-    signed_volume,
 )
 from meshes.stl_file import read_binary_stl
 from meshes.surface_unit import unit_of
@@ -157,8 +156,7 @@ def surface_from_triangles(
     scale, guess = unit_of(longest, scale_mm, source)
     vertices = vertices * (1e-3 * scale)
     longest *= 1e-3 * scale
-    vertices, faces, repairs, turned, caps, scanned = _repaired(vertices, faces, longest, source, cut_off)
-    volume = signed_volume(vertices, faces)
+    vertices, faces, volume, repairs, turned, caps, scanned = _repaired(vertices, faces, longest, source, cut_off)
     if volume <= 1e-6 * longest**3:
         raise InputError(
             f"surface must enclose a solid, got {1e9 * volume:.3g} mm3 inside {source}: close it in a mesh editor"
@@ -170,9 +168,9 @@ def surface_from_triangles(
 
 def _repaired(
     vertices: NDArray[np.float64], faces: NDArray[np.int64], longest: float, source: str, cut_off: bool
-) -> tuple[NDArray[np.float64], NDArray[np.int64], list[str], int, tuple[NDArray[np.float64], ...], int]:
-    """Vertices [m] and triangles of a closed surface wound outward, what was done, how many triangles or bodies were
-    turned, faces over holes, and how many triangles come before these.
+) -> tuple[NDArray[np.float64], NDArray[np.int64], float, list[str], int, tuple[NDArray[np.float64], ...], int]:
+    """Vertices [m] and triangles of a closed surface wound outward, its volume [m3], what was done, how many
+    triangles or bodies were turned, faces over holes, and how many triangles come before these.
     """
     repairs = []
     before = len(vertices)
@@ -183,13 +181,13 @@ def _repaired(
     if dropped:
         pieces = counted(len(dropped), "loose piece")
         repairs.append(f"Dropped {pieces}, the largest {1e3 * max(dropped):.3g} mm long.")
-    faces, turned, inside_out = orient(vertices, faces, body, manifold=manifold)
+    faces, turned, inside_out, volume = orient(vertices, faces, body, manifold=manifold)
     if turned:
         repairs.append(f"Turned {turned} of {len(faces)} triangles to agree with their neighbours.")
     if manifold:
         if inside_out:
             repairs.append(_TURNED)
-        return vertices, faces, repairs, inside_out, (), len(faces)
+        return vertices, faces, volume, repairs, inside_out, (), len(faces)
     counts, scanned = edge_counts(faces), len(faces)
     (vertices, faces), holes = fill_holes(vertices, faces, _HOLE_AREA, least_cap=_CAP_M2)
     if holes.large and not cut_off:
@@ -197,7 +195,7 @@ def _repaired(
             f"surface must enclose a solid, got {counts[0]} open and {counts[1]} non-manifold edges in "
             f"{source}, the largest hole {1e6 * holes.largest_area:.3g} mm2: close it in a mesh editor"
         )
-    faces, _, late = orient(vertices, faces)
+    faces, _, late, volume = orient(vertices, faces)
     if inside_out + late:
         repairs.append(_TURNED)
     if holes.filled:
@@ -207,7 +205,7 @@ def _repaired(
         )
     if holes.large:
         repairs.append(f"The bone is cut off at {counted(holes.large, 'large hole')}, closed by a face each.")
-    return vertices, faces, repairs, turned + inside_out + late, holes.caps, scanned
+    return vertices, faces, volume, repairs, turned + inside_out + late, holes.caps, scanned
 
 
 def read_triangles(file: Path) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -134,7 +134,7 @@ def test_repair_is_idempotent():
     once = surface_from_triangles(vertices, np.delete(faces, [5, 600], axis=0))
     again = surface_from_triangles(once.vertices_m * 1e3, once.faces)
     assert again.report.repairs == () and again.report.volume_mm3 == pytest.approx(once.report.volume_mm3)
-    turned, count, bodies = orient(again.vertices_m, again.faces)
+    turned, count, bodies, _ = orient(again.vertices_m, again.faces)
     assert (count, bodies) == (0, 0) and np.array_equal(turned, again.faces)
     assert fill_holes(again.vertices_m, again.faces, 0.03)[1].filled == 0
 
