@@ -1,17 +1,22 @@
 """A request of the system to end as an exception, met like Ctrl-C: files are kept, helpers end."""
 
 import signal
+import sys
 import threading
+from _thread import interrupt_main
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-__all__ = ["STOPS", "Terminated", "signals_handled", "terminated_as_exception"]
+__all__ = ["STOPS", "Terminated", "interrupt_is_free", "signals_handled", "terminated_as_exception"]
 
 STOPS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK") if hasattr(signal, name))
 """What asks a process to end, as far as the system has it: SIGHUP comes from a terminal that was closed or lost,
 SIGQUIT and SIGBREAK from a key."""
+
+AGAIN_S = 0.01
+"""When a stop that Python dropped comes once more [s]."""
 
 
 class Terminated(KeyboardInterrupt):
@@ -31,9 +36,46 @@ class Terminated(KeyboardInterrupt):
 
 @contextmanager
 def terminated_as_exception() -> Iterator[None]:
-    """Raise `Terminated` in the main thread on one of `STOPS` while the block runs; elsewhere nothing changes."""
-    with signals_handled(STOPS, _raise):
-        yield
+    """Raise `Terminated` in the main thread on one of `STOPS` while the block runs; elsewhere nothing changes.
+
+    Native code that a signal meets may make an error of its own of what is raised, as pydantic's does: after a stop,
+    Ctrl-C included, any error that leaves the block leaves it as that stop. And Python drops what is raised within a
+    callback, such as that of a weak reference: the stop then comes once more, a moment later.
+    """
+    received: list[KeyboardInterrupt] = []
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        if number == getattr(signal, "SIGHUP", None):  # a shell that ends sends it again, amid what is put in order
+            signal.signal(number, signal.SIG_IGN)
+        received.append(KeyboardInterrupt() if number == signal.SIGINT else Terminated(number))
+        raise received[-1]
+
+    def dropped(what: "sys.UnraisableHookArgs") -> None:
+        if isinstance(what.exc_value, KeyboardInterrupt):
+            number = signal.SIGTERM if isinstance(what.exc_value, Terminated) else signal.SIGINT
+            threading.Timer(AGAIN_S, _send, (number,)).start()
+        else:
+            report(what)
+
+    taken = (*STOPS, signal.SIGINT) if interrupt_is_free() else STOPS
+    report, sys.unraisablehook = sys.unraisablehook, dropped
+    with signals_handled(taken, stop):
+        try:
+            yield
+        except KeyboardInterrupt:
+            raise
+        except Exception as error:
+            if received:
+                raise received[-1] from error
+            raise
+        finally:
+            sys.unraisablehook = report
+
+
+def interrupt_is_free() -> bool:
+    """Whether Ctrl-C raises KeyboardInterrupt, by Python's own handler or by `terminated_as_exception`."""
+    handler = signal.getsignal(signal.SIGINT)
+    return handler is signal.default_int_handler or getattr(handler, "__module__", None) == __name__
 
 
 @contextmanager
@@ -55,7 +97,9 @@ def signals_handled(numbers: tuple[int, ...], handler: Callable[[int, FrameType 
             signal.signal(number, old)
 
 
-def _raise(number: int, frame: FrameType | None) -> None:
-    if number == getattr(signal, "SIGHUP", None):  # a shell that ends sends it once more, amid what is put in order now
-        signal.signal(number, signal.SIG_IGN)
-    raise Terminated(number)
+def _send(number: int) -> None:
+    """Send a signal to the main thread, awake or asleep."""
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(threading.main_thread().ident or 0, number)
+    else:
+        interrupt_main(signal.Signals(number))

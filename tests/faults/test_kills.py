@@ -192,7 +192,7 @@ def test_a_kill_at_any_moment_costs_only_what_was_under_way(tmp_path, whole, kin
         command = Command(tmp_path, *line, "--out", out, *again)
         killed, said = command.stopped_after(rng.uniform(0.1, 1.0) * lasts_s, signal.SIGKILL)
         assert not command.left(), "a helper outlived it"
-        assert killed or command.process.returncode == 0, said
+        assert killed or command.process.returncode == 0 or (turn and "must not" in said), said  # it was whole before
         check(out, wanted, killed=killed)
         if not killed and not anew:
             break  # it had come to its end
@@ -206,7 +206,7 @@ def test_a_kill_at_any_moment_costs_only_what_was_under_way(tmp_path, whole, kin
 STOPPED = {
     **{kind: line for kind, (line, *_) in CASES.items()},
     "pictures": MOLAR[:-1],
-    "atlas": ("stability", "--only", "wall-map"),
+    "atlas": ("stability", "--only", "wall_map"),
     "stability": ("stability", "wall"),
     "prediction": ("chart", "prediction", "wall", "--trials", "2"),
     "perception": ("chart", "perception"),
@@ -225,8 +225,9 @@ def test_a_stop_is_met_in_one_sentence(tmp_path, kind, how):
         stopped, said = command.stopped_after(seconds, getattr(signal, how))
         assert "Traceback" not in said and said.count("\n") <= 1, said
         code = command.process.returncode
+        assert code != 2, said
         if code == -getattr(signal, how):  # Python was ending after the command's last line: a shell shows 130 or 143
-            assert not said and out.exists()
+            assert out.exists() and "stopped" not in said
         elif stopped and code != 0:
             assert code == (130 if how == "SIGINT" else 143), said
             assert said.startswith("stopped")

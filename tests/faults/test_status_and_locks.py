@@ -5,6 +5,8 @@ import os
 import signal
 import subprocess
 import sys
+import time
+import weakref
 
 import psutil
 import pytest
@@ -189,6 +191,33 @@ def test_a_request_to_end_is_an_exception_inside_and_what_it_was_outside(name, c
         with terminated_as_exception():
             os.kill(os.getpid(), number)  # as under nohup
         assert signal.getsignal(number) is signal.SIG_IGN
+    finally:
+        signal.signal(number, before)
+
+
+class Held:
+    """A thing that a weak reference can be kept of."""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="os.kill ends a process at once on Windows")
+@pytest.mark.parametrize(("name", "raised"), [("SIGTERM", Terminated), ("SIGINT", KeyboardInterrupt)])
+def test_a_stop_that_native_code_makes_an_error_of_its_own_is_still_a_stop(name, raised):
+    number = getattr(signal, name)
+    before = signal.signal(number, signal.default_int_handler)
+    try:
+        with pytest.raises(raised), terminated_as_exception():
+            try:
+                os.kill(os.getpid(), number)
+            except KeyboardInterrupt as stop:
+                raise ValueError("as a parser says") from stop
+        with pytest.raises(raised), terminated_as_exception():
+            thing = Held()
+            fate = weakref.ref(thing, lambda _: os.kill(os.getpid(), number))
+            del thing
+            assert fate() is None
+            time.sleep(5.0)
+        with pytest.raises(ValueError, match="of its own"), terminated_as_exception():
+            raise ValueError("of its own")
     finally:
         signal.signal(number, before)
 

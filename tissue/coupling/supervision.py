@@ -7,7 +7,7 @@ from collections.abc import Callable
 from types import FrameType
 
 from tissue.coupling.safe_device import STALL_S, SafeDevice
-from tissue.stopping import STOPS, Terminated, signals_handled
+from tissue.stopping import STOPS, Terminated, interrupt_is_free, signals_handled
 
 __all__ = ["run_held"]
 
@@ -71,5 +71,4 @@ def _supervise(work: Callable[[], None], held: SafeDevice) -> None:
 
 def _taken() -> tuple[int, ...]:
     """Signals that stop the loop: what asks the process to end, and Ctrl-C where nobody else takes it."""
-    alone = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    return (*STOPS, signal.SIGINT) if alone else STOPS
+    return (*STOPS, signal.SIGINT) if interrupt_is_free() else STOPS
