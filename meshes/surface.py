@@ -275,8 +275,10 @@ def _require_triangles(vertices: NDArray[Any], faces: NDArray[Any], source: str)
 
 def _require_thickness(points: NDArray[np.float64], longest: float, source: str) -> None:
     """Refuse points that lie in a plane or on a line, in any direction."""
-    centred = np.stack([column - column.mean() for column in points.T])
-    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(centred @ centred.T / len(points)), 0.0))
+    from_first = points - points[0]
+    middle = np.array([column.mean() for column in from_first.T])
+    covariance = from_first.T @ from_first / len(points) - np.outer(middle, middle)
+    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0.0))
     if not longest > 0.0 or spread[0] < _FLATTEST * spread[2]:
         raise InputError(f"surface must have thickness, got a flat one in {source}: use a closed surface")
 
