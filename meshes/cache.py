@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from meshes.file_version import package_version
 from meshes.whole_file import whole_file
 
-__all__ = ["cache_folder", "cached_arrays"]
+__all__ = ["cache_folder", "cached_arrays", "read_entry", "write_entry"]
 
 _SEAL = "tissue cache entry"
 Arrays = dict[str, NDArray[np.generic]]
@@ -71,6 +71,26 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
     except OSError:
         pass
     return arrays
+
+
+def read_entry(path: Path) -> str | None:
+    """Text of a cache entry; None where there is none, or one that is damaged or of another version of tissue."""
+    try:
+        head, _, text = path.read_bytes().decode("utf-8").partition("\n")
+    except (OSError, UnicodeDecodeError):
+        return None
+    return text if head == _head(text) else None
+
+
+def write_entry(path: Path, text: str) -> None:
+    """Keep text under a first line with the version of tissue and a checksum; a reader never sees half of it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as beside:
+        beside.write_bytes(f"{_head(text)}\n{text}".encode())
+
+
+def _head(text: str) -> str:
+    return f"# {_SEAL} {package_version()} {hashlib.blake2b(text.encode(), digest_size=16).hexdigest()}"
 
 
 def _read(path: Path, code: str) -> Arrays | None:

@@ -4,10 +4,11 @@ import csv
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from hashlib import blake2b
+from io import StringIO
 from math import isnan
 from pathlib import Path
 
-from meshes.cache import cache_folder
+from meshes.cache import cache_folder, read_entry, write_entry
 from meshes.progress import Progress, silent
 from meshes.whole_file import whole_file
 from tissue.charts.beside import beside
@@ -85,7 +86,7 @@ def frontier_of(scene: Scene, *, quick: bool = True, tell: Progress = silent) ->
         Told what is being measured.
     """
     path = _store(scene, quick=quick)
-    known = {point.key: point for point in read_measured(path)}
+    known = {point.key: point for point in _kept(path)}
     settings = settings_of(scene, quick=quick)
     short: Scene | None = None
     points: list[Measured] = []
@@ -96,8 +97,8 @@ def frontier_of(scene: Scene, *, quick: bool = True, tell: Progress = silent) ->
             if short is None:
                 short = short_of(scene, quick)
             known[key] = _under(key, measure(short, setting, quick=quick))
-            known = {point.key: point for point in read_measured(path)} | known  # of another process that charts it
-            write_measured(path, list(known.values()))
+            known = {point.key: point for point in _kept(path)} | known  # of another process that charts it
+            write_entry(path, _table(list(known.values())))
         points.append(known[key])
     tell(f"{scene.name}: reference", len(settings) / (len(settings) + 1))
     found = Frontier(scene, tuple(points), _gap(scene, path, quick=quick), tuple(settings))
@@ -114,17 +115,17 @@ def short_of(scene: Scene, quick: bool) -> Scene:
 
 def measured_keys(scene: Scene, *, quick: bool) -> set[str]:
     """Keys of the settings that were measured on this machine before."""
-    return {point.key for point in read_measured(_store(scene, quick=quick))}
+    return {point.key for point in _kept(_store(scene, quick=quick))}
 
 
 def _gap(scene: Scene, path: Path, *, quick: bool) -> float:
     """Distance of the finest setting to the next one, kept beside the measurements."""
     beside = path.with_suffix(".gap")
-    if beside.is_file():
-        return float(beside.read_text("utf-8"))
+    kept = read_entry(beside)
+    if kept is not None:
+        return float(kept)
     gap = reference_gap(short_of(of_model(scene), quick), quick=quick)
-    with whole_file(beside) as file:
-        file.write_text(repr(gap), "utf-8")
+    write_entry(beside, repr(gap))
     return gap
 
 
@@ -141,19 +142,31 @@ def _store(scene: Scene, *, quick: bool) -> Path:
 
 def read_measured(path: Path) -> list[Measured]:
     """Measurements of a table; none where there is no such table or it has other columns."""
-    if not path.is_file():
-        return []
-    with path.open(encoding="utf-8", newline="") as file:
-        table = csv.DictReader(file)
-        if tuple(table.fieldnames or ()) != COLUMNS:
-            return []
-        return [Measured.of_row(row) for row in table if None not in row.values()]
+    return _rows(path.read_text("utf-8")) if path.is_file() else []
 
 
 def write_measured(path: Path, points: Sequence[Measured]) -> None:
     """Write measurements as a table; a reader never sees half of it."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as beside, beside.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS)
-        writer.writeheader()
-        writer.writerows(point.row() for point in points)
+    with whole_file(path) as beside:
+        beside.write_bytes(_table(points).encode())
+
+
+def _kept(path: Path) -> list[Measured]:
+    """Measurements of an entry of the cache."""
+    return _rows(read_entry(path) or "")
+
+
+def _rows(text: str) -> list[Measured]:
+    table = csv.DictReader(StringIO(text, newline=""))
+    if tuple(table.fieldnames or ()) != COLUMNS:
+        return []
+    return [Measured.of_row(row) for row in table if None not in row.values()]
+
+
+def _table(points: Sequence[Measured]) -> str:
+    text = StringIO(newline="")
+    writer = csv.DictWriter(text, COLUMNS)
+    writer.writeheader()
+    writer.writerows(point.row() for point in points)
+    return text.getvalue()
