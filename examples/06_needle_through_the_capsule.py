@@ -15,9 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tissue.model import ToolMotion
-from tissue.motion import FollowPath
-from tissue.needle import NeedleModel, needle_tissue
+from tissue.models.needle.model import NeedleModel
+from tissue.models.needle.parameters import needle_tissue
+from tissue.models.tissue_model import ToolMotion
+from tissue.motion.motion import FollowPath
 
 FEED_MM_S, DEEP_MM, OUT_MM, WALL_MM = 5.0, 70.0, -20.0, 30.0
 TICK_S = 1e-3

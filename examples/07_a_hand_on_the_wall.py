@@ -14,9 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tissue.coupling import RENDERERS, device_parameters, hand_parameters, judge
-from tissue.coupling.limits import knock
-from tissue.coupling.rigid_wall import WallRun
+from tissue.haptics.device.device import device_parameters
+from tissue.haptics.hand.hand import hand_parameters
+from tissue.haptics.loop.critical_stiffness import judge
+from tissue.haptics.renderable_stiffness import knock
+from tissue.haptics.renderer import RENDERERS
+from tissue.haptics.rigid_wall import WallRun
 
 STIFFNESS_N_M = 2000.0
 

@@ -17,9 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
-from tissue.coupling import WallLoop, device_parameters, hand_parameters
-from tissue.coupling.stability import critical_stiffness_N_m, in_hands
-from tissue.coupling.stability_map import growth_while_running
+from tissue.haptics.device.device import device_parameters
+from tissue.haptics.hand.hand import hand_parameters
+from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
+from tissue.haptics.loop.sampled_loop import WallLoop
+from tissue.haptics.loop.stability_map import growth_while_running
 
 HARD_N_M = 1000.0
 RATES_HZ = (250.0, 500.0, 1000.0, 2000.0, 5000.0, 10000.0)

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from tissue import load_scene, simulate
-from tissue.trace import Table
+from tissue.simulation.trace import Table
 
 HANDS = ("novice", "intermediate", "expert")
 PREDICTIONS = {"none": "as it comes", "linear": "straight line", "koopman": "lifted predictor"}

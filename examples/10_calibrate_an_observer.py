@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tissue.calibration.posterior_view import draw_session
-from tissue.calibration.run_session import simulated_answers
-from tissue.calibration.session import Plan, Session
-from tissue.calibration.trial_log import TrialLog
+from tissue.evaluation.calibration.posterior_view import draw_session
+from tissue.evaluation.calibration.run_session import simulated_answers
+from tissue.evaluation.calibration.session import Plan, Session
+from tissue.evaluation.calibration.simulated_observer import SimulatedObservers
+from tissue.evaluation.calibration.trial_log import TrialLog
 from tissue.perception.adaptive import AdaptiveThreshold
-from tissue.perception.simulated_observer import SimulatedObservers
 
 WEBER, EXPONENT, PEOPLE = 0.07, 1.7, 200
 

@@ -9,7 +9,9 @@ Run: python examples/12_a_small_study.py
 import tempfile
 from pathlib import Path
 
-from tissue.study import Plan, TrialKey, run_study, run_trial
+from tissue.evaluation.study.plan import Plan, TrialKey
+from tissue.evaluation.study.runner import run_study
+from tissue.evaluation.study.trial import run_trial
 
 PLAN = Plan(trials=2, tasks=("T2",), methods=("penalty", "koopman"), sensitivity=False)
 

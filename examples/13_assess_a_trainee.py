@@ -12,8 +12,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import tissue
-from tissue.assessment import assess, assessment_lines, write_assessment
-from tissue.run_folder import SavedRun
+from tissue.evaluation.assessment import assess, assessment_lines, write_assessment
+from tissue.simulation.run_folder import SavedRun
 
 
 def main(out: Path | None = None) -> None:

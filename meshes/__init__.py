@@ -1,24 +1,24 @@
 """Geometry: signed distances, anatomy, voxels, surfaces and images. No physics, no Warp.
 
-Shapes live in `meshes.sdf`; everything else that a scene needs is named here. Lengths are in metres unless the name
+Shapes live in `meshes.shapes.sdf`; everything else that a scene needs is named here. Lengths are in metres unless the name
 says otherwise. Modules that read files or search surfaces import pyvista, trimesh and scikit-image when called.
 """
 
-from meshes.anatomy import Anatomy, cortical_block
-from meshes.errors import InputError
-from meshes.glenoid import glenoid
-from meshes.image import CT_DENSITY, DensityLaw, read_volume
-from meshes.label_volume import label_volume
-from meshes.layered_surfaces import layered_surfaces
-from meshes.molar import molar
-from meshes.placement import Placement
-from meshes.sdf import Shape
-from meshes.site import Site, find_glenoid, place_site
-from meshes.surface import Surface, SurfaceReport, read_surface
-from meshes.surface_anatomy import surface_anatomy
-from meshes.tooth_layers import TOOTH_LAYERS, caries_softness
-from meshes.volume import VoxelVolume
-from meshes.voxelise import voxelise
+from meshes.base.errors import InputError
+from meshes.base.placement import Placement
+from meshes.images.bone_image import CT_DENSITY, DensityLaw, read_volume
+from meshes.shapes.anatomy import Anatomy, cortical_block
+from meshes.shapes.sdf import Shape
+from meshes.surfaces.bone_surface import surface_anatomy
+from meshes.surfaces.glenoid import glenoid
+from meshes.surfaces.site import Site, find_glenoid, place_site
+from meshes.surfaces.surface import Surface, SurfaceReport, read_surface
+from meshes.tooth.label_volume import label_volume
+from meshes.tooth.layered_surfaces import layered_surfaces
+from meshes.tooth.layers import TOOTH_LAYERS, caries_softness
+from meshes.tooth.molar import molar
+from meshes.voxels.volume import VoxelVolume
+from meshes.voxels.voxelise import voxelise
 
 __all__ = [
     "CT_DENSITY",

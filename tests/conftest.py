@@ -27,7 +27,7 @@ def anatomy() -> Path:
 @pytest.fixture
 def command(monkeypatch, capfd):
     """Run the command; return exit code, standard output and standard error."""
-    from tissue.cli import main
+    from tissue.cli.main import main
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["tissue", *map(str, arguments)])
@@ -58,7 +58,7 @@ def full_disk(monkeypatch):
     """Give a file no room: what is written to take its place goes to a device that is always full."""
     if not Path("/dev/full").exists():
         pytest.skip("needs a device that is always full")
-    monkeypatch.setattr("meshes.whole_file.uuid4", lambda: SimpleNamespace(hex="0" * 32))
+    monkeypatch.setattr("meshes.base.whole_file.uuid4", lambda: SimpleNamespace(hex="0" * 32))
 
     def fill(path):
         (path.parent / f".{'0' * 12}-{path.name}").symlink_to("/dev/full")

@@ -4,7 +4,7 @@ import threading
 
 import numpy as np
 
-from tissue.coupling.device import ComputedDevice, Sample
+from tissue.haptics.device.device import ComputedDevice, Sample
 
 PRESSED_S = 0.3
 """When faults come [s]: the wall has been pressed for a while."""

@@ -3,10 +3,10 @@
 import numpy as np
 from tet_bodies import distorted
 
-from tissue.liver.assembly import assemble
-from tissue.liver.condensed import CondensedSolver, surface_compliance
-from tissue.liver.solver import HeldBody, Supports
-from tissue.liver.space import Space
+from tissue.fem.assembly import assemble
+from tissue.fem.solvers.condensed import CondensedSolver, surface_compliance
+from tissue.fem.solvers.solution import HeldBody, Supports
+from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 
 LIVER = (5e3, 0.45)

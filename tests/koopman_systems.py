@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tissue.prediction import Episode
+from tissue.prediction.edmd.episodes import Episode
 
 SLOW_RATE, FAST_RATE, SLOW_STEP_S = -0.05, -1.0, 0.1
 SLOW_GENERATOR = np.array([[SLOW_RATE, 0, 0], [0, FAST_RATE, -FAST_RATE], [0, 0, 2 * SLOW_RATE]])

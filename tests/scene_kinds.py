@@ -200,7 +200,7 @@ def _labels(path, top):
 def _tets(path, thickness):
     import pyvista
 
-    from meshes.tet_structured import box
+    from meshes.tets.structured import box
 
     mesh = box((0.06, 0.05, thickness), (6, 5, 3))
     cells = np.hstack([np.full((len(mesh.cells), 1), 4), mesh.cells]).ravel()

@@ -5,9 +5,9 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from annotated_types import Ge, Gt, Le, Lt
 
-from tissue.scene import Scene, Stress
-from tissue.scene_anatomy import Part
-from tissue.scene_coupling import Fidelity
+from tissue.scene.anatomy import Part
+from tissue.scene.coupling import Fidelity
+from tissue.scene.scene import Scene, Stress
 
 VALUES = {
     "name": "needle",

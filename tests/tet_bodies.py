@@ -4,9 +4,9 @@ import numpy as np
 from scipy.sparse import csc_array, csr_array, diags_array
 from scipy.sparse.linalg import cg, splu
 
-from meshes.tet_structured import box, mapped
-from meshes.tetrahedra import TetMesh
-from tissue.liver.space import Space
+from meshes.tets.structured import box, mapped
+from meshes.tets.tetrahedra import TetMesh
+from tissue.fem.space import Space
 
 
 def distorted(cells, *, amount=0.2, seed=0):

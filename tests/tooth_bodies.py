@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from tissue.tooth import HexGrid, ParticleSet, Supports
-from tissue.tooth.grid import CORNERS
+from tissue.models.tooth.grid import CORNERS, HexGrid
+from tissue.models.tooth.particles import ParticleSet
+from tissue.models.tooth.supports import Supports
 
 GAUSS = 0.5 + (CORNERS - 0.5) / np.sqrt(3.0)
 """The 2 x 2 x 2 Gauss points of a unit cell, shape (8, 3)."""

@@ -11,24 +11,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from meshes.errors import InputError
-    from tissue.load import load_scene, scene_names, scene_text
-    from tissue.run import Run
-    from tissue.run_folder import SavedRun
-    from tissue.scene import Scene
-    from tissue.simulation import simulate
+    from meshes.base.errors import InputError
+    from tissue.scene.load import load_scene, scene_names, scene_text
+    from tissue.scene.scene import Scene
+    from tissue.simulation.run import Run
+    from tissue.simulation.run_folder import SavedRun
+    from tissue.simulation.simulate import simulate
 
 __all__ = ["InputError", "Run", "SavedRun", "Scene", "load_scene", "scene_names", "scene_text", "simulate"]
 
 _HOMES = {
-    "InputError": "meshes.errors",
-    "Run": "tissue.run",
-    "SavedRun": "tissue.run_folder",
-    "Scene": "tissue.scene",
-    "load_scene": "tissue.load",
-    "scene_names": "tissue.load",
-    "scene_text": "tissue.load",
-    "simulate": "tissue.simulation",
+    "InputError": "meshes.base.errors",
+    "Run": "tissue.simulation.run",
+    "SavedRun": "tissue.simulation.run_folder",
+    "Scene": "tissue.scene.scene",
+    "load_scene": "tissue.scene.load",
+    "scene_names": "tissue.scene.load",
+    "scene_text": "tissue.scene.load",
+    "simulate": "tissue.simulation.simulate",
 }
 
 

@@ -4,16 +4,16 @@ import signal
 import sys
 from typing import NoReturn
 
-from tissue.stopping import Terminated, terminated_as_exception
+from tissue.system.stopping import Terminated, terminated_as_exception
 
 __all__ = ["main"]
 
 
 def main() -> NoReturn:
-    """Entry point; see `tissue.cli.main`."""
+    """Entry point; see `tissue.cli.main.main`."""
     try:
         with terminated_as_exception():
-            from tissue.cli import main as command
+            from tissue.cli.main import main as command
 
             command()
     except KeyboardInterrupt as stopped:

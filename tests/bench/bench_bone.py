@@ -17,11 +17,13 @@ from harness import Cost, cost_of, machine, table
 from peers.brute_force import carve
 
 import tissue
-from meshes import cortical_block, voxelise
-from tissue.bone import BoneModel
-from tissue.cutters import Cutter, ball_burr
-from tissue.materials import cutting_coefficients
-from tissue.model import ToolMotion
+from meshes.shapes.anatomy import cortical_block
+from meshes.voxels.voxelise import voxelise
+from tissue.cutters.cutter import Cutter
+from tissue.cutters.profile import ball_burr
+from tissue.materials.cutting import cutting_coefficients
+from tissue.models.bone.model import BoneModel
+from tissue.models.tissue_model import ToolMotion
 
 SPACING_M, RADIUS_M, FEED_M_S, TICK_S = 1e-4, 3e-3, 1e-3, 1e-3
 START_M = np.array([-8e-3, 2e-5, -1.3e-2])

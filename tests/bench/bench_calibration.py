@@ -14,12 +14,12 @@ from time import perf_counter
 import numpy as np
 from harness import cost_of, machine, table
 
-from tissue.calibration.told_apart import Stimulus, calibrated_commands, gain_of, share_right, stimulus_of
-from tissue.coupling.hand import GROUPS
-from tissue.coupling.signal import ForceRange
+from tissue.evaluation.calibration.simulated_observer import SimulatedObservers, draw_observers
+from tissue.evaluation.calibration.told_apart import Stimulus, calibrated_commands, gain_of, share_right, stimulus_of
+from tissue.haptics.hand.hand import GROUPS
+from tissue.haptics.loop.filters import ForceRange
 from tissue.perception.adaptive import AdaptiveThreshold, ThresholdPrior, comparisons
 from tissue.perception.psychometric import D_PRIME_75, d_prime_of_correct, two_interval
-from tissue.perception.simulated_observer import SimulatedObservers, draw_observers
 from tissue.perception.staircase import Staircase
 from tissue.perception.weber import weber
 

@@ -18,10 +18,10 @@ sys.path.insert(0, str(ROOT))
 import numpy as np  # noqa: E402
 
 from tissue import load_scene, simulate  # noqa: E402
-from tissue.live import WallClock  # noqa: E402
-from tissue.live.run import LiveWatch  # noqa: E402
-from tissue.live.window import WindowBeside  # noqa: E402
-from tissue.simulation import TICK_S  # noqa: E402
+from tissue.simulation.live.clock import WallClock  # noqa: E402
+from tissue.simulation.live.run import LiveWatch  # noqa: E402
+from tissue.simulation.live.window import WindowBeside  # noqa: E402
+from tissue.simulation.simulate import TICK_S  # noqa: E402
 
 SCENES = ("wall", "glenoid", "liver-press")
 DISPLAY = ":93"

@@ -14,9 +14,9 @@ from time import perf_counter
 import numpy as np
 from harness import Cost, machine, table
 
-from meshes.tet_structured import box
-from tissue.liver.assembly import assemble
-from tissue.liver.space import Space
+from meshes.tets.structured import box
+from tissue.fem.assembly import assemble
+from tissue.fem.space import Space
 from tissue.materials.elasticity import isotropic, lame
 
 YOUNG_PA, RATIO = 5e3, 0.45

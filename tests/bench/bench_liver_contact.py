@@ -12,14 +12,14 @@ import numpy as np
 from harness import Cost, cost_of, machine, table
 from scipy.sparse.linalg import splu
 
-from meshes.tet_structured import box
-from tissue.liver.assembly import assemble
-from tissue.liver.contact import SurfaceContact
-from tissue.liver.contact_points import contact_points
-from tissue.liver.contact_result import ContactOutcome
-from tissue.liver.probe import SphereProbe
-from tissue.liver.space import Space
+from meshes.tets.structured import box
+from tissue.fem.assembly import assemble
+from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
+from tissue.models.organ.contact import SurfaceContact
+from tissue.models.organ.contact_points import contact_points
+from tissue.models.organ.contact_result import ContactOutcome
+from tissue.models.organ.probe import SphereProbe
 
 SIZE_M, CELLS = (0.1, 0.1, 0.04), (21, 21, 11)
 FRICTION, FEED_M, PRESS_TICKS = 0.3, 2e-5, 200

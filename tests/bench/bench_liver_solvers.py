@@ -17,16 +17,16 @@ import psutil
 from harness import machine, table
 from scipy.sparse.linalg import LinearOperator, cg, splu
 
-from meshes.liver import liver, liver_region
-from meshes.tet_structured import box
-from tissue.liver.assembly import assemble
-from tissue.liver.condensed import compliance_bytes, surface_compliance
-from tissue.liver.direct import DirectSolver
-from tissue.liver.lazy_compliance import LazyCompliance
-from tissue.liver.multigrid import MultigridSolver
-from tissue.liver.reduced import ReducedSolver
-from tissue.liver.solver import HeldBody, Supports
-from tissue.liver.space import Space
+from meshes.organs.liver import liver, liver_region
+from meshes.tets.structured import box
+from tissue.fem.assembly import assemble
+from tissue.fem.solvers.condensed import compliance_bytes, surface_compliance
+from tissue.fem.solvers.direct import DirectSolver
+from tissue.fem.solvers.lazy_compliance import LazyCompliance
+from tissue.fem.solvers.multigrid import MultigridSolver
+from tissue.fem.solvers.reduced import ReducedSolver
+from tissue.fem.solvers.solution import HeldBody, Supports
+from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 
 YOUNG_PA, TOUCHABLE = 5e3, 500

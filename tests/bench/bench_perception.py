@@ -12,7 +12,7 @@ import numpy as np
 from harness import Cost, cost_of, machine, table
 
 import tissue
-from tissue.perception.build import perception_for
+from tissue.builders.perception import perception_for
 from tissue.perception.deadband import held_back
 from tissue.perception.estimate import map_force_N
 from tissue.perception.observer import Observer

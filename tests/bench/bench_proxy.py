@@ -13,14 +13,16 @@ from harness import Cost, cost_of, machine, table
 from scipy.spatial.transform import Rotation
 
 from kernels.voxmap import SURFACE
-from meshes import glenoid, voxelise
-from tissue.bone import BoneModel
-from tissue.coupling.proxy import Proxy, ProxyOutcome
-from tissue.coupling.tool_shell import ToolShell
-from tissue.coupling.voxmap import ContactField
-from tissue.cutters import Cutter, ball_burr
-from tissue.materials import cutting_coefficients
-from tissue.model import ToolMotion
+from meshes.surfaces.glenoid import glenoid
+from meshes.voxels.voxelise import voxelise
+from tissue.cutters.cutter import Cutter
+from tissue.cutters.profile import ball_burr
+from tissue.haptics.proxy.proxy import Proxy, ProxyOutcome
+from tissue.haptics.proxy.tool_shell import ToolShell
+from tissue.haptics.proxy.voxmap import ContactField
+from tissue.materials.cutting import cutting_coefficients
+from tissue.models.bone.model import BoneModel
+from tissue.models.tissue_model import ToolMotion
 
 CUTTER = Cutter(ball_burr(diameter_m=6e-3), 6, 1000.0)
 FRICTION, LEVER_M, TICK_S = 0.3, 0.02, 1e-3

@@ -6,14 +6,14 @@ Run from the repository: python tests/bench/bench_statistics.py
 import numpy as np
 from harness import cost_of, machine, table
 
-from tissue.statistics.comparison import compare
-from tissue.statistics.components import Components, balanced_components, balanced_values
-from tissue.statistics.hpi import composite_index
-from tissue.statistics.mixed import mixed_model
-from tissue.statistics.power import power, redrawn_power, simulated_cells
-from tissue.statistics.regression import trial_regression
-from tissue.statistics.strata import strata
-from tissue.statistics.trials import TrialTable
+from tissue.evaluation.statistics.comparison import compare
+from tissue.evaluation.statistics.components import Components, balanced_components, balanced_values
+from tissue.evaluation.statistics.hpi import composite_index
+from tissue.evaluation.statistics.mixed import mixed_model
+from tissue.evaluation.statistics.power import power, redrawn_power, simulated_cells
+from tissue.evaluation.statistics.regression import trial_regression
+from tissue.evaluation.statistics.strata import strata
+from tissue.evaluation.statistics.trials import TrialTable
 
 WORLD = Components(user=1.0, user_method=0.3, trial=0.5, residual=1.0)
 MEANS = np.tile([0.0, 0.1, 0.2, 0.3], (3, 1))

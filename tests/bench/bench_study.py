@@ -19,7 +19,10 @@ import numpy as np
 import psutil
 from harness import machine, table
 
-from tissue.study import Plan, StudyFolder, TrialKey, run_study, run_trial
+from tissue.evaluation.study.folder import StudyFolder
+from tissue.evaluation.study.plan import Plan, TrialKey
+from tissue.evaluation.study.runner import run_study
+from tissue.evaluation.study.trial import run_trial
 
 TASKS = ("T1", "T2", "T3")
 PAPER_TRIALS = 300

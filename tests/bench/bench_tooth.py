@@ -20,8 +20,9 @@ from scipy.sparse.linalg import cg
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from tooth_bodies import at_bottom, block
 
-from tissue.tooth import ParticleBody, particle_stress
-from tissue.tooth.compliance import rigid_motions
+from tissue.models.tooth.body import ParticleBody
+from tissue.models.tooth.compliance import rigid_motions
+from tissue.models.tooth.stress import particle_stress
 
 SIDE_M, BALL_M, FEED_M, TOLERANCE = 8e-3, 0.5e-3, 2e-5, 1e-4
 

@@ -86,11 +86,13 @@ def burr_ticks(edge_mm: float, spacing_mm: float, shell_m: float | None = None) 
 
     Bricks take turns, so that a median tick carves few of them; the slowest fifth of the ticks is left out.
     """
-    from meshes import cortical_block, voxelise
-    from tissue.bone import BoneModel
-    from tissue.cutters import Cutter, ball_burr
-    from tissue.materials import cutting_coefficients
-    from tissue.model import ToolMotion
+    from meshes.shapes.anatomy import cortical_block
+    from meshes.voxels.voxelise import voxelise
+    from tissue.cutters.cutter import Cutter
+    from tissue.cutters.profile import ball_burr
+    from tissue.materials.cutting import cutting_coefficients
+    from tissue.models.bone.model import BoneModel
+    from tissue.models.tissue_model import ToolMotion
 
     volume = voxelise(cortical_block(size_mm=(edge_mm,) * 3), spacing_m=1e-3 * spacing_mm)
     model = BoneModel(volume, Cutter(ball_burr(diameter_m=2e-3), 6, 1000.0), (cutting_coefficients("bone"),), cores=1,
@@ -139,12 +141,12 @@ def shell(quick: bool) -> Series:
 
 def tetrahedra(quick: bool) -> Series:
     """Assembly, a factor, and multigrid of a clamped cube."""
-    from meshes.tetrahedra import TetMesh
-    from tissue.liver.assembly import assemble
-    from tissue.liver.direct import DirectSolver
-    from tissue.liver.multigrid import MultigridSolver
-    from tissue.liver.solver import HeldBody, Supports
-    from tissue.liver.space import Space
+    from meshes.tets.tetrahedra import TetMesh
+    from tissue.fem.assembly import assemble
+    from tissue.fem.solvers.direct import DirectSolver
+    from tissue.fem.solvers.multigrid import MultigridSolver
+    from tissue.fem.solvers.solution import HeldBody, Supports
+    from tissue.fem.space import Space
     from tissue.materials.elasticity import lame
 
     material = lame(5e3, 0.45)
@@ -182,8 +184,8 @@ def tetrahedra(quick: bool) -> Series:
 
 def touched(edge_m: float, cells: int) -> Point:
     """A ball of 10 mm stroked over a flat surface whose compliance falls with distance, as that of a deep body does."""
-    from tissue.liver.contact import SurfaceContact
-    from tissue.liver.probe import SphereProbe
+    from tissue.models.organ.contact import SurfaceContact
+    from tissue.models.organ.probe import SphereProbe
 
     at = np.linspace(-0.5 * edge_m, 0.5 * edge_m, cells + 1)
     nodes = np.stack(np.meshgrid(at, at, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
@@ -233,7 +235,9 @@ def observables(quick: bool) -> Series:
     """Delays of a predictor of position and force."""
     from peers.works import contacts
 
-    from tissue.prediction import Delays, Edmd, Episode
+    from tissue.prediction.edmd.dictionary import Delays
+    from tissue.prediction.edmd.edmd import Edmd
+    from tissue.prediction.edmd.episodes import Episode
     from tissue.prediction.koopman import Koopman, LoopTerms
 
     episodes = [Episode(contacts(seed), None, 1e-3) for seed in range(2)]
@@ -259,8 +263,8 @@ def observables(quick: bool) -> Series:
 
 def ticks(quick: bool) -> Series:
     """Length of a run: time of all its ticks, and its tables."""
-    from tissue.load import load_scene
-    from tissue.simulation import simulate
+    from tissue.scene.load import load_scene
+    from tissue.simulation.simulate import simulate
 
     for seconds in (0.2, 0.6, 2.0) if quick else (0.1, 0.3, 1.0, 3.0, 9.0):
         run = simulate(load_scene("milling", {"voxels.spacing_mm": 0.2, "duration_s": seconds}))

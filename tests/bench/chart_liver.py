@@ -23,25 +23,25 @@ import numpy as np
 from harness import cost_of, machine, table
 from liver_picture import SHARES, Point, draw, frontier
 
-from meshes.liver import liver, liver_region
-from meshes.surface import read_surface
-from meshes.tet_bisection import bisected
-from meshes.tet_regions import nodes_facing
-from meshes.tet_structured import grid
-from meshes.tetrahedralise import tetrahedralise
-from tissue.liver.assembly import assemble
-from tissue.liver.condensed import surface_compliance
-from tissue.liver.contact import SurfaceContact
-from tissue.liver.direct import DirectSolver
-from tissue.liver.hyperelastic import Law, NonlinearBody
-from tissue.liver.judge import LinearLimits, linear_limits, press
-from tissue.liver.multigrid import MultigridSolver
-from tissue.liver.newton import NewtonSolver
-from tissue.liver.probe import SphereProbe
-from tissue.liver.reduced import ReducedSolver
-from tissue.liver.solver import HeldBody, Supports
-from tissue.liver.space import Space
+from meshes.organs.liver import liver, liver_region
+from meshes.surfaces.surface import read_surface
+from meshes.tets.bisection import bisected
+from meshes.tets.regions import nodes_facing
+from meshes.tets.structured import grid
+from meshes.tets.tetrahedralise import tetrahedralise
+from tissue.fem.assembly import assemble
+from tissue.fem.hyperelastic import Law, NonlinearBody
+from tissue.fem.linear_limits import LinearLimits, linear_limits, press
+from tissue.fem.newton import NewtonSolver
+from tissue.fem.solvers.condensed import surface_compliance
+from tissue.fem.solvers.direct import DirectSolver
+from tissue.fem.solvers.multigrid import MultigridSolver
+from tissue.fem.solvers.reduced import ReducedSolver
+from tissue.fem.solvers.solution import HeldBody, Supports
+from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
+from tissue.models.organ.contact import SurfaceContact
+from tissue.models.organ.probe import SphereProbe
 
 LIVER, RADIUS_M, DEPTH_M = lame(5e3, 0.45), 0.01, 4e-3
 DEPTHS_M = np.array([0.5, 1.0, 2.0, 3.0, 4.0, 6.0]) * 1e-3

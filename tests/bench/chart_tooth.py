@@ -11,9 +11,10 @@ from time import perf_counter
 import numpy as np
 from harness import machine, table
 
-from meshes import molar, voxelise
-from meshes.sdf import cylinder
-from tissue.tooth.field import StressField
+from meshes.shapes.sdf import cylinder
+from meshes.tooth.molar import molar
+from meshes.voxels.voxelise import voxelise
+from tissue.models.tooth.field import StressField
 
 SETTINGS = ((1.0, 2), (0.7, 2), (0.5, 1), (0.5, 2), (0.5, 4), (0.4, 2), (0.3, 2), (0.25, 2))
 """Edge of a cell [mm] and particles along it; the last is the reference."""

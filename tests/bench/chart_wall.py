@@ -15,9 +15,9 @@ from time import perf_counter
 
 from harness import machine, table
 
-from tissue.coupling.device import DEVICES, device_parameters
-from tissue.coupling.hand import hand_parameters
-from tissue.coupling.limits import HIGHEST_N_M, WallLimit, wall_limits
+from tissue.haptics.device.device import DEVICES, device_parameters
+from tissue.haptics.hand.hand import hand_parameters
+from tissue.haptics.renderable_stiffness import HIGHEST_N_M, WallLimit, wall_limits
 
 COLOURS = {"penalty": "#0072B2", "passivity": "#E69F00", "proxy": "#009E73"}
 MARKERS = {"penalty": "o", "passivity": "s", "proxy": "x"}

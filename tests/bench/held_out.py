@@ -17,18 +17,18 @@ from typing import Any
 import numpy as np
 from harness import machine, table
 
-from meshes.errors import InputError
-from tissue.charts import fidelity, places
-from tissue.charts.cost import CostModel
-from tissue.charts.frontier import read_measured, short_of, undominated, write_measured
-from tissue.charts.measure import SETTLED, Measured, counts, excerpt, measure
-from tissue.charts.settings import Setting, finest, settings_of
-from tissue.load import changed, load_scene
-from tissue.scene import Scene
-from tissue.scene_coupling import Fidelity
-from tissue.scene_tool import PathMotion
-from tissue.simulation import simulate
-from tissue.statistics.metrics import force_error
+from meshes.base.errors import InputError
+from tissue.evaluation.charts import fidelity, places
+from tissue.evaluation.charts.cost import CostModel
+from tissue.evaluation.charts.frontier import read_measured, short_of, undominated, write_measured
+from tissue.evaluation.charts.measure import SETTLED, Measured, counts, excerpt, measure
+from tissue.evaluation.charts.settings import Setting, finest, settings_of
+from tissue.evaluation.statistics.metrics import force_error
+from tissue.scene.coupling import Fidelity
+from tissue.scene.load import changed, load_scene
+from tissue.scene.scene import Scene
+from tissue.scene.tool import PathMotion
+from tissue.simulation.simulate import simulate
 
 SCENES = ("milling", "molar", "caries", "glenoid", "liver-press", "palpation")
 ASIDE_MM = {"milling": 0.5, "molar": 0.5, "caries": 0.5, "liver-press": 0.5, "palpation": 0.5}

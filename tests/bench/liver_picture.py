@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tissue.liver.hyperelastic import Law
-from tissue.liver.judge import LinearLimits
+from tissue.fem.hyperelastic import Law
+from tissue.fem.linear_limits import LinearLimits
 
 __all__ = ["SHARES", "Point", "draw", "frontier"]
 

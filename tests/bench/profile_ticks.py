@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from harness import machine, table
 
-from tissue.charts.measure import excerpt
-from tissue.charts.settings import by_hand
-from tissue.load import load_scene, scene_names
-from tissue.run import Run
-from tissue.scene import Scene
-from tissue.simulation import simulate
-from tissue.trace import TIMING_COLUMNS
+from tissue.evaluation.charts.measure import excerpt
+from tissue.evaluation.charts.settings import by_hand
+from tissue.scene.load import load_scene, scene_names
+from tissue.scene.scene import Scene
+from tissue.simulation.run import Run
+from tissue.simulation.simulate import simulate
+from tissue.simulation.trace import TIMING_COLUMNS
 
 STAGES = tuple(name.removesuffix("_us") for name in TIMING_COLUMNS[1:])
 SHOWN = 6

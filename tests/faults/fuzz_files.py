@@ -93,29 +93,29 @@ class Reading:
 
 
 def _surface(path: Path) -> None:
-    from meshes.surface import read_surface
+    from meshes.surfaces.surface import read_surface
 
     read_surface(path)
 
 
 def _image(path: Path) -> None:
-    from meshes.image_file import read_image
+    from meshes.images.reading import read_image
 
     read_image(path, spacing_mm=0.5 if path.suffix == ".tif" else None)
 
 
 def _tets(path: Path) -> None:
-    from meshes.tet_files import read_tets
+    from meshes.tets.files import read_tets
 
     read_tets(path)
 
 
 def _run_folder(path: Path) -> None:
-    from tissue.run_folder import SavedRun
-    from tissue.view import _about, _check
-    from tissue.viewer import Choice
-    from tissue.viewer_carving import bone_of
-    from tissue.viewer_run import require_whole
+    from tissue.simulation.run_folder import SavedRun
+    from tissue.viewer.carving import bone_of
+    from tissue.viewer.run import require_whole
+    from tissue.viewer.show import Choice
+    from tissue.viewer.view import _about, _check
 
     saved = SavedRun(path)
     require_whole(saved)
@@ -125,20 +125,20 @@ def _run_folder(path: Path) -> None:
 
 
 def _assessed(path: Path) -> None:
-    from tissue.assessment import assess, assessment_lines
-    from tissue.run_folder import SavedRun
+    from tissue.evaluation.assessment import assess, assessment_lines
+    from tissue.simulation.run_folder import SavedRun
 
     assessment_lines(assess(SavedRun(path), SavedRun(path.parent / "run")))
 
 
 def _scene(path: Path) -> None:
-    from tissue.load import load_scene
+    from tissue.scene.load import load_scene
 
     load_scene(path)
 
 
 def _poses(path: Path) -> None:
-    from tissue.poses import read_poses
+    from tissue.motion.replay import read_poses
 
     read_poses(path, step_s=1e-3)
 
@@ -156,13 +156,13 @@ def _observer(path: Path) -> None:
 
 
 def _trials(path: Path) -> None:
-    from tissue.calibration.trial_log import read_log
+    from tissue.evaluation.calibration.trial_log import read_log
 
     read_log(path)
 
 
 def _study(path: Path) -> None:
-    from tissue.study.folder import StudyFolder
+    from tissue.evaluation.study.folder import StudyFolder
 
     folder = StudyFolder(path)
     folder.begin(folder.plan())
@@ -170,7 +170,7 @@ def _study(path: Path) -> None:
 
 
 def _table(path: Path) -> None:
-    from tissue.statistics import TrialTable
+    from tissue.evaluation.statistics.trials import TrialTable
 
     TrialTable.read_csv(path)
 
@@ -200,7 +200,7 @@ def _serve() -> None:
     sys.path[:0] = [str(ROOT)]
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
-    from meshes.errors import InputError
+    from meshes.base.errors import InputError
 
     for line in sys.stdin:
         reader, path, longest_s = json.loads(line)

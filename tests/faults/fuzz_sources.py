@@ -105,14 +105,14 @@ def write_own(folder: Path) -> dict[str, list[Path]]:
     """Files and folders that tissue itself writes, by reader."""
     import pyvista
 
-    from tissue.calibration.session import Plan as Calibration
-    from tissue.calibration.trial_log import TrialLog
-    from tissue.load import load_scene
+    from tissue.evaluation.calibration.session import Plan as Calibration
+    from tissue.evaluation.calibration.trial_log import TrialLog
+    from tissue.evaluation.study.folder import StudyFolder
+    from tissue.evaluation.study.plan import Plan
+    from tissue.evaluation.study.trial import Trial
     from tissue.perception.observer import Observer, write_observer
-    from tissue.simulation import simulate
-    from tissue.study.folder import StudyFolder
-    from tissue.study.plan import Plan
-    from tissue.study.trial import Trial
+    from tissue.scene.load import load_scene
+    from tissue.simulation.simulate import simulate
 
     run = folder / "run"
     made = simulate(

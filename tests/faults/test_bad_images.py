@@ -8,8 +8,8 @@ import image_writers as write
 import numpy as np
 import pytest
 
-from meshes import InputError
-from meshes.image_file import read_image
+from meshes.base.errors import InputError
+from meshes.images.reading import read_image
 
 SHAPE = (7, 5, 4)
 VALUES = np.random.default_rng(0).integers(0, 3000, SHAPE).astype(np.int16)

@@ -14,13 +14,13 @@ import pytest
 from device_doubles import PRESSED_S, Computed, Managed, Recording, block
 
 from tissue import InputError, load_scene, simulate
-from tissue.coupling import FaultyDevice, SafeDevice, device_parameters
-from tissue.coupling.device import DeviceError
-from tissue.coupling.hand_motion import HandMotion
-from tissue.coupling.safe_device import RAMP_S
-from tissue.model import TICK_S
-from tissue.run_folder import SavedRun
-from tissue.stopping import STOPS
+from tissue.haptics.device.device import DeviceError, device_parameters
+from tissue.haptics.device.faulty import FaultyDevice
+from tissue.haptics.device.safe_device import RAMP_S, SafeDevice
+from tissue.haptics.hand_motion import HandMotion
+from tissue.models.tissue_model import TICK_S
+from tissue.simulation.run_folder import SavedRun
+from tissue.system.stopping import STOPS
 
 KINDS = (Recording, Managed, Computed)
 SECONDS = 0.4
@@ -271,7 +271,7 @@ def test_a_faulty_device_passes_on_that_it_is_entered_and_left():
 @pytest.mark.parametrize(
     ("sample", "said"),
     [
-        ((0.0, 0.0, 0.02), "device.read must return a Sample or None, got tuple: use tissue.coupling.Sample"),
+        ((0.0, 0.0, 0.02), "device.read must return a Sample or None, got tuple: use tissue.haptics.Sample"),
         (None, ""),
     ],
 )

@@ -7,22 +7,15 @@ import pytest
 from device_doubles import Recording
 
 from tissue import load_scene, simulate
-from tissue.coupling import (
-    GROUPS,
-    GuardLimits,
-    Hand,
-    Sample,
-    SampleGuard,
-    SimulatedDevice,
-    device_parameters,
-    hand_parameters,
-    renderer,
-)
-from tissue.coupling.aim import waypoints
-from tissue.coupling.device import DEVICES, ComputedDevice, DeviceError
-from tissue.coupling.rigid_wall import press_wall
-from tissue.coupling.roughness import Roughness
-from tissue.coupling.signal import SlewLimit
+from tissue.haptics.device.device import DEVICES, ComputedDevice, DeviceError, Sample, device_parameters
+from tissue.haptics.device.roughness import Roughness
+from tissue.haptics.device.sample_guard import GuardLimits, SampleGuard
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import GROUPS, Hand, hand_parameters
+from tissue.haptics.hand.minimum_jerk import waypoints
+from tissue.haptics.loop.filters import SlewLimit
+from tissue.haptics.renderer import renderer
+from tissue.haptics.rigid_wall import press_wall
 
 TICK = 1e-3
 NOISE_M = 2e-3

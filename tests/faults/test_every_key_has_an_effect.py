@@ -10,7 +10,7 @@ from scene_kinds import kinds, write_files
 from scene_values import changes, keys_of
 
 from tissue import InputError, load_scene, simulate
-from tissue.load import saved_text
+from tissue.scene.load import saved_text
 
 FILES = ("bone", "image", "enamel", "dentin", "pulp", "ligament", "labels", "tets", "organ", "finger", "poses")
 NAMES = sorted(kinds(dict.fromkeys(FILES, "")))
@@ -37,14 +37,14 @@ def files(tmp_path_factory):
 @pytest.fixture(autouse=True)
 def stress_in_this_process(monkeypatch):
     """A process of its own takes seconds to start and computes the same."""
-    from tissue.tooth import beside
+    from tissue.models.tooth import stress_process as beside
 
     monkeypatch.setattr(beside, "StressProcess", beside.StressHere)
 
 
 def fingerprint(scene):
     """A digest of all that a run gives but for times, events, which tell times too, and the machine."""
-    from tissue.viewer_tool import tool_surface
+    from tissue.figures.tool_mesh import tool_surface
 
     run = simulate(scene)
     told = {k: v for k, v in run.summary().items() if k not in CLOCK}
@@ -118,7 +118,7 @@ def test_a_saved_scene_is_the_same_scene_and_is_not_refused(kind, files, tmp_pat
 
 
 def test_a_default_that_the_file_leaves_without_effect_is_refused_unless_a_run_kept_it(files, tmp_path):
-    from tissue.organs import held_mesh
+    from tissue.builders.organ import held_mesh
 
     base, kept = tmp_path / "base.toml", tmp_path / "kept.toml"
     base.write_text(tomli_w.dumps(kinds(files)["liver, tetrahedra"]))

@@ -10,10 +10,11 @@ import numpy as np
 import psutil
 import pytest
 
-from tissue import SavedRun, child, load_scene, simulate
-from tissue.child import HelperLostError, Patience, child_command
-from tissue.helper import Helper
-from tissue.tooth import beside
+from tissue import SavedRun, load_scene, simulate
+from tissue.models.tooth import stress_process as beside
+from tissue.system import child
+from tissue.system.child import HelperLostError, Patience, child_command
+from tissue.system.helper import Helper
 
 TOOTH = {
     "voxels.spacing_mm": 0.2,
@@ -49,10 +50,10 @@ def start_in(folder):
 def echo(tmp_path, monkeypatch):
     """A helper that answers what it is sent, or does not."""
     (tmp_path / "echoing.py").write_text(ECHO)
-    monkeypatch.setattr("tissue.child.IDLE_S", 1.5)
-    monkeypatch.setattr("tissue.child.LOOK_S", 0.25)
-    monkeypatch.setattr("tissue.helper.LOOK_S", 0.25)
-    monkeypatch.setattr("tissue.child.START", start_in(tmp_path))
+    monkeypatch.setattr("tissue.system.child.IDLE_S", 1.5)
+    monkeypatch.setattr("tissue.system.child.LOOK_S", 0.25)
+    monkeypatch.setattr("tissue.system.helper.LOOK_S", 0.25)
+    monkeypatch.setattr("tissue.system.child.START", start_in(tmp_path))
     helper = Helper("echoing", does="echoes")
     yield helper
     helper.kill()
@@ -117,7 +118,7 @@ def test_a_helper_that_is_killed_is_told_by_its_signal(echo):
 def test_patience_does_not_pass_while_this_process_is_stopped(monkeypatch):
     """It counts looks and no time of the clock, and work begins it anew."""
     work_s = [0.0]
-    monkeypatch.setattr("tissue.child._work_of", lambda _: (work_s[0], False))
+    monkeypatch.setattr("tissue.system.child._work_of", lambda _: (work_s[0], False))
     patience = Patience(lambda: [1], longest_s=12.0, idle_s=3.0)
     assert [patience.look() for _ in range(3)] == [None] * 3
     work_s[0] = 1.0
@@ -143,7 +144,7 @@ def test_a_run_that_loses_its_stress_keeps_all_else(plain, tmp_path, monkeypatch
     """Bone, trace and pictures are those of the run that nothing disturbs; one sentence says what is missing."""
     if not hasattr(signal, name):
         pytest.skip(f"this system has no {name}")
-    monkeypatch.setattr("tissue.child.IDLE_S", 2.0)
+    monkeypatch.setattr("tissue.system.child.IDLE_S", 2.0)
     begin, hit = beside.StressProcess.begin, []
 
     def hitting(self, state):
@@ -170,13 +171,13 @@ def test_a_run_that_loses_its_stress_keeps_all_else(plain, tmp_path, monkeypatch
 
 PARENT = """
 import subprocess, sys, time
-from tissue.child import child_command
+from tissue.system.child import child_command
 pipe = subprocess.PIPE
 child = subprocess.Popen(child_command("waiting"), stdin=pipe, start_new_session=True)
 print(child.pid, flush=True)
 time.sleep(1000)
 """
-WAITING = "import subprocess, sys, time\nfrom tissue.child import child_command\n\
+WAITING = "import subprocess, sys, time\nfrom tissue.system.child import child_command\n\
 print(subprocess.Popen(child_command('sleeping')).pid, flush=True)\ntime.sleep(1000)\n"
 
 
@@ -185,7 +186,7 @@ def test_a_killed_process_leaves_neither_helper_nor_its_helper(tmp_path, monkeyp
     if stopped and sys.platform != "linux":
         pytest.skip("only Linux ends a stopped process with the one that started it")
     (tmp_path / "sleeping.py").write_text("import time\ntime.sleep(1000)\n")
-    code = f"import tissue.child; tissue.child.START = {start_in(tmp_path)!r}\n"
+    code = f"import tissue.system.child; tissue.system.child.START = {start_in(tmp_path)!r}\n"
     (tmp_path / "waiting.py").write_text(code + WAITING)
     with subprocess.Popen([sys.executable, "-c", code + PARENT], stdout=subprocess.PIPE, text=True) as parent:
         numbers = [int(parent.stdout.readline()), int(parent.stdout.readline())]
@@ -197,14 +198,14 @@ def test_a_killed_process_leaves_neither_helper_nor_its_helper(tmp_path, monkeyp
 
 def test_a_command_of_no_python_is_empty(monkeypatch):
     monkeypatch.setattr(sys, "executable", "")
-    assert child_command("tissue.view") == []
+    assert child_command("tissue.viewer.view") == []
 
 
 def test_a_helper_that_is_lost_before_the_first_tick_ends_the_run_in_a_sentence(tmp_path, monkeypatch, command):
     def lost(*_, **__):
         raise HelperLostError("the process that solves the stress was ended by SIGKILL")
 
-    monkeypatch.setattr("tissue.tooth.beside.StressProcess", lost)
+    monkeypatch.setattr("tissue.models.tooth.stress_process.StressProcess", lost)
     changes = [f"--set={key}={value}" for key, value in TOOTH.items() if key.startswith(("voxels", "stress"))]
     code, _, said = command("run", "molar", *changes, "--duration-s", 0.01, "--out", tmp_path / "run")
     assert (code, said) == (1, "error: the process that solves the stress was ended by SIGKILL: run it again\n")

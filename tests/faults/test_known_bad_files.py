@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from fuzz_files import READERS
 
-from meshes.errors import InputError
-from meshes.file_version import package_version, require_version
-from tissue.run_folder import SavedRun
+from meshes.base.errors import InputError
+from meshes.base.file_version import package_version, require_version
+from tissue.simulation.run_folder import SavedRun
 
 OBJ = fuzz_sources.obj_text()
 MSH = fuzz_sources.msh_text()
@@ -178,7 +178,7 @@ def test_a_bad_summary_is_refused(tmp_path, change, sentence):
 )
 def test_a_bad_trace_is_refused_and_a_whole_one_read(tmp_path, old, new, sentence):
     """The layer's name holds a comma, so that the column named after it has to be quoted."""
-    from tissue.trace import Table, TraceWriter, trace_columns
+    from tissue.simulation.trace import Table, TraceWriter, trace_columns
 
     layers = ("bone, hard",)
     columns = trace_columns(layers)
@@ -206,7 +206,7 @@ def test_a_version_is_read_up_to_the_newest():
 
 
 def test_names_from_files_are_shown_as_text(capsys):
-    from tissue.commands.terminal import console
+    from tissue.cli.terminal import console
 
     console.print("part [red]liver\x1b[31m\a[/nothing] of a\nfile", soft_wrap=True, highlight=False)
     assert capsys.readouterr().out == "part [red]liver\\x1b[31m\\x07[/nothing] of a\nfile\n"
@@ -215,12 +215,12 @@ def test_names_from_files_are_shown_as_text(capsys):
 def test_forces_below_the_least_are_zero(monkeypatch):
     """With a least force of 1 N in place of 1e-12 N, so that a short run holds some of either side."""
     from tissue import load_scene, simulate
-    from tissue.trace import LEAST_LOAD
+    from tissue.simulation.trace import LEAST_LOAD
 
     assert LEAST_LOAD == 1e-12
     scene = load_scene("milling", {"voxels.spacing_mm": 0.8, "duration_s": 0.3, "motion.feed_mm_s": 40.0})
     plain = simulate(scene).trace
-    monkeypatch.setattr("tissue.tick.LEAST_LOAD", 1.0)
+    monkeypatch.setattr("tissue.simulation.tick.LEAST_LOAD", 1.0)
     cleared = simulate(scene).trace
     names = [name for name in plain if name.endswith(("_N", "_Nm"))]
     before, after = (np.array([trace[name] for name in names]) for trace in (plain, cleared))
@@ -231,7 +231,7 @@ def test_forces_below_the_least_are_zero(monkeypatch):
 @pytest.fixture
 def entry(tmp_path, monkeypatch):
     """A cache entry, how often it was made, and a call that asks for it."""
-    from meshes.cache import cached_arrays
+    from meshes.base.cache import cached_arrays
 
     monkeypatch.setenv("TISSUE_CACHE", str(tmp_path))
     made = []
@@ -268,5 +268,5 @@ def test_a_cache_entry_that_does_not_fit_is_made_again(entry, monkeypatch):
         np.savez(path, **(held | change))
         assert ask() == count + 1
     count = ask()
-    monkeypatch.setattr("meshes.cache.package_version", lambda: "0.0.0")
+    monkeypatch.setattr("meshes.base.cache.package_version", lambda: "0.0.0")
     assert ask() == count + 1

@@ -7,12 +7,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from meshes.tet_structured import box
+from meshes.tets.structured import box
 from tissue import InputError, load_scene, scene_names, scene_text, simulate
-from tissue.faults import require_used
-from tissue.organs import elasticity_of
-from tissue.scene_keys import in_scene_words
-from tissue.scene_soft import LiverAnatomy, Organ
+from tissue.builders.organ import elasticity_of
+from tissue.scene.key_names import in_scene_words
+from tissue.scene.messages import require_used
+from tissue.scene.organ import LiverAnatomy, Organ
 
 
 @pytest.fixture
@@ -45,14 +45,14 @@ def test_an_option_without_effect_is_refused(refused, here, arguments, sentence)
 
 
 def test_a_cache_that_cannot_be_written_is_named_as_the_cache(refused, here, monkeypatch):
-    from tissue.commands import run
+    from tissue.cli.run import run
 
     monkeypatch.setenv("TISSUE_CACHE", str(here / "cache"))
 
     def full(*_, **__):
         raise OSError(errno.ENOSPC, "No space left on device", str(here / "cache" / "frontiers" / "x.csv"))
 
-    monkeypatch.setattr("tissue.load.load_scene", full)
+    monkeypatch.setattr("tissue.scene.load.load_scene", full)
     assert run is not None
     assert refused("run", "milling") == (
         f"cache must have room, got no space left on device at {here / 'cache' / 'frontiers' / 'x.csv'}: free some "

@@ -10,7 +10,7 @@ import tomli_w
 from scene_kinds import kinds, write_files
 
 from tissue import InputError, load_scene, scene_names, scene_text, simulate
-from tissue.load import saved_text
+from tissue.scene.load import saved_text
 
 WILD = (
     0, -1, 1, 1e300, -1e300, 1e-300, float("nan"), float("inf"), -float("inf"), 2**63, -(2**63), True, False, "", "0.1",

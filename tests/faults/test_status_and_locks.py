@@ -12,14 +12,14 @@ import psutil
 import pytest
 
 from tissue import InputError, SavedRun, load_scene, simulate
-from tissue.output_lock import OutputLock, output_locked
-from tissue.process_identity import identity, is_alive
-from tissue.run_folder import RunFolder
-from tissue.stopping import Terminated, terminated_as_exception
-from tissue.view import _about
+from tissue.simulation.run_folder import RunFolder
+from tissue.system.output_lock import OutputLock, output_locked
+from tissue.system.process_identity import identity, is_alive
+from tissue.system.stopping import Terminated, terminated_as_exception
+from tissue.viewer.view import _about
 
 QUICK = {"voxels.spacing_mm": 0.8, "duration_s": 0.02}
-HOLD = "import sys; from pathlib import Path; from tissue.output_lock import OutputLock; \
+HOLD = "import sys; from pathlib import Path; from tissue.system.output_lock import OutputLock; \
 held = OutputLock(Path(sys.argv[1]), folder=sys.argv[2] == 'folder'); print('held', flush=True); sys.stdin.read()"
 
 
@@ -148,7 +148,7 @@ def test_what_ends_a_run_is_in_its_summary_and_its_trace_is_kept(tmp_path, monke
 
     out = tmp_path / "run"
     scene = load_scene("milling", QUICK)
-    monkeypatch.setattr("tissue.report.write_bone", fail)
+    monkeypatch.setattr("tissue.figures.report.write_bone", fail)
     with pytest.raises(type(error)):
         simulate(scene, out=out, watch=Ends()).save(out, pictures=False)
     saved = SavedRun(out)
@@ -169,7 +169,7 @@ def test_a_refused_scene_leaves_the_old_run_and_no_new_folder(tmp_path, monkeypa
     out = tmp_path / "run"
     simulate(load_scene("milling", QUICK), out=out).save(out, pictures=False)
     before = {each.relative_to(out): each.read_bytes() for each in out.rglob("*") if each.is_file()}
-    monkeypatch.setattr("tissue.simulation.build", refuse)
+    monkeypatch.setattr("tissue.simulation.simulate.build", refuse)
     for folder, overwrite in ((out, True), (tmp_path / "new", False)):
         with pytest.raises(InputError):
             simulate(load_scene("milling", QUICK), out=folder, overwrite=overwrite)

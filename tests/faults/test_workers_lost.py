@@ -11,9 +11,9 @@ from concurrent.futures import BrokenExecutor
 import psutil
 import pytest
 
-from tissue import child, offscreen
-from tissue.offscreen import draw_apart, end_drawing
-from tissue.workers import first_done, own_processes
+from tissue.system import child, offscreen
+from tissue.system.offscreen import draw_apart, end_drawing
+from tissue.system.workers import first_done, own_processes
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="this system has no SIGSTOP")
 
@@ -25,9 +25,9 @@ def stop_oneself(how):
 
 @pytest.mark.parametrize("how", ["SIGSTOP", "SIGKILL"])
 def test_a_worker_that_does_not_work_is_ended_and_told(monkeypatch, how):
-    monkeypatch.setattr("tissue.child.IDLE_S", 1.0)
-    monkeypatch.setattr("tissue.workers.LOOK_S", 0.25)
-    monkeypatch.setattr("tissue.child.LOOK_S", 0.25)
+    monkeypatch.setattr("tissue.system.child.IDLE_S", 1.0)
+    monkeypatch.setattr("tissue.system.workers.LOOK_S", 0.25)
+    monkeypatch.setattr("tissue.system.child.LOOK_S", 0.25)
     said = []
     with pytest.raises(BrokenExecutor), own_processes(1) as pool:
         assert first_done(pool, [pool.submit(abs, -3)], lambda *_: None).pop().result() == 3
@@ -45,11 +45,11 @@ def drawing(tmp_path, monkeypatch):
         "time.sleep(1000)\n"
     )
     start = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); {child.START}"
-    monkeypatch.setattr("tissue.child.START", start)
-    monkeypatch.setattr("tissue.child.IDLE_S", 1.0)
-    monkeypatch.setattr("tissue.child.LOOK_S", 0.25)
-    monkeypatch.setattr("tissue.offscreen.LOOK_S", 0.25)
-    monkeypatch.setattr("tissue.offscreen._windows", lambda: iter([""]))
+    monkeypatch.setattr("tissue.system.child.START", start)
+    monkeypatch.setattr("tissue.system.child.IDLE_S", 1.0)
+    monkeypatch.setattr("tissue.system.child.LOOK_S", 0.25)
+    monkeypatch.setattr("tissue.system.offscreen.LOOK_S", 0.25)
+    monkeypatch.setattr("tissue.system.offscreen._windows", lambda: iter([""]))
     return tmp_path / "number"
 
 
@@ -69,7 +69,7 @@ def test_a_drawing_that_hangs_is_given_up_in_a_sentence(drawing):
 
 
 def test_a_drawing_in_another_thread_ends_when_it_is_told_to(drawing, monkeypatch):
-    monkeypatch.setattr("tissue.child.IDLE_S", 600.0)
+    monkeypatch.setattr("tissue.system.child.IDLE_S", 600.0)
     said = []
     thread = threading.Thread(target=lambda: said.append(draw_apart("drawing", str(drawing))))
     thread.start()
@@ -81,9 +81,9 @@ def test_a_drawing_in_another_thread_ends_when_it_is_told_to(drawing, monkeypatc
 
 
 def test_an_exception_beside_a_drawing_does_not_wait_for_it(drawing, monkeypatch):
-    from tissue.report import _beside
+    from tissue.figures.report import _beside
 
-    monkeypatch.setattr("tissue.child.IDLE_S", 600.0)
+    monkeypatch.setattr("tissue.system.child.IDLE_S", 600.0)
     with pytest.raises(KeyboardInterrupt), _beside() as thread:
         thread.submit(draw_apart, "drawing", str(drawing))
         number_in(drawing)

@@ -6,8 +6,8 @@ import warp as wp
 from scipy.ndimage import map_coordinates
 
 from kernels.bricks import cube_behind_plane, plane_of, voxel_column, voxel_row
-from meshes.volume import VoxelVolume
-from tissue.bone import BrickStore
+from meshes.voxels.volume import VoxelVolume
+from tissue.models.bone.bricks import BrickStore
 
 
 @wp.kernel

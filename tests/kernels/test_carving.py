@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from meshes import VoxelVolume
-from meshes.plane_cube import cube_fraction
-from tissue.bone import BoneModel
-from tissue.cutters import Cutter, ball_burr, cylinder, flat_reamer, hemispherical_reamer, pear_bur, twist_drill
-from tissue.materials import cutting_coefficients
-from tissue.model import ToolMotion
+from meshes.shapes.plane_cube import cube_fraction
+from meshes.voxels.volume import VoxelVolume
+from tissue.cutters.cutter import Cutter
+from tissue.cutters.profile import ball_burr, cylinder, flat_reamer, hemispherical_reamer, pear_bur, twist_drill
+from tissue.materials.cutting import cutting_coefficients
+from tissue.models.bone.model import BoneModel
+from tissue.models.tissue_model import ToolMotion
 
 SPACING_M = 1e-4
 PROFILES = {

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tissue.liver.contact import SurfaceContact
-from tissue.liver.probe import SphereProbe
+from tissue.models.organ.contact import SurfaceContact
+from tissue.models.organ.probe import SphereProbe
 
 ROUNDING = 1e-13
 """Sums of at most a hundred products, relative to their largest."""

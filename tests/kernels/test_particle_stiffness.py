@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from tooth_bodies import GAUSS, at_bottom, block
 
-from tissue.tooth import HexGrid, ParticleBody, ParticleSet, Supports
-from tissue.tooth.compliance import rigid_motions
-from tissue.tooth.grid import shape_values
-from tissue.tooth.stiffness import CellStiffness, full_cell_stiffness, strain_matrix
+from tissue.models.tooth.body import ParticleBody
+from tissue.models.tooth.compliance import rigid_motions
+from tissue.models.tooth.grid import HexGrid, shape_values
+from tissue.models.tooth.particles import ParticleSet
+from tissue.models.tooth.stiffness import CellStiffness, full_cell_stiffness, strain_matrix
+from tissue.models.tooth.supports import Supports
 
 ROUNDING = 1e-13  # relative to the largest entry: sums of a few hundred terms in double precision
 

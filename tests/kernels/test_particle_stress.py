@@ -3,7 +3,9 @@
 import numpy as np
 from tooth_bodies import block
 
-from tissue.tooth import ParticleBody, Supports, cell_stress, node_average, particle_stress
+from tissue.models.tooth.body import ParticleBody
+from tissue.models.tooth.stress import cell_stress, node_average, particle_stress
+from tissue.models.tooth.supports import Supports
 
 
 def deformed():
@@ -20,7 +22,7 @@ def test_particle_stress_against_numpy():
     cell, place = grid.locate(body.particles.position_m)
     nodes = moved[grid.cell_nodes[cell]]
     step = 1e-7
-    from tissue.tooth.grid import shape_values
+    from tissue.models.tooth.grid import shape_values
 
     gradient = np.stack(
         [

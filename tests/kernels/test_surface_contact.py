@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from kernels.contact_state import pose_of
 from kernels.friction_cone import coulomb_force, safe_inverse
 from kernels.probe_distance import axis_distance
-from tissue.liver.probe import CylinderProbe, SphereProbe
+from tissue.models.organ.probe import CylinderProbe, SphereProbe
 
 ROUNDING = 1e-9
 """Newton on the cone stops at 1e-13; systems of condition up to 1e3 stand between that and the laws."""

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from meshes.errors import InputError
-from meshes.tet_structured import box
-from meshes.tetrahedra import TetMesh
-from tissue.liver.assembly import assemble
-from tissue.liver.hyperelastic import Law, NonlinearBody
-from tissue.liver.space import Space
+from meshes.base.errors import InputError
+from meshes.tets.structured import box
+from meshes.tets.tetrahedra import TetMesh
+from tissue.fem.assembly import assemble
+from tissue.fem.hyperelastic import Law, NonlinearBody
+from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 
 LAWS = list(Law)

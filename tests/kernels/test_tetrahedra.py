@@ -6,10 +6,10 @@ import warp as wp
 from tet_bodies import distorted
 
 from kernels.tetrahedra import pair_stiffness_isotropic
-from tissue.liver.assembly import assemble, pair_tables
-from tissue.liver.shapes import EDGES
-from tissue.liver.space import Space
-from tissue.liver.stress import cell_stress, node_stress
+from tissue.fem.assembly import assemble, pair_tables
+from tissue.fem.shapes import EDGES
+from tissue.fem.space import Space
+from tissue.fem.stress import cell_stress, node_stress
 from tissue.materials.elasticity import isotropic, lame, orthotropic, rotated
 
 ROUNDING = 1e-13

@@ -6,11 +6,11 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
 from kernels.voxmap import SURFACE
-from meshes import sdf
-from meshes.errors import InputError
-from meshes.volume import VoxelVolume
-from tissue.bone.bricks import BrickStore
-from tissue.coupling.voxmap import Ball, Box, ContactField, HalfSpace
+from meshes.base.errors import InputError
+from meshes.shapes import sdf
+from meshes.voxels.volume import VoxelVolume
+from tissue.haptics.proxy.voxmap import Ball, Box, ContactField, HalfSpace
+from tissue.models.bone.bricks import BrickStore
 
 SPACING, ORIGIN = 1e-4, np.array([-1e-3, 2e-3, 0.5e-3])
 

@@ -1,6 +1,6 @@
 """Text entries of the cache: whole, of this version, or not there."""
 
-from meshes.cache import read_entry, write_entry
+from meshes.base.cache import read_entry, write_entry
 
 
 def test_a_text_entry_is_kept_whole_or_not_at_all(tmp_path, monkeypatch):
@@ -14,5 +14,5 @@ def test_a_text_entry_is_kept_whole_or_not_at_all(tmp_path, monkeypatch):
         path.write_bytes(damaged)
         assert read_entry(path) is None
     path.write_bytes(whole)
-    monkeypatch.setattr("meshes.cache.package_version", lambda: "0.0.1")
+    monkeypatch.setattr("meshes.base.cache.package_version", lambda: "0.0.1")
     assert read_entry(path) is None

@@ -11,9 +11,9 @@ import pytest
 from scipy.ndimage import binary_opening
 from scipy.spatial import cKDTree
 
-from meshes.image_file import read_image
-from meshes.image_surface import image_surface
-from meshes.mesh_sampling import triangle_distance
+from meshes.images.reading import read_image
+from meshes.images.threshold_surface import image_surface
+from meshes.voxels.mesh_sampling import triangle_distance
 
 BONE_HU = 300.0
 WINDOW = (slice(215, 285), slice(300, 370))

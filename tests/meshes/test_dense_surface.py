@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from meshes.column_crossings import triangles_meeting
-from meshes.grid import Grid
-from meshes.mesh_sampling import TriangleSampler, triangle_distance
-from meshes.repair import is_manifold, merge_vertices
-from meshes.site import place_site
-from meshes.surface import surface_from_triangles
-from meshes.surface_anatomy import surface_anatomy
-from meshes.voxelise import voxelise
+from meshes.surfaces.bone_surface import surface_anatomy
+from meshes.surfaces.repair import is_manifold, merge_vertices
+from meshes.surfaces.site import place_site
+from meshes.surfaces.surface import surface_from_triangles
+from meshes.voxels.column_crossings import triangles_meeting
+from meshes.voxels.grid import Grid
+from meshes.voxels.mesh_sampling import TriangleSampler, triangle_distance
+from meshes.voxels.voxelise import voxelise
 
 REGION_M = np.array([[-4e-3, -4e-3, -3e-3], [4e-3, 4e-3, 2e-3]])
 
@@ -63,7 +63,7 @@ def test_exact_depths_are_found_next_to_the_threshold_only(ball, monkeypatch):
         asked.append(len(points))
         return triangle_distance(vertices, faces, points)
 
-    monkeypatch.setattr("meshes.mesh_sampling.triangle_distance", counted)
+    monkeypatch.setattr("meshes.voxels.mesh_sampling.triangle_distance", counted)
     for threshold in (1.9e-3, np.inf):
         TriangleSampler(1e-3 * vertices - [0.0, 0.0, 0.03], faces, threshold)(grid)
     assert 0 < asked[0] < asked[1] / 2

@@ -5,8 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from meshes import cortical_block, glenoid, voxelise
-from meshes.errors import InputError
+from meshes.base.errors import InputError
+from meshes.shapes.anatomy import cortical_block
+from meshes.surfaces.glenoid import glenoid
+from meshes.voxels.voxelise import voxelise
 
 SPACING = 2e-4
 LAYERS = {"subchondral": 0, "cortical": 1, "trabecular": 2}

@@ -6,10 +6,12 @@ import struct
 import numpy as np
 import pytest
 
-from meshes import cortical_block, sdf, voxelise
-from meshes.errors import InputError
-from meshes.image import CT_DENSITY, DensityLaw, image_volume, read_volume
-from meshes.image_file import Image, read_image
+from meshes.base.errors import InputError
+from meshes.images.bone_image import CT_DENSITY, DensityLaw, image_volume, read_volume
+from meshes.images.reading import Image, read_image
+from meshes.shapes import sdf
+from meshes.shapes.anatomy import cortical_block
+from meshes.voxels.voxelise import voxelise
 
 
 def image(values, spacing=(0.1, 0.1, 0.1)):

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from meshes import TOOTH_LAYERS, InputError, label_volume
-from meshes.image_file import Image
-from meshes.label_volume import labelled_tooth, labelled_volume
-from meshes.tooth_layers import ENAMEL
+from meshes.base.errors import InputError
+from meshes.images.reading import Image
+from meshes.tooth.label_volume import label_volume, labelled_tooth, labelled_volume
+from meshes.tooth.layers import ENAMEL, TOOTH_LAYERS
 
 SPACING_MM = 0.1
 

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from meshes import TOOTH_LAYERS, InputError, layered_surfaces, voxelise
-from meshes.layer_contact import inside_surface
-from meshes.layered_surfaces import layered_anatomy
-from meshes.surface import surface_from_triangles
+from meshes.base.errors import InputError
+from meshes.surfaces.surface import surface_from_triangles
+from meshes.tooth.layer_contact import inside_surface
+from meshes.tooth.layered_surfaces import layered_anatomy, layered_surfaces
+from meshes.tooth.layers import TOOTH_LAYERS
+from meshes.voxels.voxelise import voxelise
 
 SPACING = 1e-4
 MOLAR_MM3 = {"enamel": 221.82, "dentin": 647.50, "pulp": 33.61, "ligament": 351.09}

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from meshes.errors import InputError
-from meshes.liver import LIVER_REGIONS, Nodule, liver, liver_region, liver_shape, slab, slab_floor
-from meshes.tet_checks import mean_ratio, pieces, pinched_edges
-from meshes.tetrahedra import TetMesh
+from meshes.base.errors import InputError
+from meshes.organs.liver import LIVER_REGIONS, Nodule, liver, liver_region, liver_shape, slab, slab_floor
+from meshes.tets.checks import mean_ratio, pieces, pinched_edges
+from meshes.tets.tetrahedra import TetMesh
 
 
 @pytest.fixture(scope="module")

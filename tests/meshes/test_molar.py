@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from meshes import TOOTH_LAYERS, InputError, caries_softness, molar, voxelise
-from meshes.tooth_layers import CARIES, DENTIN, ENAMEL, LIGAMENT, PULP, caries_density
+from meshes.base.errors import InputError
+from meshes.tooth.layers import CARIES, DENTIN, ENAMEL, LIGAMENT, PULP, TOOTH_LAYERS, caries_density, caries_softness
+from meshes.tooth.molar import molar
+from meshes.voxels.voxelise import voxelise
 
 SPACING = 1e-4
 MM = 1e-3
@@ -73,7 +75,7 @@ def test_origin_lies_on_the_enamel(tooth):
 
 
 def test_layers_down_through_the_fossa(tooth):
-    """Enamel 1 to 2 mm in the fossa, 3 to 5 mm of dentin over the pulp (M, see `meshes.molar`)."""
+    """Enamel 1 to 2 mm in the fossa, 3 to 5 mm of dentin over the pulp (M, see `meshes.tooth.molar`)."""
     met = along(tooth, 1e-6, 1e-6)
     assert [name for name, _, _ in met] == ["enamel", "dentin", "pulp", "dentin", "ligament", "bone"]
     thickness = {name: (top - bottom) / MM for name, top, bottom in met[:3]}

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from meshes.polyline import points_along, ways_along
+from meshes.shapes.polyline import points_along, ways_along
 
 CORNERS = [[0.0, 0.0, 0.0], [3.0, 4.0, 0.0], [3.0, 4.0, 0.0], [3.0, 4.0, -2.0]]
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from meshes import sdf
-from meshes.errors import InputError
+from meshes.base.errors import InputError
+from meshes.shapes import sdf
 
 SHAPES = {
     "sphere": sdf.sphere(4e-3, (1e-3, 0.0, -2e-3)),

@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 import trimesh
 
-from meshes import glenoid, sdf, voxelise
-from meshes.errors import InputError
-from meshes.grid import Grid
-from meshes.mesh_sampling import TriangleSampler
-from meshes.placement import Placement
-from meshes.site import Site, find_glenoid, place_site
-from meshes.surface import read_surface, surface_from_triangles
-from meshes.surface_anatomy import surface_anatomy
+from meshes.base.errors import InputError
+from meshes.base.placement import Placement
+from meshes.shapes import sdf
+from meshes.surfaces.bone_surface import surface_anatomy
+from meshes.surfaces.glenoid import glenoid
+from meshes.surfaces.site import Site, find_glenoid, place_site
+from meshes.surfaces.surface import read_surface, surface_from_triangles
+from meshes.voxels.grid import Grid
+from meshes.voxels.mesh_sampling import TriangleSampler
+from meshes.voxels.voxelise import voxelise
 
 
 def as_surface(mesh):
@@ -88,7 +90,7 @@ def synthetic_scapula():
     blade = sdf.box((6e-3, 110e-3, 70e-3), (0.0, -35e-3, -60e-3), rounding_m=2e-3)
     spike = sdf.capsule(6e-3, (-2e-3, 20e-3, -12e-3), (-22e-3, 32e-3, 18e-3))
     bone = sdf.union(glenoid(vault_depth_mm=30).shape, blade, blend_m=4e-3) | spike
-    from meshes import Anatomy, cortical_block
+    from meshes.shapes.anatomy import Anatomy, cortical_block
 
     vertices, faces = voxelise(Anatomy("scapula", bone, ("bone",), cortical_block().classify), spacing_m=8e-4).surface()
     turn = trimesh.transformations.rotation_matrix(2.1, (1, -2, 0.5))[:3, :3]

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from meshes.errors import InputError
-from meshes.holes import fill_holes
-from meshes.repair import merge_vertices, orient, signed_volume
-from meshes.surface import read_surface, surface_from_triangles
+from meshes.base.errors import InputError
+from meshes.surfaces.holes import fill_holes
+from meshes.surfaces.repair import merge_vertices, orient, signed_volume
+from meshes.surfaces.surface import read_surface, surface_from_triangles
 
 
 def bone(size=(40.0, 30.0, 20.0)):

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from meshes.errors import InputError
-from meshes.tet_bisection import bisected
-from meshes.tet_structured import box
-from meshes.tetrahedra import FACES, TetMesh
+from meshes.base.errors import InputError
+from meshes.tets.bisection import bisected
+from meshes.tets.structured import box
+from meshes.tets.tetrahedra import FACES, TetMesh
 
 
 def longest_over_height(mesh: TetMesh) -> float:
@@ -63,6 +63,6 @@ def test_bad_sizes(monkeypatch):
     for bad in (0.0, float("nan")):
         with pytest.raises(InputError, match="size_m must be positive"):
             bisected(mesh, lambda at, bad=bad: np.full(len(at), bad))
-    monkeypatch.setattr("meshes.tet_bisection._MOST_CELLS", 1000)
+    monkeypatch.setattr("meshes.tets.bisection._MOST_CELLS", 1000)
     with pytest.raises(InputError, match="size_m must leave at most 1000"):
         bisected(mesh, lambda at: np.full(len(at), 1e-3))

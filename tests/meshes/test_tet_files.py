@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import pyvista
 
-from meshes.errors import InputError
-from meshes.tet_files import read_tets
-from meshes.tet_msh import read_msh
-from meshes.tet_structured import box
+from meshes.base.errors import InputError
+from meshes.tets.files import read_tets
+from meshes.tets.msh import read_msh
+from meshes.tets.structured import box
 
 CELL = "$Elements\n1\n1 4 2 0 0 1 2 3 4\n$EndElements\n"
 NODES = "$Nodes\n4\n1 0 0 0\n2 100 0 0\n3 0 100 0\n4 0 0 100\n$EndNodes\n"

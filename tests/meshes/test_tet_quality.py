@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from meshes.errors import InputError
-from meshes.tet_checks import flatness, mean_ratio, pinched_edges
-from meshes.tet_crossings import crossing_triangles
-from meshes.tet_quality import FLAT, SLIVER, repair_tets
-from meshes.tet_structured import box
-from meshes.tetrahedra import TetMesh
+from meshes.base.errors import InputError
+from meshes.tets.checks import flatness, mean_ratio, pinched_edges
+from meshes.tets.crossings import crossing_triangles
+from meshes.tets.quality import FLAT, SLIVER, repair_tets
+from meshes.tets.structured import box
+from meshes.tets.tetrahedra import TetMesh
 
 REGULAR = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
 

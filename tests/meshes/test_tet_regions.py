@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from meshes.errors import InputError
-from meshes.tet_regions import (
+from meshes.base.errors import InputError
+from meshes.tets.regions import (
     faces_of,
     nodes_behind_plane,
     nodes_facing,
@@ -13,8 +13,8 @@ from meshes.tet_regions import (
     nodes_of_part,
     surface_normals,
 )
-from meshes.tet_structured import box, sphere_shell
-from meshes.tetrahedra import TetMesh
+from meshes.tets.structured import box, sphere_shell
+from meshes.tets.tetrahedra import TetMesh
 
 MESH = box((0.1, 0.1, 0.1), (5, 5, 5))
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from meshes.errors import InputError
-from meshes.tet_checks import cell_faces, mean_ratio, pieces, pinched_edges
-from meshes.tet_structured import box, cylinder, graded, grid, joined, mapped, sphere_shell
-from meshes.tetrahedra import TetMesh
+from meshes.base.errors import InputError
+from meshes.tets.checks import cell_faces, mean_ratio, pieces, pinched_edges
+from meshes.tets.structured import box, cylinder, graded, grid, joined, mapped, sphere_shell
+from meshes.tets.tetrahedra import TetMesh
 
 
 def area(mesh: TetMesh) -> float:

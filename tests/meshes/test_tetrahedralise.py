@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import pyvista
 
-import meshes.tetrahedralise as module
-from meshes.errors import InputError
-from meshes.surface import Surface, surface_from_triangles
-from meshes.tet_checks import mean_ratio
-from meshes.tet_files import read_tets
-from meshes.tetrahedralise import tetrahedralise
+import meshes.tets.tetrahedralise as module
+from meshes.base.errors import InputError
+from meshes.surfaces.surface import Surface, surface_from_triangles
+from meshes.tets.checks import mean_ratio
+from meshes.tets.files import read_tets
+from meshes.tets.tetrahedralise import tetrahedralise
 
 
 @pytest.fixture(autouse=True)

@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 import meshes
-from meshes import Anatomy, VoxelVolume, cortical_block, sdf, voxelise
-from meshes.errors import InputError
+from meshes.base.errors import InputError
+from meshes.shapes import sdf
+from meshes.shapes.anatomy import Anatomy, cortical_block
+from meshes.voxels.volume import VoxelVolume
+from meshes.voxels.voxelise import voxelise
 
 
 @pytest.fixture(scope="module")

@@ -5,9 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from meshes import Anatomy, cortical_block, glenoid, sdf, voxelise
-from meshes.block_sampling import voxel_fraction
-from meshes.errors import InputError
+from meshes.base.errors import InputError
+from meshes.shapes import sdf
+from meshes.shapes.anatomy import Anatomy, cortical_block
+from meshes.surfaces.glenoid import glenoid
+from meshes.voxels.block_sampling import voxel_fraction
+from meshes.voxels.voxelise import voxelise
 
 ROUNDING = 1  # stored fractions are integers of 255: evaluations in another order may round the other way
 

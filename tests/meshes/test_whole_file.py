@@ -2,7 +2,7 @@
 
 import pytest
 
-from meshes.whole_file import whole_file
+from meshes.base.whole_file import whole_file
 
 
 def test_a_file_is_replaced_when_the_new_one_is_whole(tmp_path):

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from tissue.atlas import PAGES, write_atlas
-from tissue.atlas.page import Conduct
+from tissue.evaluation.atlas.atlas import write_atlas
+from tissue.evaluation.atlas.page import Conduct
+from tissue.evaluation.atlas.pages import PAGES
 
 HEAVY = {"large_rotation", "sampled_wall", "wall_map", "horizon", "trained_elsewhere", "cut_cells", "nearest_point"}
 """Pages that take about a second and more."""

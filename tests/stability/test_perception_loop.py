@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tissue.coupling.aim import waypoints
-from tissue.coupling.device import device_parameters
-from tissue.coupling.faulty import Fault, FaultyDevice
-from tissue.coupling.guard import SampleGuard
-from tissue.coupling.hand import Hand, HandAction, hand_parameters
-from tissue.coupling.loop import spectral_radius
-from tissue.coupling.renderer import ProxyRenderer
-from tissue.coupling.rigid_wall import press_wall
-from tissue.coupling.simulated_device import SimulatedDevice
-from tissue.coupling.stability import critical_stiffness_N_m, in_hands
-from tissue.perception.build import CAUTION, perception_for
+from tissue.builders.perception import CAUTION, perception_for
+from tissue.haptics.device.device import device_parameters
+from tissue.haptics.device.faulty import Fault, FaultyDevice
+from tissue.haptics.device.sample_guard import SampleGuard
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import Hand, HandAction, hand_parameters
+from tissue.haptics.hand.minimum_jerk import waypoints
+from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
+from tissue.haptics.loop.sampled_loop import spectral_radius
+from tissue.haptics.renderer import ProxyRenderer
+from tissue.haptics.rigid_wall import press_wall
 from tissue.perception.deadband import held_back
 from tissue.perception.mapping import ForceMap
 from tissue.perception.population import population_observer, reference_observer

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from tissue import load_scene, simulate
+from tissue.builders.prediction import trained_predictor
+from tissue.evaluation.training.evaluation import forecast, forecast_errors
+from tissue.evaluation.training.recording import Recorder, Recording, trial
 from tissue.prediction.baselines import Linear
-from tissue.prediction.build import trained_predictor
 from tissue.prediction.guard import Guarded
 from tissue.prediction.koopman import Koopman
 from tissue.prediction.trained import Trained, shipped_file
-from tissue.training import Recorder, Recording, forecast_errors, trial
-from tissue.training.evaluation import forecast
 
 LIMIT_N = 3.3
 

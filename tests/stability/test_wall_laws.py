@@ -8,17 +8,17 @@ from math import inf, pi, sin, sqrt
 import numpy as np
 import pytest
 
-from tissue.coupling.aim import waypoints
-from tissue.coupling.device import device_parameters
-from tissue.coupling.hand import Hand, hand_parameters
-from tissue.coupling.loop import WallLoop, spectral_radius
-from tissue.coupling.passivity import PassivityControl
-from tissue.coupling.renderer import ProxyRenderer, renderer
-from tissue.coupling.signal import DelayLine, LowPass, cutoff_hz, low_pass_gain, relaxation_bound
-from tissue.coupling.simulated_device import SimulatedDevice
-from tissue.coupling.stability import critical_stiffness_N_m, in_hands
-from tissue.coupling.stability_map import growth_while_running
-from tissue.coupling.theory import delay_bound_N_m, pade_bound_N_m, passive_bound_N_m
+from tissue.haptics.device.device import device_parameters
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import Hand, hand_parameters
+from tissue.haptics.hand.minimum_jerk import waypoints
+from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
+from tissue.haptics.loop.filters import DelayLine, LowPass, cutoff_hz, low_pass_gain, relaxation_bound
+from tissue.haptics.loop.passivity import PassivityControl
+from tissue.haptics.loop.sampled_loop import WallLoop, spectral_radius
+from tissue.haptics.loop.stability_bounds import delay_bound_N_m, pade_bound_N_m, passive_bound_N_m
+from tissue.haptics.loop.stability_map import growth_while_running
+from tissue.haptics.renderer import ProxyRenderer, renderer
 
 TICK = 1e-3
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from tissue import InputError
-from tissue.coupling.aim import waypoints
-from tissue.coupling.device import Sample, device_parameters
-from tissue.coupling.faulty import Fault, FaultyDevice
-from tissue.coupling.guard import GuardLimits, SampleGuard
-from tissue.coupling.hand import Hand, hand_parameters
-from tissue.coupling.renderer import RENDERERS, renderer
-from tissue.coupling.rigid_wall import press_wall
-from tissue.coupling.simulated_device import SimulatedDevice
+from tissue.haptics.device.device import Sample, device_parameters
+from tissue.haptics.device.faulty import Fault, FaultyDevice
+from tissue.haptics.device.sample_guard import GuardLimits, SampleGuard
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import Hand, hand_parameters
+from tissue.haptics.hand.minimum_jerk import waypoints
+from tissue.haptics.renderer import RENDERERS, renderer
+from tissue.haptics.rigid_wall import press_wall
 
 TICK, SECONDS, STIFFNESS_N_M = 1e-3, 1.2, 1500.0
 FAULT_S = (0.8, 0.9)

@@ -19,7 +19,7 @@ def here(tmp_path, monkeypatch):
 @pytest.fixture(scope="module")
 def display():
     """Name of a display to open windows on: a virtual one, or else the real one."""
-    from tissue.offscreen import display_problem
+    from tissue.system.offscreen import display_problem
 
     if shutil.which("Xvfb") is None:
         problem = display_problem()

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from tissue.fields import FieldSeries, Frame
-from tissue.run import Run
-from tissue.series import write_fields
-from tissue.trace import Table, TraceWriter, trace_columns
+from tissue.fem.fields import FieldSeries, Frame
+from tissue.simulation.run import Run
+from tissue.simulation.series import write_fields
+from tissue.simulation.trace import Table, TraceWriter, trace_columns
 
 CORNERS = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))
 """Corners of a hexahedron in VTK's order."""

@@ -5,12 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from meshes.errors import InputError
-from tissue.assessment import assess, assessment_lines, write_assessment
-from tissue.cli import main
-from tissue.run_folder import SavedRun
-from tissue.statistics.alignment import aligned_rows, deviation_mm
-from tissue.trace import Table, TraceWriter, trace_columns
+from meshes.base.errors import InputError
+from tissue.cli.main import main
+from tissue.evaluation.assessment import assess, assessment_lines, write_assessment
+from tissue.evaluation.statistics.alignment import aligned_rows, deviation_mm
+from tissue.simulation.run_folder import SavedRun
+from tissue.simulation.trace import Table, TraceWriter, trace_columns
 
 COLUMNS = trace_columns(())
 TICK_S = 1e-3

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from meshes import InputError
-from meshes.volume import VoxelVolume
+from meshes.base.errors import InputError
+from meshes.voxels.volume import VoxelVolume
 
 FORCE_ONLY = ("--set", "voxels.spacing_mm=0.125", "--no-pictures", "--duration-s", "0.02")
 
@@ -91,8 +91,8 @@ def blocks(*labels):
 
 def springs(volume):
     """Springs of a volume's dentin [N/m], summed over the nodes at each height."""
-    from tissue.tooth.field import _ligament_springs
-    from tissue.tooth.grid import HexGrid
+    from tissue.models.tooth.field import _ligament_springs
+    from tissue.models.tooth.grid import HexGrid
 
     solid = (volume.fraction > 0) & (volume.layer == 0)
     grid = HexGrid.around(volume.origin_m + 5e-4 * (np.argwhere(solid) + 0.5), edge_m=1e-3)

@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from meshes.errors import InputError
-from tissue.calibration.intervals import Person, StoppedError, play
-from tissue.calibration.run_session import questioner, simulated_answers, simulated_observer
-from tissue.calibration.session import Comparison, Magnitude, Plan, Session
-from tissue.calibration.trial_log import TrialLog, read_log
-from tissue.coupling.device import device_parameters
-from tissue.coupling.other_devices import MouseDevice
-from tissue.coupling.simulated_device import SimulatedDevice
+from meshes.base.errors import InputError
+from tissue.evaluation.calibration.intervals import Person, StoppedError, play
+from tissue.evaluation.calibration.run_session import questioner, simulated_answers, simulated_observer
+from tissue.evaluation.calibration.session import Comparison, Magnitude, Plan, Session
+from tissue.evaluation.calibration.trial_log import TrialLog, read_log
+from tissue.haptics.device.device import device_parameters
+from tissue.haptics.device.recorded import MouseDevice
+from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.perception.observer import read_observer
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -99,7 +99,7 @@ def test_a_session_goes_on_at_any_trial(tmp_path, log):
 def test_a_stopped_command_goes_on(tmp_path, name):
     def run(out, **options):
         arguments = ["calibrate", "--observer", "simulated:2", "--trials", "600", "--numbers", "4", "--out", str(out)]
-        code = "from tissue.cli import main; main()"
+        code = "from tissue.cli.main import main; main()"
         return subprocess.Popen(
             [sys.executable, "-c", code, *arguments], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options
         )  # fmt: skip
@@ -329,7 +329,7 @@ def test_an_interrupted_interval_leaves_no_force():
 def test_a_person_at_the_keyboard_may_stop_and_go_on(command, here, monkeypatch):
     """Answers from standard input; the end of it stops the session, and the same command goes on."""
     monkeypatch.setitem(play.__kwdefaults__, "length_s", 0.01)
-    monkeypatch.setattr("tissue.calibration.intervals.PAUSE_S", 0.0)
+    monkeypatch.setattr("tissue.evaluation.calibration.intervals.PAUSE_S", 0.0)
 
     def go(*words):
         monkeypatch.setattr("sys.stdin", io.StringIO("".join(f"{word}\n" for word in words)))
@@ -346,7 +346,7 @@ def test_a_person_at_the_keyboard_may_stop_and_go_on(command, here, monkeypatch)
 def test_the_posterior_is_shown_as_text():
     from rich.console import Console
 
-    from tissue.calibration.posterior_view import posterior_panel
+    from tissue.evaluation.calibration.posterior_view import posterior_panel
 
     shown = Console(width=100, record=True, file=open(os.devnull, "w"))  # noqa: SIM115
     shown.print(posterior_panel(simulated(1, trials=60, numbers=6)))

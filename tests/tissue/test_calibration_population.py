@@ -5,15 +5,15 @@ import sys
 import numpy as np
 import pytest
 
-from meshes.errors import InputError
-from tissue.calibration.fitted_population import fit_population, new_person, pooled_trials
-from tissue.calibration.run_session import simulated_answers, simulated_observer
-from tissue.calibration.session import Plan
-from tissue.calibration.trial_log import TrialLog
+from meshes.base.errors import InputError
+from tissue.evaluation.calibration.fitted_population import fit_population, new_person, pooled_trials
+from tissue.evaluation.calibration.run_session import simulated_answers, simulated_observer
+from tissue.evaluation.calibration.session import Plan
+from tissue.evaluation.calibration.simulated_observer import draw_observers
+from tissue.evaluation.calibration.trial_log import TrialLog
 from tissue.perception.hierarchy import HYPER, PopulationFit, PopulationTrials, fit_hierarchy
 from tissue.perception.magnitude import MAGNITUDE_FORCES_N
 from tissue.perception.observer import read_observer
-from tissue.perception.simulated_observer import draw_observers
 
 
 def sessions(folder, count, **plan):
@@ -126,7 +126,8 @@ def test_the_command_writes_a_population(command, here, monkeypatch):
     (here / "people").mkdir()
     sessions(here / "people", 4, trials=10, numbers=6)
     monkeypatch.setattr(
-        "tissue.calibration.fitted_population.fit_hierarchy", lambda trials, seed, progress: a_fit(divergences=2)
+        "tissue.evaluation.calibration.fitted_population.fit_hierarchy",
+        lambda trials, seed, progress: a_fit(divergences=2),
     )
     code, out, _ = command("calibrate", "--population", "people", "--out", "all.json")
     assert code == 0 and "4 observers" in out and "R-hat at most 1.000" in out

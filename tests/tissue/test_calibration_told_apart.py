@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from meshes.errors import InputError
-from tissue.calibration.told_apart import Stimulus, calibrated_commands, gain_of, share_right, stimulus_of
-from tissue.coupling.hand import GROUPS
-from tissue.coupling.signal import ForceRange
+from meshes.base.errors import InputError
+from tissue.evaluation.calibration.simulated_observer import SimulatedObservers, draw_observers
+from tissue.evaluation.calibration.told_apart import Stimulus, calibrated_commands, gain_of, share_right, stimulus_of
+from tissue.haptics.hand.hand import GROUPS
+from tissue.haptics.loop.filters import ForceRange
 from tissue.perception.population import reference_observer
 from tissue.perception.psychometric import D_PRIME_75, correct_of_d_prime
-from tissue.perception.simulated_observer import SimulatedObservers, draw_observers
-from tissue.trace import Table
+from tissue.simulation.trace import Table
 
 
 def people(count, **given):

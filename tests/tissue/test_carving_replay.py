@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from meshes.errors import InputError
-from meshes.volume import VoxelVolume
+from meshes.base.errors import InputError
+from meshes.voxels.volume import VoxelVolume
 from tissue import load_scene, simulate
-from tissue.depth import tool_axes
-from tissue.pose_log import poses_of_trace, read_poses, write_poses
+from tissue.motion.pose_log import poses_of_trace, read_poses, write_poses
+from tissue.simulation.depth_map import tool_axes
 
 COARSE = {"voxels.spacing_mm": 0.5}
 DEEP = {"motion.points_mm": [[-3, 0, 0.0], [-3, 0, -0.8], [3, 0, -0.8]], "motion.feed_mm_s": 60.0}

@@ -6,26 +6,32 @@ import numpy as np
 import pytest
 
 import tissue
-from meshes.errors import InputError
-from meshes.tet_structured import box
-from tissue.charts import frontier_of, undominated, with_fidelity
-from tissue.charts.cost import CostModel
-from tissue.charts.fidelity import SAFETY, _in_words, choose
-from tissue.charts.frontier import Frontier, read_measured, short_of, write_measured
-from tissue.charts.law import LawError
-from tissue.charts.measure import Measured, excerpt, measure, reference_gap, setting_key
-from tissue.charts.picture import draw_frontiers
-from tissue.charts.places import placed
-from tissue.charts.ready import make_ready
-from tissue.charts.scenes import chart_lines, chart_scenes
-from tissue.charts.settings import Setting, by_hand, finest, settings_of
-from tissue.liver.hyperelastic import Law, NonlinearBody
-from tissue.liver.judge import press_at
-from tissue.liver.newton import NewtonSolver
-from tissue.liver.space import Space
-from tissue.load import changed, load_scene, scene_names
+from meshes.base.errors import InputError
+from meshes.tets.structured import box
+from tissue.evaluation.charts.cost import CostModel
+from tissue.evaluation.charts.fidelity import SAFETY, _in_words, choose, with_fidelity
+from tissue.evaluation.charts.frontier import (
+    Frontier,
+    frontier_of,
+    read_measured,
+    short_of,
+    undominated,
+    write_measured,
+)
+from tissue.evaluation.charts.law import LawError
+from tissue.evaluation.charts.measure import Measured, excerpt, measure, reference_gap, setting_key
+from tissue.evaluation.charts.picture import draw_frontiers
+from tissue.evaluation.charts.places import placed
+from tissue.evaluation.charts.ready import make_ready
+from tissue.evaluation.charts.scenes import chart_lines, chart_scenes
+from tissue.evaluation.charts.settings import Setting, by_hand, finest, settings_of
+from tissue.fem.hyperelastic import Law, NonlinearBody
+from tissue.fem.linear_limits import press_at
+from tissue.fem.newton import NewtonSolver
+from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
-from tissue.scene_coupling import Fidelity
+from tissue.scene.coupling import Fidelity
+from tissue.scene.load import changed, load_scene, scene_names
 
 COARSE = {"voxels.spacing_mm": 0.2, "anatomy.size_mm": [12, 10, 4], "motion.feed_mm_s": 20.0}
 
@@ -173,9 +179,9 @@ def block(monkeypatch, tmp_path):
 @pytest.mark.slow
 def test_an_interrupted_chart_goes_on_and_a_finished_one_is_not_measured_again(block, monkeypatch):
     settings = [Setting("0.4 mm", "voxels", {"voxels.spacing_mm": 0.4}), Setting("0.2 mm", "voxels")]
-    monkeypatch.setattr("tissue.charts.measure.EXCERPT_S", {True: 0.4})
-    monkeypatch.setattr("tissue.charts.frontier.settings_of", lambda scene, quick: settings)
-    import tissue.charts.frontier as module
+    monkeypatch.setattr("tissue.evaluation.charts.measure.EXCERPT_S", {True: 0.4})
+    monkeypatch.setattr("tissue.evaluation.charts.frontier.settings_of", lambda scene, quick: settings)
+    import tissue.evaluation.charts.frontier as module
 
     real, ran = module.measure, []
 
@@ -242,7 +248,7 @@ class Inline(Executor):
 
 
 def test_what_is_made_ready_is_found(block, tmp_path, monkeypatch):
-    monkeypatch.setattr("tissue.charts.measure.EXCERPT_S", {True: 0.2})
+    monkeypatch.setattr("tissue.evaluation.charts.measure.EXCERPT_S", {True: 0.2})
     make_ready([block], Inline(), quick=True, tell=lambda doing, share: None)
     made = set(tmp_path.glob("reference-*"))
     assert len(made) == len(placed(block)) + 1  # the finest at every place, and a step coarser

@@ -11,8 +11,8 @@ from types import SimpleNamespace
 import pytest
 
 from tissue import SavedRun
-from tissue.load import scene_names, scene_text
-from tissue.trace import TraceWriter
+from tissue.scene.load import scene_names, scene_text
+from tissue.simulation.trace import TraceWriter
 
 COARSE = ("--set", "voxels.spacing_mm=0.4", "--no-pictures")
 PARTS = "name, description, seed, duration_s, anatomy, voxels, tool, motion, cutting, output, device, hand, renderer, prediction, perception, coupling, stress, heat, organ, fidelity"
@@ -197,7 +197,7 @@ def test_a_format_without_its_extra_says_what_to_install(refused, here, monkeypa
     def missing(name):
         raise ImportError(name)
 
-    monkeypatch.setattr("tissue.formats.import_module", missing)
+    monkeypatch.setattr("tissue.simulation.formats.import_module", missing)
     assert refused("run", "milling", "--format", kind) == (
         f"format {kind} must have its writer installed, got no {writer}: pip install 'tissue-sim[{kind}]'"
     )
@@ -277,11 +277,11 @@ def test_a_file_in_the_place_of_the_folder_is_refused(refused, here):
 
 def test_a_folder_that_cannot_be_written_is_refused(refused, here, monkeypatch):
     (here / "shut").mkdir()
-    monkeypatch.setattr("tissue.run_folder.os.access", lambda path, mode: Path(path) != here / "shut")
+    monkeypatch.setattr("tissue.simulation.run_folder.os.access", lambda path, mode: Path(path) != here / "shut")
     assert refused("run", "milling", "--out", "shut/run") == (
         f"out must be writable, got permission denied at {here / 'shut'}: choose another --out"
     )
-    monkeypatch.setattr("tissue.run_folder.os.access", lambda path, mode: True)
+    monkeypatch.setattr("tissue.simulation.run_folder.os.access", lambda path, mode: True)
 
     def read_only(self, *_, **__):
         raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(self))
@@ -339,7 +339,7 @@ def tiny_disk(tmp_path):
 def test_a_truly_full_disk_is_refused(tiny_disk):
     arguments = ["run", "milling", *COARSE, "--duration-s", "3", "--out", str(tiny_disk / "run")]
     ended = subprocess.run(
-        [sys.executable, "-c", "from tissue.cli import main; main()", *arguments],
+        [sys.executable, "-c", "from tissue.cli.main import main; main()", *arguments],
         capture_output=True,
         text=True,
         check=False,

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from tissue import InputError
-from tissue.coupling.device import DEVICES, DeviceParameters, Sample, device_parameters
-from tissue.coupling.faulty import FaultyDevice
-from tissue.coupling.hand import Grip, Hand, HandAction, hand_parameters
-from tissue.coupling.other_devices import MouseDevice, RecordedDevice
-from tissue.coupling.plant import Plant
-from tissue.coupling.quaternion import conjugate, exponential, logarithm, product
-from tissue.coupling.signal import ForceRange
-from tissue.coupling.simulated_device import SimulatedDevice
+from tissue.haptics.device.device import DEVICES, DeviceParameters, Sample, device_parameters
+from tissue.haptics.device.faulty import FaultyDevice
+from tissue.haptics.device.recorded import MouseDevice, RecordedDevice
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import Grip, Hand, HandAction, hand_parameters
+from tissue.haptics.loop.filters import ForceRange
+from tissue.haptics.loop.plant import Plant
 from tissue.materials.constants import constants
+from tissue.motion.quaternion import conjugate, exponential, logarithm, product
 
 NOTHING = np.zeros(3)
 TICK = 1e-3

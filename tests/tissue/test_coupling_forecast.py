@@ -7,17 +7,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from meshes.errors import InputError
-from tissue.coupling.device import device_parameters
-from tissue.coupling.forecast import Forecast, forecast_of
-from tissue.coupling.hand import hand_parameters
-from tissue.coupling.loop import plant_step
-from tissue.coupling.signal import low_pass_gain
-from tissue.coupling.stability import critical_stiffness_N_m, in_hands
-from tissue.coupling.stability_map import measured_critical_N_m
-from tissue.prediction import Hold
+from meshes.base.errors import InputError
+from tissue.builders.prediction import predictor as predictor_of
+from tissue.haptics.device.device import device_parameters
+from tissue.haptics.hand.hand import hand_parameters
+from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
+from tissue.haptics.loop.filters import low_pass_gain
+from tissue.haptics.loop.forecast import Forecast, forecast_of
+from tissue.haptics.loop.sampled_loop import plant_step
+from tissue.haptics.loop.stability_map import measured_critical_N_m
 from tissue.prediction.baselines import LinearControl
-from tissue.prediction.build import predictor as predictor_of
+from tissue.prediction.predictor import Hold
 
 TICK = 1e-3
 PULL = np.hstack([-40.0 * np.eye(3), -0.2 * np.eye(3)])

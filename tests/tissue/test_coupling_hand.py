@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from tissue import InputError
-from tissue.coupling.aim import Aim, minimum_jerk, waypoints
-from tissue.coupling.device import device_parameters
-from tissue.coupling.hand import GROUPS, Hand, hand_parameters
-from tissue.coupling.simulated_device import SimulatedDevice
+from tissue.haptics.device.device import device_parameters
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import GROUPS, Hand, hand_parameters
+from tissue.haptics.hand.minimum_jerk import Aim, minimum_jerk, waypoints
 from tissue.materials.constants import constants
 
 TICK = 1e-3

@@ -5,15 +5,16 @@ from math import inf
 import numpy as np
 import pytest
 
-from meshes.errors import InputError
-from meshes.volume import FULL, VoxelVolume
-from tissue.coupling.held_turn import FURTHEST_RAD, HeldTurn
-from tissue.coupling.probing_tool import ProbedBone, ProbingTool
-from tissue.coupling.quaternion import conjugate, exponential, logarithm, product
-from tissue.coupling.tool_shell import ToolShell
-from tissue.cutters import Cutter, ball_burr, cylinder
-from tissue.model import Response, ToolMotion
-from tissue.motion import frame_along
+from meshes.base.errors import InputError
+from meshes.voxels.volume import FULL, VoxelVolume
+from tissue.cutters.cutter import Cutter
+from tissue.cutters.profile import ball_burr, cylinder
+from tissue.haptics.proxy.held_turn import FURTHEST_RAD, HeldTurn
+from tissue.haptics.proxy.probing_tool import ProbedBone, ProbingTool
+from tissue.haptics.proxy.tool_shell import ToolShell
+from tissue.models.tissue_model import Response, ToolMotion
+from tissue.motion.motion import frame_along
+from tissue.motion.quaternion import conjugate, exponential, logarithm, product
 
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 SPACING = 1e-4

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from tissue import InputError
-from tissue.coupling.device import device_parameters
-from tissue.coupling.hand import Grip, HandAction
-from tissue.coupling.quaternion import conjugate, exponential, logarithm, product, unit
-from tissue.coupling.renderer import RENDERERS, PassivityRenderer, PenaltyRenderer, TurningRenderer, renderer
-from tissue.coupling.simulated_device import SimulatedDevice
+from tissue.haptics.device.device import device_parameters
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import Grip, HandAction
+from tissue.haptics.renderer import RENDERERS, PassivityRenderer, PenaltyRenderer, TurningRenderer, renderer
+from tissue.motion.quaternion import conjugate, exponential, logarithm, product, unit
 
 TICK, NOTHING = 1e-3, np.zeros(3)
 WALL = device_parameters("six-dof").loop(800.0, wall_damping_N_s_m=2.0)

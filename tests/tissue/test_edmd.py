@@ -6,21 +6,14 @@ import numpy as np
 import pytest
 from koopman_systems import duffing, record
 
-from tissue.prediction import (
-    Delays,
-    Edmd,
-    Episode,
-    GapProducts,
-    Gaussians,
-    Identity,
-    Polynomials,
-    ThinPlates,
-    choose,
-    horizon_errors,
-)
-from tissue.prediction.dictionary import from_plain, to_plain
-from tissue.prediction.radial import spread_centres
-from tissue.prediction.regression import regress
+from tissue.prediction.edmd.dictionary import Delays, Identity, from_plain, to_plain
+from tissue.prediction.edmd.edmd import Edmd
+from tissue.prediction.edmd.episodes import Episode
+from tissue.prediction.edmd.gap_products import GapProducts
+from tissue.prediction.edmd.polynomials import Polynomials
+from tissue.prediction.edmd.radial import Gaussians, ThinPlates, spread_centres
+from tissue.prediction.edmd.regression import regress
+from tissue.prediction.edmd.validation import choose, horizon_errors
 
 CENTRES = ((0.1, -0.2), (0.5, 0.4), (-0.7, 0.0))
 DICTIONARIES = {

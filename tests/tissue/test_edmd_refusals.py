@@ -5,20 +5,13 @@ import pytest
 from koopman_systems import duffing, record
 
 from tissue import InputError
-from tissue.prediction import (
-    Delays,
-    Edmd,
-    Episode,
-    GapProducts,
-    Gaussians,
-    Identity,
-    Polynomials,
-    ThinPlates,
-    Together,
-    choose,
-    horizon_errors,
-)
-from tissue.prediction.dictionary import from_plain
+from tissue.prediction.edmd.dictionary import Delays, Identity, Together, from_plain
+from tissue.prediction.edmd.edmd import Edmd
+from tissue.prediction.edmd.episodes import Episode
+from tissue.prediction.edmd.gap_products import GapProducts
+from tissue.prediction.edmd.polynomials import Polynomials
+from tissue.prediction.edmd.radial import Gaussians, ThinPlates
+from tissue.prediction.edmd.validation import choose, horizon_errors
 
 CENTRES = ((0.1, -0.2), (0.5, 0.4), (-0.7, 0.0))
 

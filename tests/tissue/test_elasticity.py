@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from meshes.errors import InputError
+from meshes.base.errors import InputError
 from tissue.materials.elasticity import (
     checked_stiffness,
     elasticity_rows,

@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 import trimesh
 
-from meshes import sdf, voxelise
-from meshes.anatomy import Anatomy, cortical_block
-from meshes.errors import InputError
-from meshes.image import image_volume
-from meshes.image_frame import Image
+from meshes.base.errors import InputError
+from meshes.images.bone_image import image_volume
+from meshes.images.frame import Image
+from meshes.shapes import sdf
+from meshes.shapes.anatomy import Anatomy, cortical_block
+from meshes.voxels.voxelise import voxelise
 from tissue import load_scene, simulate
-from tissue.bone_from_file import require_whole
-from tissue.run_folder import saved_placement
-from tissue.viewer_carving import read_voxels
+from tissue.builders.bone_from_file import require_whole
+from tissue.simulation.run_folder import saved_placement
+from tissue.viewer.carving import read_voxels
 
 pyvista = pytest.importorskip("pyvista")
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tissue import InputError
-from tissue.formats import FORMATS, check_formats, write_trace
-from tissue.trace import Table, trace_columns
+from tissue.simulation.formats import FORMATS, check_formats, write_trace
+from tissue.simulation.trace import Table, trace_columns
 
 LAYERS = ("subchondral_bone", "trabecular")
 

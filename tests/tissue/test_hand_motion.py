@@ -6,29 +6,25 @@ import numpy as np
 import pytest
 from hand_runs import played_N, run_of
 
-from meshes.progress import silent
+from meshes.base.progress import silent
 from tissue import InputError, load_scene, simulate
-from tissue.build import build, motion_of
-from tissue.build_hand import hand_motion
-from tissue.build_loop import judged_loop
-from tissue.coupling import (
-    Fault,
-    FaultyDevice,
-    Hand,
-    RecordedDevice,
-    SimulatedDevice,
-    device_parameters,
-    hand_parameters,
-    judge,
-    renderer,
-)
-from tissue.coupling.aim import waypoints
-from tissue.coupling.hand_motion import MEASURES, HandMotion
-from tissue.coupling.held_tool import PressingTool
-from tissue.coupling.quaternion import logarithm
-from tissue.model import FreeSpace, Response, ToolMotion
-from tissue.motion import FollowPath
-from tissue.wall import WallModel
+from tissue.builders.hand import hand_motion
+from tissue.builders.loop import judged_loop
+from tissue.builders.registry import build, motion_of
+from tissue.haptics.device.device import device_parameters
+from tissue.haptics.device.faulty import Fault, FaultyDevice
+from tissue.haptics.device.recorded import RecordedDevice
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import Hand, hand_parameters
+from tissue.haptics.hand.minimum_jerk import waypoints
+from tissue.haptics.hand_motion import MEASURES, HandMotion
+from tissue.haptics.loop.critical_stiffness import judge
+from tissue.haptics.proxy.held_tool import PressingTool
+from tissue.haptics.renderer import renderer
+from tissue.models.tissue_model import FreeSpace, Response, ToolMotion
+from tissue.models.wall import WallModel
+from tissue.motion.motion import FollowPath
+from tissue.motion.quaternion import logarithm
 
 STEP_S = 1e-3
 DOWN, UP = np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.0])

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from tissue.coupling.guidance import Lead, Thrust
-from tissue.coupling.held_tool import CuttingTool, PressingTool
-from tissue.model import Response, ToolMotion
-from tissue.wall import WallModel
+from tissue.haptics.proxy.guidance import Lead, Thrust
+from tissue.haptics.proxy.held_tool import CuttingTool, PressingTool
+from tissue.models.tissue_model import Response, ToolMotion
+from tissue.models.wall import WallModel
 
 STEP_S = 1e-3
 DOWN = np.array([0.0, 0.0, -1.0])

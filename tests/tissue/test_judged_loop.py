@@ -7,18 +7,15 @@ import pytest
 from hand_runs import played_N, run_of
 
 from tissue import InputError, load_scene, simulate
-from tissue.build_loop import judged_loop
-from tissue.coupling import (
-    Hand,
-    LowPass,
-    SimulatedDevice,
-    device_parameters,
-    hand_parameters,
-    judge,
-)
-from tissue.coupling.aim import waypoints
-from tissue.coupling.held_turn import HeldTurn
-from tissue.coupling.quaternion import conjugate, exponential, logarithm, product
+from tissue.builders.loop import judged_loop
+from tissue.haptics.device.device import device_parameters
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import Hand, hand_parameters
+from tissue.haptics.hand.minimum_jerk import waypoints
+from tissue.haptics.loop.critical_stiffness import judge
+from tissue.haptics.loop.filters import LowPass
+from tissue.haptics.proxy.held_turn import HeldTurn
+from tissue.motion.quaternion import conjugate, exponential, logarithm, product
 
 STEP_S = 1e-3
 

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 from tissue import InputError, load_scene, simulate
-from tissue.coupling.other_devices import MouseDevice
-from tissue.live import WallClock, moved_by
-from tissue.live import live as run_live
-from tissue.live.run import LiveWatch
-from tissue.live.shared import SharedArrays
-from tissue.live.tissues import TURN_TICKS, BoneShared
-from tissue.offscreen import await_display, display_problem
-from tissue.run_folder import SavedRun
-from tissue.simulation import TICK_S
+from tissue.haptics.device.recorded import MouseDevice
+from tissue.simulation.live.clock import WallClock
+from tissue.simulation.live.run import LiveWatch, moved_by
+from tissue.simulation.live.run import live as run_live
+from tissue.simulation.live.shared import SharedArrays
+from tissue.simulation.live.tissues import TURN_TICKS, BoneShared
+from tissue.simulation.run_folder import SavedRun
+from tissue.simulation.simulate import TICK_S
+from tissue.system.offscreen import await_display, display_problem
 
 ROOT = Path(__file__).parents[2]
 STEP_S = 1e-3
@@ -91,7 +91,7 @@ def test_a_write_that_is_under_way_is_never_read(tmp_path):
     layout = {"row": ("float64", (2000,)), "row_turn": ("int64", (1,)), "end": ("int64", (1,))}
     ours = SharedArrays(tmp_path, layout)
     writer = (
-        "import sys, time, numpy as np; from pathlib import Path; from tissue.live.shared import SharedArrays\n"
+        "import sys, time, numpy as np; from pathlib import Path; from tissue.simulation.live.shared import SharedArrays\n"
         "arrays = SharedArrays(Path(sys.argv[1]))\n"
         "number = 0.0\n"
         "while not arrays['end'][0]:\n    number += 1.0; arrays.write('row', np.full(2000, number)); time.sleep(1e-4)\n"
@@ -136,7 +136,7 @@ def test_every_brick_is_copied_once_a_turn(tmp_path):
 @pytest.fixture
 def no_display(monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.setattr("tissue.live.run.display_problem", lambda: "there is no display")
+    monkeypatch.setattr("tissue.simulation.live.run.display_problem", lambda: "there is no display")
 
 
 @pytest.mark.parametrize("device", ["touch", "none"])
@@ -171,7 +171,7 @@ def test_the_command_runs_live_without_a_display(no_display, command, here):
 
 def test_ctrl_c_ends_a_live_run_that_is_whole(tmp_path):
     """The run ends after its tick, is saved like any other, and exits well."""
-    code = "from tissue.cli import main; main()"
+    code = "from tissue.cli.main import main; main()"
     arguments = ["run", "wall", "--live", "--duration-s", "600", "--no-pictures", "--out", str(tmp_path / "run")]
     environment = {k: v for k, v in os.environ.items() if k != "DISPLAY"} | {"PYTHONPATH": str(ROOT)}
     trace = tmp_path / "run" / "trace.csv"
@@ -220,8 +220,8 @@ class FakeWindow:
 
 @pytest.mark.parametrize("device", ["touch", "none"])
 def test_a_mouse_moves_the_tool_on_the_devices_spring_until_the_window_is_closed(monkeypatch, device):
-    monkeypatch.setattr("tissue.live.run.display_problem", lambda: None)
-    monkeypatch.setattr("tissue.live.run.WindowBeside", FakeWindow)
+    monkeypatch.setattr("tissue.simulation.live.run.display_problem", lambda: None)
+    monkeypatch.setattr("tissue.simulation.live.run.WindowBeside", FakeWindow)
     run = run_live(load_scene("wall", {"device": device, "anatomy.stiffness_kN_m": 40.0}))
     assert len(run.trace.rows) == 600 and run.scene.device == "touch"
     assert run.trace["device_z_mm"][-1] == pytest.approx(-2.0, abs=0.01)
@@ -232,16 +232,16 @@ def test_a_mouse_moves_the_tool_on_the_devices_spring_until_the_window_is_closed
 
 
 def test_a_window_that_fails_ends_the_run_and_is_told(monkeypatch):
-    monkeypatch.setattr("tissue.live.run.display_problem", lambda: None)
+    monkeypatch.setattr("tissue.simulation.live.run.display_problem", lambda: None)
     monkeypatch.setattr(FakeWindow, "failed", lambda self: "X Error")
-    monkeypatch.setattr("tissue.live.run.WindowBeside", FakeWindow)
+    monkeypatch.setattr("tissue.simulation.live.run.WindowBeside", FakeWindow)
     run = run_live(load_scene("wall"))
     assert len(run.trace.rows) < 600
     assert run.events[-1][1] == "the window ended by itself, and the run with it: X Error"
 
 
 def test_what_moves_the_tool_is_told_before_it_runs(monkeypatch):
-    monkeypatch.setattr("tissue.live.run.display_problem", lambda: "libGL is missing (install libgl1)")
+    monkeypatch.setattr("tissue.simulation.live.run.display_problem", lambda: "libGL is missing (install libgl1)")
     assert moved_by(load_scene("wall", {"hand": "novice"})) == (
         False,
         "no window, for libGL is missing (install libgl1): a simulated novice moves it",
@@ -258,11 +258,11 @@ def stalled(monkeypatch):
             until.append(time.monotonic() + 0.4)
         return self.shown if not until or time.monotonic() > until[0] else 200
 
-    monkeypatch.setattr("tissue.live.run.await_display", lambda: None)
-    monkeypatch.setattr("tissue.live.run.display_problem", lambda: None)
-    monkeypatch.setattr("tissue.live.run.WindowBeside", FakeWindow)
+    monkeypatch.setattr("tissue.simulation.live.run.await_display", lambda: None)
+    monkeypatch.setattr("tissue.simulation.live.run.display_problem", lambda: None)
+    monkeypatch.setattr("tissue.simulation.live.run.WindowBeside", FakeWindow)
     monkeypatch.setattr(FakeWindow, "frames", property(frames))
-    monkeypatch.setattr("tissue.live.run.STALLED_S", 0.1)
+    monkeypatch.setattr("tissue.simulation.live.run.STALLED_S", 0.1)
 
 
 def test_a_run_waits_for_a_window_that_stands_still_and_says_so(stalled):
@@ -276,7 +276,7 @@ def test_a_run_waits_for_a_window_that_stands_still_and_says_so(stalled):
 
 
 def test_a_run_ends_when_its_window_stands_still_for_ever(stalled, monkeypatch):
-    monkeypatch.setattr("tissue.live.run.HELD_S", 0.2)
+    monkeypatch.setattr("tissue.simulation.live.run.HELD_S", 0.2)
     run = run_live(load_scene("wall"))
     assert len(run.trace.rows) < 600
     assert [what for _, what in run.events if "drew nothing" in what] == [
@@ -287,14 +287,14 @@ def test_a_run_ends_when_its_window_stands_still_for_ever(stalled, monkeypatch):
 def test_a_display_that_comes_late_is_waited_for(monkeypatch):
     monkeypatch.setenv("DISPLAY", ":9")
     problems = ["the display :9 does not answer"] * 3 + [None]
-    monkeypatch.setattr("tissue.offscreen.display_problem", lambda: problems.pop(0))
+    monkeypatch.setattr("tissue.system.offscreen.display_problem", lambda: problems.pop(0))
     assert await_display(longest_s=60.0) is None and not problems
-    monkeypatch.setattr("tissue.offscreen.display_problem", lambda: "the display :9 does not answer")
+    monkeypatch.setattr("tissue.system.offscreen.display_problem", lambda: "the display :9 does not answer")
     with pytest.raises(
         InputError, match=r"got :9, which did not within 0\.3 s: start it, or unset DISPLAY to go without"
     ):
         await_display(longest_s=0.3)
-    monkeypatch.setattr("tissue.offscreen.display_problem", lambda: "there is no display (DISPLAY is not set)")
+    monkeypatch.setattr("tissue.system.offscreen.display_problem", lambda: "there is no display (DISPLAY is not set)")
     assert await_display() == "there is no display (DISPLAY is not set)"
 
 
@@ -303,7 +303,7 @@ def test_a_display_that_takes_the_call_and_says_nothing_is_no_display(monkeypatc
     number = 7000 + os.getpid() % 1000
     place = f"/tmp/.X11-unix/X{number}"
     monkeypatch.setenv("DISPLAY", f":{number}")
-    monkeypatch.setattr("tissue.offscreen.ANSWERS_S", 0.3)
+    monkeypatch.setattr("tissue.system.offscreen.ANSWERS_S", 0.3)
     with socket.socket(socket.AF_UNIX) as deaf:
         deaf.bind(place)
         try:

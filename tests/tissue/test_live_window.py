@@ -12,13 +12,13 @@ import pytest
 from x_events import Person
 
 from tissue import load_scene, simulate
-from tissue.live.shared import SharedArrays
-from tissue.live.tissues import BoneShared, OrganShared
-from tissue.run_folder import SavedRun
-from tissue.viewer_live_pointer import KEY_MM, NOTCH_MM, Pointer
-from tissue.viewer_live_tissue import FADES_MM, LiveBone, LiveOrgan
-from tissue.viewer_run import faces_of
-from tissue.wall_picture import draw_wall
+from tissue.figures.wall import draw_wall
+from tissue.simulation.live.shared import SharedArrays
+from tissue.simulation.live.tissues import BoneShared, OrganShared
+from tissue.simulation.run_folder import SavedRun
+from tissue.viewer.live.pointer import KEY_MM, NOTCH_MM, Pointer
+from tissue.viewer.live.tissue_shown import FADES_MM, LiveBone, LiveOrgan
+from tissue.viewer.run import faces_of
 
 ROOT = Path(__file__).parents[2]
 UP = np.array([0.0, 0.0, 1.0])
@@ -149,7 +149,7 @@ def test_a_pressed_wall_is_drawn_for_the_report(tmp_path, device):
 def test_the_drawn_bone_loses_what_the_tool_removes(tmp_path, monkeypatch, block):
     pytest.importorskip("pyvista")
     if block == 4:
-        monkeypatch.setattr("tissue.live.tissues.MOST_SHOWN", 0)
+        monkeypatch.setattr("tissue.simulation.live.tissues.MOST_SHOWN", 0)
     run = simulate(load_scene("milling", {"voxels.spacing_mm": 0.2, "duration_s": 0.001}))
     milling = run.parts.tissue
     shared = BoneShared(milling, run.volume)
@@ -219,7 +219,7 @@ def started(display, tmp_path):
 
     def start(*arguments):
         out = tmp_path / "run"
-        code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\nfrom tissue.cli import main; main()"
+        code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\nfrom tissue.cli.main import main; main()"
         environment = os.environ | {
             "DISPLAY": display,
             "PYTHONPATH": str(ROOT),

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from held_cube import BOTTOM, SURFACE, body_of, condensed_path, energy_error, load_on
 
-from meshes.errors import InputError
-from tissue.liver import condensed
-from tissue.liver.condensed import CondensedSolver, compliance_bytes, surface_compliance
-from tissue.liver.direct import DirectSolver
-from tissue.liver.lazy_compliance import LazyCompliance
-from tissue.liver.multigrid import MultigridSolver
-from tissue.liver.reduced import ReducedSolver
-from tissue.liver.solver import Outcome
+from meshes.base.errors import InputError
+from tissue.fem.solvers import condensed
+from tissue.fem.solvers.condensed import CondensedSolver, compliance_bytes, surface_compliance
+from tissue.fem.solvers.direct import DirectSolver
+from tissue.fem.solvers.lazy_compliance import LazyCompliance
+from tissue.fem.solvers.multigrid import MultigridSolver
+from tissue.fem.solvers.reduced import ReducedSolver
+from tissue.fem.solvers.solution import Outcome
 
 
 @pytest.fixture(autouse=True)

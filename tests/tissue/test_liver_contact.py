@@ -7,15 +7,15 @@ from scipy.sparse import block_array, block_diag, coo_array
 from scipy.sparse.linalg import splu, spsolve
 from scipy.spatial.transform import Rotation
 
-from meshes.errors import InputError
-from meshes.tet_structured import box
-from tissue.liver.assembly import assemble
-from tissue.liver.contact import SurfaceContact
-from tissue.liver.contact_points import contact_points
-from tissue.liver.contact_result import ContactOutcome
-from tissue.liver.probe import CylinderProbe, ShellProbe, SphereProbe
-from tissue.liver.space import Space
+from meshes.base.errors import InputError
+from meshes.tets.structured import box
+from tissue.fem.assembly import assemble
+from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
+from tissue.models.organ.contact import SurfaceContact
+from tissue.models.organ.contact_points import contact_points
+from tissue.models.organ.contact_result import ContactOutcome
+from tissue.models.organ.probe import CylinderProbe, ShellProbe, SphereProbe
 
 SIZE_M, CELLS = (0.05, 0.05, 0.025), (10, 10, 4)
 TIGHT = {"tolerance": 1e-11, "sweeps": 20000}

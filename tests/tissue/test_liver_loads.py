@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from tet_bodies import distorted, faces_where
 
-from meshes.errors import InputError
-from meshes.tetrahedra import TetMesh
-from tissue.liver.assembly import assemble
-from tissue.liver.capsule import capsule_stiffness
-from tissue.liver.loads import gravity, point_force, pressure, traction
-from tissue.liver.space import Space
-from tissue.liver.stress import cell_stress
+from meshes.base.errors import InputError
+from meshes.tets.tetrahedra import TetMesh
+from tissue.fem.assembly import assemble
+from tissue.fem.capsule import capsule_stiffness
+from tissue.fem.loads import gravity, point_force, pressure, traction
+from tissue.fem.space import Space
+from tissue.fem.stress import cell_stress
 from tissue.materials.elasticity import isotropic, lame
 
 ORDERS = pytest.mark.parametrize("order", [1, 2])

@@ -7,17 +7,17 @@ from scipy.sparse import bsr_array, eye_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from meshes.errors import InputError
-from meshes.tet_structured import box, joined
-from meshes.tetrahedra import TetMesh
-from tissue.liver.condensed import surface_compliance
-from tissue.liver.direct import DirectSolver
-from tissue.liver.dissection import dissection
-from tissue.liver.free_modes import free_modes, rigid_modes
-from tissue.liver.lazy_compliance import LazyCompliance
-from tissue.liver.multigrid import MultigridSolver
-from tissue.liver.reduced import ReducedSolver
-from tissue.liver.solver import HeldBody, Outcome, Supports, pointwise_graph
+from meshes.base.errors import InputError
+from meshes.tets.structured import box, joined
+from meshes.tets.tetrahedra import TetMesh
+from tissue.fem.free_modes import free_modes, rigid_modes
+from tissue.fem.solvers.condensed import surface_compliance
+from tissue.fem.solvers.direct import DirectSolver
+from tissue.fem.solvers.dissection import dissection
+from tissue.fem.solvers.lazy_compliance import LazyCompliance
+from tissue.fem.solvers.multigrid import MultigridSolver
+from tissue.fem.solvers.reduced import ReducedSolver
+from tissue.fem.solvers.solution import HeldBody, Outcome, Supports, pointwise_graph
 
 
 @pytest.fixture(autouse=True)

@@ -6,14 +6,14 @@ import pytest
 import tomli_w
 from pydantic import BaseModel, ValidationError
 
-import tissue.scene
+import tissue.scene.scene
 from tissue import InputError, Scene, load_scene, scene_names, scene_text
-from tissue.load import parse_override
+from tissue.scene.load import parse_override
 
 PARTS = [
     part
-    for part in vars(tissue.scene).values()
-    if isinstance(part, type) and issubclass(part, BaseModel) and part.__module__.startswith("tissue.scene")
+    for part in vars(tissue.scene.scene).values()
+    if isinstance(part, type) and issubclass(part, BaseModel) and part.__module__.startswith("tissue.scene.scene")
 ]
 
 
@@ -111,7 +111,7 @@ def test_a_new_kind_starts_its_part_afresh(turned):
     assert scene.motion.thrust_N == 30.0
     assert not hasattr(scene.motion, "points_mm")
     block = load_scene("glenoid", {"anatomy.kind": "block", "tool.peg_diameter_mm": 0.0})
-    assert block.anatomy == tissue.scene.BlockAnatomy()
+    assert block.anatomy == tissue.scene.scene.BlockAnatomy()
     assert load_scene("milling", {"motion.kind": "path"}) == load_scene("milling")
 
 
@@ -140,7 +140,7 @@ def test_toml_of_a_scene_holds_every_entry_that_is_set():
     by_hand = {"hand", "renderer", "prediction", "perception", "coupling"}
     rest = {"stress", "heat", "organ", "fidelity", "cutting", "seed"}
     assert set(table) == set(Scene.model_fields) - rest - by_hand
-    for name, part in (("voxels", tissue.scene.Voxels), ("output", tissue.scene.Output)):
+    for name, part in (("voxels", tissue.scene.scene.Voxels), ("output", tissue.scene.scene.Output)):
         assert set(table[name]) == set(part.model_fields)
     held = tomllib.loads(load_scene("glenoid", {"device": "six-dof", "prediction": "koopman"}).to_toml())
     assert by_hand <= set(held) and {"prediction_gain", "delay_ms"} <= set(held["coupling"])

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from meshes.errors import InputError
-from tissue.statistics.discrimination import classification_accuracy, discrimination_threshold
-from tissue.statistics.metrics import (
+from meshes.base.errors import InputError
+from tissue.evaluation.statistics.discrimination import classification_accuracy, discrimination_threshold
+from tissue.evaluation.statistics.metrics import (
     acceleration_change_m_s2,
     completion_time_s,
     force_error,

@@ -6,16 +6,20 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from meshes import VoxelVolume, cortical_block, voxelise
-from meshes.progress import silent
+from meshes.base.progress import silent
+from meshes.shapes.anatomy import cortical_block
+from meshes.voxels.volume import VoxelVolume
+from meshes.voxels.voxelise import voxelise
 from tissue import load_scene
-from tissue.bone import BoneModel
-from tissue.build import build
-from tissue.cutters import Cutter, ball_burr
-from tissue.materials import cutting_coefficients
-from tissue.model import FreeSpace, ToolMotion
-from tissue.needle import NeedleModel, needle_tissue
-from tissue.tooth.model import ToothModel
+from tissue.builders.registry import build
+from tissue.cutters.cutter import Cutter
+from tissue.cutters.profile import ball_burr
+from tissue.materials.cutting import cutting_coefficients
+from tissue.models.bone.model import BoneModel
+from tissue.models.needle.model import NeedleModel
+from tissue.models.needle.parameters import needle_tissue
+from tissue.models.tissue_model import FreeSpace, ToolMotion
+from tissue.models.tooth.model import ToothModel
 
 RADIUS_M = 3e-3
 RESTING = "test_a_tool_at_rest_changes_nothing_and_feels_nothing"

@@ -5,9 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tissue import InputError
-from tissue.model import Response, ToolMotion
-from tissue.motion import FollowPath, PushAlongAxis, frame_along
-from tissue.poses import ReplayPoses, read_poses
+from tissue.models.tissue_model import Response, ToolMotion
+from tissue.motion.motion import FollowPath, PushAlongAxis, frame_along
+from tissue.motion.replay import ReplayPoses, read_poses
 
 STEP_S = 1e-3
 Z = (0.0, 0.0, 1.0)

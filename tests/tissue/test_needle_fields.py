@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from tissue import load_scene, simulate
-from tissue.model import ToolMotion
-from tissue.needle import NeedleModel, needle_tissue
-from tissue.needle.fields import FINE_M, GROWTH, NeedleFields, Track, needle_block
+from tissue.models.needle.fields import FINE_M, GROWTH, NeedleFields, Track, needle_block
+from tissue.models.needle.model import NeedleModel
+from tissue.models.needle.parameters import needle_tissue
+from tissue.models.tissue_model import ToolMotion
 
 NEEDLE_M = 1.27e-3
 SCENE = {"motion.feed_mm_s": 80.0, "anatomy.interval_ms": 50.0, "motion.points_mm": [[3, -2, 5], [3, -2, -65], [3, -2, 10]]}  # fmt: skip
@@ -163,7 +164,7 @@ def test_the_surface_sinks_around_the_entry_as_boussinesq_says(monkeypatch):
     """
     errors = []
     for growth in (GROWTH, 0.5 * GROWTH):
-        monkeypatch.setattr("tissue.needle.fields.GROWTH", growth)
+        monkeypatch.setattr("tissue.models.needle.fields.GROWTH", growth)
         fields = fields_of(track(deepest_mm=60.0))
         fields.keep(0.0, deflection_m=1e-3, inserted_m=0.0, entry_m=np.zeros(3))
         fields.compute()

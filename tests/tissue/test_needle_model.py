@@ -9,9 +9,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tissue import InputError
-from tissue.model import ToolMotion
-from tissue.motion import PushAlongAxis
-from tissue.needle import Insertion, Membrane, NeedleModel, NeedleTissue, ShaftFriction, cutting_force_N, needle_tissue
+from tissue.models.needle.insertion import Insertion
+from tissue.models.needle.model import NeedleModel
+from tissue.models.needle.parameters import Membrane, NeedleTissue, ShaftFriction, cutting_force_N, needle_tissue
+from tissue.models.tissue_model import ToolMotion
+from tissue.motion.motion import PushAlongAxis
 
 STEP_S = 1e-3
 NEEDLE_M = 1.27e-3

@@ -3,7 +3,7 @@
 import pytest
 
 from tissue import InputError
-from tissue.charts.perception import perception_charts
+from tissue.evaluation.charts.perception import perception_charts
 from tissue.perception.observer import write_observer
 from tissue.perception.population import reference_observer
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from tissue import InputError
-from tissue.coupling.signal import ForceRange
-from tissue.perception import Perception
-from tissue.perception.build import perception, perception_for
+from tissue.builders.perception import perception, perception_for
+from tissue.haptics.loop.filters import ForceRange
 from tissue.perception.observer import Observer, write_observer
+from tissue.perception.perception import Perception
 from tissue.perception.population import population_observer, reference_observer
 
 LIMIT_N, TICK = 3.3, 1e-3

@@ -5,11 +5,11 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from tissue.charts.prediction import Comparison, Interval, comparison_lines
-from tissue.charts.prediction_picture import LOOKS
-from tissue.prediction.build import PREDICTORS
-from tissue.scene_coupling import PredictionName
-from tissue.training.evaluation import HORIZONS
+from tissue.builders.prediction import PREDICTORS
+from tissue.evaluation.charts.prediction import Comparison, Interval, comparison_lines
+from tissue.evaluation.charts.prediction_picture import LOOKS
+from tissue.evaluation.training.evaluation import HORIZONS
+from tissue.scene.coupling import PredictionName
 
 
 def said(differences):

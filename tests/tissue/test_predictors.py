@@ -6,15 +6,19 @@ import numpy as np
 import pytest
 
 from tissue import InputError, load_scene
-from tissue.prediction import Edmd, Hold, Identity
+from tissue.builders.prediction import PREDICTORS, predictor, trained_predictor
+from tissue.evaluation.training import fitting
+from tissue.evaluation.training.evaluation import forecast_errors
+from tissue.evaluation.training.fitting import fit
+from tissue.evaluation.training.recording import Recording
 from tissue.prediction.baselines import Kalman, Linear, LinearControl, kalman_gains
-from tissue.prediction.build import PREDICTORS, predictor, trained_predictor
-from tissue.prediction.dictionary import from_plain, to_plain
+from tissue.prediction.edmd.dictionary import Identity, from_plain, to_plain
+from tissue.prediction.edmd.edmd import Edmd
+from tissue.prediction.edmd.overlaps import Overlaps
 from tissue.prediction.guard import BLEND, PROBATION, Guarded
 from tissue.prediction.koopman import WIDTH, Koopman
-from tissue.prediction.overlaps import Overlaps
+from tissue.prediction.predictor import Hold
 from tissue.prediction.trained import Trained
-from tissue.training import Recording, fit, fitting, forecast_errors
 
 STIFFNESS_N_M = 400.0
 ENCODER_M = 5.5e-5

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from meshes.errors import InputError
+from meshes.base.errors import InputError
 from tissue.materials.prony import HereditaryIntegral, Prony
 
 SERIES = Prony(g=(0.3, 0.3), tau_s=(0.5, 10.0))

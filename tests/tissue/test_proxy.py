@@ -8,16 +8,17 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
-from meshes.errors import InputError
-from meshes.plane_cube import cube_fraction
-from meshes.volume import VoxelVolume
-from tissue.bone.bricks import BrickStore
-from tissue.coupling.proxy import Proxy, ProxyOutcome
-from tissue.coupling.rotation import matrix_of, turn_between
-from tissue.coupling.tool_shell import ToolShell
-from tissue.coupling.virtual_coupling import VirtualCoupling
-from tissue.coupling.voxmap import Ball, Box, ContactField, HalfSpace
-from tissue.cutters import Cutter, ball_burr
+from meshes.base.errors import InputError
+from meshes.shapes.plane_cube import cube_fraction
+from meshes.voxels.volume import VoxelVolume
+from tissue.cutters.cutter import Cutter
+from tissue.cutters.profile import ball_burr
+from tissue.haptics.proxy.proxy import Proxy, ProxyOutcome
+from tissue.haptics.proxy.tool_shell import ToolShell
+from tissue.haptics.proxy.virtual_coupling import VirtualCoupling
+from tissue.haptics.proxy.voxmap import Ball, Box, ContactField, HalfSpace
+from tissue.models.bone.bricks import BrickStore
+from tissue.motion.rotation import matrix_of, turn_between
 
 SPACING = 2e-4
 SOLID_TOLERANCE_M = 2.5e-5

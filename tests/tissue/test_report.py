@@ -5,12 +5,12 @@ import gzip
 import numpy as np
 import pytest
 
-from meshes.volume import VoxelVolume
+from meshes.voxels.volume import VoxelVolume
 from tissue import load_scene, simulate
-from tissue.depth import depth_map, tool_axes
-from tissue.offscreen import draw_apart
-from tissue.report import draw_pictures, write_bone
-from tissue.surface import bone_surface, cut_out, smooth_normals
+from tissue.figures.report import draw_pictures, write_bone
+from tissue.simulation.bone_surface import bone_surface, cut_out, smooth_normals
+from tissue.simulation.depth_map import depth_map, tool_axes
+from tissue.system.offscreen import draw_apart
 
 pyvista = pytest.importorskip("pyvista")
 
@@ -168,8 +168,8 @@ def test_pictures_show_something(run, tmp_path):
 
 
 def test_pictures_without_opengl_say_what_to_install(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("tissue.offscreen._windows", lambda: iter(()))
-    monkeypatch.setattr("tissue.offscreen.sys.platform", "linux")
+    monkeypatch.setattr("tissue.system.offscreen._windows", lambda: iter(()))
+    monkeypatch.setattr("tissue.system.offscreen.sys.platform", "linux")
     (note,) = draw_pictures(run, tmp_path)
     assert note == (
         "bone_before_after.png was not drawn: this machine has no OpenGL library: install libegl1 and libgl1-mesa-dri "
@@ -179,9 +179,9 @@ def test_pictures_without_opengl_say_what_to_install(run, tmp_path, monkeypatch)
 
 
 def test_a_drawing_process_that_dies_leaves_this_one_alive(tmp_path, monkeypatch):
-    monkeypatch.setattr("tissue.offscreen._windows", lambda: iter(("",)))
-    monkeypatch.setattr("tissue.child.START", "import os; os.abort()")
-    problem = draw_apart("tissue.rendering")
+    monkeypatch.setattr("tissue.system.offscreen._windows", lambda: iter(("",)))
+    monkeypatch.setattr("tissue.system.child.START", "import os; os.abort()")
+    problem = draw_apart("tissue.figures.rendering")
     assert problem is not None and "OpenGL does not work on this machine (exit code" in problem
 
 

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from tissue import InputError, SavedRun, load_scene, simulate
-from tissue.run_folder import RunFolder
-from tissue.trace import FLUSH_EVERY_S, read_table
+from tissue.simulation.run_folder import RunFolder
+from tissue.simulation.trace import FLUSH_EVERY_S, read_table
 
 COARSE = ("--set", "voxels.spacing_mm=0.4", "--no-pictures")
-MAIN = [sys.executable, "-c", "from tissue.cli import main; main()"]
+MAIN = [sys.executable, "-c", "from tissue.cli.main import main; main()"]
 LOST_S = 0.2
 """Most of a killed run's wall time that may be missing from its trace."""
 
@@ -53,7 +53,7 @@ def test_the_folder_holds_every_file(made):
 def test_a_run_is_made_again_bit_for_bit_on_any_number_of_cores(made, tmp_path, cores):
     """Threads are made to share every launch: of the coarse scene's, few are long enough by themselves."""
     split = "import kernels.launcher as l; l.SPLIT_ABOVE_S = 0.0; " if cores > 1 else ""
-    again = [sys.executable, "-c", f"{split}from tissue.cli import main; main()"]
+    again = [sys.executable, "-c", f"{split}from tissue.cli.main import main; main()"]
     arguments = ["run", str(made / "scene.toml"), "--no-pictures", "--out", str(tmp_path / "again")]
     subprocess.run([*again, *arguments, "--cores", str(cores)], check=True, capture_output=True)
     assert (tmp_path / "again" / "trace.csv").read_bytes() == (made / "trace.csv").read_bytes()
@@ -222,7 +222,7 @@ def test_a_killed_run_is_still_a_run(killed, refused, command):
         f"out must not hold another run, got {folder}: pass --overwrite to replace it or choose another --out"
     )
     assert {entry.relative_to(folder): entry.read_bytes() for entry in folder.rglob("*") if entry.is_file()} == before
-    from tissue.view import _about
+    from tissue.viewer.view import _about
 
     assert _about(SavedRun(folder)).startswith("run is incomplete: it was interrupted at ")
     code, _, error = command("run", "milling", *COARSE, "--duration-s", 0.01, "--out", folder, "--overwrite")
@@ -247,7 +247,7 @@ def test_a_run_stopped_before_it_has_begun_says_so(tmp_path, command, monkeypatc
     def stop(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tissue.simulation.build", stop)
+    monkeypatch.setattr("tissue.simulation.simulate.build", stop)
     code, _, said = command("run", "milling", *COARSE, "--out", tmp_path / "out")
     assert (code, said) == (130, "stopped before anything was written\n") and not (tmp_path / "out").exists()
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from fake_fields import block_series
 
-from tissue.fields import FieldSeries, Frame
-from tissue.series import frame_mesh, write_fields
+from tissue.fem.fields import FieldSeries, Frame
+from tissue.simulation.series import frame_mesh, write_fields
 
 pyvista = pytest.importorskip("pyvista")
 

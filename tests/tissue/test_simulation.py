@@ -7,11 +7,12 @@ import pytest
 from scipy.signal import lfilter
 
 from tissue import InputError, load_scene, simulate
-from tissue.cutters import Cutter, ball_burr
-from tissue.model import FreeSpace
-from tissue.motion import FollowPath
-from tissue.parts import Parts
-from tissue.simulation import TICK_S
+from tissue.builders.parts import Parts
+from tissue.cutters.cutter import Cutter
+from tissue.cutters.profile import ball_burr
+from tissue.models.tissue_model import FreeSpace
+from tissue.motion.motion import FollowPath
+from tissue.simulation.simulate import TICK_S
 
 COARSE = {"voxels.spacing_mm": 0.4, "duration_s": 0.2}
 AXES = [("force", "N"), ("torque", "Nm")]
@@ -50,7 +51,7 @@ class Push(FreeSpace):
 def test_a_step_of_force_is_answered_by_the_continuous_filters_own_values(monkeypatch, low_pass_ms):
     """A step at t = 0 gives 1 - exp(-t/a) at the end of every tick, without an error of discretisation."""
     path = FollowPath(np.array([[0, 0, 0], [0, 0, 0.01]]), feed_m_s=0.1, axis=(0.0, 0.0, 1.0))
-    monkeypatch.setattr("tissue.simulation.build", lambda *_, **__: Parts(path, Push(), cutter=CUTTER))
+    monkeypatch.setattr("tissue.simulation.simulate.build", lambda *_, **__: Parts(path, Push(), cutter=CUTTER))
     trace = run_of(output__low_pass_ms=low_pass_ms).trace
     ends_s = TICK_S * np.arange(1, len(trace.rows) + 1)
     np.testing.assert_allclose(trace["force_z_N"], 1.0 - np.exp(-ends_s / (1e-3 * low_pass_ms)), rtol=1e-12)

@@ -6,7 +6,7 @@ from importlib.resources import files
 import pytest
 
 from tissue import InputError
-from tissue.materials import constants
+from tissue.materials.constants import constants
 
 TABLES = {
     table: tomllib.loads(files("tissue.materials").joinpath(f"{table}.toml").read_text("utf-8"))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from meshes.errors import InputError
+from meshes.base.errors import InputError
 from tissue import load_scene, simulate
 
 PRESS = {

@@ -9,10 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from meshes.errors import InputError
-from tissue.coupling.hand import GROUPS
-from tissue.study import METHODS, TASKS, Plan, StudyFolder, TrialKey, run_study, runner
-from tissue.study.trial import Trial, run_trial, trial_seed
+from meshes.base.errors import InputError
+from tissue.evaluation.study import runner
+from tissue.evaluation.study.folder import StudyFolder
+from tissue.evaluation.study.plan import Plan, TrialKey
+from tissue.evaluation.study.runner import run_study
+from tissue.evaluation.study.tasks import METHODS, TASKS
+from tissue.evaluation.study.trial import Trial, run_trial, trial_seed
+from tissue.haptics.hand.hand import GROUPS
 
 SMALL = Plan(trials=3, tasks=("T2", "needle"), sensitivity=False)
 
@@ -227,7 +231,7 @@ def test_a_trial_alone_is_the_trial_of_its_study_and_fails_alone(monkeypatch):
     assert one.rows == other.rows and "failure" not in one.rows[0]
     assert one.rows[0]["force_error"] > 0.0 and one.seed == trial_seed(plan, key)
     broken = {"penalty": {"renderer": "nothing"}, "koopman": METHODS["koopman"]}
-    monkeypatch.setattr("tissue.study.trial.METHODS", dict(METHODS) | broken)
+    monkeypatch.setattr("tissue.evaluation.study.trial.METHODS", dict(METHODS) | broken)
     failed = run_trial(replace(plan, methods=("penalty", "koopman")), key)
     assert all(row["failure"].startswith("InputError: renderer must be one of") for row in failed.rows)
 

@@ -7,14 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tissue.study import METHODS, Plan, StudyFolder, TrialKey
-from tissue.study.fidelity import force_section, latency_section
-from tissue.study.measures import _from_path
-from tissue.study.paper import FORCE_ERROR, Figure
-from tissue.study.report import sections_of, write_report
-from tissue.study.section import agreement
-from tissue.study.sensitivity import reference_section, sensitivity_section
-from tissue.study.trial import Trial
+from tissue.evaluation.study.fidelity import force_section, latency_section
+from tissue.evaluation.study.folder import StudyFolder
+from tissue.evaluation.study.measures import _from_path
+from tissue.evaluation.study.paper import FORCE_ERROR, Figure
+from tissue.evaluation.study.plan import Plan, TrialKey
+from tissue.evaluation.study.report import sections_of, write_report
+from tissue.evaluation.study.section import agreement
+from tissue.evaluation.study.sensitivity import reference_section, sensitivity_section
+from tissue.evaluation.study.tasks import METHODS
+from tissue.evaluation.study.trial import Trial
 
 PLAN = Plan(trials=4, tasks=("T1", "T2", "needle", "reaming", "drilling"))
 LEFT = {"penalty": 1.0, "energy": 1.0, "koopman": 0.4, "koopman-perception": 0.4}

@@ -13,7 +13,9 @@ from pathlib import Path
 import psutil
 import pytest
 
-from tissue.study import Plan, StudyFolder, run_study
+from tissue.evaluation.study.folder import StudyFolder
+from tissue.evaluation.study.plan import Plan
+from tissue.evaluation.study.runner import run_study
 
 pytestmark = [
     pytest.mark.slow,
@@ -23,7 +25,7 @@ pytestmark = [
 ROOT = Path(__file__).resolve().parents[2]
 PLAN = Plan(trials=3, tasks=("drilling", "T2"), methods=("penalty",), sensitivity=False)
 COMMAND = (
-    *(sys.executable, "-c", "from tissue.cli import main; main()", "study", "run", "--trials", "3", "--tasks"),
+    *(sys.executable, "-c", "from tissue.cli.main import main; main()", "study", "run", "--trials", "3", "--tasks"),
     *("drilling,T2", "--methods", "penalty", "--no-sensitivity", "--workers", "2", "--out"),
 )
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT)}

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tissue import load_scene, simulate
-from tissue.tooth import beside
-from tissue.tooth.field import StressField
+from tissue.models.tooth import stress_process as beside
+from tissue.models.tooth.field import StressField
 
 COARSE = {
     "voxels.spacing_mm": 0.1,

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from tissue.trace import TIMING_COLUMNS, Table, TraceWriter, read_table, trace_columns
+from tissue.simulation.trace import TIMING_COLUMNS, Table, TraceWriter, read_table, trace_columns
 
 LAYERS = ("plate", "vault")
 UNIT = re.compile(r"_(s|us|mm|mm2|mm3|mm_s|mm3_s|rad_s|N|Nm)$")
@@ -51,7 +51,7 @@ def test_a_file_reads_back_to_the_same_bits(tmp_path):
 
 def test_rows_are_appended_when_it_is_time(tmp_path, monkeypatch):
     clock = iter([10.0, 10.05, 10.2, 10.21])
-    monkeypatch.setattr("tissue.trace.perf_counter", lambda: next(clock))
+    monkeypatch.setattr("tissue.simulation.trace.perf_counter", lambda: next(clock))
     writer = TraceWriter(tmp_path / "trace.csv", filled(9))
     on_disk = []
     for count in (1, 2, 3, 4):

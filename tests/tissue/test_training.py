@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from tissue import load_scene, simulate
-from tissue.prediction import Operator
-from tissue.prediction.build import PREDICTORS, trained_predictor
+from tissue.builders.prediction import PREDICTORS, trained_predictor
+from tissue.evaluation.training import fitting
+from tissue.evaluation.training.recording import trial
+from tissue.prediction.edmd.lifted import Operator
 from tissue.prediction.trained import Trained, shipped_file
-from tissue.training import fitting, trial
 
 LIMIT_N = 3.3
 SCENES = ("caries", "glenoid", "liver-press", "milling", "molar", "needle", "palpation", "wall")

@@ -12,16 +12,16 @@ import pytest
 from fake_fields import block_series
 
 from tissue import InputError, load_scene, simulate
-from tissue.offscreen import display_problem, draw_apart
-from tissue.pose_log import write_poses
-from tissue.run_folder import SavedRun
-from tissue.series import write_fields
-from tissue.view import _about, view
-from tissue.viewer_bone import BoneShown
-from tissue.viewer_carving import bone_of, read_voxels
-from tissue.viewer_fields import FieldsShown
-from tissue.viewer_frames import SavedFields
-from tissue.viewer_layers import LayerKeys
+from tissue.motion.pose_log import write_poses
+from tissue.simulation.run_folder import SavedRun
+from tissue.simulation.saved_fields import SavedFields
+from tissue.simulation.series import write_fields
+from tissue.system.offscreen import display_problem, draw_apart
+from tissue.viewer.bone import BoneShown
+from tissue.viewer.carving import bone_of, read_voxels
+from tissue.viewer.fields import FieldsShown
+from tissue.viewer.layers import LayerKeys
+from tissue.viewer.view import _about, view
 
 
 @pytest.fixture(scope="module")
@@ -301,7 +301,7 @@ def test_a_run_stopped_at_once_can_be_seen(stopped, tmp_path, rows):
 
 
 def test_without_a_display_the_remedy_is_a_screenshot(whole, monkeypatch):
-    monkeypatch.setattr("tissue.offscreen.sys.platform", "linux")
+    monkeypatch.setattr("tissue.system.offscreen.sys.platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     assert display_problem() == "there is no display (DISPLAY is not set)"
     with pytest.raises(InputError, match=r"DISPLAY is not set\): pass --screenshot FILE or --movie FILE$"):
@@ -322,7 +322,7 @@ def test_a_screenshot_needs_a_place(whole, tmp_path, name, message):
 
 
 def test_a_screenshot_that_cannot_be_drawn_leaves_no_file(whole, tmp_path, monkeypatch):
-    monkeypatch.setattr("tissue.offscreen._windows", lambda: iter(()))
+    monkeypatch.setattr("tissue.system.offscreen._windows", lambda: iter(()))
     with pytest.raises(InputError, match="screenshot must be drawn in 3D, but this machine has no OpenGL library"):
         view(whole, screenshot=tmp_path / "view.png")
     assert not (tmp_path / "view.png").exists()
@@ -346,9 +346,9 @@ def test_what_is_not_drawn_to_its_end_leaves_no_file_and_keeps_an_older_one(
         raise ends
 
     told = []
-    monkeypatch.setattr("tissue.view.draw_apart", half)
-    monkeypatch.setattr("tissue.view.check_movie", lambda path: None)
-    monkeypatch.setattr("tissue.view.require_whole", lambda saved: None)  # it starts a process each time
+    monkeypatch.setattr("tissue.viewer.view.draw_apart", half)
+    monkeypatch.setattr("tissue.viewer.view.check_movie", lambda path: None)
+    monkeypatch.setattr("tissue.viewer.view.require_whole", lambda saved: None)  # it starts a process each time
     with pytest.raises(KeyboardInterrupt if isinstance(ends, KeyboardInterrupt) else InputError):
         view(whole, **{kind: file}, progress=lambda doing, share: told.append((doing, share)))
     assert told == [(f"drawing the {kind}", 0.0), (f"drawing the {kind}", 0.5)]
@@ -362,8 +362,8 @@ def test_a_movie_tells_how_much_of_it_is_drawn(tmp_path, monkeypatch):
         f"import pathlib, time\nwhile not pathlib.Path({str(tmp_path / 'seen')!r}).exists(): time.sleep(0.01)\n"
     )
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.setattr("tissue.offscreen.child_command", lambda module: [sys.executable, "-m", module])
-    monkeypatch.setattr("tissue.offscreen.LOOK_S", 0.05)
+    monkeypatch.setattr("tissue.system.offscreen.child_command", lambda module: [sys.executable, "-m", module])
+    monkeypatch.setattr("tissue.system.offscreen.LOOK_S", 0.05)
     shares = []
 
     def told(share):

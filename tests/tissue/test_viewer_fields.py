@@ -6,10 +6,10 @@ from fake_fields import PARTS, block_series, depth_at, pressed_run, pressed_seri
 from test_view import Seen
 
 from tissue import InputError
-from tissue.fields import FieldSeries, Frame
-from tissue.series import write_fields
-from tissue.viewer_fields import FieldsShown
-from tissue.viewer_frames import SavedFields, field_label, field_limits, field_names
+from tissue.fem.fields import FieldSeries, Frame
+from tissue.simulation.saved_fields import SavedFields, field_label, field_limits, field_names
+from tissue.simulation.series import write_fields
+from tissue.viewer.fields import FieldsShown
 
 ROUNDING = 1e-5
 """Share by which single precision, in which fields are written, may be off."""

@@ -12,12 +12,12 @@ import pytest
 from fake_fields import PARTS, pressed_run, pressed_series
 
 from tissue import InputError, load_scene
-from tissue.press_picture import draw_press
-from tissue.run_folder import SavedRun
-from tissue.scene_tool import Needle, Probe
-from tissue.view import view
-from tissue.viewer_run import faces_of
-from tissue.viewer_tool import tool_surface
+from tissue.figures.press import draw_press
+from tissue.figures.tool_mesh import tool_surface
+from tissue.scene.tool import Needle, Probe
+from tissue.simulation.run_folder import SavedRun
+from tissue.viewer.run import faces_of
+from tissue.viewer.view import view
 
 TESTS = Path(__file__).parent
 
@@ -221,7 +221,7 @@ def test_a_shell_probe_keeps_the_origin_of_its_file(tmp_path):
     ],
 )
 def test_what_a_run_does_not_have_is_refused(pressed, tmp_path, monkeypatch, options, message):
-    monkeypatch.setattr("tissue.view.require_whole", lambda saved: None)  # it starts a process each time
+    monkeypatch.setattr("tissue.viewer.view.require_whole", lambda saved: None)  # it starts a process each time
     with pytest.raises(InputError, match=message):
         view(pressed, screenshot=tmp_path / "view.png", **options)
     assert not (tmp_path / "view.png").exists()
@@ -248,7 +248,7 @@ def test_a_needle_goes_through_the_faces_of_its_scene():
 
 
 def test_a_movie_that_cannot_be_drawn_leaves_no_file(pressed, tmp_path, monkeypatch):
-    monkeypatch.setattr("tissue.offscreen._windows", lambda: iter(()))
+    monkeypatch.setattr("tissue.system.offscreen._windows", lambda: iter(()))
     with pytest.raises(InputError, match="movie must be drawn in 3D, but this machine has no OpenGL library"):
         view(pressed, movie=tmp_path / "view.gif")
     assert not (tmp_path / "view.gif").exists()

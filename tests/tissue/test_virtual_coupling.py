@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from meshes.errors import InputError
-from tissue.coupling.rotation import matrix_of, quaternion_of, turn_between
-from tissue.coupling.virtual_coupling import VirtualCoupling
+from meshes.base.errors import InputError
+from tissue.haptics.proxy.virtual_coupling import VirtualCoupling
+from tissue.motion.rotation import matrix_of, quaternion_of, turn_between
 
 STILL = np.zeros(3)
 

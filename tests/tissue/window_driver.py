@@ -8,8 +8,8 @@ import sys
 import time
 from pathlib import Path
 
-from tissue.run_folder import SavedRun
-from tissue.viewer_window import Choice, Window
+from tissue.simulation.run_folder import SavedRun
+from tissue.viewer.window import Choice, Window
 
 
 class Hand:

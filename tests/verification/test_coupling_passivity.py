@@ -6,15 +6,15 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tissue.coupling.aim import waypoints
-from tissue.coupling.device import DeviceParameters, device_parameters
-from tissue.coupling.hand import Hand, hand_parameters
-from tissue.coupling.limits import knock, wall_limits
-from tissue.coupling.passivity import PassivityControl, PassivityObserver
-from tissue.coupling.renderer import renderer
-from tissue.coupling.rigid_wall import press_wall
-from tissue.coupling.simulated_device import SimulatedDevice
-from tissue.coupling.virtual_coupling import series_stiffness_N_m
+from tissue.haptics.device.device import DeviceParameters, device_parameters
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import Hand, hand_parameters
+from tissue.haptics.hand.minimum_jerk import waypoints
+from tissue.haptics.loop.passivity import PassivityControl, PassivityObserver
+from tissue.haptics.proxy.virtual_coupling import series_stiffness_N_m
+from tissue.haptics.renderable_stiffness import knock, wall_limits
+from tissue.haptics.renderer import renderer
+from tissue.haptics.rigid_wall import press_wall
 
 STIFFNESS, SPEED, TICK, SAMPLES = 1000.0, 0.1, 1e-3, 100
 LEAK_J = SAMPLES * STIFFNESS * (SPEED * TICK) ** 2

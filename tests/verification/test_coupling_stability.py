@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from tissue import InputError
-from tissue.coupling.aim import waypoints
-from tissue.coupling.device import DEVICES, DeviceParameters, device_parameters
-from tissue.coupling.hand import GROUPS, HandAction, hand_parameters
-from tissue.coupling.loop import WallLoop, loop_matrix, spectral_radius
-from tissue.coupling.simulated_device import SimulatedDevice
-from tissue.coupling.stability import critical_stiffness_N_m, in_hands, judge, require_stable
-from tissue.coupling.stability_map import measured_critical_N_m, stability_map
-from tissue.coupling.theory import delay_bound_N_m, passive_bound_N_m, quantised_bound_N_m
+from tissue.haptics.device.device import DEVICES, DeviceParameters, device_parameters
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import GROUPS, HandAction, hand_parameters
+from tissue.haptics.hand.minimum_jerk import waypoints
+from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands, judge, require_stable
+from tissue.haptics.loop.sampled_loop import WallLoop, loop_matrix, spectral_radius
+from tissue.haptics.loop.stability_bounds import delay_bound_N_m, passive_bound_N_m, quantised_bound_N_m
+from tissue.haptics.loop.stability_map import measured_critical_N_m, stability_map
 
 TABLE = [
     (wall_damping, delay, critical)

@@ -6,12 +6,14 @@ from math import pi
 import numpy as np
 import pytest
 
-from meshes import cortical_block, voxelise
-from tissue.bone import BoneModel
-from tissue.cutters import Cutter, ball_burr, cylinder
-from tissue.materials import CuttingCoefficients, cutting_coefficients
-from tissue.model import ToolMotion
-from tissue.motion import PushAlongAxis, implicit_speed
+from meshes.shapes.anatomy import cortical_block
+from meshes.voxels.voxelise import voxelise
+from tissue.cutters.cutter import Cutter
+from tissue.cutters.profile import ball_burr, cylinder
+from tissue.materials.cutting import CuttingCoefficients, cutting_coefficients
+from tissue.models.bone.model import BoneModel
+from tissue.models.tissue_model import ToolMotion
+from tissue.motion.motion import PushAlongAxis, implicit_speed
 
 BONE = cutting_coefficients("bone")
 SHARP = replace(BONE, tangential_edge_N_m=0.0, radial_edge_N_m=0.0, axial_edge_N_m=0.0)
@@ -198,7 +200,7 @@ def test_thrust_below_the_edge_force_does_not_move_the_tool():
     push = PushAlongAxis(
         np.array([0, 0, 1e-3]), axis=(0, 0, 1), thrust_N=5.0, mass_kg=0.5, max_feed_m_s=5e-3, depth_m=2e-3
     )
-    from tissue.model import Response
+    from tissue.models.tissue_model import Response
 
     response, motion = Response.empty(1), ToolMotion()
     response.edge[2] = 6.0

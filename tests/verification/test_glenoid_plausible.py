@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tissue
-from tissue.materials import cutting_constants
+from tissue.materials.cutting import cutting_constants
 
 PUBLISHED_TORQUE_NM, PUBLISHED_THRUST_N = (0.2, 2.0), (20.0, 100.0)  # glenoid reaming, 300-1000 rpm, low confidence
 COARSE = {

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissue.tooth.heat import Conduction
+from tissue.models.tooth.heat import Conduction
 
 CONDUCTIVITY, CAPACITY = 0.6, 3.4e6  # of the order of dentin [W/(m K)], [J/(m3 K)]
 DIFFUSIVITY = CONDUCTIVITY / CAPACITY

@@ -5,8 +5,13 @@ import pytest
 from koopman_systems import contact, record
 
 from tissue import InputError
-from tissue.prediction import Delays, Edmd, Episode, GapProducts, Identity, Polynomials, horizon_errors
-from tissue.prediction.spectrum import cap_spectrum, spectral_radius
+from tissue.prediction.edmd.dictionary import Delays, Identity
+from tissue.prediction.edmd.edmd import Edmd
+from tissue.prediction.edmd.episodes import Episode
+from tissue.prediction.edmd.gap_products import GapProducts
+from tissue.prediction.edmd.polynomials import Polynomials
+from tissue.prediction.edmd.spectrum import cap_spectrum, spectral_radius
+from tissue.prediction.edmd.validation import horizon_errors
 
 STEP_S = 1e-3
 SENSORS = (1e-5, 5e-3)

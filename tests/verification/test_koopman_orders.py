@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 from koopman_systems import advance, contact, duffing, record, slow_manifold, slow_manifold_at, van_der_pol
 
-from tissue.prediction import Edmd, Episode, Gaussians, Identity, Polynomials, horizon_errors
-from tissue.prediction.closure import closure_defects, step_errors
+from tissue.prediction.edmd.closure import closure_defects, step_errors
+from tissue.prediction.edmd.dictionary import Identity
+from tissue.prediction.edmd.edmd import Edmd
+from tissue.prediction.edmd.episodes import Episode
+from tissue.prediction.edmd.polynomials import Polynomials
+from tissue.prediction.edmd.radial import Gaussians
+from tissue.prediction.edmd.validation import horizon_errors
 
 PRINTED_ORDER = 2.0
 """What the paper's Theorem 1 says of every dictionary."""

@@ -7,9 +7,9 @@ and other closed forms against tetrahedra.
 import numpy as np
 import pytest
 
-from tissue.liver.contact import SurfaceContact
-from tissue.liver.contact_result import ContactOutcome
-from tissue.liver.probe import ShellProbe, SphereProbe
+from tissue.models.organ.contact import SurfaceContact
+from tissue.models.organ.contact_result import ContactOutcome
+from tissue.models.organ.probe import ShellProbe, SphereProbe
 
 YOUNG_PA = 5e3
 TILE_M = 1e-4

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from tet_bodies import slope, solve_iteratively
 
-from meshes.tet_structured import box
-from tissue.liver.assembly import assemble
-from tissue.liver.shapes import gradient_slopes, shape_values
-from tissue.liver.space import Space
+from meshes.tets.structured import box
+from tissue.fem.assembly import assemble
+from tissue.fem.shapes import gradient_slopes, shape_values
+from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 
 FIRST, SHEAR = lame(1.0, 0.3)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from tet_bodies import faces_where, solve, wedge
 
-from meshes.tet_structured import box, graded
-from tissue.liver.assembly import assemble
-from tissue.liver.capsule import capsule_stiffness
-from tissue.liver.loads import pressure
-from tissue.liver.space import Space
+from meshes.tets.structured import box, graded
+from tissue.fem.assembly import assemble
+from tissue.fem.capsule import capsule_stiffness
+from tissue.fem.loads import pressure
+from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 
 RATIO, ANGLE, FAR = 0.499, np.radians(6.0), 4000.0

@@ -4,19 +4,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from meshes.errors import InputError
-from meshes.liver import liver, liver_region
-from meshes.surface import read_surface
-from meshes.tet_bisection import bisected
-from meshes.tet_regions import nodes_facing
-from meshes.tet_structured import box, graded, grid
-from meshes.tetrahedra import TetMesh
-from meshes.tetrahedralise import tetrahedralise
-from tissue.liver.hyperelastic import Law, NonlinearBody
-from tissue.liver.judge import LinearLimits, linear_limits, press
-from tissue.liver.newton import NewtonSolver, Outcome
-from tissue.liver.obstacle import RigidSphere
-from tissue.liver.space import Space
+from meshes.base.errors import InputError
+from meshes.organs.liver import liver, liver_region
+from meshes.surfaces.surface import read_surface
+from meshes.tets.bisection import bisected
+from meshes.tets.regions import nodes_facing
+from meshes.tets.structured import box, graded, grid
+from meshes.tets.tetrahedra import TetMesh
+from meshes.tets.tetrahedralise import tetrahedralise
+from tissue.fem.hyperelastic import Law, NonlinearBody
+from tissue.fem.linear_limits import LinearLimits, linear_limits, press
+from tissue.fem.newton import NewtonSolver, Outcome
+from tissue.fem.obstacle import RigidSphere
+from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 
 LIVER = lame(5e3, 0.45)

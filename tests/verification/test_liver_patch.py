@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from tet_bodies import distorted, planes, solve
 
-from meshes.tetrahedra import TetMesh
-from tissue.liver.assembly import assemble
-from tissue.liver.capsule import capsule_stiffness
-from tissue.liver.space import Space
-from tissue.liver.stress import cell_stress
+from meshes.tets.tetrahedra import TetMesh
+from tissue.fem.assembly import assemble
+from tissue.fem.capsule import capsule_stiffness
+from tissue.fem.space import Space
+from tissue.fem.stress import cell_stress
 from tissue.materials.elasticity import isotropic, lame, orthotropic, rotated, transversely_isotropic
 
 FIELD = np.array([[1.0, 0.3, -0.2], [0.1, -0.7, 0.4], [-0.5, 0.2, 0.6]]) * 1e-3

@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from meshes.tet_files import read_tets
-from meshes.tet_structured import box
-from tissue.liver.assembly import assemble
-from tissue.liver.condensed import CondensedSolver, surface_compliance
-from tissue.liver.direct import DirectSolver
-from tissue.liver.lazy_compliance import LazyCompliance
-from tissue.liver.multigrid import MultigridSolver
-from tissue.liver.reduced import ReducedSolver
-from tissue.liver.solver import HeldBody, Supports
-from tissue.liver.space import Space
+from meshes.tets.files import read_tets
+from meshes.tets.structured import box
+from tissue.fem.assembly import assemble
+from tissue.fem.solvers.condensed import CondensedSolver, surface_compliance
+from tissue.fem.solvers.direct import DirectSolver
+from tissue.fem.solvers.lazy_compliance import LazyCompliance
+from tissue.fem.solvers.multigrid import MultigridSolver
+from tissue.fem.solvers.reduced import ReducedSolver
+from tissue.fem.solvers.solution import HeldBody, Supports
+from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 
 RATIOS = (0.3, 0.45, 0.49)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from tet_bodies import faces_where, planes, slab, solve
 
-from meshes.tet_structured import mapped
-from tissue.liver.assembly import assemble
-from tissue.liver.loads import pressure, traction
-from tissue.liver.space import Space
-from tissue.liver.stress import node_stress
+from meshes.tets.structured import mapped
+from tissue.fem.assembly import assemble
+from tissue.fem.loads import pressure, traction
+from tissue.fem.space import Space
+from tissue.fem.stress import node_stress
 from tissue.materials.elasticity import lame
 
 

@@ -10,17 +10,17 @@ from scipy.sparse import csr_array
 from scipy.sparse.linalg import splu
 from tet_bodies import wedge
 
-from meshes.tet_bisection import bisected
-from meshes.tet_structured import box
-from meshes.tetrahedra import TetMesh
-from tissue.liver.assembly import assemble
-from tissue.liver.contact import SurfaceContact
-from tissue.liver.contact_result import ContactOutcome
-from tissue.liver.direct import DirectSolver
-from tissue.liver.probe import CylinderProbe, ShellProbe, SphereProbe
-from tissue.liver.solver import HeldBody, Supports
-from tissue.liver.space import Space
+from meshes.tets.bisection import bisected
+from meshes.tets.structured import box
+from meshes.tets.tetrahedra import TetMesh
+from tissue.fem.assembly import assemble
+from tissue.fem.solvers.direct import DirectSolver
+from tissue.fem.solvers.solution import HeldBody, Supports
+from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
+from tissue.models.organ.contact import SurfaceContact
+from tissue.models.organ.contact_result import ContactOutcome
+from tissue.models.organ.probe import CylinderProbe, ShellProbe, SphereProbe
 
 YOUNG_PA, TIMES = 5e3, 72
 ANGLE = 2.0 * np.pi / TIMES

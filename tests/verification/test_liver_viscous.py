@@ -7,13 +7,13 @@ import pytest
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import nnls
 
-from meshes.errors import InputError
-from meshes.tet_structured import box
-from tissue.liver.assembly import assemble
-from tissue.liver.space import Space
-from tissue.liver.viscous import CreepState
+from meshes.base.errors import InputError
+from meshes.tets.structured import box
+from tissue.fem.assembly import assemble
+from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 from tissue.materials.prony import HereditaryIntegral, Prony
+from tissue.models.organ.viscous import CreepState
 
 SERIES = Prony(g=(0.3, 0.3), tau_s=(0.5, 10.0))
 STEP_S = 1e-2

@@ -5,11 +5,13 @@ from math import pi
 import numpy as np
 import pytest
 
-from meshes import cortical_block, voxelise
-from tissue.bone import BoneModel
-from tissue.cutters import Cutter, ball_burr
-from tissue.materials import cutting_coefficients
-from tissue.model import ToolMotion
+from meshes.shapes.anatomy import cortical_block
+from meshes.voxels.voxelise import voxelise
+from tissue.cutters.cutter import Cutter
+from tissue.cutters.profile import ball_burr
+from tissue.materials.cutting import cutting_coefficients
+from tissue.models.bone.model import BoneModel
+from tissue.models.tissue_model import ToolMotion
 
 RADIUS_M, DEPTH_M = 3e-3, 1e-3
 CAP_M3 = pi * DEPTH_M**2 * (3.0 * RADIUS_M - DEPTH_M) / 3.0

@@ -10,9 +10,11 @@ from math import pi
 import numpy as np
 import pytest
 
-from tissue.model import ToolMotion
-from tissue.motion import FollowPath
-from tissue.needle import Insertion, Membrane, NeedleModel, NeedleTissue, cutting_force_N, needle_tissue
+from tissue.models.needle.insertion import Insertion
+from tissue.models.needle.model import NeedleModel
+from tissue.models.needle.parameters import Membrane, NeedleTissue, cutting_force_N, needle_tissue
+from tissue.models.tissue_model import ToolMotion
+from tissue.motion.motion import FollowPath
 
 STEP_S = 1e-3
 SPEED_M_S = 3e-3

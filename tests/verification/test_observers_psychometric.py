@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from meshes.errors import InputError
-from tissue.coupling.hand import GROUPS
+from meshes.base.errors import InputError
+from tissue.evaluation.calibration.simulated_observer import SimulatedObservers, draw_observers
+from tissue.haptics.hand.hand import GROUPS
 from tissue.perception.psychometric import (
     correct_of_d_prime,
     cumulative_normal,
@@ -13,7 +14,6 @@ from tissue.perception.psychometric import (
     two_interval,
     weibull,
 )
-from tissue.perception.simulated_observer import SimulatedObservers, draw_observers
 from tissue.perception.staircase import Staircase
 
 

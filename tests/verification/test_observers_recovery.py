@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import chisquare, kstest
 
-from meshes.errors import InputError
+from meshes.base.errors import InputError
+from tissue.evaluation.calibration.simulated_observer import SimulatedObservers, draw_observers
 from tissue.perception.adaptive import AdaptiveThreshold, ThresholdPrior, comparisons
 from tissue.perception.magnitude import (
     MAGNITUDE_FORCES_N,
@@ -15,7 +16,6 @@ from tissue.perception.magnitude import (
     fit_magnitudes,
 )
 from tissue.perception.psychometric import D_PRIME_75, d_prime_of_correct, two_interval
-from tissue.perception.simulated_observer import SimulatedObservers, draw_observers
 from tissue.perception.staircase import Staircase
 
 SMALL = ThresholdPrior(cells=41, floor_cells=5, lapse_cells=3)

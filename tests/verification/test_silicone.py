@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from meshes.tet_structured import mapped
-from tissue.liver.hyperelastic import Law, NonlinearBody
-from tissue.liver.newton import NewtonSolver
-from tissue.liver.space import Space
+from meshes.tets.structured import mapped
+from tissue.fem.hyperelastic import Law, NonlinearBody
+from tissue.fem.newton import NewtonSolver
+from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 
 RADIUS_M, HEIGHT_M = 0.025, 0.03

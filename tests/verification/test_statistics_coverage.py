@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tissue.statistics.components import Components, balanced_components
-from tissue.statistics.effects import cohens_d, partial_eta_squared
-from tissue.statistics.mixed import mixed_model
-from tissue.statistics.power import simulated_cells
-from tissue.statistics.regression import Prior, regression
-from tissue.statistics.resampling import bootstrap
-from tissue.statistics.strata import strata
-from tissue.statistics.trials import TrialTable
+from tissue.evaluation.statistics.components import Components, balanced_components
+from tissue.evaluation.statistics.effects import cohens_d, partial_eta_squared
+from tissue.evaluation.statistics.mixed import mixed_model
+from tissue.evaluation.statistics.power import simulated_cells
+from tissue.evaluation.statistics.regression import Prior, regression
+from tissue.evaluation.statistics.resampling import bootstrap
+from tissue.evaluation.statistics.strata import strata
+from tissue.evaluation.statistics.trials import TrialTable
 
 COVERAGE = pytest.approx(0.95, abs=0.03)
 """Three standard errors of 500 intervals."""

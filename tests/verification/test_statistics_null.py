@@ -5,16 +5,16 @@ import pytest
 from scipy import stats
 from scipy.stats import studentized_range
 
-from tissue.statistics.components import Components
-from tissue.statistics.discrimination import Share
-from tissue.statistics.manova import multivariate, pillai
-from tissue.statistics.mixed import mixed_model
-from tissue.statistics.normality import anderson_darling, mardia, normal_residuals, shapiro_wilk
-from tissue.statistics.power import TESTS, power, redrawn_power, simulated_cells
-from tissue.statistics.robust import hotelling, kruskal_wallis, permutation, welch
-from tissue.statistics.strata import mauchly, scores_of, strata
-from tissue.statistics.trials import Cells, TrialTable
-from tissue.statistics.tukey import corrected, tukey_groups, tukey_levels
+from tissue.evaluation.statistics.components import Components
+from tissue.evaluation.statistics.discrimination import Share
+from tissue.evaluation.statistics.manova import multivariate, pillai
+from tissue.evaluation.statistics.mixed import mixed_model
+from tissue.evaluation.statistics.normality import anderson_darling, mardia, normal_residuals, shapiro_wilk
+from tissue.evaluation.statistics.power import TESTS, power, redrawn_power, simulated_cells
+from tissue.evaluation.statistics.robust import hotelling, kruskal_wallis, permutation, welch
+from tissue.evaluation.statistics.strata import mauchly, scores_of, strata
+from tissue.evaluation.statistics.trials import Cells, TrialTable
+from tissue.evaluation.statistics.tukey import corrected, tukey_groups, tukey_levels
 
 ALPHA = 0.05
 OFF = 0.01

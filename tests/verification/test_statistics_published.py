@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tissue.statistics.comparison import across_tasks, compare
-from tissue.statistics.components import balanced_components, balanced_values
-from tissue.statistics.effects import cohens_d, partial_eta_squared
-from tissue.statistics.manova import multivariate, pillai
-from tissue.statistics.mixed import mixed_model
-from tissue.statistics.normality import anderson_darling, mardia, shapiro_wilk
-from tissue.statistics.robust import friedman, hotelling, kruskal_wallis, permutation, welch
-from tissue.statistics.strata import mauchly, scores_of, strata
-from tissue.statistics.trials import TrialTable
-from tissue.statistics.tukey import corrected, games_howell, tukey_groups, tukey_levels
+from tissue.evaluation.statistics.comparison import across_tasks, compare
+from tissue.evaluation.statistics.components import balanced_components, balanced_values
+from tissue.evaluation.statistics.effects import cohens_d, partial_eta_squared
+from tissue.evaluation.statistics.manova import multivariate, pillai
+from tissue.evaluation.statistics.mixed import mixed_model
+from tissue.evaluation.statistics.normality import anderson_darling, mardia, shapiro_wilk
+from tissue.evaluation.statistics.robust import friedman, hotelling, kruskal_wallis, permutation, welch
+from tissue.evaluation.statistics.strata import mauchly, scores_of, strata
+from tissue.evaluation.statistics.trials import TrialTable
+from tissue.evaluation.statistics.tukey import corrected, games_howell, tukey_groups, tukey_levels
 
 pytest.importorskip("statsmodels", reason="statsmodels is not installed: pip install 'tissue-sim[study]'")
 

@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from meshes.errors import InputError
-from tissue.statistics.comparison import compare
-from tissue.statistics.hpi import composite_index, weights_of
-from tissue.statistics.manova import manova
-from tissue.statistics.outcome import Assumption, Effect, Outcome
-from tissue.statistics.power import redrawn_power, simulated_cells
-from tissue.statistics.regression import regression, trial_regression
-from tissue.statistics.resampling import bootstrap
-from tissue.statistics.trials import KEYS, TrialTable
-from tissue.statistics.tukey import corrected, tukey_groups
+from meshes.base.errors import InputError
+from tissue.evaluation.statistics.comparison import compare
+from tissue.evaluation.statistics.hpi import composite_index, weights_of
+from tissue.evaluation.statistics.manova import manova
+from tissue.evaluation.statistics.outcome import Assumption, Effect, Outcome
+from tissue.evaluation.statistics.power import redrawn_power, simulated_cells
+from tissue.evaluation.statistics.regression import regression, trial_regression
+from tissue.evaluation.statistics.resampling import bootstrap
+from tissue.evaluation.statistics.trials import KEYS, TrialTable
+from tissue.evaluation.statistics.tukey import corrected, tukey_groups
 
 METHODS = ("energy", "koopman", "penalty", "perception")
 DIRECTIONS = {"force_error": -1, "latency_ms": -1, "arc_length": 1, "position_error_mm": -1}
@@ -332,7 +332,7 @@ def test_a_file_that_is_no_table_is_refused(tmp_path: Path, text, said):
 def test_without_statsmodels_the_extra_is_named(monkeypatch):
     import sys
 
-    from tissue.statistics.mixed import mixed_model
+    from tissue.evaluation.statistics.mixed import mixed_model
 
     monkeypatch.setitem(sys.modules, "statsmodels", None)
     with pytest.raises(InputError, match=r"pip install 'tissue-sim\[study\]'"):

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from tooth_bodies import block, lattice
 
-from tissue.tooth import ParticleBody, Supports, cell_stress
+from tissue.models.tooth.body import ParticleBody
+from tissue.models.tooth.stress import cell_stress
+from tissue.models.tooth.supports import Supports
 
 
 def test_bars_in_series_are_exact():

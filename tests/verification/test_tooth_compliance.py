@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from tooth_bodies import block
 
-from tissue.tooth import ParticleBody, Supports, support_compliance
+from tissue.models.tooth.body import ParticleBody
+from tissue.models.tooth.compliance import support_compliance
+from tissue.models.tooth.supports import Supports
 
 EDGE = 1e-3
 STIFF = 1e15  # [Pa], a million times what the supports are: the block moves as a rigid one to 1e-6
@@ -20,7 +22,7 @@ def test_stiff_block_on_springs():
     reference = np.array([1e-3, 2e-3, 5e-3])
     found = support_compliance(body, weights=np.ones(grid.node_count), reference_m=reference, tolerance=1e-8)
     assert found.converged
-    from tissue.tooth.compliance import rigid_motions
+    from tissue.models.tooth.compliance import rigid_motions
 
     motions = rigid_motions(grid.node_position_m[bottom], reference)
     wanted = np.linalg.inv(np.einsum("nik,ni,nil->kl", motions, spring[bottom], motions))

@@ -5,17 +5,23 @@ import pytest
 from tooth_bodies import block
 
 import tissue
-from meshes import VoxelVolume
-from tissue.bone import BoneModel
-from tissue.bone.bricks import voxels_of
-from tissue.cutters import Cutter, ball_burr
-from tissue.materials import cutting_coefficients
-from tissue.model import ToolMotion
-from tissue.tooth import HexGrid, ParticleBody, Supports, beside, cell_stress, support_compliance
-from tissue.tooth.field import TOOTH, StressField
-from tissue.tooth.ligament import bed_springs, bed_stiffness
-from tissue.tooth.model import ToothModel
-from tissue.tooth.particles import FULL_STEPS
+from meshes.voxels.volume import VoxelVolume
+from tissue.cutters.cutter import Cutter
+from tissue.cutters.profile import ball_burr
+from tissue.materials.cutting import cutting_coefficients
+from tissue.models.bone.bricks import voxels_of
+from tissue.models.bone.model import BoneModel
+from tissue.models.tissue_model import ToolMotion
+from tissue.models.tooth import stress_process as beside
+from tissue.models.tooth.body import ParticleBody
+from tissue.models.tooth.compliance import support_compliance
+from tissue.models.tooth.field import TOOTH, StressField
+from tissue.models.tooth.grid import HexGrid
+from tissue.models.tooth.ligament import bed_springs, bed_stiffness
+from tissue.models.tooth.model import ToothModel
+from tissue.models.tooth.particles import FULL_STEPS
+from tissue.models.tooth.stress import cell_stress
+from tissue.models.tooth.supports import Supports
 
 MM = 1e-3
 ACROSS, ALONG = 4e9, 1e9  # [N/m3]

@@ -7,7 +7,10 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-from tissue.tooth import HexGrid, ParticleBody, ParticleSet, Supports
+from tissue.models.tooth.body import ParticleBody
+from tissue.models.tooth.grid import HexGrid
+from tissue.models.tooth.particles import ParticleSet
+from tissue.models.tooth.supports import Supports
 
 LAYERS = ("Enamel", "Dentin", "Pulp", "PDL")
 MODULUS = np.array([84e9, 18.6e9, 2e6, 50e6])
@@ -17,7 +20,7 @@ MEASURED_LIGAMENT = 0.5e6  # within the measured 0.05-1 MPa; finite element pape
 
 def inside(vertices, faces, axes):
     """Which points of a lattice lie in a closed surface, by the winding number along vertical lines."""
-    from meshes.column_crossings import column_crossings
+    from meshes.voxels.column_crossings import column_crossings
 
     x, y, z = axes
     crossed = column_crossings(vertices, faces, x, y)

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from tooth_bodies import GAUSS, block, lattice, on_boundary, slope
 
-from tissue.tooth import ParticleBody, Supports, particle_stress
+from tissue.models.tooth.body import ParticleBody
+from tissue.models.tooth.stress import particle_stress
+from tissue.models.tooth.supports import Supports
 
 FIELD = np.array([[1.0, 0.3, -0.2], [0.1, -0.5, 0.4], [0.2, 0.6, 0.8]]) * 1e-3
 EXACT = 1e-10

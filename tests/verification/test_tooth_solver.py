@@ -4,8 +4,12 @@ import numpy as np
 import pytest
 from tooth_bodies import at_bottom, block, lattice
 
-from tissue.tooth import HexGrid, Outcome, ParticleBody, ParticleSet, Supports, particle_stress
-from tissue.tooth.solver import conjugate_gradients
+from tissue.models.tooth.body import ParticleBody
+from tissue.models.tooth.grid import HexGrid
+from tissue.models.tooth.particles import ParticleSet
+from tissue.models.tooth.solver import Outcome, conjugate_gradients
+from tissue.models.tooth.stress import particle_stress
+from tissue.models.tooth.supports import Supports
 
 EDGE = 8e-3
 CONTRASTS = (1.0, 100.0, 4200.0, 42000.0)

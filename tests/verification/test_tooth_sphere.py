@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 from tooth_bodies import lattice, slope
 
-from tissue.tooth import HexGrid, ParticleBody, ParticleSet, Supports, particle_stress
+from tissue.models.tooth.body import ParticleBody
+from tissue.models.tooth.grid import HexGrid
+from tissue.models.tooth.particles import ParticleSet
+from tissue.models.tooth.stress import particle_stress
+from tissue.models.tooth.supports import Supports
 
 INNER, OUTER, PRESSURE, MODULUS, RATIO = 1.0, 2.0, 1.0, 1000.0, 0.3
 SCALE = PRESSURE * INNER**3 / (OUTER**3 - INNER**3)

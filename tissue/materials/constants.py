@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 
-from meshes.errors import InputError
+from meshes.base.errors import InputError
 
 __all__ = ["Constant", "constants"]
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from meshes.errors import InputError
+from meshes.base.errors import InputError
 from tissue.materials.constants import Constant, constants
 
 __all__ = ["CuttingCoefficients", "cutting_coefficients", "cutting_constants"]

@@ -7,7 +7,7 @@ axes are 1, 2, 3 = x, y, z until they are turned; the fibre of a transversely is
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from meshes.errors import InputError
+from meshes.base.errors import InputError
 
 __all__ = [
     "Array",

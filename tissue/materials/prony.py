@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from meshes.errors import InputError, require_positive
+from meshes.base.errors import InputError, require_positive
 
 __all__ = ["HereditaryIntegral", "Prony", "Spectrum"]
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta
 
-from meshes.errors import InputError, require_positive, require_range
+from meshes.base.errors import InputError, require_positive, require_range
 from tissue.perception.psychometric import two_interval
 
 __all__ = ["EDGE_MASS", "AdaptiveThreshold", "ThresholdPrior", "comparisons"]

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from meshes.errors import InputError, require_positive
+from meshes.base.errors import InputError, require_positive
 from tissue.materials.constants import constants
 
 __all__ = ["log_posterior", "map_force_N", "require_prior_fits"]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.errors import InputError, require_range
+from meshes.base.errors import InputError, require_range
 from tissue.perception.psychometric import D_PRIME_75
 
 __all__ = ["HYPER", "PopulationFit", "PopulationTrials", "fit_hierarchy"]

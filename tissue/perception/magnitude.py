@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import digamma, polygamma
 from scipy.stats import t
 
-from meshes.errors import InputError
+from meshes.base.errors import InputError
 
 __all__ = ["MAGNITUDE_FORCES_N", "MagnitudePosterior", "fit_magnitudes"]
 

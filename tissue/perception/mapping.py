@@ -5,7 +5,7 @@ from math import exp, log
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from meshes.errors import InputError, require_positive
+from meshes.base.errors import InputError, require_positive
 from tissue.perception.stevens import Intensity
 
 __all__ = ["ForceMap", "LogTable"]
@@ -59,7 +59,7 @@ class ForceMap:
 
         E[S | command(F1)] / E[S | command(F2)] = (F1 / F2)^beta of the reference
 
-    Beyond it `tissue.coupling.signal.ForceRange` compresses, and says so.
+    Beyond it `tissue.haptics.loop.filters.ForceRange` compresses, and says so.
 
     Neither law has been measured far below the observer's low-force term: below it the map is continued in a straight
     line to zero, which also bounds its slope there, so that a contact does not begin infinitely stiff.

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit, ndtri
 
-from meshes.errors import InputError, require_range
-from meshes.file_version import package_version, require_version
-from meshes.whole_file import whole_file
-from tissue.outputs import require_new_file
+from meshes.base.errors import InputError, require_range
+from meshes.base.file_version import package_version, require_version
+from meshes.base.whole_file import whole_file
+from tissue.system.outputs import require_new_file
 
 __all__ = ["PARAMETERS", "Observer", "read_observer", "write_observer"]
 

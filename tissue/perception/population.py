@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import digamma, expit, logit, polygamma
 
-from meshes.errors import require_positive, require_range
+from meshes.base.errors import require_positive, require_range
 from tissue.materials.constants import constants
 from tissue.perception.observer import PARAMETERS, Observer
 

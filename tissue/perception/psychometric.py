@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr, ndtri
 
-from meshes.errors import InputError, require_range
+from meshes.base.errors import InputError, require_range
 
 __all__ = [
     "D_PRIME_75",

@@ -7,7 +7,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.errors import require_positive, require_range
+from meshes.base.errors import require_positive, require_range
 from tissue.perception.psychometric import D_PRIME_75
 from tissue.perception.weber import Weber
 

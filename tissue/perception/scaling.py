@@ -5,7 +5,7 @@ from math import inf, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.errors import InputError
+from meshes.base.errors import InputError
 from tissue.perception.deadband import Deadband
 from tissue.perception.mapping import ForceMap
 from tissue.perception.recursive import Sense

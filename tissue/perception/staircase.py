@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.errors import require_positive, require_range
+from meshes.base.errors import require_positive, require_range
 
 __all__ = ["Staircase"]
 

@@ -6,7 +6,7 @@ from math import exp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from meshes.errors import InputError, require_range
+from meshes.base.errors import InputError, require_range
 from tissue.perception.observer import Observer
 
 __all__ = ["Intensity", "intensity_of"]

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri
 
-from meshes.errors import InputError, require_range
+from meshes.base.errors import InputError, require_range
 from tissue.materials.constants import constants
 from tissue.perception.observer import Observer
 

@@ -7,8 +7,8 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.errors import InputError, require_positive
-from tissue.prediction.lifted import Operator
+from meshes.base.errors import InputError, require_positive
+from tissue.prediction.edmd.lifted import Operator
 
 __all__ = ["Kalman", "Linear", "LinearControl", "kalman_gains"]
 

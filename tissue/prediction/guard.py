@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.errors import require_positive
+from meshes.base.errors import require_positive
 from tissue.prediction.predictor import Predictor
 
 __all__ = ["Guarded", "Judged"]

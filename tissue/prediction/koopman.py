@@ -6,8 +6,8 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.errors import InputError
-from tissue.prediction.lifted import Operator
+from meshes.base.errors import InputError
+from tissue.prediction.edmd.lifted import Operator
 
 __all__ = ["WIDTH", "Koopman", "LoopTerms"]
 

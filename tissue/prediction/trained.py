@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.errors import InputError
-from tissue.outputs import require_new_file
+from meshes.base.errors import InputError
+from tissue.prediction.edmd.lifted import Operator
+from tissue.prediction.edmd.predictor_file import read_predictor, write_predictor
 from tissue.prediction.koopman import LoopTerms
-from tissue.prediction.lifted import Operator
-from tissue.prediction.predictor_file import read_predictor, write_predictor
+from tissue.system.outputs import require_new_file
 
 __all__ = ["Trained", "shipped_file"]
 

@@ -37,11 +37,11 @@ PACKAGES = "tissue-sim warp-lang numpy scipy"
 
 def stiffness() -> None:
     """Beside scikit-fem."""
-    from meshes.tetrahedra import TetMesh
-    from tissue.liver.assembly import assemble
-    from tissue.liver.direct import DirectSolver
-    from tissue.liver.solver import HeldBody, Supports
-    from tissue.liver.space import Space
+    from meshes.tets.tetrahedra import TetMesh
+    from tissue.fem.assembly import assemble
+    from tissue.fem.solvers.direct import DirectSolver
+    from tissue.fem.solvers.solution import HeldBody, Supports
+    from tissue.fem.space import Space
     from tissue.materials.elasticity import lame
 
     material, made = lame(YOUNG_PA, POISSON), {}
@@ -72,14 +72,14 @@ def stiffness() -> None:
 
 def soft() -> None:
     """Beside MuJoCo and Newton: contact with friction, quasi-static, on the compliance of the slab's top."""
-    from meshes.tetrahedra import TetMesh
-    from tissue.liver.assembly import assemble
-    from tissue.liver.condensed import surface_compliance
-    from tissue.liver.contact import SurfaceContact
-    from tissue.liver.probe import SphereProbe
-    from tissue.liver.solver import HeldBody, Supports
-    from tissue.liver.space import Space
+    from meshes.tets.tetrahedra import TetMesh
+    from tissue.fem.assembly import assemble
+    from tissue.fem.solvers.condensed import surface_compliance
+    from tissue.fem.solvers.solution import HeldBody, Supports
+    from tissue.fem.space import Space
     from tissue.materials.elasticity import lame
+    from tissue.models.organ.contact import SurfaceContact
+    from tissue.models.organ.probe import SphereProbe
 
     for cells in SLABS:
         mesh = TetMesh(*bricks_in_tetrahedra(SLAB_M, cells))
@@ -108,7 +108,9 @@ def soft() -> None:
 
 def prediction() -> None:
     """Beside pykoop."""
-    from tissue.prediction import Delays, Edmd, Episode
+    from tissue.prediction.edmd.dictionary import Delays
+    from tissue.prediction.edmd.edmd import Edmd
+    from tissue.prediction.edmd.episodes import Episode
     from tissue.prediction.koopman import Koopman, LoopTerms
 
     episodes = [Episode(contacts(seed), None, STEP_S) for seed in range(10)]
@@ -149,11 +151,13 @@ def threshold() -> None:
 
 def milling() -> None:
     """Beside booleans of meshes and brute force: bricks of voxels, the cutting force with them."""
-    from meshes import cortical_block, voxelise
-    from tissue.bone import BoneModel
-    from tissue.cutters import Cutter, ball_burr
-    from tissue.materials import cutting_coefficients
-    from tissue.model import ToolMotion
+    from meshes.shapes.anatomy import cortical_block
+    from meshes.voxels.voxelise import voxelise
+    from tissue.cutters.cutter import Cutter
+    from tissue.cutters.profile import ball_burr
+    from tissue.materials.cutting import cutting_coefficients
+    from tissue.models.bone.model import BoneModel
+    from tissue.models.tissue_model import ToolMotion
 
     volume = voxelise(cortical_block(size_mm=(1e3 * BLOCK_M,) * 3), spacing_m=SPACING_M)
     burr = Cutter(ball_burr(diameter_m=2 * BURR_M), 6, 1000.0)

@@ -20,7 +20,7 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent), str(HERE.parents[2])]
 from harness import machine  # noqa: E402
 
-from meshes.cache import cache_folder  # noqa: E402
+from meshes.base.cache import cache_folder  # noqa: E402
 
 PEERS = {
     "scikit-fem": ("scikit-fem",),

@@ -1,0 +1,124 @@
+"""Arrays that are dear to compute, kept on disk by the hash of what they were computed from."""
+
+import hashlib
+import json
+import os
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.file_version import package_version
+from meshes.base.whole_file import whole_file
+
+__all__ = ["cache_folder", "cached_arrays", "read_entry", "write_entry"]
+
+_SEAL = "tissue cache entry"
+Arrays = dict[str, NDArray[np.generic]]
+
+
+def cache_folder() -> Path:
+    """Where computed arrays are kept: ``TISSUE_CACHE`` if it is set, else the user's cache folder."""
+    named = os.environ.get("TISSUE_CACHE")
+    if named:
+        return Path(named)
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", Path.home())) / "tissue"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "tissue"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tissue"
+
+
+def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) -> Arrays:
+    """Arrays from the cache, or made now and put there.
+
+    Parameters
+    ----------
+    kind
+        What they are, in a word: the start of the file's name. Change it with the meaning of the arrays.
+    key
+        Everything they depend on: arrays by their bytes, all else by its ``repr``.
+    make
+        Computes them.
+
+    Notes
+    -----
+    A file holds beside its arrays the version of the code that made them (that of tissue, and the module of ``make``),
+    their kinds, their shapes and a checksum. One that does not fit, or cannot be read, is made again. A folder that
+    cannot be written is done without.
+    """
+    digest = hashlib.blake2b(digest_size=16)
+    for part in key:
+        if isinstance(part, np.ndarray):
+            digest.update(f"{part.dtype}{part.shape}".encode())
+            digest.update(np.ascontiguousarray(part).tobytes())
+        else:
+            digest.update(repr(part).encode())
+    path = cache_folder() / f"{kind}-{digest.hexdigest()}.npz"
+    code = _code(make)
+    kept = _read(path, code)
+    if kept is not None:
+        return kept
+    arrays = {name: np.asarray(array) for name, array in make().items()}
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(path) as beside:
+            sealed: dict[str, Any] = {_SEAL: np.array(_seal(arrays, code)), **arrays}
+            np.savez(beside, **sealed)
+    except OSError:
+        pass
+    return arrays
+
+
+def read_entry(path: Path) -> str | None:
+    """Text of a cache entry; None where there is none, or one that is damaged or of another version of tissue."""
+    try:
+        head, _, text = path.read_bytes().decode("utf-8").partition("\n")
+    except (OSError, UnicodeDecodeError):
+        return None
+    return text if head == _head(text) else None
+
+
+def write_entry(path: Path, text: str) -> None:
+    """Keep text under a first line with the version of tissue and a checksum; a reader never sees half of it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as beside:
+        beside.write_bytes(f"{_head(text)}\n{text}".encode())
+
+
+def _head(text: str) -> str:
+    return f"# {_SEAL} {package_version()} {hashlib.blake2b(text.encode(), digest_size=16).hexdigest()}"
+
+
+def _read(path: Path, code: str) -> Arrays | None:
+    """Arrays of a file that is whole and was written by the same code, else None."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+            return arrays if str(arrays.pop(_SEAL)) == _seal(arrays, code) else None
+    except FileNotFoundError:
+        return None
+    except Exception:  # a damaged archive raises many kinds, and is made again
+        return None
+
+
+def _seal(arrays: Arrays, code: str) -> str:
+    """What a file states of its arrays, as JSON: code, kinds, shapes and a checksum."""
+    checksum = hashlib.blake2b(digest_size=16)
+    for array in arrays.values():
+        checksum.update(np.ascontiguousarray(array).tobytes())
+    described = {name: [array.dtype.str, array.shape] for name, array in arrays.items()}
+    return json.dumps({"format": 1, "code": code, "arrays": described, "checksum": checksum.hexdigest()})
+
+
+def _code(make: Callable[[], Arrays]) -> str:
+    """Version of tissue and of the module in which a function stands."""
+    module = sys.modules.get(make.__module__)
+    try:
+        source = Path(module.__file__).read_bytes() if module is not None and module.__file__ else b""
+    except OSError:
+        source = b""
+    return f"{package_version()} {hashlib.blake2b(source, digest_size=8).hexdigest()}"

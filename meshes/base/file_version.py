@@ -1,0 +1,63 @@
+"""Which version of its format and of tissue a file carries, and whether this version of tissue reads it."""
+
+from collections.abc import Mapping
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from meshes.base.errors import InputError
+
+__all__ = ["package_version", "require_version"]
+
+
+@cache
+def package_version() -> str:
+    """Version of this library, which its files carry."""
+    try:
+        return version("tissue-sim")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def require_version(
+    what: str,
+    held: Mapping[str, Any],
+    newest: int,
+    *,
+    where: object,
+    remedy: str,
+    key: str = "format",
+    oldest: int = 1,
+) -> int:
+    """Return the version of a file's format if this version of tissue reads it.
+
+    Parameters
+    ----------
+    what
+        Name of the file as a person knows it.
+    held
+        What the file states of itself: its format's version under ``key``, and ``tissue``, the version that wrote it.
+    newest, oldest
+        Versions that are read.
+    where
+        The file.
+    remedy
+        What to do with one that is older.
+
+    Raises
+    ------
+    InputError
+        If the version is none, older or newer; names both versions and what wrote the file.
+    """
+    stated = held.get(key)
+    if isinstance(stated, bool) or not isinstance(stated, int) or stated < 1:
+        raise InputError(f"{what} must state the version of its format, got {str(stated)[:40]} in {where}: {remedy}")
+    if stated > newest:
+        writer = str(held.get("tissue", "a later version"))[:40]
+        raise InputError(
+            f"{what} must be of format {newest} or older, got {stated}, written by tissue {writer}, in {where}: read "
+            "it with that version of tissue"
+        )
+    if stated < oldest:
+        raise InputError(f"{what} must be of format {oldest} or newer, got {stated} in {where}: {remedy}")
+    return stated

@@ -1,0 +1,181 @@
+"""Parse a file in a process of its own: the parsers of some libraries end the process they run in on a damaged file.
+
+The child runs one named function and sends plain numbers back through a pipe: a line of JSON, then the bytes of the
+arrays. It is ended when it takes too long or too much memory, and ends with the process that started it.
+"""
+
+import faulthandler
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from threading import Event, Thread
+from time import monotonic
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.child_process import kill_with_parent, python_command, start_code
+from meshes.base.errors import DamagedFileError, InputError
+
+__all__ = ["Parsed", "parse_apart"]
+
+_START = start_code("meshes.base.parse_apart", "_serve")
+_LONGEST_S, _BYTES_A_SECOND = 60.0, 1_000_000
+_LEAST_BYTES, _BYTES_A_BYTE = 2 << 30, 64
+"""Memory that a parser may take at least, and for each byte of the file: label images shrink to a hundredth."""
+_LOOK_EVERY_S, _LAST_S = 0.05, 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Parsed:
+    """What a parser found.
+
+    Attributes
+    ----------
+    facts
+        What JSON can hold, by name.
+    arrays
+        Arrays of numbers or truths, by name.
+    """
+
+    facts: dict[str, Any]
+    arrays: dict[str, NDArray[Any]]
+
+
+def parse_apart(
+    parser: str, file: Path, *, what: str, remedy: str, longest_s: float | None = None, **options: Any
+) -> Parsed:
+    """Run a parser on a file in a process of its own.
+
+    Parameters
+    ----------
+    parser
+        ``module:function`` of this checkout. The function takes the path and the options, and returns a pair: a
+        dictionary of what JSON can hold, and a dictionary of arrays. It may raise InputError, or DamagedFileError
+        with what is wrong; any other exception means that the file is damaged, its text is of no use to a person.
+    file
+        File, or folder of files.
+    what, remedy
+        What the file should be ("VTK surface"), and what to do where it is not.
+    longest_s
+        How long it may take [s]; None: 60 s and a second for each megabyte.
+    options
+        Further arguments of the function, what JSON can hold.
+
+    Raises
+    ------
+    InputError
+        As the function; or if it fails, crashes, or takes too long or too much memory.
+    """
+    if not sys.executable:
+        raise InputError(
+            f"file must be read by a second Python, which this one cannot start, got {file.name}: read it from the "
+            "command line"
+        )
+    size = sum(each.stat().st_size for each in (file.rglob("*") if file.is_dir() else [file]) if each.is_file())
+    limit_s = longest_s if longest_s is not None else _LONGEST_S + size / _BYTES_A_SECOND
+    request = json.dumps([parser, str(file.absolute()), options])
+    command = python_command(_START, request, str(os.getpid()), str(limit_s))
+    with subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    ) as process:
+        watch = _Watch(process, limit_s, max(_LEAST_BYTES, _BYTES_A_BYTE * size))
+        try:
+            assert process.stdout is not None
+            answer, arrays = _receive(process.stdout)
+        except (ValueError, MemoryError) as problem:
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(_LAST_S)  # its pipe closes before it has ended
+            process.kill()
+            process.wait()
+            reason = watch.reason or ("it takes too much memory" if isinstance(problem, MemoryError) else "")
+            reason = reason or f"its parser crashed with exit code {process.returncode}"
+            raise InputError(f"file must be a readable {what}, got {file.name} ({reason}): {remedy}") from None
+        except BaseException:
+            process.kill()
+            raise
+        finally:
+            watch.done.set()
+    if "refused" in answer:
+        raise InputError(answer["refused"])
+    if "problem" in answer:
+        raise InputError(f"file must be a readable {what}, got {file.name} ({answer['problem']}): {remedy}")
+    return Parsed(answer["facts"], arrays)
+
+
+class _Watch:
+    """Ends a process that takes too long or too much memory; `reason` names which."""
+
+    def __init__(self, process: subprocess.Popen[bytes], longest_s: float, most_bytes: int) -> None:
+        import psutil
+
+        self.reason, self.done = "", Event()
+        most_bytes = min(most_bytes, int(0.8 * psutil.virtual_memory().available))
+
+        def end_when_over() -> None:
+            end = monotonic() + longest_s
+            while not self.done.wait(_LOOK_EVERY_S):
+                try:
+                    taken = psutil.Process(process.pid).memory_info().rss
+                except psutil.Error:
+                    return  # it has ended
+                if monotonic() > end:
+                    self.reason = f"its parser took longer than {longest_s:g} s"
+                elif taken > most_bytes:
+                    self.reason = f"its parser took more than {most_bytes / 2**30:.2g} GiB of memory"
+                if self.reason:
+                    process.kill()
+                    return
+
+        Thread(target=end_when_over, daemon=True).start()
+
+
+def _receive(answers: IO[bytes]) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """The child's answer; ValueError where it is cut short."""
+    answer: dict[str, Any] = json.loads(answers.readline() or b"{")
+    arrays = {}
+    for name, kind, shape in answer.get("arrays", ()):
+        array = np.empty(shape, dtype=np.dtype(kind))
+        if array.dtype.hasobject:
+            raise ValueError(kind)
+        if array.size and answers.readinto(array.reshape(-1).view(np.uint8).data) != array.nbytes:  # type: ignore[attr-defined]
+            raise ValueError(name)
+        arrays[name] = array
+    return answer, arrays
+
+
+def _serve() -> None:
+    """Parse in this process, which is the child, what the command line asks for; answer on the standard output."""
+    request, parent, limit_s = sys.argv[1:]
+    faulthandler.dump_traceback_later(2.0 * float(limit_s), exit=True)  # where nobody is left to end it
+    kill_with_parent()
+    if sys.platform.startswith("linux") and os.getppid() != int(parent):
+        return
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what the libraries print goes where nobody looks
+    name, file, options = json.loads(request)
+    module, function = name.split(":")
+    arrays: Mapping[str, NDArray[Any]] = {}
+    try:
+        facts, arrays = getattr(import_module(module), function)(Path(file), **options)
+        arrays = {key: np.ascontiguousarray(array) for key, array in arrays.items()}
+        answer = {"facts": facts, "arrays": [(key, each.dtype.str, each.shape) for key, each in arrays.items()]}
+    except InputError as problem:
+        answer = {"refused": str(problem)}
+    except DamagedFileError as problem:
+        answer = {"problem": " ".join(str(problem).split())[:160]}
+    except Exception:  # the libraries raise many kinds, none documented
+        answer, arrays = {"problem": "it is damaged or cut off"}, {}
+    answers.write(json.dumps(answer).encode() + b"\n")
+    for array in arrays.values():
+        if array.size:
+            answers.write(array.reshape(-1).view(np.uint8).data)
+    answers.flush()
+    os._exit(0)  # a library damaged by the file must not hang while it is taken down

@@ -1,0 +1,86 @@
+"""Where the frame of a scene lies in the frame of the file that its anatomy came from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+
+__all__ = ["Placement"]
+
+_ORTHONORMAL = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """A rigid motion between a file's frame and the scene's, and the unit of the file.
+
+    The file's frame is that of its coordinates: of a surface as they are stored, of an image its patient frame (LPS).
+
+    Attributes
+    ----------
+    origin_mm
+        The scene's origin in the file's frame [mm], shape (3,).
+    rotation
+        The scene's axes as columns in the file's frame, shape (3, 3), right-handed.
+    unit_mm
+        Length of a unit of the file [mm].
+    """
+
+    origin_mm: NDArray[np.float64]
+    rotation: NDArray[np.float64]
+    unit_mm: float = 1.0
+
+    @property
+    def file_to_scene_mm(self) -> NDArray[np.float64]:
+        """Homogeneous matrix from the file's coordinates, in mm, to the scene's [mm], shape (4, 4)."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = self.rotation.T
+        matrix[:3, 3] = -self.rotation.T @ self.origin_mm
+        return matrix
+
+    def to_file(self, points_mm: NDArray[Any]) -> NDArray[np.float64]:
+        """Points of the scene [mm], shape (n, 3), in the file's frame and unit."""
+        return (self.origin_mm + np.asarray(points_mm, dtype=np.float64) @ self.rotation.T) / self.unit_mm
+
+    def to_scene(self, points: NDArray[Any]) -> NDArray[np.float64]:
+        """Points in the file's frame and unit, shape (n, 3), in the scene's frame [mm]."""
+        return (np.asarray(points, dtype=np.float64) * self.unit_mm - self.origin_mm) @ self.rotation
+
+    def to_record(self) -> dict[str, Any]:
+        """Matrix and unit as plain numbers, as a run's summary holds them."""
+        return {"file_to_scene_mm": self.file_to_scene_mm.tolist(), "file_unit_mm": float(self.unit_mm)}
+
+    @classmethod
+    def from_record(cls, record: Mapping[str, Any]) -> Placement:
+        """Placement of a run's summary.
+
+        Raises
+        ------
+        InputError
+            If the record holds no rigid motion or no unit.
+        """
+        try:
+            matrix = np.array(record["file_to_scene_mm"], dtype=np.float64)
+            unit = float(record["file_unit_mm"])
+            turn = matrix[:3, :3]
+            rigid = (
+                matrix.shape == (4, 4)
+                and np.isfinite(matrix).all()
+                and np.array_equal(matrix[3], (0.0, 0.0, 0.0, 1.0))
+                and np.abs(turn @ turn.T - np.eye(3)).max() < _ORTHONORMAL
+                and np.linalg.det(turn) > 0.0
+            )
+        except (KeyError, TypeError, ValueError, IndexError):
+            rigid, unit = False, 0.0
+        if not (rigid and np.isfinite(unit) and unit > 0.0):
+            raise InputError(
+                "placement must hold file_to_scene_mm, a rigid motion of 4 x 4 numbers, and file_unit_mm, got "
+                f"{record!r:.200}: run the scene again"
+            )
+        return cls(-turn.T @ matrix[:3, 3], turn.T, unit)

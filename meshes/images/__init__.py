@@ -1,0 +1,1 @@
+"""Image files: CT and micro-CT in the frame LPS, mm."""

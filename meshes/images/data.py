@@ -1,0 +1,136 @@
+"""The voxels of an image file: as many as its header states, and where compressed with a checksum that fits."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+
+__all__ = ["first_bytes", "is_gzip", "read_voxels", "require_size", "require_whole_stream", "scaled"]
+
+_GZIP = b"\x1f\x8b"
+_ZLIB_OR_GZIP = 47
+_DENSEST = 1100
+"""Deflate makes at most 1032 bytes of one."""
+_PIECE = 1 << 17
+
+
+def first_bytes(path: Path, count: int) -> bytes:
+    """The first bytes of a file, decompressed where it starts as gzip does; fewer where it is shorter."""
+    found = b""
+    for piece in _plain(path, 0, is_gzip(path)):
+        found += piece
+        if len(found) >= count:
+            break
+    return found[:count]
+
+
+def read_voxels(
+    path: Path, dtype: np.dtype[Any], shape: tuple[int, ...], *, start: int = 0, skip: int = 0, compressed: bool
+) -> NDArray[Any]:
+    """Read a file to its end as an array, first index fastest.
+
+    Parameters
+    ----------
+    start
+        Byte of the file at which its data, zlib or gzip where `compressed`, begin.
+    skip
+        Bytes of the inflated data before the voxels.
+
+    Raises
+    ------
+    InputError
+        If it holds fewer or more bytes than that, or is damaged.
+    """
+    needed = dtype.itemsize * int(np.prod(shape, dtype=object))
+    if needed > (_DENSEST if compressed else 1) * path.stat().st_size:
+        raise InputError(_sizes_differ(path, needed, f"a file of {path.stat().st_size}"))
+    values = np.empty(needed // dtype.itemsize, dtype=dtype)
+    view, at = memoryview(cast(bytes, values.view(np.uint8))), -skip
+    for piece in _plain(path, start, compressed):
+        if at < 0:
+            at, piece = at + len(piece), piece[-at:]
+            if at <= 0:
+                continue
+            at = 0
+        if at + len(piece) > needed:
+            raise InputError(_sizes_differ(path, needed, "more"))
+        view[at : at + len(piece)] = piece
+        at += len(piece)
+    if at < needed:
+        raise InputError(_sizes_differ(path, needed, str(max(at, 0))))
+    return values.reshape(shape, order="F").astype(dtype.newbyteorder("="), copy=False)
+
+
+def require_size(path: Path, start: int, needed: int) -> None:
+    """Refuse a file that does not hold exactly `needed` bytes after byte `start`."""
+    found = path.stat().st_size - start
+    if found != needed:
+        raise InputError(_sizes_differ(path, needed, str(max(found, 0))))
+
+
+def require_whole_stream(path: Path, start: int, needed: int) -> None:
+    """Refuse zlib or gzip data from byte `start` of a file that are damaged or not `needed` bytes long."""
+    found = 0
+    for piece in _plain(path, start, True):
+        found += len(piece)
+        if found > needed:
+            raise InputError(_sizes_differ(path, needed, "more"))
+    if found < needed:
+        raise InputError(_sizes_differ(path, needed, str(found)))
+
+
+def scaled(values: NDArray[Any], slope: float, intercept: float) -> NDArray[Any]:
+    """Values times slope plus intercept; as they are where that changes nothing, else float32 or float64."""
+    if (slope, intercept) == (1.0, 0.0):
+        return values
+    kind = np.float32 if values.dtype.itemsize <= 2 or values.dtype == np.float32 else np.float64
+    found: Any = values.astype(kind)
+    found *= kind(slope)
+    found += kind(intercept)
+    return found
+
+
+def is_gzip(path: Path) -> bool:
+    """Whether a file starts as gzip does."""
+    with path.open("rb") as stream:
+        return stream.read(2) == _GZIP
+
+
+def _plain(path: Path, start: int, compressed: bool) -> Iterator[bytes]:
+    """The bytes of a file from byte `start`, decompressed and held to their checksum, in pieces."""
+    with path.open("rb") as stream:
+        stream.seek(start)
+        if not compressed:
+            while piece := stream.read(_PIECE):
+                yield piece
+            return
+        inflate = zlib.decompressobj(_ZLIB_OR_GZIP)
+        while packed := stream.read(_PIECE):
+            while packed:
+                try:
+                    yield inflate.decompress(packed, _PIECE)
+                except zlib.error as problem:
+                    raise InputError(_damaged(path)) from problem
+                packed = inflate.unconsumed_tail
+                if inflate.eof:
+                    packed = inflate.unused_data.lstrip(b"\0")  # gzip allows further members, and zeros behind
+                    if not packed:
+                        break
+                    inflate = zlib.decompressobj(_ZLIB_OR_GZIP)
+        if not inflate.eof:
+            raise InputError(_damaged(path))
+
+
+def _damaged(path: Path) -> str:
+    return f"file must be whole, got {path.name} whose compressed data are damaged or cut off: export it again"
+
+
+def _sizes_differ(path: Path, needed: int, found: str) -> str:
+    return f"file must hold the {needed} bytes of voxels its header states, got {found} in {path.name}: export it again"

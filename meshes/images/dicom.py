@@ -1,0 +1,227 @@
+"""A DICOM series as one image: headers by pydicom, pixels by GDCM, slices sorted by place into an even stack.
+
+Nothing that names a patient leaves this module: of the headers only `_READ` is read, size, place, scale and series, and
+a message counts files in the order of their names instead of naming them, because exporters write names, dates and
+identifiers into those. The folder's name is the user's.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from meshes.images.dicom_stack import Slice, stack_step
+from meshes.images.frame import StoredImage
+from meshes.images.itk import array_of, quiet_itk
+
+__all__ = ["read_dicom"]
+
+_NOT_SLICES = (".txt", ".xml", ".json", ".csv", ".md", ".htm", ".html", ".pdf", ".jpg", ".jpeg", ".png", ".ini", ".inf")
+_READ = (
+    "SeriesInstanceUID",
+    "SeriesNumber",
+    "NumberOfFrames",
+    "SamplesPerPixel",
+    "PhotometricInterpretation",
+    "Rows",
+    "Columns",
+    "BitsAllocated",
+    "PixelRepresentation",
+    "ImagePositionPatient",
+    "ImageOrientationPatient",
+    "PixelSpacing",
+    "GantryDetectorTilt",
+    "PixelPaddingValue",
+    "PixelPaddingRangeLimit",
+    "RescaleIntercept",
+    "RescaleSlope",
+    "PixelData",
+)
+_MAGIC, _PREAMBLE = b"DICM", 128
+_UNDEFINED_LENGTH = 0xFFFFFFFF
+
+
+def read_dicom(folder: Path) -> StoredImage:
+    """Read the one series that a folder holds, each slice with its own slope and intercept.
+
+    Voxels of the padding value take the lowest other value of their slice.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no series or several, a file is damaged, or the slices are no even stack of grey images.
+    """
+    files = [file for file in sorted(folder.iterdir()) if _may_be_slice(file)]
+    if not files:
+        raise InputError(
+            f"file must hold images, got the folder {folder.name} without DICOM files or TIFF slices: "
+            "give the folder that holds the slices"
+        )
+    places = [f"file {k + 1} of {len(files)} in the order of names in {folder.name}" for k in range(len(files))]
+    headers = [_header(file, place) for file, place in zip(files, places, strict=True)]
+    _require_one_series(headers, folder)
+    slices = [_slice(header, place) for header, place in zip(headers, places, strict=True)]
+    order, step, notes = stack_step(slices, folder.name)
+    planes, padded = [], 0
+    for k in order:
+        plane = _pixels(files[k], slices[k])
+        padded += _replace_padding(plane, headers[k], places[k])
+        planes.append(plane)
+    if padded:
+        notes.append(f"{padded} voxels of {folder.name} are padding: they take the lowest value of their slice.")
+    if any(header["RescaleSlope"] is None for header in headers):
+        notes.append(f"{folder.name} states no rescale slope: its grey values are taken as they are stored.")
+    first = slices[order[0]]
+    spacing = float(np.linalg.norm(step))
+    directions = np.column_stack([first.row, first.column, step / spacing])
+    values = np.concatenate(planes, axis=0).T
+    return StoredImage(values, (*first.pixel_mm, spacing), directions, first.position_mm, tuple(notes))
+
+
+def _may_be_slice(file: Path) -> bool:
+    """Whether a file of the folder must be a slice: all but the index and what is plainly something else."""
+    known = file.suffix.lower() in _NOT_SLICES or file.name.startswith(".") or file.name.upper() == "DICOMDIR"
+    return file.is_file() and not known
+
+
+def _header(file: Path, place: str) -> dict[str, Any]:
+    """The elements `_READ` of a file by name, but for the pixels, of which only the length is checked."""
+    import pydicom
+
+    with file.open("rb") as stream:
+        head = stream.read(_PREAMBLE + len(_MAGIC))
+    if head[_PREAMBLE:] != _MAGIC:
+        raise InputError(f"a DICOM folder must hold DICOM files only, got another kind as {place}: take it out")
+    try:
+        with warnings.catch_warnings():  # they quote what they complain of
+            warnings.simplefilter("ignore")
+            dataset = pydicom.dcmread(file, specific_tags=list(_READ))
+            compressed = dataset.file_meta.TransferSyntaxUID.is_compressed
+            pixels: Any = dataset.get_item("PixelData")
+            in_parts = getattr(pixels, "length", None) == _UNDEFINED_LENGTH or getattr(
+                pixels, "is_undefined_length", False
+            )
+            found = len(pixels.value)
+            del dataset["PixelData"]
+            header = {key: dataset.get(key) for key in _READ}
+            counts = [header[key] for key in ("Rows", "Columns", "SamplesPerPixel", "BitsAllocated")]
+            needed = int(np.prod([int(n) for n in counts], dtype=object)) // 8 * int(header["NumberOfFrames"] or 1)
+    except Exception as problem:  # damaged headers raise many kinds
+        raise InputError(_damaged(place)) from problem
+    if compressed != in_parts:
+        raise InputError(_damaged(place))
+    if not compressed and found != needed + needed % 2:
+        raise InputError(
+            f"a DICOM slice must hold the {needed} bytes of pixels that its header states, got {found} in {place}: "
+            "export the series again"
+        )
+    return header
+
+
+def _damaged(place: str) -> str:
+    return f"a DICOM slice must be whole and readable, got a damaged one, {place}: export the series again"
+
+
+def _require_one_series(headers: Sequence[Mapping[str, Any]], folder: Path) -> None:
+    """Refuse several series, distinguished by identifier and number but named by number and slices alone."""
+    found = Counter((str(header["SeriesInstanceUID"]), _whole(header)) for header in headers)
+    if len(found) > 1:
+        named = ", ".join(f"number {number} of {count} slices" for (_, number), count in sorted(found.items()))
+        raise InputError(
+            f"a DICOM folder must hold one series, got {len(found)} in {folder.name} ({named}): "
+            "give each a folder of its own"
+        )
+
+
+def _whole(header: Mapping[str, Any]) -> str:
+    """The number of a series; nothing but a short whole number may pass from a header into a message."""
+    try:
+        number = int(header["SeriesNumber"])
+    except (TypeError, ValueError):
+        return "?"
+    return str(number) if abs(number) < 1_000_000 else "?"
+
+
+def _slice(header: Mapping[str, Any], place: str) -> Slice:
+    """Place and size of a slice."""
+    if int(header["NumberOfFrames"] or 1) != 1:
+        raise InputError(
+            f"a DICOM slice must hold one frame, got several in {place}: export one file a slice, or as .nrrd"
+        )
+    if (header["PhotometricInterpretation"], header["SamplesPerPixel"]) != ("MONOCHROME2", 1):
+        raise InputError(
+            f"a DICOM slice must hold grey values (MONOCHROME2), got other values in {place}: take it out, or export "
+            "grey values"
+        )
+    both = _numbers(header, "ImageOrientationPatient", 6, place)
+    spacing = _numbers(header, "PixelSpacing", 2, place)
+    return Slice(
+        position_mm=_numbers(header, "ImagePositionPatient", 3, place),
+        row=both[:3],
+        column=both[3:],
+        pixel_mm=(float(spacing[1]), float(spacing[0])),
+        size=(int(header["Columns"]), int(header["Rows"])),
+        tilt_deg=_number(header, "GantryDetectorTilt", 0.0, place),
+        place=place,
+    )
+
+
+def _numbers(header: Mapping[str, Any], key: str, count: int, place: str) -> NDArray[np.float64]:
+    """The finite numbers of an element."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = np.atleast_1d(np.array(header[key], dtype=np.float64))
+    except (TypeError, ValueError, OverflowError):
+        found = np.empty(0)
+    if found.shape != (count,) or not np.isfinite(found).all():
+        raise InputError(
+            f"{key} must be {count} finite {'number' if count == 1 else 'numbers'}, got none or others in {place}: "
+            "export the series again"
+        )
+    return found
+
+
+def _number(header: Mapping[str, Any], key: str, absent: float, place: str) -> float:
+    """One number of an element, or what stands for it where it is absent or empty."""
+    return absent if header[key] in (None, "") else float(_numbers(header, key, 1, place)[0])
+
+
+def _pixels(file: Path, stated: Slice) -> NDArray[Any]:
+    """Grey values of a slice, slope and intercept applied, shape (1, rows, columns)."""
+    import SimpleITK
+
+    quiet_itk()
+    reader = SimpleITK.ImageFileReader()
+    reader.SetFileName(str(file))
+    reader.SetImageIO("GDCMImageIO")
+    try:
+        plane = array_of(reader.Execute())
+    except (RuntimeError, MemoryError) as problem:
+        raise InputError(_damaged(stated.place)) from problem
+    if plane.shape != (*stated.size, 1):
+        raise InputError(_damaged(stated.place))
+    return plane.T
+
+
+def _replace_padding(plane: NDArray[Any], header: Mapping[str, Any], place: str) -> int:
+    """Give voxels of the padding value the lowest other value, in place, and count them."""
+    if header["PixelPaddingValue"] in (None, ""):
+        return 0
+    first = _number(header, "PixelPaddingValue", 0.0, place)
+    last = _number(header, "PixelPaddingRangeLimit", first, place)
+    slope, intercept = (_number(header, "RescaleSlope", 1.0, place), _number(header, "RescaleIntercept", 0.0, place))
+    low, high = sorted((slope * first + intercept, slope * last + intercept))
+    half = 0.5 * abs(slope)
+    padding = (plane > low - half) & (plane < high + half)
+    if not padding.any() or padding.all():
+        return 0
+    plane[padding] = plane[~padding].min()
+    return int(np.count_nonzero(padding))

@@ -1,0 +1,139 @@
+"""Slices of a DICOM series put in order: one even stack, sheared at most by the tilt of the gantry that they state."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+
+__all__ = ["Slice", "stack_step"]
+
+_PARALLEL = 1e-4
+_UNIT = 1e-3
+_UNEVEN = 0.05
+"""Farthest a slice may lie from its place in an even stack, in spacings: headers round positions."""
+_TILT_DEG = 0.5
+_SHEAR_DEG = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Slice:
+    """Place and size of a slice.
+
+    Attributes
+    ----------
+    position_mm
+        Centre of the first pixel [mm, LPS], shape (3,).
+    row, column
+        Directions of growing column and row number, unit vectors [LPS].
+    pixel_mm
+        Distance of pixels along `row` and `column` [mm].
+    size
+        Pixels along `row` and `column`.
+    tilt_deg
+        Tilt of the gantry as stated [degrees].
+    place
+        What a message calls the slice.
+    """
+
+    position_mm: NDArray[np.float64]
+    row: NDArray[np.float64]
+    column: NDArray[np.float64]
+    pixel_mm: tuple[float, float]
+    size: tuple[int, ...]
+    tilt_deg: float
+    place: str
+
+
+def stack_step(slices: Sequence[Slice], source: str) -> tuple[list[int], NDArray[np.float64], list[str]]:
+    """Order of the slices along their normal, the step from one to the next [mm, LPS], and notes on it.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two, they differ in size, pixels or orientation, lie in one place or unevenly, or state
+        a tilt that their positions do not show.
+    """
+    if len(slices) < 2:
+        raise InputError(f"a DICOM folder must hold two slices or more, got one in {source}: give the whole series")
+    first = slices[0]
+    normal = _normal(first)
+    for other in slices[1:]:
+        turned = max(np.abs(first.row - other.row).max(), np.abs(first.column - other.column).max())
+        if (
+            other.size != first.size
+            or not np.allclose(other.pixel_mm, first.pixel_mm, rtol=_UNIT)
+            or turned > _PARALLEL
+        ):
+            raise InputError(
+                f"slices must have one size, pixel spacing and orientation, got another in {other.place}: "
+                "take localisers and reformatted images out of the folder"
+            )
+    heights = np.array([other.position_mm @ normal for other in slices])
+    order = [int(k) for k in np.argsort(heights, kind="stable")]
+    _require_even(heights[order], source)
+    places = np.array([slices[k].position_mm for k in order])
+    step = (places[-1] - places[0]) / (len(slices) - 1)
+    even = places[0] + np.arange(len(slices))[:, None] * step
+    gap = float(step @ normal)
+    if np.abs(places - even).max() > _UNEVEN * gap:
+        raise InputError(
+            f"slices must lie on one line, got positions that stray {np.abs(places - even).max():.3g} mm from it in "
+            f"{source}: export one reconstruction"
+        )
+    return order, step, _shear_notes(step, normal, max((s.tilt_deg for s in slices), key=abs), source)
+
+
+def _normal(first: Slice) -> NDArray[np.float64]:
+    """Unit normal of a slice whose directions are sound."""
+    lengths = np.linalg.norm([first.row, first.column], axis=1)
+    if np.abs(lengths - 1.0).max() > _UNIT or abs(float(first.row @ first.column)) > _UNIT:
+        raise InputError(
+            f"the orientation of a DICOM slice must be two unit vectors at a right angle, got other in {first.place}: "
+            "export the series again"
+        )
+    normal: NDArray[np.float64] = np.cross(first.row, first.column)
+    return normal / np.linalg.norm(normal)
+
+
+def _require_even(heights: NDArray[np.float64], source: str) -> None:
+    """Refuse slices in one place, missing ones, and uneven spacing."""
+    gaps = np.diff(heights)
+    usual = float(gaps.min())
+    if usual <= _UNEVEN * max(float(np.median(gaps)), 1e-6):
+        raise InputError(
+            f"slices must each lie in a place of their own, got two at one place in {source}: leave one phase or "
+            "reconstruction in the folder"
+        )
+    widest = float(gaps.max())
+    if widest - usual <= _UNEVEN * widest:
+        return
+    times = gaps / usual
+    if (np.abs(times - np.rint(times)) <= _UNEVEN * times).all():
+        missing = int(np.rint(times).sum()) - len(gaps)
+        raise InputError(
+            f"slices must follow each other without a gap, got {widest:.4g} mm where others are {usual:.4g} mm apart "
+            f"in {source}, {missing} missing: export the whole series"
+        )
+    raise InputError(
+        f"slices must be evenly spaced, got distances of {gaps.min():.4g} to {widest:.4g} mm in {source}: resample the "
+        "series, or export the part that is even"
+    )
+
+
+def _shear_notes(step: NDArray[np.float64], normal: NDArray[np.float64], tilt_deg: float, source: str) -> list[str]:
+    """Note that a tilted gantry is undone; refuse a tilt that the positions do not show."""
+    along = float(step @ normal)
+    shear_deg = float(np.degrees(np.arctan2(np.linalg.norm(step - along * normal), along)))
+    if abs(tilt_deg) > _TILT_DEG and abs(abs(tilt_deg) - shear_deg) > _TILT_DEG:
+        raise InputError(
+            f"positions must show the tilt of the gantry, got {tilt_deg:g} degrees stated and {shear_deg:.2g} shown in "
+            f"{source}: export the series resampled to straight slices"
+        )
+    if shear_deg <= _SHEAR_DEG:
+        return []
+    return [f"The slices of {source} are sheared by {shear_deg:.3g} degrees, as a tilted gantry leaves them."]

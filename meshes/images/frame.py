@@ -1,0 +1,207 @@
+"""The world frame of images: LPS in mm. An image stored along other axes is turned, or resampled, into it.
+
+LPS is the frame of DICOM and ITK: +x towards the patient's left, +y towards the back, +z towards the head, in mm.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import permutations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+
+__all__ = ["Image", "StoredImage", "along_lps"]
+
+_FARTHEST_VOXELS = 0.01
+_FLATTEST = 1e-3
+_LARGEST_MM = 10_000.0
+_SMALLEST_MM = 1e-5
+_FARTHEST_ORIGIN_MM = 1e6
+_MOST_VOXELS = 1e9
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """Grey values or labels on a regular grid along the axes of LPS: +x left, +y back, +z head, in mm.
+
+    Voxel (i, j, k) is centred at ``origin_mm + spacing_mm * (i, j, k)``, whatever the order and direction of the axes
+    in the file. TIFF slices hold no frame: theirs is that of the array, columns, rows and slices from (0, 0, 0).
+
+    Attributes
+    ----------
+    values
+        Grey values or labels, shape (nx, ny, nz), any real type, any memory order.
+    spacing_mm
+        Distance between neighbours along x, y and z [mm].
+    source
+        File or folder name.
+    notes
+        What was assumed or done, a sentence each.
+    origin_mm
+        Centre of voxel (0, 0, 0) [mm, LPS].
+    """
+
+    values: NDArray[Any]
+    spacing_mm: tuple[float, float, float]
+    source: str
+    notes: tuple[str, ...]
+    origin_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class StoredImage:
+    """An image as its file holds it: voxel (i, j, k) is centred at ``origin + directions @ (spacing * (i, j, k))``.
+
+    Attributes
+    ----------
+    values
+        Shape (ni, nj, nk).
+    spacing_mm
+        Distance between neighbours along each axis of the array [mm], as the header states it, unchecked.
+    directions
+        Direction of each axis of the array in LPS, unit vectors in the columns, shape (3, 3); at right angles or not.
+    origin_mm
+        Centre of voxel (0, 0, 0) [mm, LPS], shape (3,).
+    notes
+        What was assumed, a sentence each.
+    """
+
+    values: NDArray[Any]
+    spacing_mm: tuple[float, float, float]
+    directions: NDArray[np.float64]
+    origin_mm: NDArray[np.float64]
+    notes: tuple[str, ...] = ()
+
+
+def along_lps(stored: StoredImage, source: str, *, labels: bool = False) -> Image:
+    """Turn an image into the axes of LPS.
+
+    Axes along those of LPS in any order and direction: the array is transposed and flipped, nothing is interpolated.
+    Others: resampled, grey values by cubic splines and labels to the nearest, with a note; what lies outside the stored
+    image takes its lowest value (labels: 0).
+
+    Raises
+    ------
+    InputError
+        If the spacing or origin is no length, the axes lie in one plane, or the resampled image would not be workable.
+    """
+    _require_frame(stored, source)
+    order = _nearest_axes(stored.directions)
+    turned = (stored.directions * stored.spacing_mm)[:, order]
+    values = np.transpose(stored.values, order)
+    away = np.abs(turned - np.diag(np.diag(turned))) @ np.array(values.shape)
+    if (away > _FARTHEST_VOXELS * np.abs(np.diag(turned))).any():
+        return _resampled(stored, source, labels)
+    origin = stored.origin_mm.copy()
+    steps = np.diag(turned)
+    for axis in range(3):
+        if steps[axis] < 0.0:
+            origin[axis] += steps[axis] * (values.shape[axis] - 1)
+            values = np.flip(values, axis)
+    return Image(values, _triple(np.abs(steps)), source, stored.notes, _triple(origin))
+
+
+def _nearest_axes(directions: NDArray[np.float64]) -> tuple[int, ...]:
+    """For each axis of LPS the array's axis nearest to it, each once."""
+    return max(permutations(range(3)), key=lambda order: sum(abs(directions[k, order[k]]) for k in range(3)))
+
+
+def _resampled(stored: StoredImage, source: str, labels: bool) -> Image:
+    """The image on a grid along LPS that spans the stored one, spaced as that is along each direction."""
+    steps = stored.directions * stored.spacing_mm
+    inverse = np.linalg.inv(steps)
+    spacing = 1.0 / np.linalg.norm(inverse, axis=0)
+    shape = np.array(stored.values.shape)
+    corners = np.stack(np.meshgrid(*[(0, n - 1) for n in shape], indexing="ij"), axis=-1).reshape(-1, 3)
+    points = corners @ steps.T + stored.origin_mm
+    low, high = points.min(axis=0), points.max(axis=0)
+    count = np.ceil((high - low) / spacing - 1e-6).astype(int) + 1
+    if math.prod(count.tolist()) > _MOST_VOXELS:
+        raise InputError(
+            f"an image along oblique axes must leave at most {_MOST_VOXELS:.0e} voxels once resampled, got "
+            f"{math.prod(count.tolist()):.2g} in {source}: crop it, or resample it coarser along the patient's axes"
+        )
+    at = inverse * spacing, inverse @ (low - stored.origin_mm), tuple(count.tolist())
+    values = _sampled(stored.values, *at, order=0) if labels else _interpolated(stored.values.astype(np.float32), *at)
+    how = "to the nearest label" if labels else "by cubic splines"
+    note = (
+        f"The axes of {source} are oblique: resampled {how} along LPS, "
+        f"{count[0]} x {count[1]} x {count[2]} voxels of {spacing[0]:.4g} x {spacing[1]:.4g} x {spacing[2]:.4g} mm."
+    )
+    return Image(values, _triple(spacing), source, (*stored.notes, note), _triple(low))
+
+
+def _interpolated(
+    values: NDArray[np.float32], matrix: NDArray[np.float64], offset: NDArray[np.float64], shape: tuple[int, ...]
+) -> NDArray[np.float32]:
+    """Grey values at the points `matrix @ index + offset` of an array by cubic splines.
+
+    Linear interpolation lowers the peaks that are thin bone: of a CT's bone surface 2 % are then lost by more than half
+    a voxel, by splines 0.2 %. Splines overshoot, so no value leaves the range of the eight voxels around it.
+    """
+    from scipy.ndimage import maximum_filter, minimum_filter, spline_filter
+
+    coefficients = spline_filter(values, order=3, output=np.float32, mode="mirror")
+    splined = _sampled(coefficients, matrix, offset, shape, order=3, outside=float(values.min()))
+    within = _sampled(np.ones(values.shape, dtype=bool), matrix, offset, shape, order=0)
+    for limit, neighbours in ((np.maximum, minimum_filter), (np.minimum, maximum_filter)):
+        around = neighbours(values, size=2, origin=-1)  # of voxels i and i + 1 along each axis, at i
+        limit(splined, _sampled(around, matrix, offset - 0.5, shape, order=0, outside=None), out=splined, where=within)
+    return splined
+
+
+def _sampled(
+    values: NDArray[Any],
+    matrix: NDArray[np.float64],
+    offset: NDArray[np.float64],
+    shape: tuple[int, ...],
+    *,
+    order: int,
+    outside: float | None = 0.0,
+) -> NDArray[Any]:
+    """Values at the points `matrix @ index + offset`; outside the array a number, or (None) the nearest voxel's."""
+    from scipy.ndimage import affine_transform
+
+    sampled: NDArray[Any] = affine_transform(
+        values,
+        matrix,
+        offset,
+        shape,
+        order=order,
+        mode="nearest" if outside is None else "constant",
+        cval=outside or 0.0,
+        prefilter=False,
+    )
+    return sampled
+
+
+def _require_frame(stored: StoredImage, source: str) -> None:
+    """Refuse spacing, origin and directions that no image has."""
+    spacing = np.array(stored.spacing_mm)
+    if not (np.isfinite(spacing).all() and (spacing >= _SMALLEST_MM).all() and (spacing <= _LARGEST_MM).all()):
+        raise InputError(
+            f"spacing must be in [{_SMALLEST_MM:g}, {_LARGEST_MM:g}] mm, got {' x '.join(f'{s:g}' for s in spacing)} "
+            f"in {source}: mend the header, or set anatomy.spacing_mm"
+        )
+    if not (np.isfinite(stored.origin_mm).all() and (np.abs(stored.origin_mm) <= _FARTHEST_ORIGIN_MM).all()):
+        raise InputError(
+            f"the origin must be finite and within {_FARTHEST_ORIGIN_MM:g} mm, got "
+            f"({', '.join(f'{x:g}' for x in stored.origin_mm)}) in {source}: mend the header"
+        )
+    lengths = np.linalg.norm(stored.directions, axis=0)
+    if not np.allclose(lengths, 1.0, rtol=0.0, atol=_FLATTEST):
+        raise InputError(
+            f"directions must be of length 1, got {' x '.join(f'{n:g}' for n in lengths)} in {source}: mend the header"
+        )
+    if not abs(float(np.linalg.det(stored.directions))) >= _FLATTEST:
+        raise InputError(f"the axes must span space, got directions in one plane in {source}: mend the header")
+
+
+def _triple(numbers: NDArray[np.float64]) -> tuple[float, float, float]:
+    x, y, z = (float(number) + 0.0 for number in numbers)  # no minus before a zero
+    return x, y, z

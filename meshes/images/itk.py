@@ -1,0 +1,139 @@
+"""Voxels and place of an image file by ITK, and the lines of a text header, of which ITK leaves some aside."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from meshes.images.frame import StoredImage
+
+__all__ = ["array_of", "header_lines", "length_unit_mm", "numbers", "quiet_itk", "read_by_itk", "require_volume"]
+
+_LONGEST_HEADER = 1 << 20
+_UNITS_MM: Mapping[str, float] = {
+    **dict.fromkeys(("", "?", "mm", "millimeter", "millimetre", "millimeters", "millimetres"), 1.0),
+    **dict.fromkeys(("um", "µm", "micrometer", "micrometre", "micron", "microns"), 1e-3),
+    **dict.fromkeys(("cm", "centimeter", "centimetre"), 10.0),
+    **dict.fromkeys(("m", "meter", "metre"), 1000.0),
+}
+
+
+def header_lines(path: Path, separator: str, last: str) -> tuple[dict[str, str], int]:
+    """Read the `key separator value` lines of a header, keys in small letters, and the byte behind it.
+
+    Parameters
+    ----------
+    last
+        Key of the header's last line; an empty line ends it as well. The first line without a separator is kept
+        under the key "first".
+    """
+    with path.open("rb") as stream:
+        data = stream.read(_LONGEST_HEADER)
+    fields: dict[str, str] = {}
+    at = 0
+    while (end := data.find(b"\n", at)) >= 0:
+        line = data[at:end].decode("utf-8", "replace").strip()
+        at = end + 1
+        if not line:
+            break
+        key, found, value = line.partition(separator)
+        key = key.strip().lower()
+        if not found:
+            fields.setdefault("first", line)
+        elif key in fields:
+            raise InputError(f"a header must state every key once, got {_short(key)} twice in {path.name}: mend it")
+        elif not key.startswith("#"):
+            fields[key] = value.strip()
+        if key == last:
+            break
+    return fields, at
+
+
+def numbers(fields: Mapping[str, str], key: str, path: Path, *, positive: bool = False) -> list[float] | None:
+    """The finite numbers of a header line, None where it is not there.
+
+    Raises
+    ------
+    InputError
+        If a word of the line is no finite number, or none above 0 where they have to be.
+    """
+    if key not in fields:
+        return None
+    try:
+        found = [float(word) for word in fields[key].replace("(", " ").replace(")", " ").replace(",", " ").split()]
+    except ValueError:
+        found = [np.nan]
+    if not np.isfinite(found).all():
+        raise InputError(f"{key} must be finite numbers, got {_short(fields[key])} in {path.name}: mend the header")
+    if positive and min(found, default=0.0) <= 0.0:
+        raise InputError(f"{key} must be above 0, got {_short(fields[key])} in {path.name}: mend the header")
+    return found
+
+
+def length_unit_mm(words: Sequence[str], path: Path) -> float:
+    """Millimetres of the unit that a header states for its axes, of all the same one; mm where it states none."""
+    units = {word.strip('"').lower() for word in words}
+    if not units <= set(_UNITS_MM) or len({_UNITS_MM[unit] for unit in units}) > 1:
+        raise InputError(
+            f"the unit of the axes must be mm, um, cm or m, got {', '.join(sorted(_short(u) for u in units))} in "
+            f"{path.name}: export it in mm"
+        )
+    return _UNITS_MM[units.pop()] if units else 1.0
+
+
+def read_by_itk(path: Path, reader_name: str, *, unit_mm: float, notes: tuple[str, ...]) -> StoredImage:
+    """Read an image of one real number a voxel on three axes by a named reader of ITK, whose frame is LPS."""
+    import SimpleITK
+
+    quiet_itk()
+    reader = SimpleITK.ImageFileReader()
+    reader.SetFileName(str(path))
+    reader.SetImageIO(reader_name)
+    try:
+        reader.ReadImageInformation()
+        require_volume(reader, path.name)
+        image = reader.Execute()
+    except (RuntimeError, MemoryError, OverflowError, UnicodeError) as problem:
+        raise InputError(
+            f"file must be a readable image volume, got {path.name} whose header and voxels do not fit: export it again"
+        ) from problem
+    x, y, z = (unit_mm * s for s in image.GetSpacing())
+    directions = np.array(image.GetDirection(), dtype=np.float64).reshape(3, 3)
+    return StoredImage(array_of(image), (x, y, z), directions, unit_mm * np.array(image.GetOrigin()), notes)
+
+
+def require_volume(reader: Any, name: str) -> None:
+    """Refuse all but one real number a voxel on three axes."""
+    import SimpleITK
+
+    size = reader.GetSize()
+    kind = SimpleITK.GetPixelIDValueAsString(reader.GetPixelID())
+    if len(size) != 3 or reader.GetNumberOfComponents() != 1 or "complex" in kind or 0 in size:
+        raise InputError(
+            f"file must hold one number per voxel on three axes, got {' x '.join(map(str, size))} of {kind} in "
+            f"{name}: export one of its volumes"
+        )
+
+
+def array_of(image: Any) -> NDArray[Any]:
+    """Values of an ITK image, shape (ni, nj, nk), first index fastest."""
+    import SimpleITK
+
+    values: NDArray[Any] = SimpleITK.GetArrayFromImage(image)
+    return values.T
+
+
+def quiet_itk() -> None:
+    """Keep ITK's warnings, which may name what a header holds, off the terminal."""
+    import SimpleITK
+
+    SimpleITK.ProcessObject.SetGlobalWarningDisplay(False)
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,0 +1,116 @@
+"""MetaImage files, lines of text and an array. We read them ourselves.
+
+ITK hands out uninitialised memory where compressed voxels are damaged or their size is left out of the header, leaves
+slopes and units aside, takes numbers that are none for 0, and prints on the terminal.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from meshes.images.data import read_voxels, scaled
+from meshes.images.frame import StoredImage
+from meshes.images.itk import header_lines, length_unit_mm, numbers
+
+__all__ = ["read_metaimage"]
+
+_TYPES = {"CHAR": "i1", "SHORT": "i2", "INT": "i4", "LONG": "i4", "LONG_LONG": "i8", "FLOAT": "f4", "DOUBLE": "f8"}
+_TYPES |= {f"U{name}": code.replace("i", "u") for name, code in _TYPES.items() if code[0] == "i"}
+_BYTE_ORDERS = ("binarydatabyteordermsb", "elementbyteordermsb")
+_DIRECTIONS = ("transformmatrix", "rotation", "orientation")
+_PLACES = ("offset", "position", "origin")
+_SPACINGS = ("elementspacing", "elementsize")
+_ALONG_LPS = ("RAI", "???")
+"""What MetaImage calls axes that run from right, front (anterior) and feet (inferior)."""
+
+
+def read_metaimage(path: Path) -> StoredImage:
+    """Read a `.mhd` or `.mha` image of one number a voxel on three axes, its voxels in one file.
+
+    Raises
+    ------
+    InputError
+        If the file is cut off or damaged, or states what cannot be honoured.
+    """
+    fields, start = header_lines(path, "=", "elementdatafile")
+    if "ndims" not in fields or "elementdatafile" not in fields:
+        raise InputError(f"file must be a MetaImage, got {path.name} which lacks the lines of one: export it again")
+    if fields["ndims"] != "3" or fields.get("elementnumberofchannels", "1") != "1":
+        raise InputError(
+            f"file must hold one number per voxel on three axes, got NDims {fields['ndims']} and "
+            f"{fields.get('elementnumberofchannels', '1')} channels in {path.name}: export one of its volumes"
+        )
+    values = _voxels(fields, path, start)
+    notes = []
+    if not any(key in fields for key in _DIRECTIONS):
+        if fields.get("anatomicalorientation", "???") not in _ALONG_LPS:
+            raise InputError(
+                f"directions must be given as TransformMatrix, got AnatomicalOrientation alone in {path.name}: export "
+                "it again"
+            )
+        notes.append(f"{path.name} states no directions: its axes are taken as left, back and head.")
+    unit = length_unit_mm(fields.get("distanceunits", "").split(), path)
+    directions = np.reshape(_stated(fields, _DIRECTIONS, np.eye(3).ravel(), path), (3, 3)).T
+    x, y, z = (unit * s for s in _stated(fields, _SPACINGS, np.ones(3), path, positive=True))
+    origin = unit * np.array(_stated(fields, _PLACES, np.zeros(3), path))
+    return StoredImage(scaled(values, *_slope_and_intercept(fields, path)), (x, y, z), directions, origin, tuple(notes))
+
+
+def _stated(
+    fields: dict[str, str], keys: Sequence[str], absent: NDArray[Any], path: Path, *, positive: bool = False
+) -> list[float]:
+    """The numbers that the first of several names for one thing states, as many as stand for it where it is absent."""
+    key = next((key for key in keys if key in fields), None)
+    found = None if key is None else numbers(fields, key, path, positive=positive)
+    if found is None:
+        return [float(number) for number in absent]
+    if len(found) != len(absent):
+        raise InputError(f"{key} must be {len(absent)} numbers, got {len(found)} in {path.name}: mend the header")
+    return found
+
+
+def _slope_and_intercept(fields: dict[str, str], path: Path) -> tuple[float, float]:
+    slope = numbers(fields, "elementtointensityfunctionslope", path) or [1.0]
+    return slope[0], (numbers(fields, "elementtointensityfunctionoffset", path) or [0.0])[0]
+
+
+def _voxels(fields: dict[str, str], path: Path, start: int) -> NDArray[Any]:
+    """The voxels, from one file, as many as the header states, and where compressed with a checksum that fits."""
+    name = fields["elementdatafile"]
+    local = name.upper() == "LOCAL"
+    data = path if local else path.parent / name
+    if not data.is_file():
+        raise InputError(
+            f"the voxels of {path.name} must lie in one file beside it, got {name}, which is not there: copy it there"
+        )
+    if not _is_true(fields, "binarydata", "True"):
+        raise InputError(f"BinaryData must be True, got {fields.get('binarydata')} in {path.name}: export it binary")
+    size = numbers(fields, "dimsize", path) or []
+    kind = fields.get("elementtype", "").removeprefix("MET_")
+    if len(size) != 3 or any(n < 1 or n != int(n) for n in size) or kind not in _TYPES:
+        raise InputError(
+            f"DimSize must be three counts and ElementType one real number, got {fields.get('dimsize')} and "
+            f"{fields.get('elementtype')} in {path.name}: export it again"
+        )
+    most_significant_first = any(_is_true(fields, key, "False") for key in _BYTE_ORDERS)
+    dtype = np.dtype((">" if most_significant_first else "<") + _TYPES[kind])
+    shape = (int(size[0]), int(size[1]), int(size[2]))
+    skipped = int((numbers(fields, "headersize", path) or [0])[0])
+    first = (start if local else 0) + skipped
+    if skipped == -1:  # the voxels end the file
+        first = max(data.stat().st_size - dtype.itemsize * math.prod(shape), 0)
+    if first < 0:
+        raise InputError(f"HeaderSize must be -1 or more, got {skipped} in {path.name}: export it again")
+    return read_voxels(data, dtype, shape, start=first, compressed=_is_true(fields, "compresseddata", "False"))
+
+
+def _is_true(fields: dict[str, str], key: str, absent: str) -> bool:
+    """Whether a key of a header is true."""
+    return fields.get(key, absent).lower() in ("true", "1", "t")

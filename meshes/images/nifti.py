@@ -1,0 +1,159 @@
+"""NIfTI images: header by nibabel, every number of it that places or scales the voxels checked or honoured."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from meshes.images.data import first_bytes, is_gzip, read_voxels, scaled
+from meshes.images.frame import StoredImage
+
+__all__ = ["read_nifti"]
+
+_TO_LPS = np.array([-1.0, -1.0, 1.0])
+"""NIfTI counts +x to the right and +y to the front."""
+_UNITS_MM = {0: 1.0, 1: 1000.0, 2: 1.0, 3: 1e-3}
+_AGREE = 1e-3
+_SINGLE_FILE = (b"n+1", b"n+2")
+
+
+def read_nifti(path: Path) -> StoredImage:
+    """Read a NIfTI-1 or -2 image (`.nii`, `.nii.gz`) with its slope, intercept, units and place.
+
+    The place is that of the sform where its code is above 0, else of the qform. Where neither states one, the axes are
+    taken as LPS from (0, 0, 0).
+
+    Raises
+    ------
+    InputError
+        If the file is cut off, holds other than one real number a voxel in three dimensions, or its header contradicts
+        itself.
+    """
+    header = _header(path)
+    shape = _shape(header, path)
+    dtype = _dtype(header, path)
+    offset = float(header["vox_offset"])
+    length = int(header["sizeof_hdr"])
+    if not (offset >= length + 4 and offset == int(offset)):
+        raise InputError(_header_says(path, f"vox_offset must be at least {length + 4}", offset))
+    values = read_voxels(path, dtype, shape, skip=int(offset), compressed=is_gzip(path))
+    notes: list[str] = []
+    affine = _affine(header, path, notes)
+    unit = int(header["xyzt_units"]) & 7
+    if unit not in _UNITS_MM:
+        raise InputError(_header_says(path, "xyzt_units must be 1 (m), 2 (mm) or 3 (µm)", unit))
+    if unit == 0:
+        notes.append(f"{path.name} states no unit of length: taken as mm.")
+    steps = affine[:3, :3] * _UNITS_MM[unit] * _TO_LPS[:, None]
+    spacing = np.linalg.norm(steps, axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        directions = steps / spacing
+    x, y, z = (float(s) for s in spacing)
+    return StoredImage(
+        _scaled(values, header, path), (x, y, z), directions, affine[:3, 3] * _UNITS_MM[unit] * _TO_LPS, tuple(notes)
+    )
+
+
+def _header(path: Path) -> Any:
+    """The header, a mapping of its fields."""
+    from io import BytesIO
+
+    from nibabel import Nifti1Header, Nifti2Header
+    from nibabel.spatialimages import HeaderDataError
+    from nibabel.wrapstruct import WrapStructError
+
+    first = first_bytes(path, 540)
+    kind = Nifti2Header if first[:4] in (b"\x1c\x02\0\0", b"\0\0\x02\x1c") else Nifti1Header
+    try:
+        header: Any = kind.from_fileobj(BytesIO(first[: kind.sizeof_hdr]), check=False)
+        magic = bytes(header["magic"].item())[:3]
+    except (HeaderDataError, WrapStructError, ValueError) as problem:
+        raise InputError(_not_nifti(path)) from problem
+    if magic not in _SINGLE_FILE or int(header["sizeof_hdr"]) not in (348, 540):
+        raise InputError(_not_nifti(path))
+    return header
+
+
+def _not_nifti(path: Path) -> str:
+    return f"file must be a NIfTI image, got {path.name} which does not start as one does: export it again"
+
+
+def _header_says(path: Path, requirement: str, found: object) -> str:
+    return f"{requirement} in the header of a NIfTI image, got {found} in {path.name}: export it again"
+
+
+def _shape(header: Any, path: Path) -> tuple[int, int, int]:
+    dim = [int(n) for n in header["dim"]]
+    if not 3 <= dim[0] <= 7 or any(n < 1 for n in dim[1 : dim[0] + 1]):
+        raise InputError(_header_says(path, "dim must count three or more axes with no zero", dim))
+    if any(n != 1 for n in dim[4 : dim[0] + 1]):
+        found = " x ".join(str(n) for n in dim[1 : dim[0] + 1])
+        raise InputError(
+            f"file must hold one image of three axes, got {found} in {path.name}: export one of its volumes"
+        )
+    return dim[1], dim[2], dim[3]
+
+
+def _dtype(header: Any, path: Path) -> np.dtype[Any]:
+    from nibabel.spatialimages import HeaderDataError
+
+    try:
+        dtype: np.dtype[Any] = np.dtype(header.get_data_dtype())
+    except (HeaderDataError, KeyError) as problem:
+        raise InputError(_header_says(path, "datatype must be known", int(header["datatype"]))) from problem
+    if dtype.kind not in "iuf" or dtype.itemsize > 8 or dtype.itemsize == 0:
+        raise InputError(f"file must hold one real number per voxel, got {dtype} in {path.name}: export grey values")
+    if int(header["bitpix"]) != 8 * dtype.itemsize:
+        raise InputError(_header_says(path, f"bitpix must be that of {dtype}", int(header["bitpix"])))
+    return dtype
+
+
+def _affine(header: Any, path: Path, notes: list[str]) -> NDArray[np.float64]:
+    """Voxel numbers to coordinates, in the header's unit and its own frame (RAS)."""
+    from nibabel.spatialimages import HeaderDataError
+
+    spacing = np.array(header["pixdim"][1:4], dtype=np.float64)
+    if not (np.isfinite(spacing).all() and (spacing > 0.0).all()):
+        raise InputError(_header_says(path, "pixdim must be positive", _by(spacing)))
+    sform = header.get_sform() if int(header["sform_code"]) > 0 else None
+    qform = None
+    if int(header["qform_code"]) > 0:
+        try:
+            qform = header.get_qform()
+        except (HeaderDataError, ValueError) as problem:
+            raise InputError(_header_says(path, "the quaternion must have a norm of 1", "another")) from problem
+    if sform is None and qform is None:
+        notes.append(f"{path.name} states no place or directions: its axes are taken as left, back and head.")
+        return np.diag([*(spacing * _TO_LPS), 1.0])
+    if sform is None:
+        return np.asarray(qform, dtype=np.float64)
+    stated = np.linalg.norm(sform[:3, :3], axis=0)
+    if not np.allclose(stated, spacing, rtol=_AGREE, atol=0.0):
+        raise InputError(
+            f"pixdim and sform must state the same spacing, got {_by(spacing)} and {_by(stated)} in {path.name}: "
+            "mend the header"
+        )
+    if qform is not None:
+        corner = np.array([*(int(n) for n in header["dim"][1:4]), 0.0])
+        apart = np.abs((sform - qform) @ corner)[:3].max() + np.abs(sform - qform)[:3, 3].max()
+        if apart > 0.5 * stated.min():
+            notes.append(f"The sform and the qform of {path.name} place it differently: the sform is taken.")
+    return np.asarray(sform, dtype=np.float64)
+
+
+def _scaled(values: NDArray[Any], header: Any, path: Path) -> NDArray[Any]:
+    """Values times slope plus intercept; a slope of 0 or NaN stands for none."""
+    slope, intercept = float(header["scl_slope"]), float(header["scl_inter"])
+    if slope == 0.0 or (np.isnan(slope) and (np.isnan(intercept) or intercept == 0.0)):
+        return values
+    if not (np.isfinite(slope) and np.isfinite(intercept)):
+        raise InputError(_header_says(path, "scl_slope and scl_inter must be finite", f"{slope:g} and {intercept:g}"))
+    return scaled(values, slope, intercept)
+
+
+def _by(numbers: NDArray[np.float64]) -> str:
+    return " x ".join(f"{number:g}" for number in numbers)

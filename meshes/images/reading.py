@@ -1,0 +1,121 @@
+"""Image volumes from files: the reader of each format, and what is refused of all of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from meshes.base.errors import InputError, require_positive
+from meshes.images.dicom import read_dicom
+from meshes.images.frame import Image, StoredImage, along_lps
+from meshes.images.metaimage import read_metaimage
+from meshes.images.nifti import read_nifti
+from meshes.images.nrrd import read_nrrd
+from meshes.images.tiff_slices import TIFF_SUFFIXES, read_tiff_slices
+from meshes.images.vtk import read_vtk_image
+
+__all__ = ["Image", "read_image"]
+
+_READERS = {
+    ".nii": read_nifti,
+    ".nii.gz": read_nifti,
+    ".nrrd": read_nrrd,
+    ".nhdr": read_nrrd,
+    ".mhd": read_metaimage,
+    ".mha": read_metaimage,
+}
+_REMEDY = "use a .nii.gz, .nrrd, .mhd or .vti image, a DICOM folder, or a folder or pattern of TIFF slices"
+
+
+def read_image(
+    path: str | Path, *, spacing_mm: float | None = None, array: str | None = None, labels: bool = False
+) -> Image:
+    """Read an image volume into LPS [mm], whatever the order and direction of the axes in its file.
+
+    Origin, directions, units, slope and intercept are those of the file; where it states none, a note says what is
+    assumed. Axes along LPS in any order are turned exactly, oblique ones resampled, see `meshes.images.frame.along_lps`.
+
+    Parameters
+    ----------
+    path
+        Image file; folder with a DICOM series or TIFF slices; or a pattern of TIFF slices (`slices/*.tif`). TIFF slices
+        count upward in z in the order of their names.
+    spacing_mm
+        Distance between neighbours [mm] in all directions; None: what the file states. TIFF files state none.
+    array
+        Name of the array, where the file holds several; None: the active one.
+    labels
+        Whether the values are labels, which are not interpolated.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, empty, cut off, not readable, not an image of one number a voxel, or states what cannot
+        be honoured.
+    """
+    given = None
+    if spacing_mm is not None:
+        given = require_positive("anatomy.spacing_mm", spacing_mm, "use the scanner's value")
+    slices, source = _tiff_slices(Path(path)), Path(path).name
+    if slices and given is None:
+        raise InputError(
+            f"anatomy.spacing_mm must be given for TIFF slices, which do not hold it, got none for "
+            f"{source}: use the scanner's value, for example 0.0195"
+        )
+    if slices:
+        stored = StoredImage(read_tiff_slices(slices), (1.0, 1.0, 1.0), np.eye(3), np.zeros(3))
+    else:
+        stored = _stored(Path(path), array)
+    if given is None and stored.spacing_mm == (1.0, 1.0, 1.0):
+        note = f"The spacing in {source} is exactly 1 mm, often a placeholder: set anatomy.spacing_mm to be sure."
+        stored = replace(stored, notes=(*stored.notes, note))
+    if given is not None:
+        note = f"The spacing in {source} is {_by(stored.spacing_mm)} mm; {given:g} mm is used, as given."
+        notes = stored.notes if slices or stored.spacing_mm == (given,) * 3 else (*stored.notes, note)
+        stored = replace(stored, spacing_mm=(given,) * 3, notes=notes)
+    values = stored.values
+    if values.ndim != 3 or values.size == 0 or not np.issubdtype(values.dtype, np.number):
+        raise InputError(
+            f"file must hold one number per voxel, got an array of shape {values.shape} in {source}: {_REMEDY}"
+        )
+    if np.issubdtype(values.dtype, np.floating) and not np.isfinite(values).all():
+        count = int((~np.isfinite(values)).sum())
+        raise InputError(
+            f"voxels must be finite, got {count} of {values.size} that are not in {source}: mask them first"
+        )
+    return along_lps(stored, source, labels=labels)
+
+
+def _stored(path: Path, array: str | None) -> StoredImage:
+    """The image of a file or DICOM folder, as stored."""
+    if path.is_dir():
+        return read_dicom(path)
+    name = path.name.lower()
+    if name.endswith(".vti"):
+        return read_vtk_image(path, array)
+    for suffix, read in _READERS.items():
+        if name.endswith(suffix):
+            return read(path)
+    raise InputError(f"file must be an image volume of a known format, got {path.name}: {_REMEDY}")
+
+
+def _tiff_slices(path: Path) -> list[Path]:
+    """TIFF files meant by a path: the file, the slices in the folder, or those that match the pattern."""
+    if any(mark in path.name for mark in "*?["):
+        found = sorted(path.parent.glob(path.name))
+        if not found:
+            raise InputError(f"file must exist, got {path}, which matches nothing: check the folder and the pattern")
+        return found
+    if path.is_dir():
+        return sorted(file for file in path.iterdir() if file.suffix.lower() in TIFF_SUFFIXES)
+    if not path.exists():
+        raise InputError(f"file must exist, got {path}: check the path, which is taken from the working directory")
+    if path.is_file() and path.stat().st_size == 0:
+        raise InputError(f"file must hold an image, got the empty file {path.name}: export it again")
+    return [path] if path.suffix.lower() in TIFF_SUFFIXES else []
+
+
+def _by(numbers: tuple[float, ...]) -> str:
+    return " x ".join(f"{number:g}" for number in numbers)

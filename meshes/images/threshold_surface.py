@@ -1,0 +1,72 @@
+"""Bone surface of an image volume: where the grey value crosses a threshold."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from meshes.images.frame import Image
+from meshes.surfaces.surface import Surface, surface_from_triangles
+
+__all__ = ["image_cuts", "image_surface", "image_triangles"]
+
+
+def image_surface(image: Image, *, threshold: float) -> Surface:
+    """Surface around what lies above a grey value, in the image's frame: LPS [mm], in m.
+
+    Bone cut off by the edge of the image is closed there, and the cuts are listed in `caps_m`.
+
+    Parameters
+    ----------
+    image
+        Grey values.
+    threshold
+        Bone is what lies above this grey value.
+
+    Raises
+    ------
+    InputError
+        If nothing lies above the threshold, or what does encloses no solid.
+    """
+    surface = surface_from_triangles(*image_triangles(image, threshold=threshold), source=image.source, scale_mm=1.0)
+    return replace(surface, caps_m=image_cuts(image, threshold=threshold))
+
+
+def image_triangles(image: Image, *, threshold: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Vertices [mm], shape (n, 3), and triangles, shape (m, 3), around what lies above a grey value.
+
+    Raises
+    ------
+    InputError
+        If nothing lies above the threshold.
+    """
+    from skimage.measure import marching_cubes
+
+    values = image.values.astype(np.float32)
+    if not values.max() > threshold:
+        raise InputError(
+            f"anatomy.threshold must leave bone, got {threshold:g} where {image.source} holds "
+            f"{values.min():g} to {values.max():g}: use a value between"
+        )
+    outside = min(float(values.min()), 2.0 * threshold - float(values.max()))
+    padded = np.pad(values, 1, constant_values=outside)
+    vertices, faces, _, _ = marching_cubes(padded, threshold, spacing=image.spacing_mm)
+    return vertices - np.asarray(image.spacing_mm) + np.asarray(image.origin_mm), faces[:, ::-1].astype(np.int64)
+
+
+def image_cuts(image: Image, *, threshold: float) -> tuple[NDArray[np.float64], ...]:
+    """Points [m], shape (k, 3), of each face at which the edge of an image cuts off what lies above a grey value."""
+    from scipy.ndimage import find_objects, label
+
+    cuts = []
+    for axis in range(3):
+        for end in (0, image.values.shape[axis] - 1):
+            pieces, _ = label(np.take(image.values, end, axis=axis) > threshold)
+            for number, box in enumerate(find_objects(pieces), start=1):
+                first = [each.start for each in box]
+                index = np.insert(np.argwhere(pieces[box] == number) + first, axis, end, axis=1)
+                cuts.append(1e-3 * (index * np.asarray(image.spacing_mm) + np.asarray(image.origin_mm)))
+    return tuple(cuts)

@@ -1,0 +1,1 @@
+"""Procedural soft organs."""

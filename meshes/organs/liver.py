@@ -1,0 +1,191 @@
+"""A procedural liver and a block of soft tissue, with or without a stiff nodule.
+
+Liver, site frame: the origin on top of the right lobe's dome, x to the patient's left, y to the back, z to the head, so
+a tool that comes down from +z presses the diaphragmatic surface. M = from memory of the literature, not looked up.
+
+==================  ================  ===================================================================
+width               222 mm            M: adult, 200-225 transverse (anatomy texts, Gray's Anatomy)
+depth               127 mm            M: 100-150 antero-posterior at the right lobe (same)
+right lobe height   123 mm            M: 105-155 cranio-caudal in the mid-clavicular line (ultrasound)
+volume              1.41 l            M: 1.2-1.8 l adult; 1477 ml for the scanned liver the tests use
+left lobe           22 %              M: 25-40 % of the volume, thinning to a wedge
+==================  ================  ===================================================================
+
+The shape is a drawing in signed distances: a dome of two ellipsoids, cut by the slanting visceral plane with hollows
+for stomach, kidney and gall bladder, a groove for the vena cava and spine, a notch for the round ligament. Vessels and
+the capsule are not in the mesh.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from meshes.base.errors import InputError, require_positive
+from meshes.shapes.sdf import Shape, capsule, difference, ellipsoid, half_space, intersection, sphere, union
+from meshes.tets.regions import Nodes, nodes_behind_plane, nodes_facing
+from meshes.tets.structured import graded, grid
+from meshes.tets.stuffing import stuffed, with_part
+from meshes.tets.tetrahedra import TetMesh
+
+__all__ = ["LIVER_REGIONS", "Nodule", "liver", "liver_region", "liver_shape", "slab", "slab_floor"]
+
+LIVER_REGIONS = ("below", "back")
+"""Surfaces that hold a liver: the visceral side it rests on, and the bare area with spine and vena cava behind it."""
+_TOP_M = (-0.026, 0.0)
+_SIZE = 0.94
+_TRIES = 4
+_VISCERAL = (0.33, 0.10, -0.94)
+
+
+@dataclass(frozen=True)
+class Nodule:
+    """A stiff ball in the tissue.
+
+    Attributes
+    ----------
+    radius_m
+        Radius [m].
+    centre_m
+        Centre in the site frame [m].
+    """
+
+    radius_m: float
+    centre_m: tuple[float, float, float]
+
+
+def liver_shape() -> Shape:
+    """Signed distance of the liver in the site frame [m]."""
+    drawn = _drawn()
+    low, high = 0.0, 0.2
+    column = np.array([[_TOP_M[0], _TOP_M[1], 0.0]])
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        if drawn.distance(column + np.array([[0.0, 0.0, middle]]))[0] < 0.0:
+            low = middle
+        else:
+            high = middle
+    return drawn.translate((-_TOP_M[0], -_TOP_M[1], -low))
+
+
+def liver(*, spacing_m: float = 8.4e-3, nodule: Nodule | None = None) -> TetMesh:
+    """Liver of even tetrahedra in the site frame; a nodule is the part ``nodule``, its surface made of faces.
+
+    Parameters
+    ----------
+    spacing_m
+        Side of the lattice [m]; 8.4 mm gives about 30,000 tetrahedra.
+    nodule
+        Stiff ball; it has to lie a lattice side below the surface.
+
+    Raises
+    ------
+    InputError
+        If the spacing does not suit, or the nodule is not inside or smaller than the spacing.
+    """
+    shape = liver_shape()
+    mesh = stuffed(shape, spacing_m)
+    return mesh if nodule is None else _with_nodule(mesh, nodule, shape, spacing_m)
+
+
+def liver_region(mesh: TetMesh, name: str) -> Nodes:
+    """Surface nodes of a named side of the liver: ``below`` or ``back``.
+
+    Raises
+    ------
+    InputError
+        If the name is unknown.
+    """
+    if name == "below":
+        return nodes_facing(mesh, direction=_VISCERAL, within_deg=55.0)
+    if name == "back":
+        return nodes_facing(mesh, direction=(0.0, 1.0, 0.0), within_deg=45.0)
+    raise InputError(f"region must be one of {', '.join(LIVER_REGIONS)}, got {name}: use below")
+
+
+def slab(
+    *,
+    size_m: tuple[float, float, float] = (0.1, 0.1, 0.04),
+    spacing_m: float = 4.2e-3,
+    nodule: Nodule | None = None,
+) -> TetMesh:
+    """Block of tissue, the origin at the middle of its top face, z up; layers grow from the top down.
+
+    Parameters
+    ----------
+    size_m
+        Sides [m].
+    spacing_m
+        Sides of the bricks along the top face [m]; the first layer is 0.6 of it thick, each next one 1.2 times more.
+    nodule
+        Stiff ball, the part ``nodule``, its surface made of faces.
+
+    Raises
+    ------
+    InputError
+        If a size is not positive, or the nodule is not inside or smaller than the spacing.
+    """
+    x, y, z = (require_positive("size_m", s, "use (0.1, 0.1, 0.04)") for s in size_m)
+    spacing = require_positive("spacing_m", spacing_m, "use about a twentieth of the longest side")
+    if spacing > min(x, y, z):
+        raise InputError(f"spacing_m must not exceed the shortest side {min(x, y, z):g}, got {spacing:g}: use 4e-3")
+    along_x, along_y = (np.linspace(-0.5 * side, 0.5 * side, max(round(side / spacing), 1) + 1) for side in (x, y))
+    mesh = grid(along_x, along_y, graded(0.0, -z, 0.6 * spacing, 1.2)[::-1])
+    if nodule is None:
+        return mesh
+    block = intersection(half_space((0.0, 0.0, 1.0)), half_space((0.0, 0.0, -1.0), (0.0, 0.0, -z)))
+    for axis, side in ((0, x), (1, y)):
+        for sign in (1.0, -1.0):
+            normal = np.eye(3)[axis] * sign
+            block = intersection(block, half_space(normal.tolist(), (0.5 * side * normal).tolist()))
+    return _with_nodule(mesh, nodule, block, spacing)
+
+
+def slab_floor(mesh: TetMesh) -> Nodes:
+    """Nodes on the lower face of a slab."""
+    lowest = float(mesh.nodes_m[:, 2].min())
+    return nodes_behind_plane(mesh, point_m=(0.0, 0.0, lowest), normal=(0.0, 0.0, 1.0))
+
+
+def _drawn() -> Shape:
+    """The liver about the middle of its visceral side: drawn a little large, then brought to size."""
+    right = ellipsoid((0.082, 0.066, 0.084), (-0.030, 0.0, -0.009))
+    left = ellipsoid((0.080, 0.045, 0.039), (0.046, -0.016, 0.024))
+    body = union(right, left, blend_m=0.042)
+    visceral = half_space(_VISCERAL, (-0.030, 0.0, -0.034))
+    body = intersection(body, visceral, blend_m=0.015)
+    stomach = ellipsoid((0.052, 0.052, 0.044), (0.074, 0.009, -0.038))
+    kidney = ellipsoid((0.035, 0.032, 0.044), (-0.048, 0.050, -0.078))
+    body = difference(difference(body, stomach, blend_m=0.018), kidney, blend_m=0.018)
+    gall = capsule(0.013, (-0.006, -0.066, -0.040), (0.003, 0.0, -0.028))
+    spine = capsule(0.026, (0.016, 0.076, -0.09), (0.016, 0.071, 0.11))
+    ligament = capsule(0.008, (0.028, -0.075, -0.027), (0.028, -0.030, -0.014))
+    for hollow, blend in ((gall, 0.012), (spine, 0.018), (ligament, 0.010)):
+        body = difference(body, hollow, blend_m=blend)
+    lower, upper = (tuple(_SIZE * x for x in corner) for corner in (body.lower_m, body.upper_m))
+    return Shape(lambda p: _SIZE * body.distance(p / _SIZE), lower, upper)
+
+
+def _with_nodule(mesh: TetMesh, nodule: Nodule, shape: Shape, spacing: float) -> TetMesh:
+    """The mesh with the nodule as a part of the volume of its ball, refused where the mesh could not show it."""
+    radius = require_positive("nodule.radius_m", nodule.radius_m, "use about 0.01")
+    if radius < spacing:
+        raise InputError(f"nodule.radius_m must be at least the spacing {spacing:g}, got {radius:g}: use a finer mesh")
+    deep = -float(shape.distance(np.array([nodule.centre_m], dtype=np.float64))[0])
+    if not deep >= radius + spacing:
+        raise InputError(
+            f"nodule.centre_m must lie at least its radius and the spacing, {1e3 * (radius + spacing):.3g} mm, below "
+            f"the surface, got {1e3 * deep:.3g} mm: move it deeper"
+        )
+    # Chords cut a ball's volume short: the surface is laid a little outside it, as much as makes the volume right.
+    # Where nodes change their snapping the volume jumps, so the best of a few tries is kept.
+    volume, laid, best, least = 4.0 / 3.0 * math.pi * radius**3, radius, mesh, math.inf
+    for _ in range(_TRIES):
+        made = with_part(mesh, sphere(laid, nodule.centre_m), "nodule")
+        share = float(made.volumes_m3[made.part == len(mesh.part_names)].sum()) / volume
+        if abs(share - 1.0) < least:
+            best, least = made, abs(share - 1.0)
+        laid *= share ** (-1.0 / 3.0)
+    return best

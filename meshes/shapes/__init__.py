@@ -1,0 +1,1 @@
+"""Signed distances, polylines, and anatomies made of them."""

@@ -1,0 +1,100 @@
+"""An anatomical site as a shape with layers, and the simplest of them: a block of cortical bone.
+
+Site frame of every anatomy: the origin is the centre of the working face on the bone surface, +z the outward normal
+there, so a tool feeds along -z.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, require_range
+from meshes.base.placement import Placement
+from meshes.shapes.sdf import Shape, box
+
+if TYPE_CHECKING:
+    from meshes.voxels.grid import Grid
+
+__all__ = ["Anatomy", "Classify", "GridSampler", "cortical_block"]
+
+Classify = Callable[[NDArray[Any], NDArray[Any]], tuple[NDArray[np.uint8], NDArray[Any]]]
+"""Points [m], shape (n, 3), and their depth below the outer surface [m], shape (n,), to the layer index, uint8, shape
+(n,), and the apparent density [kg/m3], shape (n,). Within a layer the density must vary smoothly over a millimetre."""
+
+GridSampler = Callable[["Grid"], tuple[NDArray[np.float32], NDArray[np.float32]]]
+"""A grid to the bone fraction, 0 to 1, and the depth [m] of its voxels, both float32 with the grid's shape."""
+
+
+@dataclass(frozen=True)
+class Anatomy:
+    """A solid with named layers, in the site frame.
+
+    Attributes
+    ----------
+    name
+        What it is, for reports.
+    shape
+        Outer surface as signed distance [m].
+    layer_names
+        Names that the layer indices of `classify` refer to.
+    classify
+        Layer and density at points, see `Classify`.
+    notes
+        Name and value of what was assumed or found, for reports.
+    sample
+        Where the signed distance is too dear to ask voxel by voxel (a triangle mesh): fraction and depth of a whole
+        grid at once. None: the shape is sampled.
+    placement
+        Where the site frame lies in that of the file that it came from; None where it came from none.
+    caps_m
+        Points [m], shape (k, 3), of each face at which the bone was cut off by the edge of its scan.
+    """
+
+    name: str
+    shape: Shape
+    layer_names: tuple[str, ...]
+    classify: Classify
+    notes: Mapping[str, str] = field(default_factory=dict)
+    sample: GridSampler | None = None
+    placement: Placement | None = None
+    caps_m: tuple[NDArray[np.float64], ...] = ()
+
+
+def cortical_block(
+    *, size_mm: tuple[float, float, float] = (20.0, 12.0, 8.0), density_kg_m3: float = 1800.0
+) -> Anatomy:
+    """Block of cortical bone: its top face lies in z = 0 with the origin at its centre; one layer `cortical`.
+
+    Parameters
+    ----------
+    size_mm
+        Edge lengths along x, y and z [mm], each 0.1 to 500.
+    density_kg_m3
+        Apparent density, 100 to 2500 kg/m3; 1800 to 2000 is cortical bone.
+
+    Raises
+    ------
+    InputError
+        If a parameter is not finite or out of range.
+    """
+    try:
+        values = tuple(size_mm)
+    except TypeError:
+        values = ()
+    if len(values) != 3:
+        raise InputError(f"size_mm must be three lengths, got {size_mm}: use for example (20, 12, 8)")
+    lengths = [require_range(f"size_mm[{k}]", values[k], 0.1, 500.0, "use about (20, 12, 8)") for k in range(3)]
+    density = require_range("density_kg_m3", density_kg_m3, 100.0, 2500.0, "use 1800 for cortical bone")
+    size = np.array(lengths) * 1e-3
+
+    def classify(points: NDArray[Any], depth: NDArray[Any]) -> tuple[NDArray[np.uint8], NDArray[Any]]:
+        return np.zeros(len(points), dtype=np.uint8), np.full(len(points), density, dtype=np.float32)
+
+    notes = {"size_mm": " x ".join(f"{x:g}" for x in lengths), "cortical density": f"{density:g} kg/m3, uniform"}
+    solid = box(size.tolist(), (0.0, 0.0, -0.5 * float(size[2])))
+    return Anatomy("cortical block", solid, ("cortical",), classify, notes)

@@ -1,0 +1,270 @@
+"""Signed distances as sentences: `box(...) - cylinder(...) | sphere(...).translate(...)`.
+
+A `Shape` maps points [m] to signed distances [m], negative inside. Every shape made here is 1-Lipschitz: its value
+never exceeds the true distance to the surface in magnitude, so a cell whose centre is farther from the surface than its
+half diagonal is not crossed. Primitives are exact unless their docstring says otherwise; a union is exact outside, an
+intersection or difference exact inside, and both are bounds elsewhere. All shapes keep the points' dtype.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, require_positive
+
+__all__ = [
+    "Shape",
+    "box",
+    "capsule",
+    "cylinder",
+    "difference",
+    "ellipsoid",
+    "half_space",
+    "intersection",
+    "smooth_maximum",
+    "smooth_minimum",
+    "sphere",
+    "union",
+]
+
+Points = NDArray[Any]
+Distances = NDArray[Any]
+Vector = Sequence[float]
+Bounds = tuple[tuple[float, ...], tuple[float, ...]]
+
+_EVERYWHERE = (-math.inf, -math.inf, -math.inf), (math.inf, math.inf, math.inf)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A solid given by its signed distance.
+
+    Attributes
+    ----------
+    distance
+        Points [m], shape (n, 3), float32 or float64, to signed distances [m], shape (n,), same dtype, negative inside.
+    lower_m, upper_m
+        Corners [m] of an axis-aligned box that holds the solid; infinite where it has no end.
+    """
+
+    distance: Callable[[Points], Distances]
+    lower_m: tuple[float, ...] = _EVERYWHERE[0]
+    upper_m: tuple[float, ...] = _EVERYWHERE[1]
+
+    def __or__(self, other: Shape) -> Shape:
+        return union(self, other)
+
+    def __and__(self, other: Shape) -> Shape:
+        return intersection(self, other)
+
+    def __sub__(self, other: Shape) -> Shape:
+        return difference(self, other)
+
+    def translate(self, by_m: Vector) -> Shape:
+        """Move by the vector `by_m` [m], shape (3,)."""
+        shift = _vector("by_m", by_m)
+        lower, upper = np.add(self.lower_m, shift), np.add(self.upper_m, shift)
+        return Shape(lambda p: self.distance(p - shift.astype(p.dtype)), tuple(lower.tolist()), tuple(upper.tolist()))
+
+    def rotate(self, axis: Vector, angle_rad: float) -> Shape:
+        """Turn about `axis` through the origin by `angle_rad` [rad], right-handed."""
+        x, y, z = _unit("axis", axis)
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        matrix = np.eye(3) + math.sin(angle_rad) * cross + (1.0 - math.cos(angle_rad)) * cross @ cross
+        lower, upper = _rotated_bounds(self, matrix)
+        return Shape(lambda p: self.distance(p @ matrix.astype(p.dtype)), lower, upper)
+
+    def offset(self, by_m: float) -> Shape:
+        """Grow by `by_m` [m] in every direction (shrink where negative); edges come out rounded."""
+        by = float(by_m)
+        lower, upper = np.subtract(self.lower_m, by), np.add(self.upper_m, by)
+        return Shape(lambda p: self.distance(p) - by, tuple(lower.tolist()), tuple(upper.tolist()))
+
+
+def smooth_minimum(a: Distances, b: Distances, blend_m: float) -> Distances:
+    """Minimum of two distances [m] with the crease rounded where they differ by less than `blend_m`.
+
+    Quadratic polynomial blend (I. Quilez, "Smooth minimum"). Its gradient is a convex combination of both gradients, so
+    the result stays 1-Lipschitz.
+    """
+    if blend_m <= 0.0:
+        return np.minimum(a, b)
+    overlap = np.maximum(blend_m - np.abs(a - b), 0.0)
+    return np.minimum(a, b) - overlap * overlap * (0.25 / blend_m)
+
+
+def smooth_maximum(a: Distances, b: Distances, blend_m: float) -> Distances:
+    """Maximum of two distances [m] with the crease rounded, see `smooth_minimum`."""
+    return -smooth_minimum(-a, -b, blend_m)
+
+
+def union(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
+    """Points in either solid; a positive `blend_m` [m] fills the crease between them."""
+    grown = 0.25 * blend_m
+    lower = np.minimum(a.lower_m, b.lower_m) - grown
+    upper = np.maximum(a.upper_m, b.upper_m) + grown
+    return Shape(
+        lambda p: smooth_minimum(a.distance(p), b.distance(p), blend_m), tuple(lower.tolist()), tuple(upper.tolist())
+    )
+
+
+def intersection(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
+    """Points in both solids; a positive `blend_m` [m] rounds the edge between them."""
+    lower, upper = np.maximum(a.lower_m, b.lower_m), np.minimum(a.upper_m, b.upper_m)
+    return Shape(
+        lambda p: smooth_maximum(a.distance(p), b.distance(p), blend_m), tuple(lower.tolist()), tuple(upper.tolist())
+    )
+
+
+def difference(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
+    """Points in `a` but not in `b`; a positive `blend_m` [m] rounds the edge between them."""
+    return Shape(lambda p: smooth_maximum(a.distance(p), -b.distance(p), blend_m), a.lower_m, a.upper_m)
+
+
+def sphere(radius_m: float, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
+    """Ball of `radius_m` [m] about `centre_m` [m]."""
+    radius, centre = require_positive("radius_m", radius_m, "use about 5e-3 (5 mm)"), _vector("centre_m", centre_m)
+    return Shape(lambda p: _norm(p - centre.astype(p.dtype)) - radius, *_around(centre, radius))
+
+
+def box(size_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0), *, rounding_m: float = 0.0) -> Shape:
+    """Box with edge lengths `size_m` [m], shape (3,), its edges rounded with radius `rounding_m` [m].
+
+    Raises
+    ------
+    InputError
+        If a length is not positive or the rounding exceeds half the shortest edge.
+    """
+    size, centre = _vector("size_m", size_m), _vector("centre_m", centre_m)
+    if not np.all(size > 0.0):
+        raise InputError(
+            f"size_m must be positive in every direction, got {_text(size)}: use about (0.02, 0.012, 0.008)"
+        )
+    if not 0.0 <= rounding_m <= 0.5 * float(size.min()):
+        raise InputError(
+            f"rounding_m must be in [0, half the shortest edge {0.5 * float(size.min()):g}], "
+            f"got {rounding_m}: use 0 for sharp edges"
+        )
+    half = 0.5 * size - rounding_m
+
+    def distance(p: Points) -> Distances:
+        q = np.abs(p - centre.astype(p.dtype)) - half.astype(p.dtype)
+        return _norm(np.maximum(q, 0.0)) + np.minimum(q.max(axis=1), 0.0) - rounding_m
+
+    return Shape(distance, *_around(centre, 0.5 * size))
+
+
+def cylinder(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
+    """Capped cylinder of `radius_m` [m] about the segment from `start_m` to `end_m` [m]."""
+    radius = require_positive("radius_m", radius_m, "use about 2e-3 (2 mm)")
+    start, axis, length = _segment(start_m, end_m)
+
+    def distance(p: Points) -> Distances:
+        along, across = _cylindrical(p, start, axis)
+        side, cap = across - radius, np.abs(along - 0.5 * length) - 0.5 * length
+        outside = np.sqrt(np.maximum(side, 0.0) ** 2 + np.maximum(cap, 0.0) ** 2)
+        return outside + np.minimum(np.maximum(side, cap), 0.0)
+
+    reach = radius * np.sqrt(np.maximum(1.0 - axis**2, 0.0))
+    ends = np.stack([start, start + length * axis])
+    return Shape(distance, tuple((ends.min(axis=0) - reach).tolist()), tuple((ends.max(axis=0) + reach).tolist()))
+
+
+def capsule(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
+    """Points within `radius_m` [m] of the segment from `start_m` to `end_m` [m]."""
+    radius = require_positive("radius_m", radius_m, "use about 2e-3 (2 mm)")
+    start, axis, length = _segment(start_m, end_m)
+
+    def distance(p: Points) -> Distances:
+        along, across = _cylindrical(p, start, axis)
+        beyond = along - np.clip(along, 0.0, length)
+        return np.sqrt(across**2 + beyond**2) - radius
+
+    ends = np.stack([start, start + length * axis])
+    return Shape(distance, tuple((ends.min(axis=0) - radius).tolist()), tuple((ends.max(axis=0) + radius).tolist()))
+
+
+def ellipsoid(radii_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
+    """Ellipsoid with half axes `radii_m` [m], shape (3,): surface exact, distance only a lower bound of the true one.
+
+    (|p/r| - 1)·min(r) is 1-Lipschitz and zero on the surface; along a long half axis it falls short by min(r)/r.
+    """
+    radii, centre = _vector("radii_m", radii_m), _vector("centre_m", centre_m)
+    if not np.all(radii > 0.0):
+        raise InputError(
+            f"radii_m must be positive in every direction, got {_text(radii)}: use about (0.02, 0.01, 0.01)"
+        )
+    shortest = float(radii.min())
+    return Shape(
+        lambda p: (_norm((p - centre.astype(p.dtype)) / radii.astype(p.dtype)) - 1.0) * shortest,
+        *_around(centre, radii),
+    )
+
+
+def half_space(normal: Vector, point_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
+    """Everything behind the plane through `point_m` [m] with outward `normal`."""
+    unit, point = _unit("normal", normal), _vector("point_m", point_m)
+    offset = float(unit @ point)
+    lower, upper = np.full(3, -math.inf), np.full(3, math.inf)
+    for k in range(3):
+        if math.isclose(abs(unit[k]), 1.0, rel_tol=0.0, abs_tol=1e-15):
+            (upper if unit[k] > 0 else lower)[k] = point[k]
+    return Shape(lambda p: p @ unit.astype(p.dtype) - offset, tuple(lower.tolist()), tuple(upper.tolist()))
+
+
+def _norm(v: Points) -> Distances:
+    """Length of each row, dtype kept."""
+    return np.sqrt(v[:, 0] ** 2 + v[:, 1] ** 2 + v[:, 2] ** 2)
+
+
+def _cylindrical(p: Points, start: NDArray[np.float64], axis: NDArray[np.float64]) -> tuple[Distances, Distances]:
+    """Height above `start` along `axis` and distance from the axis [m]."""
+    q = p - start.astype(p.dtype)
+    along = q @ axis.astype(p.dtype)
+    return along, _norm(q - along[:, None] * axis.astype(p.dtype))
+
+
+def _segment(start_m: Vector, end_m: Vector) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    start, end = _vector("start_m", start_m), _vector("end_m", end_m)
+    length = float(np.linalg.norm(end - start))
+    if length == 0.0:
+        raise InputError(f"end_m must differ from start_m, got {_text(end)} for both: use a sphere for a point")
+    return start, (end - start) / length, length
+
+
+def _around(centre: NDArray[np.float64], reach: float | NDArray[np.float64]) -> Bounds:
+    return tuple((centre - reach).tolist()), tuple((centre + reach).tolist())
+
+
+def _rotated_bounds(shape: Shape, matrix: NDArray[np.float64]) -> Bounds:
+    corners = np.array(list(itertools.product(*zip(shape.lower_m, shape.upper_m, strict=True))))
+    if not np.isfinite(corners).all():
+        return _EVERYWHERE
+    turned = corners @ matrix.T
+    return tuple(turned.min(axis=0).tolist()), tuple(turned.max(axis=0).tolist())
+
+
+def _vector(name: str, value: Vector) -> NDArray[np.float64]:
+    vector = np.asarray(value, dtype=np.float64)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise InputError(f"{name} must be three finite numbers, got {value}: use for example (0, 0, 1)")
+    return vector
+
+
+def _unit(name: str, value: Vector) -> NDArray[np.float64]:
+    vector = _vector(name, value)
+    length = float(np.linalg.norm(vector))
+    if length == 0.0:
+        raise InputError(f"{name} must not be zero, got {_text(vector)}: use for example (0, 0, 1)")
+    return vector / length
+
+
+def _text(vector: NDArray[np.float64]) -> str:
+    return "(" + ", ".join(f"{x:g}" for x in vector) + ")"

@@ -1,0 +1,1 @@
+"""Triangle surfaces: files, repair, sites on them."""

@@ -1,0 +1,248 @@
+"""A procedural glenoid: concave pear-shaped face, subchondral plate, cortical wall, graded trabecular vault.
+
+Sources, R = read, M = from memory of the literature, with confidence H, M or L. Cartilage is not modelled: the face is
+the bony one that a reamer meets after the cartilage has gone.
+
+========================  ==================  =====================================================================
+width x height            27.8 x 37.5 mm      M, M: Churchill 2001 (men; women 23.6 x 32.6)
+upper to lower width      0.80                M, M: Iannotti 1992, width half way up the upper half to the lower half's
+radius of curvature       35 mm               M, M: McPherson 1997, 32.2 antero-posterior, 40.6 supero-inferior
+plate thickness           1.9 (1.2-2.9) mm    R, H: serial sections of six glenoids (Frich)
+plate pattern             ±25 %               L: thicker anterior and posterior (bicentric density, M Schulz 2002)
+vault depth, taper        26 mm, 15 degrees   L: to the end of the cancellous vault; the neck is not modelled
+cortical wall             1.5 mm              L
+density cortical          1800 kg/m3          M, H
+density plate             1300 kg/m3          L: between cortical and dense trabecular bone
+density trabecular        450 to 300 kg/m3    L: falls below the plate over 5 mm (M Frich 1997: so does strength)
+========================  ==================  =====================================================================
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, require_range
+from meshes.shapes.anatomy import Anatomy
+from meshes.shapes.sdf import Shape, half_space, intersection
+
+__all__ = ["GLENOID_LAYERS", "glenoid"]
+
+GLENOID_LAYERS = ("subchondral", "cortical", "trabecular")
+_PLATE_RANGE_M = (1.2e-3, 2.9e-3)
+_VAULT_FLOOR_BLEND_M = 4e-3
+
+
+@dataclass(frozen=True)
+class _Pear:
+    """Two circles and their common tangents in the x-y plane, centred on the bounding box [m]."""
+
+    lower_radius: float
+    upper_radius: float
+    lower_y: float
+    upper_y: float
+
+    @property
+    def sine(self) -> float:
+        """Sine of the angle between the tangent and the y axis."""
+        return (self.lower_radius - self.upper_radius) / (self.upper_y - self.lower_y)
+
+    def half_width(self, y: float) -> float:
+        """Half width [m] at the height y [m], for y above the lower circle's widest point."""
+        cosine = math.sqrt(1.0 - self.sine**2)
+        if y <= self.upper_y + self.upper_radius * self.sine:
+            return (self.lower_radius - (y - self.lower_y) * self.sine) / cosine
+        return math.sqrt(max(self.upper_radius**2 - (y - self.upper_y) ** 2, 0.0))
+
+    def distance(self, x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
+        """Exact signed distance [m] to the outline (the hull of two circles), negative inside."""
+        sine = self.sine
+        cosine = math.sqrt(1.0 - sine**2)
+        across, up = np.abs(x), y - self.lower_y
+        along = cosine * up - sine * across
+        span = cosine * (self.upper_y - self.lower_y)
+        tangent = across * cosine + up * sine - self.lower_radius
+        below = np.sqrt(across**2 + up**2) - self.lower_radius
+        above = np.sqrt(across**2 + (y - self.upper_y) ** 2) - self.upper_radius
+        return np.where(along < 0.0, below, np.where(along > span, above, tangent))
+
+
+def _pear(width: float, height: float, upper_width_ratio: float) -> _Pear:
+    """Outline of the given width and height [m] whose upper half is `upper_width_ratio` as wide at its middle.
+
+    The half width there grows with the upper circle's radius, which is found by bisection.
+    """
+    lower = 0.5 * width
+
+    def outline(upper: float) -> _Pear:
+        return _Pear(lower, upper, lower - 0.5 * height, 0.5 * height - upper)
+
+    narrow, wide = 0.3 * lower, lower
+    for _ in range(50):
+        middle = 0.5 * (narrow + wide)
+        if outline(middle).half_width(0.25 * height) < upper_width_ratio * lower:
+            narrow = middle
+        else:
+            wide = middle
+    return outline(wide)
+
+
+@dataclass(frozen=True)
+class _Plate:
+    """Thickness of the subchondral plate over the face [m]."""
+
+    mean: float
+    variation: float
+    half_width: float
+    half_height: float
+
+    def thickness(self, x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
+        """Thicker anterior and posterior, thinner superior and inferior, held within 1.2-2.9 mm."""
+        pattern = np.clip((x / self.half_width) ** 2 - (y / self.half_height) ** 2, -1.0, 1.0)
+        return np.clip(self.mean * (1.0 + self.variation * pattern), *_PLATE_RANGE_M)
+
+
+def glenoid(
+    *,
+    width_mm: float = 27.8,
+    height_mm: float = 37.5,
+    upper_width_ratio: float = 0.8,
+    curvature_radius_mm: float = 35.0,
+    subchondral_thickness_mm: float = 1.9,
+    subchondral_variation: float = 0.25,
+    vault_depth_mm: float = 26.0,
+    vault_taper_deg: float = 15.0,
+    cortical_wall_mm: float = 1.5,
+    rim_blend_mm: float = 1.5,
+    cortical_density_kg_m3: float = 1800.0,
+    subchondral_density_kg_m3: float = 1300.0,
+    trabecular_density_kg_m3: float = 300.0,
+    trabecular_density_below_plate_kg_m3: float = 450.0,
+) -> Anatomy:
+    """Glenoid in the site frame: origin on the bone at the face's centre, x anterior, y superior, z outward (lateral).
+
+    Parameters
+    ----------
+    width_mm, height_mm
+        Antero-posterior (20 to 34) and supero-inferior (28 to 45) size of the face, rim to rim [mm].
+    upper_width_ratio
+        Width half way up the upper half relative to the full width, 0.65 to 0.95.
+    curvature_radius_mm
+        Radius of the spherical concavity [mm], 22 to 80 and above half the height.
+    subchondral_thickness_mm, subchondral_variation
+        Mean plate thickness over the face [mm], 1.2 to 2.9, and its relative swing, 0 to 0.5. The thickness is held
+        within 1.2 to 2.9 mm.
+    vault_depth_mm, vault_taper_deg
+        Depth of the vault below the face's centre [mm], 8 to 40, and the angle [degrees], 0 to 25, by which its walls
+        lean inward below that level.
+    cortical_wall_mm
+        Thickness of the cortical wall around the vault [mm], 0.5 to 4.
+    rim_blend_mm
+        Width over which face and wall are blended into a rounded rim [mm], 0 to 4.
+    cortical_density_kg_m3, subchondral_density_kg_m3
+        Apparent densities, 200 to 2200 kg/m3.
+    trabecular_density_kg_m3, trabecular_density_below_plate_kg_m3
+        Apparent density deep in the vault and just below the plate, 50 to 1200 kg/m3; the difference falls
+        exponentially over 5 mm.
+
+    Raises
+    ------
+    InputError
+        If a parameter is not finite or out of range.
+    """
+    check = require_range
+    width = 1e-3 * check("width_mm", width_mm, 20.0, 34.0, "use 27.8 (men) or 23.6 (women)")
+    height = 1e-3 * check("height_mm", height_mm, 28.0, 45.0, "use 37.5 (men) or 32.6 (women)")
+    ratio = check("upper_width_ratio", upper_width_ratio, 0.65, 0.95, "use 0.8")
+    radius = 1e-3 * check("curvature_radius_mm", curvature_radius_mm, 22.0, 80.0, "use 35")
+    mean = 1e-3 * check("subchondral_thickness_mm", subchondral_thickness_mm, 1.2, 2.9, "use 1.9")
+    variation = check("subchondral_variation", subchondral_variation, 0.0, 0.5, "use 0.25")
+    depth = 1e-3 * check("vault_depth_mm", vault_depth_mm, 8.0, 40.0, "use 26")
+    taper = math.radians(check("vault_taper_deg", vault_taper_deg, 0.0, 25.0, "use 15"))
+    wall = 1e-3 * check("cortical_wall_mm", cortical_wall_mm, 0.5, 4.0, "use 1.5")
+    blend = 1e-3 * check("rim_blend_mm", rim_blend_mm, 0.0, 4.0, "use 1.5")
+    densities = tuple(
+        check(name, value, lowest, highest, f"use {usual}")
+        for name, value, lowest, highest, usual in (
+            ("subchondral_density_kg_m3", subchondral_density_kg_m3, 200.0, 2200.0, 1300),
+            ("cortical_density_kg_m3", cortical_density_kg_m3, 200.0, 2200.0, 1800),
+            ("trabecular_density_kg_m3", trabecular_density_kg_m3, 50.0, 1200.0, 300),
+            ("trabecular_density_below_plate_kg_m3", trabecular_density_below_plate_kg_m3, 50.0, 1200.0, 450),
+        )
+    )
+    pear = _checked_pear(width, height, ratio, depth, taper, radius)
+    plate = _Plate(mean, variation, 0.5 * width, 0.5 * height)
+    notes = {
+        "face": f"{width_mm:g} x {height_mm:g} mm, concave, radius {curvature_radius_mm:g} mm",
+        "subchondral plate": f"{subchondral_thickness_mm:g} mm on average, swing {100 * variation:g} %",
+        "vault": f"{vault_depth_mm:g} mm deep, then cut off: the neck and the blade of the scapula are not modelled",
+        "cartilage": "not modelled",
+        "trabecular density": f"{trabecular_density_below_plate_kg_m3:g} to {trabecular_density_kg_m3:g} kg/m3, "
+        "a prior of low confidence",
+    }
+    return Anatomy(
+        "procedural glenoid",
+        _bone(pear, radius, depth, taper, blend),
+        GLENOID_LAYERS,
+        _layers(plate, radius, wall, densities),
+        notes,
+    )
+
+
+def _checked_pear(width: float, height: float, ratio: float, depth: float, taper: float, radius: float) -> _Pear:
+    """Outline of the face, with the combinations refused that close the vault or cut the face off."""
+    if radius <= 0.5 * height:
+        raise InputError(
+            f"curvature_radius_mm must exceed half of height_mm ({500 * height:g}), got {1e3 * radius:g}: use 35"
+        )
+    if height < 1.1 * width:
+        raise InputError(
+            f"height_mm must be at least 1.1 times width_mm ({1e3 * width:g}), got {1e3 * height:g}: use 37.5 with 27.8"
+        )
+    if depth * math.tan(taper) > 0.45 * width:
+        raise InputError(
+            f"vault_taper_deg must leave the vault open at its floor, got {math.degrees(taper):g} over "
+            f"{1e3 * depth:g} mm: use at most {math.degrees(math.atan(0.45 * width / depth)):.1f}"
+        )
+    return _pear(width, height, ratio)
+
+
+def _bone(pear: _Pear, radius: float, depth: float, taper: float, blend: float) -> Shape:
+    """Outer surface: the outline extruded, leaning inward below z = 0, dished by a sphere, cut off at the floor."""
+    sine, cosine = math.sin(taper), math.cos(taper)
+    half_width = pear.lower_radius
+    half_height = pear.lower_radius - pear.lower_y
+    rim = radius - math.sqrt(radius**2 - half_height**2)
+
+    def wall_distance(p: NDArray[Any]) -> NDArray[Any]:
+        outline = pear.distance(p[:, 0], p[:, 1])
+        return np.maximum(outline, outline * cosine - p[:, 2] * sine)
+
+    def dish_distance(p: NDArray[Any]) -> NDArray[Any]:
+        return radius - np.sqrt(p[:, 0] ** 2 + p[:, 1] ** 2 + (p[:, 2] - radius) ** 2)
+
+    walls = Shape(wall_distance, (-half_width, -half_height, -depth), (half_width, half_height, rim))
+    lid = half_space((0.0, 0.0, 1.0), (0.0, 0.0, rim))
+    dished = intersection(walls & lid, Shape(dish_distance), blend_m=blend)
+    return intersection(dished, half_space((0.0, 0.0, -1.0), (0.0, 0.0, -depth)), blend_m=_VAULT_FLOOR_BLEND_M)
+
+
+def _layers(plate: _Plate, radius: float, wall: float, densities: tuple[float, ...]) -> Any:
+    """Classify by depth below the dished face, then by depth below the outer surface."""
+    subchondral, cortical, deep, below_plate = densities
+    decay = 5e-3
+
+    def classify(points: NDArray[Any], depth: NDArray[Any]) -> tuple[NDArray[np.uint8], NDArray[Any]]:
+        """Layer and density [kg/m3], shape (n,), of points [m], shape (n, 3), at depths below the surface [m]."""
+        x, y, z = points[:, 0], points[:, 1], points[:, 2]
+        below = np.sqrt(x**2 + y**2 + (z - radius) ** 2) - radius - plate.thickness(x, y)
+        layer = np.where(below < 0.0, 0, np.where(depth < wall, 1, 2)).astype(np.uint8)
+        graded = deep + (below_plate - deep) * np.exp(-np.maximum(below, 0.0) / decay)
+        density = np.where(layer == 0, subchondral, np.where(layer == 1, cortical, graded)).astype(points.dtype)
+        return layer, density
+
+    return classify

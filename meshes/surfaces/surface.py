@@ -1,0 +1,283 @@
+"""A bone surface from a file: read, given a unit, repaired, and refused where it encloses no solid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, counted
+from meshes.base.parse_apart import parse_apart
+from meshes.surfaces.holes import fill_holes
+from meshes.surfaces.length_unit import unit_of
+from meshes.surfaces.obj import read_obj
+from meshes.surfaces.ply_header import require_whole_ply
+from meshes.surfaces.repair import Triangles, bodies, drop_debris, edge_counts, merge_vertices, orient
+from meshes.surfaces.stl import read_binary_stl
+
+__all__ = ["SURFACE_SUFFIXES", "Surface", "SurfaceReport", "read_surface", "read_triangles", "surface_from_triangles"]
+
+SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
+_MERGE_TOLERANCE = 1e-6
+_DEBRIS_AREA = 0.01
+_HOLE_AREA = 0.03
+_CAP_M2 = 1e-5
+"""A hole of more area is listed as a cap: what closes it is a guess, which matters where a tool goes."""
+_FLATTEST = 1e-3
+_TURNED = "Turned the surface outward: it was wound inward."
+_FARTHEST = 1e100
+"""Coordinates beyond it count as not finite: their squares overflow."""
+
+
+@dataclass(frozen=True)
+class SurfaceReport:
+    """What was found in a surface file and done to it.
+
+    Attributes
+    ----------
+    source
+        File name, or what the surface was made from.
+    scale_mm
+        Millimetres per unit of the file.
+    unit_guess
+        How the unit was chosen, a phrase.
+    size_mm
+        Sides of the bounding box [mm].
+    volume_mm3
+        Volume enclosed [mm3].
+    repairs, turned
+        What was changed, a sentence each, and how many triangles or whole bodies were turned.
+    """
+
+    source: str
+    scale_mm: float
+    unit_guess: str
+    size_mm: tuple[float, float, float]
+    volume_mm3: float
+    repairs: tuple[str, ...]
+    turned: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A closed triangle surface, wound outward, in the frame of its file.
+
+    Attributes
+    ----------
+    vertices_m
+        Vertices [m], shape (n, 3), float64.
+    faces
+        Vertex numbers of the triangles, shape (m, 3), int64.
+    report
+        Where it came from and what was done to it.
+    caps_m
+        Points [m], shape (k, 3), of each face laid over a hole of more than 10 mm2, where the scan of the bone may end.
+    scanned
+        Vertices [m] and triangles without what was laid over holes, from which a site takes its axes.
+    """
+
+    vertices_m: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    report: SurfaceReport
+    caps_m: tuple[NDArray[np.float64], ...]
+    scanned: Triangles
+
+
+def read_surface(path: str | Path, *, scale_mm: float | None = None, cut_off: bool = False) -> Surface:
+    """Read a surface from STL, OBJ, PLY, VTK or VTP and make it enclose a solid.
+
+    Parameters
+    ----------
+    path
+        File; its suffix names the format.
+    scale_mm
+        Millimetres per unit of the file; None: guessed from the longest side of the bounding box (5 to 700:
+        millimetres; 0.005 to 0.7: metres; anything else is refused).
+    cut_off
+        Whether the bone may end at the edge of its scan: a large hole is closed by a face, where else it is refused.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, empty, of unknown format or not readable, or its surface cannot be made to enclose a
+        solid of 1 mm to 1 m.
+    """
+    file = Path(path)
+    vertices, faces = read_triangles(file)
+    return surface_from_triangles(vertices, faces, source=file.name, scale_mm=scale_mm, cut_off=cut_off)
+
+
+def surface_from_triangles(
+    vertices: NDArray[Any],
+    faces: NDArray[Any],
+    *,
+    source: str = "triangles",
+    scale_mm: float | None = None,
+    cut_off: bool = False,
+) -> Surface:
+    """Make triangles enclose a solid: one unit, vertices merged, debris dropped, wound outward, small holes filled.
+
+    Parameters
+    ----------
+    vertices
+        Vertices [file units], shape (n, 3).
+    faces
+        Vertex numbers, shape (m, 3).
+    source, scale_mm, cut_off
+        As in `read_surface`.
+
+    Raises
+    ------
+    InputError
+        As in `read_surface`.
+    """
+    vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
+    _require_triangles(vertices, faces, source)
+    if not -_FARTHEST < vertices.min() <= vertices.max() < _FARTHEST:
+        bad = int((~(np.abs(vertices) < _FARTHEST).all(axis=1)).sum())
+        raise InputError(
+            f"vertices must be finite, got {bad} of {len(vertices)} that are not in {source}: export it again"
+        )
+    named = np.zeros(len(vertices), dtype=bool)
+    named[faces] = True
+    used = vertices if named.all() else vertices[named]
+    longest = max(_sides(used))
+    _require_thickness(used, longest, source)
+    scale, guess = unit_of(longest, scale_mm, source)
+    vertices = vertices * (1e-3 * scale)
+    longest *= 1e-3 * scale
+    vertices, faces, volume, repairs, turned, caps, scanned = _repaired(vertices, faces, longest, source, cut_off)
+    if volume <= 1e-6 * longest**3:
+        raise InputError(
+            f"surface must enclose a solid, got {1e9 * volume:.3g} mm3 inside {source}: close it in a mesh editor"
+        )
+    x, y, z = (1e3 * side for side in _sides(vertices))
+    report = SurfaceReport(source, scale, guess, (x, y, z), 1e9 * volume, tuple(repairs), turned)
+    return Surface(vertices, faces, report, caps, (vertices, faces[:scanned]))
+
+
+def _repaired(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], longest: float, source: str, cut_off: bool
+) -> tuple[NDArray[np.float64], NDArray[np.int64], float, list[str], int, tuple[NDArray[np.float64], ...], int]:
+    """Vertices [m] and triangles of a closed surface wound outward, its volume [m3], what was done, how many
+    triangles or bodies were turned, faces over holes, and how many triangles come before these.
+    """
+    repairs = []
+    before = len(vertices)
+    vertices, faces, manifold = merge_vertices(vertices, faces, _MERGE_TOLERANCE * longest)
+    if before > len(vertices):
+        repairs.append(f"Merged or dropped {before - len(vertices)} of {before} vertices that coincide or are unused.")
+    (vertices, faces), body, dropped = drop_debris(vertices, faces, bodies(len(vertices), faces), _DEBRIS_AREA)
+    if dropped:
+        pieces = counted(len(dropped), "loose piece")
+        repairs.append(f"Dropped {pieces}, the largest {1e3 * max(dropped):.3g} mm long.")
+    faces, turned, inside_out, volume = orient(vertices, faces, body, manifold=manifold)
+    if turned:
+        repairs.append(f"Turned {turned} of {len(faces)} triangles to agree with their neighbours.")
+    if manifold:
+        if inside_out:
+            repairs.append(_TURNED)
+        return vertices, faces, volume, repairs, inside_out, (), len(faces)
+    counts, scanned = edge_counts(faces), len(faces)
+    (vertices, faces), holes = fill_holes(vertices, faces, _HOLE_AREA, least_cap=_CAP_M2)
+    if holes.large and not cut_off:
+        raise InputError(
+            f"surface must enclose a solid, got {counts[0]} open and {counts[1]} non-manifold edges in "
+            f"{source}, the largest hole {1e6 * holes.largest_area:.3g} mm2: close it in a mesh editor"
+        )
+    faces, _, late, volume = orient(vertices, faces)
+    if inside_out + late:
+        repairs.append(_TURNED)
+    if holes.filled:
+        repairs.append(
+            f"Closed {counted(holes.filled, 'hole')} along {counts[0]} open and {counts[1]} non-manifold edges, the "
+            f"largest {1e6 * holes.largest_area:.3g} mm2."
+        )
+    if holes.large:
+        repairs.append(f"The bone is cut off at {counted(holes.large, 'large hole')}, closed by a face each.")
+    return vertices, faces, volume, repairs, turned + inside_out + late, holes.caps, scanned
+
+
+def read_triangles(file: Path) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Read vertices, shape (n, 3), and triangles, shape (m, 3), as a file stores them, in its unit.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, empty, of unknown format or not readable, or a triangle names no vertex of it.
+    """
+    if file.suffix.lower() not in SURFACE_SUFFIXES:
+        raise InputError(
+            f"file must end in {', '.join(SURFACE_SUFFIXES)}, got {file.name}: convert it, or read a "
+            "volume with read_volume"
+        )
+    if not file.is_file():
+        raise InputError(f"file must exist, got {file}: check the path, which is taken from the working directory")
+    if file.stat().st_size == 0:
+        raise InputError(f"file must hold a surface, got the empty file {file.name}: export it again")
+    vertices, faces = _stored(file)
+    _require_triangles(vertices, faces, file.name)
+    return vertices, faces
+
+
+def _stored(file: Path) -> tuple[NDArray[Any], NDArray[Any]]:
+    kind = file.suffix.lower()[1:].upper()
+    if kind in ("VTK", "VTP"):
+        parsed = parse_apart(
+            "meshes.surfaces.vtk_reading:vtk_triangles", file, what=f"{kind} surface", remedy="export it again"
+        )
+        return parsed.arrays["points"], parsed.arrays["triangles"]
+    if kind == "OBJ":
+        return read_obj(file)
+    if kind == "STL" and (binary := read_binary_stl(file)) is not None:
+        return binary
+    if kind == "PLY":
+        require_whole_ply(file)
+    try:
+        import trimesh
+
+        mesh: Any = trimesh.load(file, force="mesh", process=False)
+        return np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    except Exception as problem:  # the readers raise many kinds, none documented
+        raise InputError(
+            f"file must be a readable {kind} surface, got {file.name} (it is damaged or cut off): export it again"
+        ) from problem
+
+
+def _require_triangles(vertices: NDArray[Any], faces: NDArray[Any], source: str) -> None:
+    """Refuse triangles that are none, or that name vertices which are not there."""
+    if len(vertices) == 0 or len(faces) == 0:
+        raise InputError(
+            f"file must hold triangles, got {len(vertices)} vertices and {len(faces)} triangles in "
+            f"{source}: export the surface as triangles"
+        )
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
+        raise InputError(
+            f"file must hold triangles in space, got vertices of shape {vertices.shape} and faces of shape "
+            f"{faces.shape} in {source}: export it again"
+        )
+    count = len(vertices)
+    if faces.min() < 0 or faces.max() >= count:
+        face, corner = np.argwhere((faces < 0) | (faces >= count))[0]
+        raise InputError(
+            f"faces must name vertices 0 to {count - 1} of the file, got {faces[face, corner]} in face {face} of "
+            f"{source}, counted from 0: export it again"
+        )
+
+
+def _require_thickness(points: NDArray[np.float64], longest: float, source: str) -> None:
+    """Refuse points that lie in a plane or on a line, in any direction."""
+    from_first = points - points[0]
+    middle = np.array([column.mean() for column in from_first.T])
+    covariance = from_first.T @ from_first / len(points) - np.outer(middle, middle)
+    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0.0))
+    if not longest > 0.0 or spread[0] < _FLATTEST * spread[2]:
+        raise InputError(f"surface must have thickness, got a flat one in {source}: use a closed surface")
+
+
+def _sides(points: NDArray[np.float64]) -> list[float]:
+    """Sides of the bounding box; by column, where NumPy is slow along the rows of many points."""
+    return [float(column.max() - column.min()) for column in points.T]

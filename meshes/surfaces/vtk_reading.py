@@ -1,0 +1,164 @@
+"""What VTK's readers find in a file; run by `meshes.base.parse_apart`, since a damaged file can end the process.
+
+The readers complain on VTK's output window and go on with arrays half filled, so a complaint counts as a failure here.
+Cells are checked before any filter sees them, which would copy what lies beyond the points.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import DamagedFileError, InputError
+
+__all__ = ["check_vtk", "read_vtk", "vtk_mesh", "vtk_triangles"]
+
+Answer = tuple[dict[str, Any], dict[str, NDArray[Any]]]
+_TETRAHEDRON, _QUADRATIC_TETRAHEDRON = 10, 24
+_CORNERS = {
+    1: 1,
+    3: 2,
+    5: 3,
+    8: 4,
+    9: 4,
+    10: 4,
+    11: 8,
+    12: 8,
+    13: 6,
+    14: 5,
+    21: 3,
+    22: 6,
+    23: 8,
+    24: 10,
+    25: 20,
+    26: 15,
+}
+"""Points of a cell by its VTK type, where the type fixes them."""
+_HEADING = re.compile(r"^(ERROR|Warning|Generic Warning): In .*$|^\w+ \(0x[0-9a-f]+\): ", re.MULTILINE)
+
+
+def read_vtk(file: Path) -> Any:
+    """Dataset that pyvista reads from a file, its cells checked.
+
+    Raises
+    ------
+    DamagedFileError
+        If the reader complained, with its first complaint, or cells are not where the file states.
+    InputError
+        If a cell names a point that is not there.
+    """
+    import pyvista
+    from vtkmodules.vtkCommonCore import vtkOutputWindow, vtkStringOutputWindow
+
+    window = vtkStringOutputWindow()
+    vtkOutputWindow.SetInstance(window)
+    data: Any = pyvista.read(file)
+    said = window.GetOutput() or ""
+    if "error" in said.lower():
+        raise DamagedFileError(
+            next((line for line in _HEADING.sub("", said).splitlines() if line.strip()), "not whole")
+        )
+    for block in data if isinstance(data, pyvista.MultiBlock) else [data]:
+        if isinstance(block, pyvista.PolyData):
+            for cells in (block.GetVerts(), block.GetLines(), block.GetPolys(), block.GetStrips()):
+                _require_cells(cells, file, block.n_points)
+        elif isinstance(block, pyvista.UnstructuredGrid):
+            _require_cells(block.GetCells(), file, block.n_points, np.asarray(block.celltypes))
+    return data
+
+
+def check_vtk(folder: Path, arrays_by_file: dict[str, list[str]]) -> Answer:
+    """Read files of a folder, and refuse those that are damaged or lack one of the arrays that they should hold.
+
+    Where ``layer`` is among them, it must count into the field ``layer_names``. What is found is not handed back.
+    """
+    for name, wanted in arrays_by_file.items():
+        try:
+            data = read_vtk(folder / name)
+        except (InputError, DamagedFileError) as problem:
+            raise DamagedFileError(f"{name} is damaged: {problem}") from None
+        except Exception:  # the readers raise many kinds, none documented
+            raise DamagedFileError(f"{name} is damaged or cut off") from None
+        missing = [each for each in wanted if each not in data.cell_data and data.n_cells]
+        if missing:
+            raise DamagedFileError(f"{name} lacks {missing[0]} over its cells")
+        if "layer" in wanted and data.n_cells:
+            layers, names = np.asarray(data.cell_data["layer"]), data.field_data.get("layer_names", ())
+            if layers.dtype.kind not in "iu" or layers.min() < 0 or layers.max() >= len(names):
+                raise DamagedFileError(f"{name} has layers without a name")
+    return {}, {}
+
+
+def vtk_triangles(file: Path) -> Answer:
+    """Arrays ``points``, shape (n, 3), and ``triangles``, shape (m, 3), of the surface of what a file holds."""
+    return {}, _triangles(read_vtk(file))
+
+
+def vtk_mesh(file: Path) -> Answer:
+    """Arrays ``points`` and ``tets`` with arrays over them, or else ``points`` and ``triangles``.
+
+    Facts beside tetrahedra: ``others``, the number of cells that are not; ``quadratic``, whether some had more than
+    corners; ``names`` of the arrays over them, which are ``cells 0``, ``cells 1``, ... here.
+    """
+    import pyvista
+
+    data = read_vtk(file)
+    if isinstance(data, pyvista.MultiBlock):
+        data = data.combine()
+    kinds = np.asarray(data.celltypes) if isinstance(data, pyvista.UnstructuredGrid) else np.zeros(0)
+    if not np.isin(kinds, (_TETRAHEDRON, _QUADRATIC_TETRAHEDRON)).any():
+        return {}, _triangles(data)
+    by_kind = data.cells_dict
+    present = [kind for kind in (_TETRAHEDRON, _QUADRATIC_TETRAHEDRON) if kind in by_kind]
+    order = np.concatenate([np.flatnonzero(kinds == kind) for kind in present])
+    tets = np.concatenate([np.asarray(by_kind[kind])[:, :4] for kind in present]).astype(np.int64)
+    names = [name for name in data.cell_data if np.asarray(data.cell_data[name]).dtype.kind in "biuf"]
+    arrays = {"points": np.asarray(data.points), "tets": tets}
+    arrays |= {f"cells {i}": np.asarray(data.cell_data[name])[order] for i, name in enumerate(names)}
+    facts = {"others": len(kinds) - len(order), "quadratic": _QUADRATIC_TETRAHEDRON in present, "names": names}
+    return facts, arrays
+
+
+def _triangles(data: Any) -> dict[str, NDArray[Any]]:
+    import pyvista
+
+    if not isinstance(data, pyvista.PolyData):
+        data = data.extract_surface(algorithm="dataset_surface")
+    surface = data.triangulate()
+    return {
+        "points": np.asarray(surface.points),
+        "triangles": np.asarray(surface.faces).reshape(-1, 4)[:, 1:].astype(np.int64),
+    }
+
+
+def _require_cells(cells: Any, file: Path, point_count: int, kinds: NDArray[Any] | None = None) -> None:
+    """Refuse cells that name points which are not there, or have another number of them than their type."""
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+
+    offsets = vtk_to_numpy(cells.GetOffsetsArray()).astype(np.int64)
+    points = vtk_to_numpy(cells.GetConnectivityArray()).astype(np.int64)
+    sizes = np.diff(offsets)
+    if len(offsets) and (offsets[0] != 0 or offsets[-1] != len(points) or (sizes < 0).any()):
+        raise DamagedFileError("cells are not where their offsets point")
+    if kinds is not None:
+        if len(kinds) != len(sizes):
+            raise DamagedFileError(f"{len(kinds)} types of {len(sizes)} cells")
+        expected = np.array([_CORNERS.get(kind, -1) for kind in range(256)])[kinds]
+        short = np.flatnonzero((expected >= 0) & (sizes != expected))
+        if len(short):
+            k = short[0]
+            raise InputError(
+                f"cells of VTK type {kinds[k]} must have {expected[k]} points, got {sizes[k]} in cell {k} of "
+                f"{file.name}, counted from 0: export it again"
+            )
+    wrong = np.flatnonzero((points < 0) | (points >= point_count))
+    if len(wrong):
+        cell = int(np.searchsorted(offsets, wrong[0], side="right")) - 1
+        raise InputError(
+            f"cells must name points 0 to {point_count - 1} of the file, got {points[wrong[0]]} in cell {cell} of "
+            f"{file.name}, counted from 0: export it again"
+        )

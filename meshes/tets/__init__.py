@@ -1,0 +1,1 @@
+"""Tetrahedral meshes: files, filling, quality, repair."""

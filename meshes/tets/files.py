@@ -1,0 +1,163 @@
+"""A soft organ from a file: tetrahedra as stored, or a surface filled with them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, require_positive
+from meshes.base.parse_apart import parse_apart
+from meshes.base.progress import Progress, silent
+from meshes.surfaces.surface import surface_from_triangles
+from meshes.tets.msh import read_msh
+from meshes.tets.quality import repair_tets
+from meshes.tets.tetrahedra import TetMesh
+from meshes.tets.tetrahedralise import tetrahedralise
+
+__all__ = ["TetFile", "read_tets"]
+
+_ORGAN_MM = (20.0, 450.0)
+_TYPICAL_MM = 200.0
+_UNITS = ((1.0, "millimetres"), (1000.0, "metres"))
+_PART_ARRAYS = ("gmsh:physical", "medit:ref", "part", "parts", "region", "regions", "MaterialIds", "material", "label")
+_MOST_PARTS = 64
+
+
+@dataclass(frozen=True, eq=False)
+class TetFile:
+    """A mesh read from a file and how it came to be.
+
+    Attributes
+    ----------
+    mesh
+        The mesh, in the frame of the file, in metres.
+    unit_mm
+        Millimetres per unit of the file.
+    sentences
+        The unit, what was found and what was done, a sentence each.
+    filled
+        Whether the tetrahedra were made here, in a surface.
+    """
+
+    mesh: TetMesh
+    unit_mm: float
+    sentences: tuple[str, ...]
+    filled: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class _Stored:
+    """What a file holds, in its units: tetrahedra and their parts, or else triangles."""
+
+    points: NDArray[np.float64]
+    tets: NDArray[np.int64]
+    triangles: NDArray[np.int64]
+    part: NDArray[np.int64]
+    names: dict[int, str]
+    notes: tuple[str, ...] = ()
+
+
+def read_tets(
+    path: str | Path, *, unit_mm: float | None = None, edge_m: float | None = None, tell: Progress = silent
+) -> TetFile:
+    """Read a tetrahedral mesh, or read a closed surface and fill it with tetrahedra.
+
+    Gmsh text of versions 1 and 2 (``.msh``) is read here, everything else by pyvista, which reads VTK files itself and
+    further formats where meshio is installed. Cells other than tetrahedra are left out beside tetrahedra. An array of
+    integers over the cells that is named as parts usually are (``gmsh:physical``, ``part``, ``region``, ...) gives the
+    parts.
+
+    Parameters
+    ----------
+    path
+        File; its suffix names the format.
+    unit_mm
+        Millimetres per unit of the file. None: millimetres or metres, whichever makes the longest side 20 to 450 mm.
+    edge_m
+        Edge of the tetrahedra that fill a surface [m]; None: about 30,000 of them.
+    tell
+        Called with what is being done and the share of it that is done (0 to 1).
+
+    Raises
+    ------
+    InputError
+        If the file is missing, empty or not readable, holds no solid, or is not of an organ's size in any plain unit.
+    """
+    file = Path(path)
+    if not file.is_file():
+        raise InputError(f"file must exist, got {file}: check the path, which is taken from the working directory")
+    if file.stat().st_size == 0:
+        raise InputError(f"file must hold a mesh, got the empty file {file.name}: export it again")
+    stored = _from_msh(file) if file.suffix.lower() == ".msh" else _from_vtk(file)
+    used = stored.points[np.unique(stored.tets if len(stored.tets) else stored.triangles)]
+    bad = int((~np.isfinite(used).all(axis=1)).sum())
+    if bad:
+        raise InputError(f"nodes must be finite, got {bad} of {len(used)} that are not in {file.name}: export it again")
+    scale, why = _unit(np.ptp(used, axis=0), unit_mm, file.name)
+    if len(stored.tets):
+        values, part = np.unique(stored.part, return_inverse=True)
+        names = tuple(stored.names.get(int(v), f"part {v}") for v in values) if len(values) > 1 else ("body",)
+        mesh, report = repair_tets(stored.points * (1e-3 * scale), stored.tets, part.reshape(-1), names)
+        return TetFile(mesh, scale, (why, *stored.notes, *report.sentences()))
+    surface = surface_from_triangles(stored.points, stored.triangles, source=file.name, scale_mm=scale)
+    filled, sentences = tetrahedralise(surface, edge_m=edge_m, tell=tell)
+    return TetFile(filled, scale, (why, *stored.notes, *surface.report.repairs, *sentences), filled=True)
+
+
+def _unit(size: NDArray[np.float64], unit_mm: float | None, name: str) -> tuple[float, str]:
+    """Millimetres per file unit and a sentence on how they were found, for a box in file units."""
+    longest = float(size.max())
+    box = " x ".join(f"{s:.3g}" for s in size)
+    if unit_mm is not None:
+        scale = require_positive("anatomy.scale_mm", unit_mm, "use 1 for millimetres, 1000 for metres")
+        sides = " x ".join(f"{scale * s:.3g}" for s in size)
+        said = f"{name} was read at {scale:g} mm per unit, as given: {sides} mm."
+        if not _ORGAN_MM[0] <= longest * scale <= _ORGAN_MM[1]:
+            said = said[:-1] + f", which is not the size of an organ ({_ORGAN_MM[0]:g} to {_ORGAN_MM[1]:g} mm)."
+        return scale, said
+    for scale, unit in _UNITS:
+        if _ORGAN_MM[0] <= longest * scale <= _ORGAN_MM[1]:
+            sides = " x ".join(f"{scale * s:.3g}" for s in size)
+            return scale, f"{name} names no unit and was taken to be in {unit}: {sides} mm."
+    raise InputError(
+        f"anatomy.scale_mm must be given where the unit is not plain, got none for {name}, whose box of {box} is an "
+        f"organ neither in millimetres nor in metres: give millimetres per unit, {_TYPICAL_MM / longest:.2g} would "
+        f"make it {_TYPICAL_MM:g} mm long"
+    )
+
+
+def _from_msh(file: Path) -> _Stored:
+    stored = read_msh(file)
+    if len(stored.tets) == 0 and len(stored.triangles) == 0:
+        raise InputError(f"file must hold tetrahedra or triangles, got none in {file.name}: mesh it in Gmsh first")
+    left = stored.others + (len(stored.triangles) if len(stored.tets) else 0)
+    notes = (f"Left out {left} elements that are not tetrahedra.",) if left and len(stored.tets) else ()
+    return _Stored(stored.points, stored.tets, stored.triangles, stored.physical, stored.names, notes)
+
+
+def _from_vtk(file: Path) -> _Stored:
+    """A file as pyvista reads it."""
+    remedy = "export it as .vtu, .vtk, .msh or .stl"
+    parsed = parse_apart("meshes.surfaces.vtk_reading:vtk_mesh", file, what="mesh", remedy=remedy)
+    points, none = parsed.arrays["points"].astype(np.float64), np.zeros((0, 3), dtype=np.int64)
+    if "tets" not in parsed.arrays:
+        triangles = parsed.arrays["triangles"]
+        if len(triangles) == 0:
+            raise InputError(f"file must hold tetrahedra or triangles, got none in {file.name}: export it again")
+        return _Stored(points, np.zeros((0, 4), dtype=np.int64), triangles, np.zeros(0, dtype=np.int64), {})
+    tets, names = parsed.arrays["tets"], parsed.facts["names"]
+    part, notes = np.zeros(len(tets), dtype=np.int64), []
+    for name in _PART_ARRAYS:
+        values = parsed.arrays[f"cells {names.index(name)}"] if name in names else np.zeros(0)
+        whole = values.ndim == 1 and len(values) > 0 and bool(np.isfinite(values).all())
+        if whole and (values == np.round(values)).all() and len(np.unique(values)) <= _MOST_PARTS:
+            part = values.astype(np.int64)
+            break
+    if parsed.facts["others"]:
+        notes.append(f"Left out {parsed.facts['others']} cells that are not tetrahedra.")
+    if parsed.facts["quadratic"]:
+        notes.append("Took the corners of quadratic tetrahedra: their edges became straight.")
+    return _Stored(points, tets, none, part, {}, tuple(notes))

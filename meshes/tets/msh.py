@@ -1,0 +1,142 @@
+"""Gmsh files of versions 1 and 2 in text, which the libraries at hand read not at all or only with a further one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from meshes.base.visible_text import visible
+
+__all__ = ["MshMesh", "read_msh"]
+
+_TRIANGLE, _TETRAHEDRON = 2, 4
+_LONGEST_NAME = 60
+_OPENINGS = {"$NOD": 1, "$MeshFormat": 2}
+
+
+@dataclass(frozen=True, eq=False)
+class MshMesh:
+    """What a Gmsh file holds, in its units.
+
+    Attributes
+    ----------
+    points
+        Nodes, shape (n, 3).
+    tets, triangles
+        Nodes of the tetrahedra and triangles, shapes (m, 4) and (k, 3).
+    physical
+        Physical group of each tetrahedron, 0 for none, shape (m,).
+    names
+        Names of the physical groups that have one.
+    others
+        Elements of other kinds, left out.
+    """
+
+    points: NDArray[np.float64]
+    tets: NDArray[np.int64]
+    triangles: NDArray[np.int64]
+    physical: NDArray[np.int64]
+    names: dict[int, str]
+    others: int
+
+
+def read_msh(file: Path) -> MshMesh:
+    """Read a Gmsh text file of version 1 (``$NOD``) or 2 (``$MeshFormat`` 2.x).
+
+    Raises
+    ------
+    InputError
+        If the file is of another version, binary, cut short, or names nodes it does not hold.
+    """
+    content = file.read_bytes()
+    try:
+        text = content.decode("utf-8")
+    except UnicodeDecodeError:
+        text = content.decode("latin-1")
+    lines = [line.rstrip("\r") for line in text.split("\n")]
+    version = next((_OPENINGS[line.strip()] for line in lines[:1] if line.strip() in _OPENINGS), 0)
+    if version == 2:
+        form = lines[1].split() if len(lines) > 1 else []
+        if len(form) < 2 or not form[0].startswith("2") or form[1] != "0":
+            raise InputError(
+                f"file must be Gmsh text of version 1 or 2, got version {' '.join(form[:2])} in {file.name}: save it "
+                "with gmsh -format msh22"
+            )
+    if version == 0:
+        raise InputError(f"file must be Gmsh text of version 1 or 2, got neither in {file.name}: export it again")
+    try:
+        numbers, points = _nodes(_section(lines, "$NOD" if version == 1 else "$Nodes"))
+        elements = [[int(x) for x in line.split()] for line in _section(lines, "$ELM" if version == 1 else "$Elements")]
+        # Version 1: number kind physical elementary count nodes; version 2: number kind count-of-tags tags nodes.
+        begins = [5 if version == 1 else 3 + element[2] for element in elements]
+        physical = [element[2] if version == 1 else (element[3] if element[2] else 0) for element in elements]
+        kinds = np.array([element[1] for element in elements])
+        names = _names(_section(lines, "$PhysicalNames"), file) if "$PhysicalNames" in lines else {}
+        tets = _of_kind(elements, begins, _TETRAHEDRON, 4)
+        triangles = _of_kind(elements, begins, _TRIANGLE, 3)
+    except InputError:
+        raise
+    except (ValueError, IndexError, OverflowError) as problem:
+        raise InputError(
+            f"file must hold whole sections of nodes and elements, got a broken one in {file.name}: export it again"
+        ) from problem
+    order = np.argsort(numbers)
+    both = []
+    for wanted in (tets, triangles):
+        where = np.minimum(np.searchsorted(numbers, wanted, sorter=order), len(numbers) - 1)
+        found = order[where]
+        if (numbers[found] != wanted).any():
+            unknown = int(wanted[numbers[found] != wanted][0])
+            raise InputError(f"elements must name nodes of the file, got {unknown} in {file.name}: export it again")
+        both.append(found.astype(np.int64))
+    is_tet = kinds == _TETRAHEDRON
+    others = int((~is_tet & (kinds != _TRIANGLE)).sum())
+    return MshMesh(points, both[0], both[1], np.array(physical, dtype=np.int64)[is_tet], names, others)
+
+
+def _section(lines: list[str], opening: str) -> list[str]:
+    """Lines of a section after its count, as many as the count states."""
+    start = lines.index(opening)
+    count = int(lines[start + 1])
+    body = lines[start + 2 : start + 2 + count]
+    if len(body) < count or any(line.startswith("$") for line in body):
+        raise ValueError(opening)
+    return body
+
+
+def _nodes(lines: list[str]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    rows = [line.split() for line in lines]
+    if not rows or any(len(row) < 4 for row in rows):
+        raise ValueError("nodes")
+    numbers = np.array([int(row[0]) for row in rows], dtype=np.int64)
+    if len(np.unique(numbers)) != len(numbers):
+        raise ValueError("nodes of one number")
+    return numbers, np.array([[float(x) for x in row[1:4]] for row in rows])
+
+
+def _of_kind(elements: list[list[int]], begins: list[int], kind: int, corners: int) -> NDArray[np.int64]:
+    chosen = [e[b:] for e, b in zip(elements, begins, strict=True) if e[1] == kind]
+    if any(len(each) != corners for each in chosen):
+        raise ValueError("elements")
+    return np.array(chosen, dtype=np.int64).reshape(-1, corners)
+
+
+def _names(lines: list[str], file: Path) -> dict[int, str]:
+    """Names of physical volumes: dimension, number, "name"."""
+    names: dict[int, str] = {}
+    for line in lines:
+        dimension, number, name = line.split(maxsplit=2)
+        if int(dimension) != 3:
+            continue
+        shown = visible(name.strip().removeprefix('"').removesuffix('"')).replace("\n", " ").strip()
+        if not shown or len(shown) > _LONGEST_NAME or shown in names.values() or shown == "none":
+            raise InputError(
+                f"physical volumes must have names that differ, of 1 to {_LONGEST_NAME} characters and not 'none', got "
+                f"{shown[:_LONGEST_NAME]!r} for {number} in {file.name}: name it otherwise in Gmsh"
+            )
+        names[int(number)] = shown
+    return names

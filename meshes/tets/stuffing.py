@@ -1,0 +1,236 @@
+"""Tetrahedra that fill a signed distance: a body-centred cubic lattice cut by the surface.
+
+Isosurface stuffing (Labelle and Shewchuk, 2007). Lattice nodes that lie close to where the surface crosses one of
+their edges are moved onto the crossing; the edges still crossed are cut there and the pieces filled with tetrahedra.
+The four-sided faces left between pieces are cut from their lowest node (Dompierre et al., 1999), so neighbours conform,
+and the pieces on both sides of a surface can be kept: that is how a part inside gets a surface of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, require_positive
+from meshes.shapes.sdf import Shape
+from meshes.tets.checks import mean_ratio, signed_volumes
+from meshes.tets.tetrahedra import TetMesh
+
+__all__ = ["cut_by", "stuffed", "with_part"]
+
+Distance = Callable[[NDArray[Any]], NDArray[Any]]
+Cells = NDArray[np.int64]
+Points = NDArray[np.float64]
+
+_SNAP = 0.3
+_LEAST_QUALITY = 0.15
+_STEPS = 6
+_EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
+_MOST_CELLS = 20_000_000
+
+
+def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
+    """Fill a bounded shape with tetrahedra of even size.
+
+    Parameters
+    ----------
+    shape
+        Solid with finite bounds; details below the spacing are lost.
+    spacing_m
+        Side of the lattice's cubes [m]; twelve tetrahedra a cube, edges of 0.87 and 1 times the side.
+
+    Raises
+    ------
+    InputError
+        If the shape has no end, or the spacing leaves nothing or too much.
+    """
+    spacing = require_positive("spacing_m", spacing_m, "use about a twentieth of the longest side")
+    lower, upper = np.array(shape.lower_m), np.array(shape.upper_m)
+    if not (np.isfinite(lower).all() and np.isfinite(upper).all()):
+        raise InputError("shape must have an end in every direction, got an endless one: intersect it with a box")
+    if 12.0 * np.prod((upper - lower) / spacing + 2.0) > _MOST_CELLS:
+        raise InputError(
+            f"spacing_m must leave at most {_MOST_CELLS} cells, got {spacing:g}: use {spacing * 4:g} or more"
+        )
+    nodes, cells = _lattice(lower - 1.01 * spacing, upper + spacing, spacing)
+    near = shape.distance(nodes) < 1.5 * spacing
+    nodes, cells = _compact(nodes, cells[near[cells].all(axis=1)])
+    nodes, cells, within, _ = cut_by(nodes, cells, shape.distance)
+    if not within.any():
+        raise InputError(f"spacing_m must be below the size of the shape, got {spacing:g}: use {spacing / 4:g} or less")
+    nodes, cells = _compact(nodes, cells[within])
+    return TetMesh(nodes, cells)
+
+
+def with_part(mesh: TetMesh, shape: Shape, name: str) -> TetMesh:
+    """Make what of the first part lies inside a shape a part of its own, bounded by faces on the shape's surface.
+
+    Raises
+    ------
+    InputError
+        If no cell is inside: the shape is outside the mesh, or smaller than its cells.
+    """
+    nodes, cells, within, came = cut_by(mesh.nodes_m, mesh.cells, shape.distance)
+    within &= mesh.part[came] == 0
+    if not within.any():
+        raise InputError(f"{name} must hold cells of the mesh, got none: use a finer mesh, or move it inside")
+    part = np.where(within, len(mesh.part_names), mesh.part[came]).astype(np.uint8)
+    return TetMesh(nodes, cells, part, (*mesh.part_names, name))
+
+
+def cut_by(nodes: Points, cells: Cells, distance: Distance) -> tuple[Points, Cells, NDArray[np.bool_], Cells]:
+    """Cut tetrahedra by the surface where a signed distance is zero, keeping both sides.
+
+    Returns
+    -------
+    Nodes, shape (n, 3); cells, shape (m, 4); whether a cell is on the negative side, shape (m,); the cell each came
+    from, shape (m,).
+    """
+    value = np.asarray(distance(nodes), dtype=np.float64)
+    nodes, value = _snapped(nodes, cells, value, distance)
+    side = np.sign(value).astype(np.int64)
+    crossed = (side[cells].min(axis=1) < 0) & (side[cells].max(axis=1) > 0)
+    whole = cells[~crossed]
+    came = np.flatnonzero(~crossed)
+    pairs = np.sort(cells[crossed][:, _EDGES].reshape(-1, 2), axis=1)
+    pairs = np.unique(pairs[side[pairs[:, 0]] * side[pairs[:, 1]] < 0], axis=0)
+    points = _crossings(nodes, value, pairs, distance)
+    number = {(int(a), int(b)): len(nodes) + k for k, (a, b) in enumerate(pairs)}
+    made, sides, origin = [], [], []
+    for cell_number in np.flatnonzero(crossed):
+        corners = cells[cell_number]
+        for sign in (-1, 1):
+            for tet in _filled(corners, side[corners] * sign, number):
+                made.append(tet)
+                sides.append(sign < 0)
+                origin.append(cell_number)
+    all_nodes = np.concatenate([nodes, points])
+    new = np.array(made, dtype=np.int64).reshape(-1, 4)
+    new = np.where((signed_volumes(all_nodes, new) < 0.0)[:, None], new[:, [0, 2, 1, 3]], new)
+    # A cell with all corners on the surface has no sign of its own: its centre decides.
+    level = side[whole].sum(axis=1)
+    centre = level == 0
+    level = level.astype(np.float64)
+    level[centre] = distance(nodes[whole[centre]].mean(axis=1))
+    within = np.concatenate([level < 0.0, np.array(sides, dtype=bool)])
+    result = np.concatenate([whole, new])
+    return all_nodes, result, within, np.concatenate([came, np.array(origin, dtype=np.int64)])
+
+
+def _filled(corners: Cells, side: Cells, number: dict[tuple[int, int], int]) -> list[list[int]]:
+    """Tetrahedra of the part of a cell where `side` is not negative, some corner of which is positive."""
+    plus = [int(n) for n, s in zip(corners, side, strict=True) if s > 0]
+    zero = [int(n) for n, s in zip(corners, side, strict=True) if s == 0]
+    minus = [int(n) for n, s in zip(corners, side, strict=True) if s < 0]
+
+    def at(a: int, b: int) -> int:
+        return number[(a, b) if a < b else (b, a)]
+
+    if len(plus) == 1:
+        return [[plus[0], *zero, *(at(plus[0], m) for m in minus)]]
+    if len(plus) == 2 and len(minus) == 2:
+        return _prism(
+            [plus[0], at(plus[0], minus[0]), at(plus[0], minus[1])],
+            [plus[1], at(plus[1], minus[0]), at(plus[1], minus[1])],
+        )
+    if len(plus) == 3:
+        return _prism(plus, [at(p, minus[0]) for p in plus])
+    p, q = plus
+    cp, cq = at(p, minus[0]), at(q, minus[0])
+    if min(p, cq) < min(q, cp):
+        return [[p, q, cq, zero[0]], [p, cq, cp, zero[0]]]
+    return [[q, cq, cp, zero[0]], [q, cp, p, zero[0]]]
+
+
+def _prism(bottom: list[int], top: list[int]) -> list[list[int]]:
+    """Three tetrahedra of a prism, every four-sided face cut from its lowest node."""
+    if min(top) < min(bottom):
+        bottom, top = top, bottom
+    k = bottom.index(min(bottom))
+    a, b, c = bottom[k:] + bottom[:k]
+    d, e, f = top[k:] + top[:k]
+    if min(b, f) < min(c, e):
+        return [[a, d, e, f], [a, b, c, f], [a, b, f, e]]
+    return [[a, d, e, f], [a, b, c, e], [a, c, f, e]]
+
+
+def _snapped(
+    nodes: Points, cells: Cells, value: NDArray[np.float64], distance: Distance
+) -> tuple[Points, NDArray[Any]]:
+    """Nodes within a share of a crossed edge of the surface moved onto the nearest crossing, where no cell suffers."""
+    crossed = (value[cells].min(axis=1) < 0.0) & (value[cells].max(axis=1) > 0.0)
+    pairs = np.unique(np.sort(cells[crossed][:, _EDGES].reshape(-1, 2), axis=1), axis=0)
+    pairs = pairs[value[pairs[:, 0]] * value[pairs[:, 1]] < 0.0]
+    points = _crossings(nodes, value, pairs, distance)
+    from_node = np.concatenate([pairs[:, 0], pairs[:, 1]])
+    to_point = np.tile(np.arange(len(pairs)), 2)
+    length = np.tile(np.linalg.norm(nodes[pairs[:, 1]] - nodes[pairs[:, 0]], axis=1), 2)
+    away = np.linalg.norm(points[to_point] - nodes[from_node], axis=1)
+    close = away < _SNAP * length
+    order = np.argsort(away[close], kind="stable")
+    chosen, first = np.unique(from_node[close][order], return_index=True)
+    moved, value = nodes.copy(), value.copy()
+    moved[chosen] = points[to_point[close][order][first]]
+    # Moves that together spoil a cell are taken back, with all that share the cell.
+    is_moved = np.zeros(len(nodes), dtype=bool)
+    is_moved[chosen] = True
+    touched = cells[is_moved[cells].any(axis=1)]
+    while True:
+        bad = touched[mean_ratio(moved, touched) < _LEAST_QUALITY]
+        back = np.intersect1d(bad, chosen)
+        if not len(back):
+            break
+        moved[back] = nodes[back]
+        chosen = np.setdiff1d(chosen, back)
+    value[chosen] = 0.0
+    return moved, value
+
+
+def _crossings(nodes: Points, value: NDArray[np.float64], pairs: Cells, distance: Distance) -> Points:
+    """Where the surface crosses the edges, shape (k, 3), by regula falsi (Illinois)."""
+    a, b = nodes[pairs[:, 0]], nodes[pairs[:, 1]]
+    low, high = np.zeros(len(pairs)), np.ones(len(pairs))
+    at_low, at_high = value[pairs[:, 0]].copy(), value[pairs[:, 1]].copy()
+    t, last = low, np.zeros(len(pairs))
+    for _ in range(_STEPS):
+        slope = at_high - at_low
+        t = low - at_low * (high - low) / np.where(slope == 0.0, 1.0, slope)
+        here = np.asarray(distance(a + t[:, None] * (b - a)), dtype=np.float64)
+        moved = np.where(here * at_low > 0.0, 1.0, -1.0)
+        # The end that stays a second time counts half, else it would stay for ever.
+        again = np.where(moved == last, 0.5, 1.0)
+        at_high, at_low = (np.where(moved > 0.0, at_high * again, here), np.where(moved > 0.0, here, at_low * again))
+        low, high = np.where(moved > 0.0, t, low), np.where(moved > 0.0, high, t)
+        last = moved
+    return np.asarray(a + t[:, None] * (b - a))
+
+
+def _lattice(lower: Points, upper: Points, spacing: float) -> tuple[Points, Cells]:
+    """Body-centred cubic lattice: a tetrahedron joins two centres of neighbouring cubes and an edge of their face."""
+    count = np.ceil((upper - lower) / spacing).astype(np.int64)
+    corner = np.stack(np.meshgrid(*(np.arange(n + 1) for n in count), indexing="ij"), axis=-1)
+    middle = np.stack(np.meshgrid(*(np.arange(n) for n in count), indexing="ij"), axis=-1)
+    nodes = np.concatenate([corner.reshape(-1, 3), middle.reshape(-1, 3) + 0.5])
+    corners = np.arange(corner[..., 0].size).reshape(corner.shape[:3])
+    middles = corners.size + np.arange(middle[..., 0].size).reshape(middle.shape[:3])
+    tets = []
+    for axis in range(3):
+        c = np.moveaxis(corners, axis, 0)
+        m = np.moveaxis(middles, axis, 0)
+        first, second = m[:-1], m[1:]
+        face = c[1:-1]
+        ring = [face[:, :-1, :-1], face[:, 1:, :-1], face[:, 1:, 1:], face[:, :-1, 1:]]
+        for k in range(4):
+            tets.append(np.stack([first, second, ring[k], ring[(k + 1) % 4]], axis=-1).reshape(-1, 4))
+    cells = np.concatenate(tets).astype(np.int64)
+    nodes = lower + spacing * nodes
+    return nodes, np.where((signed_volumes(nodes, cells) < 0.0)[:, None], cells[:, [0, 2, 1, 3]], cells)
+
+
+def _compact(nodes: Points, cells: Cells) -> tuple[Points, Cells]:
+    """Nodes that no cell uses dropped."""
+    used, where = np.unique(cells, return_inverse=True)
+    return nodes[used], where.reshape(cells.shape).astype(np.int64)

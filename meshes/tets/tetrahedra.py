@@ -1,0 +1,78 @@
+"""Tetrahedral meshes: nodes, cells, parts, and the surface around them."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+
+__all__ = ["FACES", "TetMesh"]
+
+FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+"""Corners of the face opposite each corner, counter-clockwise seen from outside."""
+
+
+@dataclass(frozen=True, eq=False)
+class TetMesh:
+    """Tetrahedra with straight edges, all of positive volume.
+
+    Attributes
+    ----------
+    nodes_m
+        Node positions [m], shape (n, 3).
+    cells
+        Nodes of each tetrahedron, shape (m, 4); (b - a) . ((c - a) x (d - a)) is positive.
+    part
+        Part that each tetrahedron belongs to, shape (m,).
+    part_names
+        Names of the parts.
+
+    Raises
+    ------
+    InputError
+        If positions are not finite, a cell names no node, or a volume is not positive.
+    """
+
+    nodes_m: NDArray[np.float64]
+    cells: NDArray[np.int64]
+    part: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, dtype=np.uint8))
+    part_names: tuple[str, ...] = ("body",)
+
+    def __post_init__(self) -> None:
+        if len(self.part) == 0 and len(self.cells):
+            object.__setattr__(self, "part", np.zeros(len(self.cells), dtype=np.uint8))
+        if not np.isfinite(self.nodes_m).all():
+            bad = int(np.flatnonzero(~np.isfinite(self.nodes_m).all(axis=1))[0])
+            raise InputError(f"nodes_m must be finite, got node {bad} at {self.nodes_m[bad]}: repair or leave out")
+        if len(self.cells) == 0:
+            raise InputError("cells must hold at least one tetrahedron, got none: mesh the surface first")
+        if self.cells.min() < 0 or self.cells.max() >= len(self.nodes_m):
+            raise InputError(
+                f"cells must name nodes 0 to {len(self.nodes_m) - 1}, got {self.cells.min()} to {self.cells.max()}: "
+                "number nodes from 0"
+            )
+        flat = int((self.volumes_m3 <= 0.0).sum())
+        if flat:
+            raise InputError(
+                f"cells must have positive volume, got {flat} of {len(self.cells)} inverted or flat: repair them first"
+            )
+
+    @cached_property
+    def volumes_m3(self) -> NDArray[np.float64]:
+        """Volume of each tetrahedron [m3], shape (m,)."""
+        a, b, c, d = (self.nodes_m[self.cells[:, i]] for i in range(4))
+        return np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a)) / 6.0
+
+    @cached_property
+    def surface(self) -> NDArray[np.int64]:
+        """Triangles that bound the mesh, counter-clockwise seen from outside, shape (f, 3)."""
+        triangles = self.cells[:, FACES].reshape(-1, 3)
+        _, first, count = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True, return_counts=True)
+        return triangles[np.sort(first[count == 1])]
+
+    @cached_property
+    def surface_nodes(self) -> NDArray[np.int64]:
+        """Nodes on the surface in rising order, shape (s,)."""
+        return np.unique(self.surface)

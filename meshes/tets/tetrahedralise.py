@@ -1,0 +1,107 @@
+"""A closed surface filled with tetrahedra by fTetWild (Hu et al., 2020), once, and kept.
+
+fTetWild keeps the surface within an envelope and takes for inside what the winding number says, so a surface that
+crosses itself is filled as the union of what it encloses. Two runs give meshes that differ slightly, also on one
+thread: a mesh is reproducible through the cache, which holds it by the content of the surface.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from meshes.base.cache import cached_arrays
+from meshes.base.errors import InputError, require_range
+from meshes.base.progress import Progress, silent
+from meshes.surfaces.repair import edge_counts
+from meshes.surfaces.surface import Surface
+from meshes.tets.crossings import crossing_triangles
+from meshes.tets.quality import repair_tets
+from meshes.tets.report import millimetres, place
+from meshes.tets.tetrahedra import TetMesh
+
+__all__ = ["tetrahedralise"]
+
+_CELLS = 30_000
+_EDGE_PER_CELL = 2.7
+"""Target edge over the cube root of the mean cell volume, as fTetWild came out on a liver."""
+_ENVELOPE = 0.1
+"""Distance that the surface may move, over the edge: tighter ones take minutes to hold."""
+_VOLUME_OFF = 0.02
+
+
+def tetrahedralise(
+    surface: Surface, *, edge_m: float | None = None, tell: Progress = silent
+) -> tuple[TetMesh, tuple[str, ...]]:
+    """Fill a closed surface with tetrahedra, from the cache where it has been done before.
+
+    Parameters
+    ----------
+    surface
+        Closed, wound outward, as `meshes.read_surface` makes it.
+    edge_m
+        Target edge [m]; None: about 30,000 tetrahedra.
+    tell
+        Called with what is being done and the share of it that is done (0 to 1).
+
+    Returns
+    -------
+    The mesh in the frame of the surface, and what is worth saying, a sentence each.
+
+    Raises
+    ------
+    InputError
+        If the edge does not suit the surface, or nothing can be meshed.
+    """
+    volume = surface.report.volume_mm3 * 1e-9
+    longest = 1e-3 * max(surface.report.size_mm)
+    edge = _EDGE_PER_CELL * (volume / _CELLS) ** (1.0 / 3.0) if edge_m is None else edge_m
+    edge = require_range("edge_m", edge, longest / 200.0, longest / 2.0, f"use about {longest / 20.0:.2g}")
+    sentences = []
+    pinched = edge_counts(surface.faces)[1]
+    if pinched:
+        sentences.append(
+            f"The surface has {pinched} edges of more than two triangles, which the mesher parts or thickens."
+        )
+    crossing = crossing_triangles(surface.vertices_m, surface.faces)
+    if len(crossing):
+        at = place(millimetres(surface.vertices_m[surface.faces[crossing[0]]]))
+        sentences.append(
+            f"{len(crossing)} triangles of the surface cross others, the first at {at} mm: what they enclose together "
+            "was filled; mend the surface in a mesh editor if that is not meant."
+        )
+
+    def make() -> dict[str, np.ndarray]:
+        tell(f"filling {surface.report.source} with tetrahedra (once; a minute or two)", 0.0)
+        nodes, cells = _filled(surface, edge)
+        return {"nodes": nodes, "cells": cells}
+
+    arrays = cached_arrays("tetwild-2", (surface.vertices_m, surface.faces, edge, _ENVELOPE), make)
+    tell(f"filling {surface.report.source} with tetrahedra", 1.0)
+    if len(arrays["cells"]) == 0:
+        raise InputError(f"surface must enclose a solid, got none of edge {edge:g} m: use a smaller edge_m")
+    mesh, report = repair_tets(arrays["nodes"], arrays["cells"])
+    off = float(mesh.volumes_m3.sum()) / volume - 1.0
+    if abs(off) > _VOLUME_OFF:
+        sentences.append(f"The mesh encloses {100.0 * off:+.1f} % of volume against the surface: use smaller edges.")
+    return mesh, (*sentences, *report.sentences())
+
+
+def _filled(surface: Surface, edge: float) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes [m] and cells by fTetWild."""
+    from pytetwild import tetrahedralize  # type: ignore[attr-defined]
+
+    left_behind = Path("__tracked_surface.stl")  # fTetWild writes it where it runs
+    there_before = left_behind.exists()
+    nodes, cells = tetrahedralize(
+        surface.vertices_m,
+        surface.faces.astype(np.int32),
+        edge_length_abs=edge,
+        epsilon=max(_ENVELOPE * edge / float(np.linalg.norm(np.ptp(surface.vertices_m, axis=0))), 1e-4),
+        quiet=True,
+        vtk_ordering=True,
+    )
+    if not there_before:
+        left_behind.unlink(missing_ok=True)
+    return np.asarray(nodes, dtype=np.float64), np.asarray(cells, dtype=np.int64)

@@ -1,0 +1,1 @@
+"""Teeth: procedural, from layered surfaces, from label images."""

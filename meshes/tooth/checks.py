@@ -1,0 +1,112 @@
+"""Refusals of teeth that cannot be: layers unknown, missing, apart, of no tooth's size, or one outside another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from meshes.surfaces.repair import Triangles
+from meshes.tooth.layer_contact import inside_surface
+from meshes.tooth.layers import TOOTH_LAYERS
+
+__all__ = [
+    "DEFAULT_PRIORITY",
+    "require_known",
+    "require_priority",
+    "require_pulp_within",
+    "require_tooth_size",
+    "require_touching",
+]
+
+DEFAULT_PRIORITY = ("caries", "pulp", "enamel", "dentin", "ligament", "bone")
+"""Of two layers that claim a place, the one named first has it."""
+
+_SMALLEST_MM, _LARGEST_MM, _TYPICAL_MM = 5.0, 40.0, 18.0
+_TOUCH_M = 0.5e-3
+_LEAST_WITHIN = 0.6
+_POINTS_TESTED = 4000
+
+
+def require_known(names: Iterable[str], argument: str) -> None:
+    """Refuse names that are not a tooth's layers, and layers without both enamel and dentin."""
+    given = list(names)
+    for name in given:
+        if name not in TOOTH_LAYERS:
+            raise InputError(f"{argument} must name layers of {', '.join(TOOTH_LAYERS)}, got {name}: rename it")
+    for name in ("enamel", "dentin"):
+        if name not in given:
+            raise InputError(
+                f"{argument} must give enamel and dentin, got {', '.join(given) or 'none'}: add the {name}"
+            )
+
+
+def require_priority(priority: Sequence[str] | None, names: Iterable[str]) -> tuple[str, ...]:
+    """Order in which the layers have a place that two claim; refused where it leaves one out."""
+    if priority is None:
+        return tuple(DEFAULT_PRIORITY)
+    order = tuple(priority)
+    for name in order:
+        if name not in TOOTH_LAYERS:
+            raise InputError(f"priority must name layers of {', '.join(TOOTH_LAYERS)}, got {name}: rename it")
+    missing = [name for name in names if name not in order]
+    if missing or len(set(order)) != len(order):
+        raise InputError(
+            f"priority must name every layer once, got {', '.join(order)}: "
+            f"{'add ' + ', '.join(missing) if missing else 'drop the repeated one'}"
+        )
+    return order
+
+
+def require_tooth_size(size_mm: float, argument: str, given: str, per_unit: float) -> None:
+    """Refuse a longest side [mm] that no tooth has, and suggest what `argument` would make one.
+
+    Parameters
+    ----------
+    argument, given
+        What sets the size, and the value that it has.
+    per_unit
+        Size over that value: voxels along the side, or file units.
+    """
+    if _SMALLEST_MM <= size_mm <= _LARGEST_MM:
+        return
+    raise InputError(
+        f"{argument} must make the tooth {_SMALLEST_MM:g} to {_LARGEST_MM:g} mm long, got {given}, which makes it "
+        f"{size_mm:.3g} mm: use the scanner's value, about {_TYPICAL_MM / per_unit:.1g}"
+    )
+
+
+def require_touching(points_m: Mapping[str, NDArray[np.float64]], solids: Mapping[str, Triangles]) -> None:
+    """Refuse layers that lie in no other layer and farther than 0.5 mm from every one.
+
+    Parameters
+    ----------
+    points_m, solids
+        Points on the surface of each layer [m], shape (n, 3), and its vertices [m] and triangles.
+    """
+    from scipy.spatial import cKDTree
+
+    trees = {name: cKDTree(points) for name, points in points_m.items()}
+    for name, points in points_m.items():
+        tested = points[:: max(len(points) // _POINTS_TESTED, 1)]
+        apart = {other: float(tree.query(tested)[0].min()) for other, tree in trees.items() if other != name}
+        nearest = min(apart, key=lambda other: apart[other])
+        if apart[nearest] <= _TOUCH_M:
+            continue
+        few = tested[:: max(len(tested) // 100, 1)]
+        if not any(inside_surface(*solid, few).any() for other, solid in solids.items() if other != name):
+            raise InputError(
+                f"{name} surface must touch the others in one common frame and unit, got one "
+                f"{1e3 * apart[nearest]:.3g} mm from {nearest}, the nearest: check its unit and its origin"
+            )
+
+
+def require_pulp_within(near_dentin: float) -> None:
+    """Refuse a pulp of which too small a part of the surface lies on or in the dentin."""
+    if near_dentin < _LEAST_WITHIN:
+        raise InputError(
+            f"pulp must lie within the dentin, got {100.0 * near_dentin:.0f} % of its surface there: check which layer "
+            "is which, and the frame of the pulp surface"
+        )

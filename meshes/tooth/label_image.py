@@ -1,0 +1,126 @@
+"""A label image of one tooth made ready: cropped, its labels checked and turned into layers, islands dropped."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from meshes.tooth.layers import TOOTH_LAYERS
+
+__all__ = ["EMPTY", "LayerImage", "layer_image"]
+
+EMPTY = 255
+"""Layer index of a voxel outside the tooth."""
+_FEW_LABELS = 4096
+
+
+@dataclass(frozen=True, eq=False)
+class LayerImage:
+    """Layers of the voxels of an image, cropped to the tooth.
+
+    Attributes
+    ----------
+    layer
+        Layer index, `EMPTY` outside the tooth, uint8, shape (nx, ny, nz).
+    counts
+        Voxels by layer name.
+    island_count, island_voxels
+        Loose pieces that were dropped, and voxels in them.
+    first
+        Voxel of the image that is the first of `layer`.
+    """
+
+    layer: NDArray[np.uint8]
+    counts: Mapping[str, int]
+    island_count: int
+    island_voxels: int
+    first: tuple[int, int, int]
+
+
+def layer_image(values: NDArray[Any], labels: Mapping[int, str], source: str) -> LayerImage:
+    """Crop a label image to its tooth, name its labels and drop what does not hang on the largest piece by faces.
+
+    Parameters
+    ----------
+    values
+        Labels, 0 outside, shape (nx, ny, nz).
+    labels
+        Layer name by label.
+
+    Raises
+    ------
+    InputError
+        If there is nothing but 0, a value is not a whole number, or a label has no name.
+    """
+    filled = values != 0
+    spans = [np.flatnonzero(filled.any(axis=tuple(k for k in range(3) if k != axis))) for axis in range(3)]
+    if len(spans[0]) == 0:
+        raise InputError(f"labels must mark a tooth, got nothing but 0 in {source}: check the file")
+    crop = tuple(slice(int(span[0]), int(span[-1]) + 1) for span in spans)
+    cropped, filled = values[crop], filled[crop]
+    found = _label_counts(cropped, source)
+    unknown = {label: count for label, count in found.items() if label not in labels}
+    if unknown:
+        raise InputError(
+            f"labels must name every label of {source}, got unnamed "
+            f"{', '.join(f'{label} ({count} voxels)' for label, count in unknown.items())}: add them, or set them to 0 "
+            "in the file"
+        )
+    pieces, main, sizes = _pieces(filled)
+    lowest = min(0, *found)
+    layer_of = np.full(max(found) - lowest + 1, EMPTY, dtype=np.uint8)
+    for label in found:
+        layer_of[label - lowest] = TOOTH_LAYERS.index(labels[label])
+    layer = layer_of[cropped.astype(np.int64) - lowest if lowest or cropped.dtype.kind == "f" else cropped]
+    layer[pieces != main] = EMPTY
+    counts = np.bincount(layer.ravel(order="K"), minlength=EMPTY + 1)
+    dropped = int(sizes.sum() - sizes[main])
+    return LayerImage(
+        layer,
+        {name: int(counts[k]) for k, name in enumerate(TOOTH_LAYERS) if counts[k]},
+        len(sizes) - 2,
+        dropped,
+        (crop[0].start, crop[1].start, crop[2].start),
+    )
+
+
+def _label_counts(values: NDArray[Any], source: str) -> dict[int, int]:
+    """Voxels of each label but 0, slice by slice along the last axis to spare memory."""
+    found: dict[int, int] = {}
+    for k in range(values.shape[2]):
+        plane = values[:, :, k]
+        numbers, counts = _distinct(plane)
+        for number, count in zip(numbers.tolist(), counts.tolist(), strict=True):
+            if number == 0:
+                continue
+            if number != int(number):
+                raise InputError(f"labels must be whole numbers, got {number:g} in {source}: use a label image")
+            found[int(number)] = found.get(int(number), 0) + count
+    return dict(sorted(found.items()))
+
+
+def _distinct(plane: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]:
+    """Numbers in an array and how often each is there; without a sort where they are whole and few."""
+    if plane.dtype.kind in "iu":
+        lowest = int(plane.min())
+        if int(plane.max()) - lowest < _FEW_LABELS:
+            counts = np.bincount(plane.ravel(order="K").astype(np.int64) - lowest)
+            numbers = np.flatnonzero(counts)
+            return numbers + lowest, counts[numbers]
+    return np.unique(plane, return_counts=True)
+
+
+def _pieces(filled: NDArray[np.bool_]) -> tuple[NDArray[np.int32], int, NDArray[np.int64]]:
+    """Number of the piece each voxel hangs on by faces, the largest one's number, and the size of each (0: outside)."""
+    from scipy.ndimage import label
+
+    pieces = np.empty(filled.shape, dtype=np.int32, order="F" if filled.flags.f_contiguous else "C")
+    label(filled, output=pieces)
+    sizes = np.bincount(pieces.ravel(order="K"))
+    sizes[0] = 0
+    return pieces, int(np.argmax(sizes)), sizes

@@ -1,0 +1,216 @@
+"""A procedural lower first molar: cusped enamel, dentin, pulp with horns and canals, ligament, bone socket, caries.
+
+Sources, M = from memory of the literature, with confidence H, M or L.
+
+=============================  =============  ======================================================================
+crown, mesiodistal             11.0 mm        M, H: Nelson & Ash, mandibular first molar; 9.0 at the cervix
+crown, buccolingual            10.5 mm        M, H: same; 9.0 at the cervix
+crown height                   7.5 mm         M, H: same, buccal cervical line to cusp tip
+root length                    14 mm          M, H: same
+cervical line, mesial rise     0.9 mm         M, M: same gives 1.0 mesially, 0 distally
+fossa to highest cusp          1.8 mm         M, L: cuspal inclines of about 25 degrees
+enamel over cusps, fossa       2.2, 1.4 mm    M, M: 2 to 2.5 over cusps, thinner in fissures, none at the cervix
+roof of the chamber            5.0 mm         M, M: below the fossa; cusp to roof 6.4 (Deutsch & Musikant 2004)
+height of the chamber          1.9 mm         M, M: 1.6 (same)
+root trunk                     3.2 mm         M, M: cervix to furcation, 3 buccally to 4 lingually
+canals                         2 + 1          M, H: two mesial, one distal
+ligament                       0.22 mm        M, H: 0.15 to 0.38
+cervical line to bone          1.5 mm         M, H: 1 to 2 in health
+=============================  =============  ======================================================================
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, require_range
+from meshes.shapes.anatomy import Anatomy, Classify
+from meshes.shapes.sdf import Shape, box
+from meshes.tooth.layers import (
+    BONE,
+    CARIES,
+    DENTIN,
+    ENAMEL,
+    LAYER_DENSITY_KG_M3,
+    LIGAMENT,
+    PULP,
+    TOOTH_LAYERS,
+    caries_density,
+    every_voxel,
+    in_chunks,
+)
+from meshes.tooth.molar_parts import Crown, Root, mandibular_roots, outer_shape, pulp_shape, tooth_distance
+
+__all__ = ["molar"]
+
+_CREST_M = 1.5e-3
+_LEAST_OVER_PULP_M = 0.3e-3
+_SHALLOWEST_LESION_M = 0.1e-3
+_DENSITY = np.array([LAYER_DENSITY_KG_M3[name] for name in TOOTH_LAYERS], dtype=np.float32)
+
+
+def molar(
+    *,
+    crown_width_mm: float = 11.0,
+    crown_length_mm: float = 10.5,
+    crown_height_mm: float = 7.5,
+    root_length_mm: float = 14.0,
+    enamel_thickness_mm: float = 2.2,
+    cusp_height_mm: float = 1.8,
+    pulp_roof_mm: float = 5.0,
+    ligament_thickness_mm: float = 0.22,
+    socket_mm: float = 2.5,
+    caries_depth_mm: float = 0.0,
+    caries_diameter_mm: float = 3.0,
+) -> Anatomy:
+    """Lower first molar in its socket, in the site frame of teeth.
+
+    The origin is the bottom of the central fossa on the enamel, where a thin bur that comes down the tooth's long axis
+    first touches; a ball wider than the fossa touches the inclines of the cusps a little above. x points mesially, y
+    buccally, z outward (the bur comes from +z), so the roots point to -z.
+
+    Parameters
+    ----------
+    crown_width_mm, crown_length_mm
+        Mesiodistal (9 to 13) and buccolingual (8.5 to 12.5) size of the crown at its widest [mm].
+    crown_height_mm
+        Buccal cervical line to the highest cusp tip [mm], 6 to 9.5.
+    root_length_mm
+        Buccal cervical line to the apices [mm], 8 to 18.
+    enamel_thickness_mm
+        Thickness over the highest cusp along z [mm], 1 to 3; 62 % of it in the fossa, none at the cervical line.
+    cusp_height_mm
+        Central fossa to the highest cusp tip [mm], 0.8 to 2.5.
+    pulp_roof_mm
+        Depth of the chamber's roof below the fossa [mm], 3.5 to 6.5; the horns rise 0.9 to 1.2 mm above it.
+    ligament_thickness_mm
+        Thickness of the periodontal ligament [mm], 0.1 to 0.5.
+    socket_mm
+        Bone left beside and below the roots in a block with a flat crest [mm], 0.5 to 10.
+    caries_depth_mm
+        Depth of a lesion under the fossa [mm], 0 (none) or 0.1 to 0.3 short of the chamber's roof. Its softness is
+        (1 - r²)², r the distance from its centre relative to its rim, an ellipsoid from the fossa down;
+        see `meshes.tooth.layers.caries_softness`.
+    caries_diameter_mm
+        Its widest diameter [mm], 0.5 to 6.
+
+    Raises
+    ------
+    InputError
+        If a parameter is not finite or out of range, or the chamber or the lesion does not fit.
+    """
+    check = require_range
+    width = 0.5e-3 * check("crown_width_mm", crown_width_mm, 9.0, 13.0, "use 11")
+    length = 0.5e-3 * check("crown_length_mm", crown_length_mm, 8.5, 12.5, "use 10.5")
+    height = 1e-3 * check("crown_height_mm", crown_height_mm, 6.0, 9.5, "use 7.5")
+    root_length = 1e-3 * check("root_length_mm", root_length_mm, 8.0, 18.0, "use 14")
+    enamel = 1e-3 * check("enamel_thickness_mm", enamel_thickness_mm, 1.0, 3.0, "use 2.2")
+    cusp = 1e-3 * check("cusp_height_mm", cusp_height_mm, 0.8, 2.5, "use 1.8")
+    roof = 1e-3 * check("pulp_roof_mm", pulp_roof_mm, 3.5, 6.5, "use 5")
+    ligament = 1e-3 * check("ligament_thickness_mm", ligament_thickness_mm, 0.1, 0.5, "use 0.22")
+    socket = 1e-3 * check("socket_mm", socket_mm, 0.5, 10.0, "use 2.5")
+    depth = 1e-3 * check("caries_depth_mm", caries_depth_mm, 0.0, 6.2, "use 0 for none, or about 3")
+    diameter = 1e-3 * check("caries_diameter_mm", caries_diameter_mm, 0.5, 6.0, "use 3")
+    if 0.0 < depth < _SHALLOWEST_LESION_M:
+        raise InputError(
+            f"caries_depth_mm must be 0 or at least {1e3 * _SHALLOWEST_LESION_M:g}, got {caries_depth_mm:g}: use 0 for "
+            "none, or about 3"
+        )
+    if depth > roof - _LEAST_OVER_PULP_M:
+        raise InputError(
+            f"caries_depth_mm must leave 0.3 mm over the pulp, got {caries_depth_mm} with the chamber's roof at "
+            f"{pulp_roof_mm:g}: use at most {1e3 * (roof - _LEAST_OVER_PULP_M):g}"
+        )
+    if roof > height - cusp + 0.8e-3:
+        raise InputError(
+            f"pulp_roof_mm must lie above the root trunk, got {pulp_roof_mm} with a cervical line "
+            f"{1e3 * (height - cusp):g} below the fossa: use at most {1e3 * (height - cusp) + 0.8:g}"
+        )
+    crown = Crown(width, length, height, cusp, enamel)
+    roots = mandibular_roots(crown, root_length)
+    tooth = outer_shape(crown, roots)
+    block = _socket(crown, roots, ligament + socket)
+    lesion = (diameter, depth) if depth > 0.0 else None
+    notes = {
+        "crown": f"{crown_width_mm:g} x {crown_length_mm:g} x {crown_height_mm:g} mm, roots {root_length_mm:g} mm",
+        "enamel": f"{enamel_thickness_mm:g} mm over the cusps, {1e3 * crown.fossa_enamel:.2g} mm in the fossa",
+        "pulp": f"roof {pulp_roof_mm:g} mm below the fossa; chamber and canals of a young adult, a prior",
+        "bone": f"one density, a block {socket_mm:g} mm beyond the roots; cortical plate and marrow are one",
+        "caries": f"{caries_depth_mm:g} mm deep, {caries_diameter_mm:g} mm wide" if lesion else "none",
+        "gum and cementum": "not modelled",
+    }
+    classify = _layers(crown, roots, pulp_shape(crown, roots, roof), ligament, lesion)
+    whole = tooth | block
+    return Anatomy("procedural molar", whole, TOOTH_LAYERS, classify, notes, every_voxel(whole))
+
+
+def _socket(crown: Crown, roots: tuple[Root, Root], margin: float) -> Shape:
+    """Block of bone around the roots, its flat crest below the cervical line."""
+    crest, bottom = crown.cervix - _CREST_M, roots[0].top - roots[0].length - margin
+    width = 2.0 * (max(root.reach_x for root in roots) + margin)
+    length = 2.0 * (max(root.radius / root.flattening for root in roots) + margin)
+    return box((width, length, crest - bottom), (0.0, 0.0, 0.5 * (crest + bottom)))
+
+
+def _layers(
+    crown: Crown, roots: tuple[Root, Root], pulp: Shape, ligament: float, lesion: tuple[float, float] | None
+) -> Classify:
+    """Classify by the parts' distances: pulp within dentin within enamel, ligament and bone around the roots."""
+    crest = crown.cervix - _CREST_M
+
+    def dentin_distance(points: NDArray[Any]) -> NDArray[Any]:
+        return tooth_distance(crown, roots, points, dentin=True)
+
+    def around(points: NDArray[Any], distance: NDArray[Any]) -> NDArray[np.uint8]:
+        """Ligament or bone for points outside the roots."""
+        layer = np.full(len(points), BONE, dtype=np.uint8)
+        near = np.flatnonzero(distance < 2.0 * ligament)
+        layer[near[_true_distance(dentin_distance, points[near], distance[near]) < ligament]] = LIGAMENT
+        return layer
+
+    def layer_of(points: NDArray[Any]) -> NDArray[np.uint8]:
+        """Layer, shape (n,), of points [m], shape (n, 3)."""
+        distance = dentin_distance(points)
+        layer = np.full(len(points), DENTIN, dtype=np.uint8)
+        outside = distance >= 0.0
+        crowned = points[:, 2] > crown.cervical_line(points[:, 0])
+        layer[outside & crowned] = ENAMEL
+        # A voxel that the crest cuts may have its centre in the air above it: what lies nearer to the crest is bone.
+        embedded = np.flatnonzero(outside & ~crowned & (points[:, 2] - crest < distance))
+        layer[embedded] = around(points[embedded], distance[embedded])
+        inside = np.flatnonzero(~outside)
+        layer[inside[pulp.distance(points[inside]) < 0.0]] = PULP
+        return layer
+
+    def classify(points: NDArray[Any], depth: NDArray[Any]) -> tuple[NDArray[np.uint8], NDArray[Any]]:
+        """Layer and density [kg/m3], shape (n,), of points [m], shape (n, 3), at any depth."""
+        layer = in_chunks(layer_of, points)
+        density = _DENSITY[layer]
+        if lesion is not None:
+            softness = _softness(points, *lesion)
+            carious = np.flatnonzero((softness > 0.0) & ((layer == ENAMEL) | (layer == DENTIN)))
+            layer[carious] = CARIES
+            density[carious] = caries_density(softness[carious])
+        return layer, density
+
+    return classify
+
+
+def _softness(points: NDArray[Any], diameter: float, depth: float) -> NDArray[Any]:
+    """Softness (1 - r²)², r relative to an ellipsoid that hangs from the fossa; 0 outside."""
+    across = (points[:, 0] ** 2 + points[:, 1] ** 2) * (4.0 / diameter**2)
+    along = (points[:, 2] + 0.5 * depth) ** 2 * (4.0 / depth**2)
+    return np.maximum(1.0 - across - along, 0.0) ** 2
+
+
+def _true_distance(function: Any, points: NDArray[Any], value: NDArray[Any]) -> NDArray[Any]:
+    """First-order distance [m] near the surface: value over slope, by differences of 20 µm."""
+    step = points.dtype.type(20e-6)
+    slopes = []
+    for axis in range(3):
+        shift = step * np.eye(3, dtype=points.dtype)[axis]
+        slopes.append((function(points + shift) - function(points - shift)) / (2.0 * step))
+    return value / np.maximum(np.sqrt(sum(s * s for s in slopes)), 0.1)

@@ -1,0 +1,253 @@
+"""The parts of a procedural lower first molar: crown, roots and pulp, in the site frame of `meshes.tooth.molar`.
+
+Lengths in metres. The crown is a side wall of superelliptic sections under an occlusal surface of cones, one a cusp,
+that meet in the grooves; roots and canals are round cones about bent axes, flattened along x.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.shapes.sdf import Shape, box, capsule, smooth_maximum, smooth_minimum, union
+
+__all__ = ["Crown", "Root", "mandibular_roots", "outer_shape", "pulp_shape", "tooth_distance"]
+
+Numbers = NDArray[Any]
+
+_CUSPS = (
+    (0.44, 0.50, 0.90),  # mesiobuccal
+    (-0.15, 0.54, 0.86),  # distobuccal
+    (-0.62, 0.28, 0.70),  # distal
+    (0.42, -0.52, 1.00),  # mesiolingual
+    (-0.34, -0.53, 0.97),  # distolingual
+    (0.76, 0.0, 0.45),  # mesial marginal ridge
+    (-0.74, -0.20, 0.42),  # distal marginal ridge
+)
+"""Tip over half the crown's width and length, x mesial and y buccal, and height over the highest cusp's."""
+_TRUE_CUSPS = 5
+_TIP_RADIUS_M, _GROOVE_M, _EDGE_M = 0.5e-3, 0.35e-3, 1.0e-3
+_CERVIX = (9.0 / 11.0, 9.0 / 10.5)
+_TABLE = (0.80, 0.78)
+_BULGE = (0.62, 0.45)
+_LINGUAL_LEAN_M = 0.35e-3
+_TRUNK_M, _TRUNK_TAPER = 3.2e-3, 22.0
+_TRUNK_BLEND_M = 1.6e-3
+_CERVICAL_CURVE_M = 0.9e-3
+_FULL_ENAMEL = 0.60
+_FOSSA_ENAMEL, _WALL_ENAMEL = 0.62, 0.62
+_STEEPEST = 1.85
+_CANAL_RISE_M = 0.8e-3
+
+
+@dataclass(frozen=True)
+class Crown:
+    """Size of the crown.
+
+    Attributes
+    ----------
+    half_width, half_length
+        Half the mesiodistal and buccolingual size at the widest section [m].
+    height
+        From the cervical line on the buccal side to the highest cusp tip [m].
+    cusp_height
+        From the central fossa to the highest cusp tip [m].
+    enamel
+        Thickness of the enamel over the highest cusp [m].
+    """
+
+    half_width: float
+    half_length: float
+    height: float
+    cusp_height: float
+    enamel: float
+
+    @property
+    def cervix(self) -> float:
+        """Height of the cervical line on the buccal side [m]."""
+        return self.cusp_height - self.height
+
+    @property
+    def fossa_enamel(self) -> float:
+        """Thickness of the enamel in the central fossa [m]."""
+        return _FOSSA_ENAMEL * self.enamel
+
+    @property
+    def cusp_tips(self) -> Numbers:
+        """Tips of the five cusps [m], shape (5, 3)."""
+        scale = np.array([self.half_width, self.half_length, self.cusp_height])
+        return np.array(_CUSPS[:_TRUE_CUSPS]) * scale
+
+    def occlusal_height(self, x: Numbers, y: Numbers) -> Numbers:
+        """Height of the chewing surface [m]; each cusp is a cone with a round tip that falls to the fossa."""
+        surface = np.full_like(x, -np.inf)
+        for along, across, relative in _CUSPS:
+            px, py = along * self.half_width, across * self.half_length
+            reach = float(np.hypot(np.hypot(px, py), _TIP_RADIUS_M)) - _TIP_RADIUS_M
+            away = np.sqrt((x - px) ** 2 + (y - py) ** 2 + _TIP_RADIUS_M**2) - _TIP_RADIUS_M
+            cone = (relative * self.cusp_height) * (1.0 - away / reach)
+            surface = smooth_maximum(surface, cone, _GROOVE_M)
+        return (surface - self._fossa) * (self.cusp_height / (self.cusp_height - self._fossa))
+
+    @property
+    def _fossa(self) -> float:
+        """Height at which the blended grooves of seven cones that all fall to 0 meet [m]."""
+        level = 0.0
+        for _ in _CUSPS[1:]:
+            level = float(smooth_maximum(np.array([level]), np.array([0.0]), _GROOVE_M)[0])
+        return level
+
+    def cervical_line(self, x: Numbers) -> Numbers:
+        """Height of the cervical line [m], which rises on the mesial and distal sides."""
+        return self.cervix + _CERVICAL_CURVE_M * np.minimum((x / (_CERVIX[0] * self.half_width)) ** 2, 1.0)
+
+    def wall(self, p: Numbers) -> Numbers:
+        """Horizontal distance from the side wall of crown and root trunk [m], negative inside."""
+        height = (p[:, 2] - self.cervix) * (1.0 / self.height)
+        below = np.maximum(-height, 0.0) * (self.height * _TRUNK_TAPER)
+        half = [
+            size * self._bulge(height, k) * (1.0 - below) for k, size in enumerate((self.half_width, self.half_length))
+        ]
+        lean = _LINGUAL_LEAN_M * np.clip(height, 0.0, 1.0)
+        u, v = np.abs(p[:, 0]) / half[0], np.abs(p[:, 1] + lean) / half[1]
+        return (np.cbrt(u * u * u + v * v * v) - 1.0) * np.minimum(half[0], half[1])
+
+    @staticmethod
+    def _bulge(height: Numbers, axis: int) -> Numbers:
+        """Half width over the widest, at heights of 0 (cervix) to 1 (cusp tips)."""
+        widest = _BULGE[axis]
+        low = np.clip((widest - height) / widest, 0.0, 1.0)
+        high = np.clip((height - widest) / (1.0 - widest), 0.0, 1.2)
+        return 1.0 - (1.0 - _CERVIX[axis]) * low * low - (1.0 - _TABLE[axis]) * high * high
+
+    def outside(self, p: Numbers) -> Numbers:
+        """Distance from crown and trunk [m], taken along z under the chewing surface, horizontally at the wall."""
+        top = p[:, 2] - self.occlusal_height(p[:, 0], p[:, 1])
+        return smooth_maximum(self.wall(p), top, _EDGE_M)
+
+    def outside_dentin(self, p: Numbers) -> Numbers:
+        """As `outside` for the dentin under the enamel; the same below the cervical line."""
+        height = self.occlusal_height(p[:, 0], p[:, 1])
+        relative = np.clip(height / self.cusp_height, 0.0, 1.0)
+        over = self.enamel * (_FOSSA_ENAMEL + (1.0 - _FOSSA_ENAMEL) * relative)
+        rise = (p[:, 2] - self.cervical_line(p[:, 0])) * (1.0 / (_FULL_ENAMEL * self.height))
+        rise = np.clip(rise, 0.0, 1.0)
+        beside = (_WALL_ENAMEL * self.enamel) * rise * (2.0 - rise)
+        return smooth_maximum(self.wall(p) + beside, p[:, 2] - height + over, _EDGE_M)
+
+
+@dataclass(frozen=True)
+class Root:
+    """A round cone about an axis bent in the x-z plane, wider along y.
+
+    Attributes
+    ----------
+    top, length
+        Height of its upper end, and length from there to the apex [m].
+    axis
+        x of the axis [m] as coefficients of 1, u and u², u from 0 at the top to 1 at the apex.
+    radius, apex_radius
+        Half width along x at the top and at the apex [m].
+    flattening
+        Half width along x over that along y.
+    """
+
+    top: float
+    length: float
+    axis: tuple[float, float, float]
+    radius: float
+    apex_radius: float
+    flattening: float
+
+    @property
+    def reach_x(self) -> float:
+        """Farthest from the tooth's long axis that the root goes along x [m]."""
+        u = np.linspace(0.0, 1.0, 33)
+        axis = self.axis[0] + u * (self.axis[1] + u * self.axis[2])
+        return float(np.max(np.abs(axis) + self.radius + u * (self.apex_radius - self.radius)))
+
+    def centre_x(self, z: Numbers) -> Numbers:
+        """x of the axis [m] at the heights z [m]."""
+        u = np.clip((self.top - z) * (1.0 / self.length), 0.0, 1.0)
+        return self.axis[0] + u * (self.axis[1] + u * self.axis[2])
+
+    def distance(self, p: Numbers) -> Numbers:
+        """Distance bound [m], negative inside: exact along x, short along y by the flattening."""
+        across = np.sqrt((p[:, 0] - self.centre_x(p[:, 2])) ** 2 + (self.flattening * p[:, 1]) ** 2)
+        return _round_cone(across, self.top - p[:, 2], self.radius, self.apex_radius, self.length - self.apex_radius)
+
+    def canal(self, p: Numbers, *, radius: float, offset: tuple[float, float]) -> Numbers:
+        """Distance [m] from a canal along the root's axis, shifted along y by `offset` at its top and apex [m]."""
+        depth = self.top + _CANAL_RISE_M - p[:, 2]
+        u = np.clip(depth * (1.0 / self.length), 0.0, 1.0)
+        y = p[:, 1] - (offset[0] + (offset[1] - offset[0]) * u)
+        across = np.sqrt((p[:, 0] - self.centre_x(p[:, 2])) ** 2 + y * y)
+        return _round_cone(across, depth, radius, 0.4 * radius, self.length + _CANAL_RISE_M - 0.4e-3)
+
+
+def mandibular_roots(crown: Crown, root_length: float) -> tuple[Root, Root]:
+    """Mesial and distal root [m]; both apices end `root_length` below the buccal cervical line."""
+    top = crown.cervix - 1.5e-3
+    length = root_length - 1.5e-3
+    side = crown.half_width / 5.5e-3
+    flat = (crown.half_width / 5.5e-3) / (crown.half_length / 5.25e-3)
+    mesial = Root(top, length, (2.1e-3 * side, 2.3e-3, -1.7e-3), 1.95e-3 * side, 0.6e-3, 0.50 * flat)
+    distal = Root(top, length, (-2.1e-3 * side, -1.9e-3, 0.6e-3), 1.85e-3 * side, 0.6e-3, 0.54 * flat)
+    return mesial, distal
+
+
+def tooth_distance(crown: Crown, roots: tuple[Root, Root], p: Numbers, *, dentin: bool) -> Numbers:
+    """Distance [m] from the whole tooth, or from its dentin with the pulp filled in; negative inside."""
+    head = crown.outside_dentin(p) if dentin else crown.outside(p)
+    furcation = (crown.cervix - _TRUNK_M) - p[:, 2]
+    head = smooth_maximum(head, furcation, _TRUNK_BLEND_M)
+    legs = smooth_minimum(roots[0].distance(p), roots[1].distance(p), 0.0)
+    return smooth_minimum(head, legs, _TRUNK_BLEND_M)
+
+
+def outer_shape(crown: Crown, roots: tuple[Root, Root]) -> Shape:
+    """The tooth as a shape; its distance is divided by its steepest slope, so it is a bound."""
+    low = (-1.1 * crown.half_width, -1.1 * crown.half_length, roots[0].top - roots[0].length)
+    high = (1.1 * crown.half_width, 1.1 * crown.half_length, 1.02 * crown.cusp_height)
+    return Shape(lambda p: tooth_distance(crown, roots, p, dentin=False) * (1.0 / _STEEPEST), low, high)
+
+
+def pulp_shape(crown: Crown, roots: tuple[Root, Root], roof: float) -> Shape:
+    """Chamber with a horn under each cusp, two canals in the mesial root and one in the distal [m].
+
+    Parameters
+    ----------
+    roof
+        Depth of the chamber's roof below the fossa [m].
+    """
+    height = 1.9e-3
+    size = (0.40 * 2.0 * crown.half_width, 0.34 * 2.0 * crown.half_length, height)
+    chamber = box(size, (0.0, 0.0, -roof - 0.5 * height), rounding_m=0.8e-3)
+    for x, y, z in crown.cusp_tips.tolist():
+        tip = (0.72 * x, 0.58 * y, -roof + 0.9e-3 * z / crown.cusp_height)
+        horn = capsule(0.25e-3, (0.60 * x, 0.48 * y, -roof - 0.6e-3), tip)
+        chamber = union(chamber, horn, blend_m=0.5e-3)
+    mesial, distal = roots
+
+    def canals(p: Numbers) -> Numbers:
+        pair = np.minimum(
+            mesial.canal(p, radius=0.42e-3, offset=(1.5e-3, 0.7e-3)),
+            mesial.canal(p, radius=0.42e-3, offset=(-1.5e-3, -0.7e-3)),
+        )
+        return np.minimum(pair, distal.canal(p, radius=0.55e-3, offset=(0.0, 0.0)))
+
+    return union(chamber, Shape(canals), blend_m=0.8e-3)
+
+
+def _round_cone(across: Numbers, along: Numbers, radius: float, end_radius: float, length: float) -> Numbers:
+    """Distance [m] from the hull of two balls on an axis, the second `length` farther along (I. Quilez)."""
+    sine = (radius - end_radius) / length
+    cosine = float(np.sqrt(1.0 - sine * sine))
+    span = cosine * along - sine * across
+    first = np.sqrt(across**2 + along**2) - radius
+    last = np.sqrt(across**2 + (along - length) ** 2) - end_radius
+    side = across * cosine + along * sine - radius
+    return np.where(span < 0.0, first, np.where(span > cosine * length, last, side))

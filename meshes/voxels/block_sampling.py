@@ -1,0 +1,206 @@
+"""Signed distance to voxels, coarse to fine over blocks of 8 x 8 x 8.
+
+A block whose centre is farther from the surface than its half diagonal is empty or solid throughout, because a signed
+distance is 1-Lipschitz. Only the blocks that the surface crosses are evaluated voxel by voxel. Solid blocks take their
+density by trilinear interpolation between their corners where the layer is the same all around them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.shapes.anatomy import Anatomy
+from meshes.shapes.plane_cube import cube_fraction
+from meshes.shapes.sdf import Shape
+from meshes.voxels.grid import BLOCK, Grid
+from meshes.voxels.volume import FULL
+
+__all__ = ["VoxelArrays", "fill_from_shape", "shape_fraction", "voxel_fraction"]
+
+_BLOCKS_AT_ONCE = 256
+_WIDEST_INTERPOLATION_M = 1.0e-3
+_HALF_DIAGONAL = 0.5 * math.sqrt(3.0)
+_SHARP_BEND = 0.1
+_PARTS = 4
+_LOCAL = np.stack(np.meshgrid(*[np.arange(BLOCK)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class VoxelArrays:
+    """The arrays of a `VoxelVolume` while they are filled, over a blocked grid, all of its shape."""
+
+    fraction: NDArray[np.uint8]
+    layer: NDArray[np.uint8]
+    density: NDArray[np.uint16]
+
+    def slab(self, start: int, stop: int) -> VoxelArrays:
+        """Views of the part with the x numbers `start` to `stop`."""
+        return VoxelArrays(self.fraction[start:stop], self.layer[start:stop], self.density[start:stop])
+
+
+def voxel_fraction(
+    shape: Shape,
+    centres: NDArray[np.float32],
+    distance: NDArray[np.float32],
+    spacing_m: float,
+    *,
+    split_creases: bool = True,
+) -> NDArray[np.float32]:
+    """Part of each voxel inside the shape, the surface taken as a plane within the voxel.
+
+    Where the distance bends sharply within a voxel (an edge or corner), the voxel is split into 4 x 4 x 4 and each part
+    taken as crossed by a plane of its own.
+
+    Parameters
+    ----------
+    centres
+        Voxel centres [m], shape (n, 3).
+    distance
+        The shape's signed distance there [m], shape (n,).
+    spacing_m
+        Edge of a voxel [m].
+
+    Returns
+    -------
+    Fractions 0 to 1, shape (n,). The gradient is taken by central differences over half a voxel.
+    """
+    fraction = (distance < 0.0).astype(np.float32)
+    crossed = np.flatnonzero(np.abs(distance) < _HALF_DIAGONAL * spacing_m)
+    if len(crossed) == 0:
+        return fraction
+    points, middle, step = centres[crossed], distance[crossed], np.float32(0.25 * spacing_m)
+    gradient, bend = np.empty((len(crossed), 3), dtype=np.float32), np.zeros(len(crossed), dtype=np.float32)
+    for axis in range(3):
+        shift = step * np.eye(3, dtype=np.float32)[axis]
+        ahead, behind = (shape.distance(np.asfortranarray(points + sign * shift)) for sign in (1, -1))
+        gradient[:, axis] = (ahead - behind) / (2.0 * step)
+        bend = np.maximum(bend, np.abs(ahead + behind - 2.0 * middle))
+    slope = np.maximum(np.linalg.norm(gradient, axis=1), np.float32(1e-3))
+    normal = np.where(slope[:, None] > 2e-3, gradient / slope[:, None], np.array([0.0, 0.0, 1.0], dtype=np.float32))
+    fraction[crossed] = cube_fraction(middle / (slope * np.float32(spacing_m)), normal)
+    creased = crossed[bend > _SHARP_BEND * step]
+    if split_creases and len(creased):
+        fraction[creased] = _split_fraction(shape, centres[creased], spacing_m)
+    return fraction
+
+
+def _split_fraction(shape: Shape, centres: NDArray[np.float32], spacing_m: float) -> NDArray[np.float32]:
+    """Fraction of voxels from 4 x 4 x 4 parts each, shape (n,)."""
+    offsets = ((np.arange(_PARTS) + 0.5) / _PARTS - 0.5).astype(np.float32) * np.float32(spacing_m)
+    local = np.stack(np.meshgrid(offsets, offsets, offsets, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = np.asfortranarray((centres[:, None, :] + local).reshape(-1, 3))
+    parts = voxel_fraction(shape, points, shape.distance(points), spacing_m / _PARTS, split_creases=False)
+    return parts.reshape(len(centres), -1).mean(axis=1)
+
+
+def fill_from_shape(anatomy: Anatomy, grid: Grid, out: VoxelArrays) -> None:
+    """Fill `out` over the blocked `grid` from the anatomy's signed distance."""
+    firsts = grid.block_firsts()
+    distance = anatomy.shape.distance(_centres(firsts, grid.spacing_m, 0.5 * BLOCK))
+    reach = np.float32(_HALF_DIAGONAL * BLOCK * grid.spacing_m)
+    solid = distance <= -reach
+    mixed = ~solid & (distance < reach)
+    blocks = [_by_blocks(array) for array in (out.fraction, out.layer, out.density)]
+    if solid.any():
+        plain, corners = _uniform_blocks(anatomy, grid)
+        plain &= solid
+        blocks[0][_index(solid, blocks[0])] = FULL
+        blocks[1][_index(plain, blocks[1])] = corners[0][plain][:, None, None, None]
+        blocks[2][_index(plain, blocks[2])] = np.rint(_interpolated(corners[1], grid, plain))
+        mixed |= solid & ~plain
+    for chosen in _chunks(np.flatnonzero(mixed)):
+        points = _centres((firsts[chosen, None, :] + _LOCAL).reshape(-1, 3), grid.spacing_m, 0.5)
+        depth = anatomy.shape.distance(points)
+        fraction = voxel_fraction(anatomy.shape, points, depth, grid.spacing_m)
+        layer, density = anatomy.classify(points, -depth)
+        where = np.unravel_index(chosen, blocks[0].shape[:3])
+        present = fraction > 0.0
+        filled = np.rint(fraction * FULL), layer * present, np.rint(density) * present
+        for block, values in zip(blocks, filled, strict=True):
+            block[where] = values.reshape(-1, BLOCK, BLOCK, BLOCK)
+
+
+def shape_fraction(shape: Shape, grid: Grid) -> NDArray[np.float32]:
+    """Part of each voxel of the blocked `grid` inside the shape, 0 to 1, float32, shape of the grid."""
+    result = np.zeros(grid.shape, dtype=np.float32)
+    firsts = grid.block_firsts()
+    distance = shape.distance(_centres(firsts, grid.spacing_m, 0.5 * BLOCK))
+    reach = np.float32(_HALF_DIAGONAL * BLOCK * grid.spacing_m)
+    blocks = _by_blocks(result)
+    blocks[_index(distance <= -reach, blocks)] = 1.0
+    for chosen in _chunks(np.flatnonzero(np.abs(distance) < reach)):
+        points = _centres((firsts[chosen, None, :] + _LOCAL).reshape(-1, 3), grid.spacing_m, 0.5)
+        fraction = voxel_fraction(shape, points, shape.distance(points), grid.spacing_m)
+        blocks[np.unravel_index(chosen, blocks.shape[:3])] = fraction.reshape(-1, BLOCK, BLOCK, BLOCK)
+    return result
+
+
+def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[NDArray[np.bool_], tuple[NDArray[np.uint8], NDArray[Any]]]:
+    """Blocks with one layer at all corners of their own and of their neighbours; layer and corner densities.
+
+    Returns
+    -------
+    Flags, shape (n,), in C order of the blocks; layer, shape (n,); densities at the block corners [kg/m3], shape
+    (bx + 1, by + 1, bz + 1).
+    """
+    counts = [n // BLOCK for n in grid.shape]
+    axes = [np.arange(f - BLOCK, e + BLOCK + 1, BLOCK) for f, e in zip(grid.first, grid.last, strict=True)]
+    lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = _centres(lattice, grid.spacing_m, 0.0)
+    layer, density = (
+        values.reshape([len(a) for a in axes]) for values in anatomy.classify(points, -anatomy.shape.distance(points))
+    )
+    own = tuple(slice(1, 1 + n) for n in counts)
+    same = _over_windows(np.maximum, layer) == _over_windows(np.minimum, layer)
+    if BLOCK * grid.spacing_m > _WIDEST_INTERPOLATION_M:
+        same = np.zeros_like(same)
+    return same.ravel(), (layer[own].ravel(), density[1:-1, 1:-1, 1:-1])
+
+
+def _over_windows(combine: np.ufunc, values: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Combine each window of 4 x 4 x 4 lattice points, the corners of a block and of its neighbours."""
+    for axis in range(3):
+        count = values.shape[axis] - 3
+        shifted = [np.take(values, np.arange(start, start + count), axis=axis) for start in range(4)]
+        values = combine.reduce(shifted)
+    return values
+
+
+def _interpolated(corners: NDArray[Any], grid: Grid, chosen: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Trilinear interpolation to the voxel centres of the chosen blocks, shape (n, 8, 8, 8)."""
+    bx, by, bz = np.unravel_index(np.flatnonzero(chosen), [n // BLOCK for n in grid.shape])
+    values = np.empty((len(bx), 2, 2, 2), dtype=np.float32)
+    for i, j, k in np.ndindex(2, 2, 2):
+        values[:, i, j, k] = corners[bx + i, by + j, bz + k]
+    weight = ((np.arange(BLOCK) + 0.5) / BLOCK).astype(np.float32)
+    for axis in (1, 2, 3):
+        low, high = np.split(values, 2, axis=axis)
+        along = weight.reshape([-1 if k == axis else 1 for k in range(4)])
+        values = low + (high - low) * along
+    return values
+
+
+def _centres(index: NDArray[np.int64], spacing_m: float, shift: float) -> NDArray[np.float32]:
+    """Coordinates [m] of the voxel numbers shifted by `shift` spacings, float32, shape (n, 3), stored by columns."""
+    return (index.T.astype(np.float32) + np.float32(shift)).T * np.float32(spacing_m)
+
+
+def _by_blocks(array: NDArray[Any]) -> NDArray[Any]:
+    """View of a blocked array with the shape (bx, by, bz, 8, 8, 8)."""
+    nx, ny, nz = (n // BLOCK for n in array.shape)
+    return array.reshape(nx, BLOCK, ny, BLOCK, nz, BLOCK).transpose(0, 2, 4, 1, 3, 5)
+
+
+def _index(flags: NDArray[np.bool_], blocks: NDArray[Any]) -> tuple[NDArray[np.intp], ...]:
+    return np.unravel_index(np.flatnonzero(flags), blocks.shape[:3])
+
+
+def _chunks(chosen: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
+    for start in range(0, len(chosen), _BLOCKS_AT_ONCE):
+        yield chosen[start : start + _BLOCKS_AT_ONCE]

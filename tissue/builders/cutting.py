@@ -1,0 +1,164 @@
+"""Build what a cutter meets: bone or a tooth, as voxels."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress
+from meshes.voxels.volume import VoxelVolume
+from tissue.builders.parts import Parts
+from tissue.builders.voxels import volume_of, whole_tooth
+from tissue.cutters.cutter import Cutter
+from tissue.materials.cutting import cutting_coefficients, cutting_constants
+from tissue.models.tissue_model import TissueModel
+from tissue.motion.motion import Motion
+from tissue.motion.reach import require_outside, require_touch
+from tissue.scene.anatomy import MolarAnatomy
+from tissue.scene.scene import Scene, Stress
+from tissue.scene.tool import ReplayMotion, Tool
+from tissue.scene.unused_keys import is_given
+
+if TYPE_CHECKING:
+    from tissue.models.bone.model import BoneModel
+
+__all__ = ["cut"]
+
+CUT_AS = {"enamel": "enamel", "dentin": "dentin", "caries": "dentin", "pulp": "soft", "ligament": "soft"}
+"""Material whose cutting coefficients a layer has; all others are bone."""
+
+
+def cut(scene: Scene, cutter: Cutter, motion: Motion, *, compute: str, cores: int | None, tell: Progress) -> Parts:
+    """Parts of a scene in which a cutter meets voxels.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be used, the voxels would not fit memory, the tool never touches, or it neither turns nor is
+        held by a hand.
+    """
+    notes: dict[str, str] = {}
+    tell("building the anatomy", 0.0)
+    volume = volume_of(scene, cutter, motion, notes=notes, tell=tell)
+    require_touch(volume, cutter, motion)
+    if isinstance(scene.anatomy, MolarAnatomy) and not isinstance(scene.motion, ReplayMotion):
+        require_outside(volume, cutter, motion)
+    if cutter.spin_rad_s == 0.0:
+        return _probe(scene, volume, cutter, motion, compute=compute, notes=notes, tell=tell)
+    _require_effect(scene, volume)
+    notes["specific cutting energy"] = _energy_note(volume)
+    tissue = _bone(scene, volume, cutter, compute=compute, cores=cores, tell=tell)
+    return Parts(motion, tissue, cutter=cutter, volume=volume, placement=volume.placement, notes=notes)
+
+
+def _require_effect(scene: Scene, volume: VoxelVolume) -> None:
+    """Refuse keys that have no effect on the voxels that the tool can reach."""
+    anatomy, cutting = scene.anatomy, scene.cutting
+    filled = volume.fraction > 0
+    if is_given(cutting, "density_exponent"):
+        materials = (cutting_coefficients(CUT_AS.get(name, "bone")) for name in volume.layer_names)
+        reference = np.array([each.reference_density_kg_m3 for each in materials])
+        if (volume.density_kg_m3[filled] == reference[volume.layer[filled]]).all():
+            raise InputError(
+                "cutting.density_exponent must be left out where all that the tool can reach has the density of the "
+                f"coefficients, got {cutting.density_exponent:g}: set cutting.tangential_chip_N_mm2, "
+                "cutting.radial_chip_N_mm2 or another coefficient, or remove it"
+            )
+    if isinstance(anatomy, MolarAnatomy) and scene.stress is None and is_given(anatomy, "ligament_thickness_mm"):
+        at = volume.layer_names.index("ligament")
+        if not (volume.layer[filled] == at).any():
+            raise InputError(
+                "anatomy.ligament_thickness_mm must be left out where the tool reaches no ligament and no stress is "
+                f"computed, got {anatomy.ligament_thickness_mm:g}: add [stress], or remove it"
+            )
+
+
+def _probe(
+    scene: Scene,
+    volume: VoxelVolume,
+    cutter: Cutter,
+    motion: Motion,
+    *,
+    compute: str,
+    notes: dict[str, str],
+    tell: Progress,
+) -> Parts:
+    """Parts of a scene whose tool does not turn: a hand feels the rigid bone with it."""
+    from tissue.haptics.hand_motion import HandMotion
+    from tissue.haptics.proxy.probing_tool import ProbedBone, ProbingTool
+    from tissue.haptics.proxy.tool_shell import ToolShell
+
+    if not (isinstance(motion, HandMotion) and isinstance(motion.tool, ProbingTool)):
+        raise InputError(
+            "tool.spin_rpm must not be 0 without a device, because a tool that does not turn cuts nothing and a motion "
+            "that is given would push it through the bone, got 0: use 500, or device = touch"
+        )
+    tell("compiling kernels (the first time on a machine)", 0.0)
+    notes["tool"] = "it does not turn: rigid contact, nothing is cut, no stress and no heat are computed"
+    shell = ToolShell.of_cutter(cutter)
+    tissue = ProbedBone(volume, shell, area_m2=cutter.cutting_area_m2, tool=motion.tool, device=compute)
+    return Parts(motion, tissue, cutter=cutter, volume=volume, placement=volume.placement, notes=notes)
+
+
+def _bone(
+    scene: Scene, volume: VoxelVolume, cutter: Cutter, *, compute: str, cores: int | None, tell: Progress
+) -> TissueModel:
+    """The bone model; loading it compiles its kernels where their cache is cold."""
+    tell("compiling kernels (the first time on a machine)", 0.0)
+    from tissue.models.bone.model import BoneModel
+
+    changes = scene.cutting.model_dump()
+    spacing_mm = scene.tool.shell_spacing_mm if isinstance(scene.tool, Tool) else None
+    milling = BoneModel(
+        volume,
+        cutter,
+        tuple(cutting_coefficients(CUT_AS.get(name, "bone"), **changes) for name in volume.layer_names),
+        removal=scene.voxels.removal,
+        shell_spacing_m=None if spacing_mm is None else spacing_mm * 1e-3,
+        device=compute,
+        cores=cores,
+    )
+    if "pulp" not in volume.layer_names:
+        return milling
+    return _tooth(scene, milling, compute=compute, tell=tell)
+
+
+def _energy_note(volume: VoxelVolume) -> str:
+    """The cited tangential chip coefficient of each material that is there, which is its specific energy."""
+    there = {CUT_AS.get(name, "bone") for i, name in enumerate(volume.layer_names) if (volume.layer == i).any()}
+    said = []
+    for material in sorted(there):
+        energy = cutting_constants(material)["tangential_chip_N_mm2"]
+        said.append(
+            f"{material} {1e-3 * energy.value:g} ({1e-3 * energy.low:g}-{1e-3 * energy.high:g}) J/mm3, "
+            f"confidence {energy.confidence}"
+        )
+    return "; ".join(said)
+
+
+def _tooth(scene: Scene, milling: "BoneModel", *, compute: str, tell: Progress) -> TissueModel:
+    """The tooth around the milled voxels, with its stress where the scene asks for it."""
+    from tissue.models.tooth import stress_process as beside
+    from tissue.models.tooth.model import ToothModel
+    from tissue.models.tooth.warmth import Warmth
+
+    anatomy = scene.anatomy
+    if not isinstance(anatomy, MolarAnatomy) or not (scene.stress or scene.heat):
+        return ToothModel(milling, device=compute)
+    stress = scene.stress or Stress()
+    tell("assembling the tooth's stiffness", 0.0)
+    cell_m = stress.cell_mm * 1e-3
+    whole = whole_tooth(scene, spacing_m=0.5 * cell_m, tell=tell)
+    field = None
+    if scene.stress is not None:
+        field = beside.StressProcess(
+            whole,
+            milling.store,
+            cell_m=cell_m,
+            ligament_thickness_m=anatomy.ligament_thickness_mm * 1e-3,
+            device=compute,
+            cores=1,  # the ticks want a core of their own
+        )
+    warmth = Warmth(whole, reach_m=milling.cutter.profile.radius_m, device=compute) if scene.heat else None
+    interval_s = stress.interval_ms * 1e-3
+    return ToothModel(milling, stress=field, interval_s=interval_s, warmth=warmth, device=compute)

@@ -1,0 +1,164 @@
+"""Put a scene's motion into a hand on a device."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import ceil, inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from meshes.shapes.polyline import ways_along
+from tissue.builders.loop import judged_loops, lead_ticks, perception_of, person_of, predictor_of
+from tissue.haptics.device.device import DeviceParameters, device_parameters
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import Hand, HandParameters, hand_parameters
+from tissue.haptics.hand.minimum_jerk import Path, waypoints
+from tissue.haptics.hand_motion import HandMotion
+from tissue.haptics.proxy.guidance import Lead, Thrust
+from tissue.haptics.proxy.held_tool import CuttingTool, HeldTool, PressingTool
+from tissue.haptics.proxy.held_turn import HeldTurn
+from tissue.haptics.proxy.probing_tool import ProbingTool
+from tissue.haptics.renderer import TurningRenderer, renderer
+from tissue.motion.motion import Motion
+from tissue.motion.rotation import quaternion_of
+from tissue.scene.coupling import WallAnatomy
+from tissue.scene.scene import Scene
+from tissue.scene.tool import ReplayMotion, ThrustMotion, Tool
+
+__all__ = ["hand_motion"]
+
+Array = NDArray[np.float64]
+STRAY_M = 2e-3
+"""How far from the scripted way an organ's surface may be met [m]."""
+
+
+def hand_motion(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable: bool) -> tuple[HandMotion, str]:
+    """The scene's motion as its hand makes it on its device, and what was chosen and found of that.
+
+    Forces are scaled by f and ways by m, so that a stiffness K at the tool is felt as m f K, and torques by f / m: work
+    at the device is f / m of that at the tool. The coupling's stiffness is that at the device, which is what is judged,
+    whatever the scales.
+
+    Raises
+    ------
+    InputError
+        If the coupling is unstable and that is not allowed, or the motion leaves the device's workspace.
+    """
+    limits, person, chosen = device_parameters(scene.device), hand_parameters(scene.hand), scene.coupling
+    judged, turning = judged_loops(scene, step_s=step_s, allow_unstable=allow_unstable)
+    _require_room(scene, scripted, limits)
+    loop, scale = replace(judged.loop, delay_s=_delay_s(scene, limits)), chosen.motion_scale
+    start, touches = scripted.sweep_m()[0], isinstance(scene.tool, Tool) and scene.tool.spin_rpm == 0.0
+    spring = judged.loop.stiffness_N_m / (scale * scene.force_scale)
+    turning_spring = turning.loop.stiffness_N_m * scale / scene.force_scale if turning else inf
+    tool: HeldTool
+    if touches:
+        tool = ProbingTool(spring, start, stiffness_Nm_rad=turning_spring)
+    elif isinstance(scene.tool, Tool):
+        tool = CuttingTool(spring, start, HeldTurn(turning_spring))
+    else:
+        tool = PressingTool(spring, start, HeldTurn(turning_spring))
+    path, push = _aims(scene, scripted, tool, limits, person, judged.loop.stiffness_N_m, step_s=step_s)
+    rng, feeling = np.random.default_rng(scene.seed).spawn(2)
+    turn = _turn(scripted, step_s=step_s) if isinstance(scene.motion, ReplayMotion) else None
+    at_device: Path = lambda time_s: start + (path(time_s) - start) / scale  # noqa: E731
+    hand = Hand(person, at_device, rng=rng, step_s=1.0 / limits.rate_Hz, push=push, turn=turn)
+    x, y, z = start.tolist()
+    felt = perception_of(scene, feeling)
+    motion = HandMotion(
+        SimulatedDevice(limits, hand, position_m=(x, y, z)),
+        tool,
+        renderer(scene.renderer, loop),
+        scripted=scripted,
+        limits=limits,
+        loop=loop,
+        delay_ticks=chosen.delay_ms,
+        turning_law=TurningRenderer(renderer(scene.renderer, turning.loop)) if turning else None,
+        motion_scale=scale,
+        margin=judged.verdict.margin,
+        stray_m=_stray_m(scene),
+        after_s=person.reaction_s + person.submovement_s + person.correction_s,
+        model_ticks=chosen.model_ms,
+        predictor=predictor_of(scene),
+        lead_ticks=lead_ticks(scene),
+        prediction_gain=chosen.prediction_gain,
+        perception=felt,
+    )
+    told = [judged.sentence(), f"{scene.force_scale:g} N at the device for each newton at the tool"]
+    if turning:
+        told.insert(1, turning.sentence())
+    if scale != 1.0:
+        told.append(
+            f"{scale:g} m at the tool for each metre at the device: a stiffness at the tool is felt as "
+            f"{scale * scene.force_scale:g} of it, a torque as {scene.force_scale / scale:g}"
+        )
+    if felt is not None:
+        told.append(felt.sentence)
+    return motion, f"{scene.device} in the hand of {person_of(scene.hand)}, {scene.renderer}: {'; '.join(told)}"
+
+
+def _stray_m(scene: Scene) -> float:
+    """How far beside the scripted motion tissue is made ready for the tool [m]."""
+    if scene.coupling.roam_mm is not None:
+        return 1e-3 * scene.coupling.roam_mm
+    return 0.0 if isinstance(scene.tool, Tool) or isinstance(scene.anatomy, WallAnatomy) else STRAY_M
+
+
+def _delay_s(scene: Scene, limits: DeviceParameters) -> float:
+    """From a sample to the force that answers it, as energy is booked: without a balance that is found late [s]."""
+    return limits.transport_delay_s + 1e-3 * scene.coupling.delay_ms
+
+
+def _require_room(scene: Scene, scripted: Motion, limits: DeviceParameters) -> None:
+    """Refuse a motion that leaves the device's workspace, whose box may lie along the axes as it fits."""
+    room, way = limits.workspace_m, np.sort(np.ptp(scripted.sweep_m(), axis=0))
+    scale = scene.coupling.motion_scale
+    if (way > scale * room).any():
+        fits = ceil(100.0 * float((way / room).max()) - 1e-9) / 100.0
+        sizes = lambda edges: " x ".join(f"{1e3 * each:.0f}" for each in edges[::-1])  # noqa: E731
+        raise InputError(
+            f"coupling.motion_scale must be at least {fits:g} for a motion of {sizes(way)} mm in the workspace of "
+            f"{scene.device}, {sizes(room)} mm, got {scale:g}: use {fits:g}"
+        )
+
+
+def _aims(
+    scene: Scene,
+    scripted: Motion,
+    tool: HeldTool,
+    limits: DeviceParameters,
+    person: HandParameters,
+    stiffness_N_m: float,
+    *,
+    step_s: float,
+) -> tuple[Path, Callable[[float], Array] | None]:
+    """Where the hand aims, and what it pushes beside that."""
+    corners, scale = scripted.sweep_m(), scene.coupling.motion_scale
+    furthest = scale * limits.force_limit_N * (1.0 / stiffness_N_m + 1.0 / person.stiffness_N_m)
+    if isinstance(scene.motion, ThrustMotion):
+        push_N = min(scene.force_scale * scene.motion.thrust_N, limits.force_limit_N)
+        thrust = Thrust(corners[0], corners[-1] - corners[0], tool, push_N, scale * push_N / stiffness_N_m)
+        return thrust.path, thrust.push
+    path = waypoints(*_timed(scripted, recorded=isinstance(scene.motion, ReplayMotion), step_s=step_s))
+    if isinstance(scene.anatomy, WallAnatomy) or isinstance(tool, ProbingTool):
+        return path, None  # no force brings a tool to where a wall or a bone is
+    return Lead(path, tool, person.submovement_s - 0.5 * person.correction_s, furthest), None
+
+
+def _turn(scripted: Motion, *, step_s: float) -> Callable[[float], Array]:
+    """Turns of a recorded motion from its first orientation, as unit quaternions over time [s]."""
+    turns = scripted.rotations()
+    quaternions = np.array([quaternion_of(turn @ turns[0].T) for turn in turns])
+    return lambda time_s: quaternions[min(round(time_s / step_s), len(quaternions) - 1)]
+
+
+def _timed(scripted: Motion, *, recorded: bool, step_s: float) -> tuple[Array, Array]:
+    """Times [s] and points [m] of a recorded motion, a point a tick, or of a path at its feed."""
+    corners_m = scripted.sweep_m()
+    if recorded:
+        return step_s * np.arange(len(corners_m), dtype=np.float64), corners_m
+    along = ways_along(corners_m)
+    keep = np.diff(along, prepend=-1.0) > 0.0
+    times = along * (scripted.duration_s / along[-1])
+    return times[keep], corners_m[keep]

@@ -1,0 +1,230 @@
+"""The loops of a scene's device, for its positions and for its turns, judged before it runs."""
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from meshes.base.errors import InputError
+from tissue.haptics.device.device import DeviceParameters, device_parameters
+from tissue.haptics.hand.hand import hand_parameters
+from tissue.haptics.loop.critical_stiffness import Verdict, critical_stiffness_N_m, in_hands, judge, nearest_stable_N_m
+from tissue.haptics.loop.forecast import Forecast, forecast_of
+from tissue.haptics.loop.sampled_loop import WallLoop
+from tissue.prediction.guard import Guarded
+from tissue.prediction.predictor import Predictor
+from tissue.scene.coupling import WallAnatomy
+from tissue.scene.scene import Scene
+from tissue.scene.tool import Tool
+
+if TYPE_CHECKING:
+    from tissue.perception.scaling import PerceivedForce
+
+__all__ = ["JudgedLoop", "judged_loop", "judged_loops", "lead_ticks", "perception_of", "person_of", "predictor_of"]
+
+SHARE = 0.5
+"""Share of the critical stiffness that is chosen where a scene gives none: that in the scene's hand. Half of the one
+without a hand would be a seventh to a ninth of it; a device that is let go on a wall leaves it in some hundredths of a
+second at either, see tests/stability/test_wall_laws.py."""
+
+REST_SHARE = 0.3
+"""Share of the device's greatest force at which a predictor is linearised."""
+
+
+@dataclass(frozen=True)
+class JudgedLoop:
+    """A loop with the delay that is really there, and what is known of it.
+
+    Attributes
+    ----------
+    loop
+        With the stiffness that was given or chosen; for turns in N m/rad and so on.
+    verdict
+        In the scene's hand.
+    unit
+        Of the stiffness.
+    alone
+        Critical stiffness of a device that was let go.
+    saves
+        What else than a hand stops its ringing.
+    """
+
+    loop: WallLoop
+    verdict: Verdict
+    unit: str
+    alone: float
+    saves: str
+
+    def sentence(self) -> str:
+        """What was chosen, and what is known of it."""
+        told = self.verdict.sentence(self.loop.stiffness_N_m).replace("N/m", self.unit)
+        if self.loop.stiffness_N_m >= self.alone:
+            told += (
+                f", but only in a hand: let go where it is held from two sides, nothing but {self.saves} stops its "
+                f"ringing from {self.alone:.3g} {self.unit} on"
+            )
+        return told
+
+
+def judged_loops(scene: Scene, *, step_s: float, allow_unstable: bool) -> tuple[JudgedLoop, JudgedLoop | None]:
+    """The loops of a scene's positions and, with a device that plays torque, of its turns.
+
+    Raises
+    ------
+    InputError
+        If one is unstable and that is not allowed.
+    """
+    grip = hand_parameters(scene.hand).grip
+    loops = [(judged_loop(scene, step_s=step_s), grip[:3], "stiffness_N_m", "N/m", _steepest(scene))]
+    if device_parameters(scene.device).torque_limit_Nm > 0.0:
+        loops.append((_turning_loop(scene, step_s=step_s), grip[3:], "stiffness_Nm_rad", "N m/rad", 1.0))
+    saves = (
+        "friction and the passivity controller"
+        if scene.renderer == "passivity"
+        else "friction (or renderer = passivity)"
+    )
+    found: list[JudgedLoop] = []
+    for loop, hand, key, unit, steepest in loops:
+        verdict = _judged(loop, hand, steepest)
+        if not verdict.stable and not allow_unstable:
+            raise InputError(_refusal(scene, verdict, loop.stiffness_N_m, key))
+        found.append(JudgedLoop(loop, verdict, unit, critical_stiffness_N_m(loop) / steepest, saves))
+    return found[0], found[1] if len(found) > 1 else None
+
+
+def _judged(loop: WallLoop, hand: tuple[float, float, float], steepest: float) -> Verdict:
+    """The verdict on a loop whose force is made steeper by so much before it is played."""
+    verdict = judge(loop.with_stiffness(steepest * loop.stiffness_N_m), [hand])
+    critical = verdict.critical_N_m / steepest
+    nearest = loop.stiffness_N_m if verdict.stable else nearest_stable_N_m(critical)
+    return replace(verdict, critical_N_m=critical, nearest_N_m=nearest)
+
+
+def _steepest(scene: Scene) -> float:
+    """Greatest slope of what is commanded for a person over the force that shall be felt."""
+    found = perception_of(scene, np.random.default_rng(0))
+    return 1.0 if found is None else found.steepest
+
+
+def perception_of(scene: Scene, rng: np.random.Generator) -> "PerceivedForce | None":
+    """The person for whom the force is scaled; `rng` draws the noise of that person's sense."""
+    if scene.perception == "none":
+        return None
+    from tissue.builders.perception import perception
+
+    limits = device_parameters(scene.device)
+    return perception(
+        scene.perception,
+        rng=rng,
+        force_limit_N=limits.force_limit_N,
+        tick_s=1.0 / limits.rate_Hz,
+        friction_N=limits.friction_N,
+    )
+
+
+def judged_loop(scene: Scene, *, step_s: float) -> WallLoop:
+    """The loop by which a scene's coupling is judged, with all the delay that is really there.
+
+    A tool that cuts or only touches bone, or presses a tissue that knows its stiffness, answers in the tick of the
+    sample; on another organ its balance is found a tick later. Of a guarded predictor and of what it hands over to, the
+    one counts that bears less stiffness.
+    """
+    limits, chosen = device_parameters(scene.device), scene.coupling
+    late = not (isinstance(scene.tool, Tool) or isinstance(scene.anatomy, WallAnatomy))
+    loop = limits.loop(
+        1.0, wall_damping_N_s_m=chosen.damping_N_s_m, filter_s=_filter_s(scene), model_ticks=chosen.model_ms
+    )
+    hand = hand_parameters(scene.hand).grip[:3]
+    loops = [replace(_later(scene, loop, step_s * late), forecast=each) for each in _forecasts(scene, limits)]
+    loop = min(loops, key=lambda each: critical_stiffness_N_m(in_hands(each, [hand])[0])) if loops[1:] else loops[0]
+    return _chosen(loop, hand, chosen.stiffness_N_m, limits.stiffness_limit_N_m, _steepest(scene))
+
+
+def predictor_of(scene: Scene) -> Predictor | None:
+    """What tells the force ahead."""
+    if scene.prediction == "none":
+        return None
+    from tissue.builders.prediction import predictor
+
+    limits = device_parameters(scene.device)
+    return predictor(
+        scene.prediction,
+        scene_name=scene.name,
+        file=scene.coupling.predictor_file,
+        force_limit_N=limits.force_limit_N,
+        tick_s=1.0 / limits.rate_Hz,
+    )
+
+
+def lead_ticks(scene: Scene) -> int:
+    """How far ahead the force is asked for: latency, low-pass and transport."""
+    late_ms = scene.output.low_pass_ms + 1e3 * device_parameters(scene.device).transport_delay_s
+    return scene.coupling.delay_ms + round(late_ms)
+
+
+def _forecasts(scene: Scene, limits: DeviceParameters) -> list[Forecast | None]:
+    """The scene's predictor about a contact at rest, under a share of the device's force, and what it hands over to."""
+    predictor, chosen = predictor_of(scene), scene.coupling
+    if predictor is None:
+        return [None]
+    stiffness = chosen.stiffness_N_m or limits.stiffness_limit_N_m
+    return [
+        forecast_of(
+            each,
+            lead_ticks=lead_ticks(scene),
+            stiffness_N_m=stiffness,
+            depth_m=REST_SHARE * limits.force_limit_N / stiffness,
+            model_ticks=chosen.model_ms,
+            gain=chosen.prediction_gain,
+        )
+        for each in ([predictor.inner, predictor.instead] if isinstance(predictor, Guarded) else [predictor])
+    ]
+
+
+def _turning_loop(scene: Scene, *, step_s: float) -> WallLoop:
+    """The same for turns: but for a tool that only touches, their balance is found a tick later."""
+    limits, chosen = device_parameters(scene.device), scene.coupling
+    touches = isinstance(scene.tool, Tool) and scene.tool.spin_rpm == 0.0
+    loop = limits.turning_loop(1.0, filter_s=_filter_s(scene), model_ticks=chosen.model_ms)
+    hand = hand_parameters(scene.hand).grip[3:]
+    late = 0.0 if touches else step_s
+    return _chosen(_later(scene, loop, late), hand, chosen.stiffness_Nm_rad, limits.stiffness_limit_Nm_rad)
+
+
+def _chosen(
+    loop: WallLoop, hand: tuple[float, float, float], given: float | None, limit: float, steepest: float = 1.0
+) -> WallLoop:
+    """The loop with the stiffness that is given, or else half of the critical one in that hand, at most the limit."""
+    if given is None:
+        critical = critical_stiffness_N_m(in_hands(loop, [hand])[0])
+        given = min(SHARE * critical / steepest, limit) or limit
+    return loop.with_stiffness(given)
+
+
+def _filter_s(scene: Scene) -> float:
+    """Time constant of the scene's low-pass [s]."""
+    return 1e-3 * scene.output.low_pass_ms
+
+
+def _later(scene: Scene, loop: WallLoop, late_s: float) -> WallLoop:
+    """The loop with the scene's latency and some more [s]."""
+    return replace(loop, delay_s=loop.delay_s + 1e-3 * scene.coupling.delay_ms + late_s)
+
+
+def _refusal(scene: Scene, verdict: Verdict, stiffness: float, key: str) -> str:
+    """One sentence for an unstable coupling."""
+    if verdict.critical_N_m == 0.0:
+        return (
+            f"coupling.damping_N_s_m must leave some stiffness stable, got {scene.coupling.damping_N_s_m:g}: lower it, "
+            "coupling.delay_ms, output.low_pass_ms or coupling.prediction_gain, or pass --allow-unstable"
+        )
+    return (
+        f"coupling.{key} must be below {verdict.critical_N_m:.4g} to be stable with device = {scene.device} in the "
+        f"hand of {person_of(scene.hand)}, got {stiffness:g} (margin {100.0 * verdict.margin:.1f} %): use "
+        f"{verdict.nearest_N_m:g}, or pass --allow-unstable"
+    )
+
+
+def person_of(hand: str) -> str:
+    """A person of a group, in words."""
+    return f"a{'n' * (hand[0] in 'aeiou')} {hand}"

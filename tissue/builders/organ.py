@@ -1,0 +1,243 @@
+"""The soft organ a scene asks for: its mesh at the site, what holds it, and what its cells are made of."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from meshes.base.placement import Placement
+from meshes.base.progress import Progress
+from meshes.organs.liver import Nodule, liver, liver_region, slab, slab_floor
+from meshes.surfaces.site import axes_along
+from meshes.tets.bisection import bisected
+from meshes.tets.files import read_tets
+from meshes.tets.regions import nodes_behind_plane, nodes_facing, nodes_of_part
+from meshes.tets.tetrahedra import TetMesh
+from tissue.materials.constants import constants
+from tissue.materials.elasticity import lame, rotated, transversely_isotropic
+from tissue.motion.motion import frame_along
+from tissue.scene.key_names import FILE_WORDS, scene_keys
+from tissue.scene.organ import LiverAnatomy, Organ, SlabAnatomy
+from tissue.scene.unused_keys import is_given
+
+__all__ = ["HeldMesh", "elasticity_of", "held_mesh"]
+
+PART_NODULE = "nodule"
+NODULE_KPA = 50.0
+"""Young's modulus of a nodule where a scene says nothing [kPa]."""
+KEYS = {
+    **dict.fromkeys(FILE_WORDS, "anatomy.file"),
+    "nodule.radius_m": "anatomy.nodule_diameter_mm",
+    "nodule.centre_m": "anatomy.nodule_centre_mm",
+    "spacing_m": "anatomy.edge_mm",
+    "edge_m": "anatomy.edge_mm",
+    "surface must enclose a solid, got none of edge": "anatomy.edge_mm must fill the surface, got",
+    "nodule_diameter_mm": "anatomy.nodule_diameter_mm",
+    "held_part": "anatomy.held_part",
+    "part": "anatomy.held_part",
+    "unit_mm": "anatomy.scale_mm",
+    "support": "anatomy.held",
+}
+"""Keys of a scene by what functions of meshes call them."""
+GROWTH = 0.5
+"""Growth of the edges with the distance from the tool's way."""
+LOCKING_RATIO = 0.45
+"""Poisson's ratio above which a run with linear tetrahedra is told that they lock."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeldMesh:
+    """An organ at its site, the tool coming down from +z to the origin.
+
+    Attributes
+    ----------
+    mesh
+        Tetrahedra.
+    held
+        Nodes that do not move, in rising order.
+    notes
+        What was found and assumed, by what it is about.
+    placement
+        Where the scene's frame lies in that of the organ's file; None without one.
+    """
+
+    mesh: TetMesh
+    held: NDArray[np.int64]
+    notes: dict[str, str]
+    placement: Placement | None = None
+
+
+def held_mesh(
+    anatomy: LiverAnatomy | SlabAnatomy, *, way_m: NDArray[np.float64], touch_edge_m: float, tell: Progress
+) -> HeldMesh:
+    """Mesh of a scene's organ, procedural or from its file, made fine where the tool goes.
+
+    Parameters
+    ----------
+    anatomy
+        The scene's organ.
+    way_m
+        Corners of the way of the tool's tip [m], shape (k, 3).
+    touch_edge_m
+        Longest edge on it [m]; edges grow by `GROWTH` times the distance from it.
+    tell
+        Told what is being done.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be used, a nodule does not fit, or what should hold the organ touches nothing.
+    """
+
+    def fine(mesh: TetMesh) -> TetMesh:
+        return bisected(mesh, lambda points: touch_edge_m + GROWTH * _away(points, way_m))
+
+    with scene_keys(KEYS):
+        if isinstance(anatomy, SlabAnatomy):
+            size = tuple(1e-3 * side for side in anatomy.size_mm)
+            block = slab(size_m=(size[0], size[1], size[2]), spacing_m=1e-3 * anatomy.edge_mm, nodule=_nodule(anatomy))
+            mesh = fine(block)
+            return HeldMesh(mesh, slab_floor(mesh), {"held": "the lower face, bonded to the floor"})
+        if anatomy.file is None:
+            mesh = fine(liver(spacing_m=1e-3 * anatomy.edge_mm, nodule=_nodule(anatomy)))
+            litres = 1e3 * float(mesh.volumes_m3.sum())
+            notes = {"liver": f"procedural, {litres:.2f} l; no vessels and no ligaments", "held": _held_note(anatomy)}
+            return HeldMesh(mesh, _held(anatomy, mesh), notes)
+        return _from_file(anatomy, fine, tell)
+
+
+def elasticity_of(mesh: TetMesh, anatomy: LiverAnatomy | SlabAnatomy, organ: Organ) -> tuple[NDArray[np.float64], str]:
+    """Lame constants of the cells [Pa], shape (m, 2), or with fibres stiffness matrices, (m, 6, 6), and a note."""
+    cited = constants("soft", organ.material)
+    modulus = cited["modulus_kPa"]
+    first = organ.young_kPa or modulus.value
+    ratio = cited["poisson_ratio"].value if organ.poisson_ratio is None else organ.poisson_ratio
+    said = f"{first:g} kPa"
+    if organ.young_kPa is None:
+        said += f" (cited {modulus.low:g}-{modulus.high:g}, confidence {modulus.confidence})"
+    young = np.full(len(mesh.cells), first)
+    if organ.young_end_kPa is not None:
+        x = mesh.nodes_m[mesh.cells].mean(axis=1)[:, 0]
+        share = (x - x.min()) / np.ptp(x)
+        young += (organ.young_end_kPa - first) * share**organ.grading_exponent
+        said += f" to {organ.young_end_kPa:g} kPa along x, by the way to the power {organ.grading_exponent:g}"
+    nodule = _nodule_part(mesh, organ)
+    if nodule is not None:
+        stiff = NODULE_KPA if organ.nodule_kPa is None else organ.nodule_kPa
+        young[mesh.part == nodule] = stiff
+        said += f"; {mesh.part_names[nodule]} {stiff:g} kPa"
+    said += f"; Poisson's ratio {ratio:g}"
+    if organ.order == 1 and ratio > LOCKING_RATIO:
+        said += ", at which linear tetrahedra lock: forces come out too great, take organ.order = 2"
+    if organ.fibre_direction is None:
+        return lame(1e3 * young, ratio), said
+    along = organ.fibre_modulus_ratio
+    unit = transversely_isotropic(
+        young_fibre_pa=1e3 * along,
+        young_across_pa=1e3,
+        shear_fibre_pa=1e3 * (0.5 + 0.5 * along) / (2.0 * (1.0 + ratio)),
+        poisson_fibre=ratio,
+        poisson_across=ratio,
+    )
+    turned = rotated(unit, np.array([organ.fibre_direction]))
+    return young[:, None, None] * turned, said + f"; {along:g} times as stiff along its fibres"
+
+
+def _nodule_part(mesh: TetMesh, organ: Organ) -> int | None:
+    """Number of the part that is the nodule; None where there is none, which a scene that asks for one is told."""
+    names, wanted = mesh.part_names, organ.nodule_part or PART_NODULE
+    for name in (wanted, f"part {wanted}"):
+        if name in names:
+            return names.index(name)
+    known = ", ".join(names)
+    if organ.nodule_part is not None:
+        raise InputError(f"organ.nodule_part must be one of {known}, got {wanted}: use one of these names or numbers")
+    if organ.nodule_kPa is None:
+        return None
+    if len(names) == 1:
+        raise InputError(
+            f"organ.nodule_kPa must be left out for a file of one part without a nodule, got {organ.nodule_kPa:g}: "
+            "give the nodule as a part of the file, or remove it"
+        )
+    raise InputError(
+        f"organ.nodule_part must be given with organ.nodule_kPa = {organ.nodule_kPa:g} for a file without a part named "
+        f"{PART_NODULE}, got nothing: use one of {known}"
+    )
+
+
+def _nodule(anatomy: LiverAnatomy | SlabAnatomy) -> Nodule | None:
+    if anatomy.nodule_diameter_mm == 0.0:
+        return None
+    if anatomy.nodule_diameter_mm < 2.0 * anatomy.edge_mm:
+        raise InputError(
+            f"anatomy.nodule_diameter_mm must be at least twice anatomy.edge_mm ({anatomy.edge_mm:g}), got "
+            f"{anatomy.nodule_diameter_mm:g}: use {2.0 * anatomy.edge_mm:g}, or anatomy.edge_mm = "
+            f"{0.5 * anatomy.nodule_diameter_mm:g}"
+        )
+    x, y, z = (1e-3 * value for value in anatomy.nodule_centre_mm)
+    return Nodule(0.5e-3 * anatomy.nodule_diameter_mm, (x, y, z))
+
+
+def _away(points_m: NDArray[np.float64], way_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distance of points from the way of the tip [m], shape (n,)."""
+    nearest = np.full(len(points_m), np.inf)
+    for start, end in pairwise(way_m):
+        along = end - start
+        share = np.clip((points_m - start) @ along / max(float(along @ along), 1e-30), 0.0, 1.0)
+        nearest = np.minimum(nearest, np.linalg.norm(points_m - start - share[:, None] * along, axis=1))
+    return nearest
+
+
+def _from_file(anatomy: LiverAnatomy, fine: Callable[[TetMesh], TetMesh], tell: Progress) -> HeldMesh:
+    """Mesh of a file, turned and moved to its site."""
+    found = read_tets(anatomy.file or "", unit_mm=anatomy.scale_mm, edge_m=1e-3 * anatomy.edge_mm, tell=tell)
+    if not found.filled and is_given(anatomy, "edge_mm"):
+        raise InputError(
+            f"anatomy.edge_mm must be left out for tetrahedra from a file, got {anatomy.edge_mm:g}: set "
+            "anatomy.touch_edge_mm, by which they are divided where the tool goes, or remove it"
+        )
+    mesh, turn = found.mesh, frame_along(anatomy.normal)
+    if anatomy.along is not None:
+        turn = axes_along(turn[:, 2], anatomy.along)
+    surface = mesh.nodes_m[mesh.surface_nodes]
+    if anatomy.centre_mm is None:
+        origin = surface[np.argmax(surface @ turn[:, 2])]
+    else:
+        origin = surface[np.argmin(np.linalg.norm(surface - 1e-3 * np.array(anatomy.centre_mm), axis=1))]
+    placed = fine(replace(mesh, nodes_m=(mesh.nodes_m - origin) @ turn))
+    at = ", ".join(f"{1e3 * value:.4g}" for value in origin)
+    notes = {
+        "mesh": f"{len(mesh.cells)} tetrahedra, {1e6 * float(mesh.volumes_m3.sum()):.4g} ml. "
+        + " ".join(found.sentences),
+        "site": f"origin at ({at}) mm of the file",
+        "held": _held_note(anatomy),
+    }
+    return HeldMesh(placed, _held(anatomy, placed), notes, Placement(1e3 * origin, turn, found.unit_mm))
+
+
+def _held(anatomy: LiverAnatomy, mesh: TetMesh) -> NDArray[np.int64]:
+    """Nodes that the scene's support holds."""
+    if anatomy.held == "plane":
+        height = 1e-3 * anatomy.held_below_mm
+        return nodes_behind_plane(mesh, point_m=(0.0, 0.0, height), normal=(0.0, 0.0, 1.0))
+    if anatomy.held == "part":
+        if anatomy.held_part is None:
+            raise InputError(f"held_part must be given, got nothing: use one of {', '.join(mesh.part_names)}")
+        numbered = f"part {anatomy.held_part}"
+        return nodes_of_part(mesh, numbered if numbered in mesh.part_names else anatomy.held_part)
+    if anatomy.file is None:
+        return liver_region(mesh, anatomy.held)
+    return nodes_facing(mesh, direction=(0.0, 0.0, -1.0) if anatomy.held == "below" else (0.0, 1.0, 0.0))
+
+
+def _held_note(anatomy: LiverAnatomy) -> str:
+    said = {
+        "below": "the surface that faces down",
+        "back": "the surface that faces back",
+        "plane": f"the surface below z = {anatomy.held_below_mm:g} mm",
+        "part": f"the part {anatomy.held_part}",
+    }
+    return said[anatomy.held]

@@ -1,0 +1,41 @@
+"""What a run is made of."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from meshes.base.placement import Placement
+from meshes.voxels.volume import VoxelVolume
+from tissue.cutters.cutter import Cutter
+from tissue.models.tissue_model import TissueModel
+from tissue.motion.motion import Motion
+
+__all__ = ["Parts"]
+
+
+@dataclass
+class Parts:
+    """What a run is made of.
+
+    Attributes
+    ----------
+    motion, tissue
+        What moves the tool, and what it meets.
+    cutter, volume
+        The cutter and the voxels it mills; None where the tool does not cut.
+    placement
+        Where the scene's frame lies in that of the file that the anatomy came from; None where it came from none.
+    notes
+        What was assumed or found, by what it is about.
+    """
+
+    motion: Motion
+    tissue: TissueModel
+    cutter: Cutter | None = None
+    volume: VoxelVolume | None = None
+    placement: Placement | None = None
+    notes: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def placement_record(self) -> dict[str, Any]:
+        """The placement as an entry of a run's summary; nothing where there is none."""
+        return {} if self.placement is None else {"placement": self.placement.to_record()}

@@ -1,0 +1,94 @@
+"""The perception that a scene names."""
+
+from math import inf
+from pathlib import Path
+
+import numpy as np
+
+from meshes.base.errors import InputError
+from tissue.haptics.loop.filters import ForceRange
+from tissue.materials.constants import constants
+from tissue.perception.deadband import Deadband
+from tissue.perception.mapping import ForceMap
+from tissue.perception.observer import Observer, read_observer
+from tissue.perception.population import population_observer, reference_observer
+from tissue.perception.recursive import Sense
+from tissue.perception.scaling import PerceivedForce
+from tissue.perception.stevens import intensity_of
+from tissue.perception.weber import weber_of
+
+__all__ = ["CAUTION", "perception", "perception_for"]
+
+CAUTION = 0.1
+"""Quantile of what is known of the threshold that bounds the deadband: nine in ten have a greater one."""
+OBSERVER = "observer:"
+
+
+def perception(
+    choice: str, *, rng: np.random.Generator, force_limit_N: float, tick_s: float, friction_N: float = inf
+) -> PerceivedForce | None:
+    """Perception by its name in a scene: ``none``, ``population`` or ``observer:FILE``.
+
+    Parameters
+    ----------
+    choice
+        The name.
+    rng
+        Random generator of the noise in the observer's sense.
+    force_limit_N
+        Greatest force of the device [N].
+    tick_s
+        Time between two steps [s].
+    friction_N
+        Coulomb friction of the device [N]. The deadband is no wider, so that at every instant friction takes what the
+        held force gives; infinite where the threshold alone shall bound it.
+
+    Raises
+    ------
+    InputError
+        If the name is unknown or the file cannot be used.
+    """
+    if choice == "none":
+        return None
+    if choice == "population":
+        observer = population_observer()
+    elif choice.startswith(OBSERVER):
+        observer = read_observer(Path(choice.removeprefix(OBSERVER)))
+    else:
+        raise InputError(
+            f"perception must be one of none, population, observer:FILE, got {choice}: choose one of these"
+        )
+    return perception_for(observer, rng=rng, force_limit_N=force_limit_N, tick_s=tick_s, friction_N=friction_N)
+
+
+def perception_for(
+    observer: Observer,
+    *,
+    rng: np.random.Generator,
+    force_limit_N: float,
+    tick_s: float,
+    friction_N: float = inf,
+) -> PerceivedForce:
+    """Perception of an observer on a device; see `perception`."""
+    device = ForceRange(limit_N=force_limit_N)
+    knee_N = device.knee_share * device.limit_N
+    reference, lowest_N = reference_observer(), min(observer.offset_N, 0.5 * knee_N)
+    law = ForceMap(intensity_of(reference), intensity_of(observer), lowest_N=lowest_N, knee_N=knee_N)
+    held = weber_of(observer, quantile=CAUTION)
+    sentence = f"felt by {observer.name}: changes below {held.kappa:.3g} of (F + {held.offset:.3g} N) are held back"
+    if law.gain < 1.0:
+        sentence += (
+            f", and all intensities are {law.gain**reference.beta:.3g} of the reference observer's, so that the "
+            "device can play them in their ratios"
+        )
+    return PerceivedForce(
+        law,
+        Deadband(held, widest=friction_N),
+        Sense(
+            weber_of(observer),
+            integration_s=constants("perception", "force")["integration_s"].value,
+            tick_s=tick_s,
+            rng=rng,
+        ),
+        sentence=sentence,
+    )

@@ -1,0 +1,114 @@
+"""Turn a scene's names into parts: the registry of tools, motions and tissues."""
+
+from math import pi, radians
+from pathlib import Path
+
+import numpy as np
+
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress
+from tissue import cutters
+from tissue.builders.parts import Parts
+from tissue.cutters.cutter import Cutter
+from tissue.models.wall import WallModel
+from tissue.motion.motion import FollowPath, Motion, PushAlongAxis
+from tissue.motion.replay import read_poses
+from tissue.scene.coupling import WallAnatomy
+from tissue.scene.scene import Scene
+from tissue.scene.tool import Needle, PathMotion, Probe, ReplayMotion, ThrustMotion, Tool
+
+__all__ = ["build", "cutter_of", "motion_of"]
+
+
+def build(
+    scene: Scene, *, step_s: float, compute: str, cores: int | None, tell: Progress, allow_unstable: bool = False
+) -> Parts:
+    """Build the parts of a scene.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be used, something would not fit memory, the tool never touches, there is no such device, or
+        its coupling is unstable and that is not allowed.
+    """
+    _require_device(compute)
+    motion = motion_of(scene, step_s=step_s)
+    if scene.device == "none":
+        return _tissue(scene, motion, step_s=step_s, compute=compute, cores=cores, tell=tell)
+    from tissue.builders.hand import hand_motion
+
+    held, said = hand_motion(scene, motion, step_s=step_s, allow_unstable=allow_unstable)
+    parts = _tissue(scene, held, step_s=step_s, compute=compute, cores=cores, tell=tell)
+    parts.notes["coupling"] = said
+    return parts
+
+
+def _tissue(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, tell: Progress) -> Parts:
+    """Parts of a scene in which a motion moves the tool."""
+    match scene.tool:
+        case Tool() as tool:
+            from tissue.builders.cutting import cut
+
+            return cut(scene, cutter_of(tool), motion, compute=compute, cores=cores, tell=tell)
+        case Probe() as probe if isinstance(scene.anatomy, WallAnatomy):
+            return Parts(motion, WallModel(1e3 * scene.anatomy.stiffness_kN_m, radius_m=0.5e-3 * probe.diameter_mm))
+        case Probe():
+            from tissue.builders.organ_scene import press
+
+            return press(scene, motion, step_s=step_s, compute=compute, cores=cores, tell=tell)
+        case Needle():
+            from tissue.builders.organ_scene import pierce
+
+            return pierce(scene, motion, tell=tell)
+
+
+def cutter_of(tool: Tool) -> Cutter:
+    """The cutter that a scene's tool describes."""
+    d, peg = tool.diameter_mm * 1e-3, (tool.peg_diameter_mm * 1e-3, tool.peg_length_mm * 1e-3)
+    match tool.kind:
+        case "ball-burr":
+            profile = cutters.ball_burr(diameter_m=d)
+        case "pear-bur":
+            profile = cutters.pear_bur(diameter_m=d, length_m=tool.length_mm * 1e-3)
+        case "cylinder":
+            profile = cutters.cylinder(diameter_m=d, length_m=tool.length_mm * 1e-3)
+        case "twist-drill":
+            angle = radians(tool.point_angle_deg)
+            profile = cutters.twist_drill(diameter_m=d, length_m=tool.length_mm * 1e-3, point_angle_rad=angle)
+        case "hemispherical-reamer":
+            profile = cutters.hemispherical_reamer(diameter_m=d, peg_diameter_m=peg[0], peg_length_m=peg[1])
+        case "flat-reamer":
+            thickness = tool.length_mm * 1e-3
+            profile = cutters.flat_reamer(
+                diameter_m=d, thickness_m=thickness, peg_diameter_m=peg[0], peg_length_m=peg[1]
+            )
+    return Cutter(profile, tool.flutes, tool.spin_rpm * 2.0 * pi / 60.0)
+
+
+def motion_of(scene: Scene, *, step_s: float) -> Motion:
+    """The motion that a scene describes."""
+    match scene.motion:
+        case PathMotion() as path:
+            return FollowPath(np.array(path.points_mm) * 1e-3, feed_m_s=path.feed_mm_s * 1e-3, axis=path.axis)
+        case ThrustMotion() as push:
+            return PushAlongAxis(
+                np.array(push.start_mm) * 1e-3,
+                axis=push.axis,
+                thrust_N=push.thrust_N,
+                mass_kg=push.mass_kg,
+                max_feed_m_s=push.max_feed_mm_s * 1e-3,
+                depth_m=push.depth_mm * 1e-3,
+            )
+        case ReplayMotion() as replay:
+            return read_poses(Path(replay.file), step_s=step_s)
+
+
+def _require_device(compute: str) -> None:
+    """Refuse a device that is not there; the processor always is."""
+    if compute == "cpu":
+        return
+    import warp as wp
+
+    known = [str(device) for device in wp.get_devices()]
+    if compute not in known:
+        raise InputError(f"compute must be one of {', '.join(known)}, got {compute}: use cpu here")

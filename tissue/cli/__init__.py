@@ -1,0 +1,1 @@
+"""The ``tissue`` command, one file a command."""

@@ -1,0 +1,62 @@
+"""``tissue assess``."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from tissue.cli.terminal import console, left_out
+from tissue.system.output_lock import output_locked
+
+__all__ = ["assess"]
+
+
+def assess(
+    folder: Path,
+    /,
+    *,
+    against: Path,
+    force_limit_n: Annotated[float | None, Parameter(name="--force-limit-N")] = None,
+    deviation_limit_mm: float = 1.0,
+    overshoot_limit_mm: float = 0.5,
+    out: Path | None = None,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Assess a trainee's run against a reference run of the same scene.
+
+    Parameters
+    ----------
+    folder
+        Folder of the trainee's run, that `tissue run` wrote.
+    against
+        Folder of the reference run.
+    force_limit_n
+        Force that should not be passed, in newtons; default 1.25 times the reference's peak.
+    deviation_limit_mm
+        Distance from the reference's path that should not be passed.
+    overshoot_limit_mm
+        How far below the reference's deepest point the tip may go.
+    out
+        Folder that takes the picture and the figures; without it they are only printed.
+    overwrite
+        Replace the assessment that the folder already holds.
+    """
+    from tissue.evaluation.assessment import assess as hold_against
+    from tissue.evaluation.assessment import assessment_lines, write_assessment
+    from tissue.simulation.run_folder import SavedRun
+
+    if out is None:
+        left_out("without --out, for nothing is written", "remove it", overwrite=overwrite)
+    found = hold_against(
+        SavedRun(folder),
+        SavedRun(against),
+        force_limit_N=force_limit_n,
+        deviation_limit_mm=deviation_limit_mm,
+        overshoot_limit_mm=overshoot_limit_mm,
+    )
+    for line in assessment_lines(found):
+        console.print(line, soft_wrap=True, highlight=False)
+    if out is not None:
+        with output_locked(out, folder=True):
+            written = write_assessment(found, out, overwrite=overwrite)
+        console.print(f"files in {out}: {', '.join(path.name for path in written)}", soft_wrap=True, highlight=False)

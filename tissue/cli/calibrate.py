@@ -1,0 +1,147 @@
+"""``tissue calibrate``."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from tissue.cli.terminal import console, left_out, problems, whole
+from tissue.system.output_lock import output_locked
+from tissue.system.stopping import Terminated
+
+if TYPE_CHECKING:
+    from tissue.evaluation.calibration.run_session import Answer
+    from tissue.evaluation.calibration.session import Plan, Session
+    from tissue.evaluation.calibration.trial_log import TrialLog
+
+__all__ = ["calibrate"]
+
+
+TRIALS, NUMBERS = 120, 24
+"""Comparisons, and forces that are given a number, in a session where nobody says."""
+
+
+def calibrate(
+    *,
+    observer: str | None = None,
+    ask: Annotated[bool, Parameter(negative="")] = False,
+    population: Path | None = None,
+    out: Path | None = None,
+    device: str | None = None,
+    trials: Annotated[int | None, Parameter(converter=whole)] = None,
+    numbers: Annotated[int | None, Parameter(converter=whole)] = None,
+    seed: Annotated[int, Parameter(converter=whole)] = 0,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Find a person's threshold and exponent for force in an adaptive session, or a population's from many sessions.
+
+    Every trial is on disk before the next: after an interruption the same command goes on where it stopped.
+
+    Parameters
+    ----------
+    observer
+        simulated:SEED, or simulated:GROUP:SEED with novice, intermediate or expert: who answers.
+    ask
+        Put the trials to a person: forces on the device, answers from the keyboard.
+    population
+        Folder of sessions' logs (*.trials.jsonl) to which the hierarchy of observers is fitted.
+    out
+        File to write; default observer.json, or population.json. Trials and picture lie beside it.
+    device
+        What plays forces to a person, default mouse: mouse (bars stand for forces), touch, omni or six-dof (simulated).
+    trials
+        Comparisons of two forces; default 120.
+    numbers
+        Forces that are given a number; default 24.
+    seed
+        Seed of the session's order, and of the population's draws.
+    overwrite
+        Replace files of an earlier session.
+    """
+    from meshes.base.errors import InputError
+
+    if sum((observer is not None, ask, population is not None)) != 1:
+        raise InputError(
+            "one of --observer, --ask and --population must be given, got none or several: "
+            "try --observer simulated:1 --out observer.json"
+        )
+    if population is not None:
+        left_out("with --population, which fits sessions that are over", "remove it",
+                 device=device, trials=trials, numbers=numbers)  # fmt: skip
+        from tissue.evaluation.calibration.fitted_population import fit_population
+
+        target = out or Path("population.json")
+        with output_locked(target, folder=False):
+            said = fit_population(population, target, seed=seed, overwrite=overwrite, progress=problems.is_terminal)
+        for line in said:
+            console.print(line, soft_wrap=True, highlight=False)
+        return
+    from tissue.evaluation.calibration.run_session import questioner
+    from tissue.evaluation.calibration.session import Plan
+
+    device = device or "mouse"
+    target, name = out or Path("observer.json"), observer or f"person on {device}"
+    answer, limit_N = questioner(observer, device, seed=seed, read=input, show=_show)
+    plan = Plan(seed=seed, trials=TRIALS if trials is None else trials,
+                numbers=NUMBERS if numbers is None else numbers, force_limit_N=limit_N)  # fmt: skip
+    with output_locked(target, folder=False):
+        _session(target, name, plan, answer, live=not ask, overwrite=overwrite)
+
+
+def _session(target: Path, name: str, plan: "Plan", answer: "Answer", *, live: bool, overwrite: bool) -> None:
+    """A session from where its log stands to its files."""
+    from tissue.evaluation.calibration.posterior_view import draw_session
+    from tissue.evaluation.calibration.run_session import begin
+    from tissue.perception.observer import write_observer
+
+    log = begin(target, name, plan, overwrite=overwrite)
+    if log.mended:
+        problems.print(f"{log.path} ended within a line: that trial is asked again", soft_wrap=True, highlight=False)
+    if log.session.trial:
+        problems.print(f"going on at trial {log.session.trial + 1} of {log.path}", soft_wrap=True, highlight=False)
+    _ask_all(log, answer, live=live)
+    session = log.session
+    draw_session(session, target.with_suffix(".png"))
+    write_observer(session.observer(name), target, overwrite=overwrite)  # last, for where it lies the session is over
+    for line in session.lines():
+        console.print(line, soft_wrap=True, highlight=False)
+    for note in session.notes():
+        problems.print("note:", note, soft_wrap=True, highlight=False)
+    files = ", ".join(str(each) for each in (target, log.path, target.with_suffix(".png")))
+    console.print(f"wrote {files}", soft_wrap=True, highlight=False)
+
+
+def _show(line: str) -> None:
+    """Show a line to the person."""
+    console.print(line, soft_wrap=True, highlight=False)
+
+
+def _ask_all(log: "TrialLog", answer: "Answer", *, live: bool) -> None:
+    """Ask what is left; a stop says how to go on."""
+    from rich.live import Live
+
+    from tissue.evaluation.calibration.intervals import StoppedError
+    from tissue.evaluation.calibration.posterior_view import posterior_panel
+    from tissue.evaluation.calibration.trial_log import read_log
+
+    session: Session = log.session
+    moving = live and problems.is_terminal
+    try:
+        with Live(console=problems, refresh_per_second=12, transient=True, auto_refresh=moving) as shown:
+            while not session.complete:
+                asked = session.ask()
+                log.take(asked, answer(asked, session.trial))
+                if moving:
+                    shown.update(posterior_panel(session))
+                elif problems.is_terminal:
+                    problems.print(posterior_panel(session))
+    except (KeyboardInterrupt, StoppedError) as stopped:
+        log.close()
+        problems.print(
+            f"stopped after trial {read_log(log.path)[1].trial}: all are in {log.path}; the same command goes on there",
+            soft_wrap=True,
+            highlight=False,
+        )
+        sys.exit(stopped.exit_code if isinstance(stopped, Terminated) else 130)
+    log.close()

@@ -1,0 +1,103 @@
+"""``tissue chart``."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from tissue.cli.terminal import console, left_out, progress, whole
+from tissue.system.output_lock import output_locked
+
+__all__ = ["chart"]
+
+TRIALS = 30
+"""Unseen runs of each scene on which predictors are charted."""
+TASKS = ("palpation", "wall", "milling")
+"""Scenes of the tasks T1 to T3."""
+MOST_WORKERS = 4
+"""Processes that make a chart ready; each may take some gigabytes for the factor of an organ."""
+
+
+def chart(
+    *what: str,
+    out: Path | None = None,
+    quick: Annotated[bool, Parameter(negative="")] = False,
+    trials: Annotated[int | None, Parameter(converter=whole)] = None,
+    observer: Path | None = None,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Measure and draw speed against accuracy: of scenes, or of predictors; or what an observer feels.
+
+    Parameters
+    ----------
+    what
+        Names of built-in scenes, default all: what every setting costs and how far its force is off. `prediction`, and
+        scenes after it (default palpation, wall and milling): errors of all predictors on runs they have not seen.
+        `perception`: intensity, threshold and mapping.
+    out
+        Folder to write; default charts, charts/prediction or charts/perception.
+    quick
+        Fewer settings, shorter excerpts and a coarser reference.
+    trials
+        Unseen runs of each scene, for predictors; default 30.
+    observer
+        Observer file that is drawn beside the population.
+    overwrite
+        Replace the charts that the folder already holds.
+    """
+    match what:
+        case ["prediction", *scenes]:
+            left_out("with prediction", "remove it", quick=quick, observer=observer)
+            folder, runs = out or Path("charts/prediction"), TRIALS if trials is None else trials
+            _prediction(scenes or list(TASKS), folder, trials=runs, overwrite=overwrite)
+        case ["perception"]:
+            left_out("with perception", "remove it", quick=quick, trials=trials)
+            _perception(out or Path("charts/perception"), observer, overwrite=overwrite)
+        case ["perception", scene, *_]:
+            from meshes.base.errors import InputError
+
+            raise InputError(f"perception must stand alone, got {scene} after it: leave it out")
+        case _:
+            left_out("unless predictors are charted", "add prediction before the scenes, or remove it", trials=trials)
+            left_out(
+                "unless perception is charted", "name perception in place of scenes, or remove it", observer=observer
+            )
+            _scenes(list(what), out or Path("charts"), quick=quick, overwrite=overwrite)
+
+
+def _scenes(names: list[str], folder: Path, *, quick: bool, overwrite: bool) -> None:
+    """`tissue chart [SCENE ...]`."""
+    import os
+
+    from tissue.evaluation.charts.scenes import chart_lines, chart_scenes
+    from tissue.system.workers import own_processes
+
+    workers = min(os.cpu_count() or 1, MOST_WORKERS)
+    with output_locked(folder, folder=True), progress() as tell, own_processes(workers) as pool:
+        found = chart_scenes(names, folder, quick=quick, overwrite=overwrite, pool=pool, tell=tell)
+    for line in chart_lines(found):
+        console.print(line, soft_wrap=True, highlight=False)
+    console.print(f"pictures and tables in {folder}", soft_wrap=True, highlight=False)
+
+
+def _prediction(scenes: list[str], folder: Path, *, trials: int, overwrite: bool) -> None:
+    """`tissue chart prediction`."""
+    from tissue.evaluation.charts.prediction import chart_prediction, comparison_lines
+    from tissue.scene.load import load_scene
+
+    loaded = [load_scene(name) for name in scenes]
+    with output_locked(folder, folder=True), progress() as tell:
+        found = chart_prediction(loaded, folder, trials=trials, overwrite=overwrite, tell=tell)
+    for line in comparison_lines(found):
+        console.print(line, soft_wrap=True, highlight=False)
+    console.print(f"pictures and tables in {folder}", soft_wrap=True, highlight=False)
+
+
+def _perception(folder: Path, observer: Path | None, *, overwrite: bool) -> None:
+    """`tissue chart perception`."""
+    from tissue.evaluation.charts.perception import perception_charts
+
+    with output_locked(folder, folder=True):
+        drawn = perception_charts(folder, observer, overwrite=overwrite)
+    for path in drawn:
+        console.print(f"{path}", soft_wrap=True, highlight=False)

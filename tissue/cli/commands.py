@@ -1,0 +1,16 @@
+"""The commands of ``tissue``, one a file."""
+
+from tissue.cli.assess import assess
+from tissue.cli.calibrate import calibrate
+from tissue.cli.chart import chart
+from tissue.cli.run import run
+from tissue.cli.scenes import scenes
+from tissue.cli.stability import stability
+from tissue.cli.study import study
+from tissue.cli.train import train
+from tissue.cli.view import view
+
+__all__ = ["COMMANDS"]
+
+COMMANDS = (run, scenes, view, stability, calibrate, assess, train, chart, study)
+"""In the order in which help lists them."""

@@ -1,0 +1,130 @@
+"""The ``tissue`` command."""
+
+import errno
+import sys
+from contextlib import suppress
+from importlib.metadata import version
+from pathlib import Path
+from typing import NoReturn
+
+from cyclopts import (
+    App,
+    CoercionError,
+    CycloptsError,
+    MissingArgumentError,
+    Parameter,
+    UnknownCommandError,
+    UnknownOptionError,
+    UnusedCliTokensError,
+)
+
+from tissue.cli.commands import COMMANDS
+from tissue.cli.terminal import problems
+from tissue.system.child import HelperLostError
+from tissue.system.stopping import Terminated, terminated_as_exception
+
+__all__ = ["app", "main"]
+
+
+def _default(value: object) -> str | None:
+    """What help tells as a default: nothing where nothing is given, or of a switch that is off."""
+    return None if value is None or value is False or value == () else str(value)
+
+
+app = App(
+    name="tissue",
+    version=lambda: version("tissue-sim"),  # read only when asked for
+    help="Simulate cutting bone, drilling teeth and pressing soft organs.",
+    suppress_keyboard_interrupt=False,
+    default_parameter=Parameter(show_default=_default),
+)
+for command in COMMANDS:
+    app.command(command)
+
+BAD_INPUT = 2
+"""Exit code for anything a person can mend by other input."""
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG)
+
+
+def main() -> NoReturn:
+    """Entry point: bad input becomes one sentence and exit code 2, Ctrl-C ends with 130, SIGTERM with 143."""
+    try:
+        with terminated_as_exception():
+            app(sys.argv[1:], exit_on_error=False, print_error=False)
+    except CycloptsError as error:
+        _refuse(_usage(error))
+    except ValueError as error:
+        from meshes.base.errors import InputError  # brings NumPy, which help does without
+
+        if not isinstance(error, InputError):
+            raise
+        _refuse(str(error))
+    except OSError as error:
+        if error.errno not in FULL + CLOSED:
+            raise
+        what, remedy = ("have room", "free some space or choose") if error.errno in FULL else ("be writable", "choose")
+        where = f" at {error.filename}" if error.filename else ""
+        place, other = _place(error.filename)
+        _refuse(f"{place} must {what}, got {(error.strerror or '').lower()}{where}: {remedy} {other}")
+    except HelperLostError as lost:
+        _refuse(f"{lost}: run it again", code=1)
+    except KeyboardInterrupt as stopped:
+        seen = ", see `tissue view`" if sys.argv[1:2] == ["run"] else ""
+        said = (
+            next(filter(lambda each: isinstance(each, str), stopped.args), "")
+            or f"stopped: what was written so far is kept{seen}"
+        )
+        with suppress(OSError):  # such as a terminal that was closed
+            problems.print(said, highlight=False, soft_wrap=True)
+        sys.exit(stopped.exit_code if isinstance(stopped, Terminated) else 130)
+    sys.exit(0)
+
+
+def _place(file: object) -> tuple[str, str]:
+    """What a file that could not be written belongs to, and how another place for that is chosen."""
+    from meshes.base.cache import cache_folder
+
+    warp = sys.modules.get("warp")
+    kernels = getattr(getattr(warp, "config", None), "kernel_cache_dir", None)
+    caches = ((cache_folder(), "another folder by TISSUE_CACHE"), (kernels, "another folder by WARP_CACHE_PATH"))
+    for folder, other in caches:
+        if folder and file and Path(str(file)).absolute().is_relative_to(Path(folder).absolute()):
+            return "cache", other
+    return "out", "another --out"
+
+
+def _refuse(sentence: str, *, code: int = BAD_INPUT) -> NoReturn:
+    problems.print(f"[red]error:[/red] {_escaped(sentence)}", soft_wrap=True, highlight=False, markup=True)
+    sys.exit(code)
+
+
+def _usage(error: CycloptsError) -> str:
+    """One sentence for a command line that cannot be read."""
+    from tissue.scene.messages import nearest
+
+    command = " ".join(["tissue", *(error.command_chain or ())])
+    match error:
+        case UnknownCommandError(unused_tokens=[word, *_]):
+            known = [name for name in app if not name.startswith("-")]
+            return f"command must be one of {', '.join(known)}, got {word}{nearest(word, known)}: see `tissue --help`"
+        case UnknownOptionError(token=token, argument_collection=arguments):
+            word = (token.keyword or token.value).split("=")[0]
+            known = [name for argument in arguments for name in argument.names if name.startswith("-")]
+            return f"option must be one of {', '.join(known)}, got {word}{nearest(word, known)}: see `{command} --help`"
+        case MissingArgumentError(argument=argument) if argument is not None:
+            name = argument.name if argument.name.startswith("-") else argument.name.lower()
+            return f"{name} must be given, got nothing: see `{command} --help`"
+        case CoercionError(token=token, target_type=kind) if token is not None:
+            what = {int: "a whole number", float: "a number"}.get(kind or str, "readable")
+            return f"{token.keyword or 'value'} must be {what}, got {token.value}: see `{command} --help`"
+        case UnusedCliTokensError(unused_tokens=[word, *_]):
+            return f"{command} must be given nothing more, got {word}: see `{command} --help`"
+        case _:
+            return " ".join(str(error).split()).rstrip(".").replace(". ", "; ") + f": see `{command} --help`"
+
+
+def _escaped(text: str) -> str:
+    from rich.markup import escape
+
+    return escape(text)

@@ -1,0 +1,136 @@
+"""``tissue run``."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from time import perf_counter
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from tissue.cli.terminal import console, left_out, progress, whole
+
+__all__ = ["run"]
+
+
+def run(
+    scene: str,
+    /,
+    *,
+    out: Path | None = None,
+    seed: Annotated[int | None, Parameter(converter=whole)] = None,
+    duration_s: float | None = None,
+    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    fidelity: Annotated[tuple[str, ...], Parameter(negative="")] = (),
+    compute: str = "cpu",
+    cores: Annotated[int | None, Parameter(converter=whole)] = None,
+    format_: Annotated[tuple[str, ...], Parameter(name="--format", negative="")] = (),
+    pictures: bool = True,
+    live: Annotated[bool, Parameter(negative="")] = False,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+    allow_unstable: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Simulate a scene and write its trace, bone and pictures.
+
+    Parameters
+    ----------
+    scene
+        Name of a built-in scene (see `tissue scenes`) or a TOML file.
+    out
+        Folder to write; default runs/NAME.
+    seed
+        Seed of every random draw.
+    duration_s
+        Simulated time in seconds; one that holds the whole motion is longer by what a hand is late, under 1 s.
+    set_
+        KEY=VALUE, replaces an entry of the scene, such as voxels.spacing_mm=0.2; may be repeated.
+    fidelity
+        force_error=0.03 or tick_ms=0.7: take the cheapest settings of this machine that meet it; may be repeated.
+    compute
+        Device for the kernels: cpu or cuda:0.
+    cores
+        Processor cores to use; default all. The trace does not depend on it.
+    format_
+        Further formats of the trace beside CSV: parquet, npz, mat, h5; may be repeated.
+    pictures
+        Draw pictures.
+    live
+        Run against the wall clock, in a window with mouse and keys as device, or without a display scripted.
+    overwrite
+        Replace the run that the folder already holds.
+    allow_unstable
+        Run a device whose coupling is judged unstable, too.
+    """
+    from tissue.scene.load import load_scene, parse_override
+    from tissue.simulation.formats import check_formats
+    from tissue.simulation.run_folder import RunFolder
+    from tissue.system.offscreen import await_display
+
+    check_formats(format_)
+    overrides = dict(parse_override(text) for text in set_)
+    for text in fidelity:
+        key, value = parse_override(text, option="--fidelity", example="force_error=0.03")
+        overrides[f"fidelity.{key}"] = value
+    if seed is not None:
+        overrides["seed"] = seed
+    if duration_s is not None:
+        overrides["duration_s"] = duration_s
+    loaded = load_scene(scene, overrides, live=live and await_display() is None)
+    by_hand = loaded.device != "none" or live
+    left_out("without a device", "set device = touch, or remove it", allow_unstable=allow_unstable and not by_hand)
+    if loaded.anatomy.kind in ("wall", "layers"):
+        there = compute if compute != "cpu" else None
+        left_out(f"for a {loaded.anatomy.kind}, which no kernel computes", "remove it", cores=cores, compute=there)
+    folder = out or Path("runs") / loaded.name
+    RunFolder.check(folder, overwrite=overwrite)
+    started = perf_counter()
+    settings: dict[str, Any] = {
+        "compute": compute,
+        "cores": cores,
+        "out": folder,
+        "overwrite": overwrite,
+        "allow_unstable": allow_unstable,
+    }
+    if live:
+        from tissue.simulation.live.run import live as simulate_live
+        from tissue.simulation.live.run import moved_by
+
+        # No progress bar: what draws it takes the interpreter from the ticks.
+        console.print(f"live: {moved_by(loaded)[1]}; Ctrl-C ends it", soft_wrap=True, highlight=False)
+        with _stopping_told(folder):
+            finished = simulate_live(loaded, duration_s=duration_s, **settings)
+        simulated = perf_counter()
+    with _stopping_told(folder), progress() as tell:
+        if not live:
+            tell("starting Warp", 0.0)
+            from tissue.simulation.simulate import simulate
+
+            finished = simulate(loaded, progress=tell, **settings)
+            simulated = perf_counter()
+        finished.save(folder, formats=format_, pictures=pictures, progress=tell)
+    from tissue.cli.summary_table import print_summary
+
+    print_summary(
+        console, finished.summary(), folder, wall_s=perf_counter() - started, saving_s=perf_counter() - simulated
+    )
+
+
+@contextmanager
+def _stopping_told(folder: Path) -> Iterator[None]:
+    """Let Ctrl-C or SIGTERM say so where the run in that folder has not been begun: what it held is as it was."""
+    before = _written(folder)
+    try:
+        yield
+    except KeyboardInterrupt as stopped:
+        if _written(folder) == before:
+            stopped.args = ("stopped before anything was written",)
+        raise
+
+
+def _written(folder: Path) -> tuple[int, int] | None:
+    """Which summary a folder holds; None without any."""
+    try:
+        found = (folder / "summary.json").stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_ino

@@ -1,0 +1,85 @@
+"""``tissue stability``."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from tissue.cli.terminal import console, left_out, problems, progress
+from tissue.system.output_lock import output_locked
+
+__all__ = ["stability"]
+
+
+def stability(
+    scene: str | None = None,
+    /,
+    *,
+    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    out: Path | None = None,
+    only: Annotated[tuple[str, ...], Parameter(negative="")] = (),
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Say whether a scene's device is stable in its hand; without a scene, show where every method fails.
+
+    With a scene: the verdict on its coupling, and a map of stiffness against damping and delay. Without one: the atlas,
+    one page for every method, taken to where it fails and past it, in two minutes or so.
+
+    Parameters
+    ----------
+    scene
+        Name of a built-in scene or a TOML file; without it the atlas is made.
+    set_
+        KEY=VALUE, replaces an entry of the scene, such as device=six-dof; may be repeated.
+    out
+        Folder that takes picture and data of a scene's map, which is otherwise only printed; or the atlas, default
+        atlas.
+    only
+        Page of the atlas to make, such as pade, and no other; may be repeated.
+    overwrite
+        Replace the map or the atlas that the folder already holds.
+    """
+    from meshes.base.errors import InputError
+
+    if scene is None:
+        if set_:
+            raise InputError(f"--set must go with a scene, got {set_[0]} without one: name the scene")
+        _atlas(out or Path("atlas"), only, overwrite=overwrite)
+        return
+    if only:
+        raise InputError(f"--only must go without a scene, got {only[0]} with {scene}: leave the scene out")
+    if out is None:
+        left_out("with a scene and no --out, for nothing is written", "remove it", overwrite=overwrite)
+    from tissue.evaluation.stability_report import scene_stability, stability_lines, write_stability_files
+    from tissue.scene.load import load_scene, parse_override
+
+    loaded = load_scene(scene, dict(parse_override(text) for text in set_))
+    with problems.status("running the loop at many stiffnesses"):
+        found = scene_stability(loaded)
+    for line in stability_lines(loaded, found):
+        console.print(line, soft_wrap=True, highlight=False)
+    if out is not None:
+        with output_locked(out, folder=True):
+            written = write_stability_files(loaded, found, out, overwrite=overwrite)
+        console.print(f"files in {out}: {', '.join(path.name for path in written)}", soft_wrap=True, highlight=False)
+
+
+def _atlas(folder: Path, only: tuple[str, ...], *, overwrite: bool) -> None:
+    """Make the atlas and say what every page shows."""
+    with output_locked(folder, folder=True), progress() as tell:
+        tell("loading methods", 0.0)
+        from tissue.evaluation.atlas.atlas import chosen_pages, write_atlas
+        from tissue.evaluation.atlas.pages import PAGES
+
+        entries = write_atlas(folder, chosen_pages(PAGES, only), overwrite=overwrite, progress=tell)
+    for entry in entries:
+        mark = "ok " if entry.shown else "OPEN"
+        console.print(
+            f"{mark:4} {entry.page.name:19} {entry.took_s:5.1f} s  {entry.page.title}", highlight=False, soft_wrap=True
+        )
+    good, seconds = sum(entry.shown for entry in entries), sum(entry.took_s for entry in entries)
+    console.print(
+        f"{good} of {len(entries)} pages show their boundary with the engine holding, falling back or refusing; "
+        f"{seconds:.0f} s; open {folder / 'index.html'}",
+        highlight=False, soft_wrap=True,
+    )  # fmt: skip

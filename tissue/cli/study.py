@@ -1,0 +1,123 @@
+"""``tissue study run`` and ``tissue study report``."""
+
+from pathlib import Path
+from time import perf_counter
+from typing import Annotated
+
+from cyclopts import App, Parameter
+
+from tissue.cli.terminal import console, left_out, problems, progress, whole
+from tissue.system.output_lock import output_locked
+
+__all__ = ["study"]
+
+study = App(name="study", help="Compare ways to render force over many trials, and say what they show.")
+QUIET_S = 30.0
+"""Time between two lines about how far a study is, where there is no terminal for a bar [s]."""
+Names = Annotated[tuple[str, ...], Parameter(negative="", consume_multiple=True)]
+
+
+@study.command
+def run(
+    *,
+    trials: Annotated[int, Parameter(converter=whole)] = 100,
+    tasks: Names = (),
+    methods: Names = (),
+    groups: Names = (),
+    sensitivity: bool = True,
+    seed: Annotated[int, Parameter(converter=whole)] = 0,
+    workers: Annotated[int | None, Parameter(converter=whole)] = None,
+    scheduler: str | None = None,
+    out: Path | None = None,
+    retry: Annotated[bool, Parameter(negative="")] = False,
+    only: str | None = None,
+) -> None:
+    """Run a study, or go on with one: every trial is on disk as soon as it is done.
+
+    Parameters
+    ----------
+    trials
+        Trials for each task and group; a study that is there may be given more.
+    tasks
+        Some of T1 (palpation), T2 (wall), T3 (milling), needle, reaming, drilling; default all.
+    methods
+        Some of penalty, energy, koopman, koopman-perception; default all.
+    groups
+        Some of novice, intermediate, expert; default all.
+    sensitivity
+        Also repeat a few trials with one parameter changed, and against the finest model.
+    seed
+        Seed of everything.
+    workers
+        Processes; default one a core.
+    scheduler
+        dask://ADDRESS: run on the workers of that Dask scheduler instead.
+    out
+        Folder of the study; default studies/paper.
+    retry
+        Run trials that failed again.
+    only
+        Name of one trial, such as T1-novice-0007: run that alone and print what came of it.
+    """
+    from tissue.evaluation.study.folder import StudyFolder
+    from tissue.evaluation.study.plan import Plan, TrialKey
+    from tissue.evaluation.study.runner import run_study
+    from tissue.evaluation.study.trial import run_trial
+
+    chosen = {"tasks": tasks, "methods": methods, "groups": groups}
+    split = {name: tuple(each for word in words for each in word.split(",") if each) for name, words in chosen.items()}
+    plan = Plan(
+        seed=seed, trials=trials, sensitivity=sensitivity, **{name: words for name, words in split.items() if words}
+    )
+    if only is not None:
+        left_out("with --only, which runs one trial here and keeps nothing", "remove it",
+                 workers=workers, scheduler=scheduler, out=out, retry=retry)  # fmt: skip
+        trial = run_trial(plan, TrialKey.named(only))
+        console.print(f"{only}, seed {trial.seed}, {trial.took_s:.1f} s", highlight=False)
+        for row in trial.rows:
+            told = ", ".join(f"{name} {each if isinstance(each, str) else f'{each:.6g}'}" for name, each in row.items())
+            console.print(told, soft_wrap=True, highlight=False)
+        return
+    out = out or Path("studies/paper")
+    wanted = list(plan.all_trials())
+    if there := sum(map(StudyFolder(out).has, wanted)):
+        problems.print(f"{there} of {len(wanted)} trials are there, missing ones are run", highlight=False)
+    with output_locked(out, folder=True), progress() as bar:
+        spoke = 0.0
+
+        def tell(doing: str, share: float) -> None:
+            """Move the bar; speak of what is no mere progress, and of that now and then where there is no bar."""
+            nonlocal spoke
+            bar(doing, share)
+            going = " left" in doing
+            if not going or (not problems.is_terminal and perf_counter() - spoke > QUIET_S):
+                spoke = perf_counter()
+                problems.print(doing, soft_wrap=True, highlight=False)
+
+        bar("starting workers", 0.0)
+        folder = run_study(plan, out, workers=workers, scheduler=scheduler, retry=retry, tell=tell)
+    kept = list(folder.trials(variant=None))
+    failed = sum(any("failure" in row for row in held["rows"]) for _, held in kept)
+    console.print(f"{len(kept)} trials in {out}, {failed} with a failure", soft_wrap=True, highlight=False)
+    for task in plan.tasks:
+        took = sorted(held["took_s"] for key, held in kept if key.task == task and not key.variant)
+        console.print(f"{task}: {took[len(took) // 2]:.1f} s a trial of {len(plan.methods)} methods", highlight=False)
+    console.print(f"next: tissue study report {out}", soft_wrap=True, highlight=False)
+
+
+@study.command
+def report(folder: Path, /) -> None:
+    """Write tables, figures and what they mean, beside the paper's figures, into a study's folder.
+
+    Parameters
+    ----------
+    folder
+        Folder that `tissue study run` wrote; a study that is not done yet is reported as far as it is.
+    """
+    with progress() as tell:
+        from tissue.evaluation.study.report import write_report
+
+        written, sentences = write_report(folder, tell=tell)
+    for sentence in sentences:
+        console.print(sentence, soft_wrap=True, highlight=False)
+    console.print(f"open {written}", soft_wrap=True, highlight=False)

@@ -1,0 +1,62 @@
+"""What every command shares: where it prints, its progress bar, and whole numbers."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from cyclopts import CoercionError
+from rich.console import Console
+
+from meshes.base.visible_text import visible
+
+__all__ = ["console", "left_out", "problems", "progress", "whole"]
+
+
+class _Terminal(Console):
+    """Prints text as it is: brackets are no markup unless asked for, control characters are shown by their codes."""
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """As `Console.print`."""
+        super().print(*(visible(each) if isinstance(each, str) else each for each in objects), **options)
+
+
+console = _Terminal(emoji=False, markup=False)
+problems = _Terminal(stderr=True, emoji=False, markup=False)
+
+
+def whole(_: Any, tokens: Any) -> int:
+    """A whole number from the command line, which would otherwise be rounded to one."""
+    try:
+        return int(tokens[0].value)
+    except ValueError:
+        raise CoercionError(token=tokens[0], target_type=int) from None
+
+
+def left_out(where: str, remedy: str, **flags: Any) -> None:
+    """Refuse options that were given and have no effect ``where`` that is so.
+
+    Raises
+    ------
+    InputError
+        Names the option and the remedy.
+    """
+    from meshes.base.errors import InputError  # brings NumPy, which help does without
+
+    for name, value in flags.items():
+        if value is not None and value is not False and value != ():
+            got = "it" if value is True else value
+            raise InputError(f"--{name.replace('_', '-')} must be left out {where}, got {got}: {remedy}")
+
+
+@contextmanager
+def progress() -> Iterator[Any]:
+    """A progress bar that names what is being done; called with what and with the share that is done."""
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+    if not problems.is_terminal:  # older versions of rich end even a disabled bar with an empty line
+        yield lambda doing, share: None
+        return
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=problems, transient=True) as bar:
+        task = bar.add_task("starting", total=1.0)
+        yield lambda doing, share: bar.update(task, description=visible(doing), completed=share)

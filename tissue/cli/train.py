@@ -1,0 +1,69 @@
+"""``tissue train``."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from tissue.cli.terminal import console, progress, whole
+from tissue.system.output_lock import output_locked
+
+__all__ = ["train"]
+
+
+def train(
+    scene: str,
+    /,
+    *,
+    trials: Annotated[int, Parameter(converter=whole)] = 12,
+    out: Path | None = None,
+    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    cores: Annotated[int | None, Parameter(converter=whole)] = None,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Train what predicts a scene's force, on runs by hands of all groups, and validate it on runs held out.
+
+    Parameters
+    ----------
+    scene
+        Name of a built-in scene or a TOML file.
+    trials
+        Runs, six or more; one in four validates.
+    out
+        File to write; default SCENE.npz.
+    set_
+        KEY=VALUE, replaces an entry of the scene, such as device=six-dof; may be repeated.
+    cores
+        Processor cores to use; default all.
+    overwrite
+        Replace the file.
+    """
+    from meshes.base.errors import InputError
+    from tissue.scene.load import load_scene, parse_override
+    from tissue.system.outputs import require_new_file
+
+    loaded = load_scene(scene, dict(parse_override(text) for text in set_))
+    path = out or Path(f"{loaded.name}.npz")
+    require_new_file(path, overwrite=overwrite)
+    if not path.parent.is_dir():
+        raise InputError(f"out must lie in a folder that exists, got {path}: create {path.parent}")
+    with output_locked(path, folder=False), progress() as tell:
+        tell("starting Warp", 0.0)
+        from tissue.evaluation.training.train import train as trained_on
+
+        found = trained_on(loaded, trials=trials, cores=cores, progress=tell)
+        found.write(path, overwrite=overwrite)
+    told, checked = found.told, found.told["validation"]
+    lines = [
+        f"{told['dictionary']}: {told['observables']} observables from {told['samples']} samples; largest eigenvalue "
+        f"{told['radius_before_cap']:.6f}, {told['capped']} capped",
+        f"error on {len(checked['held_out'])} run{'s' * (len(checked['held_out']) > 1)} held out, % of the force, at "
+        f"{', '.join(map(str, checked['horizons_ms']))} ms:",
+        *(
+            f"{kind:>8}  " + "  ".join(f"{100.0 * e:6.2f}" for e in errors)
+            for kind, errors in checked["errors"].items()
+        ),
+        f"written to {path}; use it with --set prediction=koopman --set coupling.predictor_file={path}",
+    ]
+    for line in lines:
+        console.print(line, soft_wrap=True, highlight=False)

@@ -1,0 +1,49 @@
+"""``tissue view``."""
+
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from tissue.cli.terminal import console, progress
+
+__all__ = ["view"]
+
+
+def view(
+    folder: Path,
+    /,
+    *,
+    screenshot: Path | None = None,
+    movie: Path | None = None,
+    hide: Annotated[tuple[str, ...], Parameter(negative="")] = (),
+    field: str | None = None,
+    scale: float = 1.0,
+    time_s: float | None = None,
+) -> None:
+    """Show a run in a window.
+
+    Parameters
+    ----------
+    folder
+        Folder that `tissue run` wrote.
+    screenshot
+        Write a picture to this .png file instead of opening a window.
+    movie
+        Write a movie to this .mp4 or .gif file instead of opening a window.
+    hide
+        Layer or part that is switched off at first; may be repeated.
+    field
+        Field that is shown at first, for example von_mises_MPa.
+    scale
+        How many times its size the displacement is drawn at first.
+    time_s
+        Moment that is shown at first, in seconds; default that of the greatest force.
+    """
+    from tissue.viewer.view import view as show
+
+    chosen: dict[str, Any] = {"hide": hide, "field": field, "scale": scale, "time_s": time_s}
+    with nullcontext() if movie is None else progress() as tell:
+        said = show(folder, screenshot=screenshot, movie=movie, progress=tell, **chosen)
+    console.print(said, soft_wrap=True, highlight=False)

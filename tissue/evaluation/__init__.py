@@ -1,0 +1,1 @@
+"""What evaluates the engine, which knows nothing of it: charts, atlas, study, calibration, statistics, training."""

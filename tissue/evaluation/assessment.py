@@ -1,0 +1,271 @@
+"""Assess a trainee's run against a reference run of the same scene, `tissue assess`."""
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, require_positive
+from meshes.base.whole_file import whole_file
+from tissue.evaluation.statistics.alignment import aligned_rows, deviation_mm
+from tissue.evaluation.statistics.metrics import (
+    acceleration_change_m_s2,
+    force_error,
+    overshoot_mm,
+    spectral_arc_length,
+)
+from tissue.models.tissue_model import TICK_S
+from tissue.simulation.depth_map import tool_axes
+from tissue.simulation.run_folder import SavedRun
+from tissue.simulation.trace import Table
+from tissue.system.outputs import require_free_folder
+
+__all__ = ["Assessment", "Breach", "assess", "assessment_lines", "write_assessment"]
+
+Array = NDArray[np.float64]
+GAP_S = 0.15
+"""Breaches closer than a period of slow tremor are one."""
+MOST_BREACHES = 8
+"""More are counted, and listed in the file alone."""
+FORCE_MARGIN = 1.25
+"""A trainee may press this many times the reference's peak force where no limit is given: a convention, not a norm."""
+FILES = ("assessment.json", "assessment.png")
+
+
+@dataclass(frozen=True)
+class Breach:
+    """A span of time in which a limit was passed."""
+
+    what: str
+    start_s: float
+    end_s: float
+    worst: float
+    worst_at_s: float
+    limit: float
+    unit: str
+
+    @property
+    def sentence(self) -> str:
+        """Where it was, and how far."""
+        return (
+            f"{self.what} above {self.limit:.3g} {self.unit} from {self.start_s:.3f} to {self.end_s:.3f} s, "
+            f"at worst {self.worst:.3g} {self.unit} at {self.worst_at_s:.3f} s"
+        )
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """A trainee's run beside the reference.
+
+    Attributes
+    ----------
+    figures
+        Numbers by name, units in the names; where both runs have one, as {"trainee": ..., "reference": ...}.
+    breaches
+        Limits that were passed, in the order of time.
+    events
+        What happened to the trainee and not in the reference: time [s] and a sentence each.
+    time_s, deviation_mm, force_N, depth_mm
+        Over the trainee's ticks, shape (ticks,): distance from the reference's path at the aligned place, size of the
+        force, depth along the reference tool's axis from its first contact.
+    reference_force_N, reference_depth_mm
+        Of the reference at that place, shape (ticks,).
+    force_limit_N, deviation_limit_mm, depth_limit_mm
+        Limits; the last is that of the depth itself.
+    """
+
+    figures: dict[str, Any]
+    breaches: tuple[Breach, ...]
+    events: tuple[tuple[float, str], ...]
+    time_s: Array
+    deviation_mm: Array
+    force_N: Array
+    depth_mm: Array
+    reference_force_N: Array
+    reference_depth_mm: Array
+    force_limit_N: float
+    deviation_limit_mm: float
+    depth_limit_mm: float
+
+
+def assess(
+    trainee: SavedRun,
+    reference: SavedRun,
+    *,
+    force_limit_N: float | None = None,
+    deviation_limit_mm: float = 1.0,
+    overshoot_limit_mm: float = 0.5,
+) -> Assessment:
+    """Hold one run against another of the same scene.
+
+    The two are aligned by place, not by time: dynamic time warping (Sakoe and Chiba 1978) of the tool's paths finds for
+    each tick of the trainee the moment of the reference that it corresponds to, so that a pause is no error.
+
+    Parameters
+    ----------
+    trainee, reference
+        Saved runs.
+    force_limit_N
+        Force on the tool that should not be passed [N]; 1.25 times the reference's peak where it is not given.
+    deviation_limit_mm
+        Distance from the reference's path that should not be passed [mm].
+    overshoot_limit_mm
+        How far below the reference's deepest point the tip may go [mm].
+
+    Raises
+    ------
+    InputError
+        If the runs are of two scenes, hold no trace, or never touch.
+    """
+    scenes = [each.summary.get("scene") for each in (trainee, reference)]
+    if scenes[0] != scenes[1]:
+        raise InputError(f"run and reference must be of one scene, got {scenes[0]} and {scenes[1]}: run the same scene")
+    mine, theirs = _trace(trainee, "run"), _trace(reference, "reference")
+    path, model = mine.vectors("tool", "mm"), theirs.vectors("tool", "mm")
+    rows = aligned_rows(path, model)
+    apart = deviation_mm(path, model, rows)
+    force, ideal = mine.vectors("model_force", "N"), theirs.vectors("model_force", "N")
+    size, ideal_size = np.linalg.norm(force, axis=1), np.linalg.norm(ideal, axis=1)
+    axis, start = _approach(theirs)
+    depth, plan = (start - path) @ axis, (start - model) @ axis
+    time = mine["time_s"]
+    limit = FORCE_MARGIN * float(ideal_size.max()) if force_limit_N is None else force_limit_N
+    require_positive("force_limit_N", limit, "use a reference that touches the tissue, or give --force-limit-N")
+    require_positive("deviation_limit_mm", deviation_limit_mm, "use 1")
+    require_positive("overshoot_limit_mm", overshoot_limit_mm, "use 0.5")
+    deepest = float(plan.max())
+    breaches = [
+        *_breaches("force", size, limit, "N", time),
+        *_breaches("distance from the path", apart, deviation_limit_mm, "mm", time),
+        *_breaches("depth", depth, deepest + overshoot_limit_mm, "mm", time),
+    ]
+    worst = int(apart.argmax())
+    figures = {
+        "scene": scenes[0],
+        "time_in_contact_s": _both(_contact_s(mine), _contact_s(theirs)),
+        "deviation_mm": {"mean": float(apart.mean()), "worst": float(apart[worst]), "worst_at_s": float(time[worst])},
+        "peak_force_N": _both(float(size.max()), float(ideal_size.max())),
+        "force_error": force_error(force, ideal[rows]),
+        "overshoot_mm": overshoot_mm(depth, target_mm=deepest),
+        "acceleration_change_m_s2": _both(
+            *(acceleration_change_m_s2(_velocity(t), tick_s=TICK_S) for t in (mine, theirs))
+        ),
+        "spectral_arc_length": _both(
+            *(spectral_arc_length(np.linalg.norm(_velocity(t), axis=1), tick_s=TICK_S) for t in (mine, theirs))
+        ),
+        "complete": _both(trainee.complete, reference.complete),
+    }
+    known = {each["what"] for each in reference.summary.get("events", ())}
+    events = [(each["time_s"], each["what"]) for each in trainee.summary.get("events", ()) if each["what"] not in known]
+    return Assessment(
+        figures,
+        tuple(sorted(breaches, key=lambda each: each.start_s)),
+        tuple(events),
+        time,
+        apart,
+        size,
+        depth,
+        ideal_size[rows],
+        plan[rows],
+        limit,
+        deviation_limit_mm,
+        deepest + overshoot_limit_mm,
+    )
+
+
+def assessment_lines(found: Assessment) -> list[str]:
+    """What a person reads."""
+    figures = found.figures
+    apart, time, peak = figures["deviation_mm"], figures["time_in_contact_s"], figures["peak_force_N"]
+    rough, arc = figures["acceleration_change_m_s2"], figures["spectral_arc_length"]
+    lines = [
+        f"path: {apart['mean']:.2f} mm off on average, {apart['worst']:.2f} at {apart['worst_at_s']:.3f} s",
+        f"depth: {figures['overshoot_mm']:.2f} mm beyond the reference's deepest point",
+        f"force: peak {peak['trainee']:.3g} N against {peak['reference']:.3g}, "
+        f"{100.0 * figures['force_error']:.0f} % from the reference's at the same place",
+        f"time from first to last contact: {time['trainee']:.2f} s against {time['reference']:.2f}",
+        f"spectral arc length {arc['trainee']:.2f} against {arc['reference']:.2f}, nearer to zero is smoother",
+        f"change of acceleration {rough['trainee']:.3g} m/s² against {rough['reference']:.3g}, lower is smoother",
+        *(f"breach: {each.sentence}" for each in found.breaches[:MOST_BREACHES]),
+        *(f"at {at:.3f} s, and not in the reference: {what}" for at, what in found.events),
+    ]
+    if len(found.breaches) > MOST_BREACHES:
+        lines.append(f"and {len(found.breaches) - MOST_BREACHES} more breaches")
+    if not found.breaches:
+        lines.append("no limit was passed")
+    return lines + [f"the {who} was cut short" for who, whole in figures["complete"].items() if not whole]
+
+
+def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> list[Path]:
+    """Write ``assessment.json`` and ``assessment.png``.
+
+    Raises
+    ------
+    InputError
+        If the folder is a file, or holds another assessment.
+    """
+    from tissue.evaluation.assessment_picture import draw_assessment
+
+    require_free_folder(folder, FILES, "assessment", overwrite=overwrite)
+    folder.mkdir(parents=True, exist_ok=True)
+    limits = {
+        "force_N": found.force_limit_N,
+        "deviation_mm": found.deviation_limit_mm,
+        "depth_mm": found.depth_limit_mm,
+    }
+    data = found.figures | {
+        "limits": limits,
+        "breaches": [asdict(each) for each in found.breaches],
+        "events": [{"time_s": at, "what": what} for at, what in found.events],
+    }
+    with whole_file(folder / FILES[0]) as beside:
+        beside.write_text(json.dumps(data, indent=2) + "\n", "utf-8")
+    draw_assessment(found, folder / FILES[1])
+    return [folder / name for name in FILES]
+
+
+def _trace(run: SavedRun, name: str) -> Table:
+    """The trace of a saved run, long enough to compare."""
+    if run.trace is None or len(run.trace.rows) < 10:
+        raise InputError(f"{name} must hold a trace of ten ticks or more, got {run.path} without: run the scene again")
+    return run.trace
+
+
+def _velocity(trace: Table) -> Array:
+    return trace.vectors("velocity", "mm_s")
+
+
+def _both(trainee: Any, reference: Any) -> dict[str, Any]:
+    return {"trainee": trainee, "reference": reference}
+
+
+def _contact_s(trace: Table) -> float:
+    """Time from the first contact to the last [s], zero without any."""
+    rows = np.flatnonzero(trace["contact_mm2"] > 0.0)
+    return float(trace["time_s"][rows[-1]] - trace["time_s"][rows[0]]) if len(rows) else 0.0
+
+
+def _approach(trace: Table) -> tuple[Array, Array]:
+    """Direction out of the tissue along the tool's axis in contact, and where the first contact was [mm]."""
+    rows = np.flatnonzero(trace["contact_mm2"] > 0.0)
+    if not len(rows):
+        raise InputError("reference must touch the tissue, got a run without contact: choose another reference")
+    quaternions = np.column_stack([trace[f"tool_q{c}"][rows] for c in "xyzw"])
+    axis = tool_axes(quaternions).mean(axis=0)
+    return axis / np.linalg.norm(axis), trace.vectors("tool", "mm")[rows[0]]
+
+
+def _breaches(what: str, values: Array, limit: float, unit: str, time: Array) -> list[Breach]:
+    """Spans above a limit, those a short gap apart joined."""
+    above = np.flatnonzero(values > limit)
+    if not len(above):
+        return []
+    found = []
+    for span in np.split(above, np.flatnonzero(np.diff(time[above]) > GAP_S) + 1):
+        worst = span[values[span].argmax()]
+        ends = float(time[span[0]]), float(time[span[-1]])
+        found.append(Breach(what, *ends, float(values[worst]), float(time[worst]), float(limit), unit))
+    return found

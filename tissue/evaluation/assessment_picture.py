@@ -1,0 +1,50 @@
+"""The picture of an assessment: path, force and depth over time, with limits and where they were passed."""
+
+from pathlib import Path
+
+from tissue.evaluation.assessment import Assessment
+from tissue.figures.figure import figure, save
+
+__all__ = ["draw_assessment"]
+
+TRAINEE, REFERENCE, LIMIT, SHADE = "#0072B2", "0.45", "#D55E00", "#E69F00"
+MARGIN = 0.08
+
+
+def draw_assessment(found: Assessment, path: Path) -> None:
+    """Draw what the trainee did over time, the reference at the same place, and the limits with their breaches."""
+    chart = figure(9.0, 7.2)
+    panels = chart.subplots(3, 1, sharex=True)
+    chart.subplots_adjust(left=0.09, right=0.98, top=0.9, bottom=0.08, hspace=0.14)
+    time = found.time_s
+    curves = (
+        ("distance from the path", "distance from\nthe path / mm", found.deviation_mm, found.deviation_limit_mm),
+        ("force", "force / N", found.force_N, found.force_limit_N),
+        ("depth", "depth / mm", found.depth_mm, found.depth_limit_mm),
+    )
+    for axes, (what, label, values, limit) in zip(panels, curves, strict=True):
+        for breach in found.breaches:
+            if breach.what == what:
+                # A breach of a tick or two must still be seen.
+                least = 0.002 * float(time[-1] - time[0])
+                axes.axvspan(breach.start_s, max(breach.end_s, breach.start_s + least), color=SHADE, alpha=0.35, lw=0)
+        beside = {"force": found.reference_force_N, "depth": found.reference_depth_mm}.get(what)
+        if beside is not None:
+            axes.plot(time, beside, color=REFERENCE, linewidth=1.4, label="reference at that place")
+        axes.plot(time, values, color=TRAINEE, label="trainee")
+        axes.axhline(limit, color=LIMIT, linestyle="--", linewidth=1.4, label="limit")
+        axes.set_ylabel(label)
+        axes.grid(alpha=0.3)
+        low, high = min(0.0, float(values.min())), max(limit, float(values.max()))
+        low = max(low, -high)  # the way to the tissue would leave no room for the depth in it
+        axes.set_ylim(low, high + MARGIN * (high - low))
+    panels[2].set(xlabel="time / s", xlim=(float(time[0]), float(time[-1])))
+    handles, labels = panels[1].get_legend_handles_labels()
+    chart.legend(handles, labels, loc="upper right", bbox_to_anchor=(0.985, 0.945), ncols=3, frameon=False)
+    count = len(found.breaches)
+    told = "no limit passed" if not count else f"{count} breach{'es' if count > 1 else ''}, shaded"
+    apart = found.figures["deviation_mm"]
+    chart.text(0.09, 0.955, f"{found.figures['scene']}: a trainee against the reference, {told}", size=11, va="center")
+    said = f"{apart['mean']:.2f} mm off the path on average, force {100.0 * found.figures['force_error']:.0f} % off"
+    chart.text(0.09, 0.92, said, size=9, color="0.25", va="center")
+    save(chart, path)

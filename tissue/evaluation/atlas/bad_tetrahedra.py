@@ -1,0 +1,136 @@
+"""Inverted and sliver tetrahedra: what they do to a stiffness matrix, and what is done about them."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigvalsh
+
+from meshes.tets.checks import mean_ratio, signed_volumes
+from meshes.tets.quality import SLIVER, repair_tets
+from meshes.tets.structured import box
+from meshes.tets.tetrahedra import TetMesh
+from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, finish, region
+from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
+from tissue.fem.assembly import assemble
+from tissue.fem.space import Space
+from tissue.materials.elasticity import lame
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["BAD_TETRAHEDRA"]
+
+Array = NDArray[np.float64]
+SIZE_M = 0.1
+
+
+def squashed(height: float) -> tuple[Array, NDArray[np.int64]]:
+    """A cube of 4 x 4 x 4 bricks whose middle node lies so much of its old height over the face below it."""
+    good = box((SIZE_M,) * 3, (4, 4, 4))
+    nodes = good.nodes_m.copy()
+    inner = int(np.argmin(np.linalg.norm(nodes - 0.5 * SIZE_M, axis=1)))
+    around = good.cells[(good.cells == inner).any(axis=1)]
+    foot = nodes[around[0][around[0] != inner]].mean(axis=0)
+    nodes[inner] = foot + height * (nodes[inner] - foot)
+    return nodes, good.cells
+
+
+def condition(nodes_m: Array, cells: NDArray[np.int64]) -> float:
+    """Condition number of the cube's stiffness with its base held."""
+    space = Space(TetMesh(nodes_m, cells))
+    free = np.repeat(nodes_m[:, 2] > 1e-9, 3)
+    values = eigvalsh(assemble(space, lame(5e3, 0.3)).toarray()[np.ix_(free, free)])
+    return float(values[-1] / values[0])
+
+
+def measure(quick: bool) -> Data:
+    """Quality and condition over the height that is left, as it is and repaired."""
+    heights = np.geomspace(1.0, 1e-5, 4 if quick else 11)
+    rows = []
+    for height in heights.tolist():
+        nodes, cells = squashed(height)
+        mesh, report = repair_tets(nodes, cells)
+        rows.append(
+            (
+                float(mean_ratio(nodes, cells).min()),
+                condition(nodes, cells),
+                float(mean_ratio(mesh.nodes_m, mesh.cells).min()),
+                condition(mesh.nodes_m, mesh.cells),
+                float(report.slivers_left),
+            )
+        )
+    found = np.array(rows)
+    names = ("quality", "condition", "repaired_quality", "repaired_condition", "slivers_left")
+    return {"sliver": {"height": heights, **{name: found[:, column] for column, name in enumerate(names)}}}
+
+
+def judge(data: Data) -> Verdict:
+    """Growth of the condition number with one over the height; what repair leaves of it."""
+    table = data["sliver"]
+    flat = table["height"] < 0.03
+    slope = float(np.polyfit(np.log(table["height"][flat]), np.log(table["condition"][flat]), 1)[0])
+    worst, quality = float(table["repaired_condition"].max()), float(table["repaired_quality"].min())
+    return Verdict(
+        -1.15 < slope < -0.85 and table["condition"].max() > 100.0 * table["condition"][0],
+        # Cells just better than a sliver are left as they are: a tenth of the quality is a tenth of the height.
+        worst < 10.0 * table["condition"][0] and quality > SLIVER,
+        f"As a cell is squashed the condition number grows as its height to the power {slope:.2f} (theory −1), from "
+        f"{table['condition'][0]:.0f} to {table['condition'].max():.1e}. Repaired, it is {worst:.0f} at most and the "
+        f"worst quality {quality:.2f}.",
+    )
+
+
+def ask() -> list[Answer]:
+    """Meshes with inverted cells, to the mesh, to the repair, and one that no repair can mend."""
+    nodes, cells = squashed(1.0)
+    turned = cells.copy()
+    turned[[17, 200, 301]] = turned[[17, 200, 301]][:, [1, 0, 2, 3]]
+    mended, report = repair_tets(nodes, turned)
+    folded = nodes.copy()
+    folded[int(np.argmin(np.linalg.norm(nodes - 0.5 * SIZE_M, axis=1)))] += [0.4 * SIZE_M, 0.0, 0.0]
+    volume = float(signed_volumes(mended.nodes_m, mended.cells).sum())
+    sliver = repair_tets(*squashed(1e-4))[1]
+    return [
+        refused("three inverted cells, as a mesh", lambda: TetMesh(nodes, turned)),
+        shown("the same, from a file", report.inverted == 3 and abs(volume / SIZE_M**3 - 1.0) < 1e-12,
+              " ".join(report.sentences()), conduct=Conduct.FALLS_BACK),
+        refused("a mesh that folds over itself", lambda: repair_tets(folded, cells)),
+        shown("a sliver", sliver.slivers > 0 and sliver.slivers_left == 0, " ".join(sliver.sentences()),
+              conduct=Conduct.FALLS_BACK),
+        refused("a node that is nowhere", lambda: repair_tets(np.where(nodes > 0.09, np.nan, nodes), cells)),
+    ]  # fmt: skip
+
+
+def draw(data: Data, chart: "Figure") -> None:
+    """Condition and quality over the height."""
+    left, right = chart.subplots(1, 2)
+    table = data["sliver"]
+    height = table["height"]
+    bad = height[table["quality"] < SLIVER].max()
+    for axes in (left, right):
+        region(axes, Conduct.HOLDS, bad, height[0])
+        region(axes, Conduct.FALLS_BACK, height[-1], bad)
+    left.loglog(height, table["condition"][-1] * height[-1] / height, color=GREY, label="theory: one over the height")
+    left.loglog(height, table["condition"], "s", color=RED, label="as it is")
+    left.loglog(height, table["repaired_condition"], "o", color=BLUE, label="repaired (ours)")
+    low = 0.3 * table["repaired_condition"].min()
+    finish(left, "height left of a cell / its own", "condition number of the stiffness", xlim=height[[-1, 0]],
+           ylim=(low, 5.0 * table["condition"].max()))  # fmt: skip
+    right.loglog(height, table["quality"], "s", color=RED, label="as it is")
+    right.loglog(height, table["repaired_quality"], "o", color=BLUE, label="repaired (ours)")
+    right.axhline(SLIVER, color=GREY, linestyle=":", label="sliver: mean ratio below 0.1")
+    finish(right, "height left of a cell / its own", "worst mean ratio", xlim=height[[-1, 0]])
+
+
+BAD_TETRAHEDRA = Page(
+    "bad_tetrahedra",
+    "Inverted and sliver tetrahedra",
+    "One node of a good mesh is moved towards the face opposite it. What becomes of the stiffness matrix, and what is "
+    "done with cells that are flat or inside out?",
+    "Mean ratio of Liu and Joe (1994); rules of the repair in meshes.tets.quality",
+    measure,
+    judge,
+    ask,
+    draw,
+)

@@ -1,0 +1,131 @@
+"""E14: weights of a composite index from raw metrics follow their units and signs; squared loadings do not."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue.evaluation.atlas.drawing import BLUE, GREEN, GREY, ORANGE, PINK, RED, finish, region
+from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
+from tissue.evaluation.statistics.hpi import composite_index
+from tissue.evaluation.statistics.trials import TrialTable
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["INDEX_WEIGHTS"]
+
+Array = NDArray[np.float64]
+METRICS = {"accuracy": 1, "force_error": -1, "position_error": -1, "time_s": -1}
+"""What an index is made of, and whether higher is better."""
+USERS, TRIALS = 24, 4
+METHODS = ("plain", "better")
+
+
+def table(scale: float) -> TrialTable:
+    """A study in which people differ in skill, which all metrics share; position errors in a unit of 1 / scale mm."""
+    rng = np.random.default_rng(3)
+    rows = [(u, t, m) for u in range(USERS) for t in range(TRIALS) for m in range(len(METHODS))]
+    skill = rng.normal(size=USERS)
+    good = np.array([skill[u] + 0.5 * m + 0.5 * rng.normal() for u, _, m in rows])
+    noise = rng.normal(size=(4, len(rows)))
+    metrics = {
+        "accuracy": 0.8 + 0.05 * good + 0.04 * noise[0],
+        "force_error": 0.1 - 0.01 * good + 0.01 * noise[1],
+        "position_error": scale * (0.8 - 0.1 * good + 0.08 * noise[2]),
+        "time_s": 14.0 - 1.5 * good + 1.5 * noise[3],
+    }
+    labels = np.array([f"u{u}" for u, _, _ in rows])
+    same = np.full(len(rows), "wall")
+    return TrialTable(
+        task=same, group=np.full(len(rows), "novice"), user=labels, trial=np.array([t for _, t, _ in rows]),
+        method=np.array([METHODS[m] for _, _, m in rows]), seed=np.arange(len(rows)), failure=np.full(len(rows), ""),
+        metrics=metrics,
+    )  # fmt: skip
+
+
+def printed_weights(study: TrialTable) -> Array:
+    """First principal component of the raw metrics' covariance, as it comes, over its sum."""
+    raw = np.column_stack([study.values(name) for name in METRICS])
+    _, vectors = np.linalg.eigh(np.cov(raw.T))
+    first = vectors[:, -1] * np.sign(vectors[0, -1])
+    return np.asarray(first / np.abs(first).sum())
+
+
+def measure(quick: bool) -> Data:
+    """Weights of all metrics over the unit of one, raw and by squared loadings."""
+    scales = np.array([1e-3, 1.0, 1e3]) if quick else 10.0 ** np.arange(-3.0, 3.5, 1.0)
+    printed, ours = [], []
+    for scale in scales.tolist():
+        study = table(scale)
+        printed.append(printed_weights(study))
+        index = composite_index(study, METRICS, rng=np.random.default_rng(0), count=50)
+        ours.append([each.value for each in index.weights])
+    columns = {f"printed_{name}": np.array(printed)[:, i] for i, name in enumerate(METRICS)}
+    columns |= {f"ours_{name}": np.array(ours)[:, i] for i, name in enumerate(METRICS)}
+    return {"unit": {"units_per_mm": scales, **columns}}
+
+
+def judge(data: Data) -> Verdict:
+    """How far the weights of both move with the unit, their signs and their sums."""
+    unit = data["unit"]
+    printed = np.column_stack([unit[f"printed_{name}"] for name in METRICS])
+    ours = np.column_stack([unit[f"ours_{name}"] for name in METRICS])
+    moves, drift = float(np.ptp(np.abs(printed), axis=0).max()), float(np.ptp(ours, axis=0).max())
+    mixed = bool((printed.min(axis=1) < 0.0).all() and (printed.max(axis=1) > 0.0).all())
+    whole = float(np.abs(ours.sum(axis=1) - 1.0).max())
+    return Verdict(
+        moves > 0.5 and mixed,
+        drift < 1e-9 and whole < 1e-12 and bool((ours >= 0.0).all()),
+        f"As position errors are told in µm instead of m, their raw weight moves by {100 * moves:.0f} % and the signs "
+        f"are mixed; oriented, standardised and squared, all weights are positive, sum to 1 to {whole:.0e} and move by "
+        f"{drift:.0e}: "
+        + ", ".join(f"{name} {value:.2f}" for name, value in zip(METRICS, ours[0].tolist(), strict=True))
+        + ".",
+    )
+
+
+def ask() -> list[Answer]:
+    """Directions that are none, metrics that never vary, and metrics that disagree."""
+    study, rng = table(1.0), np.random.default_rng(0)
+    flat = table(0.0)
+    against = composite_index(study, METRICS | {"accuracy": -1}, rng=rng, count=50)
+    return [
+        refused("a direction of 0", lambda: composite_index(study, METRICS | {"time_s": 0}, rng=rng, count=50)),
+        refused("an index of one metric", lambda: composite_index(study, {"time_s": -1}, rng=rng, count=50)),
+        refused("a metric that is constant", lambda: composite_index(flat, METRICS, rng=rng, count=50)),
+        shown("accuracy called lower-is-better", any(not each.holds for each in against.assumptions),
+              "told: " + "; ".join(each.says for each in against.assumptions if not each.holds),
+              conduct=Conduct.FALLS_BACK),
+    ]  # fmt: skip
+
+
+def draw(data: Data, chart: "Figure") -> None:
+    """Weights over the unit, raw and ours."""
+    left, right = chart.subplots(1, 2, sharey=True)
+    unit = data["unit"]
+    scales = unit["units_per_mm"]
+    region(right, Conduct.HOLDS, scales[0], scales[-1])
+    for name, colour, marker in zip(METRICS, (BLUE, ORANGE, RED, GREEN), "o^sD", strict=True):
+        for axes, kind in ((left, "printed"), (right, "ours")):
+            axes.semilogx(scales, unit[f"{kind}_{name}"], marker, color=colour, linestyle="-", linewidth=1.0,
+                          label=name.replace("_", " ").removesuffix(" s"))  # fmt: skip
+    right.axhline(0.25, color=GREY, linestyle=":", label="theory of equally good metrics: ¼")
+    left.axhline(0.0, color=PINK, linewidth=1.0)
+    finish(left, "units of position error per mm", "weight in the index", title="raw (printed)", ylim=(-1.1, 1.1),
+           xlim=scales[[0, -1]])  # fmt: skip
+    finish(right, "units of position error per mm", "", title="oriented, standardised, squared (ours)",
+           xlim=scales[[0, -1]])  # fmt: skip
+
+
+INDEX_WEIGHTS = Page(
+    "index_weights",
+    "E14 · What do weights from a principal component of raw metrics mean?",
+    "A published index takes its weights from PCA on metrics with mixed signs and units. What becomes of them when one "
+    "metric is told in other units?",
+    "Statement E14; simulated study of 24 people in which all metrics share a skill",
+    measure,
+    judge,
+    ask,
+    draw,
+)

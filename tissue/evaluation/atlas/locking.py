@@ -1,0 +1,121 @@
+"""Poisson's ratio towards 0.5: linear tetrahedra lock, quadratic ones do not."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from meshes.tets.structured import box
+from tissue.builders.organ import elasticity_of
+from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, finish, region
+from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
+from tissue.fem.assembly import assemble
+from tissue.fem.loads import traction
+from tissue.fem.solvers.direct import DirectSolver
+from tissue.fem.solvers.solution import HeldBody, Outcome, Supports
+from tissue.fem.space import Space
+from tissue.materials.elasticity import lame
+from tissue.scene.organ import Organ, SlabAnatomy
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["LOCKING"]
+
+LENGTH, YOUNG = 10.0, 1000.0
+"""A bar 10 m x 1 m x 1 m of 1 kPa under 1 N at its end, as the published cantilever; nothing depends on its size."""
+MESHES = {"linear_coarse": (1, (20, 2, 2)), "linear_fine": (1, (30, 4, 4)), "quadratic": (2, (16, 2, 2))}
+
+
+def deflection(order: int, cells: tuple[int, int, int], ratio: float) -> tuple[float, float]:
+    """Tip deflection of the clamped bar [m], and whether the solver stands by it (1) or says that it does not (0)."""
+    space = Space(box((LENGTH, 1.0, 1.0), cells), order)
+    held = np.repeat(space.nodes_m[:, :1] < 1e-9, 3, axis=1)
+    faces = space.faces[(space.nodes_m[space.faces[:, :3], 0] > LENGTH - 1e-9).all(axis=1)]
+    body = HeldBody(assemble(space, lame(YOUNG, ratio)), space.nodes_m, Supports(held))
+    solution = DirectSolver(body).solve(traction(space, (0.0, 0.0, 1.0), faces=faces))
+    tip = solution.displacement_m[space.nodes_m[:, 0] > LENGTH - 1e-9, 2].mean()
+    return float(tip), float(solution.outcome is Outcome.CONVERGED)
+
+
+def timoshenko(ratio: float) -> float:
+    """P L^3 / (3 E I) + P L / (kappa G A) with kappa = 5/6, for a force of 1 N [m]."""
+    shear = YOUNG / (2.0 * (1.0 + ratio))
+    return LENGTH**3 / (3.0 * YOUNG / 12.0) + LENGTH / (5.0 / 6.0 * shear)
+
+
+def measure(quick: bool) -> Data:
+    """Deflections over 1 - 2 nu."""
+    gap = np.geomspace(0.4, 1e-2 if quick else 2e-4, 3 if quick else 8)
+    ratios = 0.5 * (1.0 - gap)
+    meshes = {name: MESHES[name] for name in MESHES if not (quick and name == "linear_fine")}
+    bar = {"poisson_ratio": ratios, "timoshenko_m": np.array([timoshenko(r) for r in ratios.tolist()])}
+    for name, (order, cells) in meshes.items():
+        found = np.array([deflection(order, cells, ratio) for ratio in ratios.tolist()])
+        bar |= {f"{name}_m": found[:, 0], f"{name}_vouched": found[:, 1]}
+    return {"bar": bar}
+
+
+def judge(data: Data) -> Verdict:
+    """What linear cells lose, and how far quadratic ones are from the beam."""
+    bar = data["bar"]
+    quadratic = bar["quadratic_m"] / bar["timoshenko_m"]
+    linear = bar["linear_coarse_m"] / bar["timoshenko_m"]
+    vouched = bar["quadratic_vouched"] > 0.0
+    off, ratio = float(np.abs(quadratic[vouched] - 1.0).max()), bar["poisson_ratio"][-1]
+    last = bar["poisson_ratio"][vouched].max()
+    return Verdict(
+        bool(linear[-1] < 0.5 and linear[-1] < 0.7 * linear[0]),
+        # A clamp that stops bulging takes 1 to 4 % off a beam that may bulge, the more the nearer the ratio is to 0.5;
+        # the coarse cells a few per cent more.
+        off < 0.1 and last > 0.49,
+        f"Linear tetrahedra bend {100 * linear[0]:.0f} % as far as the beam at ν = {bar['poisson_ratio'][0]:.2f} and "
+        f"{100 * linear[-1]:.0f} % at {ratio:.4f}; quadratic ones stay within {100 * off:.1f} % up to {last:.4f}"
+        f"{'' if vouched.all() else '; nearer to 0.5 the solver says that rounding eats its answer'}.",
+    )
+
+
+def ask() -> list[Answer]:
+    """The limit itself, an order that is not there, a scene with locking cells."""
+    mesh = box((0.02, 0.02, 0.02), (1, 1, 1))
+    _, said = elasticity_of(mesh, SlabAnatomy(kind="slab", nodule_diameter_mm=0.0), Organ(order=1, poisson_ratio=0.49))
+    return [
+        refused("ν = 0.5", lambda: lame(YOUNG, 0.5)),
+        refused("tetrahedra of order 3", lambda: Space(mesh, 3)),
+        shown("an organ of linear tetrahedra at ν = 0.49", "lock" in said, f"runs, and its summary says: {said}",
+              conduct=Conduct.FALLS_BACK),
+        shown("an organ without an order of its own", Organ().order == 2, "quadratic tetrahedra"),
+    ]  # fmt: skip
+
+
+def draw(data: Data, chart: "Figure") -> None:
+    """Deflection over the beam's, over 1 - 2 nu."""
+    axes, bar = chart.subplots(), data["bar"]
+    gap = 1.0 - 2.0 * bar["poisson_ratio"]
+    vouched = bar["quadratic_vouched"] > 0.0
+    limit = gap[vouched].min()
+    region(axes, Conduct.HOLDS, limit, gap[0])
+    if not vouched.all():
+        region(axes, Conduct.REFUSES, gap[-1], limit)
+    axes.axhline(1.0, color=GREY, label="theory: Timoshenko beam")
+    styles = {"quadratic": (BLUE, "o"), "linear_fine": (ORANGE, "^"), "linear_coarse": (RED, "s")}
+    for name, (colour, marker) in styles.items():
+        if f"{name}_m" in bar:
+            order, (a, b, c) = MESHES[name]
+            kind = "quadratic (ours)" if order == 2 else "linear"
+            share = bar[f"{name}_m"] / bar["timoshenko_m"]
+            axes.semilogx(gap, share, marker, color=colour, label=f"{kind}, {a} × {b} × {c} bricks of 6")
+    finish(axes, "1 − 2ν  (0: incompressible)", "deflection / that of the beam", xlim=gap[[0, -1]], ylim=(0.0, 1.15),
+           legend="center right")  # fmt: skip
+
+
+LOCKING = Page(
+    "locking",
+    "ν → 0.5: do linear tetrahedra lock?",
+    "A cantilever of a nearly incompressible material under a force at its end. How far does it bend with linear and "
+    "with quadratic tetrahedra?",
+    "Timoshenko's beam with κ = 5/6; Benzley et al. (1995) report 71.7 % error of linear tetrahedra at ν = 0.49",
+    measure,
+    judge,
+    ask,
+    draw,
+)

@@ -1,0 +1,78 @@
+"""A hand that taps a wall: forces to learn from and to predict, and operators trained on them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue.haptics.device.device import device_parameters
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import Hand, hand_parameters
+from tissue.haptics.hand.minimum_jerk import waypoints
+from tissue.haptics.renderer import renderer
+from tissue.haptics.rigid_wall import press_wall
+from tissue.prediction.edmd.dictionary import Delays
+from tissue.prediction.edmd.edmd import Edmd
+from tissue.prediction.edmd.episodes import Episode
+from tissue.prediction.edmd.gap_products import GapProducts
+from tissue.prediction.edmd.lifted import Operator
+from tissue.prediction.koopman import Koopman, LoopTerms
+from tissue.prediction.predictor import Predictor
+
+__all__ = ["LIMIT_N", "TICK_S", "koopman", "predicted", "relative_error", "tapped", "trained"]
+
+Array = NDArray[np.float64]
+DEVICE = device_parameters("six-dof")
+LIMIT_N, TICK_S, LAGS, MOST_AHEAD = DEVICE.force_limit_N, 1e-3, 6, 64
+TURN = np.array([[2.0, -2.0, 1.0], [1.0, 2.0, 2.0], [-2.0, -1.0, 2.0]]) / 3.0
+"""The wall's frame in the world: askew, so that every component of position and force varies."""
+
+
+def tapped(stiffness_N_m: float, *, seed: int, seconds: float) -> tuple[Array, Array]:
+    """Positions [m] and forces [N] at the device, shapes (n, 3), of a novice who taps a wall and leans on it."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(0.0, seconds + 2.0, 0.35)
+    depths = np.where(np.arange(len(times)) % 2, -rng.uniform(2e-3, 8e-3, len(times)), 4e-3)
+    points = np.column_stack([2e-3 * np.sin(times), 2e-3 * np.cos(1.3 * times), depths])
+    hand = Hand(hand_parameters("novice"), waypoints(times, points), rng=rng)
+    simulated = SimulatedDevice(DEVICE, hand, position_m=(0.0, 0.0, 4e-3))
+    run = press_wall(simulated, renderer("penalty", DEVICE.loop(stiffness_N_m)), duration_s=seconds)
+    return run.position_m @ TURN.T, run.force_N @ TURN.T
+
+
+def trained(recordings: Sequence[tuple[Array, Array]]) -> Operator:
+    """An operator on windows of position and force with the wall's overlap among its observables, capped at 1."""
+    nx, ny, nz = TURN[:, 2].tolist()
+    dictionary = Delays(LAGS, GapProducts((nx, ny, nz)))
+    episodes = [Episode(np.hstack(recording), None, TICK_S) for recording in recordings]
+    return Edmd(dictionary, ridge=1e-9, cap=1.0).fit(episodes)
+
+
+def koopman(operator: Operator) -> Koopman:
+    """The predictor of the loop on that operator; it distrusts itself beyond three times its training's error."""
+    residual = float(np.sqrt((operator.statistics.residual_rms[3:6] ** 2).sum()))
+    terms = LoopTerms(
+        gains=(0.0,) * MOST_AHEAD, residual_N=3.0 * residual, correction_N=LIMIT_N, quiet_N=0.02, reach_N=LIMIT_N,
+        growth=25.0, following=np.zeros((3, 3)),
+    )  # fmt: skip
+    return Koopman(operator, terms)
+
+
+def predicted(predictor: Predictor, recording: tuple[Array, Array], horizons: Sequence[int]) -> tuple[Array, Array]:
+    """Forces told so many ticks ahead at every tick, shape (h, n, 3), and whether they were its own, (n,)."""
+    position, force = recording
+    velocity = np.gradient(position, TICK_S, axis=0)
+    told, own = np.zeros((len(horizons), len(force), 3)), np.zeros(len(force))
+    with np.errstate(over="ignore", invalid="ignore"):
+        for tick in range(len(force)):
+            predictor.observe(position[tick], velocity[tick], force[tick])
+            own[tick] = float(predictor.own)
+            for row, ahead in enumerate(horizons):
+                told[row, tick] = predictor.ahead(ahead)
+    return told, own
+
+
+def relative_error(told: Array, force: Array, ahead: int) -> float:
+    """|told - what came| / |what came| over a recording but for its first 100 ticks; capped at 1e6."""
+    came, said = force[100 + ahead :], told[100 : len(told) - ahead]
+    return min(float(np.nan_to_num(np.linalg.norm(said - came) / np.linalg.norm(came), nan=1e6, posinf=1e6)), 1e6)

@@ -1,0 +1,1 @@
+"""Calibrating observers: sessions that survive interruptions, populations, and what calibration is good for."""

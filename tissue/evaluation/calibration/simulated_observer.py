@@ -1,0 +1,119 @@
+"""Observers whose thresholds and intensities are known, to hold calibrations and experiments against."""
+
+from dataclasses import dataclass, replace
+from math import sqrt
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from meshes.base.errors import InputError, require_range
+from tissue.haptics.hand.hand import GROUPS
+from tissue.materials.constants import constants
+from tissue.perception.population import population
+from tissue.perception.psychometric import D_PRIME_75
+
+__all__ = ["SimulatedObservers", "draw_observers"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatedObservers:
+    """People of known truth who answer side by side; arrays of shape (n,).
+
+    Each of two intervals is felt with noise of unit variance on a scale on which the threshold kappa (F + offset) is
+    0.954 long, so that 75 % of the answers there are right. A force is given the number alpha (F / 1 N)^beta, with a
+    noise of its logarithm.
+
+    Attributes
+    ----------
+    alpha, beta
+        Stevens' factor and exponent.
+    kappa, offset_N
+        Weber's fraction and its term for low forces [N].
+    lapse
+        Share of strong stimuli that is answered wrongly; twice as many are answered blindly.
+    sigma
+        Standard deviation of the logarithm of a number that is given.
+    freedom
+        Degrees of freedom of Student's t for all noise, above 2; infinite for a normal one. The variance stays one.
+    fatigue
+        Share by which thresholds have grown after a hundred trials.
+    """
+
+    alpha: Array
+    beta: Array
+    kappa: Array
+    offset_N: Array
+    lapse: Array
+    sigma: Array
+    freedom: float = np.inf
+    fatigue: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma"):
+            values = np.atleast_1d(np.asarray(getattr(self, name), dtype=float))
+            if not (np.isfinite(values) & (values >= 0.0)).all() or (name != "lapse" and not values.all()):
+                raise InputError(f"{name} of an observer must be positive, got {values}: see observers.toml")
+            object.__setattr__(self, name, values)
+        require_range("freedom", self.freedom, 2.01, np.inf, "use 3 for heavy tails, inf for none")
+        require_range("fatigue", self.fatigue, -0.5, 10.0, "use 0.5 for thresholds 50 % higher after a hundred trials")
+
+    def __len__(self) -> int:
+        return len(self.kappa)
+
+    def correct(
+        self, base_N: ArrayLike, step_N: ArrayLike, rng: np.random.Generator, *, trial: int = 0
+    ) -> NDArray[np.bool_]:
+        """Whether each tells `base_N + step_N` from `base_N` [N], shape (n,); a step of 0 has no right answer.
+
+        Parameters
+        ----------
+        base_N, step_N
+            Smaller force and difference, one or one for each observer, shape (n,).
+        rng
+            Draws the noise; equal generators give the same noise whatever the forces.
+        trial
+            How many trials went before, by which people tire.
+        """
+        base, step = np.asarray(base_N, dtype=float), np.asarray(step_N, dtype=float)
+        if not (np.isfinite(step) & (step >= 0.0) & (base >= 0.0)).all():
+            raise InputError(f"base_N and step_N must not be negative, got {base_N!r} and {step_N!r}: forces are sizes")
+        tired = max(1.0 + self.fatigue * trial / 100.0, 0.1)
+        return self.told_apart(D_PRIME_75 * step / (tired * self.kappa * (base + self.offset_N)), rng)
+
+    def told_apart(self, distance: ArrayLike, rng: np.random.Generator) -> NDArray[np.bool_]:
+        """Whether each tells two intervals apart that lie a distance d' from each other, shape (n,)."""
+        first, second = self._noise(rng), self._noise(rng)
+        blind, guess = rng.random((2, len(self)))
+        return np.where(blind < 2.0 * self.lapse, guess < 0.5, np.asarray(distance) + second > first)
+
+    def number(self, force_N: ArrayLike, rng: np.random.Generator) -> Array:
+        """Number that each gives to a force [N], shape (n,)."""
+        force = np.asarray(force_N, dtype=float)
+        if not (np.isfinite(force) & (force > 0.0)).all():
+            raise InputError(f"force_N must be positive, got {force_N!r}: forces are sizes")
+        return self.alpha * force**self.beta * np.exp(self.sigma * self._noise(rng))
+
+    def _noise(self, rng: np.random.Generator) -> Array:
+        """Noise of unit variance, shape (n,)."""
+        if np.isinf(self.freedom):
+            return rng.standard_normal(len(self))
+        return rng.standard_t(self.freedom, len(self)) * sqrt((self.freedom - 2.0) / self.freedom)
+
+
+def draw_observers(
+    group: str, count: int, rng: np.random.Generator, *, freedom: float = np.inf, fatigue: float = 0.0
+) -> SimulatedObservers:
+    """Observers of a group (novice, intermediate, expert), drawn from ``observers.toml`` and ``perception.toml``.
+
+    Raises
+    ------
+    InputError
+        If there is no such group.
+    """
+    if group not in GROUPS:
+        raise InputError(f"group must be one of {', '.join(GROUPS)}, got {group}: choose one of these")
+    require_range("count", count, 1, 1e6, "use 100")
+    people = replace(population(), kappa=constants("observers", group)["kappa"].value)
+    return SimulatedObservers(**people.draws(count, rng), freedom=freedom, fatigue=fatigue)

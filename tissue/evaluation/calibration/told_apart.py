@@ -1,0 +1,223 @@
+"""How often simulated people tell two stimuli apart, with and without force scaled for each of them.
+
+A person feels a force with noise of their own, which comes after the mapping; the scatter of the force itself comes
+before it. A mapping that rises with the force adds no information to a noise that went through it: the scatter of
+tissue, hand and device is carried along. What it can change is the part of the difference that survives the person's
+noise: a power above 1 spreads forces and a gain lifts them over the low-force term; a power below 1, or a common factor
+that keeps forces within the device, does the opposite. Calibration brings everyone to the exponent of the reference:
+people whose exponent lies below it gain, those above it lose, and the mean over a population may move either way.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, require_positive, require_range
+from tissue.evaluation.calibration.simulated_observer import SimulatedObservers
+from tissue.haptics.loop.filters import ForceRange
+from tissue.materials.constants import constants
+from tissue.perception.magnitude import MAGNITUDE_FORCES_N, fit_magnitudes
+from tissue.perception.mapping import ForceMap
+from tissue.perception.observer import Observer
+from tissue.perception.population import reference_observer
+from tissue.perception.psychometric import D_PRIME_75
+from tissue.perception.stevens import Intensity, intensity_of
+from tissue.simulation.trace import Table
+
+__all__ = ["Command", "Gain", "Stimulus", "calibrated_commands", "gain_of", "share_right", "stimulus_of"]
+
+Array = NDArray[np.float64]
+Command = Callable[[Array], Array]
+"""Force at the device [N] for the one that shall be felt [N], any shape."""
+
+
+@dataclass(frozen=True)
+class Stimulus:
+    """A force at the device as a person meets it: level, and scatter from one trial to the next [N]."""
+
+    level_N: float
+    scatter_N: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("level_N", "scatter_N"):
+            require_range(name, getattr(self, name), 0.0, 1e4, "forces are sizes")
+
+
+def stimulus_of(trace: Table, start_s: float, end_s: float, *, scale: float = 1.0) -> Stimulus:
+    """The force on the tool between two times of a run [s], as it is at the device.
+
+    The size of the force is averaged over windows of a tenth of a second, as long as a person averages; their mean is
+    the level and their standard deviation the scatter, slow changes of the force among it.
+
+    Parameters
+    ----------
+    trace
+        Trace of a run.
+    start_s, end_s
+        Part of it [s].
+    scale
+        Newtons at the device for each one at the tool.
+
+    Raises
+    ------
+    InputError
+        If the run holds no whole window between these times.
+    """
+    require_positive("scale", scale, "use the scene's coupling.force_scale")
+    window_s = constants("perception", "force")["integration_s"].value
+    times, sizes = trace["time_s"], np.linalg.norm(trace.vectors("model_force", "N"), axis=1)
+    edges = start_s + window_s * np.arange(int((end_s - start_s) / window_s + 1e-9) + 1)
+    which = np.digitize(times, edges) - 1
+    means = [scale * sizes[which == index].mean() for index in range(len(edges) - 1) if (which == index).any()]
+    if not means:
+        raise InputError(
+            f"end_s must be {window_s:g} s or more after start_s within the run, got {start_s:g} to {end_s:g}"
+        )
+    return Stimulus(float(np.mean(means)), float(np.std(means)))
+
+
+def calibrated_commands(
+    people: SimulatedObservers,
+    rng: np.random.Generator,
+    *,
+    numbers: int = 24,
+    limits: ForceRange | None = None,
+    reference: Observer | None = None,
+) -> list[Command]:
+    """The force to command for each person after a calibration by numbers: each is brought to the reference (E5).
+
+    Parameters
+    ----------
+    people
+        Who is calibrated; each gives `numbers` numbers, drawn with their own scatter.
+    rng
+        Draws that scatter.
+    numbers
+        Numbers a person gives; 0 takes each person's true exponent and factor instead.
+    limits
+        Range of the device, default 3.3 N.
+    reference
+        Whose intensity is wanted, default that of the population's medians.
+    """
+    device = limits or ForceRange(limit_N=3.3)
+    knee_N = device.knee_share * device.limit_N
+    wanted = intensity_of(reference or reference_observer())
+    forces = np.resize(MAGNITUDE_FORCES_N, numbers)
+    given = np.array([people.number(force, rng) for force in forces])
+    commands: list[Command] = []
+    for who in range(len(people)):
+        if numbers:
+            fit = fit_magnitudes(forces, given[:, who])
+            (alpha, both), (_, beta) = fit.covariance.tolist()
+            felt = Intensity(log_alpha=float(fit.mean[0]), beta=float(fit.mean[1]), variances=(alpha, both, beta))
+        else:
+            felt = Intensity(log_alpha=float(np.log(people.alpha[who])), beta=float(people.beta[who]))
+        lowest_N = min(float(people.offset_N[who]), 0.5 * knee_N)
+        commands.append(ForceMap(wanted, felt, lowest_N=lowest_N, knee_N=knee_N).command_N)
+    return commands
+
+
+def share_right(
+    people: SimulatedObservers,
+    first: Stimulus,
+    second: Stimulus,
+    *,
+    seed: int,
+    trials: int = 100,
+    commands: Sequence[Command] | None = None,
+    limits: ForceRange | None = None,
+    texture_share: float = 0.0,
+) -> Array:
+    """Share of trials in which each person tells the stimulus of greater level as the stronger one, shape (n,).
+
+    Equal seeds give the same scatter and the same noise in people, whatever the commands: two calls are paired.
+
+    Parameters
+    ----------
+    people
+        Who feels.
+    first, second
+        The two stimuli; for equal levels there is no right answer, and half of the answers count.
+    seed
+        Of scatter and noise.
+    trials
+        Trials a person.
+    commands
+        Force to command for each person; None for the force as it is.
+    limits
+        Range of the device, default 3.3 N: forces above its knee are compressed.
+    texture_share
+        Amplitude of a vibration, as a share of the force, that goes with it (``output.vibration_share`` of a scene). It
+        is a second cue with a noise of its own: distances of cues add up as squares. Its threshold is assumed, see
+        observers.toml.
+    """
+    require_range("trials", trials, 1, 1e6, "use 100")
+    if first.level_N > second.level_N:
+        first, second = second, first
+    device = limits or ForceRange(limit_N=3.3)
+    scatter, noise = (np.random.default_rng([seed, stream]) for stream in (0, 1))
+    shape = (trials, len(people))
+    felt = []
+    for each in (first, second):
+        force = np.maximum(each.level_N + each.scatter_N * scatter.standard_normal(shape), 0.0)
+        if commands is not None:
+            force = np.column_stack([command(force[:, who]) for who, command in enumerate(commands)])
+        felt.append(_played(force, device))
+    less, more = felt
+    threshold = people.kappa * (np.minimum(less, more) + people.offset_N)
+    distance = D_PRIME_75 * (more - less) / threshold
+    if texture_share > 0.0:
+        vibration = constants("observers", "texture")
+        own = vibration["kappa"].value * (texture_share * np.minimum(less, more) + vibration["offset_N"].value)
+        distance = np.sign(distance) * np.hypot(distance, D_PRIME_75 * texture_share * (more - less) / own)
+    return np.mean([people.told_apart(distance[trial], noise) for trial in range(trials)], axis=0)
+
+
+def _played(force_N: Array, device: ForceRange) -> Array:
+    """Sizes of force as the device plays them [N], any shape: `ForceRange.play` for many."""
+    knee = device.knee_share * device.limit_N
+    above = device.limit_N - knee
+    return np.where(force_N <= knee, force_N, knee - above * np.expm1(-np.maximum(force_N - knee, 0.0) / above))
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What calibration changed for a group, with 95 % intervals over its people.
+
+    Attributes
+    ----------
+    before, after
+        Mean share of right answers.
+    percent, low, high
+        Change of the mean share in percent of what it was, and its interval by resampling people.
+    better, worse
+        Share of people who answered more, and less, rightly than before.
+    """
+
+    before: float
+    after: float
+    percent: float
+    low: float
+    high: float
+    better: float
+    worse: float
+
+
+def gain_of(before: Array, after: Array, rng: np.random.Generator, *, resamples: int = 2000) -> Gain:
+    """Compare paired shares of right answers, each of shape (n,)."""
+    if before.shape != after.shape or len(before) < 2:
+        raise InputError(f"after must be paired with before, got shapes {before.shape} and {after.shape}: same people")
+    drawn = rng.integers(len(before), size=(resamples, len(before)))
+    changes = 100.0 * (after[drawn].mean(axis=1) / before[drawn].mean(axis=1) - 1.0)
+    low, high = np.quantile(changes, [0.025, 0.975])
+    return Gain(
+        before=float(before.mean()),
+        after=float(after.mean()),
+        percent=100.0 * float(after.mean() / before.mean() - 1.0),
+        low=float(low),
+        high=float(high),
+        better=float((after > before).mean()),
+        worse=float((after < before).mean()),
+    )

@@ -1,0 +1,155 @@
+"""The log of a session's trials: a line each, on disk before the next is asked, from which the session is restored."""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from meshes.base.errors import InputError
+from meshes.base.file_version import package_version, require_version
+from tissue.evaluation.calibration.session import Comparison, Magnitude, Plan, Session
+from tissue.perception.adaptive import ThresholdPrior
+
+__all__ = ["TrialLog", "log_path", "read_log"]
+
+FORMAT, VERSION = "tissue trials", 1
+
+
+def log_path(out: Path) -> Path:
+    """Where the trials of an observer's file are logged, beside it: observer.json has observer.trials.jsonl."""
+    return out.with_name(out.stem + ".trials.jsonl")
+
+
+class TrialLog:
+    """Appends trials to a file and brings each to disk before it returns.
+
+    Parameters
+    ----------
+    path
+        The file. One that is there is gone on with, if it is of this observer and this plan.
+    observer
+        Who answers, as the command was told.
+    plan
+        What is asked.
+
+    Attributes
+    ----------
+    session
+        The session, with all trials that the file held.
+    mended
+        Whether the file ended within a line, as after a loss of power; that one trial is asked again.
+
+    Raises
+    ------
+    InputError
+        If the file is of another origin, observer or plan, or holds a line that is no trial; it is left as it is.
+    """
+
+    def __init__(self, path: Path, observer: str, plan: Plan) -> None:
+        told = {"format": FORMAT, "version": VERSION, "tissue": package_version(), "observer": observer}
+        head = json.dumps(told | {"plan": plan.told()}) + "\n"
+        self.path, self.mended = path, False
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            text = path.read_bytes() if path.exists() else b""
+            if head.encode().startswith(text):
+                self.mended = 0 < len(text) < len(head)
+                self.session, kept = Session(plan), head.encode()
+            else:
+                who, self.session = read_log(path)
+                if who != observer or self.session.plan != plan:
+                    difference = _difference(who, self.session.plan, observer, plan)
+                    raise InputError(
+                        f"out must go on with the session it began, got {difference} in {path}: use the same again, "
+                        "another --out, or --overwrite"
+                    )
+                kept = text[: text.rfind(b"\n") + 1]
+                self.mended = kept != text
+            if kept != text:
+                with path.open("r+b" if path.exists() else "xb") as file:
+                    file.write(kept)
+                    file.truncate()
+                    os.fsync(file.fileno())
+            self._file = path.open("ab")
+        except OSError as problem:
+            raise InputError(
+                f"out must be a file that can be written, got {path} ({problem.strerror}): choose another folder"
+            ) from problem
+
+    def take(self, asked: Comparison | Magnitude, answer: float) -> None:
+        """Take an answer into the session and bring it to disk."""
+        trial = self.session.trial
+        self.session.take(asked, answer)
+        entry = {"trial": trial, "ask": type(asked).__name__.lower(), **vars(asked), "answer": answer}
+        self._file.write(json.dumps(entry).encode() + b"\n")
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+def read_log(path: Path) -> tuple[str, Session]:
+    """Who answered, and the session as a file restores it; a line that was cut short at the end is left out.
+
+    Raises
+    ------
+    InputError
+        If the file is none of a session, or a line of it is no trial of the session; says which.
+    """
+    try:
+        text = path.read_bytes().decode()
+    except (OSError, UnicodeDecodeError) as problem:
+        found = str(problem.strerror) if isinstance(problem, OSError) else "other data"
+        raise InputError(
+            f"log must be a file of trials, got {found} in {path}: give one that tissue wrote"
+        ) from problem
+    lines = text[: text.rfind("\n") + 1].splitlines()
+    try:
+        head = json.loads(lines[0])
+        known = head["format"] == FORMAT
+    except (IndexError, ValueError, TypeError, KeyError):
+        known = False
+    if not known:
+        raise InputError(f"log must be a file of trials, got {path}, which is something else: choose another --out")
+    require_version("log", head, VERSION, key="version", where=path, remedy="begin anew")
+    try:
+        plan = Plan(**(head["plan"] | {"prior": ThresholdPrior(**head["plan"]["prior"])}))
+        who = str(head["observer"])
+    except (KeyError, TypeError, InputError) as problem:
+        raise InputError(f"log must begin with a plan, got another first line in {path}: begin anew") from problem
+    session = Session(plan)
+    for number, line in enumerate(lines[1:], start=2):
+        try:
+            asked, answer, trial = _entry(line)
+            if trial != session.trial:
+                raise InputError(f"trial must be {session.trial}, got {trial}")
+            session.take(asked, answer)
+        except (ValueError, KeyError, TypeError) as problem:
+            wrong = problem if isinstance(problem, InputError) else "something else"
+            raise InputError(
+                f"log must hold one trial of its session a line, got {wrong} in line {number} of {path}: mend that "
+                "line or choose another --out"
+            ) from problem
+    return who, session
+
+
+def _entry(line: str) -> tuple[Comparison | Magnitude, float, int]:
+    """A line's trial, answer and number."""
+    told: dict[str, Any] = json.loads(line)
+    if not isinstance(told, dict):
+        raise ValueError(f"{line[:40]}")
+    trial, answer, what = told.pop("trial"), told.pop("answer"), told.pop("ask")
+    if isinstance(answer, bool) or not isinstance(answer, int | float):
+        raise InputError(f"answer must be a number, got {answer!r}")
+    kinds = {"comparison": Comparison, "magnitude": Magnitude}
+    return kinds[what](**told), answer, trial
+
+
+def _difference(who: str, held: Plan, observer: str, plan: Plan) -> str:
+    """What differs between the session in a file and the one that was asked for."""
+    if who != observer:
+        return f"observer {who} instead of {observer}"
+    name = next(name for name in vars(plan) if getattr(held, name) != getattr(plan, name))
+    return f"{name} {getattr(held, name)} instead of {getattr(plan, name)}"

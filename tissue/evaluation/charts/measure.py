@@ -1,0 +1,293 @@
+"""Run a scene at a setting and say what a tick costs and how far its force is from the converged, undelayed one."""
+
+import hashlib
+import platform
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.cache import cached_arrays
+from meshes.base.errors import InputError
+from meshes.shapes.polyline import points_along, ways_along
+from tissue.evaluation.charts.places import placed
+from tissue.evaluation.charts.settings import Changes, Setting, finest, nearly_finest
+from tissue.evaluation.statistics.metrics import force_error
+from tissue.scene.load import changed
+from tissue.scene.organ import LiverAnatomy, SlabAnatomy
+from tissue.scene.scene import Scene
+from tissue.scene.tool import PathMotion, Probe, Tool
+from tissue.simulation.reference_force import ideal_force_N, played_force_N
+from tissue.simulation.run import Run
+from tissue.simulation.simulate import TICK_S, simulate
+
+__all__ = [
+    "SETTLED",
+    "Measured",
+    "counts",
+    "excerpt",
+    "machine",
+    "measure",
+    "of_model",
+    "plain",
+    "reference_force_N",
+    "reference_gap",
+    "setting_key",
+]
+
+Array = NDArray[np.float64]
+EXCERPT_S = {True: 1.2, False: 3.0}
+"""Time that is run beyond the first contact [s], quick or not."""
+LATE_S = 0.3
+"""How much later than a path a hand on it may come [s]."""
+MARGIN_MM = 0.5
+"""Bone around what a script reaches, the least that a scene takes: no force needs more, and building grows with it."""
+STRAY_MM = 1.5
+"""The same by hand, which strays from the path."""
+REPEATS = 2
+"""Runs of a setting at one place, of which the faster counts; a quick chart of a loop makes do with one."""
+WAY = "three places, visits"
+"""How errors are measured: part of every key, to be changed with it."""
+SETTLED = 20
+"""Ticks in contact that are not counted: the first ones load code."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What one setting costs and what it is worth.
+
+    Attributes
+    ----------
+    key
+        Hash of everything that was run.
+    scene, setting, family, leaves_out
+        Of what; rows of the families law and rounding are no settings.
+    force_error
+        ||F - F_ref|| / ||F_ref|| over the run, the worst of the places it was run at; of a law F_ref is neo-Hookean.
+    median_us, p99_us, missed
+        Tick in contact [us], and ticks over 1 ms.
+    far_us
+        Median tick out of contact [us]; NaN where there was none.
+    engaged_mm2, step_mm
+        Mean area in contact, and edge of a voxel or element.
+    elements, met
+        What a tick grows with: elements of a cutter and voxels over its area of contact; of an organ contacts that a
+        tick visits, in all its sweeps, and other contacts that these meet.
+    built_s
+        Time to build the scene, run it and find its error [s], of one run.
+    machine
+        Where.
+    """
+
+    key: str
+    scene: str
+    setting: str
+    family: str
+    leaves_out: str
+    force_error: float
+    median_us: float
+    p99_us: float
+    missed: int
+    far_us: float
+    engaged_mm2: float
+    elements: int
+    step_mm: float
+    met: float
+    built_s: float
+    machine: str
+
+    def row(self) -> dict[str, str]:
+        """Values as text, so that reading them back gives the same bits."""
+        return {name: repr(value) if isinstance(value, float) else str(value) for name, value in asdict(self).items()}
+
+    @classmethod
+    def of_row(cls, row: dict[str, str]) -> "Measured":
+        """From a table's row."""
+        kinds = {"missed": int, "elements": int}
+        numbers = {"force_error", "median_us", "p99_us", "far_us", "engaged_mm2", "step_mm", "met", "built_s"}
+        return cls(**{k: float(v) if k in numbers else kinds.get(k, str)(v) for k, v in row.items()})  # type: ignore[arg-type]
+
+
+def machine() -> str:
+    """What a cost belongs to: processor, cores, and the versions that compute."""
+    import psutil
+
+    return (
+        f"{platform.machine()} {psutil.cpu_count()} cores {platform.system()}; tissue {version('tissue-sim')}, "
+        f"warp {version('warp-lang')}, numpy {version('numpy')}, Python {platform.python_version()}"
+    )
+
+
+def setting_key(scene: Scene, setting: Setting, *, quick: bool) -> str:
+    """Hash of a scene at a setting and of the machine."""
+    text = f"{plain(changed(scene, setting.changes))}|{setting.cores}|{setting.compute}|{quick}|{WAY}|{machine()}"
+    return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
+
+
+def plain(scene: Scene) -> str:
+    """A scene without its words and its wishes, as text: what its numbers depend on."""
+    return scene.model_copy(update={"description": "", "fidelity": None}).to_toml()
+
+
+def excerpt(scene: Scene, coarse: Changes, *, quick: bool) -> Scene:
+    """The scene up to some time after its path first touches, with little tissue around it.
+
+    A hand is given the path that a script is, and more time for being late, so that both have the same references.
+    """
+    if isinstance(scene.tool, Tool):
+        margin = MARGIN_MM if scene.device == "none" else max(MARGIN_MM, min(scene.voxels.margin_mm, STRAY_MM))
+        scene = changed(scene, {"voxels.margin_mm": margin})
+    end = _first_contact_s(changed(of_model(scene), coarse), EXCERPT_S[quick]) + EXCERPT_S[quick]
+    short = _until(scene, end)
+    if scene.device == "none" or short.duration_s is None:
+        return short
+    return short.model_copy(update={"duration_s": round(short.duration_s + LATE_S, 3)})
+
+
+def _first_contact_s(scene: Scene, span_s: float) -> float:
+    """When a script first touches [s], found on as little of it as will do and kept on disk."""
+
+    def found() -> dict[str, NDArray[Any]]:
+        """Time of the first contact, on twice as much of the scene until there is one."""
+        whole, span = _length_s(scene), span_s
+        while True:
+            last = span >= whole
+            try:
+                run = simulate(scene if last else _until(scene, span), allow_unstable=True)
+                touching = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
+                if touching.size:
+                    return {"time_s": TICK_S * touching[:1].astype(float)}
+            except InputError:
+                # A tool that comes nowhere near is refused; further on it may.
+                if last:
+                    raise
+            if last:
+                raise InputError(
+                    f"scene must touch to be charted, got no contact in {scene.name}: move its tool further"
+                )
+            span *= 2.0
+
+    key = (plain(scene), span_s, version("tissue-sim"))
+    return float(np.asarray(cached_arrays("contact", key, found)["time_s"])[0])
+
+
+def _length_s(scene: Scene) -> float:
+    """Length of a scene; zero where only its run can tell, so that the first try is all of it."""
+    if scene.duration_s is not None or not isinstance(scene.motion, PathMotion):
+        return scene.duration_s or 0.0
+    return float(ways_along(scene.motion.points_mm)[-1]) / scene.motion.feed_mm_s
+
+
+def _until(scene: Scene, end_s: float) -> Scene:
+    """The scene up to a time; a path ends there, since an organ is only made ready where the tool can go."""
+    if 0.0 < _length_s(scene) <= end_s:
+        return scene
+    changes: dict[str, Any] = {"duration_s": round(end_s, 3)}
+    if isinstance(scene.motion, PathMotion):
+        points = np.array(scene.motion.points_mm)
+        along = ways_along(points)
+        stop = min(scene.motion.feed_mm_s * end_s, along[-1])
+        kept = [*points[along < stop].tolist(), *points_along(points, [stop]).tolist()]
+        path = tuple((x, y, z) for x, y, z in kept)
+        changes["motion"] = scene.motion.model_copy(update={"points_mm": path})
+    return scene.model_copy(update=changes)
+
+
+def measure(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
+    """Run a scene, already cut to its excerpt, at a setting: once at each place, or again where there is only one."""
+    started, places, runs, errors = perf_counter(), placed(scene), [], []
+    for count, place in enumerate(places):
+        try:
+            runs.append(_run(place, setting))
+            errors.append(_error(runs[-1], place, quick=quick))
+        except InputError:
+            # Aside or deeper a tool may start inside the tissue or meet none.
+            if count == 0:
+                raise
+    if len(places) == 1 and not (quick and scene.device != "none"):
+        runs += [_run(scene, setting) for _ in range(REPEATS - 1)]
+    took = (perf_counter() - started) / len(runs)
+    # What else the machine does only adds time.
+    run = min(runs, key=lambda each: float(np.median(each.timing["tick_us"])))
+    trace, ticks = run.trace, run.timing["tick_us"]
+    touching = trace["contact_mm2"] > 0.0
+    counted = np.flatnonzero(touching)[SETTLED:]
+    if counted.size == 0:
+        counted = np.flatnonzero(touching) if touching.any() else np.arange(len(ticks))
+    far = ticks[~touching]
+    elements, met, step = counts(run, counted)
+    return Measured(
+        key=setting_key(scene, setting, quick=quick),
+        scene=scene.name,
+        setting=setting.name,
+        family=setting.family,
+        leaves_out=setting.leaves_out,
+        force_error=max(errors),
+        median_us=float(np.median(ticks[counted])),
+        p99_us=float(np.percentile(ticks[counted], 99)),
+        missed=int((ticks > 1e3).sum()),
+        far_us=float(np.median(far)) if far.size else float("nan"),
+        engaged_mm2=float(trace["contact_mm2"][counted].mean()),
+        elements=elements,
+        step_mm=step,
+        met=met,
+        built_s=took,
+        machine=machine(),
+    )
+
+
+def _run(scene: Scene, setting: Setting) -> Run:
+    at = changed(scene, setting.changes)
+    return simulate(at, compute=setting.compute, cores=setting.cores, allow_unstable=True)
+
+
+def reference_gap(scene: Scene, *, quick: bool) -> float:
+    """Distance of the finest setting to one a step coarser: below it nothing is told apart."""
+    model = of_model(scene)
+    changes = nearly_finest(model, quick=quick)
+    if not changes:
+        return 0.0
+    return force_error(reference_force_N(model, changes), reference_force_N(model, finest(model, quick=quick)))
+
+
+def of_model(scene: Scene) -> Scene:
+    """The same scene moved by its script, without all that no script depends on."""
+    return changed(scene, {"device": "none", "prediction": "none", "perception": "none", "coupling": None})
+
+
+def _error(run: Run, scene: Scene, *, quick: bool) -> float:
+    """Error of a run's force against the converged one on the same motion."""
+    changes = finest(scene, quick=quick)
+    if scene.device != "none":
+        return force_error(played_force_N(run.trace), ideal_force_N(run, changes))
+    return force_error(run.trace.vectors("model_force", "N"), reference_force_N(scene, changes))
+
+
+def reference_force_N(scene: Scene, changes: Changes) -> Array:
+    """Force on the tool over time [N], shape (n, 3), kept on disk."""
+    at = changed(of_model(scene), changes)
+    forces = cached_arrays(
+        "reference",
+        (plain(at), version("tissue-sim"), version("warp-lang")),
+        lambda: {"force_N": simulate(at).trace.vectors("model_force", "N")},
+    )
+    return np.asarray(forces["force_N"], dtype=np.float64)
+
+
+def counts(run: Run, counted: NDArray[np.intp]) -> tuple[int, float, float]:
+    """Elements or visits, what they meet, and the edge of a voxel or element [mm]."""
+    tissue, scene, trace = run.parts.tissue, run.scene, run.trace
+    if run.parts.cutter is not None:
+        from tissue.models.tooth.model import ToothModel
+
+        milling: Any = tissue.milling if isinstance(tissue, ToothModel) else tissue
+        step = scene.voxels.spacing_mm
+        return len(milling.shell.areas_m2), float(trace["contact_mm2"][counted].mean()) / step**2, step
+    if isinstance(scene.anatomy, LiverAnatomy | SlabAnatomy) and isinstance(scene.tool, Probe):
+        contacts, sweeps = trace["contact_points"][counted], trace["sweeps"][counted]
+        visits, pairs = float(np.median(contacts * sweeps)), float(np.median(contacts**2 * sweeps))
+        return round(visits), pairs, scene.anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
+    return 1, 1.0, 1.0

@@ -1,0 +1,95 @@
+"""The frontiers of all scenes in one picture."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissue.evaluation.charts.frontier import Frontier
+from tissue.evaluation.charts.picture import apart
+from tissue.figures.figure import figure, save
+
+__all__ = ["draw_overview"]
+
+LOOKS = {"script": ("#0072B2", "o", "by script: model"), "hand": ("#B34700", "s", "by hand: loop")}
+"""Colours after Okabe and Ito, the second one darker, so that it can be read as text."""
+COLUMNS = 4
+WIDE_IN, HIGH_IN, TOP_IN = 2.7, 2.45, 0.6
+COLOURS = 64
+"""Colours of the picture's file."""
+LEAST = 1e-4
+"""Error that is drawn for none."""
+SPAN_US = (25.0, 9e4)
+"""Ticks that are shown; beyond 1 ms stand the names."""
+NAMES_US, ROW = 1.35e3, 0.098
+"""Where names begin, and the least distance of two of them, as a share of the panel."""
+
+
+def draw_overview(found: Sequence[Sequence[Frontier]], path: Path) -> None:
+    """Draw a panel for each scene: the settings that nothing beats, by script and by hand, and the tick of 1 ms."""
+    from PIL import Image
+
+    columns = min(COLUMNS, len(found))
+    rows = -(-len(found) // columns)
+    width, height = WIDE_IN * columns + 0.3, HIGH_IN * rows + TOP_IN
+    chart = figure(width, height)
+    panels = chart.subplots(rows, columns, squeeze=False).ravel()
+    chart.subplots_adjust(
+        left=0.72 / width,
+        right=1.0 - 0.1 / width,
+        top=1.0 - TOP_IN / height,
+        bottom=0.48 / height,
+        wspace=0.2,
+        hspace=0.28,
+    )
+    for panel in panels[len(found) :]:
+        panel.set_axis_off()
+    for place, (panel, each) in enumerate(zip(panels, found, strict=False)):
+        _draw(panel, each)
+        if place % columns == 0:
+            panel.set_ylabel("force error / %", fontsize=10)
+        if place + columns >= len(found):
+            panel.set_xlabel("tick / µs", fontsize=10)
+    lines = {str(line.get_label()): line for panel in panels for line in panel.lines}
+    told = {label: line for label, line in lines.items() if not label.startswith("_")}
+    wide = columns > 2
+    chart.legend(
+        told.values(), told.keys(), loc="upper center", ncols=len(told) if columns > 1 else 2, frameon=False,
+        fontsize=10.5 if wide else 7.5, columnspacing=2.0 if wide else 0.8, handlelength=2.0 if wide else 1.2,
+    )  # fmt: skip
+    save(chart, path)
+    with Image.open(path) as drawn:  # few colours: a third of the bytes
+        drawn.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
+
+
+def _draw(axes: Any, both: Sequence[Frontier]) -> None:
+    """One scene."""
+    from matplotlib.ticker import LogLocator
+
+    names = []
+    for found in both:
+        colour, mark, label = LOOKS["script" if found.scene.device == "none" else "hand"]
+        error = [100.0 * max(point.force_error, LEAST) for point in found.best]
+        median = [point.median_us for point in found.best]
+        names += [(y, x, point.setting, colour) for x, y, point in zip(median, error, found.best, strict=True)]
+        axes.step([*median, 1e3], [*error, error[-1]], where="post", color=colour, linewidth=1.5)
+        axes.plot(median, error, mark, color=colour, markersize=5.5, label=label)
+    axes.axvline(1e3, color="0.2", linestyle="--", linewidth=1.2, label="1 ms, the haptic tick")
+    names.sort()
+    heights = np.log([y for y, *_ in names])
+    low, high = heights.min() - 0.5, max(heights.max(), heights.min() + 1.0) + 0.3
+    axes.set(xscale="log", yscale="log", xlim=SPAN_US, ylim=np.exp([low, high]))
+    for place, (y, x, name, colour) in zip(apart((heights - low) / (high - low), ROW), names, strict=True):
+        aside = np.exp(low + place * (high - low))
+        axes.plot([x, 1e3, NAMES_US], [y, y, aside], color=colour, linewidth=0.5, alpha=0.6)
+        axes.text(
+            1.05 * NAMES_US, aside, name.replace(" mm, shell", ", shell"), fontsize=8.5, color=colour, va="center"
+        )
+    axes.set_title(both[0].scene.name, fontsize=11)
+    axes.set_xticks([100.0, 1e3], ["100", "1000"])
+    axes.xaxis.set_minor_formatter("")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter("")
+    axes.grid(alpha=0.25)

@@ -1,0 +1,206 @@
+"""All predictors against each other on runs they have not seen: horizon, cost, training size, slow models."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress, silent
+from tissue.builders.prediction import PREDICTORS, trained_predictor
+from tissue.evaluation.charts.prediction_files import FILES, write_comparisons
+from tissue.evaluation.charts.prediction_picture import draw_scene, draw_tasks
+from tissue.evaluation.training.evaluation import HORIZONS, forecast_errors
+from tissue.evaluation.training.fitting import loop_terms
+from tissue.evaluation.training.recording import Recorder, Recording, trial
+from tissue.haptics.device.device import device_parameters
+from tissue.prediction.edmd.edmd import Edmd
+from tissue.prediction.predictor import Predictor
+from tissue.prediction.trained import Trained, shipped_file
+from tissue.scene.scene import Scene
+from tissue.system.outputs import require_free_folder
+
+__all__ = ["Comparison", "Interval", "SlowModel", "chart_prediction", "compare", "comparison_lines", "interval"]
+
+Array = NDArray[np.float64]
+FIRST_SEED = 10_000
+"""Seeds of unseen runs begin here; training uses those from 0 on."""
+SHARES = (0.7, 1.3)
+"""Force of the tissue of unseen runs over that of training, in turn."""
+DELAY_MS = 4
+SLOW_TICKS = 10
+SIZES = (1, 2, 4, 8, 12)
+"""Runs to train on."""
+SIZED_RUNS = 8
+"""Unseen runs by which training sizes are compared."""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Mean over runs and its 95 % interval by Student's t."""
+
+    mean: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class SlowModel:
+    """A tissue that answers at 100 Hz: error of the force of the present tick, and cost a tick [us]."""
+
+    error: Interval
+    cost_us: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What was measured on a scene.
+
+    Attributes
+    ----------
+    scene
+        Its name.
+    errors
+        Errors by predictor, shape (runs, horizons).
+    cost_us
+        Median and 99th percentile of a tick's call [us], by predictor.
+    eigenvalues
+        Of the lifted operator.
+    sizes
+        Runs trained on, and the error at 4 ms that followed.
+    slow
+        A model at 100 Hz with a predictor between its answers, by predictor; with ``1 kHz`` the model in every tick.
+    """
+
+    scene: str
+    errors: dict[str, Array]
+    cost_us: dict[str, tuple[float, float]]
+    eigenvalues: NDArray[np.complex128]
+    sizes: dict[int, Interval]
+    slow: dict[str, SlowModel]
+
+    def at(self, kind: str, horizon_ms: int) -> Interval:
+        """Error of a predictor at a horizon."""
+        return interval(self.errors[kind][:, HORIZONS.index(horizon_ms)])
+
+
+def interval(values: Array) -> Interval:
+    """Mean over the first axis of independent runs with its interval; without width for a single run."""
+    from scipy.stats import t
+
+    mean, count = float(values.mean()), len(values)
+    half = float(t.ppf(0.975, count - 1) * values.std(ddof=1) / np.sqrt(count)) if count > 1 else 0.0
+    return Interval(mean, mean - half, mean + half)
+
+
+def compare(scene: Scene, *, trials: int, tell: Progress = silent) -> Comparison:
+    """Measure all predictors on unseen runs of a scene: other seeds, tissue 30 % softer and stiffer, 4 ms of latency.
+
+    Raises
+    ------
+    InputError
+        If the scene has no trained predictor or cannot be run.
+    """
+    file = scene.coupling.predictor_file
+    trained = Trained.read(Path(file) if file else shipped_file(scene.name), scene=scene.name)
+    limit = device_parameters(trial(scene, 0).device).force_limit_N
+    recorder, unseen, seen = Recorder(), [], []
+    steps = trials + max(SIZES) + 4
+    for index in range(trials):
+        tell(f"{scene.name}: unseen run {index + 1} of {trials}", index / steps)
+        share = SHARES[index % len(SHARES)]
+        unseen.append(recorder.record(trial(scene, FIRST_SEED + index, delay_ms=DELAY_MS, share=share)))
+    for index in range(max(SIZES)):
+        tell(f"{scene.name}: training run {index + 1}", (trials + index) / steps)
+        seen.append(recorder.record(trial(scene, index)))
+    tell(f"{scene.name}: measuring", (trials + max(SIZES)) / steps)
+    return measured(trained, unseen, seen, force_limit_N=limit)
+
+
+def measured(
+    trained: Trained, unseen: Sequence[Recording], seen: Sequence[Recording], *, force_limit_N: float
+) -> Comparison:
+    """Measure predictors on recorded runs; others train those for the training sizes."""
+
+    def maker(kind: str, of: Trained = trained) -> Callable[[], Predictor]:
+        return lambda: trained_predictor(kind, of, force_limit_N=force_limit_N)
+
+    errors = {kind: forecast_errors(maker(kind), unseen) for kind in PREDICTORS}
+    cost_us = {kind: _cost_us(maker(kind), unseen[0]) for kind in PREDICTORS}
+    sizes = {}
+    for size in SIZES[: sum(each <= len(seen) for each in SIZES)]:
+        episodes = [run.episode() for run in seen[:size]]
+        operator = Edmd(trained.operator.dictionary).fit(episodes)
+        smaller = replace(trained, operator=operator, terms=loop_terms(operator, episodes))
+        found = forecast_errors(maker("koopman", smaller), unseen[:SIZED_RUNS], horizons=(DELAY_MS,))
+        sizes[size] = interval(found[:, 0])
+    model_us = 1e6 * float(np.median([run.model_s for run in unseen]))
+    slow = {"1 kHz": SlowModel(Interval(0.0, 0.0, 0.0), model_us)}
+    for kind in PREDICTORS:
+        found = forecast_errors(maker(kind), unseen, horizons=(0,), model_ticks=SLOW_TICKS)
+        slow[kind] = SlowModel(interval(found[:, 0]), model_us / SLOW_TICKS + cost_us[kind][0])
+    return Comparison(trained.scene, errors, cost_us, trained.operator.eigenvalues, sizes, slow)
+
+
+def _cost_us(make: Callable[[], Predictor], run: Recording) -> tuple[float, float]:
+    """Median and 99th percentile of observing a tick and telling the force after the latency [us]."""
+    predictor = make()
+    times = []
+    for position, velocity, force in zip(run.position_m, run.velocity_m_s, run.force_N, strict=True):
+        start = perf_counter()
+        predictor.observe(position, velocity, force)
+        predictor.ahead(DELAY_MS)
+        times.append(perf_counter() - start)
+    return 1e6 * float(np.median(times)), 1e6 * float(np.quantile(times, 0.99))
+
+
+def chart_prediction(
+    scenes: Sequence[Scene], folder: Path, *, trials: int, overwrite: bool, tell: Progress = silent
+) -> list[Comparison]:
+    """Measure and draw some scenes: ``prediction_SCENE.png``, ``prediction_tasks.png`` and tables.
+
+    Raises
+    ------
+    InputError
+        If the folder is a file or holds another chart, there are fewer than two trials, or a scene cannot be used.
+    """
+    if trials < 2:
+        raise InputError(f"trials must be at least 2, got {trials}: use 30")
+    require_free_folder(folder, FILES, "chart", overwrite=overwrite)
+    found = []
+    for index, scene in enumerate(scenes):
+        onward = lambda doing, share, index=index: tell(doing, (index + share) / len(scenes))  # noqa: E731
+        found.append(compare(scene, trials=trials, tell=onward))
+    folder.mkdir(parents=True, exist_ok=True)
+    for each in found:
+        draw_scene(each, folder / f"prediction_{each.scene}.png")
+    draw_tasks(found, folder / "prediction_tasks.png")
+    write_comparisons(found, folder)
+    return found
+
+
+def comparison_lines(found: Sequence[Comparison]) -> list[str]:
+    """What a person reads: errors at 4 ms, and how the lifted predictor stands to hold and to the best other.
+
+    It is called better or worse only where the interval of the paired difference over runs excludes zero.
+    """
+    lines = ["error at 4 ms on unseen runs, % of the force (mean and 95 % interval)"]
+    for each in found:
+        for kind in PREDICTORS:
+            at = each.at(kind, DELAY_MS)
+            lines.append(
+                f"{each.scene:>12}  {kind:<8} {100 * at.mean:6.2f} ({100 * at.low:.2f} to {100 * at.high:.2f})"
+                f"   {each.cost_us[kind][0]:5.1f} µs"
+            )
+        own, held = each.at("koopman", DELAY_MS).mean, each.at("hold", DELAY_MS).mean
+        best = min((kind for kind in PREDICTORS if kind != "koopman"), key=lambda kind: each.at(kind, DELAY_MS).mean)
+        apart = interval((each.errors["koopman"] - each.errors[best])[:, HORIZONS.index(DELAY_MS)])
+        told = "better than" if apart.high < 0.0 else "worse than" if apart.low > 0.0 else "not told apart from"
+        lines.append(
+            f"{each.scene:>12}  koopman {own / held:.2f} of hold, {told} the best baseline, {best}: "
+            f"{100 * apart.mean:+.2f} in pairs ({100 * apart.low:+.2f} to {100 * apart.high:+.2f})"
+        )
+    return lines

@@ -1,0 +1,159 @@
+"""What predictors were measured to do, as pictures."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tissue.evaluation.training.evaluation import HORIZONS
+from tissue.figures.figure import figure, save
+
+if TYPE_CHECKING:
+    from tissue.evaluation.charts.prediction import Comparison
+
+__all__ = ["draw_scene", "draw_tasks"]
+
+LOOKS = {
+    "hold": ("0.45", "s"),
+    "linear": ("#E69F00", "^"),
+    "kalman": ("#CC79A7", "v"),
+    "dmdc": ("#009E73", "D"),
+    "koopman": ("#0072B2", "o"),
+}
+"""Colours after Okabe and Ito (2008), and marks."""
+PAPER = {"palpation": ("T1", 8.2, 3.5), "wall": ("T2", 7.1, 3.0), "milling": ("T3", 9.5, 4.2)}
+"""Raw and adjusted errors [%] that a paper prints for its tasks, against its own ideal force."""
+STRONG = 1.8
+LIMIT_US = 20.0
+"""Median cost of a prediction that is aimed at [us]."""
+
+
+def draw_scene(found: "Comparison", path: Path) -> None:
+    """Draw error over horizon, error over cost, the spectrum, training size, and a model at 100 Hz."""
+    chart = figure(11.0, 7.0)
+    axes = chart.subplots(2, 3)
+    chart.subplots_adjust(left=0.065, right=0.985, top=0.92, bottom=0.08, wspace=0.27, hspace=0.34)
+    runs = len(found.errors["hold"])
+    title = f"{found.scene}: {runs} runs with other seeds, in tissue 30 % softer and stiffer; bars and bands are 95 %"
+    chart.text(0.065, 0.96, title, size=11)
+    _over_horizon(axes[0, 0], found)
+    _over_cost(axes[0, 1], found)
+    _spectrum(axes[0, 2], found)
+    _sizes(axes[1, 0], found)
+    _slow(axes[1, 1], found)
+    _spread(axes[1, 2], found)
+    save(chart, path)
+
+
+def draw_tasks(found: "Sequence[Comparison]", path: Path) -> None:
+    """Draw the error of every predictor at 4 ms on every scene, beside what the paper prints."""
+    chart = figure(max(1.9 * len(found) + 1.6, 6.0), 4.4)
+    axes = chart.subplots()
+    chart.subplots_adjust(left=0.11, right=0.98, top=0.86, bottom=0.1)
+    width = 0.8 / (len(LOOKS) + 2)
+    for place, each in enumerate(found):
+        for index, (kind, (colour, _)) in enumerate(LOOKS.items()):
+            at, x = each.at(kind, 4), place - 0.4 + (index + 0.5) * width
+            told = kind if place == 0 else None
+            axes.bar(x, 100 * at.mean, width, color=colour, label=told)
+            axes.plot([x, x], [100 * at.low, 100 * at.high], color="0.1", linewidth=1.0)
+        if each.scene in PAPER:
+            _, raw, adjusted = PAPER[each.scene]
+            for index, (value, fill, name) in enumerate(
+                ((raw, "none", "paper, raw"), (adjusted, "0.1", "paper, adjusted"))
+            ):
+                x = place - 0.4 + (len(LOOKS) + index + 0.5) * width
+                first = not any(other.scene in PAPER for other in found[:place])
+                axes.plot(x, value, "*", color="0.1", markerfacecolor=fill, markersize=9, label=name if first else None)
+    names = [f"{PAPER[each.scene][0]} {each.scene}" if each.scene in PAPER else each.scene for each in found]
+    axes.set(
+        xticks=range(len(found)), xticklabels=names, ylabel="force error 4 ms ahead / % of the force", yscale="log"
+    )
+    _plain(axes.yaxis)
+    axes.grid(axis="y", which="both", alpha=0.3)
+    axes.set_axisbelow(True)
+    columns = 7 if len(found) > 3 else 4
+    chart.legend(loc="upper center", ncols=columns, frameon=False, fontsize=8.5, columnspacing=1.0, handletextpad=0.4)
+    save(chart, path)
+
+
+def _over_horizon(axes: Any, found: "Comparison") -> None:
+    for kind, (colour, mark) in LOOKS.items():
+        at = [found.at(kind, horizon) for horizon in HORIZONS]
+        strong = STRONG if kind == "koopman" else 1.1
+        axes.plot(
+            HORIZONS, [100 * a.mean for a in at], "-" + mark, color=colour, label=kind, markersize=4, linewidth=strong
+        )
+        axes.fill_between(HORIZONS, [100 * a.low for a in at], [100 * a.high for a in at], color=colour, alpha=0.15)
+    axes.set(xlabel="horizon / ms", ylabel="force error / %", yscale="log")
+    _plain(axes.yaxis)
+    axes.grid(alpha=0.3, which="both")
+    axes.legend(frameon=False, loc="upper left", ncols=2, fontsize=8)
+
+
+def _over_cost(axes: Any, found: "Comparison") -> None:
+    for kind, (colour, mark) in LOOKS.items():
+        at, (median, p99) = found.at(kind, 4), found.cost_us[kind]
+        axes.plot([median, p99], [100 * at.mean] * 2, color=colour, alpha=0.5)
+        axes.plot(median, 100 * at.mean, mark, color=colour, label=kind, markersize=6)
+    axes.axvline(LIMIT_US, color="#D55E00", linestyle="--", linewidth=1.0)
+    axes.set(
+        xlabel="cost a tick / µs, median to 99 %", ylabel="force error 4 ms ahead / %", xscale="log", ylim=(0, None)
+    )
+    _plain(axes.xaxis)
+    axes.grid(alpha=0.3, which="both")
+
+
+def _spectrum(axes: Any, found: "Comparison") -> None:
+    turn = np.linspace(0.0, 2.0 * np.pi, 200)
+    axes.plot(np.cos(turn), np.sin(turn), color="0.6", linewidth=0.8)
+    values = found.eigenvalues
+    axes.plot(values.real, values.imag, "o", color=LOOKS["koopman"][0], markersize=3, alpha=0.7)
+    largest = float(np.abs(values).max())
+    axes.set(xlabel="real", ylabel="imaginary", aspect="equal")
+    axes.set_title(f"{len(values)} eigenvalues, largest {largest:.5f}", fontsize=9)
+    axes.grid(alpha=0.3)
+
+
+def _sizes(axes: Any, found: "Comparison") -> None:
+    sizes, at = list(found.sizes), list(found.sizes.values())
+    bars = [[100 * (a.mean - a.low) for a in at], [100 * (a.high - a.mean) for a in at]]
+    axes.errorbar(sizes, [100 * a.mean for a in at], bars, fmt="-o", color=LOOKS["koopman"][0], capsize=3, ms=4)
+    axes.set(xlabel="runs trained on", ylabel="koopman's error 4 ms ahead / %", ylim=(0, None))
+    axes.grid(alpha=0.3)
+
+
+def _slow(axes: Any, found: "Comparison") -> None:
+    for kind, (colour, mark) in LOOKS.items():
+        slow = found.slow[kind]
+        bars = [[100 * (slow.error.mean - slow.error.low)], [100 * (slow.error.high - slow.error.mean)]]
+        axes.errorbar(slow.cost_us, 100 * slow.error.mean, bars, fmt=mark, color=colour, ms=6, label=f"100 Hz, {kind}")
+    axes.plot(found.slow["1 kHz"].cost_us, 0.0, "*", color="0.1", markersize=11, clip_on=False, label="1 kHz")
+    axes.set(xlabel="model and prediction / µs a tick", ylabel="force error now / %", xscale="log", ylim=(0, None))
+    _plain(axes.xaxis)
+    axes.grid(alpha=0.3, which="both")
+    axes.legend(frameon=False, fontsize=8)
+
+
+def _spread(axes: Any, found: "Comparison") -> None:
+    column = HORIZONS.index(4)
+    for place, (kind, (colour, _)) in enumerate(LOOKS.items()):
+        values = 100 * found.errors[kind][:, column]
+        aside = np.linspace(-0.25, 0.25, len(values))
+        axes.plot(place + aside, np.sort(values), ".", color=colour, markersize=4)
+        axes.plot([place - 0.3, place + 0.3], [np.median(values)] * 2, color="0.1", linewidth=1.2)
+    axes.set(
+        xticks=range(len(LOOKS)), xticklabels=list(LOOKS), ylabel="error 4 ms ahead of each run / %", ylim=(0, None)
+    )
+    axes.tick_params(axis="x", labelsize=8)
+    axes.grid(axis="y", alpha=0.3)
+
+
+def _plain(axis: Any) -> None:
+    """Numbers instead of powers of ten."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, place: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())

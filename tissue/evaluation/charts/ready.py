@@ -1,0 +1,95 @@
+"""What a chart needs before anything is timed, made by several processes at once: references and condensed meshes.
+
+Nothing is handed back; it all goes to the cache on disk, where measuring finds it.
+"""
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import BrokenExecutor, Executor
+from typing import Any, NamedTuple
+
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress
+from tissue.evaluation.charts.frontier import measured_keys, short_of
+from tissue.evaluation.charts.measure import of_model, reference_force_N, setting_key
+from tissue.evaluation.charts.places import placed
+from tissue.evaluation.charts.settings import finest, nearly_finest, settings_of
+from tissue.scene.load import changed
+from tissue.scene.organ import LiverAnatomy, SlabAnatomy
+from tissue.scene.scene import Scene
+from tissue.simulation.reference_force import ideal_scene
+from tissue.simulation.simulate import TICK_S, simulate
+from tissue.system.workers import first_done
+
+__all__ = ["make_ready", "pieces"]
+
+
+class Piece(NamedTuple):
+    """A run that is not timed; of a mesh one tick is enough."""
+
+    scene: Scene
+    mesh: bool
+
+
+def make_ready(kinds: Sequence[Scene], pool: Executor, *, quick: bool, tell: Progress) -> None:
+    """Make ready what scenes by script and by hand need that were not measured on this machine yet."""
+    waiting = [kind for kind in kinds if _unknown(kind, quick=quick)]
+    try:
+        for name, done in _told(pool, [(kind.name, (short_of, kind, quick)) for kind in waiting], tell):
+            tell(f"{name}: first contact", 0.2 * done)
+        work = [(kind.name, (_make, each)) for kind in waiting for each in pieces(kind, quick=quick)]
+        for name, done in _told(pool, work, tell):
+            tell(f"{name}: references and meshes", 0.2 + 0.8 * done)
+    except BrokenExecutor:
+        tell("the processes that make charts ready were lost: what is missing is made where it is measured", 1.0)
+
+
+def pieces(scene: Scene, *, quick: bool) -> list[Piece]:
+    """Runs whose results the measurements of a scene will find in the cache."""
+    short = short_of(scene, quick)
+    model = short_of(of_model(scene), quick)
+    found = []
+    if scene.device == "none":
+        at = [
+            *((place, finest(model, quick=quick)) for place in placed(model)),
+            (model, nearly_finest(model, quick=quick)),
+        ]
+        found = [Piece(changed(each, changes), mesh=False) for each, changes in at if changes]
+    if isinstance(scene.anatomy, LiverAnatomy | SlabAnatomy):
+        wanted = _unknown(scene, quick=quick)
+        if scene.device == "none":
+            meshes = [changed(place, changes) for changes in wanted for place in placed(short)]
+        else:
+            meshes = [short, ideal_scene(short, finest(scene, quick=quick))] if wanted else []
+        found += [Piece(changed(mesh, {"duration_s": TICK_S}), mesh=True) for mesh in meshes]
+    return found
+
+
+def _unknown(scene: Scene, *, quick: bool) -> list[dict[str, object]]:
+    """Settings of a scene that were not measured yet, of those that compute alike one."""
+    known = measured_keys(scene, quick=quick)
+    return [
+        dict(setting.changes)
+        for setting in settings_of(scene, quick=quick)
+        if setting_key(scene, setting, quick=quick) not in known
+    ]
+
+
+def _make(piece: Piece) -> None:
+    """Run a piece. What is refused here is refused again, and told, where it is measured."""
+    try:
+        if piece.mesh:
+            simulate(piece.scene, allow_unstable=True)
+        else:
+            reference_force_N(piece.scene, {})
+    except InputError:
+        return
+
+
+def _told(pool: Executor, work: Sequence[tuple[str, tuple[Any, ...]]], tell: Progress) -> Iterator[tuple[str, float]]:
+    """Do some work, and tell whose was done and what share that makes."""
+    names = {pool.submit(*call): name for name, call in work}
+    count = len(names)
+    while names:
+        for future in first_done(pool, names, tell):
+            future.result()
+            yield names.pop(future), 1.0 - len(names) / count

@@ -1,0 +1,192 @@
+"""What can be chosen for a scene: its settings from coarse to fine, and the finest, which the others are held to."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from tissue.builders.prediction import PREDICTORS
+from tissue.builders.registry import cutter_of
+from tissue.scene.load import changed
+from tissue.scene.organ import LayersAnatomy, LiverAnatomy, SlabAnatomy
+from tissue.scene.scene import Scene
+from tissue.scene.tool import Tool
+
+__all__ = ["LATENCY_MS", "Setting", "by_hand", "finest", "nearly_finest", "settings_of"]
+
+LATENCY_MS = 4
+"""Latency at which loops are compared where a scene has none, the mean that the paper reports being 4.3 ms."""
+LOST = "displacement and stress"
+Changes = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One way to run a scene.
+
+    Attributes
+    ----------
+    name
+        A few words, for a picture.
+    family
+        What is varied: voxels, shell, elements, path, stress, loop or cores.
+    changes
+        Values by dotted key; None takes an entry out.
+    leaves_out
+        What a scene loses by it, in words; empty for nothing.
+    cores
+        Processor cores; None for all.
+    compute
+        Warp device.
+    """
+
+    name: str
+    family: str
+    changes: Changes = field(default_factory=dict)
+    leaves_out: str = ""
+    cores: int | None = None
+    compute: str = "cpu"
+
+
+def by_hand(scene: Scene) -> Scene:
+    """The scene on a device, with a latency to be hidden."""
+    changes: dict[str, Any] = {} if scene.device != "none" else {"device": "touch"}
+    if scene.coupling.delay_ms == 0:
+        changes["coupling.delay_ms"] = LATENCY_MS
+    return changed(scene, changes)
+
+
+def settings_of(scene: Scene, *, quick: bool) -> list[Setting]:
+    """Settings of a scene; without a device those of its model, with one those of its loop.
+
+    The quick ones are those that a scene is chosen from when nothing has been measured yet.
+    """
+    if scene.device != "none":
+        return list(_loops(scene, quick=quick))
+    if isinstance(scene.tool, Tool):
+        return list(_voxels(scene, scene.tool, quick=quick))
+    if isinstance(scene.anatomy, LiverAnatomy | SlabAnatomy):
+        return list(_elements(scene, scene.anatomy, quick=quick))
+    plain = _force_only(scene)
+    return [Setting("force alone" if plain else "as it is", "model", plain, LOST if plain else "")]
+
+
+def finest(scene: Scene, *, quick: bool) -> Changes:
+    """The setting that counts as converged."""
+    if isinstance(scene.tool, Tool):
+        spacing = (0.75 if quick else 0.5) * scene.voxels.spacing_mm
+        return _force_only(scene) | {
+            "voxels.spacing_mm": spacing,
+            "voxels.removal": "subvoxel",
+            "tool.shell_spacing_mm": 0.6 * _shell_mm(scene.tool, spacing),
+        }
+    if isinstance(scene.anatomy, LiverAnatomy | SlabAnatomy):
+        edge = (0.85 if quick else 0.6) * _edge_mm(scene, scene.anatomy)
+        return _force_only(scene) | {"organ.order": 2, "organ.path": "condensed", "anatomy.touch_edge_mm": edge}
+    return {}
+
+
+def nearly_finest(scene: Scene, *, quick: bool) -> Changes:
+    """One step coarser than the finest: what lies between both is what the reference leaves open."""
+    changes = dict(finest(scene, quick=quick))
+    if "voxels.spacing_mm" in changes:
+        changes["voxels.spacing_mm"] *= 4.0 / 3.0 if quick else 2.0
+        changes["tool.shell_spacing_mm"] *= 1.3
+    elif changes:
+        changes["anatomy.touch_edge_mm"] *= 1.2
+    return changes
+
+
+def _force_only(scene: Scene) -> dict[str, Any]:
+    """What leaves out all that no force depends on."""
+    if isinstance(scene.anatomy, LiverAnatomy | SlabAnatomy):
+        return {"organ.interval_ms": 0.0} if scene.organ.interval_ms else {}
+    if isinstance(scene.anatomy, LayersAnatomy):
+        return {"anatomy.interval_ms": 0.0} if scene.anatomy.interval_ms else {}
+    return {"stress": None} if scene.stress is not None else {}
+
+
+def _shell_mm(tool: Tool, spacing_mm: float) -> float:
+    """Distance of the cutter's elements where a scene says nothing."""
+    from tissue.models.bone.model import SHELL_ELEMENTS
+
+    return max(2.0 * spacing_mm, 1e3 * float((cutter_of(tool).cutting_area_m2 / SHELL_ELEMENTS) ** 0.5))
+
+
+def _edge_mm(scene: Scene, anatomy: LiverAnatomy | SlabAnatomy) -> float:
+    """Edge of a tetrahedron under the tool where a scene says nothing."""
+    assert not isinstance(scene.tool, Tool)
+    return anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
+
+
+def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
+    """Spacing, kind of removal, elements of the cutter, stress, cores."""
+    plain, base = _force_only(scene), scene.voxels.spacing_mm
+    lost = LOST if plain else ""
+    for factor in (4.0, 3.0, 2.0, 1.0) if quick else (5.0, 4.0, 3.0, 2.0, 1.5, 1.0):
+        spacing = round(factor * base, 4)
+        if spacing > 0.25 * tool.diameter_mm:
+            continue
+        for removal in ("subvoxel",) if quick else ("subvoxel", "binary"):
+            name = f"{spacing:g} mm" + (" binary" if removal == "binary" else "")
+            yield Setting(name, "voxels", plain | {"voxels.spacing_mm": spacing, "voxels.removal": removal}, lost)
+    shell = _shell_mm(tool, base)
+    for factor in (2.0,) if quick else (4.0, 3.0, 2.0, 1.5, 0.7):
+        wide = {"tool.shell_spacing_mm": round(factor * shell, 4)}
+        yield Setting(f"{base:g} mm, shell {factor * shell:.2g} mm", "shell", plain | wide, lost)
+    if quick:
+        return
+    yield Setting(f"{base:g} mm, one core", "cores", plain, lost, cores=1)
+    yield from _accelerated(plain, lost)
+    if scene.stress is not None:
+        for cell in (14.0, 10.0, 8.0):
+            edge = round(cell * base, 4)
+            yield Setting(f"{base:g} mm, stress {edge:g} mm", "stress", {"stress.cell_mm": edge})
+
+
+def _elements(scene: Scene, anatomy: LiverAnatomy | SlabAnatomy, *, quick: bool) -> Iterator[Setting]:
+    """Order and edge of tetrahedra, way of having the compliance, cores."""
+    base, plain = _edge_mm(scene, anatomy), _force_only(scene)
+    lost = LOST if plain else ""
+    for order, factors in (
+        ((1, (1.0,)), (2, (2.0, 1.4, 1.0)))
+        if quick
+        else (
+            (1, (2.0, 1.4, 1.0, 0.8)),
+            (2, (2.0, 1.7, 1.4, 1.2, 1.0)),
+        )
+    ):
+        for factor in factors:
+            edge = round(factor * base, 3)
+            changes = plain | {"organ.order": order, "anatomy.touch_edge_mm": edge}
+            yield Setting(f"P{order} {edge:g} mm", "elements", changes, lost)
+    if quick:
+        return
+    for size in (100, 300, 1000):
+        yield Setting(f"reduced {size}", "path", plain | {"organ.path": "reduced", "organ.basis_size": size}, lost)
+    yield Setting("lazy", "path", plain | {"organ.path": "lazy"}, lost)
+    yield Setting("one core", "cores", plain, lost, cores=1)
+    yield from _accelerated(plain, lost)
+
+
+def _accelerated(plain: dict[str, Any], lost: str) -> Iterator[Setting]:
+    """The scene on every accelerator that there is."""
+    import warp as wp
+
+    import kernels  # noqa: F401  starts Warp without its greeting
+
+    for device in wp.get_cuda_devices():
+        yield Setting(str(device), "cores", plain, lost, compute=str(device))
+
+
+def _loops(scene: Scene, *, quick: bool) -> Iterator[Setting]:
+    """Renderer, predictor and rate of the model."""
+    plain = _force_only(scene)
+    lost = LOST if plain else ""
+    for law in ("penalty", "passivity", "proxy"):
+        if not quick or law == "proxy":
+            yield Setting(law, "loop", plain | {"renderer": law, "prediction": "none"}, lost)
+    for kind in PREDICTORS[1:]:
+        if not quick or kind in ("kalman", "koopman"):
+            yield Setting(kind, "loop", plain | {"prediction": kind}, lost)
+    for kind in ("hold", "koopman") if quick else PREDICTORS:
+        yield Setting(f"100 Hz, {kind}", "loop", plain | {"prediction": kind, "coupling.model_ms": 10}, lost)

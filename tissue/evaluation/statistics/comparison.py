@@ -1,0 +1,205 @@
+"""One metric of one study compared: every test in order, its assumptions checked, what rests on less beside it."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import levene
+
+from meshes.base.errors import InputError
+from tissue.evaluation.statistics.effects import cohens_d, partial_eta_squared
+from tissue.evaluation.statistics.mixed import MixedModel, mixed_model
+from tissue.evaluation.statistics.normality import normal_residuals
+from tissue.evaluation.statistics.outcome import ALPHA, Assumption, Effect, Outcome, told_p
+from tissue.evaluation.statistics.robust import friedman, hotelling, kruskal_wallis, permutation, welch
+from tissue.evaluation.statistics.strata import mauchly, scores_of, strata
+from tissue.evaluation.statistics.trials import Cells, TrialTable
+from tissue.evaluation.statistics.tukey import tukey_groups, tukey_levels
+
+__all__ = ["Comparison", "across_tasks", "compare", "stratum_test"]
+
+Array = NDArray[np.float64]
+SINGULAR = 1e-9
+"""Share of all variation below which a direction has none but rounding."""
+ROUNDING = 1e-12
+"""Variation among users below this share of the values is the rounding of their sums."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All that is asked of one metric.
+
+    Attributes
+    ----------
+    metric, task
+        What was compared, and on which task.
+    cells
+        Means of every user under every method.
+    mixed
+        The mixed model; its tests carry the exact ones of the strata as alternatives.
+    tests
+        Exact tests of method, group and both, as far as the table holds them.
+    pairs
+        All pairs of methods, then of groups.
+    sizes
+        Cohen's d of every pair of methods (of differences within users) and of groups.
+    """
+
+    metric: str
+    task: str
+    cells: Cells
+    mixed: MixedModel
+    tests: tuple[Outcome, ...]
+    pairs: tuple[Outcome, ...]
+    sizes: tuple[Effect, ...]
+
+
+def compare(table: TrialTable, metric: str, *, task: str, rng: np.random.Generator) -> Comparison:
+    """Compare methods and groups by one metric on one task.
+
+    Parameters
+    ----------
+    table
+        Trials of a study.
+    metric
+        Name of the metric.
+    task
+        Which task; tasks are not pooled, as their metrics have scales of their own.
+    rng
+        Shuffles labels for permutation tests.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to compare, or too little to tell: one user a group, or a constant metric.
+    """
+    chosen = table.where(task=task)
+    cells = chosen.cells(metric)
+    level_count, group_count = cells.values.shape[1], len(cells.group_names)
+    if level_count < 2 and group_count < 2:
+        raise InputError("table must hold two methods or two groups, got one of each: there is nothing to compare")
+    wanted = [((0,), False)] * (level_count > 1) + [((), True)] * (group_count > 1)
+    wanted += [((0,), True)] * (level_count > 1 and group_count > 1)
+    tests = tuple(stratum_test(cells, within, between=between, rng=rng) for within, between in wanted)
+    mixed = mixed_model(chosen, metric)
+    beside = {each.question: each for each in tests}
+    mixed = replace(mixed, tests=tuple(_with_exact(each, beside) for each in mixed.tests))
+    pairs: tuple[Outcome, ...] = ()
+    sizes: list[Effect] = []
+    if level_count > 1:
+        names = cells.factors[0][1]
+        pairs += tukey_levels(cells.values, names, cells.groups, metric=metric)
+        for a in range(level_count):
+            for b in range(a + 1, level_count):
+                size = cohens_d(cells.values[:, b], cells.values[:, a], paired=True)
+                sizes.append(replace(size, name=f"{size.name}, {names[b]} minus {names[a]}"))
+    if group_count > 1:
+        samples = [cells.values[cells.groups == group].mean(axis=1) for group in range(group_count)]
+        pairs += tukey_groups(samples, cells.group_names, metric=metric)
+        for a in range(group_count):
+            for b in range(a + 1, group_count):
+                size = cohens_d(samples[b], samples[a])
+                sizes.append(replace(size, name=f"{size.name}, {cells.group_names[b]} minus {cells.group_names[a]}"))
+    return Comparison(metric, task, cells, mixed, tests, pairs, tuple(sizes))
+
+
+def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) -> MixedModel:
+    """The mixed model over all tasks, each test with the exact one of its stratum and what rests on less beside it.
+
+    A question whose stratum holds no variation keeps the model's test alone.
+    """
+    mixed = mixed_model(table, metric)
+    within = [name for name in ("task", "method") if len(np.unique(getattr(table, name))) > 1]
+    cells = table.cells(metric, within=within or ["method"])
+    beside: dict[str, Outcome] = {}
+    for each in mixed.tests:
+        asked = each.question.removeprefix(f"{metric}: ").split(" x ")
+        chosen = tuple(index for index, (name, _) in enumerate(cells.factors) if name in asked)
+        try:
+            beside[each.question] = stratum_test(cells, chosen, between="group" in asked, rng=rng)
+        except InputError:
+            continue
+    return replace(
+        mixed, tests=tuple(_with_exact(each, beside) if each.question in beside else each for each in mixed.tests)
+    )
+
+
+def stratum_test(cells: Cells, within: tuple[int, ...], *, between: bool, rng: np.random.Generator) -> Outcome:
+    """The exact test of one effect with its checks, and the tests that rest on less.
+
+    Parameters
+    ----------
+    cells
+        Means of a metric.
+    within
+        Factors within users that are in the effect, as indices into ``cells.factors``.
+    between
+        Whether the effect involves the group.
+    rng
+        Shuffles labels.
+    """
+    values, groups, sizes = cells.values, cells.groups, cells.sizes
+    name = " x ".join((["group"] if between else []) + [cells.factors[index][0] for index in within])
+    question = f"{cells.metric}: {name}"
+    found = strata(values, groups, sizes, within, between=between)
+    scores = scores_of(values, sizes, within)
+    if float(found.error_square) <= (ROUNDING * float(np.abs(values).max())) ** 2:
+        raise InputError(
+            f"{cells.metric} must vary among users to be tested, got no variation beside {name}: "
+            "print its values, which need no test"
+        )
+    means = np.stack([scores[groups == group].mean(axis=0) for group in range(groups.max() + 1)])
+    residuals = scores - means[groups]
+    assumptions: list[Assumption] = []
+    if residuals.size >= 8:
+        assumptions.append(normal_residuals(residuals))
+    beside = [permutation(values, groups, sizes, within, between=between, question=question, rng=rng)]
+    count = scores.shape[1]
+    if count > 1:
+        assumptions.append(_sphericity(scores, groups, float(found.epsilon)))
+        degrees = tuple(float(found.epsilon) * each for each in found.degrees)
+        beside.append(Outcome("Greenhouse-Geisser", question, "F", float(found.F), degrees, float(found.corrected_p)))
+    if between and min(np.bincount(groups)) > 2:
+        assumptions.append(_equal_variances(scores, groups))
+    if between and not within:
+        beside += [
+            welch(scores[:, 0], groups, question=question),
+            kruskal_wallis(scores[:, 0], groups, question=question),
+        ]
+    elif not between:
+        # Levels that repeat one another on some task leave no spread to invert.
+        whole = np.linalg.matrix_rank(residuals, tol=SINGULAR * np.linalg.norm(residuals)) == count
+        if len(values) - len(means) >= count and whole:
+            beside.append(hotelling(scores, groups, question=question))
+        if len(sizes) == 1 and sizes[0] > 2:
+            beside.append(friedman(values, question=question))
+    dropped = f"{len(cells.dropped)} users without a whole set of trials are left out." if cells.dropped else ""
+    uneven = np.ptp(cells.counts) > 0
+    note = " ".join([dropped] * bool(dropped) + ["Means of users rest on unequal numbers of trials."] * bool(uneven))
+    effect = partial_eta_squared(float(found.F), *found.degrees)
+    return Outcome(
+        "analysis of strata", question, "F", float(found.F), found.degrees, float(found.p), effect,
+        tuple(assumptions), tuple(beside), note,
+    )  # fmt: skip
+
+
+def _with_exact(test: Outcome, beside: dict[str, Outcome]) -> Outcome:
+    """A test of the mixed model with the exact one of the same question, and what stands beside that."""
+    exact = beside[test.question]
+    return replace(test, alternatives=(replace(exact, assumptions=(), alternatives=()), *exact.alternatives))
+
+
+def _sphericity(scores: Array, groups: NDArray[np.int64], epsilon: float) -> Assumption:
+    """Mauchly's test, with Greenhouse and Geisser's epsilon."""
+    p = mauchly(scores, groups)
+    # NaN, where users are too few for the test, counts as not shown.
+    return Assumption("sphericity", bool(p >= ALPHA), f"Mauchly {told_p(p)}, epsilon {epsilon:.2f}")
+
+
+def _equal_variances(scores: Array, groups: NDArray[np.int64]) -> Assumption:
+    """Levene's test about medians (Brown and Forsythe 1974), the least p of the columns, by Bonferroni."""
+    found = [
+        float(levene(*(column[groups == group] for group in range(groups.max() + 1))).pvalue) for column in scores.T
+    ]
+    p = min(1.0, len(found) * min(found))
+    return Assumption("equal variances of groups", p >= ALPHA, f"Brown-Forsythe {told_p(p)}")

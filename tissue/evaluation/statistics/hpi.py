@@ -1,0 +1,188 @@
+"""The composite index: metrics turned one way, standardised, weighted by their squared loadings."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from tissue.evaluation.statistics.outcome import LEVEL, Assumption, Effect
+from tissue.evaluation.statistics.resampling import drawn_users
+from tissue.evaluation.statistics.trials import TrialTable
+
+__all__ = ["Index", "composite_index", "weights_of"]
+
+Array = NDArray[np.float64]
+SMALLEST_GAP = 1.25
+"""Ratio of the first two variances below which the first direction is little more than chance (by convention)."""
+
+
+@dataclass(frozen=True)
+class Index:
+    """The index of every trial and what it weighs.
+
+    Attributes
+    ----------
+    metrics, weights
+        Metrics and their weights with intervals over resampled users; weights sum to one.
+    loadings
+        Of the oriented metrics on the first component, its sign chosen so that they sum to a positive number.
+    explained
+        Share of the variance along the first component.
+    values
+        Index of every row of the table in standard deviations, NaN where a trial failed; higher is better.
+    means
+        Mean of each method with an interval over resampled users, weights fitted anew in each.
+    assumptions
+        That metrics agree in sign, that the first component stands out, and that weights are stable.
+    """
+
+    metrics: tuple[str, ...]
+    weights: tuple[Effect, ...]
+    loadings: tuple[float, ...]
+    explained: float
+    values: Array
+    means: tuple[Effect, ...]
+    assumptions: tuple[Assumption, ...]
+
+    @property
+    def sentence(self) -> str:
+        """Weights and means in words, with what does not hold."""
+        told = ", ".join(f"{each.name} {each.value:.2f}" for each in self.weights)
+        means = ", ".join(f"{each.name} {each.value:+.2f} [{each.low:.2f}, {each.high:.2f}]" for each in self.means)
+        failed = "; ".join(each.says for each in self.assumptions if not each.holds)
+        return f"Index by method, in standard deviations: {means}. Weights: {told}." + (
+            f" But {failed}." * bool(failed)
+        )
+
+
+def weights_of(standard: Array) -> tuple[Array, Array, Array]:
+    """Squared loadings of the first principal component.
+
+    Parameters
+    ----------
+    standard
+        Correlation matrices, shape (..., metrics, metrics).
+
+    Returns
+    -------
+    weights, loadings, variances
+        Shape (..., metrics) each; weights sum to one, loadings to a positive number, variances fall.
+    """
+    variances, vectors = np.linalg.eigh(standard)
+    first = vectors[..., -1]
+    first = first * np.where(first.sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
+    return first**2, first, variances[..., ::-1]
+
+
+def composite_index(
+    table: TrialTable, directions: Mapping[str, int], *, rng: np.random.Generator, count: int = 2000
+) -> Index:
+    """Composite index with weights from the first principal component.
+
+    Metrics are oriented (higher is better) and standardised within each task, whose scales differ, then weighted by the
+    squared loadings of the first component of their correlation. Published weights from raw metrics have mixed signs
+    and change with the units; these do neither.
+
+    Parameters
+    ----------
+    table
+        Trials.
+    directions
+        +1 for a metric where higher is better, -1 where lower is, by name; two or more.
+    rng
+        Draws users for the intervals.
+    count
+        Number of resampled populations.
+    """
+    if len(directions) < 2:
+        raise InputError(f"directions must name at least two metrics, got {len(directions)}: an index combines several")
+    for name, sign in directions.items():
+        if sign not in (-1, 1):
+            raise InputError(f"direction of {name} must be 1 or -1, got {sign}: 1 where higher is better")
+    names, kept = tuple(directions), table.failure == ""
+    raw = np.column_stack([sign * table.values(name) for name, sign in directions.items()])[kept]
+    tasks = np.unique(table.task[kept], return_inverse=True)[1]
+    scaled = np.empty_like(raw)
+    for task in range(int(tasks.max(initial=-1)) + 1):
+        own = raw[tasks == task]
+        spread = own.std(axis=0)
+        # Equal numbers leave a rounding error of their size, which is no spread.
+        flat = spread <= 1e-12 * np.abs(own).max(axis=0)
+        if flat.any():
+            raise InputError(f"{names[int(flat.argmax())]} must vary within a task, got a constant: leave it out")
+        scaled[tasks == task] = (own - own.mean(axis=0)) / spread
+    people, person = np.unique(table.people()[kept], return_inverse=True)
+    if len(people) < 2:
+        raise InputError(f"users must be at least two, got {len(people)}: weights from one user say nothing of others")
+    weights, loadings, variances = weights_of(scaled.T @ scaled / len(scaled))
+    _, first_rows = np.unique(person, return_index=True)
+    groups = np.unique(table.group[kept][first_rows], return_inverse=True)[1].astype(np.int64)
+    methods, method = np.unique(table.method[kept], return_inverse=True)
+    drawn = drawn_users(groups, count, rng)
+    times = np.stack([np.bincount(each, minlength=len(people)) for each in drawn]).astype(float)
+    again, sums = _resampled(scaled, person, method, times, len(methods))
+    tail = 100.0 * 0.5 * (1.0 - LEVEL)
+    own = np.stack([scaled[method == each].mean(axis=0) for each in range(len(methods))]) @ weights
+    spread = np.percentile(again, [tail, 100.0 - tail], axis=0)
+    reach = np.percentile(np.einsum("bmk,bk->bm", sums, again), [tail, 100.0 - tail], axis=0)
+    values = np.full(len(table), np.nan)
+    values[kept] = scaled @ weights
+    return Index(
+        names,
+        _effects(names, weights, spread),
+        tuple(loadings.tolist()),
+        float(variances[0] / variances.sum()),
+        values,
+        _effects(methods.tolist(), own, reach),
+        _checks(loadings, variances, spread),
+    )
+
+
+def _resampled(
+    scaled: Array, person: NDArray[np.int64], method: NDArray[np.int64], times: Array, method_count: int
+) -> tuple[Array, Array]:
+    """Weights and means of each method's metrics in populations where user u stands times[b, u] times."""
+    people, width = times.shape[1], scaled.shape[1]
+    columns = [np.bincount(person, scaled[:, a] * scaled[:, b]) for a in range(width) for b in range(width)]
+    squares = np.stack(columns, axis=1)
+    total = times @ np.bincount(person)
+    middle = times @ np.stack([np.bincount(person, column) for column in scaled.T], axis=1) / total[:, None]
+    spread = (times @ squares / total[:, None]).reshape(-1, width, width) - middle[:, :, None] * middle[:, None, :]
+    size = np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
+    weights, _, _ = weights_of(spread / size[:, :, None] / size[:, None, :])
+    at = person * method_count + method
+    shape = (people, method_count)
+    counts = np.bincount(at, minlength=people * method_count).reshape(shape).astype(float)
+    sums = np.stack([np.bincount(at, each, people * method_count).reshape(shape) for each in scaled.T], axis=2)
+    # A method that a drawn population does not hold keeps no mean; NaN would spread to every percentile.
+    means = np.einsum("bu,umk->bmk", times, sums) / np.maximum(times @ counts, 1.0)[:, :, None]
+    return weights, means
+
+
+def _checks(loadings: Array, variances: Array, spread: Array) -> tuple[Assumption, ...]:
+    """Whether one number may stand for these metrics."""
+    agree = bool((loadings > -1e-9).all())
+    gap = float(variances[0] / max(float(variances[1]), 1e-300))
+    widest = float((spread[1] - spread[0]).max())
+    return (
+        Assumption(
+            "metrics agree",
+            agree,
+            "better by one metric goes with worse by another, so the weights mix both"
+            if not agree
+            else "all loadings have one sign",
+        ),
+        Assumption(
+            "first component stands out",
+            gap >= SMALLEST_GAP,
+            f"the first component has {gap:.2f} times the variance of the second",
+        ),
+        Assumption("weights are stable", widest <= 0.5, f"weights move by up to {widest:.2f} with the users drawn"),
+    )
+
+
+def _effects(names: Sequence[str], values: Array, limits: Array) -> tuple[Effect, ...]:
+    """Values by name with the limits of each, shape (2, values)."""
+    return tuple(Effect(*each) for each in zip(names, values.tolist(), *limits.tolist(), strict=True))

@@ -1,0 +1,227 @@
+"""Metrics of one trial: how true the force was, how late, how smooth the motion, how near the aim."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from meshes.base.errors import InputError, require_positive
+
+__all__ = [
+    "acceleration_change_m_s2",
+    "completion_time_s",
+    "force_error",
+    "force_mae_N",
+    "force_rms_N",
+    "latency_ms",
+    "overshoot_mm",
+    "position_error_mm",
+    "spectral_arc_length",
+]
+
+Array = NDArray[np.float64]
+SPARC_CUTOFF_HZ = 10.0
+"""Highest frequency of a hand's movement that counts (Balasubramanian et al. 2015; 5 to 20 Hz in use)."""
+SPARC_AMPLITUDE = 0.05
+"""Share of the spectrum's peak below which it is noise (Balasubramanian et al. 2015)."""
+SPARC_PADDING = 4
+"""Powers of two by which the spectrum is sampled finer (Balasubramanian et al. 2015)."""
+
+
+def force_error(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
+    """Normalised L2 error ||F - F_ideal|| / ||F_ideal|| over all ticks and components; 0 is perfect.
+
+    Parameters
+    ----------
+    force_N, ideal_N
+        The force that was played and the ideal one [N], shape (ticks,) or (ticks, 3).
+
+    Raises
+    ------
+    InputError
+        If a force is not finite, the shapes differ, or the ideal force is zero throughout.
+    """
+    force, ideal = _pair("force_N", force_N, "ideal_N", ideal_N)
+    size = float(np.linalg.norm(ideal))
+    if size == 0.0:
+        raise InputError("ideal_N must not be zero throughout, got no contact: cut the trial to its contact")
+    return float(np.linalg.norm(force - ideal)) / size
+
+
+def force_mae_N(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
+    """Mean over ticks of the size of the force's error [N]; arguments as for :func:`force_error`."""
+    force, ideal = _pair("force_N", force_N, "ideal_N", ideal_N)
+    return float(np.linalg.norm(force - ideal, axis=1).mean())
+
+
+def force_rms_N(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
+    """Root mean square over ticks of the size of the force's error [N]; arguments as for :func:`force_error`."""
+    force, ideal = _pair("force_N", force_N, "ideal_N", ideal_N)
+    return float(np.sqrt(((force - ideal) ** 2).sum(axis=1).mean()))
+
+
+def latency_ms(force_N: ArrayLike, ideal_N: ArrayLike, *, tick_s: float, longest_ms: float = 50.0) -> float:
+    """How far the played force lags the ideal one [ms]: the shift at which the two correlate best.
+
+    The correlation is taken over the overlap, its peak by a parabola through three shifts. A force that leads, as a
+    predicted one may, gives a negative value.
+
+    Parameters
+    ----------
+    force_N, ideal_N
+        The force that was played and the undelayed one [N], shape (ticks,) or (ticks, 3).
+    tick_s
+        Time from tick to tick [s].
+    longest_ms
+        Largest shift that is looked at, either way [ms].
+
+    Raises
+    ------
+    InputError
+        If a force is constant, or the best shift lies at the end of the range, where it is not known to be the best.
+    """
+    force, ideal = _pair("force_N", force_N, "ideal_N", ideal_N)
+    require_positive("tick_s", tick_s, "use 0.001")
+    reach = round(1e-3 * require_positive("longest_ms", longest_ms, "use 50") / tick_s)
+    if not 1 <= reach < len(force) // 2:
+        raise InputError(
+            f"longest_ms must span a tick and less than half of the trial, got {longest_ms:g} for {len(force)} ticks: "
+            "use 50 ms and a longer trial"
+        )
+    for name, signal in (("force_N", force), ("ideal_N", ideal)):
+        if np.ptp(signal, axis=0).max() == 0.0:
+            raise InputError(f"{name} must vary, got a constant: a lag shows only where the force changes")
+    match = np.array([_correlation(force, ideal, shift) for shift in range(-reach, reach + 1)])
+    best = int(match.argmax())
+    if best in (0, 2 * reach):
+        raise InputError(f"longest_ms must exceed the lag, got {longest_ms:g}: use a larger one")
+    before, peak, after = match[best - 1 : best + 2]
+    curved = before - 2.0 * peak + after
+    part = 0.5 * (before - after) / curved if curved < 0.0 else 0.0
+    return float((best - reach + part) * tick_s * 1e3)
+
+
+def acceleration_change_m_s2(velocity_mm_s: ArrayLike, *, tick_s: float) -> float:
+    """Mean size of the change of acceleration from tick to tick [m/s^2]; lower is smoother.
+
+    This is the published "smoothness index" as its formula prints it: mean |dv[i+1]/dt - dv[i]/dt|. It is a jerk times
+    the tick, so it is compared only between trials of one tick, and it grows with roughness, though its published
+    table reads as if higher were better.
+
+    Parameters
+    ----------
+    velocity_mm_s
+        Velocity of the tool [mm/s], shape (ticks,) or (ticks, 3), at least three ticks.
+    tick_s
+        Time from tick to tick [s].
+    """
+    velocity = _signal("velocity_mm_s", velocity_mm_s, at_least=3)
+    second = np.diff(velocity, 2, axis=0) / require_positive("tick_s", tick_s, "use 0.001")
+    return float(np.linalg.norm(second, axis=1).mean()) * 1e-3
+
+
+def spectral_arc_length(
+    speed_mm_s: ArrayLike,
+    *,
+    tick_s: float,
+    cutoff_Hz: float = SPARC_CUTOFF_HZ,
+    amplitude: float = SPARC_AMPLITUDE,
+) -> float:
+    """Spectral arc length of a movement (SPARC, Balasubramanian et al. 2012, 2015); nearer to zero is smoother.
+
+    Minus the length of the normalised magnitude spectrum of the speed, from its first to its last frequency at or above
+    `amplitude`, up to `cutoff_Hz`. It has no unit and depends neither on the movement's size nor, below the cutoff, on
+    its duration.
+
+    Parameters
+    ----------
+    speed_mm_s
+        Size of the velocity [mm/s], shape (ticks,), from rest to rest.
+    tick_s
+        Time from tick to tick [s].
+    """
+    speed = _signal("speed_mm_s", speed_mm_s, at_least=3)[:, 0]
+    if speed.min() < 0.0 or speed.max() == 0.0:
+        raise InputError(
+            f"speed_mm_s must be non-negative and not zero throughout, got {speed.min():g} to {speed.max():g}: "
+            "pass the size of the velocity while the tool moves"
+        )
+    count = 2 ** (int(np.ceil(np.log2(len(speed)))) + SPARC_PADDING)
+    frequencies = np.fft.rfftfreq(count, require_positive("tick_s", tick_s, "use 0.001"))
+    spectrum = np.abs(np.fft.rfft(speed, count))
+    spectrum /= spectrum.max()
+    kept = frequencies <= require_positive("cutoff_Hz", cutoff_Hz, "use 10")
+    loud = np.flatnonzero(kept & (spectrum >= amplitude))
+    chosen = slice(loud[0], loud[-1] + 1)
+    span = frequencies[chosen][-1] - frequencies[chosen][0]
+    if span == 0.0:
+        raise InputError(f"speed_mm_s must hold a movement, got one frequency below {cutoff_Hz:g} Hz: use a longer one")
+    steps = np.hypot(np.diff(frequencies[chosen]) / span, np.diff(spectrum[chosen]))
+    return -float(steps.sum())
+
+
+def position_error_mm(position_mm: ArrayLike, target_mm: ArrayLike) -> float:
+    """Mean distance of the tip from where it should be [mm], shapes (ticks, 3) and (ticks, 3) or (3,)."""
+    position = _signal("position_mm", position_mm, at_least=1)
+    target = np.broadcast_to(_signal("target_mm", np.atleast_2d(target_mm), at_least=1), position.shape)
+    return float(np.linalg.norm(position - target, axis=1).mean())
+
+
+def completion_time_s(time_s: ArrayLike, done: ArrayLike) -> float:
+    """Time from the first tick until the task is done and stays done [s]; infinite if it is not done at the end.
+
+    Parameters
+    ----------
+    time_s
+        Time of every tick [s], shape (ticks,).
+    done
+        Whether the task's condition holds, shape (ticks,).
+    """
+    times = _signal("time_s", time_s, at_least=1)[:, 0]
+    holds = np.asarray(done, dtype=bool)
+    if holds.shape != times.shape:
+        raise InputError(f"done must have one entry a tick, got {holds.shape} for {len(times)}: pass both of one trial")
+    if not holds[-1]:
+        return float("inf")
+    open_ticks = np.flatnonzero(~holds)
+    first = int(open_ticks[-1]) + 1 if len(open_ticks) else 0
+    return float(times[first] - times[0])
+
+
+def overshoot_mm(depth_mm: ArrayLike, *, target_mm: float) -> float:
+    """How far the tip went beyond its target depth [mm], zero if it did not; `depth_mm` has shape (ticks,)."""
+    depth = _signal("depth_mm", depth_mm, at_least=1)
+    if not np.isfinite(target_mm):
+        raise InputError(f"target_mm must be finite, got {target_mm}: give the depth that was aimed at")
+    return max(0.0, float(depth.max()) - float(target_mm))
+
+
+def _correlation(force: Array, ideal: Array, shift: int) -> float:
+    """Correlation of force[t + shift] with ideal[t] over the ticks that both have."""
+    late, early = (force[shift:], ideal[: len(ideal) - shift]) if shift >= 0 else (force[:shift], ideal[-shift:])
+    late, early = late - late.mean(axis=0), early - early.mean(axis=0)
+    sizes = float(np.linalg.norm(late) * np.linalg.norm(early))
+    return float((late * early).sum()) / sizes if sizes > 0.0 else -1.0
+
+
+def _signal(name: str, values: ArrayLike, *, at_least: int) -> Array:
+    """Samples as an array of shape (ticks, components), all finite."""
+    array = np.asarray(values, dtype=float)
+    if array.ndim not in (1, 2) or len(array) < at_least:
+        raise InputError(
+            f"{name} must have shape (ticks,) or (ticks, components) with at least {at_least} ticks, "
+            f"got {array.shape}: pass the columns of a trace"
+        )
+    if not np.isfinite(array).all():
+        bad = int(np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))[0])
+        raise InputError(f"{name} must be finite, got {array[bad]} at tick {bad}: mark the trial as failed")
+    return array.reshape(len(array), -1)
+
+
+def _pair(first_name: str, first: ArrayLike, second_name: str, second: ArrayLike) -> tuple[Array, Array]:
+    """Two signals of one shape."""
+    one, other = _signal(first_name, first, at_least=1), _signal(second_name, second, at_least=1)
+    if one.shape != other.shape:
+        raise InputError(
+            f"{first_name} must have the shape of {second_name}, got {one.shape} and {other.shape}: "
+            "pass both on the same ticks"
+        )
+    return one, other

@@ -1,0 +1,208 @@
+"""Linear mixed models with random users, by statsmodels."""
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import f, t
+
+from meshes.base.errors import InputError
+from tissue.evaluation.statistics.components import Components, balanced_components, balanced_values
+from tissue.evaluation.statistics.effects import partial_eta_squared
+from tissue.evaluation.statistics.normality import normal_residuals
+from tissue.evaluation.statistics.outcome import LEVEL, Assumption, Effect, Outcome, studied
+from tissue.evaluation.statistics.trials import TrialTable
+
+__all__ = ["MixedModel", "mixed_model"]
+
+ITERATIONS = 400
+"""After so many the fit counts as not converged."""
+LEAST = 1e-6
+"""Share of the variance that must be left over for the likelihood to be bounded."""
+APART = 0.02
+"""Share of the variance by which a fit may miss the closed form."""
+
+
+@dataclass(frozen=True)
+class MixedModel:
+    """A fitted mixed model.
+
+    Attributes
+    ----------
+    metric
+        What was fitted, with its unit.
+    components
+        Variances of users, of users by method, of trials and of the rest.
+    coefficients
+        Fixed effects as deviations from the grand mean, with intervals from t with the degrees of freedom of
+        their stratum.
+    tests
+        One of each fixed effect: F with the degrees of freedom of the stratum that it is tested in.
+    """
+
+    metric: str
+    components: Components
+    coefficients: tuple[Effect, ...]
+    tests: tuple[Outcome, ...]
+
+    @property
+    def sentence(self) -> str:
+        """The shares of variance in words."""
+        shares: Mapping[str, float] = vars(self.components)
+        total = sum(shares.values())
+        told = ", ".join(f"{name.replace('_', ' by ')} {100.0 * value / total:.0f} %" for name, value in shares.items())
+        return f"{self.metric}: variance by {told}."
+
+
+def mixed_model(table: TrialTable, metric: str) -> MixedModel:
+    """Fit metric = mean + group x method (x task) + user + user by method + trial + rest by restricted likelihood.
+
+    Users who differ in how they take the methods have a term of their own: without it the methods' test would count
+    trials of one user as independent (Barr et al. 2013). Trials that several methods render have one too. Terms that
+    the table cannot tell apart (one trial a cell) are left out. Wald's statistic is referred to F with the degrees
+    of freedom of its stratum, not to chi squared, which rejects too often with few users; in a complete design this is
+    the exact test of :func:`tissue.evaluation.statistics.strata.strata` wherever no variance is estimated as zero.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to compare, or a group keeps fewer than two users.
+    """
+    within = [name for name in ("task", "method") if len(np.unique(getattr(table, name))) > 1]
+    cells = table.cells(metric, within=within or ["method"])
+    group_count, user_count = len(cells.group_names), len(cells.users)
+    if not within and group_count < 2:
+        raise InputError("table must hold two groups, tasks or methods, got one of each: there is nothing to compare")
+    studied()
+    import pandas as pd
+    from statsmodels.formula.api import mixedlm
+
+    kept = table.complete()
+    frame = pd.DataFrame(
+        {
+            "value": kept.values(metric),
+            **{name: getattr(kept, name) for name in ("group", "task", "method")},
+            "user": kept.people(),
+            "trial": np.char.add(np.char.add(kept.task, "/"), kept.trial.astype(str)),
+        }
+    )
+    frame = frame[frame["user"].isin(cells.users)]
+    factors = [*(["group"] if group_count > 1 else []), *within]
+    parts = {name: f"0 + C({name})" for name in within if (cells.counts > 1).any()}
+    if {"task", "method"} <= set(parts):
+        parts["both"] = "0 + C(task):C(method)"
+    if "method" in parts and frame.duplicated(["user", "trial"]).any():
+        parts["trial"] = "0 + C(trial)"
+    scale = float(frame["value"].std())
+    frame["value"] = frame["value"] / scale
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        model = mixedlm(
+            "value ~ " + " * ".join(f"C({name}, Sum)" for name in factors),
+            frame,
+            groups="user",
+            re_formula="1",
+            vc_formula=parts or None,
+        )
+        fitted = model.fit(reml=True, maxiter=ITERATIONS)
+    found = dict(zip(model.exog_vc.names if parts else (), fitted.vcomp, strict=True))
+    variances = (
+        fitted.cov_re.iloc[0, 0],
+        found.get("method", 0.0) + found.get("both", 0.0),
+        found.get("trial", 0.0),
+        fitted.scale,
+        found.get("task", 0.0),
+    )
+    components = Components(*(scale**2 * float(each) for each in variances))
+    assumptions = (
+        _convergence(bool(fitted.converged), components, _closed(table, metric), _warned(caught)),
+        normal_residuals(fitted.resid),
+        *_normal_users(fitted),
+    )
+    free = user_count - group_count
+    return MixedModel(
+        metric,
+        components,
+        _coefficients(fitted, scale, free),
+        tuple(_tests(fitted, metric, free, assumptions)),
+    )
+
+
+def _closed(table: TrialTable, metric: str) -> Components | None:
+    """The closed form's variances where the table is complete and none of them is zero."""
+    try:
+        found = balanced_components(*balanced_values(table, metric))
+    except InputError:
+        return None
+    return found if min(found.user, found.user_method, found.trial) > 0.0 else None
+
+
+def _convergence(said: bool, found: Components, closed: Components | None, warned: str) -> Assumption:
+    """Whether the optimiser is at the maximum, which it has been seen to claim wrongly."""
+    name, total = "convergence", sum(vars(found).values())
+    if not said:
+        return Assumption(name, False, f"restricted likelihood not at its maximum in {ITERATIONS} steps: {warned}")
+    if found.residual < LEAST * total:
+        return Assumption(name, False, "restricted likelihood has no maximum: nothing varies beside users and trials")
+    if closed is not None:
+        off = max(abs(vars(found)[part] - value) for part, value in vars(closed).items()) / total
+        if off > APART:
+            return Assumption(name, False, f"variances lie {100.0 * off:.0f} % of the total from the closed form")
+    return Assumption(name, True, "restricted likelihood at its maximum")
+
+
+def _freedom(fitted: Any, name: str, free: int) -> int:
+    """Degrees of freedom of the stratum of a term or coefficient: users times what changes within them."""
+    levels = fitted.model.data.frame.nunique()
+    for factor in ("task", "method"):
+        free *= int(levels[factor]) - 1 if f"C({factor}" in name else 1
+    return free
+
+
+def _coefficients(fitted: Any, scale: float, free: int) -> tuple[Effect, ...]:
+    """Fixed effects in the metric's unit."""
+    found = []
+    for name, value, error in zip(fitted.fe_params.index, fitted.fe_params, fitted.bse_fe, strict=True):
+        half = float(t.ppf(0.5 * (1.0 + LEVEL), _freedom(fitted, name, free))) * error
+        found.append(Effect(_plain(name), *(scale * float(each) for each in (value, value - half, value + half))))
+    return tuple(found)
+
+
+def _tests(fitted: Any, metric: str, free: int, assumptions: tuple[Assumption, ...]) -> list[Outcome]:
+    """Wald's F of every effect, in its stratum."""
+    found = []
+    for term, row in fitted.wald_test_terms(scalar=True).table.iterrows():
+        if term == "Intercept":
+            continue
+        above, below = int(row["df_constraint"]), _freedom(fitted, term, free)
+        statistic = float(row["statistic"]) / above
+        found.append(
+            Outcome(
+                "mixed model",
+                f"{metric}: {_plain(term)}",
+                "F",
+                statistic,
+                (above, below),
+                float(f.sf(statistic, above, below)),
+                partial_eta_squared(statistic, above, below),
+                assumptions,
+            )
+        )
+    return found
+
+
+def _normal_users(fitted: Any) -> list[Assumption]:
+    """Normality of the estimated effects of users, where there are enough and they are not all zero."""
+    users = np.array([float(each.iloc[0]) for each in fitted.random_effects.values()])
+    return [normal_residuals(users, name="normal users")] if len(users) >= 8 and np.ptp(users) > 1e-9 else []
+
+
+def _plain(name: str) -> str:
+    """A term of the formula as a person reads it."""
+    return name.replace("C(", "").replace(", Sum)", "").replace("[S.", " ").replace("]", "").replace(":", " x ")
+
+
+def _warned(caught: list[warnings.WarningMessage]) -> str:
+    return str(caught[-1].message).split("\n")[0] if caught else "no reason given"

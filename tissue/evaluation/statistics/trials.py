@@ -1,0 +1,290 @@
+"""The table of a study: one row a trial and method, in an order that does not depend on who finished first."""
+
+import csv
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise, product
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from meshes.base.whole_file import whole_file
+
+__all__ = ["FACTORS", "Cells", "TrialTable"]
+
+Array = NDArray[np.float64]
+Text = NDArray[np.str_]
+Ints = NDArray[np.int64]
+FACTORS = ("task", "group", "method")
+"""What trials are compared by."""
+KEY = ("task", "group", "user", "trial", "method")
+KEYS = (*KEY, "seed", "failure")
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Means of one metric over the trials of each user at each level, the unit that tests of a study compare.
+
+    Attributes
+    ----------
+    metric
+        Name of the metric, with its unit.
+    values
+        Mean over a user's trials, shape (users, levels).
+    counts
+        Trials behind each mean, shape (users, levels).
+    groups
+        Index into `group_names`, shape (users,).
+    users
+        Label of every user.
+    factors
+        Names of the crossed factors within users and their levels, the last one changing fastest along `levels`.
+    dropped
+        Users left out because every trial of theirs at some level failed.
+    """
+
+    metric: str
+    values: Array
+    counts: Ints
+    groups: Ints
+    group_names: tuple[str, ...]
+    users: tuple[str, ...]
+    factors: tuple[tuple[str, tuple[str, ...]], ...]
+    dropped: tuple[str, ...] = ()
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Number of levels of every factor within users."""
+        return tuple(len(levels) for _, levels in self.factors)
+
+
+@dataclass(frozen=True)
+class TrialTable:
+    """Trials of a study, sorted by task, group, user, trial and method.
+
+    Attributes
+    ----------
+    task, group, user, method
+        Labels, shape (rows,). Users of one label in two groups are two users.
+    trial, seed
+        Number of the trial within its task, group and user, and the seed that reproduces it, shape (rows,).
+    failure
+        Empty, or why the trial failed; its metrics are then NaN.
+    metrics
+        Values by name, the unit in the name, each of shape (rows,).
+
+    Raises
+    ------
+    InputError
+        If columns differ in length, a trial stands twice, or a metric of a trial that did not fail is not finite.
+    """
+
+    task: Text
+    group: Text
+    user: Text
+    trial: Ints
+    method: Text
+    seed: Ints
+    failure: Text
+    metrics: Mapping[str, Array]
+
+    def __post_init__(self) -> None:
+        columns: dict[str, NDArray[Any]] = {name: np.asarray(getattr(self, name)) for name in KEYS}
+        columns |= {name: np.asarray(values, dtype=float) for name, values in self.metrics.items()}
+        count = len(columns["task"])
+        for name, values in columns.items():
+            if values.shape != (count,):
+                raise InputError(f"{name} must have one entry a row, got {values.shape} for {count} rows: fill it up")
+        for name in ("trial", "seed"):
+            columns[name] = columns[name].astype(np.int64)
+        order = np.lexsort([columns[name] for name in reversed(KEY)])
+        for name in KEYS:
+            object.__setattr__(self, name, columns[name][order])
+        sorted_metrics = {name: columns[name][order] for name in self.metrics}
+        object.__setattr__(self, "metrics", MappingProxyType(sorted_metrics))
+        rows = list(zip(*(getattr(self, name).tolist() for name in KEY), strict=True))
+        for before, after in pairwise(rows):
+            if before == after:
+                raise InputError(f"trial must stand once a method, got {_told(after)} twice: leave one out")
+        for name, values in sorted_metrics.items():
+            bad = np.flatnonzero(~np.isfinite(values) & (self.failure == ""))
+            if len(bad):
+                raise InputError(
+                    f"{name} must be finite in a trial that did not fail, got {values[bad[0]]} in "
+                    f"{_told(rows[bad[0]])}: give the reason in failure"
+                )
+
+    @classmethod
+    def from_rows(cls, rows: Iterable[Mapping[str, Any]]) -> "TrialTable":
+        """A table of rows that hold the keys and metrics by name; `failure` may be left out, and metrics of a failure.
+
+        Raises
+        ------
+        InputError
+            If there is no row, or one lacks a key.
+        """
+        listed = list(rows)
+        if not listed:
+            raise InputError("rows must hold at least one trial, got none: run the study first")
+        missing = [name for name in KEYS if name != "failure" and any(name not in row for row in listed)]
+        if missing:
+            raise InputError(f"rows must each hold {', '.join(KEYS)}, got one without {missing[0]}: add it")
+        names = list(dict.fromkeys(name for row in listed for name in row if name not in KEYS))
+        labels = {name: np.array([str(row.get(name, "")) for row in listed]) for name in KEYS}
+        return cls(
+            labels["task"],
+            labels["group"],
+            labels["user"],
+            labels["trial"].astype(np.int64),
+            labels["method"],
+            labels["seed"].astype(np.int64),
+            labels["failure"],
+            {name: np.array([float(row.get(name, np.nan)) for row in listed]) for name in names},
+        )
+
+    def write_csv(self, path: Path) -> None:
+        """Write the table; the same trials give the same bytes, and reading them back the same bits."""
+        columns = [getattr(self, name).tolist() for name in KEYS]
+        columns += [[repr(value) for value in values.tolist()] for values in self.metrics.values()]
+        with whole_file(path) as beside, beside.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow([*KEYS, *self.metrics])
+            writer.writerows(zip(*columns, strict=True))
+
+    @classmethod
+    def read_csv(cls, path: Path) -> "TrialTable":
+        """Read a table that :meth:`write_csv` wrote.
+
+        Raises
+        ------
+        InputError
+            If the file is not such a table, or a line of it is cut short.
+        """
+        try:
+            with path.open(encoding="utf-8", newline="") as file:
+                rows = list(csv.reader(file, strict=True))
+        except OSError as problem:
+            raise InputError(
+                f"table must be a file that can be read, got {path} ({problem.strerror}): give a study's trials.csv"
+            ) from None
+        except (UnicodeDecodeError, csv.Error) as problem:
+            raise InputError(f"table must be CSV, got other data in {path}: give a study's trials.csv") from problem
+        if not rows or tuple(rows[0][: len(KEYS)]) != KEYS:
+            raise InputError(f"table must begin with {','.join(KEYS)}, got {path}: give a study's trials.csv")
+        for line, row in enumerate(rows[1:], start=2):
+            if len(row) != len(rows[0]):
+                raise InputError(f"table must hold whole lines, got line {line} of {path} cut short: run the study on")
+        try:
+            return cls.from_rows(dict(zip(rows[0], row, strict=True)) for row in rows[1:])
+        except InputError:
+            raise
+        except (ValueError, OverflowError) as problem:
+            raise InputError(
+                f"table must hold whole numbers for trial and seed and numbers for metrics, got others in {path}: run "
+                "the study on"
+            ) from problem
+
+    def __len__(self) -> int:
+        return len(self.task)
+
+    @cached_property
+    def failed(self) -> int:
+        """Number of rows that failed."""
+        return int((self.failure != "").sum())
+
+    def where(self, **chosen: str | Sequence[str]) -> "TrialTable":
+        """Rows whose labels are among those chosen, such as ``where(task="wall", method=["penalty", "koopman"])``.
+
+        Raises
+        ------
+        InputError
+            If a column or a label is not in the table.
+        """
+        kept = np.ones(len(self), dtype=bool)
+        for name, wanted in chosen.items():
+            if name not in ("task", "group", "user", "method"):
+                raise InputError(f"column must be one of task, group, user, method, got {name}: choose by one of those")
+            column = getattr(self, name)
+            labels = [wanted] if isinstance(wanted, str) else list(wanted)
+            for label in labels:
+                if label not in column:
+                    known = ", ".join(np.unique(column).tolist())
+                    raise InputError(f"{name} {label!r} must have trials, got none: choose among {known}")
+            kept &= np.isin(column, labels)
+        return self._rows(kept)
+
+    def values(self, metric: str) -> Array:
+        """One metric over the rows, NaN where a trial failed."""
+        if metric not in self.metrics:
+            raise InputError(f"metric must be one of {', '.join(self.metrics)}, got {metric}: choose one of those")
+        return self.metrics[metric]
+
+    def people(self) -> Text:
+        """Label of the user of every row, its group in front, shape (rows,)."""
+        return np.char.add(np.char.add(self.group, "/"), self.user)
+
+    def complete(self) -> "TrialTable":
+        """Rows that did not fail."""
+        return self._rows(self.failure == "")
+
+    def cells(self, metric: str, *, within: Sequence[str] = ("method",)) -> Cells:
+        """Means of a metric over each user's trials, by the factors that change within a user.
+
+        Raises
+        ------
+        InputError
+            If a group keeps fewer than two users, or the metric is constant.
+        """
+        values = self.values(metric)
+        for name in within:
+            if name not in ("task", "method"):
+                raise InputError(f"within must be of task and method, got {name}: users do not change their group")
+        kept = self.failure == ""
+        factors = tuple((name, tuple(np.unique(getattr(self, name)).tolist())) for name in within)
+        labels = list(product(*(levels for _, levels in factors)))
+        names, person = np.unique(self.people(), return_inverse=True)
+        level = np.zeros(len(self), dtype=np.int64)
+        for name, levels in factors:
+            level = level * len(levels) + np.searchsorted(levels, getattr(self, name))
+        at = (person[kept], level[kept])
+        counts = np.zeros((len(names), len(labels)), dtype=np.int64)
+        sums = np.zeros(counts.shape)
+        np.add.at(counts, at, 1)
+        np.add.at(sums, at, values[kept])
+        whole = (counts > 0).all(axis=1)
+        group_names = tuple(np.unique(self.group).tolist())
+        _, first = np.unique(person, return_index=True)
+        groups = np.searchsorted(group_names, self.group[first]).astype(np.int64)
+        for index, group in enumerate(group_names):
+            count = int((whole & (groups == index)).sum())
+            if count < 2:
+                raise InputError(
+                    f"group {group} must keep at least two users with trials of {metric} at every level, got {count}: "
+                    "add users or leave the group out"
+                )
+        means = sums[whole] / counts[whole]
+        if np.ptp(values[kept]) == 0.0:
+            raise InputError(f"{metric} must vary over the trials, got {values[kept][0]:g} in all: leave it out")
+        return Cells(
+            metric,
+            means,
+            counts[whole],
+            groups[whole],
+            group_names,
+            tuple(names[whole].tolist()),
+            factors,
+            tuple(names[~whole].tolist()),
+        )
+
+    def _rows(self, kept: NDArray[np.bool_]) -> "TrialTable":
+        columns = {name: getattr(self, name)[kept] for name in KEYS}
+        return TrialTable(**columns, metrics={name: values[kept] for name, values in self.metrics.items()})
+
+
+def _told(row: Sequence[object]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in zip(KEY, row, strict=True))

@@ -1,0 +1,123 @@
+"""What is measured of a run by a hand: metrics that every task has, and those of one task alone."""
+
+from itertools import pairwise
+from math import isfinite
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from tissue.evaluation.statistics import metrics
+from tissue.perception.observer import Observer
+from tissue.perception.population import reference_observer
+from tissue.scene.tool import PathMotion
+from tissue.simulation.reference_force import played_force_N, stretch_force_N
+from tissue.simulation.run import Run
+from tissue.simulation.simulate import TICK_S
+
+__all__ = ["measured"]
+
+Array = NDArray[np.float64]
+ARRIVED_MM = 2.0
+"""Distance from the path's end within which a task counts as done."""
+TOUCHES = 0.05
+"""Share of a trial's greatest force above which a contact counts."""
+WINDOW_S = 0.1
+"""Time over which a person averages a force; `integration_s` in perception.toml."""
+
+
+def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict[str, float]:
+    """Metrics of a run, by name with their unit.
+
+    Parameters
+    ----------
+    run
+        A run by a hand on a device.
+    task
+        Name of the task; some have measures of their own.
+    person
+        Who feels the force.
+    wanted_mm
+        Path that the tool should take, corner by corner [mm], shape (corners, 3).
+
+    Raises
+    ------
+    InputError
+        If nothing was touched, or what the task asks for did not happen.
+    """
+    trace = run.trace
+    played, ideal = played_force_N(trace), stretch_force_N(run)
+    size = np.linalg.norm(ideal, axis=1)
+    if not size.any():
+        raise InputError("tool must touch in a trial, got no contact: look at the scene's path")
+    touching = size > TOUCHES * size.max()
+    velocity = trace.vectors("velocity", "mm_s")
+    tip = trace.vectors("tool", "mm")
+    assert isinstance(run.scene.motion, PathMotion)
+    done = np.linalg.norm(tip - np.array(run.scene.motion.points_mm[-1]), axis=1) < ARRIVED_MM
+    took = metrics.completion_time_s(trace["time_s"], done & (np.cumsum(~done) > 0))
+    found = {
+        "force_error": metrics.force_error(played, ideal),
+        "perceived_error": _perceived_error(trace.vectors("device_force", "N"), ideal, person),
+        "force_mae_N": metrics.force_mae_N(played, ideal),
+        "force_rms_N": metrics.force_rms_N(played, ideal),
+        "latency_ms": metrics.latency_ms(played, ideal, tick_s=TICK_S),
+        "position_error_mm": float(_from_path(tip, wanted_mm).mean()),
+        "time_s": took if isfinite(took) else float(trace["time_s"][-1]),
+        "completed": float(isfinite(took)),
+        "acceleration_change_m_s2": metrics.acceleration_change_m_s2(velocity, tick_s=TICK_S),
+        "spectral_arc_length": metrics.spectral_arc_length(np.linalg.norm(velocity, axis=1), tick_s=TICK_S),
+        "peak_force_N": float(size.max()),
+        "level_N": float(size[touching].mean()),
+    }
+    match task:
+        case "needle":
+            found |= _pierced(run, wanted_mm)
+        case "reaming":
+            found |= _reamed(run, touching)
+    return found
+
+
+def _pierced(run: Run, wanted_mm: Array) -> dict[str, float]:
+    """How far the needle went too deep, and the force before and after the capsule gave way."""
+    puncture = next((time for time, what in run.events if "capsule" in what), None)
+    if puncture is None:
+        raise InputError("capsule must be punctured in a trial, got a needle that did not come through: aim deeper")
+    at, window = round(puncture / TICK_S), round(WINDOW_S / TICK_S)
+    size = np.linalg.norm(run.trace.vectors("raw_force", "N"), axis=1)
+    return {
+        "overshoot_mm": metrics.overshoot_mm(-run.trace["tool_z_mm"], target_mm=-float(wanted_mm[:, 2].min())),
+        "capsule_N": float(size[max(0, at - window) : at].mean()),
+        "parenchyma_N": float(size[at + 1 : at + 1 + window].mean()),
+    }
+
+
+def _reamed(run: Run, touching: NDArray[np.bool_]) -> dict[str, float]:
+    """Tracking error in newtons at the reamer, and its torque while it cuts."""
+    scale = run.scene.force_scale
+    torque = np.abs(run.trace["model_torque_z_Nm"][touching])
+    windows = [part.mean() for part in np.array_split(torque, max(1, round(len(torque) * TICK_S / WINDOW_S)))]
+    played, ideal = played_force_N(run.trace), stretch_force_N(run)
+    return {
+        "tracking_rms_N": metrics.force_rms_N(played, ideal) / scale,
+        "torque_Nm": float(np.mean(windows)),
+        "torque_scatter_Nm": float(np.std(windows)),
+    }
+
+
+def _perceived_error(played_N: Array, ideal_N: Array, person: Observer) -> float:
+    """Error of the intensity that is felt by this person, ||S(F) - S_ref(F_ideal)|| / ||S_ref(F_ideal)||."""
+    reference = reference_observer()
+    felt = person.alpha * np.linalg.norm(played_N, axis=1) ** person.beta
+    meant = reference.alpha * np.linalg.norm(ideal_N, axis=1) ** reference.beta
+    return metrics.force_error(felt, meant)
+
+
+def _from_path(tip_mm: Array, path_mm: Array) -> Array:
+    """Distance of tips from a path of straight legs [mm], shape (n,)."""
+    nearest = np.full(len(tip_mm), np.inf)
+    for start, end in pairwise(path_mm):
+        leg = end - start
+        along = np.clip((tip_mm - start) @ leg / max(float(leg @ leg), 1e-12), 0.0, 1.0)
+        nearest = np.minimum(nearest, np.linalg.norm(tip_mm - start - along[:, None] * leg, axis=1))
+    return nearest

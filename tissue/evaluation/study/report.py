@@ -1,0 +1,158 @@
+"""The report of a study: sections as one HTML file that needs nothing beside it, and as CSV."""
+
+from base64 import b64encode
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from meshes.base.errors import InputError
+from meshes.base.file_version import package_version
+from meshes.base.progress import Progress, silent
+from meshes.base.whole_file import whole_file
+from tissue.evaluation.atlas.html import STYLE
+from tissue.evaluation.statistics.trials import TrialTable
+from tissue.evaluation.study.cases import case_sections, discrimination_section
+from tissue.evaluation.study.fidelity import force_section, latency_section, task_section
+from tissue.evaluation.study.folder import StudyFolder
+from tissue.evaluation.study.paper import SOURCE
+from tissue.evaluation.study.parameters import parameters_section
+from tissue.evaluation.study.plan import LATENCY_MS, USERS
+from tissue.evaluation.study.section import Section
+from tissue.evaluation.study.sensitivity import reference_section, sensitivity_section, speed_section
+from tissue.evaluation.study.tasks import TASKS
+from tissue.evaluation.study.tested import composite_section, power_section, regression_section, tests_sections
+from tissue.system.output_lock import output_locked
+
+__all__ = ["sections_of", "write_report"]
+
+WIDE = ".wide { overflow-x: auto; } .wide td { overflow-wrap: break-word; }"
+
+
+def write_report(path: Path, *, tell: Progress = silent) -> tuple[Path, list[str]]:
+    """Write ``report/index.html`` and its tables into a study's folder; its path, and the first sentences of it.
+
+    Raises
+    ------
+    InputError
+        If the folder is no study, holds no trial of the tasks that are compared, or another process writes a report.
+    """
+    folder, out = StudyFolder(path), path / "report"
+    folder.plan()  # refuses what is no study before anything is made in it
+    page = out / "index.html"
+    with output_locked(out, folder=True):
+        sections = sections_of(folder, tell=tell)
+        files = [section.write_csv(out) for section in sections]
+        with whole_file(page) as beside:
+            beside.write_text(_document(sections, files), "utf-8")
+    return page, [sentence for section in sections[:2] for sentence in section.sentences]
+
+
+def sections_of(folder: StudyFolder, *, tell: Progress = silent) -> list[Section]:
+    """All sections that a study's trials allow."""
+    plan = folder.plan()
+    folder.write_tables()
+    rng = np.random.default_rng(plan.seed)
+    sections = [_overview(folder)]
+    tasks = [task for task in plan.tasks if not TASKS[task].case]
+    if tasks:
+        table = folder.table(*tasks)
+        whole = table.complete()
+        if not len(whole):
+            raise InputError(f"study must hold a trial that did not fail, got {table.failed} failures: see trials.csv")
+        tell("force and tasks", 0.1)
+        sections += [force_section(whole), latency_section(whole), task_section(whole)]
+        tell("discrimination", 0.2)
+        sections.append(discrimination_section(folder, whole, plan.seed))
+        tell("tests", 0.4)
+        sections += _tested(table, rng)
+    tell("case studies", 0.9)
+    sections += case_sections(folder, plan.seed)
+    sections += [each for each in (sensitivity_section(folder), reference_section(folder)) if each is not None]
+    return [*sections, speed_section(folder), parameters_section(plan)]
+
+
+def _tested(table: TrialTable, rng: np.random.Generator) -> list[Section]:
+    """All that needs several people a group, or why there is none."""
+    try:
+        tested = tests_sections(table, rng)
+    except InputError as error:
+        return [Section("tests", "Tests", (f"Nothing could be tested: {error}.",))]
+    return [*tested, composite_section(table, rng), regression_section(table), power_section(table, rng)]
+
+
+def _overview(folder: StudyFolder) -> Section:
+    """What was run, what is missing, what failed, and by which parameters."""
+    plan = folder.plan()
+    kept = list(folder.trials(variant=None))
+    failures: dict[str, list[str]] = {}
+    for key, held in kept:
+        for row in held["rows"]:
+            if "failure" in row:
+                failures.setdefault(f"{row['method']}: {row['failure']}", []).append(key.name)
+    rows = []
+    for task in plan.tasks:
+        own = [key for key, _ in kept if key.task == task and not key.variant]
+        groups = ", ".join(f"{group} {sum(key.group == group for key in own)}" for group in plan.groups)
+        rows.append((task, TASKS[task].title, _told(task), groups))
+    empty = [group for group in plan.groups if not any(key.group == group and not key.variant for key, _ in kept)]
+    total = sum(1 for _ in plan.all_trials())
+    sentences = [
+        f"{len(kept)} of {total} trials are there, seed {plan.seed}, version {package_version()}; methods "
+        f"{', '.join(plan.methods)}. Every trial has a latency of {LATENCY_MS} ms on the device touch.",
+        f"{USERS} simulated people a group differ in pace, exponent and threshold, groups in hand and threshold. "
+        "No person took part, and nothing here is a measure of physical fidelity: forces are held against the "
+        "engine's own ideal, as the paper's are against its own.",
+        f"Figures of the paper: {SOURCE}. Nothing was tuned to them.",
+    ]
+    if empty:
+        sentences.append(f"No trial yet of {', '.join(empty)}: the figures are of the other groups.")
+    for what, names in failures.items():
+        sentences.append(f"{len(names)} failed, {what} ({names[0]}{', ...' if len(names) > 1 else ''}).")
+    return Section(
+        "overview", "What was run", tuple(sentences), ("task", "what", "scene and changes", "trials"), tuple(rows)
+    )
+
+
+def _told(task: str) -> str:
+    """Changes of a task's scene in words."""
+    changes, *specimens = (
+        ", ".join(map(_entry, each.items())) for each in (TASKS[task].changes, *TASKS[task].specimens)
+    )
+    told = f"{TASKS[task].scene}: {changes}"
+    return f"{told}; specimens: {' or '.join(each or 'as it is' for each in specimens)}" if len(specimens) > 1 else told
+
+
+def _entry(item: tuple[str, Any]) -> str:
+    """An entry of a scene in words."""
+    name, value = item
+    return f"{name} {'left out' if value is None else f'{value:g}' if isinstance(value, float) else value}"
+
+
+def _document(sections: list[Section], files: list[str]) -> str:
+    """The whole report."""
+    links = " · ".join(f'<a href="#{escape(each.name)}">{escape(each.title)}</a>' for each in sections)
+    body = "\n".join(_shown(section, file) for section, file in zip(sections, files, strict=True))
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>Study</title><style>{STYLE}{WIDE}</style></head><body>\n<h1>Study</h1>\n"
+        f'<p class="soft">{links}</p>\n{body}\n</body></html>\n'
+    )
+
+
+def _shown(section: Section, file: str) -> str:
+    """One section."""
+    told = "".join(f'<p class="verdict">{escape(each)}</p>\n' for each in section.sentences)
+    picture = ""
+    if section.picture:
+        data = b64encode(section.picture).decode("ascii")
+        picture = f'<img alt="{escape(section.title)}" src="data:image/png;base64,{data}">\n'
+    table = ""
+    if section.rows:
+        head = "".join(f"<th>{escape(each)}</th>" for each in section.header)
+        body = "".join(f"<tr>{''.join(f'<td>{escape(each)}</td>' for each in row)}</tr>" for row in section.rows)
+        table = f'<div class="wide"><table><tr>{head}</tr>{body}</table></div>'
+        table += f'<p class="soft">Data: <a href="{escape(file)}">{escape(file)}</a></p>'
+    return f'<section id="{escape(section.name)}"><h2>{escape(section.title)}</h2>\n{told}{picture}{table}</section>'

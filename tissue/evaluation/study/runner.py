@@ -1,0 +1,172 @@
+"""Run a study: trials on worker processes or on a cluster, stopped and resumed at any of them."""
+
+import gc
+import os
+from collections import Counter
+from collections.abc import Iterable
+from concurrent.futures import Executor, Future
+from functools import cache
+from pathlib import Path
+from time import perf_counter, sleep
+
+from meshes.base.errors import InputError, require_range
+from meshes.base.progress import Progress, silent
+from tissue.evaluation.study.folder import StudyFolder
+from tissue.evaluation.study.plan import Plan, TrialKey
+from tissue.evaluation.study.pools import LOST, executor
+from tissue.evaluation.study.trial import Trial, run_trial, trial_seed
+from tissue.system.workers import first_done
+
+__all__ = ["run_study"]
+
+AHEAD = 3
+"""Trials handed out for each worker, so that none waits and memory does not grow with the number of trials."""
+LOSSES = 3
+"""Losses after which a trial that was under way is run alone, to see whether it is what ends its worker."""
+BARREN = 20
+"""Losses without a trial in between after which a study gives up."""
+PATIENCE_S = 30.0
+"""How long a scheduler may take to answer [s]."""
+
+
+def run_study(
+    plan: Plan,
+    out: Path,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    retry: bool = False,
+    tell: Progress = silent,
+) -> StudyFolder:
+    """Run the trials of a plan that its folder does not hold yet, and write the tables of all.
+
+    The tables are sorted, so that they depend neither on workers and their number nor on interruptions. A worker that
+    is lost is replaced; what it was doing is done again. A trial that ends its worker each time is kept as failed.
+
+    Parameters
+    ----------
+    plan
+        What to run.
+    out
+        Folder of the study; one that holds a part of it is gone on with.
+    workers
+        Processes; default one a core. A scheduler has its own; the number then says how many trials it is handed.
+    scheduler
+        ``dask://ADDRESS`` of a Dask scheduler instead of own processes.
+    retry
+        Run trials that failed again.
+    tell
+        Told how far it is, and what was found amiss.
+
+    Raises
+    ------
+    InputError
+        If the folder holds another study, no scheduler answers, or workers are lost again and again.
+    """
+    count = int(
+        require_range("workers", (os.cpu_count() or 1) if workers is None else workers, 1, 4096, "use one a core")
+    )
+    folder = StudyFolder(out)
+    for sentence in folder.begin(plan):
+        tell(sentence, 0.0)
+    if retry:
+        folder.forget_failures(plan)
+    work = _Work(plan, folder, tell)
+    barren, connected = 0, False
+    while work.waiting:
+        before = work.done
+        suspects = [key for key in work.waiting if work.losses[key] >= LOSSES]
+        try:
+            with executor(1 if suspects else count, scheduler, patience_s=PATIENCE_S) as pool:
+                connected = True
+                work.drain(pool, suspects[:1] or list(work.waiting), 1 if suspects else AHEAD * count)
+        except LOST as error:
+            if not connected:
+                raise InputError(
+                    f"scheduler must answer, got {scheduler} ({error}): start it with `dask scheduler`"
+                ) from error
+            barren = barren + 1 if work.done == before else 1
+            if barren > BARREN:
+                raise InputError(
+                    f"workers must stay alive, got {barren} losses with {len(work.waiting)} trials left: look for what "
+                    "kills them, memory for one, and run the study again to go on"
+                ) from error
+            tell(f"workers were lost ({type(error).__name__}), {len(work.waiting)} trials go on", work.share)
+            if suspects and work.running:
+                work.give_up(suspects[0], "RuntimeError: the worker was lost each time this trial ran on it")
+            else:
+                work.losses.update(work.running.values())
+            sleep(min(2.0, 0.1 * barren))
+    folder.write_tables()
+    return folder
+
+
+def _in_worker(plan: Plan, key: TrialKey) -> Trial:
+    """A trial, in a process that does nothing else."""
+    trial = run_trial(plan, key)
+    _keep_what_stays()
+    return trial
+
+
+@cache
+def _keep_what_stays() -> None:
+    """Spare every further run the search for garbage among modules and kernels, which outlives all trials."""
+    gc.collect()
+    gc.freeze()
+
+
+class _Work:
+    """What is left of a plan."""
+
+    def __init__(self, plan: Plan, folder: StudyFolder, tell: Progress) -> None:
+        self.plan, self.folder, self._tell = plan, folder, tell
+        keys = list(plan.all_trials())
+        self.total = len(keys)
+        self.waiting = dict.fromkeys(key for key in keys if not folder.has(key))
+        self.running: dict[Future[Trial], TrialKey] = {}
+        self.losses: Counter[TrialKey] = Counter()
+        self.done = 0
+        self._began, self._at_first = perf_counter(), len(self.waiting)
+
+    @property
+    def share(self) -> float:
+        """Share that is done."""
+        return 1.0 - len(self.waiting) / self.total
+
+    def drain(self, pool: Executor, keys: Iterable[TrialKey], ahead: int) -> None:
+        """Hand out trials, a few ahead, and keep what comes back."""
+        self.running = {}
+        fresh = iter(keys)
+        while True:
+            while len(self.running) < ahead and (key := next(fresh, None)) is not None:
+                self.running[pool.submit(_in_worker, self.plan, key)] = key
+            if not self.running:
+                return
+            for future in first_done(pool, self.running, lambda doing, _: self._tell(doing, self.share)):
+                try:
+                    trial = future.result()
+                except LOST:
+                    raise
+                except Exception as error:  # whatever a worker met, such as a trial that ends it each time
+                    self.give_up(self.running.pop(future), f"{type(error).__name__}: {' '.join(str(error).split())}")
+                    continue
+                self._keep(trial)
+                self.done += 1
+                del self.running[future]
+            self._tell(f"trial {self.total - len(self.waiting)} of {self.total}, {self._left()}", self.share)
+
+    def give_up(self, key: TrialKey, failure: str) -> None:
+        """Keep a trial as failed."""
+        rows = tuple({"method": method, "failure": failure} for method in self.plan.methods)
+        self._keep(Trial(key, trial_seed(self.plan, key), rows, 0.0))
+
+    def _keep(self, trial: Trial) -> None:
+        """Write a trial that is still waited for; one that comes twice is the same."""
+        self.folder.write(trial)
+        self.waiting.pop(trial.key, None)
+
+    def _left(self) -> str:
+        """Time left, by what this session took for each trial."""
+        done = self._at_first - len(self.waiting)
+        seconds = (perf_counter() - self._began) / max(1, done) * len(self.waiting)
+        return f"{seconds:.0f} s left" if seconds < 100.0 else f"{seconds / 60.0:.0f} min left"

@@ -1,0 +1,171 @@
+"""One trial of a study: the same person, specimen and noise under every method, and the metrics of each."""
+
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from math import floor
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from tissue.builders.loop import judged_loop
+from tissue.evaluation.calibration.simulated_observer import draw_observers
+from tissue.evaluation.charts.settings import finest
+from tissue.evaluation.statistics import metrics
+from tissue.evaluation.study.measures import measured
+from tissue.evaluation.study.plan import LATENCY_MS, REFERENCE, Plan, TrialKey
+from tissue.evaluation.study.tasks import METHODS, TASKS, VARIANTS, Variant
+from tissue.perception.magnitude import MAGNITUDE_FORCES_N, fit_magnitudes
+from tissue.perception.observer import PARAMETERS, Observer, write_observer
+from tissue.scene.load import changed, load_scene
+from tissue.scene.scene import Scene
+from tissue.scene.tool import PathMotion
+from tissue.simulation.reference_force import ideal_force_N, stretch_force_N
+from tissue.simulation.simulate import TICK_S, simulate
+
+__all__ = ["Trial", "TrialScene", "run_trial", "trial_scene", "trial_seed"]
+
+PACE_SPREAD, WITHIN_SPREAD = 0.15, 0.05
+"""Spread of the logarithm of people's pace, and of one person's from trial to trial; assumed."""
+NUMBERS = 24
+"""Numbers that a person gave to forces when they were calibrated."""
+PLAIN = Variant("", "", {})
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What came of a trial.
+
+    Attributes
+    ----------
+    key
+        Which.
+    seed
+        Seed of its scenes.
+    rows
+        For each method its name and metrics, or the sentence of its failure.
+    took_s
+        Wall time [s].
+    """
+
+    key: TrialKey
+    seed: int
+    rows: tuple[dict[str, Any], ...]
+    took_s: float
+
+
+@dataclass(frozen=True)
+class TrialScene:
+    """What a trial is made of.
+
+    Attributes
+    ----------
+    scenes
+        The scene under each method. All have the stiffness of the coupling that is the smallest of those chosen for
+        each, so that it is stable under all and their forces can be compared.
+    specimen
+        Number of the specimen.
+    person
+        Who feels, known exactly; the scene with perception has only what their calibration knows of them.
+    """
+
+    scenes: Mapping[str, Scene]
+    specimen: int
+    person: Observer
+
+
+def run_trial(plan: Plan, key: TrialKey) -> Trial:
+    """Run a trial under every method of its plan; one that fails leaves its sentence, and the others go on.
+
+    Alone it gives what it gives in its study: ``run_trial(Plan(seed=0), TrialKey.named("T1-novice-0007"))``.
+    """
+    started = perf_counter()
+    rows: list[dict[str, Any]] = []
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            trial = trial_scene(plan, key, Path(folder) / "observer.json")
+        except Exception as error:  # as below
+            rows = [{"method": method, "failure": _told(error)} for method in _methods(plan, key)]
+        else:
+            for method in _methods(plan, key):
+                try:
+                    found: dict[str, Any] = dict(_metrics(trial, method, key))
+                except Exception as error:  # a trial that fails must not take the study with it, whatever the fault
+                    found = {"failure": _told(error)}
+                rows.append({"method": method} | found)
+    return Trial(key, trial_seed(plan, key), tuple(rows), perf_counter() - started)
+
+
+def trial_seed(plan: Plan, key: TrialKey) -> int:
+    """Seed of a trial's scenes."""
+    return int(plan.rng(key).integers(2**62))
+
+
+def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
+    """Scenes of a trial, and its person, whose calibration is written to a file."""
+    rng, person, task = plan.rng(key), plan.person(key), TASKS[key.task]
+    variant = VARIANTS.get(key.variant, PLAIN)
+    seed = int(rng.integers(2**62))
+    pace = variant.pace * np.exp(PACE_SPREAD * person.standard_normal() + WITHIN_SPREAD * rng.standard_normal())
+    truth, known = _calibrated(key, person)
+    write_observer(known, observer)
+    specimen = int(rng.integers(len(task.specimens)))
+    met = task.specimens[specimen] if variant.extreme is None else task.extremes[variant.extreme]
+    scene = changed(load_scene(task.scene), dict(task.changes) | dict(met))
+    assert isinstance(scene.motion, PathMotion)
+    changes = {"device": "touch", "hand": key.group, "coupling.delay_ms": LATENCY_MS}
+    own = {"seed": seed, "motion.feed_mm_s": round(float(pace) * scene.motion.feed_mm_s, 3)}
+    scene = changed(scene, changes | dict(variant.changes))
+    scenes = {name: changed(scene, method) for name, method in METHODS.items()}
+    stiffness = [_stiffness_N_m(each) for each in scenes.values()]
+    scenes["koopman-perception"] = changed(scenes["koopman-perception"], {"perception": f"observer:{observer}"})
+    stiffness.append(judged_loop(scenes["koopman-perception"], step_s=TICK_S).stiffness_N_m)
+    own["coupling.stiffness_N_m"] = floor(min(stiffness))
+    return TrialScene({name: changed(each, own) for name, each in scenes.items()}, specimen, truth)
+
+
+@lru_cache(maxsize=64)
+def _stiffness_N_m(scene: Scene) -> float:
+    """Stiffness that is chosen for a scene [N/m]; neither seed nor pace counts, so that few are ever asked for."""
+    return judged_loop(scene, step_s=TICK_S).stiffness_N_m
+
+
+def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Observer]:
+    """A person, and what the numbers they gave to forces tell of them; thresholds are known as they are."""
+    drawn = draw_observers(key.group, 1, rng)
+    name = f"{key.group} {key.user}"
+    own: dict[str, Any] = {each: float(getattr(drawn, each)[0]) for each in PARAMETERS}
+    truth = Observer.known(name, **own)
+    forces = np.resize(MAGNITUDE_FORCES_N, NUMBERS)
+    fit = fit_magnitudes(forces, np.array([drawn.number(force, rng)[0] for force in forces]))
+    mean, covariance = truth.mean.copy(), truth.covariance.copy()
+    mean[:2], covariance[:2, :2] = fit.mean, fit.covariance
+    return truth, Observer(name=name, mean=mean, covariance=covariance, trials=NUMBERS)
+
+
+def _methods(plan: Plan, key: TrialKey) -> tuple[str, ...]:
+    """Methods of a trial; variants are run for the headline alone, the reference under one."""
+    if not key.variant:
+        return plan.methods
+    wanted = ("penalty",) if key.variant == REFERENCE else ("penalty", "koopman")
+    return tuple(method for method in plan.methods if method in wanted) or plan.methods[:1]
+
+
+def _metrics(trial: TrialScene, method: str, key: TrialKey) -> dict[str, float]:
+    """Metrics of a trial under one method."""
+    run = simulate(trial.scenes[method], cores=1)
+    if key.variant == REFERENCE:
+        prompt = stretch_force_N(run)
+        converged = ideal_force_N(run, finest(run.scene, quick=False), cores=1)
+        return {"reference_error": metrics.force_error(prompt, converged)}
+    assert isinstance(run.scene.motion, PathMotion)
+    wanted = np.array(TASKS[key.task].wanted_mm or run.scene.motion.points_mm)
+    return measured(run, key.task, trial.person, wanted_mm=wanted) | {"specimen": float(trial.specimen)}
+
+
+def _told(error: Exception) -> str:
+    """Kind and words of an error on one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"

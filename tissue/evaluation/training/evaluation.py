@@ -1,0 +1,47 @@
+"""Errors of predictors on recorded runs, against the force that came."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue.evaluation.training.recording import Recording
+from tissue.prediction.predictor import Predictor
+
+__all__ = ["HORIZONS", "forecast", "forecast_errors"]
+
+Array = NDArray[np.float64]
+HORIZONS = (1, 2, 3, 4, 6, 8, 10)
+"""Ticks ahead at which predictors are compared."""
+
+
+def forecast(predictor: Predictor, run: Recording, horizons: Sequence[int], *, model_ticks: int = 1) -> Array:
+    """What a predictor tells in every tick, shape (n, horizons, 3) [N]; it sees the force every `model_ticks`."""
+    told = np.empty((len(run.force_N), len(horizons), 3))
+    for index, (position, velocity, force) in enumerate(
+        zip(run.position_m, run.velocity_m_s, run.force_N, strict=True)
+    ):
+        predictor.observe(position, velocity, force if index % model_ticks == 0 else None)
+        for column, horizon in enumerate(horizons):
+            told[index, column] = predictor.ahead(horizon)
+    return told
+
+
+def forecast_errors(
+    make: Callable[[], Predictor],
+    runs: Sequence[Recording],
+    *,
+    horizons: Sequence[int] = HORIZONS,
+    model_ticks: int = 1,
+) -> Array:
+    """||told - F|| / ||F|| of a new predictor on each run, shape (runs, horizons).
+
+    F is the undelayed force in the tick that was told of, over all ticks that can be told of.
+    """
+    errors = np.empty((len(runs), len(horizons)))
+    for row, run in enumerate(runs):
+        told = forecast(make(), run, horizons, model_ticks=model_ticks)
+        for column, horizon in enumerate(horizons):
+            came = run.force_N[horizon:]
+            errors[row, column] = np.linalg.norm(told[: -horizon or None, column] - came) / np.linalg.norm(came)
+    return errors

@@ -1,0 +1,57 @@
+"""Train a scene's predictors: run it, fit, and validate on runs held out."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress, silent
+from tissue.builders.prediction import PREDICTORS, trained_predictor
+from tissue.evaluation.training.evaluation import HORIZONS, forecast_errors
+from tissue.evaluation.training.fitting import fit
+from tissue.evaluation.training.recording import Recorder, Recording, trial
+from tissue.haptics.device.device import device_parameters
+from tissue.prediction.trained import Trained
+from tissue.scene.scene import Scene
+
+__all__ = ["LEAST_TRIALS", "TRIALS", "train", "validated"]
+
+TRIALS = 12
+LEAST_TRIALS = 6
+HELD_OUT = 4
+"""One run in so many validates; the others train."""
+
+
+def train(scene: Scene, *, trials: int = TRIALS, cores: int | None = None, progress: Progress | None = None) -> Trained:
+    """Predictors of a scene, trained on runs by hands of all groups and validated on runs held out.
+
+    The scene's own seed is not used: trial i has seed i.
+
+    Raises
+    ------
+    InputError
+        If there are too few trials or the scene cannot be run.
+    """
+    if trials < LEAST_TRIALS:
+        raise InputError(f"trials must be at least {LEAST_TRIALS}, got {trials}: use {TRIALS}")
+    tell = progress or silent
+    recorder, runs = Recorder(cores=cores), []
+    for index in range(trials):
+        tell(f"running trial {index + 1} of {trials}", index / (trials + 2))
+        runs.append(recorder.record(trial(scene, index)))
+    tell("fitting", trials / (trials + 2))
+    kept = [run for index, run in enumerate(runs) if index % HELD_OUT != HELD_OUT - 1]
+    trained = fit(scene.name, kept, rng=np.random.default_rng(0))
+    tell("validating", (trials + 1) / (trials + 2))
+    device = trial(scene, 0).device
+    return validated(trained, runs[HELD_OUT - 1 :: HELD_OUT], device_parameters(device).force_limit_N)
+
+
+def validated(trained: Trained, held_out: list[Recording], force_limit_N: float) -> Trained:
+    """With the mean errors of all predictors on runs that were held out."""
+    errors = {}
+    for kind in PREDICTORS:
+        make = lambda kind=kind: trained_predictor(kind, trained, force_limit_N=force_limit_N)  # noqa: E731
+        errors[kind] = forecast_errors(make, held_out).mean(axis=0).tolist()
+    validation = {"held_out": [run.seed for run in held_out], "horizons_ms": list(HORIZONS), "errors": errors}
+    return replace(trained, told=trained.told | {"validation": validation})

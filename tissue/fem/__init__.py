@@ -1,0 +1,1 @@
+"""Finite elements on tetrahedra: spaces, assembly, loads, constraints, stress."""

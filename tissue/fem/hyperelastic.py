@@ -1,0 +1,115 @@
+"""Tetrahedra under large deformation: energy, nodal forces and tangent stiffness of three laws.
+
+The nonlinear laws judge where the linear one stops being enough; nothing of them runs in a 1 kHz tick. Linear
+tetrahedra lock as Poisson's ratio nears 0.5; quadratic ones, with four Gauss points, do not.
+"""
+
+from enum import Enum
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import bsr_array
+
+from kernels import tet_nonlinear as kernels
+from kernels.launcher import SplitLaunch
+from meshes.base.errors import InputError
+from tissue.fem.pattern import local_pairs
+from tissue.fem.shapes import gradient_slopes
+from tissue.fem.space import Space
+from tissue.materials.elasticity import elasticity_rows
+
+__all__ = ["Law", "NonlinearBody"]
+
+Array = NDArray[np.float64]
+GAUSS = 0.13819660112501052
+"""Barycentric coordinate of the four Gauss points that integrate quadratics: (5 - sqrt 5) / 20."""
+
+
+class Law(Enum):
+    """Elastic laws with one small-strain limit; the value says what each holds for."""
+
+    LINEAR = "small strain and small rotation"
+    COROTATIONAL = "small strain, any rotation: the linear law in the rotated frame of each Gauss point"
+    NEO_HOOKEAN = "large strain, any rotation: mu/2 (I1 - 3) - mu ln J + lambda/2 (ln J)^2"
+
+
+class NonlinearBody:
+    """A meshed body under one law.
+
+    Parameters
+    ----------
+    space
+        Nodes and cells, linear or quadratic.
+    lame_pa
+        Lame constants lambda, mu of small strains [Pa], shape (2,) or (m, 2), as `tissue.materials.elasticity.lame`
+        makes them.
+    law
+        Elastic law.
+
+    Raises
+    ------
+    InputError
+        If the constants have another shape or are not those of a stable material.
+    """
+
+    def __init__(self, space: Space, lame_pa: ArrayLike, *, law: Law) -> None:
+        if np.shape(lame_pa)[-1:] != (2,):
+            raise InputError(f"lame_pa must have shape (2,) or (m, 2), got {np.shape(lame_pa)}: use materials.lame")
+        self.space, self.law = space, law
+        self.nodes_m, device = space.nodes_m, space.device
+        count, width = space.cell_nodes.shape
+        lame = np.broadcast_to(elasticity_rows(lame_pa, count), (count, 2))
+        at = np.full((1, 4), 0.25) if space.order == 1 else GAUSS + (1.0 - 4.0 * GAUSS) * np.eye(4)
+        reference = np.einsum("aci,qi->qac", gradient_slopes(4, space.order), at)
+        first, second = local_pairs(width).T
+        pattern = space.pattern
+        node_place = np.argsort(space.cell_nodes.ravel(), kind="stable")
+        node_start = np.concatenate([[0], np.cumsum(np.bincount(space.cell_nodes.ravel(), minlength=space.node_count))])
+
+        def put(values: ArrayLike, dtype: Any = wp.int32) -> Any:
+            return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
+
+        def out(shape: int | tuple[int, int], dtype: Any) -> Any:
+            return wp.zeros(shape, dtype=dtype, device=device)
+
+        def launch(kernel: Any, dim: int, inputs: list[Any], outputs: list[Any]) -> SplitLaunch:
+            index = len(inputs)
+            return SplitLaunch(kernel, dim=dim, inputs=[*inputs, 0], outputs=outputs, offset_index=index, device=device)
+
+        self._displacement = out(space.node_count, wp.vec3d)
+        self._energy, self._force = out(count, wp.float64), out(space.node_count, wp.vec3d)
+        self._blocks = out(len(pattern.column), wp.mat33d)
+        shares, squares = out((count, width), wp.vec3d), out((count, len(first)), wp.mat33d)
+        model = [
+            put(space.cell_nodes.astype(np.int32)), *space.gradients, put(reference, wp.float64),
+            put(np.full(len(at), 1.0 / len(at)), wp.float64), list(Law).index(law), put(lame, wp.float64),
+            self._displacement,
+        ]  # fmt: skip
+        places = [put(p) for p in (pattern.pair_start, pattern.contribution, pattern.place, pattern.mirror)]
+        node_places = [put(p.astype(np.int32)) for p in (node_start, node_place)]
+        self._force_launches = (
+            launch(kernels.tet_force, count, model, [self._energy, shares]),
+            launch(kernels.gather_forces, space.node_count, [*node_places, shares.flatten()], [self._force]),
+        )
+        ends = [put(first.astype(np.int32)), put(second.astype(np.int32))]
+        self._stiffness_launches = (
+            launch(kernels.tet_stiffness, count, [*ends, *model], [squares]),
+            launch(kernels.gather_blocks, len(pattern.place), [*places, squares.flatten()], [self._blocks]),
+        )
+
+    def energy_and_force(self, displacement_m: Array) -> tuple[float, Array]:
+        """Elastic energy [J], infinite where a cell is turned over, and its derivative, shape (n, 3) [N]."""
+        self._displacement.assign(np.ascontiguousarray(displacement_m, dtype=np.float64))
+        for run in self._force_launches:
+            run()
+        return float(self._energy.numpy().sum()), self._force.numpy().copy()
+
+    def stiffness(self, displacement_m: Array) -> bsr_array:
+        """Tangent stiffness [N/m] at a displacement that turns no cell over, symmetric to the bit, shape (3n, 3n)."""
+        self._displacement.assign(np.ascontiguousarray(displacement_m, dtype=np.float64))
+        for run in self._stiffness_launches:
+            run()
+        pattern, size = self.space.pattern, self.space.unknown_count
+        return bsr_array((self._blocks.numpy().copy(), pattern.column, pattern.row_start), shape=(size, size))

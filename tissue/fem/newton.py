@@ -1,0 +1,261 @@
+"""Static equilibrium of a nonlinear body: Newton's method on its energy, with a rigid sphere if one presses.
+
+Each Newton step solves with the tangent by conjugate gradients, preconditioned by one factorisation of the stiffness at
+rest, and stops at a direction of negative curvature (Steihaug 1983, SIAM J. Numer. Anal. 20:626): the direction always
+lowers the energy. The step is halved until energy and slope fall; a step that turns a cell over has infinite energy
+and is never taken. A sphere's multipliers are corrected between such solves.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import bsr_array, csc_array, csr_array
+from scipy.sparse.linalg import splu
+
+from meshes.base.errors import InputError, require_positive
+from tissue.fem.hyperelastic import NonlinearBody
+from tissue.fem.obstacle import RigidSphere
+
+__all__ = ["NewtonSolution", "NewtonSolver", "Outcome"]
+
+Array = NDArray[np.float64]
+HALVINGS = 30
+ARMIJO = 1e-4
+ROUNDING = 1e-12
+POSITIONS = 4e-13
+"""Rounding of nodal forces over stiffness times size of the body."""
+CORRECTIONS = 60
+"""Corrections of a sphere's multipliers: each leaves a tenth of the penetration or less."""
+LINEAR_LIMIT = 500
+
+
+class Outcome(Enum):
+    """How a solve ended; the value says what to do about it."""
+
+    CONVERGED = "the displacement holds to the tolerance"
+    NOT_CONVERGED = "the iterations ran out: press in smaller steps, or allow more"
+    INVERTED = "the held nodes turn cells over: move them in smaller steps"
+    STALLED = "no step lowers the energy, cells are about to turn over: press less deep, or use the neo-Hookean law"
+
+
+@dataclass(frozen=True, eq=False)
+class NewtonSolution:
+    """Displacement and how it was reached.
+
+    Attributes
+    ----------
+    displacement_m
+        Nodal displacements [m], shape (n, 3); the last iterate where the outcome is not CONVERGED.
+    force_N
+        Derivative of the elastic energy [N], shape (n, 3): what the supports and the sphere push with.
+    tool_force_N
+        Force that the body pushes the sphere with [N], shape (3,); zero without one.
+    outcome
+        How the solve ended.
+    newton_steps, linear_iterations
+        Work done: Newton steps, and conjugate gradient iterations in all of them.
+    residual
+        Largest force that nothing balances, over the largest that something does.
+    """
+
+    displacement_m: Array
+    force_N: Array
+    tool_force_N: Array
+    outcome: Outcome
+    newton_steps: int
+    linear_iterations: int
+    residual: float
+
+    @property
+    def converged(self) -> bool:
+        """Whether the displacement may be used."""
+        return self.outcome is Outcome.CONVERGED
+
+
+class NewtonSolver:
+    """Equilibria of a body with held components.
+
+    Parameters
+    ----------
+    body
+        The body.
+    held
+        Components whose displacement is prescribed, shape (n, 3).
+    tolerance
+        Residual force allowed, over the largest force in the body.
+    step_limit
+        Newton steps allowed in a solve.
+    precondition
+        Close to the inverse of the stiffness at rest of the free components, on vectors; default: its factorisation.
+
+    Raises
+    ------
+    InputError
+        If nothing is held, or the shape is wrong.
+    """
+
+    def __init__(
+        self,
+        body: NonlinearBody,
+        held: NDArray[np.bool_],
+        *,
+        tolerance: float = 1e-8,
+        step_limit: int = 60,
+        precondition: Callable[[Array], Array] | None = None,
+    ) -> None:
+        if held.shape != body.nodes_m.shape or not held.any():
+            raise InputError(
+                f"held must mark components of shape {body.nodes_m.shape}, got {int(held.sum())} of {held.shape}: "
+                "hold a face"
+            )
+        self.body, self.held = body, held
+        self._tolerance = require_positive("tolerance", tolerance, "use 1e-8")
+        self._step_limit = step_limit
+        self._free = np.flatnonzero(~held.ravel())
+        rest = body.stiffness(np.zeros(held.shape))
+        self.rest_diagonal = rest.diagonal()
+        """Diagonal of the stiffness at rest [N/m], shape (3n,)."""
+        # A turned body without stress has forces of rounding alone, and no other to compare them with.
+        extent = float(np.ptp(body.nodes_m, axis=0).max())
+        self._rounding_N = POSITIONS * float(self.rest_diagonal.max()) * extent
+        self._rounding_J = ROUNDING * 1e-2 * float(self.rest_diagonal.max()) * extent**2
+        self.precondition = precondition or factorised(csc_array(csr_array(rest)[self._free][:, self._free]))
+        """Close to the inverse of the stiffness at rest; another solver with the same supports may use it."""
+
+    def solve(
+        self,
+        held_m: Array | None = None,
+        *,
+        sphere: RigidSphere | None = None,
+        start_m: Array | None = None,
+    ) -> NewtonSolution:
+        """Equilibrium with held components at ``held_m`` [m], shape (n, 3), from ``start_m`` [m]; default: zero.
+
+        With a sphere, its multipliers are corrected until it is settled.
+
+        Raises
+        ------
+        InputError
+            If a displacement has another shape or is not finite.
+        """
+        for name, values in (("held_m", held_m), ("start_m", start_m)):
+            if values is not None and (values.shape != self.held.shape or not np.isfinite(values).all()):
+                raise InputError(
+                    f"{name} must be finite, of shape {self.held.shape}, got shape {values.shape} or NaN: "
+                    "name every node, 0 where it stays"
+                )
+        now = np.zeros(self.held.shape) if start_m is None else np.array(start_m, dtype=np.float64)
+        goal = np.zeros(self.held.shape) if held_m is None else held_m
+        move = np.where(self.held, goal - now, 0.0)
+        newton = linear = 0
+        if move.any():
+            now, linear = self._carried(now, move)
+        outcome, residual = Outcome.NOT_CONVERGED, np.inf
+        for _ in range(CORRECTIONS):
+            now, outcome, residual, more, used = self._minimum(now, sphere)
+            newton, linear = newton + more, linear + used
+            if outcome is not Outcome.CONVERGED or sphere is None or sphere.settled(self.body.nodes_m + now):
+                break
+            outcome = Outcome.NOT_CONVERGED
+        _, force = self.body.energy_and_force(now)
+        push = sphere.force_N(self.body.nodes_m + now) if sphere is not None else np.zeros(3)
+        return NewtonSolution(now, force, push, outcome, newton, linear, residual)
+
+    def _carried(self, start: Array, move: Array) -> tuple[Array, int]:
+        """The start with held components moved and the free ones following to first order, if no cell turns over."""
+        tangent = self.body.stiffness(start)
+        step, used = self._direction(tangent, -(tangent @ move.ravel()), 1e-3)
+        following = start + move + step
+        fits = np.isfinite(self.body.energy_and_force(following)[0])
+        return (following if fits else start + move), used
+
+    def _minimum(self, now: Array, sphere: RigidSphere | None) -> tuple[Array, Outcome, float, int, int]:
+        """Newton's method from here with the sphere's multipliers kept: place, outcome, residual and work."""
+        energy, size, slope = self._state(now, sphere)
+        residual, linear = np.inf, 0
+        if not np.isfinite(energy):
+            return now, Outcome.INVERTED, residual, 0, 0
+        for step_count in range(self._step_limit + 1):
+            left = float(np.abs(slope).max())
+            residual = left / size if size > 0.0 else float(left > 0.0)
+            if residual <= self._tolerance or left <= self._rounding_N:
+                return now, Outcome.CONVERGED, residual, step_count, linear
+            if step_count == self._step_limit:
+                break
+            accuracy = max(min(0.1, residual), 0.1 * self._tolerance / residual)
+            step, used = self._direction(self._whole(now, sphere), -slope.ravel(), accuracy)
+            linear += used
+            downhill = float(np.sum(slope * step))
+            share = 1.0
+            for _ in range(HALVINGS):
+                ahead = now + share * step
+                there = self._state(ahead, sphere)
+                lower = there[0] <= energy + ARMIJO * share * downhill
+                rounding = (
+                    there[0] <= energy + ROUNDING * abs(energy) + self._rounding_J
+                )  # near the end the slope alone is exact
+                if lower or (rounding and abs(float(np.sum(there[2] * step))) <= 0.5 * abs(downhill)):
+                    break
+                share *= 0.5
+            else:
+                return now, Outcome.STALLED, residual, step_count, linear
+            now, (energy, size, slope) = ahead, there
+        return now, Outcome.NOT_CONVERGED, residual, self._step_limit, linear
+
+    def _state(self, displacement: Array, sphere: RigidSphere | None) -> tuple[float, float, Array]:
+        """Energy [J], largest force in the body [N], and the energy's derivative, zero where held [N]."""
+        energy, force = self.body.energy_and_force(displacement)
+        slope = force
+        if sphere is not None and np.isfinite(energy):
+            extra, push = sphere.energy_and_force(self.body.nodes_m + displacement)
+            energy, slope = energy + extra, force.copy()
+            slope[sphere.nodes] += push
+            return energy, float(max(np.abs(force).max(), np.abs(push).max())), np.where(self.held, 0.0, slope)
+        return energy, float(np.abs(force).max()), np.where(self.held, 0.0, slope)
+
+    def _whole(self, displacement: Array, sphere: RigidSphere | None) -> bsr_array:
+        """Second derivative of the energy."""
+        tangent = self.body.stiffness(displacement)
+        if sphere is not None:
+            row = np.repeat(np.arange(self.body.space.node_count), np.diff(tangent.indptr))
+            own = np.flatnonzero(row == tangent.indices)  # one block a node, in rising order
+            tangent.data[own[sphere.nodes]] += sphere.blocks(self.body.nodes_m + displacement)
+        return tangent
+
+    def _direction(self, whole: bsr_array, load: Array, accuracy: float) -> tuple[Array, int]:
+        """Conjugate gradients for the free components, ended early at negative curvature; and their iterations."""
+        free, full = self._free, np.zeros(self.held.size)
+        step, residual = np.zeros(len(free)), load[free].copy()
+        corrected = self.precondition(residual)
+        way, size = corrected, dot(residual, corrected)
+        goal = accuracy**2 * size
+        for iteration in range(LINEAR_LIMIT):
+            if size <= goal:
+                break
+            full[free] = way
+            along = (whole @ full)[free]
+            curvature = dot(way, along)
+            if curvature <= 0.0:
+                step = way if iteration == 0 else step
+                break
+            step = step + (size / curvature) * way
+            residual = residual - (size / curvature) * along
+            corrected = self.precondition(residual)
+            size, before = dot(residual, corrected), size
+            way = corrected + (size / before) * way
+        full[free] = step
+        return full.reshape(self.held.shape), iteration
+
+
+def factorised(matrix: csc_array) -> Callable[[Array], Array]:
+    """Exact solves with a symmetric positive definite matrix, which needs no pivots."""
+    options = {"SymmetricMode": True}
+    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).solve
+
+
+def dot(a: Array, b: Array) -> float:
+    """Scalar product on one core: cores that wait for each other cost more than they add."""
+    return float(np.einsum("i,i->", a, b))

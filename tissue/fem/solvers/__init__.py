@@ -1,0 +1,1 @@
+"""Solvers of the linear system: direct, multigrid, condensed to the surface, reduced."""

@@ -1,0 +1,103 @@
+"""Sparse factorisation: exact to rounding, many right sides for one factor.
+
+SuperLU of scipy, on the symmetric pattern and with diagonal pivots, which a positive definite matrix allows. Nested
+dissection of the coordinates orders the columns: of SuperLU's own orders, minimum degree takes three quarters of the
+time on a liver of pytetwild, twice the time on a lattice liver of the same 19,000 unknowns, and four times at 95,000.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
+
+from meshes.base.errors import InputError
+from tissue.fem.solvers.dissection import dissection
+from tissue.fem.solvers.solution import HeldBody, Outcome, Solution, pointwise_graph
+
+__all__ = ["DirectSolver"]
+
+Array = NDArray[np.float64]
+TOGETHER = 4
+"""Right sides in one back-substitution: more would call threaded BLAS on small blocks, which is slower."""
+
+
+class DirectSolver:
+    """Solves by a factor that is made once.
+
+    Parameters
+    ----------
+    body
+        The stiffness and what holds it.
+
+    Raises
+    ------
+    InputError
+        If the matrix cannot be factorised.
+    """
+
+    tolerance = 1e-8
+
+    def __init__(self, body: HeldBody) -> None:
+        self.body = body
+        order = dissection(body.nodes_m, pointwise_graph(body.stiffness))
+        unknowns = (3 * order[:, None] + np.arange(3)).ravel()
+        is_free = np.zeros(len(unknowns), dtype=np.bool_)
+        is_free[body.free] = True
+        self._order = unknowns[is_free[unknowns]]
+        rows = body.sprung.tocsr()
+        self._matrix = rows[self._order][:, self._order].tocsc()
+        self._matrix.sort_indices()
+        try:
+            self._factor = splu(
+                self._matrix, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+            )
+        except RuntimeError as problem:
+            raise InputError(
+                f"stiffness must be positive definite, got one without a factor ({problem}): check moduli and "
+                "sliver cells"
+            ) from problem
+        position = np.empty(3 * len(body.nodes_m), dtype=np.int64)
+        position[self._order] = np.arange(len(self._order))
+        self._from_free = position[body.free]
+
+    @property
+    def memory_bytes(self) -> int:
+        """Memory of the factor, 12 bytes an entry."""
+        return 12 * int(self._factor.nnz)
+
+    def solve(self, load_N: Array, *, start_m: Array | None = None) -> Solution:
+        """Displacement under nodal forces [N], shape (n, 3); ``start_m`` is ignored."""
+        right = self.body.right_side(load_N)
+        norm = float(np.linalg.norm(right))
+        if norm == 0.0:
+            return Solution(self.body.whole(right), Outcome.CONVERGED, 0, 0.0)
+        ordered = np.empty_like(right)
+        ordered[self._from_free] = right
+        found = self._factor.solve(ordered)
+        left = float(np.linalg.norm(ordered - self._matrix @ found)) / norm
+        # The energy is positive for any load where K is positive definite.
+        energy = float(found @ ordered)
+        good = bool(np.isfinite(left)) and energy > 0.0
+        outcome = Outcome.CONVERGED if left <= self.tolerance else Outcome.INACCURATE
+        outcome = outcome if good else Outcome.INDEFINITE
+        return Solution(self.body.whole(found[self._from_free]), outcome, 0, left)
+
+    def columns(self, unknowns: NDArray[np.int64]) -> Array:
+        """Displacements of all unknowns [m/N] for unit forces on some, shape (3n, k); zero for held ones.
+
+        Raises
+        ------
+        InputError
+            If the supports are displaced: the answer to a force alone is asked for.
+        """
+        self.body.require_rest()
+        total = 3 * len(self.body.nodes_m)
+        position = np.full(total, -1)
+        position[self._order] = np.arange(len(self._order))
+        answers = np.zeros((total, len(unknowns)))
+        for start in range(0, len(unknowns), TOGETHER):
+            at = position[unknowns[start : start + TOGETHER]]
+            right = np.zeros((len(self._order), len(at)), order="F")
+            pushed = np.flatnonzero(at >= 0)
+            right[at[pushed], pushed] = 1.0
+            answers[self._order, start : start + len(at)] = self._factor.solve(right)
+        return answers

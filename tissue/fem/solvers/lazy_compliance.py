@@ -1,0 +1,223 @@
+"""Compliance where the tool is: columns found on demand, beside the ticks, in a bounded buffer."""
+
+from collections import OrderedDict, deque
+from threading import Condition, Thread
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from tissue.fem.solvers.solution import ColumnSolver
+
+__all__ = ["LazyCompliance"]
+
+Array = NDArray[np.float64]
+Nodes = NDArray[np.int64]
+
+
+class LazyCompliance:
+    """Columns of ``W = H K^-1 H^T`` for the nodes that were asked for last.
+
+    Nodes are named by their place among the touchable ones. ``want`` says near which nodes the tool is; ``fill`` finds
+    their columns in the caller's thread, before the ticks, and ``start`` has a thread do so beside them. Nothing but
+    copying happens in ``block`` and ``pour``. The node wanted longest ago makes room.
+
+    Parameters
+    ----------
+    solver
+        What finds the columns: a factor, or multigrid where it would not fit.
+    touchable
+        Nodes that may be touched, shape (t,).
+    capacity_bytes
+        Memory of the buffer.
+
+    Raises
+    ------
+    InputError
+        If the buffer does not hold a single node, or supports are displaced.
+    """
+
+    def __init__(self, solver: ColumnSolver, touchable: Nodes, *, capacity_bytes: int = 500_000_000) -> None:
+        self._solver, self._touchable = solver, np.asarray(touchable, dtype=np.int64)
+        self._rows = (3 * self._touchable[:, None] + np.arange(3)).ravel()
+        each = 3 * 8 * len(self._rows)
+        self.capacity = min(capacity_bytes // max(each, 1), len(self._touchable))
+        """Nodes that the buffer holds."""
+        if self.capacity < 1:
+            raise InputError(f"capacity_bytes must hold one node, {each} bytes, got {capacity_bytes}: allow more")
+        solver.body.require_rest()
+        self._columns = np.empty((self.capacity, len(self._touchable), 3, 3))
+        self._slot = np.full(len(self._touchable), -1)
+        self._used: OrderedDict[int, None] = OrderedDict()
+        self._spare = list(range(self.capacity))[::-1]
+        self._wanted: set[int] = set()
+        self._waiting: deque[int] = deque()
+        self._arrived: deque[int] = deque()
+        self._changed = Condition()
+        self._thread: Thread | None = None
+        self._problem: BaseException | None = None
+        self._ended = False
+
+    def want(self, nodes: Nodes) -> None:
+        """Ask for nodes, most urgent first; what was asked for before and is not found yet is dropped.
+
+        Raises
+        ------
+        InputError
+            If more nodes are asked for than the buffer holds.
+        """
+        if len(nodes) > self.capacity:
+            raise InputError(
+                f"nodes must be at most the {self.capacity} that the buffer holds, got {len(nodes)}: "
+                "allow more memory, or ask for fewer"
+            )
+        with self._changed:
+            self._waiting.clear()
+            self._wanted = set(map(int, nodes))
+            for node in map(int, nodes[::-1]):
+                if self._slot[node] < 0:
+                    self._waiting.appendleft(node)
+                else:
+                    self._used.move_to_end(node)
+            if self._waiting:
+                self._changed.notify_all()
+
+    def ready(self, nodes: Nodes) -> bool:
+        """Whether the columns of all these nodes are there.
+
+        Raises
+        ------
+        RuntimeError
+            If the thread beside the ticks failed.
+        """
+        if self._problem is not None:
+            raise RuntimeError("the compliance could not be found") from self._problem
+        return bool((self._slot[nodes] >= 0).all())
+
+    def block(self, nodes: Nodes, out: Array | None = None) -> Array:
+        """W between nodes that are ready [m/N], symmetric bitwise, shape (3k, 3k), into ``out`` if it is given.
+
+        Raises
+        ------
+        InputError
+            If one is not ready.
+        """
+        size = 3 * len(nodes)
+        with self._changed:
+            slots = self._ready_slots(nodes)
+            found = self._columns[slots[:, None], nodes[None, :]].transpose(0, 2, 1, 3).reshape(size, size)
+        target = np.empty((size, size)) if out is None else out[:size, :size]
+        np.add(found, found.T, out=target)
+        target *= 0.5
+        return target
+
+    def displacement_m(self, nodes: Nodes, force_N: Array) -> Array:
+        """Displacement of all touchable nodes [m], shape (t, 3), for forces [N], shape (k, 3), on nodes that are ready.
+
+        Raises
+        ------
+        InputError
+            If one is not ready.
+        """
+        with self._changed:
+            columns = self._columns[self._ready_slots(nodes)]
+        return np.asarray(np.einsum("ktij,ki->tj", columns, force_N))
+
+    def pour(self, matrix_m_N: Array) -> int:
+        """Write one node that is newly there into a matrix of all touchable nodes, shape (3t, 3t).
+
+        Blocks between it and all nodes that are there are written, the same on every visit; others are left. One node
+        a call keeps a tick short.
+
+        Returns
+        -------
+        int
+            Nodes still to be poured.
+
+        Raises
+        ------
+        InputError
+            If the matrix has another shape or is not contiguous.
+        """
+        if matrix_m_N.shape != (len(self._rows), len(self._rows)) or not matrix_m_N.flags.c_contiguous:
+            raise InputError(
+                f"matrix_m_N must be contiguous of shape {(len(self._rows),) * 2}, got shape {matrix_m_N.shape}: "
+                "make it with np.full"
+            )
+        with self._changed:
+            while self._arrived and self._slot[self._arrived[0]] < 0:
+                self._arrived.popleft()
+            if not self._arrived:
+                return 0
+            node = self._arrived.popleft()
+            others = np.fromiter(self._used, dtype=np.int64)
+            there = self._columns[self._slot[node], others]
+            back = self._columns[self._slot[others], node]
+            blocks = 0.5 * (there + back.transpose(0, 2, 1))
+            left = len(self._arrived)
+        view = matrix_m_N.reshape(len(self._touchable), 3, len(self._touchable), 3)
+        view[node, :, others, :] = blocks
+        view[others, :, node, :] = blocks.transpose(0, 2, 1)
+        return left
+
+    def fill(self) -> None:
+        """Find all that is wanted, in this thread."""
+        while (node := self._next()) is not None:
+            self._find(node)
+
+    def start(self) -> None:
+        """Let a thread find what is wanted from now on."""
+        if self._thread is None:
+            self._thread = Thread(target=self._serve, name="compliance", daemon=True)
+            self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread after the node it is at."""
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
+        if self._thread is not None:
+            self._thread.join()
+        self._thread, self._ended = None, False
+
+    def _serve(self) -> None:
+        try:
+            while True:
+                with self._changed:
+                    while not self._waiting and not self._ended:
+                        self._changed.wait()
+                    if self._ended:
+                        return
+                node = self._next()
+                if node is not None:
+                    self._find(node)
+        except BaseException as problem:
+            self._problem = problem
+
+    def _next(self) -> int | None:
+        with self._changed:
+            return self._waiting.popleft() if self._waiting else None
+
+    def _find(self, node: int) -> None:
+        """Columns of one node, three right sides; a factor releases the interpreter lock meanwhile."""
+        unknowns = 3 * self._touchable[node] + np.arange(3)
+        columns = self._solver.columns(unknowns)[self._rows].reshape(-1, 3, 3).transpose(0, 2, 1)
+        with self._changed:
+            if not self._spare and node not in self._wanted:
+                return  # the tool has moved on
+            if not self._spare:
+                oldest = next(other for other in self._used if other not in self._wanted)
+                del self._used[oldest]
+                self._spare.append(int(self._slot[oldest]))
+                self._slot[oldest] = -1
+            slot = self._spare.pop()
+            self._columns[slot] = columns
+            self._slot[node] = slot
+            self._used[node] = None
+            self._arrived.append(node)
+
+    def _ready_slots(self, nodes: Nodes) -> NDArray[np.int64]:
+        slots = self._slot[nodes]
+        if (slots < 0).any():
+            raise InputError(f"nodes must be ready, got {int((slots < 0).sum())} that are not: want them earlier")
+        return slots

@@ -1,0 +1,145 @@
+"""A reduced basis: the few shapes that a touched surface mostly takes.
+
+Proper orthogonal decomposition in the energy of the answers to all unit forces on the touchable nodes. Their Gram
+matrix is the compliance W itself, so with ``W = V L V^T`` the modes are ``U V L^-1/2``, U the answers: orthonormal in
+K, and the reduced compliance is W cut to its largest eigenvalues, the best of its rank (Eckart and Young 1936,
+Psychometrika 1:211). What is left out gives mostly where it is touched; its blocks at single nodes stand in for it, as
+residual flexibility does for modes left out (MacNeal 1971, Comput. Struct. 1:581).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from tissue.fem.solvers.solution import ColumnSolver, HeldBody, Outcome, Solution
+
+__all__ = ["BasisError", "ReducedSolver"]
+
+Array = NDArray[np.float64]
+Nodes = NDArray[np.int64]
+CHUNK = 96
+"""Columns found at a time."""
+
+
+@dataclass(frozen=True)
+class BasisError:
+    """What a basis of some size leaves out.
+
+    Attributes
+    ----------
+    size
+        Number of modes.
+    energy
+        Root mean square over unit forces on touchable components of the error in the energy norm, relative to the same
+        mean of the answers.
+    point
+        Largest share of a touchable node's own compliance, along its softest direction, that the modes miss; a push
+        of that node alone to a depth feels too stiff by about as much. With residual blocks it is zero.
+    corrected
+        Largest singular value of ``W - W_reduced`` with residual blocks, relative to that of W.
+    """
+
+    size: int
+    energy: float
+    point: float
+    corrected: float
+
+
+class ReducedSolver:
+    """Solves in a basis of K-orthonormal modes: two products a solve.
+
+    Parameters
+    ----------
+    solver
+        What finds the answers.
+    touchable
+        Nodes that carry load, shape (t,).
+    size
+        Number of modes, at most 3t.
+    tolerance
+        Relative error in the energy norm up to which a solution counts as converged.
+
+    Raises
+    ------
+    InputError
+        If the size is not in [1, 3t], the tolerance not in (0, 1), or supports are displaced.
+    """
+
+    def __init__(self, solver: ColumnSolver, touchable: Nodes, *, size: int, tolerance: float = 0.1) -> None:
+        self.body: HeldBody = solver.body
+        self.touchable = np.asarray(touchable, dtype=np.int64)
+        rows = (3 * self.touchable[:, None] + np.arange(3)).ravel()
+        if not 1 <= size <= len(rows):
+            raise InputError(f"size must be in [1, {len(rows)}], got {size}: three modes a touchable node are all")
+        if not 0.0 < tolerance < 1.0:
+            raise InputError(f"tolerance must be in (0, 1), got {tolerance}: use 0.1")
+        self.tolerance = tolerance
+        parts = [solver.columns(rows[start : start + CHUNK]) for start in range(0, len(rows), CHUNK)]
+        answers = np.concatenate(parts, axis=1)
+        self._rows = rows
+        whole = answers[rows]
+        self._whole = 0.5 * (whole + whole.T)
+        values, vectors = np.linalg.eigh(self._whole)
+        self.values_m_N = values[::-1].clip(min=0.0)
+        """Eigenvalues of W [m/N], falling, shape (3t,)."""
+        self._vectors = vectors[:, ::-1]
+        kept = int((self.values_m_N > 1e-13 * self.values_m_N[0]).sum())
+        self.size = min(size, kept)
+        """Number of modes; fewer than asked for where touchable components are held."""
+        leading = self._vectors[:, : self.size] / np.sqrt(self.values_m_N[: self.size])
+        self.modes = answers @ leading
+        """Modes [m/sqrt(J)], orthonormal in K, shape (3n, k)."""
+        self._carries = np.zeros(len(answers), dtype=np.bool_)
+        self._carries[rows] = True
+
+    def solve(self, load_N: Array, *, start_m: Array | None = None) -> Solution:
+        """Displacement under nodal forces [N], shape (n, 3); ``start_m`` is ignored.
+
+        For loads on touchable nodes the error in the energy norm is known, by what W says of the modes left out. Any
+        other load is answered OUTSIDE_BASIS, with a share of 1.
+        """
+        right = self.body.right_side(load_N)
+        flat = self.body.whole(right).ravel()
+        amount = self.modes.T @ flat
+        displacement = (self.modes @ amount).reshape(-1, 3)
+        if not right.any():
+            return Solution(displacement, Outcome.CONVERGED, 0, 0.0)
+        if flat[~self._carries].any():
+            return Solution(displacement, Outcome.OUTSIDE_BASIS, 0, 1.0)
+        energies = self.values_m_N * (self._vectors.T @ flat[self._rows]) ** 2
+        error = float(np.sqrt(energies[self.size :].sum() / energies.sum()))
+        outcome = Outcome.CONVERGED if error <= self.tolerance else Outcome.OUTSIDE_BASIS
+        return Solution(displacement, outcome, 0, error)
+
+    def compliance_m_N(self, size: int | None = None) -> Array:
+        """W in the basis [m/N] with residual blocks at each node, symmetric, shape (3t, 3t)."""
+        cut = self._cut(self.size if size is None else size)
+        own = np.arange(len(self.touchable))
+        view = cut.reshape(len(own), 3, len(own), 3)
+        view[own, :, own, :] = self._whole.reshape(view.shape)[own, :, own, :]
+        return 0.5 * (cut + cut.T)
+
+    def errors(self, sizes: Sequence[int]) -> list[BasisError]:
+        """What bases of these sizes leave out of W."""
+        return [self._error(size) for size in sizes]
+
+    def _cut(self, size: int) -> Array:
+        leading = self._vectors[:, :size]
+        return (leading * self.values_m_N[:size]) @ leading.T
+
+    def _error(self, size: int) -> BasisError:
+        own = np.arange(len(self.touchable))
+        shape = (len(own), 3, len(own), 3)
+        rest = self._whole - self._cut(size)
+        total = np.linalg.norm(self._whole.reshape(shape)[own, :, own, :], ord=2, axis=(1, 2))
+        missed = np.linalg.norm(rest.reshape(shape)[own, :, own, :], ord=2, axis=(1, 2))
+        corrected = self._whole - self.compliance_m_N(size)
+        return BasisError(
+            size=size,
+            energy=float(np.sqrt(self.values_m_N[size:].sum() / self.values_m_N.sum())),
+            point=float(np.divide(missed, total, out=np.zeros_like(total), where=total > 0.0).max()),
+            corrected=float(np.abs(np.linalg.eigvalsh(corrected)).max() / self.values_m_N[0]),
+        )

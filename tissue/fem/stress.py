@@ -1,0 +1,89 @@
+"""Strain and stress of a displacement: in the middle of cells, and smoothed to nodes for pictures."""
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike, NDArray
+
+from kernels.launcher import SplitLaunch
+from kernels.tet_stress import group_stress
+from meshes.base.errors import InputError
+from tissue.fem.fields import Stress
+from tissue.fem.pattern import grouped
+from tissue.fem.shapes import EDGES, gradient_slopes
+from tissue.fem.space import Space
+from tissue.materials.elasticity import elasticity_rows, stiffness_of_lame
+
+__all__ = ["Stress", "cell_stress", "node_stress"]
+
+Array = NDArray[np.float64]
+
+
+def cell_stress(space: Space, displacement_m: Array, elasticity: ArrayLike) -> Stress:
+    """Stress in the middle of each cell, which is its mean over the cell.
+
+    Parameters
+    ----------
+    space
+        Nodes and cells.
+    displacement_m
+        Displacement of each node [m], shape (n, 3).
+    elasticity
+        As for `tissue.fem.assembly.assemble`.
+
+    Raises
+    ------
+    InputError
+        If the displacement has another shape or is not finite, or the elasticity is refused.
+    """
+    start = np.arange(space.cell_count + 1, dtype=np.int32)
+    return _evaluate(space, displacement_m, elasticity, start, start[:-1], np.full((1, 4), 0.25))
+
+
+def node_stress(space: Space, displacement_m: Array, elasticity: ArrayLike) -> Stress:
+    """Stress at each node: the mean of what the cells around it have there, weighted by their volumes.
+
+    Smooth where the true stress is; across a jump of the material it shows the mean of both sides. Von Mises and
+    principal stresses are those of the mean. Parameters and errors as of `cell_stress`.
+    """
+    nodes = space.cell_nodes.astype(np.int32)
+    order, _ = grouped(nodes.ravel(), np.zeros(nodes.size, dtype=np.int32), space.node_count)
+    start = np.concatenate([[0], np.cumsum(np.bincount(nodes.ravel(), minlength=space.node_count))]).astype(np.int32)
+    corners = np.eye(4)
+    places = np.concatenate([corners, corners[EDGES[: nodes.shape[1] - 4]].mean(axis=1).reshape(-1, 4)])
+    return _evaluate(space, displacement_m, elasticity, start, order, places)
+
+
+def _evaluate(
+    space: Space,
+    displacement_m: Array,
+    elasticity: ArrayLike,
+    start: NDArray[np.int32],
+    member: NDArray[np.int32],
+    places: Array,
+) -> Stress:
+    moved = np.ascontiguousarray(displacement_m, dtype=np.float64)
+    if moved.shape != (space.node_count, 3) or not np.isfinite(moved).all():
+        raise InputError(
+            f"displacement_m must be finite, shape ({space.node_count}, 3), got shape {moved.shape}: take it from a "
+            "solve on the same space"
+        )
+    rows = elasticity_rows(elasticity, space.cell_count)
+    stiffness = stiffness_of_lame(rows) if rows.ndim == 2 else rows
+    count, device = len(start) - 1, space.device
+    inputs = [
+        wp.array(start, dtype=wp.int32, device=device),
+        wp.array(member, dtype=wp.int32, device=device),
+        wp.array(places, dtype=wp.vec4d, device=device),
+        wp.array(gradient_slopes(4, space.order), dtype=wp.vec4d, device=device),
+        wp.array(space.cell_nodes.astype(np.int32), dtype=wp.int32, device=device),
+        *space.gradients,
+        wp.array(stiffness, dtype=wp.float64, device=device),
+        wp.array(moved, dtype=wp.vec3d, device=device),
+        0,
+    ]
+    strain, stress = (wp.empty((count, 6), dtype=wp.float64, device=device) for _ in range(2))
+    von_mises = wp.empty(count, dtype=wp.float64, device=device)
+    principal = wp.empty(count, dtype=wp.vec3d, device=device)
+    outputs = [strain, stress, von_mises, principal]
+    SplitLaunch(group_stress, dim=count, inputs=inputs, outputs=outputs, offset_index=len(inputs) - 1, device=device)()
+    return Stress(strain.numpy(), stress.numpy(), von_mises.numpy(), principal.numpy())

@@ -1,0 +1,180 @@
+"""Force over depth as the tool goes down through the layers for the first time."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue.figures.figure import STYLE, figure, save
+from tissue.figures.style import COMPONENTS, layer_colours, spells
+from tissue.simulation.depth_map import HALF, tool_axes
+from tissue.simulation.run import Run
+from tissue.simulation.trace import NO_LAYER
+
+__all__ = ["draw_force_depth", "first_descent", "layers_passed"]
+
+UNITS = {"um": "µm", "degC": "°C", "mm2": "mm²", "mm3": "mm³"}
+"""Units of the trace's columns as they are printed; all others as they are."""
+MEANT = {"µm": "displacement"}
+"""What a unit alone says of a quantity."""
+RISE_MM = 0.2
+"""A tool that rises by this much has ended its descent."""
+
+
+def first_descent(coordinate_mm: NDArray[np.float64], contact: NDArray[np.bool_]) -> slice:
+    """Rows from a little before the first contact down to the deepest point before the tool rises.
+
+    Parameters
+    ----------
+    coordinate_mm
+        Place of the tool's tip, growing out of the tissue [mm], shape (rows,).
+    contact
+        Whether the tool meets tissue, shape (rows,).
+    """
+    if not contact.any():
+        return slice(0, 0)
+    first = int(contact.argmax())
+    down = coordinate_mm[first:]
+    risen = down > np.minimum.accumulate(down) + RISE_MM
+    stop = int(risen.argmax()) if risen.any() else len(down)
+    last = first + int(np.argmax(down[:stop] <= down[:stop].min() + 1e-6))
+    before = int(np.searchsorted(-coordinate_mm[:first], -(coordinate_mm[first] + RISE_MM))) if first else 0
+    return slice(before, last + 1)
+
+
+def layers_passed(run: Run, tips_mm: NDArray[np.float64]) -> NDArray[Any]:
+    """Layer that lay at the tip before the run, by name, shape (tips,)."""
+    volume = run.volume
+    place = np.floor((tips_mm * 1e-3 - volume.origin_m) / volume.spacing_m).astype(int)
+    inside = ((place >= 0) & (place < volume.shape)).all(axis=1)
+    x, y, z = np.clip(place, 0, np.array(volume.shape) - 1).T
+    inside &= volume.fraction[x, y, z] >= HALF
+    return np.where(inside, np.array(volume.layer_names)[volume.layer[x, y, z]], NO_LAYER)
+
+
+def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | None:
+    """Draw force, and what else the tissue tells, over the depth of the first descent.
+
+    Parameters
+    ----------
+    run
+        A run with voxels.
+    path
+        PNG file.
+    axis, outward
+        World axis closest to the tool's, and the side that the tool comes from.
+
+    Returns
+    -------
+    None, or why it could not be drawn.
+    """
+    import matplotlib
+
+    tips = run.trace.vectors("tool", "mm")
+    rows = first_descent(outward * tips[:, axis], run.trace["contact_mm2"] > 0.0)
+    if len(tips[rows]) < 2:
+        return "the tool did not go down into the tissue"
+    with matplotlib.rc_context(STYLE):
+        _draw(run, path, rows, outward * tips[rows, axis])
+    return None
+
+
+def _draw(run: Run, path: Path, rows: slice, coordinate_mm: NDArray[np.float64]) -> None:
+    trace = run.trace
+    passed = layers_passed(run, trace.vectors("tool", "mm")[rows])
+    entered = int((passed != NO_LAYER).argmax()) if (passed != NO_LAYER).any() else 0
+    depth = coordinate_mm[entered] - coordinate_mm
+    measures = _by_unit(run.parts.tissue.measure_names)
+    full = 3.4 + 1.3 * len(measures)
+    chart = figure(8.0, full)
+    panels = chart.subplots(
+        1 + len(measures), 1, sharex=True, squeeze=False, height_ratios=[2.2, *([1.0] * len(measures))]
+    )
+    panels = panels[:, 0]
+    chart.subplots_adjust(left=0.115, right=0.98, top=1.0 - 0.62 / full, bottom=0.5 / full, hspace=0.12)
+    force, model = trace.vectors("force", "N")[rows], trace.vectors("model_force", "N")[rows]
+    turns = tool_axes(np.column_stack([trace[f"tool_q{c}"][rows] for c in "xyzw"]))
+    for values, colour, style, label in (
+        (lambda f: np.linalg.norm(f, axis=1), "0.1", "-", "magnitude"),
+        (lambda f: np.einsum("ij,ij->i", f, turns), COMPONENTS[0], (0, (4, 2)), "along the tool's axis, outward"),
+    ):
+        panels[0].plot(depth, values(force), color=colour, linewidth=0.8, alpha=0.35)
+        panels[0].plot(depth, values(model), color=colour, linewidth=1.4, linestyle=style, label=label)
+    panels[0].plot(
+        [], [], color="0.4", linewidth=3.2, alpha=0.35, label="as given out, low-pass and vibration included"
+    )
+    panels[0].set_ylabel("force / N")
+    for axes, (unit, names) in zip(panels[1:], measures.items(), strict=True):
+        for name, colour in zip(names, ("0.1", *COMPONENTS, "#CC79A7"), strict=False):
+            axes.plot(depth, trace[name][rows], color=colour, label=_spoken(name))
+        axes.set_ylabel(f"{_shared(names)}\n{MEANT.get(unit, '')} / {unit}".strip("\n/ "))
+        if len(names) > 1:
+            axes.legend(frameon=False, ncols=len(names), loc="best", handlelength=1.4)
+    _shade(run, panels, depth, passed, np.linalg.norm(model, axis=1))
+    for axes in panels:
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.grid(axis="y", color="0.92", linewidth=0.6)
+        axes.set_axisbelow(True)
+        axes.set_xlim(depth[0], depth[-1])
+    panels[-1].set_xlabel("depth of the tool's tip below the surface / mm")
+    chart.align_ylabels(panels)
+    chart.text(
+        0.115,
+        1.0 - 0.22 / full,
+        f"{run.scene.name}: force on the tool over depth, first descent",
+        va="center",
+        size=10.5,
+    )
+    panels[0].legend(
+        loc="lower left", bbox_to_anchor=(-0.01, 0.99), ncols=3, frameon=False, handlelength=1.8, columnspacing=1.2
+    )
+    save(chart, path)
+
+
+def _shade(run: Run, panels: Any, depth: NDArray[np.float64], passed: NDArray[Any], force: NDArray[np.float64]) -> None:
+    """A band for each layer, with its name and the mean force in it."""
+    colours = layer_colours(run.volume.layer_names)
+    for first, last, name in spells(passed):
+        if name == NO_LAYER:
+            continue
+        ends = depth[first], depth[min(last, len(depth) - 1)]
+        for axes in panels:
+            axes.axvspan(*ends, color=colours[name], alpha=0.28, linewidth=0.0, zorder=0)
+            axes.axvline(ends[0], color="0.35", linewidth=0.7, zorder=1)
+        share = (ends[1] - ends[0]) / (depth[-1] - depth[0])
+        mean = f"mean {force[first:last].mean():.2g} N"
+        if share > 0.02:
+            panels[0].text(
+                0.5 * sum(ends),
+                0.97,
+                f"{name}\n{mean}" if share > 0.12 else f"{name}, {mean}",
+                transform=panels[0].get_xaxis_transform(),
+                rotation=0.0 if share > 0.12 else 90.0,
+                ha="center",
+                va="top",
+                size=8.5,
+            )
+    low, high = panels[0].get_ylim()
+    panels[0].set_ylim(min(low, 0.0), high + 0.2 * (high - low))
+
+
+def _by_unit(names: tuple[str, ...]) -> dict[str, list[str]]:
+    """Columns that share a unit, their name's last word."""
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        unit = name.rpartition("_")[2]
+        groups.setdefault(UNITS.get(unit, unit), []).append(name)
+    return groups
+
+
+def _spoken(name: str) -> str:
+    """A column's name in words, without its unit."""
+    return name.rpartition("_")[0].replace("_", " ")
+
+
+def _shared(names: list[str]) -> str:
+    """The words that names begin with alike."""
+    words = [_spoken(name).split() for name in names]
+    alike = [same[0] for same in zip(*words, strict=False) if len(set(same)) == 1]
+    return " ".join(alike)

@@ -1,0 +1,51 @@
+"""Force on a needle over the way of its tip, in and out, and what it is made of."""
+
+from pathlib import Path
+
+import numpy as np
+
+from tissue.figures.figure import figure, save
+from tissue.simulation.run import Run
+
+__all__ = ["draw_insertion"]
+
+SHARES = (("elastic_N", "organ and membranes", "#56B4E9"), ("cutting_N", "cutting", "#E69F00"),
+          ("friction_N", "friction along the shaft", "#009E73"))  # fmt: skip
+
+
+def draw_insertion(run: Run, path: Path) -> None:
+    """Draw the axial force over the tip's depth and its shares over time, punctures marked."""
+    trace = run.trace
+    time, depth = trace["time_s"], -trace["tool_z_mm"]
+    force = trace["model_force_z_N"]
+    chart = figure(8.0, 6.4)
+    over_depth, over_time = chart.subplots(2, 1)
+    chart.subplots_adjust(left=0.1, right=0.98, top=0.9, bottom=0.1, hspace=0.38)
+    inward = np.gradient(depth) > 0.0
+    for chosen, colour, label in ((inward, "#0072B2", "pushed in"), (~inward, "#D55E00", "drawn out")):
+        over_depth.plot(depth, np.where(chosen, force, np.nan), color=colour, linewidth=1.8, label=label)
+    for name, label, colour in SHARES:
+        over_time.plot(time, trace[name], color=colour, linewidth=1.8, label=label)
+    over_time.plot(time, force, color="0.1", linewidth=1.0, label="together")
+    for when, what in run.events:
+        row = int(np.searchsorted(time, when))
+        if "punctured" in what and row < len(time):
+            over_depth.annotate(
+                what.partition(" is punctured")[0].removeprefix("the "),
+                (depth[row], force[max(row - 1, 0)]),
+                xytext=(0, 10),
+                textcoords="offset points",
+                ha="center",
+                arrowprops={"arrowstyle": "-", "color": "0.4"},
+            )
+            over_time.axvline(when, color="0.6", linestyle=":", linewidth=1.0)
+    over_depth.set(xlabel="depth of the tip below the resting surface / mm", ylabel="axial force / N")
+    over_time.set(xlabel="time / s", ylabel="share of it / N")
+    for axes in (over_depth, over_time):
+        axes.axhline(0.0, color="0.7", linewidth=0.6, zorder=0)
+        axes.grid(axis="y", color="0.92", linewidth=0.6)
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.margins(x=0.0, y=0.12)
+        axes.legend(frameon=False, loc="best")
+    chart.text(0.1, 0.96, f"{run.scene.name}: axial force on the needle", va="center", size=10.5)
+    save(chart, path)

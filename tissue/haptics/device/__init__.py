@@ -1,0 +1,1 @@
+"""Haptic devices: their contract, real limits, simulated, recorded and faulty ones, and safe operation."""

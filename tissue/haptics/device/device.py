@@ -1,0 +1,195 @@
+"""What a haptic device is to a loop, and the published numbers of some."""
+
+from dataclasses import dataclass, fields, replace
+from math import inf
+from types import TracebackType
+from typing import NamedTuple, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, require_positive, require_range
+from tissue.haptics.loop.plant import Triple
+from tissue.haptics.loop.sampled_loop import WallLoop
+from tissue.materials.constants import constants
+from tissue.motion.quaternion import Quaternion
+
+__all__ = ["DEVICES", "ComputedDevice", "Device", "DeviceError", "DeviceParameters", "Sample", "device_parameters"]
+
+Array = NDArray[np.float64]
+DEVICES = ("touch", "omni", "six-dof")
+
+
+class Sample(NamedTuple):
+    """What a device tells of itself at a time: pose and its rate of change, in the world frame."""
+
+    time_s: float
+    position_m: Triple
+    velocity_m_s: Triple = (0.0, 0.0, 0.0)
+    quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)
+    spin_rad_s: Triple = (0.0, 0.0, 0.0)
+
+    def arrays(self) -> tuple[Array, Array, Array, Array]:
+        """Position, velocity, quaternion and spin as arrays."""
+        return (
+            np.array(self.position_m),
+            np.array(self.velocity_m_s),
+            np.array(self.quaternion),
+            np.array(self.spin_rad_s),
+        )
+
+
+class DeviceError(InputError):
+    """A device that does not do what a device has to: one sentence with the call, what it did and what to check."""
+
+
+class Device(Protocol):
+    """A haptic device: position in, force out.
+
+    These two are all that a loop needs; see `tissue.haptics.device.safe_device.SafeDevice` for how it holds a device. One
+    that is a context manager is entered before its first read and left after its last command, which is zero: give it
+    to a run without a ``with`` of your own, which would open it twice, or as ``with SafeDevice(device) as held``. A
+    device may have ``close()``, which takes all force off it by other means and may be called from another thread: it
+    is used where ``command`` fails.
+    """
+
+    def read(self, time_s: float) -> Sample | None:
+        """The newest sample at a time; None where there is none."""
+        ...
+
+    def command(self, force_N: Array, torque_Nm: Array) -> None:
+        """Play a force and a torque, on the hand and in the world frame, until the next command."""
+        ...
+
+
+class ComputedDevice:
+    """What the devices that are computed here have in common: they answer at once, and end at zero."""
+
+    in_process = True
+    """Whether read and command only compute, so that they cannot block."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.command(np.zeros(3), np.zeros(3))
+
+    def command(self, force_N: Array, torque_Nm: Array) -> None:
+        """Take a force and a torque and forget them, for a device without motors."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeviceParameters:
+    """Physics and limits of a device; the same in all directions.
+
+    Attributes
+    ----------
+    mass_kg, damping_N_s_m, friction_N
+        Apparent mass, viscous and Coulomb friction at the tip.
+    encoder_step_m
+        Step in which positions are read [m]; 0 for exact ones.
+    force_limit_N
+        Greatest force [N].
+    force_slew_N_ms
+        Greatest change of the force that it is commanded [N/ms].
+    rate_Hz
+        Samples and force updates a second.
+    transport_delay_s
+        From a sample to the force that answers it, beside the hold [s].
+    amplifier_Hz
+        Bandwidth of the amplifiers; infinite for none.
+    inertia_kg_m2, damping_Nm_s_rad, friction_Nm, encoder_step_rad, torque_limit_Nm, torque_slew_Nm_ms
+        The same for rotation; a torque limit of 0 makes a device of three degrees of freedom, whose rotation moves
+        freely with the hand.
+    stiffness_limit_N_m, damping_limit_N_s_m, stiffness_limit_Nm_rad
+        What the vendor's software allows for; told, not enforced.
+    workspace_width_m, workspace_height_m, workspace_depth_m
+        Box in which the tip can be moved [m].
+    """
+
+    mass_kg: float
+    damping_N_s_m: float
+    friction_N: float = 0.0
+    encoder_step_m: float = 0.0
+    force_limit_N: float = 1e3
+    force_slew_N_ms: float = inf
+    rate_Hz: float = 1000.0
+    transport_delay_s: float = 0.0
+    amplifier_Hz: float = inf
+    inertia_kg_m2: float = 5e-5
+    damping_Nm_s_rad: float = 1.5e-4
+    friction_Nm: float = 0.0
+    encoder_step_rad: float = 0.0
+    torque_limit_Nm: float = 0.0
+    torque_slew_Nm_ms: float = inf
+    stiffness_limit_N_m: float = inf
+    damping_limit_N_s_m: float = inf
+    stiffness_limit_Nm_rad: float = inf
+    workspace_width_m: float = inf
+    workspace_height_m: float = inf
+    workspace_depth_m: float = inf
+
+    def __post_init__(self) -> None:
+        for name in ("mass_kg", "force_limit_N", "inertia_kg_m2"):
+            require_positive(name, getattr(self, name), "see devices.toml for what is usual")
+        require_range("rate_Hz", self.rate_Hz, 10.0, 1e5, "use 1000")
+        for name in ("damping_N_s_m", "friction_N", "encoder_step_m", "damping_Nm_s_rad", "friction_Nm",
+                     "encoder_step_rad", "torque_limit_Nm"):  # fmt: skip
+            require_range(name, getattr(self, name), 0.0, 1e4, "use 0 for none")
+        require_range("transport_delay_s", self.transport_delay_s, 0.0, 0.2, "use 0 for none")
+        for name, none in (
+            ("amplifier_Hz", "one without lag"), ("force_slew_N_ms", "no limit"), ("torque_slew_Nm_ms", "no limit"),
+        ):  # fmt: skip
+            if not getattr(self, name) > 0.0:
+                raise InputError(f"{name} must be positive, got {getattr(self, name)}: use inf for {none}")
+
+    def loop(
+        self, stiffness_N_m: float, *, wall_damping_N_s_m: float = 0.0, filter_s: float = 0.0, model_ticks: int = 1
+    ) -> WallLoop:
+        """The loop by which a wall on this device is judged, without friction, encoder and hand."""
+        return WallLoop(
+            mass_kg=self.mass_kg,
+            damping_N_s_m=self.damping_N_s_m,
+            stiffness_N_m=stiffness_N_m,
+            wall_damping_N_s_m=wall_damping_N_s_m,
+            tick_s=1.0 / self.rate_Hz,
+            delay_s=self.transport_delay_s,
+            model_ticks=model_ticks,
+            filter_s=filter_s,
+            amplifier_hz=self.amplifier_Hz,
+        )
+
+    @property
+    def workspace_m(self) -> Array:
+        """Edges of the workspace in ascending order [m], shape (3,)."""
+        return np.sort([self.workspace_width_m, self.workspace_height_m, self.workspace_depth_m])
+
+    def turning_loop(
+        self,
+        stiffness_Nm_rad: float,
+        *,
+        wall_damping_Nm_s_rad: float = 0.0,
+        filter_s: float = 0.0,
+        model_ticks: int = 1,
+    ) -> WallLoop:
+        """The same for a rotation, in its units."""
+        loop = self.loop(
+            stiffness_Nm_rad, wall_damping_N_s_m=wall_damping_Nm_s_rad, filter_s=filter_s, model_ticks=model_ticks
+        )
+        return replace(loop, mass_kg=self.inertia_kg_m2, damping_N_s_m=self.damping_Nm_s_rad)
+
+
+def device_parameters(name: str) -> DeviceParameters:
+    """Numbers of a device from ``devices.toml``: touch, omni (three degrees of freedom) or six-dof (Premium 1.5 6DOF).
+
+    Raises
+    ------
+    InputError
+        If the device is not one of these.
+    """
+    if name not in DEVICES:
+        raise InputError(f"device must be one of {', '.join(DEVICES)}, got {name}: choose one of these")
+    given = constants("devices", name)
+    return DeviceParameters(**{e.name: given[e.name].value for e in fields(DeviceParameters) if e.name in given})

@@ -1,0 +1,83 @@
+"""Faults of a device by schedule, for loops that must survive them."""
+
+from collections import deque
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from math import nan
+from types import TracebackType
+from typing import Literal, Self, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, require_range
+from tissue.haptics.device.device import Device, Sample
+
+__all__ = ["Fault", "FaultKind", "FaultyDevice"]
+
+Array = NDArray[np.float64]
+FaultKind = Literal["dropped", "late", "duplicated", "non-finite", "wild"]
+WILD_M = 1e9
+LATE_READS = 5
+"""How many reads a late sample is behind."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What goes wrong with the samples from one time to another [s]."""
+
+    kind: FaultKind
+    start_s: float
+    end_s: float
+
+    def __post_init__(self) -> None:
+        if self.kind not in get_args(FaultKind):
+            raise InputError(f"kind must be one of {', '.join(get_args(FaultKind))}, got {self.kind}: choose one")
+        require_range("end_s", self.end_s, self.start_s, 1e9, "let a fault end after its start")
+
+
+class FaultyDevice:
+    """A device whose samples are dropped, late, repeated, not numbers or wild (1e9 m) at given times."""
+
+    def __init__(self, device: Device, faults: Sequence[Fault]) -> None:
+        self._device, self._faults = device, tuple(faults)
+        self._past: deque[Sample | None] = deque(maxlen=LATE_READS + 1)
+        self._told: Sample | None = None
+
+    @property
+    def in_process(self) -> bool:
+        """Whether the device only computes."""
+        return bool(getattr(self._device, "in_process", False))
+
+    def __enter__(self) -> Self:
+        if isinstance(self._device, AbstractContextManager):
+            self._device.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if isinstance(self._device, AbstractContextManager):
+            self._device.__exit__(kind, error, trace)
+
+    def read(self, time_s: float) -> Sample | None:
+        """A sample, or what the fault of the time makes of it."""
+        sample = self._device.read(time_s)
+        self._past.append(sample)
+        kind = next((fault.kind for fault in self._faults if fault.start_s <= time_s < fault.end_s), None)
+        if kind == "dropped":
+            return None
+        if kind == "duplicated":
+            return self._told
+        if kind == "late":
+            return self._past[0]
+        if sample is not None and kind is not None:
+            wrong = nan if kind == "non-finite" else WILD_M
+            sample = sample._replace(position_m=(wrong, *sample.position_m[1:]))
+        self._told = sample
+        return sample
+
+    def command(self, force_N: Array, torque_Nm: Array) -> None:
+        """Commands pass."""
+        self._device.command(force_N, torque_Nm)

@@ -1,0 +1,113 @@
+"""Devices that play no force: recorded motion, and a mouse in a window."""
+
+from math import exp
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+from meshes.base.errors import InputError, require_positive
+from tissue.haptics.device.device import ComputedDevice, Sample
+from tissue.haptics.loop.plant import Triple
+from tissue.motion.quaternion import Quaternion, conjugate, logarithm, product
+
+__all__ = ["MouseDevice", "RecordedDevice"]
+
+Array = NDArray[np.float64]
+
+
+class RecordedDevice(ComputedDevice):
+    """A table of poses, replayed; forces are taken and forgotten.
+
+    Parameters
+    ----------
+    times_s
+        Increasing times [s], shape (n,). Before the first and after the last one there is no sample.
+    positions_m
+        Positions [m], shape (n, 3).
+    quaternions
+        Orientations (x, y, z, w), shape (n, 4).
+    rate_Hz
+        Samples a second, between which positions are linear and orientations on the shortest arc.
+
+    Raises
+    ------
+    InputError
+        If times do not increase, a number is not finite or a quaternion is zero.
+    """
+
+    def __init__(
+        self, times_s: Array, positions_m: Array, quaternions: Array | None = None, *, rate_Hz: float = 1000.0
+    ) -> None:
+        require_positive("rate_Hz", rate_Hz, "use 1000")
+        times, positions = np.array(times_s, dtype=float), np.array(positions_m, dtype=float)
+        if len(times) < 2 or positions.shape != (len(times), 3) or not np.isfinite([*times, *positions.ravel()]).all():
+            raise InputError(
+                f"positions_m must be finite with shape ({len(times)}, 3), got {positions.shape}: mend them"
+            )
+        if not (np.diff(times) > 0.0).all():
+            raise InputError(f"times_s must increase, got {times_s}: sort them")
+        turned = np.tile((0.0, 0.0, 0.0, 1.0), (len(times), 1)) if quaternions is None else np.array(quaternions, float)
+        sizes = np.linalg.norm(turned, axis=1)
+        if turned.shape != (len(times), 4) or not np.isfinite(sizes).all() or (sizes < 1e-6).any():
+            raise InputError("quaternions must be finite and not zero, one for each time, got others: use 0, 0, 0, 1")
+        self._first, self._last, self._rate = float(times[0]), float(times[-1]), rate_Hz
+        at = np.minimum(times[0] + np.arange(round((times[-1] - times[0]) * rate_Hz) + 1) / rate_Hz, times[-1])
+        rotation = Slerp(times, Rotation.from_quat(turned))(at)
+        tips = np.column_stack([np.interp(at, times, positions[:, axis]) for axis in range(3)])
+        speeds = np.diff(tips, axis=0, prepend=tips[:1]) * rate_Hz
+        spins = np.zeros_like(tips)
+        spins[1:] = (rotation[1:] * rotation[:-1].inv()).as_rotvec() * rate_Hz
+        columns = (column.tolist() for column in (at, tips, speeds, rotation.as_quat(), spins))
+        rows = zip(*columns, strict=True)
+        self._samples = [Sample(t, tuple(p), tuple(v), tuple(q), tuple(w)) for t, p, v, q, w in rows]
+
+    def read(self, time_s: float) -> Sample | None:
+        """The last recorded sample that is not after a time; None outside the record."""
+        if not self._first - 1e-9 <= time_s <= self._last + 1e-9:
+            return None
+        return self._samples[min(int((time_s - self._first) * self._rate + 1e-6), len(self._samples) - 1)]
+
+
+class MouseDevice(ComputedDevice):
+    """Positions that a window pushes in at its own rate, smoothed to a motion that a tissue can be met with.
+
+    Between two pushes the pose follows the last one as a critically damped second-order system, exactly for a target
+    that is held, so that position and velocity are continuous at any rate of the window.
+
+    Parameters
+    ----------
+    position_m
+        Where it starts [m].
+    response_s
+        Time constant with which a push is followed [s].
+    """
+
+    def __init__(self, position_m: Triple = (0.0, 0.0, 0.0), *, response_s: float = 0.03) -> None:
+        self._response = require_positive("response_s", response_s, "use 0.03")
+        self._target, self._position = position_m, position_m
+        self._velocity: Triple = (0.0, 0.0, 0.0)
+        self._turned: Quaternion = (0.0, 0.0, 0.0, 1.0)
+        self._sample = Sample(0.0, position_m)
+
+    def push(self, position_m: Triple, quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)) -> None:
+        """Where the pointer is now [m]; may be called from a window's thread."""
+        self._target, self._turned = position_m, quaternion
+
+    def read(self, time_s: float) -> Sample | None:
+        """Follow the last push up to a time."""
+        step, target = time_s - self._sample.time_s, self._target
+        if step <= 0.0:
+            return self._sample
+        fade, rate = exp(-step / self._response), 1.0 / self._response
+        position, velocity = [], []
+        for at, speed, wanted in zip(self._position, self._velocity, target, strict=True):
+            away = at - wanted
+            slope = speed + rate * away
+            position.append(wanted + fade * (away + slope * step))
+            velocity.append(fade * (slope - rate * (away + slope * step)))
+        self._position, self._velocity = tuple(position), tuple(velocity)  # type: ignore[assignment]
+        turn = logarithm(product(self._turned, conjugate(self._sample.quaternion)))
+        spin = tuple(angle / step for angle in turn)
+        self._sample = Sample(time_s, self._position, self._velocity, self._turned, spin)  # type: ignore[arg-type]
+        return self._sample

@@ -1,0 +1,297 @@
+"""A device as a loop holds it: entered, timed, limited in how fast its force changes, and never left pushing."""
+
+import threading
+from collections.abc import Callable
+from contextlib import AbstractContextManager, ExitStack, suppress
+from math import inf
+from time import perf_counter, sleep
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from tissue.haptics.device.device import Device, DeviceError, DeviceParameters, Sample
+from tissue.haptics.loop.filters import SlewLimit
+
+__all__ = ["GIVE_UP_S", "RAMP_S", "STALL_S", "SafeDevice"]
+
+Array = NDArray[np.float64]
+RAMP_S = 0.03
+"""Time in which the last force is taken off a device whose loop still runs [s]."""
+STALL_S = 0.05
+"""How long a force is left on a device without another command [s]."""
+GIVE_UP_S = 1.0
+"""How long a read or a command may take before the device counts as lost [s]."""
+ANSWER_S = 0.2
+"""How long a command of zero from a second thread, or a close, may take [s]."""
+OPENED = ", and give it without `with`: the run opens and closes it"
+IDLE = ("", inf)
+"""No call is under way."""
+
+
+class SafeDevice:
+    """Holds a device so that zero force and torque are its last command, whatever ends the block.
+
+    ``with SafeDevice(device) as held:`` enters the device if it is a context manager. The force is ramped to zero in
+    `RAMP_S` at a normal end and after `stop`, and is zero at once after an exception. Where zero cannot be sent, the
+    device is closed, if it has ``close``. An exception of the device becomes a `DeviceError`.
+
+    A loop that is given ``held`` in place of the device finds it entered and leaves it so, without force: one block can
+    hold a device for many runs.
+
+    A device that is not ``in_process`` may block. Another thread that calls `watch` often sends zero once no command
+    came for `STALL_S`, and gives the device up once a call has lasted `GIVE_UP_S`.
+
+    Parameters
+    ----------
+    device
+        The device; ``read`` and ``command`` are all it needs. Or one that is held.
+    tick_s
+        Time between two commands [s].
+    limits
+        Gives the greatest change of force and torque; without it they may change at once.
+
+    Attributes
+    ----------
+    entered
+        Whether the block goes on.
+    released
+        Whether zero was sent by another thread since the last read that was in time.
+    slow_reads, slowest_read_s
+        Reads that took longer than a tick, and the longest of them [s].
+    """
+
+    def __init__(
+        self, device: "Device | SafeDevice", *, limits: DeviceParameters | None = None, tick_s: float = 1e-3
+    ) -> None:
+        self._holder = device if isinstance(device, SafeDevice) else None
+        self.device: Device = device.device if isinstance(device, SafeDevice) else device
+        self.in_process = bool(getattr(self.device, "in_process", False))
+        self.entered = False
+        self.released = False
+        self.slow_reads, self.slowest_read_s = 0, 0.0
+        self._tick, self._time_s = tick_s, 0.0
+        tick_ms = 1e3 * tick_s
+        self._force = SlewLimit(inf if limits is None else tick_ms * limits.force_slew_N_ms)
+        self._torque = SlewLimit(inf if limits is None else tick_ms * limits.torque_slew_Nm_ms)
+        self._lock = threading.Lock()
+        self._stack = ExitStack()
+        self._call = IDLE  # name of the call that is under way, and since when
+        self._played = inf  # when the last command that was not zero was sent
+        self._stop: BaseException | None = None
+        self._lost: DeviceError | None = None
+        self._closed = False
+
+    def happened(self) -> list[tuple[float, str]]:
+        """Slow reads and limited changes so far, time of the last read [s] and a sentence each."""
+        found = []
+        if self.slow_reads:
+            slowest = f"{1e3 * self.slowest_read_s:.3g} ms"
+            found.append(f"{self.slow_reads} reads took longer than a tick, the slowest {slowest}")
+        if held := max(self._force.limited, self._torque.limited):
+            found.append(f"the device's slew held the force back in {held} ticks")
+        return [(self._time_s, what) for what in found]
+
+    def __enter__(self) -> Self:
+        held = self._holder is not None and self._holder.entered
+        if isinstance(self.device, AbstractContextManager) and not held:
+            self._call = ("__enter__", perf_counter())
+            try:
+                self._stack.enter_context(self.device)
+            except Exception as error:
+                raise self._failed("__enter__", error) from error
+            finally:
+                self._call = IDLE
+        self.entered = True
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        problem: DeviceError | None = None
+        self.entered = False
+        try:
+            if self._lost is None and (error is None or error is self._stop):
+                self._ramp()
+        except DeviceError as raised:
+            problem = raised
+        finally:
+            problem = self._zero() or problem
+        self._call = ("__exit__", perf_counter())
+        try:
+            if not self._closed:
+                self._stack.__exit__(kind, error, trace)
+        except Exception as raised:
+            problem = problem or self._failed("__exit__", raised)
+        finally:
+            self._call = IDLE
+        if problem is not None and error is None:
+            raise problem
+
+    def read(self, time_s: float) -> Sample | None:
+        """The device's newest sample; None after a read that took so long that its sample is old.
+
+        Raises
+        ------
+        DeviceError
+            If the device raised, or was given up.
+        BaseException
+            What `stop` was given.
+        """
+        self._time_s = time_s
+        if self._stop is not None:
+            raise self._stop
+        if self.in_process:
+            try:
+                return self.device.read(time_s)
+            except Exception as error:
+                raise self._failed("read", error) from error
+        start = perf_counter()
+        self._call = ("read", start)
+        try:
+            sample = self.device.read(time_s)
+        except Exception as error:
+            raise self._failed("read", error) from error
+        finally:
+            self._call = IDLE
+        if self._lost is not None:
+            raise self._lost
+        took = perf_counter() - start
+        if took > self._tick:
+            self.slow_reads += 1
+            self.slowest_read_s = max(self.slowest_read_s, took)
+        return sample if took <= 2.5 * self._tick else None
+
+    def play(self, force_N: Array, torque_Nm: Array) -> tuple[Array, Array]:
+        """Command a force [N] and a torque [N m], brought within the limits of slew; what was commanded.
+
+        Raises
+        ------
+        DeviceError
+            If the device raised, or was given up.
+        """
+        force, torque = self._force.step(force_N), self._torque.step(torque_Nm)
+        with self._lock:
+            if self._lost is not None:
+                raise self._lost
+            self._command(force, torque)
+            if self._lost is not None:  # it was given up meanwhile, and has just begun to push again
+                with suppress(Exception):
+                    self.device.command(np.zeros(3), np.zeros(3))
+                raise self._lost
+        return force, torque
+
+    def stop(self, reason: BaseException) -> None:
+        """Let the next read raise ``reason``; the force is then ramped to zero."""
+        self._stop = reason
+
+    def watch(self) -> DeviceError | None:
+        """Look after a device whose loop runs in another thread; the error once the device is given up."""
+        now = perf_counter()
+        if now - self._played > STALL_S:
+            self.release()
+        name, since = self._call
+        if now - since > GIVE_UP_S and self._lost is None:
+            self._lost = DeviceError(
+                f"device.{name} must return within a tick, got no answer for {GIVE_UP_S:g} s: check the device and its "
+                f"cable{self._close()}"
+            )
+        return self._lost
+
+    def release(self) -> None:
+        """Send zero from a second thread; where that cannot be, close the device."""
+        self._played, self.released = inf, True
+        if self._lock.acquire(timeout=ANSWER_S):
+            try:
+                self._force.value, self._torque.value = np.zeros(3), np.zeros(3)
+                sent = _within(ANSWER_S, lambda: self.device.command(np.zeros(3), np.zeros(3)))
+            finally:
+                self._lock.release()
+            if sent:
+                return
+        self._lost = DeviceError(
+            f"device.command must play zero once the loop stands still, got no answer for {ANSWER_S:g} s: check the "
+            f"device and its cable{self._close()}"
+        )
+
+    def _command(self, force: Array, torque: Array) -> None:
+        """One command, timed."""
+        if not self.in_process:
+            now = perf_counter()
+            self._played = now if any(force.tolist()) or any(torque.tolist()) else inf
+            self._call = ("command", now)
+        try:
+            self.device.command(force, torque)
+        except Exception as error:
+            raise self._failed("command", error) from error
+        finally:
+            self._call = IDLE
+
+    def _ramp(self) -> None:
+        """Take the last force off in a straight line; a device in this process does not wait for the wall clock."""
+        force, torque = self._force.value, self._torque.value
+        if not (force.any() or torque.any()):
+            return
+        start, steps = perf_counter(), max(round(RAMP_S / self._tick), 1)
+        for step in range(1, steps):
+            share = 1.0 - step / steps
+            if not self.in_process:
+                sleep(max(start + step * self._tick - perf_counter(), 0.0))
+                share = 1.0 - (perf_counter() - start) / RAMP_S
+            if share <= 0.0:
+                return
+            with self._lock:
+                self._command(share * force, share * torque)
+
+    def _zero(self) -> DeviceError | None:
+        """Command zero, at last by closing the device; what went wrong."""
+        problem = None
+        while not self._closed:
+            try:
+                with self._lock:
+                    self._force.value, self._torque.value = np.zeros(3), np.zeros(3)
+                    self._command(np.zeros(3), np.zeros(3))
+            except KeyboardInterrupt:
+                continue  # a second Ctrl-C does not keep the first one from ending well
+            except DeviceError as error:
+                problem = error
+                self._close()
+            break
+        return problem
+
+    def _close(self) -> str:
+        """Close the device for good; what is to be said of that."""
+        close = getattr(self.device, "close", None)
+        if self._closed:
+            return ""
+        if close is None:
+            return "; it has no close and may still push, switch it off"
+        self._closed = True
+        if self._holder is not None:
+            self._holder._closed = True
+        return "; it was closed" if _within(ANSWER_S, close) else "; it did not close and may still push, switch it off"
+
+    def _failed(self, name: str, error: Exception) -> DeviceError:
+        """An exception of the device as one sentence."""
+        if isinstance(error, InputError):
+            return DeviceError(str(error))
+        said = " ".join(str(error).split())
+        return DeviceError(
+            f"device.{name} must not fail, got {type(error).__name__}{f' ({said})' if said else ''} at "
+            f"{self._time_s:.3f} s: check the device and its cable{OPENED if name == '__enter__' else ''}"
+        )
+
+
+def _within(seconds: float, call: Callable[[], object]) -> bool:
+    """Whether a call, made in a thread of its own that is left behind if it blocks, returned in time without error."""
+    returned = threading.Event()
+
+    def work() -> None:
+        with suppress(Exception):
+            call()
+            returned.set()
+
+    threading.Thread(target=work, daemon=True, name="device").start()
+    return returned.wait(seconds)

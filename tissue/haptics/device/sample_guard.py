@@ -1,0 +1,230 @@
+"""What a loop believes of a device: samples that a hand could have made; without them the force fades to nothing."""
+
+from dataclasses import dataclass
+from math import dist, isfinite, nan, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import require_positive
+from tissue.haptics.device.device import DeviceError, Sample
+from tissue.haptics.device.roughness import Roughness
+from tissue.motion.quaternion import Quaternion, conjugate, logarithm, product, unit
+
+__all__ = ["GuardLimits", "SampleGuard"]
+
+Array = NDArray[np.float64]
+NO_TORQUE = np.zeros(3)
+MOST_EVENTS = 200
+"""Changes between good samples and bad that are kept one by one."""
+PARTS, LENGTHS = ("position_m", "velocity_m_s", "quaternion", "spin_rad_s"), [3, 3, 4, 3]
+"""Vectors of a sample and how many numbers each has."""
+PLAIN = {float, int, np.float64}
+"""Types of numbers that are taken as they are; a bool is none."""
+OFF_UNIT = 0.02
+"""How far the square of a quaternion's length may be from one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GuardLimits:
+    """What counts as believable.
+
+    Attributes
+    ----------
+    fastest_m_s, fastest_rad_s
+        Greatest speed of a hand [m/s], [rad/s]; a sample that tells a greater one, or is further away than that from
+        the last good one, is refused.
+    oldest_s
+        Age above which a sample counts as missing, and how far ahead of now it may be dated [s].
+    roughest_m_s2, roughest_rad_s2
+        Greatest acceleration of what a hand holds [m/s^2], [rad/s^2]; samples that ask for more again and again are
+        noise. A hand, a contact and a device's motors reach about 200 m/s^2, a blow for a tick or two 1000 m/s^2.
+    fade_s
+        Time in which a force fades to zero once samples are missing, and comes back after them [s].
+    """
+
+    fastest_m_s: float = 5.0
+    fastest_rad_s: float = 60.0
+    oldest_s: float = 2.5e-3
+    roughest_m_s2: float = 2e3
+    roughest_rad_s2: float = 4e4
+    fade_s: float = 0.02
+
+    def __post_init__(self) -> None:
+        require_positive("fastest_m_s", self.fastest_m_s, "use 5")
+        require_positive("fastest_rad_s", self.fastest_rad_s, "use 60")
+        require_positive("oldest_s", self.oldest_s, "use two and a half ticks")
+        require_positive("roughest_m_s2", self.roughest_m_s2, "use 2000")
+        require_positive("roughest_rad_s2", self.roughest_rad_s2, "use 40000")
+        require_positive("fade_s", self.fade_s, "use 0.02")
+
+
+class SampleGuard:
+    """Judges every sample and holds the force that follows from it to what can be vouched for.
+
+    Call `believe` with what the device told, then `vouch` with the force that the loop has found for a good sample, or
+    with None after a bad one. A bad sample makes the last good force fade in a straight line, to exactly zero after
+    ``fade_s``; good ones bring the force back as slowly. Forces are bounded always. What is not a sample at all, by its
+    type or its number of entries, is a mistake in the device's class and not a fault of the moment: it is an error.
+
+    Parameters
+    ----------
+    limits
+        What is believed.
+    force_limit_N, torque_limit_Nm
+        Greatest force and torque that are vouched for, in their own direction; a zero torque limit lets none pass.
+
+    Attributes
+    ----------
+    share
+        Share of the force that is played now, 0 to 1.
+    events
+        Time [s] and a sentence for every change between good and bad, and every other kind of fault; the first 200.
+    bad_ticks
+        Samples that were not believed.
+    """
+
+    def __init__(
+        self, limits: GuardLimits | None = None, *, force_limit_N: float, torque_limit_Nm: float = 0.0
+    ) -> None:
+        self._limits = limits or GuardLimits()
+        self._caps = (require_positive("force_limit_N", force_limit_N, "give the device's"), torque_limit_Nm)
+        self.share = 0.0
+        self.events: list[tuple[float, str]] = []
+        self.bad_ticks = 0
+        self._good: Sample | None = None
+        self._fault = ""
+        self._wrench = (np.zeros(3), np.zeros(3))
+        self._clock: float | None = None
+        self._step = 0.0
+        self._places, self._turns = Roughness(self._limits.roughest_m_s2), Roughness(0.5 * self._limits.roughest_rad_s2)
+        self._turned: Quaternion = (0.0, 0.0, 0.0, 1.0)
+
+    def believe(self, sample: Sample | None, time_s: float) -> Sample | None:
+        """The sample if a hand can have made it, with its quaternion at unit length; else None.
+
+        Raises
+        ------
+        DeviceError
+            If it is no `Sample`, or a part of it is not the right number of numbers.
+        """
+        total: float | None = nan
+        if sample is not None and (total := _total(sample)) is None:
+            sample = _repaired(sample)
+            total = _total(sample)
+        self._step = 0.0 if self._clock is None else max(time_s - self._clock, 0.0)
+        self._clock = time_s
+        turned = unit(sample.quaternion) if sample is not None and total is not None and isfinite(total) else None
+        fault = self._fault_of(sample, turned, time_s)
+        if fault != self._fault:
+            self._tell(time_s, f"{fault}: the force fades" if fault else "samples are good again")
+            self._fault = fault
+        if fault or sample is None or turned is None:
+            self.bad_ticks += 1
+            return None
+        self._good = sample._replace(quaternion=turned)
+        return self._good
+
+    def vouch(self, force_N: Array | None, torque_Nm: Array | None = None) -> tuple[Array, Array]:
+        """Force and torque to play now; None or a wrench that is not finite is a fault of this tick."""
+        change = self._step / self._limits.fade_s
+        torque = NO_TORQUE if torque_Nm is None else torque_Nm
+        if force_N is not None and not all(map(isfinite, (*force_N.tolist(), *torque.tolist()))):
+            self._tell(self._clock or 0.0, "the force is not finite: it fades")
+            force_N = None
+        if force_N is not None and not self._fault:
+            self.share = min(self.share + change, 1.0)
+            self._wrench = _capped(force_N, self._caps[0]), _capped(torque, self._caps[1])
+        else:
+            self.share = max(self.share - change, 0.0)
+        return self.share * self._wrench[0], self.share * self._wrench[1]
+
+    def let_go(self) -> None:
+        """The device was brought to zero by others: the force comes back from there."""
+        self.share = 0.0
+
+    def _tell(self, time_s: float, what: str) -> None:
+        if len(self.events) < MOST_EVENTS:
+            self.events.append((time_s, what))
+        elif len(self.events) == MOST_EVENTS:
+            self.events.append((time_s, "faults go on, and are not listed from here"))
+
+    def _fault_of(self, sample: Sample | None, turned: Quaternion | None, time_s: float) -> str:
+        """What is wrong with a sample, or nothing; its quaternion at unit length beside it."""
+        limits, good = self._limits, self._good
+        if sample is None:
+            return "no sample"
+        if turned is None:
+            return "a sample that is not finite"
+        if abs(sum(part * part for part in sample.quaternion) - 1.0) > OFF_UNIT:
+            return "a quaternion that is not of unit length"
+        if time_s - sample.time_s > limits.oldest_s:
+            return "an old sample"
+        if sample.time_s - time_s > limits.oldest_s:
+            return "a sample of the future"
+        if good is not None and sample.time_s < good.time_s:
+            return "a sample from before the last one"
+        x, y, z, w = turned
+        if turned != self._turned:
+            a, b, c, d = self._turned
+            if a * x + b * y + c * z + d * w < 0.0:
+                x, y, z, w = -x, -y, -z, -w
+            self._turned = x, y, z, w
+        noisy = self._places.observe(sample.time_s, *sample.position_m)
+        if self._turns.observe(sample.time_s, x, y, z, w) or noisy:
+            return "noise that no hand makes"
+        if max(map(abs, sample.velocity_m_s)) > limits.fastest_m_s:
+            return "a speed that no hand has"
+        if max(map(abs, sample.spin_rad_s)) > limits.fastest_rad_s:
+            return "a spin that no hand has"
+        if good is None:
+            return "" if max(map(abs, sample.position_m)) < 10.0 else "a position that no hand reaches"
+        elapsed = max(sample.time_s - good.time_s, 0.0) + limits.oldest_s
+        if dist(sample.position_m, good.position_m) > limits.fastest_m_s * elapsed:
+            return "a jump that no hand makes"
+        turn = logarithm(product(turned, conjugate(good.quaternion)))
+        if sum(angle * angle for angle in turn) > (limits.fastest_rad_s * elapsed) ** 2:
+            return "a turn that no hand makes"
+        return ""
+
+
+def _total(sample: Sample) -> float | None:
+    """Sum of all numbers of a sample, finite where they all are; None if it is not made of numbers as it should be."""
+    if not isinstance(sample, Sample):
+        raise DeviceError(
+            f"device.read must return a Sample or None, got {type(sample).__name__}: use "
+            "tissue.haptics.Sample(time_s, position_m)"
+        )
+    try:
+        time_s, (x, y, z), (vx, vy, vz), (qx, qy, qz, qw), (wx, wy, wz) = sample
+        total = time_s + x + y + z + vx + vy + vz + qx + qy + qz + qw + wx + wy + wz
+    except (TypeError, ValueError, OverflowError):
+        return None
+    kinds = {*map(type, (time_s, x, y, z, vx, vy, vz, qx, qy, qz, qw, wx, wy, wz))}
+    return total if isinstance(total, float) and kinds <= PLAIN else None
+
+
+def _repaired(sample: Sample) -> Sample:
+    """The sample with every vector as a tuple of floats, such as one that was given as an array."""
+    vectors = [_numbers(*each) for each in zip(PARTS, sample[1:], LENGTHS, strict=True)]
+    return Sample(_numbers("time_s", sample.time_s, 1)[0], *vectors)  # type: ignore[arg-type]
+
+
+def _numbers(part: str, given: object, count: int) -> tuple[float, ...]:
+    """A number or a vector as a tuple of floats; what stands for a number, such as "1" or True, is none."""
+    try:
+        numbers = np.asarray(given)
+        parts: list[object] = [given] if count == 1 else list(given)  # type: ignore[call-overload]
+    except (TypeError, ValueError):
+        numbers, parts = np.zeros(0), []
+    stands = numbers.dtype.kind not in "iuf" or any(isinstance(each, (bool, np.bool_)) for each in parts)
+    if stands or numbers.shape != ((count,) if count > 1 else ()):
+        got, wanted = " ".join(repr(given).split())[:60], f"{count} numbers" if count > 1 else "a number"
+        raise DeviceError(f"device.read must return a Sample whose {part} is {wanted}, got {got}: mend its read")
+    return tuple(map(float, numbers.reshape(count)))
+
+
+def _capped(vector: Array, limit: float) -> Array:
+    """A vector no longer than a limit."""
+    size = sqrt(vector.dot(vector))
+    return vector * (limit / size) if size > limit else np.array(vector)

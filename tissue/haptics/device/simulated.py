@@ -1,0 +1,203 @@
+"""A device that is simulated between its ticks, with the hand that holds it."""
+
+from collections import deque
+from math import ceil, isfinite, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import require_range
+from tissue.haptics.device.device import ComputedDevice, DeviceParameters, Sample
+from tissue.haptics.hand.hand import Grip, HandAction, HoldingHand
+from tissue.haptics.loop.plant import Plant, Triple
+from tissue.motion.quaternion import Quaternion, conjugate, exponential, logarithm, product
+
+__all__ = ["SimulatedDevice"]
+
+Array = NDArray[np.float64]
+NOTHING: Triple = (0.0, 0.0, 0.0)
+
+
+class SimulatedDevice(ComputedDevice):
+    """A device of known physics in a simulated hand.
+
+    It has ticks of its own. At each it is sampled by its encoders and its velocity is the difference to the sample
+    before; the command that was given since then is held and reaches the motors after the transport delay, exactly,
+    also where that is no whole number of ticks. Between ticks the plant is integrated in finer steps.
+
+    A command beyond the device's greatest force or torque is brought down to it in its own direction, and counted; one
+    that is not finite is played as zero, and counted.
+
+    Parameters
+    ----------
+    parameters
+        The device.
+    hand
+        What holds it; None for nothing.
+    position_m
+        Where it starts [m].
+    substeps
+        Fine steps of the plant a tick; they matter for friction alone.
+
+    Attributes
+    ----------
+    translation, rotation
+        The moving parts; the truth that encoders only step through.
+    orientation
+        The true orientation.
+    saturated_ticks, refused_commands
+        How often a command was beyond the device, and how often it was not finite.
+    """
+
+    def __init__(
+        self,
+        parameters: DeviceParameters,
+        hand: HoldingHand | None = None,
+        *,
+        position_m: Triple = NOTHING,
+        substeps: int = 5,
+    ) -> None:
+        require_range("substeps", substeps, 1, 1000, "use 5")
+        self.parameters, self._hand = parameters, hand
+        self.translation = Plant(
+            mass_kg=parameters.mass_kg,
+            damping_N_s_m=parameters.damping_N_s_m,
+            friction_N=parameters.friction_N,
+            amplifier_hz=parameters.amplifier_Hz,
+        )
+        self.rotation = Plant(
+            mass_kg=parameters.inertia_kg_m2,
+            damping_N_s_m=parameters.damping_Nm_s_rad,
+            friction_N=parameters.friction_Nm,
+            amplifier_hz=parameters.amplifier_Hz,
+        )
+        self.translation.position = position_m
+        self.orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
+        self.saturated_ticks = self.refused_commands = 0
+        step = self._step = 1.0 / parameters.rate_Hz
+        whole = int(parameters.transport_delay_s / step + 1e-9)
+        late = parameters.transport_delay_s - whole * step
+        fine = lambda length: max(ceil(substeps * length / step - 1e-9), 1)  # noqa: E731
+        self._spans = (
+            ((late, whole + 1, fine(late)), (step - late, whole, fine(step - late)))
+            if late > 1e-9 * step
+            else ((step, whole, substeps),)
+        )
+        self._commands: deque[tuple[Triple, Triple]] = deque([(NOTHING, NOTHING)] * (whole + 2), maxlen=whole + 2)
+        self._given: tuple[Triple, Triple] = (NOTHING, NOTHING)
+        self._tick = 0
+        self._grip = Grip()
+        self._sample = Sample(0.0, self._read_position(), quaternion=self._read_orientation())
+
+    @property
+    def six_dof(self) -> bool:
+        """Whether the device can play a torque."""
+        return self.parameters.torque_limit_Nm > 0.0
+
+    def read(self, time_s: float) -> Sample | None:
+        """Go on to the last tick of the device that is not after ``time_s`` and give its sample."""
+        due = int(time_s * self.parameters.rate_Hz + 1e-6)
+        while self._tick < due:
+            self._advance()
+        return self._sample
+
+    def command(self, force_N: Array, torque_Nm: Array) -> None:
+        """Play a force and a torque from the next span on, until another command comes."""
+        limits = self.parameters
+        self._given = (
+            self._limited(force_N, limits.force_limit_N),
+            self._limited(torque_Nm, limits.torque_limit_Nm) if self.six_dof else NOTHING,
+        )
+
+    def _limited(self, wanted: Array, limit: float) -> Triple:
+        """A vector no longer than a limit."""
+        x, y, z = np.asarray(wanted).tolist()
+        size = sqrt(x * x + y * y + z * z)
+        if not isfinite(size):
+            self.refused_commands += 1
+            return NOTHING
+        if size <= limit:
+            return x, y, z
+        self.saturated_ticks += 1
+        share = limit / size
+        return share * x, share * y, share * z
+
+    def _advance(self) -> None:
+        """One tick of the device: the hand acts, the plants move, the encoders are read."""
+        at = self._tick * self._step
+        action = HandAction() if self._hand is None else self._hand.act(at, self.translation.position)
+        if action.grip != self._grip:
+            self._hold(action.grip)
+        self._commands.append(self._given)
+        grip = self._grip
+        external = _plus(
+            _times(grip.stiffness_N_m, action.aim_m), _times(grip.damping_N_s_m, action.aim_velocity_m_s), action.push_N
+        )
+        turned = NOTHING
+        if self.six_dof:
+            turned = logarithm(product(self.orientation, conjugate(action.aim_quaternion)))
+            self.rotation.position = turned
+        time = at
+        for length, back, fine in self._spans:
+            force, torque = self._commands[-1 - back]
+            # The aim moves on within the tick; at its middle the spring's mean pull is right to second order.
+            ahead = grip.stiffness_N_m * (time - at + 0.5 * length)
+            self.translation.advance(
+                length,
+                command=force,
+                external=_plus(external, _times(ahead, action.aim_velocity_m_s), NOTHING),
+                substeps=fine,
+            )
+            if self.six_dof:
+                self.rotation.advance(length, command=torque, external=NOTHING, substeps=fine)
+            time += length
+        if self.six_dof:
+            moved = _plus(self.rotation.position, _times(-1.0, turned), NOTHING)
+            self.orientation = product(exponential(moved), self.orientation)
+        elif grip.stiffness_N_m > 0.0:
+            self.orientation = action.aim_quaternion
+        self._tick += 1
+        before, rate = self._sample, self.parameters.rate_Hz
+        position, orientation = self._read_position(), self._read_orientation()
+        still = orientation == before.quaternion
+        turn = NOTHING if still else logarithm(product(orientation, conjugate(before.quaternion)))
+        self._sample = Sample(
+            self._tick * self._step,
+            position,
+            _times(rate, _plus(position, _times(-1.0, before.position_m), NOTHING)),
+            orientation,
+            _times(rate, turn),
+        )
+
+    def _hold(self, grip: Grip) -> None:
+        """Take the device into a hand, or out of it."""
+        self._grip = grip
+        self.translation.hold(stiffness_N_m=grip.stiffness_N_m, damping_N_s_m=grip.damping_N_s_m, mass_kg=grip.mass_kg)
+        self.rotation.hold(
+            stiffness_N_m=grip.stiffness_Nm_rad, damping_N_s_m=grip.damping_Nm_s_rad, mass_kg=grip.inertia_kg_m2
+        )
+
+    def _read_position(self) -> Triple:
+        """The position that the encoders tell [m]."""
+        return _stepped(self.translation.position, self.parameters.encoder_step_m)
+
+    def _read_orientation(self) -> Quaternion:
+        """The orientation that the encoders tell."""
+        if self.parameters.encoder_step_rad == 0.0:
+            return self.orientation
+        return exponential(_stepped(logarithm(self.orientation), self.parameters.encoder_step_rad))
+
+
+def _plus(one: Triple, two: Triple, three: Triple) -> Triple:
+    return one[0] + two[0] + three[0], one[1] + two[1] + three[1], one[2] + two[2] + three[2]
+
+
+def _times(factor: float, vector: Triple) -> Triple:
+    return factor * vector[0], factor * vector[1], factor * vector[2]
+
+
+def _stepped(vector: Triple, step: float) -> Triple:
+    """The nearest point of a grid."""
+    if step == 0.0:
+        return vector
+    return step * round(vector[0] / step), step * round(vector[1] / step), step * round(vector[2] / step)

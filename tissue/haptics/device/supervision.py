@@ -1,0 +1,74 @@
+"""A loop with a device in a thread of its own, while this thread looks after both."""
+
+import contextvars
+import signal
+import threading
+from collections.abc import Callable
+from types import FrameType
+
+from tissue.haptics.device.safe_device import STALL_S, SafeDevice
+from tissue.system.stopping import STOPS, Terminated, interrupt_is_free, signals_handled
+
+__all__ = ["run_held"]
+
+POLL_S = 0.01
+"""Time between two looks [s]; each costs the ticks some microseconds."""
+
+
+def run_held(work: Callable[[], None], held: SafeDevice) -> None:
+    """Run ``work``, the loop of a device, and see to it that the device is not left pushing.
+
+    With a device that may block the work runs in a second thread, because nothing can interrupt a call that blocks.
+    This one sends zero where the loop stands still, and gives up a device that does not answer: the work is then left
+    behind. Ctrl-C and what asks the process to end, such as SIGTERM and the SIGHUP of a closed terminal, let the
+    loop end after its tick; handlers are as before when this returns.
+
+    Raises
+    ------
+    DeviceError
+        If the device was given up.
+    KeyboardInterrupt
+        After Ctrl-C, and as `Terminated` after such a signal.
+    """
+
+    def hold() -> None:
+        with held:
+            work()
+
+    if held.in_process:
+        hold()
+    else:
+        _supervise(hold, held)
+
+
+def _supervise(work: Callable[[], None], held: SafeDevice) -> None:
+    """Run ``work`` in a second thread."""
+    done = threading.Event()
+    raised: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            work()
+        except BaseException as error:
+            raised.append(error)
+        finally:
+            done.set()
+
+    thread = threading.Thread(target=contextvars.copy_context().run, args=(run,), daemon=True, name="ticks")
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        held.stop(Terminated(number) if number in STOPS else KeyboardInterrupt())
+
+    with signals_handled(_taken(), stop):
+        thread.start()
+        while not done.wait(POLL_S):
+            lost = held.watch()
+            if lost is not None and not done.wait(STALL_S):
+                raise lost
+    if raised:
+        raise raised[0]
+
+
+def _taken() -> tuple[int, ...]:
+    """Signals that stop the loop: what asks the process to end, and Ctrl-C where nobody else takes it."""
+    return (*STOPS, signal.SIGINT) if interrupt_is_free() else STOPS

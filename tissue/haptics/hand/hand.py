@@ -1,0 +1,218 @@
+"""A hand that holds a device: grip, aim, reflex, tremor and the noise of muscles."""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from math import exp, inf, pi, sqrt
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, require_positive, require_range
+from tissue.haptics.hand.minimum_jerk import Aim, Path
+from tissue.haptics.loop.plant import Triple
+from tissue.materials.constants import constants
+from tissue.motion.quaternion import Quaternion
+
+__all__ = ["GROUPS", "Grip", "Hand", "HandAction", "HandParameters", "HoldingHand", "hand_parameters"]
+
+Array = NDArray[np.float64]
+
+GROUPS = ("novice", "intermediate", "expert")
+BLOCK = 500
+"""Ticks whose random numbers are drawn at once."""
+NOTHING: Triple = (0.0, 0.0, 0.0)
+UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
+
+
+class Grip(NamedTuple):
+    """Linear part of a hand, at the device: translation and rotation; all zeros for a hand that has let go."""
+
+    stiffness_N_m: float = 0.0
+    damping_N_s_m: float = 0.0
+    mass_kg: float = 0.0
+    stiffness_Nm_rad: float = 0.0
+    damping_Nm_s_rad: float = 0.0
+    inertia_kg_m2: float = 0.0
+
+
+class HandAction(NamedTuple):
+    """What a hand does in a tick: where its grip pulls to, and what it pushes beside that."""
+
+    aim_m: Triple = NOTHING
+    aim_velocity_m_s: Triple = NOTHING
+    push_N: Triple = NOTHING
+    aim_quaternion: Quaternion = UPRIGHT
+    grip: Grip = Grip()
+
+
+class HoldingHand(Protocol):
+    """Whatever holds a device."""
+
+    def act(self, time_s: float, position_m: Triple) -> HandAction:
+        """What the hand does from this time on until asked again, the device being at ``position_m``."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandParameters:
+    """A person's hand.
+
+    Attributes
+    ----------
+    reaction_s, submovement_s, correction_s
+        Time until a change is answered, length of a submovement, time between two of them [s].
+    endpoint_noise, force_noise, force_noise_s
+        Standard deviation of a submovement's end per distance and of the force per force; correlation time of the
+        latter [s].
+    tremor_m, tremor_hz, tremor_width_hz
+        Amplitude of the tremor in every axis (root mean square) [m], its frequency and its width [Hz].
+    stiffness_N_m, damping_N_s_m, mass_kg
+        Grip as the device feels it [N/m], [N s/m], [kg].
+    turning_stiffness_Nm_rad, turning_damping_Nm_s_rad, inertia_kg_m2
+        The same for rotation.
+    reflex_share, reflex_s
+        Share of the grip's stiffness that acts on what was felt a reflex earlier, and that delay [s].
+    """
+
+    reaction_s: float
+    submovement_s: float
+    correction_s: float
+    endpoint_noise: float
+    force_noise: float
+    force_noise_s: float
+    tremor_m: float
+    tremor_hz: float
+    tremor_width_hz: float
+    stiffness_N_m: float
+    damping_N_s_m: float
+    mass_kg: float
+    turning_stiffness_Nm_rad: float
+    turning_damping_Nm_s_rad: float
+    inertia_kg_m2: float
+    reflex_share: float
+    reflex_s: float
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            require_range(entry.name, getattr(self, entry.name), 0.0, 1e5, "see hands.toml for what is usual")
+        require_positive("force_noise_s", self.force_noise_s, "use 0.05")
+        require_positive("tremor_width_hz", self.tremor_width_hz, "use 2")
+
+    @property
+    def grip(self) -> Grip:
+        """The linear part, by which a loop is judged; the reflex is left out of it."""
+        return Grip(
+            self.stiffness_N_m,
+            self.damping_N_s_m,
+            self.mass_kg,
+            self.turning_stiffness_Nm_rad,
+            self.turning_damping_Nm_s_rad,
+            self.inertia_kg_m2,
+        )
+
+
+def hand_parameters(group: str) -> HandParameters:
+    """Parameters of a novice, intermediate or expert hand from ``hands.toml``.
+
+    Raises
+    ------
+    InputError
+        If the group is not one of these.
+    """
+    if group not in GROUPS:
+        raise InputError(f"group must be one of {', '.join(GROUPS)}, got {group}: choose one of these")
+    given = {**constants("hands", "any"), **constants("hands", group)}
+    return HandParameters(**{entry.name: given[entry.name].value for entry in fields(HandParameters)})
+
+
+class Hand:
+    """A hand that follows a path; the same generator state gives the same movement.
+
+    The grip is a spring, damper and mass between the aim and the device and is stepped with the device. Added to it
+    come a reflex on the deviation of a reflex time ago, an intended push, noise in proportion to the force that the
+    hand exerts, and a tremor of the aim: a narrow band of Gaussian noise about its frequency.
+
+    Parameters
+    ----------
+    parameters
+        The person.
+    path
+        Where to be when [m].
+    rng
+        Random generator of this hand.
+    step_s
+        Time between two calls [s].
+    push
+        Intended force over time [N], shape (3,); a jerk is a short and strong one.
+    turn
+        Intended orientation over time, a unit quaternion (x, y, z, w).
+    let_go_s
+        When the hand opens [s].
+    """
+
+    def __init__(
+        self,
+        parameters: HandParameters,
+        path: Path,
+        *,
+        rng: np.random.Generator,
+        step_s: float = 1e-3,
+        push: Callable[[float], Array] | None = None,
+        turn: Callable[[float], Array] | None = None,
+        let_go_s: float = inf,
+    ) -> None:
+        require_positive("step_s", step_s, "use 1e-3 for 1 kHz")
+        self.parameters = parameters
+        self._rng, self._push, self._turn, self._let_go = rng, push, turn, let_go_s
+        self._aim = Aim(
+            path,
+            reaction_s=parameters.reaction_s,
+            submovement_s=parameters.submovement_s,
+            correction_s=parameters.correction_s,
+            endpoint_noise=parameters.endpoint_noise,
+            rng=rng,
+        )
+        self._grip = parameters.grip
+        self._pending = deque([NOTHING] * round(parameters.reflex_s / step_s))
+        self._keep = exp(-step_s / parameters.force_noise_s)
+        self._fresh = sqrt(1.0 - self._keep**2)
+        decay = exp(-pi * parameters.tremor_width_hz * step_s)
+        self._turning = decay * np.exp(2j * pi * parameters.tremor_hz * step_s).item()
+        self._shaken = parameters.tremor_m * sqrt(1.0 - decay**2)
+        self._speed_per_tremor = 2.0 * pi * parameters.tremor_hz
+        start = rng.standard_normal(9).tolist()
+        self._noise = start[:3]
+        self._tremor = [parameters.tremor_m * complex(start[3 + a], start[6 + a]) for a in range(3)]
+        self._drawn: list[list[float]] = []
+
+    def act(self, time_s: float, position_m: Triple) -> HandAction:
+        """What the hand does from now on, the device being at ``position_m`` [m]."""
+        if time_s >= self._let_go:
+            return HandAction()
+        (x, y, z), (u, v, w) = self._aim.at(time_s)
+        if not self._drawn:
+            self._drawn = self._rng.standard_normal((BLOCK, 9)).tolist()
+        drawn = self._drawn.pop()
+        s, t, q = self._tremor = [
+            self._turning * value + self._shaken * complex(drawn[3 + a], drawn[6 + a])
+            for a, value in enumerate(self._tremor)
+        ]
+        spin = self._speed_per_tremor
+        aim = (x + s.real, y + t.real, z + q.real)
+        velocity = (u - spin * s.imag, v - spin * t.imag, w - spin * q.imag)
+        off = (aim[0] - position_m[0], aim[1] - position_m[1], aim[2] - position_m[2])
+        self._pending.append(off)
+        felt, stiffness = self._pending.popleft(), self.parameters.stiffness_N_m
+        late = self.parameters.reflex_share * stiffness
+        px, py, pz = (0.0, 0.0, 0.0) if self._push is None else self._push(time_s)
+        fx, fy, fz = float(px) + late * felt[0], float(py) + late * felt[1], float(pz) + late * felt[2]
+        exerted = sqrt((fx + stiffness * off[0]) ** 2 + (fy + stiffness * off[1]) ** 2 + (fz + stiffness * off[2]) ** 2)
+        a, b, c = self._noise = [self._keep * n + self._fresh * drawn[k] for k, n in enumerate(self._noise)]
+        noise = self.parameters.force_noise * exerted
+        turned = UPRIGHT
+        if self._turn is not None:
+            i, j, k, r = self._turn(time_s)
+            turned = float(i), float(j), float(k), float(r)
+        return HandAction(aim, velocity, (fx + noise * a, fy + noise * b, fz + noise * c), turned, self._grip)

@@ -1,0 +1,114 @@
+"""Where a hand aims: minimum-jerk submovements, one upon the other, each correcting what is seen of the last ones."""
+
+from collections.abc import Callable
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, require_positive, require_range
+from tissue.haptics.loop.plant import Triple
+
+__all__ = ["Aim", "Path", "minimum_jerk", "waypoints"]
+
+Array = NDArray[np.float64]
+Path = Callable[[float], Array]
+"""Position [m], shape (3,), over time [s]."""
+
+
+def minimum_jerk(share: float) -> tuple[float, float]:
+    """Way and speed of a minimum-jerk movement (Flash and Hogan, 1985) at a share of its duration, both from 0 to 1.
+
+    Way 10 s^3 - 15 s^4 + 6 s^5, speed its derivative by the share; at rest before 0 and after 1.
+    """
+    if share <= 0.0:
+        return 0.0, 0.0
+    if share >= 1.0:
+        return 1.0, 0.0
+    square = share * share
+    return square * share * (10.0 + share * (6.0 * share - 15.0)), 30.0 * square * (1.0 - share) ** 2
+
+
+def waypoints(times_s: Array, points_m: Array) -> Path:
+    """A path through points [m], shape (n, 3), at increasing times [s], straight between them and at rest outside.
+
+    Raises
+    ------
+    InputError
+        If the times do not increase or the points do not match them.
+    """
+    times, points = np.array(times_s, dtype=float), np.array(points_m, dtype=float)
+    if times.ndim != 1 or points.shape != (len(times), 3) or not np.isfinite(points).all():
+        raise InputError(f"points_m must be finite with shape ({times.size}, 3), got {points.shape}: give one per time")
+    if not (np.diff(times) > 0.0).all():
+        raise InputError(f"times_s must increase, got {times_s}: sort them")
+    return lambda time_s: np.array([np.interp(time_s, times, points[:, axis]) for axis in range(3)])
+
+
+class Aim:
+    """Movement of the aim along a path that the person knows ahead.
+
+    Every ``correction_s`` a submovement of ``submovement_s`` begins, towards where the path will be half a correction
+    before it ends; the next one is under way by then, so that a steady movement neither leads nor lags.
+    Submovements add up (Flash and Henis, 1991), so that the aim is smooth to its acceleration. The muscles miss by a
+    share of the distance (signal-dependent noise, Harris and Wolpert, 1998); an error is seen, and corrected, a
+    reaction time later. The first submovement begins a reaction time after the start.
+
+    Parameters
+    ----------
+    path
+        Where to be when.
+    reaction_s, submovement_s, correction_s
+        Times [s].
+    endpoint_noise
+        Standard deviation of the error per distance, for each axis.
+    rng
+        Random generator of this hand.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        reaction_s: float,
+        submovement_s: float,
+        correction_s: float,
+        endpoint_noise: float,
+        rng: np.random.Generator,
+    ) -> None:
+        self._path, self._rng = path, rng
+        self._reaction = require_range("reaction_s", reaction_s, 0.0, 10.0, "use 0.2")
+        self._duration = require_positive("submovement_s", submovement_s, "use 0.4")
+        self._interval = require_positive("correction_s", correction_s, "use 0.2")
+        self._noise = require_range("endpoint_noise", endpoint_noise, 0.0, 1.0, "use 0.05")
+        self._rest = [float(value) for value in path(0.0)]
+        self._moves: list[tuple[float, list[float], list[float]]] = []
+        self._next = self._reaction
+
+    def at(self, time_s: float) -> tuple[Triple, Triple]:
+        """Position [m] and velocity [m/s] of the aim; times must not decrease."""
+        if time_s >= self._next:
+            self._begin(time_s)
+        (x, y, z), u, v, w = self._rest, 0.0, 0.0, 0.0
+        for start, (a, b, c), _ in self._moves:
+            way, speed = minimum_jerk((time_s - start) / self._duration)
+            speed /= self._duration
+            x, y, z = x + way * a, y + way * b, z + way * c
+            u, v, w = u + speed * a, v + speed * b, w + speed * c
+        return (x, y, z), (u, v, w)
+
+    def _begin(self, time_s: float) -> None:
+        """Begin the next submovement and forget those that have ended and been seen."""
+        self._next += self._interval
+        memory = time_s - max(self._duration, self._reaction)
+        while self._moves and self._moves[0][0] <= memory:
+            self._rest = [a + b for a, b in zip(self._rest, self._moves.pop(0)[1], strict=True)]
+        seen = list(self._rest)
+        for start, way, missed in self._moves:
+            unseen = start > time_s - self._reaction
+            seen = [a + b - (c if unseen else 0.0) for a, b, c in zip(seen, way, missed, strict=True)]
+        ahead = time_s + self._duration - 0.5 * self._interval
+        wanted = [float(a) - b for a, b in zip(self._path(ahead), seen, strict=True)]
+        size = sqrt(sum(a * a for a in wanted))
+        missed = [self._noise * size * float(each) for each in self._rng.standard_normal(3)]
+        self._moves.append((time_s, [a + b for a, b in zip(wanted, missed, strict=True)], missed))

@@ -1,0 +1,298 @@
+"""A hand on a device as what moves a tool: samples in, forces out, once a tick."""
+
+from collections.abc import Callable
+from math import pi, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue.haptics.device.device import Device, DeviceParameters, Sample
+from tissue.haptics.device.safe_device import SafeDevice
+from tissue.haptics.device.sample_guard import SampleGuard
+from tissue.haptics.device.supervision import run_held
+from tissue.haptics.loop.filters import DelayLine, ForceRange, LowPass
+from tissue.haptics.loop.passivity import PassivityObserver
+from tissue.haptics.loop.sampled_loop import WallLoop
+from tissue.haptics.proxy.held_tool import HeldTool
+from tissue.haptics.renderer import PassivityRenderer, Renderer, TurningRenderer
+from tissue.models.tissue_model import Response, ToolMotion
+from tissue.motion.motion import Motion
+from tissue.motion.quaternion import Quaternion
+from tissue.motion.rotation import matrix_of
+from tissue.perception.perception import Perception
+from tissue.prediction.predictor import Predictor
+
+__all__ = ["MEASURES", "PERCEIVED", "PREDICTED", "HandMotion"]
+
+Array = NDArray[np.float64]
+MEASURES = (
+    *(f"device_{c}_mm" for c in "xyz"),
+    *(f"device_q{c}" for c in "xyzw"),
+    *(f"device_force_{c}_N" for c in "xyz"),
+    *(f"device_torque_{c}_Nm" for c in "xyz"),
+    *(f"filtered_force_{c}_N" for c in "xyz"),
+    "saturated",
+    "passivity_J",
+    "margin",
+    *(f"raw_force_{c}_N" for c in "xyz"),
+)
+"""Columns of a device: its pose, what it was told to play, the filtered force before it was brought into the device's
+range [N at the device], whether that compressed it or the torque, the energy taken from the device, the share of the
+critical stiffness that is left, and the force of the renderer, before prediction, filter and delay."""
+PREDICTED = (*(f"predicted_force_{c}_N" for c in "xyz"), "prediction_residual_N", "predicted_by")
+"""Columns of a prediction: force, size of the last one-tick error, and whose it is: 1 the predictor's, 0 what it falls
+back on."""
+PERCEIVED = ("estimated_force_N", "perceived", "perceived_spread", "above_threshold")
+"""Columns of a perception: see `tissue.perception.Perception`."""
+SMOOTH_S = 0.01
+"""Time over which the speed of a tool that goes with its device is estimated: encoders step [s]."""
+
+
+class HandMotion(Motion):
+    """A tool that hangs on a device, and the force that the device plays for it.
+
+    Every tick: the sample is judged; the tool follows the device as far as the tissue of the last tick lets it; the
+    tissue answers, and a free tool that has gone into it is brought back within the tick; device and tool give the
+    renderer's force, which passes prediction, low-pass, delay, perception and the device's range, is vouched for and
+    changes no faster than the device's slew.
+    So the force answers the sample of its own tick. Without a good sample the tool rests, the renderer pauses and the
+    force fades to zero.
+
+    A tissue that answers only every ``model_ticks`` leaves tool and renderer's force as they are in between; a
+    predictor then goes on by the device alone.
+
+    Tool and device start at the same place; from there the tool goes ``motion_scale`` metres for each of the device.
+    With a device that plays torque the tool hangs on it by a spring of rotation, too, turned by the tissue's torque of
+    the last tick; that spring's torque passes low-pass and delay and is played. The cutting speed of turning is left
+    out.
+
+    Parameters
+    ----------
+    device
+        What the hand moves.
+    tool
+        Where the tool is in balance.
+    law
+        What turns device and tool into a force at the device [N].
+    scripted
+        Motion that the hand is to make; it gives start, orientation, region and duration.
+    limits
+        Greatest force and torque of the device, and their greatest change.
+    loop
+        Loop of device and law, by whose delay energy is booked, and whose filter is applied.
+    delay_ticks
+        Ticks by which the force is held back here.
+    turning_law
+        What turns device and tool into a torque at the device [N m]; without it none is played.
+    motion_scale
+        Metres at the tool for each metre at the device.
+    margin
+        Share of the critical stiffness that is left.
+    stray_m
+        How far the tool may leave the scripted motion [m].
+    after_s
+        How much longer a hand takes than the scripted motion: to react, to move and to correct [s].
+    model_ticks
+        Ticks for which one answer of the tissue holds.
+    predictor
+        What tells the force ahead; without it the present one is played.
+    lead_ticks
+        How far ahead it is asked for.
+    prediction_gain
+        Share of the way from the present force to the one ahead that is played.
+    perception
+        The person for whom the force is scaled; without it newtons stay newtons.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        tool: HeldTool,
+        law: Renderer,
+        *,
+        scripted: Motion,
+        limits: DeviceParameters,
+        loop: WallLoop,
+        delay_ticks: int = 0,
+        turning_law: TurningRenderer | None = None,
+        motion_scale: float = 1.0,
+        margin: float,
+        stray_m: float = 0.0,
+        after_s: float = 0.0,
+        model_ticks: int = 1,
+        predictor: Predictor | None = None,
+        lead_ticks: int = 0,
+        prediction_gain: float = 1.0,
+        perception: Perception | None = None,
+    ) -> None:
+        self._limits, self._tick, self.device = limits, loop.tick_s, device
+        self.tool, self.law = tool, law
+        self._contact, self._control = law, None
+        if predictor is not None and isinstance(law, PassivityRenderer):
+            # What a controller adds in one tick is no course that a force is on: it comes after the prediction.
+            self._contact, self._control = law.inner, law.control
+        self.duration_s, self.after_s = scripted.duration_s + after_s, after_s
+        self._scripted, self._stray = scripted, stray_m
+        self._start, self._scale = np.array(scripted.rotations()[0]), motion_scale
+        self._shift = (1.0 - motion_scale) * scripted.sweep_m()[0]
+        tick = self._tick
+        self.guard = SampleGuard(force_limit_N=limits.force_limit_N, torque_limit_Nm=limits.torque_limit_Nm)
+        self._low_pass = LowPass(loop.filter_s, step_s=tick)
+        self._delay = DelayLine(delay_ticks)
+        self._range = ForceRange(limit_N=limits.force_limit_N)
+        self._turning = LowPass(loop.filter_s, step_s=tick)
+        self._turning_delay = DelayLine(delay_ticks)
+        self._turning_law = turning_law
+        self._torques = ForceRange(limit_N=limits.torque_limit_Nm or 1.0)
+        lag = loop.delay_s + 1.0 / (2.0 * pi * loop.amplifier_hz)
+        # What it books has passed the delay that is made here.
+        self.observer = PassivityObserver(delay_ticks=max(lag / tick - delay_ticks, 0.0))
+        self._turned: Quaternion | None = None
+        self._velocity = np.zeros(3)
+        self._smoothing = min(tick * model_ticks / SMOOTH_S, 1.0)
+        self.model_ticks, self.lead_ticks = model_ticks, lead_ticks
+        self.predictor, self.perception, self._gain = predictor, perception, prediction_gain
+        self._ticks, self._step, self._fresh = 0, tick * model_ticks, True
+        self._sample: Sample | None = None
+        self._before, self._went, self._raw, self._torque = np.zeros((4, 3))
+        self.measure_names = MEASURES
+        if predictor is not None:
+            self.measure_names += PREDICTED
+        if perception is not None:
+            self.measure_names += PERCEIVED
+        self.measures = np.zeros(len(self.measure_names))
+        self.measures[3:7], self.measures[18] = (0.0, 0.0, 0.0, 1.0), margin
+
+    @property
+    def device(self) -> Device:
+        """What the hand moves."""
+        return self.held.device
+
+    @device.setter
+    def device(self, device: Device | SafeDevice) -> None:
+        self.held = SafeDevice(device, limits=self._limits, tick_s=self._tick)
+
+    def around(self, ticks: Callable[[], None]) -> None:
+        """Hold the device while the ticks run, and leave it without force."""
+        run_held(ticks, self.held)
+
+    def sweep_m(self) -> Array:
+        """Positions of the scripted motion [m], and the same a stray to every side."""
+        tips = self._scripted.sweep_m()
+        if self._stray == 0.0:
+            return tips
+        aside = self._stray * np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0]])
+        return np.concatenate([tips, *(tips + shift for shift in aside)])
+
+    def rotations(self) -> Array:
+        """Orientations of the scripted motion at those positions."""
+        turns = self._scripted.rotations()
+        return turns if self._stray == 0.0 else np.concatenate([turns] * 5)
+
+    def begin(self, motion: ToolMotion) -> None:
+        """Stand where the scripted motion starts."""
+        self._scripted.begin(motion)
+        self.measures[:3] = 1e3 * motion.tip_m
+
+    def happened(self) -> list[tuple[float, str]]:
+        """Every change between good samples and bad, and how the device kept up."""
+        return self.guard.events + self.held.happened()
+
+    def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
+        """Read the device and let the tool follow it."""
+        sample = self.guard.believe(self.held.read(time_s), time_s)
+        if self.held.released:
+            self.held.released = False
+            self.guard.let_go()
+        self._fresh = self._ticks % self.model_ticks == 0
+        self._ticks += 1
+        self._sample = None
+        if sample is None:
+            motion.speed_m_s, self._velocity[:] = 0.0, 0.0
+            return
+        self._sample = sample
+        if self._fresh:
+            self._before[:] = self.tool.tip_m
+            self._follow(sample, response, motion)
+
+    def correct(self, response: Response, motion: ToolMotion) -> bool:
+        """Bring a free tool that has gone into the tissue to where both balance, or to the speed at which they do."""
+        if self._sample is None or not self.tool.lands(response, motion.heading[0]):
+            return False
+        arrived = self.tool.tip_m.copy()
+        self._follow(self._sample, response, motion)
+        if self.tool.driven:
+            self._tell_speed(motion, (self.tool.tip_m - arrived) / self._step, np.zeros(3))
+        return True
+
+    def _follow(self, sample: Sample, response: Response, motion: ToolMotion) -> None:
+        """Move the tool towards the device."""
+        at = self._scale * np.array(sample.position_m) + self._shift
+        tip = self.tool.follow(at, sample.quaternion, response, motion.heading[0], self._step)
+        self._went[:] = (tip - self._before) / self._step
+        motion.tip_m[:] = tip
+        if self.tool.quaternion != self._turned:
+            self._turned = self.tool.quaternion
+            motion.rotation[:] = matrix_of(np.array(self._turned)) @ self._start
+        self._tell_speed(motion, self._went, at - tip)
+
+    def play(self, response: Response) -> None:
+        """Give the device the force that answers its sample."""
+        wanted = torque = None
+        compressed = False
+        told = self.measures
+        if (sample := self._sample) is None:
+            self._pause()
+        else:
+            at, speed = np.array(sample.position_m), np.array(sample.velocity_m_s)
+            if self._fresh:
+                tip, went = (self.tool.tip_m - self._shift) / self._scale, self._went / self._scale
+                self._raw = self._contact.render(at, speed, tip, went, self._step)
+                if self._turning_law is not None:
+                    turned, spin, still = self.tool.quaternion, np.array(sample.spin_rad_s), np.zeros(3)
+                    self._torque = self._turning_law.render(sample.quaternion, spin, turned, still, self._step)
+            told[19:22] = force = self._raw
+            if self.predictor is not None:
+                self.predictor.observe(at, speed, force if self._fresh else None)
+                ahead = self.predictor.ahead(self.lead_ticks)
+                told[22:25], told[25], told[26] = ahead, self.predictor.residual_N, self.predictor.own
+                force = force + self._gain * (ahead - force) if self._gain != 1.0 else ahead
+                if self._control is not None:
+                    force = self._control.step(force, at, speed, self._tick)
+            filtered = scaled = self._delay.step(self._low_pass.step(force))
+            if (person := self.perception) is not None:
+                scaled = person.step(filtered)
+                told[-4:] = person.estimated_N, person.perceived, person.perceived_spread, person.above
+            wanted, compressed = self._range.play(scaled)
+            if self._turning_law is not None:
+                torque, squeezed = self._torques.play(self._turning_delay.step(self._turning.step(self._torque)))
+                compressed = compressed or squeezed
+            self.observer.observe(at)
+            told[:3], told[3:7], told[13:16] = 1e3 * at, sample.quaternion, filtered
+        played, turning = self.held.play(*self.guard.vouch(wanted, torque))
+        self.observer.hold(played)
+        told[7:10], told[10:13], told[16], told[17] = played, turning, compressed, self.observer.energy_J
+
+    def _pause(self) -> None:
+        """Nothing is known of the device in this tick."""
+        self.law.pause()
+        if self._turning_law is not None:
+            self._turning_law.pause()
+        self.observer.pause()
+        for part in (self.predictor, self.perception):
+            if part is not None:
+                part.pause()
+        self._delay.step(self._low_pass.value)
+        self._turning_delay.step(self._turning.value)
+
+    def _tell_speed(self, motion: ToolMotion, went_m_s: Array, pull_m: Array) -> None:
+        """Heading and speed: of the balance along the pull, or estimated where the tool goes with the device."""
+        self._velocity += self._smoothing * (went_m_s - self._velocity)
+        velocity, heading = self._velocity, self._velocity
+        if self.tool.driven:
+            velocity, heading = went_m_s, went_m_s if any(went_m_s.tolist()) else pull_m
+        size = sqrt(heading.dot(heading))
+        if size > 0.0:
+            motion.heading[0] = heading / size
+        motion.speed_m_s = sqrt(velocity.dot(velocity))
+        motion.pressed = self.tool.pressed

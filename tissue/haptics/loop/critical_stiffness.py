@@ -1,0 +1,125 @@
+"""Whether a wall is stable on a device, known before it runs: eigenvalues of the sampled loop with its exact delay."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import floor, inf, log10
+
+import numpy as np
+
+from meshes.base.errors import InputError
+from tissue.haptics.loop.sampled_loop import WallLoop, loop_matrix, spectral_radius
+
+__all__ = ["Verdict", "critical_stiffness_N_m", "in_hands", "judge", "nearest_stable_N_m", "require_stable"]
+
+SOFTEST_N_M, STIFFEST_N_M = 1e-2, 1e8
+"""Range in which the critical stiffness is looked for [N/m]."""
+ON_THE_CIRCLE = 1e-12
+"""Eigenvalues closer to 1 than this count as settling: rounding, and a wall so soft that nothing moves."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is known of a loop before it runs.
+
+    Attributes
+    ----------
+    stable
+        Whether every mode settles, in every hand that was asked for.
+    margin
+        Share of the critical stiffness that is left, 1 - K / K_critical: 0 at the boundary, negative beyond it.
+    critical_N_m
+        Stiffness at which the first mode stops settling, in the worst of the hands [N/m].
+    nearest_N_m
+        The given stiffness if it is stable, else the nearest stable one, rounded down to three digits [N/m].
+    spectral_radius
+        Growth over one tick of the slowest mode, in the worst of the hands.
+    """
+
+    stable: bool
+    margin: float
+    critical_N_m: float
+    nearest_N_m: float
+    spectral_radius: float
+
+    def sentence(self, stiffness_N_m: float) -> str:
+        """The verdict in words."""
+        if self.stable:
+            return f"stiffness {stiffness_N_m:.4g} N/m is stable, {100.0 * self.margin:.1f} % below the critical value"
+        if self.critical_N_m == 0.0:
+            return f"stiffness {stiffness_N_m:g} N/m is unstable and so is every other: lower damping, delay or filter"
+        return (
+            f"stiffness {stiffness_N_m:g} N/m is unstable, margin {100.0 * self.margin:.1f} %: "
+            f"the nearest stable value is {self.nearest_N_m:g} N/m"
+        )
+
+
+def in_hands(loop: WallLoop, hands: Sequence[tuple[float, float, float]]) -> tuple[WallLoop, ...]:
+    """The loop in several hands, each of stiffness [N/m], damping [N s/m] and mass [kg]; no hand is (0, 0, 0)."""
+    return tuple(
+        replace(loop, hand_stiffness_N_m=stiffness, hand_damping_N_s_m=damping, hand_mass_kg=mass)
+        for stiffness, damping, mass in hands
+    )
+
+
+def critical_stiffness_N_m(loop: WallLoop) -> float:
+    """Lowest stiffness at which the loop stops settling [N/m]; 0 if the softest wall is unstable, inf if none is.
+
+    Looked for upwards, four steps a decade, then by bisection to rounding. What lies above a first unstable stiffness
+    is never called stable, also where a window of it might be.
+    """
+    low, high = 0.0, SOFTEST_N_M
+    while _settles(loop, high):
+        low, high = high, high * 10.0**0.25
+        if low > STIFFEST_N_M:
+            return inf
+    while low > 0.0 and high - low > 1e-10 * high:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if _settles(loop, middle) else (low, middle)
+    return low
+
+
+def nearest_stable_N_m(critical_N_m: float) -> float:
+    """A stable stiffness below the critical one, rounded down to three digits [N/m]."""
+    if not 0.0 < critical_N_m < inf:
+        return critical_N_m
+    unit = 10.0 ** (floor(log10(critical_N_m)) - 2)
+    return floor((1.0 - 1e-9) * critical_N_m / unit) * unit
+
+
+def judge(loop: WallLoop, hands: Sequence[tuple[float, float, float]] | None = None) -> Verdict:
+    """Judge a loop; with ``hands`` (see `in_hands`) in the worst of them, instead of the loop's own."""
+    loops = (loop,) if hands is None else in_hands(loop, hands)
+    critical = min(critical_stiffness_N_m(each) for each in loops)
+    stiffness = loop.stiffness_N_m
+    stable = stiffness < critical
+    margin = 1.0 - stiffness / critical if critical > 0.0 else -inf
+    nearest = stiffness if stable else nearest_stable_N_m(critical)
+    return Verdict(stable, margin, critical, nearest, max(spectral_radius(each) for each in loops))
+
+
+def require_stable(loop: WallLoop, hands: Sequence[tuple[float, float, float]] | None = None) -> Verdict:
+    """Judge a loop and refuse an unstable one.
+
+    Raises
+    ------
+    InputError
+        If the wall is unstable in one of the hands; the sentence names the margin and the nearest stable stiffness.
+    """
+    verdict = judge(loop, hands)
+    if verdict.stable:
+        return verdict
+    if verdict.critical_N_m == 0.0:
+        raise InputError(
+            f"wall_damping_N_s_m must leave some stiffness stable, got {loop.wall_damping_N_s_m:g}: lower it, or the "
+            "delay, or the filter"
+        )
+    raise InputError(
+        f"stiffness_N_m must be below {verdict.critical_N_m:.4g} to be stable, got {loop.stiffness_N_m:g} "
+        f"(margin {100.0 * verdict.margin:.1f} %): use {verdict.nearest_N_m:g}"
+    )
+
+
+def _settles(loop: WallLoop, stiffness_N_m: float) -> bool:
+    """Whether no mode grows."""
+    eigenvalues = np.linalg.eigvals(loop_matrix(loop.with_stiffness(stiffness_N_m)))
+    return bool(np.abs(eigenvalues).max() < 1.0 - ON_THE_CIRCLE)

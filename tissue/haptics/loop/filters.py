@@ -1,0 +1,158 @@
+"""What a force passes on its way to a device: low-pass, exact delay, relaxation, the device's range and its slew."""
+
+from collections import deque
+from dataclasses import dataclass
+from math import exp, expm1, inf, pi, sin, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, require_positive, require_range
+
+__all__ = ["DelayLine", "ForceRange", "LowPass", "SlewLimit", "cutoff_hz", "low_pass_gain", "relaxation_bound"]
+
+Array = NDArray[np.float64]
+
+
+def low_pass_gain(time_constant_s: float, step_s: float) -> float:
+    """Share of the gap that 1 / (1 + a s) closes in a step: 1 - exp(-T / a), and 1 without a filter (a = 0).
+
+    The time constant is in seconds; the frequency at which the amplitude has fallen to 1 / sqrt(2) is `cutoff_hz`.
+    """
+    require_range("time_constant_s", time_constant_s, 0.0, 10.0, "use 0 for no filter, or 1e-3 for 159 Hz")
+    require_positive("step_s", step_s, "use 1e-3 for 1 kHz")
+    return -expm1(-step_s / time_constant_s) if time_constant_s > 0.0 else 1.0
+
+
+def cutoff_hz(time_constant_s: float) -> float:
+    """Frequency [Hz] at which 1 / (1 + a s) has lost half of its power: 1 / (2 pi a)."""
+    return 1.0 / (2.0 * pi * time_constant_s) if time_constant_s > 0.0 else inf
+
+
+def relaxation_bound(delay_samples: int) -> float:
+    """Gain below which F <- F + gain (F_wanted - F delayed by d samples) settles: 2 sin(pi / (2 (2 d + 1))).
+
+    Without delay it is 2, with one sample 1, and it falls as 1 / d from there (Levin and May, 1976).
+    """
+    require_range("delay_samples", delay_samples, 0, 1e6, "count whole samples")
+    return 2.0 * sin(pi / (2.0 * (2 * delay_samples + 1)))
+
+
+class LowPass:
+    """First-order low-pass of a vector, exact for an input that is held over a step: y += (1 - exp(-T / a)) (u - y)."""
+
+    def __init__(self, time_constant_s: float, *, step_s: float, size: int = 3) -> None:
+        self.gain = low_pass_gain(time_constant_s, step_s)
+        self.value: Array = np.zeros(size)
+
+    def step(self, target: Array) -> Array:
+        """Go one step towards the target; a copy of the new value, shape (size,)."""
+        self.value += self.gain * (target - self.value)
+        return self.value.copy()
+
+
+class DelayLine:
+    """A vector delayed by a whole number of samples, exactly; zeros come out before the first one has passed."""
+
+    def __init__(self, samples: int, *, size: int = 3) -> None:
+        require_range("samples", samples, 0, 1e6, "count whole samples")
+        self._queue = deque([np.zeros(size)] * int(samples))
+
+    def step(self, value: Array) -> Array:
+        """Put a value in and take out the one that is due."""
+        self._queue.append(np.array(value, dtype=float))
+        return self._queue.popleft()
+
+
+class SlewLimit:
+    """A vector that changes by no more than a limit a step, straight towards what is wanted.
+
+    Parameters
+    ----------
+    most
+        Greatest size of the change in a step; infinite for no limit.
+
+    Attributes
+    ----------
+    value
+        Where the vector is, shape (3,).
+    limited
+        Steps in which the limit has acted.
+    """
+
+    def __init__(self, most: float) -> None:
+        if not most > 0.0:
+            raise InputError(f"most must be positive, got {most}: use inf for no limit")
+        self._most = most
+        self.value: Array = np.zeros(3)
+        self.limited = 0
+
+    def step(self, wanted: Array) -> Array:
+        """The new value: ``wanted`` itself where that is near enough."""
+        change = wanted - self.value
+        square = float(change.dot(change))
+        if square <= self._most * self._most:
+            self.value = wanted
+        else:
+            self.limited += 1
+            self.value = self.value + change * (self._most / sqrt(square))
+        return self.value
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForceRange:
+    """The stated law by which a force is brought into what a device can play.
+
+    The direction stays. The size F' = scale F passes unchanged up to a knee; above it the rest is compressed, so that a
+    greater force stays a greater one and the limit is approached but not passed::
+
+        F'                                                              F' <= knee
+        knee + (limit - knee) (1 - exp(-(F' - knee) / (limit - knee)))  otherwise
+
+    The law is smooth to its first derivative and can be inverted (`physical_N`) for every force it gives out.
+
+    Attributes
+    ----------
+    limit_N
+        Greatest force of the device [N], or torque [N m].
+    scale
+        Device newtons per newton.
+    knee_share
+        Share of the limit that passes unchanged, below 1.
+    """
+
+    limit_N: float
+    scale: float = 1.0
+    knee_share: float = 0.7
+
+    def __post_init__(self) -> None:
+        require_positive("limit_N", self.limit_N, "give the device's greatest force")
+        require_positive("scale", self.scale, "use 1, or 0.05 for forces twenty times the device's")
+        require_range("knee_share", self.knee_share, 0.0, 0.99, "use 0.7")
+
+    def play(self, force: Array) -> tuple[Array, bool]:
+        """Force as the device plays it, and whether it lay above the knee and was compressed.
+
+        Raises
+        ------
+        InputError
+            If the force is not finite.
+        """
+        x, y, z = np.asarray(force).tolist()
+        size = self.scale * float(np.sqrt(x * x + y * y + z * z))
+        if not size < inf:
+            raise InputError(f"force must be finite, got {force}: hold it back with a SampleGuard")
+        knee = self.knee_share * self.limit_N
+        if size <= knee:
+            return self.scale * force, False
+        above = self.limit_N - knee
+        played = knee + above * (1.0 - exp(-(size - knee) / above))
+        return force * (self.scale * played / size), True
+
+    def physical_N(self, played_N: float) -> float:
+        """Size of the force [N] that is played as ``played_N``."""
+        knee = self.knee_share * self.limit_N
+        require_range("played_N", played_N, 0.0, np.nextafter(self.limit_N, 0.0), "give a force below the limit")
+        above = self.limit_N - knee
+        size = played_N if played_N <= knee else knee - above * float(np.log1p(-(played_N - knee) / above))
+        return size / self.scale

@@ -1,0 +1,138 @@
+"""A predictor near a contact at rest, as the linear map that the judge of stability puts into its loop."""
+
+from copy import deepcopy
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, require_positive, require_range
+
+if TYPE_CHECKING:
+    from tissue.prediction.predictor import Predictor
+
+__all__ = ["Forecast", "forecast_of"]
+
+Array = NDArray[np.float64]
+PROBES = (1e-5, 1e-3, 1e-3)
+"""Changes by which a predictor is probed: position [m], velocity [m/s], force [N]."""
+LONGEST = 512
+"""Most ticks for which one change is followed."""
+FADED = 1e-3
+"""Share of the largest answer below which an answer has faded."""
+SETTLING = 300
+"""Ticks of a contact at rest before a predictor is probed."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Forecast:
+    """How the force that is told ahead answers what was seen: F(t) = sum over ages a of taps . (x, v, F)(t - a).
+
+    Attributes
+    ----------
+    taps
+        Answers, shape (phases, ages, 3), to position [N/m], velocity [N s/m] and force [N/N]; the phase is that of the
+        tick in which it was seen, counted from the last one in which the model told its force; later phases see none.
+    gain
+        C of F + C (F_ahead - F): 0 plays the force as it is, 1 the one that is ahead.
+    """
+
+    taps: Array
+    gain: float = 1.0
+
+    def __post_init__(self) -> None:
+        taps = np.asarray(self.taps, dtype=np.float64)
+        if taps.ndim != 3 or taps.shape[2] != 3 or not np.isfinite(taps).all():
+            raise InputError(f"taps must be finite, of shape (phases, ages, 3), got {taps.shape}: probe a predictor")
+        require_range("gain", self.gain, 0.0, 10.0, "use 1, or 0 for no prediction")
+        object.__setattr__(self, "taps", taps)
+
+    @property
+    def memory(self) -> tuple[int, int]:
+        """How many positions and forces before the present ones it takes."""
+        ages = self.taps.shape[1]
+        return ages if self.taps[:, :, :2].any() else 0, ages
+
+
+def forecast_of(
+    predictor: "Predictor",
+    *,
+    lead_ticks: int,
+    stiffness_N_m: float,
+    model_ticks: int = 1,
+    depth_m: float = 1e-3,
+    axis: Array | None = None,
+    gain: float = 1.0,
+) -> Forecast:
+    """Linearise a predictor about a contact at rest, by small changes of what it is shown.
+
+    Parameters
+    ----------
+    predictor
+        It is copied and stays as it is.
+    lead_ticks
+        How far ahead it is asked.
+    stiffness_N_m, depth_m
+        Of the contact: the force is their product.
+    model_ticks
+        Ticks between two forces that it is told.
+    axis
+        Way out of the tissue, unit, shape (3,); z without it.
+    gain
+        See `Forecast`.
+
+    Raises
+    ------
+    InputError
+        If a change is not forgotten: the predictor is no stable filter there.
+    """
+    require_positive("depth_m", depth_m, "use 1e-3")
+    out = np.array([0.0, 0.0, 1.0]) if axis is None else np.asarray(axis, dtype=np.float64)
+    still, rest, force = -depth_m * out, np.zeros(3), stiffness_N_m * depth_m * out
+    settled = deepcopy(predictor)
+    ticks = -(-SETTLING // model_ticks) * model_ticks
+    for tick in range(ticks):
+        settled.observe(still, rest, force if tick % model_ticks == 0 else None)
+        settled.ahead(lead_ticks)
+    taps = np.zeros((model_ticks, LONGEST + 1, 3))
+    quiet = _answers(deepcopy(settled), (still, rest, force), rest, None, 0, lead_ticks, model_ticks, out)
+    for phase in range(model_ticks):
+        for channel in range(3 if phase == 0 else 2):
+            change = PROBES[channel] * out
+            changed = _answers(
+                deepcopy(settled), (still, rest, force), change, channel, phase, lead_ticks, model_ticks, out
+            )
+            taps[phase, :, channel] = (changed - quiet)[phase : phase + LONGEST + 1] / PROBES[channel]
+    return Forecast(taps=_faded(taps), gain=gain)
+
+
+def _answers(
+    predictor: "Predictor",
+    seen: tuple[Array, Array, Array],
+    change: Array,
+    channel: int | None,
+    at: int,
+    lead_ticks: int,
+    model_ticks: int,
+    out: Array,
+) -> Array:
+    """Forces told along the axis from a settled state on, one of what is seen being changed in one tick [N]."""
+    told = np.zeros(LONGEST + 1 + model_ticks)
+    for tick in range(len(told)):
+        shown = [array + change if tick == at and index == channel else array for index, array in enumerate(seen)]
+        predictor.observe(shown[0], shown[1], shown[2] if tick % model_ticks == 0 else None)
+        told[tick] = float(predictor.ahead(lead_ticks) @ out)
+    return told
+
+
+def _faded(taps: Array) -> Array:
+    """Answers up to where they have faded."""
+    sizes = np.abs(taps) / np.maximum(np.abs(taps).max(axis=(0, 1)), 1e-300)
+    ages = sizes.max(axis=(0, 2))
+    if not np.isfinite(ages).all() or ages[-1] > FADED:
+        raise InputError(
+            f"predictor must forget a change within {LONGEST} ticks to be judged, got one that does not: train it with "
+            "capped eigenvalues, or use another"
+        )
+    return taps[:, : int(np.flatnonzero(ages > 0.1 * FADED)[-1]) + 1]

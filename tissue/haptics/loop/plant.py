@@ -1,0 +1,88 @@
+"""The moving part of a device in a hand: three equal axes, stepped exactly, with friction that does not chatter."""
+
+from math import inf, sqrt
+
+from meshes.base.errors import require_positive, require_range
+from tissue.haptics.loop.sampled_loop import plant_step
+
+__all__ = ["Plant", "Triple"]
+
+Triple = tuple[float, float, float]
+"""Three components of a vector."""
+
+
+class Plant:
+    """A mass with viscous and Coulomb friction behind an amplifier, held by a spring and a damper: x, y and z alike.
+
+    Between changes of its inputs the linear part is stepped with the matrix exponential. Coulomb friction is one force
+    against the velocity vector, no more than ``friction_N``; it is found implicitly, as the force which, acting over
+    the substep, either stops the mass or has its full size against the velocity the mass would have without it. A mass
+    at rest stays exactly where it is until the other forces exceed the friction.
+
+    For a rotation read rotation vector [rad], kg m2, N m s/rad and N m. Plain floats, because for three axes they are
+    several times quicker than arrays.
+
+    Parameters
+    ----------
+    mass_kg, damping_N_s_m, friction_N
+        Apparent mass, viscous and Coulomb friction of the device.
+    amplifier_hz
+        Bandwidth of the amplifier [Hz]; infinite for none.
+
+    Attributes
+    ----------
+    position, velocity, motor_force
+        State of the three axes [m], [m/s], [N].
+    motor_work_J
+        Work that the motors have done on the mass so far [J].
+    """
+
+    def __init__(
+        self, *, mass_kg: float, damping_N_s_m: float, friction_N: float = 0.0, amplifier_hz: float = inf
+    ) -> None:
+        self._mass = require_positive("mass_kg", mass_kg, "give the device's apparent mass")
+        self._damping = require_range("damping_N_s_m", damping_N_s_m, 0.0, 1e6, "use 0 for none")
+        self._friction = require_range("friction_N", friction_N, 0.0, 1e6, "use 0 for none")
+        self._amplifier = amplifier_hz
+        self.position: Triple = (0.0, 0.0, 0.0)
+        self.velocity: Triple = (0.0, 0.0, 0.0)
+        self.motor_force: Triple = (0.0, 0.0, 0.0)
+        self.motor_work_J = 0.0
+        self._hand: Triple = (0.0, 0.0, 0.0)
+
+    def hold(self, *, stiffness_N_m: float, damping_N_s_m: float, mass_kg: float) -> None:
+        """Put the plant into a linear hand; zeros let it go. The hand's aim enters as an external force."""
+        self._hand = (stiffness_N_m, damping_N_s_m, mass_kg)
+
+    def advance(self, step_s: float, *, command: Triple, external: Triple, substeps: int = 1) -> None:
+        """Go a step on with both forces held [N]; the friction is found anew in every substep."""
+        if self._amplifier == inf:
+            self.motor_force = command
+        stiffness, damping, mass = self._hand
+        (xx, xv, xf, xu, xw), (vx, vv, vf, vu, vw), (_, _, ff, fu, _) = plant_step(
+            self._mass + mass, self._damping + damping, stiffness, self._amplifier, step_s / substeps
+        )
+        u0, u1, u2 = command
+        w0, w1, w2 = external
+        stop, work = self._friction * vw, self.motor_work_J
+        (x0, x1, x2), (v0, v1, v2), (f0, f1, f2) = self.position, self.velocity, self.motor_force
+        for _ in range(substeps):
+            p0 = xx * x0 + xv * v0 + xf * f0 + xu * u0 + xw * w0
+            p1 = xx * x1 + xv * v1 + xf * f1 + xu * u1 + xw * w1
+            p2 = xx * x2 + xv * v2 + xf * f2 + xu * u2 + xw * w2
+            q0 = vx * x0 + vv * v0 + vf * f0 + vu * u0 + vw * w0
+            q1 = vx * x1 + vv * v1 + vf * f1 + vu * u1 + vw * w1
+            q2 = vx * x2 + vv * v2 + vf * f2 + vu * u2 + vw * w2
+            if stop > 0.0:
+                speed = sqrt(q0 * q0 + q1 * q1 + q2 * q2)
+                share = 1.0 if speed <= stop else stop / speed
+                ahead = share * xw / vw
+                p0, p1, p2 = p0 - ahead * q0, p1 - ahead * q1, p2 - ahead * q2
+                q0, q1, q2 = (1.0 - share) * q0, (1.0 - share) * q1, (1.0 - share) * q2
+                if share == 1.0 and v0 == v1 == v2 == 0.0:
+                    p0, p1, p2 = x0, x1, x2  # friction follows a motor force that changes within the substep
+            g0, g1, g2 = ff * f0 + fu * u0, ff * f1 + fu * u1, ff * f2 + fu * u2
+            work += 0.5 * ((f0 + g0) * (p0 - x0) + (f1 + g1) * (p1 - x1) + (f2 + g2) * (p2 - x2))
+            x0, x1, x2, v0, v1, v2, f0, f1, f2 = p0, p1, p2, q0, q1, q2, g0, g1, g2
+        self.position, self.velocity, self.motor_force = (x0, x1, x2), (v0, v1, v2), (f0, f1, f2)
+        self.motor_work_J = work

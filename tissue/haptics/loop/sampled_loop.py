@@ -1,0 +1,178 @@
+"""The loop that holds a device against a virtual wall, as one linear map from model step to model step."""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from math import ceil, inf, pi
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from meshes.base.errors import InputError, require_positive, require_range
+from tissue.haptics.loop.filters import low_pass_gain
+from tissue.haptics.loop.forecast import Forecast
+
+__all__ = ["Seen", "WallLoop", "loop_matrix", "plant_step", "spectral_radius"]
+
+Array = NDArray[np.float64]
+MOST_TICKS = 400
+"""Longest delay and longest model step that are judged [ticks]: the map has one state for every tick of delay."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WallLoop:
+    """A mass on a virtual wall, one degree of freedom; for a rotation read kg m2, N m s/rad and N m/rad.
+
+    Attributes
+    ----------
+    mass_kg, damping_N_s_m
+        What the motor moves: apparent mass and viscous friction of the device [kg], [N s/m].
+    stiffness_N_m, wall_damping_N_s_m
+        The wall, F = -K x - B v [N/m], [N s/m]; v is the difference of positions between model steps.
+    tick_s
+        Time between two forces at the device [s].
+    delay_s
+        From the sample to the force, beside the hold [s]; any real number of ticks.
+    model_ticks
+        Ticks for which one force of the model is held: 1, or 10 for a model at 100 Hz in a loop at 1 kHz.
+    filter_s
+        Time constant of the low-pass after the model [s]; 0 for none.
+    amplifier_hz
+        Bandwidth of the amplifier [Hz]; infinite for none.
+    hand_stiffness_N_m, hand_damping_N_s_m, hand_mass_kg
+        A linear hand that holds the device [N/m], [N s/m], [kg]; zeros for a hand that has let go.
+    forecast
+        What a predictor makes of what was seen, before the low-pass; None for none. Its phases are those of
+        `model_ticks`.
+    """
+
+    mass_kg: float
+    damping_N_s_m: float
+    stiffness_N_m: float
+    wall_damping_N_s_m: float = 0.0
+    tick_s: float = 1e-3
+    delay_s: float = 0.0
+    model_ticks: int = 1
+    filter_s: float = 0.0
+    amplifier_hz: float = inf
+    hand_stiffness_N_m: float = 0.0
+    hand_damping_N_s_m: float = 0.0
+    hand_mass_kg: float = 0.0
+    forecast: Forecast | None = None
+
+    def __post_init__(self) -> None:
+        require_positive("mass_kg", self.mass_kg, "give the device's apparent mass, such as 0.045")
+        require_positive("tick_s", self.tick_s, "use 1e-3 for 1 kHz")
+        for name in ("damping_N_s_m", "stiffness_N_m", "hand_stiffness_N_m", "hand_damping_N_s_m", "hand_mass_kg"):
+            require_range(name, getattr(self, name), 0.0, 1e9, "use 0 for none")
+        require_range("wall_damping_N_s_m", self.wall_damping_N_s_m, -1e9, 1e9, "use 0 for none")
+        require_range("model_ticks", self.model_ticks, 1, MOST_TICKS, "use 1 for a model that answers every tick")
+        require_range("delay_s", self.delay_s, 0.0, MOST_TICKS * self.tick_s, f"use at most {MOST_TICKS} ticks")
+        low_pass_gain(self.filter_s, self.tick_s)
+        if self.forecast is not None and len(self.forecast.taps) != self.model_ticks:
+            raise InputError(
+                f"forecast must have a phase for each of model_ticks ({self.model_ticks}), got "
+                f"{len(self.forecast.taps)}: probe the predictor with model_ticks"
+            )
+        if not self.amplifier_hz > 0.0:
+            raise InputError(
+                f"amplifier_hz must be positive, got {self.amplifier_hz}: use inf for an amplifier without lag"
+            )
+
+    def with_stiffness(self, stiffness_N_m: float) -> "WallLoop":
+        """The same loop on another wall."""
+        return replace(self, stiffness_N_m=stiffness_N_m)
+
+
+@lru_cache(maxsize=4096)
+def plant_step(
+    mass_kg: float, damping_N_s_m: float, stiffness_N_m: float, amplifier_hz: float, step_s: float
+) -> tuple[tuple[float, ...], ...]:
+    """Exact step of a mass, spring and damper behind an amplifier, for inputs that are held over it.
+
+    Rows give position, velocity and motor force after the step; columns take position, velocity, motor force, commanded
+    force and external force before it. Shape (3, 5), as tuples. Without lag the motor force is the command.
+    """
+    generator = np.zeros((5, 5))
+    generator[0, 1] = 1.0
+    lag = amplifier_hz < inf
+    generator[1] = np.array([-stiffness_N_m, -damping_N_s_m, lag, not lag, 1.0]) / mass_kg
+    if lag:
+        generator[2, 2], generator[2, 3] = -2.0 * pi * amplifier_hz, 2.0 * pi * amplifier_hz
+    step = expm(generator * step_s)[:3]
+    if not lag:
+        step[2] = (0.0, 0.0, 0.0, 1.0, 0.0)
+    return tuple(tuple(map(float, row)) for row in step)
+
+
+def loop_matrix(loop: WallLoop) -> Array:
+    """Map of the loop's whole state over one step of the model, square.
+
+    The state holds position, velocity and motor force, the position at the last model step, the filtered force, the
+    forces that are still on their way and, with a forecast, the positions and forces that it has seen. The map is what
+    the loop does to the columns of a unit matrix, tick by tick.
+    """
+    whole = int(loop.delay_s / loop.tick_s + 1e-9)
+    late = max(loop.delay_s - whole * loop.tick_s, 0.0)
+    parts = [(late, whole + 1), (loop.tick_s - late, whole)] if late > 1e-9 * loop.tick_s else [(loop.tick_s, whole)]
+    spring = loop.hand_stiffness_N_m
+    mass, damping = loop.mass_kg + loop.hand_mass_kg, loop.damping_N_s_m + loop.hand_damping_N_s_m
+    steps = [(np.array(plant_step(mass, damping, spring, loop.amplifier_hz, s))[:, :4], back) for s, back in parts]
+    queued = ceil(loop.delay_s / loop.tick_s - 1e-9)
+    places, ages = (0, 0) if loop.forecast is None else loop.forecast.memory
+    size = 5 + queued + places + ages
+    state = np.eye(size)
+    plant, before, filtered, queue = state[:3], state[3], state[4], list(state[5 : 5 + queued])
+    seen = Seen(loop, list(state[5 + queued : size - ages]), list(state[size - ages :]))
+    gain = low_pass_gain(loop.filter_s, loop.tick_s)
+    model = np.zeros(size)
+    for tick in range(loop.model_ticks):
+        if tick == 0:
+            speed = (plant[0] - before) / (loop.tick_s * loop.model_ticks)
+            model = -loop.stiffness_N_m * plant[0] - loop.wall_damping_N_s_m * speed
+            before = plant[0]
+        filtered = filtered + gain * (seen.ahead(plant[0], model, tick) - filtered)
+        queue.append(filtered)
+        for matrix, back in steps:
+            plant = matrix @ np.vstack([plant, queue[-1 - back]])
+        queue.pop(0)
+    return np.vstack([plant, before, filtered, *queue, *seen.positions, *seen.forces])
+
+
+class Seen:
+    """What a loop's forecast has seen, newest first: one value, or one row or column of them, a tick.
+
+    Parameters
+    ----------
+    loop
+        With or without a forecast.
+    positions, forces
+        What was seen before, as many as the forecast remembers [m], [N].
+    """
+
+    def __init__(self, loop: WallLoop, positions: list[Array], forces: list[Array]) -> None:
+        self._loop, self.positions, self.forces = loop, positions, forces
+
+    def ahead(self, position: Array, model: Array, tick: int) -> Array:
+        """Force to be played, from the position and the model's force at a tick of the model's step."""
+        forecast = self._loop.forecast
+        if forecast is None:
+            return model
+        rate, count = 1.0 / self._loop.tick_s, self._loop.model_ticks
+        positions, forces = [position, *self.positions], [model, *self.forces]
+        places, ages = forecast.memory
+        told = 0.0 * model
+        for age in range(ages):
+            phase = (tick - age) % count
+            by_place, by_speed, by_force = forecast.taps[phase, age]
+            if places:
+                told = told + by_place * positions[age] + by_speed * rate * (positions[age] - positions[age + 1])
+            if phase == 0:
+                told = told + by_force * forces[age]
+        self.positions, self.forces = positions[:-1], forces[:-1]
+        return model + forecast.gain * (told - model)
+
+
+def spectral_radius(loop: WallLoop) -> float:
+    """Growth of the loop's slowest mode over one tick: below 1 it settles, above 1 it grows."""
+    return float(np.abs(np.linalg.eigvals(loop_matrix(loop))).max() ** (1.0 / loop.model_ticks))

@@ -1,0 +1,173 @@
+"""Where a wall stops being stable, measured by letting it run, beside the eigenvalues and the lines of theory."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from tissue.haptics.loop.critical_stiffness import Verdict, critical_stiffness_N_m, judge
+from tissue.haptics.loop.filters import low_pass_gain
+from tissue.haptics.loop.sampled_loop import Seen, WallLoop, plant_step, spectral_radius
+from tissue.haptics.loop.stability_bounds import delay_bound_N_m, pade_bound_N_m, passive_bound_N_m
+
+__all__ = ["StabilityChart", "StabilityMap", "growth_while_running", "measured_critical_N_m", "stability_map"]
+
+Array = NDArray[np.float64]
+SOFTEST_N_M, STIFFEST_N_M = 0.1, 1e6
+BISECTIONS = 15
+"""Seven decades halved fifteen times: 0.05 %."""
+
+
+@dataclass(frozen=True)
+class StabilityChart:
+    """Stiffness against one other quantity.
+
+    Attributes
+    ----------
+    along
+        The field of `WallLoop` that is varied.
+    values
+        What it is set to, shape (n,).
+    measured_N_m, exact_N_m
+        Critical stiffness by running the loop and by its eigenvalues, shape (n,).
+    lines_N_m
+        Bounds of theory by name, each of shape (n,).
+    stiffnesses_N_m
+        Rows of the grid, shape (k,).
+    growth
+        Spectral radius on the grid, shape (k, n): below 1 settles.
+    """
+
+    along: str
+    values: Array
+    measured_N_m: Array
+    exact_N_m: Array
+    lines_N_m: dict[str, Array]
+    stiffnesses_N_m: Array
+    growth: Array
+
+
+@dataclass(frozen=True)
+class StabilityMap:
+    """Charts over damping and delay, and the chosen point with its verdict."""
+
+    chosen: WallLoop
+    verdict: Verdict
+    over_damping: StabilityChart
+    over_delay: StabilityChart
+
+
+def growth_while_running(loops: Sequence[WallLoop], stiffnesses_N_m: Array, *, ticks: int = 4000) -> Array:
+    """Growth of the amplitude between two windows of a run from a push, for several loops at once, shape (n,).
+
+    The loops run as they would on a device: sample, difference, force, filter, delay, hold. Amplitude is the root of
+    kinetic and stored energy, weighed by smooth windows around 45 and 85 % of the run. Infinite where it overflows.
+    """
+    first = loops[0]
+    alike = (first.tick_s, first.model_ticks, first.forecast)
+    if any((each.tick_s, each.model_ticks, each.forecast) != alike for each in loops):
+        raise InputError("loops must share tick_s, model_ticks and forecast, got others: run them apart")
+    tick, count = first.tick_s, len(loops)
+    whole = [int(each.delay_s / tick + 1e-9) for each in loops]
+    late = [max(each.delay_s - n * tick, 0.0) for each, n in zip(loops, whole, strict=True)]
+    steps = []
+    for part in (late, [tick - each for each in late]):
+        rows = [
+            plant_step(e.mass_kg + e.hand_mass_kg, e.damping_N_s_m + e.hand_damping_N_s_m, e.hand_stiffness_N_m,
+                       e.amplifier_hz, max(length, 1e-12))
+            for e, length in zip(loops, part, strict=True)
+        ]  # fmt: skip
+        steps.append(np.moveaxis(np.array(rows)[:, :, :4], 0, -1))
+    length = max(whole) + 2
+    back = np.array(whole)
+    columns, queue = np.arange(count), np.zeros((length, count))
+    mass = np.array([each.mass_kg + each.hand_mass_kg for each in loops])
+    spring = stiffnesses_N_m + np.array([each.hand_stiffness_N_m for each in loops])
+    damping = np.array([each.wall_damping_N_s_m for each in loops])
+    gain = np.array([low_pass_gain(each.filter_s, tick) for each in loops])
+    places, ages = (0, 0) if first.forecast is None else first.forecast.memory
+    seen = Seen(first, [np.zeros(count)] * places, [np.zeros(count)] * ages)
+    plant = np.zeros((4, count))
+    plant[1] = 1e-3
+    before, force, filtered = np.zeros(count), np.zeros(count), np.zeros(count)
+    share = np.arange(ticks) / ticks
+    windows = [np.where(abs(share - at) < 0.15, np.cos((share - at) * np.pi / 0.3) ** 2, 0.0) for at in (0.45, 0.85)]
+    sums = np.zeros((2, count))
+    with np.errstate(over="ignore", invalid="ignore"):
+        for n in range(ticks):
+            if n % first.model_ticks == 0:
+                force = -stiffnesses_N_m * plant[0] - damping * (plant[0] - before) / (tick * first.model_ticks)
+                before = plant[0].copy()
+            ahead = seen.ahead(plant[0].copy(), force, n % first.model_ticks)
+            filtered = filtered + gain * (ahead - filtered)
+            queue[n % length] = filtered
+            for matrix, behind in zip(steps, (back + 1, back), strict=True):
+                plant[3] = queue[(n - behind) % length, columns]
+                plant[:3] = np.einsum("ijn,jn->in", matrix, plant)
+            energy = mass * plant[1] ** 2 + spring * plant[0] ** 2
+            sums[0] += windows[0][n] * energy
+            sums[1] += windows[1][n] * energy
+        growth = np.sqrt(sums[1] / sums[0])
+    return np.where(np.isfinite(growth), growth, inf)
+
+
+def measured_critical_N_m(loops: Sequence[WallLoop], *, ticks: int = 4000) -> Array:
+    """Stiffness above which a run grows instead of fading, by bisection for all loops at once [N/m], shape (n,).
+
+    Zero where the softest wall (0.1 N/m) grows already.
+    """
+    low, high = np.full(len(loops), SOFTEST_N_M), np.full(len(loops), STIFFEST_N_M)
+    hopeless = growth_while_running(loops, low, ticks=ticks) >= 1.0
+    for _ in range(BISECTIONS):
+        middle = np.sqrt(low * high)
+        grows = growth_while_running(loops, middle, ticks=ticks) >= 1.0
+        low, high = np.where(grows, low, middle), np.where(grows, middle, high)
+    return np.where(hopeless, 0.0, np.sqrt(low * high))
+
+
+def stability_map(
+    chosen: WallLoop,
+    *,
+    dampings_N_s_m: Array | None = None,
+    delays_s: Array | None = None,
+    rows: int = 60,
+    ticks: int = 4000,
+) -> StabilityMap:
+    """Stiffness against the wall's damping and against delay, around a chosen loop.
+
+    By default the damping goes from none to what stops the mass within a step and the delay, well past the best one;
+    the delay goes to eight ticks. The chart's rows reach from a twentieth of the lowest to three times the
+    highest critical stiffness.
+    """
+    most = (chosen.mass_kg + chosen.hand_mass_kg) / (chosen.tick_s * chosen.model_ticks + chosen.delay_s)
+    dampings = np.linspace(0.0, most, 25) if dampings_N_s_m is None else np.asarray(dampings_N_s_m)
+    delays = np.linspace(0.0, 8.0 * chosen.tick_s, 25) if delays_s is None else np.asarray(delays_s)
+    return StabilityMap(
+        chosen,
+        judge(chosen),
+        _chart("wall_damping_N_s_m", [replace(chosen, wall_damping_N_s_m=float(b)) for b in dampings], rows, ticks),
+        _chart("delay_s", [replace(chosen, delay_s=float(d)) for d in delays], rows, ticks),
+    )
+
+
+def _chart(along: str, loops: list[WallLoop], rows: int, ticks: int) -> StabilityChart:
+    """One chart, over loops that differ in one field."""
+    exact = np.array([critical_stiffness_N_m(each) for each in loops])
+    found = np.append(exact[(exact > 0.0) & (exact < inf)], loops[0].stiffness_N_m or 100.0)
+    stiffnesses = np.geomspace(0.05 * found.min(), 3.0 * found.max(), rows)
+    return StabilityChart(
+        along,
+        np.array([getattr(each, along) for each in loops]),
+        measured_critical_N_m(loops, ticks=ticks),
+        exact,
+        {
+            "passive": np.array([passive_bound_N_m(each) for each in loops]),
+            "first order in delay": np.array([delay_bound_N_m(each) for each in loops]),
+            "Pade": np.array([pade_bound_N_m(each) for each in loops]),
+        },
+        stiffnesses,
+        np.array([[spectral_radius(each.with_stiffness(k)) for each in loops] for k in stiffnesses.tolist()]),
+    )

@@ -1,0 +1,1 @@
+"""The proxy on the voxel map and the virtual coupling to it."""

@@ -1,0 +1,156 @@
+"""A tool that does not turn: it cuts nothing, and the hand feels the rigid bone with its surface."""
+
+from math import inf, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kernels.bricks import FULL
+from meshes.base.errors import InputError, require_positive
+from meshes.voxels.volume import VoxelVolume
+from tissue.haptics.proxy.proxy import Proxy, ProxyOutcome
+from tissue.haptics.proxy.tool_shell import ToolShell
+from tissue.haptics.proxy.voxmap import ContactField
+from tissue.models.bone.bricks import BrickStore
+from tissue.models.tissue_model import FreeSpace, Response, ToolMotion
+from tissue.motion.quaternion import Quaternion
+
+__all__ = ["ProbedBone", "ProbingTool"]
+
+Array = NDArray[np.float64]
+FRICTION = 0.3
+"""Coulomb's coefficient of smooth metal on bone, 0.2 to 0.6 (Shirazi-Adl et al., 1993, from memory: confidence L)."""
+RIGID_LEVER_M = 10.0
+"""Lever of the spring of rotation for a device that imposes its turn [m]: a hundred times what any tool has."""
+
+
+class ProbingTool:
+    """The god-object of a tool of any shape: where it would be if nothing could be pushed into.
+
+    Contacts of the shell's points with the bone balance the springs of translation and rotation, see
+    :class:`tissue.haptics.proxy.proxy.Proxy`; the bone is read where it stands, in voxels that others may carve.
+
+    Parameters
+    ----------
+    stiffness_N_m
+        Of the spring, in the tissue's newtons [N/m].
+    tip_m
+        Where the tip starts [m], shape (3,).
+    stiffness_Nm_rad
+        Of the spring of rotation, in the tissue's newton metres [N m/rad]; infinite for a tool that turns as its device
+        does.
+    friction
+        Coulomb's coefficient.
+    """
+
+    pressed, driven = 0.0, False
+
+    def __init__(
+        self, stiffness_N_m: float, tip_m: Array, *, stiffness_Nm_rad: float = inf, friction: float = FRICTION
+    ) -> None:
+        self.stiffness_N_m = require_positive("stiffness_N_m", stiffness_N_m, "use 1e4")
+        self.lever_m = RIGID_LEVER_M if stiffness_Nm_rad == inf else sqrt(stiffness_Nm_rad / stiffness_N_m)
+        self.friction, self.proxy = friction, None  # type: float, Proxy | None
+        self.tip_m = np.array(tip_m, dtype=float)
+        self.quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)
+
+    def meet(self, shell: ToolShell, field: ContactField) -> Proxy:
+        """Stand where the tool starts, before what it may touch; the shell is in the world's axes there.
+
+        Raises
+        ------
+        InputError
+            If the tool would lie in something.
+        """
+        self.proxy = Proxy(shell, field, lever_m=self.lever_m, friction=self.friction)
+        self.proxy.place(self.tip_m, np.array(self.quaternion))
+        return self.proxy
+
+    def follow(self, device_m: Array, device: Quaternion, response: Response, heading: Array, step_s: float) -> Array:
+        """Go as near to the device as the contacts allow; the tip."""
+        assert self.proxy is not None, "a probing tool must meet something first"
+        result = self.proxy.advance(device_m, np.array(device))
+        self.tip_m[:] = result.position_m
+        x, y, z, w = result.quaternion.tolist()
+        self.quaternion = x, y, z, w
+        return self.tip_m
+
+    def lands(self, response: Response, heading: Array) -> bool:
+        """It never goes into anything."""
+        return False
+
+
+class ProbedBone(FreeSpace):
+    """Voxels under a tool that does not cut: rigid, and as they were.
+
+    Its measures are the number of contacts that press, and whether the god-object ran out of steps before it settled.
+    ``engaged_m2`` is a shell point's share of the surface for every contact, booked to the layer at their centre of
+    pressure.
+
+    Parameters
+    ----------
+    volume
+        The bone.
+    shell
+        The tool's surface, in its own frame.
+    area_m2
+        Area of that surface [m2].
+    tool
+        What is pressed against the bone.
+    device
+        Warp device name.
+    """
+
+    measure_names = ("contacts", "behind")
+
+    def __init__(
+        self, volume: VoxelVolume, shell: ToolShell, *, area_m2: float, tool: ProbingTool, device: str = "cpu"
+    ) -> None:
+        super().__init__()
+        self.layer_names = volume.layer_names
+        self.store = BrickStore.from_volume(volume, device=device)
+        self.start_m3, self.removed_m3 = np.zeros((2, len(self.layer_names)))
+        self.start_m3[:] = self.store.steps_by_layer() * (volume.spacing_m**3 / FULL)
+        self._response = Response.empty(len(self.layer_names))
+        self._response.measures = np.zeros(2)
+        self._tool, self._shell, self._area = tool, shell, area_m2 / len(shell.points_m)
+        self._field = ContactField(store=self.store)
+
+    def place(self, motion: ToolMotion) -> None:
+        """Put the tool where it starts.
+
+        Raises
+        ------
+        InputError
+            If that is inside the bone.
+        """
+        turn = motion.rotation.T
+        shell = ToolShell(self._shell.points_m @ turn, self._shell.normals @ turn)
+        try:
+            self._tool.meet(shell, self._field)
+        except InputError as error:
+            raise InputError(f"motion must start outside the bone, got a tool in it: start higher ({error})") from error
+
+    def respond(self, motion: ToolMotion) -> Response:
+        """What the contacts push, and its torque about the tip."""
+        response, proxy = self._response, self._tool.proxy
+        assert proxy is not None, "a tool must be placed before it is asked"
+        result, stiffness = proxy.result, self._tool.stiffness_N_m
+        response.wrench[:3] = stiffness * result.push_m
+        response.wrench[3:] = stiffness * result.push_moment_m2
+        response.edge[:] = response.wrench
+        response.measures[:] = result.contacts, result.outcome is ProxyOutcome.BEHIND
+        response.engaged_m2[:] = 0.0
+        if result.contacts:
+            response.engaged_m2[self._layer_under(motion.tip_m + result.arm_m, result.push_m)] = (
+                self._area * result.contacts
+            )
+        return response
+
+    def _layer_under(self, point_m: Array, push_m: Array) -> int:
+        """Layer of the voxel behind a point of the surface, half a voxel against the push [m]."""
+        volume = self.store.volume
+        size = float(np.sqrt(push_m @ push_m))
+        inward = -0.5 * volume.spacing_m / size * push_m if size > 0.0 else 0.0
+        at = np.floor((point_m + inward - volume.origin_m) / volume.spacing_m).astype(int)
+        return int(volume.layer[tuple(np.clip(at, 0, np.array(volume.shape) - 1))])

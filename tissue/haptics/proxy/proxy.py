@@ -1,0 +1,232 @@
+"""The god-object: where a tool would be if nothing could be pushed into, in three or six degrees of freedom.
+
+The device goes where the hand moves it, through walls if it must; the proxy follows as far as it can and stays outside.
+What holds them together, see :mod:`tissue.haptics.proxy.virtual_coupling`, is the force that the hand feels. The proxy is
+the tool's static equilibrium between the coupling's springs and the contacts, reached by local descent from the last
+proxy: a search for the nearest free point would come out on the far side of a thin wall.
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+from math import isfinite
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from kernels.mirror import Mirror
+from kernels.proxy import REPORT, STATE, advance_proxy
+from kernels.proxy_contacts import VOXEL_PLANES, Contacts, Shell
+from kernels.proxy_forces import MEMBERS
+from meshes.base.errors import InputError, require_positive, require_range
+from tissue.haptics.proxy.tool_shell import ToolShell
+from tissue.haptics.proxy.voxmap import ContactField
+
+__all__ = ["Proxy", "ProxyOutcome", "ProxyResult"]
+
+Array = NDArray[np.float64]
+STEP_M = 2.5e-4
+"""Longest step beside solids [m]."""
+STEP_VOXELS = 0.5
+"""Longest step beside voxels [voxel]."""
+TOLERANCE_M, TOLERANCE_VOXELS = 1e-12, 1e-3
+"""Step below which the proxy has settled: rounding beside exact solids, a thousandth voxel beside voxels."""
+_IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
+
+
+class ProxyOutcome(Enum):
+    """How a tick ended; the value says what to do about it."""
+
+    FREE = "the proxy is where the device is: nothing to do"
+    CONTACT = "the proxy rests against something: render the coupling's force"
+    BEHIND = "the steps ran out before the proxy settled: it goes on in the next tick, or allow more steps"
+
+
+@dataclass
+class ProxyResult:
+    """Where the proxy is, reused from tick to tick.
+
+    Attributes
+    ----------
+    position_m
+        Of the tool's origin [m], shape (3,).
+    quaternion
+        Tool to world (x, y, z, w), shape (4,).
+    outcome
+        How the tick ended.
+    contacts
+        Contacts that press.
+    push_m, push_moment_m2
+        Sum of the contact forces on the tool and of their moments about its origin, both over the coupling's stiffness
+        k: times k they are N and N m. They balance the coupling's springs once the proxy has settled.
+    arm_m
+        Centre of pressure from the tool's origin, in the world's axes [m], shape (3,).
+    steps, solves
+        Steps of the descent and solves of the active set that the tick took.
+    """
+
+    position_m: Array
+    quaternion: Array
+    push_m: Array
+    push_moment_m2: Array
+    arm_m: Array
+    outcome: ProxyOutcome = ProxyOutcome.FREE
+    contacts: int = 0
+    steps: int = 0
+    solves: int = 0
+
+
+class Proxy:
+    """A rigid tool that follows a device and never enters anything.
+
+    Parameters
+    ----------
+    shell
+        The tool.
+    field
+        What it may touch.
+    lever_m
+        Square root of the coupling's rotational stiffness over its stiffness [m]; None for three degrees of freedom, in
+        which the tool keeps the orientation it was placed with.
+    friction
+        Coulomb's coefficient.
+    step_limit, solve_limit
+        Bounds of the work of a tick; what is left is done in the next one.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range, or a shell of balls is to touch voxels.
+    """
+
+    def __init__(
+        self,
+        shell: ToolShell,
+        field: ContactField,
+        *,
+        lever_m: float | None = None,
+        friction: float = 0.0,
+        step_limit: int = 64,
+        solve_limit: int = 150,
+    ) -> None:
+        require_range("friction", friction, 0.0, 10.0, "use 0 for none, about 0.3 for bone on steel")
+        compliance = 0.0 if lever_m is None else require_positive("lever_m", lever_m, "use about 0.02 (20 mm)") ** -2
+        step, tolerance = STEP_M, TOLERANCE_M
+        if field.spacing_m > 0.0:
+            if shell.radius_m > 0.0:
+                raise InputError(
+                    f"radius_m of the shell must be 0 on voxels, got {shell.radius_m:g}: give points with normals"
+                )
+            step, tolerance = STEP_VOXELS * field.spacing_m, TOLERANCE_VOXELS * field.spacing_m
+        device = field.device
+        self._contacts = _contacts(len(shell.points_m), field, device=device)
+        tool: Any = Shell()
+        tool.point = wp.array(shell.points_m - field.sink_m * shell.normals, dtype=wp.vec3d, device=device)
+        tool.radius, tool.reach = shell.radius_m, shell.reach_m
+        self._goal = Mirror(7, dtype=wp.float64, device=device)
+        self._state = Mirror(STATE, dtype=wp.float64, device=device)
+        self._report = Mirror(REPORT, dtype=wp.float64, device=device)
+        self._goal.host[3:] = self._state.host[3:7] = _IDENTITY
+        self._field = field  # its arrays are read by the recorded launch
+        self._launch: Any = wp.launch(
+            advance_proxy,
+            dim=1,
+            inputs=[
+                field.arrays, tool, self._contacts, compliance, friction, step, tolerance, step_limit, solve_limit,
+                self._goal.device,
+            ],
+            outputs=[self._state.device, self._report.device],
+            device=device,
+            record_cmd=True,
+        )  # fmt: skip
+        self.result = ProxyResult(np.zeros(3), _IDENTITY.copy(), np.zeros(3), np.zeros(3), np.zeros(3))
+
+    def place(self, position_m: Array, quaternion: Array = _IDENTITY) -> ProxyResult:
+        """Put the proxy at a pose, which must be free, and forget all contacts.
+
+        Raises
+        ------
+        InputError
+            If a number is not finite or the tool would lie in something.
+        """
+        self._aim(position_m, quaternion)
+        self._state.host[:7], self._state.host[7] = self._goal.host, 0.0
+        self._state.push()
+        self._report.host[:] = 0.0
+        self._report.push()
+        for array in (self._contacts.press, self._contacts.wake, self._contacts.plane_normal):
+            array.zero_()
+        self._run()
+        if self.result.contacts > 0:
+            out_m = float(np.linalg.norm(self.result.position_m - position_m))
+            raise InputError(
+                f"position_m must leave the tool outside everything, got {position_m} where it lies about "
+                f"{1e3 * out_m:.3g} mm deep: start farther off"
+            )
+        return self.result
+
+    def advance(self, position_m: Array, quaternion: Array = _IDENTITY) -> ProxyResult:
+        """Follow the device to its pose [m], (x, y, z, w); the returned object is overwritten by the next call.
+
+        Raises
+        ------
+        InputError
+            If a number is not finite; the proxy stays where it was.
+        """
+        self._aim(position_m, quaternion)
+        self._run()
+        return self.result
+
+    def _aim(self, position_m: Array, quaternion: Array) -> None:
+        """Take the device's pose as the goal."""
+        if not isfinite(float(position_m.sum()) + float(quaternion.sum())):
+            raise InputError(
+                f"the device's pose must be finite, got {position_m} m, {quaternion}: hold the last pose and ramp the "
+                "force to zero"
+            )
+        self._goal.host[:3] = position_m
+        self._goal.host[3:] = quaternion
+        self._goal.push()
+
+    def _run(self) -> None:
+        """Launch the tick and read what it found."""
+        self._launch.launch()
+        self._state.pull()
+        self._report.pull()
+        state, result = self._state.host, self.result
+        settled, contacts, steps, solves = self._report.host[:4].tolist()
+        result.position_m[:] = state[:3]
+        result.quaternion[:] = state[3:7]
+        result.push_m[:] = self._report.host[5:8]
+        result.push_moment_m2[:] = self._report.host[8:11]
+        result.arm_m[:] = self._report.host[11:14]
+        result.contacts, result.steps, result.solves = int(contacts), int(steps), int(solves)
+        if settled == 0.0:
+            result.outcome = ProxyOutcome.BEHIND
+        else:
+            result.outcome = ProxyOutcome.CONTACT if contacts else ProxyOutcome.FREE
+
+
+def _contacts(points: int, field: ContactField, *, device: str) -> Contacts:
+    """Room for every contact that a shell of so many points can have."""
+    slots = field.solid_count + (VOXEL_PLANES if field.spacing_m > 0.0 else 0)
+    room: Any = Contacts()
+    room.slots = slots
+    for name, count, kind in (
+        ("press", points * slots, wp.float64),
+        ("wake", points, wp.float64),
+        ("plane_normal", (points, VOXEL_PLANES), wp.vec3d),
+        ("plane_offset", (points, VOXEL_PLANES), wp.float64),
+        ("slot", points * slots, wp.int32),
+        ("arm", points * slots, wp.vec3d),
+        ("normal", points * slots, wp.vec3d),
+        ("moment", points * slots, wp.vec3d),
+        ("gap", points * slots, wp.float64),
+        ("chosen", points * slots, wp.int32),
+        ("member", MEMBERS, wp.int32),
+        ("lower", (MEMBERS, MEMBERS), wp.float64),
+        ("side", (MEMBERS, 3), wp.float64),
+    ):
+        setattr(room, name, wp.zeros(count, dtype=kind, device=device))
+    return room

@@ -1,0 +1,187 @@
+"""What a rigid tool may touch: bone in voxels, and exact half-spaces, boxes and balls.
+
+The voxels are read where they stand, in the store that a cutter carves: nothing is copied and nothing has to be brought
+up to date, see :mod:`kernels.voxmap`. A deformable organ does not belong here: its contact moves the surface as well as
+the tool and is solved where the organ's compliance is known, so there the tool itself is the proxy.
+"""
+
+from dataclasses import dataclass, field
+from math import ceil, sqrt
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from kernels.voxmap import BALL, BOX, CELL, HALF_SPACE, SURFACE, Field, field_distance
+from meshes.base.errors import InputError, require_positive
+from tissue.models.bone.bricks import BrickStore
+
+__all__ = ["Ball", "Box", "ContactField", "HalfSpace", "Solid"]
+
+Array = NDArray[np.float64]
+FELT_VOXELS = 0.5 * sqrt(3.0)
+"""How far from a voxel its fraction is felt at most, trilinear between centres [voxel]."""
+NOWHERE_M = 1e30
+
+
+@dataclass(frozen=True, eq=False)
+class HalfSpace:
+    """Everything behind a plane.
+
+    Attributes
+    ----------
+    point_m
+        A point of the plane [m], shape (3,).
+    normal
+        The way out, shape (3,); any length but 0.
+    """
+
+    point_m: Array
+    normal: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "point_m", _vector("point_m", self.point_m))
+        normal = _vector("normal", self.normal)
+        length = float(np.linalg.norm(normal))
+        if length == 0.0:
+            raise InputError("normal must have a direction, got (0, 0, 0): use for example (0, 0, 1)")
+        object.__setattr__(self, "normal", normal / length)
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """A box.
+
+    Attributes
+    ----------
+    centre_m
+        Its centre [m], shape (3,).
+    size_m
+        Edge lengths [m], shape (3,).
+    rotation
+        Box to world, shape (3, 3).
+    """
+
+    centre_m: Array
+    size_m: Array
+    rotation: Array = field(default_factory=lambda: np.eye(3))
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centre_m", _vector("centre_m", self.centre_m))
+        object.__setattr__(self, "size_m", _vector("size_m", self.size_m))
+        if not (self.size_m > 0.0).all():
+            raise InputError(f"size_m must be positive in every direction, got {self.size_m}: use about 0.01 (10 mm)")
+        turn = np.asarray(self.rotation, dtype=np.float64)
+        if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), rtol=0.0, atol=1e-9):
+            raise InputError(
+                "rotation must be a rotation matrix, got one whose rows are not orthonormal: use numpy.eye(3)"
+            )
+        object.__setattr__(self, "rotation", turn)
+
+
+@dataclass(frozen=True, eq=False)
+class Ball:
+    """A ball about ``centre_m`` [m], shape (3,), of ``radius_m`` [m]."""
+
+    centre_m: Array
+    radius_m: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centre_m", _vector("centre_m", self.centre_m))
+        require_positive("radius_m", self.radius_m, "use about 5e-3 (5 mm)")
+
+
+Solid = HalfSpace | Box | Ball
+
+
+class ContactField:
+    """Solids and, where a store is given, the bone in it, as the proxy's kernels read them.
+
+    Parameters
+    ----------
+    *solids
+        Exact convex solids. A concave thing is several of them: an inner corner is two half-spaces.
+    store
+        Bone that may be carved while it is touched. Its surface is where the trilinear fraction is 1/4, about a quarter
+        of a voxel outside the true one, which a tool with normals makes up for; see :mod:`kernels.voxmap`.
+    device
+        Warp device name; a store's own device takes its place.
+    """
+
+    def __init__(self, *solids: Solid, store: BrickStore | None = None, device: str = "cpu") -> None:
+        if not solids and store is None:
+            raise InputError("solids must hold at least one where there is no store, got none: add a HalfSpace")
+        self.device = str(store.remaining.device) if store is not None else device
+        self.spacing_m = store.volume.spacing_m if store is not None else 0.0
+        self.sink_m = (0.5 - SURFACE) * self.spacing_m
+        """How far shell points are sunk into the tool [m]."""
+        self.solid_count = len(solids)
+        arrays: Any = Field()
+        kinds, centres, turns, sizes = zip(*map(_solid, solids), strict=True) if solids else ((), (), (), ())
+        arrays.kind = wp.array(kinds, dtype=wp.int32, device=self.device)
+        arrays.centre = wp.array(np.reshape(centres, (-1, 3)), dtype=wp.vec3d, device=self.device)
+        arrays.turn = wp.array(np.reshape(turns, (-1, 3, 3)), dtype=wp.mat33d, device=self.device)
+        arrays.size = wp.array(np.reshape(sizes, (-1, 3)), dtype=wp.vec3d, device=self.device)
+        arrays.spacing = self.spacing_m
+        if store is not None:
+            arrays.voxels_per_m = 1.0 / self.spacing_m
+            arrays.brick_of, arrays.remaining = store.brick_of, store.remaining
+            arrays.origin = wp.vec3d(*store.volume.origin_m.tolist())
+            clearance = _clearance(store.fraction() > 0, self.spacing_m)
+            arrays.clearance = wp.array(clearance, dtype=wp.float32, device=self.device)
+        self.arrays = arrays
+
+    def distance(self, points_m: Array) -> tuple[Array, Array]:
+        """Distance [m] to the nearest thing, shape (n,), and the way out of it, shape (n, 3), at points, shape (n, 3).
+
+        Exact for solids. For voxels the distance to where their surface is felt, first order in it within half a voxel;
+        farther off a lower bound and the way (0, 0, 0).
+        """
+        points = np.ascontiguousarray(points_m, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+            raise InputError(
+                f"points_m must be finite, of shape (n, 3), got shape {points.shape}: give rows of x, y, z"
+            )
+        distance = wp.zeros(len(points), dtype=wp.float64, device=self.device)
+        normal = wp.zeros(len(points), dtype=wp.vec3d, device=self.device)
+        at: Any = wp.array(points, dtype=wp.vec3d, device=self.device)
+        wp.launch(
+            field_distance, dim=len(points), inputs=[at, self.arrays], outputs=[distance, normal], device=self.device
+        )
+        return distance.numpy(), normal.numpy()
+
+
+def _solid(solid: Solid) -> tuple[int, Array, Array, Array]:
+    """Kind, centre, rotation and size of a solid as the kernels read it."""
+    match solid:
+        case HalfSpace():
+            z = solid.normal
+            helper = np.eye(3)[int(np.argmin(np.abs(z)))]
+            x = helper - z * (helper @ z)
+            x /= np.linalg.norm(x)
+            return HALF_SPACE, solid.point_m, np.column_stack([x, np.cross(z, x), z]), np.zeros(3)
+        case Box():
+            return BOX, solid.centre_m, solid.rotation, 0.5 * solid.size_m
+        case Ball():
+            return BALL, solid.centre_m, np.eye(3), np.full(3, solid.radius_m)
+
+
+def _clearance(holds: NDArray[np.bool_], spacing_m: float) -> NDArray[np.float32]:
+    """Lower bound of the distance [m] from anywhere in each cell of voxels to where bone is felt."""
+    counts = [ceil(n / CELL) for n in holds.shape]
+    padded = np.pad(holds, [(0, CELL * count - n) for count, n in zip(counts, holds.shape, strict=True)])
+    x, y, z = counts
+    full = padded.reshape(x, CELL, y, CELL, z, CELL).any(axis=(1, 3, 5))
+    if not full.any():
+        return np.full(counts, NOWHERE_M, dtype=np.float32)
+    cells = distance_transform_edt(~full) - sqrt(3.0)
+    return np.maximum(spacing_m * (CELL * cells - FELT_VOXELS), 0.0).astype(np.float32)
+
+
+def _vector(name: str, value: Any) -> Array:
+    vector = np.asarray(value, dtype=np.float64)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise InputError(f"{name} must be three finite numbers, got {value}: use for example (0, 0, 1)")
+    return vector

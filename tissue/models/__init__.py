@@ -1,0 +1,1 @@
+"""Tissue models, all of one contract: bone, tooth, organ, needle in layers, wall."""

@@ -1,0 +1,1 @@
+"""Bone as voxels that a cutter removes."""

@@ -1,0 +1,167 @@
+"""Voxels cut into bricks: only bricks that hold bone are stored."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from kernels.bricks import BRICK, BRICK_VOXELS, FULL
+from kernels.sampling import sample
+from meshes.voxels.volume import VoxelVolume
+
+__all__ = ["BYTES_PER_VOXEL", "BrickStore", "voxels_of"]
+
+BYTES_PER_VOXEL = 6
+"""Stored per voxel of a brick: remaining 2, material 4."""
+STEPS = FULL // 255
+"""Stored steps per step of the volume's 8-bit fraction."""
+
+
+@dataclass(frozen=True, eq=False)
+class BrickStore:
+    """A voxel volume on a device, in the layout of :mod:`kernels.bricks`.
+
+    Attributes
+    ----------
+    volume
+        The volume it was made from; its fractions are the state before any cut.
+    brick_of
+        Brick row at each grid position, int32, shape (bx, by, bz), -1 where empty.
+    remaining
+        Filled fraction of each voxel, uint16, 65535 = full, shape (bricks, 512).
+    material
+        Density, layer and fill in one word, uint32, shape (bricks, 512).
+    alive
+        One bit for each block of 2 x 2 x 2 voxels that may hold bone, uint64, shape (bricks,).
+    touched
+        1 for each brick that lost something since `take_touched`, uint8, shape (bricks,).
+    places
+        Grid position of each stored brick, shape (bricks, 3).
+    """
+
+    volume: VoxelVolume
+    brick_of: Any
+    remaining: Any
+    material: Any
+    alive: Any
+    touched: Any
+    places: NDArray[np.int64]
+
+    @classmethod
+    def from_volume(cls, volume: VoxelVolume, *, device: str) -> "BrickStore":
+        """Store the bricks of ``volume`` that hold bone on ``device``."""
+        counts = tuple(-(-n // BRICK) for n in volume.shape)
+        bricks = _blocked(volume.fraction, counts)
+        holds: NDArray[np.bool_] = np.asarray(bricks.any(axis=(1, 3, 5)))
+        brick_of = np.full(counts, -1, dtype=np.int32)
+        brick_of[holds] = np.arange(int(holds.sum()), dtype=np.int32)
+        if not holds.any():
+            holds[0, 0, 0] = True
+            brick_of[0, 0, 0] = 0
+
+        def stored(array: NDArray[Any]) -> NDArray[Any]:
+            return _rows(_blocked(array, counts).transpose(0, 2, 4, 1, 3, 5)[holds])
+
+        fraction = stored(volume.fraction)
+        blocks = fraction.reshape(-1, 64, 8).any(axis=2)
+        material = stored(volume.density_kg_m3).astype(np.uint32) << np.uint32(16)
+        material |= stored(volume.layer).astype(np.uint32) << np.uint32(8)
+        alive = np.packbits(blocks, axis=1, bitorder="little").view("<u8").reshape(-1)
+
+        def on(array: NDArray[Any], dtype: Any) -> Any:
+            return wp.array(np.ascontiguousarray(array), dtype=dtype, device=device)
+
+        return cls(
+            volume,
+            on(brick_of, wp.int32),
+            on(fraction.astype(np.uint16) * np.uint16(STEPS), wp.uint16),
+            on(material, wp.uint32),
+            on(alive, wp.uint64),
+            wp.zeros(len(alive), dtype=wp.uint8, device=device),
+            np.argwhere(holds),
+        )
+
+    def take_touched(self) -> tuple[NDArray[np.intp], NDArray[np.uint16]]:
+        """Rows of the bricks that lost something since the last call, and a copy of what is stored in them.
+
+        Costs by those bricks, so that a tick can afford it.
+        """
+        rows = np.flatnonzero(self.touched.numpy())
+        if self.touched.device.is_cpu:
+            self.touched.numpy()[rows] = 0
+        else:
+            self.touched.zero_()
+        return rows, self.remaining.numpy()[rows]
+
+    def steps_by_layer(self) -> NDArray[np.int64]:
+        """Stored steps that remain in each layer, shape (layers,)."""
+        count = len(self.volume.layer_names)
+        remaining, layer = self.remaining.numpy(), (self.material.numpy() >> np.uint32(8)).astype(np.uint8)
+        return np.array([remaining[layer == index].sum(dtype=np.int64) for index in range(count)])
+
+    def sample(self, points_m: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Filled fraction at points [m], shape (n, 3), trilinear between voxel centres, 0 where nothing is stored."""
+        voxels = (np.asarray(points_m, dtype=np.float64) - self.volume.origin_m) / self.volume.spacing_m
+        device = self.remaining.device
+        found = wp.zeros(len(voxels), dtype=wp.float32, device=device)
+        at: Any = wp.array(voxels, dtype=wp.vec3, device=device)
+        inputs = [at, 0, self.brick_of, self.remaining]
+        wp.launch(sample, dim=len(voxels), inputs=inputs, outputs=[found], device=device)
+        return np.asarray(found.numpy())
+
+    def write_fraction(self, fraction: NDArray[np.uint8], rows: NDArray[np.intp]) -> None:
+        """Write what remains in some bricks into an array of the volume's shape, 255 = full."""
+        bricks = _bricks(_nearest(self.remaining.numpy()[rows]))
+        for (x, y, z), brick in zip(BRICK * self.places[rows], bricks, strict=True):
+            part = fraction[x : x + BRICK, y : y + BRICK, z : z + BRICK]
+            part[:] = brick[: part.shape[0], : part.shape[1], : part.shape[2]]
+
+    def fraction(self) -> NDArray[np.uint8]:
+        """Remaining fraction of every voxel of the volume, 255 = full, shape of the volume."""
+        brick_of = self.brick_of.numpy()
+        nx, ny, nz = (BRICK * n for n in brick_of.shape)
+        dense = np.zeros((*brick_of.shape, BRICK, BRICK, BRICK), dtype=np.uint8)
+        held = brick_of >= 0
+        dense[held] = _bricks(_nearest(self.remaining.numpy()))[brick_of[held]]
+        x, y, z = self.volume.shape
+        whole = dense.transpose(0, 3, 1, 4, 2, 5).reshape(nx, ny, nz)
+        return np.ascontiguousarray(whole[:x, :y, :z])
+
+
+def voxels_of(
+    places: NDArray[np.int64], rows: NDArray[np.intp], steps: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Indices of the voxels whose value in ``steps``, shape (rows, 512), is not 0, shape (n, 3), and that value.
+
+    ``places`` are those of the store's bricks, of which ``rows`` names some.
+    """
+    row, column = np.nonzero(steps)
+    block, corner = column >> 3, column & 7
+    inside = np.stack([block >> 4, (block >> 2) & 3, block & 3], axis=1) * 2
+    inside += np.stack([corner >> 2, (corner >> 1) & 1, corner & 1], axis=1)
+    return BRICK * places[rows[row]] + inside, steps[row, column]
+
+
+def _nearest(remaining: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """Stored steps as 8-bit fractions."""
+    return ((remaining.astype(np.uint32) + np.uint32(STEPS // 2)) // np.uint32(STEPS)).astype(np.uint8)
+
+
+def _blocked(array: NDArray[Any], counts: tuple[int, ...]) -> NDArray[Any]:
+    """View of an array, padded to whole bricks, with axes (bx, 8, by, 8, bz, 8)."""
+    pad = [(0, BRICK * count - n) for count, n in zip(counts, array.shape, strict=True)]
+    padded = np.pad(array, pad) if any(after for _, after in pad) else array
+    bx, by, bz = counts
+    return padded.reshape(bx, BRICK, by, BRICK, bz, BRICK)
+
+
+def _rows(bricks: NDArray[Any]) -> NDArray[Any]:
+    """Bricks, shape (n, 8, 8, 8), as stored rows, shape (n, 512), block after block."""
+    return bricks.reshape(-1, 4, 2, 4, 2, 4, 2).transpose(0, 1, 3, 5, 2, 4, 6).reshape(-1, BRICK_VOXELS)
+
+
+def _bricks(rows: NDArray[Any]) -> NDArray[Any]:
+    """Stored rows, shape (n, 512), as bricks, shape (n, 8, 8, 8)."""
+    return rows.reshape(-1, 4, 4, 4, 2, 2, 2).transpose(0, 1, 4, 2, 5, 3, 6).reshape(-1, BRICK, BRICK, BRICK)

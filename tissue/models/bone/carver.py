@@ -1,0 +1,211 @@
+"""Take away the bone that a moving tool reaches: the same bricks of voxels after the same poses, bit for bit."""
+
+from dataclasses import dataclass
+from math import ceil, sqrt
+from typing import Any, Literal
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from kernels.bricks import BRICK
+from kernels.carving import PHASES, carve
+from kernels.launcher import SplitLaunch
+from kernels.mirror import Mirror
+from kernels.revolution import Revolution
+from tissue.cutters.cutter import Cutter, DistanceTable
+from tissue.cutters.profile import Profile
+from tissue.models.bone.bricks import BrickStore
+from tissue.models.tissue_model import ToolMotion
+
+__all__ = ["Carver", "CarverState", "Removal"]
+
+Removal = Literal["subvoxel", "binary"]
+
+CARVE_LAG_M = 2.0e-5
+"""How far the tool may move between two visits of a brick, at most a quarter voxel [m]."""
+LONGEST_STEP_VOXELS = 0.5
+"""Longest step between two carvings; a faster tool is carved in parts of a tick."""
+TURN = 0.9
+"""The tool turns where its heading keeps less than this share of its last one."""
+WORKERS_CPU, WORKERS_GPU = 32, 2048
+"""Workers that share a carving launch."""
+
+
+@dataclass(frozen=True, eq=False)
+class CarverState:
+    """Copy of all that later carving depends on, see :meth:`Carver.state`.
+
+    Attributes
+    ----------
+    remaining, alive
+        Device arrays of the brick store.
+    poses
+        Pose now and at the last visit of every group of bricks, shape (1 + groups, 6).
+    heading
+        Heading of the last motion, shape (2, 3).
+    counts
+        Next group, visits owed, groups that have not seen the present pose.
+    """
+
+    remaining: Any
+    alive: Any
+    poses: NDArray[np.float64]
+    heading: NDArray[np.float64]
+    counts: tuple[int, float, int]
+
+
+class Carver:
+    """A cutter that removes voxels of a brick store.
+
+    Parameters
+    ----------
+    store
+        The bone.
+    cutter
+        The tool.
+    removal
+        ``subvoxel`` removes the part of a voxel inside the tool; ``binary`` whole voxels by their centres.
+    device
+        Warp device name.
+    cores
+        Processor cores to split large launches over; default all. The result does not depend on it.
+
+    Attributes
+    ----------
+    removed_steps
+        Stored steps removed so far, by layer, shape (layers,).
+    """
+
+    def __init__(
+        self, store: BrickStore, cutter: Cutter, *, removal: Removal, device: str, cores: int | None = None
+    ) -> None:
+        volume = store.volume
+        layers, spacing = len(volume.layer_names), volume.spacing_m
+        self.store = store
+        self.removed_steps = np.zeros(layers, dtype=np.int64)
+        self._binary = int(removal == "binary")
+        self._origin, self._spacing = volume.origin_m, spacing
+        table = cutter.table(spacing_m=spacing)
+        self._lag = min(CARVE_LAG_M / spacing, 0.25)
+        self._lever = max(abs(table.low), abs(table.high))
+        self._next_group = 0
+        # Groups follow the world's lattice, so that the same cut in a larger region is visited at the same ticks.
+        self._first_group = int(np.rint(self._origin / (BRICK * spacing)).sum()) % PHASES
+        self._debt = 0.0  # visits owed for the way made so far
+        self._behind = 0  # groups that have not seen the present pose
+        self._heading = np.zeros((2, 3))
+        self._now = np.zeros(6)
+        workers = WORKERS_CPU if device == "cpu" else WORKERS_GPU
+        self._pose = Mirror((1 + PHASES, 6), dtype=wp.float64, device=device)
+        self._plan = Mirror(5, dtype=wp.int32, device=device)
+        self._removed = Mirror((workers, layers), dtype=wp.int64, device=device)
+        self._carve = SplitLaunch(
+            carve,
+            dim=workers,
+            inputs=[
+                _revolution(table, cutter.profile, device=device),
+                self._pose.device,
+                self._plan.device,
+                1.5 * self._lag,
+                0,
+                workers,
+                store.brick_of,
+            ],
+            outputs=[store.remaining, store.material, store.alive, store.touched, self._removed.device],
+            offset_index=4,
+            device=device,
+            cores=cores,
+        )
+
+    def place(self, motion: ToolMotion) -> None:
+        """Carve all that lies inside the tool at its first pose."""
+        self._pose.host[:] = self._pose_of(motion)
+        self._heading[:] = motion.heading
+        self._visit(PHASES, every_side=True)
+
+    def advance(self, motion: ToolMotion) -> None:
+        """Carve what the tool reaches at its new pose; a slow tool's carving is spread over ticks."""
+        now = self._pose_of(motion)
+        if self._behind > 0 and np.vdot(motion.heading, self._heading) < TURN * np.vdot(self._heading, self._heading):
+            self._visit(PHASES)  # the tool turns: first complete what it cut on its old way
+        self._heading[:] = motion.heading
+        moved = now - self._pose.host[0]
+        step = sqrt(moved[:3].dot(moved[:3])) + self._lever * sqrt(moved[3:].dot(moved[3:]))
+        if step > LONGEST_STEP_VOXELS:
+            self._sweep(now, parts=ceil(step / LONGEST_STEP_VOXELS))
+        elif step > 0.0:
+            self._pose.host[0] = now
+            self._behind = PHASES
+            self._debt += PHASES * step / self._lag
+            groups = min(int(self._debt), PHASES)
+            if groups > 0:
+                self._visit(groups)
+        elif self._behind > 0:
+            self._visit(1)  # the tool rests: bring the other bricks to its pose, one group a tick
+
+    def _pose_of(self, motion: ToolMotion) -> NDArray[np.float64]:
+        """Tip [voxel] and axis of a motion, in an array that the next call overwrites."""
+        now = self._now
+        np.subtract(motion.tip_m, self._origin, out=now[:3])
+        now[:3] /= self._spacing
+        now[3:] = motion.rotation[:, 2]
+        return now
+
+    def _sweep(self, now: NDArray[np.float64], *, parts: int) -> None:
+        """Carve a fast tool at several poses on its way."""
+        before = self._pose.host[0].copy()
+        for part in range(1, parts + 1):
+            pose = before + part / parts * (now - before)
+            pose[3:] /= np.linalg.norm(pose[3:])
+            self._pose.host[0] = pose
+            self._visit(PHASES)
+
+    def finish(self) -> None:
+        """Complete the carving that was spread over ticks."""
+        if self._behind > 0:
+            self._visit(PHASES)
+
+    def state(self) -> CarverState:
+        """Copy the state between two motions."""
+        return CarverState(
+            wp.clone(self.store.remaining),
+            wp.clone(self.store.alive),
+            self._pose.host.copy(),
+            self._heading.copy(),
+            (self._next_group, self._debt, self._behind),
+        )
+
+    def restore(self, state: CarverState) -> None:
+        """Return to a copied state; the booked removal and each voxel's fill, which no carving reads, stay."""
+        wp.copy(self.store.remaining, state.remaining)
+        wp.copy(self.store.alive, state.alive)
+        self._pose.host[:] = state.poses
+        self._heading[:] = state.heading
+        self._next_group, self._debt, self._behind = state.counts
+
+    def _visit(self, groups: int, *, every_side: bool = False) -> None:
+        """Carve ``groups`` groups of bricks at the current pose and book what they lost."""
+        first = self._next_group
+        self._plan.host[:] = (first, groups, self._binary, every_side, self._first_group)
+        self._plan.push()
+        self._pose.push()
+        self._carve()
+        self._removed.pull()
+        self.removed_steps += np.add.reduce(self._removed.host, axis=0)
+        for visit in range(groups):
+            self._pose.host[1 + (first + visit) % PHASES] = self._pose.host[0]
+        self._next_group = (first + groups) % PHASES
+        self._debt = 0.0 if groups == PHASES else max(self._debt - groups, 0.0)
+        self._behind -= min(groups, self._behind)
+
+
+def _revolution(table: DistanceTable, profile: Profile, *, device: str) -> Revolution:
+    """The cutter's distance table on a device."""
+    tool: Any = Revolution()
+    tool.distance = wp.array(table.distance, dtype=wp.float32, device=device)
+    tool.bend = wp.array(table.bend, dtype=wp.float32, device=device)
+    tool.height_min, tool.cells_per_voxel = table.height_min, table.cells_per_voxel
+    tool.radius, tool.low, tool.high = table.radius, table.low, table.high
+    tool.convex, tool.round = int(profile.convex), int(len(profile.pieces) == 1)
+    return tool

@@ -1,0 +1,190 @@
+"""Bone that a rotating cutter mills: carving over bricks and the force on the cutter's elements."""
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from kernels.bricks import FULL
+from kernels.cutting import AREA, CHUNK, DENSITIES, RATE, Coefficients, Elements, cutting_forces
+from kernels.launcher import SplitLaunch
+from kernels.mirror import Mirror
+from meshes.voxels.volume import VoxelVolume
+from tissue.cutters.cutter import Cutter, PointShell
+from tissue.fem.fields import FieldSeries
+from tissue.materials.cutting import CuttingCoefficients
+from tissue.models.bone.bricks import BrickStore
+from tissue.models.bone.carver import Carver, Removal
+from tissue.models.tissue_model import Response, ToolMotion
+
+__all__ = ["BoneModel", "Removal"]
+
+SHELL_ELEMENTS = 1600
+"""Elements wanted over the cutting surface where the voxels would allow more."""
+
+
+class BoneModel:
+    """Voxelised bone and one cutter.
+
+    Parameters
+    ----------
+    volume
+        The bone.
+    cutter
+        The tool.
+    coefficients
+        Cutting coefficients of each of the volume's layers, in their order.
+    removal
+        ``subvoxel`` removes the part of a voxel inside the tool; ``binary`` whole voxels by their centres.
+    shell_spacing_m
+        Distance between the cutter's elements [m]; by default two voxels, or wider where that gives more than 1600.
+    device
+        Warp device name.
+    cores
+        Processor cores to split large launches over; default all. The result does not depend on it.
+    """
+
+    def __init__(
+        self,
+        volume: VoxelVolume,
+        cutter: Cutter,
+        coefficients: tuple[CuttingCoefficients, ...],
+        *,
+        removal: Removal = "subvoxel",
+        shell_spacing_m: float | None = None,
+        device: str = "cpu",
+        cores: int | None = None,
+    ) -> None:
+        self.layer_names = volume.layer_names
+        self.measure_names: tuple[str, ...] = ()
+        self.notices: list[str] = []
+        self.fields: FieldSeries | None = None
+        self.cutter = cutter
+        self.store = BrickStore.from_volume(volume, device=device)
+        self.start_steps = self.store.steps_by_layer()
+        self.carver = Carver(self.store, cutter, removal=removal, device=device, cores=cores)
+        layers = len(self.layer_names)
+        spacing = volume.spacing_m
+        self._origin, self._spacing = volume.origin_m, spacing
+        self.shell = cutter.shell(
+            spacing_m=shell_spacing_m or max(2.0 * spacing, (cutter.cutting_area_m2 / SHELL_ELEMENTS) ** 0.5)
+        )
+        self._parts = np.zeros((4, 3))  # chip force and torque, edge force and torque
+        self._response = Response(self._parts[:2].reshape(6), self._parts[2:].reshape(6), np.zeros(6), np.zeros(layers))
+        chunks = -(-len(self.shell.areas_m2) // CHUNK)
+        self._motion = Mirror((6, 3), dtype=wp.float64, device=device)
+        self._rows = self._motion.host[0], self._motion.host[1:4], self._motion.host[4:6]
+        self._sums = Mirror((chunks, AREA + layers), dtype=wp.float64, device=device)
+        store = self.store
+        self.elements = _elements(self.shell, cutter, device=device)
+        self._forces = SplitLaunch(
+            cutting_forces,
+            dim=chunks,
+            inputs=[
+                self.elements,
+                _on_device(coefficients, device=device),
+                self._motion.device,
+                cutter.chip_per_speed_s,
+                spacing,
+                0,
+                store.brick_of,
+                store.material,
+            ],
+            outputs=[self._sums.device],
+            offset_index=5,
+            device=device,
+            cores=cores,
+        )
+
+    @property
+    def motion_rows(self) -> Any:
+        """Device array of the pose and motion that `respond` was last asked about, see the force kernel."""
+        return self._motion.device
+
+    @property
+    def removed_steps(self) -> NDArray[np.int64]:
+        """Stored steps removed from each layer so far, shape (layers,)."""
+        return self.carver.removed_steps
+
+    @property
+    def step_m3(self) -> float:
+        """Volume of one stored step [m3]."""
+        return self._spacing**3 / FULL
+
+    @property
+    def start_m3(self) -> NDArray[np.float64]:
+        """Volume of each layer before the first cut [m3], shape (layers,)."""
+        return np.asarray(self.start_steps * self.step_m3, dtype=np.float64)
+
+    @property
+    def removed_m3(self) -> NDArray[np.float64]:
+        """Volume removed from each layer so far [m3], shape (layers,)."""
+        return np.asarray(self.removed_steps * self.step_m3, dtype=np.float64)
+
+    def place(self, motion: ToolMotion) -> None:
+        """Carve all that lies inside the tool at its first pose."""
+        self.carver.place(motion)
+
+    def advance(self, motion: ToolMotion) -> None:
+        """Carve what the tool reaches at its new pose; a slow tool's carving is spread over ticks."""
+        self.carver.advance(motion)
+
+    def respond(self, motion: ToolMotion) -> Response:
+        """Cutting force at the motion's pose, as a part that grows with speed and a part that does not."""
+        tip, axes, velocities = self._rows
+        np.subtract(motion.tip_m, self._origin, out=tip)
+        tip /= self._spacing
+        axes[:] = motion.rotation.T
+        np.dot(motion.heading, motion.rotation, out=velocities)
+        self._motion.push()
+        self._forces()
+        self._sums.pull()
+        sums = np.add.reduce(self._sums.host, axis=0)
+        np.dot(sums[:RATE].reshape(4, 3), motion.rotation.T, out=self._parts)
+        response, speed = self._response, motion.speed_m_s
+        response.engaged_m2[:] = sums[AREA:]
+        response.removal_rate_m3_s = float(sums[RATE]) * speed
+        np.multiply(response.resistance, speed, out=response.wrench)
+        response.wrench += response.edge if speed > 0.0 else motion.pressed * response.edge
+        return response
+
+    def settle(self, time_s: float) -> None:
+        """Bone has nothing beside the ticks."""
+
+    def catch_up(self, time_s: float, motion: ToolMotion) -> None:
+        """Bone has no slower rate."""
+
+    def finish(self) -> None:
+        """Complete the carving that was spread over ticks."""
+        self.carver.finish()
+
+    def remaining(self) -> NDArray[np.uint8]:
+        """Bone left in every voxel, 255 = full, shape of the volume."""
+        return self.store.fraction()
+
+
+def _elements(shell: PointShell, cutter: Cutter, *, device: str) -> Elements:
+    """The cutter's point shell on a device."""
+    elements = Elements()
+    elements.point = wp.array(shell.points_m, dtype=wp.vec3, device=device)
+    elements.normal = wp.array(shell.normals, dtype=wp.vec3, device=device)
+    around = np.column_stack([-shell.points_m[:, 1], shell.points_m[:, 0], np.zeros(len(shell.radii_m))])
+    around *= np.sign(cutter.spin_rad_s) / shell.radii_m[:, None]
+    elements.around = wp.array(around, dtype=wp.vec3, device=device)
+    elements.area = wp.array(shell.areas_m2, dtype=wp.float32, device=device)
+    edge_length = cutter.flute_count * shell.areas_m2 / (2.0 * np.pi * shell.radii_m)
+    elements.edge_length = wp.array(edge_length, dtype=wp.float32, device=device)
+    return elements
+
+
+def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) -> Coefficients:
+    """Cutting coefficients on a device, one entry a layer."""
+    arrays = Coefficients()
+    for name, source in CuttingCoefficients.KERNEL_NAMES.items():
+        values = [getattr(layer, source) for layer in coefficients]
+        setattr(arrays, name, wp.array(values, dtype=wp.float32, device=device))
+    density = np.arange(DENSITIES)
+    strength = [(density / layer.reference_density_kg_m3) ** layer.density_exponent for layer in coefficients]
+    arrays.strength = wp.array(np.array(strength), dtype=wp.float32, device=device)
+    return arrays

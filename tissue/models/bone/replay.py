@@ -1,0 +1,79 @@
+"""The bone at any tick of a run: the tool's poses, carved again by the same kernel."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.voxels.volume import VoxelVolume
+from tissue.cutters.cutter import Cutter
+from tissue.models.bone.bricks import BrickStore
+from tissue.models.bone.carver import Carver, Removal
+from tissue.models.tissue_model import ToolMotion
+
+__all__ = ["CarvingReplay"]
+
+
+class CarvingReplay:
+    """Bone at the end of any tick, as a run that stopped there would have left it, bit for bit.
+
+    Parameters
+    ----------
+    volume
+        The bone before the first cut.
+    cutter, removal
+        The tool, and how it removes.
+    poses
+        Poses of the run, see `tissue.motion.pose_log.PoseLog.poses`.
+    device
+        Warp device name; that of the run gives the same bits.
+
+    Attributes
+    ----------
+    fraction
+        Bone in every voxel at the tick, 255 = full, uint8, shape (nx, ny, nz); the next call of `at` changes it.
+    """
+
+    def __init__(
+        self,
+        volume: VoxelVolume,
+        cutter: Cutter,
+        poses: NDArray[np.float64],
+        *,
+        removal: Removal = "subvoxel",
+        device: str = "cpu",
+    ) -> None:
+        self._poses, self._motion = poses, ToolMotion()
+        self._store = BrickStore.from_volume(volume, device=device)
+        self._carver = Carver(self._store, cutter, removal=removal, device=device)
+        self._start = self._carver.state()
+        self.fraction = volume.fraction.copy()
+        self._next = 0  # first pose that was not carved yet
+        self._changed = np.zeros(0, dtype=np.intp)  # bricks whose fraction differs from what is stored in them
+        self._cut = np.zeros(0, dtype=np.intp)  # bricks that differ from the start
+
+    def at(self, tick: int) -> NDArray[np.uint8]:
+        """Bone at the end of a tick, see `fraction`; going back begins again at the first pose."""
+        last = int(np.searchsorted(self._poses[:, 0], tick, side="right"))
+        if last < self._next:
+            self._carver.restore(self._start)
+            self._changed, self._next = self._cut, 0
+        for pose in self._poses[self._next : last]:
+            self._carve(pose)
+        self._next = last
+        carved, _ = self._store.take_touched()
+        before = self._carver.state()
+        self._carver.finish()
+        completed, _ = self._store.take_touched()
+        self._cut = np.union1d(self._cut, np.union1d(carved, completed))
+        self._store.write_fraction(self.fraction, np.union1d(self._changed, np.union1d(carved, completed)))
+        self._carver.restore(before)
+        self._changed = completed
+        return self.fraction
+
+    def _carve(self, pose: NDArray[np.float64]) -> None:
+        motion = self._motion
+        motion.tip_m[:], motion.rotation[:, 2] = pose[1:4], pose[4:7]
+        motion.heading[:] = pose[7:].reshape(2, 3)
+        if pose[0] < 0.0:
+            self._carver.place(motion)
+        else:
+            self._carver.advance(motion)

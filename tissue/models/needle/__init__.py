@@ -1,0 +1,1 @@
+"""A needle through layers of soft tissue."""

@@ -1,0 +1,184 @@
+"""A needle's insertion along its axis: deflection, puncture, cutting, sliding and sticking."""
+
+from math import inf
+
+from tissue.models.needle.parameters import NeedleTissue, positive_root
+
+__all__ = ["Insertion"]
+
+
+class Insertion:
+    """One track of a needle, in one dimension.
+
+    With z the travel of the tip beyond the undeformed surface, u the deflection of the organ and L the length of needle
+    that is in it, z = u + L. The organ is carried by nothing but the needle, so its pull equals the needle's force::
+
+        a1 u + a2 u|u|  =  tip + hold + friction
+
+    where the tip cuts with a constant force (only deeper than it has been), the edges of the holes in the membranes
+    cling with a constant force, and friction grows with L. While the pull is smaller, needle and organ move together:
+    the shaft sticks, L stays, and the pull is the applied force that Karnopp's law compares with the static friction.
+    Beyond it the shaft slides, u follows from the balance in closed form, and L from z. An intact membrane stops the
+    tip until the pull exceeds its puncture force too; then the organ springs back along the shaft at once, to the u of
+    the balance that is left. So before the puncture the force is Okamura's polynomial, and after it the deflection,
+    the elastic force in it and the inserted length are all greater than zero.
+
+    A shaft sticks when its motion stops, turns round, falls below half the band of speeds that counts as rest, or when
+    the tip meets something that stops it. Viscous friction acts on the needle but does not deflect the organ, so that
+    the state depends on where the needle has been and not on how finely its way was cut. The tissue is punctured, cut
+    and rubbed, never healed; the work of every one of these is lost, and only the organ's energy can come back.
+
+    Not modelled: relaxation at rest, mass of the organ, force across the axis, bending, and stiffness that changes with
+    depth. The organ moves as one piece with its surface, an inner membrane with it: it has a puncture force but no
+    stiffness of its own. Behind it the tissue is parenchyma again. The polynomial was fitted to deflections of up to
+    17 mm inwards; that the organ pulls back alike when drawn outwards is assumed.
+
+    Attributes
+    ----------
+    travel_m, inserted_m, deflection_m
+        z, L and u [m].
+    cut_m
+        Greatest inserted length so far [m]: the track that needs no cutting.
+    punctured
+        Number of membranes that are broken, from the surface downwards.
+    sliding
+        1 while the shaft slides in, -1 while it slides out, 0 while it sticks or creeps.
+    punctures
+        Travel [m] and force [N] of every puncture, without its viscous part.
+    """
+
+    def __init__(self, tissue: NeedleTissue, *, travel_m: float = 0.0) -> None:
+        self.tissue = tissue
+        self.travel_m = travel_m
+        self.inserted_m = 0.0
+        self.deflection_m = 0.0
+        self.cut_m = 0.0
+        self.punctured = 0
+        self.sliding = 0
+        self.punctures: list[tuple[float, float]] = []
+        self._depths = tuple(membrane.depth_m for membrane in tissue.membranes)
+        self._holds = tuple(membrane.hold_N for membrane in tissue.membranes)
+
+    def advance(self, travel_m: float, speed_m_s: float) -> None:
+        """Bring the tip to a travel at a speed, whose sign does not matter."""
+        moved = travel_m - self.travel_m
+        self.travel_m = travel_m
+        quick = abs(speed_m_s) >= 0.5 * self.tissue.friction.stick_band_m_s
+        if not quick or moved * self.sliding <= 0.0:
+            self.sliding = 0
+        if self.inserted_m == 0.0 and travel_m <= 0.0:
+            self.deflection_m = 0.0
+        elif moved >= 0.0:
+            self._push(quick)
+        else:
+            self._draw(quick)
+
+    @property
+    def blocked(self) -> bool:
+        """Whether an intact membrane stops the tip."""
+        return self.punctured < len(self._depths) and self._depths[self.punctured] == self.inserted_m
+
+    @property
+    def pull_N(self) -> float:
+        """Force of the organ on the needle at any speed, positive against insertion [N]."""
+        return self.tissue.pull_N(self.deflection_m)
+
+    @property
+    def drag_N_s_m(self) -> float:
+        """Viscous friction per speed while the shaft slides [N s/m], not negative."""
+        friction = self.tissue.friction
+        if self.sliding == 0:
+            return 0.0
+        return self.inserted_m * (friction.viscous_in_N_s_m2 if self.sliding > 0 else friction.viscous_out_N_s_m2)
+
+    def shares_N(self) -> tuple[float, float, float]:
+        """Elastic, cutting and friction part of the pull [N]; they add up to it.
+
+        While the shaft slides they are what the membranes hold, the tip cuts and the shaft rubs. While it sticks only
+        the pull is known: up to the sliding force it is shared in the same proportion, what goes beyond is told as
+        elastic before an intact membrane and as friction elsewhere.
+        """
+        pull, length = self.pull_N, self.inserted_m
+        if length == 0.0 and (self.blocked or self._depths[:1] == (0.0,)):
+            return pull, 0.0, 0.0
+        friction = self.tissue.friction
+        if pull >= 0.0:
+            hold, cutting = self._hold_N(inwards=True), self.tissue.cutting_N if length == self.cut_m else 0.0
+            rubbing = friction.sliding_in_N_m * length
+        else:
+            hold, cutting = self._hold_N(inwards=False), 0.0
+            rubbing = friction.sliding_out_N_m * length
+        sliding = hold + cutting + rubbing
+        share = min(abs(pull) / sliding, 1.0) if sliding > 0.0 else 0.0
+        if pull < 0.0:
+            share = -share
+        elastic, cutting, rubbing = share * hold, max(share, 0.0) * cutting, share * rubbing
+        rest = pull - elastic - cutting - rubbing
+        return (elastic + rest, cutting, rubbing) if self.blocked else (elastic, cutting, rubbing + rest)
+
+    def _hold_N(self, *, inwards: bool) -> float:
+        """What the holes around the shaft hold; one right at the tip holds only what goes inwards."""
+        length, held = self.inserted_m, 0.0
+        for depth, hold in zip(self._depths[: self.punctured], self._holds, strict=False):
+            if depth < length or (inwards and depth == length):
+                held += hold
+        return held
+
+    def _push(self, quick: bool) -> None:
+        """Slide in while the pull exceeds what resists, from one stop to the next."""
+        tissue, friction = self.tissue, self.tissue.friction
+        while True:
+            per_length = friction.sliding_in_N_m if self.sliding > 0 else friction.static_in_N_m
+            tip = tissue.cutting_N if self.inserted_m == self.cut_m else 0.0
+            if self.blocked:
+                tip = tissue.membranes[self.punctured].puncture_N
+            limit = tip + self._hold_N(inwards=True) + per_length * self.inserted_m
+            if tissue.pull_N(self.travel_m - self.inserted_m) <= limit:
+                self.deflection_m = self.travel_m - self.inserted_m
+                return
+            if self.blocked:
+                self.punctures.append((self.inserted_m + tissue.deflection_m(limit), limit))
+                self.punctured += 1
+                continue
+            self.sliding = max(self.sliding, int(quick))
+            per_length = friction.sliding_in_N_m if self.sliding > 0 else friction.static_in_N_m
+            resists = tip + self._hold_N(inwards=True) + per_length * self.travel_m
+            deflection = positive_root(tissue.quadratic_N_m2, tissue.linear_N_m + per_length, resists)
+            stop = self._next_stop_m()
+            length = max(self.travel_m - deflection, self.inserted_m)
+            self.inserted_m = min(length, stop)
+            self.cut_m = max(self.cut_m, self.inserted_m)
+            if length < stop:
+                self.deflection_m = self.travel_m - length
+                return
+            self.sliding = 0
+
+    def _next_stop_m(self) -> float:
+        """Inserted length at which what resists rises: the track's end or a membrane."""
+        ahead = [depth for depth in self._depths if depth > self.inserted_m]
+        if self.cut_m > self.inserted_m:
+            ahead.append(self.cut_m)
+        return min(ahead, default=inf)
+
+    def _draw(self, quick: bool) -> None:
+        """Slide out while the organ, drawn along, pulls back with more than what holds it."""
+        tissue, friction = self.tissue, self.tissue.friction
+        while self.inserted_m > 0.0:
+            hold = self._hold_N(inwards=False)
+            per_length = friction.sliding_out_N_m if self.sliding < 0 else friction.static_out_N_m
+            if tissue.pull_N(self.travel_m - self.inserted_m) >= -(hold + per_length * self.inserted_m):
+                self.deflection_m = self.travel_m - self.inserted_m
+                return
+            self.sliding = min(self.sliding, -int(quick))
+            per_length = friction.sliding_out_N_m if self.sliding < 0 else friction.static_out_N_m
+            drawn = positive_root(
+                tissue.quadratic_N_m2, tissue.linear_N_m - per_length, hold + per_length * self.travel_m
+            )
+            stop = max((depth for depth in self._depths if depth < self.inserted_m), default=0.0)
+            length = min(self.travel_m + drawn, self.inserted_m)
+            self.inserted_m = max(length, stop)
+            if length > stop:
+                self.deflection_m = self.travel_m - length
+                return
+        self.sliding = 0
+        self.deflection_m = max(self.travel_m, 0.0)

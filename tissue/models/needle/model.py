@@ -1,0 +1,190 @@
+"""A needle in an organ, as a tissue that a tool moves through."""
+
+from math import inf, isfinite, pi
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, require_positive
+from tissue.fem.fields import FieldSeries
+from tissue.models.needle.insertion import Insertion
+from tissue.models.needle.parameters import NeedleTissue
+from tissue.models.tissue_model import Response, ToolMotion
+
+if TYPE_CHECKING:
+    from tissue.models.needle.fields import NeedleFields
+
+__all__ = ["NeedleModel"]
+
+LEAST_COSINE = 0.17
+"""The needle's axis must meet the surface at more than 10 degrees: the model knows no force across the axis."""
+
+
+class NeedleModel:
+    """An organ with a flat surface that a needle is pushed into and drawn out of, along the needle's axis.
+
+    The force follows :class:`~tissue.models.needle.insertion.Insertion` and acts along the needle's axis; moving the needle
+    sideways inside the organ, or turning it, costs nothing. Depths count along the axis, from where it meets the
+    undeformed surface. Only the latest track is remembered: a needle that leaves and comes back within a diameter of
+    where it went in finds it open, elsewhere the organ is whole.
+
+    The response's ``edge`` is the pull of the organ, which is there at rest too and whatever the speed; ``resistance``
+    is the viscous friction of a sliding shaft. ``engaged_m2`` is the cross-section of the tip, in the layer it touches.
+    Measures: length of needle in the organ and deflection of the organ [mm], then the parts of the axial force that
+    are held by membranes, cut by the tip and rubbed along the shaft [N]; they add up to it, positive against insertion.
+
+    Parameters
+    ----------
+    tissue
+        What the needle meets.
+    diameter_m
+        Of the needle [m]. It sets the area of the tip, and how far from the last track a new one begins.
+    origin_m, normal
+        A point on the organ's undeformed surface [m] and its outward normal, in the world frame.
+    fields
+        What shows displacement and stress around the needle; the force does not depend on it. None shows nothing.
+
+    Raises
+    ------
+    InputError
+        If the needle's diameter or the surface cannot be meant; later, if the needle starts inside the organ, lies
+        almost flat on it, or is nowhere.
+    """
+
+    measure_names: tuple[str, ...] = ("insertion_mm", "deflection_mm", "elastic_N", "cutting_N", "friction_N")
+
+    def __init__(
+        self,
+        tissue: NeedleTissue,
+        *,
+        diameter_m: float,
+        origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        normal: tuple[float, float, float] = (0.0, 0.0, 1.0),
+        fields: "NeedleFields | None" = None,
+    ) -> None:
+        require_positive("diameter_m", diameter_m, "an 18 gauge needle has 1.27e-3 m")
+        self._origin, outward = np.asarray(origin_m, dtype=float), np.asarray(normal, dtype=float)
+        if self._origin.shape != (3,) or not np.isfinite(self._origin).all():
+            raise InputError(f"origin_m must be three finite numbers, got {origin_m}: give a point on the surface")
+        length = float(np.linalg.norm(outward))
+        if outward.shape != (3,) or not 0.0 < length < inf:
+            raise InputError(
+                f"normal must be three finite numbers, not all 0, got {normal}: give the outward direction"
+            )
+        self._normal = outward / length
+        self.tissue, self.insertion, self._fields = tissue, Insertion(tissue), fields
+        self._diameter_m, self._entry_m = diameter_m, np.full(3, np.nan)
+        membranes = tuple(membrane.name for membrane in tissue.membranes)
+        surface = sum(membrane.depth_m == 0.0 for membrane in tissue.membranes)
+        self.layer_names = (*membranes[:surface], "parenchyma", *membranes[surface:])
+        self._parenchyma = surface
+        self.start_m3, self.removed_m3 = np.zeros(len(self.layer_names)), np.zeros(len(self.layer_names))
+        self.notices: list[str] = []
+        self._response = Response.empty(len(self.layer_names))
+        self._response.measures = np.zeros(len(self.measure_names))
+
+    @property
+    def fields(self) -> FieldSeries | None:
+        """Displacement, strain, stress and reaction of a block around the needle; computed when the run has ended."""
+        return None if self._fields is None else self._fields.series
+
+    def place(self, motion: ToolMotion) -> None:
+        """Put the needle where it starts, outside the organ."""
+        travel = self._travel_m(motion)
+        if travel > 0.0:
+            raise InputError(
+                f"motion must start with the needle's tip outside the organ, got it {1e3 * travel:g} mm inside: start "
+                "above the surface"
+            )
+        self.insertion = Insertion(self.tissue, travel_m=travel)
+        self._entry_m[:] = np.nan
+
+    def advance(self, motion: ToolMotion) -> None:
+        """Push, cut and slide to the needle's new pose."""
+        travel = self._travel_m(motion)
+        insertion = self.insertion
+        if travel > 0.0 and insertion.travel_m <= 0.0 and insertion.inserted_m == 0.0:
+            insertion = self._touch(motion, travel)
+        inside, punctured = insertion.inserted_m > 0.0, insertion.punctured
+        insertion.advance(travel, motion.speed_m_s * float(motion.heading[0].dot(motion.rotation[:, 2])))
+        while punctured < insertion.punctured:
+            at, force = insertion.punctures[punctured]
+            name = self.tissue.membranes[punctured].name
+            self.notices.append(f"the {name} is punctured at {1e3 * at:.1f} mm with {force:.2f} N")
+            punctured += 1
+        if inside and insertion.inserted_m == 0.0:
+            self.notices.append("the needle has left the organ")
+
+    def respond(self, motion: ToolMotion) -> Response:
+        """Force on the needle along its axis."""
+        insertion, response = self.insertion, self._response
+        axis = motion.rotation[:, 2]
+        along = float(motion.heading[0].dot(axis))
+        drag = insertion.drag_N_s_m * along
+        pull = insertion.pull_N
+        response.edge[:3] = pull * axis
+        response.resistance[:3] = -drag * axis
+        response.wrench[:3] = (pull - drag * motion.speed_m_s) * axis
+        response.engaged_m2[:] = 0.0
+        if insertion.travel_m > 0.0 or insertion.inserted_m > 0.0:
+            response.engaged_m2[self._layer()] = 0.25 * pi * self._diameter_m**2
+        elastic, cutting, friction = insertion.shares_N()
+        measures = response.measures
+        measures[0], measures[1] = 1e3 * insertion.inserted_m, 1e3 * insertion.deflection_m
+        measures[2], measures[3], measures[4] = elastic, cutting, friction - drag * motion.speed_m_s
+        return response
+
+    def settle(self, time_s: float) -> None:
+        """Nothing is awaited here."""
+
+    def catch_up(self, time_s: float, motion: ToolMotion) -> None:
+        """Keep the deflection where a frame is due."""
+        if self._fields is not None and time_s >= self._fields.next_s - 1e-9:
+            insertion = self.insertion
+            self._fields.keep(
+                time_s,
+                deflection_m=insertion.deflection_m,
+                inserted_m=insertion.inserted_m,
+                entry_m=self._entry_m,
+            )
+
+    def finish(self) -> None:
+        """Compute the fields of the frames."""
+        if self._fields is not None:
+            self._fields.compute()
+
+    def remaining(self) -> NDArray[np.uint8] | None:
+        """There are no voxels."""
+        return None
+
+    def _travel_m(self, motion: ToolMotion) -> float:
+        """How far the tip lies beyond the surface, along the needle's axis [m]; negative outside."""
+        below = float((self._origin - motion.tip_m).dot(self._normal))
+        cosine = float(motion.rotation[:, 2].dot(self._normal))
+        if not (isfinite(below) and isfinite(cosine)):
+            raise InputError(f"the needle's pose must be finite, got its tip at {motion.tip_m}: mend the motion")
+        if cosine >= LEAST_COSINE:
+            return below / cosine
+        if below > 0.0 or self.insertion.inserted_m > 0.0:
+            raise InputError(
+                f"the needle's axis must meet the surface at more than 10 degrees, got a cosine of {cosine:.2f} to its "
+                "normal: point the needle into the organ"
+            )
+        return below
+
+    def _touch(self, motion: ToolMotion, travel_m: float) -> Insertion:
+        """The track at the point where the needle meets the surface: the last one if it is there, or a new one."""
+        entry = motion.tip_m + travel_m * motion.rotation[:, 2]
+        if not float(np.linalg.norm(entry - self._entry_m)) <= self._diameter_m:
+            self.insertion = Insertion(self.tissue)
+            self._entry_m[:] = entry
+        return self.insertion
+
+    def _layer(self) -> int:
+        """Layer that the tip touches."""
+        insertion = self.insertion
+        if insertion.blocked:
+            number = insertion.punctured
+            return number if number < self._parenchyma else number + 1
+        return 0 if insertion.inserted_m == 0.0 else self._parenchyma

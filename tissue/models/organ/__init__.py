@@ -1,0 +1,1 @@
+"""A soft organ under a probe: contact on the compliance of its surface."""

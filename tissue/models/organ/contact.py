@@ -1,0 +1,294 @@
+"""Contact of a tool with an elastic organ on the compliance of the nodes that may be touched."""
+
+from math import isfinite
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from kernels.contact_search import find_near
+from kernels.contact_state import (
+    AREA,
+    CONTACTS,
+    DEEPEST,
+    FORCE,
+    LARGEST,
+    RESULTS,
+    STATE,
+    SWEEPS,
+    TORQUE,
+    Body,
+    Lists,
+    Points,
+)  # fmt: skip
+from kernels.launcher import SplitLaunch
+from kernels.mirror import Mirror
+from kernels.near_compliance import gather_all_again, new_patch
+from kernels.shell_projection import link_points, project_shell
+from kernels.surface_contact import solve_contact
+from meshes.base.errors import InputError, require_positive, require_range
+from tissue.models.organ.contact_points import contact_points
+from tissue.models.organ.contact_result import ContactOutcome, ContactResult
+from tissue.models.organ.probe import Probe, ShellProbe
+
+__all__ = ["SurfaceContact"]
+
+Array = NDArray[np.float64]
+OUTCOMES = tuple(ContactOutcome)
+"""In the order of the kernel's states."""
+START_M = 1e-6
+"""How far a tool may enter the organ where it starts [m]."""
+REACH_M = 1e-4
+"""Distance beyond the largest displacement at which triangles are watched [m]."""
+
+
+class SurfaceContact:
+    """A tool and the surface of an organ that answers by its compliance.
+
+    Each solve is one tick: what slipped and what stuck follows from the tool's way since the last solve, so call it
+    once for every pose on the way. Unilateral contact with Coulomb friction, implicit: slip counts over the whole tick.
+
+    Parameters
+    ----------
+    nodes_m
+        Touchable nodes at rest [m], shape (s, 3).
+    faces
+        Triangles between them, counter-clockwise seen from outside, shape (f, 3).
+    compliance_m_N
+        W = H K^-1 H^T [m/N], symmetric, float64, shape (3s, 3s). On a CPU it is used where it lies and may be filled
+        while contacts go on, block by block, with NaN in what is not there; a block that is there must not change.
+    probe
+        The tool.
+    friction
+        Coulomb's coefficient.
+    tolerance
+        Step of a contact point in the last sweep, relative to the largest displacement. On a slab under a sphere the
+        force is within 1 % at 1e-3 and 0.2 % at 1e-4; `bench_liver_contact` shows error and cost.
+    sweeps
+        Most Gauss-Seidel sweeps in a solve.
+    spacing_m
+        Widest spacing of contact points on the organ [m]; by default what the tool asks for.
+    device
+        Warp device name.
+    cores
+        Processor cores to spread a shell's projection over; default all.
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit, a triangle names no node, positions are not finite, or friction is negative.
+    """
+
+    def __init__(
+        self,
+        nodes_m: Array,
+        faces: NDArray[np.int64],
+        compliance_m_N: Array,
+        probe: Probe,
+        *,
+        friction: float = 0.3,
+        tolerance: float = 1e-3,
+        sweeps: int = 100,
+        spacing_m: float | None = None,
+        device: str = "cpu",
+        cores: int | None = None,
+    ) -> None:
+        count = len(nodes_m)
+        require_range("friction", friction, 0.0, 10.0, "give Coulomb's coefficient, 0 for none")
+        if np.shape(compliance_m_N) != (3 * count, 3 * count) or compliance_m_N.dtype != np.float64:
+            raise InputError(
+                f"compliance_m_N must be float64 of shape {(3 * count, 3 * count)}, got {compliance_m_N.dtype} "
+                f"of shape {np.shape(compliance_m_N)}: condense it to the nodes that may be touched"
+            )
+        if not np.isfinite(nodes_m).all():
+            raise InputError("nodes_m must be finite, got NaN or infinity: repair the mesh")
+        if len(faces) == 0 or faces.min() < 0 or faces.max() >= count:
+            raise InputError(f"faces must name nodes 0 to {count - 1}, got others or none: number them so")
+        self.nodes_m, self.faces, self.probe, self.friction = nodes_m, faces, probe, float(friction)
+        corners = nodes_m[faces]
+        self._centres = corners.mean(axis=1)
+        self._radii = np.linalg.norm(corners - self._centres[:, None], axis=2).max(axis=1)
+        self._pose = Mirror((8, 3), dtype=wp.float64, device=device)
+        self._results = Mirror(RESULTS, dtype=wp.float64, device=device)
+        self._placed = self._shifted = False
+        if isinstance(probe, ShellProbe):
+            face = np.zeros(0, dtype=np.int32)
+            weights, areas = np.zeros((len(probe.points_m), 3)), probe.areas_m2
+            following = np.full(len(weights), -1)
+        else:
+            face, weights, areas = contact_points(nodes_m, faces, spacing_m or probe.spacing_m)
+            following = np.append(np.where(np.diff(face) == 0, np.arange(1, len(face)), -1), -1)
+        first = np.full(len(faces), -1)
+        first[face[::-1]] = np.arange(len(face))[::-1]
+
+        def new(shape: int | tuple[int, ...], dtype: Any) -> Any:
+            return wp.zeros(shape, dtype=dtype, device=device)
+
+        def put(values: NDArray[Any], dtype: Any) -> Any:
+            return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
+
+        body, points, lists = Body(), Points(), Lists()
+        body.free = put(nodes_m, wp.vec3d)
+        body.last_free, body.scale = put(nodes_m, wp.vec3d), wp.float64(1.0)
+        body.compliance = wp.array(compliance_m_N, dtype=wp.float64, device=device, copy=device != "cpu")
+        body.corners = put(faces, wp.int32)
+        body.force, body.moved = new(count, wp.vec3d), new(count, wp.vec3d)
+        points.first = put(first, wp.int32)
+        points.following = put(following, wp.int32)
+        points.weight, points.area = put(weights, wp.vec3d), put(areas, wp.float64)
+        for name in ("tool_point", "tool_normal", "force", "anchor"):
+            setattr(points, name, new(len(weights), wp.vec3d))
+        points.response, points.ready = new((len(weights), 5), wp.mat33d), new(len(weights), wp.int32)
+        lists.count = new(3, wp.int32)
+        for name in ("near", "working", "working_mark"):
+            setattr(lists, name, new(len(faces), wp.int32))
+        patch = new_patch(count, device)
+        self._body, self._points, self._lists, self._patch = body, points, lists, patch
+        size = wp.vec2d(*probe.size_m)
+        pose, results = self._pose.device, self._results.device
+        centres, radii = put(self._centres, wp.vec3d), put(self._radii, wp.float64)
+
+        def record(kernel: Any, inputs: list[Any]) -> Any:
+            return wp.launch(kernel, dim=1, inputs=inputs, device=device, record_cmd=True).launch
+
+        def build() -> list[Any]:
+            """Record the launches of a tick, in order."""
+            stages: list[Any] = [
+                record(find_near, [body, centres, radii, probe.kind, size, pose, REACH_M, lists, patch, results])
+            ]
+            if isinstance(probe, ShellProbe):
+                home = new(len(weights), wp.int32)
+                shell = [put(probe.points_m, wp.vec3d), put(probe.normals, wp.vec3d), pose, float(self._radii.max()), 0]
+                project = SplitLaunch(
+                    project_shell, dim=len(weights), inputs=[*shell, body, lists], outputs=[points, home],
+                    offset_index=4, device=device, cores=cores,
+                )  # fmt: skip
+                stages += [project, record(link_points, [home, lists, points])]
+            law = [self.friction, tolerance, sweeps]
+            stages.append(record(solve_contact, [body, points, probe.kind, size, pose, *law, lists, patch, results]))
+            return stages
+
+        self._build = build
+        self._stages = build()
+        self._on_host = device == "cpu"
+        self._result = ContactResult(np.zeros(3), np.zeros(3), body.force.numpy(), compliance_m_N)
+
+    @property
+    def result(self) -> ContactResult:
+        """The last solve's result, the object that every solve returns."""
+        return self._result
+
+    def place(self, tip_m: Array, rotation: Array) -> None:
+        """Put the tool where it starts, outside the organ: no force, nothing stuck.
+
+        Raises
+        ------
+        InputError
+            If the pose is not finite or not a rotation, or the tool starts inside the organ.
+        """
+        if abs(np.linalg.det(rotation) - 1.0) > 1e-6 or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6:
+            raise InputError("rotation must be a rotation matrix, got another or NaN: make its columns orthonormal")
+        self.forget()
+        result = self.solve(tip_m, rotation)
+        depth, touching = result.penetration_m, result.contacts
+        deepest = float(np.linalg.norm(result.displacement_m(), axis=1).max())
+        self.forget()
+        if touching and max(deepest, depth) > START_M:
+            at = ", ".join(f"{1e3 * each:.4g}" for each in tip_m)
+            raise InputError(
+                f"motion must start outside the organ, got a tool at ({at}) mm that enters it by about "
+                f"{1e3 * deepest:.3g} mm: start farther away"
+            )
+        self._keep(tip_m, rotation)
+        self._placed = True
+
+    def forget(self) -> None:
+        """Drop all forces and the tool's way so far."""
+        self._points.force.zero_()
+        self._body.force.zero_()
+        self._patch.moved.zero_()
+        self._placed = False
+        self._read(np.zeros(RESULTS))
+
+    @property
+    def compliance_m_N(self) -> Array:
+        """The compliance as it was given, before any scale [m/N]; on a CPU what is poured into it counts at once."""
+        return self._result.compliance_m_N
+
+    def scale_compliance(self, factor: float) -> None:
+        """Take the compliance times a factor, such as a viscous organ's share of it within a tick."""
+        self._result.compliance_scale = require_positive("factor", factor, "use 1 to leave it")
+        self._body.scale = wp.float64(factor)
+        self._points.ready.zero_()
+        gather_all_again(self._patch)
+        self._stages = self._build()
+
+    def shift(self, offset_m: Array) -> None:
+        """Set how far nodes lie from rest without contact in the next solve [m], shape (s, 3): what has crept."""
+        self._body.free.assign(self.nodes_m + offset_m)
+        self._results.host[LARGEST] += float(np.linalg.norm(offset_m, axis=1).max())
+        self._results.push()
+        self._shifted = True
+
+    def point_forces_N(self) -> Array:
+        """Forces on the organ at the contact points [N], shape (p, 3), as `contact_points` or the shell has them."""
+        return np.array(self._points.force.numpy())
+
+    def nodes_in_reach(self, tip_m: Array, rotation: Array, margin_m: float) -> NDArray[np.int64]:
+        """Touchable nodes whose triangles come within a margin [m] of the tool at rest: fill their compliance first."""
+        distance, _ = self.probe.distance((self._centres - tip_m) @ rotation)
+        return np.unique(self.faces[distance < self._radii + margin_m])
+
+    def solve(self, tip_m: Array, rotation: Array) -> ContactResult:
+        """Bring the tool to its next pose and find the forces.
+
+        Parameters
+        ----------
+        tip_m
+            The tool's tip [m], shape (3,), world frame.
+        rotation
+            Tool to world, shape (3, 3); z is the tool's axis, from tip to shank.
+
+        Returns
+        -------
+        ContactResult
+            The same object every time.
+
+        Raises
+        ------
+        InputError
+            If the pose is not finite.
+        """
+        if not isfinite(tip_m.sum() + rotation.sum()):
+            raise InputError(f"tip_m and rotation must be finite, got {tip_m}, {rotation.tolist()}: stop the tool")
+        rows = self._pose.host
+        if not self._placed:
+            self._keep(tip_m, rotation)
+            self._placed = True
+        rows[0], rows[1:4] = tip_m, rotation
+        self._pose.push()
+        for stage in self._stages:
+            stage()
+        if self._shifted:
+            wp.copy(self._body.last_free, self._body.free)
+        self._keep(tip_m, rotation)
+        self._results.pull()
+        self._read(self._results.host)
+        return self._result
+
+    def _keep(self, tip_m: Array, rotation: Array) -> None:
+        """The pose that the next solve's way starts from."""
+        rows = self._pose.host
+        rows[4], rows[5:8] = tip_m, rotation
+
+    def _read(self, values: Array) -> None:
+        """Bring the kernel's results into the result."""
+        result = self._result
+        result.force_N[:] = values[FORCE : FORCE + 3]
+        result.torque_Nm[:] = values[TORQUE : TORQUE + 3]
+        if not self._on_host:
+            result.nodal_forces_N[:] = self._body.force.numpy()
+        result.outcome = OUTCOMES[int(values[STATE])]
+        result.iterations, result.contacts = int(values[SWEEPS]), int(values[CONTACTS])
+        result.area_m2, result.penetration_m = float(values[AREA]), float(values[DEEPEST])

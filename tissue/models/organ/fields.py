@@ -1,0 +1,130 @@
+"""Displacement, strain, stress and reaction of a whole organ, computed from what its surface felt."""
+
+from collections.abc import Callable
+from math import inf
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tissue.fem.fields import FieldSeries, Frame
+from tissue.fem.shapes import EDGES
+from tissue.fem.space import Space
+from tissue.fem.stress import cell_stress
+
+__all__ = ["OrganFields", "equivalent_strain"]
+
+Array = NDArray[np.float64]
+Solve = Callable[[Array], Array]
+"""Displacements [m] of all nodes under several loads [N], shape (loads, n, 3) both."""
+BATCH = 16
+"""Frames solved at once."""
+
+
+class OrganFields:
+    """Displacement, strain, stress and reaction of a whole organ from the forces of its contact.
+
+    A frame costs a tick a copy of the contact's forces; the fields are computed when the run has ended.
+
+    Parameters
+    ----------
+    space
+        Nodes and cells.
+    elasticity
+        As for `tissue.fem.assembly.assemble`.
+    solve
+        Displacement under loads, supports held.
+    product
+        Stiffness times displacements, shape (n, 3), supports not held: what is left over the load is the reaction.
+    touchable
+        Nodes that the tool can reach, shape (s,).
+    rest_m, rest_load_N
+        Displacement without the tool [m] and its load [N], shape (n, 3).
+    held
+        Nodes of the mesh that are held.
+    interval_s
+        Time between two frames [s]; infinite for none.
+    """
+
+    def __init__(
+        self,
+        space: Space,
+        elasticity: ArrayLike,
+        *,
+        solve: Solve,
+        product: Callable[[Array], Array],
+        touchable: NDArray[np.int64],
+        rest_m: Array,
+        rest_load_N: Array,
+        held: NDArray[np.int64],
+        interval_s: float,
+    ) -> None:
+        self._space, self._elasticity, self._solve, self._product = space, elasticity, solve, product
+        self._touchable, self._rest_m, self._rest_load_N = touchable, rest_m, rest_load_N
+        self.interval_s, self.next_s = interval_s, 0.0 if interval_s < inf else inf
+        mesh = space.mesh
+        sets = {"held": held, "touchable": touchable[touchable < len(mesh.nodes_m)]}
+        self.series = FieldSeries(mesh.nodes_m, mesh.cells, mesh.part, mesh.part_names, node_sets=sets)
+        self._ends = _edge_ends(space)
+        self._kept: list[tuple[float, Array, Array]] = []
+
+    def keep(self, time_s: float, force_N: Array, creeping_N: Array) -> None:
+        """Remember what acts on the touchable nodes [N], and the force whose elastic answer is the displacement."""
+        self.next_s += self.interval_s
+        self._kept.append((time_s, force_N.copy(), creeping_N.copy()))
+
+    def compute(self) -> None:
+        """Solve the frames that were kept."""
+        for first in range(0, len(self._kept), BATCH):
+            batch = self._kept[first : first + BATCH]
+            viscous = any(force is not creeping and (force != creeping).any() for _, force, creeping in batch)
+            elastic = self._solve(np.stack([self._spread(force) for _, force, _ in batch]))
+            moved = self._solve(np.stack([self._spread(creep) for *_, creep in batch])) if viscous else elastic
+            for (time_s, force, _), strained, displaced in zip(batch, elastic, moved, strict=True):
+                self.series.frames.append(self._frame(time_s, force, strained, displaced if viscous else strained))
+        self._kept.clear()
+
+    def _spread(self, force_N: Array) -> Array:
+        load = np.zeros((self._space.node_count, 3))
+        load[self._touchable] = force_N
+        return load
+
+    def _frame(self, time_s: float, force_N: Array, strained_m: Array, displaced_m: Array) -> Frame:
+        """Stress belongs to the force that acts, strain and displacement to how far the tissue has crept."""
+        stress = cell_stress(self._space, strained_m + self._rest_m, self._elasticity)
+        strain = stress.strain
+        if displaced_m is not strained_m:
+            strain = cell_stress(self._space, displaced_m + self._rest_m, self._elasticity).strain
+        reaction = self._product(strained_m + self._rest_m) - self._spread(force_N) - self._rest_load_N
+        corners = len(self._space.mesh.nodes_m)
+        for end in self._ends.T:  # a middle node's reaction is shown half at each end of its edge
+            np.add.at(reaction, end, 0.5 * reaction[corners:])
+        single = lambda values: np.ascontiguousarray(values, dtype=np.float32)  # noqa: E731
+        return Frame(
+            time_s,
+            {
+                "displacement_mm": single(1e3 * (displaced_m + self._rest_m)[:corners]),
+                "reaction_N": single(reaction[:corners]),
+            },
+            {
+                "von_mises_kPa": single(1e-3 * stress.von_mises_pa),
+                "principal_stress_kPa": single(1e-3 * stress.principal_pa),
+                "strain_percent": single(100.0 * equivalent_strain(strain)),
+            },
+        )
+
+
+def _edge_ends(space: Space) -> NDArray[np.int64]:
+    """Corners at the ends of each edge that has a middle node, shape (edges, 2)."""
+    corners = len(space.mesh.nodes_m)
+    ends = np.zeros((space.node_count - corners, 2), dtype=np.int64)
+    for middle, pair in zip(space.cell_nodes[:, 4:].T, EDGES, strict=False):
+        ends[middle - corners] = space.mesh.cells[:, pair]
+    return ends
+
+
+def equivalent_strain(strain: Array) -> Array:
+    """Von Mises equivalent of strain tensors xx, yy, zz, yz, xz, xy, shape (n, 6): sqrt(2/3 e : e), e the deviator."""
+    mean = strain[:, :3].mean(axis=1, keepdims=True)
+    deviator = strain[:, :3] - mean
+    value: Array = np.sqrt(2.0 / 3.0 * ((deviator**2).sum(axis=1) + 2.0 * (strain[:, 3:] ** 2).sum(axis=1)))
+    return value

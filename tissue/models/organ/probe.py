@@ -1,0 +1,240 @@
+"""Tools that press on an organ: a sphere, a flat cylinder, and any shape as a shell of points.
+
+A tool's tip is the origin of its frame and its z axis runs from the tip to the shank. Each tool says what kind of
+distance the contact kernels take (`kind`, `size_m`), how far apart the organ's contact points may lie so that the tool
+does not slip between them (`spacing_m`), and the ball that bounds the part of it that may touch first.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kernels.probe_distance import CYLINDER, SHELL, SPHERE
+from meshes.base.errors import InputError, require_positive
+from meshes.surfaces.surface import read_triangles
+
+__all__ = ["CylinderProbe", "Probe", "ShellProbe", "SphereProbe"]
+
+Array = NDArray[np.float64]
+SPACINGS = 2.0
+"""Contact points along the radius of a tool."""
+
+
+class Probe(Protocol):
+    """What the contact asks of a tool."""
+
+    @property
+    def kind(self) -> int:
+        """Kind of distance, see `kernels.probe_distance`."""
+        ...
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Two lengths [m]: radius and edge; of a shell, radius and height above the tip of the ball around it."""
+        ...
+
+    @property
+    def spacing_m(self) -> float:
+        """Widest spacing of the organ's contact points [m]."""
+        ...
+
+    def distance(self, points_m: Array) -> tuple[Array, Array]:
+        """Signed distance [m], shape (n,), and its gradient, shape (n, 3), at points in the tool's frame [m]."""
+        ...
+
+
+@dataclass(frozen=True)
+class SphereProbe:
+    """A ball that touches the tip.
+
+    Attributes
+    ----------
+    radius_m
+        Radius [m].
+    """
+
+    radius_m: float
+
+    def __post_init__(self) -> None:
+        require_positive("radius_m", self.radius_m, "give the ball's radius in metres")
+
+    @property
+    def kind(self) -> int:
+        """Sphere."""
+        return SPHERE
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Radius, and 0 [m]."""
+        return self.radius_m, 0.0
+
+    @property
+    def spacing_m(self) -> float:
+        """Half the radius [m]."""
+        return self.radius_m / SPACINGS
+
+    def distance(self, points_m: Array) -> tuple[Array, Array]:
+        """Distance to the ball [m] and the direction from its centre."""
+        arm = points_m - [0.0, 0.0, self.radius_m]
+        length = np.linalg.norm(arm, axis=1)
+        way = np.divide(arm, length[:, None], out=np.tile([0.0, 0.0, -1.0], (len(arm), 1)), where=length[:, None] > 0.0)
+        return length - self.radius_m, way
+
+
+@dataclass(frozen=True)
+class CylinderProbe:
+    """A flat punch: a face through the tip, a rounded edge, and a side without an upper end.
+
+    Attributes
+    ----------
+    radius_m
+        Radius of the side [m].
+    edge_m
+        Radius of the edge's rounding, below that of the side [m].
+    """
+
+    radius_m: float
+    edge_m: float
+
+    def __post_init__(self) -> None:
+        require_positive("radius_m", self.radius_m, "give the cylinder's radius in metres")
+        require_positive("edge_m", self.edge_m, "give the edge a small radius, as a turned edge has")
+        if self.edge_m >= self.radius_m:
+            raise InputError(
+                f"edge_m must be below radius_m = {self.radius_m:g}, got {self.edge_m:g}: round the edge less"
+            )
+
+    @property
+    def kind(self) -> int:
+        """Cylinder."""
+        return CYLINDER
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Radii of the side and of the edge [m]."""
+        return self.radius_m, self.edge_m
+
+    @property
+    def spacing_m(self) -> float:
+        """Half the radius [m]."""
+        return self.radius_m / SPACINGS
+
+    def distance(self, points_m: Array) -> tuple[Array, Array]:
+        """Distance to the rounded cylinder [m] and its gradient."""
+        radius = np.hypot(points_m[:, 0], points_m[:, 1])
+        out = np.zeros_like(points_m)
+        np.divide(points_m[:, :2], radius[:, None], out=out[:, :2], where=radius[:, None] > 0.0)
+        beside, below = radius - self.radius_m + self.edge_m, self.edge_m - points_m[:, 2]
+        corner = np.hypot(np.maximum(beside, 0.0), np.maximum(below, 0.0))
+        round_edge, side = (beside > 0.0) & (below > 0.0), beside > below
+        along = np.where(round_edge, np.divide(beside, corner, out=np.zeros_like(corner), where=round_edge), side)
+        down = np.where(round_edge, np.divide(below, corner, out=np.zeros_like(corner), where=round_edge), ~side)
+        inside = np.minimum(np.maximum(beside, below), 0.0)
+        return inside + corner - self.edge_m, along[:, None] * out - down[:, None] * np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class ShellProbe:
+    """Any shape, as points on its surface; lay them no farther apart than the organ's edges are long.
+
+    Attributes
+    ----------
+    points_m
+        Points [m], shape (n, 3), in the tool's frame.
+    normals
+        Outward unit normals, shape (n, 3).
+    areas_m2
+        Area that each point stands for [m2], shape (n,).
+    """
+
+    points_m: Array
+    normals: Array
+    areas_m2: Array
+
+    def __post_init__(self) -> None:
+        count = len(self.points_m)
+        for name, value, shape in (
+            ("points_m", self.points_m, (count, 3)),
+            ("normals", self.normals, (count, 3)),
+            ("areas_m2", self.areas_m2, (count,)),
+        ):
+            if count == 0 or np.shape(value) != shape:
+                raise InputError(f"{name} must have shape {shape} and a point, got {np.shape(value)}: sample the tool")
+            if not np.isfinite(value).all():
+                raise InputError(f"{name} must be finite, got NaN or infinity: repair the tool's surface")
+        if np.abs(np.linalg.norm(self.normals, axis=1) - 1.0).max() > 1e-6:
+            raise InputError("normals must have length 1, got others: divide them by their lengths")
+
+    @classmethod
+    def from_mesh(cls, mesh: Path | str | object, *, points: int = 300, scale: float = 1.0) -> "ShellProbe":
+        """Points spread over the surface of a mesh: centres of its triangles, divided or thinned to about the number.
+
+        Parameters
+        ----------
+        mesh
+            A surface file, see `meshes.surfaces.surface.read_triangles`, or a trimesh mesh; its origin is the tip, its z axis
+            runs to the shank.
+        points
+            About how many points; a tick projects every one.
+        scale
+            Metres in a unit of the mesh; 1e-3 for millimetres.
+
+        Raises
+        ------
+        InputError
+            If the mesh is not closed, so that it has no outside.
+        """
+        import trimesh
+
+        surface = trimesh.Trimesh(*read_triangles(Path(mesh))) if isinstance(mesh, (str, Path)) else mesh
+        if not isinstance(surface, trimesh.Trimesh):
+            raise InputError(f"mesh must be a surface of triangles, got {type(surface).__name__}: convert it first")
+        if not (surface.is_watertight and surface.volume > 0.0):
+            raise InputError(f"mesh must be closed with outward triangles, got {mesh}: repair the tool's surface")
+        longest = (2.0 * surface.area / points) ** 0.5
+        vertices, faces = trimesh.remesh.subdivide_to_size(surface.vertices, surface.faces, 1.5 * longest)
+        fine = trimesh.Trimesh(vertices, faces, process=False)
+        centres, normals = np.asarray(fine.triangles_center), np.array(fine.face_normals)
+        chosen, areas = _thinned(centres, normals, np.asarray(fine.area_faces), (surface.area / points) ** 0.5)
+        return cls(scale * centres[chosen], normals[chosen], scale**2 * areas)
+
+    @property
+    def kind(self) -> int:
+        """Shell."""
+        return SHELL
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Radius of a ball that holds all points, and the height of its centre on the axis [m]."""
+        height = 0.5 * float(self.points_m[:, 2].min() + self.points_m[:, 2].max())
+        return float(np.linalg.norm(self.points_m - [0.0, 0.0, height], axis=1).max()), height
+
+    @property
+    def spacing_m(self) -> float:
+        """The shell brings its own points: the organ's may lie at any distance [m]."""
+        return np.inf
+
+    def distance(self, points_m: Array) -> tuple[Array, Array]:
+        """Distance to the plane of the nearest point [m] and that point's normal."""
+        from scipy.spatial import cKDTree
+
+        _, nearest = cKDTree(self.points_m).query(points_m)
+        way = self.normals[nearest]
+        return np.einsum("ij,ij->i", points_m - self.points_m[nearest], way), way
+
+
+def _thinned(centres: Array, normals: Array, areas: Array, side: float) -> tuple[NDArray[np.int64], Array]:
+    """One point for each cube of a side and each way that its surface faces, shape (k,), and the areas of these."""
+    way = np.abs(normals).argmax(axis=1)
+    faces = 2 * way + (np.take_along_axis(normals, way[:, None], axis=1)[:, 0] > 0.0)
+    cells = np.column_stack([np.floor(centres / side).astype(np.int64), faces])
+    _, group = np.unique(cells, axis=0, return_inverse=True)
+    group = group.reshape(-1)
+    total = np.bincount(group, weights=areas)
+    middle = np.column_stack([np.bincount(group, weights=areas * centres[:, c]) for c in range(3)]) / total[:, None]
+    order = np.lexsort((np.linalg.norm(centres - middle[group], axis=1), group))
+    first = np.unique(group[order], return_index=True)[1]
+    return np.asarray(order[first], dtype=np.int64), np.asarray(total, dtype=np.float64)

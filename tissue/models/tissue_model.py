@@ -1,0 +1,182 @@
+"""The contract between a moving tool and the tissue it meets, and the tissue that is not there."""
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue.fem.fields import FieldSeries
+
+__all__ = ["TICK_S", "FreeSpace", "Response", "TissueModel", "ToolMotion"]
+
+Array = NDArray[np.float64]
+TICK_S = 1e-3
+"""Length of a tick [s]."""
+
+
+@dataclass
+class ToolMotion:
+    """Pose and motion of a tool, reused from tick to tick.
+
+    Attributes
+    ----------
+    tip_m
+        Position of the tool's tip in the world [m], shape (3,).
+    rotation
+        Tool to world, columns are the tool's axes, shape (3, 3); z is the tool's axis, from tip to shank.
+    heading
+        Velocity of the tip at unit speed, shape (3,), and angular velocity of the pose at unit speed [rad/m], shape
+        (3,), in the world frame; the tool's spin about its own axis is not part of it.
+    speed_m_s
+        Speed that scales the heading [m/s].
+    pressed
+        Share of the edge force that holds a tool at rest against the bone, 0 (it does not press) to 1 (about to cut).
+    """
+
+    tip_m: Array = field(default_factory=lambda: np.zeros(3))
+    rotation: Array = field(default_factory=lambda: np.eye(3))
+    heading: Array = field(default_factory=lambda: np.zeros((2, 3)))
+    speed_m_s: float = 0.0
+    pressed: float = 0.0
+
+
+@dataclass
+class Response:
+    """What a tissue does to a tool, reused from tick to tick.
+
+    Forces act on the tool, torques about its tip, in the world frame.
+
+    Attributes
+    ----------
+    resistance
+        Force [N s/m] and torque [N s] per unit of speed along the heading, shape (6,).
+    edge
+        Force [N] and torque [N m] that arise as soon as the tool moves, whatever its speed, shape (6,).
+    wrench
+        Force [N] and torque [N m] at the motion's speed, shape (6,).
+    removal_rate_m3_s
+        Rate at which the tool's elements sweep filled volume [m3/s].
+    engaged_m2
+        Area of the tool that meets tissue, by layer [m2], shape (layers,).
+    measures
+        What else the tissue tells of itself, in the order and units of its `measure_names`.
+    stiffness_N_m
+        How the force on a resting tool falls with its position, -dF/dx [N/m], shape (3, 3); None where the tissue does
+        not know it.
+    """
+
+    resistance: Array
+    edge: Array
+    wrench: Array
+    engaged_m2: Array
+    removal_rate_m3_s: float = 0.0
+    measures: Array = field(default_factory=lambda: np.zeros(0))
+    stiffness_N_m: Array | None = None
+
+    @classmethod
+    def empty(cls, layer_count: int) -> "Response":
+        """No contact."""
+        return cls(np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(layer_count))
+
+
+class TissueModel(Protocol):
+    """A tissue that a tool moves through.
+
+    `place` puts the tool where it starts. Every tick `advance` lets it take away what it reaches at its new pose, then
+    `respond` gives the force at that pose. Neither allocates device memory.
+    """
+
+    @property
+    def layer_names(self) -> tuple[str, ...]:
+        """Names of the tissue's layers."""
+        ...
+
+    @property
+    def measure_names(self) -> tuple[str, ...]:
+        """Names, with units, of the tissue's own columns in the trace."""
+        ...
+
+    @property
+    def notices(self) -> list[str]:
+        """What has happened and was not told yet, a sentence each; whoever tells it empties the list."""
+        ...
+
+    @property
+    def start_m3(self) -> Array:
+        """Volume of each layer before the first cut [m3]."""
+        ...
+
+    @property
+    def removed_m3(self) -> Array:
+        """Volume removed from each layer so far [m3]."""
+        ...
+
+    def place(self, motion: ToolMotion) -> None:
+        """Put the tool at its first pose, before the first tick."""
+        ...
+
+    def advance(self, motion: ToolMotion) -> None:
+        """Bring the tool to its new pose."""
+        ...
+
+    def respond(self, motion: ToolMotion) -> Response:
+        """Force and torque on the tool at its pose; the returned object is overwritten by the next call."""
+        ...
+
+    def settle(self, time_s: float) -> None:
+        """Wait, before a tick and outside it, for work beside the ticks whose result is due at that time."""
+        ...
+
+    def catch_up(self, time_s: float, motion: ToolMotion) -> None:
+        """Do what has a slower rate of its own, or start it beside the ticks; called at the end of every tick."""
+        ...
+
+    def finish(self) -> None:
+        """Complete work that was spread over ticks."""
+        ...
+
+    @property
+    def fields(self) -> FieldSeries | None:
+        """Displacement and stress over time, where the scene asks for them."""
+        ...
+
+    def remaining(self) -> NDArray[np.uint8] | None:
+        """Tissue left in every voxel, 255 = full, shape of the voxel volume; None for a tissue without voxels."""
+        ...
+
+
+class FreeSpace:
+    """Nothing: the baseline that every law of a tissue model must hold for."""
+
+    layer_names: tuple[str, ...] = ("nothing",)
+    measure_names: tuple[str, ...] = ()
+    fields: FieldSeries | None = None
+
+    def __init__(self) -> None:
+        self._response = Response.empty(1)
+        self.notices: list[str] = []
+        self.start_m3 = np.zeros(1)
+        self.removed_m3 = np.zeros(1)
+
+    def place(self, motion: ToolMotion) -> None:
+        """There is nothing to reach."""
+
+    def advance(self, motion: ToolMotion) -> None:
+        """There is nothing to remove."""
+
+    def respond(self, motion: ToolMotion) -> Response:
+        """No force."""
+        return self._response
+
+    def settle(self, time_s: float) -> None:
+        """Nothing is awaited here."""
+
+    def catch_up(self, time_s: float, motion: ToolMotion) -> None:
+        """Nothing is slow here."""
+
+    def finish(self) -> None:
+        """There is nothing to complete."""
+
+    def remaining(self) -> None:
+        """There are no voxels."""

@@ -1,0 +1,224 @@
+"""An elastic body of particles on a grid: supports, removal, islands, and solves that start from the last state."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import bsr_matrix
+from scipy.spatial import cKDTree
+
+from tissue.models.tooth.grid import HexGrid, shape_values
+from tissue.models.tooth.islands import carried_cells
+from tissue.models.tooth.multigrid import GridHierarchy
+from tissue.models.tooth.particles import ParticleSet
+from tissue.models.tooth.solver import Outcome, Solution, conjugate_gradients
+from tissue.models.tooth.stiffness import CellStiffness
+from tissue.models.tooth.supports import Supports
+
+__all__ = ["Change", "ParticleBody"]
+
+Array = NDArray[np.float64]
+INNER_STRENGTH = 0.1
+"""Least that leaves no cell singular at an error beside that of no stabilisation (table of test_tooth_sphere.py)."""
+LEAST_FILL = 1e-3
+"""Fill below which a cell carries nothing: its share of the stiffness is below what one particle's place decides."""
+MORE_ITERATIONS = 1.5
+"""Growth of the iteration count at which the coarsest grid is solved anew."""
+TOLERANCE = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """What an update did.
+
+    Attributes
+    ----------
+    cells
+        Cells whose stiffness changed, shape (k,).
+    debris
+        Particles that no longer hang on a support and did before, by the caller's index, shape (d,).
+    """
+
+    cells: NDArray[np.int32]
+    debris: NDArray[np.int64]
+
+
+class ParticleBody:
+    """Small-strain, quasi-static elasticity of a particle set.
+
+    Parameters
+    ----------
+    particles
+        The body.
+    grid
+        Cells that hold all particles, from :meth:`HexGrid.around`.
+    supports
+        What holds the grid's nodes.
+    inner_strength
+        Stabilisation of cells with few particles, see :mod:`kernels.particle_stiffness`; 0 switches it off.
+    drop_islands
+        Whether parts that nothing holds are taken out. Without it the stiffness may be singular.
+    device, cores
+        Warp device, and processor cores to split launches over (default all). The cores do not change a bit.
+
+    Attributes
+    ----------
+    cells
+        Stiffness of the cells.
+    displacement_m
+        Displacement of the last solve [m], shape (n, 3), from which the next one starts.
+    """
+
+    def __init__(
+        self, particles: ParticleSet, grid: HexGrid, supports: Supports, *, inner_strength: float = INNER_STRENGTH,
+        drop_islands: bool = True, device: str = "cpu", cores: int | None = None,
+    ) -> None:  # fmt: skip
+        if supports.fixed.shape != (grid.node_count, 3):
+            raise ValueError(
+                f"supports must be for the grid's {grid.node_count} nodes, got {len(supports.fixed)}: "
+                "use Supports.of(grid.node_count, ...)"
+            )
+        self.particles, self.grid, self.supports = particles, grid, supports
+        self.cells = CellStiffness(particles, grid, inner_strength=inner_strength, device=device, cores=cores)
+        self.displacement_m = supports.displacement_m.copy()
+        self._drop_islands = drop_islands
+        self._hierarchy = GridHierarchy(self.cells, supports)
+        self._touched = np.zeros(grid.cell_count, dtype=np.bool_)
+        self._filled = np.zeros(grid.cell_count, dtype=np.bool_)
+        self._is_debris = np.zeros(grid.cell_count, dtype=np.bool_)
+        self._iterations_fresh = 0
+        self._apply(np.arange(grid.cell_count, dtype=np.int32))
+
+    @property
+    def debris(self) -> NDArray[np.int64]:
+        """Particles, by the caller's index, that are there but hang on nothing."""
+        there = self._is_debris[self.cells.particle_cell] & (self.cells.remaining > 0)
+        return np.sort(self.cells.order[there])
+
+    @property
+    def carrying(self) -> NDArray[np.bool_]:
+        """Nodes that a live cell or a spring gives stiffness, shape (n,)."""
+        nodes: NDArray[np.bool_] = np.asarray((self.supports.spring_n_m > 0.0).any(axis=1))
+        nodes[self.grid.cell_nodes[self.cells.live > 0]] = True
+        return nodes
+
+    def set_remaining(self, particles: NDArray[np.integer], steps: NDArray[np.integer]) -> None:
+        """Say what is left of particles, by the caller's index, in steps of 1/65535; `update` makes it count."""
+        rows = self.cells.rank[particles]
+        left = self.cells.remaining
+        changed = left[rows] != steps
+        self.cells.set_remaining(rows[changed], np.asarray(steps)[changed].astype(np.uint16))
+        self._touched[self.cells.particle_cell[rows[changed]]] = True
+
+    def update(self) -> Change:
+        """Bring stiffness, islands and preconditioner up to what remains; only cells that were touched are summed."""
+        touched = np.flatnonzero(self._touched).astype(np.int32)
+        self._touched[touched] = False
+        self.cells.update(touched)
+        return self._apply(touched)
+
+    def _apply(self, touched: NDArray[np.int32]) -> Change:
+        before, was_debris = self.cells.live.copy(), self._is_debris
+        filled = self.cells.fill >= LEAST_FILL
+        if (filled != self._filled).any():
+            live = carried_cells(self.grid, filled, self.supports) if self._drop_islands else filled
+            self._filled = filled
+            self.cells.set_live(live)
+            beside = np.zeros_like(live)
+            pairs = self.grid.face_pairs
+            beside[pairs[live[pairs[:, 0]], 1]] = True
+            beside[pairs[live[pairs[:, 1]], 0]] = True
+            self._is_debris = ~live & (filled | ~beside)
+        else:
+            self._is_debris = was_debris
+        cells = np.union1d(touched, np.flatnonzero(before != self.cells.live)).astype(np.int32)
+        if len(cells):
+            self._hierarchy.update(cells)
+            self._free = (~self.supports.fixed & self.carrying[:, None]).astype(np.float64)
+            self._diagonal = self._hierarchy.diagonal()
+        fresh = (self._is_debris & ~was_debris)[self.cells.particle_cell] & (self.cells.remaining > 0)
+        return Change(cells, np.sort(self.cells.order[fresh]))
+
+    def spread(self, point_m: Array, force_n: Array) -> Array:
+        """Nodal forces [N], shape (n, 3), of forces at points, each on the live cell that holds it or lies nearest.
+
+        Parameters
+        ----------
+        point_m
+            A point, shape (3,), or points, shape (k, 3) [m].
+        force_n
+            The force at each [N], same shape.
+        """
+        live = np.flatnonzero(self.cells.live)
+        points, forces = np.atleast_2d(point_m), np.atleast_2d(force_n)
+        cell, _ = self.grid.locate(points)
+        off = (cell < 0) | (self.cells.live[cell] == 0)
+        if len(live) == 0:
+            return np.zeros((self.grid.node_count, 3))
+        if off.any():
+            cell[off] = live[cKDTree(self.grid.cell_centre_m[live]).query(points[off])[1]]
+        place = np.clip((points - self.grid.origin_m) / self.grid.edge_m - self.grid.cell_place[cell], 0.0, 1.0)
+        corner = self.grid.cell_nodes[cell].ravel()
+        shares = shape_values(place)[:, :, None] * forces[:, None, :]
+        count = self.grid.node_count
+        load = [np.bincount(corner, weights=shares[:, :, axis].ravel(), minlength=count) for axis in range(3)]
+        return np.stack(load, axis=1)
+
+    def product(self, displacement_m: Array) -> Array:
+        """Nodal forces [N] for nodal displacements [m], springs included, supports not, shapes (n, 3)."""
+        return self.cells.product(displacement_m) + self.supports.spring_n_m * displacement_m
+
+    def solve(
+        self, load_n: Array, *, tolerance: float = TOLERANCE, limit: int = 200, cold: bool = False,
+        start_m: Array | None = None,
+    ) -> Solution:  # fmt: skip
+        """Displacement under nodal forces [N], shape (n, 3).
+
+        Parameters
+        ----------
+        load_n
+            Forces at nodes; at held components they go to the support.
+        tolerance
+            Relative error in the energy norm; the error of the stress, taken over the body, is about as large.
+        limit
+            Iterations allowed.
+        cold
+            Start from rest instead of the last solve.
+        start_m
+            First guess instead of the last solve, shape (n, 3).
+        """
+        held = self.supports.displacement_m
+        lost = (load_n != 0.0) & ~self.carrying[:, None] & ~self.supports.fixed
+        if not self.cells.live.any() or lost.any():
+            return Solution(held.copy(), Outcome.UNSUPPORTED, 0, np.inf, 1.0)
+        load = (load_n - self.product(held) if held.any() else load_n) * self._free
+        guess = held if cold else self.displacement_m if start_m is None else start_m
+        if self._iterations_fresh == 0:
+            self._hierarchy.refresh()
+        found = conjugate_gradients(
+            lambda u: self.product(u) * self._free, load, diagonal=self._diagonal, precondition=self._precondition,
+            start_m=(guess - held) * self._free, tolerance=tolerance, limit=limit,
+        )  # fmt: skip
+        if self._iterations_fresh == 0 or found.iterations > MORE_ITERATIONS * self._iterations_fresh:
+            self._hierarchy.refresh()
+            self._iterations_fresh = max(found.iterations, 1)
+        moved = found.displacement_m + held
+        if found.converged:
+            self.displacement_m = moved
+        return Solution(moved, found.outcome, found.iterations, found.error, found.residual)
+
+    def _precondition(self, residual: Array) -> Array:
+        return self._hierarchy(residual) * self._free
+
+    def matrix(self) -> bsr_matrix:
+        """Assembled stiffness, springs included and held components empty [N/m], shape (3 n, 3 n).
+
+        The pattern never changes; on a CPU the values are shared, and follow every `update`.
+        """
+        return self._hierarchy.levels[0].blocks.matrix()
+
+    def reactions(self, displacement_m: Array, load_n: Array) -> Array:
+        """Forces of the supports on the body [N], shape (n, 3)."""
+        inner = self.cells.product(displacement_m)
+        spring = -self.supports.spring_n_m * displacement_m
+        return np.asarray(np.where(self.supports.fixed, inner - load_n, spring))

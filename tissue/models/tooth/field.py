@@ -1,0 +1,224 @@
+"""Stress and displacement of a tooth while it is drilled, at a rate of their own."""
+
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from meshes.tooth.layers import caries_softness
+from meshes.voxels.volume import VoxelVolume
+from tissue.fem.fields import FieldSeries, Frame
+from tissue.materials.constants import constants
+from tissue.models.tooth.body import ParticleBody
+from tissue.models.tooth.compliance import SupportCompliance, support_compliance
+from tissue.models.tooth.grid import HexGrid
+from tissue.models.tooth.ligament import bed_springs, bed_stiffness
+from tissue.models.tooth.particles import FULL_STEPS, ParticleSet
+from tissue.models.tooth.stress import cell_stress
+from tissue.models.tooth.supports import Supports
+
+__all__ = ["SolveRecord", "StressField"]
+
+TOOTH = ("enamel", "dentin", "pulp", "caries")
+"""Layers that the particles fill; the ligament is a bed of springs, the bone behind it does not move."""
+VTK_ORDER = (0, 4, 6, 2, 1, 5, 7, 3)
+"""Corners of a cell in the order that VTK numbers a hexahedron."""
+INFECTED_SHARE = 0.05
+"""Modulus of fully softened dentin relative to sound dentin: 1 of 18.6 GPa (infected 0.1-5 GPa, low confidence)."""
+
+_ROOM = 6
+"""Voxels of air laid around a tooth that may fill its volume: as far as the smooth normal of its surface reaches."""
+
+
+@dataclass(frozen=True)
+class SolveRecord:
+    """What one solve cost and how it ended."""
+
+    time_s: float
+    iterations: int
+    outcome: str
+    solve_s: float
+    debris_m3: float
+
+
+class StressField:
+    """Particle finite elements of a whole tooth.
+
+    Parameters
+    ----------
+    tooth
+        The whole tooth in voxels, each of which becomes a particle.
+    cell_m
+        Edge of a cell [m].
+    ligament_thickness_m
+        Thickness of the ligament [m].
+    device, cores
+        Warp device, and processor cores to use.
+
+    Attributes
+    ----------
+    series
+        Mesh and frames.
+    compliance
+        How the tooth gives in its ligament.
+    records
+        Cost and outcome of every solve.
+    root_guessed
+        Whether the data hold neither ligament nor bone, so that the lower third is held as the root.
+    """
+
+    def __init__(
+        self,
+        tooth: VoxelVolume,
+        *,
+        cell_m: float,
+        ligament_thickness_m: float,
+        device: str = "cpu",
+        cores: int | None = None,
+    ) -> None:
+        self._volume = tooth
+        self.root_guessed = not ((tooth.fraction > 0) & np.isin(tooth.layer, _bed_layers(tooth))).any()
+        index = [tooth.layer_names.index(name) for name in TOOTH if name in tooth.layer_names]
+        solid = (tooth.fraction > 0) & np.isin(tooth.layer, index)
+        places = np.argwhere(solid)
+        self._particle_at = np.full(tooth.shape, -1, dtype=np.int64)
+        self._particle_at[solid] = np.arange(len(places))
+        particles = _particles(tooth, places)
+        self._whole = tooth.fraction[solid] / 255.0 * FULL_STEPS  # steps of one fine voxel's worth of each particle
+        self._lost = np.zeros(len(places))
+        origin = cell_m * np.floor(particles.position_m.min(axis=0) / cell_m)
+        grid = HexGrid.around(particles.position_m, edge_m=cell_m, origin_m=origin)
+        springs = _ligament_springs(tooth, solid, grid, ligament_thickness_m)
+        self.body = ParticleBody(
+            particles, grid, Supports.of(grid.node_count, spring_n_m=springs), device=device, cores=cores
+        )
+        weights = np.zeros(grid.node_count)
+        np.add.at(weights, grid.cell_nodes, (self.body.cells.fill * cell_m**3 / 8.0)[:, None])
+        self.reference_m = np.average(grid.node_position_m, axis=0, weights=weights)
+        self.compliance: SupportCompliance = support_compliance(
+            self.body, weights=weights, reference_m=self.reference_m
+        )
+        if not self.compliance.converged:
+            raise InputError(
+                "stress.cell_mm must give a tooth that its ligament holds, got a solve that did not converge: "
+                f"use {2e3 * cell_m:g}"
+            )
+        layer = _cell_layers(self.body)
+        self.series = FieldSeries(
+            grid.node_position_m, grid.cell_nodes[:, VTK_ORDER].astype(np.int64), layer, tooth.layer_names
+        )
+        self.records: list[SolveRecord] = []
+
+    @property
+    def unknown_count(self) -> int:
+        """Displacement components."""
+        return 3 * self.body.grid.node_count
+
+    def remove(self, voxels: NDArray[np.integer], steps: NDArray[np.integer], *, origin_m: NDArray[np.float64],
+               spacing_m: float) -> None:  # fmt: skip
+        """Take from the particles what finer voxels have lost since the last call.
+
+        Parameters
+        ----------
+        voxels, steps
+            Indices of the finer voxels, shape (n, 3), and what each lost in steps of 1/65535, shape (n,).
+        origin_m, spacing_m
+            Corner of their voxel (0, 0, 0) and their edge [m]; lines of both grids lie on multiples of it.
+        """
+        ratio = round(self._volume.spacing_m / spacing_m)
+        first = np.rint(origin_m / spacing_m).astype(int)
+        shift = np.rint(self._volume.origin_m / self._volume.spacing_m).astype(int)
+        at = (voxels + first) // ratio - shift
+        inside = ((at >= 0) & (at < np.array(self._volume.shape))).all(axis=1)
+        particle = self._particle_at[tuple(at[inside].T)]
+        held = particle >= 0
+        lost = np.bincount(particle[held], weights=steps[inside][held], minlength=len(self._lost))
+        touched = np.flatnonzero(lost)
+        self._lost[touched] += lost[touched]
+        whole = self._whole[touched] * ratio**3
+        share = np.clip(1.0 - self._lost[touched] / whole, 0.0, 1.0)
+        self.body.set_remaining(touched, np.rint(share * FULL_STEPS).astype(np.uint16))
+
+    def solve(self, time_s: float, force_N: NDArray[np.float64], point_m: NDArray[np.float64]) -> Frame:
+        """Displacement and stress under a force on the tooth at a point, warm-started; recorded and returned."""
+        begun = perf_counter()
+        change = self.body.update()
+        solution = self.body.solve(self.body.spread(point_m, force_N))
+        stress = cell_stress(self.body.cells, solution.displacement_m)
+        gone = self.body.cells.live == 0
+        cells = {
+            "von_mises_MPa": 1e-6 * stress.von_mises_pa,
+            **{f"principal_{i + 1}_MPa": 1e-6 * stress.principal_pa[:, i] for i in range(3)},
+        }
+        values = {name: np.where(gone, np.nan, value).astype(np.float32) for name, value in cells.items()}
+        moved = np.where(self.body.carrying[:, None], 1e6 * solution.displacement_m, 0.0).astype(np.float32)
+        frame = Frame(time_s, {"displacement_um": moved}, values)
+        self.series.frames.append(frame)
+        left = self.body.cells.remaining[self.body.cells.rank[change.debris]] / FULL_STEPS
+        loose = float((self.body.particles.volume_m3[change.debris] * left).sum())
+        self.records.append(
+            SolveRecord(time_s, solution.iterations, solution.outcome.name, perf_counter() - begun, loose)
+        )
+        return frame
+
+
+def _particles(tooth: VoxelVolume, places: NDArray[np.int64]) -> ParticleSet:
+    """A particle a voxel, with the cited elastic constants of its layer; caries graded by its softness."""
+    at = tuple(places.T)
+    layer, fraction = tooth.layer[at], tooth.fraction[at]
+    modulus, ratio = np.ones(len(places)), np.full(len(places), 0.3)
+    for index, name in enumerate(tooth.layer_names):
+        chosen = layer == index
+        table = constants("tooth", name if name in TOOTH else "dentin")
+        modulus[chosen] = 1e9 * table["modulus_GPa"].value
+        ratio[chosen] = table["poisson_ratio"].value
+        if name == "caries":
+            softness = caries_softness(tooth.density_kg_m3[at][chosen].astype(np.float64))
+            sound = 1e9 * constants("tooth", "dentin")["modulus_GPa"].value
+            modulus[chosen] = sound * INFECTED_SHARE**softness
+    position = tooth.origin_m + tooth.spacing_m * (places + 0.5)
+    volume = fraction / 255.0 * tooth.spacing_m**3
+    full = np.full(len(places), FULL_STEPS, dtype=np.uint16)
+    return ParticleSet(position, volume, modulus, ratio, layer.astype(np.uint8), full)
+
+
+def _bed_layers(tooth: VoxelVolume) -> list[int]:
+    """Layers that a tooth rests in."""
+    return [i for i, name in enumerate(tooth.layer_names) if name in ("ligament", "bone")]
+
+
+def _ligament_springs(
+    tooth: VoxelVolume, solid: NDArray[np.bool_], grid: HexGrid, thickness_m: float
+) -> NDArray[np.float64]:
+    """Springs where the tooth borders on ligament or bone; on its lower third where the data hold neither."""
+    table = constants("tooth", "ligament")
+    across, along = bed_stiffness(1e9 * table["modulus_GPa"].value, table["poisson_ratio"].value, thickness_m)
+    bed, origin_m = (tooth.fraction > 0) & np.isin(tooth.layer, _bed_layers(tooth)), tooth.origin_m
+    if not bed.any():
+        solid, origin_m = np.pad(solid, _ROOM), origin_m - _ROOM * tooth.spacing_m
+        depth = np.flatnonzero(solid.any(axis=(0, 1)))
+        below = np.arange(solid.shape[2]) < depth[0] + (depth[-1] - depth[0]) // 3
+        bed = ~solid & below[None, None, :]
+    springs, area = bed_springs(
+        grid,
+        solid,
+        bed,
+        origin_m=origin_m,
+        spacing_m=tooth.spacing_m,
+        across_N_m3=across,
+        along_N_m3=along,
+    )
+    if area == 0.0:
+        raise InputError("anatomy must hold a tooth that something supports, got none: give its ligament or its bone")
+    return springs
+
+
+def _cell_layers(body: ParticleBody) -> NDArray[np.uint8]:
+    """The layer with the greatest volume in each cell."""
+    cells, particles = body.cells, body.particles
+    names = int(particles.layer.max()) + 1
+    volume = np.zeros((body.grid.cell_count, names))
+    np.add.at(volume, (cells.particle_cell, particles.layer[cells.order]), particles.volume_m3[cells.order])
+    return np.asarray(volume.argmax(axis=1), dtype=np.uint8)

@@ -1,0 +1,79 @@
+"""The periodontal ligament as a bed of springs on the roots."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from tissue.models.tooth.grid import HexGrid, shape_values
+
+__all__ = ["bed_springs", "bed_stiffness"]
+
+Array = NDArray[np.float64]
+
+
+def bed_stiffness(modulus_Pa: float, poisson_ratio: float, thickness_m: float) -> tuple[float, float]:
+    """Stiffness of a thin layer bonded on both sides, across it and along it [N/m3].
+
+    A layer much thinner than it is wide cannot bulge: across it the confined modulus E (1 - v) / ((1 + v) (1 - 2 v))
+    acts, along it the shear modulus (a Winkler bed; its error is of the order of thickness over width).
+    """
+    confined = modulus_Pa * (1.0 - poisson_ratio) / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
+    return confined / thickness_m, modulus_Pa / (2.0 * (1.0 + poisson_ratio)) / thickness_m
+
+
+def bed_springs(
+    grid: HexGrid,
+    tooth: NDArray[np.bool_],
+    bed: NDArray[np.bool_],
+    *,
+    origin_m: Array,
+    spacing_m: float,
+    across_N_m3: float,
+    along_N_m3: float,
+) -> tuple[Array, float]:
+    """Springs of a grid's nodes where a tooth's voxels border on the bed's.
+
+    A border's faces form a staircase; each is weighed by the component along it of the smooth normal, so that the
+    weights sum to the area of the surface and not of the staircase.
+
+    Parameters
+    ----------
+    grid
+        Grid of the tooth's cells.
+    tooth, bed
+        Voxels of the tooth and of what it rests in, shape (nx, ny, nz).
+    origin_m, spacing_m
+        Corner of voxel (0, 0, 0) and edge of a voxel [m].
+    across_N_m3, along_N_m3
+        Stiffness of the bed, see `bed_stiffness`.
+
+    Returns
+    -------
+    Springs [N/m], shape (nodes, 3), and the area that the bed carries [m2].
+    """
+    smooth = gaussian_filter(tooth.astype(np.float32), 1.5)
+    slope = np.stack(np.gradient(smooth), axis=-1)
+    springs = np.zeros((grid.node_count, 3))
+    total = 0.0
+    for axis in range(3):
+        low = tuple(slice(None, -1) if a == axis else slice(None) for a in range(3))
+        high = tuple(slice(1, None) if a == axis else slice(None) for a in range(3))
+        for inner, outer in ((low, high), (high, low)):
+            faces = np.argwhere(tooth[inner] & bed[outer])
+            if len(faces) == 0:
+                continue
+            # The mean of both sides is the normal at the face; the tooth's side alone loses 3 % of a sphere's area.
+            leans = slope[low][tuple(faces.T)] + slope[high][tuple(faces.T)]
+            normal = leans / np.maximum(np.linalg.norm(leans, axis=1, keepdims=True), 1e-9)
+            area = spacing_m**2 * np.abs(normal[:, axis])
+            total += float(area.sum())
+            stiffness = area[:, None] * (along_N_m3 + (across_N_m3 - along_N_m3) * normal**2)
+            if inner is high:
+                faces[:, axis] += 1
+            cell, place = grid.locate(origin_m + spacing_m * (faces + 0.5))
+            kept = cell >= 0
+            share = shape_values(place[kept])
+            for corner in range(8):
+                nodes = grid.cell_nodes[cell[kept], corner]
+                np.add.at(springs, nodes, share[:, corner, None] * stiffness[kept])
+    return springs, total

@@ -1,0 +1,233 @@
+"""A tooth under a bur: milled like bone, with the pulp watched and, where asked for, stress and displacement."""
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from kernels.clearance import clearance
+from kernels.cutting import CHUNK
+from kernels.launcher import SplitLaunch
+from kernels.mirror import Mirror
+from tissue.fem.fields import FieldSeries
+from tissue.models.bone.model import BoneModel
+from tissue.models.tissue_model import TICK_S, Response, ToolMotion
+from tissue.models.tooth.stress_process import Drilled, StressBeside
+from tissue.models.tooth.warmth import PULP_LIMIT_K, Warmth
+from tissue.system.helper import HelperLostError
+
+__all__ = ["ToothModel"]
+
+WARM_EVERY_S = 0.02
+"""Time between two steps of the heat [s]."""
+WARN_M = (1.0e-3, 0.5e-3)
+"""Dentin over the pulp at which its loss is told [m]; below 0.5 mm the pulp is at risk (memory of the literature)."""
+
+
+class ToothModel:
+    """A tooth that a bur drills: the bone model's carving and forces, and the dentin left over the pulp.
+
+    The distance of the bur from the pulp is measured from the voxels that the pulp filled at the start, and is the
+    least that has been reached so far: what is left of the dentin at its thinnest. Its error is half a voxel. Where
+    the voxels hold no pulp it is not measured: the pulp is then farther away than the margin around the bur's reach.
+
+    The tooth's displacement follows the force at every tick by the compliance of its ligament, since enamel does not
+    bend. Stress is solved beside the ticks, on a copy of the voxels and the force taken every ``interval_s``; the
+    result is told one interval later, so that it is the same however long the solve took.
+
+    Parameters
+    ----------
+    milling
+        The tooth's voxels and the bur; one layer named ``pulp``.
+    stress
+        Finite elements of the whole tooth; None where the scene needs only the force.
+    interval_s
+        Time between two solves of the stress [s].
+    warmth
+        Heat in the whole tooth; None where the scene does not ask for it.
+    device
+        Warp device name.
+    """
+
+    def __init__(
+        self,
+        milling: BoneModel,
+        *,
+        stress: StressBeside | None = None,
+        interval_s: float = 0.1,
+        warmth: Warmth | None = None,
+        device: str = "cpu",
+    ) -> None:
+        self.milling, self.stress, self.warmth = milling, stress, warmth
+        self.layer_names = milling.layer_names
+        volume = milling.store.volume
+        is_pulp = volume.layer == self.layer_names.index("pulp")
+        distance = _distance_to_pulp(volume.fraction, is_pulp, volume.spacing_m)
+        self._reach_m = float(distance.max())
+        self._pulp_near = bool(np.isfinite(self._reach_m))
+        self.measure_names: tuple[str, ...] = ("dentin_over_pulp_mm",) if self._pulp_near else ()
+        self._moves = slice(len(self.measure_names), len(self.measure_names) + 3)
+        if stress is not None:
+            self.measure_names += ("tooth_x_um", "tooth_y_um", "tooth_z_um")
+        if warmth is not None:
+            self.measure_names += ("pulp_rise_K",)
+        self._energy_J, self._pulp_rise_K, self._warmed_s = 0.0, 0.0, 0.0
+        self._interval_s, self._next_s, self._late, self._stress_lost = interval_s, 0.0, False, False
+        self.notices: list[str] = []
+        if stress is not None and stress.root_guessed:
+            self.notices.append("neither ligament nor bone is given: the tooth's lower third is held as its root")
+        self._least_m = np.inf
+        self._response: Response | None = None
+        self._load = np.zeros(6)
+        self._radius_m = milling.cutter.profile.radius_m
+        chunks = -(-len(milling.shell.areas_m2) // CHUNK)
+        self._nearest = Mirror(chunks, dtype=wp.float32, device=device)
+        self._clearance = SplitLaunch(
+            clearance,
+            dim=chunks,
+            inputs=[
+                milling.elements,
+                milling.motion_rows,
+                volume.spacing_m,
+                0,
+                wp.array(distance, dtype=wp.float32, device=device),
+            ],
+            outputs=[self._nearest.device],
+            offset_index=3,
+            device=device,
+        )
+
+    @property
+    def start_m3(self) -> NDArray[np.float64]:
+        """Volume of each layer before the first cut [m3], shape (layers,)."""
+        return self.milling.start_m3
+
+    @property
+    def removed_m3(self) -> NDArray[np.float64]:
+        """Volume removed from each layer so far [m3], shape (layers,)."""
+        return self.milling.removed_m3
+
+    def place(self, motion: ToolMotion) -> None:
+        """Put the bur at its first pose."""
+        self.milling.place(motion)
+
+    def advance(self, motion: ToolMotion) -> None:
+        """Carve what the bur reaches at its new pose."""
+        self.milling.advance(motion)
+
+    def respond(self, motion: ToolMotion) -> Response:
+        """Force and torque on the bur, and the tooth's own measures."""
+        response = self.milling.respond(motion)
+        if response is not self._response:
+            self._response = response
+            response.measures = np.zeros(len(self.measure_names))
+        if self._pulp_near:
+            self._clearance()
+            self._nearest.pull()
+            self._watch(float(np.minimum.reduce(self._nearest.host)))
+            response.measures[0] = 1e3 * min(self._least_m, self._reach_m)
+        if self.stress is not None:
+            (a, b, c), (x, y, z) = (motion.tip_m - self.stress.reference_m).tolist(), response.wrench[:3].tolist()
+            self._load[:] = response.wrench
+            self._load[3:] += (b * z - c * y, c * x - a * z, a * y - b * x)
+            response.measures[self._moves] = -1e6 * self.stress.compliance.matrix[:3].dot(self._load)
+        if self.warmth is not None:
+            torque = float(response.wrench[3:].dot(motion.rotation[:, 2]))
+            self._energy_J += abs(torque * self.milling.cutter.spin_rad_s) * TICK_S
+            response.measures[-1] = self._pulp_rise_K
+        return response
+
+    @property
+    def fields(self) -> FieldSeries | None:
+        """Displacement and stress of the frames so far."""
+        return self.stress.series if self.stress is not None else None
+
+    def settle(self, time_s: float) -> None:
+        """Wait for the solve that an interval's end asks for; a run that is faster than its clock waits for it."""
+        if time_s >= self._next_s - 1e-9:
+            self._await()
+
+    def catch_up(self, time_s: float, motion: ToolMotion) -> None:
+        """Every interval: begin the next solve, on a copy of what changed."""
+        if self.warmth is not None and time_s - self._warmed_s >= WARM_EVERY_S - 1e-9:
+            self._warm(time_s, motion)
+        if self.stress is None or self._stress_lost or time_s < self._next_s - 1e-9:
+            return
+        self._next_s += self._interval_s
+        rows, left = self.milling.store.take_touched()
+        self.stress.begin(Drilled(time_s, rows, left, -self._load[:3], self._contact(motion)))
+
+    def _contact(self, motion: ToolMotion) -> NDArray[np.float64]:
+        """Where the bur's head meets the tooth [m]: on the side from which the force comes, the tip without one."""
+        force = float(np.linalg.norm(self._load[:3]))
+        radius = self._radius_m
+        toward = self._load[:3] / force if force > 0.0 else motion.rotation[:, 2]
+        return motion.tip_m + radius * (motion.rotation[:, 2] - toward)
+
+    def _warm(self, time_s: float, motion: ToolMotion) -> None:
+        """Put the heat of the last ticks into the tooth."""
+        assert self.warmth is not None
+        before = self._pulp_rise_K
+        self._pulp_rise_K = self.warmth.advance(self._energy_J, time_s - self._warmed_s, motion.tip_m)
+        self._energy_J, self._warmed_s = 0.0, time_s
+        if before < PULP_LIMIT_K <= self._pulp_rise_K:
+            self.notices.append(f"the pulp is {PULP_LIMIT_K:g} K warmer than at the start")
+
+    def _await(self) -> None:
+        if self.stress is None or self._stress_lost:
+            return
+        try:
+            record = self.stress.wait()
+        except HelperLostError as lost:
+            self._lose_stress(lost)
+            return
+        if record is None:
+            return
+        if record.debris_m3 > 0.0:
+            self.notices.append(f"{1e9 * record.debris_m3:.3g} mm3 of tooth hang on nothing and are taken as debris")
+        if record.outcome != "CONVERGED":
+            self.notices.append(f"the stress at {record.time_s:.3f} s did not converge ({record.outcome.lower()})")
+        if record.solve_s > self._interval_s and not self._late:
+            self._late = True
+            self.notices.append(
+                f"solving the stress took {record.solve_s:.2f} s, longer than its interval of {self._interval_s:g} s: "
+                "the run waits for it, a device would not"
+            )
+
+    def finish(self) -> None:
+        """Complete the carving that was spread over ticks, and the last solve."""
+        self._await()
+        if self.stress is not None and not self._stress_lost:
+            try:
+                self.stress.finish()
+            except HelperLostError as lost:
+                self._lose_stress(lost)
+        self.milling.finish()
+
+    def _lose_stress(self, lost: HelperLostError) -> None:
+        """Go on without the stress: nothing else comes from the other process once the tooth's compliance is there."""
+        self._stress_lost = True
+        self.notices.append(f"{lost}: this run has no stress and no frames, everything else goes on")
+
+    def remaining(self) -> NDArray[np.uint8]:
+        """Tooth left in every voxel, 255 = full, shape of the volume."""
+        return self.milling.remaining()
+
+    def _watch(self, near_m: float) -> None:
+        """Keep the least distance and say when a limit or the pulp itself is passed."""
+        before, self._least_m = self._least_m, min(self._least_m, near_m)
+        for limit in WARN_M:
+            if self._least_m < limit <= before:
+                self.notices.append(f"less than {1e3 * limit:g} mm of dentin is left over the pulp")
+        if self._least_m <= 0.0 < before:
+            self.notices.append("the pulp is exposed")
+
+
+def _distance_to_pulp(fraction: NDArray[np.uint8], is_pulp: NDArray[np.bool_], spacing_m: float) -> NDArray[np.float32]:
+    """Distance of every voxel's centre from the pulp's surface [m], 0 inside, infinite where there is no pulp."""
+    from scipy.ndimage import distance_transform_edt
+
+    pulp = is_pulp & (fraction > 127)
+    if not pulp.any():
+        return np.full(fraction.shape, np.inf, dtype=np.float32)
+    away = distance_transform_edt(~pulp, sampling=spacing_m) - 0.5 * spacing_m
+    return np.maximum(away, 0.0).astype(np.float32)

@@ -1,0 +1,201 @@
+"""Stiffness of the cells of a grid from the particles they hold, kept up to date as particles lose volume."""
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from kernels.hexahedra import BLOCKS, cell_products, gather_cells
+from kernels.launcher import SplitLaunch
+from kernels.particle_stiffness import particle_stiffness
+from tissue.models.tooth.grid import CORNERS, HexGrid
+from tissue.models.tooth.particles import ParticleSet
+
+__all__ = ["CellStiffness", "full_cell_stiffness"]
+
+Array = NDArray[np.float64]
+CENTRE = np.full(3, 0.5)
+
+
+class CellStiffness:
+    """Packed stiffness of every cell, summed over its particles by :mod:`kernels.particle_stiffness`.
+
+    Parameters
+    ----------
+    particles, grid
+        The body, and a grid whose cells hold all of its particles.
+    inner_strength
+        Share of a full cell's inner stiffness that stands in for what the particles of a cell miss.
+    cores
+        Processor cores to split launches over; default all.
+
+    Attributes
+    ----------
+    order
+        The caller's index of each particle as sorted by cell, shape (p,); ``rank`` is its inverse.
+    cell_start
+        First sorted particle of each cell, int32, shape (c + 1,).
+    particle_cell
+        Cell of each sorted particle, int32, shape (p,).
+    """
+
+    def __init__(
+        self, particles: ParticleSet, grid: HexGrid, *, inner_strength: float, device: str = "cpu",
+        cores: int | None = None,
+    ) -> None:  # fmt: skip
+        self.grid, self.device, self.cores = grid, device, cores
+        cell, place = grid.locate(particles.position_m)
+        if (cell < 0).any():
+            lost = particles.position_m[int(np.argmin(cell))]
+            raise ValueError(f"grid must hold every particle, got one at {lost} m outside: use HexGrid.around")
+        self.order = np.argsort(cell, kind="stable")
+        self.rank = np.empty_like(self.order)
+        self.rank[self.order] = np.arange(len(self.order))
+        self.particle_cell = cell[self.order]
+        self.particle_cell_on: Any = wp.array(self.particle_cell, dtype=wp.int32, device=device)
+        self.cell_start = np.searchsorted(self.particle_cell, np.arange(grid.cell_count + 1)).astype(np.int32)
+
+        def on(array: NDArray[Any], dtype: Any) -> Any:
+            return wp.array(np.ascontiguousarray(array), dtype=dtype, device=device)
+
+        self.place = on(place[self.order], wp.vec3d)
+        self.volume = on(particles.volume_m3[self.order], wp.float64)
+        self.lame = on(particles.lame_pa[self.order], wp.float64)
+        self.remaining_on = on(particles.remaining[self.order], wp.uint16)
+        self.cell_start_on = on(self.cell_start, wp.int32)
+        self.cell_nodes_on = on(grid.cell_nodes, wp.int32)
+        self.node_cells_on = on(grid.node_cells, wp.int32)
+        self.stiffness = wp.zeros((grid.cell_count, BLOCKS), dtype=wp.mat33d, device=device)
+        self.fill_on = wp.zeros(grid.cell_count, dtype=wp.float64, device=device)
+        self.live_on = wp.full(grid.cell_count, 1, dtype=wp.uint8, device=device)
+        self._inner = on(_packed(_inner_stiffness(grid.edge_m)), wp.mat33d)
+        self._strength = float(inner_strength)
+        self._corner_force = wp.zeros((grid.cell_count, 8), dtype=wp.vec3d, device=device)
+        self.displacement = wp.zeros(grid.node_count, dtype=wp.vec3d, device=device)
+        self.force = wp.zeros(grid.node_count, dtype=wp.vec3d, device=device)
+        self._products = self._record_products()
+        self.update(np.arange(grid.cell_count, dtype=np.int32))
+
+    @property
+    def remaining(self) -> NDArray[np.uint16]:
+        """What is left of each sorted particle, steps of 1/65535."""
+        return np.asarray(self.remaining_on.numpy())
+
+    @property
+    def fill(self) -> Array:
+        """Volume of each cell's particles over its own."""
+        return np.asarray(self.fill_on.numpy())
+
+    @property
+    def live(self) -> NDArray[np.uint8]:
+        """1 where a cell carries load."""
+        return np.asarray(self.live_on.numpy())
+
+    def set_remaining(self, rows: NDArray[np.integer], steps: NDArray[np.uint16]) -> None:
+        """Say what is left of sorted particles; `update` their cells to make it count."""
+        left = self.remaining
+        left[rows] = steps
+        if self.device != "cpu":
+            self.remaining_on.assign(left)
+
+    def set_live(self, live: NDArray[np.bool_]) -> None:
+        """Say which cells carry load, shape (c,)."""
+        self.live_on.assign(live.astype(np.uint8))
+
+    def run(self, kernel: Any, dim: int, inputs: list[Any], outputs: list[Any]) -> None:
+        """Launch a kernel whose last input is the first thread's index, once."""
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
+
+    def update(self, cells: NDArray[np.int32]) -> None:
+        """Sum the stiffness of these cells over their particles again."""
+        if len(cells) == 0:
+            return
+        changed: Any = wp.array(cells, dtype=wp.int32, device=self.device)
+        inputs = [
+            self.place, self.volume, self.lame, self.remaining_on, self.cell_start_on, changed, self.grid.edge_m,
+            self._strength, self._inner, 0,
+        ]  # fmt: skip
+        outputs = [self.stiffness, self.fill_on]
+        self.run(particle_stiffness, len(cells), inputs, outputs)
+
+    def _record_products(self) -> tuple[SplitLaunch, SplitLaunch]:
+        inputs = [self.cell_nodes_on, self.live_on, self.stiffness, self.displacement, 0]
+        common: dict[str, Any] = {"device": self.device, "cores": self.cores}
+        cells = SplitLaunch(
+            cell_products, dim=self.grid.cell_count, inputs=inputs, outputs=[self._corner_force], offset_index=4,
+            **common,
+        )  # fmt: skip
+        inputs = [self.node_cells_on, self._corner_force, 0]
+        nodes = SplitLaunch(
+            gather_cells, dim=self.grid.node_count, inputs=inputs, outputs=[self.force], offset_index=2, **common
+        )
+        return cells, nodes
+
+    def product(self, displacement_m: Array) -> Array:
+        """Nodal forces [N] that hold nodal displacements [m], shapes (n, 3), without an assembled matrix."""
+        self.displacement.assign(displacement_m)
+        for launch in self._products:
+            launch()
+        return np.array(self.force.numpy())
+
+    def cell_matrices(self) -> Array:
+        """Full stiffness of every cell [N/m], shape (c, 24, 24)."""
+        packed = self.stiffness.numpy()
+        full = np.zeros((len(packed), 8, 3, 8, 3))
+        for block, (a, b) in enumerate(_pairs()):
+            full[:, a, :, b, :] = packed[:, block]
+            full[:, b, :, a, :] = packed[:, block].transpose(0, 2, 1)
+        return full.reshape(-1, 24, 24)
+
+
+def full_cell_stiffness(edge_m: float, points: Array, weights: Array, *, first_pa: float, shear_pa: float) -> Array:
+    """Stiffness [N/m] of a cell from B^T D B at points in it, shape (24, 24); plain NumPy.
+
+    Parameters
+    ----------
+    edge_m
+        Edge of the cell [m].
+    points
+        Places in the cell, 0 to 1 along each edge, shape (p, 3).
+    weights
+        Volume of each point [m3], shape (p,).
+    first_pa, shear_pa
+        Lame constants lambda and mu [Pa].
+    """
+    elasticity = np.diag([2.0 * shear_pa] * 3 + [shear_pa] * 3)
+    elasticity[:3, :3] += first_pa
+    total = np.zeros((24, 24))
+    for point, weight in zip(points, weights, strict=True):
+        strain = strain_matrix(point, edge_m)
+        total += weight * strain.T @ elasticity @ strain
+    return total
+
+
+def strain_matrix(place: Array, edge_m: float) -> Array:
+    """B at a place in a cell [1/m]: strain xx, yy, zz, yz, xz, xy (engineering shear) from 24 displacements."""
+    factors = np.where(CORNERS == 1, place, 1.0 - place)
+    signs = np.where(CORNERS == 1, 1.0, -1.0) / edge_m
+    strain = np.zeros((6, 8, 3))
+    for a in range(8):
+        x, y, z = (signs[a, i] * factors[a, (i + 1) % 3] * factors[a, (i + 2) % 3] for i in range(3))
+        strain[:, a, :] = [[x, 0, 0], [0, y, 0], [0, 0, z], [0, z, y], [z, 0, x], [y, x, 0]]
+    return strain.reshape(6, 24)
+
+
+def _inner_stiffness(edge_m: float) -> Array:
+    """Stiffness of a full cell of unit Lame constants less that of its centre alone, shape (24, 24)."""
+    gauss = 0.5 + (CORNERS - 0.5) / np.sqrt(3.0)
+    volume = edge_m**3
+    full = full_cell_stiffness(edge_m, gauss, np.full(8, volume / 8.0), first_pa=1.0, shear_pa=1.0)
+    centre = full_cell_stiffness(edge_m, CENTRE[None], np.array([volume]), first_pa=1.0, shear_pa=1.0)
+    return np.asarray(full - centre)
+
+
+def _pairs() -> list[tuple[int, int]]:
+    return [(a, b) for a in range(8) for b in range(a, 8)]
+
+
+def _packed(matrix: Array) -> Array:
+    blocks = matrix.reshape(8, 3, 8, 3)
+    return np.stack([blocks[a, :, b, :] for a, b in _pairs()])

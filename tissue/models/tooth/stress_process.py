@@ -1,0 +1,226 @@
+"""Stress beside the ticks: solved when it is due, here or in a process of its own.
+
+Ticks and solves in one Python process wait for each other's interpreter lock, at 99 % for most of a millisecond. A
+process of its own is told what the bur took away and with what force it pushed; its frames come when the run ends.
+"""
+
+import os
+import pickle
+import sys
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kernels.bricks import BRICK_VOXELS
+from meshes.base.errors import InputError
+from meshes.voxels.volume import VoxelVolume
+from tissue.fem.fields import FieldSeries
+from tissue.models.bone.bricks import BrickStore, voxels_of
+from tissue.models.tooth.compliance import SupportCompliance
+from tissue.models.tooth.field import SolveRecord, StressField
+from tissue.system.helper import Helper
+
+__all__ = ["Drilled", "StressBeside", "StressHere", "StressProcess"]
+
+ASSEMBLY_S, SOLVE_S = 3600.0, 600.0
+"""How long the other process may work before its first answer, and on one solve [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Drilled:
+    """What a solve has to know of the drilled voxels.
+
+    Attributes
+    ----------
+    time_s
+        Time of the state [s].
+    rows, left
+        Bricks that lost something since the last solve, shape (n,), and what is left in them in steps, shape (n, 512).
+    force_N, point_m
+        Force on the tooth [N] and where it acts [m], shape (3,) each.
+    """
+
+    time_s: float
+    rows: NDArray[np.intp]
+    left: NDArray[np.uint16]
+    force_N: NDArray[np.float64]
+    point_m: NDArray[np.float64]
+
+
+class StressBeside(Protocol):
+    """Solves that are begun in a tick and awaited outside it.
+
+    Attributes
+    ----------
+    compliance
+        How the tooth gives in its ligament, about ``reference_m``.
+    root_guessed
+        Whether the data hold neither ligament nor bone.
+    series
+        Mesh and frames; all frames are there once it is finished.
+    records
+        Cost and outcome of every solve awaited so far.
+    """
+
+    compliance: SupportCompliance
+    reference_m: NDArray[np.float64]
+    root_guessed: bool
+    series: FieldSeries
+    records: list[SolveRecord]
+
+    def begin(self, state: Drilled) -> None:
+        """Begin a solve; the last one was awaited."""
+        ...
+
+    def wait(self) -> SolveRecord | None:
+        """Cost and outcome of the solve that was begun, None where none was."""
+        ...
+
+    def finish(self) -> None:
+        """Await what was begun and fetch the frames."""
+        ...
+
+
+class StressHere:
+    """Solves in this process, when they are awaited.
+
+    Parameters
+    ----------
+    whole
+        The whole tooth in voxels.
+    store
+        Bricks of the finer voxels that are drilled.
+    options
+        What else `StressField` takes.
+    """
+
+    def __init__(self, whole: VoxelVolume, store: BrickStore, **options: Any) -> None:
+        self._start(whole, _bricks_of(store), options)
+
+    def _start(self, whole: VoxelVolume, bricks: dict[str, Any], options: dict[str, Any]) -> None:
+        self.field = StressField(whole, **options)
+        self.compliance, self.reference_m = self.field.compliance, self.field.reference_m
+        self.root_guessed = self.field.root_guessed
+        self.series, self.records = self.field.series, self.field.records
+        self._places, self._before = bricks["places"], bricks["remaining"]
+        self._grid = {"origin_m": bricks["origin_m"], "spacing_m": bricks["spacing_m"]}
+        self._begun: Drilled | None = None
+
+    @classmethod
+    def of_bricks(cls, whole: VoxelVolume, bricks: dict[str, Any], options: dict[str, Any]) -> "StressHere":
+        """The same from a copy of the bricks, in another process."""
+        here = cls.__new__(cls)
+        here._start(whole, bricks, options)
+        return here
+
+    def begin(self, state: Drilled) -> None:
+        """Keep what is to be solved."""
+        self._begun = state
+
+    def wait(self) -> SolveRecord | None:
+        """Bring the particles to what is left in the bricks, and solve."""
+        state, self._begun = self._begun, None
+        if state is None:
+            return None
+        lost = self._before[state.rows].astype(np.int64) - state.left
+        self._before[state.rows] = state.left
+        voxels, steps = voxels_of(self._places, state.rows, lost)
+        self.field.remove(voxels, steps, **self._grid)
+        self.field.solve(state.time_s, state.force_N, state.point_m)
+        return self.records[-1]
+
+    def finish(self) -> None:
+        """Solve what was begun."""
+        self.wait()
+
+
+class StressProcess:
+    """Solves in a process of its own; parameters as for `StressHere`.
+
+    Raises
+    ------
+    InputError
+        As `StressField`.
+    HelperLostError
+        If the process ends, is stopped or hangs, here and wherever it is waited for; its frames are lost with it.
+    """
+
+    def __init__(self, whole: VoxelVolume, store: BrickStore, **options: Any) -> None:
+        self._helper = Helper("tissue.models.tooth.stress_process", does="solves the stress")
+        self._helper.send((whole, _bricks_of(store), options))
+        self.compliance, self.reference_m, self.root_guessed, self.series = self._helper.receive(longest_s=ASSEMBLY_S)
+        self.records: list[SolveRecord] = []
+        self._begun = self._finished = False
+
+    def begin(self, state: Drilled) -> None:
+        """Send what is to be solved; the other process waits for it."""
+        arrays = (state.rows, state.left, state.force_N, state.point_m)
+        self._helper.send((state.time_s, *(array.tobytes() for array in arrays)))
+        self._begun = True
+
+    def wait(self) -> SolveRecord | None:
+        """Await the solve that was begun."""
+        if not self._begun:
+            return None
+        self._begun = False
+        self.records.append(self._helper.receive(longest_s=SOLVE_S))
+        return self.records[-1]
+
+    def finish(self) -> None:
+        """Await what was begun, fetch the frames and end the process."""
+        if self._finished:
+            return
+        self.wait()
+        self._finished = True
+        self._helper.send(None)
+        self.series.frames.extend(self._helper.receive(longest_s=SOLVE_S))
+        self._helper.end()
+
+
+def _bricks_of(store: BrickStore) -> dict[str, Any]:
+    """Copy of what a solve has to know of the bricks before the first cut."""
+    return {
+        "places": store.places,
+        "remaining": store.remaining.numpy().copy(),
+        "origin_m": store.volume.origin_m,
+        "spacing_m": store.volume.spacing_m,
+    }
+
+
+def _drilled(time_s: float, rows: bytes, left: bytes, force_N: bytes, point_m: bytes) -> Drilled:
+    """A state from the bytes of its arrays, which are quicker to send than arrays."""
+    steps = np.frombuffer(left, dtype=np.uint16).reshape(-1, BRICK_VOXELS)
+    return Drilled(time_s, np.frombuffer(rows, dtype=np.intp), steps, np.frombuffer(force_N), np.frombuffer(point_m))
+
+
+def _serve() -> None:
+    """Solve what comes on the standard input until it ends; the standard output is for answers alone."""
+    if hasattr(os, "nice"):
+        os.nice(5)  # on a busy machine the ticks come first
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+
+    def answer(message: object) -> None:
+        pickle.dump(message, answers, protocol=5)
+        answers.flush()
+
+    try:
+        whole, bricks, options = pickle.load(sys.stdin.buffer)
+        here = StressHere.of_bricks(whole, bricks, options)
+        answer((here.compliance, here.reference_m, here.root_guessed, replace(here.series, frames=[])))
+        while (sent := pickle.load(sys.stdin.buffer)) is not None:
+            here.begin(_drilled(*sent))
+            answer(here.wait())
+        answer(here.series.frames)
+    except (EOFError, BrokenPipeError):
+        return  # the ticks ended first
+    except InputError as problem:
+        answer(problem)
+    except Exception as problem:
+        answer(RuntimeError(f"the stress could not be solved: {type(problem).__name__}: {problem}"))
+
+
+if __name__ == "__main__":
+    _serve()

@@ -1,0 +1,83 @@
+"""A stiff flat wall that a ball presses: the hardest thing a device is asked to play, and one known in closed form."""
+
+from math import pi
+
+import numpy as np
+
+from meshes.base.errors import InputError, require_positive
+from tissue.fem.fields import FieldSeries
+from tissue.models.tissue_model import Response, ToolMotion
+
+__all__ = ["WallModel"]
+
+
+class WallModel:
+    """A linear unilateral spring along z over the plane z = 0: F = k depth, without friction.
+
+    Its measure is the depth of the ball's deepest point [mm]; ``engaged_m2`` is the circle in which ball and plane
+    cross. The response tells its stiffness, by which a tool on a device finds its balance at once.
+
+    Parameters
+    ----------
+    stiffness_N_m
+        Of the wall [N/m].
+    radius_m
+        Of the ball [m]; its tip is a radius from its centre, against the tool's axis.
+    """
+
+    layer_names: tuple[str, ...] = ("wall",)
+    measure_names: tuple[str, ...] = ("depth_mm",)
+    fields: FieldSeries | None = None
+
+    def __init__(self, stiffness_N_m: float, *, radius_m: float) -> None:
+        self.stiffness_N_m = require_positive("stiffness_N_m", stiffness_N_m, "use 1e4")
+        self._radius = require_positive("radius_m", radius_m, "use 5e-3")
+        self.notices: list[str] = []
+        self.start_m3, self.removed_m3 = np.zeros(1), np.zeros(1)
+        self._free, self._pressed = np.zeros((3, 3)), np.diag((0.0, 0.0, self.stiffness_N_m))
+        self._response = Response.empty(1)
+        self._response.measures = np.zeros(1)
+
+    def place(self, motion: ToolMotion) -> None:
+        """Put the ball where it starts.
+
+        Raises
+        ------
+        InputError
+            If that is inside the wall.
+        """
+        depth = self._depth_m(motion)
+        if depth > 0.0:
+            raise InputError(f"motion must start outside the wall, got a ball {1e3 * depth:g} mm inside: start higher")
+
+    def advance(self, motion: ToolMotion) -> None:
+        """A spring keeps nothing from tick to tick."""
+
+    def respond(self, motion: ToolMotion) -> Response:
+        """Force on the ball, and its torque about the tip."""
+        response, depth = self._response, max(self._depth_m(motion), 0.0)
+        force = self.stiffness_N_m * depth
+        arm_x, arm_y, _ = self._radius * motion.rotation[:, 2]
+        response.wrench[2] = force
+        response.wrench[3], response.wrench[4] = arm_y * force, -arm_x * force
+        response.edge[:] = response.wrench
+        response.stiffness_N_m = self._pressed if depth > 0.0 else self._free
+        response.engaged_m2[0] = pi * depth * max(2.0 * self._radius - depth, 0.0)
+        response.measures[0] = 1e3 * depth
+        return response
+
+    def settle(self, time_s: float) -> None:
+        """Nothing is awaited here."""
+
+    def catch_up(self, time_s: float, motion: ToolMotion) -> None:
+        """Nothing is slow here."""
+
+    def finish(self) -> None:
+        """There is nothing to complete."""
+
+    def remaining(self) -> None:
+        """There are no voxels."""
+
+    def _depth_m(self, motion: ToolMotion) -> float:
+        """How far the ball's lowest point lies below the plane [m]; negative above it."""
+        return float(-motion.tip_m[2] + self._radius * (1.0 - motion.rotation[2, 2]))

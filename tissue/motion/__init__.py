@@ -1,0 +1,1 @@
+"""What moves a tool: paths, thrust, recorded poses; rotations."""

@@ -1,0 +1,100 @@
+"""Poses that a cutter was brought to, tick by tick: with the bone before the first cut, all that a cavity needs."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from meshes.base.whole_file import whole_file
+from meshes.voxels.volume import VoxelVolume
+from tissue.models.tissue_model import ToolMotion
+
+__all__ = ["PoseLog", "poses_of_trace", "read_poses", "write_poses"]
+
+COLUMNS = 13
+"""Of a pose: tick, tip [m], axis, heading of tip and pose."""
+FORMAT = 1
+"""Version of the file of poses."""
+
+
+class PoseLog:
+    """Poses that a tool was brought to, in memory that is allocated before the first tick.
+
+    Parameters
+    ----------
+    ticks
+        Ticks of the run; each may bring the tool to two poses.
+    """
+
+    def __init__(self, ticks: int) -> None:
+        self._rows = np.zeros((2 * ticks + 1, COLUMNS))
+        self._count = 0
+
+    def add(self, tick: int, motion: ToolMotion) -> None:
+        """Append the pose of a tick; -1 is the pose at which the tool was placed."""
+        row = self._rows[self._count]
+        row[0] = tick
+        row[1:4] = motion.tip_m
+        row[4:7] = motion.rotation[:, 2]
+        row[7:].reshape(2, 3)[:] = motion.heading
+        self._count += 1
+
+    @property
+    def poses(self) -> NDArray[np.float64]:
+        """Poses so far, shape (n, 13): tick, tip [m], axis, heading of the tip and of the pose."""
+        return self._rows[: self._count]
+
+
+def write_poses(path: Path, poses: NDArray[np.float64], volume: VoxelVolume) -> None:
+    """Write poses and the place of the voxels that they cut to a .npz file."""
+    with whole_file(path) as beside, beside.open("wb") as file:
+        arrays = {"poses": poses, "origin_m": volume.origin_m, "spacing_m": np.array(volume.spacing_m)}
+        np.savez_compressed(file, format=np.array(FORMAT), **arrays)  # type: ignore[arg-type]
+
+
+def read_poses(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Read what `write_poses` wrote: poses, origin of the voxels [m], shape (3,), and their spacing [m].
+
+    Raises
+    ------
+    InputError
+        If the file is damaged or of another version.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            version, poses = int(file["format"]), np.asarray(file["poses"], dtype=np.float64)
+            origin, spacing = np.asarray(file["origin_m"], dtype=np.float64), float(file["spacing_m"])
+    except Exception:  # NumPy and zipfile raise a dozen kinds for a damaged archive
+        raise InputError(f"poses must be a whole file that a run wrote, got {path}: run the scene again") from None
+    if version != FORMAT:
+        raise InputError(f"poses must be of format {FORMAT}, got {version} in {path}: run the scene again")
+    whole = poses.ndim == 2 and poses.shape[1] == COLUMNS and np.isfinite(poses).all()
+    if (
+        not whole
+        or (np.diff(poses[:, 0]) < 0).any()
+        or origin.shape != (3,)
+        or not np.isfinite([*origin, spacing]).all()
+    ):
+        raise InputError(
+            f"poses must hold {COLUMNS} finite columns in the order of ticks, got {path}: run the scene again"
+        )
+    return poses, origin, spacing
+
+
+def poses_of_trace(
+    tips_m: NDArray[np.float64], axes: NDArray[np.float64], velocities: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Poses of a run of which only the trace is left: the bone is then right within what a tool goes between two cuts.
+
+    Parameters
+    ----------
+    tips_m, axes
+        Tip [m] and axis of the tool at every tick, shape (n, 3).
+    velocities
+        Velocity of the tip [m/s] and angular velocity [rad/s], shape (n, 6).
+    """
+    speed = np.linalg.norm(velocities[:, :3], axis=1, keepdims=True)
+    heading = np.divide(velocities, speed, out=np.zeros_like(velocities), where=speed > 0.0)
+    poses = np.column_stack([np.arange(len(tips_m)), tips_m, axes, heading])
+    return np.vstack([np.append(-1.0, poses[0, 1:]), poses]) if len(poses) else np.zeros((0, COLUMNS))

@@ -1,0 +1,125 @@
+"""Recorded motion: a table of poses, replayed."""
+
+import csv
+from math import isfinite
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+from meshes.base.errors import InputError
+from tissue.models.tissue_model import Response, ToolMotion
+from tissue.motion.motion import LONGEST_S, Motion
+
+__all__ = ["ReplayPoses", "read_poses"]
+
+Array = NDArray[np.float64]
+POSE_COLUMNS = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "tool_qz", "tool_qw")
+
+
+class ReplayPoses(Motion):
+    """Recorded motion: poses at given times, linear and on the shortest arc between them.
+
+    Parameters
+    ----------
+    times_s
+        Increasing times [s], shape (n,).
+    tips_m
+        Tip positions [m], shape (n, 3).
+    quaternions
+        Orientations (x, y, z, w), shape (n, 4).
+    step_s
+        Length of a tick [s]; the table is brought to ticks once, before the run.
+    """
+
+    def __init__(self, times_s: Array, tips_m: Array, quaternions: Array, *, step_s: float) -> None:
+        self.duration_s = float(times_s[-1] - times_s[0])
+        count = round(self.duration_s / step_s) + 1
+        at = np.clip(times_s[0] + step_s * np.arange(-1, count), times_s[0], times_s[-1])
+        turned = Slerp(times_s, Rotation.from_quat(quaternions))(at)
+        tips = np.column_stack([np.interp(at, times_s, tips_m[:, c]) for c in range(3)])
+        self._tips, self._rotations = tips[1:], turned.as_matrix()[1:]
+        velocity = np.diff(tips, axis=0) / step_s
+        turning = (turned[1:] * turned[:-1].inv()).as_rotvec() / step_s
+        speed, turn = np.linalg.norm(velocity, axis=1), np.linalg.norm(turning, axis=1)
+        self._speeds = np.where(speed > 1e-9, speed, np.where(turn > 1e-9, 1.0, 0.0))
+        self._headings = np.stack([velocity, turning], axis=1) / np.maximum(self._speeds, 1e-300)[:, None, None]
+        self._step = step_s
+
+    def sweep_m(self) -> Array:
+        """All positions [m]."""
+        return self._tips
+
+    def rotations(self) -> Array:
+        """All orientations."""
+        return self._rotations
+
+    def begin(self, motion: ToolMotion) -> None:
+        """Take the first pose."""
+        motion.tip_m[:], motion.rotation[:] = self._tips[0], self._rotations[0]
+        motion.heading[:] = self._headings[0]
+
+    def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
+        """Take the recorded pose; the velocity is the difference to the pose one tick earlier."""
+        tick = min(round(time_s / self._step), len(self._tips) - 1)
+        motion.tip_m[:] = self._tips[tick]
+        motion.rotation[:] = self._rotations[tick]
+        motion.speed_m_s = float(self._speeds[tick]) if time_s <= self.duration_s + 1e-9 else 0.0
+        if motion.speed_m_s > 0.0:
+            motion.heading[:] = self._headings[tick]
+
+
+def read_poses(path: Path, *, step_s: float) -> ReplayPoses:
+    """Read a pose table: CSV with ``time_s`` and the tool's pose in the columns of ``trace.csv``.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, lacks a column, holds values that are not finite, or its times do not increase.
+    """
+    if not path.is_file():
+        raise InputError(f"motion.file must be an existing table, got {path}: give a CSV such as a run's trace.csv")
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            names = reader.fieldnames or []
+            missing = [name for name in ("time_s", *POSE_COLUMNS) if name not in names]
+            rows = [] if missing else [_pose(row, reader.line_num, path) for row in reader]
+    except (UnicodeDecodeError, csv.Error):
+        raise InputError(f"motion.file must be a CSV table, got other data in {path}: export it as text") from None
+    if missing:
+        raise InputError(f"motion.file must have the columns {', '.join(missing)}, got {path} without them: add them")
+    if len(rows) < 2:
+        raise InputError(f"motion.file must hold at least two poses, got {len(rows)} in {path}: record more")
+    poses = np.array(rows)
+    back = np.flatnonzero(np.diff(poses[:, 0]) <= 0.0)
+    if back.size:
+        before, after = poses[back[0] : back[0] + 2, 0]
+        raise InputError(
+            f"motion.file must have increasing time_s, got {after:g} after {before:g} in {path}: sort its rows"
+        )
+    if poses[-1, 0] - poses[0, 0] > LONGEST_S:
+        raise InputError(
+            f"motion.file must last at most {LONGEST_S:g} s, got {poses[-1, 0] - poses[0, 0]:g} in {path}: cut it"
+        )
+    if (np.linalg.norm(poses[:, 4:], axis=1) < 1e-6).any():
+        raise InputError(f"motion.file must hold unit quaternions, got a zero one in {path}: use 0, 0, 0, 1 there")
+    return ReplayPoses(poses[:, 0], poses[:, 1:4] * 1e-3, poses[:, 4:], step_s=step_s)
+
+
+def _pose(row: dict[str, str], line: int, path: Path) -> list[float]:
+    """Time and pose of one row."""
+    values = []
+    for name in ("time_s", *POSE_COLUMNS):
+        try:
+            value = float(row[name])
+        except (TypeError, ValueError):
+            value = float("nan")
+        if not isfinite(value):
+            raise InputError(
+                f"motion.file must hold finite numbers, got {row[name] or 'nothing'} for {name} in line {line} of "
+                f"{path}: mend that line"
+            )
+        values.append(value)
+    return values

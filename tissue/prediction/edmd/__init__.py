@@ -1,0 +1,1 @@
+"""Extended dynamic mode decomposition: dictionaries, regression, validation, stored predictors."""

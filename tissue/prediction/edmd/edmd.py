@@ -1,0 +1,155 @@
+"""Extended dynamic mode decomposition with inputs, over many episodes."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from tissue.prediction.edmd.dictionary import Dictionary
+from tissue.prediction.edmd.episodes import Episode, blocks, check_episodes
+from tissue.prediction.edmd.lifted import FitStatistics, Generator, Operator
+from tissue.prediction.edmd.regression import regress
+from tissue.prediction.edmd.training_range import TrainingRange
+
+__all__ = ["Edmd"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Edmd:
+    """Fit of a linear map of observables by least squares (Williams, Kevrekidis & Rowley 2015; Korda & Mezić 2018).
+
+    Observables and inputs are centred on their means and scaled by their standard deviations inside, and an offset is
+    fitted with them; the operator that comes out is in the units of the states.
+
+    Parameters
+    ----------
+    dictionary
+        The observables.
+    ridge
+        Penalty on the weights of the scaled observables, as a share of their variance (Tikhonov); at least 0.
+    rank
+        Singular values of the scaled data to keep; None for all.
+    cap
+        Largest size that eigenvalues are left with (`tissue.prediction.edmd.spectrum`); None to leave them.
+    offset
+        Whether to centre and to fit an offset; without, zero maps to zero.
+    """
+
+    dictionary: Dictionary
+    ridge: float = 0.0
+    rank: int | None = None
+    cap: float | None = 1.0
+    offset: bool = True
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.ridge < np.inf:
+            raise InputError(f"ridge must be at least 0 and finite, got {self.ridge}: use 0 or 1e-8")
+        if self.cap is not None and not 0.0 < self.cap < np.inf:
+            raise InputError(f"cap must be positive and finite, got {self.cap}: use 1, or None for no cap")
+
+    def fit(self, episodes: Sequence[Episode]) -> Operator:
+        """The operator over one step that fits all pairs of neighbouring samples.
+
+        Raises
+        ------
+        InputError
+            If the episodes cannot be learnt from (`check_episodes`), observables overflow, or columns are collinear
+            and neither ridge nor rank is set.
+        """
+        ready = check_episodes(episodes, self.dictionary.lags)
+        parts = self._fit(ready, rates=False)
+        operator = Operator(**parts, step_s=ready[0].step_s)
+        return operator if self.cap is None else operator.capped(self.cap)
+
+    def fit_generator(self, episodes: Sequence[Episode]) -> Generator:
+        """The generator that fits the observables' rates ∇φ · dx/dt (gEDMD, Klus et al. 2020); cap does not apply.
+
+        Raises
+        ------
+        InputError
+            As `fit`; also if an episode has no rates.
+        """
+        return Generator(**self._fit(check_episodes(episodes, self.dictionary.lags, rates=True), rates=True))
+
+    def _fit(self, episodes: list[Episode], *, rates: bool) -> dict[str, Any]:
+        """Fields of the map, in the units of the observables."""
+        state_size = episodes[0].states.shape[1]
+        count = self.dictionary.size(state_size)
+        middle, scale = _mean_and_scale(_pairs(episodes, self.dictionary, rates), self.offset)
+        kept = slice(0, count)
+
+        def scaled() -> Iterator[tuple[Array, Array]]:
+            for lifted, inputs, targets in _pairs(episodes, self.dictionary, rates):
+                known = (np.hstack((lifted, inputs)) - middle) / scale
+                wanted = targets if rates else targets - middle[kept]
+                constant = np.ones((len(known), int(self.offset)))
+                yield np.hstack((known, constant)), wanted / scale[kept]
+
+        found = regress(scaled(), ridge=self.ridge, rank=self.rank, free=int(self.offset))
+        weights, size = found.weights.T, len(scale)
+        A = weights[:, :count] * scale[kept, None] / scale[kept]
+        B = weights[:, count:size] * scale[kept, None] / scale[count:]
+        constant = weights[:, size] * scale[kept] if self.offset else np.zeros(count)
+        constant = constant - A @ middle[kept] - B @ middle[count:] + (0.0 if rates else middle[kept])
+        values = np.linalg.eigvals(weights[:, :count])
+        inputs = [np.zeros((1, 0)) if each.inputs is None else each.inputs for each in episodes]
+        return {
+            "dictionary": self.dictionary,
+            "A": A,
+            "B": B,
+            "offset": constant,
+            "middle": middle[kept],
+            "scale": scale[kept],
+            "input_middle": middle[count:],
+            "input_scale": scale[count:],
+            "moments": found.moments,
+            "training": TrainingRange.of([each.states for each in episodes], inputs),
+            "statistics": FitStatistics(
+                samples=found.samples,
+                episodes=len(episodes),
+                rank=found.rank,
+                condition=found.condition,
+                residual_rms=found.residual_rms * scale[kept],
+                radius_before=float(values.real.max() if rates else np.abs(values).max()),
+            ),
+        }
+
+
+def _pairs(episodes: list[Episode], dictionary: Dictionary, rates: bool) -> Iterator[tuple[Array, Array, Array]]:
+    """Observables (k, D), inputs (k, m), and observables a step later or, for a generator, rates (k, D)."""
+    for episode in episodes:
+        slopes = None
+        if rates and episode.rates is not None:
+            slopes = blocks(Episode(episode.rates, None, episode.step_s), dictionary.lags)
+        for windows, inputs in blocks(episode, dictionary.lags):
+            with np.errstate(over="ignore", invalid="ignore"):
+                lifted = dictionary.lift(windows)
+            if not np.isfinite(lifted).all():
+                raise InputError(
+                    "observables must be finite on all states, got overflow: scale the states, or the dictionary"
+                )
+            if slopes is None:
+                yield lifted[:-1], inputs, lifted[1:]
+            else:
+                yield lifted[:-1], inputs, dictionary.lift_rates(windows, next(slopes)[0])[:-1]
+
+
+def _mean_and_scale(parts: Iterator[tuple[Array, Array, Array]], centred: bool) -> tuple[Array, Array]:
+    """Means and deviations of observables and inputs, shape (D + m,); where a column is still, 1."""
+    seen, about, total, squares = 0, np.zeros(0), np.zeros(0), np.zeros(0)
+    for lifted, inputs, _ in parts:
+        both = np.hstack((lifted, inputs))
+        if seen == 0:
+            about, total, squares = both[0], np.zeros(both.shape[1]), np.zeros(both.shape[1])
+        # Sums are taken about the first row, so that a large offset does not cost digits.
+        both = both - about
+        seen, total, squares = seen + len(both), total + both.sum(axis=0), squares + (both**2).sum(axis=0)
+    mean = about + total / seen
+    variance = np.maximum(squares / seen - (total / seen) ** 2, 0.0)
+    scale = np.sqrt(variance if centred else variance + mean**2)
+    return mean if centred else np.zeros(len(mean)), np.where(scale > 1e-12 * np.abs(mean), scale, 1.0)

@@ -1,0 +1,235 @@
+"""A fitted linear map of observables: discrete in time, or a rate."""
+
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, require_positive
+from tissue.prediction.edmd.dictionary import Dictionary
+from tissue.prediction.edmd.spectrum import cap_spectrum
+from tissue.prediction.edmd.training_range import TrainingRange
+
+__all__ = ["FitStatistics", "Generator", "LiftedMap", "Operator"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FitStatistics:
+    """How a fit went.
+
+    Attributes
+    ----------
+    samples, episodes
+        Pairs of neighbouring states learnt from, and the episodes they come from.
+    rank, condition
+        Singular values kept of the scaled regressors; largest over smallest of them.
+    residual_rms
+        One-step error of each observable on the training data, in its unit, shape (D,); of its rate for a generator.
+    radius_before
+        Spectral radius before the cap (of a generator: largest real part of an eigenvalue).
+    capped
+        Number of eigenvalues that were shrunk.
+    cap_change
+        Frobenius norm of what the cap changed, in scaled observables.
+    """
+
+    samples: int
+    episodes: int
+    rank: int
+    condition: float
+    residual_rms: Array
+    radius_before: float
+    capped: int = 0
+    cap_change: float = 0.0
+
+
+@dataclass(frozen=True)
+class LiftedMap:
+    """φ → A φ + B u + offset, in the units of the observables.
+
+    Attributes
+    ----------
+    dictionary
+        The observables.
+    A, B, offset
+        Shapes (D, D), (D, m), (D,).
+    middle, scale
+        Mean and standard deviation of the observables in training, shape (D,).
+    input_middle, input_scale
+        The same of the inputs, shape (m,).
+    moments
+        Mean outer product of the scaled regressors [φ, u, 1] (without the 1 if there is no offset), shape (p, p).
+    training
+        Range of the training states.
+    statistics
+        How the fit went.
+    """
+
+    dictionary: Dictionary
+    A: Array
+    B: Array
+    offset: Array
+    middle: Array
+    scale: Array
+    input_middle: Array
+    input_scale: Array
+    moments: Array
+    training: TrainingRange
+    statistics: FitStatistics
+
+    @property
+    def state_size(self) -> int:
+        """Number of entries of a state, without delays."""
+        return len(self.training.lowest)
+
+    @property
+    def C(self) -> Array:
+        """Decoding matrix: the present state is C φ, shape (d, D)."""
+        return np.eye(self.state_size, len(self.offset))
+
+    @property
+    def eigenvalues(self) -> NDArray[np.complex128]:
+        """Eigenvalues of A, largest first."""
+        values = np.linalg.eigvals(self.A / self.scale[:, None] * self.scale).astype(np.complex128)
+        return values[np.argsort(-np.abs(values), kind="stable")]
+
+    def lift(self, states: Array) -> Array:
+        """Observables, shape (D,), of a state, or of a state and those before it as rows, oldest first.
+
+        Raises
+        ------
+        InputError
+            If the number of rows or columns is not what the dictionary takes.
+        """
+        rows = np.atleast_2d(np.asarray(states, dtype=np.float64))
+        wanted = (self.dictionary.lags + 1, self.state_size)
+        if rows.shape != wanted:
+            raise InputError(f"state must have shape {wanted}, oldest row first, got {rows.shape}: give the last rows")
+        return self.dictionary.lift(rows[::-1].ravel())
+
+
+@dataclass(frozen=True)
+class Operator(LiftedMap):
+    """The discrete operator: φ one step later, inputs held over the step (an exact zero-order hold)."""
+
+    step_s: float
+
+    def advance(self, lifted: Array, inputs: Array | None = None) -> Array:
+        """Observables one step later; any leading axes. None for inputs that are zero."""
+        ahead = lifted @ self.A.T + self.offset
+        return ahead if inputs is None else ahead + inputs @ self.B.T
+
+    def predict(self, state: Array, inputs: Array | None, horizon: int) -> Array:
+        """States 1 to `horizon` steps ahead, shape (horizon, d): lifted once, advanced linearly, decoded.
+
+        Parameters
+        ----------
+        state
+            Present state, shape (d,); with delays the last lags + 1 states, oldest first, shape (lags + 1, d).
+        inputs
+            What acts over each step, shape (horizon, m), or (m,) if the same over all; None without inputs.
+        horizon
+            Number of steps.
+
+        Raises
+        ------
+        InputError
+            If a shape does not fit, or the horizon is below 1.
+        """
+        if horizon < 1:
+            raise InputError(f"horizon must be at least 1 step, got {horizon}: use 1")
+        lifted = self.lift(state)
+        size = self.B.shape[1]
+        if (inputs is None) != (size == 0):
+            raise InputError(f"inputs must have {size} columns, got {None if inputs is None else np.shape(inputs)}")
+        acting = np.zeros((horizon, 0)) if inputs is None else np.asarray(inputs, dtype=np.float64)
+        if acting.shape not in ((size,), (horizon, size)):
+            raise InputError(f"inputs must have shape ({horizon}, {size}) or ({size},), got {acting.shape}: one a step")
+        acting = np.broadcast_to(acting, (horizon, size))
+        states = np.empty((horizon, self.state_size))
+        with np.errstate(over="ignore", invalid="ignore"):  # an operator left uncapped may well diverge
+            for step in range(horizon):
+                lifted = self.A @ lifted + self.B @ acting[step] + self.offset
+                states[step] = lifted[: self.state_size]
+        return states
+
+    def states_ahead(self, horizon: int) -> list[tuple[Array, Array]]:
+        """Matrix M (d, D) and offset c (d,) for 1 to `horizon` steps: the state then is M φ + c, without inputs."""
+        ahead = [(self.A[: self.state_size], self.offset[: self.state_size])]
+        while len(ahead) < horizon:
+            matrix, offset = ahead[-1]
+            ahead.append((matrix @ self.A, matrix @ self.offset + offset))
+        return ahead
+
+    def capped(self, limit: float) -> Self:
+        """The operator with no eigenvalue larger than `limit`, turned about the training data's mean.
+
+        A mode at exactly 1 still drifts under a constant force, in proportion to time; below 1 it stays bounded.
+        """
+        matrix = self.A / self.scale[:, None] * self.scale
+        shrunk, count = cap_spectrum(matrix, limit)
+        if count == 0:
+            return self
+        A = shrunk * self.scale[:, None] / self.scale
+        change = float(np.linalg.norm(shrunk - matrix))
+        statistics = replace(
+            self.statistics, capped=self.statistics.capped + count, cap_change=self.statistics.cap_change + change
+        )
+        return replace(self, A=A, offset=self.offset + (self.A - A) @ self.middle, statistics=statistics)
+
+    def generator(self) -> "Generator":
+        """The rate whose exact zero-order hold is this operator: the principal logarithm of [A B c; 0 1 0; 0 0 1].
+
+        Raises
+        ------
+        InputError
+            If an eigenvalue is zero or negative: no real generator has that operator.
+        """
+        from scipy.linalg import logm
+
+        values = self.eigenvalues
+        size = np.abs(values)
+        if (size <= 1e-12 * size.max()).any() or ((values.real < 0.0) & (np.abs(values.imag) <= 1e-12 * size)).any():
+            raise InputError(
+                f"eigenvalues must be neither zero nor negative to have a logarithm, got {values.real.min():.3g}: "
+                "take shorter steps or fewer observables"
+            )
+        whole = np.eye(len(self.offset) + self.B.shape[1] + 1)
+        whole[: len(self.offset)] = _scaled(self)
+        return Generator(**_parts(self, np.real(logm(whole)) / self.step_s))
+
+
+@dataclass(frozen=True)
+class Generator(LiftedMap):
+    """The rate of the observables: dφ/dt = A φ + B u + offset."""
+
+    def discrete(self, step_s: float) -> Operator:
+        """The operator over a step [s] with inputs held: the exponential of [A B c; 0 0 0; 0 0 0] (Van Loan 1978)."""
+        from scipy.linalg import expm
+
+        require_positive("step_s", step_s, "use the time between samples, such as 0.001")
+        whole = np.zeros((len(self.offset) + self.B.shape[1] + 1,) * 2)
+        whole[: len(self.offset)] = _scaled(self)
+        return Operator(**_parts(self, expm(step_s * whole)), step_s=step_s)
+
+
+def _scaled(lifted: LiftedMap) -> Array:
+    """[A B c] of the observables and inputs in units of their deviations, shape (D, D + m + 1)."""
+    rows = lifted.scale[:, None]
+    return np.hstack(
+        (lifted.A / rows * lifted.scale, lifted.B / rows * lifted.input_scale, lifted.offset[:, None] / rows)
+    )
+
+
+def _parts(lifted: LiftedMap, whole: Array) -> dict[str, Any]:
+    """Fields of a map that takes scaled [φ u 1] to `whole` times it."""
+    count = len(lifted.offset)
+    kept = {name: getattr(lifted, name) for name in LiftedMap.__dataclass_fields__}
+    return kept | {
+        "A": whole[:count, :count] * lifted.scale[:, None] / lifted.scale,
+        "B": whole[:count, count:-1] * lifted.scale[:, None] / lifted.input_scale,
+        "offset": whole[:count, -1] * lifted.scale,
+    }

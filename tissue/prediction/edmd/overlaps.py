@@ -1,0 +1,90 @@
+"""Observables that tell how deep a contact is, now and some steps ahead."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from tissue.prediction.edmd.dictionary import Dictionary
+
+__all__ = ["Overlaps"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Overlaps(Dictionary):
+    """max(0, -g) of the gap g = normal · x + distance that a steady speed leads to after each of `leads` steps.
+
+    The speed is the way of the last `span` steps over these, long enough to see past the steps of an encoder. A
+    unilateral spring met at a steady speed is linear in these observables before it is touched, which no combination
+    of earlier positions and forces is. One product with a matrix gives all of them.
+
+    Parameters
+    ----------
+    normal
+        Weights of the state's first entries in the gap, in the gap's unit over theirs.
+    distance
+        Gap at the state zero.
+    leads
+        Steps ahead.
+    span, width
+        Steps over which the speed is taken, at most the delays; entries of a state without its delays.
+
+    Raises
+    ------
+    InputError
+        If the normal is zero or not finite, or span or width cannot be used.
+    """
+
+    normal: tuple[float, ...]
+    distance: float
+    leads: tuple[float, ...]
+    span: int
+    width: int
+
+    def __post_init__(self) -> None:
+        numbers = np.array([*self.normal, self.distance, *self.leads], dtype=np.float64)
+        if not np.isfinite(numbers).all() or not any(self.normal):
+            raise InputError(f"normal must be finite and not zero, got {self.normal}: weigh the position, as (0, 0, 1)")
+        if not (self.span >= 1 and self.width >= len(self.normal)):
+            raise InputError(
+                f"span and width must be at least 1 and {len(self.normal)}, got {self.span} and {self.width}: use the "
+                "number of delays and of entries of a state"
+            )
+
+    def extra_size(self, state_size: int) -> int:
+        """Number of leads.
+
+        Raises
+        ------
+        InputError
+            If the window is shorter than the span.
+        """
+        if state_size < (self.span + 1) * self.width:
+            raise InputError(f"span must be at most the delays, got {self.span}: take more delays or a shorter span")
+        return len(self.leads)
+
+    def extra(self, states: Array) -> Array:
+        """The overlaps, shape (..., leads)."""
+        return np.maximum(0.0, -self.gaps(states))
+
+    def extra_rates(self, states: Array, rates: Array) -> Array:
+        """Their time derivatives; at the switch, that of the open gap."""
+        return np.where(self.gaps(states) < 0.0, -(rates[..., : len(self._weights)] @ self._weights), 0.0)
+
+    def gaps(self, states: Array) -> Array:
+        """The gap after each lead, shape (..., leads)."""
+        return np.asarray(states[..., : len(self._weights)] @ self._weights + self.distance)
+
+    @cached_property
+    def _weights(self) -> Array:
+        """Gap over window, shape ((span + 1) width, leads)."""
+        weights = np.zeros(((self.span + 1) * self.width, len(self.leads)))
+        share = np.array(self.leads) / self.span
+        for entry, weight in enumerate(self.normal):
+            weights[entry] = weight * (1.0 + share)
+            weights[self.span * self.width + entry] = -weight * share
+        return weights

@@ -1,0 +1,167 @@
+"""Operators in a file: arrays and one line of JSON in an npz archive, nothing that could run."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+from zipfile import is_zipfile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import DamagedFileError, InputError
+from meshes.base.file_version import package_version, require_version
+from meshes.base.whole_file import whole_file
+from tissue.prediction.edmd.dictionary import from_plain, to_plain
+from tissue.prediction.edmd.lifted import FitStatistics, Operator
+from tissue.prediction.edmd.training_range import TrainingRange
+
+__all__ = ["VERSION", "StoredPredictor", "read_predictor", "write_predictor"]
+
+Array = NDArray[np.float64]
+FORMAT, VERSION = "tissue predictor", 1
+ARRAYS = ("A", "B", "offset", "middle", "scale", "input_middle", "input_scale", "moments")
+RANGE = ("lowest", "highest", "middle", "whitening", "input_lowest", "input_highest")
+"""Arrays of an operator and of its training range."""
+
+
+@dataclass(frozen=True)
+class StoredPredictor:
+    """What a predictor file holds.
+
+    Attributes
+    ----------
+    scene
+        Name of the scene that it was trained on.
+    operators
+        Operators by name.
+    header
+        Further numbers and names, as they were given.
+    arrays
+        Further arrays, as they were given.
+    """
+
+    scene: str
+    operators: dict[str, Operator]
+    header: dict[str, Any]
+    arrays: dict[str, Array]
+
+
+def write_predictor(
+    path: str | Path,
+    operators: Mapping[str, Operator],
+    *,
+    scene: str,
+    header: Mapping[str, Any],
+    arrays: Mapping[str, Array] | None = None,
+    replace: bool = False,
+) -> Path:
+    """Write operators, and what else belongs to them, to one file; it appears whole or not at all.
+
+    Parameters
+    ----------
+    path
+        File to write, its folder existing.
+    operators
+        Operators by name, such as one for each contact mode.
+    scene
+        Name of the scene that they were trained on.
+    header
+        Whatever JSON can hold: horizons, gains, validation errors.
+    arrays
+        Further arrays of numbers by name.
+    replace
+        Whether a file that is there may be written over.
+
+    Raises
+    ------
+    InputError
+        If the file is there and may not be replaced, its folder is missing, or the header is not JSON.
+    """
+    path = Path(path)
+    if path.exists() and not replace:
+        raise InputError(f"file must not exist yet, got {path}: choose another name, or replace it knowingly")
+    if not path.parent.is_dir():
+        raise InputError(f"file must lie in a folder that exists, got {path}: create {path.parent}")
+    stored: dict[str, Array] = {f"further.{name}": np.asarray(each, float) for name, each in (arrays or {}).items()}
+    described = {}
+    for name, operator in operators.items():
+        plain = {field.name: getattr(operator.statistics, field.name) for field in fields(FitStatistics)}
+        plain["residual_rms"] = plain["residual_rms"].tolist()
+        described[name] = {
+            "dictionary": to_plain(operator.dictionary),
+            "step_s": operator.step_s,
+            "farthest": operator.training.farthest,
+            "statistics": plain,
+        }
+        stored |= {f"{name}.{each}": getattr(operator, each) for each in ARRAYS}
+        stored |= {f"{name}.training.{each}": getattr(operator.training, each) for each in RANGE}
+    whole = {"format": FORMAT, "version": VERSION, "tissue": package_version(), "scene": scene}
+    whole |= {"operators": described, "header": dict(header)}
+    try:
+        line = json.dumps(whole, allow_nan=False)
+    except (TypeError, ValueError) as problem:
+        raise InputError(f"header must hold what JSON can, got {problem}: use numbers, names and lists") from None
+    with whole_file(path) as beside, beside.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, json=np.array(line), **stored)
+    return path
+
+
+def read_predictor(path: str | Path, *, scene: str | None = None) -> StoredPredictor:
+    """Read what `write_predictor` wrote; nothing in the file is ever run.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, damaged, of another version, or of another scene than the given one.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"predictor file must be an existing file, got {path}: train it with 'tissue train'")
+    again = f"train it again with 'tissue train {scene or 'SCENE'}'"
+    if not is_zipfile(path):  # NumPy would take it for a pickle, and say how to load one
+        raise InputError(f"predictor file must be whole and one that 'tissue train' wrote, got {path}: {again}")
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            whole = json.loads(str(archive["json"]))
+            if not isinstance(whole, dict) or whole.get("format") != FORMAT:
+                raise InputError(f"predictor file must be one that 'tissue train' wrote, got {path}: {again}")
+            require_version("predictor file", whole, VERSION, key="version", where=path, remedy=again)
+            if scene is not None and whole["scene"] != scene:
+                raise InputError(f"predictor file must be of scene {scene}, got {whole['scene']} in {path}: {again}")
+            arrays = {name: archive[name] for name in archive.files if name != "json"}
+        operators = {name: _operator(name, each, arrays) for name, each in whole["operators"].items()}
+    except InputError:
+        raise
+    except Exception as problem:  # a damaged archive raises many kinds, zlib's own among them
+        found = problem if isinstance(problem, DamagedFileError) else "it is damaged"
+        raise InputError(f"predictor file must be whole, got {path} ({found}): {again}") from problem
+    further = {name.removeprefix("further."): each for name, each in arrays.items() if name.startswith("further.")}
+    return StoredPredictor(whole["scene"], operators, whole["header"], further)
+
+
+def _operator(name: str, plain: Mapping[str, Any], arrays: Mapping[str, Array]) -> Operator:
+    """One operator, its shapes and numbers checked."""
+    for key, each in arrays.items():
+        if each.dtype != np.float64 or not np.isfinite(each).all():
+            raise DamagedFileError(f"{key} is not finite")
+    given = {key: arrays[f"{name}.{key}"] for key in ARRAYS}
+    dictionary = from_plain(plain["dictionary"])
+    edges = {key: arrays[f"{name}.training.{key}"] for key in RANGE}
+    state, inputs = len(edges["lowest"]), len(edges["input_lowest"])
+    count = dictionary.size(state)
+    shapes = {"A": (count, count), "B": (count, inputs), "offset": (count,), "middle": (count,), "scale": (count,)}
+    shapes |= {"input_middle": (inputs,), "input_scale": (inputs,)}
+    for key, shape in shapes.items():
+        if given[key].shape != shape:
+            raise DamagedFileError(f"{name}.{key} has shape {given[key].shape} instead of {shape}")
+    statistics = dict(plain["statistics"])
+    statistics["residual_rms"] = np.array(statistics["residual_rms"])
+    return Operator(
+        dictionary=dictionary,
+        **given,
+        training=TrainingRange(**edges, farthest=float(plain["farthest"])),
+        statistics=FitStatistics(**statistics),
+        step_s=float(plain["step_s"]),
+    )

@@ -1,0 +1,1 @@
+"""Scenes: the validated description of what to simulate, read from TOML."""

@@ -1,0 +1,72 @@
+"""What a scene says of the device in a person's hand, and of the wall that shows what the device can do."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from meshes.base.errors import InputError
+from tissue.scene.anatomy import Part
+
+__all__ = [
+    "Coupling", "DeviceName", "Fidelity", "HandName", "PerceptionName", "PredictionName", "RendererName", "WallAnatomy",
+]  # fmt: skip
+
+DeviceName = Literal["none", "touch", "omni", "six-dof"]
+HandName = Literal["novice", "intermediate", "expert"]
+RendererName = Literal["penalty", "passivity", "proxy"]
+PredictionName = Literal["none", "hold", "linear", "kalman", "dmdc", "koopman"]
+PerceptionName = Annotated[
+    str,
+    Field(
+        pattern=r"^(none|population|observer:.+)$", examples=["population"], title="none, population or observer:FILE"
+    ),
+]
+
+
+class Coupling(Part):
+    """How a device is coupled to the tool."""
+
+    stiffness_N_m: float | None = Field(None, ge=1, le=1e5, examples=[400.0])
+    """Stiffness at the device; without it half the critical one in that hand, at most the device's published limit."""
+    stiffness_Nm_rad: float | None = Field(None, ge=0.06, le=1000, examples=[0.3])
+    """The same for rotation, with a device that plays torque."""
+    damping_N_s_m: float = Field(0.0, ge=0, le=1000)
+    """Damping at the device."""
+    force_scale: float | None = Field(None, ge=1e-4, le=100, examples=[0.1])
+    """Newtons at the device for each newton at the tool; without it 0.03 in bone, 0.1 in a tooth and 1 elsewhere."""
+    motion_scale: float = Field(1.0, ge=0.01, le=100)
+    """Metres at the tool for each metre at the device, both from where the motion starts; angles stay."""
+    delay_ms: int = Field(0, ge=0, le=200)
+    """Latency added on the way to the device, in whole ticks."""
+    model_ms: int = Field(1, ge=1, le=100)
+    """Time for which one answer of the tissue holds, in whole ticks; 10 is a model at 100 Hz."""
+    prediction_gain: float = Field(1.0, ge=0, le=2)
+    """C of F + C (F_ahead - F): 0 plays the present force, 1 the one that is predicted."""
+    predictor_file: str = ""
+    """Trained predictor, as `tissue train` writes it; empty for the scene's own."""
+    roam_mm: float | None = Field(None, ge=0, le=100, examples=[8.0])
+    """How far beside the scripted motion tissue is made ready for the tool; without it 2 mm on an organ, else none."""
+
+
+class Fidelity(Part):
+    """What a run shall be worth at least; the cheapest setting of this machine that meets it is taken."""
+
+    force_error: float | None = Field(None, gt=0, le=1, examples=[0.03])
+    """Greatest error of the force, as a share of the converged, undelayed one."""
+    tick_ms: float | None = Field(None, gt=0, le=100, examples=[0.7])
+    """Time within which 99 % of the ticks shall end."""
+
+    @model_validator(mode="after")
+    def _asks_for_something(self) -> "Fidelity":
+        if self.force_error is None and self.tick_ms is None:
+            raise InputError("fidelity must ask for something, got nothing: use force_error = 0.03 or tick_ms = 0.7")
+        return self
+
+
+class WallAnatomy(Part):
+    """A stiff wall with its face at z = 0, for a ball to be pushed against."""
+
+    kind: Literal["wall"] = "wall"
+    """A wall."""
+    stiffness_kN_m: float = Field(10.0, ge=1, le=40)
+    """Stiffness of the wall, without friction or damping."""

@@ -1,0 +1,222 @@
+"""Read a scene from a built-in name or a TOML file, with overrides, or say in one sentence what is wrong."""
+
+import tomllib
+from collections.abc import Mapping
+from copy import deepcopy
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from meshes.base.errors import InputError
+from meshes.base.file_version import package_version, require_version
+from tissue.scene.messages import nearest, require_used, sentence
+from tissue.scene.scene import Scene
+from tissue.scene.unused_keys import refused_keys
+
+__all__ = ["changed", "load_scene", "parse_override", "saved_text", "scene_names", "scene_text"]
+
+FORMAT = 1
+"""Version of a scene's file; one that says none is of the first."""
+KEPT = {"description", "seed", "voxels", "output", "device", "hand", "renderer"}
+"""What every scene that a run kept held before its file said who wrote it: every default."""
+
+
+def scene_names() -> list[str]:
+    """Names of the built-in scenes."""
+    return sorted(entry.name[:-5] for entry in files("tissue.scene.library").iterdir() if entry.name.endswith(".toml"))
+
+
+def scene_text(name: str) -> str:
+    """TOML of a built-in scene.
+
+    Raises
+    ------
+    InputError
+        If there is no such scene.
+    """
+    if name not in scene_names():
+        raise InputError(
+            f"scene must be a built-in name ({', '.join(scene_names())}) or a TOML file, got {name}"
+            f"{nearest(name, scene_names())}: list them with `tissue scenes`"
+        )
+    return files("tissue.scene.library").joinpath(f"{name}.toml").read_text("utf-8")
+
+
+def load_scene(source: str | Path, overrides: Mapping[str, Any] | None = None, *, live: bool = False) -> Scene:
+    """Load and validate a scene.
+
+    Parameters
+    ----------
+    source
+        Name of a built-in scene or path of a TOML file.
+    overrides
+        Values by dotted key, such as ``{"voxels.spacing_mm": 0.2}``. What one of them makes of no effect is left out.
+    live
+        Whether a mouse will stand for the device of a scene without one.
+
+    Raises
+    ------
+    InputError
+        If a key has no effect in the scene, or the scene is unknown, unreadable or invalid: one sentence that says what
+        to change.
+    """
+    path = Path(source)
+    if path.suffix == ".toml":
+        text, folder = _read(path), path.parent
+    else:
+        text, folder = scene_text(str(source)), Path.cwd()
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        said = f"{error}"
+        raise InputError(
+            f"scene must be valid TOML, got {said[:1].lower()}{said[1:]} in {path}: mend it there"
+        ) from None
+    kept = "tissue" in table or ("format" not in table and table.keys() >= KEPT)
+    written = {"format": 1} | {name: table.pop(name) for name in ("format", "tissue") if name in table}
+    require_version("scene", written, FORMAT, where=path, remedy="leave format out")
+    if kept:
+        table = _without_defaults(table)
+    for part, name in (("anatomy", "file"), ("motion", "file"), ("tool", "file"), ("coupling", "predictor_file")):
+        inner = table.get(part)
+        if isinstance(inner, dict) and isinstance(inner.get(name), str) and inner[name]:
+            inner[name] = str((folder / inner[name]).resolve())
+    if isinstance(person := table.get("perception"), str) and person.startswith("observer:"):
+        table["perception"] = f"observer:{(folder / person.removeprefix('observer:')).resolve()}"
+    scene = _replaced(table, overrides or {})
+    require_used(scene.model_copy(update={"device": "touch"}) if live and scene.device == "none" else scene)
+    return scene.with_files_at(Path.cwd())
+
+
+def saved_text(scene: Scene) -> str:
+    """TOML of a scene as a run keeps it, with the versions of its format and of tissue."""
+    return f'format = {FORMAT}\ntissue = "{package_version()}"\n{scene.to_toml()}'
+
+
+def changed(scene: Scene, overrides: Mapping[str, Any]) -> Scene:
+    """A scene with other values by dotted key; None takes an entry back to its default.
+
+    Raises
+    ------
+    InputError
+        If the changed scene is invalid.
+    """
+    return _replaced(scene.model_dump(exclude_unset=True), overrides)
+
+
+def _replaced(table: dict[str, Any], overrides: Mapping[str, Any]) -> Scene:
+    """The scene of a table with other values by dotted key, without what only they make of no effect.
+
+    A file's own key that has no effect even without them stays, and so does one of theirs: both are faults.
+    """
+    faults = _own_faults(table) if overrides else None
+    placed = deepcopy(table)
+    # A new kind starts its part afresh, so kinds go first, in whatever order they were given.
+    for key, value in sorted(overrides.items(), key=lambda item: not item[0].endswith(".kind")):
+        _place(placed, key, value)
+    scene = _validated(_without_nothing(placed))
+    if faults is None:
+        return scene
+    for key in set(refused_keys(scene)) - faults:
+        if not any(key == asked or key.startswith(f"{asked}.") for asked in overrides):
+            _drop(placed, key)
+    return _validated(_without_nothing(placed))
+
+
+def _own_faults(table: Mapping[str, Any]) -> set[str] | None:
+    """Keys of a table by itself that have no effect; None where it is no scene yet, so that nothing is known."""
+    try:
+        return set(refused_keys(_validated(_without_nothing(table))))
+    except InputError:
+        return None
+
+
+def _drop(table: dict[str, Any], key: str) -> None:
+    """Take a dotted key out of nested tables."""
+    part, _, name = key.partition(".")
+    if name and isinstance(table.get(part), dict):
+        table[part].pop(name, None)
+    else:
+        table.pop(part, None)
+
+
+def _without_defaults(table: dict[str, Any]) -> dict[str, Any]:
+    """A scene's table without entries at their defaults: a run keeps all, but nobody asked for those without effect."""
+    try:
+        scene = _validated(table)
+    except InputError:
+        return table  # its fault is told when the scene is made
+    return _chosen_entries(table, scene)
+
+
+def _chosen_entries(table: Mapping[str, Any], model: BaseModel) -> dict[str, Any]:
+    """Entries of a part other than its defaults, and its kind."""
+    found = {}
+    for name, entry in table.items():
+        value = getattr(model, name)
+        if isinstance(value, BaseModel):
+            found[name] = _chosen_entries(entry, value)
+        elif name == "kind" or value != type(model).model_fields[name].default:
+            found[name] = entry
+    return found
+
+
+def _without_nothing(table: Mapping[str, Any]) -> dict[str, Any]:
+    """A table without entries that are None."""
+    inner = {k: _without_nothing(v) if isinstance(v, dict) else v for k, v in table.items()}
+    return {k: v for k, v in inner.items() if v is not None}
+
+
+def _read(path: Path) -> str:
+    """Text of a scene file."""
+    if not path.is_file():
+        raise InputError(f"scene must be an existing file, got {path}: check the path or list `tissue scenes`")
+    try:
+        return path.read_text("utf-8")
+    except UnicodeDecodeError:
+        raise InputError(f"scene must be TOML in UTF-8, got other bytes in {path}: save it as text") from None
+    except OSError as error:
+        said = (error.strerror or "an error").lower()
+        raise InputError(f"scene must be readable, got {said} at {path}: check who may read it") from None
+
+
+def parse_override(text: str, *, option: str = "--set", example: str = "voxels.spacing_mm=0.2") -> tuple[str, Any]:
+    """Key and value of ``key=value``, as an option is given it; the value is TOML, or a string where it is not.
+
+    Raises
+    ------
+    InputError
+        If there is no ``=``.
+    """
+    key, sign, value = text.partition("=")
+    if not sign or not key:
+        raise InputError(f"{option} must be key=value, got {text}: use for example {example}")
+    try:
+        return key.strip(), tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return key.strip(), value
+
+
+def _place(table: dict[str, Any], key: str, value: Any) -> None:
+    """Set a dotted key in nested tables; a new kind of a part starts that part afresh."""
+    *parents, last = key.split(".")
+    for parent in parents:
+        inner = table.setdefault(parent, {})
+        if not isinstance(inner, dict):
+            raise InputError(
+                f"{key} must name an entry of a part, got {parent}, which is a value: see `tissue scenes NAME`"
+            )
+        table = inner
+    if last == "kind" and table.get("kind", value) != value:
+        table.clear()
+    table[last] = value
+
+
+def _validated(table: Mapping[str, Any]) -> Scene:
+    """The scene a table describes, or an InputError for its first fault."""
+    try:
+        return Scene.model_validate(table)
+    except ValidationError as error:
+        raise InputError(sentence(error.errors(include_url=False)[0], table)) from None

@@ -1,0 +1,199 @@
+"""Faults of a scene, each in one sentence: key, requirement, value and remedy."""
+
+import difflib
+from collections.abc import Mapping
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from meshes.base.errors import InputError
+from tissue.scene.scene import Scene
+from tissue.scene.unused_keys import given_keys, refused_keys
+
+__all__ = ["nearest", "require_used", "sentence"]
+
+BOUNDS = (("gt", "greater than"), ("ge", "at least"), ("lt", "below"), ("le", "at most"))
+LONGEST = 120
+"""Characters of a value that a sentence repeats."""
+SEE = "see `tissue scenes NAME`"
+Table = Mapping[str, Any]
+
+
+def sentence(fault: Mapping[str, Any], table: Table) -> str:
+    """One sentence for a fault that pydantic found in a scene's table."""
+    path = _without_tags(fault["loc"], table)
+    names = tuple(str(step) for step in path[: next((i for i, s in enumerate(path) if isinstance(s, int)), len(path))])
+    key, kind, context = ".".join(map(shown, names)), str(fault["type"]), fault.get("ctx", {})
+    if kind == "value_error":
+        return str(context["error"])
+    if kind == "extra_forbidden":
+        known, word = list(_model_at(names[:-1], table).model_fields), names[-1]
+        return f"{key} must be one of {', '.join(known)}, got {shown(word)}{nearest(word, known)}: rename or remove it"
+    field = _model_at(names[:-1], table).model_fields[names[-1]]
+    if kind == "missing" and len(path) == len(names):
+        return f"{key} must be given, got nothing: {_addition(names, field)}"
+    if kind == "union_tag_not_found":
+        return f"{key}.kind must be given, got nothing: {SEE}"
+    if kind == "union_tag_invalid":
+        choices = [tag.strip("'") for tag in context["expected_tags"].split(", ")]
+        return _choice(
+            f"{key}.kind",
+            choices,
+            shown(context["tag"] if isinstance(context["tag"], str) else _value_at((*names, "kind"), table)),
+        )
+    got = fault["input"] if len(path) == len(names) else _value_at(names, table)
+    literals = [part for part in _alternatives(field.annotation) if get_origin(part) is Literal]
+    choices = [str(choice) for part in literals for choice in get_args(part)]
+    if choices:
+        return _choice(key, choices, shown(got))
+    return f"{key} must be {_requirement(field, kind, len(path) > len(names))}, got {_told(got)}: {_remedy(field)}"
+
+
+def require_used(scene: Scene) -> None:
+    """Refuse a scene with a key that has no effect in it.
+
+    Raises
+    ------
+    InputError
+        Names the key, or all that have none for the same reason, and what has an effect instead.
+    """
+    refused = refused_keys(scene)
+    if not refused:
+        return
+    values, why = dict(given_keys(scene)), next(iter(refused.values()))
+    keys = [key for key, each in refused.items() if each == why]
+    got = _got(values[keys[0]]) if len(keys) == 1 else ", ".join(f"{key} = {_got(values[key])}" for key in keys)
+    raise InputError(
+        f"{' and '.join(keys)} must be left out {why.where}, got {got}: {why.remedy}, or remove "
+        + ("it" if len(keys) == 1 else "them")
+    )
+
+
+def _got(value: Any) -> str:
+    return "a table" if isinstance(value, BaseModel) else shown(value)
+
+
+def nearest(word: str, known: list[str]) -> str:
+    """The known word that ``word`` may have been meant to be, in brackets, or nothing."""
+    close = difflib.get_close_matches(word, known, n=1)
+    return f" (did you mean {close[0]}?)" if close else ""
+
+
+def shown(value: Any) -> str:
+    """A value as a person would write it."""
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(shown(item) for item in value) + "]"
+    if isinstance(value, Mapping):
+        return "a table"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    text = "".join(each if each.isprintable() else repr(each)[1:-1] for each in str(value))
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}... ({len(text)} characters)"
+
+
+def _told(value: Any) -> str:
+    """A value that was refused, with the point or the quotes that may be what is wrong."""
+    if isinstance(value, float) and value.is_integer():
+        return repr(value)
+    return f'"{value}"' if isinstance(value, str) and value[:1].isdigit() else shown(value)
+
+
+def _choice(key: str, choices: list[str], got: str) -> str:
+    return f"{key} must be one of {', '.join(choices)}, got {got}{nearest(got, choices)}: choose one of these"
+
+
+def _requirement(field: FieldInfo, kind: str, inside: bool) -> str:
+    """What a field holds."""
+    part = _alternatives(field.annotation)[0]
+    bounds = _bounds(field.metadata)
+    if part in (int, float):
+        noun = "a whole number" if part is int else "a number" if kind != "finite_number" else "a finite number"
+        if kind in ("float_type", "int_type") or not bounds:
+            return f"{noun} {bounds}".strip()
+        return bounds
+    if part is bool:
+        return "true or false"
+    if part is str:
+        of = field.title or "lower-case letters, digits, - and _"
+        return of if kind == "string_pattern_mismatch" else "text"
+    if get_origin(part) is tuple:
+        item = get_args(part)[0]
+        if get_args(part)[-1] is Ellipsis:
+            return "a list of at least two points [x, y, z]"
+        limits = _bounds(getattr(item, "__metadata__", ()))
+        return f"three finite numbers [x, y, z]{', each ' if limits else ''}{limits}"
+    entries = [*_parts(field)[0].model_fields][:3]
+    return f"a table with entries such as {', '.join(entries)}"
+
+
+def _bounds(metadata: Any) -> str:
+    """Limits as words, from annotations."""
+    flat = [inner for each in metadata for inner in (each.metadata if isinstance(each, FieldInfo) else [each])]
+    words = [f"{word} {shown(getattr(m, name))}" for name, word in BOUNDS for m in flat if hasattr(m, name)]
+    return " and ".join(words)
+
+
+def _remedy(field: FieldInfo) -> str:
+    """A value that would do: the field's example or default."""
+    value = field.examples[0] if field.examples else field.default
+    if isinstance(value, str):
+        return f'use "{value}"' if value else "put it in quotes"
+    return f"use {shown(value)}" if isinstance(value, int | float | list | tuple) else SEE
+
+
+def _addition(names: tuple[str, ...], field: FieldInfo) -> str:
+    """How to give what is missing."""
+    if not field.examples:
+        return f"add [{'.'.join(names)}] with its entries, {SEE}" if _parts(field) else f"add {names[-1]}, {SEE}"
+    example = field.examples[0]
+    return f"add {names[-1]} = " + (f'"{example}"' if isinstance(example, str) else shown(example))
+
+
+def _model_at(names: tuple[str, ...], table: Table) -> type[BaseModel]:
+    """The part of a scene that holds the keys under ``names``."""
+    model: type[BaseModel] = Scene
+    for name in names:
+        parts, table = _parts(model.model_fields[name]), _inner(table, name)
+        kinds = {kind: p for p in parts if "kind" in p.model_fields for kind in _kinds(p)}
+        model = kinds.get(str(table.get("kind")), parts[0])
+    return model
+
+
+def _kinds(part: type[BaseModel]) -> tuple[str, ...]:
+    """Names of the kinds that a part describes."""
+    return get_args(part.model_fields["kind"].annotation)
+
+
+def _parts(field: FieldInfo) -> list[type[BaseModel]]:
+    """The parts that a field may hold; none for a value."""
+    return [p for p in _alternatives(field.annotation) if isinstance(p, type) and issubclass(p, BaseModel)]
+
+
+def _alternatives(annotation: Any) -> list[Any]:
+    """Types that an annotation allows, beside nothing."""
+    if get_origin(annotation) is Annotated:
+        return _alternatives(get_args(annotation)[0])
+    if get_origin(annotation) in (Union, UnionType):
+        return [part for each in get_args(annotation) if each is not type(None) for part in _alternatives(each)]
+    return [annotation]
+
+
+def _inner(table: Table, name: str) -> Table:
+    inner = table.get(name, {})
+    return inner if isinstance(inner, Mapping) else {}
+
+
+def _value_at(names: tuple[str, ...], table: Table) -> Any:
+    for name in names[:-1]:
+        table = _inner(table, name)
+    return table.get(names[-1])
+
+
+def _without_tags(location: tuple[Any, ...], table: Table) -> list[Any]:
+    """A fault's location without the name of the kind that pydantic adds after a part."""
+    tagged = len(location) > 1 and _inner(table, str(location[0])).get("kind") == location[1]
+    return [location[0], *location[2:]] if tagged else list(location)

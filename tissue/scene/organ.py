@@ -1,0 +1,109 @@
+"""What a scene says of a soft organ: its shape, what holds it, and what it is made of."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, Strict
+
+from tissue.scene.anatomy import Length_mm, Part, Vector
+
+__all__ = ["LayersAnatomy", "LiverAnatomy", "Organ", "SlabAnatomy", "SoftAnatomy"]
+
+
+class SoftAnatomy(Part):
+    """What every meshed organ has."""
+
+    edge_mm: float = Field(20.0, ge=1, le=50)
+    """Edge of a tetrahedron away from the tool."""
+    touch_edge_mm: float | None = Field(None, ge=0.2, le=50, examples=[4.0])
+    """Longest edge where the tool goes; without it a quarter of the probe's diameter."""
+    nodule_diameter_mm: float = Field(0.0, ge=0, le=60)
+    """Diameter of a stiff ball in the tissue; 0 has none."""
+    nodule_centre_mm: Vector = (0.0, 0.0, -15.0)
+    """Its centre in the site's frame."""
+
+
+class LiverAnatomy(SoftAnatomy):
+    """A liver. Origin on top of the right lobe, z to the head, x to the patient's left.
+
+    Of a file the origin is the surface point nearest to `centre_mm`, else the highest along `normal`.
+    """
+
+    kind: Literal["liver"] = "liver"
+    """A liver, or the organ in `file`."""
+    file: str | None = Field(None, examples=["liver.vtu"])
+    """Tetrahedra (.vtk .vtu .msh .mesh) or a closed surface (.stl .obj .ply .vtk .vtp), which is meshed."""
+    scale_mm: float | None = Field(None, gt=0, le=1e5, examples=[1.0])
+    """Millimetres per unit of the file."""
+    centre_mm: Vector | None = Field(None, examples=[(0.0, 0.0, 50.0)])
+    """Where the tool comes in, in the file's frame; the nearest point of the surface becomes the origin."""
+    normal: Vector = (0.0, 0.0, 1.0)
+    """Direction in the file's frame that points up to the tool."""
+    along: Vector | None = Field(None, examples=[(1.0, 0.0, 0.0)])
+    """Direction in the file's frame that becomes x, as far as it lies across the normal."""
+    held: Literal["below", "back", "plane", "part"] = "below"
+    """What holds it: the surface it rests on, its back, all below `held_below_mm`, or the part `held_part`."""
+    held_below_mm: float = Field(-80.0, ge=-1000, le=0)
+    """Height below which the surface is held by `held = "plane"`."""
+    held_part: str | None = Field(None, examples=["ligament"])
+    """Part of the file, by its name or number, that is held by `held = "part"`."""
+
+
+class SlabAnatomy(SoftAnatomy):
+    """A block of soft tissue with its top face at z = 0, bonded to the floor: a phantom for palpation."""
+
+    kind: Literal["slab"] = "slab"
+    """A slab."""
+    size_mm: Annotated[tuple[Length_mm, Length_mm, Length_mm], Strict(False)] = (120.0, 80.0, 40.0)
+    """Edge lengths along x, y and z."""
+    edge_mm: float = Field(8.0, ge=0.5, le=20)
+    """Edge of a tetrahedron at the top, away from the tool; they grow downwards."""
+
+
+class LayersAnatomy(Part):
+    """What a needle meets: a capsule at z = 0, the tissue under it and, where given, the wall of a vessel."""
+
+    kind: Literal["layers"] = "layers"
+    """Layers, one below the other."""
+    vessel_wall_depth_mm: float | None = Field(None, gt=0, le=200, examples=[40.0])
+    """Depth of a vessel's wall; without it there is none."""
+    interval_ms: float = Field(100.0, ge=0, le=10_000)
+    """Time between two frames of displacement, strain and stress around the needle; 0 computes none."""
+
+
+class Organ(Part):
+    """What a soft organ is made of, and how it is solved."""
+
+    material: Literal["liver", "kidney"] = "liver"
+    """Tissue whose cited constants are used where nothing else is said."""
+    young_kPa: float | None = Field(None, ge=0.1, le=1e5, examples=[5.4])
+    """Young's modulus; without it the cited one."""
+    young_end_kPa: float | None = Field(None, ge=0.1, le=1e5, examples=[50.0])
+    """Young's modulus at the greatest x; between, it is graded from `young_kPa` at the least x."""
+    grading_exponent: float = Field(1.0, ge=0.2, le=5)
+    """Power of the way from one end to the other by which it is graded; 1 is linear."""
+    nodule_kPa: float | None = Field(None, ge=0.1, le=1e5, examples=[50.0])
+    """Young's modulus of the nodule; without it 50 kPa."""
+    nodule_part: str | None = Field(None, examples=["tumour"])
+    """Part of a file that is the nodule, by its name or number; without it the one named nodule."""
+    poisson_ratio: float | None = Field(None, gt=-1, lt=0.5, examples=[0.45])
+    """Poisson's ratio; without it the cited one."""
+    fibre_direction: Vector | None = Field(None, examples=[(1.0, 0.0, 0.0)])
+    """Direction of fibres; with it the tissue is transversely isotropic."""
+    fibre_modulus_ratio: float = Field(1.0, ge=0.1, le=10)
+    """Young's modulus along the fibres over that across them."""
+    capsule: bool = False
+    """Whether a capsule of the cited thickness and modulus lies on the surface."""
+    gravity: bool = False
+    """Whether the organ hangs in its own weight, along -z."""
+    viscous: bool = False
+    """Whether it relaxes by the cited Prony series."""
+    friction: float = Field(0.3, ge=0, le=2)
+    """Coulomb friction between tool and organ."""
+    order: Literal[1, 2] = 2
+    """Order of the tetrahedra: linear ones lock near incompressibility, quadratic ones take longer to set up."""
+    path: Literal["condensed", "lazy", "reduced"] = "condensed"
+    """How the compliance at 1 kHz is had: whole, column by column where the tool is, or from a reduced basis."""
+    basis_size: int = Field(300, ge=10, le=3000)
+    """Vectors of a reduced basis."""
+    interval_ms: float = Field(100.0, ge=0, le=10_000)
+    """Time between two frames of displacement, strain and stress; 0 computes none."""

@@ -1,0 +1,221 @@
+"""Scenes: frozen, validated descriptions of what to simulate.
+
+A scene is a TOML file. Every quantity carries its unit in its name; anything unknown, missing, out of range or not
+finite is refused with one sentence that names the key, the value, the requirement and a remedy.
+"""
+
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import Field, model_validator
+
+from meshes.base.errors import InputError
+from tissue.scene.anatomy import AnatomyFile, BlockAnatomy, GlenoidAnatomy, MolarAnatomy, Part
+from tissue.scene.coupling import (
+    Coupling,
+    DeviceName,
+    Fidelity,
+    HandName,
+    PerceptionName,
+    PredictionName,
+    RendererName,
+    WallAnatomy,
+)
+from tissue.scene.organ import LayersAnatomy, LiverAnatomy, Organ, SlabAnatomy
+from tissue.scene.tool import Needle, PathMotion, Probe, ReplayMotion, ThrustMotion, Tool
+from tissue.scene.unused_keys import unused_keys
+
+__all__ = ["Cutting", "Output", "Scene", "Stress", "Voxels"]
+
+
+class Voxels(Part):
+    """How the bone is divided and removed."""
+
+    spacing_mm: float = Field(0.1, gt=0, le=2, examples=[0.1])
+    """Edge of a voxel."""
+    removal: Literal["subvoxel", "binary"] = "subvoxel"
+    """Whether a voxel loses the part inside the tool, or all of itself once its centre is inside."""
+    margin_mm: float = Field(3.0, ge=0.5, le=50)
+    """Bone kept around what the tool can reach."""
+
+
+class Cutting(Part):
+    """Changes to the cited cutting coefficients of bone; empty entries keep the cited value."""
+
+    tangential_chip_N_mm2: float | None = Field(None, ge=0, le=5000, examples=[150.0])
+    """Chip force along the cutting speed, per area of the chip's section."""
+    radial_chip_N_mm2: float | None = Field(None, ge=0, le=5000, examples=[60.0])
+    """Chip force normal to the tool's surface, per area of the chip's section."""
+    axial_chip_N_mm2: float | None = Field(None, ge=0, le=5000, examples=[0.0])
+    """Chip force along the edge, per area of the chip's section."""
+    tangential_edge_N_mm: float | None = Field(None, ge=0, le=500, examples=[5.0])
+    """Edge force along the cutting speed, per length of the edge."""
+    radial_edge_N_mm: float | None = Field(None, ge=0, le=500, examples=[4.0])
+    """Edge force normal to the tool's surface, per length of the edge."""
+    axial_edge_N_mm: float | None = Field(None, ge=0, le=500, examples=[0.0])
+    """Edge force along the edge, per length of it."""
+    density_exponent: float | None = Field(None, ge=0, le=5, examples=[1.5])
+    """Power of the density over its reference that scales all coefficients."""
+
+
+class Output(Part):
+    """What is made of the model's force before it is commanded to a device."""
+
+    low_pass_ms: float = Field(1.0, ge=0, le=1000)
+    """Time constant of the low-pass y += (1 - exp(-T/a)) (u - y); 0 passes the model's force on."""
+    vibration_share: float = Field(0.0, ge=0, le=1)
+    """Amplitude of the teeth's vibration relative to the average force, rendered at 250 Hz at most."""
+
+
+class Stress(Part):
+    """Displacement and stress of a tooth by particle finite elements; a scene without it builds none."""
+
+    cell_mm: float = Field(0.5, ge=0.2, le=1.5)
+    """Edge of a cell; its half, the particles' spacing, must be a whole multiple of voxels.spacing_mm."""
+    interval_ms: float = Field(100.0, ge=10, le=10_000)
+    """Time between two solves; the stress belongs to a state at most this old."""
+
+
+AnyAnatomy = Annotated[
+    GlenoidAnatomy | BlockAnatomy | MolarAnatomy | LiverAnatomy | SlabAnatomy | LayersAnatomy | WallAnatomy,
+    Field(discriminator="kind"),
+]
+AnyTool = Annotated[Tool | Probe | Needle, Field(discriminator="kind")]
+AnyMotion = Annotated[PathMotion | ThrustMotion | ReplayMotion, Field(discriminator="kind")]
+
+
+TOOLS: dict[str, type[Part]] = {
+    **dict.fromkeys(("glenoid", "block", "molar"), Tool),
+    **dict.fromkeys(("liver", "slab", "wall"), Probe),
+    "layers": Needle,
+}
+"""What meets each kind of anatomy."""
+FORCE_SCALES = {"glenoid": 0.03, "block": 0.03, "molar": 0.1}
+"""Newtons at the device for each one at the tool where a scene says nothing: what keeps cutting within its range."""
+
+
+class Scene(Part):
+    """Everything one simulation needs; equal scenes give equal traces."""
+
+    name: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", examples=["glenoid-2"])
+    """Name of the scene and of the folder under runs/; lower-case letters, digits, - and _."""
+    description: str = ""
+    """What it models, in a line."""
+    seed: int = Field(0, ge=0, lt=2**63)
+    """Seed of every random draw."""
+    duration_s: float | None = Field(None, ge=1e-3, le=3600, examples=[5.0])
+    """Simulated time; without it as long as the motion lasts. One that holds the whole motion waits for a late hand."""
+    anatomy: AnyAnatomy
+    """What the tool meets."""
+    voxels: Voxels = Voxels()
+    """How the bone is divided and removed."""
+    tool: AnyTool
+    """What meets it."""
+    motion: AnyMotion
+    """How the tool moves."""
+    cutting: Cutting = Cutting()
+    """Changes to the cutting coefficients."""
+    output: Output = Output()
+    """What becomes of the force."""
+    device: DeviceName = "none"
+    """Device by which a hand moves the tool; none lets the motion move it."""
+    hand: HandName = "expert"
+    """Whose hand holds the device."""
+    renderer: RendererName = "proxy"
+    """Law by which the device plays what the tool meets."""
+    prediction: PredictionName = "none"
+    """What tells the device's force ahead of latency and slow models."""
+    perception: PerceptionName = "none"
+    """For whom the device's force is scaled: none, population, or observer:FILE, as `tissue calibrate` writes it."""
+    coupling: Coupling = Coupling()
+    """How the device is coupled to the tool."""
+    stress: Stress | None = None
+    """Whether and how finely displacement and stress are computed."""
+    heat: bool = False
+    """Whether the temperature of a tooth and its pulp is computed."""
+    organ: Organ = Organ()
+    """What a soft organ is made of, and how it is solved."""
+
+    fidelity: Fidelity | None = None
+    """What the run shall be worth; its settings are then chosen by what was measured on this machine."""
+
+    @property
+    def bone(self) -> AnatomyFile:
+        """The anatomy of a scene in which a tool cuts."""
+        assert isinstance(self.anatomy, AnatomyFile), self.anatomy.kind
+        return self.anatomy
+
+    @property
+    def force_scale(self) -> float:
+        """Newtons at the device for each newton at the tool."""
+        given = self.coupling.force_scale
+        return FORCE_SCALES.get(self.anatomy.kind, 1.0) if given is None else given
+
+    @model_validator(mode="after")
+    def _parts_fit(self) -> "Scene":
+        kind, wanted = self.anatomy.kind, TOOLS[self.anatomy.kind]
+        if not isinstance(self.tool, wanted):
+            names = ", ".join(get_args(wanted.model_fields["kind"].annotation))
+            got = self.tool.kind
+            raise InputError(f"tool.kind must be one of {names} for a {kind}, got {got}: choose one of these")
+        if kind == "wall" and self.tool.kind != "sphere-probe":
+            raise InputError(f"tool.kind must be sphere-probe for a wall, got {self.tool.kind}: use a ball")
+        if isinstance(self.tool, Tool) and isinstance(self.anatomy, AnatomyFile):
+            self._cutter_fits(self.tool, self.anatomy)
+        return self
+
+    def _cutter_fits(self, tool: Tool, anatomy: AnatomyFile) -> None:
+        hole, peg = anatomy.guide_hole_diameter_mm, tool.peg_diameter_mm
+        if tool.can_have_peg and peg > 0.0 and (hole < peg or anatomy.guide_hole_depth_mm < tool.peg_length_mm):
+            depth, length = anatomy.guide_hole_depth_mm, tool.peg_length_mm
+            raise InputError(
+                f"tool.peg_diameter_mm must fit the guide hole ({hole:g} mm wide, {depth:g} mm deep), got a peg of "
+                f"{peg:g} x {length:g} mm: widen or deepen it by anatomy.guide_hole_diameter_mm and "
+                "anatomy.guide_hole_depth_mm"
+            )
+        if tool.diameter_mm < 4.0 * self.voxels.spacing_mm:
+            raise InputError(
+                f"voxels.spacing_mm must be at most a quarter of tool.diameter_mm ({tool.diameter_mm:g}), got "
+                f"{self.voxels.spacing_mm:g}: use {tool.diameter_mm / 20:g}"
+            )
+        if self.stress is not None and isinstance(anatomy, MolarAnatomy):
+            self._stress_fits(self.stress)
+
+    def _stress_fits(self, stress: Stress) -> None:
+        spacing = self.voxels.spacing_mm
+        ratio = 0.5 * stress.cell_mm / spacing
+        if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
+            least, most = math.ceil(0.1 / spacing - 1e-6), math.floor(0.75 / spacing + 1e-6)
+            fits = 2 * min(max(round(ratio), least), most) * spacing
+            raise InputError(
+                f"stress.cell_mm must be an even multiple of voxels.spacing_mm ({spacing:g}), got "
+                f"{stress.cell_mm:g}: use {f'{fits:g}' if most > 0 else 'voxels.spacing_mm = 0.1'}"
+            )
+
+    def to_toml(self) -> str:
+        """The whole scene, defaults included, as TOML, without keys that have no effect in it."""
+        import tomli_w
+
+        table = self.model_dump(mode="json", exclude_none=True)
+        for key in unused_keys(self):
+            part, _, name = key.partition(".")
+            if name:
+                table[part].pop(name, None)
+            else:
+                table.pop(part, None)
+        return tomli_w.dumps({name: value for name, value in table.items() if value != {}})
+
+    def with_files_at(self, folder: Path) -> "Scene":
+        """The same scene with the paths of its files made absolute, relative ones taken from ``folder``."""
+        changes: dict[str, Any] = {}
+        if self.perception.startswith("observer:"):
+            changes["perception"] = f"observer:{(folder / self.perception.removeprefix('observer:')).resolve()}"
+        for part in ("anatomy", "motion", "tool", "coupling"):
+            value: Part = getattr(self, part)
+            names = [name for name in type(value).model_fields if name == "file" or name.endswith("_file")]
+            files = {name: getattr(value, name) for name in names if getattr(value, name)}
+            if files:
+                absolute = {name: str((folder / file).resolve()) for name, file in files.items()}
+                changes[part] = value.model_copy(update=absolute)
+        return self.model_copy(update=changes)

@@ -1,0 +1,1 @@
+"""The simulation loop, its run, trace and run folder."""

@@ -1,0 +1,220 @@
+"""A run against the wall clock: the ticks paced, the mouse as device where a window can open."""
+
+import os
+import signal
+import threading
+from pathlib import Path
+from time import perf_counter, sleep
+from types import FrameType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.progress import Progress
+from tissue.builders.parts import Parts
+from tissue.builders.registry import motion_of
+from tissue.haptics.device.recorded import MouseDevice
+from tissue.scene.scene import Scene
+from tissue.scene.tool import Tool
+from tissue.simulation.live.clock import BEHIND_S, WallClock
+from tissue.simulation.live.window import WindowBeside
+from tissue.simulation.run import DEADLINE_US, Run
+from tissue.simulation.simulate import TICK_S, simulate
+from tissue.system.offscreen import await_display, display_problem
+
+__all__ = ["LiveWatch", "live", "moved_by"]
+
+LONGEST_S = 600.0
+"""How long a run by the mouse lasts where nobody says [s]; its trace is held in memory."""
+STANDS_FOR = "touch"
+"""Device whose numbers a mouse takes in a scene without one."""
+ROAM_MM, ROAM_ON_WALL_MM = 8.0, 40.0
+"""How far beside the scripted way the pointer may take the tool; a wall goes on for ever."""
+LOOK_TICKS = 200
+"""Ticks between two looks whether the window's process is still there and draws."""
+STALLED_S, HELD_S = 3.0, 60.0
+"""How long a window may draw nothing before the run waits for it, and how long it waits [s]."""
+ABOVE_M, BELOW_M = 0.02, 0.01
+"""How far the pointer may draw a tool back from the scripted way and press a probe beyond it [m]; a tool that cuts it
+presses as far as there is bone beyond what the script reaches."""
+
+
+def moved_by(scene: Scene) -> tuple[bool, str]:
+    """Whether a live run of a scene opens a window and takes the mouse, and what moves the tool, in a sentence."""
+    problem = display_problem()
+    if problem is None:
+        return True, "the mouse moves the tool in a window; it feels nothing, the force is shown"
+    script = "the scripted motion moves the tool" if scene.device == "none" else f"a simulated {scene.hand} moves it"
+    return False, f"no window, for {problem}: {script}"
+
+
+def live(
+    scene: Scene,
+    *,
+    compute: str = "cpu",
+    cores: int | None = None,
+    out: Path | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    allow_unstable: bool = False,
+    duration_s: float | None = None,
+) -> Run:
+    """Simulate a scene against the wall clock, in a window with the mouse as device or, without a display, scripted.
+
+    The tool hangs on the mouse as on the scene's device, by the same spring, and the forces that the device would play
+    are in the trace and shown; in a scene without a device a mouse stands for a touch. A tick has missed its deadline
+    if it is not done within 1 ms of when it was due. See `WallClock` for what happens when the ticks fall behind.
+    Ctrl-C or closing the window ends the run, and what there is of it is a run like any other.
+
+    Parameters
+    ----------
+    scene, compute, cores, out, overwrite, progress, allow_unstable
+        As for `tissue.simulate`; a mouse cannot be unstable, for it feels nothing. Where a window opens, ``cores``
+        leaves one to it by default.
+    duration_s
+        How long a run by the mouse lasts [s]; without it until the window is closed, 600 s at most. A scripted run
+        lasts as long as its scene says.
+
+    Raises
+    ------
+    InputError
+        As `tissue.simulate`, and if a display does not answer, or a window does not open on it, in time.
+    """
+    await_display()
+    by_mouse, said = moved_by(scene)
+    mouse = MouseDevice(_start_m(scene)) if by_mouse else None
+    if by_mouse:
+        device = STANDS_FOR if scene.device == "none" else scene.device
+        roam_mm = ROAM_ON_WALL_MM if scene.anatomy.kind == "wall" else ROAM_MM
+        coupling = scene.coupling.model_copy(update={"roam_mm": scene.coupling.roam_mm or roam_mm})
+        changes = {"device": device, "duration_s": duration_s or LONGEST_S, "coupling": coupling}
+        scene = scene.model_copy(update=changes)
+        cores = cores or max((os.cpu_count() or 2) - 1, 1)
+    watch = LiveWatch(scene, mouse, WallClock(TICK_S))
+    run = simulate(
+        scene,
+        compute=compute,
+        cores=cores,
+        out=out,
+        overwrite=overwrite,
+        progress=progress,
+        allow_unstable=allow_unstable or by_mouse,
+        device=mouse,
+        watch=watch,
+    )
+    run.parts.notes["live"] = said
+    if mouse is not None:
+        run.parts.notes["coupling"] = f"a mouse in place of the {scene.device} and its hand, " + scene.renderer
+    return run
+
+
+class LiveWatch:
+    """What goes along with a live run: the clock, the window, and the wish to end it.
+
+    Parameters
+    ----------
+    scene
+        What is run.
+    mouse
+        The device that the window's pointer moves; None for no window.
+    clock
+        The clock that paces it.
+    """
+
+    timing_columns: tuple[str, ...] = ("late_us", "skipped_us")
+
+    def __init__(self, scene: Scene, mouse: MouseDevice | None, clock: WallClock) -> None:
+        self._scene, self._mouse, self._clock = scene, mouse, clock
+        self._window: WindowBeside | None = None
+        self._stopped, self._missed, self._skipped_s = False, 0, 0.0
+        self._events: list[tuple[float, str]] = []
+        self._handler: Any = None
+        self._frames, self._drawn_s = -1, 0.0
+        self._start, self._scale = np.array(_start_m(scene)), scene.coupling.motion_scale
+
+    def begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
+        """Open the window; from here on Ctrl-C ends the run after its tick."""
+        if self._mouse is not None:
+            low, high = _box(self._scene, parts)
+            self._window = WindowBeside(self._scene, parts, columns, low_m=low, high_m=high)
+        if threading.current_thread() is threading.main_thread():
+            self._handler = signal.signal(signal.SIGINT, self._stop)
+
+    def due(self, index: int) -> None:
+        """Wait until a tick is due, and for a window that stands still; take what the pointer wants by then."""
+        if self._window is not None and index % LOOK_TICKS == 0:
+            self._hold(self._window, index)
+        self._clock.wait(index)
+        if self._window is not None and self._mouse is not None:
+            pointed = self._window.pointed_m()
+            if pointed is not None:
+                x, y, z = (self._start + (np.array(pointed) - self._start) / self._scale).tolist()
+                self._mouse.push((x, y, z))
+
+    def told(self, index: int, row: NDArray[np.float64], times: NDArray[np.float64]) -> bool:
+        """Write lateness into a tick's row of timing and show the tick; whether the run goes on."""
+        late, skipped = 1e6 * self._clock.late_s, 1e6 * self._clock.skipped_s
+        times[-2:] = late, skipped
+        self._missed += times[0] + late > DEADLINE_US
+        if skipped > 0.0:
+            if self._skipped_s == 0.0:
+                self._events.append(
+                    (float(row[0]), f"the ticks were more than {1e3 * BEHIND_S:g} ms behind: the clock skips from here")
+                )
+            self._skipped_s += self._clock.skipped_s
+        if self._window is None:
+            return not self._stopped
+        self._window.show(index, row, (float(times[0]), late, float(self._missed), 1e3 * self._skipped_s))
+        if index % LOOK_TICKS == 0 and (words := self._window.failed()) is not None:
+            self._events.append((float(row[0]), f"the window ended by itself, and the run with it: {words}"))
+            self._stopped = True
+        return not (self._stopped or self._window.closed)
+
+    def _hold(self, window: WindowBeside, index: int) -> None:
+        """Let the run wait while its window draws nothing: nobody could see or move the tool."""
+        began = now = perf_counter()
+        if window.frames != self._frames:
+            self._frames, self._drawn_s = window.frames, now
+        if now - self._drawn_s < STALLED_S:
+            return
+        while window.frames == self._frames and now - began < HELD_S and not self._stopped and not window.closed:
+            if window.failed() is not None:
+                break
+            sleep(0.01)
+            now = perf_counter()
+        self._clock.hold(now - began)
+        self._drawn_s, waited_s = now, now - began
+        if window.frames == self._frames and waited_s >= HELD_S:
+            self._stopped = True
+            self._events.append((index * TICK_S, f"the window drew nothing for {waited_s:.0f} s: the run ended"))
+        else:
+            self._events.append((index * TICK_S, f"the window drew nothing: the run waited {waited_s:.1f} s for it"))
+
+    def end(self) -> list[tuple[float, str]]:
+        """Close the window and leave Ctrl-C as it was; what has happened, as `Motion.happened`."""
+        if self._handler is not None:
+            signal.signal(signal.SIGINT, self._handler)
+            self._handler = None
+        if self._window is not None:
+            self._window.end()
+            self._window = None
+        return self._events
+
+    def _stop(self, number: int, frame: FrameType | None) -> None:
+        self._stopped = True
+
+
+def _start_m(scene: Scene) -> tuple[float, float, float]:
+    """Where the scripted motion starts [m]."""
+    x, y, z = motion_of(scene, step_s=TICK_S).sweep_m()[0]
+    return float(x), float(y), float(z)
+
+
+def _box(scene: Scene, parts: Parts) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Corners of the box in which the pointer may move the tool [m]: around the scripted way, and back from it."""
+    way = parts.motion.sweep_m()
+    axis = parts.motion.rotations()[0][:, 2]
+    below_m = 1e-3 * scene.voxels.margin_mm if isinstance(scene.tool, Tool) else BELOW_M
+    points: Any = np.concatenate([way + ABOVE_M * axis, way - below_m * axis])
+    return points.min(axis=0), points.max(axis=0)

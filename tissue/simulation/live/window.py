@@ -1,0 +1,199 @@
+"""The window of a live run, in a process of its own, as the ticks see it: rows out, the pointer in."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import threading
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from tempfile import gettempdir, mkdtemp
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from tissue.builders.parts import Parts
+from tissue.scene.scene import Scene
+from tissue.simulation.live.shared import MEMORY, Layout, SharedArrays
+from tissue.simulation.live.tissues import shared_tissue
+from tissue.system.child import LOOK_S, Patience, child_command
+
+__all__ = ["CLOCK", "WindowBeside"]
+
+MODULE = "tissue.viewer.live.live_window"
+"""What is run in the other process; it lies above and is named, not imported."""
+CLOCK = ("tick_us", "late_us", "missed", "skipped_ms")
+"""What a window is told of the clock."""
+ROW_TICKS = 8
+"""Ticks between two rows that a window is told."""
+COLOURS = re.compile(r"\x1b\[[0-9;]*m")
+"""Colours of a terminal in what a process says."""
+CLOSES_S = 10.0
+"""How long a window may take to close [s]."""
+OPENS_S = 120.0
+"""How long a window may take to open [s]."""
+FOLDER = "tissue-live-"
+
+
+class WindowBeside:
+    """A window that shows a run while it goes on, and tells where the pointer wants the tool.
+
+    The ticks never wait for it: both sides map the same memory. Nothing of it is interrupted by Ctrl-C, and it ends by
+    itself when the ticks do.
+
+    Parameters
+    ----------
+    scene, parts
+        What is run.
+    columns
+        Names of the trace's columns.
+    low_m, high_m
+        Corners of the box in which the pointer may move the tool [m].
+
+    Raises
+    ------
+    InputError
+        If the window does not open.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        parts: Parts,
+        columns: tuple[str, ...],
+        *,
+        low_m: NDArray[np.float64],
+        high_m: NDArray[np.float64],
+    ) -> None:
+        self._folder = _new_folder()
+        self._shared = shared_tissue(parts)
+        layout: Layout = {
+            "row": ("float64", (len(columns) + len(CLOCK),)),
+            "row_turn": ("int64", (1,)),
+            "pointer": ("float64", (3,)),
+            "pointer_turn": ("int64", (1,)),
+            "ended": ("int64", (1,)),
+            "closed": ("int64", (1,)),
+            "frames": ("int64", (1,)),
+        }
+        self.arrays = SharedArrays(self._folder, layout | self._shared.layout)
+        self._row = np.zeros(len(columns) + len(CLOCK))
+        self._turn, self._closed = self.arrays["pointer_turn"], self.arrays["closed"]
+        self._drawn = self.arrays["frames"]
+        self._seen = 0
+        (self._folder / "scene.json").write_text(
+            scene.model_dump_json(exclude_unset=True), "utf-8"
+        )  # as it is, changed for the mouse
+        (self._folder / "columns.json").write_text(json.dumps([*columns, *CLOCK]), "utf-8")
+        turn = parts.motion.rotations()[0]
+        box = {"low_m": low_m, "high_m": high_m, "start_m": parts.motion.sweep_m()[0], "axis": turn[:, 2]}
+        start: dict[str, Any] = {**box, **self._shared.start}
+        np.savez(self._folder / "start.npz", allow_pickle=False, **start)
+        self._shared.publish(self.arrays, 0)
+        with (self._folder / "said.txt").open("w+", encoding="utf-8", errors="replace") as said:
+            self._child = subprocess.Popen(
+                child_command(MODULE, str(self._folder)),
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=said,
+                start_new_session=True,
+                text=True,
+            )
+        self._words = (self._folder / "said.txt").open(encoding="utf-8", errors="replace")
+        try:
+            last = self._unready()
+        except BaseException:
+            self._child.kill()
+            self.end()
+            raise
+        if last is not None:
+            self._child.kill()
+            self.end()
+            raise InputError(
+                f"--live must open its window where there is a display, but {last[:200]}: mend the display, or unset "
+                "DISPLAY to run without a window"
+            )
+        shutil.rmtree(self._folder, ignore_errors=True)  # both sides have it open: nothing is left behind by a kill
+
+    def _unready(self) -> str | None:
+        """Wait for the window to stand; why it does not, or None."""
+        stdout, first, patience = (
+            self._child.stdout,
+            SimpleQueue[str](),
+            Patience(lambda: [self._child.pid], longest_s=OPENS_S),
+        )
+        assert stdout is not None
+        threading.Thread(target=lambda: first.put(stdout.readline()), daemon=True).start()
+        while True:
+            try:
+                if first.get(timeout=LOOK_S).strip() == "ready":
+                    return None
+                self._child.wait(CLOSES_S)
+                return self._last_words()
+            except Empty:
+                why = patience.look()
+            except subprocess.TimeoutExpired:
+                return "its process says nothing"
+            if why is not None:
+                return f"it {why}"
+
+    @property
+    def frames(self) -> int:
+        """How many pictures it has drawn."""
+        return int(self._drawn[0])
+
+    @property
+    def closed(self) -> bool:
+        """Whether a person has closed it."""
+        return bool(self._closed[0])
+
+    def failed(self) -> str | None:
+        """What its process said last if that has ended though nobody closed it, else None."""
+        return self._last_words() if self._child.poll() is not None and not self.closed else None
+
+    def pointed_m(self) -> tuple[float, float, float] | None:
+        """Where the pointer wants the tool [m], if that is new."""
+        if int(self._turn[0]) == self._seen or (told := self.arrays.read("pointer")) is None:
+            return None
+        turn, (x, y, z) = told
+        self._seen = 2 * turn
+        return 1e-3 * float(x), 1e-3 * float(y), 1e-3 * float(z)
+
+    def show(self, index: int, row: NDArray[np.float64], clock: tuple[float, float, float, float]) -> None:
+        """Tell a tick's row of the trace, and what the clock says, see `CLOCK`."""
+        if index % ROW_TICKS == 0:
+            self._row[: len(row)], self._row[len(row) :] = row, clock
+            self.arrays.write("row", self._row)
+        self._shared.publish(self.arrays, index)
+
+    def end(self) -> None:
+        """Close it."""
+        self.arrays["ended"][0] = 1
+        try:
+            self._child.communicate(timeout=CLOSES_S)
+        except subprocess.TimeoutExpired:
+            self._child.kill()
+            self._child.communicate()
+        self._words.close()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _last_words(self) -> str:
+        self._words.seek(0)
+        said = COLOURS.sub("", self._words.read())
+        words = said.strip().splitlines()
+        return words[-1] if words else f"its process ended with exit code {self._child.returncode}"
+
+
+def _new_folder() -> Path:
+    """A folder for what both processes see; those of processes that were killed before they could go are taken away."""
+    import psutil
+
+    place = MEMORY if MEMORY.is_dir() else Path(gettempdir())
+    for left in place.glob(f"{FOLDER}*-*"):
+        number = left.name.removeprefix(FOLDER).split("-")[0]
+        if number.isdecimal() and not psutil.pid_exists(int(number)):
+            shutil.rmtree(left, ignore_errors=True)
+    return Path(mkdtemp(prefix=f"{FOLDER}{os.getpid()}-", dir=place))

@@ -1,0 +1,247 @@
+"""A finished run."""
+
+import os
+import platform
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from meshes.base.file_version import package_version
+from meshes.base.progress import Progress, silent
+from meshes.voxels.volume import VoxelVolume
+from tissue.builders.parts import Parts
+from tissue.cutters.cutter import Cutter
+from tissue.scene.scene import Scene
+from tissue.simulation.run_folder import RunFolder
+from tissue.simulation.run_summary import FORMAT
+from tissue.simulation.trace import Table
+
+if TYPE_CHECKING:
+    import pyvista
+
+    from tissue.models.bone.replay import CarvingReplay
+
+__all__ = ["DEADLINE_US", "Run"]
+
+DEADLINE_US = 1000.0
+"""A tick that takes longer misses its deadline [us]."""
+
+
+class Run:
+    """A simulated run in memory.
+
+    Attributes
+    ----------
+    scene
+        What was simulated.
+    trace, timing
+        One row a tick; columns by name, ``run.trace["force_z_N"]``.
+    events
+        What happened on the way: time [s] and a sentence each.
+    poses
+        Poses of a tool that cuts, see `tissue.motion.pose_log.PoseLog`; None of one that does not.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        parts: Parts,
+        trace: Table,
+        timing: Table,
+        *,
+        events: list[tuple[float, str]],
+        compute: str,
+        folder: RunFolder | None,
+        poses: NDArray[np.float64] | None = None,
+    ) -> None:
+        self.scene, self.parts, self.trace, self.timing, self.events = scene, parts, trace, timing, events
+        self._compute, self._folder, self.poses = compute, folder, poses
+        self._fraction: NDArray[np.uint8] | None = None
+
+    @property
+    def volume(self) -> VoxelVolume:
+        """The voxels before the first cut.
+
+        Raises
+        ------
+        InputError
+            If the tissue has none.
+        """
+        if self.parts.volume is None:
+            raise InputError(f"run must have voxels, got a {self.scene.anatomy.kind}: see its trace and fields")
+        return self.parts.volume
+
+    @property
+    def cutter(self) -> Cutter:
+        """The cutter; raises as `volume`."""
+        if self.parts.cutter is None:
+            raise InputError(f"run must have a cutter, got a {self.scene.tool.kind}: see its trace and fields")
+        return self.parts.cutter
+
+    @property
+    def remaining(self) -> NDArray[np.uint8]:
+        """Bone left in every voxel, 255 = full, uint8, shape (nx, ny, nz); raises as `volume`."""
+        if self._fraction is None:
+            left = self.parts.tissue.remaining()
+            self._fraction = self.volume.fraction if left is None else left
+        return self._fraction
+
+    def replay(self) -> "CarvingReplay":
+        """The carving once more, for the bone at any tick: ``run.replay().at(tick)``.
+
+        Raises
+        ------
+        InputError
+            If nothing was cut.
+        """
+        from tissue.models.bone.replay import CarvingReplay
+
+        if self.poses is None:
+            raise InputError(f"run must have a tool that cuts, got {self.scene.tool.kind}: see its trace and fields")
+        removal = self.scene.voxels.removal
+        return CarvingReplay(self.volume, self.cutter, self.poses, removal=removal, device=self._compute)
+
+    def summary(self) -> dict[str, Any]:
+        """Figures of the run: volumes per layer, forces, tick cost, deadlines, notes, machine."""
+        trace, tissue = self.trace, self.parts.tissue
+        contact = trace["contact_mm2"] > 0.0
+        force = np.linalg.norm(trace.vectors("model_force", "N"), axis=1)
+        torque = np.linalg.norm(trace.vectors("model_torque", "Nm"), axis=1)
+        mean = lambda values: float(values[contact].mean()) if contact.any() else 0.0  # noqa: E731
+        ticks = self.timing["tick_us"]
+        late = self.timing["late_us"] if "late_us" in self.timing else np.zeros(len(ticks))
+        return {
+            "format": FORMAT,
+            "tissue": package_version(),
+            "status": "complete",
+            "scene": self.scene.name,
+            "layers": list(trace.layer_names),
+            "simulated_s": len(trace.rows) * 1e-3,
+            "cuts": self.parts.cutter is not None,
+            "start_mm3": dict(zip(trace.layer_names, (tissue.start_m3 * 1e9).tolist(), strict=True)),
+            "removed_mm3": dict(zip(trace.layer_names, (tissue.removed_m3 * 1e9).tolist(), strict=True)),
+            "force_N": {"peak": float(force.max()), "mean_in_contact": mean(force)},
+            "torque_Nm": {"peak": float(torque.max()), "mean_in_contact": mean(torque)},
+            "tick_us": _spread(ticks),
+            "missed_deadlines": int((ticks + late > DEADLINE_US).sum()),
+            **(
+                {"late_us": _spread(late), "skipped_ms": 1e-3 * float(self.timing["skipped_us"].sum())}
+                if "late_us" in self.timing
+                else {}
+            ),
+            "events": [{"time_s": time, "what": what} for time, what in self.events],
+            "compute": self._compute,
+            **self.parts.placement_record,
+            "machine": f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}, Python "
+            f"{platform.python_version()}",
+            "notes": self.parts.notes,
+        }
+
+    def dataset(self) -> "pyvista.ImageData | pyvista.UnstructuredGrid":
+        """What was simulated, as pyvista shows it, in the scene's frame in mm.
+
+        Voxels: an image with the cell arrays start and remaining (255 = full), layer, density_kg_m3. Elements: the mesh
+        of the last frame with its fields.
+
+        Raises
+        ------
+        InputError
+            If the tissue has neither.
+        """
+        fields = self.parts.tissue.fields
+        if self.parts.volume is None and fields is not None and fields.frames:
+            from tissue.simulation.series import frame_mesh
+
+            return frame_mesh(fields, fields.frames[-1])
+        import pyvista
+
+        volume = self.volume
+        image = pyvista.ImageData(
+            dimensions=np.array(volume.shape) + 1,
+            spacing=(volume.spacing_m * 1e3,) * 3,
+            origin=volume.origin_m * 1e3,
+        )
+        image.cell_data["start"] = volume.fraction.ravel(order="F")
+        image.cell_data["remaining"] = self.remaining.ravel(order="F")
+        image.cell_data["layer"] = volume.layer.ravel(order="F")
+        image.cell_data["density_kg_m3"] = volume.density_kg_m3.ravel(order="F")
+        image.field_data["layer_names"] = list(volume.layer_names)
+        return image
+
+    def save(
+        self,
+        out: str | Path,
+        *,
+        formats: Iterable[str] = (),
+        pictures: bool = True,
+        overwrite: bool = False,
+        progress: Progress | None = None,
+    ) -> Path:
+        """Write the run's folder; see the README for its files.
+
+        Parameters
+        ----------
+        out
+            Folder to write.
+        formats
+            Further formats of the trace: parquet, npz, mat, h5.
+        pictures
+            Whether to draw pictures.
+        overwrite
+            Replace a run that the folder already holds.
+        progress
+            Told what is being done.
+
+        Raises
+        ------
+        InputError
+            If the folder holds another run or a format is unknown.
+        """
+        from tissue.figures.report import draw_pictures, write_bone
+        from tissue.simulation.carving_series import write_carving
+        from tissue.simulation.formats import check_formats, write_trace
+        from tissue.simulation.series import write_fields
+
+        tell = progress or silent
+        formats = tuple(formats)
+        check_formats(formats)
+        out = Path(out)
+        folder, self._folder = self._folder, None  # what is saved once is another's to replace
+        begun = folder is not None and folder.path == out
+        if folder is None or not begun:
+            folder = RunFolder(out, overwrite=overwrite)
+        with folder.ending():
+            if not begun:
+                folder.begin(self.scene, self.parts.placement)
+                folder.open_tables(self.trace, self.timing)
+                folder.flush(len(self.trace.rows), force=True)
+            folder.close_tables()
+            for kind in formats:
+                write_trace(self.trace, out, kind)
+            tell("writing the bone", 0.0)
+            write_bone(self, out)
+            write_carving(self, out, tell=tell)
+            fields = self.parts.tissue.fields
+            if fields is not None and fields.frames:
+                tell("writing the fields", 0.0)
+                write_fields(fields, out, self.parts.placement)
+            if pictures:
+                tell("drawing pictures", 0.0)
+                notes = draw_pictures(self, out / "pictures")
+                if notes:
+                    self.parts.notes["pictures"] = "; ".join(notes)
+            folder.complete(self.summary())
+        return out
+
+
+def _spread(values: NDArray[np.float64]) -> dict[str, float]:
+    """Median, 99th percentile and maximum."""
+    return {
+        "median": float(np.median(values)),
+        "p99": float(np.percentile(values, 99)),
+        "max": float(values.max()),
+    }

@@ -1,0 +1,75 @@
+"""The summary of a run read back: its version, and the entries that other code relies on."""
+
+import json
+from collections.abc import Mapping
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from meshes.base.errors import InputError
+from meshes.base.file_version import require_version
+
+__all__ = ["FORMAT", "read_summary", "summary_of"]
+
+FORMAT = 1
+"""Version of the run folder."""
+STATUS = ("running", "complete", "interrupted", "failed")
+AGAIN = "run the scene again"
+
+
+def summary_of(folder: Path) -> dict[str, Any]:
+    """The summary of a folder as it stands; empty where there is none or it is no table."""
+    return _table_of(folder) or {}
+
+
+def read_summary(folder: Path) -> dict[str, Any]:
+    """The summary of a run, its version and entries checked.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no run, or the summary is damaged or of another version.
+    """
+    path = folder / "summary.json"
+    if not path.is_file():
+        raise InputError(f"run must be a folder that `tissue run` wrote, got {folder}: give for example runs/glenoid")
+    held = _table_of(folder)
+    if not held:
+        got = "something else" if held is None else "an empty one"
+        raise InputError(f"summary.json must be a table in JSON, got {got} in {path}: {AGAIN}")
+    require_version("summary.json", held, FORMAT, where=path, remedy=AGAIN)
+    wanted: dict[str, bool] = {"scene": _is_text(held.get("scene")), "status": held.get("status") in STATUS}
+    layers = held.get("layers", [])
+    wanted["layers"] = isinstance(layers, list) and all(map(_is_text, layers)) and len(set(layers)) == len(layers)
+    events = held.get("events", [])
+    wanted["events"] = isinstance(events, list) and all(
+        isinstance(each, Mapping) and _is_number(each.get("time_s")) and _is_text(each.get("what")) for each in events
+    )
+    if held.get("status") == "complete":
+        wanted["simulated_s"] = _is_number(held.get("simulated_s"))
+        for name in ("force_N", "torque_Nm"):
+            wanted[name] = isinstance(held.get(name), Mapping) and _is_number(held[name].get("peak"))
+    for name, is_good in wanted.items():
+        if not is_good:
+            raise InputError(
+                f"summary.json must hold {name} as `tissue run` writes it, got {str(held.get(name))[:60]} in {path}: "
+                f"{AGAIN}"
+            )
+    return held
+
+
+def _table_of(folder: Path) -> dict[str, Any] | None:
+    """The summary of a folder as it stands; None where there is none or it is no table."""
+    try:
+        held = json.loads((folder / "summary.json").read_text("utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return held if isinstance(held, dict) else None
+
+
+def _is_text(value: object) -> bool:
+    return isinstance(value, str)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)

@@ -1,0 +1,228 @@
+"""Fields of a saved run: their names and units, their range over the whole run, and the mesh at any moment."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from tissue.simulation.file_frame import mesh_in_scene
+from tissue.simulation.run_folder import saved_placement
+
+if TYPE_CHECKING:
+    import pyvista
+
+__all__ = ["SavedFields", "field_label", "field_limits", "field_names", "field_values", "frames_of"]
+
+PEAK = 99.8
+"""Percentile of a cell field that ends its scale: single cells at the tool stand out from it."""
+SPAN = 1e-3
+"""Lowest stress of a logarithmic scale, as a share of its highest."""
+FAINT = 5.0
+"""Percentile of the greatest stress at one time that may begin the scale."""
+UNITS = {
+    **{unit: unit for unit in ("mm", "m", "Pa", "kPa", "MPa", "mN", "N", "J", "mJ")},
+    "um": "µm",
+    "percent": "%",
+    "C": "°C",
+    "degC": "°C",
+}
+"""Units that end a field's name, and how they are written."""
+IN_MM = {"um": 1e-3, "mm": 1.0, "m": 1e3}
+DISPLACEMENT = "displacement_"
+STRESS = "von_mises_"
+
+
+def field_label(name: str) -> tuple[str, str]:
+    """Words and unit of a field: ``("von Mises", "kPa")`` of ``von_mises_kPa``; no unit is empty."""
+    words, _, unit = name.rpartition("_")
+    if unit not in UNITS:
+        words, unit = name, ""
+    return words.replace("_", " ").replace("mises", "Mises"), UNITS.get(unit, "")
+
+
+def field_names(folder: Path) -> list[str]:
+    """Names of the fields that a run's folder holds, see `SavedFields.names`; empty for a run without any."""
+    if not (folder / "fields.pvd").is_file():
+        return []
+    fields = SavedFields(folder)
+    return fields.names if len(fields.times_s) else []
+
+
+def frames_of(folder: Path) -> list[tuple[float, str]]:
+    """Times [s] and files of the frames that ``fields.pvd`` names, in the order of time.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or its times do not rise.
+    """
+    from xml.etree import ElementTree
+
+    index = folder / "fields.pvd"
+    try:
+        root = ElementTree.fromstring(index.read_bytes())
+        frames = [(float(one.attrib["timestep"]), one.attrib["file"]) for one in root.iter("DataSet")]
+        times = [time for time, _ in frames]
+        inside = all((folder / file).resolve().is_relative_to(folder.resolve()) for _, file in frames)
+        if root.tag != "VTKFile" or not np.isfinite(times).all() or (np.diff(times) <= 0.0).any() or not inside:
+            raise ValueError(index)
+    except (ElementTree.ParseError, KeyError, ValueError, LookupError):
+        raise InputError(f"fields.pvd must be a ParaView collection, got {index}: run the scene again") from None
+    return frames
+
+
+class SavedFields:
+    """Fields over time, read from ``fields.pvd`` and the files that it names.
+
+    Parameters
+    ----------
+    folder
+        A run's folder.
+
+    Attributes
+    ----------
+    times_s
+        Times of the frames [s], rising.
+    names
+        Fields that can be shown, one number or one vector a cell or node; von Mises stress comes first, then the other
+        cell fields, then the nodes'. Of a vector its magnitude is shown.
+    layer_names
+        Layers or parts that cells belong to.
+    displacement
+        Name of the displacement at the nodes, or None.
+    unit_mm
+        Unit of the displacement [mm].
+
+    Raises
+    ------
+    InputError
+        As `frames_of`, or if a file that it names is missing.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        import pyvista
+
+        self._placement = saved_placement(folder)
+        frames = frames_of(folder)
+        self._files = [folder / file for _, file in frames]
+        missing = [file for file in self._files if not file.is_file()]
+        if missing:
+            raise InputError(
+                f"fields.pvd must name frames that are there, got {len(missing)} missing, first {missing[0]}: run the "
+                "scene again"
+            )
+        self.times_s = np.array([time for time, _ in frames])
+        first: Any = pyvista.read(self._files[0]) if frames else pyvista.UnstructuredGrid()
+        cells, points = (_shown(data) for data in (first.cell_data, first.point_data))
+        cells.sort(key=lambda name: not name.startswith(STRESS))
+        self.names = [*cells, *points]
+        self.layer_names = tuple(str(name) for name in first.field_data.get("layer_names", ()))
+        vectors = [
+            name for name in points if name.startswith(DISPLACEMENT) and name.removeprefix(DISPLACEMENT) in IN_MM
+        ]
+        self.displacement = vectors[0] if vectors else None
+        self.unit_mm = IN_MM[vectors[0].removeprefix(DISPLACEMENT)] if vectors else 1.0
+        self._frames: list[Any] = []
+        self._same: list[bool] = []
+        self._limits: dict[str, tuple[float, float]] = {}
+
+    @property
+    def frames(self) -> list[Any]:
+        """Meshes of all frames in their reference configuration [mm], in the scene's frame, read when needed."""
+        if not self._frames:
+            import pyvista
+
+            frames = self._frames = [mesh_in_scene(pyvista.read(file), self._placement) for file in self._files]
+            self._same = [_same_mesh(a, b) for a, b in pairwise(frames)]
+        return self._frames
+
+    @property
+    def size_mm(self) -> float:
+        """Diagonal of the box around the first frame [mm]."""
+        return float(self.frames[0].length) if self.frames else 0.0
+
+    def at(self, time_s: float) -> "tuple[pyvista.UnstructuredGrid, float]":
+        """Mesh at a moment, and the time that its values belong to [s].
+
+        Between two frames of the same mesh the values are interpolated linearly. Where cells went in between, it is the
+        earlier frame.
+        """
+        frames, times = self.frames, self.times_s
+        index = int(np.clip(np.searchsorted(times, time_s + 1e-9) - 1, 0, len(times) - 1))
+        if index + 1 == len(times) or time_s <= times[index] + 1e-9 or not self._same[index]:
+            return frames[index], float(times[index])
+        early, late = frames[index], frames[index + 1]
+        share = np.float32((time_s - times[index]) / (times[index + 1] - times[index]))
+        mesh: pyvista.UnstructuredGrid = early.copy(deep=False)
+        for kept, first, second in (
+            (mesh.cell_data, early.cell_data, late.cell_data),
+            (mesh.point_data, early.point_data, late.point_data),
+        ):
+            for name in first:
+                if name in second and np.issubdtype(first[name].dtype, np.floating):
+                    kept[name] = np.asarray(first[name]) + share * (np.asarray(second[name]) - np.asarray(first[name]))
+        return mesh, float(time_s)
+
+    def moved_mm(self, mesh: "pyvista.DataSet") -> NDArray[np.float32]:
+        """Displacement of a mesh's nodes [mm], shape (nodes, 3); zero without the field."""
+        if self.displacement is None or self.displacement not in mesh.point_data:
+            return np.zeros((mesh.n_points, 3), dtype=np.float32)
+        moved: NDArray[np.float32] = np.float32(self.unit_mm) * np.asarray(mesh.point_data[self.displacement])
+        return moved
+
+    def greatest_mm(self) -> float:
+        """Greatest displacement over the whole run [mm]."""
+        return max(
+            (float(np.linalg.norm(self.moved_mm(one), axis=1).max(initial=0.0)) for one in self.frames), default=0.0
+        )
+
+    def limits(self, name: str) -> tuple[float, float]:
+        """Ends of a field's scale, the same over the whole run; see `field_limits`."""
+        if name not in self._limits:
+            values = [one for frame in self.frames if (one := field_values(frame, name)) is not None]
+            self._limits[name] = field_limits(name, values)
+        return self._limits[name]
+
+
+def field_limits(name: str, values: Sequence[NDArray[np.float32]]) -> tuple[float, float]:
+    """Ends of a field's scale over arrays of its values; symmetric about 0 where they have two signs.
+
+    It begins above 0 for von Mises stress, which falls by decades away from a tool: its scale is logarithmic.
+    """
+    values = [one[np.isfinite(one)] for one in values]
+    values = [one for one in values if one.size]
+    share = 100.0 if name.startswith(DISPLACEMENT) else PEAK
+    peak = max((float(np.percentile(np.abs(one), share)) for one in values), default=0.0)
+    peak = peak or max((float(np.abs(one).max()) for one in values), default=0.0) or 1.0
+    if any(float(one.min()) < 0.0 for one in values):
+        return -peak, peak
+    if not name.startswith(STRESS):
+        return 0.0, peak
+    widest = max(values, key=lambda one: float(one.max()), default=np.zeros(1, dtype=np.float32))
+    return max(SPAN * peak, min(float(np.percentile(widest, FAINT)), 0.1 * peak)), peak
+
+
+def field_values(mesh: Any, name: str) -> NDArray[np.float32] | None:
+    """A field's numbers, of a vector its magnitude; None where the mesh has no such field."""
+    data = mesh.cell_data if name in mesh.cell_data else mesh.point_data
+    if name not in data:
+        return None
+    values = np.asarray(data[name])
+    return values if values.ndim == 1 else np.linalg.norm(values, axis=1)
+
+
+def _shown(data: Any) -> list[str]:
+    return [n for n, values in data.items() if n != "layer" and (values.ndim == 1 or values.shape[1] == 3)]
+
+
+def _same_mesh(a: Any, b: Any) -> bool:
+    return (
+        a.n_points == b.n_points
+        and a.n_cells == b.n_cells
+        and np.array_equal(a.cell_connectivity, b.cell_connectivity)
+        and np.array_equal(a.points, b.points)
+    )

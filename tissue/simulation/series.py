@@ -1,0 +1,71 @@
+"""Fields over time as files that ParaView plays."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from meshes.base.placement import Placement
+from meshes.base.whole_file import whole_file
+from tissue.fem.fields import FieldSeries, Frame
+from tissue.simulation.file_frame import mesh_in_file
+from tissue.simulation.vtk_files import write_vtk_xml
+
+if TYPE_CHECKING:
+    import pyvista
+
+__all__ = ["frame_mesh", "write_fields"]
+
+CELL_TYPES = {4: 10, 8: 12}
+"""VTK's number of a cell, tetrahedron or hexahedron, by its count of nodes."""
+
+
+def frame_mesh(series: FieldSeries, frame: Frame) -> "pyvista.UnstructuredGrid":
+    """Mesh of one frame in mm, without the cells that are gone, nor nodes that no other cell has.
+
+    Cell array ``layer`` counts into the field ``layer_names``; the other arrays have the names of the frame's fields.
+    """
+    import pyvista
+
+    there = np.ones(len(series.cells), dtype=bool)
+    for values in frame.cells.values():
+        there &= np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+    corners = series.cells.shape[1]
+    used, cells = np.unique(series.cells[there], return_inverse=True)
+    cells = np.insert(cells.reshape(-1, corners), 0, corners, axis=1)
+    mesh = pyvista.UnstructuredGrid(
+        cells.ravel(),
+        np.full(len(cells), CELL_TYPES[corners], dtype=np.uint8),
+        (1e3 * series.nodes_m[used]).astype(np.float32),
+    )
+    mesh.field_data["layer_names"] = list(series.layer_names)
+    if not there.any():
+        return mesh
+    for name, values in frame.points.items():
+        mesh.point_data[name] = values[used]
+    for name, values in frame.cells.items():
+        mesh.cell_data[name] = values[there]
+    mesh.cell_data["layer"] = series.layer[there]
+    return mesh
+
+
+def write_fields(series: FieldSeries, folder: Path, placement: Placement | None = None) -> None:
+    """Write ``fields.pvd`` with times in seconds, and a mesh for each frame: ``fields/frame_0000.vtu`` and so on.
+
+    With a placement they lie in the frame and unit of the anatomy's file.
+    """
+    from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
+
+    (folder / "fields").mkdir(parents=True, exist_ok=True)
+    entries = []
+    for index, frame in enumerate(series.frames):
+        name = f"fields/frame_{index:04d}.vtu"
+        mesh = mesh_in_file(frame_mesh(series, frame), placement)
+        write_vtk_xml(vtkXMLUnstructuredGridWriter(), mesh, folder / name)
+        entries.append(f'    <DataSet timestep="{float(frame.time_s)!r}" part="0" file="{name}"/>\n')
+    with whole_file(folder / "fields.pvd") as beside:
+        beside.write_text(
+            '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n'
+            "  <Collection>\n" + "".join(entries) + "  </Collection>\n</VTKFile>\n",
+            "utf-8",
+        )

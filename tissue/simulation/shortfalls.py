@@ -1,0 +1,82 @@
+"""What a run did not do of what it was for: a path that it left early, bone or a lesion that it removed nothing of."""
+
+import numpy as np
+
+from tissue.builders.parts import Parts
+from tissue.motion.motion import Motion, frame_along
+from tissue.scene.anatomy import MolarAnatomy
+from tissue.scene.organ import LayersAnatomy
+from tissue.scene.scene import Scene
+from tissue.scene.tool import ThrustMotion
+from tissue.simulation.trace import Table
+
+__all__ = ["shortfalls", "unfinished_path"]
+
+MOSTLY = 0.5
+"""A tooth's caries within reach is missed where a run removes less than this share of it."""
+TOLERANCE_MM = 0.05
+"""How far short of its depth a thrust may stay unsaid [mm]."""
+
+
+def unfinished_path(scene: Scene, motion: Motion, *, lasts_s: float) -> dict[str, str]:
+    """A note on a motion that goes on after its run has ended; none where it does not."""
+    wanted_s = motion.duration_s - motion.after_s
+    if isinstance(scene.motion, ThrustMotion) or wanted_s < lasts_s + 5e-4:
+        return {}
+    return {
+        "path": f"not finished: the run ends at {lasts_s:g} s, the motion at {wanted_s:.6g} s; set duration_s = "
+        f"{wanted_s:.6g} or leave it out to see all of it"
+    }
+
+
+def shortfalls(scene: Scene, parts: Parts, trace: Table) -> dict[str, str]:
+    """Notes on what a finished run did not reach or remove, by what they are about."""
+    found = {}
+    if isinstance(scene.motion, ThrustMotion):
+        heading, wanted = -frame_along(scene.motion.axis)[:, 2], scene.motion.depth_mm
+        came = float((trace.vectors("tool", "mm") @ heading).max())
+        if came < wanted - TOLERANCE_MM:
+            found["path"] = (
+                f"not finished: the tool came to {came:.3g} of motion.depth_mm = {wanted:g}; raise motion.thrust_N or "
+                "duration_s"
+            )
+    wall_mm = scene.anatomy.vessel_wall_depth_mm if isinstance(scene.anatomy, LayersAnatomy) else None
+    if wall_mm is not None and trace["insertion_mm"].max() < wall_mm:
+        found["vessel"] = (
+            f"never reached: the needle went {trace['insertion_mm'].max():.3g} mm in, the vessel's wall lies at "
+            f"anatomy.vessel_wall_depth_mm = {wall_mm:g}"
+        )
+    if parts.cutter is None or parts.cutter.spin_rad_s == 0.0:
+        return found
+    if not np.any(parts.tissue.removed_m3):
+        found["removed"] = "nothing: the tool cut no tissue; move it deeper, or let the run last longer"
+    elif isinstance(tooth := scene.anatomy, MolarAnatomy) and _has_lesion(tooth, parts):
+        missed = _missed_caries(parts)
+        found |= {"removed": missed + _to_the_lesion(tooth, parts)} if missed else {}
+    return found
+
+
+def _has_lesion(anatomy: MolarAnatomy, parts: Parts) -> bool:
+    """Whether the tooth has a lesion, within the tool's reach or not."""
+    procedural = anatomy.file is None and not anatomy.layer_files
+    return anatomy.caries_file is not None or "lesion" in parts.notes or (procedural and anatomy.caries_depth_mm > 0.0)
+
+
+def _missed_caries(parts: Parts) -> str:
+    """What a tool left of the caries, where that is all or, within the reach in a tooth from files, most of it."""
+    removed_m3 = dict(zip(parts.tissue.layer_names, parts.tissue.removed_m3, strict=True)).get("caries", 0.0)
+    if removed_m3 == 0.0:
+        return "nothing of the caries: the tool never met the lesion"
+    if parts.placement is None:
+        return ""
+    there_m3 = float(parts.tissue.start_m3[parts.tissue.layer_names.index("caries")])
+    if removed_m3 >= MOSTLY * there_m3:
+        return ""
+    return f"only {1e9 * removed_m3:.3g} of {1e9 * there_m3:.3g} mm3 of the caries within reach"
+
+
+def _to_the_lesion(anatomy: MolarAnatomy, parts: Parts) -> str:
+    """Where the caries lies, if known, and how to bring the tool to it."""
+    at, aimed = parts.notes.get("lesion"), anatomy.site == "caries" or parts.placement is None
+    how = "move motion.points_mm to it" if aimed else "set anatomy.site = caries, or move motion.points_mm to it"
+    return (f" ({at})" if at else "") + f"; {how}"

@@ -1,0 +1,228 @@
+"""Run a scene: the only place where motion, tissue, output and trace meet."""
+
+import gc
+import sys
+from contextlib import nullcontext, suppress
+from pathlib import Path
+from time import perf_counter
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress, silent
+from tissue.builders.parts import Parts
+from tissue.builders.registry import build
+from tissue.haptics.device.device import Device
+from tissue.haptics.device.safe_device import SafeDevice
+from tissue.haptics.hand_motion import HandMotion
+from tissue.models.tissue_model import TICK_S
+from tissue.motion.motion import LONGEST_S, Motion
+from tissue.scene.messages import require_used
+from tissue.scene.scene import Scene
+from tissue.simulation.run import Run
+from tissue.simulation.run_folder import RunFolder
+from tissue.simulation.shortfalls import shortfalls, unfinished_path
+from tissue.simulation.tick import Tick
+from tissue.simulation.trace import TIMING_COLUMNS, Table, trace_columns
+
+__all__ = ["TICK_S", "Watch", "simulate"]
+
+SWITCH_S = 5e-5
+"""How long a thread that works beside the ticks may keep the interpreter from them [s]."""
+
+
+class Watch(Protocol):
+    """What goes along with the ticks of a run, such as a clock on the wall; what they compute does not depend on it."""
+
+    timing_columns: tuple[str, ...]
+    """Its own columns in the table of timing."""
+
+    def begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
+        """The ticks begin; told what runs and the columns of its trace."""
+        ...
+
+    def due(self, index: int) -> None:
+        """Wait until a tick may begin."""
+        ...
+
+    def told(self, index: int, row: NDArray[np.float64], times: NDArray[np.float64]) -> bool:
+        """Take a tick's row of the trace and fill its own columns of its row of timing; whether the run goes on."""
+        ...
+
+    def end(self) -> list[tuple[float, str]]:
+        """The ticks have ended, or failed: what has happened, time [s] and a sentence each."""
+        ...
+
+
+def simulate(
+    scene: Scene,
+    *,
+    compute: str = "cpu",
+    cores: int | None = None,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    allow_unstable: bool = False,
+    device: Device | SafeDevice | None = None,
+    watch: Watch | None = None,
+) -> Run:
+    """Simulate a scene.
+
+    Parameters
+    ----------
+    scene
+        What to simulate.
+    compute
+        Warp device, ``cpu`` or ``cuda:0``.
+    cores
+        Processor cores to use; default all. The trace does not depend on it.
+    out
+        Folder that takes the trace while the run goes on, so that a killed run leaves what it had; without it the run
+        stays in memory until :meth:`tissue.simulation.run.Run.save`.
+    overwrite
+        Replace a run that ``out`` already holds.
+    progress
+        Told what is being done.
+    allow_unstable
+        Run a device whose coupling is judged unstable, too.
+    device
+        Device to read and to play instead of the simulated one in a simulated hand; the scene names the one by whose
+        limits it is judged. The run opens and closes one that is a context manager; give it without ``with``, or for
+        several runs as ``with SafeDevice(device) as held``. Its ticks run in a second thread, and whatever ends them
+        its last command is zero; see `tissue.haptics.device.safe_device.SafeDevice`.
+    watch
+        Goes along with the ticks.
+
+    Raises
+    ------
+    InputError
+        If a key has no effect in the scene or it cannot be built, the tool never touches, a device's coupling is
+        unstable, or ``out`` holds another run; as `DeviceError`, if the given device fails.
+    """
+    tell = progress or silent
+    if cores is not None and cores < 1:
+        raise InputError(f"cores must be at least 1, got {cores}: leave it out to use all")
+    if device is None:
+        require_used(scene)
+    folder = RunFolder(Path(out), overwrite=overwrite) if out is not None else None
+    with folder.ending() if folder is not None else nullcontext():
+        chosen = None
+        if scene.fidelity is not None:
+            from tissue.evaluation.charts.fidelity import with_fidelity
+
+            scene, chosen = with_fidelity(scene, tell=tell)
+        parts = build(scene, step_s=TICK_S, compute=compute, cores=cores, tell=tell, allow_unstable=allow_unstable)
+        if chosen is not None:
+            parts.notes["fidelity"] = chosen
+        if device is not None:
+            if not isinstance(parts.motion, HandMotion):
+                raise InputError("scene must name the device that is given, got none: set device, such as touch")
+            parts.motion.device, parts.motion.after_s = device, 0.0
+        ticks = _tick_count(scene, parts.motion)
+        if device is None:
+            parts.notes |= unfinished_path(scene, parts.motion, lasts_s=ticks * TICK_S)
+        if folder is not None:
+            folder.begin(scene, parts.placement)
+        return _loop(scene, parts, ticks, compute=compute, folder=folder, tell=tell, watch=watch)
+
+
+def _loop(
+    scene: Scene,
+    parts: Parts,
+    ticks: int,
+    *,
+    compute: str,
+    folder: RunFolder | None,
+    tell: Progress,
+    watch: Watch | None,
+) -> Run:
+    """All ticks of a run."""
+    tissue, motion = parts.tissue, parts.motion
+    columns = trace_columns(tissue.layer_names, tissue.measure_names + motion.measure_names)
+    trace = Table(columns, np.zeros((ticks, len(columns))), tissue.layer_names)
+    timed = TIMING_COLUMNS + (watch.timing_columns if watch is not None else ())
+    timing = Table(timed, np.zeros((ticks, len(timed))))
+    if folder is not None:
+        folder.open_tables(trace, timing)
+    tick = Tick(scene, parts, trace, timing)
+    tick.place()
+    events: list[tuple[float, str]] = []
+    told = perf_counter()
+    index = 0
+    if watch is not None:
+        watch.begin(parts, columns)
+
+    def go_through() -> None:
+        nonlocal index, told
+        for index in range(ticks):
+            tissue.settle(index * TICK_S)
+            if watch is not None:
+                watch.due(index)
+            tick(index)
+            while tissue.notices:
+                events.append((index * TICK_S, tissue.notices.pop(0)))
+            goes_on = watch is None or watch.told(index, trace.rows[index], timing.rows[index])
+            if folder is not None:
+                folder.flush(index + 1, force=watch is not None)  # a row a tick: many at once would make the next late
+            if not goes_on:
+                break
+            if perf_counter() - told > 0.1:
+                told = perf_counter()
+                tell("simulating", (index + 1) / ticks)
+
+    gc.collect()
+    gc.disable()
+    switching = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH_S)
+    try:
+        motion.around(go_through)
+    except BaseException:
+        if folder is not None:
+            with suppress(OSError):
+                folder.flush(index, force=True)
+        raise
+    finally:
+        gc.enable()
+        sys.setswitchinterval(switching)
+        if watch is not None:
+            events += watch.end()
+    trace.rows, timing.rows = trace.rows[: index + 1], timing.rows[: index + 1]
+    tissue.finish()
+    events += [((index + 1) * TICK_S, notice) for notice in tissue.notices]
+    tissue.notices.clear()
+    if folder is not None:
+        folder.flush(index + 1, force=True)
+    if isinstance(motion, HandMotion) and motion.predictor is not None and (said := _foreseen(trace, motion)):
+        parts.notes["prediction"] = said
+    parts.notes |= shortfalls(scene, parts, trace)
+    events = sorted(events + motion.happened(), key=lambda event: event[0])
+    return Run(scene, parts, trace, timing, events=events, compute=compute, folder=folder, poses=tick.poses)
+
+
+def _foreseen(trace: Table, motion: HandMotion) -> str:
+    """How near the predicted forces came to those that followed, in words; nothing where none did."""
+    told, came, ticks = trace.vectors("predicted_force", "N"), trace.vectors("raw_force", "N"), motion.lead_ticks
+    size = float(np.linalg.norm(came))
+    if size == 0.0 or not 0 < ticks < len(came) or motion.model_ticks > 1:
+        return ""
+    missed, held = (100.0 * float(np.linalg.norm(came[ticks:] - f[:-ticks])) / size for f in (told, came))
+    own = 100.0 * float(trace["predicted_by"][np.any(came != 0.0, axis=1)].mean())
+    return (
+        f"{ticks} ms ahead, off by {missed:.2g} % of the force where holding it is off by {held:.2g} %; its "
+        f"own force in {own:.3g} % of the ticks in contact"
+    )
+
+
+def _tick_count(scene: Scene, motion: Motion) -> int:
+    """Ticks of a run; one that is to see the whole motion waits for a hand that is late."""
+    seconds = scene.duration_s or motion.duration_s
+    if scene.duration_s is not None and seconds >= motion.duration_s - motion.after_s:
+        seconds += motion.after_s
+    if seconds > LONGEST_S:
+        raise InputError(
+            f"duration_s must be given for a motion of more than {LONGEST_S:g} s, got nothing for one of "
+            f"{seconds:g} s: give it, or a greater feed"
+        )
+    return max(round(seconds / TICK_S), 1)

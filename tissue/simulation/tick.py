@@ -1,0 +1,111 @@
+"""One tick of 1 ms: motion, removal, force, low-pass, trace."""
+
+from math import exp
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue.builders.parts import Parts
+from tissue.models.tissue_model import TICK_S, Response, ToolMotion
+from tissue.motion.pose_log import PoseLog
+from tissue.motion.rotation import quaternion_of
+from tissue.scene.scene import Scene
+from tissue.simulation.trace import LEAST_LOAD, TIMING_COLUMNS, Table, load_columns
+from tissue.simulation.vibration import Vibration
+
+__all__ = ["Tick"]
+
+
+class Tick:
+    """One tick: motion, removal, force, output, record. Everything it needs is allocated here, once."""
+
+    def __init__(self, scene: Scene, parts: Parts, trace: Table, timing: Table) -> None:
+        self._motion, self._tissue = parts.motion, parts.tissue
+        tissue, self._model_ticks = parts.tissue, parts.motion.model_ticks
+        self._rows, self._times = trace.rows, timing.rows
+        self.tool = ToolMotion()
+        self._response = Response.empty(len(tissue.layer_names))
+        lag = scene.output.low_pass_ms * 1e-3
+        self._gain = 1.0 - exp(-TICK_S / lag) if lag > 0.0 else 1.0
+        self._filtered, self._commanded = np.zeros(6), np.zeros(6)
+        passing = parts.cutter.tooth_passing_Hz if parts.cutter is not None else 0.0
+        share = scene.output.vibration_share
+        self._vibration = Vibration(passing, share=share, step_s=TICK_S)
+        self._layers, own = len(tissue.layer_names), len(tissue.measure_names)
+        self._measured = slice(29 + self._layers, 29 + self._layers + own)
+        self._loads = load_columns(trace.columns)
+        self._rotation, self._quaternion = b"", np.zeros(4)
+        carves = parts.cutter is not None and parts.cutter.spin_rad_s != 0.0
+        self._log = PoseLog(len(trace.rows)) if carves else None
+
+    @property
+    def poses(self) -> NDArray[np.float64] | None:
+        """Poses of a tool that cuts, see `tissue.motion.pose_log`."""
+        return self._log.poses if self._log is not None else None
+
+    def place(self) -> None:
+        """Put the tool where the motion starts; what that costs belongs to no tick."""
+        self._motion.begin(self.tool)
+        self._tissue.place(self.tool)
+        self._keep(-1)
+        self._record(self._rows[0], 0, self._tissue.respond(self.tool))
+
+    def __call__(self, index: int) -> None:
+        start = perf_counter()
+        self._motion.advance(index * TICK_S, TICK_S, self._response, self.tool)
+        moved = removed = perf_counter()
+        response = self._response
+        if index % self._model_ticks == 0:
+            self._tissue.advance(self.tool)
+            self._keep(index)
+            removed = perf_counter()
+            response = self._response = self._tissue.respond(self.tool)
+            if self._motion.correct(response, self.tool):
+                self._tissue.advance(self.tool)
+                self._keep(index)
+                response = self._tissue.respond(self.tool)
+        self._motion.play(response)
+        forced = perf_counter()
+        self._filtered += self._gain * (response.wrench - self._filtered)
+        np.multiply(self._filtered, 1.0 + self._vibration.factor(index), out=self._commanded)
+        self._record(self._rows[index], index, response)
+        recorded = perf_counter()
+        self._tissue.catch_up(index * TICK_S, self.tool)
+        end = perf_counter()
+        self._times[index, : len(TIMING_COLUMNS)] = (
+            (end - start) * 1e6,
+            (moved - start) * 1e6,
+            (removed - moved) * 1e6,
+            (forced - removed) * 1e6,
+            (recorded - forced) * 1e6,
+            (end - recorded) * 1e6,
+        )
+
+    def _keep(self, index: int) -> None:
+        if self._log is not None:
+            self._log.add(index, self.tool)
+
+    def _record(self, row: np.ndarray, index: int, response: Response) -> None:
+        """Write one row of the trace, in the units of its columns."""
+        tool, layers = self.tool, self._layers
+        if tool.rotation.tobytes() != self._rotation:
+            self._rotation = tool.rotation.tobytes()
+            self._quaternion[:] = quaternion_of(tool.rotation)
+        moved, turned = tool.heading
+        row[0] = index * TICK_S
+        row[1:4] = 1e3 * tool.tip_m
+        row[4:8] = self._quaternion
+        row[8:11] = (1e3 * tool.speed_m_s) * moved
+        row[11:14] = tool.speed_m_s * turned
+        row[14:20] = self._commanded
+        row[20:26] = response.wrench
+        row[26] = response.removal_rate_m3_s * 1e9
+        row[28 : 28 + layers] = volumes = 1e9 * self._tissue.removed_m3
+        row[27] = np.add.reduce(volumes)
+        area = np.add.reduce(response.engaged_m2)
+        row[28 + layers] = area * 1e6
+        row[self._measured] = response.measures
+        row[self._measured.stop : -1] = self._motion.measures
+        row[-1] = response.engaged_m2.argmax() if area > 0.0 else -1.0
+        row[self._loads[np.abs(row[self._loads]) < LEAST_LOAD]] = 0.0

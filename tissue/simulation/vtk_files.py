@@ -1,0 +1,45 @@
+"""VTK files, written so that a full disk is an error."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from meshes.base.whole_file import whole_file
+
+if TYPE_CHECKING:
+    import pyvista
+
+__all__ = ["write_vtk", "write_vtk_xml"]
+
+
+def write_vtk_xml(writer: Any, data: "pyvista.DataSet", path: Path) -> None:
+    """Write a VTK XML file with compressed raw data."""
+    writer.SetCompressorTypeToZLib()
+    writer.SetCompressionLevel(1)
+    writer.SetBlockSize(1 << 20)
+    writer.SetDataModeToAppended()
+    writer.EncodeAppendedDataOff()
+    write_vtk(writer, data, path)
+
+
+def write_vtk(writer: Any, data: "pyvista.DataSet", path: Path) -> None:
+    """Let a VTK writer write, and turn its silent failure into the system's error."""
+    from vtkmodules.vtkCommonCore import vtkObject
+
+    with whole_file(path) as beside:
+        beside.open("wb").close()
+        writer.SetFileName(str(beside))
+        writer.SetInputData(data)
+        failures: list[int] = []
+        writer.AddObserver("ErrorEvent", lambda *_: failures.append(writer.GetErrorCode()))
+        shown = vtkObject.GetGlobalWarningDisplay()
+        vtkObject.SetGlobalWarningDisplay(0)  # VTK would print its own account of what is raised below
+        try:
+            written = writer.Write()
+        finally:
+            vtkObject.SetGlobalWarningDisplay(shown)
+        if not written or failures:
+            import errno
+            import os
+
+            # VTK reports a full disk as an error of its own; it is the only one left once the file could be opened.
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))

@@ -1,0 +1,1 @@
+"""Processes of this machine and the files they write: helpers, workers, signals, locks, drawing off screen."""

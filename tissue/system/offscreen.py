@@ -1,0 +1,205 @@
+"""Draw in 3D without a display, in a process of its own: VTK ends the process where a graphics library is missing."""
+
+import ctypes
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from tempfile import TemporaryDirectory
+from time import monotonic, sleep
+
+from meshes.base.errors import InputError
+from tissue.system.child import LOOK_S, Patience, child_command
+
+__all__ = ["REMEDY", "await_display", "display_problem", "draw_apart", "end_drawing"]
+
+REMEDY = "install libegl1 and libgl1-mesa-dri (Debian, Ubuntu) or mesa-libEGL and mesa-dri-drivers (Fedora)"
+"""What gives a bare Linux machine OpenGL in software."""
+LONGEST_S = 120.0
+DISPLAY_S, ANSWERS_S = 30.0, 5.0
+"""How long a display is waited for, and how long it may take for one answer [s]."""
+_drawing: "set[subprocess.Popen[str]]" = set()
+
+
+def draw_apart(
+    module: str,
+    *arguments: str,
+    prepare: Callable[[], None] | None = None,
+    longest_s: float = LONGEST_S,
+    drawn: Callable[[float], None] | None = None,
+) -> str | None:
+    """Run ``python -m module arguments`` where it may draw, and say in half a sentence why it could not.
+
+    Parameters
+    ----------
+    module, arguments
+        What to run. It finds a line on its standard input once ``prepare`` is done.
+    prepare
+        Called once while the process starts, to make what it is going to read.
+    longest_s
+        How long it may draw [s].
+    drawn
+        Told how much is drawn, 0 to 1, as the process prints it, a line each.
+
+    Returns
+    -------
+    None if it ended well, else the reason and the remedy.
+
+    Raises
+    ------
+    InputError
+        If the process ended by one.
+    """
+    command = child_command(module, *arguments)
+    if not command:
+        return "this Python cannot start another one to draw in 3D: run it from the command line"
+    reason = "this machine has no OpenGL library"
+    for window in _windows():
+        environment = os.environ | ({"VTK_DEFAULT_OPENGL_WINDOW": window} if window else {})
+        pipe = subprocess.PIPE
+        with (
+            TemporaryDirectory(prefix="tissue-") as folder,
+            (printed := Path(folder) / "printed").open("wb") as out,
+            subprocess.Popen(
+                command, env=environment, stdin=pipe, stdout=out, stderr=pipe, text=True, errors="replace"
+            ) as process,
+        ):
+            _drawing.add(process)
+            try:
+                if prepare is not None:
+                    prepare()
+                    prepare = None
+                said, late = _awaited(process, longest_s, partial(_tell, drawn, printed))
+            except BaseException:
+                _drawing.discard(process)
+                process.kill()
+                raise
+        if process not in _drawing:
+            return "drawing was stopped"
+        _drawing.discard(process)
+        if late is not None:
+            reason = f"drawing in 3D {late}"
+            continue
+        if process.returncode == 0:
+            return None
+        reason = f"OpenGL does not work on this machine (exit code {process.returncode})"
+        _, refused, sentence = said.rpartition(f"{InputError.__module__}.{InputError.__name__}: ")
+        if process.returncode == 1 and refused:
+            raise InputError(" ".join(sentence.split()))
+        if process.returncode == 1 and "Error" in said:
+            reason = f"drawing in 3D failed ({said.strip().splitlines()[-1][:200]})"
+    return f"{reason}: {REMEDY}" if sys.platform.startswith("linux") else f"{reason}: update the graphics driver"
+
+
+def end_drawing() -> None:
+    """End all that is drawn just now, in whatever thread it is awaited."""
+    while _drawing:
+        _drawing.pop().kill()
+
+
+def _tell(drawn: Callable[[float], None] | None, printed: Path) -> None:
+    if drawn is not None:
+        drawn(_last_share(printed))
+
+
+def _last_share(printed: Path) -> float:
+    """The last whole line that a process printed of how much is drawn, 0 to 1."""
+    for line in reversed(printed.read_text("utf-8", "replace").split("\n")[:-1]):
+        with suppress(ValueError):
+            return min(max(float(line), 0.0), 1.0)
+    return 0.0
+
+
+def _awaited(process: "subprocess.Popen[str]", longest_s: float, look: Callable[[], object]) -> tuple[str, str | None]:
+    """Let a process draw: what it says, and why it was ended, or None; ``look`` is called on the way."""
+    patience = Patience(lambda: [process.pid], longest_s=longest_s)
+    sent: str | None = "ready\n"
+    while True:
+        try:
+            return process.communicate(sent, timeout=LOOK_S)[1], None
+        except subprocess.TimeoutExpired:
+            sent, late = None, patience.look()
+            look()
+        if late is not None:
+            process.kill()
+            return process.communicate()[1], late
+
+
+def display_problem() -> str | None:
+    """Why no window can be opened here, or None; asks before VTK does, which would end the process."""
+    if not sys.platform.startswith("linux"):
+        return None
+    name = os.environ.get("DISPLAY", "")
+    if not name:
+        return "there is no display (DISPLAY is not set)"
+    library = _library("libX11.so.6")
+    if library is None:
+        return "libX11 is missing (install libx11-6, libgl1 and libxcursor1)"
+    if not _answers(library, name):
+        return f"the display {name} does not answer"
+    if _library("libGL.so.1") is None:
+        return "libGL is missing (install libgl1)"
+    return None
+
+
+def await_display(*, longest_s: float = DISPLAY_S) -> str | None:
+    """As `display_problem`, but a display that does not answer yet is waited for.
+
+    Raises
+    ------
+    InputError
+        If it does not answer in time.
+    """
+    until = monotonic() + longest_s
+    while (problem := display_problem()) is not None and problem.endswith("does not answer"):
+        if monotonic() >= until:
+            raise InputError(
+                f"DISPLAY must name a display that answers, got {os.environ['DISPLAY']}, which did not within "
+                f"{longest_s:g} s: start it, or unset DISPLAY to go without a window"
+            )
+        sleep(0.2)
+    return problem
+
+
+def _answers(library: ctypes.CDLL, name: str) -> bool:
+    """Whether a display can be opened; one that takes the call and says nothing would keep it for ever."""
+    said: SimpleQueue[bool] = SimpleQueue()
+    library.XOpenDisplay.restype = ctypes.c_void_p
+    library.XCloseDisplay.argtypes = [ctypes.c_void_p]
+
+    def ask() -> None:
+        display = library.XOpenDisplay(name.encode())
+        if display:
+            library.XCloseDisplay(display)
+        said.put(bool(display))
+
+    threading.Thread(target=ask, daemon=True).start()
+    try:
+        return said.get(timeout=ANSWERS_S)
+    except Empty:
+        return False
+
+
+def _windows() -> Iterator[str]:
+    """Kinds of VTK window to try, by class name; empty is VTK's own choice."""
+    if not sys.platform.startswith("linux") or "VTK_DEFAULT_OPENGL_WINDOW" in os.environ:
+        yield ""
+        return
+    if _library("libEGL.so.1") is not None:
+        yield "vtkEGLRenderWindow"
+    if any(_library(f"libOSMesa.so.{version}") is not None for version in (8, 6)):
+        yield "vtkOSOpenGLRenderWindow"
+    if display_problem() is None:
+        yield "vtkXOpenGLRenderWindow"
+
+
+def _library(name: str) -> ctypes.CDLL | None:
+    try:
+        return ctypes.CDLL(name)
+    except OSError:
+        return None

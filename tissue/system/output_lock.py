@@ -1,0 +1,114 @@
+"""One process at a time writes an output: a lock that ends with its process and names the process that has it."""
+
+import errno
+import os
+import sys
+import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TextIO
+
+from meshes.base.errors import InputError
+
+if sys.platform == "win32":
+    import msvcrt
+else:
+    import fcntl
+
+__all__ = ["LOCK", "OutputLock", "output_locked"]
+
+LOCK = ".lock"
+"""Name of the lock in a folder; of a file's, the end of the hidden name beside it."""
+FAR = 1 << 30
+"""Byte that is locked where locked bytes cannot be read (Windows): far beyond the process id."""
+HELD = (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
+"""What the system says of a lock that another has; anything else means that the file system has no locks."""
+
+
+class OutputLock:
+    """Hold a folder or a file against every other writer until `release`, or until the process ends in any way.
+
+    Parameters
+    ----------
+    out
+        Folder or file that is going to be written.
+    folder
+        Whether it is a folder, which is made where there is none; an empty one that was made so goes with the lock.
+
+    Raises
+    ------
+    InputError
+        If another process, or another writer in this one, holds it, or it cannot be a folder or lie in one.
+    """
+
+    def __init__(self, out: Path, *, folder: bool) -> None:
+        place = (out if folder else out.parent).absolute()
+        standing = next(each for each in (place, *place.parents) if each.exists())
+        if not standing.is_dir():
+            under = "" if standing == place else f" under the file {standing}"
+            what = f"a folder, got the file {out}" if folder and not under else f"in a folder, got {out}{under}"
+            raise InputError(f"out must {'be' if folder and not under else 'lie'} {what}: choose another --out")
+        made = [each for each in (place, *place.parents) if not each.exists()]
+        place.mkdir(parents=True, exist_ok=True)
+        path = place / (LOCK if folder else f".{out.name}{LOCK}")
+        self.release = weakref.finalize(self, _let_go, _taken(path, out), path, made)
+        """Let go of it; a second call does nothing."""
+
+
+@contextmanager
+def output_locked(out: Path, *, folder: bool) -> Iterator[None]:
+    """Hold an output while the block runs; see `OutputLock`."""
+    lock = OutputLock(out, folder=folder)
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def _taken(path: Path, out: Path) -> TextIO:
+    """The lock's file, locked, with this process's id in it."""
+    while True:
+        file = path.open("a+", encoding="utf-8")
+        if not _lock(file):
+            file.seek(0)
+            owner = file.read().strip()
+            file.close()
+            raise InputError(
+                f"out must have one writer at a time, got {out}, which process {owner or 'of unknown number'} is "
+                "writing: wait for it, end it, or choose another --out"
+            )
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                break
+        file.close()  # its last holder took it away in between
+    file.truncate(0)
+    file.write(f"{os.getpid()}\n")
+    file.flush()
+    return file
+
+
+def _lock(file: TextIO) -> bool:
+    """Lock an open file if nobody else has; a file system without locks lets everybody."""
+    try:
+        if sys.platform == "win32":
+            os.lseek(file.fileno(), FAR, os.SEEK_SET)
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        return error.errno not in HELD
+    return True
+
+
+def _let_go(file: TextIO, path: Path, made: list[Path]) -> None:
+    """Take the lock's file away while nobody else can have it, then let go; folders that stayed empty go, too."""
+    if sys.platform == "win32":
+        file.close()  # an open file cannot be taken away there, another's neither
+    with suppress(OSError):
+        path.unlink()
+    with suppress(OSError):
+        file.close()
+    for each in made:
+        with suppress(OSError):
+            each.rmdir()

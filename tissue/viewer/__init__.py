@@ -1,0 +1,1 @@
+"""The window of `tissue view`, its screenshots and movies."""

@@ -1,0 +1,154 @@
+"""The bone in the window of `tissue view`: by layer or by removed depth, its layers switched on and off."""
+
+from typing import Any
+
+import numpy as np
+
+from tissue.figures.style import BONE, layer_colours
+from tissue.viewer.carving import BoneOverTime
+
+__all__ = ["BoneShown"]
+
+DEPTH, DEPTH_TITLE = "removed_depth_mm", "removed depth / mm"
+SHADING: dict[str, Any] = {
+    "smooth_shading": False,
+    "interpolation": "Phong",
+    "ambient": 0.15,
+    "specular": 0.1,
+    "show_scalar_bar": False,
+    "reset_camera": False,
+}
+
+
+class BoneShown:
+    """The bone in a plotter.
+
+    Parameters
+    ----------
+    plotter
+        Where it is shown; the key c is bound there.
+    bone
+        The bone over time.
+
+    Attributes
+    ----------
+    layers
+        Layers that can be switched, by name.
+    help
+        Its key, in words; empty where it has none.
+    points_mm
+        Points of its surface when it was made [mm], shape (n, 3).
+    """
+
+    def __init__(self, plotter: Any, bone: BoneOverTime) -> None:
+        self._plotter, self._bone = plotter, bone
+        names = bone.layer_names
+        self._names, self._colours = names, layer_colours(names)
+        self._index = {names[i]: i for i in bone.layers}
+        self.layers = list(self._index)
+        self._hidden: frozenset[str] = frozenset()
+        self._limit = max(bone.deepest_mm, 1e-3)
+        self._by_depth, self._visible = bone.deepest_mm > 0.0, True
+        self.help = "c: removed depth or layer" if self._by_depth else ""
+        if self._by_depth:
+            plotter.add_key_event("c", self.change)
+        self._take(rest=True)
+        self.points_mm = np.vstack([np.asarray(part.points) for part in self._parts.values()])
+        self._draw()
+
+    def at(self, tick: int) -> None:
+        """Show the bone at the end of a tick."""
+        if self._bone.at(tick):
+            self._take(rest=False)
+            if self._visible:
+                self._draw_part("bone")
+
+    def _take(self, *, rest: bool) -> None:
+        """Take the surfaces of the layers that are shown anew, that of the rest only where it is asked for."""
+        shown = [index for name, index in self._index.items() if name not in self._hidden]
+        if rest:
+            self._parts = {"bone": self._bone.cut(shown), "bone beyond the cut": self._bone.rest(shown)}
+        else:
+            self._parts["bone"] = self._bone.cut(shown)
+
+    def change(self) -> None:
+        """Change between removed depth and layer."""
+        self._by_depth = not self._by_depth
+        self._draw()
+        self._plotter.render()
+
+    def hide(self, hidden: frozenset[str]) -> None:
+        """Leave out some layers, and colour the bone by layer."""
+        self._hidden = hidden
+        self._by_depth = False
+        self._take(rest=True)
+        self._draw()
+
+    def show(self, visible: bool) -> None:
+        """Show the bone or hide it."""
+        self._visible = visible
+        self._draw()
+
+    def _draw(self) -> None:
+        """Bring all that is shown up to date."""
+        plotter = self._plotter
+        plotter.remove_legend(render=False)
+        if DEPTH_TITLE in plotter.scalar_bars:
+            plotter.remove_scalar_bar(DEPTH_TITLE, render=False)
+        actors = [self._draw_part(name) for name in self._parts]
+        shown = [actor for actor in actors if actor is not None]
+        if self._by_depth and shown:
+            self._add_bar(shown[0])
+        elif self._visible and not self._by_depth:
+            self._add_legend()
+
+    def _draw_part(self, name: str) -> Any:
+        """Draw one of the surfaces anew; its actor, None where there is nothing to show."""
+        from matplotlib.colors import ListedColormap
+
+        self._plotter.remove_actor(name, reset_camera=False, render=False)
+        part = self._parts[name].copy(deep=False)
+        if not self._visible or not part.n_cells:
+            return None
+        look: dict[str, Any] = {
+            "scalars": "layer",
+            "preference": "cell",
+            "cmap": ListedColormap([self._colours[name] for name in self._names]),
+            "clim": (-0.5, len(self._names) - 0.5),
+        }
+        if self._by_depth:
+            look = {
+                "scalars": DEPTH,
+                "cmap": "viridis",
+                "clim": (0.02 * self._limit, self._limit),
+                "below_color": BONE,
+            }
+        return self._plotter.add_mesh(part, name=name, render=False, **look, **SHADING)
+
+    def _add_bar(self, actor: Any) -> None:
+        self._plotter.add_scalar_bar(
+            DEPTH_TITLE,
+            mapper=actor.mapper,
+            vertical=True,
+            position_x=0.87,
+            position_y=0.45,
+            height=0.42,
+            width=0.07,
+            color="black",
+            fmt="%.2f",
+            title_font_size=24,
+            label_font_size=24,
+            below_label="",
+            render=False,
+        )
+
+    def _add_legend(self) -> None:
+        """Layers and their colours; one that is off is pale."""
+        entries = [[name, "lightgray" if name in self._hidden else self._colours[name]] for name in self.layers]
+        self._plotter.add_legend(
+            entries,
+            bcolor=None,
+            face="rectangle",
+            size=(0.14, 0.03 * len(entries) + 0.01),
+            loc="upper right",
+        )

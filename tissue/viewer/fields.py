@@ -1,0 +1,217 @@
+"""The fields in the window of `tissue view`: the deformed mesh of the moment, cut open where the clip plane lies."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue.simulation.saved_fields import SavedFields, field_label, field_values
+
+__all__ = ["REFERENCE", "FieldsShown", "Plane", "PointValues", "interpolated"]
+
+Plane = tuple[tuple[float, float, float], tuple[float, float, float]]
+"""Normal and a point [mm]; what lies on the normal's side is left out."""
+SIGNED, STRESS, OTHER = "coolwarm", "inferno", "viridis"
+"""Scales that colour-blind readers can follow (Moreland 2009; van der Walt and Smith 2015)."""
+REFERENCE, SHOWN = "reference_mm", "shown"
+"""Arrays that are only there to be drawn and read."""
+
+
+@dataclass(frozen=True)
+class PointValues:
+    """What the fields are at a point of the material.
+
+    Attributes
+    ----------
+    place_mm
+        Where it is drawn [mm], shape (3,).
+    values
+        Its fields by name.
+    layer
+        Layer that it belongs to; empty where there are none.
+    """
+
+    place_mm: NDArray[np.float64]
+    values: dict[str, Any]
+    layer: str
+
+
+class FieldsShown:
+    """Fields over time in a plotter; nothing is shown until `show` is called.
+
+    Parameters
+    ----------
+    plotter
+        Where they are shown.
+    fields
+        The fields.
+    scale
+        How many times its size the displacement is drawn.
+    clip
+        Plane that the mesh is cut open at, or None.
+
+    Attributes
+    ----------
+    name
+        The field that is shown, or None.
+    actor
+        What can be picked in the plotter, or None; its mesh has the point array ``reference_mm``.
+    drawn
+        Called after every change of what is shown, with nothing; whoever makes a change renders it.
+    """
+
+    def __init__(self, plotter: Any, fields: SavedFields, *, scale: float = 1.0, clip: Plane | None = None) -> None:
+        self._plotter, self._fields = plotter, fields
+        self.scale, self.clip = scale, clip
+        self._time_s = 0.0
+        self._hidden: frozenset[str] = frozenset()
+        self.name: str | None = None
+        self.actor: Any = None
+        self.drawn: list[Callable[[], None]] = []
+        self._title = ""
+        self._last: tuple[Any, ...] | None = None
+
+    @property
+    def bounds_mm(self) -> tuple[float, ...]:
+        """Ends of the box around the first frame, x, y, z, low and high each [mm]."""
+        return tuple(self._fields.frames[0].bounds)
+
+    def show(self, name: str | None) -> None:
+        """Show a field, or none."""
+        self.name = name
+        self._draw()
+
+    def at(self, time_s: float) -> None:
+        """Show the moment."""
+        self._time_s = time_s
+        self._draw()
+
+    def enlarge(self, scale: float) -> None:
+        """Draw the displacement so many times its size."""
+        self.scale = scale
+        self._draw()
+
+    def cut(self, clip: Plane | None) -> None:
+        """Cut the mesh open at a plane, or leave it whole."""
+        self.clip = clip
+        self._draw()
+
+    def hide(self, hidden: frozenset[str]) -> None:
+        """Leave out the cells of some layers."""
+        self._hidden = hidden
+        self._draw()
+
+    def read(self, reference_mm: NDArray[np.float64]) -> PointValues | None:
+        """Values at a point of the material, by where it lay before loading [mm]; None where no cell is left."""
+        mesh, _ = self._fields.at(self._time_s)
+        if not mesh.n_cells:
+            return None
+        found: Any = mesh.find_closest_cell(reference_mm, return_closest_point=True)
+        index, closest = found
+        if np.linalg.norm(closest - reference_mm) > 1e-3 * self._fields.size_mm:
+            return None
+        cell, layers = int(index), self._fields.layer_names
+        values: dict[str, Any] = {}
+        for name in self._fields.names:
+            if name in mesh.cell_data:
+                values[name] = mesh.cell_data[name][cell]
+            elif name in mesh.point_data:
+                values[name] = interpolated(mesh, cell, closest, name)
+        moved = self._fields.unit_mm * values.get(self._fields.displacement or "", np.zeros(3))
+        layer = layers[int(mesh.cell_data["layer"][cell])] if layers else ""
+        return PointValues(reference_mm + self.scale * moved, values, layer)
+
+    def _draw(self) -> None:
+        key = (self.name, self.scale, self.clip, self._hidden)
+        if self.name is None:
+            if self.actor is not None:
+                self._clear()
+        else:
+            mesh, shown_s = self._fields.at(self._time_s)
+            if (*key, shown_s) == self._last:
+                return
+            self._clear()
+            self._last = (*key, shown_s)
+            self._add(mesh, shown_s, self.name)
+        for call in self.drawn:
+            call()
+
+    def _clear(self) -> None:
+        self._plotter.remove_actor("field", reset_camera=False, render=False)
+        if self._title in self._plotter.scalar_bars:
+            self._plotter.remove_scalar_bar(self._title, render=False)
+        self.actor, self._last = None, None
+
+    def _part(self, mesh: Any) -> Any:
+        """What is left of a mesh without the hidden layers and in front of the clip plane, deformed."""
+        import pyvista
+
+        names = self._fields.layer_names
+        keep = [index for index, name in enumerate(names) if name not in self._hidden]
+        if len(keep) < len(names):
+            mesh = mesh.extract_cells(np.isin(mesh.cell_data["layer"], keep))
+        if not mesh.n_cells:
+            return mesh
+        moved = mesh.copy(deep=False)
+        moved.point_data[REFERENCE] = np.array(mesh.points)
+        place = np.asarray(mesh.points) + np.float32(self.scale) * self._fields.moved_mm(mesh)
+        moved.SetPoints(pyvista.vtk_points(place, deep=True))  # to set them through .points would move the frame too
+        if self.clip is not None:
+            normal, origin = self.clip
+            moved = moved.clip(normal=normal, origin=origin)
+        return moved
+
+    def _add(self, mesh: Any, shown_s: float, name: str) -> None:
+        if field_values(mesh, name) is None:
+            return
+        part = self._part(mesh)
+        if not part.n_cells:
+            return
+        in_cells = name in part.cell_data
+        (part.cell_data if in_cells else part.point_data)[SHOWN] = field_values(part, name)
+        low, high = self._fields.limits(name)
+        self.actor = self._plotter.add_mesh(
+            part,
+            scalars=SHOWN,
+            preference="cell" if in_cells else "point",
+            cmap=SIGNED if low < 0.0 else STRESS if low > 0.0 else OTHER,
+            clim=(low, high),
+            log_scale=low > 0.0,
+            name="field",
+            ambient=0.6,
+            diffuse=0.45,
+            show_scalar_bar=False,
+            reset_camera=False,
+            render=False,
+        )
+        words, unit = field_label(name)
+        self._title = f"{words}{f' / {unit}' if unit else ''}\nat {shown_s:.3f} s"
+        if self.scale != 1.0 and self._fields.displacement is not None:
+            self._title += f"\ndrawn × {self.scale:.3g}"
+        self._plotter.add_scalar_bar(
+            self._title,
+            mapper=self.actor.mapper,
+            vertical=True,
+            position_x=0.87,
+            position_y=0.42,
+            height=0.42,
+            width=0.07,
+            color="black",
+            fmt="%.2g",
+            title_font_size=24,
+            label_font_size=24,
+            render=False,
+        )
+
+
+def interpolated(mesh: Any, cell: int, place_mm: NDArray[np.float64], name: str) -> NDArray[np.float64]:
+    """A point array at a place in one of a mesh's cells, by the cell's own shape functions."""
+    from vtkmodules.vtkCommonCore import reference
+
+    one = mesh.GetCell(cell)
+    nodes = [one.GetPointId(i) for i in range(one.GetNumberOfPoints())]
+    shares = [0.0] * len(nodes)
+    one.EvaluatePosition(list(map(float, place_mm)), [0.0] * 3, reference(0), [0.0] * 3, reference(0.0), shares)
+    return np.asarray(np.array(shares) @ np.asarray(mesh.point_data[name], dtype=np.float64)[nodes])

@@ -1,0 +1,124 @@
+"""The moment in the window of `tissue view`: the tool, its force as an arrow and in words, the cursor in the chart."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue.figures.style import COMPONENTS
+from tissue.simulation.trace import Table
+from tissue.viewer.arrow import ForceArrow
+
+if TYPE_CHECKING:
+    import pyvista
+
+__all__ = ["CHART_SHARE", "MomentShown"]
+
+CHART_SHARE = 0.27
+"""Height of the chart in the window."""
+MOST_POINTS = 4000
+"""Rows of the trace that a path or a curve shows."""
+LONGEST = 0.3
+"""Length of the longest arrow, in sizes of what the tool meets."""
+
+
+class MomentShown:
+    """What the trace tells of one moment.
+
+    Parameters
+    ----------
+    plotter
+        Where it is shown.
+    trace
+        The trace, of one row at least.
+    tool
+        Surface of the tool in its own frame [mm], or None.
+    size_mm
+        Size of what the tool meets [mm]; the arrow is in proportion to it.
+    """
+
+    def __init__(self, plotter: Any, trace: Table, tool: "pyvista.PolyData | None", *, size_mm: float) -> None:
+        import pyvista
+
+        self._trace = trace
+        self._tips = trace.vectors("tool", "mm")
+        self._force = trace.vectors("model_force" if "model_force_x_N" in trace else "force", "N")
+        self._turns = np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"])
+        every = slice(None, None, max(len(trace.rows) // MOST_POINTS, 1))
+        path = self._tips[every]
+        if len(path) > 1 and np.ptp(path, axis=0).max() > 0.0:
+            plotter.add_mesh(pyvista.lines_from_points(path), color="#D55E00", line_width=3, show_scalar_bar=False)
+        self._tool = None if tool is None else plotter.add_mesh(tool, color="gray", opacity=0.35, specular=0.4)
+        self._greatest = float(np.linalg.norm(self._force, axis=1).max())
+        self._longest = LONGEST * max(float(np.ptp(path, axis=0).max()), size_mm, tool.length if tool else 0.0, 1.0)
+        self._arrow = ForceArrow(plotter, longest_mm=self._longest)
+        self._text = plotter.add_text("", position=(0.012, 0.932), viewport=True, font_size=11, color="black")
+        self._chart, self._cursor = _chart(plotter, trace, every)
+
+    @property
+    def extent_mm(self) -> NDArray[np.float64]:
+        """Both ends of the tool's path and of the longest arrow [mm], shape (4, 3)."""
+        row = np.linalg.norm(self._force, axis=1).argmax()
+        arrow = self._longest * self._force[row] / max(self._greatest, 1e-9)
+        return np.stack([self._tips[0], self._tips[-1], self._tips[row], self._tips[row] + arrow])
+
+    @property
+    def peak_s(self) -> float:
+        """When the force was greatest [s]."""
+        return float(self._trace["time_s"][np.linalg.norm(self._force, axis=1).argmax()])
+
+    def row(self, time_s: float) -> int:
+        """Row of the trace at a moment."""
+        times = self._trace["time_s"]
+        return int(np.clip(np.searchsorted(times, time_s - 1e-9), 0, len(times) - 1))
+
+    def at(self, time_s: float) -> None:
+        """Show the moment."""
+        from scipy.spatial.transform import Rotation
+
+        trace = self._trace
+        row = self.row(time_s)
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = Rotation.from_quat(self._turns[row]).as_matrix(), self._tips[row]
+        if self._tool is not None:
+            self._tool.user_matrix = pose
+        force = self._force[row]
+        size = float(np.linalg.norm(force))
+        self._arrow.show(self._tips[row], force, greatest_N=self._greatest)
+        parts = ", ".join(f"{one:.2f}" for one in force.round(2) + 0.0)
+        words = [f"{time_s:.3f} s: force {size:.2f} N ({parts})"]
+        if "layer" in trace:
+            words.append(str(trace["layer"][row]))
+        if "removed_mm3" in trace and trace["removed_mm3"][-1] > 0.0:
+            words.append(f"removed {trace['removed_mm3'][row]:.2f} mm³")
+        self._text.input = ", ".join(words)
+        self._cursor.update([time_s, time_s], self._chart.y_range)
+
+
+def _chart(plotter: Any, trace: Table, every: slice) -> tuple[Any, Any]:
+    """The force over time along the lower edge, with a cursor.
+
+    What is commanded is pale and the model's force lies upon it: teeth that vibrate would make a band that hides it.
+    """
+    import pyvista
+
+    chart = pyvista.Chart2D(size=(0.98, CHART_SHARE), loc=(0.01, 0.0), x_label="time / s", y_label="force / N")
+    time, force = trace["time_s"][every], trace.vectors("force", "N")[every]
+    model = trace.vectors("model_force", "N")[every] if "model_force_x_N" in trace else force
+    low, high = 0.0, 1e-3
+    for values, opacity, width in ((force, 0.3, 1.5), (model, 1.0, 2.0)):
+        shown = {"magnitude": (np.linalg.norm(values, axis=1), "black")}
+        shown |= {"xyz"[c]: (values[:, c], COMPONENTS[c]) for c in range(3)}
+        for name, (curve, colour) in shown.items():
+            label = name if values is model else ""
+            chart.line(time, curve, color=pyvista.Color(colour, opacity=opacity), width=width, label=label)
+            low, high = min(low, float(curve.min())), max(high, float(curve.max()))
+    chart.y_range = (low - 0.05 * (high - low), high + 0.05 * (high - low))
+    chart.x_range = (float(time[0]), float(max(time[-1], time[0] + 1e-3)))
+    cursor = chart.line([time[0], time[0]], list(chart.y_range), color=(0.4, 0.4, 0.4), width=1.5)
+    chart.GetLegend().SetInline(False)  # beside the curves, for it hides what it lies upon
+    for axis in (chart.x_axis, chart.y_axis):
+        axis.label_size, axis.tick_label_size = 24, 22
+    chart.GetLegend().SetLabelSize(22)
+    plotter.add_chart(chart)
+    return chart, cursor

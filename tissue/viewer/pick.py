@@ -1,0 +1,96 @@
+"""Reading a point in the window of `tissue view`: a click marks it, and its values follow the time."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue.simulation.saved_fields import field_label
+from tissue.viewer.fields import REFERENCE, FieldsShown, interpolated
+
+__all__ = ["PointRead"]
+
+MARK = "#56B4E9"
+NEGLIGIBLE = 1e-5
+"""Share of a vector below which one of its components is rounding."""
+
+
+class PointRead:
+    """A point of the material that a click has marked, and what the fields are there.
+
+    Parameters
+    ----------
+    plotter
+        Where it is shown.
+    fields
+        What is read.
+    size_mm
+        Diameter of the mark [mm].
+
+    Attributes
+    ----------
+    reference_mm
+        Where the point lay before loading [mm], or None.
+    text
+        What is said of it.
+    """
+
+    def __init__(self, plotter: Any, fields: FieldsShown, *, size_mm: float) -> None:
+        import pyvista
+
+        self._plotter, self._fields = plotter, fields
+        self.reference_mm: NDArray[np.float64] | None = None
+        self.text = ""
+        self._mark = plotter.add_mesh(
+            pyvista.Sphere(radius=0.5 * size_mm), color=MARK, name="mark", reset_camera=False, render=False
+        )
+        self._mark.SetVisibility(False)
+        self._words = plotter.add_text("", position=(0.012, 0.36), viewport=True, font_size=10, color="black")
+        fields.drawn.append(self.update)
+
+    def click(self, x: int, y: int) -> bool:
+        """Mark what lies under a pixel, counted from the lower left; whether there was anything."""
+        from vtkmodules.vtkRenderingCore import vtkCellPicker
+
+        if self._fields.actor is None:
+            return False
+        picker = vtkCellPicker()
+        picker.SetTolerance(1e-4)
+        picker.InitializePickList()
+        picker.AddPickList(self._fields.actor)
+        picker.PickFromListOn()
+        if not picker.Pick(float(x), float(y), 0.0, self._plotter.renderer) or picker.GetCellId() < 0:
+            return False
+        mesh = self._fields.actor.mapper.dataset
+        self.mark(interpolated(mesh, picker.GetCellId(), np.array(picker.GetPickPosition()), REFERENCE))
+        return True
+
+    def mark(self, reference_mm: NDArray[np.float64]) -> None:
+        """Mark a point of the material by where it lay before loading [mm]."""
+        self.reference_mm = np.asarray(reference_mm, dtype=np.float64)
+        self.update()
+
+    def update(self) -> None:
+        """Bring the mark and the words to the moment."""
+        if self.reference_mm is None:
+            return
+        found = self._fields.read(self.reference_mm) if self._fields.name is not None else None
+        self._mark.SetVisibility(found is not None)
+        if found is None:
+            self.text = "the marked point is gone" if self._fields.name is not None else ""
+        else:
+            self._mark.SetPosition(*found.place_mm)
+            at = ", ".join(f"{value:.2f}" for value in self.reference_mm.round(2) + 0.0)
+            lines = [f"{found.layer or 'point'} at ({at}) mm before loading"]
+            self.text = "\n".join([*lines, *(_line(name, value) for name, value in found.values.items())])
+        self._words.input = self.text
+
+
+def _line(name: str, value: Any) -> str:
+    """A field's value in words."""
+    words, unit = field_label(name)
+    if np.ndim(value) == 0:
+        return f"{words}: {value:.3g} {unit}".rstrip()
+    size = float(np.linalg.norm(value))
+    parts = ", ".join(f"{one if abs(one) > NEGLIGIBLE * size else 0.0:.3g}" for one in value)
+    return f"{words}: {size:.3g} {unit} ({parts})"

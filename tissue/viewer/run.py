@@ -1,0 +1,78 @@
+"""What a saved run holds for the window of `tissue view`: whether its files are whole, the faces that a tool meets."""
+
+from typing import TYPE_CHECKING
+
+from meshes.base.parse_apart import parse_apart
+from tissue.scene.coupling import WallAnatomy
+from tissue.scene.organ import LayersAnatomy
+from tissue.scene.scene import Scene
+from tissue.simulation.run_folder import SavedRun
+from tissue.simulation.saved_fields import frames_of
+
+if TYPE_CHECKING:
+    import pyvista
+
+__all__ = ["faces_of", "require_whole"]
+
+FACE_MM = 30.0
+"""Edge of a drawn piece of a face that goes on, and what of a wall goes beyond the way on it."""
+WALL_MESH_MM = 5.0
+"""Width of the squares of a drawn wall."""
+
+
+def require_whole(saved: SavedRun) -> None:
+    """Refuse a run whose bone or frames are damaged, before VTK reads them in this process, which it could end.
+
+    Raises
+    ------
+    InputError
+        If a file is damaged or lacks what it should hold; says which.
+    """
+    wanted: dict[str, list[str]] = {}
+    if saved.complete:
+        wanted = {"bone.vti": ["remaining", "layer", "density_kg_m3"]}
+    if (saved.path / "fields.pvd").is_file():
+        wanted |= {name: [] for _, name in frames_of(saved.path)}
+    there = {name: arrays for name, arrays in wanted.items() if (saved.path / name).is_file()}
+    if there:
+        parse_apart(
+            "meshes.surfaces.vtk_reading:check_vtk",
+            saved.path,
+            what="folder of a run",
+            remedy="run the scene again",
+            arrays_by_file=there,
+        )
+
+
+def faces_of(scene: Scene | None) -> "dict[str, pyvista.PolyData]":
+    """Pieces of the faces that a needle goes through or a ball presses [mm], by layer; none of an organ that is meshed.
+
+    A wall is drawn under all of the way that the tool can go.
+    """
+    import pyvista
+
+    anatomy = scene.anatomy if scene is not None else None
+    if scene is not None and isinstance(anatomy, WallAnatomy):
+        from tissue.builders.registry import motion_of
+
+        way = 1e3 * motion_of(scene, step_s=1e-3).sweep_m()[:, :2]
+        low, high = way.min(axis=0), way.max(axis=0)
+        middle, (wide, deep) = 0.5 * (low + high), high - low + max(FACE_MM, 2.0 * (scene.coupling.roam_mm or 0.0))
+        return {
+            "wall": pyvista.Plane(
+                center=(*middle, 0.0),
+                direction=(0.0, 0.0, 1.0),
+                i_size=wide,
+                j_size=deep,
+                i_resolution=max(round(wide / WALL_MESH_MM), 1),
+                j_resolution=max(round(deep / WALL_MESH_MM), 1),
+            )
+        }
+    if not isinstance(anatomy, LayersAnatomy):
+        return {}
+    depths = {"capsule": 0.0, "vessel wall": anatomy.vessel_wall_depth_mm}
+    return {
+        name: pyvista.Plane(center=(0.0, 0.0, -depth), direction=(0.0, 0.0, 1.0), i_size=FACE_MM, j_size=FACE_MM)
+        for name, depth in depths.items()
+        if depth is not None
+    }

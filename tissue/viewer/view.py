@@ -1,0 +1,210 @@
+"""A saved run in a window, as a screenshot or as a movie: bone or fields, the tool on its path, and its force."""
+
+import json
+import math
+import shutil
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress, silent
+from meshes.base.whole_file import whole_file
+from tissue.models.tissue_model import TICK_S
+from tissue.simulation.run_folder import SavedRun
+from tissue.simulation.saved_fields import SavedFields, field_names
+from tissue.system.offscreen import LONGEST_S, display_problem, draw_apart
+from tissue.viewer.movie import check_movie
+from tissue.viewer.run import require_whole
+from tissue.viewer.show import show
+from tissue.viewer.window import Choice
+
+__all__ = ["view"]
+
+LONGEST_MOVIE_S = 3600.0
+"""How long a movie may take to draw [s]."""
+
+
+def view(
+    path: str | Path,
+    *,
+    screenshot: Path | None = None,
+    movie: Path | None = None,
+    hide: tuple[str, ...] = (),
+    field: str | None = None,
+    scale: float = 1.0,
+    time_s: float | None = None,
+    progress: Progress | None = None,
+) -> str:
+    """Show a run, or draw it into a file.
+
+    Parameters
+    ----------
+    path
+        Folder that `tissue run` wrote, of a run that ended or was stopped.
+    screenshot
+        PNG file to write instead of opening a window; an existing one is replaced.
+    movie
+        MP4 or GIF file to write instead of opening a window; an existing one is replaced.
+    hide
+        Layers that are switched off at first.
+    field
+        Field that is shown at first in place of the bone, ``von_mises_MPa`` for one.
+    scale
+        How many times its size the displacement is drawn at first.
+    time_s
+        Moment that is shown at first [s]; without it that of the greatest force.
+    progress
+        Told how much of a file is drawn.
+
+    Returns
+    -------
+    What was shown, in a sentence or two.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no run or nothing to show, there is no such layer, field or moment, no display for a window,
+        or the picture cannot be drawn.
+    """
+    _check_files(screenshot, movie, time_s)
+    saved = SavedRun(path)
+    said = _about(saved)
+    require_whole(saved)
+    choice = Choice(hide=hide, field=field, scale=scale, time_s=time_s)
+    _check(saved, choice)
+    if movie is not None and len(_times(saved)) < 2:
+        raise InputError(f"movie must be of a run that lasts, got {saved.path}: use --screenshot")
+    if screenshot is None and movie is None:
+        problem = display_problem()
+        if problem is not None:
+            raise InputError(
+                f"view must have a display to open a window, but {problem}: pass --screenshot FILE or --movie FILE"
+            )
+        show(saved, said, choice)
+    for kind, file in (("screenshot", screenshot), ("movie", movie)):
+        if file is not None:
+            _draw(saved, choice, kind, file, progress or silent)
+            said += f"\n{kind} in {file}"
+    return said
+
+
+def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, tell: Progress) -> None:
+    """Draw a file in a process of its own; it is there whole, or as it was before."""
+    longest_s = LONGEST_MOVIE_S if kind == "movie" else LONGEST_S
+    chosen, doing = json.dumps(asdict(choice)), f"drawing the {kind}"
+    tell(doing, 0.0)
+    with whole_file(file) as beside, TemporaryDirectory(prefix="tissue-", ignore_cleanup_errors=True) as folder:
+        beside.touch()
+        beside.unlink()  # a folder that takes no file says so before anything is drawn
+        drawn = Path(folder) / file.name
+        problem = draw_apart(
+            "tissue.viewer.view",
+            str(saved.path),
+            kind,
+            str(drawn),
+            chosen,
+            longest_s=longest_s,
+            drawn=lambda share: tell(doing, share),
+        )
+        if problem is not None:
+            raise InputError(f"{kind} must be drawn in 3D, but {problem}")
+        shutil.copyfile(drawn, beside)
+
+
+def _check_files(screenshot: Path | None, movie: Path | None, time_s: float | None) -> None:
+    """Refuse files that cannot be written, before those of the run are read."""
+    if movie is not None:
+        check_movie(movie)
+        if time_s is not None:
+            raise InputError(
+                f"time_s must be left out with movie, which shows all of them, got {time_s:g}: leave it out"
+            )
+    if screenshot is not None:
+        if screenshot.suffix.lower() != ".png":
+            raise InputError(f"screenshot must be a .png file, got {screenshot}: use {screenshot.with_suffix('.png')}")
+        if not screenshot.absolute().parent.is_dir():
+            raise InputError(f"screenshot must lie in an existing folder, got {screenshot}: make the folder first")
+
+
+def _check(saved: SavedRun, choice: Choice) -> None:
+    """Refuse what the run does not have."""
+    fields = field_names(saved.path)
+    ticks = saved.trace is not None and len(saved.trace.rows) > 0
+    if saved.complete and not ticks and not fields and not (saved.path / "bone.vti").is_file():
+        raise InputError(
+            f"run must hold a trace, bone or frames to be shown, got none of them in {saved.path}: run the scene again"
+        )
+    layers = [*saved.summary.get("layers", [])]
+    if fields:
+        layers += [name for name in SavedFields(saved.path).layer_names if name not in layers]
+    for name in choice.hide:
+        if name not in layers:
+            raise InputError(f"hide must name a layer of the run, got {name}: use one of {', '.join(layers)}")
+    if choice.field is not None and choice.field not in fields:
+        known = f"use one of {', '.join(fields)}" if fields else "this run has none, leave it out"
+        raise InputError(f"field must name a field of the run, got {choice.field}: {known}")
+    if not (math.isfinite(choice.scale) and choice.scale >= 0.0):
+        raise InputError(f"scale must be a number of at least 0, got {choice.scale:g}: use 1 for true size")
+    if choice.scale != 1.0 and (not fields or SavedFields(saved.path).displacement is None):
+        raise InputError(f"scale must be left out for a run without displacement, got {choice.scale:g}: leave it out")
+    if choice.time_s is not None:
+        times = _times(saved)
+        if not len(times):
+            raise InputError(f"time_s must lie in the run, got {choice.time_s:g} for a run without ticks: leave it out")
+        first, last = float(times[0]), float(times[-1])
+        if not first - 1e-9 <= choice.time_s <= last + 1e-9:
+            nearest = last if choice.time_s > last else first
+            raise InputError(
+                f"time_s must lie in the run, {first:g} to {last:g} s, got {choice.time_s:g}: use {nearest:g}"
+            )
+
+
+def _times(saved: SavedRun) -> np.ndarray:
+    """Moments that can be shown [s]."""
+    if saved.trace is not None and len(saved.trace.rows):
+        return saved.trace["time_s"]
+    return SavedFields(saved.path).times_s if field_names(saved.path) else np.zeros(0)
+
+
+def _about(saved: SavedRun) -> str:
+    """What there is to see."""
+    if saved.complete:
+        force, torque = saved.summary["force_N"]["peak"], saved.summary["torque_Nm"]["peak"]
+        seconds = saved.summary["simulated_s"]
+        return f"{saved.summary['scene']}: {seconds:g} s, force up to {force:.3g} N, torque up to {torque:.3g} N·m"
+    begun = {"running": "goes on", "failed": "failed"}.get(saved.status, "was interrupted")
+    if saved.trace is None or not len(saved.trace.rows):
+        where = "before its first tick was written"
+    else:
+        last = float(saved.trace["time_s"][-1])
+        planned = _planned_s(saved)
+        where = f"at {last:.3f} s" + (f" of {planned:g} s" if planned else "")
+        if planned and last > planned - 1.5 * TICK_S:
+            where = "after its last tick, while its files were written"
+    if saved.status == "running":
+        where += f", process {saved.summary['process']['id']} writes it"
+    return f"run is incomplete: it {begun} {where}" + (f" ({saved.problem})" if saved.problem else "")
+
+
+def _planned_s(saved: SavedRun) -> float | None:
+    """How long a run was meant to last [s]."""
+    from tissue.builders.registry import motion_of
+
+    scene = saved.scene
+    if scene is None:
+        return None
+    try:
+        return scene.duration_s or motion_of(scene, step_s=TICK_S).duration_s
+    except InputError:
+        return None
+
+
+if __name__ == "__main__":
+    finished = SavedRun(sys.argv[1])
+    wanted, into, chosen = sys.argv[2:]
+    shown = json.loads(chosen)
+    show(finished, _about(finished), Choice(**shown | {"hide": tuple(shown["hide"])}), **{wanted: Path(into)})

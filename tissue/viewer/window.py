@@ -1,0 +1,282 @@
+"""The window of `tissue view`: what is shown of a run, and how its parts answer to each other."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from tissue.figures.style import layer_colours
+from tissue.figures.tool_mesh import tool_surface
+from tissue.simulation.run_folder import SavedRun
+from tissue.simulation.saved_fields import SavedFields, field_label, field_names
+from tissue.viewer.bone import BoneShown
+from tissue.viewer.camera import aim
+from tissue.viewer.carving import bone_of
+from tissue.viewer.clip import HELP as CLIP_HELP
+from tissue.viewer.clip import ClipPlane
+from tissue.viewer.fields import FieldsShown, Plane
+from tissue.viewer.input import free_keys, on_click
+from tissue.viewer.layers import LayerKeys
+from tissue.viewer.list import NameList
+from tissue.viewer.moment import CHART_SHARE, MomentShown
+from tissue.viewer.movie import movie_times_s
+from tissue.viewer.pick import PointRead
+from tissue.viewer.play import Playback
+from tissue.viewer.run import faces_of
+
+__all__ = ["Choice", "Window"]
+
+SIZE = (1400, 950)
+SLIDERS = CHART_SHARE + 0.04
+"""Height of the sliders in the window."""
+LARGEST = 0.3
+"""Share of the mesh's size that the greatest displacement can be drawn as."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What is shown at first.
+
+    Attributes
+    ----------
+    hide
+        Layers that are off.
+    field
+        Field in place of the bone; without it the bone, or the first field of a run without bone.
+    scale
+        How many times its size the displacement is drawn.
+    time_s
+        The moment [s]; without it that of the greatest force.
+    """
+
+    hide: tuple[str, ...] = ()
+    field: str | None = None
+    scale: float = 1.0
+    time_s: float | None = None
+
+
+class Window:
+    """Everything that is shown of a run.
+
+    Parameters
+    ----------
+    saved
+        The run.
+    title
+        What is written above.
+    choice
+        What is shown at first.
+    off_screen
+        Whether it is drawn for a file, and so without buttons, lists and help.
+
+    Attributes
+    ----------
+    plotter
+        PyVista's plotter.
+    fields, point, names, playback, bone, layers, clip
+        The parts of the window; None where the run, or a picture, has none.
+    """
+
+    def __init__(self, saved: SavedRun, title: str, choice: Choice, *, off_screen: bool) -> None:
+        import pyvista
+
+        make: Any = pyvista.Plotter
+        self._saved, self._off_screen = saved, off_screen
+        self.plotter: Any = make(
+            off_screen=off_screen, window_size=list(SIZE), title=f"tissue: {saved.summary.get('scene', 'run')}"
+        )
+        self.plotter.set_background("white")
+        scene = saved.scene
+        bone = bone_of(saved, scene)
+        self.bone = None if bone is None else BoneShown(self.plotter, bone)
+        self._series = SavedFields(saved.path) if field_names(saved.path) else None
+        self.fields: FieldsShown | None = None
+        if self._series is not None:
+            cut = _plane(saved, self._series) if self.bone is not None else None
+            self.fields = FieldsShown(self.plotter, self._series, scale=choice.scale, clip=cut)
+        self.names: NameList | None = None
+        self.point: PointRead | None = None
+        self.clip: ClipPlane | None = None
+        self._faces = faces_of(scene)
+        self._face_actors = self._add_faces()
+        self._add_layers(choice)
+        points = np.zeros((1, 3)) if self.bone is None else self.bone.points_mm
+        size = max(float(np.linalg.norm(np.ptp(points, axis=0))), self._series.size_mm if self._series else 0.0)
+        self.moment: MomentShown | None = None
+        self.playback: Playback | None = None
+        if saved.trace is not None and len(saved.trace.rows):
+            size = max(size, *(face.length for face in self._faces.values()), 0.0)
+            tool = tool_surface(scene.tool if scene is not None else None)
+            self.moment = MomentShown(self.plotter, saved.trace, tool, size_mm=size)
+        self._add_time(choice)
+        first = self._series.names[0] if self._series is not None and self.bone is None else None
+        self.choose(choice.field or first)
+        if not off_screen:
+            self._add_controls(size)
+        self._write(title)
+        aim(self.plotter, np.vstack([np.zeros((0, 3)), *self._extent(choice)]))
+
+    def choose(self, name: str | None) -> None:
+        """Show a field, or the bone."""
+        if self.fields is not None:
+            self.fields.show(name)
+        if self.bone is not None:
+            self.bone.show(name is None)
+        if self.names is not None:
+            self.names.mark(name)
+        self.plotter.render()
+
+    def next(self) -> None:
+        """Show the next field, after the last one the bone."""
+        if self.fields is None or self._series is None:
+            return
+        choices = [*self._series.names, *([None] if self.bone is not None else [])]
+        at = choices.index(self.fields.name) if self.fields.name in choices else -1
+        self.choose(choices[(at + 1) % len(choices)])
+
+    def at(self, time_s: float) -> None:
+        """Show the moment."""
+        if self.moment is not None:
+            self.moment.at(time_s)
+            if self.bone is not None:
+                self.bone.at(self.moment.row(time_s))
+        if self.fields is not None:
+            self.fields.at(time_s)
+
+    @property
+    def picture_count(self) -> int:
+        """How many pictures a movie has."""
+        return len(movie_times_s(*self.playback.span_s)) if self.playback is not None else 0
+
+    def pictures(self) -> Iterator[NDArray[np.uint8]]:
+        """Pictures of a movie over the whole run."""
+        if self.playback is None:
+            raise InputError(f"movie must be of a run that lasts, got {self._saved.path}: use --screenshot")
+        for time_s in movie_times_s(*self.playback.span_s):
+            self.playback.to(float(time_s))
+            yield self.plotter.screenshot(None, return_img=True)[..., :3]
+
+    def open(self) -> None:
+        """Open the window; comes back when it was closed."""
+        free_keys(self.plotter)
+        if self.playback is not None:
+            self.playback.start()
+        self.plotter.show()
+
+    def _add_layers(self, choice: Choice) -> None:
+        """The digits, for the bone's layers and those that only the fields have."""
+        names = list(self.bone.layers) if self.bone is not None else []
+        targets = []
+        if self.bone is not None:
+            targets.append(self.bone.hide)
+        if self.fields is not None and self._series is not None:
+            names += [name for name in self._series.layer_names if name not in names]
+            targets.append(self.fields.hide)
+        if self._faces:
+            names += self._faces
+            targets.append(self._hide_faces)
+        self.layers = LayerKeys(self.plotter, names, hidden=choice.hide, targets=targets)
+
+    def _add_faces(self) -> dict[str, Any]:
+        """The faces that a needle goes through, with their names."""
+        colours = layer_colours(tuple(self._faces))
+        for row, name in enumerate(self._faces):
+            place = (0.87, 0.93 - 0.035 * row)
+            self.plotter.add_text(name, position=place, viewport=True, font_size=11, color=colours[name])
+        return {n: self.plotter.add_mesh(f, color=colours[n], opacity=0.5) for n, f in self._faces.items()}
+
+    def _hide_faces(self, hidden: frozenset[str]) -> None:
+        for name, actor in self._face_actors.items():
+            actor.SetVisibility(name not in hidden)
+
+    def _add_time(self, choice: Choice) -> None:
+        trace, series = self._saved.trace, self._series
+        times: NDArray[np.float64] = np.zeros(0) if series is None else series.times_s
+        if self.moment is not None and trace is not None:
+            times = trace["time_s"]
+        if not len(times):
+            return
+        begin = choice.time_s
+        if begin is None:
+            begin = self.moment.peak_s if self.moment is not None else float(times[-1])
+        self.at(begin)
+        if len(times) > 1:
+            right = 0.97 if self._series is None or self._off_screen else 0.66
+            self.playback = Playback(
+                self.plotter,
+                self.at,
+                span_s=(float(times[0]), float(times[-1])),
+                begin_s=begin,
+                slider=(0.03 if self._off_screen else 0.1, right, SLIDERS),
+            )
+
+    def _add_controls(self, size_mm: float) -> None:
+        """What only a window has: list of fields, point that is read, clip plane, scale of the displacement."""
+        fields, series, plotter = self.fields, self._series, self.plotter
+        if fields is None or series is None:
+            return
+        plotter.add_key_event("m", self.next)
+        labels = [(name, " / ".join(part for part in field_label(name) if part)) for name in series.names]
+        bone = [(None, "bone")] if self.bone is not None else []
+        self.names = NameList(plotter, "shown (click, or m)", [*bone, *labels], choose=self.choose)
+        self.names.mark(fields.name)
+        self.point = PointRead(plotter, fields, size_mm=0.02 * size_mm)
+        self.clip = ClipPlane(plotter, fields, start=_plane(self._saved, series))
+        if series.displacement is not None and series.greatest_mm() > 0.0:
+            top = max(_round_up(LARGEST * series.size_mm / series.greatest_mm()), fields.scale, 2.0)
+            plotter.add_slider_widget(
+                fields.enlarge,
+                (0.0, top),
+                value=fields.scale,
+                fmt="displacement × %.3g",
+                pointa=(0.72, SLIDERS),
+                pointb=(0.97, SLIDERS),
+                color="black",
+                title_height=0.024,
+                slider_width=0.012,
+                tube_width=0.003,
+                interaction_event="always",
+            )
+        on_click(plotter, self._click)
+
+    def _extent(self, choice: Choice) -> Iterator[NDArray[np.float64]]:
+        """Points that have to be seen [mm]; a field may reach far beyond the bone in whose place it is chosen."""
+        if self.bone is not None:
+            yield self.bone.points_mm
+        if self._series is not None and (self.bone is None or choice.field is not None):
+            yield np.asarray(self._series.frames[0].points)
+        yield from (np.asarray(face.points) for face in self._faces.values())
+        if self.moment is not None:
+            yield self.moment.extent_mm
+
+    def _click(self, x: int, y: int) -> None:
+        if self.names is not None and self.point is not None and not self.names.click(x, y):
+            self.point.click(x, y)
+
+    def _write(self, title: str) -> None:
+        lines = [(title, 11, 0.965)]
+        if not self._off_screen:
+            first = [self.bone.help if self.bone is not None else "", self.layers.help]
+            second = [CLIP_HELP, "click: read a point"] if self.fields is not None else []
+            second += ["space: play or pause"] if self.playback is not None else []
+            for keys, height in ((first, 0.898), ([*second, "q: close"], 0.87)):
+                lines.append(("    ".join(key for key in keys if key), 9, height))
+        for words, size, height in lines:
+            self.plotter.add_text(words, position=(0.012, height), viewport=True, font_size=size, color="black")
+
+
+def _plane(saved: SavedRun, series: SavedFields) -> Plane:
+    """Plane through where the tool was deepest, which opens the mesh towards the one who looks."""
+    x, cut, z = map(float, series.frames[0].center)
+    if saved.trace is not None and len(saved.trace.rows):
+        cut = float(saved.trace["tool_y_mm"][saved.trace["tool_z_mm"].argmin()])
+    return (0.0, -1.0, 0.0), (x, cut + 1e-4, z)
+
+
+def _round_up(value: float) -> float:
+    """The next of 1, 2, 5, 10, 20 and so on."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= value * (1.0 - 1e-9)))
