@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from meshes.base.errors import InputError
+    from tissue.api import simulate
     from tissue.scene.load import load_scene, scene_names, scene_text
     from tissue.scene.scene import Scene
     from tissue.simulation.run import Run
     from tissue.simulation.run_folder import SavedRun
-    from tissue.simulation.simulate import simulate
 
 __all__ = ["InputError", "Run", "SavedRun", "Scene", "load_scene", "scene_names", "scene_text", "simulate"]
 
@@ -28,7 +28,7 @@ _HOMES = {
     "load_scene": "tissue.scene.load",
     "scene_names": "tissue.scene.load",
     "scene_text": "tissue.scene.load",
-    "simulate": "tissue.simulation.simulate",
+    "simulate": "tissue.api",
 }
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from koopman_systems import duffing, record
 
-from tissue.prediction.edmd.dictionary import Delays, Identity, from_plain, to_plain
+from tissue.prediction.edmd.dictionary import Delays, Identity
+from tissue.prediction.edmd.dictionary_file import from_plain, to_plain
 from tissue.prediction.edmd.edmd import Edmd
 from tissue.prediction.edmd.episodes import Episode
 from tissue.prediction.edmd.gap_products import GapProducts

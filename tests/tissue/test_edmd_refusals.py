@@ -5,7 +5,8 @@ import pytest
 from koopman_systems import duffing, record
 
 from tissue import InputError
-from tissue.prediction.edmd.dictionary import Delays, Identity, Together, from_plain
+from tissue.prediction.edmd.dictionary import Delays, Identity, Together
+from tissue.prediction.edmd.dictionary_file import from_plain
 from tissue.prediction.edmd.edmd import Edmd
 from tissue.prediction.edmd.episodes import Episode
 from tissue.prediction.edmd.gap_products import GapProducts

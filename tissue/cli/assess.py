@@ -42,7 +42,8 @@ def assess(
         Replace the assessment that the folder already holds.
     """
     from tissue.evaluation.assessment import assess as hold_against
-    from tissue.evaluation.assessment import assessment_lines, write_assessment
+    from tissue.evaluation.assessment import assessment_lines
+    from tissue.evaluation.assessment_files import write_assessment
     from tissue.simulation.run_folder import SavedRun
 
     if out is None:

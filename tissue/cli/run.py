@@ -92,7 +92,7 @@ def run(
         "allow_unstable": allow_unstable,
     }
     if live:
-        from tissue.simulation.live.run import live as simulate_live
+        from tissue.api import live as simulate_live
         from tissue.simulation.live.run import moved_by
 
         # No progress bar: what draws it takes the interpreter from the ticks.
@@ -103,7 +103,7 @@ def run(
     with _stopping_told(folder), progress() as tell:
         if not live:
             tell("starting Warp", 0.0)
-            from tissue.simulation.simulate import simulate
+            from tissue.api import simulate
 
             finished = simulate(loaded, progress=tell, **settings)
             simulated = perf_counter()

@@ -1,15 +1,12 @@
 """Assess a trainee's run against a reference run of the same scene, `tissue assess`."""
 
-import json
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, require_positive
-from meshes.base.whole_file import whole_file
 from tissue.evaluation.statistics.alignment import aligned_rows, deviation_mm
 from tissue.evaluation.statistics.metrics import (
     acceleration_change_m_s2,
@@ -21,9 +18,8 @@ from tissue.models.tissue_model import TICK_S
 from tissue.simulation.depth_map import tool_axes
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.trace import Table
-from tissue.system.outputs import require_free_folder
 
-__all__ = ["Assessment", "Breach", "assess", "assessment_lines", "write_assessment"]
+__all__ = ["Assessment", "Breach", "assess", "assessment_lines"]
 
 Array = NDArray[np.float64]
 GAP_S = 0.15
@@ -32,7 +28,6 @@ MOST_BREACHES = 8
 """More are counted, and listed in the file alone."""
 FORCE_MARGIN = 1.25
 """A trainee may press this many times the reference's peak force where no limit is given: a convention, not a norm."""
-FILES = ("assessment.json", "assessment.png")
 
 
 @dataclass(frozen=True)
@@ -197,34 +192,6 @@ def assessment_lines(found: Assessment) -> list[str]:
     if not found.breaches:
         lines.append("no limit was passed")
     return lines + [f"the {who} was cut short" for who, whole in figures["complete"].items() if not whole]
-
-
-def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> list[Path]:
-    """Write ``assessment.json`` and ``assessment.png``.
-
-    Raises
-    ------
-    InputError
-        If the folder is a file, or holds another assessment.
-    """
-    from tissue.evaluation.assessment_picture import draw_assessment
-
-    require_free_folder(folder, FILES, "assessment", overwrite=overwrite)
-    folder.mkdir(parents=True, exist_ok=True)
-    limits = {
-        "force_N": found.force_limit_N,
-        "deviation_mm": found.deviation_limit_mm,
-        "depth_mm": found.depth_limit_mm,
-    }
-    data = found.figures | {
-        "limits": limits,
-        "breaches": [asdict(each) for each in found.breaches],
-        "events": [{"time_s": at, "what": what} for at, what in found.events],
-    }
-    with whole_file(folder / FILES[0]) as beside:
-        beside.write_text(json.dumps(data, indent=2) + "\n", "utf-8")
-    draw_assessment(found, folder / FILES[1])
-    return [folder / name for name in FILES]
 
 
 def _trace(run: SavedRun, name: str) -> Table:

@@ -1,67 +1,19 @@
-"""What a run leaves behind to look at: the bone as files, and pictures."""
+"""The pictures of a run."""
 
-import gzip
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from meshes.base.whole_file import whole_file
-from tissue.simulation.bone_surface import bone_surface, with_depth, with_layers
 from tissue.simulation.depth_map import depth_map
-from tissue.simulation.file_frame import image_in_file, mesh_in_file
 from tissue.simulation.run import Run
-from tissue.simulation.vtk_files import write_vtk, write_vtk_xml
 from tissue.system.offscreen import end_drawing
 
 if TYPE_CHECKING:
-    import pyvista
+    pass
 
-__all__ = ["carved_surface", "draw_pictures", "write_bone"]
-
-UNIT_NAMES = {1.0: "mm", 10.0: "cm", 1000.0: "m"}
-"""Units of a file by their length [mm], as NRRD names them."""
-
-
-def carved_surface(run: Run) -> "pyvista.PolyData":
-    """Surface of the bone after the run [mm]: point array ``removed_depth_mm``, cell array ``layer``, normals."""
-    depth = depth_map(run)
-    surface = with_layers(bone_surface(run.volume, run.remaining), run.volume)
-    return with_depth(surface, run.volume, run.remaining, depth_mm=depth.depth_mm, axis=depth.axis)
-
-
-def write_bone(run: Run, out: Path) -> None:
-    """Write the bone of a finished run.
-
-    ``bone.vti`` holds the voxels in mm with the cell arrays ``remaining`` and ``start`` (uint8, 255 = full), ``layer``
-    (uint8, an index into the field ``layer_names``) and ``density_kg_m3`` (uint16); ParaView opens it. ``bone.nrrd``
-    holds ``remaining`` for 3D Slicer, which reads no .vti. ``bone.stl`` and ``bone.vtp`` hold the carved surface in mm,
-    the latter with ``removed_depth_mm`` and ``layer``. A bone that was cut away altogether has no ``bone.stl``.
-
-    Bone from a file is written in the frame and unit of that file, so that it overlays it.
-    """
-    if run.parts.volume is None:
-        return
-    from vtkmodules.vtkIOGeometry import vtkSTLWriter
-    from vtkmodules.vtkIOXML import vtkXMLImageDataWriter, vtkXMLPolyDataWriter
-
-    image = run.dataset()
-    image.set_active_scalars("remaining", preference="cell")
-    placement = run.parts.placement
-    write_vtk_xml(vtkXMLImageDataWriter(), image_in_file(image, placement), out / "bone.vti")
-    _write_nrrd(run, out / "bone.nrrd")
-    surface = mesh_in_file(carved_surface(run), placement)
-    write_vtk_xml(vtkXMLPolyDataWriter(), surface, out / "bone.vtp")
-    if surface.n_cells:
-        writer = vtkSTLWriter()
-        writer.SetFileTypeToBinary()
-        writer.SetHeader(
-            "tissue: carved bone in mm" if placement is None else "tissue: carved bone in its file's frame"
-        )
-        write_vtk(writer, surface, out / "bone.stl")
+__all__ = ["draw_pictures"]
 
 
 def draw_pictures(run: Run, folder: Path) -> list[str]:
@@ -131,31 +83,3 @@ def _beside() -> Iterator[ThreadPoolExecutor]:
 def _told(notes: dict[str, str | None]) -> list[str]:
     """A sentence for every picture that could not be drawn."""
     return [f"{name} was not drawn: {note}" for name, note in notes.items() if note is not None]
-
-
-def _write_nrrd(run: Run, path: Path) -> None:
-    """Write ``remaining`` as a compressed NRRD image; its axes are those of the surface files in 3D Slicer (LPS)."""
-    volume, placement = run.volume, run.parts.placement
-    directions, origin = volume.spacing_m * 1e3 * np.eye(3), (volume.origin_m + 0.5 * volume.spacing_m) * 1e3
-    units = []
-    if placement is not None:
-        directions, origin = directions @ placement.rotation.T / placement.unit_mm, placement.to_file(origin[None])[0]
-        name = UNIT_NAMES.get(placement.unit_mm)
-        units = [f'space units: "{name}" "{name}" "{name}"'] if name else []
-    header = "\n".join(
-        [
-            "NRRD0004",
-            "type: uint8",
-            "dimension: 3",
-            "space: left-posterior-superior",
-            f"sizes: {' '.join(map(str, volume.shape))}",
-            "space directions: " + " ".join(f"({','.join(repr(float(v)) for v in row)})" for row in directions),
-            *units,
-            "kinds: domain domain domain",
-            "encoding: gzip",
-            f"space origin: ({','.join(repr(float(v)) for v in origin)})",
-        ]
-    )
-    data = gzip.compress(run.remaining.tobytes(order="F"), compresslevel=1, mtime=0)
-    with whole_file(path) as beside:
-        beside.write_bytes(header.encode("ascii") + b"\n\n" + data)

@@ -2,11 +2,11 @@
 
 from math import atan2, cos, inf, sin, sqrt
 
-from tissue.haptics.loop.plant import Triple
-
-__all__ = ["Quaternion", "conjugate", "exponential", "logarithm", "product", "unit"]
+__all__ = ["Quaternion", "Triple", "conjugate", "exponential", "logarithm", "product", "unit"]
 
 Quaternion = tuple[float, float, float, float]
+Triple = tuple[float, float, float]
+"""Three components of a vector."""
 
 
 def product(left: Quaternion, right: Quaternion) -> Quaternion:

@@ -15,11 +15,12 @@ from tissue.motion.pose_log import write_poses
 from tissue.simulation.carved_surface import CarvedSurface, block_means, changed_box, coarse_volume
 from tissue.simulation.depth_map import facing
 from tissue.simulation.file_frame import mesh_in_file
-from tissue.simulation.run import Run
 from tissue.simulation.vtk_files import write_vtk_xml
 
 if TYPE_CHECKING:
     import pyvista
+
+    from tissue.simulation.run import Run
 
 __all__ = ["carving_ticks", "write_carving"]
 
@@ -31,7 +32,7 @@ STEPS_S = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 25.0, 50.0, 100.0)
 """Times between two moments [s]."""
 
 
-def carving_ticks(run: Run) -> list[int]:
+def carving_ticks(run: "Run") -> list[int]:
     """Ticks at the end of which the bone is written: those of the fields where there are any, and the last one."""
     last = len(run.trace.rows) - 1
     fields = run.parts.tissue.fields
@@ -46,7 +47,7 @@ def carving_ticks(run: Run) -> list[int]:
     return sorted({tick for tick in ticks if tick < last} | {last})
 
 
-def write_carving(run: Run, out: Path, *, tell: Progress = silent) -> None:
+def write_carving(run: "Run", out: Path, *, tell: Progress = silent) -> None:
     """Write the bone over time of a run that cut; nothing of one that did not.
 
     ``carving.pvd`` names two surfaces for each time [s]: what is cut, ``carving/frame_0000.vtp`` and so on, and the

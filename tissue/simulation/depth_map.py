@@ -1,13 +1,16 @@
 """How deep a run cut, seen along the tool's axis."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.voxels.volume import FULL
-from tissue.simulation.run import Run
 from tissue.simulation.trace import Table
+
+if TYPE_CHECKING:
+    from tissue.simulation.run import Run
 
 __all__ = ["HALF", "DepthMap", "depth_map", "facing", "tool_axes"]
 
@@ -47,7 +50,7 @@ class DepthMap:
     exposed: dict[str, NDArray[np.bool_]]
 
 
-def depth_map(run: Run) -> DepthMap:
+def depth_map(run: "Run") -> DepthMap:
     """Removed depth, face and newly exposed layers of a run."""
     from scipy.ndimage import binary_opening
 

@@ -2,7 +2,7 @@
 
 import os
 import platform
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,6 +44,9 @@ class Run:
         What happened on the way: time [s] and a sentence each.
     poses
         Poses of a tool that cuts, see `tissue.motion.pose_log.PoseLog`; None of one that does not.
+    draw
+        Draws the run's pictures into a folder and returns a sentence for each that could not be drawn; `tissue.simulate`
+        gives it, the engine by itself draws nothing.
     """
 
     def __init__(
@@ -61,6 +64,7 @@ class Run:
         self.scene, self.parts, self.trace, self.timing, self.events = scene, parts, trace, timing, events
         self._compute, self._folder, self.poses = compute, folder, poses
         self._fraction: NDArray[np.uint8] | None = None
+        self.draw: Callable[[Run, Path], list[str]] | None = None
 
     @property
     def volume(self) -> VoxelVolume:
@@ -190,7 +194,7 @@ class Run:
         formats
             Further formats of the trace: parquet, npz, mat, h5.
         pictures
-            Whether to draw pictures.
+            Whether to draw pictures, where `draw` is given.
         overwrite
             Replace a run that the folder already holds.
         progress
@@ -201,7 +205,7 @@ class Run:
         InputError
             If the folder holds another run or a format is unknown.
         """
-        from tissue.figures.report import draw_pictures, write_bone
+        from tissue.simulation.bone_files import write_bone
         from tissue.simulation.carving_series import write_carving
         from tissue.simulation.formats import check_formats, write_trace
         from tissue.simulation.series import write_fields
@@ -229,9 +233,9 @@ class Run:
             if fields is not None and fields.frames:
                 tell("writing the fields", 0.0)
                 write_fields(fields, out, self.parts.placement)
-            if pictures:
+            if pictures and self.draw is not None:
                 tell("drawing pictures", 0.0)
-                notes = draw_pictures(self, out / "pictures")
+                notes = self.draw(self, out / "pictures")
                 if notes:
                     self.parts.notes["pictures"] = "; ".join(notes)
             folder.complete(self.summary())

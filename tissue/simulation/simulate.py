@@ -104,18 +104,13 @@ def simulate(
     tell = progress or silent
     if cores is not None and cores < 1:
         raise InputError(f"cores must be at least 1, got {cores}: leave it out to use all")
+    if scene.fidelity is not None:
+        raise InputError("scene must hold settings, got a demand on fidelity: choose them by tissue.simulate")
     if device is None:
         require_used(scene)
     folder = RunFolder(Path(out), overwrite=overwrite) if out is not None else None
     with folder.ending() if folder is not None else nullcontext():
-        chosen = None
-        if scene.fidelity is not None:
-            from tissue.evaluation.charts.fidelity import with_fidelity
-
-            scene, chosen = with_fidelity(scene, tell=tell)
         parts = build(scene, step_s=TICK_S, compute=compute, cores=cores, tell=tell, allow_unstable=allow_unstable)
-        if chosen is not None:
-            parts.notes["fidelity"] = chosen
         if device is not None:
             if not isinstance(parts.motion, HandMotion):
                 raise InputError("scene must name the device that is given, got none: set device, such as touch")

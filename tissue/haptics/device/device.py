@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, require_positive, require_range
-from tissue.haptics.loop.plant import Triple
 from tissue.haptics.loop.sampled_loop import WallLoop
 from tissue.materials.constants import constants
-from tissue.motion.quaternion import Quaternion
+from tissue.motion.quaternion import Quaternion, Triple
 
 __all__ = ["DEVICES", "ComputedDevice", "Device", "DeviceError", "DeviceParameters", "Sample", "device_parameters"]
 

@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from meshes.base.errors import InputError, require_positive
 from tissue.haptics.device.device import ComputedDevice, Sample
-from tissue.haptics.loop.plant import Triple
-from tissue.motion.quaternion import Quaternion, conjugate, logarithm, product
+from tissue.motion.quaternion import Quaternion, Triple, conjugate, logarithm, product
 
 __all__ = ["MouseDevice", "RecordedDevice"]
 

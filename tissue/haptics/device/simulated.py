@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from meshes.base.errors import require_range
 from tissue.haptics.device.device import ComputedDevice, DeviceParameters, Sample
 from tissue.haptics.hand.hand import Grip, HandAction, HoldingHand
-from tissue.haptics.loop.plant import Plant, Triple
-from tissue.motion.quaternion import Quaternion, conjugate, exponential, logarithm, product
+from tissue.haptics.loop.plant import Plant
+from tissue.motion.quaternion import Quaternion, Triple, conjugate, exponential, logarithm, product
 
 __all__ = ["SimulatedDevice"]
 

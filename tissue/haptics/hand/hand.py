@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.haptics.hand.minimum_jerk import Aim, Path
-from tissue.haptics.loop.plant import Triple
 from tissue.materials.constants import constants
-from tissue.motion.quaternion import Quaternion
+from tissue.motion.quaternion import Quaternion, Triple
 
 __all__ = ["GROUPS", "Grip", "Hand", "HandAction", "HandParameters", "HoldingHand", "hand_parameters"]
 

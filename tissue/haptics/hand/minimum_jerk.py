@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, require_positive, require_range
-from tissue.haptics.loop.plant import Triple
+from tissue.motion.quaternion import Triple
 
 __all__ = ["Aim", "Path", "minimum_jerk", "waypoints"]
 

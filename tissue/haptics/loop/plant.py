@@ -4,11 +4,9 @@ from math import inf, sqrt
 
 from meshes.base.errors import require_positive, require_range
 from tissue.haptics.loop.sampled_loop import plant_step
+from tissue.motion.quaternion import Triple
 
-__all__ = ["Plant", "Triple"]
-
-Triple = tuple[float, float, float]
-"""Three components of a vector."""
+__all__ = ["Plant"]
 
 
 class Plant:

@@ -1,16 +1,15 @@
 """Observables of a state: the contract of a dictionary, the state alone, sums of dictionaries, and delays."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 
-__all__ = ["Delays", "Dictionary", "Identity", "Together", "from_plain", "require_columns", "to_plain"]
+__all__ = ["Delays", "Dictionary", "Identity", "Together", "require_columns"]
 
 Array = NDArray[np.float64]
 
@@ -154,48 +153,3 @@ def require_columns(columns: Sequence[int], state_size: int) -> None:
             raise InputError(
                 f"columns must be in [0, {state_size - 1}], got {column}: the state has {state_size} entries"
             )
-
-
-def to_plain(dictionary: Dictionary) -> dict[str, Any]:
-    """The dictionary as names, numbers and lists, for a file."""
-    plain: dict[str, Any] = {"kind": type(dictionary).__name__}
-    for field in fields(dictionary):  # type: ignore[arg-type]
-        value = getattr(dictionary, field.name)
-        if isinstance(value, Dictionary):
-            value = to_plain(value)
-        elif value and isinstance(value, tuple) and isinstance(value[0], Dictionary):
-            value = [to_plain(part) for part in value]
-        plain[field.name] = value
-    return plain
-
-
-def from_plain(plain: Mapping[str, Any]) -> Dictionary:
-    """The dictionary that `to_plain` described.
-
-    Raises
-    ------
-    InputError
-        If the kind or one of its fields is unknown, or a value cannot be used.
-    """
-    from tissue.prediction.edmd.gap_products import GapProducts
-    from tissue.prediction.edmd.overlaps import Overlaps
-    from tissue.prediction.edmd.polynomials import Polynomials
-    from tissue.prediction.edmd.radial import Gaussians, ThinPlates
-
-    known = (Identity, Polynomials, Gaussians, ThinPlates, GapProducts, Overlaps, Together, Delays)
-    kinds: dict[Any, Callable[..., Dictionary]] = {kind.__name__: kind for kind in known}
-    given = dict(plain)
-    kind = given.pop("kind", None)
-    if kind not in kinds:
-        raise InputError(f"kind must be one of {', '.join(kinds)}, got {kind}: train the predictor again")
-    try:
-        return kinds[kind](**{name: _frozen(value) for name, value in given.items()})
-    except TypeError as problem:
-        raise InputError(f"{kind} must have the fields of this version, got {problem}: train it again") from None
-
-
-def _frozen(value: Any) -> Any:
-    """Lists as tuples, descriptions as dictionaries of observables."""
-    if isinstance(value, Mapping):
-        return from_plain(value)
-    return tuple(_frozen(each) for each in value) if isinstance(value, list) else value

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from meshes.base.errors import DamagedFileError, InputError
 from meshes.base.file_version import package_version, require_version
 from meshes.base.whole_file import whole_file
-from tissue.prediction.edmd.dictionary import from_plain, to_plain
+from tissue.prediction.edmd.dictionary_file import from_plain, to_plain
 from tissue.prediction.edmd.lifted import FitStatistics, Operator
 from tissue.prediction.edmd.training_range import TrainingRange
 

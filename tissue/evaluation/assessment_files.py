@@ -1,14 +1,46 @@
-"""The picture of an assessment: path, force and depth over time, with limits and where they were passed."""
+"""An assessment as files: figures as JSON, and a picture of path, force and depth over time with their limits."""
 
+import json
+from dataclasses import asdict
 from pathlib import Path
 
+from meshes.base.whole_file import whole_file
 from tissue.evaluation.assessment import Assessment
 from tissue.figures.figure import figure, save
+from tissue.system.outputs import require_free_folder
 
-__all__ = ["draw_assessment"]
+__all__ = ["draw_assessment", "write_assessment"]
+
+FILES = ("assessment.json", "assessment.png")
 
 TRAINEE, REFERENCE, LIMIT, SHADE = "#0072B2", "0.45", "#D55E00", "#E69F00"
 MARGIN = 0.08
+
+
+def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> list[Path]:
+    """Write ``assessment.json`` and ``assessment.png``.
+
+    Raises
+    ------
+    InputError
+        If the folder is a file, or holds another assessment.
+    """
+    require_free_folder(folder, FILES, "assessment", overwrite=overwrite)
+    folder.mkdir(parents=True, exist_ok=True)
+    limits = {
+        "force_N": found.force_limit_N,
+        "deviation_mm": found.deviation_limit_mm,
+        "depth_mm": found.depth_limit_mm,
+    }
+    data = found.figures | {
+        "limits": limits,
+        "breaches": [asdict(each) for each in found.breaches],
+        "events": [{"time_s": at, "what": what} for at, what in found.events],
+    }
+    with whole_file(folder / FILES[0]) as beside:
+        beside.write_text(json.dumps(data, indent=2) + "\n", "utf-8")
+    draw_assessment(found, folder / FILES[1])
+    return [folder / name for name in FILES]
 
 
 def draw_assessment(found: Assessment, path: Path) -> None:
