@@ -148,7 +148,7 @@ def test_what_ends_a_run_is_in_its_summary_and_its_trace_is_kept(tmp_path, monke
 
     out = tmp_path / "run"
     scene = load_scene("milling", QUICK)
-    monkeypatch.setattr("tissue.figures.report.write_bone", fail)
+    monkeypatch.setattr("tissue.simulation.bone_files.write_bone", fail)
     with pytest.raises(type(error)):
         simulate(scene, out=out, watch=Ends()).save(out, pictures=False)
     saved = SavedRun(out)
