@@ -1,4 +1,4 @@
-"""The calls that `import tissue` offers: the engine's, with a demand on fidelity met first and pictures drawn at the end."""
+"""The calls that `import tissue` offers: the engine's, with a demand on fidelity met first and pictures drawn."""
 
 from collections.abc import Callable
 from functools import wraps

@@ -35,7 +35,7 @@ def read_image(
     """Read an image volume into LPS [mm], whatever the order and direction of the axes in its file.
 
     Origin, directions, units, slope and intercept are those of the file; where it states none, a note says what is
-    assumed. Axes along LPS in any order are turned exactly, oblique ones resampled, see `meshes.images.frame.along_lps`.
+    assumed. Axes along LPS in any order are turned exactly, oblique ones resampled: `meshes.images.frame.along_lps`.
 
     Parameters
     ----------

@@ -209,7 +209,7 @@ finally:
 )
 def test_a_signal_ends_at_zero(name, tmp_path):
     out, said = tmp_path / "run", tmp_path / "last"
-    command = [sys.executable, "-c", CHILD, str(Path(__file__).parents[1]), str(out), str(said)]
+    command = [sys.executable, "-c", CHILD, str(Path(__file__).parents[1] / "fixtures"), str(out), str(said)]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     try:
         while (line := child.stdout.readline()) and line != "pressed\n":

@@ -16,7 +16,7 @@ FILES = ("bone", "image", "enamel", "dentin", "pulp", "ligament", "labels", "tet
 NAMES = sorted(kinds(dict.fromkeys(FILES, "")))
 EXEMPT = {
     "description": "it describes the scene to people, and is kept in scene.toml",
-    "fidelity.force_error": "it is measured on the machine, in minutes: tests/tissue/test_charts.py",
+    "fidelity.force_error": "it is measured on the machine, in minutes: tests/tissue/evaluation/test_charts.py",
     "fidelity.tick_ms": "the same",
 }
 BY_DATA = {

@@ -1,4 +1,4 @@
-"""Shaded pictures of coloured surfaces, drawn by ``python -m tissue.figures.rendering JOB PICTURES`` in its own process."""
+"""Shaded pictures of coloured surfaces, drawn by ``python -m tissue.figures.rendering JOB PICTURES`` in a process."""
 
 import sys
 from collections.abc import Callable

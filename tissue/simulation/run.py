@@ -45,8 +45,8 @@ class Run:
     poses
         Poses of a tool that cuts, see `tissue.motion.pose_log.PoseLog`; None of one that does not.
     draw
-        Draws the run's pictures into a folder and returns a sentence for each that could not be drawn; `tissue.simulate`
-        gives it, the engine by itself draws nothing.
+        Draws the run's pictures into a folder and returns a sentence for each that could not be drawn; the engine by
+        itself draws nothing, `tissue.simulate` sets it.
     """
 
     def __init__(

@@ -64,7 +64,7 @@ def hotelling(scores: Array, groups: Ints, *, question: str) -> Outcome:
     Parameters
     ----------
     scores
-        Scores of users on contrasts, shape (users, contrasts), from :func:`tissue.evaluation.statistics.strata.scores_of`.
+        Scores of users on contrasts, shape (users, contrasts), from `tissue.evaluation.statistics.strata.scores_of`.
     groups
         Group of every user, shape (users,).
     """

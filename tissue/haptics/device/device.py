@@ -45,7 +45,7 @@ class DeviceError(InputError):
 class Device(Protocol):
     """A haptic device: position in, force out.
 
-    These two are all that a loop needs; see `tissue.haptics.device.safe_device.SafeDevice` for how it holds a device. One
+    These two are all that a loop needs; `tissue.haptics.device.safe_device.SafeDevice` is how it holds a device. One
     that is a context manager is entered before its first read and left after its last command, which is zero: give it
     to a run without a ``with`` of your own, which would open it twice, or as ``with SafeDevice(device) as held``. A
     device may have ``close()``, which takes all force off it by other means and may be called from another thread: it

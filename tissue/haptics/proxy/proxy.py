@@ -1,7 +1,7 @@
 """The god-object: where a tool would be if nothing could be pushed into, in three or six degrees of freedom.
 
 The device goes where the hand moves it, through walls if it must; the proxy follows as far as it can and stays outside.
-What holds them together, see :mod:`tissue.haptics.proxy.virtual_coupling`, is the force that the hand feels. The proxy is
+What holds them together, see `tissue.haptics.proxy.virtual_coupling`, is the force that the hand feels. The proxy is
 the tool's static equilibrium between the coupling's springs and the contacts, reached by local descent from the last
 proxy: a search for the nearest free point would come out on the far side of a thin wall.
 """

@@ -24,7 +24,7 @@ LEAST_COSINE = 0.17
 class NeedleModel:
     """An organ with a flat surface that a needle is pushed into and drawn out of, along the needle's axis.
 
-    The force follows :class:`~tissue.models.needle.insertion.Insertion` and acts along the needle's axis; moving the needle
+    The force follows `tissue.models.needle.insertion.Insertion` and acts along the needle's axis; moving the needle
     sideways inside the organ, or turning it, costs nothing. Depths count along the axis, from where it meets the
     undeformed surface. Only the latest track is remembered: a needle that leaves and comes back within a diameter of
     where it went in finds it open, elsewhere the organ is whole.

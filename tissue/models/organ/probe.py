@@ -175,8 +175,8 @@ class ShellProbe:
         Parameters
         ----------
         mesh
-            A surface file, see `meshes.surfaces.surface.read_triangles`, or a trimesh mesh; its origin is the tip, its z axis
-            runs to the shank.
+            A surface file, see `meshes.surfaces.surface.read_triangles`, or a trimesh mesh; its origin is the tip, its
+            z axis runs to the shank.
         points
             About how many points; a tick projects every one.
         scale

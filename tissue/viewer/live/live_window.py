@@ -1,4 +1,4 @@
-"""The window of `tissue run --live`, run by ``python -m tissue.viewer.live.live_window FOLDER`` in a process of its own."""
+"""The window of `tissue run --live`, run by ``python -m tissue.viewer.live.live_window FOLDER`` in a process."""
 
 import json
 import os

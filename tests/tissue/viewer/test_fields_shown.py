@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from fake_fields import PARTS, block_series, depth_at, pressed_run, pressed_series
-from test_view import Seen
+from seen_plotter import Seen
 
 from tissue import InputError
 from tissue.fem.fields import FieldSeries, Frame

@@ -20,7 +20,7 @@ from tissue.viewer.live.pointer import KEY_MM, NOTCH_MM, Pointer
 from tissue.viewer.live.tissue_shown import FADES_MM, LiveBone, LiveOrgan
 from tissue.viewer.run import faces_of
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 UP = np.array([0.0, 0.0, 1.0])
 
 

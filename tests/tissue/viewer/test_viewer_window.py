@@ -19,7 +19,7 @@ from tissue.simulation.run_folder import SavedRun
 from tissue.viewer.run import faces_of
 from tissue.viewer.view import view
 
-TESTS = Path(__file__).parent
+TESTS = Path(__file__).parents[2] / "fixtures"
 
 
 @pytest.fixture(scope="module")

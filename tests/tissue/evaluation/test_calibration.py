@@ -22,7 +22,7 @@ from tissue.haptics.device.recorded import MouseDevice
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.perception.observer import read_observer
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 SHORT = Plan(trials=20, numbers=6)
 
 

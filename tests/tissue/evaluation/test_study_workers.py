@@ -22,7 +22,7 @@ pytestmark = [
     pytest.mark.timeout(1800),
     pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL"),
 ]
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 PLAN = Plan(trials=3, tasks=("drilling", "T2"), methods=("penalty",), sensitivity=False)
 COMMAND = (
     *(sys.executable, "-c", "from tissue.cli.main import main; main()", "study", "run", "--trials", "3", "--tasks"),

@@ -22,7 +22,7 @@ from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.simulate import TICK_S
 from tissue.system.offscreen import await_display, display_problem
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 STEP_S = 1e-3
 HALF = {"duration_s": 0.5}
 

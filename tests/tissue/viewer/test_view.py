@@ -5,11 +5,11 @@ import json
 import shutil
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from fake_fields import block_series
+from seen_plotter import Seen
 
 from tissue import InputError, load_scene, simulate
 from tissue.motion.pose_log import write_poses
@@ -151,38 +151,6 @@ def test_damaged_files_of_the_bone_are_told(layered, tmp_path, damage):
         shutil.copy(folder / "carving" / "rest.vtp", folder / "bone.vti")
     with pytest.raises(InputError, match=r"^(poses|bone.vti) must be .*, got .*: run the scene again$"):
         carved_bone(folder)
-
-
-class Seen:
-    """A plotter that draws nothing and keeps what it was given."""
-
-    def __init__(self):
-        self.keys, self.meshes, self.scalar_bars, self.legend = {}, {}, {}, []
-
-    def add_key_event(self, key, call):
-        self.keys[key] = call
-
-    def add_mesh(self, mesh, *, name, scalars, **look):
-        self.meshes[name] = mesh, scalars, look
-        return SimpleNamespace(mapper=None)
-
-    def remove_actor(self, name, **_):
-        self.meshes.pop(name, None)
-
-    def add_scalar_bar(self, title, **_):
-        self.scalar_bars[title] = True
-
-    def remove_scalar_bar(self, title, **_):
-        del self.scalar_bars[title]
-
-    def add_legend(self, entries, **_):
-        self.legend = [name for name, colour in entries if colour != "lightgray"]
-
-    def remove_legend(self, **_):
-        self.legend = []
-
-    def render(self):
-        pass
 
 
 def test_keys_switch_layers_and_colours(layered):

@@ -377,7 +377,7 @@ def test_scenes_are_listed_and_printed(command, here):
 
 
 def test_the_version_is_that_of_the_project(command):
-    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text("utf-8"))["project"]
+    project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text("utf-8"))["project"]
     assert command("--version") == (0, f"{project['version']}\n", "")
 
 
