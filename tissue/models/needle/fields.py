@@ -2,8 +2,8 @@
 
 The needle's own model (`tissue.models.needle.insertion`) is one-dimensional: it knows how far the organ is deflected
 at the needle and how much of the needle is in it. Here a linear-elastic block around the first track answers that
-deflection: its nodes along the inserted shaft, before the puncture the one at the entry, are moved by it along the needle's axis,
-by whatever forces that takes. The force on the needle never comes from here.
+deflection: its nodes along the inserted shaft, before the puncture the one at the entry, are moved by it along the
+needle's axis, by whatever forces that takes. The force on the needle never comes from here.
 """
 
 from dataclasses import dataclass, replace
