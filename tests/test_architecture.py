@@ -118,7 +118,7 @@ def test_running_a_scene_loads_nothing_of_its_evaluation(tmp_path):
 
 
 @pytest.mark.parametrize("module", MODULES)
-def test_a_module_says_what_it_holds(module):
+def test_a_module_has_a_docstring(module):
     loaded = importlib.import_module(module)
     if module == "tissue.scene.library":  # data alone
         return
@@ -179,7 +179,7 @@ def test_every_name_of_tissue_can_be_had():
 
 @pytest.mark.parametrize("name", ["kernels", "meshes"])
 @pytest.mark.parametrize("module", [True, False], ids=["package", "file"])
-def test_a_foreign_package_of_the_same_name_is_told(tmp_path, name, module):
+def test_a_foreign_package_of_the_same_name_is_reported(tmp_path, name, module):
     if module:
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text("raise SystemExit('it was imported')")

@@ -66,7 +66,7 @@ def test_a_normal_end_ramps_the_force_off(kind):
     "error", [OSError("the cable is out"), ValueError(), KeyboardInterrupt(), SystemExit(3)], ids=repr
 )
 @pytest.mark.parametrize("kind", KINDS)
-def test_an_exception_in_read_ends_at_zero_and_says_one_sentence(kind, error, tmp_path):
+def test_an_exception_in_read_ends_at_zero_and_raises_one_sentence(kind, error, tmp_path):
     device, own = kind(raising(error)), isinstance(error, Exception)
     with pytest.raises(DeviceError if own else type(error)) as raised:
         pressed(device, out=tmp_path / "run")
@@ -137,7 +137,7 @@ def test_a_call_that_never_returns_is_given_up(kind, where, tmp_path):
     assert not any(device.commands[-1])
 
 
-def test_a_loop_that_stands_still_lets_the_device_go_and_takes_it_up_again(monkeypatch):
+def test_a_loop_that_hangs_lets_the_device_go_and_takes_it_up_again(monkeypatch):
     """Not the device but the tissue blocks: zero within a tenth of a second, and the force comes back gradually."""
     device, play, stood = Recording(), HandMotion.play, []
 

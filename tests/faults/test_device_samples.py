@@ -50,7 +50,7 @@ def test_noise_along_one_axis_is_a_fault(axis):
     assert share < 0.2
 
 
-def test_noise_of_a_turn_is_a_fault_and_smooth_samples_are_believed_again():
+def test_noise_of_a_turn_is_a_fault_and_smooth_samples_are_accepted_again():
     rng = np.random.default_rng(0)
     turns = np.zeros((1000, 3))
     turns[200:600] = rng.normal(scale=0.05, size=(400, 3))

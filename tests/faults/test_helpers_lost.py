@@ -106,7 +106,7 @@ def test_a_helper_that_hangs_or_works_for_ever_is_given_up(echo, does, said):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no signals end a process on Windows")
-def test_a_helper_that_is_killed_is_told_by_its_signal(echo):
+def test_a_helper_that_is_killed_is_named_by_its_signal(echo):
     os.kill(echo.number, signal.SIGKILL)
     echo.send(1)
     with pytest.raises(

@@ -182,7 +182,7 @@ def whole(tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", CASES)
-def test_a_kill_at_any_moment_costs_only_what_was_under_way(tmp_path, whole, kind):
+def test_a_kill_at_any_moment_loses_only_the_work_in_progress(tmp_path, whole, kind):
     """Moments are drawn within what the command takes; after the kills it is run to its end on what they left."""
     wanted, lasts_s = whole(kind)
     line, name, check, anew = CASES[kind]

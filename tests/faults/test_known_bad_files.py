@@ -102,12 +102,12 @@ def test_a_bad_surface_is_refused(meshes, tmp_path, name, old, new):
 @pytest.mark.parametrize(
     ("length", "said"), [(-50, "12 triangles in its header and room for 11"), (60, "a part of its header and room")]
 )
-def test_a_binary_stl_that_is_cut_says_so(meshes, tmp_path, length, said):
+def test_a_binary_stl_that_is_cut_is_refused(meshes, tmp_path, length, said):
     (tmp_path / "cut.stl").write_bytes((meshes / "binary.stl").read_bytes()[:length])
     assert f"got {said}" in refused("surface", tmp_path / "cut.stl")
 
 
-def test_what_a_parser_says_to_its_author_is_left_out(tmp_path):
+def test_messages_for_the_author_of_a_parser_are_left_out(tmp_path):
     """A text file of PLY by its header, and noise by the names of its formats."""
     for name in ("noise.ply", "noise.vtp", "noise.vtk"):
         (tmp_path / name).write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex x\n\xff\x00")

@@ -85,7 +85,7 @@ def test_what_an_override_makes_idle_is_left_out_and_what_a_file_holds_idle_is_r
 MILLING = {"voxels.spacing_mm": 0.5, "voxels.margin_mm": 0.5}
 
 
-def test_a_run_that_ends_before_its_path_says_so(tmp_path):
+def test_a_run_that_ends_before_its_path_is_reported(tmp_path):
     short = simulate(load_scene("milling", MILLING | {"duration_s": 0.2}))
     assert short.summary()["notes"]["path"] == (
         "not finished: the run ends at 0.2 s, the motion at 8.09 s; set duration_s = 8.09 or leave it out to see all of it"
@@ -104,7 +104,7 @@ def test_a_run_that_ends_before_its_path_says_so(tmp_path):
     assert "of motion.depth_mm = 2" in simulate(load_scene("milling", MILLING | stuck)).summary()["notes"]["path"]
 
 
-def test_a_vessel_that_the_needle_never_reaches_is_told():
+def test_a_vessel_that_the_needle_never_reaches_is_reported():
     shallow = {"anatomy.interval_ms": 0.0, "motion.points_mm": [[0, 0, 1], [0, 0, -20]], "duration_s": None}
     run = simulate(load_scene("needle", shallow))
     went_mm, deep_mm = run.trace["insertion_mm"].max(), run.scene.anatomy.vessel_wall_depth_mm
@@ -115,7 +115,7 @@ def test_a_vessel_that_the_needle_never_reaches_is_told():
     )
 
 
-def test_a_lesion_that_the_tool_never_meets_is_told():
+def test_a_lesion_that_the_tool_never_meets_is_reported():
     beside = {"voxels.spacing_mm": 0.25, "stress": None, "motion.points_mm": [[3.5, 0, 4.5], [3.5, 0, 0.5]]}
     run = simulate(load_scene("caries", beside | {"motion.feed_mm_s": 20.0, "duration_s": None}))
     assert run.summary()["removed_mm3"]["enamel"] > 0.0 and run.summary()["removed_mm3"]["caries"] == 0.0

@@ -42,7 +42,7 @@ def holder():
 
 
 @pytest.mark.parametrize("kind", ["folder", "file"])
-def test_a_second_process_is_kept_off_and_told_whose_it_is(tmp_path, holder, kind):
+def test_a_second_process_is_kept_off_and_the_owner_is_named(tmp_path, holder, kind):
     out = tmp_path / "deep" / "out"
     if kind == "file":
         out.parent.mkdir()

@@ -24,7 +24,7 @@ def stop_oneself(how):
 
 
 @pytest.mark.parametrize("how", ["SIGSTOP", "SIGKILL"])
-def test_a_worker_that_does_not_work_is_ended_and_told(monkeypatch, how):
+def test_a_worker_that_does_not_work_is_ended_and_reported(monkeypatch, how):
     monkeypatch.setattr("tissue.system.child.IDLE_S", 1.0)
     monkeypatch.setattr("tissue.system.workers.LOOK_S", 0.25)
     monkeypatch.setattr("tissue.system.child.LOOK_S", 0.25)
@@ -68,7 +68,7 @@ def test_a_drawing_that_hangs_is_given_up_in_a_sentence(drawing):
     assert not psutil.pid_exists(number_in(drawing))
 
 
-def test_a_drawing_in_another_thread_ends_when_it_is_told_to(drawing, monkeypatch):
+def test_a_drawing_in_another_thread_ends_on_request(drawing, monkeypatch):
     monkeypatch.setattr("tissue.system.child.IDLE_S", 600.0)
     said = []
     thread = threading.Thread(target=lambda: said.append(draw_apart("drawing", str(drawing))))
@@ -80,7 +80,7 @@ def test_a_drawing_in_another_thread_ends_when_it_is_told_to(drawing, monkeypatc
     assert not offscreen._drawing
 
 
-def test_an_exception_beside_a_drawing_does_not_wait_for_it(drawing, monkeypatch):
+def test_an_exception_during_a_drawing_does_not_wait_for_it(drawing, monkeypatch):
     from tissue.figures.report import _beside
 
     monkeypatch.setattr("tissue.system.child.IDLE_S", 600.0)

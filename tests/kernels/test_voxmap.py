@@ -48,7 +48,7 @@ def test_level_against_scipy_across_bricks_and_borders():
     assert (np.isclose(lengths, 1.0) | (lengths == 0.0)).all()
 
 
-def test_way_out_is_the_gradient_of_the_level():
+def test_exit_direction_is_the_gradient_of_the_level():
     """Central differences inside cells, where the level is smooth; their error is of second order in the step."""
     volume = random_volume(4)
     field = ContactField(store=BrickStore.from_volume(volume, device="cpu"))

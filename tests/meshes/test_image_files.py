@@ -86,7 +86,7 @@ def test_round_trip_through_a_vtk_image(tmp_path):
     assert (back.density_kg_m3[back.fraction > 0] == 1800).all()
 
 
-def test_placeholder_spacing_is_told(tmp_path):
+def test_placeholder_spacing_is_reported(tmp_path):
     import pyvista
 
     grid = pyvista.ImageData(dimensions=(3, 3, 3))

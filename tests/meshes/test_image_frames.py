@@ -58,7 +58,7 @@ def stored(turn):
 
 
 @pytest.mark.parametrize("kind", FORMATS)
-def test_all_48_ways_of_storing_an_image_are_one(tmp_path, kind):
+def test_all_48_orientations_of_a_stored_image_are_one(tmp_path, kind):
     for number, turn in enumerate(TURNS):
         folder = tmp_path / str(number)
         folder.mkdir()

@@ -56,7 +56,7 @@ def test_crown_comes_up_and_the_origin_lies_on_it():
     assert sides == pytest.approx([5e-3, 4e-3, 12e-3], abs=4e-4)  # it leans by a degree
 
 
-def test_islands_are_dropped_and_told():
+def test_islands_are_dropped_and_reported():
     values, said = tooth_labels(), []
     values[2:4, 2:4, 2:4] = 3
     values[135, 65, 55] = 2
@@ -65,7 +65,7 @@ def test_islands_are_dropped_and_told():
     assert volume.volume_m3() == labelled_volume(image(tooth_labels()), resample_mm=0.2).volume_m3()
 
 
-def test_cavity_becomes_pulp_unless_told_not_to():
+def test_cavity_becomes_pulp_by_default():
     said = []
     volume = labelled_volume(image(tooth_labels()), resample_mm=0.1, remark=said.append)
     assert 1e9 * volume.volume_m3("pulp") == pytest.approx(4.0, rel=0.1)

@@ -96,7 +96,7 @@ def test_balls_have_their_volumes_and_the_overlap_goes_by_priority(first, hollow
     assert anatomy.notes["gaps"] == "none" and anatomy.notes["priority"] == f"pulp > {first} > {second}"
 
 
-def test_gap_is_told_and_filled():
+def test_gap_is_reported_and_filled():
     anatomy = layered_anatomy(blocks(gap=0.2))
     volume = voxelise(anatomy, spacing_m=SPACING)
     assert anatomy.notes["gaps"].startswith("enamel and dentin ")
@@ -113,7 +113,7 @@ def test_layers_that_fit_have_neither_gap_nor_overlap():
         assert found[name] == pytest.approx(value, rel=2e-3), name
 
 
-def test_cavity_without_a_pulp_is_told_and_left_empty():
+def test_cavity_without_a_pulp_is_reported_and_left_empty():
     surfaces = blocks()
     del surfaces["pulp"]
     anatomy = layered_anatomy(surfaces)

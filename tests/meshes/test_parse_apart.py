@@ -87,7 +87,7 @@ def test_what_a_parser_finds_comes_back(parse):
         ("hangs", "its parser took longer than 3 s"),
     ],
 )
-def test_a_parser_that_fails_is_told(parse, parser, reason):
+def test_a_parser_that_fails_is_refused(parse, parser, reason):
     with pytest.raises(InputError) as refused:
         parse(parser, longest_s=3.0 if parser == "hangs" else None)
     assert str(refused.value).startswith(f"file must be a readable ABC surface, got bone.abc ({reason}")

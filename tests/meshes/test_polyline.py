@@ -8,7 +8,7 @@ from meshes.shapes.polyline import points_along, ways_along
 CORNERS = [[0.0, 0.0, 0.0], [3.0, 4.0, 0.0], [3.0, 4.0, 0.0], [3.0, 4.0, -2.0]]
 
 
-def test_ways_are_sums_of_lengths():
+def test_arc_lengths_are_sums_of_lengths():
     assert ways_along(CORNERS).tolist() == [0.0, 5.0, 5.0, 7.0]
 
 

@@ -23,7 +23,7 @@ def grid_of(size_m: tuple[float, float, float] = (0.1, 0.1, 0.1)) -> pyvista.Uns
     return pyvista.UnstructuredGrid(cells, np.full(len(mesh.cells), 10), 1e3 * mesh.nodes_m)
 
 
-def test_the_coarse_liver_is_read_with_a_unit_told(anatomy: Path) -> None:
+def test_the_coarse_liver_is_read_with_a_given_unit(anatomy: Path) -> None:
     # Counts, volume and box as measured on the file: 181 nodes, 596 tetrahedra, 36.5609 cubed units, all positive.
     found = read_tets(anatomy / "liver" / "liver.v22.msh", unit_mm=34.3)
     assert (len(found.mesh.nodes_m), len(found.mesh.cells), len(found.mesh.surface)) == (181, 596, 276)
@@ -33,7 +33,7 @@ def test_the_coarse_liver_is_read_with_a_unit_told(anatomy: Path) -> None:
     assert not any("inverted" in sentence or "sliver" in sentence for sentence in found.sentences)
 
 
-def test_the_finer_liver_keeps_its_tetrahedra_only_and_tells_the_smallest(anatomy: Path) -> None:
+def test_the_finer_liver_keeps_its_tetrahedra_only_and_reports_the_smallest(anatomy: Path) -> None:
     found = read_tets(anatomy / "liver" / "liver2.v22.msh", unit_mm=100.0)
     assert (len(found.mesh.nodes_m), len(found.mesh.cells), len(found.mesh.surface)) == (507, 1493, 860)
     assert found.mesh.volumes_m3.sum() == pytest.approx(1.12509e-3, rel=1e-5)
@@ -52,7 +52,7 @@ def test_both_versions_of_a_gmsh_file_hold_one_mesh(anatomy: Path, name: str) ->
     assert np.allclose(one.nodes_m, two.nodes_m, rtol=0.0, atol=1e-12)
 
 
-def test_a_pinched_mesh_of_slivers_is_kept_and_told(anatomy: Path) -> None:
+def test_a_pinched_mesh_of_slivers_is_kept_and_reported(anatomy: Path) -> None:
     found = read_tets(anatomy / "bone" / "ossicles.vtu", unit_mm=1.0)
     assert found.mesh.volumes_m3.sum() == pytest.approx(27.145e-9, rel=1e-3)
     said = " ".join(found.sentences)
@@ -102,7 +102,7 @@ def test_physical_groups_of_gmsh_give_the_parts_and_their_names(tmp_path: Path) 
     assert read_msh(file).names == {5: "liver tissue"}
 
 
-def test_hexahedra_beside_tetrahedra_are_left_out_and_told(tmp_path: Path) -> None:
+def test_hexahedra_among_tetrahedra_are_left_out_and_reported(tmp_path: Path) -> None:
     grid = grid_of()
     hexahedron = pyvista.ImageData(
         dimensions=(2, 2, 2), spacing=(10, 10, 10), origin=(300, 0, 0)

@@ -123,7 +123,7 @@ def test_debris_is_dropped_with_its_volume(cube: TetMesh) -> None:
     assert len(mesh.nodes_m) == 125
 
 
-def test_two_bodies_are_kept_and_told(cube: TetMesh) -> None:
+def test_two_bodies_are_kept_and_reported(cube: TetMesh) -> None:
     nodes = np.vstack([cube.nodes_m, np.array([0.2, 0.0, 0.0]) + cube.nodes_m])
     _, report = repair_tets(nodes, np.vstack([cube.cells, cube.cells + 125]))
     assert report.bodies == 2
@@ -139,7 +139,7 @@ def test_coincident_nodes_are_joined_and_repeated_cells_dropped(cube: TetMesh) -
     assert len(mesh.surface) == len(cube.surface)
 
 
-def test_a_pinched_edge_is_told() -> None:
+def test_a_pinched_edge_is_reported() -> None:
     # Two boxes that share an edge and no face.
     one = box((0.1, 0.1, 0.1), (1, 1, 1))
     nodes = np.vstack([one.nodes_m, np.array([0.1, 0.1, 0.0]) + one.nodes_m])

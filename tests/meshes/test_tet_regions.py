@@ -27,7 +27,7 @@ def test_a_plane_chooses_the_nodes_behind_it() -> None:
     assert len(nodes_behind_plane(MESH, point_m=(0.0, 0.0, 0.02), normal=(0.0, 0.0, 1.0))) == 36 + 20
 
 
-def test_faces_of_a_floor_cover_it() -> None:
+def test_faces_of_a_flat_bottom_cover_it() -> None:
     floor = nodes_behind_plane(MESH, point_m=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
     faces = faces_of(MESH, floor)
     a, b, c = (MESH.nodes_m[faces[:, k]] for k in range(3))
@@ -63,7 +63,7 @@ def test_a_part_chooses_all_its_nodes() -> None:
         nodes_of_part(mesh, "empty")
 
 
-def test_a_support_that_touches_nothing_tells_how_near_the_nearest_node_is() -> None:
+def test_a_support_that_touches_nothing_reports_the_nearest_node() -> None:
     with pytest.raises(InputError, match=r"nearest, at \(0, 0, 0\) mm, is 5 mm away"):
         nodes_behind_plane(MESH, point_m=(0.0, 0.0, -0.005), normal=(0.0, 0.0, 1.0))
     with pytest.raises(InputError, match=r"nearest, at \(100, 100, 100\) mm, is 173 mm away"):

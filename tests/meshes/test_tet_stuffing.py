@@ -56,7 +56,7 @@ def test_a_cut_keeps_both_sides_and_every_bit_of_volume() -> None:
     assert set(came.tolist()) == set(range(len(mesh.cells)))
 
 
-def test_a_part_inside_has_a_surface_of_its_own() -> None:
+def test_a_part_inside_has_a_separate_surface() -> None:
     mesh = with_part(stuffed(sphere(0.05), 0.008), sphere(0.018, (0.01, 0.0, 0.005)), "nodule")
     closed(mesh)
     assert mesh.part_names == ("body", "nodule")

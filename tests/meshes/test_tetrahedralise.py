@@ -60,7 +60,7 @@ def test_a_surface_wound_inward_is_turned_first() -> None:
     assert mesh.volumes_m3.sum() == pytest.approx(surface.report.volume_mm3 * 1e-9, rel=0.03)
 
 
-def test_a_surface_that_crosses_itself_is_filled_as_a_union_and_told() -> None:
+def test_a_surface_that_crosses_itself_is_filled_as_a_union_and_reported() -> None:
     one = ball()
     vertices = np.vstack([one.vertices_m, one.vertices_m + np.array([0.06, 0.003, 0.001])])
     faces = np.vstack([one.faces, one.faces + len(one.vertices_m)])

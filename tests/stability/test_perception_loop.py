@@ -77,7 +77,7 @@ def half_of_critical(parameters, grip=None):
     return min(0.5 * critical_stiffness_N_m(loop), parameters.stiffness_limit_N_m)
 
 
-def test_a_cycle_through_a_deadband_gives_back_what_its_threshold_says():
+def test_a_cycle_through_a_deadband_returns_the_energy_of_its_threshold():
     """Loaded and unloaded slowly along a spring, the held force lags by half a threshold on the average, either way.
 
     So a cycle creates the integral of the threshold over the depth, kappa ((F2 + F0)^2 - (F1 + F0)^2) / 2 K: a Coulomb
@@ -141,7 +141,7 @@ def test_published_friction_and_a_hand_leave_less_than_the_threshold(name, group
     assert run.ripple_N(0.5) < float(LAW.threshold(1.0))
 
 
-def test_a_deadband_never_creates_more_than_its_threshold_times_the_way():
+def test_a_deadband_never_creates_more_than_its_threshold_times_the_path_length():
     """By the law of the error alone, tick by tick, in the worst case there is: no friction, no hand, ringing."""
     parameters = replace(device_parameters("touch"), friction_N=0.0)
     run, law = pressed(parameters, half_of_critical(parameters), Push(1.0))

@@ -27,7 +27,7 @@ def unseen():
     return Recorder().record(trial(load_scene("wall"), 777, delay_ms=4))
 
 
-def test_far_ahead_the_capped_operator_stays_and_an_uncapped_one_explodes(wall, unseen):
+def test_at_long_horizons_the_capped_operator_stays_and_an_uncapped_one_explodes(wall, unseen):
     """Printed: g(x_{t+n}) = K^n g(x_t). With a radius of 1.05 the n-th power is 1.05^n; capped, it is bounded."""
     grown = replace(wall.operator, A=1.05 * wall.operator.A)
     sizes = {}
@@ -43,7 +43,7 @@ def test_far_ahead_the_capped_operator_stays_and_an_uncapped_one_explodes(wall, 
     assert sizes["capped again"][2] < 1e-3 * sizes["grown"][2]
 
 
-def test_the_guard_bounds_what_an_exploding_operator_tells(wall, unseen):
+def test_the_guard_bounds_the_prediction_of_an_exploding_operator(wall, unseen):
     grown = replace(wall.operator, A=1.05 * wall.operator.A)
     guarded = Guarded(Koopman(grown, wall.terms), Linear(), reach_N=wall.terms.reach_N)
     told, owned = [], []

@@ -51,7 +51,7 @@ def test_a_faulty_device_fades_and_comes_back(kind, fault):
     assert np.abs(simulated.translation.position).max() < 0.05
 
 
-def test_one_missing_sample_costs_a_twentieth_of_the_force():
+def test_one_missing_sample_takes_a_twentieth_of_the_force():
     run, guard, _ = pressed("penalty", [Fault("dropped", 0.8, 0.801)])
     assert guard.bad_ticks == 1
     size = np.linalg.norm(run.force_N, axis=1)

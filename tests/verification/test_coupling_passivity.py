@@ -153,7 +153,7 @@ def test_ten_minutes_of_contact_never_create_energy():
         ),
     ],
 )
-def test_a_latency_does_not_let_a_watched_wall_create_energy(name, stiffness_N_m, delay_ms):
+def test_a_latency_does_not_let_a_supervised_wall_create_energy(name, stiffness_N_m, delay_ms):
     """Booked at the motors; the bare wall of 1.5 kN/m gives out 136 mJ in 10 s at 4 ms, and 2.4 J at 8 ms."""
     at = {"name": name, "stiffness_N_m": stiffness_N_m, "delay_s": 1e-3 * delay_ms}
     for seed in (1, 2):
@@ -176,7 +176,7 @@ def test_what_was_taken_is_struck_off_when_contact_ends():
 
 
 @pytest.mark.slow
-def test_what_a_wall_reaches_is_told_beside_what_the_device_allows():
+def test_what_a_wall_reaches_is_reported_with_what_the_device_allows():
     found = {
         each.renderer: each
         for each in wall_limits(

@@ -96,7 +96,7 @@ def test_passive_bound_is_colgates_and_with_delay_gils():
     assert passive_bound_N_m(wall(0.2)) == 0.0
 
 
-def test_no_wall_within_the_passive_bound_is_unstable_in_any_hand():
+def test_no_wall_within_the_passive_bound_is_unstable_with_any_hand():
     """Over random devices, walls and passive hands; the bound knows neither mass nor hand."""
     rng = np.random.default_rng(5)
     for _ in range(300):

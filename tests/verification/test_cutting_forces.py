@@ -103,7 +103,7 @@ def test_element_removal_rate_integrates_to_the_voxel_volume(sharp_slot):
 
 
 @pytest.mark.parametrize("depth_m", [1e-4, 2e-4, 5e-4])
-def test_shallow_pass_over_a_cut_floor_keeps_the_balance(depth_m):
+def test_shallow_pass_over_a_cut_bottom_keeps_the_balance(depth_m):
     """A second pass, one to five voxels deeper than the first, removes by elements what it removes in voxels: 3 %.
 
     One voxel of depth is the worst case: a pass that the fill resolves by a single layer of voxels.

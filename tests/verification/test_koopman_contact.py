@@ -142,7 +142,7 @@ def test_the_cap_turns_about_the_mean_of_training():
     assert np.abs((after - before) / operator.scale).max() < 1e-9
 
 
-def test_the_cap_costs_nothing_over_the_horizons_that_matter():
+def test_the_cap_loses_no_accuracy_over_the_horizons_that_matter():
     rng = np.random.default_rng(3)
     episodes, unseen = touching(rng, 8), touching(rng, 4)
     wild = Edmd(Delays(3, Polynomials(2)), cap=None).fit(episodes)

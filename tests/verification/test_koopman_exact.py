@@ -81,7 +81,7 @@ def driven(rng, steps_s, rows=40, count=6):
     return A, B, whole, episodes
 
 
-def test_held_inputs_are_exact_both_ways():
+def test_held_inputs_are_exact_in_both_directions():
     A, B, whole, episodes = driven(np.random.default_rng(1), 0.02)
     operator = Edmd(Identity()).fit(episodes)
     assert np.abs(operator.B[:, 0] - whole[:2, 2]).max() < EXACT

@@ -48,7 +48,7 @@ def test_a_closed_dictionary_keeps_the_claim_and_has_no_error_with_the_exponenti
     ids=["duffing", "van der pol", "contact"],
 )
 @pytest.mark.parametrize("lifted", ["polynomials", "gaussians"])
-def test_other_dictionaries_are_of_first_order_whatever_the_theorem_says(field, spread, lifted):
+def test_other_dictionaries_are_of_first_order_whatever_the_theorem_states(field, spread, lifted):
     rng = np.random.default_rng(5)
     episodes, states = states_of(field, rng, spread=spread)
     scales = tuple(spread)

@@ -218,7 +218,7 @@ def test_slower_than_half_the_band_it_creeps_under_static_friction(share):
     assert insertion.drag_N_s_m == (0.0 if creeping else FRICTION.viscous_out_N_s_m2 * insertion.inserted_m)
 
 
-def test_an_old_track_costs_no_cutting_until_its_end():
+def test_an_old_track_takes_no_cutting_until_its_end():
     insertion = pushed(50e-3)
     cut = insertion.cut_m
     drive(insertion, -20e-3)

@@ -54,14 +54,14 @@ def test_functions_agree_where_they_must():
     np.testing.assert_allclose(correct_of_d_prime(d_prime_of_correct(shares)), shares, rtol=1e-12)
 
 
-def test_a_threshold_is_told_in_three_of_four_trials():
+def test_a_threshold_is_discriminated_in_three_of_four_trials():
     base = np.array([0.0, 0.3, 2.0, 7.0])
     np.testing.assert_allclose(two_interval(base, 0.07 * (base + 0.2), 0.07, 0.2), 0.75, rtol=1e-12)
     assert two_interval(2.0, 0.0, 0.07, 0.2, 0.04) == 0.5
     assert two_interval(2.0, 100.0, 0.07, 0.2, 0.04) == pytest.approx(0.96)
 
 
-def test_people_answer_as_often_as_the_function_says():
+def test_people_answer_as_often_as_the_function_predicts():
     """40,000 answers: four standard errors."""
     crowd, rng = people(40_000, lapse=0.03), np.random.default_rng(1)
     for step in (0.0, 0.05, 0.154, 0.4):

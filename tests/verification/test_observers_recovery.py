@@ -66,7 +66,7 @@ def test_stevens_of_1_7_is_recovered():
 
 
 @pytest.mark.slow
-def test_intervals_hold_the_truth_as_often_as_they_say():
+def test_intervals_hold_the_truth_as_often_as_they_claim():
     """95 % intervals of 800 people drawn from the prior, between the grid's points: 92 to 98 % hold it."""
     rng, count = np.random.default_rng(2), 800
     prior = ThresholdPrior(cells=61, floor_cells=9, lapse_cells=4)
@@ -126,7 +126,7 @@ def test_ranks_of_exponents_are_uniform():
     assert kstest(ranks, "uniform").pvalue > 1e-3
 
 
-def test_the_most_telling_comparison_is_the_one_of_least_expected_entropy():
+def test_the_most_informative_comparison_is_the_one_of_least_expected_entropy():
     """Against the definition, written out: every comparison, both answers, entropy of each posterior."""
     prior = ThresholdPrior(cells=9, floor_cells=3, lapse_cells=2)
     found = AdaptiveThreshold(prior, comparisons((0.5, 2.0), count=8))
@@ -168,14 +168,14 @@ def test_ten_percent_in_fewer_trials_than_staircases():
 
 
 @pytest.mark.slow
-def test_a_wrong_noise_model_biases_the_threshold_by_what_is_told():
+def test_a_wrong_noise_model_biases_the_threshold_by_what_is_reported():
     """Heavy tails make thresholds look 10 to 40 % lower, fatigue of 50 % a hundred trials 10 to 60 % higher."""
     for wrong, low, high in (({"freedom": 3.0}, 0.6, 0.95), ({"fatigue": 0.5}, 1.1, 1.6)):
         found = calibrated(people(100, **wrong), np.random.default_rng(7), trials=120)
         assert low < np.exp(np.log(found.weber()[0] / 0.07).mean()) < high, wrong
 
 
-def test_identical_forces_tell_nothing():
+def test_identical_forces_carry_no_information():
     """A step of zero is answered by chance, and leaves the prior as it was."""
     stimuli = (np.array([2.0]), np.array([0.0]))
     found = calibrated(people(50), np.random.default_rng(8), trials=30, stimuli=stimuli)

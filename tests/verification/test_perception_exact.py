@@ -139,7 +139,7 @@ def test_ratios_of_intensity_survive_up_to_the_knee_and_the_device_is_never_aske
     assert min(gains) < 0.9 and max(gains) == 1.0
 
 
-def test_the_map_rises_from_nothing_and_its_slope_is_told():
+def test_the_map_rises_from_nothing_and_its_slope_is_reported():
     reference = intensity_of(reference_observer())
     for observer in people(40, 6):
         law = ForceMap(reference, intensity_of(observer), lowest_N=0.2, knee_N=KNEE_N)

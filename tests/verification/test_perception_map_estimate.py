@@ -113,7 +113,7 @@ def test_impossible_numbers_are_refused(change, told):
         map_force_N(given.pop("seen_N"), given.pop("noise_N"), **given)
 
 
-def test_a_prior_that_excludes_the_data_is_told():
+def test_a_prior_that_excludes_the_data_is_refused():
     require_prior_fits(2.0, 0.1, median_N=1.0, log_spread=0.5)
     require_prior_fits(-0.3, 0.1, median_N=1.0, log_spread=1.0)
     for seen in (50.0, -5.0):

@@ -24,7 +24,7 @@ def test_a_right_prior_makes_a_look_better_and_no_wrong_one_much_worse(look):
     assert look["right prior and noise"] <= min(error for assumed, error in look.items() if "prior's" in assumed) + 0.01
 
 
-def test_a_bias_costs_more_than_any_wrong_spread(look, recursion):
+def test_a_bias_matters_more_than_any_wrong_spread(look, recursion):
     """No prior sees fatigue: of one look it costs 20 %, of the recursion, which averages noise away, fourfold."""
     assert look["truth fatigues by 10 %"] == max(look.values()) > 1.15
     assert recursion["truth fatigues by 10 %"].error > 3.0 and recursion["truth fatigues by 10 %"].held < 0.3
@@ -38,7 +38,7 @@ def test_the_recursion_knows_its_error_where_its_variances_are_right(recursion):
     assert tails.error == pytest.approx(1.0, abs=0.07) and tails.held == pytest.approx(0.95, abs=0.03)
 
 
-def test_wrong_variances_cost_a_third_and_the_share_that_is_held(recursion):
+def test_wrong_variances_add_a_third_to_the_error_and_change_the_coverage(recursion):
     """A gain wrong by sqrt(10) costs the same in either direction: r^2 + 1 / r^2 over 2 r at r = 10^(1/4) is 1.3."""
     for assumed in ("wander / 10", "wander x 10", "noise / 10"):
         assert 1.2 < recursion[assumed].error < 1.4

@@ -156,7 +156,7 @@ def test_friction_sticks_if_and_only_if_the_pull_is_inside_the_cone():
             assert np.linalg.norm(result.push_m[:2]) == pytest.approx(friction * result.push_m[2], rel=1e-9)
 
 
-def test_friction_changes_nothing_where_planes_hold_every_way():
+def test_friction_changes_nothing_where_planes_hold_every_direction():
     """In a corner of three planes the friction is not determined; the proxy rests there all the same."""
     planes = [HalfSpace((0.0, 0.0, 0.0), normal) for normal in np.eye(3)]
     proxy = point_on(*planes, start=(1e-3, 2e-3, 1e-3), friction=0.1)

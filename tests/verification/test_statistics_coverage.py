@@ -168,7 +168,7 @@ def test_the_regression_does_not_know_units():
         )
 
 
-def test_with_little_said_before_it_is_least_squares_within_users():
+def test_with_a_wide_prior_it_is_least_squares_within_users():
     """Far more variance between users than within: slopes are those of the columns with users' means taken out."""
     values, columns, person = trials_of(np.random.default_rng(9), between=50.0)
     found = regression(values, columns, person, response="error", prior=Prior(slope_spread=1e4))

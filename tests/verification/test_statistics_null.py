@@ -32,7 +32,7 @@ def null(count, seed=1, components=WORLD, users=USERS):
 
 
 @pytest.mark.parametrize("name", TESTS)
-def test_strata_alarm_as_they_say(name):
+def test_strata_alarm_at_the_stated_level(name):
     values, groups = null(10_000)
     chosen, between = TESTS[name]
     found = strata(values, groups, (4,), chosen, between=between)
@@ -71,7 +71,7 @@ def test_ignoring_users_alarms_far_too_often():
 
 
 @pytest.mark.parametrize("between", [True, False], ids=["groups", "methods"])
-def test_manova_alarms_as_it_says(between):
+def test_manova_alarms_at_the_stated_level(between):
     rng = np.random.default_rng(4)
     mix = rng.normal(size=(4, 4))
     groups = np.repeat([0, 1, 2], USERS)
@@ -136,7 +136,7 @@ def test_methods_by_tests_that_rest_on_less(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TESTS)
-def test_permutations_alarm_as_they_say(name):
+def test_permutations_alarm_at_the_stated_level(name):
     """With 99 shuffles p takes the values 0.01, 0.02 ... so that 5 % is p <= 0.05. Errors are far from normal."""
     chosen, between = TESTS[name]
     rng = np.random.default_rng(7)
@@ -151,7 +151,7 @@ def test_permutations_alarm_as_they_say(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("between", [True, False], ids=["groups", "methods"])
-def test_permuted_pillai_alarms_as_it_says(between):
+def test_permuted_pillai_alarms_at_the_stated_level(between):
     pytest.importorskip("statsmodels", reason="statsmodels is not installed: pip install 'tissue-sim[study]'")
     rng = np.random.default_rng(8)
     groups = np.repeat([0, 1, 2], 6)
@@ -175,7 +175,7 @@ def test_permuted_pillai_alarms_as_it_says(between):
 @pytest.mark.parametrize(
     "test", [shapiro_wilk, anderson_darling, normal_residuals, mardia], ids=lambda each: each.__name__
 )
-def test_normality_alarms_as_it_says(test):
+def test_normality_alarms_at_the_stated_level(test):
     """The joint checks stay at or below 5 %: their parts share the chance without being independent."""
     pytest.importorskip("statsmodels", reason="statsmodels is not installed: pip install 'tissue-sim[study]'")
     rng = np.random.default_rng(9)
@@ -190,7 +190,7 @@ def test_normality_alarms_as_it_says(test):
 
 
 @pytest.mark.slow
-def test_sphericity_alarms_as_it_says():
+def test_sphericity_alarms_at_the_stated_level():
     values, groups = null(4000, users=20)
     alarms = [mauchly(each, groups) < ALPHA for each in scores_of(values, (4,), (0,))]
     assert np.mean(alarms) == pytest.approx(ALPHA, abs=OFF)
@@ -275,7 +275,7 @@ def cells_of(values, groups):
     )
 
 
-def test_redrawn_users_alarm_nearly_as_they_say():
+def test_redrawn_users_alarm_nearly_at_their_level():
     """Users drawn with replacement stand twice: error rates lie near 5 %, within two points at 12 users a group."""
     shares = []
     for seed in range(8):

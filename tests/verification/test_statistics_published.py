@@ -114,7 +114,7 @@ def test_growth_of_children():
     assert mauchly(scores_of(DENTAL, (4,), (0,)), SEX) == pytest.approx(0.1997, abs=5e-5)
 
 
-def test_comparison_of_children_says_what_fails():
+def test_comparison_of_children_names_what_fails():
     found = compare(dental_table(), "distance_mm", task="growth", rng=np.random.default_rng(RNG))
     method, group, both = found.tests
     assert (round(group.statistic, 2), round(method.statistic, 2), round(both.statistic, 2)) == (9.29, 35.35, 2.36)
@@ -324,7 +324,7 @@ def test_effects_by_their_definitions():
 
 
 @pytest.mark.parametrize("statistic", [1e-6, 0.3, 40.0, 5e4])
-def test_intervals_of_effects_stand_far_out(statistic):
+def test_intervals_of_extreme_effects_are_finite(statistic):
     eta = partial_eta_squared(statistic, 3.0, 81.0)
     assert 0.0 <= eta.low <= eta.high <= 1.0 and np.isfinite([eta.low, eta.high]).all()
     shift = np.linspace(-1.0, 1.0, 10)

@@ -167,7 +167,7 @@ def test_raw_components_have_mixed_signs_and_follow_the_units():
     assert (millimetres**2)[3] > 10.0 * (metres**2)[3]
 
 
-def test_an_index_of_metrics_that_contradict_says_so():
+def test_an_index_of_metrics_that_contradict_is_reported():
     table = table_of(users=10)
     found = composite_index(table, DIRECTIONS | {"latency_ms": 1}, rng=np.random.default_rng(6))
     assert not found.assumptions[0].holds and "better by one metric goes with worse by another" in found.sentence
@@ -180,7 +180,7 @@ def test_weights_of_noise_are_not_called_stable():
     assert not found.assumptions[2].holds and "weights move by up to" in found.sentence
 
 
-def test_an_outcome_says_all_and_goes_into_json():
+def test_an_outcome_states_all_and_goes_into_json():
     robust = Outcome("Welch", "m: group", "F", 1.0, (2, 17.1), 0.39)
     found = Outcome(
         "analysis of strata",
@@ -302,7 +302,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_cannot_be_compared_is_told_in_a_sentence(case):
+def test_what_cannot_be_compared_is_reported_in_a_sentence(case):
     call, said = REFUSED[case]
     with pytest.raises(InputError, match=said) as refused:
         call()

@@ -176,7 +176,7 @@ def test_stress_after_warm_starts_is_that_of_a_cold_solve(drilled):
     assert {record.outcome for record in drilled.model.stress.records} == {"CONVERGED"}
 
 
-def test_the_pulp_is_told_before_it_is_hit(drilled):
+def test_the_pulp_is_reported_before_it_is_hit(drilled):
     """Both limits and the exposure once each, in their order; the exposure within a voxel of the pulp's roof."""
     told = [event for event in drilled.run.events if "pulp" in event[1]]  # a busy machine also tells of late stress
     times, said = zip(*told, strict=True)
@@ -255,7 +255,7 @@ def test_dentin_over_a_round_pulp():
         before = found
 
 
-def test_exposure_is_told_once():
+def test_exposure_is_reported_once():
     model, at = dentin_over(lambda x: x[..., 2] + 1.0 * MM)
     for depth in (0.2, 0.6, 0.9, 1.1, 1.3, 0.5, 1.2):
         at((0, 0, -depth))

@@ -64,7 +64,7 @@ def test_islands_and_hinges_are_debris_and_the_rest_solves():
 
 
 @pytest.mark.parametrize("at", [(4.5e-3, 1.9e-3, 0.5e-3), (2.5e-3, 4.9e-3, 0.3e-3)], ids=["hinge", "island"])
-def test_plain_assembly_is_singular_and_says_so(at):
+def test_plain_assembly_is_singular_and_reports_it(at):
     body = ParticleBody(*with_pieces(), drop_islands=False)
     matrix = body.matrix().toarray()
     kept = np.flatnonzero(np.diag(matrix) > 0.0)

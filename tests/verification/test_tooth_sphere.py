@@ -135,7 +135,7 @@ def test_lame_sphere_converges():
 
 
 @pytest.mark.slow
-def test_particles_beside_body_fitted_tetrahedra():
+def test_particles_against_body_fitted_tetrahedra():
     """On grids of equal edge the cut cells err less than linear tetrahedra that follow the surfaces."""
     print("\ncells  particles: energy, stress   tetrahedra: energy, stress")
     for cells in (8, 16):
@@ -145,7 +145,7 @@ def test_particles_beside_body_fitted_tetrahedra():
 
 
 @pytest.mark.slow
-def test_what_stabilisation_costs():
+def test_error_and_condition_of_stabilisation():
     """Condition number of the diagonally scaled stiffness, and errors, over particles a cell and inner stiffness.
 
     One particle a cell without it is singular; a tenth closes it and costs less than a tenth of the errors.

@@ -37,7 +37,7 @@ def layers(tmp_path):
 
 
 @pytest.mark.slow
-def test_surfaces_are_drilled_over_their_caries_or_told_how(layers):
+def test_surfaces_are_drilled_over_their_caries_or_refused_with_the_remedy(layers):
     run = simulate(load_scene("molar", layers | STRAIGHT_IN | {"anatomy.site": "caries"})).summary()
     assert run["removed_mm3"]["caries"] > 0.5 and run["removed_mm3"]["enamel"] == 0.0
     beside = simulate(load_scene("molar", layers | STRAIGHT_IN)).summary()
@@ -52,7 +52,7 @@ def test_surfaces_are_drilled_over_their_caries_or_told_how(layers):
 
 
 @pytest.mark.slow
-def test_labels_are_drilled_over_their_caries_and_what_stays_is_told(anatomy):
+def test_labels_are_drilled_over_their_caries_and_the_rest_is_reported(anatomy):
     labels = {
         "anatomy.file": str(anatomy / "tooth" / "caries_tooth_2.nii.gz"),
         "anatomy.spacing_mm": 0.034,

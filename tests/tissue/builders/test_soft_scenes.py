@@ -156,7 +156,7 @@ def test_a_liver_from_a_file_is_placed_held_and_pressed(anatomy):
     assert 0.05 < run.trace["model_force_z_N"].max() < 1.0
 
 
-def test_a_needle_scene_tells_its_punctures():
+def test_a_needle_scene_reports_its_punctures():
     run = simulate(load_scene("needle"))
     said = [what for _, what in run.events]
     assert [line.split(" is punctured")[0] for line in said[:2]] == ["the capsule", "the vessel wall"]

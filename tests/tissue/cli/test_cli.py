@@ -193,7 +193,7 @@ def test_a_bad_command_line_is_refused_in_one_sentence(refused, here, arguments,
 
 
 @pytest.mark.parametrize(("kind", "writer"), [("parquet", "pyarrow"), ("h5", "h5py")])
-def test_a_format_without_its_extra_says_what_to_install(refused, here, monkeypatch, kind, writer):
+def test_a_format_without_its_extra_names_what_to_install(refused, here, monkeypatch, kind, writer):
     def missing(name):
         raise ImportError(name)
 
@@ -238,7 +238,7 @@ def test_voxels_that_do_not_fit_the_memory_are_refused_with_what_would_fit(refus
     assert (code, error) == (0, "")
 
 
-def test_a_folder_with_another_run_is_kept_unless_told(refused, command, here):
+def test_a_folder_with_another_run_is_kept_without_force(refused, command, here):
     quick = ("run", "milling", *COARSE, "--duration-s", 0.02)
     assert command(*quick, "--out", "first", "--format", "npz")[0] == 0
     (here / "first" / "trace.txt").write_text("notes of a person")

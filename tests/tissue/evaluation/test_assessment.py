@@ -126,7 +126,7 @@ def test_figures_and_picture_are_written_once(tmp_path):
         write_assessment(found, png, overwrite=False)
 
 
-def test_what_cannot_be_assessed_is_told(tmp_path):
+def test_what_cannot_be_assessed_is_refused(tmp_path):
     reference, other = saved(tmp_path / "r", reach(1.0)), saved(tmp_path / "o", reach(1.0), scene="wall")
     above = saved(tmp_path / "a", reach(1.0) + np.array([0.0, 0.0, 50.0]))
     with pytest.raises(InputError, match="must be of one scene, got wall and block"):

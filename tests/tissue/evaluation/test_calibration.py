@@ -230,7 +230,7 @@ def test_all_right_only_bounds_the_threshold():
     assert session.observer("x").kappa > 0.0
 
 
-def test_guesses_and_mixed_up_answers_are_told():
+def test_guesses_and_mixed_up_answers_are_reported():
     assert any("no more than by guessing" in note for note in answered(Plan(trials=60), answer_with(0.5)).notes())
     mixed = answered(Plan(trials=60), answer_with(0.0)).notes()
     assert any("were 1 and 2 mixed up" in note for note in mixed)
@@ -238,7 +238,7 @@ def test_guesses_and_mixed_up_answers_are_told():
 
 
 @pytest.mark.parametrize(("lowest", "highest", "side"), [(0.3, 0.6, "lowest"), (0.005, 0.02, "highest")])
-def test_a_prior_that_excludes_the_truth_is_told(lowest, highest, side):
+def test_a_prior_that_excludes_the_truth_is_reported(lowest, highest, side):
     from tissue.perception.adaptive import ThresholdPrior
 
     prior = ThresholdPrior(lowest=lowest, highest=highest)

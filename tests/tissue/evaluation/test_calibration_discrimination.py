@@ -29,7 +29,7 @@ def people(count, **given):
 
 
 @pytest.mark.parametrize("group", GROUPS)
-def test_identical_stimuli_are_never_told_better(group):
+def test_identical_stimuli_are_never_discriminated_better(group):
     """Half of the answers count, with and without calibration; four standard errors of 10,000 answers."""
     rng = np.random.default_rng(0)
     crowd, same = draw_observers(group, 100, rng), Stimulus(1.0, 0.1)

@@ -48,7 +48,7 @@ def test_sessions_are_laid_end_to_end(tmp_path):
     assert asked.sum() == 24 and right.sum() == trials.right.sum() and len(who) == len(base) == len(step) <= 24
 
 
-def test_a_fit_that_did_not_converge_says_so():
+def test_a_fit_that_did_not_converge_is_reported():
     assert a_fit().problems() == []
     assert "R-hat of beta is 1.100" in a_fit(r_hat=dict.fromkeys(HYPER, 1.0) | {"beta": 1.1}).problems()[0]
     assert "R-hat of beta is nan" in a_fit(r_hat=dict.fromkeys(HYPER, 1.0) | {"beta": np.nan}).problems()[0]
@@ -138,7 +138,7 @@ def test_the_command_writes_a_population(command, here, monkeypatch):
     assert code == 2 and "out must not exist yet" in error
 
 
-def test_without_the_extra_it_is_said(monkeypatch):
+def test_a_missing_extra_is_reported(monkeypatch):
     monkeypatch.setitem(sys.modules, "jax", None)
     one, none = np.zeros(3, dtype=int), np.ones(3)
     with pytest.raises(InputError, match=r"pip install 'tissue-sim\[perception\]'"):

@@ -65,7 +65,7 @@ def test_the_cheapest_that_is_good_enough_is_chosen():
         load_scene("milling", {"fidelity": {}})
 
 
-def test_what_is_no_setting_stands_in_the_table_and_is_never_chosen(tmp_path):
+def test_a_row_without_settings_is_in_the_table_and_is_never_chosen(tmp_path):
     """A law that cannot run at 1 kHz, and rounding, are rows; the law's errors are those of its forces, by hand."""
     scene, settings = load_scene("liver-press"), (Setting("P2", "elements"),)
     neo = np.array([[0.0, 0.0, 3.0], [0.0, 4.0, 0.0], [np.nan] * 3])
@@ -128,7 +128,7 @@ def test_the_error_of_the_linear_law_in_a_column_that_cannot_widen():
     assert error[1] / error[0] == pytest.approx(2.0, rel=0.05) and (np.diff(error) < 0.0).all()
 
 
-def test_a_cost_that_is_such_a_sum_is_found_again():
+def test_a_tick_time_that_is_such_a_sum_is_found_again():
     model = CostModel(20.0, 0.05, 0.01)
     rng = np.random.default_rng(1)
     points = []
@@ -217,7 +217,7 @@ def test_an_excerpt_ends_a_while_after_the_first_contact(block):
     assert len(short.motion.points_mm) <= len(block.motion.points_mm)
 
 
-def test_a_loop_is_told_in_plain_words():
+def test_a_loop_is_described_in_plain_words():
     scene = by_hand(load_scene("milling"))
     settings = settings_of(scene, quick=True)
     said = {each.name: _in_words(changed(scene, each.changes), each, settings) for each in settings}

@@ -131,7 +131,7 @@ def test_a_study_that_is_stopped_goes_on(tmp_path, pool):
     assert whole == total and set(pool.calls) == set(SMALL.all_trials())
 
 
-def test_a_lost_worker_costs_nothing(tmp_path, pool):
+def test_a_lost_worker_loses_no_trial(tmp_path, pool):
     run_study(SMALL, tmp_path / "whole")
     rng, told = np.random.default_rng(0), []
     pool._lose = lambda key: rng.random() < 0.1
@@ -205,7 +205,7 @@ def test_folders_of_another_kind_are_refused(tmp_path, pool):
         StudyFolder(tmp_path / "none").plan()
 
 
-def test_no_trial_yet_is_told(tmp_path):
+def test_no_trial_yet_is_refused(tmp_path):
     folder = StudyFolder(tmp_path)
     folder.begin(SMALL)
     with pytest.raises(InputError, match="study must hold trials of T2, got none"):

@@ -94,7 +94,7 @@ def rows_of(path: Path):
         return list(csv.DictReader(file))
 
 
-def test_force_errors_stand_beside_the_papers(study):
+def test_force_errors_are_compared_with_the_papers(study):
     section = force_section(study.table("T1", "T2").complete())
     rows = {row[:2]: row for row in section.rows}
     assert set(rows) == {(task, method) for task in ("T1", "T2") for method in METHODS}

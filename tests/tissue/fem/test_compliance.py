@@ -131,7 +131,7 @@ def test_columns_are_poured_one_node_at_a_time_into_a_matrix_of_all():
         there.pour(matrix[:, ::2])
 
 
-def test_the_node_wanted_longest_ago_makes_room():
+def test_the_least_recently_used_node_is_evicted():
     each = 3 * 3 * 8 * len(SURFACE)
     there = lazy(SURFACE, capacity_bytes=3 * each + 5)
     assert there.capacity == 3
@@ -148,7 +148,7 @@ def test_the_node_wanted_longest_ago_makes_room():
         lazy(SURFACE, capacity_bytes=each - 1)
 
 
-def test_a_thread_finds_columns_beside_the_ticks_and_drops_what_is_no_longer_wanted():
+def test_a_thread_finds_columns_in_the_background_and_drops_what_is_no_longer_wanted():
     there = lazy(SURFACE)
     there.start()
     try:
@@ -167,7 +167,7 @@ def test_a_thread_finds_columns_beside_the_ticks_and_drops_what_is_no_longer_wan
     assert np.array_equal(there.block(np.array([71, 72])), there.block(np.array([71, 72])).T)
 
 
-def test_a_failure_in_the_thread_is_told(monkeypatch):
+def test_a_failure_in_the_thread_is_refused(monkeypatch):
     there = lazy(SURFACE)
     monkeypatch.setattr(there._solver, "columns", lambda unknowns: 1 / 0)
     there.start()
@@ -192,7 +192,7 @@ def test_modes_are_orthonormal_in_the_stiffness_and_cut_the_compliance_best():
     assert missed[-1] == pytest.approx(solver.values_m_N[20], rel=1e-8)
 
 
-def test_more_modes_leave_out_less_and_the_error_told_is_the_error():
+def test_more_modes_leave_out_less_and_the_reported_error_is_the_error():
     body = body_of()
     free = SURFACE[~BOTTOM[SURFACE]]
     factor = DirectSolver(body)
@@ -224,7 +224,7 @@ def test_residual_blocks_make_a_single_node_as_soft_as_it_is():
     assert np.linalg.eigvalsh(reduced)[0] > 0.0  # the blocks of what is left out are positive definite
 
 
-def test_a_load_beside_the_basis_is_told():
+def test_a_load_outside_the_basis_is_reported():
     body = body_of()
     solver = ReducedSolver(DirectSolver(body), SURFACE[:20], size=60)
     inside = np.setdiff1d(np.arange(125), SURFACE)

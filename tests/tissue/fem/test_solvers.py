@@ -182,7 +182,7 @@ def test_a_motion_about_a_slanting_axis_is_named_by_its_direction():
 
 
 @pytest.mark.slow
-def test_named_motions_are_those_that_cost_no_energy():
+def test_named_motions_are_those_without_energy():
     """Six for the stiffness alone; after supports, as many words as zero eigenvalues."""
     body = body_of()
     stiffness = body.stiffness.toarray()
@@ -254,7 +254,7 @@ def test_a_stiffness_that_is_not_finite_or_of_another_size_is_refused():
 
 
 @pytest.mark.parametrize("solver", [DirectSolver, MultigridSolver])
-def test_an_indefinite_stiffness_is_told(solver):
+def test_an_indefinite_stiffness_is_reported(solver):
     """Shifted by more than its lowest eigenvalue, K keeps a positive diagonal and has one direction of negative energy."""
     body = body_of()
     free = body.free
@@ -274,12 +274,12 @@ def test_a_matrix_without_a_factor_is_refused():
         DirectSolver(HeldBody(ones, MESH.nodes_m, body.supports))
 
 
-def test_multigrid_that_runs_out_of_iterations_says_so():
+def test_multigrid_that_runs_out_of_iterations_is_reported():
     found = MultigridSolver(body_of(), limit=2).solve(load_on(SURFACE))
     assert found.outcome is Outcome.NOT_CONVERGED and found.iterations == 2
 
 
-def test_a_factor_that_loses_its_digits_says_so(monkeypatch):
+def test_a_factor_that_loses_its_digits_is_reported(monkeypatch):
     monkeypatch.setattr(DirectSolver, "tolerance", 0.0)
     found = DirectSolver(body_of()).solve(load_on(SURFACE))
     assert found.outcome is Outcome.INACCURATE

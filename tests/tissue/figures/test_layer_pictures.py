@@ -98,7 +98,7 @@ def test_events_are_numbered_and_not_too_many():
 
 
 @pytest.mark.parametrize("fields", [True, False])
-def test_a_tissue_that_tells_of_itself_gets_its_pictures(run, tmp_path, monkeypatch, fields):
+def test_a_tissue_with_measures_gets_its_pictures(run, tmp_path, monkeypatch, fields):
     from PIL import Image
 
     monkeypatch.setattr("tissue.figures.before_after.draw_before_after", lambda *_: None)

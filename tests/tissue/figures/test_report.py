@@ -168,7 +168,7 @@ def test_pictures_show_something(run, tmp_path):
         assert len(np.unique(pixels.reshape(-1, 3)[::97], axis=0)) > 50, path.name
 
 
-def test_pictures_without_opengl_say_what_to_install(run, tmp_path, monkeypatch):
+def test_pictures_without_opengl_name_what_to_install(run, tmp_path, monkeypatch):
     monkeypatch.setattr("tissue.system.offscreen._windows", lambda: iter(()))
     monkeypatch.setattr("tissue.system.offscreen.sys.platform", "linux")
     (note,) = draw_pictures(run, tmp_path)

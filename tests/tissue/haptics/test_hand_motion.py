@@ -275,7 +275,7 @@ def test_torque_turns_the_tool_until_the_spring_balances_it_and_is_played():
     np.testing.assert_allclose(motion.measures[7:10], scale * response.wrench[:3], rtol=1e-3, atol=1e-9)
 
 
-def test_ways_and_forces_are_scaled_by_a_stated_law():
+def test_paths_and_forces_are_scaled_by_a_stated_law():
     """The hand goes 1 / m of the way; a tool of K is felt as m f K; the energy is that at the device."""
     run = run_of("wall", coupling__motion_scale=2.5, coupling__force_scale=0.4)
     trace = run.trace

@@ -57,7 +57,7 @@ def test_a_led_hand_goes_farther_until_the_tool_is_there():
     assert lead(50.0)[2] == goals[-1]
 
 
-def test_a_thrust_pushes_until_the_way_is_gone():
+def test_a_thrust_pushes_until_the_path_is_done():
     tool = CuttingTool(1.0, np.zeros(3))
     thrust = Thrust(np.zeros(3), 2e-3 * DOWN, tool, 1.5, 4e-3)
     np.testing.assert_allclose(thrust.push(1.0), 1.5 * DOWN)

@@ -129,7 +129,7 @@ def test_prediction_is_part_of_what_is_judged():
         assert (ahead < held - 0.1) == hurts
 
 
-def test_the_coupling_says_what_stops_a_ringing():
+def test_the_coupling_names_what_stops_a_ringing():
     told = simulate(load_scene("wall", {"duration_s": 0.01, "renderer": "passivity"})).parts.notes["coupling"]
     assert "nothing but friction and the passivity controller stops its ringing" in told
 

@@ -175,7 +175,7 @@ def push_through(normal, offset, shell, speed_m_s, random):
 
 
 @pytest.mark.parametrize("speed_m_s", [0.05, 0.5, 2.0])
-def test_no_way_through_a_wall_one_voxel_thick(speed_m_s):
+def test_no_path_through_a_wall_one_voxel_thick(speed_m_s):
     """Random walls, the worst place between voxels among them, and random ways; a point and a burr."""
     random = np.random.default_rng(7)
     for number, normal in enumerate([np.eye(3)[2], np.array([0.0, 0.6, 0.8]), *random.normal(size=(6, 3))]):
@@ -185,7 +185,7 @@ def test_no_way_through_a_wall_one_voxel_thick(speed_m_s):
 
 
 @pytest.mark.slow
-def test_no_way_through_many_walls():
+def test_no_path_through_many_walls():
     """The same for forty walls at 2 m/s."""
     random = np.random.default_rng(8)
     for normal in random.normal(size=(40, 3)):

@@ -51,7 +51,7 @@ def test_the_laws_turn_with_the_world(kind):
     assert np.allclose(*found, rtol=1e-9, atol=1e-12)
 
 
-def test_penalty_never_pulls_into_the_surface_and_the_watched_one_may_brake():
+def test_penalty_never_pulls_into_the_surface_and_the_supervised_one_may_brake():
     out = np.array([0.0, 0.0, 3.0])
     penalty = renderer("penalty", WALL)
     assert not penalty.render(np.array([0.0, 0.0, -1e-3]), out, NOTHING, NOTHING, TICK).any()
@@ -84,7 +84,7 @@ class Turning:
 
 
 @pytest.mark.parametrize("watched", [False, True])
-def test_a_stop_for_a_rotation_creates_energy_unless_it_is_watched(watched):
+def test_a_stop_for_a_rotation_creates_energy_unless_it_is_supervised(watched):
     """A stop at angle 0 about z of 1.5 N m/rad, three times what the vendor allows for, in a hand with little damping."""
     device = SimulatedDevice(device_parameters("six-dof"), Turning())
     inner = PenaltyRenderer(1.5)

@@ -62,6 +62,6 @@ def test_silicones_are_in_the_order_of_their_names():
     assert moduli[0].high < moduli[1].low and moduli[1].high < moduli[2].low
 
 
-def test_an_unlisted_material_is_told_with_the_list():
+def test_an_unlisted_material_is_refused_with_the_list():
     with pytest.raises(InputError, match=r"material must be one of liver, .*skin.*, got spleen: choose a listed one"):
         constants("soft", "spleen")

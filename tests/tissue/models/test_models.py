@@ -192,7 +192,7 @@ def test_a_tick_leaves_no_memory_behind(model):
     assert grown < 1024
 
 
-def test_force_grows_with_speed_as_its_two_parts_say(model):
+def test_force_grows_with_speed_as_its_two_parts_predict(model):
     """wrench = resistance x speed + edge, for whatever speed, at one pose."""
     for motion in cuts(5):
         model.advance(motion)

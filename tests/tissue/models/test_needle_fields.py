@@ -93,7 +93,7 @@ def test_the_force_on_the_needle_does_not_come_from_the_fields(driven):
     assert np.linalg.norm(wrenches[:, 0, :3], axis=1).max() > 2.0
 
 
-def test_the_floor_carries_what_moves_the_track(driven):
+def test_the_bottom_carries_what_moves_the_track(driven):
     """Reactions lie on the floor alone, and their sum is the opposite of the forces along the needle."""
     fields, _, states = driven
     series = fields.series
@@ -156,7 +156,7 @@ def test_a_second_track_elsewhere_is_not_shown(shallow):
     assert moved == [False, False, True]
 
 
-def test_the_surface_sinks_around_the_entry_as_boussinesq_says(monkeypatch):
+def test_the_surface_sinks_around_the_entry_as_boussinesq_predicts(monkeypatch):
     """w = F (1 - nu2) / (pi E r) on a half-space (Boussinesq 1885), as the difference of two radii inside the block.
 
     The difference leaves out how the block sinks as a whole. Two edges lie between the radii; with edges that grow half

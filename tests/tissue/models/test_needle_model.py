@@ -73,7 +73,7 @@ def test_a_needle_removes_nothing():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_force_grows_with_speed_as_its_two_parts_say(seed):
+def test_force_grows_with_speed_as_its_two_parts_predict(seed):
     """wrench = resistance x speed + edge, for whatever speed, at one pose; and friction always resists."""
     model = needle()
     _, motion = go(model, wander(seed))
@@ -142,7 +142,7 @@ def test_layers_and_the_one_that_the_tip_touches():
     assert NeedleModel(replace(LIVER, membranes=()), diameter_m=NEEDLE_M).layer_names == ("parenchyma",)
 
 
-def test_events_are_told_once_in_their_order():
+def test_events_are_emitted_once_in_their_order():
     model = needle()
     go(model, [-1.0, 60.0])
     assert model.notices[0] == "the capsule is punctured at 16.9 mm with 2.30 N"

@@ -281,7 +281,7 @@ def test_blocks_may_come_in_where_they_are_needed(slab):
     np.testing.assert_array_equal(result.force_N, whole)
 
 
-def test_ends_of_a_solve_are_told(slab):
+def test_outcomes_of_a_solve_are_reported(slab):
     tip = np.array([0.0005, 0.0, -0.003])
     assert slab.contact(SphereProbe(0.01), sweeps=1).solve(tip, np.eye(3)).outcome is ContactOutcome.NOT_CONVERGED
     held = SurfaceContact(slab.rest, slab.faces, np.zeros_like(slab.compliance), SphereProbe(0.01))

@@ -115,12 +115,12 @@ def bits(run):
     return [run.trace.rows.tobytes(), *frames]
 
 
-def test_a_process_of_its_own_gives_the_same_bits(run):
+def test_a_separate_process_gives_the_same_bits(run):
     """However long its solves take: the run above solved in this process, when the result was due."""
     assert bits(drill()) == bits(run)
 
 
-def test_the_end_of_the_other_process_is_told_and_costs_the_stress_alone(run, monkeypatch):
+def test_the_end_of_the_other_process_is_reported_and_only_the_stress_is_lost(run, monkeypatch):
     begin = beside.StressProcess.begin
 
     def killed(self, state):

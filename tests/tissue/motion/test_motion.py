@@ -135,7 +135,7 @@ def test_a_table_that_only_turns_has_a_speed_too():
     assert (speeds[1001:] == 0.0).all()
 
 
-def test_the_short_way_round_is_taken_for_either_sign_of_a_quaternion():
+def test_the_shorter_rotation_is_taken_for_either_sign_of_a_quaternion():
     quaternions = Rotation.from_rotvec([[0, 0, 0], [0.2, 0, 0], [0.4, 0, 0]]).as_quat()
     quaternions[1] *= -1.0
     motion = ReplayPoses(np.array([0.0, 0.1, 0.2]), np.zeros((3, 3)), quaternions, step_s=STEP_S)

@@ -91,7 +91,7 @@ def spoil(**changed):
         (spoil(trials=-3), "trials must be in"),
     ],
 )
-def test_a_bad_file_is_told_in_one_sentence(tmp_path, change, told):
+def test_a_bad_file_is_refused_in_one_sentence(tmp_path, change, told):
     path = tmp_path / "ada.json"
     write_observer(observer(), path)
     path.write_text(change(json.loads(path.read_text("utf-8"))), "utf-8")

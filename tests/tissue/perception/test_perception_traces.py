@@ -40,7 +40,7 @@ def test_one_sample_in_ten_is_enough(scene, changes, least_saved):
     assert bias < float(law.threshold(np.linalg.norm(forces[contact], axis=1)).mean())
 
 
-def test_a_trace_tells_what_was_estimated_perceived_and_changed():
+def test_a_trace_holds_what_was_estimated_perceived_and_changed():
     trace = by_hand("wall", duration_s=1.0, perception="population")
     played, changed = trace.vectors("device_force", "N"), trace["above_threshold"]
     assert set(np.unique(changed)) == {0.0, 1.0} and changed.mean() < 0.1

@@ -170,7 +170,7 @@ def test_bad_calls_of_an_operator_are_refused():
             call()
 
 
-def test_an_operator_without_a_logarithm_says_so():
+def test_an_operator_without_a_logarithm_is_refused():
     flips = [row([[(-0.5) ** k * a] for k in range(9)]) for a in (1.0, 2.0)]
     with pytest.raises(InputError, match="eigenvalues must be neither zero nor negative to have a logarithm"):
         Edmd(Identity()).fit(flips).generator()

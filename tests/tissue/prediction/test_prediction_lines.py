@@ -31,7 +31,7 @@ def said(differences):
         ([-0.03, -0.001], "not told apart from"),  # both runs better, but two tell nothing
     ],
 )
-def test_one_predictor_is_better_only_where_pairs_of_runs_say_so(differences, told):
+def test_one_predictor_is_better_only_where_pairs_of_runs_show_it(differences, told):
     assert f"{told} the best baseline, " in said(differences)
 
 

@@ -60,7 +60,7 @@ def feed(predictor, forces, positions=None):
 
 
 @pytest.mark.parametrize("kind", PREDICTORS)
-def test_zero_ahead_is_the_present_force(kind, trained):
+def test_a_zero_horizon_is_the_present_force(kind, trained):
     predictor, run = made(kind, trained), spring_run(50)
     for row in range(300):
         predictor.observe(run.position_m[row], run.velocity_m_s[row], run.force_N[row])
@@ -125,7 +125,7 @@ def test_a_linear_model_with_control_is_exact_on_a_linear_model():
 
 
 @pytest.mark.parametrize("kind", PREDICTORS[1:])
-def test_what_is_told_is_finite_whatever_comes(kind, trained):
+def test_predictions_are_finite_whatever_comes(kind, trained):
     """NaN, infinity, jumps of metres and of 1e200; hold alone is not guarded: it repeats what it was told."""
     rng = np.random.default_rng(4)
     predictor = made(kind, trained)
@@ -151,7 +151,7 @@ def test_after_a_pause_rates_begin_anew(kind, trained):
     assert abs(predictor.ahead(1)[2] - 0.5) < 0.2
 
 
-def test_the_loop_tells_what_the_operator_predicts(trained):
+def test_the_loop_predicts_as_the_operator_does(trained):
     """C A^h phi by one matrix is h steps of the operator; the last one-step error is added by its gain."""
     terms = replace(trained.terms, quiet_N=0.0)
     loop, run, lags = Koopman(trained.operator, terms), spring_run(60), trained.operator.dictionary.lags
@@ -239,7 +239,7 @@ def test_who_misses_more_than_the_other_is_not_asked():
     assert owned[0] and not any(owned[20:200]) and owned[-1]
 
 
-def test_the_way_between_two_predictors_is_bounded_and_finite():
+def test_the_transition_between_two_predictors_is_bounded_and_finite():
     inner = Fake(1e6)
     guarded = Guarded(inner, Fake(0.0), reach_N=2.0)
     guarded.observe(np.zeros(3), np.zeros(3), np.zeros(3))
@@ -276,7 +276,7 @@ def test_each_reason_ends_trust(why, trained):
     assert not loop.trusted
 
 
-def test_a_free_device_is_told_no_force(trained):
+def test_no_force_is_predicted_for_a_free_device(trained):
     loop = made("koopman", trained)
     above = np.array([0.0, 0.0, 4e-3])
     for _ in range(100):

@@ -162,7 +162,7 @@ def test_what_was_asked_for_without_effect_in_an_older_kept_scene_is_refused(tmp
         load_scene(tmp_path / "scene.toml")
 
 
-def test_a_person_who_writes_an_idle_default_is_told(tmp_path):
+def test_a_person_who_writes_an_idle_default_is_refused(tmp_path):
     (tmp_path / "mine.toml").write_text('hand = "expert"\n' + scene_text("milling"))
     with pytest.raises(InputError, match="hand must be left out without a device, got expert"):
         load_scene(tmp_path / "mine.toml")

@@ -231,7 +231,7 @@ def test_a_mouse_moves_the_tool_on_the_devices_spring_until_the_window_is_closed
     assert run.parts.notes["live"].startswith("the mouse moves the tool in a window")
 
 
-def test_a_window_that_fails_ends_the_run_and_is_told(monkeypatch):
+def test_a_window_that_fails_ends_the_run_and_is_reported(monkeypatch):
     monkeypatch.setattr("tissue.simulation.live.run.display_problem", lambda: None)
     monkeypatch.setattr(FakeWindow, "failed", lambda self: "X Error")
     monkeypatch.setattr("tissue.simulation.live.run.WindowBeside", FakeWindow)
@@ -240,7 +240,7 @@ def test_a_window_that_fails_ends_the_run_and_is_told(monkeypatch):
     assert run.events[-1][1] == "the window ended by itself, and the run with it: X Error"
 
 
-def test_what_moves_the_tool_is_told_before_it_runs(monkeypatch):
+def test_what_moves_the_tool_is_reported_before_it_runs(monkeypatch):
     monkeypatch.setattr("tissue.simulation.live.run.display_problem", lambda: "libGL is missing (install libgl1)")
     assert moved_by(load_scene("wall", {"hand": "novice"})) == (
         False,
@@ -265,7 +265,7 @@ def stalled(monkeypatch):
     monkeypatch.setattr("tissue.simulation.live.run.STALLED_S", 0.1)
 
 
-def test_a_run_waits_for_a_window_that_stands_still_and_says_so(stalled):
+def test_a_run_waits_for_a_window_that_hangs_and_reports_it(stalled):
     run = run_live(load_scene("wall"))
     assert len(run.trace.rows) == 600
     (time_s, said), *more = [event for event in run.events if "drew nothing" in event[1]]
@@ -275,7 +275,7 @@ def test_a_run_waits_for_a_window_that_stands_still_and_says_so(stalled):
     assert run.timing["skipped_us"][paused : paused + 2].max() < waited_us, "a pause of the run is no lateness"
 
 
-def test_a_run_ends_when_its_window_stands_still_for_ever(stalled, monkeypatch):
+def test_a_run_ends_when_its_window_hangs_for_ever(stalled, monkeypatch):
     monkeypatch.setattr("tissue.simulation.live.run.HELD_S", 0.2)
     run = run_live(load_scene("wall"))
     assert len(run.trace.rows) < 600
@@ -299,7 +299,7 @@ def test_a_display_that_comes_late_is_waited_for(monkeypatch):
 
 
 @pytest.mark.skipif(not Path("/tmp/.X11-unix").is_dir(), reason="no X server keeps its sockets here")
-def test_a_display_that_takes_the_call_and_says_nothing_is_no_display(monkeypatch):
+def test_a_display_that_takes_the_call_and_never_answers_is_no_display(monkeypatch):
     number = 7000 + os.getpid() % 1000
     place = f"/tmp/.X11-unix/X{number}"
     monkeypatch.setenv("DISPLAY", f":{number}")

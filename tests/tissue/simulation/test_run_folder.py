@@ -230,7 +230,7 @@ def test_a_killed_run_is_still_a_run(killed, refused, command):
     assert SavedRun(folder).complete
 
 
-def test_an_interrupted_run_keeps_its_trace_and_says_one_line(tmp_path, start):
+def test_an_interrupted_run_keeps_its_trace_and_prints_one_line(tmp_path, start):
     out = tmp_path / "milling"
     process = start("run", "milling", *COARSE, "--duration-s", "600", "--out", str(out))
     wait_for_rows(out / "trace.csv", process, 100)
@@ -243,7 +243,7 @@ def test_an_interrupted_run_keeps_its_trace_and_says_one_line(tmp_path, start):
     assert len(saved.trace.rows) > 100
 
 
-def test_a_run_stopped_before_it_has_begun_says_so(tmp_path, command, monkeypatch):
+def test_a_run_stopped_before_it_has_begun_is_reported(tmp_path, command, monkeypatch):
     def stop(*_, **__):
         raise KeyboardInterrupt
 

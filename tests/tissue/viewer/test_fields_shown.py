@@ -139,7 +139,7 @@ def test_deformed_cut_and_without_a_part(tmp_path):
     assert drawn().bounds[2:4] == pytest.approx((-30.0, 30.0), rel=ROUNDING)
 
 
-def test_frames_that_are_missing_are_told(pressed, tmp_path):
+def test_frames_that_are_missing_are_refused(pressed, tmp_path):
     assert field_names(tmp_path) == []
     index = tmp_path / "fields.pvd"
     index.write_text((pressed / "fields.pvd").read_text())

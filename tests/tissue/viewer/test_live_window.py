@@ -121,7 +121,7 @@ def test_wheel_and_keys_move_it_along_the_axis_and_in_the_view_within_the_box(po
     assert pointer.ended
 
 
-def test_a_wall_is_a_face_under_all_of_the_way():
+def test_a_wall_is_a_face_under_all_of_the_path():
     pytest.importorskip("pyvista")
     scene = load_scene("wall")
     roaming = scene.coupling.model_copy(update={"roam_mm": 40.0})  # as a live run gives the mouse

@@ -80,7 +80,7 @@ def test_without_ffmpeg_the_remedy_is_a_gif(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("encoder", ["/nowhere/ffmpeg", "false"])
-def test_an_ffmpeg_that_does_not_run_is_told_before_anything_is_drawn(tmp_path, monkeypatch, encoder):
+def test_an_ffmpeg_that_does_not_run_is_refused_before_anything_is_drawn(tmp_path, monkeypatch, encoder):
     pytest.importorskip("imageio_ffmpeg")
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", encoder)
     with pytest.raises(InputError, match=r"where imageio-ffmpeg has no ffmpeg that runs, got .*: use .*run.gif or "):

@@ -138,7 +138,7 @@ def test_a_stopped_run_shows_its_bone_carved_as_far_as_it_came(stopped):
 
 
 @pytest.mark.parametrize("damage", ["poses", "bone", "another"])
-def test_damaged_files_of_the_bone_are_told(layered, tmp_path, damage):
+def test_damaged_files_of_the_bone_are_refused(layered, tmp_path, damage):
     folder = tmp_path / "run"
     shutil.copytree(layered, folder)
     if damage == "poses":
@@ -235,18 +235,18 @@ def test_names_that_a_run_does_not_have_are_refused(layered, tmp_path, shown, me
         view(layered, screenshot=tmp_path / "view.png", **shown)
 
 
-def test_a_run_without_fields_says_so(whole, tmp_path):
+def test_a_run_without_fields_is_reported(whole, tmp_path):
     with pytest.raises(InputError, match="got x: this run has none, leave it out"):
         view(whole, screenshot=tmp_path / "view.png", field="x")
 
 
-def test_a_stopped_run_says_so_and_shows_what_it_has(stopped, tmp_path):
+def test_a_stopped_run_is_named_so_and_shows_what_it_has(stopped, tmp_path):
     said = _screenshot(stopped, tmp_path / "view.png")
     assert said.splitlines()[0] == "run is incomplete: it was interrupted at 0.149 s of 0.3 s"
     assert _colours(tmp_path / "view.png") > 100
 
 
-def test_a_run_stopped_while_its_files_were_written_says_so(whole, tmp_path):
+def test_a_run_stopped_while_its_files_were_written_is_reported(whole, tmp_path):
     folder = tmp_path / "stopped"
     shutil.copytree(whole, folder)
     summary = json.loads((folder / "summary.json").read_text("utf-8"))
@@ -324,7 +324,7 @@ def test_what_is_not_drawn_to_its_end_leaves_no_file_and_keeps_an_older_one(
     assert older is None or file.read_bytes() == older
 
 
-def test_a_movie_tells_how_much_of_it_is_drawn(tmp_path, monkeypatch):
+def test_a_movie_reports_how_much_of_it_is_drawn(tmp_path, monkeypatch):
     (tmp_path / "drawing.py").write_text(
         "import sys\nsys.stdin.readline()\nprint('VTK says')\nprint(0.25, flush=True)\nprint('0.', end='', flush=True)\n"
         f"import pathlib, time\nwhile not pathlib.Path({str(tmp_path / 'seen')!r}).exists(): time.sleep(0.01)\n"
@@ -343,7 +343,7 @@ def test_a_movie_tells_how_much_of_it_is_drawn(tmp_path, monkeypatch):
     assert set(shares) <= {0.0, 0.25} and shares[-1] == 0.25
 
 
-def test_what_is_wrong_with_a_run_is_said_by_the_one_who_draws_it(layered, tmp_path):
+def test_what_is_wrong_with_a_run_is_reported_by_its_renderer(layered, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(layered, folder)
     (folder / "carving" / "poses.npz").write_bytes(b"PK")

@@ -227,7 +227,7 @@ def test_what_a_run_does_not_have_is_refused(pressed, tmp_path, monkeypatch, opt
     assert not (tmp_path / "view.png").exists()
 
 
-def test_a_folder_without_frames_is_told(tmp_path):
+def test_a_folder_without_frames_is_refused(tmp_path):
     folder = pressed_run(tmp_path / "bare", frames=0)
     for options, message in (
         ({"field": "von_mises_kPa"}, "got von_mises_kPa: this run has none, leave it out"),
