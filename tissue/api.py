@@ -9,19 +9,18 @@ from tissue.figures.report import draw_pictures
 from tissue.scene.messages import require_used
 from tissue.scene.scene import Scene
 from tissue.simulation import simulate as engine
-from tissue.simulation.live import run as live_engine
 from tissue.simulation.run import Run
 
-__all__ = ["live", "simulate"]
+__all__ = ["public_call", "simulate"]
 
 P = ParamSpec("P")
 
 
-def _offered(run_scene: Callable[Concatenate[Scene, P], Run]) -> Callable[Concatenate[Scene, P], Run]:
+def public_call(run_scene: Callable[Concatenate[Scene, P], Run]) -> Callable[Concatenate[Scene, P], Run]:
     """Choose the settings that a scene's demand on fidelity asks for, and give the run what draws its pictures."""
 
     @wraps(run_scene)
-    def offered(scene: Scene, /, *arguments: P.args, **options: P.kwargs) -> Run:
+    def called(scene: Scene, /, *arguments: P.args, **options: P.kwargs) -> Run:
         chosen: dict[str, str] = {}
         if scene.fidelity is not None:
             from tissue.evaluation.charts.fidelity import with_fidelity
@@ -33,8 +32,7 @@ def _offered(run_scene: Callable[Concatenate[Scene, P], Run]) -> Callable[Concat
         run.draw = draw_pictures
         return run
 
-    return offered
+    return called
 
 
-simulate = _offered(engine.simulate)
-live = _offered(live_engine.live)
+simulate = public_call(engine.simulate)

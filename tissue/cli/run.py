@@ -92,13 +92,14 @@ def run(
         "allow_unstable": allow_unstable,
     }
     if live:
-        from tissue.api import live as simulate_live
+        from tissue.api import public_call
+        from tissue.simulation.live.run import live as simulate_live
         from tissue.simulation.live.run import moved_by
 
         # No progress bar: what draws it takes the interpreter from the ticks.
         console.print(f"live: {moved_by(loaded)[1]}; Ctrl-C ends it", soft_wrap=True, highlight=False)
         with _stopping_told(folder):
-            finished = simulate_live(loaded, duration_s=duration_s, **settings)
+            finished = public_call(simulate_live)(loaded, duration_s=duration_s, **settings)
         simulated = perf_counter()
     with _stopping_told(folder), progress() as tell:
         if not live:
