@@ -178,10 +178,11 @@ def test_a_bad_summary_is_refused(tmp_path, change, sentence):
 )
 def test_a_bad_trace_is_refused_and_a_whole_one_read(tmp_path, old, new, sentence):
     """The layer's name holds a comma, so that the column named after it has to be quoted."""
-    from tissue.simulation.trace import Table, TraceWriter, trace_columns
+    from tissue.simulation.trace import Table, TraceWriter
+    from tissue.simulation.trace_layout import TraceLayout
 
     layers = ("bone, hard",)
-    columns = trace_columns(layers)
+    columns = TraceLayout.of(layers).columns
     rows = np.zeros((3, len(columns)))
     rows[:, 0] = 1e-3 * np.arange(3)
     writer = TraceWriter(tmp_path / "trace.csv", Table(columns, rows, layers))

@@ -25,7 +25,8 @@ from tissue.simulation.run import Run
 from tissue.simulation.run_folder import RunFolder
 from tissue.simulation.shortfalls import shortfalls, unfinished_path
 from tissue.simulation.tick import Tick
-from tissue.simulation.trace import TIMING_COLUMNS, Table, trace_columns
+from tissue.simulation.trace import TIMING_COLUMNS, Table
+from tissue.simulation.trace_layout import TraceLayout
 
 __all__ = ["TICK_S", "Watch", "simulate"]
 
@@ -135,19 +136,19 @@ def _loop(
 ) -> Run:
     """All ticks of a run."""
     tissue, motion = parts.tissue, parts.motion
-    columns = trace_columns(tissue.layer_names, tissue.measure_names + motion.measure_names)
-    trace = Table(columns, np.zeros((ticks, len(columns))), tissue.layer_names)
+    layout = TraceLayout.of(tissue.layer_names, tissue.measure_names + motion.measure_names)
+    trace = Table(layout.columns, np.zeros((ticks, len(layout.columns))), tissue.layer_names)
     timed = TIMING_COLUMNS + (watch.timing_columns if watch is not None else ())
     timing = Table(timed, np.zeros((ticks, len(timed))))
     if folder is not None:
         folder.open_tables(trace, timing)
-    tick = Tick(scene, parts, trace, timing)
+    tick = Tick(scene, parts, layout, trace, timing)
     tick.place()
     events: list[tuple[float, str]] = []
     told = perf_counter()
     index = 0
     if watch is not None:
-        watch.begin(parts, columns)
+        watch.begin(parts, layout.columns)
 
     def go_through() -> None:
         nonlocal index, told

@@ -11,7 +11,8 @@ from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.motion.pose_log import PoseLog
 from tissue.motion.rotation import quaternion_of
 from tissue.scene.scene import Scene
-from tissue.simulation.trace import LEAST_LOAD, TIMING_COLUMNS, Table, load_columns
+from tissue.simulation.trace import LEAST_LOAD, TIMING_COLUMNS, Table
+from tissue.simulation.trace_layout import TraceLayout, load_columns
 from tissue.simulation.vibration import Vibration
 
 __all__ = ["Tick"]
@@ -20,7 +21,7 @@ __all__ = ["Tick"]
 class Tick:
     """One tick: motion, removal, force, output, record. Everything it needs is allocated here, once."""
 
-    def __init__(self, scene: Scene, parts: Parts, trace: Table, timing: Table) -> None:
+    def __init__(self, scene: Scene, parts: Parts, layout: TraceLayout, trace: Table, timing: Table) -> None:
         self._motion, self._tissue = parts.motion, parts.tissue
         tissue, self._model_ticks = parts.tissue, parts.motion.model_ticks
         self._rows, self._times = trace.rows, timing.rows
@@ -32,8 +33,9 @@ class Tick:
         passing = parts.cutter.tooth_passing_Hz if parts.cutter is not None else 0.0
         share = scene.output.vibration_share
         self._vibration = Vibration(passing, share=share, step_s=TICK_S)
-        self._layers, own = len(tissue.layer_names), len(tissue.measure_names)
-        self._measured = slice(29 + self._layers, 29 + self._layers + own)
+        self._at, first = layout, layout.measures.start
+        self._tissue_measures = slice(first, first + len(tissue.measure_names))
+        self._motion_measures = slice(self._tissue_measures.stop, layout.measures.stop)
         self._loads = load_columns(trace.columns)
         self._rotation, self._quaternion = b"", np.zeros(4)
         carves = parts.cutter is not None and parts.cutter.spin_rad_s != 0.0
@@ -88,24 +90,24 @@ class Tick:
 
     def _record(self, row: np.ndarray, index: int, response: Response) -> None:
         """Write one row of the trace, in the units of its columns."""
-        tool, layers = self.tool, self._layers
+        tool, at = self.tool, self._at
         if tool.rotation.tobytes() != self._rotation:
             self._rotation = tool.rotation.tobytes()
             self._quaternion[:] = quaternion_of(tool.rotation)
         moved, turned = tool.heading
-        row[0] = index * TICK_S
-        row[1:4] = 1e3 * tool.tip_m
-        row[4:8] = self._quaternion
-        row[8:11] = (1e3 * tool.speed_m_s) * moved
-        row[11:14] = tool.speed_m_s * turned
-        row[14:20] = self._commanded
-        row[20:26] = response.wrench
-        row[26] = response.removal_rate_m3_s * 1e9
-        row[28 : 28 + layers] = volumes = 1e9 * self._tissue.removed_m3
-        row[27] = np.add.reduce(volumes)
+        row[at.time] = index * TICK_S
+        row[at.tip] = 1e3 * tool.tip_m
+        row[at.quaternion] = self._quaternion
+        row[at.velocity] = (1e3 * tool.speed_m_s) * moved
+        row[at.spin] = tool.speed_m_s * turned
+        row[at.commanded] = self._commanded
+        row[at.wrench] = response.wrench
+        row[at.removal_rate] = response.removal_rate_m3_s * 1e9
+        row[at.removed_by_layer] = volumes = 1e9 * self._tissue.removed_m3
+        row[at.removed] = np.add.reduce(volumes)
         area = np.add.reduce(response.engaged_m2)
-        row[28 + layers] = area * 1e6
-        row[self._measured] = response.measures
-        row[self._measured.stop : -1] = self._motion.measures
-        row[-1] = response.engaged_m2.argmax() if area > 0.0 else -1.0
+        row[at.contact] = area * 1e6
+        row[self._tissue_measures] = response.measures
+        row[self._motion_measures] = self._motion.measures
+        row[at.layer] = response.engaged_m2.argmax() if area > 0.0 else -1.0
         row[self._loads[np.abs(row[self._loads]) < LEAST_LOAD]] = 0.0

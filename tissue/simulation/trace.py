@@ -11,16 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
+from tissue.simulation.trace_layout import TraceLayout
 
 __all__ = [
     "LEAST_LOAD",
     "TIMING_COLUMNS",
     "Table",
     "TraceWriter",
-    "load_columns",
     "read_table",
     "read_trace",
-    "trace_columns",
 ]
 
 FLUSH_EVERY_S = 0.1
@@ -29,32 +28,6 @@ NO_LAYER = "none"
 LEAST_LOAD = 1e-12
 """Forces [N] and torques [N m] of a trace below it are written as 0: what a filter leaves of a contact that is over."""
 TIMING_COLUMNS = ("tick_us", "motion_us", "remove_us", "force_us", "record_us", "catch_up_us")
-
-
-def trace_columns(layer_names: tuple[str, ...], measure_names: tuple[str, ...] = ()) -> tuple[str, ...]:
-    """Names of the trace's columns; each carries its unit."""
-    return (
-        "time_s",
-        *(f"tool_{c}_mm" for c in "xyz"),
-        *(f"tool_q{c}" for c in "xyzw"),
-        *(f"velocity_{c}_mm_s" for c in "xyz"),
-        *(f"angular_velocity_{c}_rad_s" for c in "xyz"),
-        *(f"force_{c}_N" for c in "xyz"),
-        *(f"torque_{c}_Nm" for c in "xyz"),
-        *(f"model_force_{c}_N" for c in "xyz"),
-        *(f"model_torque_{c}_Nm" for c in "xyz"),
-        "removal_rate_mm3_s",
-        "removed_mm3",
-        *(f"removed_{name}_mm3" for name in layer_names),
-        "contact_mm2",
-        *measure_names,
-        "layer",
-    )
-
-
-def load_columns(columns: tuple[str, ...]) -> NDArray[np.intp]:
-    """Places of the forces and torques among the columns of a trace."""
-    return np.array([place for place, name in enumerate(columns) if name.endswith(("_N", "_Nm"))], dtype=np.intp)
 
 
 class Table(Mapping[str, NDArray[Any]]):
@@ -201,7 +174,7 @@ def read_trace(path: Path, layer_names: tuple[str, ...]) -> Table:
     table = read_table(path, layer_names)
     if not table.columns:
         return table
-    wanted = trace_columns(layer_names)
+    wanted = TraceLayout.of(layer_names).columns
     for name in wanted:
         if table.columns.count(name) != 1:
             raise InputError(

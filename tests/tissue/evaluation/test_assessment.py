@@ -11,9 +11,10 @@ from tissue.evaluation.assessment import assess, assessment_lines
 from tissue.evaluation.assessment_files import write_assessment
 from tissue.evaluation.statistics.alignment import aligned_rows, deviation_mm
 from tissue.simulation.run_folder import SavedRun
-from tissue.simulation.trace import Table, TraceWriter, trace_columns
+from tissue.simulation.trace import Table, TraceWriter
+from tissue.simulation.trace_layout import TraceLayout
 
-COLUMNS = trace_columns(())
+COLUMNS = TraceLayout.of(()).columns
 TICK_S = 1e-3
 GRID_MM = 0.02
 """Paths of 2 s are aligned over 800 samples, 2.5 ticks apart; 20 mm/s passes 0.05 mm in that time, the refinement less."""

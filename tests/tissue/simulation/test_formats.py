@@ -5,14 +5,15 @@ import pytest
 
 from tissue import InputError
 from tissue.simulation.formats import FORMATS, check_formats, write_trace
-from tissue.simulation.trace import Table, trace_columns
+from tissue.simulation.trace import Table
+from tissue.simulation.trace_layout import TraceLayout
 
 LAYERS = ("subchondral_bone", "trabecular")
 
 
 @pytest.fixture(scope="module")
 def trace():
-    columns = trace_columns(LAYERS)
+    columns = TraceLayout.of(LAYERS).columns
     random = np.random.default_rng(5)
     rows = random.normal(size=(70, len(columns)))
     rows[:, -1] = random.integers(-1, len(LAYERS), 70)

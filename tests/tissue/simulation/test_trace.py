@@ -5,7 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from tissue.simulation.trace import TIMING_COLUMNS, Table, TraceWriter, read_table, trace_columns
+from tissue.simulation.trace import TIMING_COLUMNS, Table, TraceWriter, read_table
+from tissue.simulation.trace_layout import TraceLayout
 
 LAYERS = ("plate", "vault")
 UNIT = re.compile(r"_(s|us|mm|mm2|mm3|mm_s|mm3_s|rad_s|N|Nm)$")
@@ -15,14 +16,14 @@ WITHOUT_UNIT = {"tool_qx", "tool_qy", "tool_qz", "tool_qw", "layer"}
 
 def filled(row_count):
     """A table of numbers that are hard to print."""
-    columns = trace_columns(LAYERS)
+    columns = TraceLayout.of(LAYERS).columns
     random = np.random.default_rng(3)
     rows = random.normal(size=(row_count, len(columns))) * 10.0 ** random.integers(-300, 300, (row_count, len(columns)))
     rows[:, -1] = random.integers(-1, len(LAYERS), row_count)
     return Table(columns, rows, LAYERS)
 
 
-@pytest.mark.parametrize("name", [*trace_columns(LAYERS), *TIMING_COLUMNS])
+@pytest.mark.parametrize("name", [*TraceLayout.of(LAYERS).columns, *TIMING_COLUMNS])
 def test_every_column_carries_its_unit(name):
     assert (UNIT.search(name) is not None) != (name in WITHOUT_UNIT)
 
