@@ -19,7 +19,7 @@ import numpy as np  # noqa: E402
 
 from tissue import load_scene, simulate  # noqa: E402
 from tissue.simulation.live.clock import WallClock  # noqa: E402
-from tissue.simulation.live.run import LiveWatch  # noqa: E402
+from tissue.simulation.live.run import LiveObserver  # noqa: E402
 from tissue.simulation.live.window import WindowBeside  # noqa: E402
 from tissue.simulation.simulate import TICK_S  # noqa: E402
 
@@ -27,11 +27,11 @@ SCENES = ("wall", "glenoid", "liver-press")
 DISPLAY = ":93"
 
 
-class Watched(LiveWatch):
+class ShownOnly(LiveObserver):
     """A live run whose window only watches."""
 
-    def begin(self, parts, columns):
-        super().begin(parts, columns)
+    def on_begin(self, parts, columns):
+        super().on_begin(parts, columns)
         corners = parts.motion.sweep_m()
         low, high = corners.min(axis=0), corners.max(axis=0)
         self._window = WindowBeside(self._scene, parts, columns, low_m=low, high_m=high)
@@ -40,20 +40,20 @@ class Watched(LiveWatch):
 def main():
     """Measure and print a table."""
     server = None
-    watches = [("none", LiveWatch)]
+    observers = [("none", LiveObserver)]
     if shutil.which("Xvfb") is not None:
         screen = ["-screen", "0", "1300x900x24", "-nolisten", "tcp", "-noreset"]
         server = subprocess.Popen(["Xvfb", DISPLAY, *screen], stderr=subprocess.DEVNULL)
         time.sleep(2.0)
         os.environ["DISPLAY"] = DISPLAY
-        watches.append(("open", Watched))
+        observers.append(("open", ShownOnly))
     print("scene, window: tick, late (median / 99 % / max us); missed of ticks; skipped ms; load")
     try:
         for name in SCENES:
-            for window, kind in watches:
+            for window, kind in observers:
                 scene = load_scene(name)
                 cores = None if window == "none" else max((os.cpu_count() or 2) - 1, 1)
-                run = simulate(scene, watch=kind(scene, None, WallClock(TICK_S)), cores=cores)
+                run = simulate(scene, observer=kind(scene, None, WallClock(TICK_S)), cores=cores)
                 found = run.summary()
                 tick, late = (
                     " / ".join(f"{each:.0f}" for each in found[key].values()) for key in ("tick_us", "late_us")

@@ -34,19 +34,19 @@ class Profiled:
     def __init__(self) -> None:
         self.profile, self.ticks, self._contact = cProfile.Profile(), 0, 0
 
-    def begin(self, parts: Any, columns: tuple[str, ...]) -> None:
+    def on_begin(self, parts: Any, columns: tuple[str, ...]) -> None:
         self._contact = columns.index("contact_mm2")
 
-    def due(self, index: int) -> None:
+    def before_tick(self, index: int) -> None:
         if self.ticks:
             self.profile.enable()
 
-    def told(self, index: int, row: np.ndarray, times: np.ndarray) -> bool:
+    def on_tick(self, index: int, row: np.ndarray, times: np.ndarray) -> bool:
         self.profile.disable()
         self.ticks += int(self.ticks > 0 or row[self._contact] > 0.0)
         return True
 
-    def end(self) -> list[tuple[float, str]]:
+    def on_end(self) -> list[tuple[float, str]]:
         self.profile.disable()
         return []
 
@@ -68,14 +68,15 @@ def stages(run: Run) -> dict[str, float]:
 
 def deepest(scene: Scene) -> list[tuple[str, float, float]]:
     """Functions with the most time of their own: name, share of the ticks, calls a tick."""
-    watch = Profiled()
-    simulate(scene, allow_unstable=True, watch=watch)
-    found = pstats.Stats(watch.profile).stats  # type: ignore[attr-defined]
+    observer = Profiled()
+    simulate(scene, allow_unstable=True, observer=observer)
+    found = pstats.Stats(observer.profile).stats  # type: ignore[attr-defined]
     total = sum(entry[2] for entry in found.values())
     ranked = sorted(found.items(), key=lambda entry: -entry[1][2])[:SHOWN]
     names = [f"{Path(file).stem}.{what}" if file != "~" else what for (file, _, what), _ in ranked]
     return [
-        (name, entry[2] / total, entry[1] / max(watch.ticks, 1)) for name, (_, entry) in zip(names, ranked, strict=True)
+        (name, entry[2] / total, entry[1] / max(observer.ticks, 1))
+        for name, (_, entry) in zip(names, ranked, strict=True)
     ]
 
 

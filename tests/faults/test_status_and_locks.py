@@ -130,17 +130,17 @@ def test_what_ends_a_run_is_in_its_summary_and_its_trace_is_kept(tmp_path, monke
     class Ends:
         timing_columns = ()
 
-        def begin(self, parts, columns):
+        def on_begin(self, parts, columns):
             pass
 
-        def due(self, index):
+        def before_tick(self, index):
             if index == 7 and when == "ticks":
                 raise error
 
-        def told(self, index, row, times):
+        def on_tick(self, index, row, times):
             return True
 
-        def end(self):
+        def on_end(self):
             return []
 
     def fail(*_):
@@ -150,7 +150,7 @@ def test_what_ends_a_run_is_in_its_summary_and_its_trace_is_kept(tmp_path, monke
     scene = load_scene("milling", QUICK)
     monkeypatch.setattr("tissue.simulation.bone_files.write_bone", fail)
     with pytest.raises(type(error)):
-        simulate(scene, out=out, watch=Ends()).save(out, pictures=False)
+        simulate(scene, out=out, observer=Ends()).save(out, pictures=False)
     saved = SavedRun(out)
     assert (saved.status, saved.problem) == (status, problem)
     assert len(saved.trace.rows) == (7 if when == "ticks" else 20)

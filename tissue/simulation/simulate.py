@@ -34,25 +34,25 @@ SWITCH_S = 5e-5
 """How long a thread that works beside the ticks may keep the interpreter from them [s]."""
 
 
-class Watch(Protocol):
+class RunObserver(Protocol):
     """What goes along with the ticks of a run, such as a clock on the wall; what they compute does not depend on it."""
 
     timing_columns: tuple[str, ...]
     """Its own columns in the table of timing."""
 
-    def begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
+    def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """The ticks begin; told what runs and the columns of its trace."""
         ...
 
-    def due(self, index: int) -> None:
+    def before_tick(self, index: int) -> None:
         """Wait until a tick may begin."""
         ...
 
-    def told(self, index: int, row: NDArray[np.float64], times: NDArray[np.float64]) -> bool:
+    def on_tick(self, index: int, row: NDArray[np.float64], times: NDArray[np.float64]) -> bool:
         """Take a tick's row of the trace and fill its own columns of its row of timing; whether the run goes on."""
         ...
 
-    def end(self) -> list[tuple[float, str]]:
+    def on_end(self) -> list[tuple[float, str]]:
         """The ticks have ended, or failed: what has happened, time [s] and a sentence each."""
         ...
 
@@ -67,7 +67,7 @@ def simulate(
     progress: Progress | None = None,
     allow_unstable: bool = False,
     device: Device | SafeDevice | None = None,
-    watch: Watch | None = None,
+    observer: RunObserver | None = None,
 ) -> Run:
     """Simulate a scene.
 
@@ -93,7 +93,7 @@ def simulate(
         limits it is judged. The run opens and closes one that is a context manager; give it without ``with``, or for
         several runs as ``with SafeDevice(device) as held``. Its ticks run in a second thread, and whatever ends them
         its last command is zero; see `tissue.haptics.device.safe_device.SafeDevice`.
-    watch
+    observer
         Goes along with the ticks.
 
     Raises
@@ -121,7 +121,7 @@ def simulate(
             parts.notes |= unfinished_path(scene, parts.motion, lasts_s=ticks * TICK_S)
         if folder is not None:
             folder.begin(scene, parts.placement)
-        return _loop(scene, parts, ticks, compute=compute, folder=folder, tell=tell, watch=watch)
+        return _loop(scene, parts, ticks, compute=compute, folder=folder, tell=tell, observer=observer)
 
 
 def _loop(
@@ -132,13 +132,13 @@ def _loop(
     compute: str,
     folder: RunFolder | None,
     tell: Progress,
-    watch: Watch | None,
+    observer: RunObserver | None,
 ) -> Run:
     """All ticks of a run."""
     tissue, motion = parts.tissue, parts.motion
     layout = TraceLayout.of(tissue.layer_names, tissue.measure_names + motion.measure_names)
     trace = Table(layout.columns, np.zeros((ticks, len(layout.columns))), tissue.layer_names)
-    timed = TIMING_COLUMNS + (watch.timing_columns if watch is not None else ())
+    timed = TIMING_COLUMNS + (observer.timing_columns if observer is not None else ())
     timing = Table(timed, np.zeros((ticks, len(timed))))
     if folder is not None:
         folder.open_tables(trace, timing)
@@ -147,21 +147,23 @@ def _loop(
     events: list[tuple[float, str]] = []
     told = perf_counter()
     index = 0
-    if watch is not None:
-        watch.begin(parts, layout.columns)
+    if observer is not None:
+        observer.on_begin(parts, layout.columns)
 
     def go_through() -> None:
         nonlocal index, told
         for index in range(ticks):
             tissue.settle(index * TICK_S)
-            if watch is not None:
-                watch.due(index)
+            if observer is not None:
+                observer.before_tick(index)
             tick(index)
             while tissue.notices:
                 events.append((index * TICK_S, tissue.notices.pop(0)))
-            goes_on = watch is None or watch.told(index, trace.rows[index], timing.rows[index])
+            goes_on = observer is None or observer.on_tick(index, trace.rows[index], timing.rows[index])
             if folder is not None:
-                folder.flush(index + 1, force=watch is not None)  # a row a tick: many at once would make the next late
+                folder.flush(
+                    index + 1, force=observer is not None
+                )  # a row a tick: many at once would make the next late
             if not goes_on:
                 break
             if perf_counter() - told > 0.1:
@@ -182,8 +184,8 @@ def _loop(
     finally:
         gc.enable()
         sys.setswitchinterval(switching)
-        if watch is not None:
-            events += watch.end()
+        if observer is not None:
+            events += observer.on_end()
     trace.rows, timing.rows = trace.rows[: index + 1], timing.rows[: index + 1]
     tissue.finish()
     events += [((index + 1) * TICK_S, notice) for notice in tissue.notices]

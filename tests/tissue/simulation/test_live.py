@@ -14,7 +14,7 @@ import pytest
 from tissue import InputError, load_scene, simulate
 from tissue.haptics.device.recorded import MouseDevice
 from tissue.simulation.live.clock import WallClock
-from tissue.simulation.live.run import LiveWatch, moved_by
+from tissue.simulation.live.run import LiveObserver, moved_by
 from tissue.simulation.live.run import live as run_live
 from tissue.simulation.live.shared import SharedArrays
 from tissue.simulation.live.tissues import TURN_TICKS, BoneShared
@@ -318,12 +318,12 @@ def test_a_display_that_takes_the_call_and_never_answers_is_no_display(monkeypat
 
 def test_ctrl_c_is_given_back(monkeypatch):
     before = signal.getsignal(signal.SIGINT)
-    watch = LiveWatch(load_scene("wall"), None, WallClock(TICK_S))
-    watch.begin(None, ())
+    observer = LiveObserver(load_scene("wall"), None, WallClock(TICK_S))
+    observer.on_begin(None, ())
     assert signal.getsignal(signal.SIGINT) != before
     signal.raise_signal(signal.SIGINT)
-    assert not watch.told(0, np.zeros(3), np.zeros(8))
-    watch.end()
+    assert not observer.on_tick(0, np.zeros(3), np.zeros(8))
+    observer.on_end()
     assert signal.getsignal(signal.SIGINT) == before
 
 

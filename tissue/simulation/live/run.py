@@ -91,7 +91,7 @@ def live(
         changes = {"device": device, "duration_s": duration_s or LONGEST_S, "coupling": coupling}
         scene = scene.model_copy(update=changes)
         cores = cores or max((os.cpu_count() or 2) - 1, 1)
-    watch = LiveWatch(scene, mouse, WallClock(TICK_S))
+    observer = LiveObserver(scene, mouse, WallClock(TICK_S))
     run = simulate(
         scene,
         compute=compute,
@@ -101,7 +101,7 @@ def live(
         progress=progress,
         allow_unstable=allow_unstable or by_mouse,
         device=mouse,
-        watch=watch,
+        observer=observer,
     )
     run.parts.notes["live"] = said
     if mouse is not None:
@@ -109,7 +109,7 @@ def live(
     return run
 
 
-class LiveWatch:
+class LiveObserver:
     """What goes along with a live run: the clock, the window, and the wish to end it.
 
     Parameters
@@ -133,7 +133,7 @@ class LiveWatch:
         self._frames, self._drawn_s = -1, 0.0
         self._start, self._scale = np.array(_start_m(scene)), scene.coupling.motion_scale
 
-    def begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
+    def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Open the window; from here on Ctrl-C ends the run after its tick."""
         if self._mouse is not None:
             low, high = _box(self._scene, parts)
@@ -141,7 +141,7 @@ class LiveWatch:
         if threading.current_thread() is threading.main_thread():
             self._handler = signal.signal(signal.SIGINT, self._stop)
 
-    def due(self, index: int) -> None:
+    def before_tick(self, index: int) -> None:
         """Wait until a tick is due, and for a window that stands still; take what the pointer wants by then."""
         if self._window is not None and index % LOOK_TICKS == 0:
             self._hold(self._window, index)
@@ -152,7 +152,7 @@ class LiveWatch:
                 x, y, z = (self._start + (np.array(pointed) - self._start) / self._scale).tolist()
                 self._mouse.push((x, y, z))
 
-    def told(self, index: int, row: NDArray[np.float64], times: NDArray[np.float64]) -> bool:
+    def on_tick(self, index: int, row: NDArray[np.float64], times: NDArray[np.float64]) -> bool:
         """Write lateness into a tick's row of timing and show the tick; whether the run goes on."""
         late, skipped = 1e6 * self._clock.late_s, 1e6 * self._clock.skipped_s
         times[-2:] = late, skipped
@@ -191,7 +191,7 @@ class LiveWatch:
         else:
             self._events.append((index * TICK_S, f"the window drew nothing: the run waited {waited_s:.1f} s for it"))
 
-    def end(self) -> list[tuple[float, str]]:
+    def on_end(self) -> list[tuple[float, str]]:
         """Close the window and leave Ctrl-C as it was; what has happened, as `Motion.happened`."""
         if self._handler is not None:
             signal.signal(signal.SIGINT, self._handler)
