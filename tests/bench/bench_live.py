@@ -20,7 +20,7 @@ import numpy as np  # noqa: E402
 from tissue import load_scene, simulate  # noqa: E402
 from tissue.simulation.live.clock import WallClock  # noqa: E402
 from tissue.simulation.live.run import LiveObserver  # noqa: E402
-from tissue.simulation.live.window import WindowBeside  # noqa: E402
+from tissue.simulation.live.window import WindowProcess  # noqa: E402
 from tissue.simulation.simulate import TICK_S  # noqa: E402
 
 SCENES = ("wall", "glenoid", "liver-press")
@@ -34,7 +34,7 @@ class ShownOnly(LiveObserver):
         super().on_begin(parts, columns)
         corners = parts.motion.sweep_m()
         low, high = corners.min(axis=0), corners.max(axis=0)
-        self._window = WindowBeside(self._scene, parts, columns, low_m=low, high_m=high)
+        self._window = WindowProcess(self._scene, parts, columns, low_m=low, high_m=high)
 
 
 def main():

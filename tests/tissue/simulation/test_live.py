@@ -221,7 +221,7 @@ class FakeWindow:
 @pytest.mark.parametrize("device", ["touch", "none"])
 def test_a_mouse_moves_the_tool_on_the_devices_spring_until_the_window_is_closed(monkeypatch, device):
     monkeypatch.setattr("tissue.simulation.live.run.display_problem", lambda: None)
-    monkeypatch.setattr("tissue.simulation.live.run.WindowBeside", FakeWindow)
+    monkeypatch.setattr("tissue.simulation.live.run.WindowProcess", FakeWindow)
     run = run_live(load_scene("wall", {"device": device, "anatomy.stiffness_kN_m": 40.0}))
     assert len(run.trace.rows) == 600 and run.scene.device == "touch"
     assert run.trace["device_z_mm"][-1] == pytest.approx(-2.0, abs=0.01)
@@ -234,7 +234,7 @@ def test_a_mouse_moves_the_tool_on_the_devices_spring_until_the_window_is_closed
 def test_a_window_that_fails_ends_the_run_and_is_reported(monkeypatch):
     monkeypatch.setattr("tissue.simulation.live.run.display_problem", lambda: None)
     monkeypatch.setattr(FakeWindow, "failed", lambda self: "X Error")
-    monkeypatch.setattr("tissue.simulation.live.run.WindowBeside", FakeWindow)
+    monkeypatch.setattr("tissue.simulation.live.run.WindowProcess", FakeWindow)
     run = run_live(load_scene("wall"))
     assert len(run.trace.rows) < 600
     assert run.events[-1][1] == "the window ended by itself, and the run with it: X Error"
@@ -260,7 +260,7 @@ def stalled(monkeypatch):
 
     monkeypatch.setattr("tissue.simulation.live.run.await_display", lambda: None)
     monkeypatch.setattr("tissue.simulation.live.run.display_problem", lambda: None)
-    monkeypatch.setattr("tissue.simulation.live.run.WindowBeside", FakeWindow)
+    monkeypatch.setattr("tissue.simulation.live.run.WindowProcess", FakeWindow)
     monkeypatch.setattr(FakeWindow, "frames", property(frames))
     monkeypatch.setattr("tissue.simulation.live.run.STALLED_S", 0.1)
 

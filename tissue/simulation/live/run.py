@@ -18,7 +18,7 @@ from tissue.haptics.device.recorded import MouseDevice
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.live.clock import BEHIND_S, WallClock
-from tissue.simulation.live.window import WindowBeside
+from tissue.simulation.live.window import WindowProcess
 from tissue.simulation.run import DEADLINE_US, Run
 from tissue.simulation.simulate import TICK_S, simulate
 from tissue.system.offscreen import await_display, display_problem
@@ -126,7 +126,7 @@ class LiveObserver:
 
     def __init__(self, scene: Scene, mouse: MouseDevice | None, clock: WallClock) -> None:
         self._scene, self._mouse, self._clock = scene, mouse, clock
-        self._window: WindowBeside | None = None
+        self._window: WindowProcess | None = None
         self._stopped, self._missed, self._skipped_s = False, 0, 0.0
         self._events: list[tuple[float, str]] = []
         self._handler: Any = None
@@ -137,7 +137,7 @@ class LiveObserver:
         """Open the window; from here on Ctrl-C ends the run after its tick."""
         if self._mouse is not None:
             low, high = _box(self._scene, parts)
-            self._window = WindowBeside(self._scene, parts, columns, low_m=low, high_m=high)
+            self._window = WindowProcess(self._scene, parts, columns, low_m=low, high_m=high)
         if threading.current_thread() is threading.main_thread():
             self._handler = signal.signal(signal.SIGINT, self._stop)
 
@@ -171,7 +171,7 @@ class LiveObserver:
             self._stopped = True
         return not (self._stopped or self._window.closed)
 
-    def _hold(self, window: WindowBeside, index: int) -> None:
+    def _hold(self, window: WindowProcess, index: int) -> None:
         """Let the run wait while its window draws nothing: nobody could see or move the tool."""
         began = now = perf_counter()
         if window.frames != self._frames:

@@ -21,7 +21,7 @@ from tissue.simulation.live.shared import MEMORY, Layout, SharedArrays
 from tissue.simulation.live.tissues import shared_tissue
 from tissue.system.child import LOOK_S, Patience, child_command
 
-__all__ = ["CLOCK", "WindowBeside"]
+__all__ = ["CLOCK", "WindowProcess"]
 
 MODULE = "tissue.viewer.live.live_window"
 """What is run in the other process; it lies above and is named, not imported."""
@@ -38,7 +38,7 @@ OPENS_S = 120.0
 FOLDER = "tissue-live-"
 
 
-class WindowBeside:
+class WindowProcess:
     """A window that shows a run while it goes on, and tells where the pointer wants the tool.
 
     The ticks never wait for it: both sides map the same memory. Nothing of it is interrupted by Ctrl-C, and it ends by

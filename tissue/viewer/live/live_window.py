@@ -39,7 +39,7 @@ class LiveWindow:
     Parameters
     ----------
     folder
-        Folder that `tissue.simulation.live.window.WindowBeside` has filled.
+        Folder that `tissue.simulation.live.window.WindowProcess` has filled.
 
     Attributes
     ----------
