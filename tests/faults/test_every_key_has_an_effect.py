@@ -39,7 +39,7 @@ def stress_in_this_process(monkeypatch):
     """A process of its own takes seconds to start and computes the same."""
     from tissue.models.tooth import stress_process as beside
 
-    monkeypatch.setattr(beside, "StressProcess", beside.StressHere)
+    monkeypatch.setattr(beside, "StressProcess", beside.InlineStressSolver)
 
 
 def fingerprint(scene):

@@ -112,7 +112,7 @@ class Drilled:
                 self.lead.append(np.linalg.norm(difference) / np.linalg.norm(exact[there]))
             return frame
 
-        monkeypatch.setattr(beside, "StressProcess", beside.StressHere)
+        monkeypatch.setattr(beside, "StressProcess", beside.InlineStressSolver)
         monkeypatch.setattr(StressField, "solve", solve)
         self.run = tissue.simulate(tissue.load_scene("molar", DEEP))
         self.trace, self.model = self.run.trace, self.run.parts.tissue

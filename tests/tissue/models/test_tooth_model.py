@@ -44,7 +44,7 @@ def run(seen):
             seen.append((time_s, lost[-1], force_N.copy(), point_m.copy()))
             return solve(field, time_s, force_N, point_m)
 
-        patch.setattr(beside, "StressProcess", beside.StressHere)
+        patch.setattr(beside, "StressProcess", beside.InlineStressSolver)
         patch.setattr(StressField, "remove", removing)
         patch.setattr(StressField, "solve", solving)
         return drill()

@@ -11,7 +11,7 @@ from kernels.mirror import Mirror
 from tissue.fem.fields import FieldSeries
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
-from tissue.models.tooth.stress_process import Drilled, StressBeside
+from tissue.models.tooth.stress_process import Drilled, StressSolver
 from tissue.models.tooth.warmth import PULP_LIMIT_K, Warmth
 from tissue.system.helper import HelperLostError
 
@@ -52,7 +52,7 @@ class ToothModel:
         self,
         milling: BoneModel,
         *,
-        stress: StressBeside | None = None,
+        stress: StressSolver | None = None,
         interval_s: float = 0.1,
         warmth: Warmth | None = None,
         device: str = "cpu",

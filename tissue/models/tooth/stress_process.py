@@ -22,7 +22,7 @@ from tissue.models.tooth.compliance import SupportCompliance
 from tissue.models.tooth.field import SolveRecord, StressField
 from tissue.system.helper import Helper
 
-__all__ = ["Drilled", "StressBeside", "StressHere", "StressProcess"]
+__all__ = ["Drilled", "StressSolver", "InlineStressSolver", "StressProcess"]
 
 ASSEMBLY_S, SOLVE_S = 3600.0, 600.0
 """How long the other process may work before its first answer, and on one solve [s]."""
@@ -49,7 +49,7 @@ class Drilled:
     point_m: NDArray[np.float64]
 
 
-class StressBeside(Protocol):
+class StressSolver(Protocol):
     """Solves that are begun in a tick and awaited outside it.
 
     Attributes
@@ -83,7 +83,7 @@ class StressBeside(Protocol):
         ...
 
 
-class StressHere:
+class InlineStressSolver:
     """Solves in this process, when they are awaited.
 
     Parameters
@@ -109,7 +109,7 @@ class StressHere:
         self._begun: Drilled | None = None
 
     @classmethod
-    def of_bricks(cls, whole: VoxelVolume, bricks: dict[str, Any], options: dict[str, Any]) -> "StressHere":
+    def of_bricks(cls, whole: VoxelVolume, bricks: dict[str, Any], options: dict[str, Any]) -> "InlineStressSolver":
         """The same from a copy of the bricks, in another process."""
         here = cls.__new__(cls)
         here._start(whole, bricks, options)
@@ -137,7 +137,7 @@ class StressHere:
 
 
 class StressProcess:
-    """Solves in a process of its own; parameters as for `StressHere`.
+    """Solves in a process of its own; parameters as for `InlineStressSolver`.
 
     Raises
     ------
@@ -208,7 +208,7 @@ def _serve() -> None:
 
     try:
         whole, bricks, options = pickle.load(sys.stdin.buffer)
-        here = StressHere.of_bricks(whole, bricks, options)
+        here = InlineStressSolver.of_bricks(whole, bricks, options)
         answer((here.compliance, here.reference_m, here.root_guessed, replace(here.series, frames=[])))
         while (sent := pickle.load(sys.stdin.buffer)) is not None:
             here.begin(_drilled(*sent))
