@@ -124,11 +124,11 @@ class TissueModel(Protocol):
         """Force and torque on the tool at its pose; the returned object is overwritten by the next call."""
         ...
 
-    def settle(self, time_s: float) -> None:
+    def wait_for_background(self, time_s: float) -> None:
         """Wait, before a tick and outside it, for work beside the ticks whose result is due at that time."""
         ...
 
-    def catch_up(self, time_s: float, motion: ToolMotion) -> None:
+    def start_background(self, time_s: float, motion: ToolMotion) -> None:
         """Do what has a slower rate of its own, or start it beside the ticks; called at the end of every tick."""
         ...
 
@@ -169,10 +169,10 @@ class FreeSpace:
         """No force."""
         return self._response
 
-    def settle(self, time_s: float) -> None:
+    def wait_for_background(self, time_s: float) -> None:
         """Nothing is awaited here."""
 
-    def catch_up(self, time_s: float, motion: ToolMotion) -> None:
+    def start_background(self, time_s: float, motion: ToolMotion) -> None:
         """Nothing is slow here."""
 
     def finish(self) -> None:

@@ -66,10 +66,10 @@ class WallModel:
         response.measures[0] = 1e3 * depth
         return response
 
-    def settle(self, time_s: float) -> None:
+    def wait_for_background(self, time_s: float) -> None:
         """Nothing is awaited here."""
 
-    def catch_up(self, time_s: float, motion: ToolMotion) -> None:
+    def start_background(self, time_s: float, motion: ToolMotion) -> None:
         """Nothing is slow here."""
 
     def finish(self) -> None:

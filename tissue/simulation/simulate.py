@@ -153,7 +153,7 @@ def _loop(
     def go_through() -> None:
         nonlocal index, told
         for index in range(ticks):
-            tissue.settle(index * TICK_S)
+            tissue.wait_for_background(index * TICK_S)
             if observer is not None:
                 observer.before_tick(index)
             tick(index)

@@ -73,7 +73,7 @@ class Tick:
         np.multiply(self._filtered, 1.0 + self._vibration.factor(index), out=self._commanded)
         self._record(self._rows[index], index, response)
         recorded = perf_counter()
-        self._tissue.catch_up(index * TICK_S, self.tool)
+        self._tissue.start_background(index * TICK_S, self.tool)
         end = perf_counter()
         self._times[index, : len(TIMING_COLUMNS)] = (
             (end - start) * 1e6,

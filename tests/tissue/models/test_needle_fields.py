@@ -61,7 +61,7 @@ def driven(request):
             model.advance(motion)
         wrenches.append([model.respond(motion).wrench.copy() for model in models])
         for model in models:
-            model.catch_up(0.01 * tick, motion)
+            model.start_background(0.01 * tick, motion)
         if tick % 5 == 0:
             states.append((models[0].insertion.deflection_m, models[0].insertion.inserted_m))
     for model in models:

@@ -126,7 +126,7 @@ class Recorder:
         before = 1e-3 * motion.measures[:3]
         took = np.zeros(ticks)
         for index, row in enumerate(rows):
-            tissue.settle(index * TICK_S)
+            tissue.wait_for_background(index * TICK_S)
             motion.advance(index * TICK_S, TICK_S, response, tool)
             start = perf_counter()
             tissue.advance(tool)

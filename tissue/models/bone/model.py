@@ -149,10 +149,10 @@ class BoneModel:
         response.wrench += response.edge if speed > 0.0 else motion.pressed * response.edge
         return response
 
-    def settle(self, time_s: float) -> None:
+    def wait_for_background(self, time_s: float) -> None:
         """Bone has nothing beside the ticks."""
 
-    def catch_up(self, time_s: float, motion: ToolMotion) -> None:
+    def start_background(self, time_s: float, motion: ToolMotion) -> None:
         """Bone has no slower rate."""
 
     def finish(self) -> None:

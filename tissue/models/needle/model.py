@@ -135,10 +135,10 @@ class NeedleModel:
         measures[2], measures[3], measures[4] = elastic, cutting, friction - drag * motion.speed_m_s
         return response
 
-    def settle(self, time_s: float) -> None:
+    def wait_for_background(self, time_s: float) -> None:
         """Nothing is awaited here."""
 
-    def catch_up(self, time_s: float, motion: ToolMotion) -> None:
+    def start_background(self, time_s: float, motion: ToolMotion) -> None:
         """Keep the deflection where a frame is due."""
         if self._fields is not None and time_s >= self._fields.next_s - 1e-9:
             insertion = self.insertion

@@ -135,10 +135,10 @@ class LiverModel:
         measures[1], measures[2] = result.contacts, result.iterations
         return response
 
-    def settle(self, time_s: float) -> None:
+    def wait_for_background(self, time_s: float) -> None:
         """Nothing is awaited here."""
 
-    def catch_up(self, time_s: float, motion: ToolMotion) -> None:
+    def start_background(self, time_s: float, motion: ToolMotion) -> None:
         """Keep the forces where a frame is due."""
         if time_s >= self._fields.next_s - 1e-9:
             force = self.contact.result.nodal_forces_N

@@ -141,12 +141,12 @@ class ToothModel:
         """Displacement and stress of the frames so far."""
         return self.stress.series if self.stress is not None else None
 
-    def settle(self, time_s: float) -> None:
+    def wait_for_background(self, time_s: float) -> None:
         """Wait for the solve that an interval's end asks for; a run that is faster than its clock waits for it."""
         if time_s >= self._next_s - 1e-9:
             self._await()
 
-    def catch_up(self, time_s: float, motion: ToolMotion) -> None:
+    def start_background(self, time_s: float, motion: ToolMotion) -> None:
         """Every interval: begin the next solve, on a copy of what changed."""
         if self.warmth is not None and time_s - self._warmed_s >= WARM_EVERY_S - 1e-9:
             self._warm(time_s, motion)
