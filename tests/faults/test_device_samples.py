@@ -26,7 +26,7 @@ def believed(samples, **limits):
     """Share of samples that are believed, and the faults found."""
     guard = SampleGuard(GuardLimits(**limits), force_limit_N=3.0)
     for tick, sample in enumerate(samples):
-        guard.believe(sample, tick * TICK)
+        guard.validate_sample(sample, tick * TICK)
     return 1.0 - guard.bad_ticks / len(samples), [what for _, what in guard.events]
 
 
@@ -59,7 +59,7 @@ def test_noise_of_a_turn_is_a_fault_and_smooth_samples_are_accepted_again():
         for tick, turn in enumerate(turns)
     ]
     guard = SampleGuard(force_limit_N=3.0)
-    good = np.array([guard.believe(sample, tick * TICK) is not None for tick, sample in enumerate(samples)])
+    good = np.array([guard.validate_sample(sample, tick * TICK) is not None for tick, sample in enumerate(samples)])
     assert good[:200].all() and good[220:600].mean() < 0.05 and good[750:].all()
 
 
@@ -145,10 +145,10 @@ def test_no_hand_on_no_device_is_taken_for_noise(group, name):
 def test_what_cannot_be_is_a_fault(sample, what):
     guard = SampleGuard(force_limit_N=3.0)
     for tick in range(100):
-        assert guard.believe(Sample(tick * TICK, AT), tick * TICK)
-    assert guard.believe(sample, 0.1) is None
+        assert guard.validate_sample(Sample(tick * TICK, AT), tick * TICK)
+    assert guard.validate_sample(sample, 0.1) is None
     assert guard.events == [(0.1, f"{what}: the force fades")]
-    assert guard.believe(Sample(0.101, AT), 0.101)
+    assert guard.validate_sample(Sample(0.101, AT), 0.101)
 
 
 @pytest.mark.parametrize(
@@ -179,7 +179,7 @@ def test_what_cannot_be_is_a_fault(sample, what):
 )
 def test_what_is_no_sample_is_an_error_of_one_sentence(sample, said):
     with pytest.raises(DeviceError, match=said) as raised:
-        SampleGuard(force_limit_N=3.0).believe(sample, 0.0)
+        SampleGuard(force_limit_N=3.0).validate_sample(sample, 0.0)
     assert "\n" not in str(raised.value)
 
 
@@ -188,14 +188,14 @@ def test_vectors_may_be_lists_or_arrays(kind):
     guard = SampleGuard(force_limit_N=3.0)
     for tick in range(20):
         sample = Sample(tick * TICK, kind((0.0, 0.0, 0.001 * tick)), kind(AT), kind((0.0, 0.0, 0.0, 1.005)), kind(AT))
-        found = guard.believe(sample, tick * TICK)
+        found = guard.validate_sample(sample, tick * TICK)
         assert found is not None and found.quaternion == (0.0, 0.0, 0.0, 1.0)
 
 
 def test_faults_that_never_end_do_not_fill_the_memory():
     guard = SampleGuard(force_limit_N=3.0)
     for tick in range(5000):
-        guard.believe(Sample(tick * TICK, AT) if tick % 2 else None, tick * TICK)
+        guard.validate_sample(Sample(tick * TICK, AT) if tick % 2 else None, tick * TICK)
     assert guard.bad_ticks == 2500 and len(guard.events) < 300
 
 

@@ -105,14 +105,14 @@ def test_a_jerk_of_60_N_stays_bounded_and_settles(kind, way):
 def test_the_guard_lets_a_fast_hand_pass_and_takes_up_a_device_that_comes_back():
     guard = SampleGuard(force_limit_N=3.0)
     for tick in range(50):
-        assert guard.believe(Sample(tick * TICK, (4e-3 * tick, 0.0, 0.0), (4.0, 0.0, 0.0)), tick * TICK)
+        assert guard.validate_sample(Sample(tick * TICK, (4e-3 * tick, 0.0, 0.0), (4.0, 0.0, 0.0)), tick * TICK)
     assert guard.bad_ticks == 0
     # Gone for 100 ms, back 0.3 m away: that is 3 m/s and believed.
-    assert guard.believe(None, 0.06) is None
-    assert guard.believe(Sample(0.15, (0.5, 0.0, 0.0)), 0.15)
+    assert guard.validate_sample(None, 0.06) is None
+    assert guard.validate_sample(Sample(0.15, (0.5, 0.0, 0.0)), 0.15)
     # A jump of 0.3 m in a millisecond is not, until a hand could have got there.
-    assert guard.believe(Sample(0.151, (0.8, 0.0, 0.0)), 0.151) is None
-    assert guard.believe(Sample(0.25, (0.8, 0.0, 0.0)), 0.25)
+    assert guard.validate_sample(Sample(0.151, (0.8, 0.0, 0.0)), 0.151) is None
+    assert guard.validate_sample(Sample(0.25, (0.8, 0.0, 0.0)), 0.25)
     assert [what for _, what in guard.events] == [
         "no sample: the force fades", "samples are good again",
         "a jump that no hand makes: the force fades", "samples are good again",
@@ -132,28 +132,28 @@ def test_the_guard_lets_a_fast_hand_pass_and_takes_up_a_device_that_comes_back()
 )
 def test_a_first_sample_is_judged_too(sample, word):
     guard = SampleGuard(force_limit_N=3.0)
-    assert guard.believe(sample, 0.0) is None
+    assert guard.validate_sample(sample, 0.0) is None
     assert word in guard.events[0][1]
-    force, torque = guard.vouch(None)
+    force, torque = guard.limit_force(None)
     assert not force.any() and not torque.any()
 
 
 def test_a_turn_that_no_hand_makes_is_refused():
     guard = SampleGuard(force_limit_N=3.0)
-    guard.believe(Sample(0.0, (0.0, 0.0, 0.0)), 0.0)
-    assert guard.believe(Sample(TICK, (0.0, 0.0, 0.0), quaternion=(1.0, 0.0, 0.0, 0.0)), TICK) is None
+    guard.validate_sample(Sample(0.0, (0.0, 0.0, 0.0)), 0.0)
+    assert guard.validate_sample(Sample(TICK, (0.0, 0.0, 0.0), quaternion=(1.0, 0.0, 0.0, 0.0)), TICK) is None
     assert "turn" in guard.events[-1][1]
     half = Sample(2 * TICK, (0.0, 0.0, 0.0), quaternion=(0.0, 0.0, 0.01, 1.005))
-    assert np.linalg.norm(guard.believe(half, 2 * TICK).quaternion) == pytest.approx(1.0)
+    assert np.linalg.norm(guard.validate_sample(half, 2 * TICK).quaternion) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, 1e9])
 def test_a_model_that_fails_is_held_back_as_well(wrong):
     guard = SampleGuard(force_limit_N=3.0, torque_limit_Nm=0.1)
     for tick in range(60):
-        assert guard.believe(Sample(tick * TICK, (0.0, 0.0, 0.0)), tick * TICK)
+        assert guard.validate_sample(Sample(tick * TICK, (0.0, 0.0, 0.0)), tick * TICK)
         bad = 30 <= tick < 55
-        force, torque = guard.vouch(
+        force, torque = guard.limit_force(
             np.array([0.0, wrong if bad else 1.0, 0.0]), np.array([wrong if bad else 0.5, 0.0, 0.0])
         )
         assert np.linalg.norm(force) <= 3.0 * (1 + 1e-12) and np.linalg.norm(torque) <= 0.1 * (1 + 1e-12)

@@ -200,7 +200,7 @@ class HandMotion(Motion):
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
         """Read the device and let the tool follow it."""
-        sample = self.guard.believe(self.held.read(time_s), time_s)
+        sample = self.guard.validate_sample(self.held.read(time_s), time_s)
         if self.held.released:
             self.held.released = False
             self.guard.let_go()
@@ -269,7 +269,7 @@ class HandMotion(Motion):
                 compressed = compressed or squeezed
             self.observer.observe(at)
             told[:3], told[3:7], told[13:16] = 1e3 * at, sample.quaternion, filtered
-        played, turning = self.held.play(*self.guard.vouch(wanted, torque))
+        played, turning = self.held.play(*self.guard.limit_force(wanted, torque))
         self.observer.hold(played)
         told[7:10], told[10:13], told[16], told[17] = played, turning, compressed, self.observer.energy_J
 

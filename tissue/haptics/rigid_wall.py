@@ -74,7 +74,7 @@ def press_wall(
             time = tick * tick_s
             sample = held.read(time)
             if guard is not None:
-                sample = guard.believe(sample, time)
+                sample = guard.validate_sample(sample, time)
             wanted: Array | None = None
             if sample is not None:
                 position[tick], velocity[tick] = sample.position_m, sample.velocity_m_s
@@ -88,7 +88,7 @@ def press_wall(
                 position[tick] = position[tick - 1]
             played = nothing if wanted is None else wanted
             if guard is not None:
-                played, _ = guard.vouch(wanted)
+                played, _ = guard.limit_force(wanted)
             force[tick] = played
             held.play(played, nothing)
 

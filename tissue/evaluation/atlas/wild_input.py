@@ -75,14 +75,14 @@ def ask() -> list[Answer]:
     answers = []
     for what, wrong in (("NaN", nan), ("infinite", inf)):
         guard = SampleGuard(force_limit_N=DEVICE.force_limit_N)
-        believed = guard.believe(Sample(0.0, (0.0, wrong, 0.0)), 0.0)
+        believed = guard.validate_sample(Sample(0.0, (0.0, wrong, 0.0)), 0.0)
         answers.append(
             shown(f"a first sample that is {what}", believed is None, guard.events[0][1], conduct=Conduct.FALLS_BACK)
         )
     guard = SampleGuard(force_limit_N=DEVICE.force_limit_N)
     for tick in range(40):
-        guard.believe(Sample(TICK_S * tick, (0.0, 0.0, 0.0)), TICK_S * tick)
-        force, _ = guard.vouch(np.array([0.0, nan if tick >= 30 else 1.0, 0.0]))
+        guard.validate_sample(Sample(TICK_S * tick, (0.0, 0.0, 0.0)), TICK_S * tick)
+        force, _ = guard.limit_force(np.array([0.0, nan if tick >= 30 else 1.0, 0.0]))
     kept = bool(np.isfinite(force).all())
     return [
         *answers,

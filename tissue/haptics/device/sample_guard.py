@@ -100,7 +100,7 @@ class SampleGuard:
         self._places, self._turns = Roughness(self._limits.roughest_m_s2), Roughness(0.5 * self._limits.roughest_rad_s2)
         self._turned: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
-    def believe(self, sample: Sample | None, time_s: float) -> Sample | None:
+    def validate_sample(self, sample: Sample | None, time_s: float) -> Sample | None:
         """The sample if a hand can have made it, with its quaternion at unit length; else None.
 
         Raises
@@ -125,7 +125,7 @@ class SampleGuard:
         self._good = sample._replace(quaternion=turned)
         return self._good
 
-    def vouch(self, force_N: Array | None, torque_Nm: Array | None = None) -> tuple[Array, Array]:
+    def limit_force(self, force_N: Array | None, torque_Nm: Array | None = None) -> tuple[Array, Array]:
         """Force and torque to play now; None or a wrench that is not finite is a fault of this tick."""
         change = self._step / self._limits.fade_s
         torque = NO_TORQUE if torque_Nm is None else torque_Nm
