@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from tissue.perception.sensitivity import of_one_look, of_the_recursion
+from tissue.perception.sensitivity import map_estimate_errors, of_the_recursion
 
 
 @pytest.fixture(scope="module")
 def look():
-    return {each.assumed: each.error for each in of_one_look(np.random.default_rng(0))}
+    return {each.assumed: each.error for each in map_estimate_errors(np.random.default_rng(0))}
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from tissue.perception.estimate import map_force_N
 from tissue.perception.recursive import LocalLevel
 
-__all__ = ["Outcome", "of_one_look", "of_the_recursion"]
+__all__ = ["Outcome", "map_estimate_errors", "of_the_recursion"]
 
 Array = NDArray[np.float64]
 MEDIAN_N, LOG_SPREAD, NOISE_N = 1.0, 1.0, 0.3
@@ -41,7 +41,7 @@ class Outcome:
     held: float = float("nan")
 
 
-def of_one_look(rng: np.random.Generator, *, count: int = 20_000) -> list[Outcome]:
+def map_estimate_errors(rng: np.random.Generator, *, count: int = 20_000) -> list[Outcome]:
     """The estimate of greatest density from one look at each of ``count`` forces, by what is assumed."""
     truth = MEDIAN_N * np.exp(LOG_SPREAD * rng.standard_normal(count))
     gaussian, tails = NOISE_N * rng.standard_normal(count), NOISE_N * _heavy(rng, count)
