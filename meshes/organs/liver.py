@@ -30,7 +30,7 @@ from meshes.tets.structured import graded, grid
 from meshes.tets.stuffing import stuffed, with_part
 from meshes.tets.tetrahedra import TetMesh
 
-__all__ = ["LIVER_REGIONS", "Nodule", "liver", "liver_region", "liver_shape", "slab", "slab_floor"]
+__all__ = ["LIVER_REGIONS", "Nodule", "liver", "liver_region", "liver_shape", "slab", "slab_base"]
 
 LIVER_REGIONS = ("below", "back")
 """Surfaces that hold a liver: the visceral side it rests on, and the bare area with spine and vena cava behind it."""
@@ -143,7 +143,7 @@ def slab(
     return _with_nodule(mesh, nodule, block, spacing)
 
 
-def slab_floor(mesh: TetMesh) -> Nodes:
+def slab_base(mesh: TetMesh) -> Nodes:
     """Nodes on the lower face of a slab."""
     lowest = float(mesh.nodes_m[:, 2].min())
     return nodes_behind_plane(mesh, point_m=(0.0, 0.0, lowest), normal=(0.0, 0.0, 1.0))

@@ -3,17 +3,17 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["points_along", "ways_along"]
+__all__ = ["points_along", "arc_length"]
 
 Array = NDArray[np.float64]
 
 
-def ways_along(corners: ArrayLike) -> Array:
+def arc_length(corners: ArrayLike) -> Array:
     """Way from the first corner to each, shape (n,), in the unit of the corners, shape (n, 3)."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(np.asarray(corners), axis=0), axis=1))])
 
 
 def points_along(corners: ArrayLike, ways: ArrayLike) -> Array:
     """Points at some ways from the first corner, shape (m, 3); the ends beyond them."""
-    along, given, at = ways_along(corners), np.asarray(corners), np.asarray(ways, dtype=np.float64)
+    along, given, at = arc_length(corners), np.asarray(corners), np.asarray(ways, dtype=np.float64)
     return np.column_stack([np.interp(at, along, given[:, axis]) for axis in range(3)])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
-from meshes.organs.liver import LIVER_REGIONS, Nodule, liver, liver_region, liver_shape, slab, slab_floor
+from meshes.organs.liver import LIVER_REGIONS, Nodule, liver, liver_region, liver_shape, slab, slab_base
 from meshes.tets.checks import mean_ratio, pieces, pinched_edges
 from meshes.tets.tetrahedra import TetMesh
 
@@ -79,7 +79,7 @@ def test_a_slab_is_a_block_finer_at_the_top() -> None:
     assert mesh.nodes_m.min(axis=0) == pytest.approx((-0.05, -0.05, -0.04))
     layers = np.diff(np.unique(mesh.nodes_m[:, 2]))
     assert (np.diff(layers) < 0.0).all()
-    floor = slab_floor(mesh)
+    floor = slab_base(mesh)
     assert len(floor) == 25 * 25
     assert (mesh.nodes_m[floor, 2] == mesh.nodes_m[:, 2].min()).all()
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from meshes.shapes.polyline import points_along, ways_along
+from meshes.shapes.polyline import points_along, arc_length
 
 CORNERS = [[0.0, 0.0, 0.0], [3.0, 4.0, 0.0], [3.0, 4.0, 0.0], [3.0, 4.0, -2.0]]
 
 
 def test_arc_lengths_are_sums_of_lengths():
-    assert ways_along(CORNERS).tolist() == [0.0, 5.0, 5.0, 7.0]
+    assert arc_length(CORNERS).tolist() == [0.0, 5.0, 5.0, 7.0]
 
 
 @pytest.mark.parametrize(

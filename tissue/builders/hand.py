@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
-from meshes.shapes.polyline import ways_along
+from meshes.shapes.polyline import arc_length
 from tissue.builders.loop import judged_loops, lead_ticks, perception_of, person_of, predictor_of
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
@@ -158,7 +158,7 @@ def _timed(scripted: Motion, *, recorded: bool, step_s: float) -> tuple[Array, A
     corners_m = scripted.sweep_m()
     if recorded:
         return step_s * np.arange(len(corners_m), dtype=np.float64), corners_m
-    along = ways_along(corners_m)
+    along = arc_length(corners_m)
     keep = np.diff(along, prepend=-1.0) > 0.0
     times = along * (scripted.duration_s / along[-1])
     return times[keep], corners_m[keep]

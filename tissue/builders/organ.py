@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError
 from meshes.base.placement import Placement
 from meshes.base.progress import Progress
-from meshes.organs.liver import Nodule, liver, liver_region, slab, slab_floor
+from meshes.organs.liver import Nodule, liver, liver_region, slab, slab_base
 from meshes.surfaces.site import axes_along
 from meshes.tets.bisection import bisected
 from meshes.tets.files import read_tets
@@ -100,7 +100,7 @@ def held_mesh(
             size = tuple(1e-3 * side for side in anatomy.size_mm)
             block = slab(size_m=(size[0], size[1], size[2]), spacing_m=1e-3 * anatomy.edge_mm, nodule=_nodule(anatomy))
             mesh = fine(block)
-            return HeldMesh(mesh, slab_floor(mesh), {"held": "the lower face, bonded to the floor"})
+            return HeldMesh(mesh, slab_base(mesh), {"held": "the lower face, bonded to the floor"})
         if anatomy.file is None:
             mesh = fine(liver(spacing_m=1e-3 * anatomy.edge_mm, nodule=_nodule(anatomy)))
             litres = 1e3 * float(mesh.volumes_m3.sum())

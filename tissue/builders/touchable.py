@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
-from meshes.shapes.polyline import points_along, ways_along
+from meshes.shapes.polyline import points_along, arc_length
 from meshes.tets.tetrahedra import TetMesh
 from tissue.motion.motion import Motion
 
@@ -28,7 +28,7 @@ def touchable_surface(space: "Space", probe: "Probe", motion: Motion) -> tuple[N
     centres = space.nodes_m[triangles].mean(axis=1)
     reach = np.linalg.norm(space.nodes_m[triangles] - centres[:, None], axis=2).max(axis=1)
     corners, turns = motion.sweep_m(), motion.rotations()
-    along = ways_along(corners)
+    along = arc_length(corners)
     wanted = np.unique(np.concatenate([np.linspace(0.0, along[-1], POSES_TRIED), along]))
     tips = points_along(corners, wanted)
     nearest = np.full(len(triangles), np.inf)

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
-from meshes.shapes.polyline import points_along, ways_along
+from meshes.shapes.polyline import points_along, arc_length
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.motion.motion import Motion
@@ -31,7 +31,7 @@ def require_touch(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
     """Refuse a motion that never brings the cutting surface into bone."""
     shell = cutter.shell(spacing_m=max(cutter.profile.radius_m / 24.0, volume.spacing_m)).points_m
     corners, rotations = motion.sweep_m(), motion.rotations()
-    along = ways_along(corners)
+    along = arc_length(corners)
     between, own = np.linspace(0.0, along[-1], POSES_TRIED), along[:: len(along) // POSES_TRIED + 1]
     wanted = np.unique(np.concatenate([between, own]))
     tips = points_along(corners, wanted)

@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 
 from meshes.base.cache import cached_arrays
 from meshes.base.progress import Progress, silent
-from meshes.shapes.polyline import points_along, ways_along
+from meshes.shapes.polyline import points_along, arc_length
 from meshes.tets.regions import faces_of
 from tissue.builders.organ import elasticity_of, held_mesh
 from tissue.builders.registry import motion_of
@@ -199,7 +199,7 @@ def _instants(scene: Scene, solver: "NewtonSolver", radius_m: float) -> Instants
     assert isinstance(scene.motion, PathMotion)
     motion = motion_of(scene, step_s=TICK_S)
     corners, axis = motion.sweep_m(), motion.rotations()[0][:, 2]
-    wanted = np.linspace(0.0, ways_along(corners)[-1], POSES)
+    wanted = np.linspace(0.0, arc_length(corners)[-1], POSES)
 
     surface = solver.body.nodes_m[np.unique(solver.body.space.faces)]
     away, _ = KDTree(surface).query(points_along(corners, wanted) + radius_m * axis)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from meshes.base.cache import cached_arrays
 from meshes.base.errors import InputError
-from meshes.shapes.polyline import points_along, ways_along
+from meshes.shapes.polyline import points_along, arc_length
 from tissue.evaluation.charts.places import placed
 from tissue.evaluation.charts.settings import Changes, Setting, finest, nearly_finest
 from tissue.evaluation.statistics.metrics import force_error
@@ -178,7 +178,7 @@ def _length_s(scene: Scene) -> float:
     """Length of a scene; zero where only its run can tell, so that the first try is all of it."""
     if scene.duration_s is not None or not isinstance(scene.motion, PathMotion):
         return scene.duration_s or 0.0
-    return float(ways_along(scene.motion.points_mm)[-1]) / scene.motion.feed_mm_s
+    return float(arc_length(scene.motion.points_mm)[-1]) / scene.motion.feed_mm_s
 
 
 def _until(scene: Scene, end_s: float) -> Scene:
@@ -188,7 +188,7 @@ def _until(scene: Scene, end_s: float) -> Scene:
     changes: dict[str, Any] = {"duration_s": round(end_s, 3)}
     if isinstance(scene.motion, PathMotion):
         points = np.array(scene.motion.points_mm)
-        along = ways_along(points)
+        along = arc_length(points)
         stop = min(scene.motion.feed_mm_s * end_s, along[-1])
         kept = [*points[along < stop].tolist(), *points_along(points, [stop]).tolist()]
         path = tuple((x, y, z) for x, y, z in kept)

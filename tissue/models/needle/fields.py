@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from meshes.organs.liver import slab, slab_floor
+from meshes.organs.liver import slab, slab_base
 from meshes.tets.bisection import bisected
 from meshes.tets.tetrahedra import TetMesh
 from tissue.fem.assembly import assemble
@@ -126,7 +126,7 @@ class NeedleFields:
 
     def __init__(self, track: Track, elasticity: ArrayLike, *, near_m: float, interval_s: float) -> None:
         mesh, nodes, self._depths_m = needle_block(track)
-        held = slab_floor(mesh)
+        held = slab_base(mesh)
         rows = np.broadcast_to(np.asarray(elasticity, dtype=float), (len(mesh.cells), 2))
         space = Space(mesh, 1, device="cpu")
         fixed = np.zeros(len(mesh.nodes_m), dtype=bool)
