@@ -49,7 +49,7 @@ def ticks_of(predictor: Predictor, run: Recording) -> Callable[[int], object]:
 
     def tick(index: int) -> object:
         predictor.observe(run.position_m[index], run.velocity_m_s[index], run.force_N[index])
-        return predictor.ahead(LEAD)
+        return predictor.predict(LEAD)
 
     return tick
 

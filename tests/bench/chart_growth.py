@@ -256,7 +256,7 @@ def observables(quick: bool) -> Series:
 
         def tick(index: int, predictor: Any = predictor) -> None:
             predictor.observe(run[index, :3], np.zeros(3), run[index, 3:])
-            predictor.ahead(4)
+            predictor.predict(4)
 
         yield "observables, tick", Point(size, median_us(tick, count=1500, warm_up=100), array_bytes(predictor))
 

@@ -35,7 +35,7 @@ def test_at_long_horizons_the_capped_operator_stays_and_an_uncapped_one_explodes
         loop = Koopman(operator, wall.terms)
         for row in range(1200):
             loop.observe(unseen.position_m[row], unseen.velocity_m_s[row], unseen.force_N[row])
-        sizes[name] = [float(np.linalg.norm(loop.ahead(ticks))) for ticks in (1, 50, 400)]
+        sizes[name] = [float(np.linalg.norm(loop.predict(ticks))) for ticks in (1, 50, 400)]
     most = float(np.abs(unseen.force_N).max())
     assert max(sizes["capped"]) < 3.0 * most
     assert sizes["grown"][2] > 1e3 * most
@@ -49,8 +49,8 @@ def test_the_guard_bounds_the_prediction_of_an_exploding_operator(wall, unseen):
     told, owned = [], []
     for position, velocity, force in zip(unseen.position_m, unseen.velocity_m_s, unseen.force_N, strict=True):
         guarded.observe(position, velocity, force)
-        told.append(guarded.ahead(4))
-        owned.append(guarded.own)
+        told.append(guarded.predict(4))
+        owned.append(guarded.is_primary)
     line = forecast(Linear(), unseen, (4,))[:, 0]
     assert np.linalg.norm(told - line, axis=1).max() <= wall.terms.reach_N * (1.0 + 1e-12)
     assert np.mean(np.array(owned)[unseen.force_N.any(axis=1)]) < 0.2
@@ -80,7 +80,7 @@ def test_dropped_and_repeated_samples_leave_it_bounded(wall, unseen):
             continue
         for _ in range(2 if fate < 0.1 else 1):
             predictor.observe(unseen.position_m[row], unseen.velocity_m_s[row], unseen.force_N[row])
-        assert np.linalg.norm(predictor.ahead(6)) < 2.0 * most + wall.terms.reach_N
+        assert np.linalg.norm(predictor.predict(6)) < 2.0 * most + wall.terms.reach_N
 
 
 def test_prediction_takes_a_loop_past_where_latency_makes_it_chatter():

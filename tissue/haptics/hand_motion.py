@@ -254,8 +254,8 @@ class HandMotion(Motion):
             told[19:22] = force = self._raw
             if self.predictor is not None:
                 self.predictor.observe(at, speed, force if self._fresh else None)
-                ahead = self.predictor.ahead(self.lead_ticks)
-                told[22:25], told[25], told[26] = ahead, self.predictor.residual_N, self.predictor.own
+                ahead = self.predictor.predict(self.lead_ticks)
+                told[22:25], told[25], told[26] = ahead, self.predictor.residual_N, self.predictor.is_primary
                 force = force + self._gain * (ahead - force) if self._gain != 1.0 else ahead
                 if self._control is not None:
                     force = self._control.step(force, at, speed, self._tick)

@@ -24,7 +24,7 @@ class Linear:
     """The straight line through the newest force and one a window of ticks before it."""
 
     residual_N = 0.0
-    own = trusted = True
+    is_primary = trusted = True
 
     def __init__(self, window: int = WINDOW) -> None:
         if window < 1:
@@ -39,7 +39,7 @@ class Linear:
         if force_N is None:
             return
         seen = self._seen
-        missed = force_N - self.ahead(0)
+        missed = force_N - self.predict(0)
         self.residual_N = sqrt(missed @ missed)
         seen.append((self._clock, force_N.copy()))
         while len(seen) > 2 and self._clock - seen[1][0] >= self._window:
@@ -47,7 +47,7 @@ class Linear:
         since, first = seen[0]
         self._slope = (force_N - first) / max(self._clock - since, self._window)
 
-    def ahead(self, ticks: int) -> Array:
+    def predict(self, ticks: int) -> Array:
         """Along the line."""
         since, force = self._seen[-1]
         return force + (self._clock - since + ticks) * self._slope
@@ -79,7 +79,7 @@ class Kalman:
     """A force with constant acceleration, but for white noise, seen with white noise; gains are those it settles to."""
 
     residual_N = 0.0
-    own = trusted = True
+    is_primary = trusted = True
 
     def __init__(self, jerkiness: float = JERKINESS) -> None:
         self._jerkiness = require_positive("jerkiness", jerkiness, f"use {JERKINESS:g}")
@@ -97,7 +97,7 @@ class Kalman:
             state += kalman_gains(self._since, self._jerkiness)[:, None] * missed
             self._since, self._force = 0, force_N.copy()
 
-    def ahead(self, ticks: int) -> Array:
+    def predict(self, ticks: int) -> Array:
         """Along the parabola; 0 ahead of a force that was just told, that force."""
         if ticks == 0 and self._since == 0:
             return self._force
@@ -120,7 +120,7 @@ class LinearControl:
     """
 
     residual_N = 0.0
-    own = trusted = True
+    is_primary = trusted = True
 
     def __init__(self, operator: Operator) -> None:
         if operator.A.shape != (3, 3) or operator.B.shape != (3, 6):
@@ -135,14 +135,14 @@ class LinearControl:
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
         """Take in the device and the force, or go a tick on by what was known."""
         known = self._known
-        expected = self.ahead(1)
+        expected = self.predict(1)
         if force_N is not None:
             missed = force_N - expected
             self.residual_N = sqrt(missed @ missed)
         known[:3] = expected if force_N is None else force_N
         known[3:6], known[6:] = position_m, velocity_m_s
 
-    def ahead(self, ticks: int) -> Array:
+    def predict(self, ticks: int) -> Array:
         """Powers of the operator, the device going on."""
         while len(self._maps) <= ticks:
             matrix, offset = self._maps[-1]

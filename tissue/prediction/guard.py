@@ -57,7 +57,7 @@ class Guarded:
     """
 
     residual_N = 0.0
-    own = True
+    is_primary = True
 
     def __init__(self, inner: Judged, instead: Predictor, *, reach_N: float) -> None:
         self.inner, self.instead = inner, instead
@@ -90,13 +90,13 @@ class Guarded:
         self._good = self._good + 1 if self.inner.trusted and not worse else 0
         change = 1.0 / BLEND
         self._share = min(self._share + change, 1.0) if self._good >= PROBATION else max(self._share - change, 0.0)
-        self.own = self._share > 0.5
+        self.is_primary = self._share > 0.5
 
-    def ahead(self, ticks: int) -> Array:
+    def predict(self, ticks: int) -> Array:
         """Between both, by the share."""
         # Three numbers are quicker one by one than as arrays.
-        u, v, w = self.inner.ahead(ticks).tolist()
-        x, y, z = self.instead.ahead(ticks).tolist()
+        u, v, w = self.inner.predict(ticks).tolist()
+        x, y, z = self.instead.predict(ticks).tolist()
         u, v, w = u - x, v - y, w - z
         size = u * u + v * v + w * w
         if not isfinite(size):

@@ -81,7 +81,7 @@ class Koopman:
     """
 
     residual_N = 0.0
-    own = True
+    is_primary = True
 
     def __init__(self, operator: Operator, terms: LoopTerms) -> None:
         if operator.state_size != WIDTH or operator.B.shape[1]:
@@ -98,7 +98,7 @@ class Koopman:
         room = terms.slack * (operator.training.highest - operator.training.lowest)
         low, high = operator.training.lowest - room, operator.training.highest + room
         self._box = list(zip(low.tolist(), high.tolist(), strict=True))
-        self._powers = operator.states_ahead(len(terms.gains))
+        self._powers = operator.predicted_states(len(terms.gains))
         self._force, self._correction = np.zeros(3), np.zeros(3)
         self._ticks = self._free = 0
         self._error = 0.0
@@ -140,7 +140,7 @@ class Koopman:
         self._told = self._both @ self._lifted + self._both_offset
         self._force = window[3:WIDTH]
 
-    def ahead(self, ticks: int) -> Array:
+    def predict(self, ticks: int) -> Array:
         """Force after so many ticks."""
         if ticks == 0:
             return self._force.copy()
@@ -155,7 +155,7 @@ class Koopman:
     def _look(self, ticks: int) -> None:
         """Ask for the force so far ahead, from now on: one product gives the next state and that force."""
         if ticks > len(self._powers):
-            self._powers = self.operator.states_ahead(ticks)
+            self._powers = self.operator.predicted_states(ticks)
         (next_matrix, next_offset), (matrix, offset) = self._powers[0], self._powers[ticks - 1]
         self._lead = ticks
         self._both = np.concatenate((next_matrix, matrix[3:]))

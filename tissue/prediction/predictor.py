@@ -19,14 +19,14 @@ class Predictor(Protocol):
 
     residual_N: float
     """Size of the last one-tick error [N]: what was expected for the newest force, less that force."""
-    own: bool
+    is_primary: bool
     """Whether the last force that was told is the predictor's own, and not that of what it falls back on."""
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
         """Take in the device's position [m] and velocity [m/s], shape (3,), and the force on it [N], or None."""
         ...
 
-    def ahead(self, ticks: int) -> Array:
+    def predict(self, ticks: int) -> Array:
         """Force to be expected so many ticks after the last observation [N], shape (3,); 0 is the present one."""
         ...
 
@@ -39,7 +39,7 @@ class Hold:
     """The baseline: the last force stays."""
 
     residual_N = 0.0
-    own = True
+    is_primary = True
 
     def __init__(self) -> None:
         self._force = np.zeros(3)
@@ -51,7 +51,7 @@ class Hold:
             self.residual_N = float(np.sqrt(change @ change))
             self._force = force_N.copy()
 
-    def ahead(self, ticks: int) -> Array:
+    def predict(self, ticks: int) -> Array:
         """The last force."""
         return self._force
 

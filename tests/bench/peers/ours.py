@@ -123,7 +123,7 @@ def prediction() -> None:
 
     def ahead(tick: int) -> None:
         predictor.observe(unseen[tick, :3], np.zeros(3), unseen[tick, 3:])
-        far.append(predictor.ahead(HORIZON)[2] - unseen[tick + HORIZON, 5])
+        far.append(predictor.predict(HORIZON)[2] - unseen[tick + HORIZON, 5])
 
     each = timed(ahead, count=1900, warm_up=50)
     error = float(np.sqrt(np.mean(np.square(far[50:]))))

@@ -27,7 +27,7 @@ def test_a_shipped_predictor_is_sound(scene):
     told = trained_predictor("koopman", trained, force_limit_N=LIMIT_N)
     for _ in range(60):
         told.observe(trained.operator.training.middle[:3], np.zeros(3), np.zeros(3))
-    assert np.linalg.norm(told.ahead(6)) <= trained.terms.reach_N
+    assert np.linalg.norm(told.predict(6)) <= trained.terms.reach_N
 
 
 def test_trials_differ_in_hand_seed_and_latency():

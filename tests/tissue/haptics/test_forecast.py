@@ -70,7 +70,7 @@ def grows(loop, stiffness, predictor, lead, *, ticks=2500):
         speed = (place - before) / TICK
         before = place
         predictor.observe((rest + place) * up, speed * up, (force + raw) * up if told else None)
-        ahead = float(predictor.ahead(lead) @ up) - force
+        ahead = float(predictor.predict(lead) @ up) - force
         if tick < 0:
             continue
         filtered += gain * (raw + loop.forecast.gain * (ahead - raw) - filtered)

@@ -64,7 +64,7 @@ def test_a_zero_horizon_is_the_present_force(kind, trained):
     predictor, run = made(kind, trained), spring_run(50)
     for row in range(300):
         predictor.observe(run.position_m[row], run.velocity_m_s[row], run.force_N[row])
-        np.testing.assert_allclose(predictor.ahead(0), run.force_N[row], atol=1e-12)
+        np.testing.assert_allclose(predictor.predict(0), run.force_N[row], atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", PREDICTORS)
@@ -74,27 +74,27 @@ def test_asking_changes_nothing(kind, trained):
         for each in (asked, quiet):
             each.observe(run.position_m[row], run.velocity_m_s[row], run.force_N[row])
         for ticks in (4, 7, 1, 3):
-            asked.ahead(ticks)
-        np.testing.assert_array_equal(asked.ahead(4), quiet.ahead(4))
+            asked.predict(ticks)
+        np.testing.assert_array_equal(asked.predict(4), quiet.predict(4))
 
 
 @pytest.mark.parametrize("kind", ["hold", "linear", "kalman"])
 def test_a_constant_force_stays(kind, trained):
-    told = feed(made(kind, trained), [1.3] * 300).ahead(6)
+    told = feed(made(kind, trained), [1.3] * 300).predict(6)
     np.testing.assert_allclose(told, [0.0, 0.0, 1.3], atol=1e-9)  # a filter of 1e-3 has forgotten its start by then
 
 
 @pytest.mark.parametrize("kind", ["linear", "kalman"])
 def test_a_ramp_goes_on(kind, trained):
-    told = feed(made(kind, trained), 2e-3 * np.arange(400)).ahead(8)
+    told = feed(made(kind, trained), 2e-3 * np.arange(400)).predict(8)
     assert told[2] == pytest.approx(2e-3 * 407, abs=1e-9)
 
 
 def test_a_parabola_goes_on_in_the_filter_alone():
     times = np.arange(400.0)
-    told = feed(Kalman(), 1e-6 * times**2).ahead(8)[2]
+    told = feed(Kalman(), 1e-6 * times**2).predict(8)[2]
     assert told == pytest.approx(1e-6 * 407.0**2, abs=1e-9)
-    assert abs(feed(Linear(), 1e-6 * times**2).ahead(8)[2] - told) > 1e-5
+    assert abs(feed(Linear(), 1e-6 * times**2).predict(8)[2] - told) > 1e-5
 
 
 def test_kalman_gains_are_those_that_the_recursion_settles_to():
@@ -120,7 +120,7 @@ def test_a_linear_model_with_control_is_exact_on_a_linear_model():
     position, velocity, force = rng.standard_normal(3), rng.standard_normal(3), rng.standard_normal(3)
     predictor.observe(position, velocity, force)
     for step in range(6):
-        np.testing.assert_allclose(predictor.ahead(step), force, atol=1e-9)
+        np.testing.assert_allclose(predictor.predict(step), force, atol=1e-9)
         force = A @ force + B @ np.concatenate([position + 1e-3 * step * velocity, velocity])
 
 
@@ -139,7 +139,7 @@ def test_predictions_are_finite_whatever_comes(kind, trained):
         if rng.random() < 0.05:
             predictor.pause()
         for ticks in (0, 1, 10, 40):
-            assert np.isfinite(predictor.ahead(ticks)).all()
+            assert np.isfinite(predictor.predict(ticks)).all()
 
 
 @pytest.mark.parametrize("kind", PREDICTORS)
@@ -148,7 +148,7 @@ def test_after_a_pause_rates_begin_anew(kind, trained):
     predictor.pause()
     predictor.observe(np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 0.5]))
     # What is left is the filter's share of the jump; a line or window across the pause would tell 0.5 + 10 * 0.03.
-    assert abs(predictor.ahead(1)[2] - 0.5) < 0.2
+    assert abs(predictor.predict(1)[2] - 0.5) < 0.2
 
 
 def test_the_loop_predicts_as_the_operator_does(trained):
@@ -163,7 +163,7 @@ def test_the_loop_predicts_as_the_operator_does(trained):
     wanted = trained.operator.predict(states[1:], None, 9)[:, 3:]
     for ticks in (1, 4, 9):
         expected = wanted[ticks - 1] + terms.gains[ticks - 1] * missed
-        np.testing.assert_allclose(loop.ahead(ticks), expected, rtol=1e-9, atol=1e-10)
+        np.testing.assert_allclose(loop.predict(ticks), expected, rtol=1e-9, atol=1e-10)
 
 
 def test_contact_is_foreseen_where_lines_cannot(trained):
@@ -192,7 +192,7 @@ def test_a_slow_model_is_bridged(trained):
 class Fake:
     """A predictor that tells a constant and is trusted on demand."""
 
-    residual_N, own = 0.0, True
+    residual_N, is_primary = 0.0, True
 
     def __init__(self, told, trusted=True):
         self.told, self.trusted, self.paused = told, trusted, 0
@@ -200,7 +200,7 @@ class Fake:
     def observe(self, position_m, velocity_m_s, force_N):
         """Nothing is kept."""
 
-    def ahead(self, ticks):
+    def predict(self, ticks):
         """The constant."""
         return np.full(3, self.told)
 
@@ -216,8 +216,8 @@ def test_a_handover_has_no_step_and_comes_back():
     for tick in range(300):
         inner.trusted = not 100 <= tick < 150
         guarded.observe(np.zeros(3), np.zeros(3), np.ones(3))
-        told.append(guarded.ahead(4)[0])
-        owned.append(guarded.own)
+        told.append(guarded.predict(4)[0])
+        owned.append(guarded.is_primary)
     told = np.array(told)
     assert told[99] == 1.0 and told[100 + BLEND] == pytest.approx(0.0, abs=1e-12)
     assert np.abs(np.diff(told)).max() <= 1.0 / BLEND + 1e-12
@@ -230,12 +230,12 @@ def test_who_misses_more_than_the_other_is_not_asked():
     guarded = Guarded(Fake(2.0), Fake(1.0), reach_N=10.0)
     for _ in range(50):
         guarded.observe(np.zeros(3), np.zeros(3), np.zeros(3))
-        guarded.ahead(4)
+        guarded.predict(4)
     owned = []
     for tick in range(600):
         guarded.observe(np.zeros(3), np.zeros(3), np.full(3, 1.0 + float(tick >= 200)))
-        guarded.ahead(4)
-        owned.append(guarded.own)
+        guarded.predict(4)
+        owned.append(guarded.is_primary)
     assert owned[0] and not any(owned[20:200]) and owned[-1]
 
 
@@ -243,10 +243,10 @@ def test_the_transition_between_two_predictors_is_bounded_and_finite():
     inner = Fake(1e6)
     guarded = Guarded(inner, Fake(0.0), reach_N=2.0)
     guarded.observe(np.zeros(3), np.zeros(3), np.zeros(3))
-    assert np.linalg.norm(guarded.ahead(1)) == pytest.approx(2.0)
-    before = guarded.ahead(1)
+    assert np.linalg.norm(guarded.predict(1)) == pytest.approx(2.0)
+    before = guarded.predict(1)
     inner.told = np.nan
-    np.testing.assert_array_equal(guarded.ahead(1), before)
+    np.testing.assert_array_equal(guarded.predict(1), before)
     guarded.observe(np.array([np.nan, 0.0, 0.0]), np.zeros(3), np.zeros(3))
     assert inner.paused == 1
     with pytest.raises(InputError, match="reach_N must be positive"):
@@ -281,7 +281,7 @@ def test_no_force_is_predicted_for_a_free_device(trained):
     above = np.array([0.0, 0.0, 4e-3])
     for _ in range(100):
         loop.observe(above, np.zeros(3), np.zeros(3))
-    assert not loop.ahead(4).any()
+    assert not loop.predict(4).any()
 
 
 def test_overlaps_are_those_of_a_steady_speed():
@@ -307,7 +307,7 @@ def test_a_file_gives_the_same_predictor(trained, tmp_path):
         for each in (first, second):
             each.observe(run.position_m[row], run.velocity_m_s[row], run.force_N[row])
     # Matrices are kept in single precision: 1e-7 of states whose weights cancel to a hundredth.
-    np.testing.assert_allclose(second.ahead(6), first.ahead(6), atol=1e-4)
+    np.testing.assert_allclose(second.predict(6), first.predict(6), atol=1e-4)
     assert again.told == trained.told
     with pytest.raises(InputError, match=r"out must not exist yet, got .*spring.npz: pass --overwrite"):
         trained.write(path)

@@ -85,9 +85,9 @@ def ask() -> list[Answer]:
     deep = int(np.argmax(np.linalg.norm(force, axis=1)))
     for tick in range(deep):
         guarded.observe(position[tick], np.zeros(3), force[tick])
-    before = guarded.own
+    before = guarded.is_primary
     guarded.observe(np.full(3, np.nan), np.zeros(3), force[deep])
-    kept, size = guarded.ahead(5), float(np.linalg.norm(force[deep]))
+    kept, size = guarded.predict(5), float(np.linalg.norm(force[deep]))
     left = float(np.linalg.norm(kept))
     for tick in range(deep + 1, deep + 16):
         guarded.observe(position[min(tick, len(force) - 1)], np.zeros(3), np.full(3, np.nan))
@@ -96,8 +96,8 @@ def ask() -> list[Answer]:
         refused("a Kalman filter without noise", lambda: Kalman(0.0)),
         shown("5 ms ahead after a sample that is not a number", before and bool(abs(left - size) < 0.2 * size),
               f"counts as none: {left:.3f} N where the force is {size:.3f} N"),
-        shown("5 ms ahead after 15 of them", bool(np.isfinite(guarded.ahead(5)).all()),
-              f"the last force stands: {np.linalg.norm(guarded.ahead(5)):.3f} N", conduct=Conduct.FALLS_BACK),
+        shown("5 ms ahead after 15 of them", bool(np.isfinite(guarded.predict(5)).all()),
+              f"the last force stands: {np.linalg.norm(guarded.predict(5)):.3f} N", conduct=Conduct.FALLS_BACK),
     ]  # fmt: skip
 
 

@@ -66,9 +66,9 @@ def predicted(predictor: Predictor, recording: tuple[Array, Array], horizons: Se
     with np.errstate(over="ignore", invalid="ignore"):
         for tick in range(len(force)):
             predictor.observe(position[tick], velocity[tick], force[tick])
-            own[tick] = float(predictor.own)
+            own[tick] = float(predictor.is_primary)
             for row, ahead in enumerate(horizons):
-                told[row, tick] = predictor.ahead(ahead)
+                told[row, tick] = predictor.predict(ahead)
     return told, own
 
 

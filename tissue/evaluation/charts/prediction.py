@@ -152,7 +152,7 @@ def _cost_us(make: Callable[[], Predictor], run: Recording) -> tuple[float, floa
     for position, velocity, force in zip(run.position_m, run.velocity_m_s, run.force_N, strict=True):
         start = perf_counter()
         predictor.observe(position, velocity, force)
-        predictor.ahead(DELAY_MS)
+        predictor.predict(DELAY_MS)
         times.append(perf_counter() - start)
     return 1e6 * float(np.median(times)), 1e6 * float(np.quantile(times, 0.99))
 

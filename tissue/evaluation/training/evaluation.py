@@ -23,7 +23,7 @@ def forecast(predictor: Predictor, run: Recording, horizons: Sequence[int], *, m
     ):
         predictor.observe(position, velocity, force if index % model_ticks == 0 else None)
         for column, horizon in enumerate(horizons):
-            told[index, column] = predictor.ahead(horizon)
+            told[index, column] = predictor.predict(horizon)
     return told
 
 

@@ -119,7 +119,7 @@ def fit(scene: str, runs: Sequence[Recording], *, rng: np.random.Generator) -> T
 
 def loop_terms(operator: Operator, episodes: Sequence[Episode]) -> LoopTerms:
     """What the loop needs beside the operator, from its errors on the training runs."""
-    lags, ahead, powers = operator.dictionary.lags, TOLD_AHEAD, operator.states_ahead(TOLD_AHEAD)
+    lags, ahead, powers = operator.dictionary.lags, TOLD_AHEAD, operator.predicted_states(TOLD_AHEAD)
     along, square = np.zeros(ahead), 0.0
     sizes, running, quiet, reach, growth = [], [], [], 0.0, 0.0
     moved, pushed = np.zeros((3, 3)), np.zeros((3, 3))

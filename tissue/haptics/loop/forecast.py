@@ -94,7 +94,7 @@ def forecast_of(
     ticks = -(-SETTLING // model_ticks) * model_ticks
     for tick in range(ticks):
         settled.observe(still, rest, force if tick % model_ticks == 0 else None)
-        settled.ahead(lead_ticks)
+        settled.predict(lead_ticks)
     taps = np.zeros((model_ticks, LONGEST + 1, 3))
     quiet = _answers(deepcopy(settled), (still, rest, force), rest, None, 0, lead_ticks, model_ticks, out)
     for phase in range(model_ticks):
@@ -122,7 +122,7 @@ def _answers(
     for tick in range(len(told)):
         shown = [array + change if tick == at and index == channel else array for index, array in enumerate(seen)]
         predictor.observe(shown[0], shown[1], shown[2] if tick % model_ticks == 0 else None)
-        told[tick] = float(predictor.ahead(lead_ticks) @ out)
+        told[tick] = float(predictor.predict(lead_ticks) @ out)
     return told
 
 

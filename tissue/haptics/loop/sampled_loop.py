@@ -131,7 +131,7 @@ def loop_matrix(loop: WallLoop) -> Array:
             speed = (plant[0] - before) / (loop.tick_s * loop.model_ticks)
             model = -loop.stiffness_N_m * plant[0] - loop.wall_damping_N_s_m * speed
             before = plant[0]
-        filtered = filtered + gain * (seen.ahead(plant[0], model, tick) - filtered)
+        filtered = filtered + gain * (seen.predict(plant[0], model, tick) - filtered)
         queue.append(filtered)
         for matrix, back in steps:
             plant = matrix @ np.vstack([plant, queue[-1 - back]])
@@ -153,7 +153,7 @@ class Seen:
     def __init__(self, loop: WallLoop, positions: list[Array], forces: list[Array]) -> None:
         self._loop, self.positions, self.forces = loop, positions, forces
 
-    def ahead(self, position: Array, model: Array, tick: int) -> Array:
+    def predict(self, position: Array, model: Array, tick: int) -> Array:
         """Force to be played, from the position and the model's force at a tick of the model's step."""
         forecast = self._loop.forecast
         if forecast is None:

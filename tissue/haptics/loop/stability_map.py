@@ -101,7 +101,7 @@ def growth_while_running(loops: Sequence[WallLoop], stiffnesses_N_m: Array, *, t
             if n % first.model_ticks == 0:
                 force = -stiffnesses_N_m * plant[0] - damping * (plant[0] - before) / (tick * first.model_ticks)
                 before = plant[0].copy()
-            ahead = seen.ahead(plant[0].copy(), force, n % first.model_ticks)
+            ahead = seen.predict(plant[0].copy(), force, n % first.model_ticks)
             filtered = filtered + gain * (ahead - filtered)
             queue[n % length] = filtered
             for matrix, behind in zip(steps, (back + 1, back), strict=True):

@@ -156,7 +156,7 @@ class Operator(LiftedMap):
                 states[step] = lifted[: self.state_size]
         return states
 
-    def states_ahead(self, horizon: int) -> list[tuple[Array, Array]]:
+    def predicted_states(self, horizon: int) -> list[tuple[Array, Array]]:
         """Matrix M (d, D) and offset c (d,) for 1 to `horizon` steps: the state then is M φ + c, without inputs."""
         ahead = [(self.A[: self.state_size], self.offset[: self.state_size])]
         while len(ahead) < horizon:
