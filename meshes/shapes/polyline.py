@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["points_along", "arc_length"]
+__all__ = ["arc_length", "points_along"]
 
 Array = NDArray[np.float64]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from meshes.shapes.polyline import points_along, arc_length
+from meshes.shapes.polyline import arc_length, points_along
 
 CORNERS = [[0.0, 0.0, 0.0], [3.0, 4.0, 0.0], [3.0, 4.0, 0.0], [3.0, 4.0, -2.0]]
 

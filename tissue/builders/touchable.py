@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
-from meshes.shapes.polyline import points_along, arc_length
+from meshes.shapes.polyline import arc_length, points_along
 from meshes.tets.tetrahedra import TetMesh
 from tissue.motion.motion import Motion
 

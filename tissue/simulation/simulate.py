@@ -28,7 +28,7 @@ from tissue.simulation.tick import Tick
 from tissue.simulation.trace import TIMING_COLUMNS, Table
 from tissue.simulation.trace_layout import TraceLayout
 
-__all__ = ["TICK_S", "Watch", "simulate"]
+__all__ = ["TICK_S", "RunObserver", "simulate"]
 
 SWITCH_S = 5e-5
 """How long a thread that works beside the ticks may keep the interpreter from them [s]."""

@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 
 from meshes.base.cache import cached_arrays
 from meshes.base.progress import Progress, silent
-from meshes.shapes.polyline import points_along, arc_length
+from meshes.shapes.polyline import arc_length, points_along
 from meshes.tets.regions import faces_of
 from tissue.builders.organ import elasticity_of, held_mesh
 from tissue.builders.registry import motion_of

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from meshes.base.cache import cached_arrays
 from meshes.base.errors import InputError
-from meshes.shapes.polyline import points_along, arc_length
+from meshes.shapes.polyline import arc_length, points_along
 from tissue.evaluation.charts.places import placed
 from tissue.evaluation.charts.settings import Changes, Setting, finest, nearly_finest
 from tissue.evaluation.statistics.metrics import force_error

@@ -22,7 +22,7 @@ from tissue.models.tooth.compliance import SupportCompliance
 from tissue.models.tooth.field import SolveRecord, StressField
 from tissue.system.helper import Helper
 
-__all__ = ["Drilled", "StressSolver", "InlineStressSolver", "StressProcess"]
+__all__ = ["Drilled", "InlineStressSolver", "StressProcess", "StressSolver"]
 
 ASSEMBLY_S, SOLVE_S = 3600.0, 600.0
 """How long the other process may work before its first answer, and on one solve [s]."""

@@ -23,7 +23,7 @@ from tissue.simulation.run import DEADLINE_US, Run
 from tissue.simulation.simulate import TICK_S, simulate
 from tissue.system.offscreen import await_display, display_problem
 
-__all__ = ["LiveWatch", "live", "moved_by"]
+__all__ = ["LiveObserver", "live", "moved_by"]
 
 LONGEST_S = 600.0
 """How long a run by the mouse lasts where nobody says [s]; its trace is held in memory."""
