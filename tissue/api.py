@@ -26,7 +26,7 @@ def public_call(run_scene: Callable[Concatenate[Scene, P], Run]) -> Callable[Con
             from tissue.evaluation.charts.fidelity import with_fidelity
 
             require_used(scene)
-            scene, chosen["fidelity"] = with_fidelity(scene, tell=options.get("progress") or silent)  # type: ignore[arg-type]
+            scene, chosen["fidelity"] = with_fidelity(scene, report=options.get("progress") or silent)  # type: ignore[arg-type]
         run = run_scene(scene, *arguments, **options)
         run.parts.notes |= chosen
         run.draw = draw_pictures

@@ -61,7 +61,7 @@ class _Stored:
 
 
 def read_tets(
-    path: str | Path, *, unit_mm: float | None = None, edge_m: float | None = None, tell: Progress = silent
+    path: str | Path, *, unit_mm: float | None = None, edge_m: float | None = None, report: Progress = silent
 ) -> TetFile:
     """Read a tetrahedral mesh, or read a closed surface and fill it with tetrahedra.
 
@@ -78,7 +78,7 @@ def read_tets(
         Millimetres per unit of the file. None: millimetres or metres, whichever makes the longest side 20 to 450 mm.
     edge_m
         Edge of the tetrahedra that fill a surface [m]; None: about 30,000 of them.
-    tell
+    report
         Called with what is being done and the share of it that is done (0 to 1).
 
     Raises
@@ -100,10 +100,10 @@ def read_tets(
     if len(stored.tets):
         values, part = np.unique(stored.part, return_inverse=True)
         names = tuple(stored.names.get(int(v), f"part {v}") for v in values) if len(values) > 1 else ("body",)
-        mesh, report = repair_tets(stored.points * (1e-3 * scale), stored.tets, part.reshape(-1), names)
-        return TetFile(mesh, scale, (why, *stored.notes, *report.sentences()))
+        mesh, repaired = repair_tets(stored.points * (1e-3 * scale), stored.tets, part.reshape(-1), names)
+        return TetFile(mesh, scale, (why, *stored.notes, *repaired.sentences()))
     surface = surface_from_triangles(stored.points, stored.triangles, source=file.name, scale_mm=scale)
-    filled, sentences = tetrahedralise(surface, edge_m=edge_m, tell=tell)
+    filled, sentences = tetrahedralise(surface, edge_m=edge_m, report=report)
     return TetFile(filled, scale, (why, *stored.notes, *surface.report.repairs, *sentences), filled=True)
 
 

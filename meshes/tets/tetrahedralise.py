@@ -32,7 +32,7 @@ _VOLUME_OFF = 0.02
 
 
 def tetrahedralise(
-    surface: Surface, *, edge_m: float | None = None, tell: Progress = silent
+    surface: Surface, *, edge_m: float | None = None, report: Progress = silent
 ) -> tuple[TetMesh, tuple[str, ...]]:
     """Fill a closed surface with tetrahedra, from the cache where it has been done before.
 
@@ -42,7 +42,7 @@ def tetrahedralise(
         Closed, wound outward, as `meshes.read_surface` makes it.
     edge_m
         Target edge [m]; None: about 30,000 tetrahedra.
-    tell
+    report
         Called with what is being done and the share of it that is done (0 to 1).
 
     Returns
@@ -73,19 +73,19 @@ def tetrahedralise(
         )
 
     def make() -> dict[str, np.ndarray]:
-        tell(f"filling {surface.report.source} with tetrahedra (once; a minute or two)", 0.0)
+        report(f"filling {surface.report.source} with tetrahedra (once; a minute or two)", 0.0)
         nodes, cells = _filled(surface, edge)
         return {"nodes": nodes, "cells": cells}
 
     arrays = cached_arrays("tetwild-2", (surface.vertices_m, surface.faces, edge, _ENVELOPE), make)
-    tell(f"filling {surface.report.source} with tetrahedra", 1.0)
+    report(f"filling {surface.report.source} with tetrahedra", 1.0)
     if len(arrays["cells"]) == 0:
         raise InputError(f"surface must enclose a solid, got none of edge {edge:g} m: use a smaller edge_m")
-    mesh, report = repair_tets(arrays["nodes"], arrays["cells"])
+    mesh, repaired = repair_tets(arrays["nodes"], arrays["cells"])
     off = float(mesh.volumes_m3.sum()) / volume - 1.0
     if abs(off) > _VOLUME_OFF:
         sentences.append(f"The mesh encloses {100.0 * off:+.1f} % of volume against the surface: use smaller edges.")
-    return mesh, (*sentences, *report.sentences())
+    return mesh, (*sentences, *repaired.sentences())
 
 
 def _filled(surface: Surface, edge: float) -> tuple[np.ndarray, np.ndarray]:

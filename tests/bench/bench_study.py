@@ -90,13 +90,13 @@ def measured(plan: Plan, workers: int) -> Measured:
             while not over.wait(SAMPLE_S):
                 sample(found, len(list(kept.glob("*.json"))) if kept.is_dir() else 0)
 
-        def tell(doing: str, share: float) -> None:
+        def report(doing: str, share: float) -> None:
             found.done.append((perf_counter() - start, len(list(kept.glob("*.json")))))
 
         watch = threading.Thread(target=look)
         watch.start()
         try:
-            run_study(plan, folder.path, workers=workers, tell=tell)
+            run_study(plan, folder.path, workers=workers, report=report)
         finally:
             over.set()
             watch.join()

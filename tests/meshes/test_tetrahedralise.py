@@ -33,7 +33,7 @@ def test_a_ball_is_filled_quietly_once_and_comes_from_the_cache_after(
 ) -> None:
     calls: list[tuple[str, float]] = []
     surface = ball()
-    mesh, said = tetrahedralise(surface, edge_m=0.02, tell=lambda doing, share: calls.append((doing, share)))
+    mesh, said = tetrahedralise(surface, edge_m=0.02, report=lambda doing, share: calls.append((doing, share)))
     assert capfd.readouterr() == ("", "")
     assert calls[0][1] == 0.0
     assert calls[-1][1] == 1.0

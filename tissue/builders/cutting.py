@@ -28,7 +28,7 @@ CUT_AS = {"enamel": "enamel", "dentin": "dentin", "caries": "dentin", "pulp": "s
 """Material whose cutting coefficients a layer has; all others are bone."""
 
 
-def cut(scene: Scene, cutter: Cutter, motion: Motion, *, compute: str, cores: int | None, tell: Progress) -> Parts:
+def cut(scene: Scene, cutter: Cutter, motion: Motion, *, compute: str, cores: int | None, report: Progress) -> Parts:
     """Parts of a scene in which a cutter meets voxels.
 
     Raises
@@ -38,16 +38,16 @@ def cut(scene: Scene, cutter: Cutter, motion: Motion, *, compute: str, cores: in
         held by a hand.
     """
     notes: dict[str, str] = {}
-    tell("building the anatomy", 0.0)
-    volume = volume_of(scene, cutter, motion, notes=notes, tell=tell)
+    report("building the anatomy", 0.0)
+    volume = volume_of(scene, cutter, motion, notes=notes, report=report)
     require_touch(volume, cutter, motion)
     if isinstance(scene.anatomy, MolarAnatomy) and not isinstance(scene.motion, ReplayMotion):
         require_outside(volume, cutter, motion)
     if cutter.spin_rad_s == 0.0:
-        return _probe(scene, volume, cutter, motion, compute=compute, notes=notes, tell=tell)
+        return _probe(scene, volume, cutter, motion, compute=compute, notes=notes, report=report)
     _require_effect(scene, volume)
     notes["specific cutting energy"] = _energy_note(volume)
-    tissue = _bone(scene, volume, cutter, compute=compute, cores=cores, tell=tell)
+    tissue = _bone(scene, volume, cutter, compute=compute, cores=cores, report=report)
     return Parts(motion, tissue, cutter=cutter, volume=volume, placement=volume.placement, notes=notes)
 
 
@@ -81,7 +81,7 @@ def _probe(
     *,
     compute: str,
     notes: dict[str, str],
-    tell: Progress,
+    report: Progress,
 ) -> Parts:
     """Parts of a scene whose tool does not turn: a hand feels the rigid bone with it."""
     from tissue.haptics.hand_motion import HandMotion
@@ -93,7 +93,7 @@ def _probe(
             "tool.spin_rpm must not be 0 without a device, because a tool that does not turn cuts nothing and a motion "
             "that is given would push it through the bone, got 0: use 500, or device = touch"
         )
-    tell("compiling kernels (the first time on a machine)", 0.0)
+    report("compiling kernels (the first time on a machine)", 0.0)
     notes["tool"] = "it does not turn: rigid contact, nothing is cut, no stress and no heat are computed"
     shell = ToolShell.of_cutter(cutter)
     tissue = ProbedBone(volume, shell, area_m2=cutter.cutting_area_m2, tool=motion.tool, device=compute)
@@ -101,10 +101,10 @@ def _probe(
 
 
 def _bone(
-    scene: Scene, volume: VoxelVolume, cutter: Cutter, *, compute: str, cores: int | None, tell: Progress
+    scene: Scene, volume: VoxelVolume, cutter: Cutter, *, compute: str, cores: int | None, report: Progress
 ) -> TissueModel:
     """The bone model; loading it compiles its kernels where their cache is cold."""
-    tell("compiling kernels (the first time on a machine)", 0.0)
+    report("compiling kernels (the first time on a machine)", 0.0)
     from tissue.models.bone.model import BoneModel
 
     changes = scene.cutting.model_dump()
@@ -120,7 +120,7 @@ def _bone(
     )
     if "pulp" not in volume.layer_names:
         return milling
-    return _tooth(scene, milling, compute=compute, tell=tell)
+    return _tooth(scene, milling, compute=compute, report=report)
 
 
 def _energy_note(volume: VoxelVolume) -> str:
@@ -136,7 +136,7 @@ def _energy_note(volume: VoxelVolume) -> str:
     return "; ".join(said)
 
 
-def _tooth(scene: Scene, milling: "BoneModel", *, compute: str, tell: Progress) -> TissueModel:
+def _tooth(scene: Scene, milling: "BoneModel", *, compute: str, report: Progress) -> TissueModel:
     """The tooth around the milled voxels, with its stress where the scene asks for it."""
     from tissue.models.tooth import stress_process as beside
     from tissue.models.tooth.model import ToothModel
@@ -146,9 +146,9 @@ def _tooth(scene: Scene, milling: "BoneModel", *, compute: str, tell: Progress) 
     if not isinstance(anatomy, MolarAnatomy) or not (scene.stress or scene.heat):
         return ToothModel(milling, device=compute)
     stress = scene.stress or Stress()
-    tell("assembling the tooth's stiffness", 0.0)
+    report("assembling the tooth's stiffness", 0.0)
     cell_m = stress.cell_mm * 1e-3
-    whole = whole_tooth(scene, spacing_m=0.5 * cell_m, tell=tell)
+    whole = whole_tooth(scene, spacing_m=0.5 * cell_m, report=report)
     field = None
     if scene.stress is not None:
         field = beside.StressProcess(

@@ -71,7 +71,7 @@ class HeldMesh:
 
 
 def held_mesh(
-    anatomy: LiverAnatomy | SlabAnatomy, *, way_m: NDArray[np.float64], touch_edge_m: float, tell: Progress
+    anatomy: LiverAnatomy | SlabAnatomy, *, way_m: NDArray[np.float64], touch_edge_m: float, report: Progress
 ) -> HeldMesh:
     """Mesh of a scene's organ, procedural or from its file, made fine where the tool goes.
 
@@ -83,7 +83,7 @@ def held_mesh(
         Corners of the way of the tool's tip [m], shape (k, 3).
     touch_edge_m
         Longest edge on it [m]; edges grow by `GROWTH` times the distance from it.
-    tell
+    report
         Told what is being done.
 
     Raises
@@ -106,7 +106,7 @@ def held_mesh(
             litres = 1e3 * float(mesh.volumes_m3.sum())
             notes = {"liver": f"procedural, {litres:.2f} l; no vessels and no ligaments", "held": _held_note(anatomy)}
             return HeldMesh(mesh, _held(anatomy, mesh), notes)
-        return _from_file(anatomy, fine, tell)
+        return _from_file(anatomy, fine, report)
 
 
 def elasticity_of(mesh: TetMesh, anatomy: LiverAnatomy | SlabAnatomy, organ: Organ) -> tuple[NDArray[np.float64], str]:
@@ -191,9 +191,9 @@ def _away(points_m: NDArray[np.float64], way_m: NDArray[np.float64]) -> NDArray[
     return nearest
 
 
-def _from_file(anatomy: LiverAnatomy, fine: Callable[[TetMesh], TetMesh], tell: Progress) -> HeldMesh:
+def _from_file(anatomy: LiverAnatomy, fine: Callable[[TetMesh], TetMesh], report: Progress) -> HeldMesh:
     """Mesh of a file, turned and moved to its site."""
-    found = read_tets(anatomy.file or "", unit_mm=anatomy.scale_mm, edge_m=1e-3 * anatomy.edge_mm, tell=tell)
+    found = read_tets(anatomy.file or "", unit_mm=anatomy.scale_mm, edge_m=1e-3 * anatomy.edge_mm, report=report)
     if not found.filled and is_given(anatomy, "edge_mm"):
         raise InputError(
             f"anatomy.edge_mm must be left out for tetrahedra from a file, got {anatomy.edge_mm:g}: set "

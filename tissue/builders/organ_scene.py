@@ -33,7 +33,7 @@ FACTOR_UNKNOWNS = 200_000
 """Above this, frames are solved by multigrid: a factor would take gigabytes."""
 
 
-def pierce(scene: Scene, motion: Motion, *, tell: Progress = silent) -> Parts:
+def pierce(scene: Scene, motion: Motion, *, report: Progress = silent) -> Parts:
     """Parts of a scene in which a needle meets layers of tissue.
 
     Raises
@@ -54,7 +54,7 @@ def pierce(scene: Scene, motion: Motion, *, tell: Progress = silent) -> Parts:
     }
     track, fields = Track.first_of(motion.sweep_m(), motion.rotations()[:, :, 2], diameter_m=diameter), None
     if track is not None and scene.anatomy.interval_ms > 0.0:
-        tell("solving a block of the organ around the needle", 0.0)
+        report("solving a block of the organ around the needle", 0.0)
         near = diameter if scene.device == "none" else HAND_M
         fields = NeedleFields.of_liver(track, near_m=near, interval_s=1e-3 * scene.anatomy.interval_ms)
         notes["fields"] = fields.beside(tissue)
@@ -63,7 +63,7 @@ def pierce(scene: Scene, motion: Motion, *, tell: Progress = silent) -> Parts:
     return Parts(motion, NeedleModel(tissue, diameter_m=diameter, fields=fields), notes=notes)
 
 
-def press(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, tell: Progress) -> Parts:
+def press(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
     """Parts of a scene in which a probe presses a meshed organ.
 
     Raises
@@ -75,9 +75,9 @@ def press(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: i
     assert isinstance(anatomy, LiverAnatomy | SlabAnatomy) and isinstance(scene.tool, ProbeTable)
     notes: dict[str, str] = {}
     prony = _prony(organ, notes)
-    tell("meshing the organ", 0.0)
+    report("meshing the organ", 0.0)
     edge_mm = anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
-    found = held_mesh(anatomy, way_m=motion.sweep_m(), touch_edge_m=1e-3 * edge_mm, tell=tell)
+    found = held_mesh(anatomy, way_m=motion.sweep_m(), touch_edge_m=1e-3 * edge_mm, report=report)
     elasticity, said = elasticity_of(found.mesh, anatomy, organ)
     from tissue.models.organ.probe import ShellProbe
 
@@ -85,7 +85,7 @@ def press(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: i
     notes |= found.notes | {"modulus": said}
     if isinstance(probe, ShellProbe):
         notes["tool"] = shell_note(scene.tool, probe)
-    tell("compiling kernels (the first time on a machine)", 0.0)
+    report("compiling kernels (the first time on a machine)", 0.0)
     from tissue.fem.space import Space
     from tissue.models.organ.contact import SurfaceContact
     from tissue.models.organ.fields import OrganFields
@@ -93,7 +93,7 @@ def press(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: i
 
     require_outside(found.mesh, motion)
     space = Space(found.mesh, organ.order, device=compute)
-    tell("assembling the stiffness", 0.0)
+    report("assembling the stiffness", 0.0)
     body = _body(space, elasticity, organ, found.held, notes)
     touchable, faces = touchable_surface(space, probe, motion)
     if body.supports.fixed[touchable].all():
@@ -103,8 +103,8 @@ def press(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: i
         )
     solver = _Factor(body)
     load, rest = _weight(space, organ, body, solver, notes)
-    tell("condensing the compliance to the surface that can be touched", 0.0)
-    compliance, lazy = _compliance(body, touchable, organ, solver, tell)
+    report("condensing the compliance to the surface that can be touched", 0.0)
+    compliance, lazy = _compliance(body, touchable, organ, solver, report)
     with scene_keys({"nodes_m must lie closer to each other": "anatomy.touch_edge_mm must give shorter edges"}):
         contact = SurfaceContact(
             space.nodes_m[touchable] + rest[touchable],
@@ -221,7 +221,7 @@ def _weight(
 
 
 def _compliance(
-    body: "HeldBody", touchable: NDArray[np.int64], organ: Organ, solver: _Factor, tell: Progress
+    body: "HeldBody", touchable: NDArray[np.int64], organ: Organ, solver: _Factor, report: Progress
 ) -> tuple[NDArray[np.float64], Any]:
     """Compliance of the touchable nodes [m/N], shape (3t, 3t), and what fills it while the tool moves."""
     from tissue.fem.solvers.condensed import surface_compliance
@@ -231,7 +231,7 @@ def _compliance(
     if organ.path == "condensed":
         doing = "condensing the compliance to the surface that can be touched"
         found = surface_compliance(
-            body, touchable, solver=lambda: solver.solver, progress=lambda share: tell(doing, share)
+            body, touchable, solver=lambda: solver.solver, progress=lambda share: report(doing, share)
         )
         return found.matrix_m_N, None
     if organ.path == "reduced":

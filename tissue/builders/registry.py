@@ -21,7 +21,7 @@ __all__ = ["build", "cutter_of", "motion_of"]
 
 
 def build(
-    scene: Scene, *, step_s: float, compute: str, cores: int | None, tell: Progress, allow_unstable: bool = False
+    scene: Scene, *, step_s: float, compute: str, cores: int | None, report: Progress, allow_unstable: bool = False
 ) -> Parts:
     """Build the parts of a scene.
 
@@ -34,32 +34,32 @@ def build(
     _require_device(compute)
     motion = motion_of(scene, step_s=step_s)
     if scene.device == "none":
-        return _tissue(scene, motion, step_s=step_s, compute=compute, cores=cores, tell=tell)
+        return _tissue(scene, motion, step_s=step_s, compute=compute, cores=cores, report=report)
     from tissue.builders.hand import hand_motion
 
     held, said = hand_motion(scene, motion, step_s=step_s, allow_unstable=allow_unstable)
-    parts = _tissue(scene, held, step_s=step_s, compute=compute, cores=cores, tell=tell)
+    parts = _tissue(scene, held, step_s=step_s, compute=compute, cores=cores, report=report)
     parts.notes["coupling"] = said
     return parts
 
 
-def _tissue(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, tell: Progress) -> Parts:
+def _tissue(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
     """Parts of a scene in which a motion moves the tool."""
     match scene.tool:
         case Tool() as tool:
             from tissue.builders.cutting import cut
 
-            return cut(scene, cutter_of(tool), motion, compute=compute, cores=cores, tell=tell)
+            return cut(scene, cutter_of(tool), motion, compute=compute, cores=cores, report=report)
         case Probe() as probe if isinstance(scene.anatomy, WallAnatomy):
             return Parts(motion, WallModel(1e3 * scene.anatomy.stiffness_kN_m, radius_m=0.5e-3 * probe.diameter_mm))
         case Probe():
             from tissue.builders.organ_scene import press
 
-            return press(scene, motion, step_s=step_s, compute=compute, cores=cores, tell=tell)
+            return press(scene, motion, step_s=step_s, compute=compute, cores=cores, report=report)
         case Needle():
             from tissue.builders.organ_scene import pierce
 
-            return pierce(scene, motion, tell=tell)
+            return pierce(scene, motion, report=report)
 
 
 def cutter_of(tool: Tool) -> Cutter:

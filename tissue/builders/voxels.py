@@ -35,15 +35,15 @@ BRICK = 8
 a tool only grazes voxels, float32 coordinates from another origin still decide otherwise in single ticks."""
 
 
-def whole_tooth(scene: Scene, *, spacing_m: float, tell: Progress = silent) -> VoxelVolume:
+def whole_tooth(scene: Scene, *, spacing_m: float, report: Progress = silent) -> VoxelVolume:
     """The whole tooth that a scene describes, in coarser voxels, undrilled."""
     with _named(scene.bone):
         if scene.bone.file is not None:
-            return _labelled(scene, spacing_m=spacing_m, notes={}, tell=tell)
+            return _labelled(scene, spacing_m=spacing_m, notes={}, report=report)
         return voxelise(_anatomy(scene, {}), spacing_m=spacing_m)
 
 
-def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, str], tell: Progress) -> VoxelVolume:
+def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, str], report: Progress) -> VoxelVolume:
     """Voxels of the bone that the tool can reach, with the guide hole drilled."""
     spacing = scene.voxels.spacing_mm * 1e-3
     parameters = scene.bone
@@ -53,7 +53,7 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
             return _image(scene, notes=notes)
     if isinstance(parameters, MolarAnatomy) and parameters.file is not None:
         with _named(parameters):
-            return _labelled(scene, spacing_m=spacing, region=region, notes=notes, tell=tell)
+            return _labelled(scene, spacing_m=spacing, region=region, notes=notes, report=report)
     with _named(parameters):
         anatomy = _anatomy(scene, notes)
     require_whole(anatomy, region, is_image=parameters.is_image)
@@ -73,7 +73,7 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
         spacing_m=spacing,
         region_m=(low, high),
         minus=_guide_hole(scene, motion),
-        progress=lambda share: tell("voxelising", share),
+        progress=lambda share: report("voxelising", share),
     )
 
 
@@ -150,20 +150,20 @@ def _labelled(
     spacing_m: float,
     region: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
     notes: dict[str, str],
-    tell: Progress,
+    report: Progress,
 ) -> VoxelVolume:
     """A tooth from a label volume, or the part of it in a box of the site's frame [m]."""
     said: list[str] = []
     file = Path(scene.bone.file or "")
     stamp = file.stat() if file.is_file() else None
-    tell("reading the label volume", 0.0)
+    report("reading the label volume", 0.0)
     over_lesion = isinstance(scene.bone, MolarAnatomy) and scene.bone.site == "caries"
     tooth = _read_tooth(file, scene.bone.spacing_mm, over_lesion, stamp and (stamp.st_mtime_ns, stamp.st_size))
     volume = tooth.volume(
         resample_mm=1e3 * spacing_m,
         region_m=region,
         remark=said.append,
-        progress=lambda share: tell("voxelising the tooth", share),
+        progress=lambda share: report("voxelising the tooth", share),
     )
     notes["labels"] = " ".join(said)
     if (found := _lesion(tooth)) is not None:

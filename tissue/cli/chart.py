@@ -73,8 +73,8 @@ def _scenes(names: list[str], folder: Path, *, quick: bool, overwrite: bool) -> 
     from tissue.system.workers import own_processes
 
     workers = min(os.cpu_count() or 1, MOST_WORKERS)
-    with output_locked(folder, folder=True), progress() as tell, own_processes(workers) as pool:
-        found = chart_scenes(names, folder, quick=quick, overwrite=overwrite, pool=pool, tell=tell)
+    with output_locked(folder, folder=True), progress() as report, own_processes(workers) as pool:
+        found = chart_scenes(names, folder, quick=quick, overwrite=overwrite, pool=pool, report=report)
     for line in chart_lines(found):
         console.print(line, soft_wrap=True, highlight=False)
     console.print(f"pictures and tables in {folder}", soft_wrap=True, highlight=False)
@@ -86,8 +86,8 @@ def _prediction(scenes: list[str], folder: Path, *, trials: int, overwrite: bool
     from tissue.scene.load import load_scene
 
     loaded = [load_scene(name) for name in scenes]
-    with output_locked(folder, folder=True), progress() as tell:
-        found = chart_prediction(loaded, folder, trials=trials, overwrite=overwrite, tell=tell)
+    with output_locked(folder, folder=True), progress() as report:
+        found = chart_prediction(loaded, folder, trials=trials, overwrite=overwrite, report=report)
     for line in comparison_lines(found):
         console.print(line, soft_wrap=True, highlight=False)
     console.print(f"pictures and tables in {folder}", soft_wrap=True, highlight=False)

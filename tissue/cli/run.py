@@ -101,14 +101,14 @@ def run(
         with _stopping_told(folder):
             finished = public_call(simulate_live)(loaded, duration_s=duration_s, **settings)
         simulated = perf_counter()
-    with _stopping_told(folder), progress() as tell:
+    with _stopping_told(folder), progress() as report:
         if not live:
-            tell("starting Warp", 0.0)
+            report("starting Warp", 0.0)
             from tissue.api import simulate
 
-            finished = simulate(loaded, progress=tell, **settings)
+            finished = simulate(loaded, progress=report, **settings)
             simulated = perf_counter()
-        finished.save(folder, formats=format_, pictures=pictures, progress=tell)
+        finished.save(folder, formats=format_, pictures=pictures, progress=report)
     from tissue.cli.summary_table import print_summary
 
     print_summary(

@@ -66,12 +66,12 @@ def stability(
 
 def _atlas(folder: Path, only: tuple[str, ...], *, overwrite: bool) -> None:
     """Make the atlas and say what every page shows."""
-    with output_locked(folder, folder=True), progress() as tell:
-        tell("loading methods", 0.0)
+    with output_locked(folder, folder=True), progress() as report:
+        report("loading methods", 0.0)
         from tissue.evaluation.atlas.atlas import chosen_pages, write_atlas
         from tissue.evaluation.atlas.pages import PAGES
 
-        entries = write_atlas(folder, chosen_pages(PAGES, only), overwrite=overwrite, progress=tell)
+        entries = write_atlas(folder, chosen_pages(PAGES, only), overwrite=overwrite, progress=report)
     for entry in entries:
         mark = "ok " if entry.shown else "OPEN"
         console.print(

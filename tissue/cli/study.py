@@ -85,7 +85,7 @@ def run(
     with output_locked(out, folder=True), progress() as bar:
         spoke = 0.0
 
-        def tell(doing: str, share: float) -> None:
+        def report(doing: str, share: float) -> None:
             """Move the bar; speak of what is no mere progress, and of that now and then where there is no bar."""
             nonlocal spoke
             bar(doing, share)
@@ -95,7 +95,7 @@ def run(
                 problems.print(doing, soft_wrap=True, highlight=False)
 
         bar("starting workers", 0.0)
-        folder = run_study(plan, out, workers=workers, scheduler=scheduler, retry=retry, tell=tell)
+        folder = run_study(plan, out, workers=workers, scheduler=scheduler, retry=retry, report=report)
     kept = list(folder.trials(variant=None))
     failed = sum(any("failure" in row for row in held["rows"]) for _, held in kept)
     console.print(f"{len(kept)} trials in {out}, {failed} with a failure", soft_wrap=True, highlight=False)
@@ -114,10 +114,10 @@ def report(folder: Path, /) -> None:
     folder
         Folder that `tissue study run` wrote; a study that is not done yet is reported as far as it is.
     """
-    with progress() as tell:
+    with progress() as report:
         from tissue.evaluation.study.report import write_report
 
-        written, sentences = write_report(folder, tell=tell)
+        written, sentences = write_report(folder, report=report)
     for sentence in sentences:
         console.print(sentence, soft_wrap=True, highlight=False)
     console.print(f"open {written}", soft_wrap=True, highlight=False)

@@ -47,11 +47,11 @@ def train(
     require_new_file(path, overwrite=overwrite)
     if not path.parent.is_dir():
         raise InputError(f"out must lie in a folder that exists, got {path}: create {path.parent}")
-    with output_locked(path, folder=False), progress() as tell:
-        tell("starting Warp", 0.0)
+    with output_locked(path, folder=False), progress() as report:
+        report("starting Warp", 0.0)
         from tissue.evaluation.training.train import train as trained_on
 
-        found = trained_on(loaded, trials=trials, cores=cores, progress=tell)
+        found = trained_on(loaded, trials=trials, cores=cores, progress=report)
         found.write(path, overwrite=overwrite)
     told, checked = found.told, found.told["validation"]
     lines = [

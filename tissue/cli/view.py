@@ -44,6 +44,6 @@ def view(
     from tissue.viewer.view import view as show
 
     chosen: dict[str, Any] = {"hide": hide, "field": field, "scale": scale, "time_s": time_s}
-    with nullcontext() if movie is None else progress() as tell:
-        said = show(folder, screenshot=screenshot, movie=movie, progress=tell, **chosen)
+    with nullcontext() if movie is None else progress() as report:
+        said = show(folder, screenshot=screenshot, movie=movie, progress=report, **chosen)
     console.print(said, soft_wrap=True, highlight=False)

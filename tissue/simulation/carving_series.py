@@ -47,7 +47,7 @@ def carving_ticks(run: "Run") -> list[int]:
     return sorted({tick for tick in ticks if tick < last} | {last})
 
 
-def write_carving(run: "Run", out: Path, *, tell: Progress = silent) -> None:
+def write_carving(run: "Run", out: Path, *, report: Progress = silent) -> None:
     """Write the bone over time of a run that cut; nothing of one that did not.
 
     ``carving.pvd`` names two surfaces for each time [s]: what is cut, ``carving/frame_0000.vtp`` and so on, and the
@@ -74,7 +74,7 @@ def write_carving(run: "Run", out: Path, *, tell: Progress = silent) -> None:
     seen: NDArray[np.uint8] | None = None
     name, entries = "", []
     for index, tick in enumerate(ticks):
-        tell("writing the carving", index / len(ticks))
+        report("writing the carving", index / len(ticks))
         left = block_means(replay.at(tick)[fine], block)
         if seen is None or not np.array_equal(left, seen):
             seen, name = left.copy(), f"carving/frame_{index:04d}.vtp"

@@ -210,7 +210,7 @@ class Run:
         from tissue.simulation.formats import check_formats, write_trace
         from tissue.simulation.series import write_fields
 
-        tell = progress or silent
+        report = progress or silent
         formats = tuple(formats)
         check_formats(formats)
         out = Path(out)
@@ -226,15 +226,15 @@ class Run:
             folder.close_tables()
             for kind in formats:
                 write_trace(self.trace, out, kind)
-            tell("writing the bone", 0.0)
+            report("writing the bone", 0.0)
             write_bone(self, out)
-            write_carving(self, out, tell=tell)
+            write_carving(self, out, report=report)
             fields = self.parts.tissue.fields
             if fields is not None and fields.frames:
-                tell("writing the fields", 0.0)
+                report("writing the fields", 0.0)
                 write_fields(fields, out, self.parts.placement)
             if pictures and self.draw is not None:
-                tell("drawing pictures", 0.0)
+                report("drawing pictures", 0.0)
                 notes = self.draw(self, out / "pictures")
                 if notes:
                     self.parts.notes["pictures"] = "; ".join(notes)

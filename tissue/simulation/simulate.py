@@ -102,7 +102,7 @@ def simulate(
         If a key has no effect in the scene or it cannot be built, the tool never touches, a device's coupling is
         unstable, or ``out`` holds another run; as `DeviceError`, if the given device fails.
     """
-    tell = progress or silent
+    report = progress or silent
     if cores is not None and cores < 1:
         raise InputError(f"cores must be at least 1, got {cores}: leave it out to use all")
     if scene.fidelity is not None:
@@ -111,7 +111,7 @@ def simulate(
         require_used(scene)
     folder = RunFolder(Path(out), overwrite=overwrite) if out is not None else None
     with folder.ending() if folder is not None else nullcontext():
-        parts = build(scene, step_s=TICK_S, compute=compute, cores=cores, tell=tell, allow_unstable=allow_unstable)
+        parts = build(scene, step_s=TICK_S, compute=compute, cores=cores, report=report, allow_unstable=allow_unstable)
         if device is not None:
             if not isinstance(parts.motion, HandMotion):
                 raise InputError("scene must name the device that is given, got none: set device, such as touch")
@@ -121,7 +121,7 @@ def simulate(
             parts.notes |= unfinished_path(scene, parts.motion, lasts_s=ticks * TICK_S)
         if folder is not None:
             folder.begin(scene, parts.placement)
-        return _loop(scene, parts, ticks, compute=compute, folder=folder, tell=tell, observer=observer)
+        return _loop(scene, parts, ticks, compute=compute, folder=folder, report=report, observer=observer)
 
 
 def _loop(
@@ -131,7 +131,7 @@ def _loop(
     *,
     compute: str,
     folder: RunFolder | None,
-    tell: Progress,
+    report: Progress,
     observer: RunObserver | None,
 ) -> Run:
     """All ticks of a run."""
@@ -168,7 +168,7 @@ def _loop(
                 break
             if perf_counter() - told > 0.1:
                 told = perf_counter()
-                tell("simulating", (index + 1) / ticks)
+                report("simulating", (index + 1) / ticks)
 
     gc.collect()
     gc.disable()

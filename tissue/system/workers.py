@@ -49,14 +49,14 @@ def own_processes(workers: int) -> Iterator[Executor]:
                 os.environ[name] = value
 
 
-def first_done(pool: Executor, futures: Collection["Future[Result]"], tell: Progress) -> "set[Future[Result]]":
+def first_done(pool: Executor, futures: Collection["Future[Result]"], report: Progress) -> "set[Future[Result]]":
     """Await work until some of it is done; workers that have stopped working are ended, and what they did is lost.
 
     Parameters
     ----------
     pool, futures
         Who works, and at what; of processes elsewhere their scheduler knows whether they still work.
-    tell
+    report
         Told why workers were ended.
 
     Returns
@@ -70,7 +70,7 @@ def first_done(pool: Executor, futures: Collection["Future[Result]"], tell: Prog
             return done
         why = patience.look() if isinstance(pool, ProcessPoolExecutor) else None
         if why is not None:
-            tell(f"a worker {why}: it is ended", 0.0)
+            report(f"a worker {why}: it is ended", 0.0)
             for child in multiprocessing.active_children():
                 child.kill()
 

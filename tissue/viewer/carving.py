@@ -178,7 +178,7 @@ def _coarse(scene: Scene) -> VoxelVolume | None:
     spacing = max(COARSE_MM, scene.voxels.spacing_mm)
     coarse = scene.model_copy(update={"voxels": scene.voxels.model_copy(update={"spacing_mm": spacing})})
     try:
-        return volume_of(coarse, cutter_of(scene.tool), motion_of(scene, step_s=1e-3), notes={}, tell=silent)
+        return volume_of(coarse, cutter_of(scene.tool), motion_of(scene, step_s=1e-3), notes={}, report=silent)
     except InputError:
         return None
 

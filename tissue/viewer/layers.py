@@ -52,6 +52,6 @@ class LayerKeys:
     def toggle(self, *names: str) -> None:
         """Switch layers on or off."""
         self.hidden ^= frozenset(names)
-        for tell in self._targets:
-            tell(self.hidden)
+        for report in self._targets:
+            report(self.hidden)
         self._plotter.render()

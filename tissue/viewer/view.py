@@ -92,11 +92,11 @@ def view(
     return said
 
 
-def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, tell: Progress) -> None:
+def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, report: Progress) -> None:
     """Draw a file in a process of its own; it is there whole, or as it was before."""
     longest_s = LONGEST_MOVIE_S if kind == "movie" else LONGEST_S
     chosen, doing = json.dumps(asdict(choice)), f"drawing the {kind}"
-    tell(doing, 0.0)
+    report(doing, 0.0)
     with whole_file(file) as beside, TemporaryDirectory(prefix="tissue-", ignore_cleanup_errors=True) as folder:
         beside.touch()
         beside.unlink()  # a folder that takes no file says so before anything is drawn
@@ -108,7 +108,7 @@ def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, tell: Progress
             str(drawn),
             chosen,
             longest_s=longest_s,
-            drawn=lambda share: tell(doing, share),
+            drawn=lambda share: report(doing, share),
         )
         if problem is not None:
             raise InputError(f"{kind} must be drawn in 3D, but {problem}")

@@ -249,7 +249,7 @@ class Inline(Executor):
 
 def test_what_is_made_ready_is_found(block, tmp_path, monkeypatch):
     monkeypatch.setattr("tissue.evaluation.charts.measure.EXCERPT_S", {True: 0.2})
-    make_ready([block], Inline(), quick=True, tell=lambda doing, share: None)
+    make_ready([block], Inline(), quick=True, report=lambda doing, share: None)
     made = set(tmp_path.glob("reference-*"))
     assert len(made) == len(placed(block)) + 1  # the finest at every place, and a step coarser
     short = short_of(block, True)

@@ -122,7 +122,7 @@ def test_a_study_that_is_stopped_goes_on(tmp_path, pool):
 
     for done in range(1, total + 1):
         with pytest.raises(StopError):
-            run_study(SMALL, out, workers=1, tell=stop)
+            run_study(SMALL, out, workers=1, report=stop)
         assert len(list((out / "trials").glob("*.json"))) == min(3 * done, total) or done * 3 > total
         if len(list((out / "trials").glob("*.json"))) == total:
             break
@@ -135,7 +135,7 @@ def test_a_lost_worker_loses_no_trial(tmp_path, pool):
     run_study(SMALL, tmp_path / "whole")
     rng, told = np.random.default_rng(0), []
     pool._lose = lambda key: rng.random() < 0.1
-    run_study(SMALL, tmp_path / "lossy", workers=3, tell=lambda doing, share: told.append(doing))
+    run_study(SMALL, tmp_path / "lossy", workers=3, report=lambda doing, share: told.append(doing))
     assert any("workers were lost" in each for each in told)
     assert table(tmp_path / "lossy") == table(tmp_path / "whole")
 
@@ -169,7 +169,7 @@ def test_a_trial_file_that_is_cut_short_is_run_again(tmp_path, pool):
     cut.write_bytes(cut.read_bytes()[:50])
     gone.unlink()
     pool.calls.clear()
-    run_study(SMALL, out, tell=lambda doing, share: told.append(doing))
+    run_study(SMALL, out, report=lambda doing, share: told.append(doing))
     assert told[0] == "trial T2-novice-0001 was cut short and is run again"
     assert sorted(key.name for key in pool.calls) == ["T2-novice-0001", "needle-expert-0002"]
     assert table(out) == before and len(folder.table("T2")) == 3 * 3 * len(METHODS)

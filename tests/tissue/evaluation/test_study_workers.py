@@ -75,12 +75,12 @@ def test_a_killed_study_goes_on(tmp_path, alone, name):
 def test_a_killed_worker_is_replaced(tmp_path, alone):
     told = []
 
-    def tell(doing, share):
+    def report(doing, share):
         told.append(doing)
         if len(told) == 2:
             os.kill(children(os.getpid(), "spawn_main")[0], signal.SIGKILL)
 
-    run_study(PLAN, tmp_path / "study", workers=2, tell=tell)
+    run_study(PLAN, tmp_path / "study", workers=2, report=report)
     assert any("workers were lost" in each for each in told)
     assert tables(tmp_path / "study") == tables(alone)
 
@@ -96,7 +96,7 @@ def test_dask_gives_the_same_table(tmp_path, alone):
     def study():
         try:
             run_study(
-                PLAN, out, workers=2, scheduler=f"dask://127.0.0.1:{port}", tell=lambda *given: told.append(given)
+                PLAN, out, workers=2, scheduler=f"dask://127.0.0.1:{port}", report=lambda *given: told.append(given)
             )
         except BaseException as error:
             failed.append(error)

@@ -210,7 +210,7 @@ def test_a_wall_is_for_a_ball_outside_it():
     with pytest.raises(InputError, match=r"tool\.kind must be sphere-probe for a wall"):
         load_scene("wall", {"tool.kind": "cylinder-probe"})
     scene = load_scene("wall", {"device": "none", "motion.points_mm": [[0, 0, -1], [0, 0, 5]]})
-    parts = build(scene, step_s=STEP_S, compute="cpu", cores=None, tell=silent)
+    parts = build(scene, step_s=STEP_S, compute="cpu", cores=None, report=silent)
     tool = ToolMotion()
     parts.motion.begin(tool)
     with pytest.raises(InputError, match="motion must start outside the wall, got a ball 1 mm inside"):

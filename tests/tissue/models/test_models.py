@@ -44,7 +44,7 @@ def pressed_slab():
     ball = {"tool.diameter_mm": 6.0, "anatomy.size_mm": [16, 16, 8], "anatomy.edge_mm": 4.0, "organ.order": 1}
     way = {"motion.points_mm": [[-2, -2, 0.6], [2, 2, -1.2], [2, -2, -1.2], [-2, 2, -1.2]], "organ.young_end_kPa": None}
     scene = load_scene("palpation", {**ball, **way, "anatomy.nodule_diameter_mm": 0.0, "anatomy.touch_edge_mm": 1.5})
-    return build(scene, step_s=STEP_S, compute="cpu", cores=None, tell=silent).tissue
+    return build(scene, step_s=STEP_S, compute="cpu", cores=None, report=silent).tissue
 
 
 MODELS = {

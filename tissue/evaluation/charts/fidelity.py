@@ -61,7 +61,7 @@ def choose(points: Sequence[Measured], wanted: Fidelity, *, gap: float = 0.0) ->
     )
 
 
-def with_fidelity(scene: Scene, *, tell: Progress = silent) -> tuple[Scene, str]:
+def with_fidelity(scene: Scene, *, report: Progress = silent) -> tuple[Scene, str]:
     """A scene at the cheapest setting that meets its `fidelity`, and what was chosen and why.
 
     The settings of the scene are measured first where that was not done on this machine.
@@ -75,7 +75,7 @@ def with_fidelity(scene: Scene, *, tell: Progress = silent) -> tuple[Scene, str]
     if wanted is None:
         return scene, "as it is: no fidelity was asked for"
     plain = changed(scene, {"fidelity": None})
-    found = frontier_of(plain, tell=tell)
+    found = frontier_of(plain, report=report)
     point = choose(found.points, wanted, gap=found.gap)
     setting = next(each for each in found.settings if each.name == point.setting)
     at = changed(plain, setting.changes)

@@ -81,7 +81,7 @@ def undominated(points: Sequence[Measured]) -> list[Measured]:
     return found
 
 
-def frontier_of(scene: Scene, *, quick: bool = True, tell: Progress = silent) -> Frontier:
+def frontier_of(scene: Scene, *, quick: bool = True, report: Progress = silent) -> Frontier:
     """Measure every setting of a scene that was not measured on this machine before.
 
     Every measurement is kept at once, so that one that is interrupted goes on where it was.
@@ -92,7 +92,7 @@ def frontier_of(scene: Scene, *, quick: bool = True, tell: Progress = silent) ->
         A scene; with a device the settings are those of its loop, without one those of its model.
     quick
         Fewer settings, a shorter excerpt and a coarser reference.
-    tell
+    report
         Told what is being measured.
     """
     path = _store(scene, quick=quick)
@@ -101,7 +101,7 @@ def frontier_of(scene: Scene, *, quick: bool = True, tell: Progress = silent) ->
     short: Scene | None = None
     points: list[Measured] = []
     for index, setting in enumerate(settings):
-        tell(f"{scene.name}: {setting.name}", index / (len(settings) + 1))
+        report(f"{scene.name}: {setting.name}", index / (len(settings) + 1))
         key = setting_key(scene, setting, quick=quick)
         if key not in known:
             if short is None:
@@ -110,12 +110,12 @@ def frontier_of(scene: Scene, *, quick: bool = True, tell: Progress = silent) ->
             known = {point.key: point for point in _kept(path)} | known  # of another process that charts it
             write_entry(path, _table(list(known.values())))
         points.append(known[key])
-    tell(f"{scene.name}: reference", len(settings) / (len(settings) + 1))
+    report(f"{scene.name}: reference", len(settings) / (len(settings) + 1))
     found = Frontier(scene, tuple(points), _gap(scene, path, quick=quick), tuple(settings))
     if quick or scene.device != "none":
         return found
     short = short or short_of(scene, quick)
-    return replace(found, rounding=float32_error(short), law=law_error(short, tell=tell))
+    return replace(found, rounding=float32_error(short), law=law_error(short, report=report))
 
 
 def short_of(scene: Scene, quick: bool) -> Scene:

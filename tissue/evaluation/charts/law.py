@@ -125,7 +125,7 @@ class LawError:
         )
 
 
-def law_error(scene: Scene, *, tell: Progress = silent) -> LawError | None:
+def law_error(scene: Scene, *, report: Progress = silent) -> LawError | None:
     """Both laws on the motion of a scene, kept on disk; None where they cannot be compared.
 
     They can for a ball on a path into an organ that is isotropic, weightless and without a capsule.
@@ -144,7 +144,7 @@ def law_error(scene: Scene, *, tell: Progress = silent) -> LawError | None:
         from tissue.fem.hyperelastic import Law
 
         started = perf_counter()
-        tell(f"{scene.name}: linear law and neo-Hookean one", 0.99)
+        report(f"{scene.name}: linear law and neo-Hookean one", 0.99)
         linear, neo = _solvers(scene, EDGES[0], (Law.LINEAR, Law.NEO_HOOKEAN))
         (coarse,) = _solvers(scene, EDGES[1], (Law.NEO_HOOKEAN,))
         at = _instants(scene, linear, radius)
@@ -180,7 +180,7 @@ def _solvers(scene: Scene, coarser: float, laws: "Sequence[Law]") -> "list[Newto
     anatomy = type(scene.anatomy).model_construct(scene.anatomy.model_fields_set, **coarse)
     touch_mm = coarser * (anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm)
     way = motion_of(scene, step_s=TICK_S).sweep_m()
-    found = held_mesh(anatomy, way_m=way, touch_edge_m=1e-3 * touch_mm, tell=silent)
+    found = held_mesh(anatomy, way_m=way, touch_edge_m=1e-3 * touch_mm, report=silent)
     space = Space(found.mesh, scene.organ.order)
     held = np.zeros((space.node_count, 3), dtype=bool)
     held[found.held] = True

@@ -96,7 +96,7 @@ def interval(values: Array) -> Interval:
     return Interval(mean, mean - half, mean + half)
 
 
-def compare(scene: Scene, *, trials: int, tell: Progress = silent) -> Comparison:
+def compare(scene: Scene, *, trials: int, report: Progress = silent) -> Comparison:
     """Measure all predictors on unseen runs of a scene: other seeds, tissue 30 % softer and stiffer, 4 ms of latency.
 
     Raises
@@ -110,13 +110,13 @@ def compare(scene: Scene, *, trials: int, tell: Progress = silent) -> Comparison
     recorder, unseen, seen = Recorder(), [], []
     steps = trials + max(SIZES) + 4
     for index in range(trials):
-        tell(f"{scene.name}: unseen run {index + 1} of {trials}", index / steps)
+        report(f"{scene.name}: unseen run {index + 1} of {trials}", index / steps)
         share = SHARES[index % len(SHARES)]
         unseen.append(recorder.record(trial(scene, FIRST_SEED + index, delay_ms=DELAY_MS, share=share)))
     for index in range(max(SIZES)):
-        tell(f"{scene.name}: training run {index + 1}", (trials + index) / steps)
+        report(f"{scene.name}: training run {index + 1}", (trials + index) / steps)
         seen.append(recorder.record(trial(scene, index)))
-    tell(f"{scene.name}: measuring", (trials + max(SIZES)) / steps)
+    report(f"{scene.name}: measuring", (trials + max(SIZES)) / steps)
     return measured(trained, unseen, seen, force_limit_N=limit)
 
 
@@ -158,7 +158,7 @@ def _cost_us(make: Callable[[], Predictor], run: Recording) -> tuple[float, floa
 
 
 def chart_prediction(
-    scenes: Sequence[Scene], folder: Path, *, trials: int, overwrite: bool, tell: Progress = silent
+    scenes: Sequence[Scene], folder: Path, *, trials: int, overwrite: bool, report: Progress = silent
 ) -> list[Comparison]:
     """Measure and draw some scenes: ``prediction_SCENE.png``, ``prediction_tasks.png`` and tables.
 
@@ -172,8 +172,8 @@ def chart_prediction(
     require_free_folder(folder, FILES, "chart", overwrite=overwrite)
     found = []
     for index, scene in enumerate(scenes):
-        onward = lambda doing, share, index=index: tell(doing, (index + share) / len(scenes))  # noqa: E731
-        found.append(compare(scene, trials=trials, tell=onward))
+        onward = lambda doing, share, index=index: report(doing, (index + share) / len(scenes))  # noqa: E731
+        found.append(compare(scene, trials=trials, report=onward))
     folder.mkdir(parents=True, exist_ok=True)
     for each in found:
         draw_scene(each, folder / f"prediction_{each.scene}.png")

@@ -30,17 +30,17 @@ class Piece(NamedTuple):
     mesh: bool
 
 
-def make_ready(kinds: Sequence[Scene], pool: Executor, *, quick: bool, tell: Progress) -> None:
+def make_ready(kinds: Sequence[Scene], pool: Executor, *, quick: bool, report: Progress) -> None:
     """Make ready what scenes by script and by hand need that were not measured on this machine yet."""
     waiting = [kind for kind in kinds if _unknown(kind, quick=quick)]
     try:
-        for name, done in _told(pool, [(kind.name, (short_of, kind, quick)) for kind in waiting], tell):
-            tell(f"{name}: first contact", 0.2 * done)
+        for name, done in _told(pool, [(kind.name, (short_of, kind, quick)) for kind in waiting], report):
+            report(f"{name}: first contact", 0.2 * done)
         work = [(kind.name, (_make, each)) for kind in waiting for each in pieces(kind, quick=quick)]
-        for name, done in _told(pool, work, tell):
-            tell(f"{name}: references and meshes", 0.2 + 0.8 * done)
+        for name, done in _told(pool, work, report):
+            report(f"{name}: references and meshes", 0.2 + 0.8 * done)
     except BrokenExecutor:
-        tell("the processes that make charts ready were lost: what is missing is made where it is measured", 1.0)
+        report("the processes that make charts ready were lost: what is missing is made where it is measured", 1.0)
 
 
 def pieces(scene: Scene, *, quick: bool) -> list[Piece]:
@@ -85,11 +85,11 @@ def _make(piece: Piece) -> None:
         return
 
 
-def _told(pool: Executor, work: Sequence[tuple[str, tuple[Any, ...]]], tell: Progress) -> Iterator[tuple[str, float]]:
+def _told(pool: Executor, work: Sequence[tuple[str, tuple[Any, ...]]], report: Progress) -> Iterator[tuple[str, float]]:
     """Do some work, and tell whose was done and what share that makes."""
     names = {pool.submit(*call): name for name, call in work}
     count = len(names)
     while names:
-        for future in first_done(pool, names, tell):
+        for future in first_done(pool, names, report):
             future.result()
             yield names.pop(future), 1.0 - len(names) / count

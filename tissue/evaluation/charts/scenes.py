@@ -30,7 +30,7 @@ def chart_scenes(
     quick: bool,
     overwrite: bool = False,
     pool: Executor | None = None,
-    tell: Progress = silent,
+    report: Progress = silent,
 ) -> list[list[Frontier]]:
     """Chart some scenes, or all where none is named; each leaves NAME.png and NAME.csv, all frontier.png.
 
@@ -50,15 +50,15 @@ def chart_scenes(
     if pool is not None:
         begin = READY_SHARE
         every = [kind for both in kinds for kind in both]
-        make_ready(every, pool, quick=quick, tell=lambda doing, share: tell(doing, begin * share))
+        make_ready(every, pool, quick=quick, report=lambda doing, share: report(doing, begin * share))
     found, drawn = [], []
     out.mkdir(parents=True, exist_ok=True)
     for index, (scene, both) in enumerate(zip(scenes, kinds, strict=True)):
 
         def told(doing: str, share: float, index: int = index) -> None:
-            tell(doing, begin + (1.0 - begin) * (index + share) / len(scenes))
+            report(doing, begin + (1.0 - begin) * (index + share) / len(scenes))
 
-        frontiers = [frontier_of(kind, quick=quick, tell=told) for kind in both]
+        frontiers = [frontier_of(kind, quick=quick, report=told) for kind in both]
         drawn.append([each for each in frontiers if len(each.points) > 1])
         draw_frontiers(drawn[-1], out / f"{scene.name}.png")
         write_measured(out / f"{scene.name}.csv", [row for each in frontiers for row in (*each.points, *each.beside)])

@@ -30,7 +30,7 @@ __all__ = ["sections_of", "write_report"]
 WIDE = ".wide { overflow-x: auto; } .wide td { overflow-wrap: break-word; }"
 
 
-def write_report(path: Path, *, tell: Progress = silent) -> tuple[Path, list[str]]:
+def write_report(path: Path, *, report: Progress = silent) -> tuple[Path, list[str]]:
     """Write ``report/index.html`` and its tables into a study's folder; its path, and the first sentences of it.
 
     Raises
@@ -42,14 +42,14 @@ def write_report(path: Path, *, tell: Progress = silent) -> tuple[Path, list[str
     folder.plan()  # refuses what is no study before anything is made in it
     page = out / "index.html"
     with output_locked(out, folder=True):
-        sections = sections_of(folder, tell=tell)
+        sections = sections_of(folder, report=report)
         files = [section.write_csv(out) for section in sections]
         with whole_file(page) as beside:
             beside.write_text(_document(sections, files), "utf-8")
     return page, [sentence for section in sections[:2] for sentence in section.sentences]
 
 
-def sections_of(folder: StudyFolder, *, tell: Progress = silent) -> list[Section]:
+def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Section]:
     """All sections that a study's trials allow."""
     plan = folder.plan()
     folder.write_tables()
@@ -61,13 +61,13 @@ def sections_of(folder: StudyFolder, *, tell: Progress = silent) -> list[Section
         whole = table.complete()
         if not len(whole):
             raise InputError(f"study must hold a trial that did not fail, got {table.failed} failures: see trials.csv")
-        tell("force and tasks", 0.1)
+        report("force and tasks", 0.1)
         sections += [force_section(whole), latency_section(whole), task_section(whole)]
-        tell("discrimination", 0.2)
+        report("discrimination", 0.2)
         sections.append(discrimination_section(folder, whole, plan.seed))
-        tell("tests", 0.4)
+        report("tests", 0.4)
         sections += _tested(table, rng)
-    tell("case studies", 0.9)
+    report("case studies", 0.9)
     sections += case_sections(folder, plan.seed)
     sections += [each for each in (sensitivity_section(folder), reference_section(folder)) if each is not None]
     return [*sections, speed_section(folder), parameters_section(plan)]

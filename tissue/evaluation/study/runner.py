@@ -36,7 +36,7 @@ def run_study(
     workers: int | None = None,
     scheduler: str | None = None,
     retry: bool = False,
-    tell: Progress = silent,
+    report: Progress = silent,
 ) -> StudyFolder:
     """Run the trials of a plan that its folder does not hold yet, and write the tables of all.
 
@@ -55,7 +55,7 @@ def run_study(
         ``dask://ADDRESS`` of a Dask scheduler instead of own processes.
     retry
         Run trials that failed again.
-    tell
+    report
         Told how far it is, and what was found amiss.
 
     Raises
@@ -68,10 +68,10 @@ def run_study(
     )
     folder = StudyFolder(out)
     for sentence in folder.begin(plan):
-        tell(sentence, 0.0)
+        report(sentence, 0.0)
     if retry:
         folder.forget_failures(plan)
-    work = _Work(plan, folder, tell)
+    work = _Work(plan, folder, report)
     barren, connected = 0, False
     while work.waiting:
         before = work.done
@@ -91,7 +91,7 @@ def run_study(
                     f"workers must stay alive, got {barren} losses with {len(work.waiting)} trials left: look for what "
                     "kills them, memory for one, and run the study again to go on"
                 ) from error
-            tell(f"workers were lost ({type(error).__name__}), {len(work.waiting)} trials go on", work.share)
+            report(f"workers were lost ({type(error).__name__}), {len(work.waiting)} trials go on", work.share)
             if suspects and work.running:
                 work.give_up(suspects[0], "RuntimeError: the worker was lost each time this trial ran on it")
             else:
@@ -118,8 +118,8 @@ def _keep_what_stays() -> None:
 class _Work:
     """What is left of a plan."""
 
-    def __init__(self, plan: Plan, folder: StudyFolder, tell: Progress) -> None:
-        self.plan, self.folder, self._tell = plan, folder, tell
+    def __init__(self, plan: Plan, folder: StudyFolder, report: Progress) -> None:
+        self.plan, self.folder, self._report = plan, folder, report
         keys = list(plan.all_trials())
         self.total = len(keys)
         self.waiting = dict.fromkeys(key for key in keys if not folder.has(key))
@@ -142,7 +142,7 @@ class _Work:
                 self.running[pool.submit(_in_worker, self.plan, key)] = key
             if not self.running:
                 return
-            for future in first_done(pool, self.running, lambda doing, _: self._tell(doing, self.share)):
+            for future in first_done(pool, self.running, lambda doing, _: self._report(doing, self.share)):
                 try:
                     trial = future.result()
                 except LOST:
@@ -153,7 +153,7 @@ class _Work:
                 self._keep(trial)
                 self.done += 1
                 del self.running[future]
-            self._tell(f"trial {self.total - len(self.waiting)} of {self.total}, {self._left()}", self.share)
+            self._report(f"trial {self.total - len(self.waiting)} of {self.total}, {self._left()}", self.share)
 
     def give_up(self, key: TrialKey, failure: str) -> None:
         """Keep a trial as failed."""

@@ -149,7 +149,7 @@ class Recorder:
         if organ and self._organ is not None:
             motion, _ = hand_motion(scene, motion_of(scene, step_s=TICK_S), step_s=TICK_S, allow_unstable=True)
             return motion, self._organ
-        parts = build(scene, step_s=TICK_S, compute="cpu", cores=self._cores, tell=silent, allow_unstable=True)
+        parts = build(scene, step_s=TICK_S, compute="cpu", cores=self._cores, report=silent, allow_unstable=True)
         assert isinstance(parts.motion, HandMotion)
         if organ:
             self._organ = parts.tissue

@@ -34,15 +34,15 @@ def train(scene: Scene, *, trials: int = TRIALS, cores: int | None = None, progr
     """
     if trials < LEAST_TRIALS:
         raise InputError(f"trials must be at least {LEAST_TRIALS}, got {trials}: use {TRIALS}")
-    tell = progress or silent
+    report = progress or silent
     recorder, runs = Recorder(cores=cores), []
     for index in range(trials):
-        tell(f"running trial {index + 1} of {trials}", index / (trials + 2))
+        report(f"running trial {index + 1} of {trials}", index / (trials + 2))
         runs.append(recorder.record(trial(scene, index)))
-    tell("fitting", trials / (trials + 2))
+    report("fitting", trials / (trials + 2))
     kept = [run for index, run in enumerate(runs) if index % HELD_OUT != HELD_OUT - 1]
     trained = fit(scene.name, kept, rng=np.random.default_rng(0))
-    tell("validating", (trials + 1) / (trials + 2))
+    report("validating", (trials + 1) / (trials + 2))
     device = trial(scene, 0).device
     return validated(trained, runs[HELD_OUT - 1 :: HELD_OUT], device_parameters(device).force_limit_N)
 
