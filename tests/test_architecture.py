@@ -4,6 +4,7 @@ import ast
 import importlib
 import inspect
 import os
+import re
 import subprocess
 import sys
 from graphlib import TopologicalSorter
@@ -95,6 +96,17 @@ def test_no_modules_import_each_other_in_a_circle():
             if module != "tissue":
                 graph[cut(module)] |= {cut(each) for each in wanted if cut(each) != cut(module)} & set(graph)
         TopologicalSorter(graph).prepare()  # raises CycleError with the circle
+
+
+def test_contributing_draws_the_layers_that_are_held():
+    table = re.findall(
+        r"^\|\s*(\d*)\s*\|\s*`([\w.]+)`\s*\|", (ROOT / "CONTRIBUTING.md").read_text("utf-8"), re.MULTILINE
+    )
+    drawn, layer = {}, 0
+    for number, package in table:
+        layer = int(number or layer)
+        drawn.setdefault(layer, set()).add(package)
+    assert drawn == {layer: set(packages) for layer, packages in enumerate(LAYERS, 1)}
 
 
 def test_the_ground_layer_knows_no_physics_and_no_warp():

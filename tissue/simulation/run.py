@@ -185,7 +185,7 @@ class Run:
         overwrite: bool = False,
         progress: Progress | None = None,
     ) -> Path:
-        """Write the run's folder; see the README for its files.
+        """Write the run's folder; see docs/files.md for its files.
 
         Parameters
         ----------
