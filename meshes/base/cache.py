@@ -65,9 +65,9 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
     arrays = {name: np.asarray(array) for name, array in make().items()}
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path) as beside:
+        with whole_file(path) as temporary:
             sealed: dict[str, Any] = {_SEAL: np.array(_seal(arrays, code)), **arrays}
-            np.savez(beside, **sealed)
+            np.savez(temporary, **sealed)
     except OSError:
         pass
     return arrays
@@ -85,8 +85,8 @@ def read_entry(path: Path) -> str | None:
 def write_entry(path: Path, text: str) -> None:
     """Keep text under a first line with the version of tissue and a checksum; a reader never sees half of it."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as beside:
-        beside.write_bytes(f"{_head(text)}\n{text}".encode())
+    with whole_file(path) as temporary:
+        temporary.write_bytes(f"{_head(text)}\n{text}".encode())
 
 
 def _head(text: str) -> str:

@@ -16,14 +16,14 @@ def whole_file(path: Path) -> Iterator[Path]:
     What was written takes the file's place in one step when the block ends, and goes when it fails; so no reader sees
     half of it, and of two writers one wins.
     """
-    beside = path.with_name(f".{uuid4().hex[:12]}-{path.name}")
+    temporary = path.with_name(f".{uuid4().hex[:12]}-{path.name}")
     try:
-        yield beside
-        os.replace(beside, path)
+        yield temporary
+        os.replace(temporary, path)
     except OSError as error:
-        if error.filename == str(beside):
+        if error.filename == str(temporary):
             error.filename = str(path)  # the name that is known to who asked for it
         raise
     finally:
         with suppress(OSError):
-            beside.unlink()
+            temporary.unlink()

@@ -9,11 +9,11 @@ def test_a_file_is_replaced_when_the_new_one_is_whole(tmp_path):
     path, plain = tmp_path / "table.csv", tmp_path / "plain.csv"
     path.write_text("old")
     plain.write_text("plain")
-    with whole_file(path) as beside:
-        assert beside.suffix == ".csv"  # writers of movies and arrays go by it
-        beside.write_text("half")
+    with whole_file(path) as temporary:
+        assert temporary.suffix == ".csv"  # writers of movies and arrays go by it
+        temporary.write_text("half")
         assert path.read_text() == "old"
-        beside.write_text("new")
+        temporary.write_text("new")
     assert path.read_text() == "new"
     assert path.stat().st_mode == plain.stat().st_mode
     assert set(tmp_path.iterdir()) == {path, plain}
@@ -23,8 +23,8 @@ def test_a_file_is_replaced_when_the_new_one_is_whole(tmp_path):
 def test_a_writer_that_fails_leaves_the_file_as_it_was(tmp_path, failure):
     path = tmp_path / "table.csv"
     path.write_text("old")
-    with pytest.raises(failure), whole_file(path) as beside:
-        beside.write_text("half")
+    with pytest.raises(failure), whole_file(path) as temporary:
+        temporary.write_text("half")
         raise failure
     assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
 

@@ -27,5 +27,5 @@ def save(chart: "Figure", path: Path) -> None:
     """Write a figure as PNG, the same bytes for the same figure."""
     import matplotlib
 
-    with matplotlib.rc_context(STYLE), whole_file(path) as beside:
-        chart.savefig(beside, format="png", dpi=DPI, metadata={"Software": None}, pil_kwargs={"compress_level": 3})
+    with matplotlib.rc_context(STYLE), whole_file(path) as temporary:
+        chart.savefig(temporary, format="png", dpi=DPI, metadata={"Software": None}, pil_kwargs={"compress_level": 3})

@@ -48,7 +48,7 @@ class PoseLog:
 
 def write_poses(path: Path, poses: NDArray[np.float64], volume: VoxelVolume) -> None:
     """Write poses and the place of the voxels that they cut to a .npz file."""
-    with whole_file(path) as beside, beside.open("wb") as file:
+    with whole_file(path) as temporary, temporary.open("wb") as file:
         arrays = {"poses": poses, "origin_m": volume.origin_m, "spacing_m": np.array(volume.spacing_m)}
         np.savez_compressed(file, format=np.array(FORMAT), **arrays)  # type: ignore[arg-type]
 

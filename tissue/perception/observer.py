@@ -199,8 +199,8 @@ def write_observer(observer: Observer, path: Path, *, overwrite: bool = False) -
         "covariance": observer.covariance.tolist(),
     }
     try:
-        with whole_file(path) as beside:
-            beside.write_text(json.dumps(told, indent=1) + "\n", "utf-8")
+        with whole_file(path) as temporary:
+            temporary.write_text(json.dumps(told, indent=1) + "\n", "utf-8")
     except OSError as problem:
         raise InputError(f"out must be a file that can be written, got {path} ({problem.strerror}): choose another "
                          "folder") from problem  # fmt: skip

@@ -85,5 +85,5 @@ def _write_nrrd(run: "Run", path: Path) -> None:
         ]
     )
     data = gzip.compress(run.remaining.tobytes(order="F"), compresslevel=1, mtime=0)
-    with whole_file(path) as beside:
-        beside.write_bytes(header.encode("ascii") + b"\n\n" + data)
+    with whole_file(path) as temporary:
+        temporary.write_bytes(header.encode("ascii") + b"\n\n" + data)

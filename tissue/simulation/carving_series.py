@@ -84,8 +84,8 @@ def write_carving(run: "Run", out: Path, *, report: Progress = silent) -> None:
             f'    <DataSet {time} part="{part}" file="{file}"/>\n'
             for part, file in enumerate((name, "carving/rest.vtp"))
         ]
-    with whole_file(out / "carving.pvd") as beside:
-        beside.write_text(
+    with whole_file(out / "carving.pvd") as temporary:
+        temporary.write_text(
             '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n'
             "  <Collection>\n" + "".join(entries) + "  </Collection>\n</VTKFile>\n",
             "utf-8",

@@ -39,8 +39,8 @@ def check_formats(formats: Iterable[str]) -> None:
 def write_trace(trace: Table, folder: Path, kind: str) -> Path:
     """Write ``folder/trace.kind`` and return its path."""
     path = folder / f"trace.{kind}"
-    with whole_file(path) as beside:
-        FORMATS[kind]({name: trace[name] for name in trace}, beside)
+    with whole_file(path) as temporary:
+        FORMATS[kind]({name: trace[name] for name in trace}, temporary)
     return path
 
 

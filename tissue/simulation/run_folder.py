@@ -101,8 +101,8 @@ class RunFolder:
             if name != "summary.json":
                 entry = self.path / name
                 shutil.rmtree(entry) if entry.is_dir() and not entry.is_symlink() else entry.unlink()
-        with whole_file(self.path / "scene.toml") as beside:
-            beside.write_text(saved_text(scene) + _remark(placement), "utf-8")
+        with whole_file(self.path / "scene.toml") as temporary:
+            temporary.write_text(saved_text(scene) + _remark(placement), "utf-8")
 
     @contextmanager
     def ending(self) -> Iterator[None]:
@@ -155,8 +155,8 @@ class RunFolder:
     def _write_summary(self, summary: dict[str, Any]) -> None:
         """Write ``summary.json`` at once: it is either the old one or the new one."""
         self._summary = summary
-        with whole_file(self.path / "summary.json") as beside:
-            beside.write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
+        with whole_file(self.path / "summary.json") as temporary:
+            temporary.write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
 
 
 class SavedRun:

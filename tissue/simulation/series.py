@@ -63,8 +63,8 @@ def write_fields(series: FieldSeries, folder: Path, placement: Placement | None 
         mesh = mesh_in_file(frame_mesh(series, frame), placement)
         write_vtk_xml(vtkXMLUnstructuredGridWriter(), mesh, folder / name)
         entries.append(f'    <DataSet timestep="{float(frame.time_s)!r}" part="0" file="{name}"/>\n')
-    with whole_file(folder / "fields.pvd") as beside:
-        beside.write_text(
+    with whole_file(folder / "fields.pvd") as temporary:
+        temporary.write_text(
             '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n'
             "  <Collection>\n" + "".join(entries) + "  </Collection>\n</VTKFile>\n",
             "utf-8",

@@ -25,9 +25,9 @@ def write_vtk(writer: Any, data: "pyvista.DataSet", path: Path) -> None:
     """Let a VTK writer write, and turn its silent failure into the system's error."""
     from vtkmodules.vtkCommonCore import vtkObject
 
-    with whole_file(path) as beside:
-        beside.open("wb").close()
-        writer.SetFileName(str(beside))
+    with whole_file(path) as temporary:
+        temporary.open("wb").close()
+        writer.SetFileName(str(temporary))
         writer.SetInputData(data)
         failures: list[int] = []
         writer.AddObserver("ErrorEvent", lambda *_: failures.append(writer.GetErrorCode()))

@@ -46,5 +46,5 @@ def write_columns(path: Path, columns: Mapping[str, ArrayLike]) -> None:
     """Write columns of equal length as CSV, by their names, with all digits."""
     rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
     lines = [",".join(columns), *(",".join(map(repr, row)) for row in rows)]
-    with whole_file(path) as beside:
-        beside.write_text("\n".join(lines) + "\n", "utf-8")
+    with whole_file(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", "utf-8")

@@ -72,8 +72,8 @@ def write_movie(path: Path, pictures: Iterable[NDArray[np.uint8]]) -> None:
     pictures
         Red, green and blue of every picture, shape (height, width, 3), both even.
     """
-    with whole_file(path) as beside:
-        (_write_mp4 if path.suffix.lower() == ".mp4" else _write_gif)(beside, pictures)
+    with whole_file(path) as temporary:
+        (_write_mp4 if path.suffix.lower() == ".mp4" else _write_gif)(temporary, pictures)
 
 
 def _write_gif(path: Path, pictures: Iterable[NDArray[np.uint8]]) -> None:

@@ -70,6 +70,6 @@ def write_atlas(
         "Python": platform.python_version(),
         **{name: version(name) for name in ("numpy", "scipy", "warp-lang")},
     }
-    with whole_file(folder / INDEX) as beside:
-        beside.write_text(document(entries, made), "utf-8")
+    with whole_file(folder / INDEX) as temporary:
+        temporary.write_text(document(entries, made), "utf-8")
     return entries

@@ -98,8 +98,8 @@ def fit_population(folder: Path, out: Path, *, seed: int, overwrite: bool, progr
         ",".join([name, *(f"{value:.6g}" for value in (*fit.interval(name), fit.r_hat[name], fit.ess[name]))])
         for name in HYPER
     ]
-    with whole_file(table) as beside:
-        beside.write_text("\n".join(["parameter,low_95,median,high_95,r_hat,ess", *rows]) + "\n", "utf-8")
+    with whole_file(table) as temporary:
+        temporary.write_text("\n".join(["parameter,low_95,median,high_95,r_hat,ess", *rows]) + "\n", "utf-8")
     kappa, beta = fit.interval("log_kappa"), fit.interval("beta")
     worst, least = max(fit.r_hat.values()), min(fit.ess.values())
     return [

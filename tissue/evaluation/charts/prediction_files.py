@@ -40,8 +40,8 @@ def write_comparisons(found: "Sequence[Comparison]", folder: Path) -> None:
             at = slow.error
             rows["slow_model.csv"].append(_line(each.scene, kind, at.mean, at.low, at.high, slow.cost_us))
     for name, lines in rows.items():
-        with whole_file(folder / name) as beside:
-            beside.write_text("\n".join(lines) + "\n", "utf-8")
+        with whole_file(folder / name) as temporary:
+            temporary.write_text("\n".join(lines) + "\n", "utf-8")
 
 
 def _line(*cells: object) -> str:

@@ -151,7 +151,7 @@ class TrialTable:
         """Write the table; the same trials give the same bytes, and reading them back the same bits."""
         columns = [getattr(self, name).tolist() for name in KEYS]
         columns += [[repr(value) for value in values.tolist()] for values in self.metrics.values()]
-        with whole_file(path) as beside, beside.open("w", encoding="utf-8", newline="") as file:
+        with whole_file(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow([*KEYS, *self.metrics])
             writer.writerows(zip(*columns, strict=True))

@@ -182,5 +182,5 @@ def _told(value: object) -> str:
 
 def _write(path: Path, content: dict[str, Any]) -> None:
     """Write JSON so that a reader never sees half of it."""
-    with whole_file(path) as beside:
-        beside.write_text(json.dumps(content, indent=1), "utf-8")
+    with whole_file(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=1), "utf-8")

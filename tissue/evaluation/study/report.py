@@ -44,8 +44,8 @@ def write_report(path: Path, *, report: Progress = silent) -> tuple[Path, list[s
     with output_locked(out, folder=True):
         sections = sections_of(folder, report=report)
         files = [section.write_csv(out) for section in sections]
-        with whole_file(page) as beside:
-            beside.write_text(_document(sections, files), "utf-8")
+        with whole_file(page) as temporary:
+            temporary.write_text(_document(sections, files), "utf-8")
     return page, [sentence for section in sections[:2] for sentence in section.sentences]
 
 

@@ -54,7 +54,10 @@ class Section:
         """Write the table; the name of its file, empty where there is no table."""
         if not self.rows:
             return ""
-        with whole_file(folder / f"{self.name}.csv") as beside, beside.open("w", encoding="utf-8", newline="") as file:
+        with (
+            whole_file(folder / f"{self.name}.csv") as temporary,
+            temporary.open("w", encoding="utf-8", newline="") as file,
+        ):
             csv.writer(file, lineterminator="\n").writerows([self.header, *self.rows])
         return f"{self.name}.csv"
 

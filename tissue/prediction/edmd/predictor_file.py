@@ -103,7 +103,7 @@ def write_predictor(
         line = json.dumps(whole, allow_nan=False)
     except (TypeError, ValueError) as problem:
         raise InputError(f"header must hold what JSON can, got {problem}: use numbers, names and lists") from None
-    with whole_file(path) as beside, beside.open("wb") as file:
+    with whole_file(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, json=np.array(line), **stored)
     return path
 
