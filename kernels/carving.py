@@ -185,9 +185,9 @@ def carve_block(
         offset = wp.vec3(float(v >> 2) - 0.5, float((v >> 1) & 1) - 0.5, float(v & 1) - 0.5)
         distance = surface + wp.dot(near.slope, offset)
         if near.bend >= EDGE:
-            own = nearest_on(tool, middle + offset, axis)
-            plane = plane_of(own.slope)
-            distance = own.distance
+            exact = nearest_on(tool, middle + offset, axis)
+            plane = plane_of(exact.slope)
+            distance = exact.distance
         if distance * plane.scale < 0.5 + lookahead:
             voxel = first + v
             kept = int(remaining[row, voxel])

@@ -55,7 +55,7 @@ def find_near(
     for t in range(centre.shape[0]):
         distance = wp.length(centre[t] - middle) - size[0]
         if kind != SHELL:
-            distance, _way = axis_distance(kind, size, pose, centre[t])
+            distance, _normal = axis_distance(kind, size, pose, centre[t])
         if distance < radius[t] + margin or lists.working_mark[t] == 1:
             lists.near[near] = t
             near += 1
@@ -93,17 +93,17 @@ def begin_work(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pos
         arm = wp.transpose(pose.last_turn) * (place - pose.last_tip)
         points.anchor[point] = pose.tip + pose.turn * arm
         if points.ready[point] == 0:
-            own = wp.mat33d()
+            compliance = wp.mat33d()
             for a in range(3):
                 to_node = wp.mat33d()
                 for b in range(3):
                     between = block(body, body.corners[triangle, a], body.corners[triangle, b])
                     to_node += weight[b] * between
                 points.response[point, a] = to_node
-                own += weight[a] * to_node
-            points.response[point, 3] = own
-            points.response[point, 4] = safe_inverse(own)
-            if wp.isfinite(wp.trace(own)):
+                compliance += weight[a] * to_node
+            points.response[point, 3] = compliance
+            points.response[point, 4] = safe_inverse(compliance)
+            if wp.isfinite(wp.trace(compliance)):
                 points.ready[point] = 1
             else:
                 missing += 1
@@ -134,7 +134,7 @@ def join_touching(
             if not close:
                 middle = (pa + pb + pc) / wp.float64(3.0)
                 wide = wp.max(wp.length_sq(pa - middle), wp.max(wp.length_sq(pb - middle), wp.length_sq(pc - middle)))
-                far, _way = axis_distance(kind, size, pose, middle)
+                far, _normal = axis_distance(kind, size, pose, middle)
                 close = far < ZERO or far * far < SLACK * SLACK * wide
             enters = int(0)
             if close:
@@ -143,8 +143,8 @@ def join_touching(
                 while point >= 0 and enters == 0:
                     weight = points.weight[point]
                     place = weight[0] * pa + weight[1] * pb + weight[2] * pc
-                    distance, way = distance_to(kind, size, pose, points, point, place)
-                    if distance < ZERO and wp.dot(way, outward) < ZERO:
+                    distance, normal = distance_to(kind, size, pose, points, point, place)
+                    if distance < ZERO and wp.dot(normal, outward) < ZERO:
                         enters = int(1)
                     point = points.following[point]
             if enters == 1:

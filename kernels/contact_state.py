@@ -86,7 +86,7 @@ def block(body: Body, a: int, b: int):
 def distance_to(kind: int, size: wp.vec2d, pose: Pose, points: Points, point: int, place: wp.vec3d):
     """Distance to the tool [m] and its gradient at a contact point."""
     if kind == SHELL:
-        way = points.tool_normal[point]
-        return wp.dot(place - points.tool_point[point], way), way
-    distance, way = axis_distance(kind, size, pose, place)
-    return distance, way
+        direction = points.tool_normal[point]
+        return wp.dot(place - points.tool_point[point], direction), direction
+    distance, direction = axis_distance(kind, size, pose, place)
+    return distance, direction

@@ -25,30 +25,30 @@ TINY = wp.constant(wp.float64(1e-12))
 
 
 @wp.func
-def safe_inverse(own: wp.mat33d):
+def safe_inverse(compliance: wp.mat33d):
     """Inverse of a compliance, also where the point cannot move in one direction."""
-    size = TINY * wp.trace(own)
+    size = TINY * wp.trace(compliance)
     inverse = wp.mat33d()
     if size > ZERO:
-        inverse = wp.inverse(own + wp.diag(wp.vec3d(size, size, size)))
+        inverse = wp.inverse(compliance + wp.diag(wp.vec3d(size, size, size)))
     return inverse
 
 
 @wp.func
-def slipping_force(own: wp.mat33d, normal: wp.vec3d, apart: wp.float64, drift: wp.vec3d, friction: wp.float64):
+def slipping_force(compliance: wp.mat33d, normal: wp.vec3d, apart: wp.float64, drift: wp.vec3d, friction: wp.float64):
     """Force on the edge of the cone; ``apart`` < 0 and ``drift`` are gap and tangential slip without the force."""
     side = wp.vec3d(ONE, ZERO, ZERO)
     if wp.abs(normal[0]) > wp.float64(0.7):
         side = wp.vec3d(ZERO, ONE, ZERO)
     first = wp.normalize(wp.cross(normal, side))
     second = wp.cross(normal, first)
-    moved = own * normal
+    moved = compliance * normal
     stiff = ONE / wp.dot(normal, moved)
     c0 = wp.dot(first, moved)
     c1 = wp.dot(second, moved)
-    s00 = wp.dot(first, own * first) - c0 * c0 * stiff
-    s11 = wp.dot(second, own * second) - c1 * c1 * stiff
-    s01 = wp.dot(first, own * second) - c0 * c1 * stiff
+    s00 = wp.dot(first, compliance * first) - c0 * c0 * stiff
+    s11 = wp.dot(second, compliance * second) - c1 * c1 * stiff
+    s01 = wp.dot(first, compliance * second) - c0 * c1 * stiff
     angle = HALF * wp.atan2(wp.float64(2.0) * s01, s00 - s11)
     turn = wp.cos(angle)
     lift = wp.sin(angle)
@@ -97,7 +97,7 @@ def slipping_force(own: wp.mat33d, normal: wp.vec3d, apart: wp.float64, drift: w
 
 @wp.func
 def coulomb_force(
-    own: wp.mat33d,  # W [m/N]
+    compliance: wp.mat33d,  # W [m/N]
     inverse: wp.mat33d,
     old: wp.vec3d,  # force that acts now [N]
     gap: wp.float64,  # with that force [m]
@@ -106,19 +106,19 @@ def coulomb_force(
     friction: wp.float64,
 ):
     """Force [N] that solves the contact while all others stay."""
-    back = own * old
+    back = compliance * old
     apart = gap - wp.dot(normal, back)
     force = wp.vec3d()
     if apart < ZERO:
         if friction == ZERO:
-            room = wp.dot(normal, own * normal)
-            if room > ZERO:
-                force = -apart / room * normal
+            normal_compliance = wp.dot(normal, compliance * normal)
+            if normal_compliance > ZERO:
+                force = -apart / normal_compliance * normal
         else:
             sideways = slip - wp.dot(slip, normal) * normal
             force = old - inverse * (gap * normal + sideways)
             press = wp.dot(force, normal)
             if press < ZERO or wp.length(force - press * normal) > friction * press:
                 drift = sideways - (back - wp.dot(back, normal) * normal)
-                force = slipping_force(own, normal, apart, drift, friction)
+                force = slipping_force(compliance, normal, apart, drift, friction)
     return force

@@ -98,9 +98,9 @@ def swap(patch: Patch, p: int, q: int):
     patch.slot[second] = p
     patch.slot[first] = q
     for j in range(3):
-        way = patch.moved[3 * p + j]
+        shift = patch.moved[3 * p + j]
         patch.moved[3 * p + j] = patch.moved[3 * q + j]
-        patch.moved[3 * q + j] = way
+        patch.moved[3 * q + j] = shift
     for row in range(3 * patch.count[1]):
         for j in range(3):
             entry = patch.row[row, 3 * p + j]

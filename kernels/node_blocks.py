@@ -37,7 +37,7 @@ def assemble_rows(
     node = rows[wp.tid() + offset]
     for place in range(row_start[node], row_start[node + 1]):
         block_out[place] = wp.mat33d()
-    own_free = free[node]
+    free_here = free[node]
     for a in range(8):
         cell = node_cells[node, a]
         here = cell >= 0
@@ -46,13 +46,13 @@ def assemble_rows(
         if here:
             for b in range(8):
                 step = 9 * ((b >> 2) - (a >> 2)) + 3 * (((b >> 1) & 1) - ((a >> 1) & 1)) + (b & 1) - (a & 1) + 13
-                mask = wp.outer(own_free, free[cell_nodes[cell, b]])
+                mask = wp.outer(free_here, free[cell_nodes[cell, b]])
                 place = neighbour_block[node, step]
                 block_out[place] = block_out[place] + wp.cw_mul(mask, cell_block(stiffness, cell, a, b))
     centre = neighbour_block[node, 13]
-    own = block_out[centre] + wp.diag(wp.cw_mul(own_free, spring[node]))
-    block_out[centre] = own
-    diagonal_out[node] = own + wp.diag(wp.vec3d(wp.float64(1.0), wp.float64(1.0), wp.float64(1.0)) - own_free)
+    block = block_out[centre] + wp.diag(wp.cw_mul(free_here, spring[node]))
+    block_out[centre] = block
+    diagonal_out[node] = block + wp.diag(wp.vec3d(wp.float64(1.0), wp.float64(1.0), wp.float64(1.0)) - free_here)
 
 
 @wp.kernel
@@ -65,12 +65,12 @@ def invert_diagonal(
 ):
     """Inverse of each node's own block, zero where a node carries nothing; a trace keeps half-empty blocks regular."""
     node = rows[wp.tid() + offset]
-    own = diagonal[node]
-    size = wp.trace(own)
+    block = diagonal[node]
+    size = wp.trace(block)
     inverse = wp.mat33d()
     if size > wp.float64(0.0):
         tiny = wp.float64(1e-9) * size
-        inverse = wp.inverse(own + wp.diag(wp.vec3d(tiny, tiny, tiny)))
+        inverse = wp.inverse(block + wp.diag(wp.vec3d(tiny, tiny, tiny)))
     inverse_out[node] = wp.mat33f(inverse)
 
 
@@ -93,7 +93,7 @@ def to_single(
 def first_sweep(
     nodes: wp.array(dtype=wp.int32),  # nodes of one colour
     row_start: wp.array(dtype=wp.int32),
-    own_block: wp.array(dtype=wp.int32),  # [node], the node's own block: lower colours before, higher behind
+    diagonal_block: wp.array(dtype=wp.int32),  # [node], the node's own block: lower colours before, higher behind
     column: wp.array(dtype=wp.int32),
     block: wp.array(dtype=wp.mat33f),
     inverse: wp.array(dtype=wp.mat33f),  # [node], inverse of the node's own block
@@ -105,7 +105,7 @@ def first_sweep(
     """Gauss-Seidel from rest: only lower colours have moved."""
     node = nodes[wp.tid() + offset]
     left = load[node]
-    for place in range(row_start[node], own_block[node]):
+    for place in range(row_start[node], diagonal_block[node]):
         left -= block[place] * vector_out[column[place]]
     vector_out[node] = inverse[node] * left
 
@@ -113,7 +113,7 @@ def first_sweep(
 @wp.kernel
 def first_residuals(
     row_start: wp.array(dtype=wp.int32),
-    own_block: wp.array(dtype=wp.int32),
+    diagonal_block: wp.array(dtype=wp.int32),
     column: wp.array(dtype=wp.int32),
     block: wp.array(dtype=wp.mat33f),
     vector: wp.array(dtype=wp.vec3f),  # [node]
@@ -124,7 +124,7 @@ def first_residuals(
     """What a first sweep leaves of the load: higher colours moved after the node had."""
     node = wp.tid() + offset
     total = wp.vec3f()
-    for place in range(own_block[node] + 1, row_start[node + 1]):
+    for place in range(diagonal_block[node] + 1, row_start[node + 1]):
         total -= block[place] * vector[column[place]]
     residual_out[node] = total
 

@@ -43,7 +43,7 @@ def particle_stiffness(
     offset: int,
     # out
     stiffness_out: wp.array2d(dtype=wp.mat33d),  # [cell, block] [N/m]
-    fill_out: wp.array(dtype=wp.float64),  # [cell], volume of its particles over its own
+    fill_out: wp.array(dtype=wp.float64),  # [cell], volume of its particles over its diagonal
 ):
     """Sum the stiffness of the changed cells over their particles, upper triangle first, then mirrored."""
     cell = changed[wp.tid() + offset]
@@ -83,8 +83,8 @@ def particle_stiffness(
     for block in range(36):
         stiffness_out[cell, block] = stiffness_out[cell, block] + missing * inner[block]
     for a in range(8):
-        own = stiffness_out[cell, block_of(a, a)]
-        own[1, 0] = own[0, 1]
-        own[2, 0] = own[0, 2]
-        own[2, 1] = own[1, 2]
-        stiffness_out[cell, block_of(a, a)] = own
+        diagonal = stiffness_out[cell, block_of(a, a)]
+        diagonal[1, 0] = diagonal[0, 1]
+        diagonal[2, 0] = diagonal[0, 2]
+        diagonal[2, 1] = diagonal[1, 2]
+        stiffness_out[cell, block_of(a, a)] = diagonal

@@ -35,25 +35,25 @@ def axis_distance(kind: int, size: wp.vec2d, pose: Pose, point: wp.vec3d):
     if kind == SPHERE:
         arm -= size[0] * axis
         length = wp.length(arm)
-        way = -axis
+        direction = -axis
         if length > ZERO:
-            way = arm / length
-        return length - size[0], way
+            direction = arm / length
+        return length - size[0], direction
     height = wp.dot(arm, axis)
     radial = arm - height * axis
     radius = wp.length(radial)
     out = wp.vec3d()
     if radius > ZERO:
         out = radial / radius
-    beside = radius - size[0] + size[1]
+    outside = radius - size[0] + size[1]
     below = size[1] - height
-    way = -axis
+    direction = -axis
     distance = below - size[1]
-    if beside > ZERO and below > ZERO:
-        corner = wp.sqrt(beside * beside + below * below)
+    if outside > ZERO and below > ZERO:
+        corner = wp.sqrt(outside * outside + below * below)
         distance = corner - size[1]
-        way = (beside * out - below * axis) / corner
-    elif beside > below:
-        distance = beside - size[1]
-        way = out
-    return distance, way
+        direction = (outside * out - below * axis) / corner
+    elif outside > below:
+        distance = outside - size[1]
+        direction = out
+    return distance, direction

@@ -96,7 +96,7 @@ def first_touch(contacts: Contacts, count: int, shift: wp.vec3d, turn: wp.vec3d)
 
 
 @wp.func
-def way_to(position: wp.vec3d, rotation: wp.quatd, target: wp.vec3d, target_turn: wp.quatd, reach: wp.float64):
+def pose_distance(position: wp.vec3d, rotation: wp.quatd, target: wp.vec3d, target_turn: wp.quatd, reach: wp.float64):
     """Greatest way of a point within ``reach`` [m] to where it is wanted [m]; a reach of 0 leaves turns out."""
     way = wp.length(target - position)
     if reach > ZERO:
@@ -105,7 +105,7 @@ def way_to(position: wp.vec3d, rotation: wp.quatd, target: wp.vec3d, target_turn
 
 
 @wp.func
-def tell_pose(state_out: wp.array(dtype=wp.float64), position: wp.vec3d, rotation: wp.quatd, travel: wp.float64):
+def write_pose(state_out: wp.array(dtype=wp.float64), position: wp.vec3d, rotation: wp.quatd, travel: wp.float64):
     """Write the state."""
     for c in range(3):
         state_out[c] = position[c]
@@ -115,7 +115,7 @@ def tell_pose(state_out: wp.array(dtype=wp.float64), position: wp.vec3d, rotatio
 
 
 @wp.func
-def tell_contact(report_out: wp.array(dtype=wp.float64), force: wp.vec3d, moment: wp.vec3d, centre: wp.vec3d):
+def write_contact(report_out: wp.array(dtype=wp.float64), force: wp.vec3d, moment: wp.vec3d, centre: wp.vec3d):
     """Write what the contacts push, and where."""
     for c in range(3):
         report_out[5 + c] = force[c]
@@ -166,7 +166,7 @@ def advance_proxy(
     stalls = int(0)
     pressing = int(report_out[1])
     arrived = int(0)
-    settled = int(0)
+    converged = int(0)
     near = tolerance
     reach = shell.reach
     if compliance == ZERO:
@@ -175,7 +175,7 @@ def advance_proxy(
         steps += 1
         wanted = ZERO  # beside something every step is short, so that no point needs to wake for a long one
         if pressing == 0:
-            wanted = way_to(position, rotation, target, target_turn, reach)
+            wanted = pose_distance(position, rotation, target, target_turn, reach)
         frame = wp.quat_to_matrix(rotation)
         count, gap, clear = collect(field, shell, contacts, position, frame, travel, wanted, step)
         if gap < deepest:
@@ -197,7 +197,7 @@ def advance_proxy(
         if solves >= solve_limit:
             break
         if arrived == 1 and gap >= -tolerance:
-            settled = int(1)
+            converged = int(1)
             break
         arrived = int(0)
         shift = target - position
@@ -210,7 +210,7 @@ def advance_proxy(
             stalls = int(0)
             best = wp.min(best, stored)
         if stalls == STALLS:
-            settled = int(1)
+            converged = int(1)
             break
         touch = wp.float64(2.0)
         if friction > ZERO and pressing == 0 and gap > tolerance:
@@ -230,7 +230,7 @@ def advance_proxy(
             turn += compliance * moment
         size = wp.length(shift) + shell.reach * wp.length(turn)
         if touch >= ONE and near == tolerance and (size == ZERO or (size <= tolerance and pressing > 0)):
-            settled = int(1)
+            converged = int(1)
             break
         near = tolerance
         if size > TWO * clear:
@@ -247,9 +247,9 @@ def advance_proxy(
             position = target
             if compliance > ZERO:
                 rotation = target_turn
-    tell_pose(state_out, good, good_turn, travel)
-    tell_contact(report_out, force, moment, centre)
-    report_out[0] = wp.float64(settled)
+    write_pose(state_out, good, good_turn, travel)
+    write_contact(report_out, force, moment, centre)
+    report_out[0] = wp.float64(converged)
     report_out[1] = wp.float64(pressing)
     report_out[2] = wp.float64(steps)
     report_out[3] = wp.float64(solves)

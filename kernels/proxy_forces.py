@@ -74,7 +74,7 @@ def drop_member(contacts: Contacts, members: int, place: int):
 
 
 @wp.func
-def settle_set(contacts: Contacts, start: int, compliance: wp.float64, shift: wp.vec3d, turn: wp.vec3d):
+def shrink_set(contacts: Contacts, start: int, compliance: wp.float64, shift: wp.vec3d, turn: wp.vec3d):
     """Forces of the set that close its gaps, pulls leaving it one by one: its size and the solves."""
     members = start
     solves = int(0)
@@ -90,11 +90,11 @@ def settle_set(contacts: Contacts, start: int, compliance: wp.float64, shift: wp
             old = contacts.press[contacts.slot[contacts.member[m]]]
             new = contacts.side[m, 0]
             if new <= ZERO:
-                way = wp.float64(0.0)
+                part = wp.float64(0.0)
                 if old > ZERO:
-                    way = old / (old - new)
-                if leaves < 0 or way < share:
-                    share = way
+                    part = old / (old - new)
+                if leaves < 0 or part < share:
+                    share = part
                     leaves = m
         for m in range(members):
             slot = contacts.slot[contacts.member[m]]
@@ -129,7 +129,7 @@ def normal_forces(
     turn: wp.vec3d,
 ):
     """Least normal forces that keep all planes, from the set as it is: its size and the solves."""
-    members, solves = settle_set(contacts, start, compliance, shift, turn)
+    members, solves = shrink_set(contacts, start, compliance, shift, turn)
     for _ in range(ROUNDS):
         moved, turned = moved_by_set(contacts, members, compliance, shift, turn)
         deepest = -tolerance
@@ -144,7 +144,7 @@ def normal_forces(
             break
         contacts.member[members] = worst
         contacts.chosen[worst] = 1
-        members, more = settle_set(contacts, members + 1, compliance, shift, turn)
+        members, more = shrink_set(contacts, members + 1, compliance, shift, turn)
         solves += more
         if contacts.chosen[worst] == 0:
             break

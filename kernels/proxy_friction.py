@@ -92,19 +92,19 @@ def friction_force(
     solve_set(contacts, members, first, compliance * wp.cross(arm, first), ZERO, 1)
     solve_set(contacts, members, second, compliance * wp.cross(arm, second), ZERO, 2)
     slip = shift + wp.cross(turn, arm)
-    way_first = first + compliance * wp.cross(wp.cross(arm, first), arm)
-    way_second = second + compliance * wp.cross(wp.cross(arm, second), arm)
+    response_first = first + compliance * wp.cross(wp.cross(arm, first), arm)
+    response_second = second + compliance * wp.cross(wp.cross(arm, second), arm)
     hold = wp.vec3d()  # sum of the normal forces: without friction, and per unit of both friction forces
     for m in range(members):
         c = contacts.member[m]
-        own = contacts.normal[c] + compliance * wp.cross(contacts.moment[c], arm)
-        slip += contacts.side[m, 0] * own
-        way_first += contacts.side[m, 1] * own
-        way_second += contacts.side[m, 2] * own
+        normal_response = contacts.normal[c] + compliance * wp.cross(contacts.moment[c], arm)
+        slip += contacts.side[m, 0] * normal_response
+        response_first += contacts.side[m, 1] * normal_response
+        response_second += contacts.side[m, 2] * normal_response
         hold += wp.vec3d(contacts.side[m, 0], contacts.side[m, 1], contacts.side[m, 2])
-    w00 = wp.dot(first, way_first)
-    w11 = wp.dot(second, way_second)
-    w01 = wp.dot(first, way_second)
+    w00 = wp.dot(first, response_first)
+    w11 = wp.dot(second, response_second)
+    w01 = wp.dot(first, response_second)
     v0 = wp.dot(first, slip)
     v1 = wp.dot(second, slip)
     f0, f1 = holding_force(w00, w01, w11, v0, v1, ZERO)

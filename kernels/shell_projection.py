@@ -37,9 +37,9 @@ def project_shell(
     i = wp.tid() + offset
     pose = pose_of(pose_rows)
     place = pose.tip + pose.turn * shell_point[i]
-    way = pose.turn * shell_normal[i]
+    direction = pose.turn * shell_normal[i]
     points.tool_point[i] = place
-    points.tool_normal[i] = way
+    points.tool_normal[i] = direction
     best = reach + wp.length(place - pose.last_tip - pose.last_turn * shell_point[i])
     found = int(-1)
     weight = wp.vec3d()
@@ -57,11 +57,11 @@ def project_shell(
         ac = body.free[c] + body.moved[c] - pa
         outward = wp.cross(ab, ac)
         area = wp.length(outward)
-        against = -wp.dot(way, outward)
+        against = -wp.dot(direction, outward)
         if against > GRAZING * area:
             along = -wp.dot(pa - place, outward) / against
             if wp.abs(along) < best:
-                hit = place + along * way - pa
+                hit = place + along * direction - pa
                 wb = wp.dot(wp.cross(hit, ac), outward) / (area * area)
                 wc = wp.dot(wp.cross(ab, hit), outward) / (area * area)
                 if wb >= EDGE and wc >= EDGE and wb + wc <= ONE - EDGE:

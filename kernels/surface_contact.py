@@ -79,11 +79,11 @@ def turn_of(
         weight = points.weight[point]
         place = weight[0] * pa + weight[1] * pb + weight[2] * pc
         old = points.force[point]
-        distance, way = distance_to(kind, size, pose, points, point, place)
+        distance, direction = distance_to(kind, size, pose, points, point, place)
         if distance < ZERO or wp.length_sq(old) > ZERO:
-            own = points.response[point, 3]
+            compliance = points.response[point, 3]
             slip = place - points.anchor[point]
-            new = coulomb_force(own, points.response[point, 4], old, distance, way, slip, friction)
+            new = coulomb_force(compliance, points.response[point, 4], old, distance, direction, slip, friction)
             change = new - old
             points.force[point] = new
             pa += points.response[point, 0] * change
@@ -92,7 +92,7 @@ def turn_of(
             fa += weight[0] * change
             fb += weight[1] * change
             fc += weight[2] * change
-            worst = wp.max(worst, wp.length(own * change))
+            worst = wp.max(worst, wp.length(compliance * change))
         point = points.following[point]
     load(body, patch, a, fa)
     load(body, patch, b, fb)
@@ -139,10 +139,14 @@ def report(
                 node = body.corners[triangle, a]
                 place += weight[a] * (body.free[node] + moved_at(patch, patch.slot[node]))
             carried = points.force[point]
-            distance, way = distance_to(kind, size, pose, points, point, place)
+            distance, direction = distance_to(kind, size, pose, points, point, place)
             deepest = wp.max(deepest, -distance)
-            own = points.response[point, 3]
-            if ended == DONE and distance < -slack and wp.dot(way, own * way) <= wp.float64(1e-12) * wp.trace(own):
+            compliance = points.response[point, 3]
+            if (
+                ended == DONE
+                and distance < -slack
+                and wp.dot(direction, compliance * direction) <= wp.float64(1e-12) * wp.trace(compliance)
+            ):
                 ended = int(IMMOVABLE)
             if wp.length_sq(carried) > ZERO:
                 force -= carried
@@ -189,9 +193,9 @@ def solve_contact(
         worst = wp.float64(0.0)
         largest = wp.float64(0.0)
         for k in range(lists.count[1]):
-            step, way = turn_of(body, points, patch, kind, size, pose, friction, lists.working[k])
+            step, direction = turn_of(body, points, patch, kind, size, pose, friction, lists.working[k])
             worst = wp.max(worst, step)
-            largest = wp.max(largest, way)
+            largest = wp.max(largest, direction)
         if worst <= tolerance * largest:
             sum_loads(body, points, lists, patch)
             joined, missing = join_touching(body, points, lists, patch, kind, size, pose, missing)

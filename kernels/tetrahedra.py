@@ -59,17 +59,17 @@ def gradient_product(
     pairs = pair_corner.shape[0]
     cell = entry / pairs
     pair = entry - cell * pairs
-    ahead = (
+    product_term = (
         pair_weight[pair, 0] * gradient[cell, pair_corner[pair, 2]]
         + pair_weight[pair, 1] * gradient[cell, pair_corner[pair, 3]]
     )
-    product = wp.outer(gradient[cell, pair_corner[pair, 0]], ahead)
+    product = wp.outer(gradient[cell, pair_corner[pair, 0]], product_term)
     if pair_corner[pair, 0] != pair_corner[pair, 1]:
-        ahead = (
+        product_term = (
             pair_weight[pair, 2] * gradient[cell, pair_corner[pair, 2]]
             + pair_weight[pair, 3] * gradient[cell, pair_corner[pair, 3]]
         )
-        product += wp.outer(gradient[cell, pair_corner[pair, 1]], ahead)
+        product += wp.outer(gradient[cell, pair_corner[pair, 1]], product_term)
     if contribution < 0:
         product = wp.transpose(product)
     return cell, product

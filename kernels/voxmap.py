@@ -176,12 +176,12 @@ def field_distance(
     """Distance from each point to the nearest thing and the way out of it; voxels only as far as they are felt."""
     i = wp.tid()
     least = wp.float64(1.0e30)
-    way = wp.vec3d()
+    direction = wp.vec3d()
     for solid in range(field.kind.shape[0]):
         distance, toward = solid_distance(field, solid, point[i])
         if distance < least:
             least = distance
-            way = toward
+            direction = toward
     if field.spacing > ZERO:
         distance = voxel_clearance(field, point[i])
         toward = wp.vec3d()
@@ -191,6 +191,6 @@ def field_distance(
             toward = wp.normalize(slope)
         if distance < least:
             least = distance
-            way = toward
+            direction = toward
     distance_out[i] = least
-    normal_out[i] = way
+    normal_out[i] = direction

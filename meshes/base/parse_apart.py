@@ -86,7 +86,7 @@ def parse_apart(
     with subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
     ) as process:
-        watch = _Watch(process, limit_s, max(_LEAST_BYTES, _BYTES_A_BYTE * size))
+        monitor = _Monitor(process, limit_s, max(_LEAST_BYTES, _BYTES_A_BYTE * size))
         try:
             assert process.stdout is not None
             answer, arrays = _receive(process.stdout)
@@ -95,14 +95,14 @@ def parse_apart(
                 process.wait(_LAST_S)  # its pipe closes before it has ended
             process.kill()
             process.wait()
-            reason = watch.reason or ("it takes too much memory" if isinstance(problem, MemoryError) else "")
+            reason = monitor.reason or ("it takes too much memory" if isinstance(problem, MemoryError) else "")
             reason = reason or f"its parser crashed with exit code {process.returncode}"
             raise InputError(f"file must be a readable {what}, got {file.name} ({reason}): {remedy}") from None
         except BaseException:
             process.kill()
             raise
         finally:
-            watch.done.set()
+            monitor.done.set()
     if "refused" in answer:
         raise InputError(answer["refused"])
     if "problem" in answer:
@@ -110,7 +110,7 @@ def parse_apart(
     return Parsed(answer["facts"], arrays)
 
 
-class _Watch:
+class _Monitor:
     """Ends a process that takes too long or too much memory; `reason` names which."""
 
     def __init__(self, process: subprocess.Popen[bytes], longest_s: float, most_bytes: int) -> None:

@@ -155,7 +155,7 @@ def image_volume(
     notes = list(image.notes)
     if resample_mm is None and max(image.spacing_mm) > (1.0 + _ISOTROPY) * spacing:
         notes.append(f"The voxels of {image.source} are not cubes; resampled to {spacing:g} mm.")
-    _require_room(values.shape, image.spacing_mm, spacing)
+    _require_size(values.shape, image.spacing_mm, spacing)
     values = _refined(values, image.spacing_mm, spacing)
     fraction = _fraction(values, limit, full_value)
     if not fraction.any():
@@ -224,7 +224,7 @@ def _cropped(values: NDArray[Any], crop: Crop | None) -> NDArray[Any]:
     return values[tuple(slice(a, b) for a, b in zip(first, last, strict=True))]
 
 
-def _require_room(shape: tuple[int, ...], from_mm: tuple[float, float, float], to_mm: float) -> None:
+def _require_size(shape: tuple[int, ...], from_mm: tuple[float, float, float], to_mm: float) -> None:
     """Refuse a resampling that would take more voxels than are workable."""
     count = math.prod(n * max(size / to_mm, 1.0) for n, size in zip(shape, from_mm, strict=True))
     if count > _MOST_VOXELS:

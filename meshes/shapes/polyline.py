@@ -13,7 +13,7 @@ def arc_length(corners: ArrayLike) -> Array:
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(np.asarray(corners), axis=0), axis=1))])
 
 
-def points_along(corners: ArrayLike, ways: ArrayLike) -> Array:
+def points_along(corners: ArrayLike, lengths: ArrayLike) -> Array:
     """Points at some ways from the first corner, shape (m, 3); the ends beyond them."""
-    along, given, at = arc_length(corners), np.asarray(corners), np.asarray(ways, dtype=np.float64)
+    along, given, at = arc_length(corners), np.asarray(corners), np.asarray(lengths, dtype=np.float64)
     return np.column_stack([np.interp(at, along, given[:, axis]) for axis in range(3)])

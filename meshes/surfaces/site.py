@@ -99,8 +99,8 @@ def find_glenoid(
     radius = face.curvature_radius_m
     bend = "concave" if radius > 0.0 else "convex"
     shape = "flat" if abs(radius) > _FLAT_M else f"{bend}, radius {1e3 * abs(radius):.0f} mm"
-    said = f"found by search: face {_size(face)}, {shape}, score {score:.2f} of 1; check it in the picture"
-    return Site(_on_surface(surface, face.centre_m, rotation, _FARTHEST_M), rotation, said)
+    note = f"found by search: face {_size(face)}, {shape}, score {score:.2f} of 1; check it in the picture"
+    return Site(_on_surface(surface, face.centre_m, rotation, _FARTHEST_M), rotation, note)
 
 
 def place_site(
@@ -132,15 +132,15 @@ def place_site(
     centre = _three("anatomy.centre_mm", centre_mm) * 1e-3
     if normal is None:
         samples = sample_surface(*surface.scanned, _FACE_SAMPLES)
-        axis, said = _normal_near(samples, centre), "centre as given, normal of the surface around it"
+        axis, note = _normal_near(samples, centre), "centre as given, normal of the surface around it"
     else:
-        axis, said = _direction("anatomy.normal", normal, "the outward direction"), "centre and normal as given"
+        axis, note = _direction("anatomy.normal", normal, "the outward direction"), "centre and normal as given"
     if along is None:
         samples = sample_surface(*surface.scanned, _FACE_SAMPLES)
         rotation = _axes(axis, samples.points.mean(axis=0) - centre, None)
     else:
-        rotation, said = axes_along(axis, along), said + ", x along the direction given"
-    return Site(_on_surface(surface, centre, rotation, _FARTHEST_M), rotation, said)
+        rotation, note = axes_along(axis, along), note + ", x along the direction given"
+    return Site(_on_surface(surface, centre, rotation, _FARTHEST_M), rotation, note)
 
 
 def _face_at(surface: Surface, centre: NDArray[np.float64], along: Sequence[float] | None) -> Site:
@@ -149,8 +149,8 @@ def _face_at(surface: Surface, centre: NDArray[np.float64], along: Sequence[floa
     near = int(np.argmin(np.linalg.norm(samples.points - centre, axis=1)))
     normal = grow_face(samples, samples.points[near], samples.normals[near]).normal
     rotation = _axes(normal, samples.points.mean(axis=0) - centre, None) if along is None else axes_along(normal, along)
-    said = "centre as given, normal of the face around it"
-    return Site(_on_surface(surface, centre, rotation, _FARTHEST_M), rotation, said)
+    note = "centre as given, normal of the face around it"
+    return Site(_on_surface(surface, centre, rotation, _FARTHEST_M), rotation, note)
 
 
 def axes_along(normal: NDArray[np.float64], along: Sequence[float]) -> NDArray[np.float64]:

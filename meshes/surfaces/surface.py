@@ -188,8 +188,8 @@ def _repaired(
             f"surface must enclose a solid, got {counts[0]} open and {counts[1]} non-manifold edges in "
             f"{source}, the largest hole {1e6 * holes.largest_area:.3g} mm2: close it in a mesh editor"
         )
-    faces, _, late, volume = orient(vertices, faces)
-    if inside_out + late:
+    faces, _, outward, volume = orient(vertices, faces)
+    if inside_out + outward:
         repairs.append(_TURNED)
     if holes.filled:
         repairs.append(
@@ -198,7 +198,7 @@ def _repaired(
         )
     if holes.large:
         repairs.append(f"The bone is cut off at {counted(holes.large, 'large hole')}, closed by a face each.")
-    return vertices, faces, volume, repairs, turned + inside_out + late, holes.caps, scanned
+    return vertices, faces, volume, repairs, turned + inside_out + outward, holes.caps, scanned
 
 
 def read_triangles(file: Path) -> tuple[NDArray[Any], NDArray[Any]]:

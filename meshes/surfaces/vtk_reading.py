@@ -57,10 +57,10 @@ def read_vtk(file: Path) -> Any:
     window = vtkStringOutputWindow()
     vtkOutputWindow.SetInstance(window)
     data: Any = pyvista.read(file)
-    said = window.GetOutput() or ""
-    if "error" in said.lower():
+    output = window.GetOutput() or ""
+    if "error" in output.lower():
         raise DamagedFileError(
-            next((line for line in _HEADING.sub("", said).splitlines() if line.strip()), "not whole")
+            next((line for line in _HEADING.sub("", output).splitlines() if line.strip()), "not whole")
         )
     for block in data if isinstance(data, pyvista.MultiBlock) else [data]:
         if isinstance(block, pyvista.PolyData):

@@ -114,10 +114,10 @@ def _unit(size: NDArray[np.float64], unit_mm: float | None, name: str) -> tuple[
     if unit_mm is not None:
         scale = require_positive("anatomy.scale_mm", unit_mm, "use 1 for millimetres, 1000 for metres")
         sides = " x ".join(f"{scale * s:.3g}" for s in size)
-        said = f"{name} was read at {scale:g} mm per unit, as given: {sides} mm."
+        note = f"{name} was read at {scale:g} mm per unit, as given: {sides} mm."
         if not _ORGAN_MM[0] <= longest * scale <= _ORGAN_MM[1]:
-            said = said[:-1] + f", which is not the size of an organ ({_ORGAN_MM[0]:g} to {_ORGAN_MM[1]:g} mm)."
-        return scale, said
+            note = note[:-1] + f", which is not the size of an organ ({_ORGAN_MM[0]:g} to {_ORGAN_MM[1]:g} mm)."
+        return scale, note
     for scale, unit in _UNITS:
         if _ORGAN_MM[0] <= longest * scale <= _ORGAN_MM[1]:
             sides = " x ".join(f"{scale * s:.3g}" for s in size)

@@ -67,44 +67,44 @@ class TetReport:
 
     def sentences(self) -> tuple[str, ...]:
         """What was found and done, a sentence each; the first describes the mesh itself."""
-        said = [
+        notes = [
             f"{self.cell_count} tetrahedra on {self.node_count} nodes, {self.volume_mm3 * 1e-3:.4g} ml, "
             f"{' x '.join(f'{s:.3g}' for s in self.size_mm)} mm, lowest mean ratio {self.worst_quality:.2g} "
             f"at {place(self.worst_at_mm)} mm."
         ]
         if self.smallest_share < _UNEVEN:
-            said.append(
+            notes.append(
                 f"The smallest tetrahedron, at {place(self.smallest_at_mm)} mm, has 1/{1.0 / self.smallest_share:.0f} "
                 "of the volume of the largest."
             )
         if self.inverted_at_mm is not None:
-            said.append(f"Turned {self.inverted} inverted tetrahedra, the first at {place(self.inverted_at_mm)} mm.")
+            notes.append(f"Turned {self.inverted} inverted tetrahedra, the first at {place(self.inverted_at_mm)} mm.")
         if self.joined_nodes:
-            said.append(f"Joined or dropped {self.joined_nodes} nodes that coincide or are unused.")
+            notes.append(f"Joined or dropped {self.joined_nodes} nodes that coincide or are unused.")
         if self.repeated_cells:
-            said.append(f"Dropped {self.repeated_cells} tetrahedra that repeat another.")
+            notes.append(f"Dropped {self.repeated_cells} tetrahedra that repeat another.")
         if self.flat_dropped:
-            said.append(f"Dropped {self.flat_dropped} flat tetrahedra at the surface.")
+            notes.append(f"Dropped {self.flat_dropped} flat tetrahedra at the surface.")
         if self.flat_moved:
-            said.append(f"Gave volume to {self.flat_moved} flat tetrahedra inside by moving their nodes.")
+            notes.append(f"Gave volume to {self.flat_moved} flat tetrahedra inside by moving their nodes.")
         if self.debris_mm3:
-            said.append(
+            notes.append(
                 f"Dropped {len(self.debris_mm3)} loose pieces of {sum(self.debris_mm3):.3g} mm3 together, the largest "
                 f"{max(self.debris_mm3):.3g} mm3."
             )
         if self.bodies > 1:
-            said.append(f"The mesh is {self.bodies} bodies not linked by faces: each needs its own support.")
+            notes.append(f"The mesh is {self.bodies} bodies not linked by faces: each needs its own support.")
         if self.sliver_at_mm is not None:
-            said.append(
+            notes.append(
                 f"Found {self.slivers} slivers (mean ratio below {SLIVER:g}), the worst at "
                 f"{place(self.sliver_at_mm)} mm; moving {self.nodes_moved} inner nodes left {self.slivers_left}."
             )
         if self.pinched_at_mm is not None:
-            said.append(
+            notes.append(
                 f"Kept {self.pinched} surface edges of more than two triangles (pinched, as at "
                 f"{place(self.pinched_at_mm)} mm): stresses there mean little."
             )
-        return tuple(said)
+        return tuple(notes)
 
 
 def millimetres(points_m: NDArray[np.float64]) -> tuple[float, float, float]:

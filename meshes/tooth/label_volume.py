@@ -96,19 +96,19 @@ class LabelledTooth:
         finest = require_positive("resample_mm", resample_mm, "use 0.1") if resample_mm is not None else None
         size = 1e-3 * (finest or max(self.finest_mm, _FINEST_DEFAULT_MM))
         corners = self.placed.corners
-        _require_size(corners, size)
+        _require_resolution(corners, size)
         if region_m is not None:
             corners = np.stack([np.maximum(corners[0], region_m[0]), np.minimum(corners[1], region_m[1])])
             if (corners[0] >= corners[1]).any():
                 corners = self.placed.corners  # a refusal of a tool that misses names where the tooth lies
-        _require_room(corners, size)
+        _require_size(corners, size)
         volume = resampled(self.placed, corners, size, order, progress=progress)
-        said = list(self.sentences)
+        notes = list(self.sentences)
         if not self.has_pulp:
             volume, sentence = self._with_pulp(volume, pulp_from_cavity)
-            said.append(sentence)
+            notes.append(sentence)
         if remark is not None:
-            for sentence in said:
+            for sentence in notes:
                 remark(sentence)
         return volume
 
@@ -117,8 +117,8 @@ class LabelledTooth:
         cavity = self.cavity if wanted else None
         if cavity is None:
             return volume, "No label for the pulp: its distance and exposure are unknown."
-        said = f"the empty cavity of {1e9 * cavity.volume_m3:.3g} mm3 in the dentin is taken as pulp"
-        return with_pulp(volume, cavity.voxels(volume)), f"No label for the pulp: {said}."
+        note = f"the empty cavity of {1e9 * cavity.volume_m3:.3g} mm3 in the dentin is taken as pulp"
+        return with_pulp(volume, cavity.voxels(volume)), f"No label for the pulp: {note}."
 
 
 def label_volume(
@@ -215,8 +215,8 @@ def labelled_tooth(
     given = f"{spacing_mm[longest]:g}"
     require_tooth_size(float(sides[longest]), "spacing_mm", given, named.layer.shape[longest])
     progress("placing the tooth by its enamel", 0.5)
-    placed, said = _placed(named, 1e-3 * spacing_mm, 1e-3 * np.array(image.origin_mm))
-    sentences = (*image.notes, *_sentences(image, named, said))
+    placed, note = _placed(named, 1e-3 * spacing_mm, 1e-3 * np.array(image.origin_mm))
+    sentences = (*image.notes, *_sentences(image, named, note))
     return LabelledTooth(placed, "pulp" in named.counts, float(spacing_mm.min()), sentences)
 
 
@@ -235,7 +235,7 @@ def _placed(named: LayerImage, spacing: NDArray[np.float64], first_m: NDArray[np
         raise InputError("labels must fill the tooth's long axis, got none there: check which label is the enamel")
     top = int(filled[-1])
     origin = axes.middle_m + heights[top] * axes.rotation[:, 2]
-    return replace(placed, origin=origin), f"{axes.said}; origin on the {TOOTH_LAYERS[on_axis[top]]}"
+    return replace(placed, origin=origin), f"{axes.note}; origin on the {TOOTH_LAYERS[on_axis[top]]}"
 
 
 def _points(flags: NDArray[np.bool_], spacing: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -245,11 +245,11 @@ def _points(flags: NDArray[np.bool_], spacing: NDArray[np.float64]) -> NDArray[n
     return np.column_stack(np.unravel_index(found, flags.shape)) * spacing
 
 
-def _sentences(image: Image, named: LayerImage, said: str) -> list[str]:
+def _sentences(image: Image, named: LayerImage, note: str) -> list[str]:
     """What was found in the image and done to it."""
     cube_mm3 = float(np.prod(image.spacing_mm))
     volumes = ", ".join(f"{name} {count * cube_mm3:.4g} mm3" for name, count in named.counts.items())
-    sentences = [f"The labels of {image.source} hold {volumes}.", f"Long axis: {said}."]
+    sentences = [f"The labels of {image.source} hold {volumes}.", f"Long axis: {note}."]
     if named.island_count:
         sentences.append(
             f"Dropped {named.island_count} loose pieces of {named.island_voxels} voxels, "
@@ -262,7 +262,7 @@ def _sentences(image: Image, named: LayerImage, said: str) -> list[str]:
     return sentences
 
 
-def _require_room(corners: NDArray[np.float64], size: float) -> None:
+def _require_size(corners: NDArray[np.float64], size: float) -> None:
     """Refuse too many voxels."""
     count = float(np.prod(np.ptp(corners, axis=0) / size))
     if count > _MOST_VOXELS:
@@ -272,7 +272,7 @@ def _require_room(corners: NDArray[np.float64], size: float) -> None:
         )
 
 
-def _require_size(corners: NDArray[np.float64], size: float) -> None:
+def _require_resolution(corners: NDArray[np.float64], size: float) -> None:
     """Refuse voxels too large for the tooth."""
     sides = np.ptp(corners, axis=0)
     if sides.min() < 8.0 * size:

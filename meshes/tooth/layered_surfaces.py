@@ -76,8 +76,8 @@ def _read(layer: str, path: str | Path, scale_mm: float | None) -> Surface:
     try:
         return read_surface(path, scale_mm=scale_mm)
     except InputError as error:
-        said = str(error)
-        raise InputError(said if said.startswith("anatomy.") else f"{layer} {said}") from error
+        note = str(error)
+        raise InputError(note if note.startswith("anatomy.") else f"{layer} {note}") from error
 
 
 def layered_anatomy(
@@ -135,7 +135,7 @@ def layered_anatomy(
         assert upright.placement is not None
         found = lesion_site(voxelise(upright, spacing_m=_LESION_M))
         return layered_anatomy(surfaces, priority=priority, socket_mm=socket_mm, at=found.within(upright.placement))
-    centre, rotation, said = _site(surfaces, samples) if at is None else (at.centre_m, at.rotation, at.confidence)
+    centre, rotation, note = _site(surfaces, samples) if at is None else (at.centre_m, at.rotation, at.confidence)
     placed = {name: ((surfaces[name].vertices_m - centre) @ rotation, surfaces[name].faces) for name in surfaces}
     samples = {name: (points - centre) @ rotation for name, points in samples.items()}
     origin, contact = _contact(placed, order)
@@ -166,7 +166,7 @@ def layered_anatomy(
         tuple((points.min(axis=0) - margin).tolist()),
         tuple(np.maximum(points.max(axis=0), samples.get("ligament", points).max(axis=0) + margin).tolist()),
     )
-    notes = _notes(surfaces, said, contact, order, socket_mm)
+    notes = _notes(surfaces, note, contact, order, socket_mm)
     placement = Placement(1e3 * centre, rotation, scale)
     return Anatomy("tooth from surfaces", shape, TOOTH_LAYERS, layers.classify, notes, layers.sample, placement)
 
@@ -190,7 +190,7 @@ def _site(
         found = column_crossings(placed, surfaces[name].faces, np.array([1e-9]), np.array([1e-9]))
         if len(found.height):
             origin = axes.middle_m + found.height.max() * axes.rotation[:, 2]
-            return origin, axes.rotation, f"{axes.said}; origin on the {name}"
+            return origin, axes.rotation, f"{axes.note}; origin on the {name}"
     raise InputError(
         "layers must lie on the tooth's long axis, got none of enamel and dentin there: check which layer is which"
     )
@@ -219,7 +219,7 @@ def _socket(samples: Mapping[str, NDArray[np.float64]], margin: float) -> Lattic
 
 
 def _notes(
-    surfaces: Mapping[str, Surface], said: str, contact: LayerContact, order: Sequence[str], socket_mm: float
+    surfaces: Mapping[str, Surface], note: str, contact: LayerContact, order: Sequence[str], socket_mm: float
 ) -> dict[str, str]:
     """What was found and assumed, for reports."""
 
@@ -230,7 +230,7 @@ def _notes(
     notes = {
         "surfaces": ", ".join(f"{name} {surface.report.volume_mm3:.4g} mm3" for name, surface in surfaces.items()),
         "unit": surfaces["dentin"].report.unit_guess,
-        "long axis": said,
+        "long axis": note,
         "mesial and buccal": "not distinguished: x is the wider direction of the roots",
         "overlaps": listed(contact.overlap_mm3) or "none",
         "gaps": listed(contact.gap_mm3) or "none",

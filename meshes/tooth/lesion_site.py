@@ -58,8 +58,8 @@ def lesion_site(tooth: VoxelVolume) -> Site:
     x = first - (first @ normal) * normal
     x /= np.linalg.norm(x)
     depth_mm = 1e3 * tooth.spacing_m * float(end)
-    said = f"over the caries, whose middle lies {depth_mm:.2g} mm below along the normal of the surface"
-    return Site(centre, np.column_stack([x, np.cross(normal, x), normal]), said)
+    note = f"over the caries, whose middle lies {depth_mm:.2g} mm below along the normal of the surface"
+    return Site(centre, np.column_stack([x, np.cross(normal, x), normal]), note)
 
 
 def _outward(

@@ -135,8 +135,8 @@ class Crown:
         over = self.enamel * (_FOSSA_ENAMEL + (1.0 - _FOSSA_ENAMEL) * relative)
         rise = (p[:, 2] - self.cervical_line(p[:, 0])) * (1.0 / (_FULL_ENAMEL * self.height))
         rise = np.clip(rise, 0.0, 1.0)
-        beside = (_WALL_ENAMEL * self.enamel) * rise * (2.0 - rise)
-        return smooth_maximum(self.wall(p) + beside, p[:, 2] - height + over, _EDGE_M)
+        thickened = (_WALL_ENAMEL * self.enamel) * rise * (2.0 - rise)
+        return smooth_maximum(self.wall(p) + thickened, p[:, 2] - height + over, _EDGE_M)
 
 
 @dataclass(frozen=True)

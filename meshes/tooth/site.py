@@ -37,7 +37,7 @@ class ToothAxes:
 
     rotation: NDArray[np.float64]
     middle_m: NDArray[np.float64]
-    said: str
+    note: str
 
 
 def tooth_axes(enamel_m: NDArray[np.float64], body_m: NDArray[np.float64]) -> ToothAxes:
@@ -69,12 +69,12 @@ def tooth_axes(enamel_m: NDArray[np.float64], body_m: NDArray[np.float64]) -> To
     leaning = math.degrees(math.acos(min(abs(float(along[chosen])), 1.0)))
     if abs(along[chosen]) > _MOST_LEANING:
         up = principal[:, chosen] * np.sign(along[chosen])
-        said = f"principal axis, {leaning:.0f} degrees from the line between the middles of dentin and enamel"
+        note = f"principal axis, {leaning:.0f} degrees from the line between the middles of dentin and enamel"
     else:
         up = line
-        said = f"line between the middles of dentin and enamel; the principal axes lean {leaning:.0f} degrees or more"
+        note = f"line between the middles of dentin and enamel; the principal axes lean {leaning:.0f} degrees or more"
     x = _widest(body_m, up)
-    return ToothAxes(np.column_stack([x, np.cross(up, x), up]), middle, said)
+    return ToothAxes(np.column_stack([x, np.cross(up, x), up]), middle, note)
 
 
 def _widest(points: NDArray[np.float64], up: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -78,9 +78,9 @@ def voxel_fraction(
     gradient, bend = np.empty((len(crossed), 3), dtype=np.float32), np.zeros(len(crossed), dtype=np.float32)
     for axis in range(3):
         shift = step * np.eye(3, dtype=np.float32)[axis]
-        ahead, behind = (shape.distance(np.asfortranarray(points + sign * shift)) for sign in (1, -1))
-        gradient[:, axis] = (ahead - behind) / (2.0 * step)
-        bend = np.maximum(bend, np.abs(ahead + behind - 2.0 * middle))
+        forward, backward = (shape.distance(np.asfortranarray(points + sign * shift)) for sign in (1, -1))
+        gradient[:, axis] = (forward - backward) / (2.0 * step)
+        bend = np.maximum(bend, np.abs(forward + backward - 2.0 * middle))
     slope = np.maximum(np.linalg.norm(gradient, axis=1), np.float32(1e-3))
     normal = np.where(slope[:, None] > 2e-3, gradient / slope[:, None], np.array([0.0, 0.0, 1.0], dtype=np.float32))
     fraction[crossed] = cube_fraction(middle / (slope * np.float32(spacing_m)), normal)
@@ -156,11 +156,11 @@ def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[NDArray[np.bool_], tu
     layer, density = (
         values.reshape([len(a) for a in axes]) for values in anatomy.classify(points, -anatomy.shape.distance(points))
     )
-    own = tuple(slice(1, 1 + n) for n in counts)
+    core = tuple(slice(1, 1 + n) for n in counts)
     same = _over_windows(np.maximum, layer) == _over_windows(np.minimum, layer)
     if BLOCK * grid.spacing_m > _WIDEST_INTERPOLATION_M:
         same = np.zeros_like(same)
-    return same.ravel(), (layer[own].ravel(), density[1:-1, 1:-1, 1:-1])
+    return same.ravel(), (layer[core].ravel(), density[1:-1, 1:-1, 1:-1])
 
 
 def _over_windows(combine: np.ufunc, values: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -125,7 +125,7 @@ def test_a_default_that_the_file_leaves_without_effect_is_refused_unless_a_run_k
     asked = load_scene(base, {"anatomy.edge_mm": 20.0})
     kept.write_text(saved_text(asked))
     assert "edge_mm = 20" in kept.read_text()
-    place = {"way_m": np.zeros((2, 3)), "touch_edge_m": 0.02, "report": lambda what, share: None}
+    place = {"path_m": np.zeros((2, 3)), "touch_edge_m": 0.02, "report": lambda what, share: None}
     with pytest.raises(InputError, match="edge_mm must be left out for tetrahedra from a file, got 20: "):
         held_mesh(asked.anatomy, **place)
     assert held_mesh(load_scene(kept).anatomy, **place).mesh.cells.size

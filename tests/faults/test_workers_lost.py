@@ -13,7 +13,7 @@ import pytest
 
 from tissue.system import child, offscreen
 from tissue.system.offscreen import draw_apart, end_drawing
-from tissue.system.workers import first_done, own_processes
+from tissue.system.workers import first_done, worker_pool
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="this system has no SIGSTOP")
 
@@ -29,7 +29,7 @@ def test_a_worker_that_does_not_work_is_ended_and_reported(monkeypatch, how):
     monkeypatch.setattr("tissue.system.workers.LOOK_S", 0.25)
     monkeypatch.setattr("tissue.system.child.LOOK_S", 0.25)
     said = []
-    with pytest.raises(BrokenExecutor), own_processes(1) as pool:
+    with pytest.raises(BrokenExecutor), worker_pool(1) as pool:
         assert first_done(pool, [pool.submit(abs, -3)], lambda *_: None).pop().result() == 3
         futures = [pool.submit(stop_oneself, getattr(signal, how)), pool.submit(abs, -4)]
         first_done(pool, futures, lambda doing, _: said.append(doing)).pop().result()

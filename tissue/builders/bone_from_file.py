@@ -33,9 +33,9 @@ def bone_from_file(parameters: AnatomyFile, notes: dict[str, str]) -> Anatomy:
         triangles, source = image_triangles(image, threshold=threshold), image.source
         cuts = image_cuts(image, threshold=threshold)
         places = f"{len(cuts)} places" if len(cuts) > 1 else "one place"
-        said = [*image.notes, *([f"The bone is cut off at {places} by the edge of the image."] if cuts else [])]
-        if said:
-            notes["image"] = " ".join(said)
+        remarks = [*image.notes, *([f"The bone is cut off at {places} by the edge of the image."] if cuts else [])]
+        if remarks:
+            notes["image"] = " ".join(remarks)
     else:
         file = Path(parameters.file)
         triangles, source = read_triangles(file), file.name
@@ -61,7 +61,7 @@ def require_whole(anatomy: Anatomy, region: Corners, *, is_image: bool) -> None:
     )
     for points in anatomy.caps_m:
         low, high = points.min(axis=0), points.max(axis=0)
-        if (low <= region[1]).all() and (high >= region[0]).all() and not _beside(points, region):
+        if (low <= region[1]).all() and (high >= region[0]).all() and not _outside(points, region):
             raise InputError(
                 f"anatomy.file must enclose a solid where the tool goes, got {anatomy.name} {how} "
                 f"{box_text((low, high), between=True)} within the tool's reach {box_text(region)}: {remedy}, or move "
@@ -69,7 +69,7 @@ def require_whole(anatomy: Anatomy, region: Corners, *, is_image: bool) -> None:
             )
 
 
-def _beside(points: NDArray[np.float64], region: Corners) -> bool:
+def _outside(points: NDArray[np.float64], region: Corners) -> bool:
     """Whether a box lies all on one side of a cap, whose own box is wide where a cut is oblique."""
     normal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]
     corners = np.array(np.meshgrid(*np.array(region).T)).reshape(3, -1).T

@@ -126,14 +126,14 @@ def _bone(
 def _energy_note(volume: VoxelVolume) -> str:
     """The cited tangential chip coefficient of each material that is there, which is its specific energy."""
     there = {CUT_AS.get(name, "bone") for i, name in enumerate(volume.layer_names) if (volume.layer == i).any()}
-    said = []
+    remarks = []
     for material in sorted(there):
         energy = cutting_constants(material)["tangential_chip_N_mm2"]
-        said.append(
+        remarks.append(
             f"{material} {1e-3 * energy.value:g} ({1e-3 * energy.low:g}-{1e-3 * energy.high:g}) J/mm3, "
             f"confidence {energy.confidence}"
         )
-    return "; ".join(said)
+    return "; ".join(remarks)
 
 
 def _tooth(scene: Scene, milling: "BoneModel", *, compute: str, report: Progress) -> TissueModel:

@@ -47,7 +47,7 @@ def hand_motion(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable
     """
     limits, person, chosen = device_parameters(scene.device), hand_parameters(scene.hand), scene.coupling
     judged, turning = judged_loops(scene, step_s=step_s, allow_unstable=allow_unstable)
-    _require_room(scene, scripted, limits)
+    _require_workspace(scene, scripted, limits)
     loop, scale = replace(judged.loop, delay_s=_delay_s(scene, limits)), chosen.motion_scale
     start, touches = scripted.sweep_m()[0], isinstance(scene.tool, Tool) and scene.tool.spin_rpm == 0.0
     spring = judged.loop.stiffness_N_m / (scale * scene.force_scale)
@@ -85,17 +85,17 @@ def hand_motion(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable
         prediction_gain=chosen.prediction_gain,
         perception=felt,
     )
-    told = [judged.sentence(), f"{scene.force_scale:g} N at the device for each newton at the tool"]
+    notes = [judged.sentence(), f"{scene.force_scale:g} N at the device for each newton at the tool"]
     if turning:
-        told.insert(1, turning.sentence())
+        notes.insert(1, turning.sentence())
     if scale != 1.0:
-        told.append(
+        notes.append(
             f"{scale:g} m at the tool for each metre at the device: a stiffness at the tool is felt as "
             f"{scale * scene.force_scale:g} of it, a torque as {scene.force_scale / scale:g}"
         )
     if felt is not None:
-        told.append(felt.sentence)
-    return motion, f"{scene.device} in the hand of {person_of(scene.hand)}, {scene.renderer}: {'; '.join(told)}"
+        notes.append(felt.sentence)
+    return motion, f"{scene.device} in the hand of {person_of(scene.hand)}, {scene.renderer}: {'; '.join(notes)}"
 
 
 def _stray_m(scene: Scene) -> float:
@@ -110,16 +110,16 @@ def _delay_s(scene: Scene, limits: DeviceParameters) -> float:
     return limits.transport_delay_s + 1e-3 * scene.coupling.delay_ms
 
 
-def _require_room(scene: Scene, scripted: Motion, limits: DeviceParameters) -> None:
+def _require_workspace(scene: Scene, scripted: Motion, limits: DeviceParameters) -> None:
     """Refuse a motion that leaves the device's workspace, whose box may lie along the axes as it fits."""
-    room, way = limits.workspace_m, np.sort(np.ptp(scripted.sweep_m(), axis=0))
+    workspace, extent = limits.workspace_m, np.sort(np.ptp(scripted.sweep_m(), axis=0))
     scale = scene.coupling.motion_scale
-    if (way > scale * room).any():
-        fits = ceil(100.0 * float((way / room).max()) - 1e-9) / 100.0
+    if (extent > scale * workspace).any():
+        fits = ceil(100.0 * float((extent / workspace).max()) - 1e-9) / 100.0
         sizes = lambda edges: " x ".join(f"{1e3 * each:.0f}" for each in edges[::-1])  # noqa: E731
         raise InputError(
-            f"coupling.motion_scale must be at least {fits:g} for a motion of {sizes(way)} mm in the workspace of "
-            f"{scene.device}, {sizes(room)} mm, got {scale:g}: use {fits:g}"
+            f"coupling.motion_scale must be at least {fits:g} for a motion of {sizes(extent)} mm in the workspace of "
+            f"{scene.device}, {sizes(workspace)} mm, got {scale:g}: use {fits:g}"
         )
 
 

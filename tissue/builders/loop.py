@@ -57,13 +57,13 @@ class JudgedLoop:
 
     def sentence(self) -> str:
         """What was chosen, and what is known of it."""
-        told = self.verdict.sentence(self.loop.stiffness_N_m).replace("N/m", self.unit)
+        note = self.verdict.sentence(self.loop.stiffness_N_m).replace("N/m", self.unit)
         if self.loop.stiffness_N_m >= self.alone:
-            told += (
+            note += (
                 f", but only in a hand: let go where it is held from two sides, nothing but {self.saves} stops its "
                 f"ringing from {self.alone:.3g} {self.unit} on"
             )
-        return told
+        return note
 
 
 def judged_loops(scene: Scene, *, step_s: float, allow_unstable: bool) -> tuple[JudgedLoop, JudgedLoop | None]:
@@ -135,7 +135,7 @@ def judged_loop(scene: Scene, *, step_s: float) -> WallLoop:
         1.0, wall_damping_N_s_m=chosen.damping_N_s_m, filter_s=_filter_s(scene), model_ticks=chosen.model_ms
     )
     hand = hand_parameters(scene.hand).grip[:3]
-    loops = [replace(_later(scene, loop, step_s * late), forecast=each) for each in _forecasts(scene, limits)]
+    loops = [replace(_delayed(scene, loop, step_s * late), forecast=each) for each in _forecasts(scene, limits)]
     loop = min(loops, key=lambda each: critical_stiffness_N_m(in_hands(each, [hand])[0])) if loops[1:] else loops[0]
     return _chosen(loop, hand, chosen.stiffness_N_m, limits.stiffness_limit_N_m, _steepest(scene))
 
@@ -158,8 +158,8 @@ def predictor_of(scene: Scene) -> Predictor | None:
 
 def lead_ticks(scene: Scene) -> int:
     """How far ahead the force is asked for: latency, low-pass and transport."""
-    late_ms = scene.output.low_pass_ms + 1e3 * device_parameters(scene.device).transport_delay_s
-    return scene.coupling.delay_ms + round(late_ms)
+    delay_ms = scene.output.low_pass_ms + 1e3 * device_parameters(scene.device).transport_delay_s
+    return scene.coupling.delay_ms + round(delay_ms)
 
 
 def _forecasts(scene: Scene, limits: DeviceParameters) -> list[Forecast | None]:
@@ -188,7 +188,7 @@ def _turning_loop(scene: Scene, *, step_s: float) -> WallLoop:
     loop = limits.turning_loop(1.0, filter_s=_filter_s(scene), model_ticks=chosen.model_ms)
     hand = hand_parameters(scene.hand).grip[3:]
     late = 0.0 if touches else step_s
-    return _chosen(_later(scene, loop, late), hand, chosen.stiffness_Nm_rad, limits.stiffness_limit_Nm_rad)
+    return _chosen(_delayed(scene, loop, late), hand, chosen.stiffness_Nm_rad, limits.stiffness_limit_Nm_rad)
 
 
 def _chosen(
@@ -206,9 +206,9 @@ def _filter_s(scene: Scene) -> float:
     return 1e-3 * scene.output.low_pass_ms
 
 
-def _later(scene: Scene, loop: WallLoop, late_s: float) -> WallLoop:
+def _delayed(scene: Scene, loop: WallLoop, extra_s: float) -> WallLoop:
     """The loop with the scene's latency and some more [s]."""
-    return replace(loop, delay_s=loop.delay_s + 1e-3 * scene.coupling.delay_ms + late_s)
+    return replace(loop, delay_s=loop.delay_s + 1e-3 * scene.coupling.delay_ms + extra_s)
 
 
 def _refusal(scene: Scene, verdict: Verdict, stiffness: float, key: str) -> str:

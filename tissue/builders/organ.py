@@ -71,7 +71,7 @@ class HeldMesh:
 
 
 def held_mesh(
-    anatomy: LiverAnatomy | SlabAnatomy, *, way_m: NDArray[np.float64], touch_edge_m: float, report: Progress
+    anatomy: LiverAnatomy | SlabAnatomy, *, path_m: NDArray[np.float64], touch_edge_m: float, report: Progress
 ) -> HeldMesh:
     """Mesh of a scene's organ, procedural or from its file, made fine where the tool goes.
 
@@ -79,7 +79,7 @@ def held_mesh(
     ----------
     anatomy
         The scene's organ.
-    way_m
+    path_m
         Corners of the way of the tool's tip [m], shape (k, 3).
     touch_edge_m
         Longest edge on it [m]; edges grow by `GROWTH` times the distance from it.
@@ -93,7 +93,7 @@ def held_mesh(
     """
 
     def fine(mesh: TetMesh) -> TetMesh:
-        return bisected(mesh, lambda points: touch_edge_m + GROWTH * _away(points, way_m))
+        return bisected(mesh, lambda points: touch_edge_m + GROWTH * _away(points, path_m))
 
     with scene_keys(KEYS):
         if isinstance(anatomy, SlabAnatomy):
@@ -115,25 +115,25 @@ def elasticity_of(mesh: TetMesh, anatomy: LiverAnatomy | SlabAnatomy, organ: Org
     modulus = cited["modulus_kPa"]
     first = organ.young_kPa or modulus.value
     ratio = cited["poisson_ratio"].value if organ.poisson_ratio is None else organ.poisson_ratio
-    said = f"{first:g} kPa"
+    note = f"{first:g} kPa"
     if organ.young_kPa is None:
-        said += f" (cited {modulus.low:g}-{modulus.high:g}, confidence {modulus.confidence})"
+        note += f" (cited {modulus.low:g}-{modulus.high:g}, confidence {modulus.confidence})"
     young = np.full(len(mesh.cells), first)
     if organ.young_end_kPa is not None:
         x = mesh.nodes_m[mesh.cells].mean(axis=1)[:, 0]
         share = (x - x.min()) / np.ptp(x)
         young += (organ.young_end_kPa - first) * share**organ.grading_exponent
-        said += f" to {organ.young_end_kPa:g} kPa along x, by the way to the power {organ.grading_exponent:g}"
+        note += f" to {organ.young_end_kPa:g} kPa along x, by the way to the power {organ.grading_exponent:g}"
     nodule = _nodule_part(mesh, organ)
     if nodule is not None:
         stiff = NODULE_KPA if organ.nodule_kPa is None else organ.nodule_kPa
         young[mesh.part == nodule] = stiff
-        said += f"; {mesh.part_names[nodule]} {stiff:g} kPa"
-    said += f"; Poisson's ratio {ratio:g}"
+        note += f"; {mesh.part_names[nodule]} {stiff:g} kPa"
+    note += f"; Poisson's ratio {ratio:g}"
     if organ.order == 1 and ratio > LOCKING_RATIO:
-        said += ", at which linear tetrahedra lock: forces come out too great, take organ.order = 2"
+        note += ", at which linear tetrahedra lock: forces come out too great, take organ.order = 2"
     if organ.fibre_direction is None:
-        return lame(1e3 * young, ratio), said
+        return lame(1e3 * young, ratio), note
     along = organ.fibre_modulus_ratio
     unit = transversely_isotropic(
         young_fibre_pa=1e3 * along,
@@ -143,7 +143,7 @@ def elasticity_of(mesh: TetMesh, anatomy: LiverAnatomy | SlabAnatomy, organ: Org
         poisson_across=ratio,
     )
     turned = rotated(unit, np.array([organ.fibre_direction]))
-    return young[:, None, None] * turned, said + f"; {along:g} times as stiff along its fibres"
+    return young[:, None, None] * turned, note + f"; {along:g} times as stiff along its fibres"
 
 
 def _nodule_part(mesh: TetMesh, organ: Organ) -> int | None:
@@ -181,10 +181,10 @@ def _nodule(anatomy: LiverAnatomy | SlabAnatomy) -> Nodule | None:
     return Nodule(0.5e-3 * anatomy.nodule_diameter_mm, (x, y, z))
 
 
-def _away(points_m: NDArray[np.float64], way_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _away(points_m: NDArray[np.float64], path_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Distance of points from the way of the tip [m], shape (n,)."""
     nearest = np.full(len(points_m), np.inf)
-    for start, end in pairwise(way_m):
+    for start, end in pairwise(path_m):
         along = end - start
         share = np.clip((points_m - start) @ along / max(float(along @ along), 1e-30), 0.0, 1.0)
         nearest = np.minimum(nearest, np.linalg.norm(points_m - start - share[:, None] * along, axis=1))
@@ -234,10 +234,10 @@ def _held(anatomy: LiverAnatomy, mesh: TetMesh) -> NDArray[np.int64]:
 
 
 def _held_note(anatomy: LiverAnatomy) -> str:
-    said = {
+    note = {
         "below": "the surface that faces down",
         "back": "the surface that faces back",
         "plane": f"the surface below z = {anatomy.held_below_mm:g} mm",
         "part": f"the part {anatomy.held_part}",
     }
-    return said[anatomy.held]
+    return note[anatomy.held]

@@ -57,7 +57,7 @@ def pierce(scene: Scene, motion: Motion, *, report: Progress = silent) -> Parts:
         report("solving a block of the organ around the needle", 0.0)
         near = diameter if scene.device == "none" else HAND_M
         fields = NeedleFields.of_liver(track, near_m=near, interval_s=1e-3 * scene.anatomy.interval_ms)
-        notes["fields"] = fields.beside(tissue)
+        notes["fields"] = fields.note(tissue)
         if scene.device != "none":
             notes["fields"] += f"; a hand that enters up to {1e3 * near:g} mm beside the track is drawn as on it"
     return Parts(motion, NeedleModel(tissue, diameter_m=diameter, fields=fields), notes=notes)
@@ -77,12 +77,12 @@ def press(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: i
     prony = _prony(organ, notes)
     report("meshing the organ", 0.0)
     edge_mm = anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
-    found = held_mesh(anatomy, way_m=motion.sweep_m(), touch_edge_m=1e-3 * edge_mm, report=report)
-    elasticity, said = elasticity_of(found.mesh, anatomy, organ)
+    found = held_mesh(anatomy, path_m=motion.sweep_m(), touch_edge_m=1e-3 * edge_mm, report=report)
+    elasticity, note = elasticity_of(found.mesh, anatomy, organ)
     from tissue.models.organ.probe import ShellProbe
 
     probe = probe_of(scene.tool)
-    notes |= found.notes | {"modulus": said}
+    notes |= found.notes | {"modulus": note}
     if isinstance(probe, ShellProbe):
         notes["tool"] = shell_note(scene.tool, probe)
     report("compiling kernels (the first time on a machine)", 0.0)

@@ -37,9 +37,9 @@ def build(
         return _tissue(scene, motion, step_s=step_s, compute=compute, cores=cores, report=report)
     from tissue.builders.hand import hand_motion
 
-    held, said = hand_motion(scene, motion, step_s=step_s, allow_unstable=allow_unstable)
+    held, note = hand_motion(scene, motion, step_s=step_s, allow_unstable=allow_unstable)
     parts = _tissue(scene, held, step_s=step_s, compute=compute, cores=cores, report=report)
-    parts.notes["coupling"] = said
+    parts.notes["coupling"] = note
     return parts
 
 

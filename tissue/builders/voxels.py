@@ -131,16 +131,16 @@ def _image(scene: Scene, *, notes: dict[str, str]) -> VoxelVolume:
     from meshes.images.bone_image import read_volume
 
     parameters = scene.bone
-    said: list[str] = []
+    remarks: list[str] = []
     volume = read_volume(
         parameters.file or "",
         threshold=threshold_of(parameters),
         spacing_mm=parameters.spacing_mm,
         density_kg_m3=parameters.density_kg_m3 if isinstance(parameters, BlockAnatomy) else 1800.0,
         resample_mm=scene.voxels.spacing_mm,
-        remark=said.append,
+        remark=remarks.append,
     )
-    notes["image"] = " ".join(said) or f"{parameters.file}: {volume.shape} voxels"
+    notes["image"] = " ".join(remarks) or f"{parameters.file}: {volume.shape} voxels"
     return volume
 
 
@@ -153,7 +153,7 @@ def _labelled(
     report: Progress,
 ) -> VoxelVolume:
     """A tooth from a label volume, or the part of it in a box of the site's frame [m]."""
-    said: list[str] = []
+    remarks: list[str] = []
     file = Path(scene.bone.file or "")
     stamp = file.stat() if file.is_file() else None
     report("reading the label volume", 0.0)
@@ -162,10 +162,10 @@ def _labelled(
     volume = tooth.volume(
         resample_mm=1e3 * spacing_m,
         region_m=region,
-        remark=said.append,
+        remark=remarks.append,
         progress=lambda share: report("voxelising the tooth", share),
     )
-    notes["labels"] = " ".join(said)
+    notes["labels"] = " ".join(remarks)
     if (found := _lesion(tooth)) is not None:
         notes["lesion"] = found
     return volume

@@ -70,10 +70,10 @@ def _scenes(names: list[str], folder: Path, *, quick: bool, overwrite: bool) -> 
     import os
 
     from tissue.evaluation.charts.scenes import chart_lines, chart_scenes
-    from tissue.system.workers import own_processes
+    from tissue.system.workers import worker_pool
 
     workers = min(os.cpu_count() or 1, MOST_WORKERS)
-    with output_locked(folder, folder=True), progress() as report, own_processes(workers) as pool:
+    with output_locked(folder, folder=True), progress() as report, worker_pool(workers) as pool:
         found = chart_scenes(names, folder, quick=quick, overwrite=overwrite, pool=pool, report=report)
     for line in chart_lines(found):
         console.print(line, soft_wrap=True, highlight=False)

@@ -37,8 +37,8 @@ def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> lis
         "breaches": [asdict(each) for each in found.breaches],
         "events": [{"time_s": at, "what": what} for at, what in found.events],
     }
-    with whole_file(folder / FILES[0]) as temporary:
-        temporary.write_text(json.dumps(data, indent=2) + "\n", "utf-8")
+    with whole_file(folder / FILES[0]) as beside:
+        beside.write_text(json.dumps(data, indent=2) + "\n", "utf-8")
     draw_assessment(found, folder / FILES[1])
     return [folder / name for name in FILES]
 
@@ -60,9 +60,9 @@ def draw_assessment(found: Assessment, path: Path) -> None:
                 # A breach of a tick or two must still be seen.
                 least = 0.002 * float(time[-1] - time[0])
                 axes.axvspan(breach.start_s, max(breach.end_s, breach.start_s + least), color=SHADE, alpha=0.35, lw=0)
-        temporary = {"force": found.reference_force_N, "depth": found.reference_depth_mm}.get(what)
-        if temporary is not None:
-            axes.plot(time, temporary, color=REFERENCE, linewidth=1.4, label="reference at that place")
+        beside = {"force": found.reference_force_N, "depth": found.reference_depth_mm}.get(what)
+        if beside is not None:
+            axes.plot(time, beside, color=REFERENCE, linewidth=1.4, label="reference at that place")
         axes.plot(time, values, color=TRAINEE, label="trainee")
         axes.axhline(limit, color=LIMIT, linestyle="--", linewidth=1.4, label="limit")
         axes.set_ylabel(label)

@@ -82,8 +82,8 @@ def _summed(shares: NDArray[np.float64], pattern: Pattern, unknown_count: int) -
     ordered = shares[np.where(turned, ~pattern.contribution, pattern.contribution)]
     ordered[turned] = ordered[turned].swapaxes(1, 2)
     blocks = np.add.reduceat(ordered, pattern.pair_start[:-1], axis=0)
-    own = pattern.place == pattern.mirror
-    blocks[own] = np.triu(blocks[own]) + np.triu(blocks[own], 1).swapaxes(1, 2)
+    diagonal = pattern.place == pattern.mirror
+    blocks[diagonal] = np.triu(blocks[diagonal]) + np.triu(blocks[diagonal], 1).swapaxes(1, 2)
     values = np.empty((len(pattern.column), 3, 3))
     values[pattern.place] = blocks
     values[pattern.mirror] = blocks.swapaxes(1, 2)

@@ -91,23 +91,23 @@ def press(
         If the direction has no length, depths do not rise, no node of the surface lies in the sphere's way, or nothing
         is held.
     """
-    start, way = np.asarray(point_m, dtype=np.float64), np.asarray(inward, dtype=np.float64)
-    length = float(np.linalg.norm(way))
+    start, direction = np.asarray(point_m, dtype=np.float64), np.asarray(inward, dtype=np.float64)
+    length = float(np.linalg.norm(direction))
     if not length > 0.0:
-        raise InputError(f"inward must have a length, got {way}: use (0, 0, -1)")
-    way = way / length
+        raise InputError(f"inward must have a length, got {direction}: use (0, 0, -1)")
+    direction = direction / length
     depths = np.fromiter(depths_m, dtype=np.float64)
     if not (np.diff(depths, prepend=0.0) > 0.0).all() or not np.isfinite(depths).all():
         raise InputError(f"depths_m must be positive, finite and rising, got {depths}: use (1e-3, 2e-3, 4e-3)")
     solver = solver or NewtonSolver(body, np.repeat(held[:, None], 3, axis=1))
-    sphere, touching = _resting(solver, start, way, radius_m, NODES)
+    sphere, touching = _resting(solver, start, direction, radius_m, NODES)
     solutions: list[NewtonSolution] = []
     now, reached = None, 0.0
     for depth in depths:
         # A sphere that jumped by its radius would find nodes behind its centre and keep them there.
         stops = np.linspace(reached, depth, 2 + int((depth - reached) / (LONGEST * sphere.radius_m)))[1:]
         for stop in stops:
-            sphere.move_to(start + (touching + stop) * way)
+            sphere.move_to(start + (touching + stop) * direction)
             solution = solver.solve(sphere=sphere, start_m=now)
             now = solution.displacement_m
             if not solution.converged:
@@ -118,7 +118,7 @@ def press(
 
 
 def press_at(
-    solver: NewtonSolver, tip_m: Array, way: Array, *, radius_m: float, tolerance: float = NODES
+    solver: NewtonSolver, tip_m: Array, direction: Array, *, radius_m: float, tolerance: float = NODES
 ) -> tuple[NewtonSolution, RigidSphere, float]:
     """Equilibrium with a rigid sphere that comes straight to its place, the body being at rest before.
 
@@ -143,10 +143,10 @@ def press_at(
     InputError
         If the radius is not positive or no node of the surface lies in the sphere's way.
     """
-    sphere, touching = _resting(solver, tip_m, way, radius_m, tolerance)
+    sphere, touching = _resting(solver, tip_m, direction, radius_m, tolerance)
     depth, now = -radius_m - touching, None
     for stop in np.linspace(touching, -radius_m, 2 + max(0, int(depth / (LONGEST * radius_m))))[1:]:
-        sphere.move_to(tip_m + stop * way)
+        sphere.move_to(tip_m + stop * direction)
         solution = solver.solve(sphere=sphere, start_m=now)
         if not solution.converged:
             break
@@ -155,7 +155,7 @@ def press_at(
 
 
 def _resting(
-    solver: NewtonSolver, point_m: Array, way: Array, radius_m: float, tolerance: float
+    solver: NewtonSolver, point_m: Array, direction: Array, radius_m: float, tolerance: float
 ) -> tuple[RigidSphere, float]:
     """A sphere aimed at a point [m] where it first touches a node, and how far beyond the point its centre is [m]."""
     radius, body = require_positive("radius_m", radius_m, "use 0.01"), solver.body
@@ -163,14 +163,14 @@ def _resting(
     offset = body.nodes_m[surface] - point_m
     near = np.linalg.norm(offset, axis=1) < 3.0 * radius
     surface, offset = surface[near], offset[near]
-    along = offset @ way
-    aside = np.linalg.norm(offset - along[:, None] * way, axis=1)
+    along = offset @ direction
+    aside = np.linalg.norm(offset - along[:, None] * direction, axis=1)
     inside = aside < radius
     if not inside.any():
         raise InputError(f"point_m must lie on the surface, got {point_m}: no node of it is in the sphere's way")
     touching = float((along[inside] - np.sqrt(radius**2 - aside[inside] ** 2)).min())
     penalty = STIFFER * solver.rest_diagonal.reshape(-1, 3)[surface].mean(axis=1)
-    centre = point_m + touching * way
+    centre = point_m + touching * direction
     return RigidSphere(surface, penalty, radius_m=radius, centre_m=centre, tolerance=tolerance), touching
 
 
@@ -187,7 +187,7 @@ def linear_limits(
 ) -> LinearLimits:
     """Press a sphere under each law; arguments as of `press`, Lame constants [Pa] as of `NonlinearBody`."""
     depths = np.asarray(depths_m, dtype=np.float64)
-    way = np.asarray(inward, dtype=np.float64) / np.linalg.norm(inward)
+    direction = np.asarray(inward, dtype=np.float64) / np.linalg.norm(inward)
     precondition, forces = None, {}
     for law in laws:
         solver = NewtonSolver(
@@ -198,6 +198,6 @@ def linear_limits(
         found = press(
             solver.body, held, point_m=point_m, inward=inward, radius_m=radius_m, depths_m=depths, solver=solver
         )
-        force = [-float(s.tool_force_N @ way) if s.converged else np.nan for s in found]
+        force = [-float(s.tool_force_N @ direction) if s.converged else np.nan for s in found]
         forces[law] = np.array(force + [np.nan] * (len(depths) - len(force)))
     return LinearLimits(depths, forces)

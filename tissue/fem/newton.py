@@ -152,7 +152,7 @@ class NewtonSolver:
         move = np.where(self.held, goal - now, 0.0)
         newton = linear = 0
         if move.any():
-            now, linear = self._carried(now, move)
+            now, linear = self._moved_on(now, move)
         outcome, residual = Outcome.NOT_CONVERGED, np.inf
         for _ in range(CORRECTIONS):
             now, outcome, residual, more, used = self._minimum(now, sphere)
@@ -164,7 +164,7 @@ class NewtonSolver:
         push = sphere.force_N(self.body.nodes_m + now) if sphere is not None else np.zeros(3)
         return NewtonSolution(now, force, push, outcome, newton, linear, residual)
 
-    def _carried(self, start: Array, move: Array) -> tuple[Array, int]:
+    def _moved_on(self, start: Array, move: Array) -> tuple[Array, int]:
         """The start with held components moved and the free ones following to first order, if no cell turns over."""
         tangent = self.body.stiffness(start)
         step, used = self._direction(tangent, -(tangent @ move.ravel()), 1e-3)
@@ -191,8 +191,8 @@ class NewtonSolver:
             downhill = float(np.sum(slope * step))
             share = 1.0
             for _ in range(HALVINGS):
-                ahead = now + share * step
-                there = self._state(ahead, sphere)
+                trial = now + share * step
+                there = self._state(trial, sphere)
                 lower = there[0] <= energy + ARMIJO * share * downhill
                 rounding = (
                     there[0] <= energy + ROUNDING * abs(energy) + self._rounding_J
@@ -202,7 +202,7 @@ class NewtonSolver:
                 share *= 0.5
             else:
                 return now, Outcome.STALLED, residual, step_count, linear
-            now, (energy, size, slope) = ahead, there
+            now, (energy, size, slope) = trial, there
         return now, Outcome.NOT_CONVERGED, residual, self._step_limit, linear
 
     def _state(self, displacement: Array, sphere: RigidSphere | None) -> tuple[float, float, Array]:
@@ -221,8 +221,8 @@ class NewtonSolver:
         tangent = self.body.stiffness(displacement)
         if sphere is not None:
             row = np.repeat(np.arange(self.body.space.node_count), np.diff(tangent.indptr))
-            own = np.flatnonzero(row == tangent.indices)  # one block a node, in rising order
-            tangent.data[own[sphere.nodes]] += sphere.blocks(self.body.nodes_m + displacement)
+            diagonal = np.flatnonzero(row == tangent.indices)  # one block a node, in rising order
+            tangent.data[diagonal[sphere.nodes]] += sphere.blocks(self.body.nodes_m + displacement)
         return tangent
 
     def _direction(self, whole: bsr_array, load: Array, accuracy: float) -> tuple[Array, int]:
@@ -230,22 +230,22 @@ class NewtonSolver:
         free, full = self._free, np.zeros(self.held.size)
         step, residual = np.zeros(len(free)), load[free].copy()
         corrected = self.precondition(residual)
-        way, size = corrected, dot(residual, corrected)
+        direction, size = corrected, dot(residual, corrected)
         goal = accuracy**2 * size
         for iteration in range(LINEAR_LIMIT):
             if size <= goal:
                 break
-            full[free] = way
+            full[free] = direction
             along = (whole @ full)[free]
-            curvature = dot(way, along)
+            curvature = dot(direction, along)
             if curvature <= 0.0:
-                step = way if iteration == 0 else step
+                step = direction if iteration == 0 else step
                 break
-            step = step + (size / curvature) * way
+            step = step + (size / curvature) * direction
             residual = residual - (size / curvature) * along
             corrected = self.precondition(residual)
             size, before = dot(residual, corrected), size
-            way = corrected + (size / before) * way
+            direction = corrected + (size / before) * direction
         full[free] = step
         return full.reshape(self.held.shape), iteration
 

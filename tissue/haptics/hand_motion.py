@@ -222,7 +222,7 @@ class HandMotion(Motion):
         arrived = self.tool.tip_m.copy()
         self._follow(self._sample, response, motion)
         if self.tool.driven:
-            self._tell_speed(motion, (self.tool.tip_m - arrived) / self._step, np.zeros(3))
+            self._set_speed(motion, (self.tool.tip_m - arrived) / self._step, np.zeros(3))
         return True
 
     def _follow(self, sample: Sample, response: Response, motion: ToolMotion) -> None:
@@ -234,13 +234,13 @@ class HandMotion(Motion):
         if self.tool.quaternion != self._turned:
             self._turned = self.tool.quaternion
             motion.rotation[:] = matrix_of(np.array(self._turned)) @ self._start
-        self._tell_speed(motion, self._went, at - tip)
+        self._set_speed(motion, self._went, at - tip)
 
     def play(self, response: Response) -> None:
         """Give the device the force that answers its sample."""
         wanted = torque = None
         compressed = False
-        told = self.measures
+        row = self.measures
         if (sample := self._sample) is None:
             self._pause()
         else:
@@ -251,27 +251,27 @@ class HandMotion(Motion):
                 if self._turning_law is not None:
                     turned, spin, still = self.tool.quaternion, np.array(sample.spin_rad_s), np.zeros(3)
                     self._torque = self._turning_law.render(sample.quaternion, spin, turned, still, self._step)
-            told[19:22] = force = self._raw
+            row[19:22] = force = self._raw
             if self.predictor is not None:
                 self.predictor.observe(at, speed, force if self._fresh else None)
-                ahead = self.predictor.predict(self.lead_ticks)
-                told[22:25], told[25], told[26] = ahead, self.predictor.residual_N, self.predictor.is_primary
-                force = force + self._gain * (ahead - force) if self._gain != 1.0 else ahead
+                predicted = self.predictor.predict(self.lead_ticks)
+                row[22:25], row[25], row[26] = predicted, self.predictor.residual_N, self.predictor.is_primary
+                force = force + self._gain * (predicted - force) if self._gain != 1.0 else predicted
                 if self._control is not None:
                     force = self._control.step(force, at, speed, self._tick)
             filtered = scaled = self._delay.step(self._low_pass.step(force))
             if (person := self.perception) is not None:
                 scaled = person.step(filtered)
-                told[-4:] = person.estimated_N, person.perceived, person.perceived_spread, person.above
+                row[-4:] = person.estimated_N, person.perceived, person.perceived_spread, person.above
             wanted, compressed = self._range.play(scaled)
             if self._turning_law is not None:
                 torque, squeezed = self._torques.play(self._turning_delay.step(self._turning.step(self._torque)))
                 compressed = compressed or squeezed
             self.observer.observe(at)
-            told[:3], told[3:7], told[13:16] = 1e3 * at, sample.quaternion, filtered
+            row[:3], row[3:7], row[13:16] = 1e3 * at, sample.quaternion, filtered
         played, turning = self.held.play(*self.guard.limit_force(wanted, torque))
         self.observer.hold(played)
-        told[7:10], told[10:13], told[16], told[17] = played, turning, compressed, self.observer.energy_J
+        row[7:10], row[10:13], row[16], row[17] = played, turning, compressed, self.observer.energy_J
 
     def _pause(self) -> None:
         """Nothing is known of the device in this tick."""
@@ -285,7 +285,7 @@ class HandMotion(Motion):
         self._delay.step(self._low_pass.value)
         self._turning_delay.step(self._turning.value)
 
-    def _tell_speed(self, motion: ToolMotion, went_m_s: Array, pull_m: Array) -> None:
+    def _set_speed(self, motion: ToolMotion, went_m_s: Array, pull_m: Array) -> None:
         """Heading and speed: of the balance along the pull, or estimated where the tool goes with the device."""
         self._velocity += self._smoothing * (went_m_s - self._velocity)
         velocity, heading = self._velocity, self._velocity

@@ -42,8 +42,8 @@ class WallRun:
 
     def ripple_N(self, last_s: float) -> float:
         """Root mean square of the force about its mean in the last seconds of the run [N]."""
-        late = self.time_s > self.time_s[-1] - last_s
-        return float(np.linalg.norm(self.force_N[late].std(axis=0)))
+        last = self.time_s > self.time_s[-1] - last_s
+        return float(np.linalg.norm(self.force_N[last].std(axis=0)))
 
 
 def press_wall(

@@ -32,8 +32,8 @@ def require_touch(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
     shell = cutter.shell(spacing_m=max(cutter.profile.radius_m / 24.0, volume.spacing_m)).points_m
     corners, rotations = motion.sweep_m(), motion.rotations()
     along = arc_length(corners)
-    between, own = np.linspace(0.0, along[-1], POSES_TRIED), along[:: len(along) // POSES_TRIED + 1]
-    wanted = np.unique(np.concatenate([between, own]))
+    between, corners_on = np.linspace(0.0, along[-1], POSES_TRIED), along[:: len(along) // POSES_TRIED + 1]
+    wanted = np.unique(np.concatenate([between, corners_on]))
     tips = points_along(corners, wanted)
     turns = rotations[np.searchsorted(along, wanted)]
     limits = np.array(volume.shape)

@@ -158,14 +158,14 @@ class AdaptiveThreshold:
         self.posterior: Array = np.tile(masses[:, None], observers)
         self._right = two_interval(self.base_N[:, None], self.step_N[:, None], self._weber, self._floor, self._lapse)
         wrong = 1.0 - self._right
-        self._own_entropy = -(self._right * np.log(self._right) + wrong * np.log(wrong))
+        self._entropy = -(self._right * np.log(self._right) + wrong * np.log(wrong))
         self.trials = 0
 
     def propose(self) -> NDArray[np.intp]:
         """Index of the comparison with the least expected entropy of the posterior, shape (observers,)."""
         right = np.clip(self._right @ self.posterior, 1e-12, 1.0 - 1e-12)
         marginal = -(right * np.log(right) + (1.0 - right) * np.log1p(-right))
-        return np.argmax(marginal - self._own_entropy @ self.posterior, axis=0)
+        return np.argmax(marginal - self._entropy @ self.posterior, axis=0)
 
     def answer(self, asked: NDArray[np.intp], correct: NDArray[np.bool_]) -> None:
         """Take one answer of each observer, right or wrong, to the comparison that it was asked."""

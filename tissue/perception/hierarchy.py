@@ -43,7 +43,7 @@ class PopulationTrials:
         How many people.
     who_compared, base_N, step_N, right
         For each comparison: index of the person, smaller force and difference [N], and whether the answer was right.
-    who_told, force_N, number
+    who_rated, force_N, number
         For each number that was given: index of the person, force [N], number.
     """
 
@@ -52,7 +52,7 @@ class PopulationTrials:
     base_N: Array
     step_N: Array
     right: NDArray[np.bool_]
-    who_told: Index
+    who_rated: Index
     force_N: Array
     number: Array
 
@@ -173,29 +173,31 @@ def fit_hierarchy(
 
 def _data(trials: PopulationTrials) -> tuple[tuple[Index, Array, Array], tuple[Index, Array, Array, Index, Index]]:
     """Trials as the model takes them: person, ln force and ln number; and the counts of comparisons."""
-    return (trials.who_told, np.log(trials.force_N), np.log(trials.number)), trials.counts()
+    return (trials.who_rated, np.log(trials.force_N), np.log(trials.number)), trials.counts()
 
 
-def _model(observers: int, told: tuple[Index, Array, Array], counts: tuple[Index, Array, Array, Index, Index]) -> None:
+def _model(
+    observers: int, ratings: tuple[Index, Array, Array], counts: tuple[Index, Array, Array, Index, Index]
+) -> None:
     """The hierarchy as NumPyro reads it."""
     import jax.numpy as jnp
     import numpyro
     from jax.scipy.special import ndtr
     from numpyro import distributions as law
 
-    def person(name: str, mean: Any, spread: Any, *, told_well: bool) -> Any:
+    def person(name: str, mean: Any, spread: Any, *, is_well_known: bool) -> Any:
         """A normal parameter of each person around the population's; as an offset from it where trials tell little."""
         centre = numpyro.sample(name, mean)
         width = numpyro.sample(f"{name}_spread", spread)
         with numpyro.plate(f"{name}_people", observers):
-            if told_well:
+            if is_well_known:
                 return numpyro.sample(f"{name}_person", law.Normal(centre, width))
             return centre + width * numpyro.sample(f"{name}_offset", law.Normal(0.0, 1.0))
 
-    log_alpha = person("log_alpha", law.Normal(0.0, 1.0), law.HalfNormal(0.5), told_well=True)
-    beta = person("beta", law.Normal(1.4, 0.5), law.HalfNormal(0.4), told_well=True)
-    log_kappa = person("log_kappa", law.Normal(np.log(0.09), 0.6), law.HalfNormal(0.5), told_well=False)
-    log_offset = person("log_offset", law.Normal(np.log(0.2), 0.5), law.HalfNormal(0.4), told_well=False)
+    log_alpha = person("log_alpha", law.Normal(0.0, 1.0), law.HalfNormal(0.5), is_well_known=True)
+    beta = person("beta", law.Normal(1.4, 0.5), law.HalfNormal(0.4), is_well_known=True)
+    log_kappa = person("log_kappa", law.Normal(np.log(0.09), 0.6), law.HalfNormal(0.5), is_well_known=False)
+    log_offset = person("log_offset", law.Normal(np.log(0.2), 0.5), law.HalfNormal(0.4), is_well_known=False)
     variance = numpyro.sample("variance", law.LogNormal(np.log(0.06), 1.0))
     with numpyro.plate("people", observers):
         squared = numpyro.sample("squared", law.InverseGamma(VARIANCE_SHAPE, (VARIANCE_SHAPE - 1.0) * variance))
@@ -204,9 +206,9 @@ def _model(observers: int, told: tuple[Index, Array, Array], counts: tuple[Index
     offset_N = numpyro.deterministic("offset_N", jnp.exp(log_offset))
     numpyro.deterministic("alpha", jnp.exp(log_alpha))
     sigma = numpyro.deterministic("sigma", jnp.sqrt(squared))
-    speaker, log_force, log_number = told
-    felt = log_alpha[speaker] + beta[speaker] * log_force
-    numpyro.sample("numbers", law.Normal(felt, sigma[speaker]), obs=log_number)
+    rater, log_force, log_number = ratings
+    felt = log_alpha[rater] + beta[rater] * log_force
+    numpyro.sample("numbers", law.Normal(felt, sigma[rater]), obs=log_number)
     who, base_N, step_N, asked, right = counts
     distance = D_PRIME_75 * step_N / (kappa[who] * (base_N + offset_N[who]))
     blind = 2.0 * jnp.minimum(lapse[who], 0.5)

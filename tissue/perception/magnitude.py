@@ -86,9 +86,9 @@ def fit_magnitudes(forces_N: ArrayLike, numbers: ArrayLike) -> MagnitudePosterio
         if not (np.isfinite(values) & (values > 0.0)).all():
             raise InputError(f"{name} must be positive and finite, got {values}: an intensity is a number above 0")
     design = np.column_stack([np.ones(len(forces)), np.log(forces)])
-    told, prior = np.log(given), PRIOR_WEIGHT * np.eye(2)
+    logarithms, prior = np.log(given), PRIOR_WEIGHT * np.eye(2)
     precision = prior + design.T @ design
     start = np.array(PRIOR_MEAN)
-    mean = np.linalg.solve(precision, prior @ start + design.T @ told)
-    scale = PRIOR_SCALE + 0.5 * float(told @ told + start @ prior @ start - mean @ precision @ mean)
+    mean = np.linalg.solve(precision, prior @ start + design.T @ logarithms)
+    scale = PRIOR_SCALE + 0.5 * float(logarithms @ logarithms + start @ prior @ start - mean @ precision @ mean)
     return MagnitudePosterior(mean, precision, PRIOR_SHAPE + 0.5 * len(forces), scale)

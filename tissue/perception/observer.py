@@ -188,7 +188,7 @@ def write_observer(observer: Observer, path: Path, *, overwrite: bool = False) -
         If the file is there and may not be replaced, or its folder cannot be written to.
     """
     require_new_file(path, overwrite=overwrite)
-    told = {
+    stored = {
         "format": FORMAT,
         "version": VERSION,
         "tissue": package_version(),
@@ -200,7 +200,7 @@ def write_observer(observer: Observer, path: Path, *, overwrite: bool = False) -
     }
     try:
         with whole_file(path) as temporary:
-            temporary.write_text(json.dumps(told, indent=1) + "\n", "utf-8")
+            temporary.write_text(json.dumps(stored, indent=1) + "\n", "utf-8")
     except OSError as problem:
         raise InputError(f"out must be a file that can be written, got {path} ({problem.strerror}): choose another "
                          "folder") from problem  # fmt: skip
@@ -216,20 +216,20 @@ def read_observer(path: Path) -> Observer:
     """
     calibrate = "write one with tissue calibrate --out"
     try:
-        told = json.loads(path.read_text("utf-8"))
+        stored = json.loads(path.read_text("utf-8"))
     except OSError as problem:
         raise InputError(
             f"observer must be a file that can be read, got {path} ({problem.strerror}): {calibrate}"
         ) from problem
     except ValueError as problem:
         raise InputError(f"observer must be a JSON file, got {path}: {calibrate}") from problem
-    if not isinstance(told, dict) or told.get("format") != FORMAT:
+    if not isinstance(stored, dict) or stored.get("format") != FORMAT:
         raise InputError(f"observer must be a file of an observer, got {path}, which is something else: {calibrate}")
-    require_version("observer", told, VERSION, key="version", where=path, remedy="calibrate again")
+    require_version("observer", stored, VERSION, key="version", where=path, remedy="calibrate again")
     try:
-        name, trials = str(told["name"]), int(told["trials"])
-        mean, covariance = np.array(told["mean"], dtype=float), np.array(told["covariance"], dtype=float)
-        if told["coordinates"] != list(COORDINATES):
+        name, trials = str(stored["name"]), int(stored["trials"])
+        mean, covariance = np.array(stored["mean"], dtype=float), np.array(stored["covariance"], dtype=float)
+        if stored["coordinates"] != list(COORDINATES):
             raise ValueError("other coordinates")
     except (KeyError, TypeError, ValueError, OverflowError) as problem:
         raise InputError(

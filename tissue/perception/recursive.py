@@ -71,20 +71,20 @@ class Sense:
         require_positive("tick_s", tick_s, "use 1e-3")
         self.gain = 1.0 - exp(-tick_s / integration_s)
         self._kappa, self._offset = law.kappa, law.offset
-        self._look = sqrt((2.0 - self.gain) / self.gain) / D_PRIME_75
+        self._noise_ratio = sqrt((2.0 - self.gain) / self.gain) / D_PRIME_75
         self._rng, self._drawn = rng, list[float]()
         self._level = self.force_N = 0.0
 
     def at(self, force_N: float) -> LocalLevel:
         """The filter that this sense is at a force [N]."""
-        noise = (self._look * self._kappa * (force_N + self._offset)) ** 2
+        noise = (self._noise_ratio * self._kappa * (force_N + self._offset)) ** 2
         return LocalLevel(wander=self.gain**2 * noise / (1.0 - self.gain), noise=noise)
 
     def step(self, force_N: float) -> float:
         """Look at a force [N] once; the new estimate."""
         if not self._drawn:
             self._drawn = self._rng.standard_normal(BLOCK).tolist()
-        seen = force_N + self._look * self._kappa * (force_N + self._offset) * self._drawn.pop()
+        seen = force_N + self._noise_ratio * self._kappa * (force_N + self._offset) * self._drawn.pop()
         self._level += self.gain * (seen - self._level)
         self.force_N = self._level if self._level > 0.0 else 0.0
         return self.force_N

@@ -45,14 +45,14 @@ def map_estimate_errors(rng: np.random.Generator, *, count: int = 20_000) -> lis
     """The estimate of greatest density from one look at each of ``count`` forces, by what is assumed."""
     truth = MEDIAN_N * np.exp(LOG_SPREAD * rng.standard_normal(count))
     gaussian, tails = NOISE_N * rng.standard_normal(count), NOISE_N * _heavy(rng, count)
-    worth = lambda estimate: float(np.sqrt(np.mean((estimate - truth) ** 2))) / NOISE_N  # noqa: E731
+    error_of = lambda estimate: float(np.sqrt(np.mean((estimate - truth) ** 2))) / NOISE_N  # noqa: E731
 
     def found(seen: Array, *, median: float = 1.0, spread: float = 1.0, noise: float = 1.0) -> float:
-        return worth(map_force_N(seen, noise * NOISE_N, median_N=median * MEDIAN_N, log_spread=spread * LOG_SPREAD))
+        return error_of(map_force_N(seen, noise * NOISE_N, median_N=median * MEDIAN_N, log_spread=spread * LOG_SPREAD))
 
     seen = truth + gaussian
     return [
-        Outcome(assumed="the look itself", error=worth(seen)),
+        Outcome(assumed="the look itself", error=error_of(seen)),
         Outcome(assumed="right prior and noise", error=found(seen)),
         Outcome(assumed="prior's median / 3", error=found(seen, median=1.0 / 3.0)),
         Outcome(assumed="prior's median x 3", error=found(seen, median=3.0)),

@@ -26,8 +26,8 @@ class Staircase:
     observers
         How many answer side by side.
     coarse, fine
-        Factors by which a step changes at first, and after `settle` reversals.
-    settle
+        Factors by which a step changes at first, and after `coarse_reversals` reversals.
+    coarse_reversals
         Reversals that are not counted in the threshold.
 
     Attributes
@@ -46,13 +46,13 @@ class Staircase:
         observers: int = 1,
         coarse: float = 1.6,
         fine: float = 1.15,
-        settle: int = 3,
+        coarse_reversals: int = 3,
     ) -> None:
         self.level: Array = np.full(observers, require_positive("start", start, "use a step that is easily felt"))
         self._down = int(require_range("down", down, 1, 10, "use 2 for 70.7 % or 3 for 79.4 %"))
         self._coarse = require_range("coarse", coarse, 1.001, 100.0, "use 1.6")
         self._fine = require_range("fine", fine, 1.001, coarse, "use 1.15")
-        self._settle = settle
+        self._coarse_reversals = coarse_reversals
         self._row = np.zeros(observers, dtype=int)
         self._direction = np.zeros(observers, dtype=int)
         self.reversals = np.zeros(observers, dtype=int)
@@ -70,11 +70,11 @@ class Staircase:
         moves = np.where(~np.asarray(correct), 1, np.where(falls, -1, 0))
         self._row[falls] = 0
         turns = (moves != 0) & (self._direction != 0) & (moves != self._direction)
-        counted = turns & (self.reversals >= self._settle)
+        counted = turns & (self.reversals >= self._coarse_reversals)
         self._log_sum += np.where(counted, np.log(self.level), 0.0)
         self._counted += counted
         self.reversals += turns
-        factor = np.where(self.reversals < self._settle, self._coarse, self._fine)
+        factor = np.where(self.reversals < self._coarse_reversals, self._coarse, self._fine)
         self.level = self.level * factor**moves
         self._direction = np.where(moves != 0, moves, self._direction)
 

@@ -56,8 +56,8 @@ class Intensity:
         x = _logarithm(force_N)
         with np.errstate(invalid="ignore"):
             relative = np.expm1(self._variance(x)) * (1.0 + self.scatter) + self.scatter
-            told = self.expected(force_N) * np.sqrt(relative)
-        return np.where(np.isfinite(x), told, 0.0)
+            deviation = self.expected(force_N) * np.sqrt(relative)
+        return np.where(np.isfinite(x), deviation, 0.0)
 
     def force_N(self, intensity: ArrayLike) -> Array:
         """Force [N] whose expected intensity is the one given, for intensities of any shape; 0 for 0.

@@ -63,7 +63,7 @@ class Guarded:
         self.inner, self.instead = inner, instead
         self._reach = require_positive("reach_N", reach_N, "use the device's greatest force")
         self._share, self._good = 1.0, PROBATION
-        self._way: Triple = (0.0, 0.0, 0.0)
+        self._difference: Triple = (0.0, 0.0, 0.0)
         self._kept: deque[tuple[Triple, Triple]] = deque()
         self._lead, self._asked = 0, False
         self._missed = [0.0, 0.0]
@@ -76,17 +76,17 @@ class Guarded:
         self._asked = False
         missed = self._missed = [MEMORY * self._missed[0], MEMORY * self._missed[1]]
         if force_N is not None and self._lead and len(self._kept) == self._lead:
-            told, (fx, fy, fz) = self._kept[0], force_N.tolist()
+            kept, (fx, fy, fz) = self._kept[0], force_N.tolist()
             # A touch that is foreseen is not held against who foresees it.
-            if any(told[1]) and (fx or fy or fz):
-                for which, (x, y, z) in enumerate(told):
+            if any(kept[1]) and (fx or fy or fz):
+                for which, (x, y, z) in enumerate(kept):
                     square = (fx - x) ** 2 + (fy - y) ** 2 + (fz - z) ** 2
                     missed[which] += (1.0 - MEMORY) * square
         self.inner.observe(position_m, velocity_m_s, force_N)
         self.instead.observe(position_m, velocity_m_s, force_N)
         self.residual_N = self.inner.residual_N
-        own, other = missed
-        worse = not own <= WORSE**2 * other + LEAST_N**2
+        primary, other = missed
+        worse = not primary <= WORSE**2 * other + LEAST_N**2
         self._good = self._good + 1 if self.inner.trusted and not worse else 0
         change = 1.0 / BLEND
         self._share = min(self._share + change, 1.0) if self._good >= PROBATION else max(self._share - change, 0.0)
@@ -100,22 +100,22 @@ class Guarded:
         u, v, w = u - x, v - y, w - z
         size = u * u + v * v + w * w
         if not isfinite(size):
-            u, v, w = self._way
+            u, v, w = self._difference
         elif size > self._reach**2:
             share = self._reach / sqrt(size)
             u, v, w = u * share, v * share, w * share
-        self._way = u, v, w
+        self._difference = u, v, w
         if not self._asked and ticks:
             self._keep(ticks, (x + u, y + v, z + w), (x, y, z))
         share = self._share
         return np.array((x + share * u, y + share * v, z + share * w))
 
-    def _keep(self, ticks: int, own: Triple, safe: Triple) -> None:
+    def _keep(self, ticks: int, primary: Triple, safe: Triple) -> None:
         """Keep what both told until the force that they told of is there."""
         self._asked = True
         if ticks != self._lead:
             self._lead, self._kept = ticks, deque(maxlen=ticks)
-        self._kept.append((own, safe))
+        self._kept.append((primary, safe))
 
     def pause(self) -> None:
         """Pass it on; what was told belongs to no force any more."""

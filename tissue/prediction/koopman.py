@@ -95,14 +95,14 @@ class Koopman:
         self._window = self._lifted[: (self._lags + 1) * WIDTH]
         self._inverse = 1.0 / operator.scale / sqrt(len(operator.scale))
         self._middle = operator.middle * self._inverse
-        room = terms.slack * (operator.training.highest - operator.training.lowest)
-        low, high = operator.training.lowest - room, operator.training.highest + room
+        margin = terms.slack * (operator.training.highest - operator.training.lowest)
+        low, high = operator.training.lowest - margin, operator.training.highest + margin
         self._box = list(zip(low.tolist(), high.tolist(), strict=True))
         self._powers = operator.predicted_states(len(terms.gains))
         self._force, self._correction = np.zeros(3), np.zeros(3)
         self._ticks = self._free = 0
         self._error = 0.0
-        self._look(len(terms.gains))
+        self._prepare(len(terms.gains))
 
     @property
     def trusted(self) -> bool:
@@ -121,8 +121,8 @@ class Koopman:
         window = self._window
         if self._ticks == 0:
             window.reshape(-1, WIDTH)[:] = (*position_m, *(self._force if force_N is None else force_N))
-            self._told = self._both @ self._lifted + self._both_offset
-        expected = self._told[:WIDTH]
+            self._forecast = self._both @ self._lifted + self._both_offset
+        expected = self._forecast[:WIDTH]
         self._ticks += 1
         if force_N is None:
             force = expected[3:] + self.terms.following @ (position_m - expected[:3])
@@ -137,7 +137,7 @@ class Koopman:
         window[WIDTH:] = window[:-WIDTH]
         window[:3], window[3:WIDTH] = position_m, force
         self._lifted[len(window) :] = self.operator.dictionary.extra(window)
-        self._told = self._both @ self._lifted + self._both_offset
+        self._forecast = self._both @ self._lifted + self._both_offset
         self._force = window[3:WIDTH]
 
     def predict(self, ticks: int) -> Array:
@@ -145,14 +145,14 @@ class Koopman:
         if ticks == 0:
             return self._force.copy()
         if ticks != self._lead:
-            self._look(ticks)
+            self._prepare(ticks)
         gains = self.terms.gains
-        force: Array = self._told[WIDTH:] + gains[min(ticks, len(gains)) - 1] * self._correction
+        force: Array = self._forecast[WIDTH:] + gains[min(ticks, len(gains)) - 1] * self._correction
         if self._free >= RELEASED and float(force @ force) < self.terms.quiet_N**2:
             return np.zeros(3)
         return force
 
-    def _look(self, ticks: int) -> None:
+    def _prepare(self, ticks: int) -> None:
         """Ask for the force so far ahead, from now on: one product gives the next state and that force."""
         if ticks > len(self._powers):
             self._powers = self.operator.predicted_states(ticks)
@@ -160,7 +160,7 @@ class Koopman:
         self._lead = ticks
         self._both = np.concatenate((next_matrix, matrix[3:]))
         self._both_offset = np.concatenate((next_offset, offset[3:]))
-        self._told = self._both @ self._lifted + self._both_offset
+        self._forecast = self._both @ self._lifted + self._both_offset
 
     def pause(self) -> None:
         """The window is filled anew from the next sample on, and not trusted until it is full."""

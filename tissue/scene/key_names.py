@@ -22,22 +22,22 @@ def scene_keys(names: Mapping[str, str]) -> Iterator[None]:
         raise InputError(in_scene_words(str(error), names)) from error
 
 
-def in_scene_words(said: str, names: Mapping[str, str]) -> str:
+def in_scene_words(message: str, names: Mapping[str, str]) -> str:
     """A refusal with the scene's key, and in millimetres where it has metres.
 
     A refusal of an argument in metres has all of its lengths in them; elsewhere a length is a number before " m".
     """
     for words, key in sorted(names.items(), key=lambda item: -len(item[0])):
-        if not re.match(rf"{re.escape(words)}(?![\w.])", said):
+        if not re.match(rf"{re.escape(words)}(?![\w.])", message):
             continue
         argument = words.split(" ", 1)[0]
-        if argument.endswith("_m") and " mm" not in said:
-            said = re.sub(rf"{NUMBER}(?! times)( m\b)?", _millimetres, said)
-        said = key + said.removeprefix(words)
+        if argument.endswith("_m") and " mm" not in message:
+            message = re.sub(rf"{NUMBER}(?! times)( m\b)?", _millimetres, message)
+        message = key + message.removeprefix(words)
         if "_" not in argument:
-            return said  # a plain word, which may stand for itself further on
-        return re.sub(rf"(?<![\w.]){re.escape(argument)}(?!\w)", key.split(" ", 1)[0], said)
-    return said
+            return message  # a plain word, which may stand for itself further on
+        return re.sub(rf"(?<![\w.]){re.escape(argument)}(?!\w)", key.split(" ", 1)[0], message)
+    return message
 
 
 def _millimetres(found: re.Match[str]) -> str:

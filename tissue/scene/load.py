@@ -70,9 +70,9 @@ def load_scene(source: str | Path, overrides: Mapping[str, Any] | None = None, *
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        said = f"{error}"
+        message = f"{error}"
         raise InputError(
-            f"scene must be valid TOML, got {said[:1].lower()}{said[1:]} in {path}: mend it there"
+            f"scene must be valid TOML, got {message[:1].lower()}{message[1:]} in {path}: mend it there"
         ) from None
     kept = "tissue" in table or ("format" not in table and table.keys() >= KEPT)
     written = {"format": 1} | {name: table.pop(name) for name in ("format", "tissue") if name in table}
@@ -111,7 +111,7 @@ def _replaced(table: dict[str, Any], overrides: Mapping[str, Any]) -> Scene:
 
     A file's own key that has no effect even without them stays, and so does one of theirs: both are faults.
     """
-    faults = _own_faults(table) if overrides else None
+    faults = _table_faults(table) if overrides else None
     placed = deepcopy(table)
     # A new kind starts its part afresh, so kinds go first, in whatever order they were given.
     for key, value in sorted(overrides.items(), key=lambda item: not item[0].endswith(".kind")):
@@ -125,7 +125,7 @@ def _replaced(table: dict[str, Any], overrides: Mapping[str, Any]) -> Scene:
     return _validated(_without_nothing(placed))
 
 
-def _own_faults(table: Mapping[str, Any]) -> set[str] | None:
+def _table_faults(table: Mapping[str, Any]) -> set[str] | None:
     """Keys of a table by itself that have no effect; None where it is no scene yet, so that nothing is known."""
     try:
         return set(refused_keys(_validated(_without_nothing(table))))
@@ -178,8 +178,8 @@ def _read(path: Path) -> str:
     except UnicodeDecodeError:
         raise InputError(f"scene must be TOML in UTF-8, got other bytes in {path}: save it as text") from None
     except OSError as error:
-        said = (error.strerror or "an error").lower()
-        raise InputError(f"scene must be readable, got {said} at {path}: check who may read it") from None
+        message = (error.strerror or "an error").lower()
+        raise InputError(f"scene must be readable, got {message} at {path}: check who may read it") from None
 
 
 def parse_override(text: str, *, option: str = "--set", example: str = "voxels.spacing_mm=0.2") -> tuple[str, Any]:

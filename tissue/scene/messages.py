@@ -48,7 +48,7 @@ def sentence(fault: Mapping[str, Any], table: Table) -> str:
     choices = [str(choice) for part in literals for choice in get_args(part)]
     if choices:
         return _choice(key, choices, shown(got))
-    return f"{key} must be {_requirement(field, kind, len(path) > len(names))}, got {_told(got)}: {_remedy(field)}"
+    return f"{key} must be {_requirement(field, kind, len(path) > len(names))}, got {_shown(got)}: {_remedy(field)}"
 
 
 def require_used(scene: Scene) -> None:
@@ -95,7 +95,7 @@ def shown(value: Any) -> str:
     return text if len(text) <= LONGEST else f"{text[:LONGEST]}... ({len(text)} characters)"
 
 
-def _told(value: Any) -> str:
+def _shown(value: Any) -> str:
     """A value that was refused, with the point or the quotes that may be what is wrong."""
     if isinstance(value, float) and value.is_integer():
         return repr(value)

@@ -208,9 +208,9 @@ def _tooth(scene: "Scene") -> Iterator[Rule]:
         yield f"{SITE} anatomy.site anatomy.socket_mm", True, where, "set anatomy.enamel_file and anatomy.dentin_file"
         return
     what = f"with anatomy.file = {Path(anatomy.file).name}" if anatomy.file else "for a tooth from surfaces"
-    own = f"{what}, which gives the shape"
-    yield PROCEDURAL_MOLAR, True, own, "remove the file"
-    yield "anatomy.ligament_thickness_mm", scene.stress is None, f"{own}, without stress", "add [stress]"
+    reason = f"{what}, which gives the shape"
+    yield PROCEDURAL_MOLAR, True, reason, "remove the file"
+    yield "anatomy.ligament_thickness_mm", scene.stress is None, f"{reason}, without stress", "add [stress]"
     yield SITE, True, f"{what}, which is placed by its enamel", "set motion.points_mm and motion.axis"
     if labels:
         yield f"{LAYER_FILES} anatomy.socket_mm", True, what, "remove anatomy.file"

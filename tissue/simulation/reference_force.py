@@ -62,14 +62,14 @@ def ideal_force_N(run: Run, finest: Mapping[str, Any] | None = None, *, cores: i
         If the run had no device.
     """
     trace = run.trace
-    told = RecordedDevice(
+    played_back = RecordedDevice(
         trace["time_s"],
         1e-3 * trace.vectors("device", "mm"),
         np.column_stack([trace[f"device_q{c}"] for c in "xyzw"]),
         rate_Hz=1.0 / TICK_S,
     )
     scene = ideal_scene(run.scene, finest).model_copy(update={"duration_s": len(trace.rows) * TICK_S})
-    return simulate(scene, cores=cores, allow_unstable=True, device=told).trace.vectors("raw_force", "N")
+    return simulate(scene, cores=cores, allow_unstable=True, device=played_back).trace.vectors("raw_force", "N")
 
 
 def stretch_force_N(run: Run) -> Array:

@@ -79,7 +79,7 @@ class RunFolder:
             raise InputError(f"out must lie in a folder, got {path} under the file {standing}: choose another --out")
         if not os.access(standing, os.W_OK | os.X_OK):
             raise InputError(f"out must be writable, got permission denied at {standing}: choose another --out")
-        taken = _own_files(path)
+        taken = _run_files(path)
         if not taken:
             return
         if not _holds_run(path):
@@ -97,7 +97,7 @@ class RunFolder:
         placed = {} if placement is None else {"placement": placement.to_record()}
         written = {"format": FORMAT, "tissue": package_version(), "status": "running", "process": identity()}
         self._write_summary(written | {"scene": scene.name} | placed)
-        for name in _own_files(self.path):
+        for name in _run_files(self.path):
             if name != "summary.json":
                 entry = self.path / name
                 shutil.rmtree(entry) if entry.is_dir() and not entry.is_symlink() else entry.unlink()
@@ -202,10 +202,10 @@ class SavedRun:
 
     def _require_ticks(self, found: int) -> None:
         """Refuse a trace that is not as long as the summary of the complete run says."""
-        said = round(self.summary["simulated_s"] / TICK_S)
-        if found != said:
+        stated = round(self.summary["simulated_s"] / TICK_S)
+        if found != stated:
             raise InputError(
-                f"trace.csv must hold {said} ticks as summary.json says, got {found} in {self.path / 'trace.csv'}: run "
+                f"trace.csv must hold {stated} ticks as in summary.json, got {found} in {self.path / 'trace.csv'}: run "
                 "the scene again"
             )
 
@@ -239,7 +239,7 @@ def _remark(placement: Placement | None) -> str:
     return "\n" + title + "".join(f"# {name} = {array.tolist()}\n" for name, array in values.items())
 
 
-def _own_files(path: Path) -> list[str]:
+def _run_files(path: Path) -> list[str]:
     """Entries of a folder that carry the names of a run's files."""
     if not path.is_dir():
         return []

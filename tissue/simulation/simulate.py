@@ -145,13 +145,13 @@ def _loop(
     tick = Tick(scene, parts, layout, trace, timing)
     tick.place()
     events: list[tuple[float, str]] = []
-    told = perf_counter()
+    reported_s = perf_counter()
     index = 0
     if observer is not None:
         observer.on_begin(parts, layout.columns)
 
     def go_through() -> None:
-        nonlocal index, told
+        nonlocal index, reported_s
         for index in range(ticks):
             tissue.wait_for_background(index * TICK_S)
             if observer is not None:
@@ -166,8 +166,8 @@ def _loop(
                 )  # a row a tick: many at once would make the next late
             if not goes_on:
                 break
-            if perf_counter() - told > 0.1:
-                told = perf_counter()
+            if perf_counter() - reported_s > 0.1:
+                reported_s = perf_counter()
                 report("simulating", (index + 1) / ticks)
 
     gc.collect()
@@ -192,8 +192,8 @@ def _loop(
     tissue.notices.clear()
     if folder is not None:
         folder.flush(index + 1, force=True)
-    if isinstance(motion, HandMotion) and motion.predictor is not None and (said := _foreseen(trace, motion)):
-        parts.notes["prediction"] = said
+    if isinstance(motion, HandMotion) and motion.predictor is not None and (note := _foreseen(trace, motion)):
+        parts.notes["prediction"] = note
     parts.notes |= shortfalls(scene, parts, trace)
     events = sorted(events + motion.happened(), key=lambda event: event[0])
     return Run(scene, parts, trace, timing, events=events, compute=compute, folder=folder, poses=tick.poses)
@@ -201,15 +201,15 @@ def _loop(
 
 def _foreseen(trace: Table, motion: HandMotion) -> str:
     """How near the predicted forces came to those that followed, in words; nothing where none did."""
-    told, came, ticks = trace.vectors("predicted_force", "N"), trace.vectors("raw_force", "N"), motion.lead_ticks
+    reported_s, came, ticks = trace.vectors("predicted_force", "N"), trace.vectors("raw_force", "N"), motion.lead_ticks
     size = float(np.linalg.norm(came))
     if size == 0.0 or not 0 < ticks < len(came) or motion.model_ticks > 1:
         return ""
-    missed, held = (100.0 * float(np.linalg.norm(came[ticks:] - f[:-ticks])) / size for f in (told, came))
-    own = 100.0 * float(trace["predicted_by"][np.any(came != 0.0, axis=1)].mean())
+    missed, held = (100.0 * float(np.linalg.norm(came[ticks:] - f[:-ticks])) / size for f in (reported_s, came))
+    share = 100.0 * float(trace["predicted_by"][np.any(came != 0.0, axis=1)].mean())
     return (
         f"{ticks} ms ahead, off by {missed:.2g} % of the force where holding it is off by {held:.2g} %; its "
-        f"own force in {own:.3g} % of the ticks in contact"
+        f"own force in {share:.3g} % of the ticks in contact"
     )
 
 

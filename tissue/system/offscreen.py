@@ -74,7 +74,7 @@ def draw_apart(
                 if prepare is not None:
                     prepare()
                     prepare = None
-                said, late = _awaited(process, longest_s, partial(_tell, drawn, printed))
+                output, late = _awaited(process, longest_s, partial(_report, drawn, printed))
             except BaseException:
                 _drawing.discard(process)
                 process.kill()
@@ -88,11 +88,11 @@ def draw_apart(
         if process.returncode == 0:
             return None
         reason = f"OpenGL does not work on this machine (exit code {process.returncode})"
-        _, refused, sentence = said.rpartition(f"{InputError.__module__}.{InputError.__name__}: ")
+        _, refused, sentence = output.rpartition(f"{InputError.__module__}.{InputError.__name__}: ")
         if process.returncode == 1 and refused:
             raise InputError(" ".join(sentence.split()))
-        if process.returncode == 1 and "Error" in said:
-            reason = f"drawing in 3D failed ({said.strip().splitlines()[-1][:200]})"
+        if process.returncode == 1 and "Error" in output:
+            reason = f"drawing in 3D failed ({output.strip().splitlines()[-1][:200]})"
     return f"{reason}: {REMEDY}" if sys.platform.startswith("linux") else f"{reason}: update the graphics driver"
 
 
@@ -102,7 +102,7 @@ def end_drawing() -> None:
         _drawing.pop().kill()
 
 
-def _tell(drawn: Callable[[float], None] | None, printed: Path) -> None:
+def _report(drawn: Callable[[float], None] | None, printed: Path) -> None:
     if drawn is not None:
         drawn(_last_share(printed))
 
@@ -168,7 +168,7 @@ def await_display(*, longest_s: float = DISPLAY_S) -> str | None:
 
 def _answers(library: ctypes.CDLL, name: str) -> bool:
     """Whether a display can be opened; one that takes the call and says nothing would keep it for ever."""
-    said: SimpleQueue[bool] = SimpleQueue()
+    output: SimpleQueue[bool] = SimpleQueue()
     library.XOpenDisplay.restype = ctypes.c_void_p
     library.XCloseDisplay.argtypes = [ctypes.c_void_p]
 
@@ -176,11 +176,11 @@ def _answers(library: ctypes.CDLL, name: str) -> bool:
         display = library.XOpenDisplay(name.encode())
         if display:
             library.XCloseDisplay(display)
-        said.put(bool(display))
+        output.put(bool(display))
 
     threading.Thread(target=ask, daemon=True).start()
     try:
-        return said.get(timeout=ANSWERS_S)
+        return output.get(timeout=ANSWERS_S)
     except Empty:
         return False
 

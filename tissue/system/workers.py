@@ -12,7 +12,7 @@ from typing import TypeVar
 from meshes.base.progress import Progress
 from tissue.system.child import LOOK_S, Patience, end_with
 
-__all__ = ["first_done", "own_processes"]
+__all__ = ["first_done", "worker_pool"]
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """A worker has one thread for linear algebra: sums are then the same on every machine, and workers not in each other's
@@ -21,7 +21,7 @@ Result = TypeVar("Result")
 
 
 @contextmanager
-def own_processes(workers: int) -> Iterator[Executor]:
+def worker_pool(workers: int) -> Iterator[Executor]:
     """Some worker processes, which end with this one, whatever ends it."""
     kept = {name: os.environ.get(name) for name in THREADS}
     os.environ.update(dict.fromkeys(THREADS, "1"))

@@ -97,9 +97,9 @@ def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, report: Progre
     longest_s = LONGEST_MOVIE_S if kind == "movie" else LONGEST_S
     chosen, doing = json.dumps(asdict(choice)), f"drawing the {kind}"
     report(doing, 0.0)
-    with whole_file(file) as temporary, TemporaryDirectory(prefix="tissue-", ignore_cleanup_errors=True) as folder:
-        temporary.touch()
-        temporary.unlink()  # a folder that takes no file says so before anything is drawn
+    with whole_file(file) as beside, TemporaryDirectory(prefix="tissue-", ignore_cleanup_errors=True) as folder:
+        beside.touch()
+        beside.unlink()  # a folder that takes no file says so before anything is drawn
         drawn = Path(folder) / file.name
         problem = draw_apart(
             "tissue.viewer.view",
@@ -112,7 +112,7 @@ def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, report: Progre
         )
         if problem is not None:
             raise InputError(f"{kind} must be drawn in 3D, but {problem}")
-        shutil.copyfile(drawn, temporary)
+        shutil.copyfile(drawn, beside)
 
 
 def _check_files(screenshot: Path | None, movie: Path | None, time_s: float | None) -> None:

@@ -43,7 +43,7 @@ def a_fit(**changes):
 def test_sessions_are_laid_end_to_end(tmp_path):
     trials = pooled_trials(sessions(tmp_path, 3, trials=8, numbers=6))
     assert trials.observers == 3 and np.bincount(trials.who_compared).tolist() == [8, 8, 8]
-    assert np.bincount(trials.who_told).tolist() == [6, 6, 6]
+    assert np.bincount(trials.who_rated).tolist() == [6, 6, 6]
     who, base, step, asked, right = trials.counts()
     assert asked.sum() == 24 and right.sum() == trials.right.sum() and len(who) == len(base) == len(step) <= 24
 

@@ -33,7 +33,7 @@ def pooled_trials(sessions: list[Session]) -> PopulationTrials:
         base_N=np.array([asked.base_N for _, asked, _ in compared]),
         step_N=np.array([asked.step_N for _, asked, _ in compared]),
         right=np.array([answer == asked.greater for _, asked, answer in compared], dtype=bool),
-        who_told=np.array([who for who, _, _ in told], dtype=int),
+        who_rated=np.array([who for who, _, _ in told], dtype=int),
         force_N=np.array([force for _, force, _ in told]),
         number=np.array([number for _, _, number in told]),
     )

@@ -11,7 +11,7 @@ from pathlib import Path
 from meshes.base.cache import cache_folder, read_entry, write_entry
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
-from tissue.evaluation.charts.temporary import temporary
+from tissue.evaluation.charts.beside import beside
 from tissue.evaluation.charts.law import LawError, law_error
 from tissue.evaluation.charts.measure import (
     WAY,
@@ -66,10 +66,10 @@ class Frontier:
         return tuple(undominated(self.points))
 
     @property
-    def temporary(self) -> tuple[Measured, ...]:
+    def beside(self) -> tuple[Measured, ...]:
         """Rows of a table that are no settings: of the law and of rounding, where they were measured."""
         law = self.law.rows(self.scene) if self.law else ()
-        return law if isnan(self.rounding) else (*law, temporary(self.scene, "float32", "rounding", self.rounding))
+        return law if isnan(self.rounding) else (*law, beside(self.scene, "float32", "rounding", self.rounding))
 
 
 def undominated(points: Sequence[Measured]) -> list[Measured]:
@@ -130,12 +130,12 @@ def measured_keys(scene: Scene, *, quick: bool) -> set[str]:
 
 def _gap(scene: Scene, path: Path, *, quick: bool) -> float:
     """Distance of the finest setting to the next one, kept beside the measurements."""
-    temporary = path.with_suffix(".gap")
-    kept = read_entry(temporary)
+    beside = path.with_suffix(".gap")
+    kept = read_entry(beside)
     if kept is not None:
         return float(kept)
     gap = reference_gap(short_of(of_model(scene), quick), quick=quick)
-    write_entry(temporary, repr(gap))
+    write_entry(beside, repr(gap))
     return gap
 
 
@@ -158,8 +158,8 @@ def read_measured(path: Path) -> list[Measured]:
 def write_measured(path: Path, points: Sequence[Measured]) -> None:
     """Write measurements as a table; a reader never sees half of it."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as temporary:
-        temporary.write_bytes(_table(points).encode())
+    with whole_file(path) as beside:
+        beside.write_bytes(_table(points).encode())
 
 
 def _kept(path: Path) -> list[Measured]:

@@ -180,7 +180,7 @@ def _solvers(scene: Scene, coarser: float, laws: "Sequence[Law]") -> "list[Newto
     anatomy = type(scene.anatomy).model_construct(scene.anatomy.model_fields_set, **coarse)
     touch_mm = coarser * (anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm)
     way = motion_of(scene, step_s=TICK_S).sweep_m()
-    found = held_mesh(anatomy, way_m=way, touch_edge_m=1e-3 * touch_mm, report=silent)
+    found = held_mesh(anatomy, path_m=way, touch_edge_m=1e-3 * touch_mm, report=silent)
     space = Space(found.mesh, scene.organ.order)
     held = np.zeros((space.node_count, 3), dtype=bool)
     held[found.held] = True

@@ -61,13 +61,11 @@ def chart_scenes(
         frontiers = [frontier_of(kind, quick=quick, report=told) for kind in both]
         drawn.append([each for each in frontiers if len(each.points) > 1])
         draw_frontiers(drawn[-1], out / f"{scene.name}.png")
-        write_measured(
-            out / f"{scene.name}.csv", [row for each in frontiers for row in (*each.points, *each.temporary)]
-        )
+        write_measured(out / f"{scene.name}.csv", [row for each in frontiers for row in (*each.points, *each.beside)])
         found.append(frontiers)
     draw_overview(drawn, out / "frontier.png")
-    with whole_file(out / "machine.txt") as temporary:
-        temporary.write_text(machine() + "\n", "utf-8")
+    with whole_file(out / "machine.txt") as beside:
+        beside.write_text(machine() + "\n", "utf-8")
     return found
 
 

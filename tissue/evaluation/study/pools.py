@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 from meshes.base.errors import InputError
 from meshes.base.file_version import package_version
-from tissue.system.workers import own_processes
+from tissue.system.workers import worker_pool
 
 __all__ = ["LOST", "executor"]
 
@@ -37,7 +37,7 @@ def executor(workers: int, scheduler: str | None, *, patience_s: float) -> Itera
         If no scheduler answers.
     """
     if scheduler is None:
-        with own_processes(workers) as pool:
+        with worker_pool(workers) as pool:
             yield pool
     else:
         with _dask(scheduler, patience_s) as pool:

@@ -78,10 +78,10 @@ class MultigridSolver:
         scale = self._scale.reshape(-1, 3)
         row = np.repeat(np.arange(count), np.diff(rows.indptr))
         data = rows.data * scale[row][:, :, None] * scale[rows.indices][:, None, :]
-        own = np.flatnonzero(row == rows.indices)
+        diagonal = np.flatnonzero(row == rows.indices)
         node, axis = np.nonzero(~self._free.reshape(-1, 3))
         place = np.full(count, -1)
-        place[row[own]] = own
+        place[row[diagonal]] = diagonal
         with_block = place[node] >= 0
         data[place[node[with_block]], axis[with_block], axis[with_block]] = 1.0
         indices, starts = rows.indices.astype(np.int32), rows.indptr.astype(np.int32)
@@ -141,7 +141,7 @@ class MultigridSolver:
         residual = right - self._matrix @ found
         step, before, last, length = np.zeros_like(right), residual, 1.0, 1.0
         diagonal: list[float] = []
-        beside: list[float] = []
+        off_diagonal: list[float] = []
         for iteration in range(self._limit + 1):
             corrected = self._cycle @ residual
             slope = float(residual @ corrected)
@@ -151,7 +151,7 @@ class MultigridSolver:
             energy = float(found @ (right - residual))  # of the present iterate
             within = self.tolerance**2 * energy
             if diagonal and slope <= within:
-                ritz = eigvalsh_tridiagonal(diagonal, beside[1:])
+                ritz = eigvalsh_tridiagonal(diagonal, off_diagonal[1:])
                 self._least = min(self._least, max(float(ritz[0]), LEAST_SHARE))
             if left <= LEAST_SHARE or (energy > 0.0 and slope <= self._least * within):
                 return found, Outcome.CONVERGED, iteration, left
@@ -165,7 +165,7 @@ class MultigridSolver:
                 return found, Outcome.INDEFINITE, iteration, left
             earlier, length = length, float(residual @ step) / curvature
             diagonal.append(1.0 / length + (factor / earlier if iteration else 0.0))
-            beside.append(np.sqrt(factor) / earlier)
+            off_diagonal.append(np.sqrt(factor) / earlier)
             found = found + length * step
             before, last = residual, slope
             residual = residual - length * along

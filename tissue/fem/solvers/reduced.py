@@ -117,9 +117,9 @@ class ReducedSolver:
     def compliance_m_N(self, size: int | None = None) -> Array:
         """W in the basis [m/N] with residual blocks at each node, symmetric, shape (3t, 3t)."""
         cut = self._cut(self.size if size is None else size)
-        own = np.arange(len(self.touchable))
-        view = cut.reshape(len(own), 3, len(own), 3)
-        view[own, :, own, :] = self._whole.reshape(view.shape)[own, :, own, :]
+        nodes = np.arange(len(self.touchable))
+        view = cut.reshape(len(nodes), 3, len(nodes), 3)
+        view[nodes, :, nodes, :] = self._whole.reshape(view.shape)[nodes, :, nodes, :]
         return 0.5 * (cut + cut.T)
 
     def errors(self, sizes: Sequence[int]) -> list[BasisError]:
@@ -131,11 +131,11 @@ class ReducedSolver:
         return (leading * self.values_m_N[:size]) @ leading.T
 
     def _error(self, size: int) -> BasisError:
-        own = np.arange(len(self.touchable))
-        shape = (len(own), 3, len(own), 3)
+        nodes = np.arange(len(self.touchable))
+        shape = (len(nodes), 3, len(nodes), 3)
         rest = self._whole - self._cut(size)
-        total = np.linalg.norm(self._whole.reshape(shape)[own, :, own, :], ord=2, axis=(1, 2))
-        missed = np.linalg.norm(rest.reshape(shape)[own, :, own, :], ord=2, axis=(1, 2))
+        total = np.linalg.norm(self._whole.reshape(shape)[nodes, :, nodes, :], ord=2, axis=(1, 2))
+        missed = np.linalg.norm(rest.reshape(shape)[nodes, :, nodes, :], ord=2, axis=(1, 2))
         corrected = self._whole - self.compliance_m_N(size)
         return BasisError(
             size=size,

@@ -43,7 +43,7 @@ class FaultyDevice:
     def __init__(self, device: Device, faults: Sequence[Fault]) -> None:
         self._device, self._faults = device, tuple(faults)
         self._past: deque[Sample | None] = deque(maxlen=LATE_READS + 1)
-        self._told: Sample | None = None
+        self._returned: Sample | None = None
 
     @property
     def in_process(self) -> bool:
@@ -69,13 +69,13 @@ class FaultyDevice:
         if kind == "dropped":
             return None
         if kind == "duplicated":
-            return self._told
+            return self._returned
         if kind == "late":
             return self._past[0]
         if sample is not None and kind is not None:
             wrong = nan if kind == "non-finite" else WILD_M
             sample = sample._replace(position_m=(wrong, *sample.position_m[1:]))
-        self._told = sample
+        self._returned = sample
         return sample
 
     def command(self, force_N: Array, torque_Nm: Array) -> None:

@@ -187,7 +187,7 @@ class SafeDevice:
         """Let the next read raise ``reason``; the force is then ramped to zero."""
         self._stop = reason
 
-    def watch(self) -> DeviceError | None:
+    def stop_if_stuck(self) -> DeviceError | None:
         """Look after a device whose loop runs in another thread; the error once the device is given up."""
         now = perf_counter()
         if now - self._played > STALL_S:
@@ -277,9 +277,9 @@ class SafeDevice:
         """An exception of the device as one sentence."""
         if isinstance(error, InputError):
             return DeviceError(str(error))
-        said = " ".join(str(error).split())
+        message = " ".join(str(error).split())
         return DeviceError(
-            f"device.{name} must not fail, got {type(error).__name__}{f' ({said})' if said else ''} at "
+            f"device.{name} must not fail, got {type(error).__name__}{f' ({message})' if message else ''} at "
             f"{self._time_s:.3f} s: check the device and its cable{OPENED if name == '__enter__' else ''}"
         )
 

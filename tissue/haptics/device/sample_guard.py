@@ -117,7 +117,7 @@ class SampleGuard:
         turned = unit(sample.quaternion) if sample is not None and total is not None and isfinite(total) else None
         fault = self._fault_of(sample, turned, time_s)
         if fault != self._fault:
-            self._tell(time_s, f"{fault}: the force fades" if fault else "samples are good again")
+            self._log(time_s, f"{fault}: the force fades" if fault else "samples are good again")
             self._fault = fault
         if fault or sample is None or turned is None:
             self.bad_ticks += 1
@@ -130,7 +130,7 @@ class SampleGuard:
         change = self._step / self._limits.fade_s
         torque = NO_TORQUE if torque_Nm is None else torque_Nm
         if force_N is not None and not all(map(isfinite, (*force_N.tolist(), *torque.tolist()))):
-            self._tell(self._clock or 0.0, "the force is not finite: it fades")
+            self._log(self._clock or 0.0, "the force is not finite: it fades")
             force_N = None
         if force_N is not None and not self._fault:
             self.share = min(self.share + change, 1.0)
@@ -143,7 +143,7 @@ class SampleGuard:
         """The device was brought to zero by others: the force comes back from there."""
         self.share = 0.0
 
-    def _tell(self, time_s: float, what: str) -> None:
+    def _log(self, time_s: float, what: str) -> None:
         if len(self.events) < MOST_EVENTS:
             self.events.append((time_s, what))
         elif len(self.events) == MOST_EVENTS:
@@ -217,8 +217,8 @@ def _numbers(part: str, given: object, count: int) -> tuple[float, ...]:
         parts: list[object] = [given] if count == 1 else list(given)  # type: ignore[call-overload]
     except (TypeError, ValueError):
         numbers, parts = np.zeros(0), []
-    stands = numbers.dtype.kind not in "iuf" or any(isinstance(each, (bool, np.bool_)) for each in parts)
-    if stands or numbers.shape != ((count,) if count > 1 else ()):
+    is_wrong = numbers.dtype.kind not in "iuf" or any(isinstance(each, (bool, np.bool_)) for each in parts)
+    if is_wrong or numbers.shape != ((count,) if count > 1 else ()):
         got, wanted = " ".join(repr(given).split())[:60], f"{count} numbers" if count > 1 else "a number"
         raise DeviceError(f"device.read must return a Sample whose {part} is {wanted}, got {got}: mend its read")
     return tuple(map(float, numbers.reshape(count)))

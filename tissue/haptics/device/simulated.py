@@ -76,11 +76,11 @@ class SimulatedDevice(ComputedDevice):
         self.saturated_ticks = self.refused_commands = 0
         step = self._step = 1.0 / parameters.rate_Hz
         whole = int(parameters.transport_delay_s / step + 1e-9)
-        late = parameters.transport_delay_s - whole * step
+        delay = parameters.transport_delay_s - whole * step
         fine = lambda length: max(ceil(substeps * length / step - 1e-9), 1)  # noqa: E731
         self._spans = (
-            ((late, whole + 1, fine(late)), (step - late, whole, fine(step - late)))
-            if late > 1e-9 * step
+            ((delay, whole + 1, fine(delay)), (step - delay, whole, fine(step - delay)))
+            if delay > 1e-9 * step
             else ((step, whole, substeps),)
         )
         self._commands: deque[tuple[Triple, Triple]] = deque([(NOTHING, NOTHING)] * (whole + 2), maxlen=whole + 2)
@@ -141,11 +141,11 @@ class SimulatedDevice(ComputedDevice):
         for length, back, fine in self._spans:
             force, torque = self._commands[-1 - back]
             # The aim moves on within the tick; at its middle the spring's mean pull is right to second order.
-            ahead = grip.stiffness_N_m * (time - at + 0.5 * length)
+            midpoint = grip.stiffness_N_m * (time - at + 0.5 * length)
             self.translation.advance(
                 length,
                 command=force,
-                external=_plus(external, _times(ahead, action.aim_velocity_m_s), NOTHING),
+                external=_plus(external, _times(midpoint, action.aim_velocity_m_s), NOTHING),
                 substeps=fine,
             )
             if self.six_dof:

@@ -62,7 +62,7 @@ def _supervise(work: Callable[[], None], held: SafeDevice) -> None:
     with signals_handled(_taken(), stop):
         thread.start()
         while not done.wait(POLL_S):
-            lost = held.watch()
+            lost = held.stop_if_stuck()
             if lost is not None and not done.wait(STALL_S):
                 raise lost
     if raised:

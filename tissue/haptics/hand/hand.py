@@ -204,9 +204,9 @@ class Hand:
         off = (aim[0] - position_m[0], aim[1] - position_m[1], aim[2] - position_m[2])
         self._pending.append(off)
         felt, stiffness = self._pending.popleft(), self.parameters.stiffness_N_m
-        late = self.parameters.reflex_share * stiffness
+        reflex = self.parameters.reflex_share * stiffness
         px, py, pz = (0.0, 0.0, 0.0) if self._push is None else self._push(time_s)
-        fx, fy, fz = float(px) + late * felt[0], float(py) + late * felt[1], float(pz) + late * felt[2]
+        fx, fy, fz = float(px) + reflex * felt[0], float(py) + reflex * felt[1], float(pz) + reflex * felt[2]
         exerted = sqrt((fx + stiffness * off[0]) ** 2 + (fy + stiffness * off[1]) ** 2 + (fz + stiffness * off[2]) ** 2)
         a, b, c = self._noise = [self._keep * n + self._fresh * drawn[k] for k, n in enumerate(self._noise)]
         noise = self.parameters.force_noise * exerted

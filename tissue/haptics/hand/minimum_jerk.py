@@ -91,9 +91,9 @@ class Aim:
             self._begin(time_s)
         (x, y, z), u, v, w = self._rest, 0.0, 0.0, 0.0
         for start, (a, b, c), _ in self._moves:
-            way, speed = minimum_jerk((time_s - start) / self._duration)
+            share, speed = minimum_jerk((time_s - start) / self._duration)
             speed /= self._duration
-            x, y, z = x + way * a, y + way * b, z + way * c
+            x, y, z = x + share * a, y + share * b, z + share * c
             u, v, w = u + speed * a, v + speed * b, w + speed * c
         return (x, y, z), (u, v, w)
 
@@ -104,11 +104,11 @@ class Aim:
         while self._moves and self._moves[0][0] <= memory:
             self._rest = [a + b for a, b in zip(self._rest, self._moves.pop(0)[1], strict=True)]
         seen = list(self._rest)
-        for start, way, missed in self._moves:
+        for start, move, missed in self._moves:
             unseen = start > time_s - self._reaction
-            seen = [a + b - (c if unseen else 0.0) for a, b, c in zip(seen, way, missed, strict=True)]
-        ahead = time_s + self._duration - 0.5 * self._interval
-        wanted = [float(a) - b for a, b in zip(self._path(ahead), seen, strict=True)]
+            seen = [a + b - (c if unseen else 0.0) for a, b, c in zip(seen, move, missed, strict=True)]
+        arrival = time_s + self._duration - 0.5 * self._interval
+        wanted = [float(a) - b for a, b in zip(self._path(arrival), seen, strict=True)]
         size = sqrt(sum(a * a for a in wanted))
         missed = [self._noise * size * float(each) for each in self._rng.standard_normal(3)]
         self._moves.append((time_s, [a + b for a, b in zip(wanted, missed, strict=True)], missed))

@@ -68,13 +68,13 @@ def critical_stiffness_N_m(loop: WallLoop) -> float:
     is never called stable, also where a window of it might be.
     """
     low, high = 0.0, SOFTEST_N_M
-    while _settles(loop, high):
+    while _is_stable(loop, high):
         low, high = high, high * 10.0**0.25
         if low > STIFFEST_N_M:
             return inf
     while low > 0.0 and high - low > 1e-10 * high:
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if _settles(loop, middle) else (low, middle)
+        low, high = (middle, high) if _is_stable(loop, middle) else (low, middle)
     return low
 
 
@@ -119,7 +119,7 @@ def require_stable(loop: WallLoop, hands: Sequence[tuple[float, float, float]] |
     )
 
 
-def _settles(loop: WallLoop, stiffness_N_m: float) -> bool:
+def _is_stable(loop: WallLoop, stiffness_N_m: float) -> bool:
     """Whether no mode grows."""
     eigenvalues = np.linalg.eigvals(loop_matrix(loop.with_stiffness(stiffness_N_m)))
     return bool(np.abs(eigenvalues).max() < 1.0 - ON_THE_CIRCLE)

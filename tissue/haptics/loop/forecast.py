@@ -118,12 +118,12 @@ def _answers(
     out: Array,
 ) -> Array:
     """Forces told along the axis from a settled state on, one of what is seen being changed in one tick [N]."""
-    told = np.zeros(LONGEST + 1 + model_ticks)
-    for tick in range(len(told)):
+    forces = np.zeros(LONGEST + 1 + model_ticks)
+    for tick in range(len(forces)):
         shown = [array + change if tick == at and index == channel else array for index, array in enumerate(seen)]
         predictor.observe(shown[0], shown[1], shown[2] if tick % model_ticks == 0 else None)
-        told[tick] = float(predictor.predict(lead_ticks) @ out)
-    return told
+        forces[tick] = float(predictor.predict(lead_ticks) @ out)
+    return forces
 
 
 def _faded(taps: Array) -> Array:

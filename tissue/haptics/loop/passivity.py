@@ -46,7 +46,7 @@ class PassivityObserver:
     def __init__(self, *, delay_ticks: float = 0.0) -> None:
         require_range("delay_ticks", delay_ticks, 0.0, 400.0, "use 0 for none")
         whole = int(delay_ticks + 1e-9)
-        self._late = max(delay_ticks - whole, 0.0)
+        self._delay = max(delay_ticks - whole, 0.0)
         self.energy_J = 0.0
         self.lowest_J = 0.0
         self._position: Array | None = None
@@ -56,8 +56,8 @@ class PassivityObserver:
         """Book what the acting forces did on the way to this position [m]; the energy [J]."""
         if self._position is not None:
             moved = position_m - self._position
-            self.energy_J -= (1.0 - self._late) * float(self._forces[1].dot(moved))
-            self.energy_J -= self._late * float(self._forces[0].dot(moved))
+            self.energy_J -= (1.0 - self._delay) * float(self._forces[1].dot(moved))
+            self.energy_J -= self._delay * float(self._forces[0].dot(moved))
             self.lowest_J = min(self.lowest_J, self.energy_J)
         self._position = position_m.copy()
         return self.energy_J
@@ -74,7 +74,7 @@ class PassivityObserver:
     def waiting_N(self) -> Array:
         """Forces that were sent out and have not acted yet, each by its share of a tick, oldest first, shape (n, 3)."""
         waiting = np.array(self._forces)[1:]
-        waiting[0] *= self._late
+        waiting[0] *= self._delay
         return waiting
 
 
@@ -137,10 +137,10 @@ class PassivityControl:
             return force_N
         if len(places) > 1:
             velocity_m_s = (places[-1] - places[0]) / (step_s * (len(places) - 1))
-        way = force_N / size
-        pushes = np.append(observer.waiting_N() @ way, size)
+        direction = force_N / size
+        pushes = np.append(observer.waiting_N() @ direction, size)
         gained = (step_s / self._mass) * pushes
-        speeds = float(velocity_m_s.dot(way)) + np.cumsum(gained) - 0.5 * gained
+        speeds = float(velocity_m_s.dot(direction)) + np.cumsum(gained) - 0.5 * gained
         speeds[-1] -= 0.5 * gained[-1]  # a device at rest feels its spring
         speed = float(speeds[-1])
         left = energy - step_s * float(pushes.dot(np.maximum(speeds, 0.0)))
@@ -152,7 +152,7 @@ class PassivityControl:
             taken = min(-left / (step_s * abs(speed)), most)
             self.damping_N_s_m = taken / abs(speed)
             self.dissipated_J += taken * abs(speed) * step_s
-            played = force_N - copysign(taken, speed) * way
+            played = force_N - copysign(taken, speed) * direction
         observer.hold(played)
         return played
 

@@ -74,8 +74,8 @@ class Plant:
             if stop > 0.0:
                 speed = sqrt(q0 * q0 + q1 * q1 + q2 * q2)
                 share = 1.0 if speed <= stop else stop / speed
-                ahead = share * xw / vw
-                p0, p1, p2 = p0 - ahead * q0, p1 - ahead * q1, p2 - ahead * q2
+                ratio = share * xw / vw
+                p0, p1, p2 = p0 - ratio * q0, p1 - ratio * q1, p2 - ratio * q2
                 q0, q1, q2 = (1.0 - share) * q0, (1.0 - share) * q1, (1.0 - share) * q2
                 if share == 1.0 and v0 == v1 == v2 == 0.0:
                     p0, p1, p2 = x0, x1, x2  # friction follows a motor force that changes within the substep

@@ -113,8 +113,8 @@ def loop_matrix(loop: WallLoop) -> Array:
     the loop does to the columns of a unit matrix, tick by tick.
     """
     whole = int(loop.delay_s / loop.tick_s + 1e-9)
-    late = max(loop.delay_s - whole * loop.tick_s, 0.0)
-    parts = [(late, whole + 1), (loop.tick_s - late, whole)] if late > 1e-9 * loop.tick_s else [(loop.tick_s, whole)]
+    delay = max(loop.delay_s - whole * loop.tick_s, 0.0)
+    parts = [(delay, whole + 1), (loop.tick_s - delay, whole)] if delay > 1e-9 * loop.tick_s else [(loop.tick_s, whole)]
     spring = loop.hand_stiffness_N_m
     mass, damping = loop.mass_kg + loop.hand_mass_kg, loop.damping_N_s_m + loop.hand_damping_N_s_m
     steps = [(np.array(plant_step(mass, damping, spring, loop.amplifier_hz, s))[:, :4], back) for s, back in parts]
@@ -161,16 +161,18 @@ class Seen:
         rate, count = 1.0 / self._loop.tick_s, self._loop.model_ticks
         positions, forces = [position, *self.positions], [model, *self.forces]
         places, ages = forecast.memory
-        told = 0.0 * model
+        predicted = 0.0 * model
         for age in range(ages):
             phase = (tick - age) % count
             by_place, by_speed, by_force = forecast.taps[phase, age]
             if places:
-                told = told + by_place * positions[age] + by_speed * rate * (positions[age] - positions[age + 1])
+                predicted = (
+                    predicted + by_place * positions[age] + by_speed * rate * (positions[age] - positions[age + 1])
+                )
             if phase == 0:
-                told = told + by_force * forces[age]
+                predicted = predicted + by_force * forces[age]
         self.positions, self.forces = positions[:-1], forces[:-1]
-        return model + forecast.gain * (told - model)
+        return model + forecast.gain * (predicted - model)
 
 
 def spectral_radius(loop: WallLoop) -> float:

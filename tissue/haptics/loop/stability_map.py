@@ -72,9 +72,9 @@ def growth_while_running(loops: Sequence[WallLoop], stiffnesses_N_m: Array, *, t
         raise InputError("loops must share tick_s, model_ticks and forecast, got others: run them apart")
     tick, count = first.tick_s, len(loops)
     whole = [int(each.delay_s / tick + 1e-9) for each in loops]
-    late = [max(each.delay_s - n * tick, 0.0) for each, n in zip(loops, whole, strict=True)]
+    delay = [max(each.delay_s - n * tick, 0.0) for each, n in zip(loops, whole, strict=True)]
     steps = []
-    for part in (late, [tick - each for each in late]):
+    for part in (delay, [tick - each for each in delay]):
         rows = [
             plant_step(e.mass_kg + e.hand_mass_kg, e.damping_N_s_m + e.hand_damping_N_s_m, e.hand_stiffness_N_m,
                        e.amplifier_hz, max(length, 1e-12))
@@ -101,8 +101,8 @@ def growth_while_running(loops: Sequence[WallLoop], stiffnesses_N_m: Array, *, t
             if n % first.model_ticks == 0:
                 force = -stiffnesses_N_m * plant[0] - damping * (plant[0] - before) / (tick * first.model_ticks)
                 before = plant[0].copy()
-            ahead = seen.predict(plant[0].copy(), force, n % first.model_ticks)
-            filtered = filtered + gain * (ahead - filtered)
+            predicted = seen.predict(plant[0].copy(), force, n % first.model_ticks)
+            filtered = filtered + gain * (predicted - filtered)
             queue[n % length] = filtered
             for matrix, behind in zip(steps, (back + 1, back), strict=True):
                 plant[3] = queue[(n - behind) % length, columns]

@@ -33,7 +33,7 @@ class Lead:
         Where the tool shall be.
     tool
         Where it is.
-    ahead_s
+    lead_s
         How far ahead of the present an aim asks for its path [s].
     furthest_m
         Farthest that the hand is led beyond the path [m].
@@ -41,7 +41,7 @@ class Lead:
 
     path: Path
     tool: HeldTool
-    ahead_s: float
+    lead_s: float
     furthest_m: float
     beyond_m: Array = field(default_factory=lambda: np.zeros(3))
     _aims_m: list[Array] = field(default_factory=list)
@@ -50,9 +50,9 @@ class Lead:
 
     def __call__(self, time_s: float) -> Array:
         """Where to aim at a time [s]; each call is a correction."""
-        if time_s > self.ahead_s:
+        if time_s > self.lead_s:
             self._learn()
-            self.beyond_m += SHARE / self._yields * (self.path(time_s - self.ahead_s) - self.tool.tip_m)
+            self.beyond_m += SHARE / self._yields * (self.path(time_s - self.lead_s) - self.tool.tip_m)
             size = sqrt(self.beyond_m @ self.beyond_m)
             self.beyond_m *= min(self.furthest_m / size, 1.0) if size > 0.0 else 1.0
         aim = self.path(time_s) + self.beyond_m
@@ -74,7 +74,7 @@ class Thrust:
 
     Attributes
     ----------
-    start_m, way_m
+    start_m, path_m
         Where the tool starts and how it shall go [m], shape (3,).
     tool
         Where it is.
@@ -85,7 +85,7 @@ class Thrust:
     """
 
     start_m: Array
-    way_m: Array
+    path_m: Array
     tool: HeldTool
     push_N: float
     stretch_m: float
@@ -93,19 +93,19 @@ class Thrust:
     @property
     def share(self) -> float:
         """Share of the way that the tool has gone, 0 to 1."""
-        gone = float((self.tool.tip_m - self.start_m) @ self.way_m) / float(self.way_m @ self.way_m)
+        gone = float((self.tool.tip_m - self.start_m) @ self.path_m) / float(self.path_m @ self.path_m)
         return min(max(gone, 0.0), 1.0)
 
     def path(self, time_s: float) -> Array:
         """Where to aim at a time [s]: at the device that the tool hangs on."""
         share = self.share
         if time_s <= 0.0 or share == 1.0:
-            return self.start_m + share * self.way_m
-        return self.start_m + share * self.way_m + self.stretch_m * self.way_m / sqrt(self.way_m @ self.way_m)
+            return self.start_m + share * self.path_m
+        return self.start_m + share * self.path_m + self.stretch_m * self.path_m / sqrt(self.path_m @ self.path_m)
 
     def push(self, time_s: float) -> Array:
         """Intended force at a time [N]."""
         if self.share == 1.0:
             return np.zeros(3)
-        force: Array = self.push_N * self.way_m / sqrt(self.way_m @ self.way_m)
+        force: Array = self.push_N * self.path_m / sqrt(self.path_m @ self.path_m)
         return force

@@ -83,7 +83,7 @@ class CuttingTool:
         self.tip_m = np.array(tip_m, dtype=float)
         self.pressed, self.driven = 0.0, False
         self._drag = self._edge = self._pull_N = 0.0
-        self._way = np.zeros(3)
+        self._heading = np.zeros(3)
 
     @property
     def quaternion(self) -> Quaternion:
@@ -96,7 +96,7 @@ class CuttingTool:
         drag = max(-float(response.resistance[:3].dot(heading)), 0.0)
         edge = max(-float(response.edge[:3].dot(heading)), 0.0)
         if drag >= FADE * self._drag:
-            self._drag, self._edge, self._way = drag, edge, heading.copy()
+            self._drag, self._edge, self._heading = drag, edge, heading.copy()
         else:
             self._drag, self._edge = FADE * self._drag, max(FADE * self._edge, edge)
         self.driven = self._edge > LEAST_N or self._drag > LEAST_N_s_m
@@ -106,15 +106,15 @@ class CuttingTool:
             return self.tip_m
         stretch = device_m - self.tip_m
         length = sqrt(stretch.dot(stretch))
-        along = 0.5 * (1.0 + float(self._way.dot(stretch)) / length) if length > 0.0 else 1.0
+        along = 0.5 * (1.0 + float(self._heading.dot(stretch)) / length) if length > 0.0 else 1.0
         pull, held = self._stiffness * length, along * self._edge
-        way = max(pull - held, 0.0) / (self._stiffness + along * self._drag / step_s)
-        if way < length * (1.0 - ROUNDING):
-            self.tip_m += stretch * (way / length)
+        moved = max(pull - held, 0.0) / (self._stiffness + along * self._drag / step_s)
+        if moved < length * (1.0 - ROUNDING):
+            self.tip_m += stretch * (moved / length)
         else:
             self.tip_m[:] = device_m
-        self._pull_N = max(pull - self._stiffness * way, 0.0)
-        if way == 0.0 and held > 0.0:
+        self._pull_N = max(pull - self._stiffness * moved, 0.0)
+        if moved == 0.0 and held > 0.0:
             self.pressed = min(pull / held, 1.0)
         return self.tip_m
 
@@ -147,7 +147,7 @@ class PressingTool:
         self._stiffness = require_positive("stiffness_N_m", stiffness_N_m, "use 1e3")
         self.tip_m = np.array(tip_m, dtype=float)
         self.pressed, self.driven = 0.0, False
-        self._own = self._stiffness * np.eye(3)
+        self._spring = self._stiffness * np.eye(3)
         self._learnt, self._free = 0.0, True
         self._before_m, self._before_N = self.tip_m.copy(), np.zeros(3)
 
@@ -169,7 +169,7 @@ class PressingTool:
             if response.stiffness_N_m is None:
                 step, singular = out_of_balance / (spring + self._learnt), False
             else:
-                *_, step, singular = dgesv(self._own + response.stiffness_N_m, out_of_balance)
+                *_, step, singular = dgesv(self._spring + response.stiffness_N_m, out_of_balance)
             in_balance = not singular and float((step - stretch).dot(force)) > 0.0
         if in_balance:
             tip += step

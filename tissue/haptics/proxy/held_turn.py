@@ -49,12 +49,12 @@ class HeldTurn:
             self.quaternion = device
             return device
         self._learn(torque_Nm)
-        ahead = np.array(logarithm(product(device, conjugate(self.quaternion))))
-        turn = (spring * ahead + torque_Nm) / (spring + self._learnt)
-        if float((turn - ahead).dot(torque_Nm)) <= 0.0:
+        difference = np.array(logarithm(product(device, conjugate(self.quaternion))))
+        turn = (spring * difference + torque_Nm) / (spring + self._learnt)
+        if float((turn - difference).dot(torque_Nm)) <= 0.0:
             self.quaternion = device
             return device
-        x, y, z = turn - ahead
+        x, y, z = turn - difference
         size = sqrt(x * x + y * y + z * z)
         share = min(FURTHEST_RAD / size, 1.0)
         self.quaternion = product(exponential((share * x, share * y, share * z)), device)

@@ -195,14 +195,14 @@ class Proxy:
         self._state.pull()
         self._report.pull()
         state, result = self._state.host, self.result
-        settled, contacts, steps, solves = self._report.host[:4].tolist()
+        converged, contacts, steps, solves = self._report.host[:4].tolist()
         result.position_m[:] = state[:3]
         result.quaternion[:] = state[3:7]
         result.push_m[:] = self._report.host[5:8]
         result.push_moment_m2[:] = self._report.host[8:11]
         result.arm_m[:] = self._report.host[11:14]
         result.contacts, result.steps, result.solves = int(contacts), int(steps), int(solves)
-        if settled == 0.0:
+        if converged == 0.0:
             result.outcome = ProxyOutcome.BEHIND
         else:
             result.outcome = ProxyOutcome.CONTACT if contacts else ProxyOutcome.FREE
@@ -211,8 +211,8 @@ class Proxy:
 def _contacts(points: int, field: ContactField, *, device: str) -> Contacts:
     """Room for every contact that a shell of so many points can have."""
     slots = field.solid_count + (VOXEL_PLANES if field.spacing_m > 0.0 else 0)
-    room: Any = Contacts()
-    room.slots = slots
+    contacts: Any = Contacts()
+    contacts.slots = slots
     for name, count, kind in (
         ("press", points * slots, wp.float64),
         ("wake", points, wp.float64),
@@ -228,5 +228,5 @@ def _contacts(points: int, field: ContactField, *, device: str) -> Contacts:
         ("lower", (MEMBERS, MEMBERS), wp.float64),
         ("side", (MEMBERS, 3), wp.float64),
     ):
-        setattr(room, name, wp.zeros(count, dtype=kind, device=device))
-    return room
+        setattr(contacts, name, wp.zeros(count, dtype=kind, device=device))
+    return contacts

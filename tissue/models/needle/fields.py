@@ -175,7 +175,7 @@ class NeedleFields:
         self._kept.clear()
         self._fields.compute()
 
-    def beside(self, tissue: NeedleTissue) -> str:
+    def note(self, tissue: NeedleTissue) -> str:
         """A sentence on what the fields are, and the force that their block takes beside that of the needle's model."""
         puncture = tissue.membranes[0].puncture_N if tissue.membranes else tissue.cutting_N
         moved, deepest = tissue.deflection_m(puncture), self.track.deepest_m

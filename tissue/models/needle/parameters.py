@@ -120,8 +120,8 @@ class NeedleTissue:
         require_range("cutting_N", self.cutting_N, 0.0, GREATEST_N, "give it in N")
         depths = [membrane.depth_m for membrane in self.membranes]
         if any(below <= above for above, below in pairwise(depths)):
-            told = ", ".join(f"{1e3 * depth:g} mm" for depth in depths)
-            raise InputError(f"membranes must be listed from the surface downwards, got depths {told}: sort them")
+            listed = ", ".join(f"{1e3 * depth:g} mm" for depth in depths)
+            raise InputError(f"membranes must be listed from the surface downwards, got depths {listed}: sort them")
         names = [membrane.name for membrane in self.membranes]
         if len({*names, "parenchyma"}) <= len(names):
             raise InputError(

@@ -89,7 +89,7 @@ class LiverModel:
         """Put the probe where it starts, outside the organ."""
         self.contact.place(motion.tip_m, motion.rotation)
         if self._lazy is not None:
-            self._look(motion)
+            self._search_contacts(motion)
             self._lazy.fill()
             while self._lazy.pour(self.contact.compliance_m_N):
                 pass
@@ -100,7 +100,7 @@ class LiverModel:
         if self._lazy is not None:
             self._lazy.pour(self.contact.compliance_m_N)
             if self._ticks % LOOK_EVERY == 0:
-                self._look(motion)
+                self._search_contacts(motion)
         self._ticks += 1
         if self._creep is not None:
             self.contact.shift(self._creep.offset_m)
@@ -158,7 +158,7 @@ class LiverModel:
         moved = self.contact.result.displacement_m()
         return moved if self._creep is None else moved + self._creep.offset_m
 
-    def _look(self, motion: ToolMotion) -> None:
+    def _search_contacts(self, motion: ToolMotion) -> None:
         """Ask for the compliance of the nodes around the tool."""
         assert self._lazy is not None
         self._lazy.want(self.contact.nodes_in_reach(motion.tip_m, motion.rotation, LOOK_M))

@@ -80,8 +80,10 @@ class SphereProbe:
         """Distance to the ball [m] and the direction from its centre."""
         arm = points_m - [0.0, 0.0, self.radius_m]
         length = np.linalg.norm(arm, axis=1)
-        way = np.divide(arm, length[:, None], out=np.tile([0.0, 0.0, -1.0], (len(arm), 1)), where=length[:, None] > 0.0)
-        return length - self.radius_m, way
+        normal = np.divide(
+            arm, length[:, None], out=np.tile([0.0, 0.0, -1.0], (len(arm), 1)), where=length[:, None] > 0.0
+        )
+        return length - self.radius_m, normal
 
 
 @dataclass(frozen=True)
@@ -127,12 +129,12 @@ class CylinderProbe:
         radius = np.hypot(points_m[:, 0], points_m[:, 1])
         out = np.zeros_like(points_m)
         np.divide(points_m[:, :2], radius[:, None], out=out[:, :2], where=radius[:, None] > 0.0)
-        beside, below = radius - self.radius_m + self.edge_m, self.edge_m - points_m[:, 2]
-        corner = np.hypot(np.maximum(beside, 0.0), np.maximum(below, 0.0))
-        round_edge, side = (beside > 0.0) & (below > 0.0), beside > below
-        along = np.where(round_edge, np.divide(beside, corner, out=np.zeros_like(corner), where=round_edge), side)
+        outside, below = radius - self.radius_m + self.edge_m, self.edge_m - points_m[:, 2]
+        corner = np.hypot(np.maximum(outside, 0.0), np.maximum(below, 0.0))
+        round_edge, side = (outside > 0.0) & (below > 0.0), outside > below
+        along = np.where(round_edge, np.divide(outside, corner, out=np.zeros_like(corner), where=round_edge), side)
         down = np.where(round_edge, np.divide(below, corner, out=np.zeros_like(corner), where=round_edge), ~side)
-        inside = np.minimum(np.maximum(beside, below), 0.0)
+        inside = np.minimum(np.maximum(outside, below), 0.0)
         return inside + corner - self.edge_m, along[:, None] * out - down[:, None] * np.array([0.0, 0.0, 1.0])
 
 
@@ -222,14 +224,14 @@ class ShellProbe:
         from scipy.spatial import cKDTree
 
         _, nearest = cKDTree(self.points_m).query(points_m)
-        way = self.normals[nearest]
-        return np.einsum("ij,ij->i", points_m - self.points_m[nearest], way), way
+        normal = self.normals[nearest]
+        return np.einsum("ij,ij->i", points_m - self.points_m[nearest], normal), normal
 
 
 def _thinned(centres: Array, normals: Array, areas: Array, side: float) -> tuple[NDArray[np.int64], Array]:
     """One point for each cube of a side and each way that its surface faces, shape (k,), and the areas of these."""
-    way = np.abs(normals).argmax(axis=1)
-    faces = 2 * way + (np.take_along_axis(normals, way[:, None], axis=1)[:, 0] > 0.0)
+    normal = np.abs(normals).argmax(axis=1)
+    faces = 2 * normal + (np.take_along_axis(normals, normal[:, None], axis=1)[:, 0] > 0.0)
     cells = np.column_stack([np.floor(centres / side).astype(np.int64), faces])
     _, group = np.unique(cells, axis=0, return_inverse=True)
     group = group.reshape(-1)

@@ -30,7 +30,7 @@ class NodeBlocks:
     ----------
     row_start, column, block
         Block compressed rows: int32 (n + 1,), int32 (b,), 3 x 3 float64 (b,) [N/m]; lower colours first.
-    own_block
+    diagonal_block
         Place of each node's own block, int32 (n,).
     diagonal
         Own block of each node with 1 on held components, float64 (n,).
@@ -58,7 +58,7 @@ class NodeBlocks:
 
         self.device = device
         self.row_start, self.column = on(starts, wp.int32), on(column, wp.int32)
-        self.own_block = on(place[:, 13], wp.int32)
+        self.diagonal_block = on(place[:, 13], wp.int32)
         self.free, self.spring = on(~supports.fixed, wp.vec3d), on(supports.spring_n_m, wp.vec3d)
         self.block = wp.zeros(int(starts[-1]), dtype=wp.mat33d, device=device)
         self.single = wp.zeros(int(starts[-1]), dtype=wp.mat33f, device=device)

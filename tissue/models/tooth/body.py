@@ -8,7 +8,7 @@ from scipy.sparse import bsr_matrix
 from scipy.spatial import cKDTree
 
 from tissue.models.tooth.grid import HexGrid, shape_values
-from tissue.models.tooth.islands import carried_cells
+from tissue.models.tooth.islands import supported_cells
 from tissue.models.tooth.multigrid import GridHierarchy
 from tissue.models.tooth.particles import ParticleSet
 from tissue.models.tooth.solver import Outcome, Solution, conjugate_gradients
@@ -121,14 +121,14 @@ class ParticleBody:
         before, was_debris = self.cells.live.copy(), self._is_debris
         filled = self.cells.fill >= LEAST_FILL
         if (filled != self._filled).any():
-            live = carried_cells(self.grid, filled, self.supports) if self._drop_islands else filled
+            live = supported_cells(self.grid, filled, self.supports) if self._drop_islands else filled
             self._filled = filled
             self.cells.set_live(live)
-            beside = np.zeros_like(live)
+            borders = np.zeros_like(live)
             pairs = self.grid.face_pairs
-            beside[pairs[live[pairs[:, 0]], 1]] = True
-            beside[pairs[live[pairs[:, 1]], 0]] = True
-            self._is_debris = ~live & (filled | ~beside)
+            borders[pairs[live[pairs[:, 0]], 1]] = True
+            borders[pairs[live[pairs[:, 1]], 0]] = True
+            self._is_debris = ~live & (filled | ~borders)
         else:
             self._is_debris = was_debris
         cells = np.union1d(touched, np.flatnonzero(before != self.cells.live)).astype(np.int32)

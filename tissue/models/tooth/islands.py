@@ -17,7 +17,7 @@ LEAST_RESTRAINT = 1e-9
 three corners of a cell 1e-2."""
 
 
-def carried_cells(grid: HexGrid, filled: NDArray[np.bool_], supports: Supports) -> NDArray[np.bool_]:
+def supported_cells(grid: HexGrid, filled: NDArray[np.bool_], supports: Supports) -> NDArray[np.bool_]:
     """Cells of ``filled``, shape (c,), that a support holds against all six rigid motions.
 
     Cells that share a face move together. A part made of such cells is carried if its supports, and the nodes it shares
@@ -31,7 +31,7 @@ def carried_cells(grid: HexGrid, filled: NDArray[np.bool_], supports: Supports) 
     part_of = np.full(grid.cell_count, -1)
     part_of[filled] = part
     held = supports.fixed | (supports.spring_n_m > 0.0)
-    carried = np.zeros(len(numbers), dtype=np.bool_)
+    supported = np.zeros(len(numbers), dtype=np.bool_)
     members = _members(grid, part_of, len(numbers))
     waiting = list(range(len(numbers)))
     moved = True
@@ -39,10 +39,10 @@ def carried_cells(grid: HexGrid, filled: NDArray[np.bool_], supports: Supports) 
         moved = False
         for number in list(waiting):
             if _restrained(grid, members[number], held):
-                carried[number] = moved = True
+                supported[number] = moved = True
                 held[members[number]] = True
                 waiting.remove(number)
-    return filled & carried[part_of] if len(numbers) else filled
+    return filled & supported[part_of] if len(numbers) else filled
 
 
 def _members(grid: HexGrid, part_of: NDArray[np.integer], count: int) -> list[NDArray[np.int32]]:

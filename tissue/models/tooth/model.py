@@ -71,7 +71,7 @@ class ToothModel:
         if warmth is not None:
             self.measure_names += ("pulp_rise_K",)
         self._energy_J, self._pulp_rise_K, self._warmed_s = 0.0, 0.0, 0.0
-        self._interval_s, self._next_s, self._late, self._stress_lost = interval_s, 0.0, False, False
+        self._interval_s, self._next_s, self._late_reported, self._stress_lost = interval_s, 0.0, False, False
         self.notices: list[str] = []
         if stress is not None and stress.root_guessed:
             self.notices.append("neither ligament nor bone is given: the tooth's lower third is held as its root")
@@ -123,7 +123,7 @@ class ToothModel:
         if self._pulp_near:
             self._clearance()
             self._nearest.pull()
-            self._watch(float(np.minimum.reduce(self._nearest.host)))
+            self._report_pulp(float(np.minimum.reduce(self._nearest.host)))
             response.measures[0] = 1e3 * min(self._least_m, self._reach_m)
         if self.stress is not None:
             (a, b, c), (x, y, z) = (motion.tip_m - self.stress.reference_m).tolist(), response.wrench[:3].tolist()
@@ -186,8 +186,8 @@ class ToothModel:
             self.notices.append(f"{1e9 * record.debris_m3:.3g} mm3 of tooth hang on nothing and are taken as debris")
         if record.outcome != "CONVERGED":
             self.notices.append(f"the stress at {record.time_s:.3f} s did not converge ({record.outcome.lower()})")
-        if record.solve_s > self._interval_s and not self._late:
-            self._late = True
+        if record.solve_s > self._interval_s and not self._late_reported:
+            self._late_reported = True
             self.notices.append(
                 f"solving the stress took {record.solve_s:.2f} s, longer than its interval of {self._interval_s:g} s: "
                 "the run waits for it, a device would not"
@@ -212,7 +212,7 @@ class ToothModel:
         """Tooth left in every voxel, 255 = full, shape of the volume."""
         return self.milling.remaining()
 
-    def _watch(self, near_m: float) -> None:
+    def _report_pulp(self, near_m: float) -> None:
         """Keep the least distance and say when a limit or the pulp itself is passed."""
         before, self._least_m = self._least_m, min(self._least_m, near_m)
         for limit in WARN_M:

@@ -45,7 +45,7 @@ class GridLevel:
         self.residual = wp.zeros(grid.node_count, dtype=wp.vec3f, device=device)
         self.first_sweeps, self.last_sweeps = self._sweeps()
         blocks = self.blocks
-        rows = [blocks.row_start, blocks.own_block, blocks.column, blocks.single]
+        rows = [blocks.row_start, blocks.diagonal_block, blocks.column, blocks.single]
         self.leave_residual = self._launch(first_residuals, [*rows, self.vector], [self.residual])
 
     def _launch(self, kernel: Any, inputs: list[Any], outputs: list[Any], dim: int | None = None) -> SplitLaunch:
@@ -66,7 +66,9 @@ class GridLevel:
             on: Any = wp.array(nodes, dtype=wp.int32, device=self.device)
             rows = [blocks.column, blocks.single, blocks.inverse, self.load]
             first.append(
-                self._launch(first_sweep, [on, blocks.row_start, blocks.own_block, *rows], [self.vector], len(nodes))
+                self._launch(
+                    first_sweep, [on, blocks.row_start, blocks.diagonal_block, *rows], [self.vector], len(nodes)
+                )
             )
             last.append(self._launch(sweep_colour, [on, blocks.row_start, *rows], [self.vector], len(nodes)))
         return first, last[::-1]

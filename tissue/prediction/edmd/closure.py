@@ -94,8 +94,8 @@ def step_errors(
     fitted = lifted @ generator.A.T + acting @ generator.B.T + generator.offset
     euler, exact = [], []
     for step in steps_s:
-        ahead = generator.dictionary.lift(flow(step))
-        missed = (ahead - lifted - step * fitted, ahead - generator.discrete(step).advance(lifted, acting))
+        advanced = generator.dictionary.lift(flow(step))
+        missed = (advanced - lifted - step * fitted, advanced - generator.discrete(step).advance(lifted, acting))
         sizes = [float(np.linalg.norm(each / generator.scale, axis=1).mean()) for each in missed]
         euler.append(sizes[0])
         exact.append(sizes[1])

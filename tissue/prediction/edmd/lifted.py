@@ -119,8 +119,8 @@ class Operator(LiftedMap):
 
     def advance(self, lifted: Array, inputs: Array | None = None) -> Array:
         """Observables one step later; any leading axes. None for inputs that are zero."""
-        ahead = lifted @ self.A.T + self.offset
-        return ahead if inputs is None else ahead + inputs @ self.B.T
+        advanced = lifted @ self.A.T + self.offset
+        return advanced if inputs is None else advanced + inputs @ self.B.T
 
     def predict(self, state: Array, inputs: Array | None, horizon: int) -> Array:
         """States 1 to `horizon` steps ahead, shape (horizon, d): lifted once, advanced linearly, decoded.
@@ -158,11 +158,11 @@ class Operator(LiftedMap):
 
     def predicted_states(self, horizon: int) -> list[tuple[Array, Array]]:
         """Matrix M (d, D) and offset c (d,) for 1 to `horizon` steps: the state then is M φ + c, without inputs."""
-        ahead = [(self.A[: self.state_size], self.offset[: self.state_size])]
-        while len(ahead) < horizon:
-            matrix, offset = ahead[-1]
-            ahead.append((matrix @ self.A, matrix @ self.offset + offset))
-        return ahead
+        advanced = [(self.A[: self.state_size], self.offset[: self.state_size])]
+        while len(advanced) < horizon:
+            matrix, offset = advanced[-1]
+            advanced.append((matrix @ self.A, matrix @ self.offset + offset))
+        return advanced
 
     def capped(self, limit: float) -> Self:
         """The operator with no eigenvalue larger than `limit`, turned about the training data's mean.

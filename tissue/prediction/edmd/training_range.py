@@ -67,5 +67,5 @@ class TrainingRange:
 
     def contains(self, state: Array, slack: float = 0.0) -> bool:
         """Whether a state lies in the box, each side moved out by a share of the box's width."""
-        room = slack * (self.highest - self.lowest)
-        return bool(((state >= self.lowest - room) & (state <= self.highest + room)).all())
+        margin = slack * (self.highest - self.lowest)
+        return bool(((state >= self.lowest - margin) & (state <= self.highest + margin)).all())

@@ -82,7 +82,7 @@ def live(
         As `tissue.simulate`, and if a display does not answer, or a window does not open on it, in time.
     """
     await_display()
-    by_mouse, said = moved_by(scene)
+    by_mouse, note = moved_by(scene)
     mouse = MouseDevice(_start_m(scene)) if by_mouse else None
     if by_mouse:
         device = STANDS_FOR if scene.device == "none" else scene.device
@@ -103,7 +103,7 @@ def live(
         device=mouse,
         observer=observer,
     )
-    run.parts.notes["live"] = said
+    run.parts.notes["live"] = note
     if mouse is not None:
         run.parts.notes["coupling"] = f"a mouse in place of the {scene.device} and its hand, " + scene.renderer
     return run

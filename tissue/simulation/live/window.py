@@ -93,12 +93,12 @@ class WindowProcess:
         start: dict[str, Any] = {**box, **self._shared.start}
         np.savez(self._folder / "start.npz", allow_pickle=False, **start)
         self._shared.publish(self.arrays, 0)
-        with (self._folder / "said.txt").open("w+", encoding="utf-8", errors="replace") as said:
+        with (self._folder / "said.txt").open("w+", encoding="utf-8", errors="replace") as output:
             self._child = subprocess.Popen(
                 child_command(MODULE, str(self._folder)),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                stderr=said,
+                stderr=output,
                 start_new_session=True,
                 text=True,
             )
@@ -156,9 +156,9 @@ class WindowProcess:
 
     def pointed_m(self) -> tuple[float, float, float] | None:
         """Where the pointer wants the tool [m], if that is new."""
-        if int(self._turn[0]) == self._seen or (told := self.arrays.read("pointer")) is None:
+        if int(self._turn[0]) == self._seen or (pointed := self.arrays.read("pointer")) is None:
             return None
-        turn, (x, y, z) = told
+        turn, (x, y, z) = pointed
         self._seen = 2 * turn
         return 1e-3 * float(x), 1e-3 * float(y), 1e-3 * float(z)
 
@@ -182,8 +182,8 @@ class WindowProcess:
 
     def _last_words(self) -> str:
         self._words.seek(0)
-        said = COLOURS.sub("", self._words.read())
-        words = said.strip().splitlines()
+        output = COLOURS.sub("", self._words.read())
+        words = output.strip().splitlines()
         return words[-1] if words else f"its process ended with exit code {self._child.returncode}"
 
 
