@@ -32,7 +32,7 @@ def read_binary_stl(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]
             payload = max(size - _HEADER, 0) // _RECORD.itemsize
             stated = f"{count} triangles in its header" if size >= _HEADER else "a part of its header"
             raise InputError(
-                f"file must be a whole STL surface, got {stated} and room for {payload} in {file.name}: it is cut off or "
+                f"file must be a whole STL surface, got {stated} and {payload} of them in {file.name}: it is cut off or "
                 "damaged, export it again"
             )
         records = np.fromfile(stored, dtype=_RECORD, count=count)

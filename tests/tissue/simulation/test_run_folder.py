@@ -109,7 +109,7 @@ def test_a_trace_shorter_than_its_run_is_refused(copied, refused, share):
     table.write_text("".join(lines[: round(share * len(lines))]))
     found = max(round(share * len(lines)) - 1, 0)
     assert said(refused) == (
-        f"trace.csv must hold 600 ticks as summary.json says, got {found} in {table}: run the scene again"
+        f"trace.csv must hold 600 ticks as in summary.json, got {found} in {table}: run the scene again"
     )
     summary = json.loads((folder / "summary.json").read_text())
     (folder / "summary.json").write_text(json.dumps(summary | {"status": "interrupted"}))

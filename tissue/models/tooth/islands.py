@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from tissue.models.tooth.grid import HexGrid
 from tissue.models.tooth.supports import Supports
 
-__all__ = ["carried_cells"]
+__all__ = ["supported_cells"]
 
 LEAST_RESTRAINT = 1e-9
 """Share of the largest eigenvalue of a part's restraint below which it can move: rounding is 1e-16, a part held at
