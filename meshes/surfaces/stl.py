@@ -32,8 +32,8 @@ def read_binary_stl(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]
             payload = max(size - _HEADER, 0) // _RECORD.itemsize
             stated = f"{count} triangles in its header" if size >= _HEADER else "a part of its header"
             raise InputError(
-                f"file must be a whole STL surface, got {stated} and {payload} of them in {file.name}: it is cut off or "
-                "damaged, export it again"
+                f"file must be a whole STL surface, got {stated} and {payload} of them in {file.name}: it is cut off "
+                "or damaged, export it again"
             )
         records = np.fromfile(stored, dtype=_RECORD, count=count)
     return records["corners"].reshape(-1, 3).astype(np.float64), np.arange(3 * count).reshape(-1, 3)
