@@ -33,7 +33,7 @@ def loops() -> dict[str, list[WallLoop]]:
     real = [replace(device, rate_Hz=rate).loop(HARD_N_M) for rate in RATES_HZ]
     grip = hand_parameters("expert").grip[:3]
     return {
-        "free, no lag": [replace(each, delay_s=0.0, amplifier_hz=inf) for each in real],
+        "free, no lag": [replace(each, delay_s=0.0, amplifier_Hz=inf) for each in real],
         "free": real,
         "held": [in_hands(each, [grip])[0] for each in real],
     }

@@ -35,7 +35,7 @@ def tooth_like(x: np.ndarray) -> np.ndarray:
 
 
 def body_of(cells: int) -> ParticleBody:
-    particles, grid = block((cells,) * 3, SIDE_M / cells, modulus_pa=tooth_like)
+    particles, grid = block((cells,) * 3, SIDE_M / cells, modulus_Pa=tooth_like)
     return ParticleBody(particles, grid, at_bottom(grid))
 
 

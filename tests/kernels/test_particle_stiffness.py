@@ -34,8 +34,8 @@ def numpy_cells(particles, grid):
     total = np.zeros((grid.cell_count, 24, 24))
     weight = particles.volume_m3 * particles.remaining / 65535.0
     for p, (c, at) in enumerate(zip(cell, place, strict=True)):
-        first, shear = particles.lame_pa[p]
-        total[c] += full_cell_stiffness(grid.edge_m, at[None], weight[p : p + 1], first_pa=first, shear_pa=shear)
+        first, shear = particles.lame_Pa[p]
+        total[c] += full_cell_stiffness(grid.edge_m, at[None], weight[p : p + 1], first_Pa=first, shear_Pa=shear)
     return total
 
 
@@ -57,7 +57,7 @@ def test_cells_against_numpy():
 
 
 def test_full_cell_is_symmetric_to_the_bit_with_six_rigid_modes():
-    particles, grid = block((2, 2, 2), 1e-3, modulus_pa=84e9)
+    particles, grid = block((2, 2, 2), 1e-3, modulus_Pa=84e9)
     matrices = CellStiffness(particles, grid, inner_strength=1.0).cell_matrices()
     assert np.array_equal(matrices, matrices.transpose(0, 2, 1))
     values = np.linalg.eigvalsh(matrices[0])
@@ -77,7 +77,7 @@ def test_full_cell_against_scikit_fem():
     skfem = pytest.importorskip("skfem")
     from skfem.models.elasticity import lame_parameters, linear_elasticity
 
-    particles, grid = block((1, 1, 1), 1e-3, modulus_pa=18.6e9, poisson_ratio=0.31)
+    particles, grid = block((1, 1, 1), 1e-3, modulus_Pa=18.6e9, poisson_ratio=0.31)
     ours = CellStiffness(particles, grid, inner_strength=1.0).cell_matrices()[0]
     mesh = skfem.MeshHex.init_tensor(*([0.0, 1e-3],) * 3)
     basis = skfem.Basis(mesh, skfem.ElementVector(skfem.ElementHex1()), intorder=3)
@@ -88,7 +88,7 @@ def test_full_cell_against_scikit_fem():
 
 
 def test_a_single_particle_leaves_twelve_more_modes_that_the_inner_stiffness_closes():
-    particles = ParticleSet.uniform(np.full((1, 3), 0.3e-3), volume_m3=1e-10, modulus_pa=18.6e9)
+    particles = ParticleSet.uniform(np.full((1, 3), 0.3e-3), volume_m3=1e-10, modulus_Pa=18.6e9)
     grid = HexGrid.around(particles.position_m, edge_m=1e-3, origin_m=np.zeros(3))
     for strength, rank in ((0.0, 6), (1.0, 18)):
         values = np.linalg.eigvalsh(CellStiffness(particles, grid, inner_strength=strength).cell_matrices()[0])
@@ -107,7 +107,7 @@ def test_inner_stiffness_vanishes_on_linear_fields():
 
 def test_product_and_rows_against_the_scattered_matrix():
     particles, grid = random_body(seed=1)
-    supports = Supports.of(grid.node_count, held=grid.node_place[:, 2] == 0, spring_n_m=1e5)
+    supports = Supports.of(grid.node_count, held=grid.node_place[:, 2] == 0, spring_N_m=1e5)
     body = ParticleBody(particles, grid, supports, drop_islands=False)
     body.cells.set_live(np.ones(grid.cell_count, dtype=bool))
     wanted = scattered(body.cells)
@@ -117,15 +117,15 @@ def test_product_and_rows_against_the_scattered_matrix():
 
     body._hierarchy.update(np.arange(grid.cell_count, dtype=np.int32))
     free = ~supports.fixed.ravel()
-    wanted = (wanted + np.diag(supports.spring_n_m.ravel())) * np.outer(free, free)
+    wanted = (wanted + np.diag(supports.spring_N_m.ravel())) * np.outer(free, free)
     rows = body.matrix()
     assert np.abs(rows.toarray() - wanted).max() <= ROUNDING * np.abs(wanted).max()
 
 
 def test_coarse_grid_is_the_galerkin_projection():
     """Coarse cells summed from their children against P^T A P of the assembled matrix."""
-    particles, grid = block((6, 5, 7), 1e-3, modulus_pa=lambda x: np.where(x[:, 0] < 2.5e-3, 2e6, 84e9))
-    supports = Supports.of(grid.node_count, held=grid.node_place[:, 2] == 0, spring_n_m=3e4)
+    particles, grid = block((6, 5, 7), 1e-3, modulus_Pa=lambda x: np.where(x[:, 0] < 2.5e-3, 2e6, 84e9))
+    supports = Supports.of(grid.node_count, held=grid.node_place[:, 2] == 0, spring_N_m=3e4)
     body = ParticleBody(particles, grid, supports)
     fine, coarse = body._hierarchy.levels[:2]
     places = grid.node_place / 2.0
@@ -141,7 +141,7 @@ def test_coarse_grid_is_the_galerkin_projection():
 
 def test_preconditioner_is_symmetric_and_positive():
     """Single precision leaves 1e-6 of asymmetry; the form is positive on random loads."""
-    particles, grid = block((6, 6, 6), 1e-3, modulus_pa=lambda x: np.where(x[:, 0] < 2.5e-3, 2e6, 84e9))
+    particles, grid = block((6, 6, 6), 1e-3, modulus_Pa=lambda x: np.where(x[:, 0] < 2.5e-3, 2e6, 84e9))
     body = ParticleBody(particles, grid, at_bottom(grid))
     body.solve(body.spread(np.full(3, 5.9e-3), np.array([0.0, 0.0, -1.0])))
     a, b = np.random.default_rng(3).normal(size=(2, grid.node_count, 3)) * ~body.supports.fixed
@@ -151,7 +151,7 @@ def test_preconditioner_is_symmetric_and_positive():
 
 
 def test_one_and_two_cores_give_the_same_bits():
-    particles, grid = block((17, 17, 17), 1e-3, modulus_pa=lambda x: np.where(x[:, 0] < 8.5e-3, 2e6, 84e9))
+    particles, grid = block((17, 17, 17), 1e-3, modulus_Pa=lambda x: np.where(x[:, 0] < 8.5e-3, 2e6, 84e9))
     fields = []
     for cores in (1, 2, 2):
         body = ParticleBody(particles, grid, at_bottom(grid), cores=cores)
@@ -165,6 +165,6 @@ def test_strain_matrix_of_gauss_points_sums_to_the_volume():
     edge = 2e-3
     stretch = np.zeros((8, 3))
     stretch[4:, 0] = edge
-    total = full_cell_stiffness(edge, GAUSS, np.full(8, edge**3 / 8), first_pa=0.0, shear_pa=0.5e9)
+    total = full_cell_stiffness(edge, GAUSS, np.full(8, edge**3 / 8), first_Pa=0.0, shear_Pa=0.5e9)
     assert stretch.ravel() @ total @ stretch.ravel() == pytest.approx(1e9 * edge**3, rel=1e-12)
     assert np.allclose(strain_matrix(np.full(3, 0.5), edge) @ stretch.ravel(), [1, 0, 0, 0, 0, 0], atol=1e-12)

@@ -10,7 +10,7 @@ from tissue.models.tooth.supports import Supports
 
 def deformed():
     random = np.random.default_rng(0)
-    particles, grid = block((3, 2, 2), 1e-3, modulus_pa=lambda x: 10.0 ** random.uniform(6, 11, len(x)))
+    particles, grid = block((3, 2, 2), 1e-3, modulus_Pa=lambda x: 10.0 ** random.uniform(6, 11, len(x)))
     body = ParticleBody(particles, grid, Supports.of(grid.node_count, held=grid.node_place[:, 2] == 0))
     return body, 1e-6 * random.normal(size=(grid.node_count, 3))
 
@@ -33,32 +33,32 @@ def test_particle_stress_against_numpy():
         axis=2,
     )
     strain = 0.5 * (gradient + gradient.transpose(0, 2, 1))
-    first, shear = body.particles.lame_pa.T[:, :, None, None]
+    first, shear = body.particles.lame_Pa.T[:, :, None, None]
     stress = 2.0 * shear * strain + first * np.trace(strain, axis1=1, axis2=2)[:, None, None] * np.eye(3)
     order = ([0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1])
     scale = np.abs(stress).max(axis=(1, 2))[:, None]  # 1e-7 of it: the central difference of a cubic, and rounding
-    assert (np.abs(found.stress_pa - stress[:, *order]) <= 1e-7 * scale).all()
-    assert (np.abs(found.principal_pa - np.linalg.eigvalsh(stress)[:, ::-1]) <= 1e-6 * scale).all()
+    assert (np.abs(found.stress_Pa - stress[:, *order]) <= 1e-7 * scale).all()
+    assert (np.abs(found.principal_Pa - np.linalg.eigvalsh(stress)[:, ::-1]) <= 1e-6 * scale).all()
     deviator = stress - np.trace(stress, axis1=1, axis2=2)[:, None, None] / 3.0 * np.eye(3)
-    assert np.allclose(found.von_mises_pa, np.sqrt(1.5 * (deviator**2).sum(axis=(1, 2))), rtol=1e-6)
+    assert np.allclose(found.von_mises_Pa, np.sqrt(1.5 * (deviator**2).sum(axis=(1, 2))), rtol=1e-6)
 
 
 def test_a_chosen_particle_has_the_stress_it_has_among_all():
     body, moved = deformed()
     chosen = np.array([7, 3, 60])
     assert np.array_equal(
-        particle_stress(body.cells, moved, particles=chosen).stress_pa,
-        particle_stress(body.cells, moved).stress_pa[chosen],
+        particle_stress(body.cells, moved, particles=chosen).stress_Pa,
+        particle_stress(body.cells, moved).stress_Pa[chosen],
     )
 
 
 def test_uniform_stress_has_equal_principal_values_and_survives_averaging():
-    particles, grid = block((3, 3, 3), 1e-3, modulus_pa=1e9)
+    particles, grid = block((3, 3, 3), 1e-3, modulus_Pa=1e9)
     body = ParticleBody(particles, grid, Supports.of(grid.node_count, held=grid.node_place[:, 2] == 0))
     moved = 1e-3 * grid.node_position_m
     pressure = 1e9 * 1e-3 / (1.0 - 2.0 * 0.3)
     cells = cell_stress(body.cells, moved)
-    assert np.allclose(cells.principal_pa, pressure, rtol=1e-9)
-    assert np.abs(cells.von_mises_pa).max() < 1e-9 * pressure
-    nodes = node_average(grid, cells.stress_pa, body.cells.fill)
+    assert np.allclose(cells.principal_Pa, pressure, rtol=1e-9)
+    assert np.abs(cells.von_mises_Pa).max() < 1e-9 * pressure
+    nodes = node_average(grid, cells.stress_Pa, body.cells.fill)
     assert np.allclose(nodes[:, :3], pressure, rtol=1e-9) and np.abs(nodes[:, 3:]).max() < 1e-9 * pressure

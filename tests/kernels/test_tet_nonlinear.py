@@ -157,7 +157,7 @@ def test_small_strain_limit():
 
 def test_bad_input():
     """Refused where it enters: a matrix where Lame constants belong, and constants that are not a number."""
-    with pytest.raises(InputError, match="lame_pa must have shape"):
+    with pytest.raises(InputError, match="lame_Pa must have shape"):
         NonlinearBody(space_of(1, 0), np.eye(6), law=Law.LINEAR)
     with pytest.raises(InputError):
         NonlinearBody(space_of(1, 0), (float("nan"), 1.0), law=Law.LINEAR)

@@ -23,7 +23,7 @@ def fibrous(count, seed=0):
     """An orthotropic material turned at random in each cell, shape (m, 6, 6)."""
     axes = np.linalg.qr(np.random.default_rng(seed).normal(size=(count, 3, 3)))[0]
     axes[:, :, 0] *= np.linalg.det(axes)[:, None]
-    matrix = orthotropic(young_pa=(12e9, 13.4e9, 20e9), shear_pa=(4.53e9, 5.61e9, 6.23e9), poisson_ratio=(0.376, 0.222, 0.235))  # fmt: skip
+    matrix = orthotropic(young_Pa=(12e9, 13.4e9, 20e9), shear_Pa=(4.53e9, 5.61e9, 6.23e9), poisson_ratio=(0.376, 0.222, 0.235))  # fmt: skip
     return rotated(matrix, axes)
 
 
@@ -155,11 +155,11 @@ def test_stress_against_numpy(order):
     tensor = stress[:, [[0, 5, 4], [5, 1, 3], [4, 3, 2]]]
     size = np.abs(stress).max()
     assert np.allclose(found.strain, strain * [1, 1, 1, 0.5, 0.5, 0.5], atol=ROUNDING * np.abs(strain).max(), rtol=0)
-    assert np.abs(found.stress_pa - stress).max() <= ROUNDING * size
+    assert np.abs(found.stress_Pa - stress).max() <= ROUNDING * size
     # 1e-7: the arc cosine of the closed form loses half the digits where two principal stresses meet
-    assert np.abs(found.principal_pa - np.linalg.eigvalsh(tensor)[:, ::-1]).max() <= 1e-7 * size
+    assert np.abs(found.principal_Pa - np.linalg.eigvalsh(tensor)[:, ::-1]).max() <= 1e-7 * size
     deviator = tensor - np.trace(tensor, axis1=1, axis2=2)[:, None, None] / 3.0 * np.eye(3)
-    assert np.allclose(found.von_mises_pa, np.sqrt(1.5 * (deviator**2).sum(axis=(1, 2))), rtol=1e-10)
+    assert np.allclose(found.von_mises_Pa, np.sqrt(1.5 * (deviator**2).sum(axis=(1, 2))), rtol=1e-10)
 
 
 @pytest.mark.parametrize("order", [1, 2])
@@ -176,7 +176,7 @@ def test_node_stress_is_the_mean_over_cells_by_volume(order):
             total += space.volumes_m3[cell] * isotropic_of(material[cell]) @ strain
             weight += space.volumes_m3[cell]
         assert np.allclose(
-            found.stress_pa[node], total / weight, rtol=1e-10, atol=1e-10 * np.abs(found.stress_pa).max()
+            found.stress_Pa[node], total / weight, rtol=1e-10, atol=1e-10 * np.abs(found.stress_Pa).max()
         )
 
 

@@ -13,7 +13,7 @@ from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import Hand, hand_parameters
 from tissue.haptics.hand.minimum_jerk import waypoints
 from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
-from tissue.haptics.loop.filters import DelayLine, LowPass, cutoff_hz, low_pass_gain, relaxation_bound
+from tissue.haptics.loop.filters import DelayLine, LowPass, cutoff_Hz, low_pass_gain, relaxation_bound
 from tissue.haptics.loop.passivity import PassivityControl
 from tissue.haptics.loop.sampled_loop import WallLoop, spectral_radius
 from tissue.haptics.loop.stability_bounds import delay_bound_N_m, pade_bound_N_m, passive_bound_N_m
@@ -35,8 +35,8 @@ def amplitude(time_constant_s, frequency_hz):
 def test_e3_the_filter_parameter_is_a_time_and_no_frequency():
     """At its true cutoff 1 / (2 pi a) the amplitude is 1 / sqrt 2; at "a Hz" nothing is cut."""
     time_constant = 5e-3
-    assert amplitude(time_constant, cutoff_hz(time_constant)) == pytest.approx(sqrt(0.5), rel=2e-3)
-    assert cutoff_hz(time_constant) == pytest.approx(31.831, rel=1e-4)
+    assert amplitude(time_constant, cutoff_Hz(time_constant)) == pytest.approx(sqrt(0.5), rel=2e-3)
+    assert cutoff_Hz(time_constant) == pytest.approx(31.831, rel=1e-4)
     printed = 1.0 / sqrt(1.0 + (1.0 / time_constant) ** 2)  # of 1 Hz, were the cutoff 0.005 Hz
     assert printed < 0.01
     assert amplitude(time_constant, 1.0) > 0.999

@@ -108,7 +108,7 @@ def test_no_wall_within_the_passive_bound_is_unstable_with_any_hand():
             stiffness_N_m=1.0,
             delay_s=1e-3 * rng.integers(0, 4) if rng.random() < 0.5 else rng.uniform(0.0, 3e-3),
             filter_s=rng.choice([0.0, 1e-3, 5e-3]),
-            amplifier_hz=rng.choice([inf, 1000.0, 200.0]),
+            amplifier_Hz=rng.choice([inf, 1000.0, 200.0]),
             model_ticks=int(rng.choice([1, 1, 3])),
             hand_stiffness_N_m=10.0 ** rng.uniform(0, 4),
             hand_damping_N_s_m=10.0 ** rng.uniform(-2, 1),
@@ -184,7 +184,7 @@ def test_unusable_loops_are_refused():
     nan = float("nan")
     for name, value, word in (("mass_kg", 0.0, "mass_kg"), ("stiffness_N_m", nan, "stiffness_N_m"), ("tick_s", -1e-3, "tick_s"),
                               ("filter_s", -1.0, "time_constant_s"), ("model_ticks", 0, "model_ticks"),
-                              ("amplifier_hz", nan, "amplifier_hz")):  # fmt: skip
+                              ("amplifier_Hz", nan, "amplifier_Hz")):  # fmt: skip
         with pytest.raises(InputError, match=f"{word} must be"):
             wall(**{name: value})
     with pytest.raises(InputError, match="loops must share"):

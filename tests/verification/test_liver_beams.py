@@ -20,7 +20,7 @@ def clamped(order, cells, ratio=0.3):
     held = np.repeat(space.nodes_m[:, :1] < 1e-9, 3, axis=1)
     end = faces_where(space, lambda x: x[:, 0] > LENGTH - 1e-9)
     moved = solve(assemble(space, material), traction(space, (0.0, 0.0, 1.0), faces=end), held)
-    stress = node_stress(space, moved, material).stress_pa[:, 0]
+    stress = node_stress(space, moved, material).stress_Pa[:, 0]
     skin = (np.abs(space.nodes_m[:, 2]) < 1e-9) & (np.abs(space.nodes_m[:, 0] - 0.2 * LENGTH) < 0.26)
     return moved[space.nodes_m[:, 0] > LENGTH - 1e-9, 2].mean(), stress[skin].max()
 

@@ -79,7 +79,7 @@ def test_capsule_does_not_stiffen_palpation_and_a_thick_skin_stiffens_a_needle()
     print()
     for radius, young in ((4e-3, 1e6), (4e-3, 1e7), (0.6e-3, 1e6)):
         bare = settlement(radius, 0.25 * radius, 6e3, below=6e3)
-        skin = {"thickness_m": 1e-4, "young_pa": young}
+        skin = {"thickness_m": 1e-4, "young_Pa": young}
         membrane = bare / settlement(radius, 0.25 * radius, 6e3, below=6e3, capsule=skin)
         print(f"radius {radius * 1e3:g} mm, capsule of {young / 1e6:g} MPa: membrane x{membrane:.4f}")
         assert membrane == pytest.approx(1.0, abs=0.005)
@@ -93,7 +93,7 @@ def test_stretched_capsule_has_the_energy_of_plane_stress(order):
     """Uniform stretch e both ways: t A E e^2 / (1 - nu); along one side alone t A E e^2 / (2 (1 - nu^2)); shear t A mu g^2 / 2."""
     space = Space(box((0.3, 0.2, 0.1), (3, 2, 1)), order)
     top = faces_where(space, lambda x: x[:, 2] > 0.1 - 1e-9)
-    matrix = capsule_stiffness(space, thickness_m=5e-5, young_pa=8.2e6, poisson_ratio=0.4, faces=top)
+    matrix = capsule_stiffness(space, thickness_m=5e-5, young_Pa=8.2e6, poisson_ratio=0.4, faces=top)
     x, y, z = space.nodes_m.T
     size = 5e-5 * 0.06 * 8.2e6
     for moved, wanted in (
@@ -112,7 +112,7 @@ def test_stretched_capsule_has_the_energy_of_plane_stress(order):
 @pytest.mark.parametrize("order", [1, 2])
 def test_matrix_with_a_capsule_equals_its_transpose_bitwise(order):
     space = Space(box((1.0, 1.0, 1.0), (3, 3, 3)), order)
-    skin = capsule_stiffness(space, thickness_m=1e-4, young_pa=8.2e6, poisson_ratio=0.4)
+    skin = capsule_stiffness(space, thickness_m=1e-4, young_Pa=8.2e6, poisson_ratio=0.4)
     for matrix in (skin, assemble(space, lame(5e3, 0.45)) + skin):
         turned = matrix.T.tobsr((3, 3))
         turned.sort_indices()

@@ -15,9 +15,9 @@ FIELD = np.array([[1.0, 0.3, -0.2], [0.1, -0.7, 0.4], [-0.5, 0.2, 0.6]]) * 1e-3
 EXACT = 1e-12
 """Of the exact answer: rounding of a solve whose condition number is near 1e3."""
 
-BONE = orthotropic(young_pa=(12e9, 13.4e9, 20e9), shear_pa=(4.53e9, 5.61e9, 6.23e9), poisson_ratio=(0.376, 0.222, 0.235))  # fmt: skip
+BONE = orthotropic(young_Pa=(12e9, 13.4e9, 20e9), shear_Pa=(4.53e9, 5.61e9, 6.23e9), poisson_ratio=(0.376, 0.222, 0.235))  # fmt: skip
 MUSCLE = transversely_isotropic(
-    young_fibre_pa=2e5, young_across_pa=2e4, shear_fibre_pa=1e4, poisson_fibre=0.4, poisson_across=0.3
+    young_fibre_Pa=2e5, young_across_Pa=2e4, shear_fibre_Pa=1e4, poisson_fibre=0.4, poisson_across=0.3
 )
 LAWS = {
     "isotropic": lame(5e3, 0.45),
@@ -53,7 +53,7 @@ def test_six_rigid_modes_and_none_after_supports(order, law, capsule):
     space = Space(distorted(2), order)
     matrix = assemble(space, LAWS[law])
     if capsule:
-        matrix = matrix + capsule_stiffness(space, thickness_m=0.01, young_pa=1e6, poisson_ratio=0.4)
+        matrix = matrix + capsule_stiffness(space, thickness_m=0.01, young_Pa=1e6, poisson_ratio=0.4)
     values = np.linalg.eigvalsh(matrix.toarray())
     assert np.abs(values[:6]).max() < 1e-13 * values[-1] and values[6] > 1e-5 * values[-1]
     free = ~planes(space, x=0.0, y=0.0, z=0.0).ravel()
@@ -71,7 +71,7 @@ def test_energy_force_and_stiffness_agree(order, law):
     matrix, (u, along) = assemble(space, LAWS[law]), random.normal(size=(2, space.node_count, 3))
     if order == 1:
         at = cell_stress(space, u, LAWS[law])
-        work = (at.stress_pa * at.strain * [1, 1, 1, 2, 2, 2]).sum(axis=1)
+        work = (at.stress_Pa * at.strain * [1, 1, 1, 2, 2, 2]).sum(axis=1)
         assert 0.5 * u.ravel() @ matrix @ u.ravel() == pytest.approx(0.5 * (space.volumes_m3 * work).sum(), rel=1e-12)
 
     def energy(displacement):
@@ -96,7 +96,7 @@ def test_turned_body_has_the_turned_matrix(order, law):
         (mesh.nodes_m @ rotation.T, rotated(material, rotation[None])[0]),
     ):
         space = Space(TetMesh(nodes, mesh.cells), order)
-        skin = capsule_stiffness(space, thickness_m=0.1, young_pa=np.abs(material).max(), poisson_ratio=0.3)
+        skin = capsule_stiffness(space, thickness_m=0.1, young_Pa=np.abs(material).max(), poisson_ratio=0.3)
         matrices.append((assemble(space, stiffness) + skin).toarray())
     turn = np.kron(np.eye(space.node_count), rotation)
     off = np.abs(matrices[1] - turn @ matrices[0] @ turn.T).max() / np.abs(matrices[0]).max()
@@ -115,8 +115,8 @@ def test_error_of_the_linear_law_under_a_rotation():
         rotation = np.array([[np.cos(t), -np.sin(t), 0.0], [np.sin(t), np.cos(t), 0.0], [0.0, 0.0, 1.0]])
         found = cell_stress(space, space.nodes_m @ (rotation - np.eye(3)).T, lame(1.0, ratio))
         print(
-            f"rotation {degrees:4.0f} degrees: strain {np.abs(found.strain).max():.2e}, stress / E {np.abs(found.stress_pa).max():.2e}"
+            f"rotation {degrees:4.0f} degrees: strain {np.abs(found.strain).max():.2e}, stress / E {np.abs(found.stress_Pa).max():.2e}"
         )
         assert np.allclose(found.strain[:, :2], np.cos(t) - 1.0, rtol=1e-9)
         wanted = (1.0 - np.cos(t)) / ((1.0 + ratio) * (1.0 - 2.0 * ratio))
-        assert np.allclose(found.stress_pa[:, :2], -wanted, rtol=1e-9)
+        assert np.allclose(found.stress_Pa[:, :2], -wanted, rtol=1e-9)

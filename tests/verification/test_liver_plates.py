@@ -29,7 +29,7 @@ def test_hole_in_a_plate():
     space, material = Space(slab(n, into, thickness), 2), lame(1000.0, 0.3)
     held = planes(space, x=0.0, y=0.0, z=0.0) | planes(space, z=thickness)
     load = traction(space, (1.0, 0.0, 0.0), faces=faces_where(space, lambda x: x[:, 0] > half - 1e-6))
-    stress = node_stress(space, solve(assemble(space, material), load, held), material).stress_pa
+    stress = node_stress(space, solve(assemble(space, material), load, held), material).stress_Pa
 
     def at(x, y):
         return (np.abs(space.nodes_m[:, :2] - [x, y]) < 1e-6).all(axis=1)
@@ -107,6 +107,6 @@ def test_thick_elliptic_plate():
     held[rim & (np.abs(at[:, 2] - 0.3) < 1e-9), 2] = True
     load = pressure(space, 1e6, faces=faces_where(space, lambda x: x[:, 2] > 0.6 - 1e-9))
     moved = solve(assemble(space, material), load, held)
-    found = node_stress(space, moved, material).stress_pa[(np.abs(at - [2.0, 0.0, 0.6]) < 1e-9).all(axis=1), 1]
+    found = node_stress(space, moved, material).stress_Pa[(np.abs(at - [2.0, 0.0, 0.6]) < 1e-9).all(axis=1), 1]
     print(f"\nsigma_yy(D) {found[0] / 1e6:.3f} MPa against -5.38")
     assert found == pytest.approx(-5.38e6, rel=0.02)

@@ -41,7 +41,7 @@ def at_corners(space, moved):
     count = len(space.mesh.nodes_m)
     radius = np.linalg.norm(space.mesh.nodes_m, axis=1)
     normal = space.mesh.nodes_m / radius[:, None]
-    stress = node_stress(space, moved, lame(YOUNG, RATIO)).stress_pa[:count][:, [[0, 5, 4], [5, 1, 3], [4, 3, 2]]]
+    stress = node_stress(space, moved, lame(YOUNG, RATIO)).stress_Pa[:count][:, [[0, 5, 4], [5, 1, 3], [4, 3, 2]]]
     across = np.einsum("ni,nij,nj->n", normal, stress, normal)
     hoop = 0.5 * (np.trace(stress, axis1=1, axis2=2) - across)
     return radius, (moved[:count] * normal).sum(axis=1), hoop
@@ -96,7 +96,7 @@ def test_sphere_in_a_capsule(order, cells, within, young):
     flat pieces of the membrane, which carry no pressure: the stiff membrane pulls in the corners instead, 8 % too far,
     and the mean is held to 3 %.
     """
-    space, moved = pressed_octant(cells, order, capsule={"thickness_m": 0.01, "young_pa": young, "poisson_ratio": 0.4})
+    space, moved = pressed_octant(cells, order, capsule={"thickness_m": 0.01, "young_Pa": young, "poisson_ratio": 0.4})
     found = np.array([motion_outwards(space, moved, at) for at in (1.0, 2.0)])
     wanted = inflated(young, 0.01, 0.4)
     print(f"\nP{order}, capsule of {young * 0.01:g} N/m: {found / wanted - 1.0} off {wanted}; bare 8e-4, 3e-4")

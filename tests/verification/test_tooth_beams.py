@@ -14,7 +14,7 @@ def test_bars_in_series_are_exact():
     moduli, parts, edge = np.array([84e9, 2e6, 18.6e9]), np.array([2, 3, 4]), 1e-3
     ends = np.cumsum(parts) * edge
     particles, grid = block(
-        (2, 2, 9), edge, modulus_pa=lambda x: moduli[np.searchsorted(ends, x[:, 2])], poisson_ratio=0.0
+        (2, 2, 9), edge, modulus_Pa=lambda x: moduli[np.searchsorted(ends, x[:, 2])], poisson_ratio=0.0
     )
     height, area, stretch = ends[-1], 4.0 * edge**2, 1e-6
     top = grid.node_place[:, 2] == 9
@@ -22,11 +22,11 @@ def test_bars_in_series_are_exact():
     held[top | (grid.node_place[:, 2] == 0)] = True
     supports = Supports.of(grid.node_count, held=held, displacement_m=np.where(top[:, None], [0.0, 0.0, stretch], 0.0))
     body = ParticleBody(particles, grid, supports)
-    found = body.solve(np.zeros_like(supports.spring_n_m), tolerance=1e-13)
+    found = body.solve(np.zeros_like(supports.spring_N_m), tolerance=1e-13)
     force = body.reactions(found.displacement_m, np.zeros((grid.node_count, 3)))[top, 2].sum()
     effective = height / (parts * edge / moduli).sum()
     assert force == pytest.approx(effective * area * stretch / height, rel=1e-10)
-    stress = cell_stress(body.cells, found.displacement_m).stress_pa[:, 2]
+    stress = cell_stress(body.cells, found.displacement_m).stress_Pa[:, 2]
     # where 2 MPa lies beside 84 GPa, rounding of the stiff layer's displacement (1e-16 of it) is 4e-12 of its strain
     assert np.allclose(stress, effective * stretch / height, rtol=1e-6)
 
@@ -40,7 +40,7 @@ def test_bilayer_beam():
     through, length, axis, turn = 16, 1.0, 0.745050, 1e-3
     edge = 1.0 / through
     particles, grid = block(
-        (through, 2, through), edge, modulus_pa=lambda x: np.where(x[:, 2] > 0.5, 100.0, 1.0), poisson_ratio=0.0,
+        (through, 2, through), edge, modulus_Pa=lambda x: np.where(x[:, 2] > 0.5, 100.0, 1.0), poisson_ratio=0.0,
         places=lattice(4),
     )  # fmt: skip
     ends = (grid.node_place[:, 0] == 0) | (grid.node_place[:, 0] == through)
@@ -69,7 +69,7 @@ def test_bilayer_beam():
 
 def cantilever(through):
     edge = 1.0 / through
-    particles, grid = block((10 * through, through, through), edge, modulus_pa=1000.0)
+    particles, grid = block((10 * through, through, through), edge, modulus_Pa=1000.0)
     body = ParticleBody(particles, grid, Supports.of(grid.node_count, held=grid.node_place[:, 0] == 0))
     tip = grid.node_place[:, 0] == 10 * through
     inside = ((grid.node_place[:, 1:] > 0) & (grid.node_place[:, 1:] < through)).sum(axis=1)

@@ -14,11 +14,11 @@ STIFF = 1e15  # [Pa], a million times what the supports are: the block moves as 
 
 def test_stiff_block_on_springs():
     """Springs k at the bottom nodes: K = sum k R^T R over them, about a point above, where the motions couple."""
-    particles, grid = block((4, 4, 4), EDGE, modulus_pa=STIFF)
+    particles, grid = block((4, 4, 4), EDGE, modulus_Pa=STIFF)
     bottom = grid.node_place[:, 2] == 0
     stiffness = 1e5
     spring = np.where(bottom[:, None], [stiffness, stiffness, 2.0 * stiffness], 0.0)
-    body = ParticleBody(particles, grid, Supports.of(grid.node_count, spring_n_m=spring))
+    body = ParticleBody(particles, grid, Supports.of(grid.node_count, spring_N_m=spring))
     reference = np.array([1e-3, 2e-3, 5e-3])
     found = support_compliance(body, weights=np.ones(grid.node_count), reference_m=reference, tolerance=1e-8)
     assert found.converged
@@ -40,7 +40,7 @@ def test_stiff_block_on_an_elastic_layer():
     """
     soft, side = 50e6, 12
     particles, grid = block(
-        (side, side, 4), EDGE, poisson_ratio=0.0, modulus_pa=lambda x: np.where(x[:, 2] < EDGE, soft, STIFF)
+        (side, side, 4), EDGE, poisson_ratio=0.0, modulus_Pa=lambda x: np.where(x[:, 2] < EDGE, soft, STIFF)
     )
     body = ParticleBody(particles, grid, Supports.of(grid.node_count, held=grid.node_place[:, 2] == 0))
     weights = (grid.node_place[:, 2] >= 1).astype(float)

@@ -77,14 +77,14 @@ def test_sphere_in_a_bed():
 
 def test_rigid_block_on_a_bed():
     """It gives by 1 / (k A) along each axis. The bed acts at the voxels' centres, half of one above the border."""
-    particles, grid = block((4, 4, 3), 1 * MM, modulus_pa=1e16)
+    particles, grid = block((4, 4, 3), 1 * MM, modulus_Pa=1e16)
     tooth, bed = np.zeros((2, 16, 16, 13), dtype=bool)
     tooth[:, :, 1:], bed[:, :, :1] = True, True
     spacing = 0.25 * MM
     springs, area = bed_springs(
         grid, tooth, bed, origin_m=np.array([0, 0, -spacing]), spacing_m=spacing, across_N_m3=ACROSS, along_N_m3=ALONG
     )
-    body = ParticleBody(particles, grid, Supports.of(grid.node_count, spring_n_m=springs))
+    body = ParticleBody(particles, grid, Supports.of(grid.node_count, spring_N_m=springs))
     found = support_compliance(
         body, weights=np.ones(grid.node_count), reference_m=np.array([2, 2, 0.125]) * MM, tolerance=1e-8
     )
@@ -106,7 +106,7 @@ class Drilled:
             cold = body.solve(body.spread(point_m, force_N), cold=True)
             body.displacement_m = kept
             if force_N.any():
-                exact = 1e-6 * cell_stress(body.cells, cold.displacement_m).von_mises_pa
+                exact = 1e-6 * cell_stress(body.cells, cold.displacement_m).von_mises_Pa
                 there = body.cells.live > 0
                 difference = frame.cells["von_mises_MPa"][there] - exact[there]
                 self.lead.append(np.linalg.norm(difference) / np.linalg.norm(exact[there]))

@@ -32,7 +32,7 @@ def held_patch(particles, grid):
 
 @pytest.mark.parametrize("places", [GAUSS, lattice(2), lattice(3)], ids=["gauss", "lattice 2", "lattice 3"])
 def test_full_cells_are_exact(places):
-    moved, strain, found = patch_error(held_patch(*block((6, 5, 4), 1e-3, modulus_pa=18.6e9, places=places)))
+    moved, strain, found = patch_error(held_patch(*block((6, 5, 4), 1e-3, modulus_Pa=18.6e9, places=places)))
     assert found.converged
     assert moved <= EXACT and strain <= EXACT
 
@@ -40,7 +40,7 @@ def test_full_cells_are_exact(places):
 def random_patch(cells, per_cell, seed):
     random = np.random.default_rng(seed)
     places = random.uniform(size=(cells**3, per_cell, 3))
-    return held_patch(*block((cells,) * 3, 1.0 / cells, modulus_pa=1e9, places=places))
+    return held_patch(*block((cells,) * 3, 1.0 / cells, modulus_Pa=1e9, places=places))
 
 
 def test_random_particles_err_with_the_root_of_their_number():

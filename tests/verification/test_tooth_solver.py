@@ -22,7 +22,7 @@ def ball_in_block(cells, contrast):
         soft = (np.linalg.norm(x - EDGE / 2, axis=1) < 0.25 * EDGE) | (x[:, 2] < 0.125 * EDGE)
         return np.where(soft, 84e9 / contrast, 84e9)
 
-    particles, grid = block((cells,) * 3, EDGE / cells, modulus_pa=modulus, places=lattice(2))
+    particles, grid = block((cells,) * 3, EDGE / cells, modulus_Pa=modulus, places=lattice(2))
     return ParticleBody(particles, grid, at_bottom(grid))
 
 
@@ -46,7 +46,7 @@ def with_pieces():
     bar = [[i, 0, 0] for i in range(4)]
     cells = np.array([*bar, [4, 1, 0], [2, 3, 0], [2, 4, 0]])
     position = ((cells[:, None] + lattice(2)) * 1e-3).reshape(-1, 3)
-    particles = ParticleSet.uniform(position, volume_m3=1.25e-10, modulus_pa=18.6e9)
+    particles = ParticleSet.uniform(position, volume_m3=1.25e-10, modulus_Pa=18.6e9)
     grid = HexGrid.around(position, edge_m=1e-3, origin_m=np.zeros(3))
     supports = Supports.of(grid.node_count, held=grid.node_place[:, 0] == 0)
     return particles, grid, supports
@@ -118,7 +118,7 @@ def test_removed_particles_leave_the_stiffness_of_a_fresh_assembly():
     left[body.cells.order] = body.cells.remaining
     arrays = body.particles
     fresh = ParticleBody(
-        ParticleSet(arrays.position_m, arrays.volume_m3, arrays.modulus_pa, arrays.poisson_ratio, arrays.layer, left),
+        ParticleSet(arrays.position_m, arrays.volume_m3, arrays.modulus_Pa, arrays.poisson_ratio, arrays.layer, left),
         body.grid, body.supports,
     )  # fmt: skip
     assert np.array_equal(body.cells.cell_matrices(), fresh.cells.cell_matrices())
@@ -145,7 +145,7 @@ def test_stress_after_warm_starts_is_that_of_a_cold_solve():
     cold = body.solve(load, tolerance=1e-10, cold=True)
     kept = np.flatnonzero(body.cells.remaining[body.cells.rank])
     ours, exact = (particle_stress(body.cells, s.displacement_m, particles=kept) for s in (warm[-1], cold))
-    error = np.abs(ours.stress_pa - exact.stress_pa).max() / exact.von_mises_pa.max()
+    error = np.abs(ours.stress_Pa - exact.stress_Pa).max() / exact.von_mises_Pa.max()
     print(
         f"\nwarm {[s.iterations for s in warm]} iterations, cold {cold.iterations}; stress off by {100 * error:.3f} %"
     )

@@ -53,7 +53,7 @@ def sphere(cells, inner_strength=1.0, per_edge=4):
     radius = np.linalg.norm(position[:, None] + (lattice(5) - 0.5) * step, axis=2)
     inside = ((radius > INNER) & (radius < OUTER)).mean(axis=1)
     position, inside = position[inside > 0], inside[inside > 0]
-    particles = ParticleSet.uniform(position, volume_m3=step**3, modulus_pa=MODULUS, poisson_ratio=RATIO)
+    particles = ParticleSet.uniform(position, volume_m3=step**3, modulus_Pa=MODULUS, poisson_ratio=RATIO)
     particles.remaining[:] = np.rint(65535 * inside)
     grid = HexGrid.around(position, edge_m=edge, origin_m=np.zeros(3))
     return ParticleBody(
@@ -77,7 +77,7 @@ def particle_errors(cells, **options):
     found = body.solve(load, tolerance=1e-7)
     assert found.converged
     chosen = np.flatnonzero(body.cells.live[body.cells.particle_cell[body.cells.rank]])
-    values = particle_stress(body.cells, found.displacement_m, particles=chosen).stress_pa
+    values = particle_stress(body.cells, found.displacement_m, particles=chosen).stress_Pa
     stress = values[:, [[0, 5, 4], [5, 1, 3], [4, 3, 2]]]
     weights = (body.particles.volume_m3 * body.particles.remaining / 65535.0)[chosen]
     exact = exact_stress(body.particles.position_m[chosen])

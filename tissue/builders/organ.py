@@ -136,9 +136,9 @@ def elasticity_of(mesh: TetMesh, anatomy: LiverAnatomy | SlabAnatomy, organ: Org
         return lame(1e3 * young, ratio), note
     along = organ.fibre_modulus_ratio
     unit = transversely_isotropic(
-        young_fibre_pa=1e3 * along,
-        young_across_pa=1e3,
-        shear_fibre_pa=1e3 * (0.5 + 0.5 * along) / (2.0 * (1.0 + ratio)),
+        young_fibre_Pa=1e3 * along,
+        young_across_Pa=1e3,
+        shear_fibre_Pa=1e3 * (0.5 + 0.5 * along) / (2.0 * (1.0 + ratio)),
         poisson_fibre=ratio,
         poisson_across=ratio,
     )

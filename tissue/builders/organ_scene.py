@@ -192,7 +192,7 @@ def _body(
         membrane = capsule_stiffness(
             space,
             thickness_m=1e-6 * thickness.value,
-            young_pa=1e3 * young.value,
+            young_Pa=1e3 * young.value,
             poisson_ratio=table["poisson_ratio"].value,
         )
         stiffness = bsr_array((stiffness + membrane).tobsr((3, 3)))

@@ -28,7 +28,7 @@ def capsule_stiffness(
     space: Space,
     *,
     thickness_m: ArrayLike,
-    young_pa: float,
+    young_Pa: float,
     poisson_ratio: float,
     faces: NDArray[np.int64] | None = None,
 ) -> bsr_array:
@@ -43,7 +43,7 @@ def capsule_stiffness(
         Nodes and cells.
     thickness_m
         Thickness [m], one or one a face, shape (f,).
-    young_pa, poisson_ratio
+    young_Pa, poisson_ratio
         Young's modulus [Pa] and Poisson's ratio of the membrane.
     faces
         Nodes of the faces that carry it, shape (f, 3) or (f, 6); default all of `Space.faces`.
@@ -53,9 +53,9 @@ def capsule_stiffness(
     InputError
         If a constant or the thickness is out of range.
     """
-    require_positive("young_pa", young_pa, "use about 8e6 for Glisson's capsule")
-    shear = float(lame(young_pa, poisson_ratio)[1])
-    first = young_pa * poisson_ratio / (1.0 - poisson_ratio**2)
+    require_positive("young_Pa", young_Pa, "use about 8e6 for Glisson's capsule")
+    shear = float(lame(young_Pa, poisson_ratio)[1])
+    first = young_Pa * poisson_ratio / (1.0 - poisson_ratio**2)
     nodes = space.faces if faces is None else faces
     thickness = np.broadcast_to(np.asarray(thickness_m, dtype=np.float64), len(nodes))
     if not (np.isfinite(thickness) & (thickness > 0.0)).all():

@@ -63,15 +63,15 @@ class Stress:
     ----------
     strain
         Tensor components xx, yy, zz, yz, xz, xy, shape (n, 6).
-    stress_pa
+    stress_Pa
         The same of the stress [Pa], shape (n, 6).
-    von_mises_pa
+    von_mises_Pa
         Von Mises stress [Pa], shape (n,).
-    principal_pa
+    principal_Pa
         Principal stresses [Pa], largest first, shape (n, 3).
     """
 
     strain: NDArray[np.float64]
-    stress_pa: NDArray[np.float64]
-    von_mises_pa: NDArray[np.float64]
-    principal_pa: NDArray[np.float64]
+    stress_Pa: NDArray[np.float64]
+    von_mises_Pa: NDArray[np.float64]
+    principal_Pa: NDArray[np.float64]

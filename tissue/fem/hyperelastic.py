@@ -42,7 +42,7 @@ class NonlinearBody:
     ----------
     space
         Nodes and cells, linear or quadratic.
-    lame_pa
+    lame_Pa
         Lame constants lambda, mu of small strains [Pa], shape (2,) or (m, 2), as `tissue.materials.elasticity.lame`
         makes them.
     law
@@ -54,13 +54,13 @@ class NonlinearBody:
         If the constants have another shape or are not those of a stable material.
     """
 
-    def __init__(self, space: Space, lame_pa: ArrayLike, *, law: Law) -> None:
-        if np.shape(lame_pa)[-1:] != (2,):
-            raise InputError(f"lame_pa must have shape (2,) or (m, 2), got {np.shape(lame_pa)}: use materials.lame")
+    def __init__(self, space: Space, lame_Pa: ArrayLike, *, law: Law) -> None:
+        if np.shape(lame_Pa)[-1:] != (2,):
+            raise InputError(f"lame_Pa must have shape (2,) or (m, 2), got {np.shape(lame_Pa)}: use materials.lame")
         self.space, self.law = space, law
         self.nodes_m, device = space.nodes_m, space.device
         count, width = space.cell_nodes.shape
-        lame = np.broadcast_to(elasticity_rows(lame_pa, count), (count, 2))
+        lame = np.broadcast_to(elasticity_rows(lame_Pa, count), (count, 2))
         at = np.full((1, 4), 0.25) if space.order == 1 else GAUSS + (1.0 - 4.0 * GAUSS) * np.eye(4)
         reference = np.einsum("aci,qi->qac", gradient_slopes(4, space.order), at)
         first, second = local_pairs(width).T

@@ -176,7 +176,7 @@ def _resting(
 
 def linear_limits(
     space: Space,
-    lame_pa: ArrayLike,
+    lame_Pa: ArrayLike,
     held: NDArray[np.bool_],
     *,
     point_m: ArrayLike,
@@ -191,7 +191,7 @@ def linear_limits(
     precondition, forces = None, {}
     for law in laws:
         solver = NewtonSolver(
-            NonlinearBody(space, lame_pa, law=law), np.repeat(held[:, None], 3, axis=1),
+            NonlinearBody(space, lame_Pa, law=law), np.repeat(held[:, None], 3, axis=1),
             tolerance=TOLERANCE, precondition=precondition,
         )  # fmt: skip
         precondition = solver.precondition  # the stiffness at rest is the same for all

@@ -46,14 +46,14 @@ def gravity(
     return _spread(space, space.cell_nodes, force, mean_shape(4, space.order))
 
 
-def traction(space: Space, traction_pa: ArrayLike, *, faces: Integers | None = None) -> Array:
+def traction(space: Space, traction_Pa: ArrayLike, *, faces: Integers | None = None) -> Array:
     """Traction on faces of the surface as forces on nodes [N], shape (n, 3).
 
     Parameters
     ----------
     space
         Nodes and cells.
-    traction_pa
+    traction_Pa
         Force per area [Pa], shape (3,) or one a face, shape (f, 3).
     faces
         Nodes of the faces, shape (f, 3) or (f, 6); default all of `Space.faces`.
@@ -65,12 +65,12 @@ def traction(space: Space, traction_pa: ArrayLike, *, faces: Integers | None = N
     """
     nodes = space.faces if faces is None else faces
     force = np.linalg.norm(_area_vectors(space, nodes), axis=1)[:, None] * _vectors(
-        "traction_pa", traction_pa, len(nodes)
+        "traction_Pa", traction_Pa, len(nodes)
     )
     return _spread(space, nodes, force, mean_shape(3, space.order))
 
 
-def pressure(space: Space, pressure_pa: ArrayLike, *, faces: Integers | None = None) -> Array:
+def pressure(space: Space, pressure_Pa: ArrayLike, *, faces: Integers | None = None) -> Array:
     """Pressure [Pa], one or one a face, that pushes faces of the surface inwards, as forces on nodes [N], shape (n, 3).
 
     Raises
@@ -79,9 +79,9 @@ def pressure(space: Space, pressure_pa: ArrayLike, *, faces: Integers | None = N
         If the pressure is not finite.
     """
     nodes = space.faces if faces is None else faces
-    value = np.asarray(pressure_pa, dtype=np.float64)
+    value = np.asarray(pressure_Pa, dtype=np.float64)
     if not np.isfinite(value).all():
-        raise InputError("pressure_pa must be finite, got NaN or infinity: leave such faces out")
+        raise InputError("pressure_Pa must be finite, got NaN or infinity: leave such faces out")
     force = -np.broadcast_to(value, len(nodes))[:, None] * _area_vectors(space, nodes)
     return _spread(space, nodes, force, mean_shape(3, space.order))
 

@@ -144,7 +144,7 @@ class HandMotion(Motion):
         self._turning_delay = DelayLine(delay_ticks)
         self._turning_law = turning_law
         self._torques = ForceRange(limit_N=limits.torque_limit_Nm or 1.0)
-        lag = loop.delay_s + 1.0 / (2.0 * pi * loop.amplifier_hz)
+        lag = loop.delay_s + 1.0 / (2.0 * pi * loop.amplifier_Hz)
         # What it books has passed the delay that is made here.
         self.observer = PassivityObserver(delay_ticks=max(lag / tick - delay_ticks, 0.0))
         self._turned: Quaternion | None = None

@@ -68,7 +68,7 @@ class ProxyRenderer:
     """
 
     def __init__(self, stiffness_N_m: float, damping_N_s_m: float = 0.0) -> None:
-        self._coupling = VirtualCoupling(stiffness_N_m=stiffness_N_m, damping_Ns_m=damping_N_s_m)
+        self._coupling = VirtualCoupling(stiffness_N_m=stiffness_N_m, damping_N_s_m=damping_N_s_m)
 
     def render(self, device: Array, device_velocity: Array, proxy: Array, proxy_velocity: Array, dt: float) -> Array:
         """Force on the device [N]."""
@@ -147,7 +147,7 @@ def renderer(kind: str, loop: WallLoop) -> Renderer:
             return PenaltyRenderer(stiffness_N_m, damping_N_s_m)
         case "passivity":
             inner = PenaltyRenderer(stiffness_N_m, damping_N_s_m)
-            lag = loop.delay_s + loop.filter_s + 1.0 / (2.0 * pi * loop.amplifier_hz)
+            lag = loop.delay_s + loop.filter_s + 1.0 / (2.0 * pi * loop.amplifier_Hz)
             limit = 0.5 * loop.mass_kg / (loop.tick_s + lag)
             return PassivityRenderer(
                 inner, damping_limit_N_s_m=limit, delay_ticks=lag / loop.tick_s, mass_kg=loop.mass_kg

@@ -30,7 +30,7 @@ SYMMETRIC = 1e-9
 """Asymmetry allowed, relative to the largest entry: rounding of an inverse of contrast up to a million."""
 
 
-def lame(young_pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
+def lame(young_Pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
     """Lame constants lambda, mu [Pa], shape (..., 2), of Young's modulus [Pa] and Poisson's ratio, which broadcast.
 
     Raises
@@ -38,7 +38,7 @@ def lame(young_pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
     InputError
         If a modulus is not positive and finite, or a ratio lies outside (-1, 0.5).
     """
-    young = _positive("young_pa", young_pa)
+    young = _positive("young_Pa", young_Pa)
     ratio = np.asarray(poisson_ratio, dtype=np.float64)
     outside = ~((ratio > -1.0) & (ratio < 0.5))
     if outside.any():
@@ -49,9 +49,9 @@ def lame(young_pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
     return np.stack(np.broadcast_arrays(2.0 * shear * ratio / (1.0 - 2.0 * ratio), shear), axis=-1)
 
 
-def stiffness_of_lame(lame_pa: ArrayLike) -> Array:
+def stiffness_of_lame(lame_Pa: ArrayLike) -> Array:
     """Stiffness matrices [Pa], shape (..., 6, 6), of Lame constants [Pa], shape (..., 2)."""
-    pair = np.asarray(lame_pa, dtype=np.float64)
+    pair = np.asarray(lame_Pa, dtype=np.float64)
     matrix = np.zeros((*pair.shape[:-1], 6, 6))
     matrix[..., :3, :3] = pair[..., 0, None, None]
     place = np.arange(6)
@@ -59,19 +59,19 @@ def stiffness_of_lame(lame_pa: ArrayLike) -> Array:
     return matrix
 
 
-def isotropic(young_pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
+def isotropic(young_Pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
     """Stiffness matrix [Pa], shape (..., 6, 6); errors as of `lame`."""
-    return stiffness_of_lame(lame(young_pa, poisson_ratio))
+    return stiffness_of_lame(lame(young_Pa, poisson_ratio))
 
 
-def orthotropic(*, young_pa: ArrayLike, shear_pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
+def orthotropic(*, young_Pa: ArrayLike, shear_Pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
     """Stiffness matrix [Pa], shape (6, 6), of a material with three planes of symmetry.
 
     Parameters
     ----------
-    young_pa
+    young_Pa
         E1, E2, E3 [Pa].
-    shear_pa
+    shear_Pa
         G12, G13, G23 [Pa].
     poisson_ratio
         nu12, nu13, nu23; nu12 is the contraction along 2 of a pull along 1, and nu21 = nu12 E2 / E1.
@@ -81,7 +81,7 @@ def orthotropic(*, young_pa: ArrayLike, shear_pa: ArrayLike, poisson_ratio: Arra
     InputError
         If a modulus is not positive, or the ratios do not leave the matrix positive definite.
     """
-    young, shear = _positive("young_pa", young_pa, 3), _positive("shear_pa", shear_pa, 3)
+    young, shear = _positive("young_Pa", young_Pa, 3), _positive("shear_Pa", shear_Pa, 3)
     ratio = np.asarray(poisson_ratio, dtype=np.float64)
     if ratio.shape != (3,) or not np.isfinite(ratio).all():
         raise InputError(f"poisson_ratio must hold nu12, nu13, nu23, got {ratio}: give three finite numbers")
@@ -102,9 +102,9 @@ def orthotropic(*, young_pa: ArrayLike, shear_pa: ArrayLike, poisson_ratio: Arra
 
 def transversely_isotropic(
     *,
-    young_fibre_pa: float,
-    young_across_pa: float,
-    shear_fibre_pa: float,
+    young_fibre_Pa: float,
+    young_across_Pa: float,
+    shear_fibre_Pa: float,
     poisson_fibre: float,
     poisson_across: float,
 ) -> Array:
@@ -112,9 +112,9 @@ def transversely_isotropic(
 
     Parameters
     ----------
-    young_fibre_pa, young_across_pa
+    young_fibre_Pa, young_across_Pa
         Young's modulus along and across the fibre [Pa].
-    shear_fibre_pa
+    shear_fibre_Pa
         Shear modulus in planes that hold the fibre [Pa].
     poisson_fibre
         Contraction across of a pull along the fibre.
@@ -128,20 +128,20 @@ def transversely_isotropic(
     """
     across, fibre = (
         float(_positive(name, value))
-        for name, value in (("young_across_pa", young_across_pa), ("young_fibre_pa", young_fibre_pa))
+        for name, value in (("young_across_Pa", young_across_Pa), ("young_fibre_Pa", young_fibre_Pa))
     )
     if not -1.0 < poisson_across < 1.0:
         raise InputError(f"poisson_across must be in (-1, 1), got {poisson_across}: use about 0.4")
     back = poisson_fibre * across / fibre
     shear_across = across / (2.0 * (1.0 + poisson_across))
     return orthotropic(
-        young_pa=(across, across, fibre),
-        shear_pa=(shear_across, shear_fibre_pa, shear_fibre_pa),
+        young_Pa=(across, across, fibre),
+        shear_Pa=(shear_across, shear_fibre_Pa, shear_fibre_Pa),
         poisson_ratio=(poisson_across, back, back),
     )
 
 
-def checked_stiffness(stiffness_pa: ArrayLike) -> Array:
+def checked_stiffness(stiffness_Pa: ArrayLike) -> Array:
     """Stiffness matrices [Pa], shape (6, 6) or (m, 6, 6), if finite, symmetric and positive definite.
 
     Raises
@@ -149,17 +149,17 @@ def checked_stiffness(stiffness_pa: ArrayLike) -> Array:
     InputError
         If one is not.
     """
-    matrix = np.asarray(stiffness_pa, dtype=np.float64)
+    matrix = np.asarray(stiffness_Pa, dtype=np.float64)
     if matrix.ndim not in (2, 3) or matrix.shape[-2:] != (6, 6):
-        raise InputError(f"stiffness_pa must have shape (6, 6) or (m, 6, 6), got {matrix.shape}: use Voigt matrices")
+        raise InputError(f"stiffness_Pa must have shape (6, 6) or (m, 6, 6), got {matrix.shape}: use Voigt matrices")
     each = matrix.reshape(-1, 6, 6)
     if not np.isfinite(each).all():
         bad = int(np.flatnonzero(~np.isfinite(each).all(axis=(1, 2)))[0])
-        raise InputError(f"stiffness_pa must be finite, got matrix {bad} with NaN or infinity: leave it out")
+        raise InputError(f"stiffness_Pa must be finite, got matrix {bad} with NaN or infinity: leave it out")
     off = np.abs(each - each.transpose(0, 2, 1)).max(axis=(1, 2)) / np.abs(each).max(axis=(1, 2)).clip(min=1e-300)
     if off.max() > SYMMETRIC:
         raise InputError(
-            f"stiffness_pa must be symmetric, got matrix {int(off.argmax())} off by {off.max():.1e} of its largest "
+            f"stiffness_Pa must be symmetric, got matrix {int(off.argmax())} off by {off.max():.1e} of its largest "
             "entry: use its mean with its transpose"
         )
     try:
@@ -167,18 +167,18 @@ def checked_stiffness(stiffness_pa: ArrayLike) -> Array:
     except np.linalg.LinAlgError as problem:
         least = np.linalg.eigvalsh(each)[:, 0]
         raise InputError(
-            f"stiffness_pa must be positive definite, got matrix {int(least.argmin())} with eigenvalue "
+            f"stiffness_Pa must be positive definite, got matrix {int(least.argmin())} with eigenvalue "
             f"{least.min():.3g} Pa: check moduli and Poisson's ratios"
         ) from problem
     return matrix
 
 
-def rotated(stiffness_pa: ArrayLike, axes: ArrayLike) -> Array:
+def rotated(stiffness_Pa: ArrayLike, axes: ArrayLike) -> Array:
     """Stiffness matrices [Pa], shape (m, 6, 6), of a material turned to follow a fibre field (Bond 1943).
 
     Parameters
     ----------
-    stiffness_pa
+    stiffness_Pa
         In material axes [Pa], shape (6, 6) or (m, 6, 6).
     axes
         Fibre directions, shape (m, 3), of a material that is transversely isotropic about axis 3; or the material axes
@@ -189,7 +189,7 @@ def rotated(stiffness_pa: ArrayLike, axes: ArrayLike) -> Array:
     InputError
         If a direction has no length, axes are not a rotation, or one fibre does not fix the material's axes.
     """
-    matrix, frame = np.asarray(stiffness_pa, dtype=np.float64), np.asarray(axes, dtype=np.float64)
+    matrix, frame = np.asarray(stiffness_Pa, dtype=np.float64), np.asarray(axes, dtype=np.float64)
     if frame.ndim == 2 and frame.shape[1] == 3:
         quarter = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
         turned = _turned(matrix.reshape(-1, 6, 6), quarter[None])
@@ -220,7 +220,7 @@ def elasticity_rows(elasticity: ArrayLike, cell_count: int) -> Array:
         if not stable.all():
             raise InputError(
                 f"elasticity must be positive definite, got Lame constants {rows[~stable][0].tolist()} Pa: use "
-                "lame(young_pa, poisson_ratio)"
+                "lame(young_Pa, poisson_ratio)"
             )
     else:
         rows = checked_stiffness(given).reshape(-1, 6, 6)

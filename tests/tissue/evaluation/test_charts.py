@@ -107,20 +107,20 @@ def test_the_error_of_the_linear_law_in_a_column_that_cannot_widen():
 
     The ball's rim comes 10 um later than its middle, of 0.5 mm and more: forces to 2 %, their ratio to 0.5 %.
     """
-    side, height, first_pa, shear_pa = 2e-3, 10e-3, *lame(5e3, 0.45)
+    side, height, first_Pa, shear_Pa = 2e-3, 10e-3, *lame(5e3, 0.45)
     space = Space(box((side, side, height), (2, 2, 4)), 2)
     x, y, z = space.nodes_m.T
     held = np.column_stack([(x < 1e-9) | (x > side - 1e-9), (y < 1e-9) | (y > side - 1e-9), z < 1e-9])
     force, strains = {}, np.array([0.05, 0.1, 0.2])
     for law in (Law.LINEAR, Law.NEO_HOOKEAN):
-        solver = NewtonSolver(NonlinearBody(space, (first_pa, shear_pa), law=law), held, tolerance=1e-6)
+        solver = NewtonSolver(NonlinearBody(space, (first_Pa, shear_Pa), law=law), held, tolerance=1e-6)
         tips = [np.array([0.5 * side, 0.5 * side, height - e * height]) for e in strains]
         found = [press_at(solver, tip, np.array([0.0, 0.0, -1.0]), radius_m=0.05) for tip in tips]
         assert [depth for *_, depth in found] == pytest.approx(strains * height, rel=1e-9)
         force[law] = np.array([solution.tool_force_N[2] for solution, *_ in found])
     s = 1.0 - strains
-    linear_pa = (first_pa + 2.0 * shear_pa) * strains
-    neo_pa = shear_pa * (1.0 / s - s) - first_pa * np.log(s) / s
+    linear_pa = (first_Pa + 2.0 * shear_Pa) * strains
+    neo_pa = shear_Pa * (1.0 / s - s) - first_Pa * np.log(s) / s
     np.testing.assert_allclose(force[Law.LINEAR], side**2 * linear_pa, rtol=0.02)
     np.testing.assert_allclose(force[Law.NEO_HOOKEAN], side**2 * neo_pa, rtol=0.02)
     error = force[Law.LINEAR] / force[Law.NEO_HOOKEAN] - 1.0

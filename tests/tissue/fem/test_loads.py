@@ -77,16 +77,16 @@ def refusals():
         "order must be 1 or 2": lambda: Space(space.mesh, 3),
         "density_kg_m3 must be finite": lambda: gravity(space, density_kg_m3=-1.0),
         "acceleration_m_s2 must be finite": lambda: gravity(space, density_kg_m3=1.0, acceleration_m_s2=(0, np.nan, 0)),
-        "traction_pa must be finite": lambda: traction(space, (0.0, 1.0)),
-        "pressure_pa must be finite": lambda: pressure(space, np.nan),
+        "traction_Pa must be finite": lambda: traction(space, (0.0, 1.0)),
+        "pressure_Pa must be finite": lambda: pressure(space, np.nan),
         "force_N must be finite": lambda: point_force(space, (0, 0, 0), (0, 0, np.inf)),
         "thickness_m must be positive": lambda: capsule_stiffness(
-            space, thickness_m=0.0, young_pa=1e6, poisson_ratio=0.4
+            space, thickness_m=0.0, young_Pa=1e6, poisson_ratio=0.4
         ),
-        "young_pa must be positive": lambda: capsule_stiffness(
-            space, thickness_m=1e-4, young_pa=0.0, poisson_ratio=0.4
+        "young_Pa must be positive": lambda: capsule_stiffness(
+            space, thickness_m=1e-4, young_Pa=0.0, poisson_ratio=0.4
         ),
-        "poisson_ratio must be in": lambda: capsule_stiffness(space, thickness_m=1e-4, young_pa=1e6, poisson_ratio=0.5),
+        "poisson_ratio must be in": lambda: capsule_stiffness(space, thickness_m=1e-4, young_Pa=1e6, poisson_ratio=0.5),
         "one for each of 48 cells, got 2": lambda: assemble(space, np.stack([isotropic(5e3, 0.4)] * 2)),
         "displacement_m must be finite": lambda: cell_stress(space, nothing * np.nan, lame(5e3, 0.4)),
         "triangles must be faces of cells": lambda: Space(space.mesh, 2).with_middles(np.array([[0, 1, 26]])),

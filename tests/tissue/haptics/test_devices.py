@@ -32,7 +32,7 @@ class Steady:
 
 def test_a_pushed_mass_with_damping_and_amplifier_follows_the_closed_form():
     mass, damping, bandwidth, force = 0.05, 0.4, 100.0, 0.7
-    plant = Plant(mass_kg=mass, damping_N_s_m=damping, amplifier_hz=bandwidth)
+    plant = Plant(mass_kg=mass, damping_N_s_m=damping, amplifier_Hz=bandwidth)
     for _ in range(37):
         plant.advance(1.3e-3, command=(force, 0.0, -force), external=(0.0, 0.0, 0.0))
     time, slow, fast = 37 * 1.3e-3, damping / mass, 2 * pi * bandwidth
@@ -72,7 +72,7 @@ def test_friction_stops_a_slide_where_the_closed_form_does():
 
 @pytest.mark.parametrize("amplifier", [inf, 300.0])
 def test_a_mass_at_rest_does_not_creep_or_chatter_until_the_friction_is_passed(amplifier):
-    plant = Plant(mass_kg=0.045, damping_N_s_m=0.35, friction_N=0.26, amplifier_hz=amplifier)
+    plant = Plant(mass_kg=0.045, damping_N_s_m=0.35, friction_N=0.26, amplifier_Hz=amplifier)
     plant.hold(stiffness_N_m=300.0, damping_N_s_m=4.0, mass_kg=0.1)
     rng = np.random.default_rng(0)
     for _ in range(500):

@@ -53,7 +53,7 @@ def grows(loop, stiffness, predictor, lead, *, ticks=2500):
     late = loop.delay_s - whole * TICK
     mass, damping = loop.mass_kg + loop.hand_mass_kg, loop.damping_N_s_m + loop.hand_damping_N_s_m
     steps = [
-        (np.array(plant_step(mass, damping, loop.hand_stiffness_N_m, loop.amplifier_hz, length))[:, :4], back)
+        (np.array(plant_step(mass, damping, loop.hand_stiffness_N_m, loop.amplifier_Hz, length))[:, :4], back)
         for length, back in ((late, whole + 1), (TICK - late, whole))
         if length > 0.0
     ]

@@ -156,7 +156,7 @@ def test_groups_are_complete_cited_and_ordered():
     novice, expert = hand_parameters("novice"), hand_parameters("expert")
     for name in ("endpoint_noise", "force_noise", "tremor_m", "submovement_s"):
         assert getattr(novice, name) > getattr(expert, name)
-    assert 8.0 <= novice.tremor_hz <= 12.0
+    assert 8.0 <= novice.tremor_Hz <= 12.0
     with pytest.raises(InputError, match="group must be one of novice, intermediate, expert, got master"):
         hand_parameters("master")
     with pytest.raises(InputError, match="tremor_m must be in"):

@@ -14,7 +14,7 @@ STILL = np.zeros(3)
 def test_coupling_only_loses_energy_where_the_printed_damper_feeds_it():
     """E9: k (p - x) + b v_device pushes along a moving device; ours brakes it, and rests with a proxy that goes along."""
     coupling = VirtualCoupling(
-        stiffness_N_m=500.0, damping_Ns_m=3.0, rotational_stiffness_Nm_rad=0.3, rotational_damping_Nms_rad=0.01
+        stiffness_N_m=500.0, damping_N_s_m=3.0, rotational_stiffness_Nm_rad=0.3, rotational_damping_Nms_rad=0.01
     )
     velocity = np.array([0.1, -0.2, 0.05])
     ours = coupling.force_N(STILL, STILL, STILL, velocity)
@@ -56,8 +56,8 @@ def test_coupling_numbers_are_checked():
     assert VirtualCoupling(stiffness_N_m=1e3, rotational_stiffness_Nm_rad=0.4).lever_m == pytest.approx(0.02)
     with pytest.raises(InputError, match="stiffness_N_m"):
         VirtualCoupling(stiffness_N_m=np.nan)
-    with pytest.raises(InputError, match="damping_Ns_m"):
-        VirtualCoupling(stiffness_N_m=1.0, damping_Ns_m=-1.0)
+    with pytest.raises(InputError, match="damping_N_s_m"):
+        VirtualCoupling(stiffness_N_m=1.0, damping_N_s_m=-1.0)
     with pytest.raises(InputError, match="rotational_stiffness_Nm_rad"):
         VirtualCoupling(stiffness_N_m=1.0, rotational_damping_Nms_rad=1.0)
 

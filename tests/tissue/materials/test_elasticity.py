@@ -16,16 +16,16 @@ from tissue.materials.elasticity import (
 )
 
 FEMUR = {
-    "young_pa": (12.0e9, 13.4e9, 20.0e9),
-    "shear_pa": (4.53e9, 5.61e9, 6.23e9),
+    "young_Pa": (12.0e9, 13.4e9, 20.0e9),
+    "shear_Pa": (4.53e9, 5.61e9, 6.23e9),
     "poisson_ratio": (0.376, 0.222, 0.235),
 }
 """Cortical bone of the femur (Ashman et al. 1984): E1, E2, E3; G12, G13, G23; nu12, nu13, nu23."""
 
 FIBROUS = {
-    "young_fibre_pa": 2e6,
-    "young_across_pa": 1e5,
-    "shear_fibre_pa": 8e4,
+    "young_fibre_Pa": 2e6,
+    "young_across_Pa": 1e5,
+    "shear_fibre_Pa": 8e4,
     "poisson_fibre": 0.4,
     "poisson_across": 0.3,
 }
@@ -66,7 +66,7 @@ def test_transversely_isotropic_is_alike_across_its_fibre_and_holds_isotropy():
     c, s = np.cos(0.7), np.sin(0.7)
     assert np.allclose(rotated(matrix, [[[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]])[0], matrix, rtol=1e-12, atol=1.0)
     alike = transversely_isotropic(
-        young_fibre_pa=5e3, young_across_pa=5e3, shear_fibre_pa=5e3 / 2.8, poisson_fibre=0.4, poisson_across=0.4
+        young_fibre_Pa=5e3, young_across_Pa=5e3, shear_fibre_Pa=5e3 / 2.8, poisson_fibre=0.4, poisson_across=0.4
     )
     assert np.allclose(alike, isotropic(5e3, 0.4), rtol=1e-12, atol=1e-9)
 
@@ -107,16 +107,16 @@ def test_poisson_ratio_outside_is_refused(ratio):
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: lame(-5.0, 0.3), "young_pa must be positive and finite"),
-        (lambda: lame([5e3, np.nan], 0.3), "young_pa must be positive and finite"),
+        (lambda: lame(-5.0, 0.3), "young_Pa must be positive and finite"),
+        (lambda: lame([5e3, np.nan], 0.3), "young_Pa must be positive and finite"),
         (lambda: orthotropic(**{**FEMUR, "poisson_ratio": (0.9, 0.9, 0.9)}), "positive definite"),
         (lambda: orthotropic(**{**FEMUR, "poisson_ratio": (0.3, np.nan, 0.3)}), "poisson_ratio must hold"),
-        (lambda: orthotropic(**{**FEMUR, "shear_pa": (1e9, 0.0, 1e9)}), "shear_pa must be 3 numbers, positive"),
+        (lambda: orthotropic(**{**FEMUR, "shear_Pa": (1e9, 0.0, 1e9)}), "shear_Pa must be 3 numbers, positive"),
         (lambda: transversely_isotropic(**{**FIBROUS, "poisson_across": 1.0}), "poisson_across must be in"),
-        (lambda: checked_stiffness(np.triu(isotropic(1e3, 0.3))), "stiffness_pa must be symmetric"),
-        (lambda: checked_stiffness(np.full((6, 6), np.nan)), "stiffness_pa must be finite"),
-        (lambda: checked_stiffness(-isotropic(1e3, 0.3)), "stiffness_pa must be positive definite"),
-        (lambda: checked_stiffness(np.eye(3)), "stiffness_pa must have shape"),
+        (lambda: checked_stiffness(np.triu(isotropic(1e3, 0.3))), "stiffness_Pa must be symmetric"),
+        (lambda: checked_stiffness(np.full((6, 6), np.nan)), "stiffness_Pa must be finite"),
+        (lambda: checked_stiffness(-isotropic(1e3, 0.3)), "stiffness_Pa must be positive definite"),
+        (lambda: checked_stiffness(np.eye(3)), "stiffness_Pa must have shape"),
         (lambda: rotated(orthotropic(**FEMUR), [[1.0, 0.0, 0.0]]), "axes must be three directions a cell"),
         (lambda: rotated(isotropic(1e3, 0.3), [[0.0, 0.0, 0.0]]), "axes must be directions"),
         (lambda: rotated(isotropic(1e3, 0.3), [np.eye(3) * 1.1]), "axes must be rotations"),

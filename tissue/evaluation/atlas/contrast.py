@@ -33,8 +33,8 @@ def soft_middle(cells: int, contrast: float) -> ParticleBody:
     lattice = (np.arange(2 * cells) + 0.5) * 0.5 * EDGE_M / cells
     position = np.stack(np.meshgrid(lattice, lattice, lattice, indexing="ij"), -1).reshape(-1, 3)
     soft = (np.linalg.norm(position - 0.5 * EDGE_M, axis=1) < 0.25 * EDGE_M) | (position[:, 2] < 0.125 * EDGE_M)
-    particles = ParticleSet.uniform(position, volume_m3=(0.5 * EDGE_M / cells) ** 3, modulus_pa=84e9)
-    particles.modulus_pa[soft] /= contrast
+    particles = ParticleSet.uniform(position, volume_m3=(0.5 * EDGE_M / cells) ** 3, modulus_Pa=84e9)
+    particles.modulus_Pa[soft] /= contrast
     grid = HexGrid.around(position, edge_m=EDGE_M / cells, origin_m=np.zeros(3))
     return ParticleBody(particles, grid, Supports.of(grid.node_count, held=grid.node_place[:, 2] == 0))
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, finish, region
 from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
-from tissue.haptics.loop.filters import LowPass, cutoff_hz, low_pass_gain
+from tissue.haptics.loop.filters import LowPass, cutoff_Hz, low_pass_gain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -64,7 +64,7 @@ def judge(data: Data) -> Verdict:
     ratio, runs_away = stepped["step_over_constant"], stepped["explicit_error"] > 1.0
     boundary = float(ratio[runs_away].min()) if runs_away.any() else np.inf
     worst = float(stepped["exact_error"].max())
-    true = cutoff_hz(CONSTANT_S)
+    true = cutoff_Hz(CONSTANT_S)
     fails = swept["measured"].min() < sqrt(0.5) and found > 100.0 * CONSTANT_S and 2.0 < boundary < 2.05
     return Verdict(
         bool(fails),
@@ -97,7 +97,7 @@ def draw(data: Data, chart: "Figure") -> None:
     left.loglog(frequency, swept["time_constant"], color=GREY, label="α as a time: 1/√(1+(2πfα)²)")
     left.loglog(frequency, swept["printed_cutoff"], "--", color=RED, label="α as a cutoff in Hz (printed)")
     left.loglog(frequency, swept["measured"], "o", color=BLUE, label="measured")
-    left.axvline(cutoff_hz(CONSTANT_S), color=GREY, linestyle=":")
+    left.axvline(cutoff_Hz(CONSTANT_S), color=GREY, linestyle=":")
     finish(left, "frequency / Hz", "amplitude", title="α = 5 ms", legend="lower left", xlim=frequency[[0, -1]])
     ratio = stepped["step_over_constant"]
     region(right, Conduct.HOLDS, ratio[0], ratio[-1])

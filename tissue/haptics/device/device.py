@@ -157,7 +157,7 @@ class DeviceParameters:
             delay_s=self.transport_delay_s,
             model_ticks=model_ticks,
             filter_s=filter_s,
-            amplifier_hz=self.amplifier_Hz,
+            amplifier_Hz=self.amplifier_Hz,
         )
 
     @property

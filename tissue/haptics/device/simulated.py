@@ -63,13 +63,13 @@ class SimulatedDevice(ComputedDevice):
             mass_kg=parameters.mass_kg,
             damping_N_s_m=parameters.damping_N_s_m,
             friction_N=parameters.friction_N,
-            amplifier_hz=parameters.amplifier_Hz,
+            amplifier_Hz=parameters.amplifier_Hz,
         )
         self.rotation = Plant(
             mass_kg=parameters.inertia_kg_m2,
             damping_N_s_m=parameters.damping_Nm_s_rad,
             friction_N=parameters.friction_Nm,
-            amplifier_hz=parameters.amplifier_Hz,
+            amplifier_Hz=parameters.amplifier_Hz,
         )
         self.translation.position = position_m
         self.orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)

@@ -65,7 +65,7 @@ class HandParameters:
     endpoint_noise, force_noise, force_noise_s
         Standard deviation of a submovement's end per distance and of the force per force; correlation time of the
         latter [s].
-    tremor_m, tremor_hz, tremor_width_hz
+    tremor_m, tremor_Hz, tremor_width_Hz
         Amplitude of the tremor in every axis (root mean square) [m], its frequency and its width [Hz].
     stiffness_N_m, damping_N_s_m, mass_kg
         Grip as the device feels it [N/m], [N s/m], [kg].
@@ -82,8 +82,8 @@ class HandParameters:
     force_noise: float
     force_noise_s: float
     tremor_m: float
-    tremor_hz: float
-    tremor_width_hz: float
+    tremor_Hz: float
+    tremor_width_Hz: float
     stiffness_N_m: float
     damping_N_s_m: float
     mass_kg: float
@@ -97,7 +97,7 @@ class HandParameters:
         for entry in fields(self):
             require_range(entry.name, getattr(self, entry.name), 0.0, 1e5, "see hands.toml for what is usual")
         require_positive("force_noise_s", self.force_noise_s, "use 0.05")
-        require_positive("tremor_width_hz", self.tremor_width_hz, "use 2")
+        require_positive("tremor_width_Hz", self.tremor_width_Hz, "use 2")
 
     @property
     def grip(self) -> Grip:
@@ -177,10 +177,10 @@ class Hand:
         self._pending = deque([NOTHING] * round(parameters.reflex_s / step_s))
         self._keep = exp(-step_s / parameters.force_noise_s)
         self._fresh = sqrt(1.0 - self._keep**2)
-        decay = exp(-pi * parameters.tremor_width_hz * step_s)
-        self._turning = decay * np.exp(2j * pi * parameters.tremor_hz * step_s).item()
+        decay = exp(-pi * parameters.tremor_width_Hz * step_s)
+        self._turning = decay * np.exp(2j * pi * parameters.tremor_Hz * step_s).item()
         self._shaken = parameters.tremor_m * sqrt(1.0 - decay**2)
-        self._speed_per_tremor = 2.0 * pi * parameters.tremor_hz
+        self._speed_per_tremor = 2.0 * pi * parameters.tremor_Hz
         start = rng.standard_normal(9).tolist()
         self._noise = start[:3]
         self._tremor = [parameters.tremor_m * complex(start[3 + a], start[6 + a]) for a in range(3)]

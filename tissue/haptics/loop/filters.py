@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, require_positive, require_range
 
-__all__ = ["DelayLine", "ForceRange", "LowPass", "SlewLimit", "cutoff_hz", "low_pass_gain", "relaxation_bound"]
+__all__ = ["DelayLine", "ForceRange", "LowPass", "SlewLimit", "cutoff_Hz", "low_pass_gain", "relaxation_bound"]
 
 Array = NDArray[np.float64]
 
@@ -17,14 +17,14 @@ Array = NDArray[np.float64]
 def low_pass_gain(time_constant_s: float, step_s: float) -> float:
     """Share of the gap that 1 / (1 + a s) closes in a step: 1 - exp(-T / a), and 1 without a filter (a = 0).
 
-    The time constant is in seconds; the frequency at which the amplitude has fallen to 1 / sqrt(2) is `cutoff_hz`.
+    The time constant is in seconds; the frequency at which the amplitude has fallen to 1 / sqrt(2) is `cutoff_Hz`.
     """
     require_range("time_constant_s", time_constant_s, 0.0, 10.0, "use 0 for no filter, or 1e-3 for 159 Hz")
     require_positive("step_s", step_s, "use 1e-3 for 1 kHz")
     return -expm1(-step_s / time_constant_s) if time_constant_s > 0.0 else 1.0
 
 
-def cutoff_hz(time_constant_s: float) -> float:
+def cutoff_Hz(time_constant_s: float) -> float:
     """Frequency [Hz] at which 1 / (1 + a s) has lost half of its power: 1 / (2 pi a)."""
     return 1.0 / (2.0 * pi * time_constant_s) if time_constant_s > 0.0 else inf
 

@@ -24,7 +24,7 @@ class Plant:
     ----------
     mass_kg, damping_N_s_m, friction_N
         Apparent mass, viscous and Coulomb friction of the device.
-    amplifier_hz
+    amplifier_Hz
         Bandwidth of the amplifier [Hz]; infinite for none.
 
     Attributes
@@ -36,12 +36,12 @@ class Plant:
     """
 
     def __init__(
-        self, *, mass_kg: float, damping_N_s_m: float, friction_N: float = 0.0, amplifier_hz: float = inf
+        self, *, mass_kg: float, damping_N_s_m: float, friction_N: float = 0.0, amplifier_Hz: float = inf
     ) -> None:
         self._mass = require_positive("mass_kg", mass_kg, "give the device's apparent mass")
         self._damping = require_range("damping_N_s_m", damping_N_s_m, 0.0, 1e6, "use 0 for none")
         self._friction = require_range("friction_N", friction_N, 0.0, 1e6, "use 0 for none")
-        self._amplifier = amplifier_hz
+        self._amplifier = amplifier_Hz
         self.position: Triple = (0.0, 0.0, 0.0)
         self.velocity: Triple = (0.0, 0.0, 0.0)
         self.motor_force: Triple = (0.0, 0.0, 0.0)

@@ -37,7 +37,7 @@ class WallLoop:
         Ticks for which one force of the model is held: 1, or 10 for a model at 100 Hz in a loop at 1 kHz.
     filter_s
         Time constant of the low-pass after the model [s]; 0 for none.
-    amplifier_hz
+    amplifier_Hz
         Bandwidth of the amplifier [Hz]; infinite for none.
     hand_stiffness_N_m, hand_damping_N_s_m, hand_mass_kg
         A linear hand that holds the device [N/m], [N s/m], [kg]; zeros for a hand that has let go.
@@ -54,7 +54,7 @@ class WallLoop:
     delay_s: float = 0.0
     model_ticks: int = 1
     filter_s: float = 0.0
-    amplifier_hz: float = inf
+    amplifier_Hz: float = inf
     hand_stiffness_N_m: float = 0.0
     hand_damping_N_s_m: float = 0.0
     hand_mass_kg: float = 0.0
@@ -74,9 +74,9 @@ class WallLoop:
                 f"forecast must have a phase for each of model_ticks ({self.model_ticks}), got "
                 f"{len(self.forecast.taps)}: probe the predictor with model_ticks"
             )
-        if not self.amplifier_hz > 0.0:
+        if not self.amplifier_Hz > 0.0:
             raise InputError(
-                f"amplifier_hz must be positive, got {self.amplifier_hz}: use inf for an amplifier without lag"
+                f"amplifier_Hz must be positive, got {self.amplifier_Hz}: use inf for an amplifier without lag"
             )
 
     def with_stiffness(self, stiffness_N_m: float) -> "WallLoop":
@@ -86,7 +86,7 @@ class WallLoop:
 
 @lru_cache(maxsize=4096)
 def plant_step(
-    mass_kg: float, damping_N_s_m: float, stiffness_N_m: float, amplifier_hz: float, step_s: float
+    mass_kg: float, damping_N_s_m: float, stiffness_N_m: float, amplifier_Hz: float, step_s: float
 ) -> tuple[tuple[float, ...], ...]:
     """Exact step of a mass, spring and damper behind an amplifier, for inputs that are held over it.
 
@@ -95,10 +95,10 @@ def plant_step(
     """
     generator = np.zeros((5, 5))
     generator[0, 1] = 1.0
-    lag = amplifier_hz < inf
+    lag = amplifier_Hz < inf
     generator[1] = np.array([-stiffness_N_m, -damping_N_s_m, lag, not lag, 1.0]) / mass_kg
     if lag:
-        generator[2, 2], generator[2, 3] = -2.0 * pi * amplifier_hz, 2.0 * pi * amplifier_hz
+        generator[2, 2], generator[2, 3] = -2.0 * pi * amplifier_Hz, 2.0 * pi * amplifier_Hz
     step = expm(generator * step_s)[:3]
     if not lag:
         step[2] = (0.0, 0.0, 0.0, 1.0, 0.0)
@@ -117,7 +117,7 @@ def loop_matrix(loop: WallLoop) -> Array:
     parts = [(delay, whole + 1), (loop.tick_s - delay, whole)] if delay > 1e-9 * loop.tick_s else [(loop.tick_s, whole)]
     spring = loop.hand_stiffness_N_m
     mass, damping = loop.mass_kg + loop.hand_mass_kg, loop.damping_N_s_m + loop.hand_damping_N_s_m
-    steps = [(np.array(plant_step(mass, damping, spring, loop.amplifier_hz, s))[:, :4], back) for s, back in parts]
+    steps = [(np.array(plant_step(mass, damping, spring, loop.amplifier_Hz, s))[:, :4], back) for s, back in parts]
     queued = ceil(loop.delay_s / loop.tick_s - 1e-9)
     places, ages = (0, 0) if loop.forecast is None else loop.forecast.memory
     size = 5 + queued + places + ages

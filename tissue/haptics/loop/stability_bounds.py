@@ -25,7 +25,7 @@ def passive_bound_N_m(loop: WallLoop) -> float:
     held force within it. 0 where B, delay and filter leave nothing.
     """
     step = loop.tick_s * loop.model_ticks
-    lag = loop.delay_s + 1.0 / (2.0 * pi * loop.amplifier_hz)
+    lag = loop.delay_s + 1.0 / (2.0 * pi * loop.amplifier_Hz)
     turn = np.concatenate([np.geomspace(1e-3, 1e-2, 100), np.linspace(1e-2, np.pi, 4000)])
     back = np.exp(-1j * turn)
     gain = low_pass_gain(loop.filter_s, step)

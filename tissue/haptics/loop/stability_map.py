@@ -77,7 +77,7 @@ def growth_while_running(loops: Sequence[WallLoop], stiffnesses_N_m: Array, *, t
     for part in (delay, [tick - each for each in delay]):
         rows = [
             plant_step(e.mass_kg + e.hand_mass_kg, e.damping_N_s_m + e.hand_damping_N_s_m, e.hand_stiffness_N_m,
-                       e.amplifier_hz, max(length, 1e-12))
+                       e.amplifier_Hz, max(length, 1e-12))
             for e, length in zip(loops, part, strict=True)
         ]  # fmt: skip
         steps.append(np.moveaxis(np.array(rows)[:, :, :4], 0, -1))

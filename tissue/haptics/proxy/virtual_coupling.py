@@ -23,7 +23,7 @@ class VirtualCoupling:
 
     Attributes
     ----------
-    stiffness_N_m, damping_Ns_m
+    stiffness_N_m, damping_N_s_m
         In translation.
     rotational_stiffness_Nm_rad, rotational_damping_Nms_rad
         In rotation; both 0 in three degrees of freedom.
@@ -35,13 +35,13 @@ class VirtualCoupling:
     """
 
     stiffness_N_m: float
-    damping_Ns_m: float = 0.0
+    damping_N_s_m: float = 0.0
     rotational_stiffness_Nm_rad: float = 0.0
     rotational_damping_Nms_rad: float = 0.0
 
     def __post_init__(self) -> None:
         require_positive("stiffness_N_m", self.stiffness_N_m, "use what the device can hold, about 500")
-        for name in ("damping_Ns_m", "rotational_stiffness_Nm_rad", "rotational_damping_Nms_rad"):
+        for name in ("damping_N_s_m", "rotational_stiffness_Nm_rad", "rotational_damping_Nms_rad"):
             require_range(name, getattr(self, name), 0.0, 1e12, "use 0 for none")
         if self.rotational_damping_Nms_rad > 0.0 and self.rotational_stiffness_Nm_rad == 0.0:
             raise InputError(
@@ -57,7 +57,7 @@ class VirtualCoupling:
 
     def force_N(self, proxy_m: Array, device_m: Array, proxy_velocity_m_s: Array, device_velocity_m_s: Array) -> Array:
         """Force on the device [N], shape (3,): k (p_proxy - p_device) + b (v_proxy - v_device)."""
-        return self.stiffness_N_m * (proxy_m - device_m) + self.damping_Ns_m * (
+        return self.stiffness_N_m * (proxy_m - device_m) + self.damping_N_s_m * (
             proxy_velocity_m_s - device_velocity_m_s
         )
 

@@ -106,8 +106,8 @@ class OrganFields:
                 "reaction_N": single(reaction[:corners]),
             },
             {
-                "von_mises_kPa": single(1e-3 * stress.von_mises_pa),
-                "principal_stress_kPa": single(1e-3 * stress.principal_pa),
+                "von_mises_kPa": single(1e-3 * stress.von_mises_Pa),
+                "principal_stress_kPa": single(1e-3 * stress.principal_Pa),
                 "strain_percent": single(100.0 * equivalent_strain(strain)),
             },
         )

@@ -59,7 +59,7 @@ class NodeBlocks:
         self.device = device
         self.row_start, self.column = on(starts, wp.int32), on(column, wp.int32)
         self.diagonal_block = on(place[:, 13], wp.int32)
-        self.free, self.spring = on(~supports.fixed, wp.vec3d), on(supports.spring_n_m, wp.vec3d)
+        self.free, self.spring = on(~supports.fixed, wp.vec3d), on(supports.spring_N_m, wp.vec3d)
         self.block = wp.zeros(int(starts[-1]), dtype=wp.mat33d, device=device)
         self.single = wp.zeros(int(starts[-1]), dtype=wp.mat33f, device=device)
         self.diagonal = wp.zeros(grid.node_count, dtype=wp.mat33d, device=device)

@@ -98,7 +98,7 @@ class ParticleBody:
     @property
     def carrying(self) -> NDArray[np.bool_]:
         """Nodes that a live cell or a spring gives stiffness, shape (n,)."""
-        nodes: NDArray[np.bool_] = np.asarray((self.supports.spring_n_m > 0.0).any(axis=1))
+        nodes: NDArray[np.bool_] = np.asarray((self.supports.spring_N_m > 0.0).any(axis=1))
         nodes[self.grid.cell_nodes[self.cells.live > 0]] = True
         return nodes
 
@@ -139,18 +139,18 @@ class ParticleBody:
         fresh = (self._is_debris & ~was_debris)[self.cells.particle_cell] & (self.cells.remaining > 0)
         return Change(cells, np.sort(self.cells.order[fresh]))
 
-    def spread(self, point_m: Array, force_n: Array) -> Array:
+    def spread(self, point_m: Array, force_N: Array) -> Array:
         """Nodal forces [N], shape (n, 3), of forces at points, each on the live cell that holds it or lies nearest.
 
         Parameters
         ----------
         point_m
             A point, shape (3,), or points, shape (k, 3) [m].
-        force_n
+        force_N
             The force at each [N], same shape.
         """
         live = np.flatnonzero(self.cells.live)
-        points, forces = np.atleast_2d(point_m), np.atleast_2d(force_n)
+        points, forces = np.atleast_2d(point_m), np.atleast_2d(force_N)
         cell, _ = self.grid.locate(points)
         off = (cell < 0) | (self.cells.live[cell] == 0)
         if len(live) == 0:
@@ -166,17 +166,17 @@ class ParticleBody:
 
     def product(self, displacement_m: Array) -> Array:
         """Nodal forces [N] for nodal displacements [m], springs included, supports not, shapes (n, 3)."""
-        return self.cells.product(displacement_m) + self.supports.spring_n_m * displacement_m
+        return self.cells.product(displacement_m) + self.supports.spring_N_m * displacement_m
 
     def solve(
-        self, load_n: Array, *, tolerance: float = TOLERANCE, limit: int = 200, cold: bool = False,
+        self, load_N: Array, *, tolerance: float = TOLERANCE, limit: int = 200, cold: bool = False,
         start_m: Array | None = None,
     ) -> Solution:  # fmt: skip
         """Displacement under nodal forces [N], shape (n, 3).
 
         Parameters
         ----------
-        load_n
+        load_N
             Forces at nodes; at held components they go to the support.
         tolerance
             Relative error in the energy norm; the error of the stress, taken over the body, is about as large.
@@ -188,10 +188,10 @@ class ParticleBody:
             First guess instead of the last solve, shape (n, 3).
         """
         held = self.supports.displacement_m
-        lost = (load_n != 0.0) & ~self.carrying[:, None] & ~self.supports.fixed
+        lost = (load_N != 0.0) & ~self.carrying[:, None] & ~self.supports.fixed
         if not self.cells.live.any() or lost.any():
             return Solution(held.copy(), Outcome.UNSUPPORTED, 0, np.inf, 1.0)
-        load = (load_n - self.product(held) if held.any() else load_n) * self._free
+        load = (load_N - self.product(held) if held.any() else load_N) * self._free
         guess = held if cold else self.displacement_m if start_m is None else start_m
         if self._iterations_fresh == 0:
             self._hierarchy.refresh()
@@ -217,8 +217,8 @@ class ParticleBody:
         """
         return self._hierarchy.levels[0].blocks.matrix()
 
-    def reactions(self, displacement_m: Array, load_n: Array) -> Array:
+    def reactions(self, displacement_m: Array, load_N: Array) -> Array:
         """Forces of the supports on the body [N], shape (n, 3)."""
         inner = self.cells.product(displacement_m)
-        spring = -self.supports.spring_n_m * displacement_m
-        return np.asarray(np.where(self.supports.fixed, inner - load_n, spring))
+        spring = -self.supports.spring_N_m * displacement_m
+        return np.asarray(np.where(self.supports.fixed, inner - load_N, spring))

@@ -92,7 +92,7 @@ class StressField:
         grid = HexGrid.around(particles.position_m, edge_m=cell_m, origin_m=origin)
         springs = _ligament_springs(tooth, solid, grid, ligament_thickness_m)
         self.body = ParticleBody(
-            particles, grid, Supports.of(grid.node_count, spring_n_m=springs), device=device, cores=cores
+            particles, grid, Supports.of(grid.node_count, spring_N_m=springs), device=device, cores=cores
         )
         weights = np.zeros(grid.node_count)
         np.add.at(weights, grid.cell_nodes, (self.body.cells.fill * cell_m**3 / 8.0)[:, None])
@@ -149,8 +149,8 @@ class StressField:
         stress = cell_stress(self.body.cells, solution.displacement_m)
         gone = self.body.cells.live == 0
         cells = {
-            "von_mises_MPa": 1e-6 * stress.von_mises_pa,
-            **{f"principal_{i + 1}_MPa": 1e-6 * stress.principal_pa[:, i] for i in range(3)},
+            "von_mises_MPa": 1e-6 * stress.von_mises_Pa,
+            **{f"principal_{i + 1}_MPa": 1e-6 * stress.principal_Pa[:, i] for i in range(3)},
         }
         values = {name: np.where(gone, np.nan, value).astype(np.float32) for name, value in cells.items()}
         moved = np.where(self.body.carrying[:, None], 1e6 * solution.displacement_m, 0.0).astype(np.float32)

@@ -30,7 +30,7 @@ def supported_cells(grid: HexGrid, filled: NDArray[np.bool_], supports: Supports
     numbers, part = np.unique(part[filled], return_inverse=True)
     part_of = np.full(grid.cell_count, -1)
     part_of[filled] = part
-    held = supports.fixed | (supports.spring_n_m > 0.0)
+    held = supports.fixed | (supports.spring_N_m > 0.0)
     supported = np.zeros(len(numbers), dtype=np.bool_)
     members = _members(grid, part_of, len(numbers))
     waiting = list(range(len(numbers)))

@@ -22,7 +22,7 @@ class ParticleSet:
         Positions [m], shape (n, 3).
     volume_m3
         Volume of each whole particle [m3], shape (n,).
-    modulus_pa
+    modulus_Pa
         Young's modulus [Pa], shape (n,).
     poisson_ratio
         Poisson's ratio, shape (n,). Trilinear cells lock as it nears 0.5.
@@ -34,14 +34,14 @@ class ParticleSet:
 
     position_m: Array
     volume_m3: Array
-    modulus_pa: Array
+    modulus_Pa: Array
     poisson_ratio: Array
     layer: NDArray[np.uint8]
     remaining: NDArray[np.uint16]
 
     def __post_init__(self) -> None:
         count = len(self.position_m)
-        for name in ("volume_m3", "modulus_pa", "poisson_ratio", "layer", "remaining"):
+        for name in ("volume_m3", "modulus_Pa", "poisson_ratio", "layer", "remaining"):
             if getattr(self, name).shape != (count,):
                 raise ValueError(
                     f"{name} must have one value a particle, shape ({count},), got {getattr(self, name).shape}: "
@@ -49,7 +49,7 @@ class ParticleSet:
                 )
         if count == 0:
             raise ValueError("position_m must hold at least one particle, got none: give a body that fills some space")
-        for name in ("volume_m3", "modulus_pa"):
+        for name in ("volume_m3", "modulus_Pa"):
             least = float(getattr(self, name).min())
             if not least > 0.0:
                 raise ValueError(f"{name} must be positive, got {least:g}: leave such particles out")
@@ -62,22 +62,22 @@ class ParticleSet:
 
     @classmethod
     def uniform(
-        cls, position_m: Array, *, volume_m3: float, modulus_pa: float, poisson_ratio: float = 0.3
+        cls, position_m: Array, *, volume_m3: float, modulus_Pa: float, poisson_ratio: float = 0.3
     ) -> "ParticleSet":
         """Whole particles of one size and one material."""
         count = len(position_m)
         return cls(
             np.asarray(position_m, dtype=np.float64),
             np.full(count, float(volume_m3)),
-            np.full(count, float(modulus_pa)),
+            np.full(count, float(modulus_Pa)),
             np.full(count, float(poisson_ratio)),
             np.zeros(count, dtype=np.uint8),
             np.full(count, FULL_STEPS, dtype=np.uint16),
         )
 
     @property
-    def lame_pa(self) -> Array:
+    def lame_Pa(self) -> Array:
         """Lame constants lambda and mu [Pa], shape (n, 2)."""
-        modulus, ratio = self.modulus_pa, self.poisson_ratio
+        modulus, ratio = self.modulus_Pa, self.poisson_ratio
         first = modulus * ratio / ((1.0 + ratio) * (1.0 - 2.0 * ratio))
         return np.stack([first, modulus / (2.0 * (1.0 + ratio))], axis=1)

@@ -58,7 +58,7 @@ class Solution:
 
 def conjugate_gradients(
     product: Callable[[Array], Array],
-    load_n: Array,
+    load_N: Array,
     *,
     diagonal: Array,
     precondition: Callable[[Array], Array],
@@ -78,7 +78,7 @@ def conjugate_gradients(
     ----------
     product
         K times nodal displacements, shape (n, 3).
-    load_n
+    load_N
         Nodal forces [N], shape (n, 3), zero where nodes are held.
     diagonal
         Diagonal of K [N/m], shape (n, 3).
@@ -92,18 +92,18 @@ def conjugate_gradients(
         Iterations allowed.
     """
     displacement = start_m.copy()
-    residual = load_n - product(displacement) if displacement.any() else load_n.copy()
-    load_norm = np.sqrt(dot(load_n, load_n))
+    residual = load_N - product(displacement) if displacement.any() else load_N.copy()
+    load_norm = np.sqrt(dot(load_N, load_N))
     if load_norm == 0.0:
-        return Solution(np.zeros_like(load_n), Outcome.CONVERGED, 0, 0.0, 0.0)
+        return Solution(np.zeros_like(load_N), Outcome.CONVERGED, 0, 0.0, 0.0)
     by_diagonal = np.divide(1.0 / 24.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0.0)
-    before, step, last_slope, outcome, error = residual, np.zeros_like(load_n), 1.0, Outcome.NOT_CONVERGED, np.inf
+    before, step, last_slope, outcome, error = residual, np.zeros_like(load_N), 1.0, Outcome.NOT_CONVERGED, np.inf
     iteration = 0
     while True:
         corrected = precondition(residual)
         slope = dot(residual, corrected)
         left = np.sqrt(dot(residual, residual)) / load_norm
-        energy = dot(displacement, load_n)
+        energy = dot(displacement, load_N)
         if not np.isfinite(slope) or slope < 0.0:
             outcome = Outcome.INDEFINITE
             break

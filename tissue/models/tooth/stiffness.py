@@ -61,7 +61,7 @@ class CellStiffness:
 
         self.place = on(place[self.order], wp.vec3d)
         self.volume = on(particles.volume_m3[self.order], wp.float64)
-        self.lame = on(particles.lame_pa[self.order], wp.float64)
+        self.lame = on(particles.lame_Pa[self.order], wp.float64)
         self.remaining_on = on(particles.remaining[self.order], wp.uint16)
         self.cell_start_on = on(self.cell_start, wp.int32)
         self.cell_nodes_on = on(grid.cell_nodes, wp.int32)
@@ -149,7 +149,7 @@ class CellStiffness:
         return full.reshape(-1, 24, 24)
 
 
-def full_cell_stiffness(edge_m: float, points: Array, weights: Array, *, first_pa: float, shear_pa: float) -> Array:
+def full_cell_stiffness(edge_m: float, points: Array, weights: Array, *, first_Pa: float, shear_Pa: float) -> Array:
     """Stiffness [N/m] of a cell from B^T D B at points in it, shape (24, 24); plain NumPy.
 
     Parameters
@@ -160,11 +160,11 @@ def full_cell_stiffness(edge_m: float, points: Array, weights: Array, *, first_p
         Places in the cell, 0 to 1 along each edge, shape (p, 3).
     weights
         Volume of each point [m3], shape (p,).
-    first_pa, shear_pa
+    first_Pa, shear_Pa
         Lame constants lambda and mu [Pa].
     """
-    elasticity = np.diag([2.0 * shear_pa] * 3 + [shear_pa] * 3)
-    elasticity[:3, :3] += first_pa
+    elasticity = np.diag([2.0 * shear_Pa] * 3 + [shear_Pa] * 3)
+    elasticity[:3, :3] += first_Pa
     total = np.zeros((24, 24))
     for point, weight in zip(points, weights, strict=True):
         strain = strain_matrix(point, edge_m)
@@ -187,8 +187,8 @@ def _inner_stiffness(edge_m: float) -> Array:
     """Stiffness of a full cell of unit Lame constants less that of its centre alone, shape (24, 24)."""
     gauss = 0.5 + (CORNERS - 0.5) / np.sqrt(3.0)
     volume = edge_m**3
-    full = full_cell_stiffness(edge_m, gauss, np.full(8, volume / 8.0), first_pa=1.0, shear_pa=1.0)
-    centre = full_cell_stiffness(edge_m, CENTRE[None], np.array([volume]), first_pa=1.0, shear_pa=1.0)
+    full = full_cell_stiffness(edge_m, gauss, np.full(8, volume / 8.0), first_Pa=1.0, shear_Pa=1.0)
+    centre = full_cell_stiffness(edge_m, CENTRE[None], np.array([volume]), first_Pa=1.0, shear_Pa=1.0)
     return np.asarray(full - centre)
 
 

@@ -20,21 +20,21 @@ class Supports:
         Components that are held, bool, shape (n, 3).
     displacement_m
         Where they are held [m], shape (n, 3); read only where fixed.
-    spring_n_m
+    spring_N_m
         Springs to the ground [N/m], shape (n, 3).
     """
 
     fixed: NDArray[np.bool_]
     displacement_m: Array
-    spring_n_m: Array
+    spring_N_m: Array
 
     def __post_init__(self) -> None:
         shape = self.fixed.shape
-        for name in ("displacement_m", "spring_n_m"):
+        for name in ("displacement_m", "spring_N_m"):
             if getattr(self, name).shape != shape:
                 raise ValueError(f"{name} must have the shape of fixed, {shape}, got {getattr(self, name).shape}")
-        if not (self.spring_n_m >= 0.0).all():
-            raise ValueError(f"spring_n_m must not be negative, got {self.spring_n_m.min():g}: leave it at 0 for none")
+        if not (self.spring_N_m >= 0.0).all():
+            raise ValueError(f"spring_N_m must not be negative, got {self.spring_N_m.min():g}: leave it at 0 for none")
 
     @classmethod
     def of(
@@ -43,17 +43,17 @@ class Supports:
         *,
         held: NDArray[np.bool_] | None = None,
         displacement_m: Array | None = None,
-        spring_n_m: Array | float = 0.0,
+        spring_N_m: Array | float = 0.0,
     ) -> "Supports":
         """Hold whole nodes (``held``, shape (n,)) or components (shape (n, 3)), and spring any of them."""
         fixed = np.zeros((node_count, 3), dtype=np.bool_)
         if held is not None:
             fixed |= held if held.ndim == 2 else held[:, None]
         where = np.zeros((node_count, 3)) if displacement_m is None else np.where(fixed, displacement_m, 0.0)
-        spring = np.zeros((node_count, 3)) + np.asarray(spring_n_m, dtype=np.float64)
+        spring = np.zeros((node_count, 3)) + np.asarray(spring_N_m, dtype=np.float64)
         return cls(fixed, where, spring)
 
     @property
     def any(self) -> NDArray[np.bool_]:
         """Nodes that something holds, shape (n,)."""
-        return np.asarray((self.fixed | (self.spring_n_m > 0.0)).any(axis=1))
+        return np.asarray((self.fixed | (self.spring_N_m > 0.0)).any(axis=1))
