@@ -14,8 +14,9 @@ from meshes.tets.tetrahedra import TetMesh
 from meshes.tets.tetrahedralise import tetrahedralise
 from tissue.fem.hyperelastic import Law, NonlinearBody
 from tissue.fem.linear_limits import LinearLimits, linear_limits, press
-from tissue.fem.newton import NewtonSolver, Outcome
+from tissue.fem.newton import NewtonSolver
 from tissue.fem.obstacle import RigidSphere
+from tissue.fem.outcome import SolverOutcome
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 
@@ -47,7 +48,7 @@ def test_patch(law, order):
     found = None
     for share in (0.5, 1.0):
         solution = solver.solve(share * goal, start_m=found)
-        assert solution.outcome is Outcome.CONVERGED
+        assert solution.outcome is SolverOutcome.CONVERGED
         found = solution.displacement_m
     np.testing.assert_allclose(found, goal, atol=1e-9 * np.abs(goal).max())
 
@@ -100,7 +101,7 @@ def test_sphere_contact(law):
     for stiffer in (3.0, 30.0):
         sphere = RigidSphere(top, stiffer * own, radius_m=RADIUS_M, centre_m=(0.0, 0.0, RADIUS_M - 5e-3))
         solution = solver.solve(sphere=sphere)
-        assert solution.outcome is Outcome.CONVERGED
+        assert solution.outcome is SolverOutcome.CONVERGED
         away = np.linalg.norm(space.nodes_m[top] + solution.displacement_m[top] - sphere.centre_m, axis=1)
         push = np.linalg.norm(solution.force_N[top], axis=1)
         pressed = push > 1e-6 * push.max()
@@ -193,9 +194,9 @@ def test_how_solves_end():
     goal = np.zeros(held.shape)
     goal[space.nodes_m[:, 2] > 0.015, 2] = -6e-3
     body = NonlinearBody(space, LIVER, law=Law.NEO_HOOKEAN)
-    assert NewtonSolver(body, held, step_limit=1).solve(goal).outcome is Outcome.NOT_CONVERGED
+    assert NewtonSolver(body, held, step_limit=1).solve(goal).outcome is SolverOutcome.NOT_CONVERGED
     ended = NewtonSolver(body, held).solve(6.0 * goal)
-    assert ended.outcome is Outcome.INVERTED and not ended.converged
+    assert ended.outcome is SolverOutcome.INVERTED and not ended.converged
     assert NewtonSolver(body, held).solve(goal).converged
 
 
@@ -212,7 +213,7 @@ def test_corotational_cells_can_be_pressed_flat():
         depths_m=np.arange(4e-3, 21e-3, 4e-3),
     )
     assert len(found) > 1 and found[-2].converged
-    assert found[-1].outcome is Outcome.STALLED
+    assert found[-1].outcome is SolverOutcome.STALLED
 
 
 def test_bad_input():

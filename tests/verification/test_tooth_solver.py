@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from tooth_bodies import at_bottom, block, lattice
 
+from tissue.fem.outcome import SolverOutcome
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.grid import HexGrid
 from tissue.models.tooth.particles import ParticleSet
-from tissue.models.tooth.solver import Outcome, conjugate_gradients
+from tissue.models.tooth.solver import conjugate_gradients
 from tissue.models.tooth.stress import particle_stress
 from tissue.models.tooth.supports import Supports
 
@@ -56,7 +57,7 @@ def test_islands_and_hinges_are_debris_and_the_rest_solves():
     body = ParticleBody(*with_pieces())
     assert np.array_equal(body.debris, np.arange(32, 56))
     load = body.spread(np.array([3.9e-3, 0.5e-3, 1e-3]), np.array([0.0, 0.0, -1.0]))
-    assert body.solve(load).outcome is Outcome.CONVERGED
+    assert body.solve(load).outcome is SolverOutcome.CONVERGED
     matrix = body.matrix().toarray()
     kept = np.flatnonzero(np.diag(matrix) > 0.0)
     values = np.linalg.eigvalsh(matrix[np.ix_(kept, kept)])
@@ -71,24 +72,24 @@ def test_plain_assembly_is_singular_and_reports_it(at):
     values = np.linalg.eigvalsh(matrix[np.ix_(kept, kept)])
     assert int((values < 1e-10 * values[-1]).sum()) == 7  # six of the island, one of the hinge
     found = body.solve(body.spread(np.array(at), np.array([0.0, 1.0, -1.0])))
-    assert found.outcome in (Outcome.INDEFINITE, Outcome.NOT_CONVERGED)
+    assert found.outcome in (SolverOutcome.INDEFINITE, SolverOutcome.NOT_CONVERGED)
 
 
 def test_a_load_on_debris_and_a_body_without_support_are_reported():
     body = ParticleBody(*with_pieces())
     load = np.zeros((body.grid.node_count, 3))
     load[body.grid.cell_nodes[-1][-1], 2] = 1.0
-    assert body.solve(load).outcome is Outcome.UNSUPPORTED
+    assert body.solve(load).outcome is SolverOutcome.UNSUPPORTED
     particles, grid, _ = with_pieces()
     loose = ParticleBody(particles, grid, Supports.of(grid.node_count))
     assert len(loose.debris) == len(particles.layer)
-    assert loose.solve(load).outcome is Outcome.UNSUPPORTED
+    assert loose.solve(load).outcome is SolverOutcome.UNSUPPORTED
 
 
 def test_too_few_iterations_are_reported():
     body = ball_in_block(8, 42000.0)
     found = body.solve(push(body), limit=2)
-    assert found.outcome is Outcome.NOT_CONVERGED and found.iterations == 2 and found.error > 1e-4
+    assert found.outcome is SolverOutcome.NOT_CONVERGED and found.iterations == 2 and found.error > 1e-4
     assert not body.displacement_m.any()
 
 
@@ -97,7 +98,7 @@ def test_an_indefinite_matrix_is_reported():
     found = conjugate_gradients(
         lambda u: -u, load, diagonal=load, precondition=lambda r: r, start_m=0.0 * load, tolerance=1e-6, limit=9
     )
-    assert found.outcome is Outcome.INDEFINITE
+    assert found.outcome is SolverOutcome.INDEFINITE
 
 
 def test_no_load_needs_no_iteration():

@@ -8,7 +8,6 @@ and is never taken. A sphere's multipliers are corrected between such solves.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +17,9 @@ from scipy.sparse.linalg import splu
 from meshes.base.errors import InputError, require_positive
 from tissue.fem.hyperelastic import NonlinearBody
 from tissue.fem.obstacle import RigidSphere
+from tissue.fem.outcome import SolverOutcome
 
-__all__ = ["NewtonSolution", "NewtonSolver", "Outcome"]
+__all__ = ["NewtonSolution", "NewtonSolver"]
 
 Array = NDArray[np.float64]
 HALVINGS = 30
@@ -30,15 +30,6 @@ POSITIONS = 4e-13
 CORRECTIONS = 60
 """Corrections of a sphere's multipliers: each leaves a tenth of the penetration or less."""
 LINEAR_LIMIT = 500
-
-
-class Outcome(Enum):
-    """How a solve ended; the value says what to do about it."""
-
-    CONVERGED = "the displacement holds to the tolerance"
-    NOT_CONVERGED = "the iterations ran out: press in smaller steps, or allow more"
-    INVERTED = "the held nodes turn cells over: move them in smaller steps"
-    STALLED = "no step lowers the energy, cells are about to turn over: press less deep, or use the neo-Hookean law"
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +55,7 @@ class NewtonSolution:
     displacement_m: Array
     force_N: Array
     tool_force_N: Array
-    outcome: Outcome
+    outcome: SolverOutcome
     newton_steps: int
     linear_iterations: int
     residual: float
@@ -72,7 +63,7 @@ class NewtonSolution:
     @property
     def converged(self) -> bool:
         """Whether the displacement may be used."""
-        return self.outcome is Outcome.CONVERGED
+        return self.outcome is SolverOutcome.CONVERGED
 
 
 class NewtonSolver:
@@ -153,13 +144,13 @@ class NewtonSolver:
         newton = linear = 0
         if move.any():
             now, linear = self._moved_on(now, move)
-        outcome, residual = Outcome.NOT_CONVERGED, np.inf
+        outcome, residual = SolverOutcome.NOT_CONVERGED, np.inf
         for _ in range(CORRECTIONS):
             now, outcome, residual, more, used = self._minimum(now, sphere)
             newton, linear = newton + more, linear + used
-            if outcome is not Outcome.CONVERGED or sphere is None or sphere.settled(self.body.nodes_m + now):
+            if outcome is not SolverOutcome.CONVERGED or sphere is None or sphere.settled(self.body.nodes_m + now):
                 break
-            outcome = Outcome.NOT_CONVERGED
+            outcome = SolverOutcome.NOT_CONVERGED
         _, force = self.body.energy_and_force(now)
         push = sphere.force_N(self.body.nodes_m + now) if sphere is not None else np.zeros(3)
         return NewtonSolution(now, force, push, outcome, newton, linear, residual)
@@ -172,17 +163,17 @@ class NewtonSolver:
         fits = np.isfinite(self.body.energy_and_force(following)[0])
         return (following if fits else start + move), used
 
-    def _minimum(self, now: Array, sphere: RigidSphere | None) -> tuple[Array, Outcome, float, int, int]:
+    def _minimum(self, now: Array, sphere: RigidSphere | None) -> tuple[Array, SolverOutcome, float, int, int]:
         """Newton's method from here with the sphere's multipliers kept: place, outcome, residual and work."""
         energy, size, slope = self._state(now, sphere)
         residual, linear = np.inf, 0
         if not np.isfinite(energy):
-            return now, Outcome.INVERTED, residual, 0, 0
+            return now, SolverOutcome.INVERTED, residual, 0, 0
         for step_count in range(self._step_limit + 1):
             left = float(np.abs(slope).max())
             residual = left / size if size > 0.0 else float(left > 0.0)
             if residual <= self._tolerance or left <= self._rounding_N:
-                return now, Outcome.CONVERGED, residual, step_count, linear
+                return now, SolverOutcome.CONVERGED, residual, step_count, linear
             if step_count == self._step_limit:
                 break
             accuracy = max(min(0.1, residual), 0.1 * self._tolerance / residual)
@@ -201,9 +192,9 @@ class NewtonSolver:
                     break
                 share *= 0.5
             else:
-                return now, Outcome.STALLED, residual, step_count, linear
+                return now, SolverOutcome.STALLED, residual, step_count, linear
             now, (energy, size, slope) = trial, there
-        return now, Outcome.NOT_CONVERGED, residual, self._step_limit, linear
+        return now, SolverOutcome.NOT_CONVERGED, residual, self._step_limit, linear
 
     def _state(self, displacement: Array, sphere: RigidSphere | None) -> tuple[float, float, Array]:
         """Energy [J], largest force in the body [N], and the energy's derivative, zero where held [N]."""

@@ -14,7 +14,7 @@ from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.lazy_compliance import LazyCompliance
 from tissue.fem.solvers.multigrid import MultigridSolver
 from tissue.fem.solvers.reduced import ReducedSolver
-from tissue.fem.solvers.solution import Outcome
+from tissue.fem.solvers.solution import SolverOutcome
 
 
 @pytest.fixture(autouse=True)
@@ -228,7 +228,7 @@ def test_a_load_outside_the_basis_is_reported():
     body = body_of()
     solver = ReducedSolver(DirectSolver(body), SURFACE[:20], size=60)
     inside = np.setdiff1d(np.arange(125), SURFACE)
-    assert solver.solve(load_on(inside)).outcome is Outcome.OUTSIDE_BASIS
+    assert solver.solve(load_on(inside)).outcome is SolverOutcome.OUTSIDE_BASIS
 
 
 @pytest.mark.parametrize(("options", "said"), [({"size": 0}, "size must be in"), ({"size": 9999}, "size must be in"),

@@ -11,13 +11,14 @@ from meshes.base.errors import InputError
 from meshes.tets.structured import box, joined
 from meshes.tets.tetrahedra import TetMesh
 from tissue.fem.free_modes import free_modes, rigid_modes
+from tissue.fem.outcome import SolverOutcome
 from tissue.fem.solvers.condensed import surface_compliance
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.dissection import dissection
 from tissue.fem.solvers.lazy_compliance import LazyCompliance
 from tissue.fem.solvers.multigrid import MultigridSolver
 from tissue.fem.solvers.reduced import ReducedSolver
-from tissue.fem.solvers.solution import HeldBody, Outcome, Supports, pointwise_graph
+from tissue.fem.solvers.solution import HeldBody, Supports, pointwise_graph
 
 
 @pytest.fixture(autouse=True)
@@ -72,7 +73,7 @@ def test_the_answer_is_lapacks_to_the_stated_tolerance(path, held):
     solver = path(body)
     load = load_on(SURFACE)
     found = solver.solve(load)
-    assert found.outcome is Outcome.CONVERGED and found.converged
+    assert found.outcome is SolverOutcome.CONVERGED and found.converged
     assert energy_error(body, found.displacement_m, dense(body, load)) <= solver.tolerance
     assert np.all(found.displacement_m[body.supports.fixed] == 0.0)
 
@@ -263,7 +264,7 @@ def test_an_indefinite_stiffness_is_reported(solver):
     shifted = bsr_array((body.stiffness - 1.5 * values[0] * eye_array(body.stiffness.shape[0])).tobsr((3, 3)))
     assert shifted.diagonal().min() > 0.0
     found = solver(HeldBody(shifted, MESH.nodes_m, body.supports)).solve(body.whole(lowest))
-    assert found.outcome is Outcome.INDEFINITE and not found.converged
+    assert found.outcome is SolverOutcome.INDEFINITE and not found.converged
 
 
 def test_a_matrix_without_a_factor_is_refused():
@@ -276,13 +277,13 @@ def test_a_matrix_without_a_factor_is_refused():
 
 def test_multigrid_that_runs_out_of_iterations_is_reported():
     found = MultigridSolver(body_of(), limit=2).solve(load_on(SURFACE))
-    assert found.outcome is Outcome.NOT_CONVERGED and found.iterations == 2
+    assert found.outcome is SolverOutcome.NOT_CONVERGED and found.iterations == 2
 
 
 def test_a_factor_that_loses_its_digits_is_reported(monkeypatch):
     monkeypatch.setattr(DirectSolver, "tolerance", 0.0)
     found = DirectSolver(body_of()).solve(load_on(SURFACE))
-    assert found.outcome is Outcome.INACCURATE
+    assert found.outcome is SolverOutcome.INACCURATE
 
 
 def test_a_warm_start_saves_iterations_and_the_answer_needs_none():

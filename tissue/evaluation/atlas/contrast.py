@@ -9,10 +9,10 @@ from scipy.sparse.linalg import cg
 
 from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, finish, region
 from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, shown
+from tissue.fem.outcome import SolverOutcome
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.grid import HexGrid
 from tissue.models.tooth.particles import ParticleSet
-from tissue.models.tooth.solver import Outcome
 from tissue.models.tooth.supports import Supports
 
 if TYPE_CHECKING:
@@ -125,9 +125,9 @@ def ask() -> list[Answer]:
     unheld = loose.solve(pushed(loose))
     none = body.solve(np.zeros((body.grid.node_count, 3)), cold=True)
     return [
-        shown("an answer in two iterations", short.outcome is Outcome.NOT_CONVERGED,
+        shown("an answer in two iterations", short.outcome is SolverOutcome.NOT_CONVERGED,
               f"{short.outcome.name}, error {short.error:.0e}: {short.outcome.value}", conduct=Conduct.REFUSES),
-        shown("a body that nothing holds", unheld.outcome is Outcome.UNSUPPORTED,
+        shown("a body that nothing holds", unheld.outcome is SolverOutcome.UNSUPPORTED,
               f"{unheld.outcome.name}: {unheld.outcome.value}", conduct=Conduct.REFUSES),
         shown("no load at all", none.converged and none.iterations == 0, "no iteration, no displacement"),
     ]  # fmt: skip

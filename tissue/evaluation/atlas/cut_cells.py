@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, finish, region
 from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, shown
+from tissue.fem.outcome import SolverOutcome
 from tissue.models.tooth.body import INNER_STRENGTH, LEAST_FILL, ParticleBody
 from tissue.models.tooth.grid import HexGrid
 from tissue.models.tooth.particles import ParticleSet
-from tissue.models.tooth.solver import Outcome
 from tissue.models.tooth.supports import Supports
 
 if TYPE_CHECKING:
@@ -99,9 +99,9 @@ def ask() -> list[Answer]:
     bare, ours = outcomes.values()
     thin = cut_block(0.5 * LEAST_FILL, INNER_STRENGTH)
     return [
-        shown("a load on cells without inner stiffness", bare is not Outcome.CONVERGED, f"{bare.name}: {bare.value}",
-              conduct=Conduct.REFUSES),
-        shown("the same with it", ours is Outcome.CONVERGED, f"{ours.name}: {ours.value}"),
+        shown("a load on cells without inner stiffness", bare is not SolverOutcome.CONVERGED,
+              f"{bare.name}: {bare.value}", conduct=Conduct.REFUSES),
+        shown("the same with it", ours is SolverOutcome.CONVERGED, f"{ours.name}: {ours.value}"),
         shown(f"cells filled to {0.5 * LEAST_FILL:g}", int((thin.cells.live == 0).sum()) == CELLS**2,
               f"{int((thin.cells.live == 0).sum())} cells carry nothing and are left out", conduct=Conduct.FALLS_BACK),
     ]  # fmt: skip

@@ -9,7 +9,8 @@ from meshes.tets.structured import box
 from tissue.evaluation.atlas.drawing import BLUE, GREEN, GREY, RED, finish, region
 from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
 from tissue.fem.hyperelastic import Law, NonlinearBody
-from tissue.fem.newton import NewtonSolver, Outcome
+from tissue.fem.newton import NewtonSolver
+from tissue.fem.outcome import SolverOutcome
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 from tissue.scene.load import load_scene
@@ -95,7 +96,7 @@ def ask() -> list[Answer]:
     told = "; ".join(what for _, what in pressed_slab().events)
     return [
         refused("displacements that are no numbers", lambda: solver.solve(np.full(space.nodes_m.shape, np.nan))),
-        shown("one end turned by half a circle in one step", outcome is not Outcome.CONVERGED,
+        shown("one end turned by half a circle in one step", outcome is not SolverOutcome.CONVERGED,
               f"{outcome.name}: {outcome.value}", conduct=Conduct.REFUSES),
         shown("a ball pressed 4 mm into a linear organ", "linear elasticity" in told, f"runs, and says: {told}",
               conduct=Conduct.FALLS_BACK),

@@ -10,8 +10,9 @@ from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, finish, reg
 from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
 from tissue.fem.assembly import assemble
 from tissue.fem.loads import traction
+from tissue.fem.outcome import SolverOutcome
 from tissue.fem.solvers.direct import DirectSolver
-from tissue.fem.solvers.solution import HeldBody, Outcome, Supports
+from tissue.fem.solvers.solution import HeldBody, Supports
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 from tissue.scene.organ import Organ, SlabAnatomy
@@ -34,7 +35,7 @@ def deflection(order: int, cells: tuple[int, int, int], ratio: float) -> tuple[f
     body = HeldBody(assemble(space, lame(YOUNG, ratio)), space.nodes_m, Supports(held))
     solution = DirectSolver(body).solve(traction(space, (0.0, 0.0, 1.0), faces=faces))
     tip = solution.displacement_m[space.nodes_m[:, 0] > LENGTH - 1e-9, 2].mean()
-    return float(tip), float(solution.outcome is Outcome.CONVERGED)
+    return float(tip), float(solution.outcome is SolverOutcome.CONVERGED)
 
 
 def timoshenko(ratio: float) -> float:

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from kernels.launcher import core_count
 from meshes.base.cache import cached_arrays
 from meshes.base.errors import InputError
+from tissue.fem.outcome import SolverOutcome
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.schur import schur_compliance_m_N
-from tissue.fem.solvers.solution import ColumnSolver, HeldBody, Outcome, Solution
+from tissue.fem.solvers.solution import ColumnSolver, HeldBody, Solution
 
 __all__ = ["LIMIT_BYTES", "CondensedSolver", "SurfaceCompliance", "compliance_bytes", "surface_compliance"]
 
@@ -210,4 +211,4 @@ class CondensedSolver:
         displacement[self.compliance.touchable] = touched.reshape(-1, 3)
         left = right - (self.body.sprung @ displacement.ravel())[self.body.free]
         share = float(np.linalg.norm(left)) / norm if norm else 0.0
-        return Solution(displacement, Outcome.CONVERGED, 0, share)
+        return Solution(displacement, SolverOutcome.CONVERGED, 0, share)

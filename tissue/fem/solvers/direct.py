@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from meshes.base.errors import InputError
+from tissue.fem.outcome import SolverOutcome
 from tissue.fem.solvers.dissection import dissection
-from tissue.fem.solvers.solution import HeldBody, Outcome, Solution, pointwise_graph
+from tissue.fem.solvers.solution import HeldBody, Solution, pointwise_graph
 
 __all__ = ["DirectSolver"]
 
@@ -69,7 +70,7 @@ class DirectSolver:
         right = self.body.right_side(load_N)
         norm = float(np.linalg.norm(right))
         if norm == 0.0:
-            return Solution(self.body.whole(right), Outcome.CONVERGED, 0, 0.0)
+            return Solution(self.body.whole(right), SolverOutcome.CONVERGED, 0, 0.0)
         ordered = np.empty_like(right)
         ordered[self._from_free] = right
         found = self._factor.solve(ordered)
@@ -77,8 +78,8 @@ class DirectSolver:
         # The energy is positive for any load where K is positive definite.
         energy = float(found @ ordered)
         good = bool(np.isfinite(left)) and energy > 0.0
-        outcome = Outcome.CONVERGED if left <= self.tolerance else Outcome.INACCURATE
-        outcome = outcome if good else Outcome.INDEFINITE
+        outcome = SolverOutcome.CONVERGED if left <= self.tolerance else SolverOutcome.INACCURATE
+        outcome = outcome if good else SolverOutcome.INDEFINITE
         return Solution(self.body.whole(found[self._from_free]), outcome, 0, left)
 
     def columns(self, unknowns: NDArray[np.int64]) -> Array:

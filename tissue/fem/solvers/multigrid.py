@@ -15,7 +15,8 @@ from scipy.sparse import bsr_matrix
 
 from meshes.base.errors import InputError, require_range
 from tissue.fem.free_modes import rigid_modes
-from tissue.fem.solvers.solution import HeldBody, Outcome, Solution
+from tissue.fem.outcome import SolverOutcome
+from tissue.fem.solvers.solution import HeldBody, Solution
 
 __all__ = ["MultigridSolver"]
 
@@ -128,16 +129,16 @@ class MultigridSolver:
             right = np.zeros_like(self._scale)
             right[unknown] = self._scale[unknown]
             found, outcome, _, _ = self._iterate(right, np.zeros_like(right))
-            if outcome is not Outcome.CONVERGED:
+            if outcome is not SolverOutcome.CONVERGED:
                 raise InputError(f"stiffness must have columns by multigrid, got {outcome.name}: {outcome.value}")
             answers[:, column] = found * self._scale
         return answers
 
-    def _iterate(self, right: Array, found: Array) -> tuple[Array, Outcome, int, float]:
+    def _iterate(self, right: Array, found: Array) -> tuple[Array, SolverOutcome, int, float]:
         """Conjugate gradients; Polak and Ribiere's factor forgives a cycle that is not quite symmetric."""
         size = float(np.linalg.norm(right))
         if size == 0.0:
-            return np.zeros_like(right), Outcome.CONVERGED, 0, 0.0
+            return np.zeros_like(right), SolverOutcome.CONVERGED, 0, 0.0
         residual = right - self._matrix @ found
         step, before, last, length = np.zeros_like(right), residual, 1.0, 1.0
         diagonal: list[float] = []
@@ -147,14 +148,14 @@ class MultigridSolver:
             slope = float(residual @ corrected)
             left = float(np.linalg.norm(residual)) / size
             if not np.isfinite(slope) or slope < 0.0:
-                return found, Outcome.INDEFINITE, iteration, left
+                return found, SolverOutcome.INDEFINITE, iteration, left
             energy = float(found @ (right - residual))  # of the present iterate
             within = self.tolerance**2 * energy
             if diagonal and slope <= within:
                 ritz = eigvalsh_tridiagonal(diagonal, off_diagonal[1:])
                 self._least = min(self._least, max(float(ritz[0]), LEAST_SHARE))
             if left <= LEAST_SHARE or (energy > 0.0 and slope <= self._least * within):
-                return found, Outcome.CONVERGED, iteration, left
+                return found, SolverOutcome.CONVERGED, iteration, left
             if iteration == self._limit:
                 break
             factor = 0.0 if iteration == 0 else max(0.0, float(corrected @ (residual - before)) / last)
@@ -162,11 +163,11 @@ class MultigridSolver:
             along = self._matrix @ step
             curvature = float(step @ along)
             if not curvature > 0.0:
-                return found, Outcome.INDEFINITE, iteration, left
+                return found, SolverOutcome.INDEFINITE, iteration, left
             earlier, length = length, float(residual @ step) / curvature
             diagonal.append(1.0 / length + (factor / earlier if iteration else 0.0))
             off_diagonal.append(np.sqrt(factor) / earlier)
             found = found + length * step
             before, last = residual, slope
             residual = residual - length * along
-        return found, Outcome.NOT_CONVERGED, self._limit, left
+        return found, SolverOutcome.NOT_CONVERGED, self._limit, left

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
-from tissue.fem.solvers.solution import ColumnSolver, HeldBody, Outcome, Solution
+from tissue.fem.outcome import SolverOutcome
+from tissue.fem.solvers.solution import ColumnSolver, HeldBody, Solution
 
 __all__ = ["BasisError", "ReducedSolver"]
 
@@ -106,12 +107,12 @@ class ReducedSolver:
         amount = self.modes.T @ flat
         displacement = (self.modes @ amount).reshape(-1, 3)
         if not right.any():
-            return Solution(displacement, Outcome.CONVERGED, 0, 0.0)
+            return Solution(displacement, SolverOutcome.CONVERGED, 0, 0.0)
         if flat[~self._carries].any():
-            return Solution(displacement, Outcome.OUTSIDE_BASIS, 0, 1.0)
+            return Solution(displacement, SolverOutcome.OUTSIDE_BASIS, 0, 1.0)
         energies = self.values_m_N * (self._vectors.T @ flat[self._rows]) ** 2
         error = float(np.sqrt(energies[self.size :].sum() / energies.sum()))
-        outcome = Outcome.CONVERGED if error <= self.tolerance else Outcome.OUTSIDE_BASIS
+        outcome = SolverOutcome.CONVERGED if error <= self.tolerance else SolverOutcome.OUTSIDE_BASIS
         return Solution(displacement, outcome, 0, error)
 
     def compliance_m_N(self, size: int | None = None) -> Array:

@@ -1,7 +1,6 @@
 """The contract of the paths to ``K u = f``: what holds the body, how a solve ended, and what every path offers."""
 
 from dataclasses import dataclass
-from enum import Enum
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -12,20 +11,11 @@ from scipy.sparse.csgraph import connected_components
 
 from meshes.base.errors import InputError
 from tissue.fem.free_modes import free_modes
+from tissue.fem.outcome import SolverOutcome
 
-__all__ = ["ColumnSolver", "HeldBody", "Outcome", "Solution", "Solver", "Supports", "pointwise_graph"]
+__all__ = ["ColumnSolver", "HeldBody", "Solution", "Solver", "Supports", "pointwise_graph"]
 
 Array = NDArray[np.float64]
-
-
-class Outcome(Enum):
-    """How a solve ended; the value says what to do about it."""
-
-    CONVERGED = "the displacement holds to the tolerance"
-    NOT_CONVERGED = "the iterations ran out: allow more, loosen the tolerance, or take the direct path"
-    INACCURATE = "rounding eats the answer: mend sliver cells, or lower the contrast of moduli"
-    INDEFINITE = "the stiffness is not positive definite: check moduli, Poisson's ratio and sliver cells"
-    OUTSIDE_BASIS = "the basis does not hold this load to the tolerance: take more modes, or another path"
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,14 +36,14 @@ class Solution:
     """
 
     displacement_m: Array
-    outcome: Outcome
+    outcome: SolverOutcome
     iterations: int
     residual: float
 
     @property
     def converged(self) -> bool:
         """Whether the displacement may be used."""
-        return self.outcome is Outcome.CONVERGED
+        return self.outcome is SolverOutcome.CONVERGED
 
 
 @dataclass(frozen=True, eq=False)

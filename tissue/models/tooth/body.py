@@ -7,11 +7,12 @@ from numpy.typing import NDArray
 from scipy.sparse import bsr_matrix
 from scipy.spatial import cKDTree
 
+from tissue.fem.outcome import SolverOutcome
 from tissue.models.tooth.grid import HexGrid, shape_values
 from tissue.models.tooth.islands import supported_cells
 from tissue.models.tooth.multigrid import GridHierarchy
 from tissue.models.tooth.particles import ParticleSet
-from tissue.models.tooth.solver import Outcome, Solution, conjugate_gradients
+from tissue.models.tooth.solver import Solution, conjugate_gradients
 from tissue.models.tooth.stiffness import CellStiffness
 from tissue.models.tooth.supports import Supports
 
@@ -190,7 +191,7 @@ class ParticleBody:
         held = self.supports.displacement_m
         lost = (load_N != 0.0) & ~self.carrying[:, None] & ~self.supports.fixed
         if not self.cells.live.any() or lost.any():
-            return Solution(held.copy(), Outcome.UNSUPPORTED, 0, np.inf, 1.0)
+            return Solution(held.copy(), SolverOutcome.UNSUPPORTED, 0, np.inf, 1.0)
         load = (load_N - self.product(held) if held.any() else load_N) * self._free
         guess = held if cold else self.displacement_m if start_m is None else start_m
         if self._iterations_fresh == 0:

@@ -2,12 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Outcome", "Solution", "conjugate_gradients"]
+from tissue.fem.outcome import SolverOutcome
+
+__all__ = ["Solution", "conjugate_gradients"]
 
 Array = NDArray[np.float64]
 LEAST_SHARE = 1e-13
@@ -15,15 +16,6 @@ LEAST_SHARE = 1e-13
 LEAST_CURVATURE = 1e-12
 """Share of ``p . D p``, D the diagonal, below which ``p . K p`` is rounding: p is then a motion that nothing resists. A
 tooth of 1e5 nodes in a ligament a million times softer has 1e-8."""
-
-
-class Outcome(Enum):
-    """How a solve ended; the value says what to do about it."""
-
-    CONVERGED = "the displacement holds to the tolerance"
-    NOT_CONVERGED = "the iterations ran out: allow more, loosen the tolerance, or raise the least fill of a cell"
-    INDEFINITE = "the stiffness is not positive definite: a part hangs on nothing, or a cell is not stabilised"
-    UNSUPPORTED = "nothing holds the body: fix nodes that carry load, or give them springs"
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +37,7 @@ class Solution:
     """
 
     displacement_m: Array
-    outcome: Outcome
+    outcome: SolverOutcome
     iterations: int
     error: float
     residual: float
@@ -53,7 +45,7 @@ class Solution:
     @property
     def converged(self) -> bool:
         """Whether the displacement may be used."""
-        return self.outcome is Outcome.CONVERGED
+        return self.outcome is SolverOutcome.CONVERGED
 
 
 def conjugate_gradients(
@@ -95,9 +87,9 @@ def conjugate_gradients(
     residual = load_N - product(displacement) if displacement.any() else load_N.copy()
     load_norm = np.sqrt(dot(load_N, load_N))
     if load_norm == 0.0:
-        return Solution(np.zeros_like(load_N), Outcome.CONVERGED, 0, 0.0, 0.0)
+        return Solution(np.zeros_like(load_N), SolverOutcome.CONVERGED, 0, 0.0, 0.0)
     by_diagonal = np.divide(1.0 / 24.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0.0)
-    before, step, last_slope, outcome, error = residual, np.zeros_like(load_N), 1.0, Outcome.NOT_CONVERGED, np.inf
+    before, step, last_slope, outcome, error = residual, np.zeros_like(load_N), 1.0, SolverOutcome.NOT_CONVERGED, np.inf
     iteration = 0
     while True:
         corrected = precondition(residual)
@@ -105,12 +97,12 @@ def conjugate_gradients(
         left = np.sqrt(dot(residual, residual)) / load_norm
         energy = dot(displacement, load_N)
         if not np.isfinite(slope) or slope < 0.0:
-            outcome = Outcome.INDEFINITE
+            outcome = SolverOutcome.INDEFINITE
             break
         size = max(slope, dot(residual, residual * by_diagonal))
         error = np.sqrt(size / energy) if energy > 0.0 else np.inf
         if error <= tolerance or left <= LEAST_SHARE:
-            outcome = Outcome.CONVERGED
+            outcome = SolverOutcome.CONVERGED
             break
         if iteration == limit:
             break
@@ -119,7 +111,7 @@ def conjugate_gradients(
         along = product(step)
         curvature = dot(step, along)
         if not curvature > LEAST_CURVATURE * dot(step, diagonal * step):
-            outcome = Outcome.INDEFINITE
+            outcome = SolverOutcome.INDEFINITE
             break
         length = dot(residual, step) / curvature
         displacement += length * step
