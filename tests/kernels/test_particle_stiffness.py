@@ -9,7 +9,7 @@ from tissue.models.tooth.compliance import rigid_motions
 from tissue.models.tooth.grid import HexGrid, shape_values
 from tissue.models.tooth.particles import ParticleSet
 from tissue.models.tooth.stiffness import CellStiffness, full_cell_stiffness, strain_matrix
-from tissue.models.tooth.supports import Supports
+from tissue.models.tooth.supports import NodeSupports
 
 ROUNDING = 1e-13  # relative to the largest entry: sums of a few hundred terms in double precision
 
@@ -107,7 +107,7 @@ def test_inner_stiffness_vanishes_on_linear_fields():
 
 def test_product_and_rows_against_the_scattered_matrix():
     particles, grid = random_body(seed=1)
-    supports = Supports.of(grid.node_count, held=grid.node_place[:, 2] == 0, spring_N_m=1e5)
+    supports = NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0, spring_N_m=1e5)
     body = ParticleBody(particles, grid, supports, drop_islands=False)
     body.cells.set_live(np.ones(grid.cell_count, dtype=bool))
     wanted = scattered(body.cells)
@@ -125,7 +125,7 @@ def test_product_and_rows_against_the_scattered_matrix():
 def test_coarse_grid_is_the_galerkin_projection():
     """Coarse cells summed from their children against P^T A P of the assembled matrix."""
     particles, grid = block((6, 5, 7), 1e-3, modulus_Pa=lambda x: np.where(x[:, 0] < 2.5e-3, 2e6, 84e9))
-    supports = Supports.of(grid.node_count, held=grid.node_place[:, 2] == 0, spring_N_m=3e4)
+    supports = NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0, spring_N_m=3e4)
     body = ParticleBody(particles, grid, supports)
     fine, coarse = body._hierarchy.levels[:2]
     places = grid.node_place / 2.0

@@ -5,13 +5,13 @@ from tooth_bodies import block
 
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.stress import cell_stress, node_average, particle_stress
-from tissue.models.tooth.supports import Supports
+from tissue.models.tooth.supports import NodeSupports
 
 
 def deformed():
     random = np.random.default_rng(0)
     particles, grid = block((3, 2, 2), 1e-3, modulus_Pa=lambda x: 10.0 ** random.uniform(6, 11, len(x)))
-    body = ParticleBody(particles, grid, Supports.of(grid.node_count, held=grid.node_place[:, 2] == 0))
+    body = ParticleBody(particles, grid, NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0))
     return body, 1e-6 * random.normal(size=(grid.node_count, 3))
 
 
@@ -54,7 +54,7 @@ def test_a_chosen_particle_has_the_stress_it_has_among_all():
 
 def test_uniform_stress_has_equal_principal_values_and_survives_averaging():
     particles, grid = block((3, 3, 3), 1e-3, modulus_Pa=1e9)
-    body = ParticleBody(particles, grid, Supports.of(grid.node_count, held=grid.node_place[:, 2] == 0))
+    body = ParticleBody(particles, grid, NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0))
     moved = 1e-3 * grid.node_position_m
     pressure = 1e9 * 1e-3 / (1.0 - 2.0 * 0.3)
     cells = cell_stress(body.cells, moved)

@@ -6,7 +6,7 @@ from tooth_bodies import block, lattice
 
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.stress import cell_stress
-from tissue.models.tooth.supports import Supports
+from tissue.models.tooth.supports import NodeSupports
 
 
 def test_bars_in_series_are_exact():
@@ -20,7 +20,9 @@ def test_bars_in_series_are_exact():
     top = grid.node_place[:, 2] == 9
     held = np.zeros((grid.node_count, 3), dtype=bool)
     held[top | (grid.node_place[:, 2] == 0)] = True
-    supports = Supports.of(grid.node_count, held=held, displacement_m=np.where(top[:, None], [0.0, 0.0, stretch], 0.0))
+    supports = NodeSupports.of(
+        grid.node_count, held=held, displacement_m=np.where(top[:, None], [0.0, 0.0, stretch], 0.0)
+    )
     body = ParticleBody(particles, grid, supports)
     found = body.solve(np.zeros_like(supports.spring_N_m), tolerance=1e-13)
     force = body.reactions(found.displacement_m, np.zeros((grid.node_count, 3)))[top, 2].sum()
@@ -53,7 +55,7 @@ def test_bilayer_beam():
     side = np.where(grid.node_place[:, 0] == 0, -0.5, 0.5)
     moved[:, 0] = -turn * side * (grid.node_position_m[:, 2] - axis)
     moved[:, 1:] = 0.0
-    body = ParticleBody(particles, grid, Supports.of(grid.node_count, held=held, displacement_m=moved))
+    body = ParticleBody(particles, grid, NodeSupports.of(grid.node_count, held=held, displacement_m=moved))
     found = body.solve(np.zeros_like(moved), tolerance=1e-8)
     assert found.converged
     force = body.reactions(found.displacement_m, np.zeros_like(moved))
@@ -70,7 +72,7 @@ def test_bilayer_beam():
 def cantilever(through):
     edge = 1.0 / through
     particles, grid = block((10 * through, through, through), edge, modulus_Pa=1000.0)
-    body = ParticleBody(particles, grid, Supports.of(grid.node_count, held=grid.node_place[:, 0] == 0))
+    body = ParticleBody(particles, grid, NodeSupports.of(grid.node_count, held=grid.node_place[:, 0] == 0))
     tip = grid.node_place[:, 0] == 10 * through
     inside = ((grid.node_place[:, 1:] > 0) & (grid.node_place[:, 1:] < through)).sum(axis=1)
     share = tip * 2.0**inside

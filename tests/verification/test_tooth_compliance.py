@@ -6,7 +6,7 @@ from tooth_bodies import block
 
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.compliance import support_compliance
-from tissue.models.tooth.supports import Supports
+from tissue.models.tooth.supports import NodeSupports
 
 EDGE = 1e-3
 STIFF = 1e15  # [Pa], a million times what the supports are: the block moves as a rigid one to 1e-6
@@ -18,7 +18,7 @@ def test_stiff_block_on_springs():
     bottom = grid.node_place[:, 2] == 0
     stiffness = 1e5
     spring = np.where(bottom[:, None], [stiffness, stiffness, 2.0 * stiffness], 0.0)
-    body = ParticleBody(particles, grid, Supports.of(grid.node_count, spring_N_m=spring))
+    body = ParticleBody(particles, grid, NodeSupports.of(grid.node_count, spring_N_m=spring))
     reference = np.array([1e-3, 2e-3, 5e-3])
     found = support_compliance(body, weights=np.ones(grid.node_count), reference_m=reference, tolerance=1e-8)
     assert found.converged
@@ -42,7 +42,7 @@ def test_stiff_block_on_an_elastic_layer():
     particles, grid = block(
         (side, side, 4), EDGE, poisson_ratio=0.0, modulus_Pa=lambda x: np.where(x[:, 2] < EDGE, soft, STIFF)
     )
-    body = ParticleBody(particles, grid, Supports.of(grid.node_count, held=grid.node_place[:, 2] == 0))
+    body = ParticleBody(particles, grid, NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0))
     weights = (grid.node_place[:, 2] >= 1).astype(float)
     reference = np.array([side * EDGE / 2, side * EDGE / 2, EDGE])
     found = support_compliance(body, weights=weights, reference_m=reference, tolerance=1e-7)

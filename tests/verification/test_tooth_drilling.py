@@ -21,7 +21,7 @@ from tissue.models.tooth.ligament import bed_springs, bed_stiffness
 from tissue.models.tooth.model import ToothModel
 from tissue.models.tooth.particles import FULL_STEPS
 from tissue.models.tooth.stress import cell_stress
-from tissue.models.tooth.supports import Supports
+from tissue.models.tooth.supports import NodeSupports
 
 MM = 1e-3
 ACROSS, ALONG = 4e9, 1e9  # [N/m3]
@@ -84,7 +84,7 @@ def test_rigid_block_on_a_bed():
     springs, area = bed_springs(
         grid, tooth, bed, origin_m=np.array([0, 0, -spacing]), spacing_m=spacing, across_N_m3=ACROSS, along_N_m3=ALONG
     )
-    body = ParticleBody(particles, grid, Supports.of(grid.node_count, spring_N_m=springs))
+    body = ParticleBody(particles, grid, NodeSupports.of(grid.node_count, spring_N_m=springs))
     found = support_compliance(
         body, weights=np.ones(grid.node_count), reference_m=np.array([2, 2, 0.125]) * MM, tolerance=1e-8
     )

@@ -10,7 +10,7 @@ import pytest
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.grid import HexGrid
 from tissue.models.tooth.particles import ParticleSet
-from tissue.models.tooth.supports import Supports
+from tissue.models.tooth.supports import NodeSupports
 
 LAYERS = ("Enamel", "Dentin", "Pulp", "PDL")
 MODULUS = np.array([84e9, 18.6e9, 2e6, 50e6])
@@ -62,7 +62,7 @@ def molar(folder, edge_m, *, ligament_Pa, shift=0.0):
     around, there = np.maximum(grid.node_cells, 0), grid.node_cells >= 0
     count = np.where(there, np.bincount(cell, minlength=grid.cell_count)[around], 0)
     held = (count < 8).any(axis=1) & (there & ligament[around]).any(axis=1) & ~(there & stiff[around]).any(axis=1)
-    return ParticleBody(particles, grid, Supports.of(grid.node_count, held=held))
+    return ParticleBody(particles, grid, NodeSupports.of(grid.node_count, held=held))
 
 
 def press_cusp(body):

@@ -6,7 +6,7 @@ from tooth_bodies import GAUSS, block, lattice, on_boundary, slope
 
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.stress import particle_stress
-from tissue.models.tooth.supports import Supports
+from tissue.models.tooth.supports import NodeSupports
 
 FIELD = np.array([[1.0, 0.3, -0.2], [0.1, -0.5, 0.4], [0.2, 0.6, 0.8]]) * 1e-3
 EXACT = 1e-10
@@ -26,7 +26,7 @@ def patch_error(body):
 def held_patch(particles, grid):
     held = on_boundary(grid)
     return ParticleBody(
-        particles, grid, Supports.of(grid.node_count, held=held, displacement_m=grid.node_position_m @ FIELD.T)
+        particles, grid, NodeSupports.of(grid.node_count, held=held, displacement_m=grid.node_position_m @ FIELD.T)
     )
 
 

@@ -10,7 +10,7 @@ from tissue.models.tooth.grid import HexGrid
 from tissue.models.tooth.particles import ParticleSet
 from tissue.models.tooth.solver import conjugate_gradients
 from tissue.models.tooth.stress import particle_stress
-from tissue.models.tooth.supports import Supports
+from tissue.models.tooth.supports import NodeSupports
 
 EDGE = 8e-3
 CONTRASTS = (1.0, 100.0, 4200.0, 42000.0)
@@ -49,7 +49,7 @@ def with_pieces():
     position = ((cells[:, None] + lattice(2)) * 1e-3).reshape(-1, 3)
     particles = ParticleSet.uniform(position, volume_m3=1.25e-10, modulus_Pa=18.6e9)
     grid = HexGrid.around(position, edge_m=1e-3, origin_m=np.zeros(3))
-    supports = Supports.of(grid.node_count, held=grid.node_place[:, 0] == 0)
+    supports = NodeSupports.of(grid.node_count, held=grid.node_place[:, 0] == 0)
     return particles, grid, supports
 
 
@@ -81,7 +81,7 @@ def test_a_load_on_debris_and_a_body_without_support_are_reported():
     load[body.grid.cell_nodes[-1][-1], 2] = 1.0
     assert body.solve(load).outcome is SolverOutcome.UNSUPPORTED
     particles, grid, _ = with_pieces()
-    loose = ParticleBody(particles, grid, Supports.of(grid.node_count))
+    loose = ParticleBody(particles, grid, NodeSupports.of(grid.node_count))
     assert len(loose.debris) == len(particles.layer)
     assert loose.solve(load).outcome is SolverOutcome.UNSUPPORTED
 

@@ -12,7 +12,7 @@ from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.grid import HexGrid
 from tissue.models.tooth.particles import ParticleSet
 from tissue.models.tooth.stress import particle_stress
-from tissue.models.tooth.supports import Supports
+from tissue.models.tooth.supports import NodeSupports
 
 INNER, OUTER, PRESSURE, MODULUS, RATIO = 1.0, 2.0, 1.0, 1000.0, 0.3
 SCALE = PRESSURE * INNER**3 / (OUTER**3 - INNER**3)
@@ -57,7 +57,7 @@ def sphere(cells, inner_strength=1.0, per_edge=4):
     particles.remaining[:] = np.rint(65535 * inside)
     grid = HexGrid.around(position, edge_m=edge, origin_m=np.zeros(3))
     return ParticleBody(
-        particles, grid, Supports.of(grid.node_count, held=grid.node_place == 0), inner_strength=inner_strength
+        particles, grid, NodeSupports.of(grid.node_count, held=grid.node_place == 0), inner_strength=inner_strength
     )
 
 

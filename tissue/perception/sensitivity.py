@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from tissue.perception.estimate import map_force_N
 from tissue.perception.recursive import LocalLevel
 
-__all__ = ["Outcome", "map_estimate_errors", "of_the_recursion"]
+__all__ = ["AssumptionResult", "map_estimate_errors", "of_the_recursion"]
 
 Array = NDArray[np.float64]
 MEDIAN_N, LOG_SPREAD, NOISE_N = 1.0, 1.0, 0.3
@@ -22,7 +22,7 @@ FATIGUE = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class AssumptionResult:
     """An assumption and what it costs.
 
     Attributes
@@ -41,7 +41,7 @@ class Outcome:
     held: float = float("nan")
 
 
-def map_estimate_errors(rng: np.random.Generator, *, count: int = 20_000) -> list[Outcome]:
+def map_estimate_errors(rng: np.random.Generator, *, count: int = 20_000) -> list[AssumptionResult]:
     """The estimate of greatest density from one look at each of ``count`` forces, by what is assumed."""
     truth = MEDIAN_N * np.exp(LOG_SPREAD * rng.standard_normal(count))
     gaussian, tails = NOISE_N * rng.standard_normal(count), NOISE_N * _heavy(rng, count)
@@ -52,20 +52,20 @@ def map_estimate_errors(rng: np.random.Generator, *, count: int = 20_000) -> lis
 
     seen = truth + gaussian
     return [
-        Outcome(assumed="the look itself", error=error_of(seen)),
-        Outcome(assumed="right prior and noise", error=found(seen)),
-        Outcome(assumed="prior's median / 3", error=found(seen, median=1.0 / 3.0)),
-        Outcome(assumed="prior's median x 3", error=found(seen, median=3.0)),
-        Outcome(assumed="prior's spread / 2", error=found(seen, spread=0.5)),
-        Outcome(assumed="prior's spread x 2", error=found(seen, spread=2.0)),
-        Outcome(assumed="noise / 2", error=found(seen, noise=0.5)),
-        Outcome(assumed="noise x 2", error=found(seen, noise=2.0)),
-        Outcome(assumed="truth has heavy tails", error=found(truth + tails)),
-        Outcome(assumed="truth fatigues by 10 %", error=found((1.0 + FATIGUE) * truth + gaussian)),
+        AssumptionResult(assumed="the look itself", error=error_of(seen)),
+        AssumptionResult(assumed="right prior and noise", error=found(seen)),
+        AssumptionResult(assumed="prior's median / 3", error=found(seen, median=1.0 / 3.0)),
+        AssumptionResult(assumed="prior's median x 3", error=found(seen, median=3.0)),
+        AssumptionResult(assumed="prior's spread / 2", error=found(seen, spread=0.5)),
+        AssumptionResult(assumed="prior's spread x 2", error=found(seen, spread=2.0)),
+        AssumptionResult(assumed="noise / 2", error=found(seen, noise=0.5)),
+        AssumptionResult(assumed="noise x 2", error=found(seen, noise=2.0)),
+        AssumptionResult(assumed="truth has heavy tails", error=found(truth + tails)),
+        AssumptionResult(assumed="truth fatigues by 10 %", error=found((1.0 + FATIGUE) * truth + gaussian)),
     ]
 
 
-def of_the_recursion(rng: np.random.Generator, *, runs: int = 200) -> list[Outcome]:
+def of_the_recursion(rng: np.random.Generator, *, runs: int = 200) -> list[AssumptionResult]:
     """The recursive estimate of a wandering level in each of ``runs`` runs, by what is assumed."""
     right = LocalLevel(wander=WANDER, noise=NOISE)
     level = 5.0 + np.cumsum(np.sqrt(WANDER) * rng.standard_normal((TICKS, runs)), axis=0)
@@ -82,7 +82,7 @@ def of_the_recursion(rng: np.random.Generator, *, runs: int = 200) -> list[Outco
     return [_followed(assumed, law, level, seen, right.steady_variance) for assumed, law, seen in cases]
 
 
-def _followed(assumed: str, law: LocalLevel, level: Array, seen: Array, best: float) -> Outcome:
+def _followed(assumed: str, law: LocalLevel, level: Array, seen: Array, best: float) -> AssumptionResult:
     """The second half of runs that a filter follows."""
     estimate, variance = seen[0], law.noise
     off, held = [], []
@@ -91,7 +91,7 @@ def _followed(assumed: str, law: LocalLevel, level: Array, seen: Array, best: fl
         if tick >= len(level) // 2:
             off.append((estimate - level[tick]) ** 2)
             held.append(off[-1] < 1.96**2 * variance)
-    return Outcome(assumed=assumed, error=float(np.sqrt(np.mean(off) / best)), held=float(np.mean(held)))
+    return AssumptionResult(assumed=assumed, error=float(np.sqrt(np.mean(off) / best)), held=float(np.mean(held)))
 
 
 def _heavy(rng: np.random.Generator, shape: int | tuple[int, ...]) -> Array:

@@ -13,7 +13,7 @@ from tissue.fem.outcome import SolverOutcome
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.grid import HexGrid
 from tissue.models.tooth.particles import ParticleSet
-from tissue.models.tooth.supports import Supports
+from tissue.models.tooth.supports import NodeSupports
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,7 +36,7 @@ def soft_middle(cells: int, contrast: float) -> ParticleBody:
     particles = ParticleSet.uniform(position, volume_m3=(0.5 * EDGE_M / cells) ** 3, modulus_Pa=84e9)
     particles.modulus_Pa[soft] /= contrast
     grid = HexGrid.around(position, edge_m=EDGE_M / cells, origin_m=np.zeros(3))
-    return ParticleBody(particles, grid, Supports.of(grid.node_count, held=grid.node_place[:, 2] == 0))
+    return ParticleBody(particles, grid, NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0))
 
 
 def pushed(body: ParticleBody) -> Array:
@@ -121,7 +121,7 @@ def ask() -> list[Answer]:
     """Too few iterations, a load on nothing, an unheld body."""
     body = soft_middle(8, REAL)
     short = body.solve(pushed(body), limit=2, cold=True)
-    loose = ParticleBody(body.particles, body.grid, Supports.of(body.grid.node_count))
+    loose = ParticleBody(body.particles, body.grid, NodeSupports.of(body.grid.node_count))
     unheld = loose.solve(pushed(loose))
     none = body.solve(np.zeros((body.grid.node_count, 3)), cold=True)
     return [

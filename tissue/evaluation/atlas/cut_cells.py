@@ -11,7 +11,7 @@ from tissue.fem.outcome import SolverOutcome
 from tissue.models.tooth.body import INNER_STRENGTH, LEAST_FILL, ParticleBody
 from tissue.models.tooth.grid import HexGrid
 from tissue.models.tooth.particles import ParticleSet
-from tissue.models.tooth.supports import Supports
+from tissue.models.tooth.supports import NodeSupports
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,7 +35,7 @@ def cut_block(fill: float, strength: float) -> ParticleBody:
     whole = ParticleSet.uniform(position, volume_m3=1.0, modulus_Pa=1e9)
     particles = ParticleSet(position, volume, whole.modulus_Pa, whole.poisson_ratio, whole.layer, whole.remaining)
     grid = HexGrid.around(position, edge_m=EDGE_M, origin_m=np.zeros(3))
-    supports = Supports.of(grid.node_count, held=grid.node_place[:, 2] == 0)
+    supports = NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0)
     return ParticleBody(particles, grid, supports, inner_strength=strength)
 
 

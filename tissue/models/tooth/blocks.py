@@ -9,7 +9,7 @@ from scipy.sparse import bsr_matrix
 
 from kernels.node_blocks import assemble_rows, invert_diagonal, to_single
 from tissue.models.tooth.grid import HexGrid
-from tissue.models.tooth.supports import Supports
+from tissue.models.tooth.supports import NodeSupports
 
 __all__ = ["NodeBlocks"]
 
@@ -39,7 +39,7 @@ class NodeBlocks:
     """
 
     def __init__(
-        self, grid: HexGrid, supports: Supports, *, cell_nodes: Any, node_cells: Any, live: Any, stiffness: Any,
+        self, grid: HexGrid, supports: NodeSupports, *, cell_nodes: Any, node_cells: Any, live: Any, stiffness: Any,
         device: str,
     ) -> None:  # fmt: skip
         neighbours = grid.node_neighbours

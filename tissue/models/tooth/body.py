@@ -12,9 +12,9 @@ from tissue.models.tooth.grid import HexGrid, shape_values
 from tissue.models.tooth.islands import supported_cells
 from tissue.models.tooth.multigrid import GridHierarchy
 from tissue.models.tooth.particles import ParticleSet
-from tissue.models.tooth.solver import Solution, conjugate_gradients
+from tissue.models.tooth.solver import ParticleSolution, conjugate_gradients
 from tissue.models.tooth.stiffness import CellStiffness
-from tissue.models.tooth.supports import Supports
+from tissue.models.tooth.supports import NodeSupports
 
 __all__ = ["Change", "ParticleBody"]
 
@@ -71,13 +71,13 @@ class ParticleBody:
     """
 
     def __init__(
-        self, particles: ParticleSet, grid: HexGrid, supports: Supports, *, inner_strength: float = INNER_STRENGTH,
+        self, particles: ParticleSet, grid: HexGrid, supports: NodeSupports, *, inner_strength: float = INNER_STRENGTH,
         drop_islands: bool = True, device: str = "cpu", cores: int | None = None,
     ) -> None:  # fmt: skip
         if supports.fixed.shape != (grid.node_count, 3):
             raise ValueError(
                 f"supports must be for the grid's {grid.node_count} nodes, got {len(supports.fixed)}: "
-                "use Supports.of(grid.node_count, ...)"
+                "use NodeSupports.of(grid.node_count, ...)"
             )
         self.particles, self.grid, self.supports = particles, grid, supports
         self.cells = CellStiffness(particles, grid, inner_strength=inner_strength, device=device, cores=cores)
@@ -172,7 +172,7 @@ class ParticleBody:
     def solve(
         self, load_N: Array, *, tolerance: float = TOLERANCE, limit: int = 200, cold: bool = False,
         start_m: Array | None = None,
-    ) -> Solution:  # fmt: skip
+    ) -> ParticleSolution:  # fmt: skip
         """Displacement under nodal forces [N], shape (n, 3).
 
         Parameters
@@ -191,7 +191,7 @@ class ParticleBody:
         held = self.supports.displacement_m
         lost = (load_N != 0.0) & ~self.carrying[:, None] & ~self.supports.fixed
         if not self.cells.live.any() or lost.any():
-            return Solution(held.copy(), SolverOutcome.UNSUPPORTED, 0, np.inf, 1.0)
+            return ParticleSolution(held.copy(), SolverOutcome.UNSUPPORTED, 0, np.inf, 1.0)
         load = (load_N - self.product(held) if held.any() else load_N) * self._free
         guess = held if cold else self.displacement_m if start_m is None else start_m
         if self._iterations_fresh == 0:
@@ -206,7 +206,7 @@ class ParticleBody:
         moved = found.displacement_m + held
         if found.converged:
             self.displacement_m = moved
-        return Solution(moved, found.outcome, found.iterations, found.error, found.residual)
+        return ParticleSolution(moved, found.outcome, found.iterations, found.error, found.residual)
 
     def _precondition(self, residual: Array) -> Array:
         return self._hierarchy(residual) * self._free

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.solver import Solution
+from tissue.models.tooth.solver import ParticleSolution
 
 __all__ = ["SupportCompliance", "rigid_motions", "support_compliance"]
 
@@ -32,7 +32,7 @@ class SupportCompliance:
 
     matrix: Array
     reference_m: Array
-    solutions: tuple[Solution, ...]
+    solutions: tuple[ParticleSolution, ...]
     asymmetry: float
 
     @property

@@ -17,7 +17,7 @@ from tissue.models.tooth.grid import HexGrid
 from tissue.models.tooth.ligament import bed_springs, bed_stiffness
 from tissue.models.tooth.particles import FULL_STEPS, ParticleSet
 from tissue.models.tooth.stress import cell_stress
-from tissue.models.tooth.supports import Supports
+from tissue.models.tooth.supports import NodeSupports
 
 __all__ = ["SolveRecord", "StressField"]
 
@@ -92,7 +92,7 @@ class StressField:
         grid = HexGrid.around(particles.position_m, edge_m=cell_m, origin_m=origin)
         springs = _ligament_springs(tooth, solid, grid, ligament_thickness_m)
         self.body = ParticleBody(
-            particles, grid, Supports.of(grid.node_count, spring_N_m=springs), device=device, cores=cores
+            particles, grid, NodeSupports.of(grid.node_count, spring_N_m=springs), device=device, cores=cores
         )
         weights = np.zeros(grid.node_count)
         np.add.at(weights, grid.cell_nodes, (self.body.cells.fill * cell_m**3 / 8.0)[:, None])

@@ -8,7 +8,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from tissue.models.tooth.grid import HexGrid
-from tissue.models.tooth.supports import Supports
+from tissue.models.tooth.supports import NodeSupports
 
 __all__ = ["supported_cells"]
 
@@ -17,7 +17,7 @@ LEAST_RESTRAINT = 1e-9
 three corners of a cell 1e-2."""
 
 
-def supported_cells(grid: HexGrid, filled: NDArray[np.bool_], supports: Supports) -> NDArray[np.bool_]:
+def supported_cells(grid: HexGrid, filled: NDArray[np.bool_], supports: NodeSupports) -> NDArray[np.bool_]:
     """Cells of ``filled``, shape (c,), that a support holds against all six rigid motions.
 
     Cells that share a face move together. A part made of such cells is carried if its supports, and the nodes it shares

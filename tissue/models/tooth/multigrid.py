@@ -17,7 +17,7 @@ from kernels.node_blocks import first_residuals, first_sweep, sweep_colour
 from tissue.models.tooth.blocks import NodeBlocks
 from tissue.models.tooth.grid import CORNERS, NEIGHBOURS, HexGrid
 from tissue.models.tooth.stiffness import CellStiffness
-from tissue.models.tooth.supports import Supports
+from tissue.models.tooth.supports import NodeSupports
 
 __all__ = ["GridHierarchy"]
 
@@ -32,7 +32,7 @@ class GridLevel:
     """One grid: its rows, its vectors, and the launches of a V-cycle on it."""
 
     def __init__(
-        self, grid: HexGrid, supports: Supports, *, cell_nodes: Any, node_cells: Any, live: Any, stiffness: Any,
+        self, grid: HexGrid, supports: NodeSupports, *, cell_nodes: Any, node_cells: Any, live: Any, stiffness: Any,
         device: str, cores: int | None,
     ) -> None:  # fmt: skip
         self.grid, self.supports, self.device, self.cores = grid, supports, device, cores
@@ -86,7 +86,7 @@ class GridLevel:
         live = wp.zeros(coarse_grid.cell_count, dtype=wp.uint8, device=device)
         stiffness = wp.zeros((coarse_grid.cell_count, 36), dtype=wp.mat33d, device=device)
         coarse = GridLevel(
-            coarse_grid, Supports.of(coarse_grid.node_count), cell_nodes=on(coarse_grid.cell_nodes, wp.int32),
+            coarse_grid, NodeSupports.of(coarse_grid.node_count), cell_nodes=on(coarse_grid.cell_nodes, wp.int32),
             node_cells=on(coarse_grid.node_cells, wp.int32), live=live, stiffness=stiffness, device=device,
             cores=self.cores,
         )  # fmt: skip
@@ -127,7 +127,7 @@ class GridHierarchy:
         The body's stiffness on its grid, and what holds it.
     """
 
-    def __init__(self, cells: CellStiffness, supports: Supports) -> None:
+    def __init__(self, cells: CellStiffness, supports: NodeSupports) -> None:
         level = GridLevel(
             cells.grid, supports, cell_nodes=cells.cell_nodes_on, node_cells=cells.node_cells_on, live=cells.live_on,
             stiffness=cells.stiffness, device=cells.device, cores=cells.cores,

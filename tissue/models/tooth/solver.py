@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tissue.fem.outcome import SolverOutcome
 
-__all__ = ["Solution", "conjugate_gradients"]
+__all__ = ["ParticleSolution", "conjugate_gradients"]
 
 Array = NDArray[np.float64]
 LEAST_SHARE = 1e-13
@@ -19,7 +19,7 @@ tooth of 1e5 nodes in a ligament a million times softer has 1e-8."""
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class ParticleSolution:
     """Displacement and how it was reached.
 
     Attributes
@@ -57,7 +57,7 @@ def conjugate_gradients(
     start_m: Array,
     tolerance: float,
     limit: int,
-) -> Solution:
+) -> ParticleSolution:
     """Solve ``K u = f`` for a symmetric positive definite K.
 
     Stops where the error's energy norm is below ``tolerance`` times ``sqrt(u . f)``, that of the solution. It is taken
@@ -87,7 +87,7 @@ def conjugate_gradients(
     residual = load_N - product(displacement) if displacement.any() else load_N.copy()
     load_norm = np.sqrt(dot(load_N, load_N))
     if load_norm == 0.0:
-        return Solution(np.zeros_like(load_N), SolverOutcome.CONVERGED, 0, 0.0, 0.0)
+        return ParticleSolution(np.zeros_like(load_N), SolverOutcome.CONVERGED, 0, 0.0, 0.0)
     by_diagonal = np.divide(1.0 / 24.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0.0)
     before, step, last_slope, outcome, error = residual, np.zeros_like(load_N), 1.0, SolverOutcome.NOT_CONVERGED, np.inf
     iteration = 0
@@ -118,7 +118,7 @@ def conjugate_gradients(
         before, last_slope = residual, slope
         residual = residual - length * along
         iteration += 1
-    return Solution(displacement, outcome, iteration, float(error), float(left))
+    return ParticleSolution(displacement, outcome, iteration, float(error), float(left))
 
 
 def dot(a: Array, b: Array) -> float:

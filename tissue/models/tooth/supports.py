@@ -5,14 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Supports"]
+__all__ = ["NodeSupports"]
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Supports:
-    """Supports of the nodes of a grid, component by component.
+class NodeSupports:
+    """NodeSupports of the nodes of a grid, component by component.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Supports:
         held: NDArray[np.bool_] | None = None,
         displacement_m: Array | None = None,
         spring_N_m: Array | float = 0.0,
-    ) -> "Supports":
+    ) -> "NodeSupports":
         """Hold whole nodes (``held``, shape (n,)) or components (shape (n, 3)), and spring any of them."""
         fixed = np.zeros((node_count, 3), dtype=np.bool_)
         if held is not None:
