@@ -134,3 +134,17 @@ def test_every_dependency_has_its_reasons():
     rows = re.findall(r"^\| ([^|]+) \|", (ROOT / "docs/decisions.md").read_text("utf-8"), re.MULTILINE)
     named = {name for row in rows for name in row.split(", ")}
     assert {re.split(r"[>=<]", name)[0] for name in wanted} == named - {"package"}
+
+
+def test_the_newest_changes_and_the_citation_are_of_this_version():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    changes, citation = ((ROOT / name).read_text("utf-8") for name in ("CHANGELOG.md", "CITATION.cff"))
+    version, date = re.search(r"^## \[(\d+\.\d+\.\d+)\] - (\d{4}-\d\d-\d\d)$", changes, re.MULTILINE).groups()
+    assert version == project["version"]
+    assert f"\nversion: {version}\n" in citation and f"\ndate-released: {date}\n" in citation
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_package_carries_its_types(package):
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+    assert (ROOT / package / "py.typed").is_file() and "py.typed" in project["tool"]["setuptools"]["package-data"]["*"]

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from tissue.simulation.run import Run
     from tissue.simulation.run_folder import SavedRun
 
+    __version__: str
+
 __all__ = ["InputError", "Run", "SavedRun", "Scene", "load_scene", "scene_names", "scene_text", "simulate"]
 
 _HOMES = {
@@ -46,6 +48,10 @@ def _require_siblings() -> None:
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from meshes.base.file_version import package_version  # reads a file
+
+        return package_version()
     if name in _HOMES:
         return getattr(import_module(_HOMES[name]), name)
     raise AttributeError(f"module 'tissue' has no attribute {name!r}")

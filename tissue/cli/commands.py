@@ -5,6 +5,7 @@ from tissue.cli.calibrate import calibrate
 from tissue.cli.chart import chart
 from tissue.cli.run import run
 from tissue.cli.scenes import scenes
+from tissue.cli.schema import schema
 from tissue.cli.stability import stability
 from tissue.cli.study import study
 from tissue.cli.train import train
@@ -12,5 +13,5 @@ from tissue.cli.view import view
 
 __all__ = ["COMMANDS"]
 
-COMMANDS = (run, scenes, view, stability, calibrate, assess, train, chart, study)
+COMMANDS = (run, scenes, view, stability, calibrate, assess, train, chart, study, schema)
 """In the order in which help lists them."""

@@ -3,7 +3,6 @@
 import errno
 import sys
 from contextlib import suppress
-from importlib.metadata import version
 from pathlib import Path
 from typing import NoReturn
 
@@ -18,7 +17,9 @@ from cyclopts import (
     UnusedCliTokensError,
 )
 
+import tissue
 from tissue.cli.commands import COMMANDS
+from tissue.cli.completion import completion_command
 from tissue.cli.terminal import problems
 from tissue.system.child import HelperLostError
 from tissue.system.stopping import Terminated, terminated_as_exception
@@ -33,13 +34,14 @@ def _default(value: object) -> str | None:
 
 app = App(
     name="tissue",
-    version=lambda: version("tissue-sim"),  # read only when asked for
+    version=lambda: tissue.__version__,  # read only when asked for
     help="Simulate cutting bone, drilling teeth and pressing soft organs.",
     suppress_keyboard_interrupt=False,
     default_parameter=Parameter(show_default=_default),
 )
 for command in COMMANDS:
     app.command(command)
+app.command(completion_command(app), name="--install-completion")
 
 BAD_INPUT = 2
 """Exit code for anything a person can mend by other input."""

@@ -15,10 +15,11 @@ def scenes(name: str | None = None, /) -> None:
     name
         Scene to print.
     """
-    from tissue.scene.load import load_scene, scene_names, scene_text
+    from tissue.scene.load import load_scene, scene_names
+    from tissue.scene.schema import scene_for_editors
 
     if name is not None:
-        sys.stdout.write(scene_text(name))
+        sys.stdout.write(scene_for_editors(name))
         return
     for each in scene_names():
         console.print(f"[bold]{each:<12}[/bold] {load_scene(each).description}", soft_wrap=True, markup=True)

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
+import tissue
 from tissue import SavedRun
 from tissue.scene.load import scene_names, scene_text
 from tissue.simulation.trace import TraceWriter
@@ -142,7 +143,7 @@ def test_a_motion_without_end_is_refused(refused, here):
         (("run", "milling", "glenoid"), "tissue run must be given nothing more, got glenoid: see `tissue run --help`"),
         (
             ("ruin", "milling"),
-            "command must be one of run, scenes, view, stability, calibrate, assess, train, chart, study, got ruin (did you mean run?): see `tissue --help`",
+            "command must be one of run, scenes, view, stability, calibrate, assess, train, chart, study, schema, got ruin (did you mean run?): see `tissue --help`",
         ),
         (
             ("run", "milling", "--overwite"),
@@ -379,6 +380,7 @@ def test_scenes_are_listed_and_printed(command, here):
 def test_the_version_is_that_of_the_project(command):
     project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text("utf-8"))["project"]
     assert command("--version") == (0, f"{project['version']}\n", "")
+    assert tissue.__version__ == project["version"]
 
 
 def test_help_lists_every_option(command):

@@ -1,0 +1,117 @@
+"""`tissue schema`, and the line by which an editor finds it."""
+
+import json
+import tomllib
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
+
+import pytest
+
+from meshes.base.errors import InputError
+from tissue.scene.load import load_scene, saved_text, scene_names, scene_text
+
+
+def part_of(entry, table, defs):
+    """The part of the schema that an entry leads to; of several the one of the table's kind."""
+    if "properties" in entry:
+        return entry
+    links = [each["$ref"] for each in (entry, *entry.get("anyOf", ()), *entry.get("oneOf", ())) if "$ref" in each]
+    parts = [defs[link.split("/")[-1]] for link in links]
+    kinds = [part["properties"].get("kind", {}) for part in parts]
+    fitting = [
+        part
+        for part, kind in zip(parts, kinds, strict=True)
+        if table.get("kind") in kind.get("enum", [kind.get("const")])
+    ]
+    assert len(fitting) == 1, (entry, table.get("kind"))
+    return fitting[0]
+
+
+def stated(table, entry, defs, where):
+    """Check that all entries of a table stand in its part of the schema, described, and no others may."""
+    part = part_of(entry, table, defs)
+    assert part["additionalProperties"] is False and part["description"], where
+    for name, value in table.items():
+        inner = part["properties"][name]
+        if isinstance(value, dict):
+            stated(value, inner, defs, f"{where}.{name}")
+        else:
+            assert inner["description"], f"{where}.{name}"
+
+
+def test_the_schema_states_every_key_of_the_scenes(command):
+    code, said, _ = command("schema")
+    schema = json.loads(said)
+    assert code == 0 and schema["additionalProperties"] is False
+    for name in scene_names():
+        for text in (scene_text(name), saved_text(load_scene(name))):
+            stated(tomllib.loads(text), schema, schema["$defs"], name)
+
+
+def test_the_ranges_of_the_schema_are_those_that_scenes_are_held_to(command):
+    schema = json.loads(command("schema")[1])
+    tool, numbers = schema["$defs"]["Tool"]["properties"], 0
+    for name, entry in tool.items():
+        most = entry.get("maximum")
+        if most is not None:
+            numbers += 1
+            with pytest.raises(InputError, match=rf"tool\.{name} must be .*at most {most:g}"):
+                load_scene("milling", {f"tool.{name}": type(most)(2 * most)})
+    assert numbers > 3
+    assert set(schema["properties"]["device"]["enum"]) >= {"none", "touch"}
+
+
+def test_the_schema_is_written_to_a_file_and_kept_unless_it_may_be_replaced(command, refused, tmp_path):
+    path = tmp_path / "scene.json"
+    assert command("schema", "--out", path) == (0, f"wrote {path}\n", "")
+    assert path.read_text("utf-8") == command("schema")[1]
+    assert refused("schema", "--out", path) == (
+        f"out must not exist yet, got {path}: pass --overwrite or choose another --out"
+    )
+    path.write_text("{}")
+    assert command("schema", "--out", path, "--overwrite")[0] == 0
+    assert json.loads(path.read_text("utf-8"))["title"] == "Scene"
+
+
+def test_bad_use_of_the_schema_is_refused(refused, tmp_path):
+    assert refused("schema", "--overwrite") == (
+        "--overwrite must be left out where the schema is printed, got it: give --out or leave it out"
+    )
+    assert refused("schema", "glenoid") == (
+        "tissue schema must be given nothing more, got glenoid: see `tissue schema --help`"
+    )
+    (tmp_path / "file").write_text("")
+    for folder in (tmp_path / "file", tmp_path / "none"):
+        path = folder / "scene.json"
+        assert refused("schema", "--out", path) == (
+            f"out must lie in a folder that exists, got {path}: create {folder}"
+        )
+    assert refused("schema", "--out", tmp_path).startswith("out must not exist yet, got")
+
+
+@pytest.mark.parametrize("name", scene_names())
+def test_a_printed_scene_names_a_schema_that_is_there_and_loads_unchanged(command, monkeypatch, tmp_path, name):
+    cache = tmp_path / "a cache, with ü"
+    monkeypatch.setenv("TISSUE_CACHE", str(cache))
+    _, said, _ = command("scenes", name)
+    first, rest = said.split("\n", 1)
+    keyword, url = first.split(" ", 1)
+    assert keyword == "#:schema" and " " not in url and urlsplit(url).scheme == "file"
+    with open(url2pathname(urlsplit(url).path), encoding="utf-8") as schema:
+        assert schema.read() == command("schema")[1]
+    assert rest == scene_text(name)
+    (tmp_path / "mine.toml").write_text(said, "utf-8")
+    assert load_scene(tmp_path / "mine.toml") == load_scene(name)
+
+
+def test_an_outdated_schema_in_the_cache_is_written_again(command, monkeypatch, tmp_path):
+    monkeypatch.setenv("TISSUE_CACHE", str(tmp_path))
+    (tmp_path / "scene.schema.json").write_text("{}")
+    command("scenes", "milling")
+    assert json.loads((tmp_path / "scene.schema.json").read_text("utf-8"))["title"] == "Scene"
+
+
+def test_a_scene_is_printed_without_the_line_where_the_cache_cannot_be_written(command, monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("TISSUE_CACHE", str(tmp_path / "file"))
+    assert command("scenes", "milling") == (0, scene_text("milling"), "")

@@ -1,0 +1,43 @@
+"""``tissue --install-completion``."""
+
+from collections.abc import Callable
+from typing import Literal
+
+from cyclopts import App
+
+from tissue.cli.terminal import console
+
+__all__ = ["completion_command"]
+
+Shell = Literal["bash", "zsh", "fish"]
+SHELLS: dict[str, Shell] = {"bash": "bash", "zsh": "zsh", "fish": "fish"}
+
+
+def completion_command(app: App) -> Callable[..., None]:
+    """The command that installs the completion of an application in the shell of the user."""
+
+    def install_completion(*, shell: str | None = None) -> None:
+        """Install the completion of commands and options in a shell.
+
+        Parameters
+        ----------
+        shell
+            bash, zsh or fish; without it the one in use.
+        """
+        from cyclopts.completion.detect import ShellDetectionError, detect_shell
+
+        from meshes.base.errors import InputError
+        from tissue.scene.messages import nearest
+
+        if (chosen := shell) is None:
+            try:
+                chosen = detect_shell()
+            except ShellDetectionError:
+                chosen = "one that is not recognised"
+        if chosen not in SHELLS:
+            close = nearest(chosen, list(SHELLS)) if shell else ""
+            raise InputError(f"--shell must be one of {', '.join(SHELLS)}, got {chosen}{close}: choose one of these")
+        path = app.install_completion(shell=SHELLS[chosen])
+        console.print(f"wrote {path}: open a new {chosen} to use it", soft_wrap=True)
+
+    return install_completion

@@ -1,0 +1,35 @@
+"""``tissue schema``."""
+
+import sys
+from pathlib import Path
+
+from tissue.cli.terminal import console, left_out
+
+__all__ = ["schema"]
+
+
+def schema(*, out: Path | None = None, overwrite: bool = False) -> None:
+    """Print the JSON schema of scenes, by which an editor completes and checks their keys.
+
+    Parameters
+    ----------
+    out
+        File to write it to instead.
+    overwrite
+        Replace that file if it is there.
+    """
+    from meshes.base.errors import InputError
+    from meshes.base.whole_file import whole_file
+    from tissue.scene.schema import schema_text
+    from tissue.system.outputs import require_new_file
+
+    if out is None:
+        left_out("where the schema is printed", "give --out or leave it out", overwrite=overwrite)
+        sys.stdout.write(schema_text())
+        return
+    require_new_file(out, overwrite=overwrite)
+    if not out.parent.is_dir():
+        raise InputError(f"out must lie in a folder that exists, got {out}: create {out.parent}")
+    with whole_file(out) as beside:
+        beside.write_text(schema_text(), "utf-8")
+    console.print(f"wrote {out}", soft_wrap=True)
