@@ -19,7 +19,7 @@ __all__ = ["calibrate"]
 
 
 TRIALS, NUMBERS = 120, 24
-"""Comparisons, and forces that are given a number, in a session where nobody says."""
+"""Comparisons, and forces that are given a number, in a session that states no others."""
 
 
 def calibrate(
@@ -73,8 +73,8 @@ def calibrate(
 
         target = out or Path("population.json")
         with output_locked(target, folder=False):
-            said = fit_population(population, target, seed=seed, overwrite=overwrite, progress=problems.is_terminal)
-        for line in said:
+            lines = fit_population(population, target, seed=seed, overwrite=overwrite, progress=problems.is_terminal)
+        for line in lines:
             console.print(line, soft_wrap=True, highlight=False)
         return
     from tissue.evaluation.calibration.run_session import questioner
@@ -118,7 +118,7 @@ def _show(line: str) -> None:
 
 
 def _ask_all(log: "TrialLog", answer: "Answer", *, live: bool) -> None:
-    """Ask what is left; a stop says how to go on."""
+    """Ask what is left; a stop prints how to go on."""
     from rich.live import Live
 
     from tissue.evaluation.calibration.intervals import StoppedError

@@ -28,7 +28,7 @@ __all__ = ["app", "main"]
 
 
 def _default(value: object) -> str | None:
-    """What help tells as a default: nothing where nothing is given, or of a switch that is off."""
+    """What help shows as a default: nothing where nothing is given, or of a switch that is off."""
     return None if value is None or value is False or value == () else str(value)
 
 
@@ -65,20 +65,22 @@ def main() -> NoReturn:
     except OSError as error:
         if error.errno not in FULL + CLOSED:
             raise
-        what, remedy = ("have room", "free some space or choose") if error.errno in FULL else ("be writable", "choose")
+        required, remedy = (
+            ("have room", "free some space or choose") if error.errno in FULL else ("be writable", "choose")
+        )
         where = f" at {error.filename}" if error.filename else ""
         place, other = _place(error.filename)
-        _refuse(f"{place} must {what}, got {(error.strerror or '').lower()}{where}: {remedy} {other}")
+        _refuse(f"{place} must {required}, got {(error.strerror or '').lower()}{where}: {remedy} {other}")
     except HelperLostError as lost:
         _refuse(f"{lost}: run it again", code=1)
     except KeyboardInterrupt as stopped:
         seen = ", see `tissue view`" if sys.argv[1:2] == ["run"] else ""
-        said = (
+        sentence = (
             next(filter(lambda each: isinstance(each, str), stopped.args), "")
             or f"stopped: what was written so far is kept{seen}"
         )
         with suppress(OSError):  # such as a terminal that was closed
-            problems.print(said, highlight=False, soft_wrap=True)
+            problems.print(sentence, highlight=False, soft_wrap=True)
         sys.exit(stopped.exit_code if isinstance(stopped, Terminated) else 130)
     sys.exit(0)
 

@@ -41,7 +41,7 @@ def run(
     seed
         Seed of every random draw.
     duration_s
-        Simulated time in seconds; one that holds the whole motion is longer by what a hand is late, under 1 s.
+        Simulated time in seconds; one that holds the whole motion is longer by the hand's reaction time, under 1 s.
     set_
         KEY=VALUE, replaces an entry of the scene, such as voxels.spacing_mm=0.2; may be repeated.
     fidelity
@@ -59,7 +59,7 @@ def run(
     overwrite
         Replace the run that the folder already holds.
     allow_unstable
-        Run a device whose coupling is judged unstable, too.
+        Run a device whose coupling is unstable, too.
     """
     from tissue.scene.load import load_scene, parse_override
     from tissue.simulation.formats import check_formats
@@ -98,10 +98,10 @@ def run(
 
         # No progress bar: what draws it takes the interpreter from the ticks.
         console.print(f"live: {moved_by(loaded)[1]}; Ctrl-C ends it", soft_wrap=True, highlight=False)
-        with _stopping_told(folder):
+        with _naming_stop(folder):
             finished = public_call(simulate_live)(loaded, duration_s=duration_s, **settings)
         simulated = perf_counter()
-    with _stopping_told(folder), progress() as report:
+    with _naming_stop(folder), progress() as report:
         if not live:
             report("starting Warp", 0.0)
             from tissue.api import simulate
@@ -117,8 +117,8 @@ def run(
 
 
 @contextmanager
-def _stopping_told(folder: Path) -> Iterator[None]:
-    """Let Ctrl-C or SIGTERM say so where the run in that folder has not been begun: what it held is as it was."""
+def _naming_stop(folder: Path) -> Iterator[None]:
+    """Add to Ctrl-C or SIGTERM that nothing was written, where the folder is as it was before the run."""
     before = _written(folder)
     try:
         yield

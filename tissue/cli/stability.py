@@ -20,10 +20,10 @@ def stability(
     only: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Say whether a scene's device is stable in its hand; without a scene, show where every method fails.
+    """Report the stability of a scene's device and operator; without a scene, show where every method fails.
 
-    With a scene: the verdict on its coupling, and a map of stiffness against damping and delay. Without one: the atlas,
-    one page for every method, taken to where it fails and past it, in two minutes or so.
+    With a scene: whether its coupling is stable, and a map of stiffness against damping and delay. Without one: the
+    atlas, one page for every method, taken to where it fails and past it, in two minutes or so.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def stability(
 
 
 def _atlas(folder: Path, only: tuple[str, ...], *, overwrite: bool) -> None:
-    """Make the atlas and say what every page shows."""
+    """Make the atlas and report what every page shows."""
     with output_locked(folder, folder=True), progress() as report:
         report("loading methods", 0.0)
         from tissue.evaluation.atlas.atlas import chosen_pages, write_atlas

@@ -11,7 +11,7 @@ from tissue.system.output_lock import output_locked
 
 __all__ = ["study"]
 
-study = App(name="study", help="Compare ways to render force over many trials, and say what they show.")
+study = App(name="study", help="Compare methods of rendering force over many trials, and report what they show.")
 QUIET_S = 30.0
 """Time between two lines about how far a study is, where there is no terminal for a bar [s]."""
 Names = Annotated[tuple[str, ...], Parameter(negative="", consume_multiple=True)]
@@ -75,8 +75,8 @@ def run(
         trial = run_trial(plan, TrialKey.named(only))
         console.print(f"{only}, seed {trial.seed}, {trial.took_s:.1f} s", highlight=False)
         for row in trial.rows:
-            told = ", ".join(f"{name} {each if isinstance(each, str) else f'{each:.6g}'}" for name, each in row.items())
-            console.print(told, soft_wrap=True, highlight=False)
+            line = ", ".join(f"{name} {each if isinstance(each, str) else f'{each:.6g}'}" for name, each in row.items())
+            console.print(line, soft_wrap=True, highlight=False)
         return
     out = out or Path("studies/paper")
     wanted = list(plan.all_trials())

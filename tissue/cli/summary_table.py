@@ -23,7 +23,9 @@ def print_summary(console: Console, summary: dict[str, Any], folder: Path, *, wa
     table.add_row("missed 1 ms deadlines", f"{summary['missed_deadlines']} of {summary['simulated_s'] * 1e3:.0f}")
     if "late_us" in summary:
         late = summary["late_us"]
-        table.add_row("late, median / 99 % / max", f"{late['median']:.0f} / {late['p99']:.0f} / {late['max']:.0f} µs")
+        table.add_row(
+            "delay of ticks, median / 99 % / max", f"{late['median']:.0f} / {late['p99']:.0f} / {late['max']:.0f} µs"
+        )
         table.add_row("wall clock skipped", f"{summary['skipped_ms']:.1f} ms")
     table.add_row("writing files and pictures", f"{saving_s:.1f} s")
     console.print(table)

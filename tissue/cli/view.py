@@ -45,5 +45,5 @@ def view(
 
     chosen: dict[str, Any] = {"hide": hide, "field": field, "scale": scale, "time_s": time_s}
     with nullcontext() if movie is None else progress() as report:
-        said = show(folder, screenshot=screenshot, movie=movie, progress=report, **chosen)
-    console.print(said, soft_wrap=True, highlight=False)
+        shown = show(folder, screenshot=screenshot, movie=movie, progress=report, **chosen)
+    console.print(shown, soft_wrap=True, highlight=False)

@@ -161,7 +161,7 @@ def test_the_command_runs_live_without_a_display(no_display, command, here):
     code, said, _ = command("run", "wall", "--live", "--duration-s", "0.3", "--no-pictures", "--out", "run")
     assert code == 0
     assert said.startswith("live: no window, for there is no display: a simulated expert moves it; Ctrl-C ends it")
-    assert "late, median / 99 % / max" in said and "wall clock skipped" in said
+    assert "delay of ticks, median / 99 % / max" in said and "wall clock skipped" in said
     saved = SavedRun(here / "run")
     assert saved.complete and len(saved.trace.rows) == 300
     timing = np.loadtxt(here / "run" / "timing.csv", delimiter=",", skiprows=1)

@@ -301,7 +301,7 @@ def test_a_person_presses_the_wall_with_mouse_wheel_and_keys(started, display):
     saved = SavedRun(out)
     assert saved.complete and saved.summary["notes"]["live"].startswith("the mouse moves the tool in a window")
     assert saved.summary["force_N"]["peak"] > 0.5 and "skipped_ms" in saved.summary
-    assert "late, median / 99 % / max" in said
+    assert "delay of ticks, median / 99 % / max" in said
     assert not any("by itself" in event["what"] for event in saved.summary["events"])
 
 
