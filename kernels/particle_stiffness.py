@@ -43,7 +43,7 @@ def particle_stiffness(
     offset: int,
     # out
     stiffness_out: wp.array2d(dtype=wp.mat33d),  # [cell, block] [N/m]
-    fill_out: wp.array(dtype=wp.float64),  # [cell], volume of its particles over its diagonal
+    fill_out: wp.array(dtype=wp.float64),  # [cell], volume of its particles over its own
 ):
     """Sum the stiffness of the changed cells over their particles, upper triangle first, then mirrored."""
     cell = changed[wp.tid() + offset]

@@ -193,9 +193,9 @@ def solve_contact(
         worst = wp.float64(0.0)
         largest = wp.float64(0.0)
         for k in range(lists.count[1]):
-            step, direction = turn_of(body, points, patch, kind, size, pose, friction, lists.working[k])
+            step, moved = turn_of(body, points, patch, kind, size, pose, friction, lists.working[k])
             worst = wp.max(worst, step)
-            largest = wp.max(largest, direction)
+            largest = wp.max(largest, moved)
         if worst <= tolerance * largest:
             sum_loads(body, points, lists, patch)
             joined, missing = join_touching(body, points, lists, patch, kind, size, pose, missing)

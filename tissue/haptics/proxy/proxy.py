@@ -16,8 +16,23 @@ import warp as wp
 from numpy.typing import NDArray
 
 from kernels.mirror import Mirror
-from kernels.proxy import REPORT, STATE, advance_proxy
+from kernels.proxy import (
+    CENTRE,
+    CONVERGED,
+    FORCE,
+    MOMENT,
+    POSITION,
+    PRESSING,
+    REPORT,
+    ROTATION,
+    SOLVES,
+    STATE,
+    STEPS,
+    TRAVEL,
+    advance_proxy,
+)
 from kernels.proxy_contacts import VOXEL_PLANES, Contacts, Shell
+from kernels.proxy_descent import DescentSettings
 from kernels.proxy_forces import MEMBERS
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.haptics.proxy.tool_shell import ToolShell
@@ -32,6 +47,11 @@ STEP_VOXELS = 0.5
 """Longest step beside voxels [voxel]."""
 TOLERANCE_M, TOLERANCE_VOXELS = 1e-12, 1e-3
 """Step below which the proxy has settled: rounding beside exact solids, a thousandth voxel beside voxels."""
+_POSITION = slice(POSITION, POSITION + 3)
+_ROTATION = slice(ROTATION, ROTATION + 4)
+_FORCE = slice(FORCE, FORCE + 3)
+_MOMENT = slice(MOMENT, MOMENT + 3)
+_CENTRE = slice(CENTRE, CENTRE + 3)
 _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 
 
@@ -124,22 +144,23 @@ class Proxy:
         tool: Any = Shell()
         tool.point = wp.array(shell.points_m - field.sink_m * shell.normals, dtype=wp.vec3d, device=device)
         tool.radius, tool.reach = shell.radius_m, shell.reach_m
-        self._goal = Mirror(7, dtype=wp.float64, device=device)
+        settings: Any = DescentSettings()
+        settings.compliance, settings.friction = compliance, friction
+        settings.step, settings.tolerance = step, tolerance
+        settings.step_limit, settings.solve_limit = step_limit, solve_limit
+        self._goal = Mirror(TRAVEL, dtype=wp.float64, device=device)
         self._state = Mirror(STATE, dtype=wp.float64, device=device)
         self._report = Mirror(REPORT, dtype=wp.float64, device=device)
-        self._goal.host[3:] = self._state.host[3:7] = _IDENTITY
+        self._goal.host[_ROTATION] = self._state.host[_ROTATION] = _IDENTITY
         self._field = field  # its arrays are read by the recorded launch
         self._launch: Any = wp.launch(
             advance_proxy,
             dim=1,
-            inputs=[
-                field.arrays, tool, self._contacts, compliance, friction, step, tolerance, step_limit, solve_limit,
-                self._goal.device,
-            ],
+            inputs=[field.arrays, tool, self._contacts, settings, self._goal.device],
             outputs=[self._state.device, self._report.device],
             device=device,
             record_cmd=True,
-        )  # fmt: skip
+        )
         self.result = ProxyResult(np.zeros(3), _IDENTITY.copy(), np.zeros(3), np.zeros(3), np.zeros(3))
 
     def place(self, position_m: Array, quaternion: Array = _IDENTITY) -> ProxyResult:
@@ -151,7 +172,8 @@ class Proxy:
             If a number is not finite or the tool would lie in something.
         """
         self._aim(position_m, quaternion)
-        self._state.host[:7], self._state.host[7] = self._goal.host, 0.0
+        self._state.host[:TRAVEL] = self._goal.host
+        self._state.host[TRAVEL] = 0.0
         self._state.push()
         self._report.host[:] = 0.0
         self._report.push()
@@ -185,8 +207,8 @@ class Proxy:
                 f"the device's pose must be finite, got {position_m} m, {quaternion}: hold the last pose and ramp the "
                 "force to zero"
             )
-        self._goal.host[:3] = position_m
-        self._goal.host[3:] = quaternion
+        self._goal.host[_POSITION] = position_m
+        self._goal.host[_ROTATION] = quaternion
         self._goal.push()
 
     def _run(self) -> None:
@@ -194,18 +216,19 @@ class Proxy:
         self._launch.launch()
         self._state.pull()
         self._report.pull()
-        state, result = self._state.host, self.result
-        converged, contacts, steps, solves = self._report.host[:4].tolist()
-        result.position_m[:] = state[:3]
-        result.quaternion[:] = state[3:7]
-        result.push_m[:] = self._report.host[5:8]
-        result.push_moment_m2[:] = self._report.host[8:11]
-        result.arm_m[:] = self._report.host[11:14]
-        result.contacts, result.steps, result.solves = int(contacts), int(steps), int(solves)
-        if converged == 0.0:
+        state, report, result = self._state.host, self._report.host, self.result
+        result.position_m[:] = state[_POSITION]
+        result.quaternion[:] = state[_ROTATION]
+        result.push_m[:] = report[_FORCE]
+        result.push_moment_m2[:] = report[_MOMENT]
+        result.arm_m[:] = report[_CENTRE]
+        result.contacts = int(report[PRESSING])
+        result.steps = int(report[STEPS])
+        result.solves = int(report[SOLVES])
+        if report[CONVERGED] == 0.0:
             result.outcome = ProxyOutcome.BEHIND
         else:
-            result.outcome = ProxyOutcome.CONTACT if contacts else ProxyOutcome.FREE
+            result.outcome = ProxyOutcome.CONTACT if result.contacts else ProxyOutcome.FREE
 
 
 def _contacts(points: int, field: ContactField, *, device: str) -> Contacts:
