@@ -12,8 +12,8 @@ Run: python examples/11_feel_the_layer.py
 import numpy as np
 
 import tissue
+from tissue.evaluation.calibration.force_discrimination import calibrated_commands, gain_of, share_right, stimulus_of
 from tissue.evaluation.calibration.simulated_observer import SimulatedObservers, draw_observers
-from tissue.evaluation.calibration.told_apart import calibrated_commands, gain_of, share_right, stimulus_of
 from tissue.haptics.hand.hand import GROUPS
 from tissue.perception.population import reference_observer
 

@@ -14,8 +14,14 @@ from time import perf_counter
 import numpy as np
 from harness import cost_of, machine, table
 
+from tissue.evaluation.calibration.force_discrimination import (
+    Stimulus,
+    calibrated_commands,
+    gain_of,
+    share_right,
+    stimulus_of,
+)
 from tissue.evaluation.calibration.simulated_observer import SimulatedObservers, draw_observers
-from tissue.evaluation.calibration.told_apart import Stimulus, calibrated_commands, gain_of, share_right, stimulus_of
 from tissue.haptics.hand.hand import GROUPS
 from tissue.haptics.loop.filters import ForceRange
 from tissue.perception.adaptive import AdaptiveThreshold, ThresholdPrior, comparisons

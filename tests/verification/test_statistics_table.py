@@ -233,7 +233,7 @@ LONE = {"groups": ("novice",), "users": 1}
 REFUSED = {
     "no rows": (lambda: TrialTable.from_rows([]), "rows must hold at least one trial, got none"),
     "no seed": (lambda: TrialTable.from_rows([{"task": "wall"}]), "rows must each hold .* got one without group"),
-    "twice": (lambda: TrialTable.from_rows(rows_of()[:1] * 2), "trial must stand once a method, got task milling, group expert"),
+    "twice": (lambda: TrialTable.from_rows(rows_of()[:1] * 2), "trial must be given once a method, got task milling, group expert"),
     "nan": (
         lambda: TrialTable.from_rows([row | {"latency_ms": np.nan} for row in rows_of()]),
         "latency_ms must be finite in a trial that did not fail, got nan in task milling",

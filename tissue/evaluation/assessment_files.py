@@ -37,8 +37,8 @@ def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> lis
         "breaches": [asdict(each) for each in found.breaches],
         "events": [{"time_s": at, "what": what} for at, what in found.events],
     }
-    with whole_file(folder / FILES[0]) as beside:
-        beside.write_text(json.dumps(data, indent=2) + "\n", "utf-8")
+    with whole_file(folder / FILES[0]) as temporary:
+        temporary.write_text(json.dumps(data, indent=2) + "\n", "utf-8")
     draw_assessment(found, folder / FILES[1])
     return [folder / name for name in FILES]
 
@@ -60,23 +60,25 @@ def draw_assessment(found: Assessment, path: Path) -> None:
                 # A breach of a tick or two must still be seen.
                 least = 0.002 * float(time[-1] - time[0])
                 axes.axvspan(breach.start_s, max(breach.end_s, breach.start_s + least), color=SHADE, alpha=0.35, lw=0)
-        beside = {"force": found.reference_force_N, "depth": found.reference_depth_mm}.get(what)
-        if beside is not None:
-            axes.plot(time, beside, color=REFERENCE, linewidth=1.4, label="reference at that place")
+        reference = {"force": found.reference_force_N, "depth": found.reference_depth_mm}.get(what)
+        if reference is not None:
+            axes.plot(time, reference, color=REFERENCE, linewidth=1.4, label="reference at that place")
         axes.plot(time, values, color=TRAINEE, label="trainee")
         axes.axhline(limit, color=LIMIT, linestyle="--", linewidth=1.4, label="limit")
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
         low, high = min(0.0, float(values.min())), max(limit, float(values.max()))
-        low = max(low, -high)  # the way to the tissue would leave no room for the depth in it
+        low = max(low, -high)  # the approach to the tissue would leave no space for the depth in it
         axes.set_ylim(low, high + MARGIN * (high - low))
     panels[2].set(xlabel="time / s", xlim=(float(time[0]), float(time[-1])))
     handles, labels = panels[1].get_legend_handles_labels()
     chart.legend(handles, labels, loc="upper right", bbox_to_anchor=(0.985, 0.945), ncols=3, frameon=False)
     count = len(found.breaches)
-    told = "no limit passed" if not count else f"{count} breach{'es' if count > 1 else ''}, shaded"
+    summary = "no limit passed" if not count else f"{count} breach{'es' if count > 1 else ''}, shaded"
     apart = found.figures["deviation_mm"]
-    chart.text(0.09, 0.955, f"{found.figures['scene']}: a trainee against the reference, {told}", size=11, va="center")
-    said = f"{apart['mean']:.2f} mm off the path on average, force {100.0 * found.figures['force_error']:.0f} % off"
-    chart.text(0.09, 0.92, said, size=9, color="0.25", va="center")
+    chart.text(
+        0.09, 0.955, f"{found.figures['scene']}: a trainee against the reference, {summary}", size=11, va="center"
+    )
+    figures = f"{apart['mean']:.2f} mm off the path on average, force {100.0 * found.figures['force_error']:.0f} % off"
+    chart.text(0.09, 0.92, figures, size=9, color="0.25", va="center")
     save(chart, path)

@@ -13,7 +13,7 @@ __all__ = ["draw_stability", "write_stability"]
 
 LABELS = {
     "wall_damping_N_s_m": ("virtual damping / N s/m", 1.0),
-    "delay_s": ("delay beside the hold / ms", 1e3),
+    "delay_s": ("delay added to the hold / ms", 1e3),
 }
 LINES = {
     "passive": ("#009E73", "--"),
@@ -32,8 +32,8 @@ def draw_stability(found: StabilityMap, path: Path, *, title: str) -> None:
     handles, labels = axes[0].get_legend_handles_labels()
     chart.legend(handles, labels, loc="lower center", ncols=3, frameon=False, fontsize=9)
     chart.text(0.09, 0.95, title, va="center", size=11)
-    said = found.verdict.sentence(found.chosen.stiffness_N_m)
-    chart.text(0.09, 0.895, f"chosen: {said}", va="center", size=9, color="0.25")
+    verdict_text = found.verdict.sentence(found.chosen.stiffness_N_m)
+    chart.text(0.09, 0.895, f"chosen: {verdict_text}", va="center", size=9, color="0.25")
     save(chart, path)
 
 

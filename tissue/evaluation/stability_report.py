@@ -19,7 +19,7 @@ FILES = ("stability.png", "stability_damping.csv", "stability_delay.csv")
 
 
 def scene_stability(scene: Scene) -> StabilityMap:
-    """The map of a scene's device in its hand, about the coupling it would run with.
+    """Closed-loop stability of a scene's device and operator as a map, about the coupling it would run with.
 
     Raises
     ------
@@ -39,7 +39,7 @@ def stability_lines(scene: Scene, found: StabilityMap) -> list[str]:
     chosen = found.chosen
     lines = [
         f"{scene.device} in the hand of a person of the group {scene.hand}, {1e-3 / chosen.tick_s:g} kHz, "
-        f"{1e3 * chosen.delay_s:g} ms beside the hold, low-pass {1e3 * chosen.filter_s:g} ms",
+        f"{1e3 * chosen.delay_s:g} ms added to the hold, low-pass {1e3 * chosen.filter_s:g} ms",
         f"chosen: {found.verdict.sentence(chosen.stiffness_N_m)}",
     ]
     data = found.over_delay

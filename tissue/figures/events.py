@@ -1,4 +1,4 @@
-"""What happened on the way, marked in charts over time."""
+"""Events of a run, marked in charts over time."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ __all__ = ["EVENT_IN", "event_lines", "mark_events"]
 
 MOST_EVENTS = 6
 EVENT_IN = 0.17
-"""Height of a line that tells an event [inch]."""
+"""Height of a line that names an event [inch]."""
 
 
 def event_lines(events: list[tuple[float, str]]) -> list[str]:

@@ -17,7 +17,7 @@ __all__ = ["draw_force_depth", "first_descent", "layers_passed"]
 UNITS = {"um": "µm", "degC": "°C", "mm2": "mm²", "mm3": "mm³"}
 """Units of the trace's columns as they are printed; all others as they are."""
 MEANT = {"µm": "displacement"}
-"""What a unit alone says of a quantity."""
+"""Quantity that a unit stands for."""
 RISE_MM = 0.2
 """A tool that rises by this much has ended its descent."""
 
@@ -54,7 +54,7 @@ def layers_passed(run: Run, tips_mm: NDArray[np.float64]) -> NDArray[Any]:
 
 
 def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | None:
-    """Draw force, and what else the tissue tells, over the depth of the first descent.
+    """Draw force, and what else the tissue reports, over the depth of the first descent.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Force on a needle over the way of its tip, in and out, and what it is made of."""
+"""Force on a needle over the path of its tip, in and out, and what it is made of."""
 
 from pathlib import Path
 

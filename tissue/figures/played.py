@@ -1,4 +1,4 @@
-"""A picture of what a device played beside what the tissue did: force over time, its steepest moment, and the way."""
+"""A picture of what a device played and what the tissue did: force over time, its steepest moment, and the path."""
 
 from pathlib import Path
 from typing import Any
@@ -73,8 +73,8 @@ def draw_played(run: Run, path: Path) -> None:
     chart.align_ylabels(panels)
     handles, labels = panels[0].get_legend_handles_labels()
     chart.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.11, 0.95), ncols=3, frameon=False)
-    said = f"{scene.name}: what the {scene.device} played ({scene.hand}, {scene.renderer})"
-    chart.text(0.12, 0.965, f"{said}; {scene.force_scale:g} N for each newton at the tool", va="center", size=10.0)
+    title = f"{scene.name}: what the {scene.device} played ({scene.hand}, {scene.renderer})"
+    chart.text(0.12, 0.965, f"{title}; {scene.force_scale:g} N for each newton at the tool", va="center", size=10.0)
     save(chart, path)
 
 

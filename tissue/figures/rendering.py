@@ -91,7 +91,7 @@ def render(make: Callable[[], tuple[list[Coloured], Camera]]) -> list[NDArray[np
 
 
 def _main(job: str, pictures: str) -> None:
-    """Draw the surfaces of a job as soon as a line on the standard input says that it is there."""
+    """Draw the surfaces of a job as soon as a line on the standard input announces it."""
     _warm_up()
     sys.stdin.readline()
     with np.load(job) as file:

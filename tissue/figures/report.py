@@ -20,7 +20,7 @@ def draw_pictures(run: Run, folder: Path) -> list[str]:
     """Draw ``bone_before_after.png``, ``removed_depth.png`` and ``force_torque.png``.
 
     A soft organ has ``press.png`` and ``held.png`` in place of the first two, a needle ``insertion.png`` as well and a
-    wall ``wall.png``. Of a tissue of several layers that tells more of itself than its volumes, a tooth for one, also
+    wall ``wall.png``. Of a tissue of several layers that reports more than its volumes, a tooth for one, also
     ``section.png`` and ``force_depth.png``; of a run by a hand on a device ``played.png``.
 
     Returns
@@ -43,10 +43,10 @@ def draw_pictures(run: Run, folder: Path) -> list[str]:
     if run.scene.device != "none":
         draw_played(run, folder / "played.png")
     if run.parts.volume is None:
-        with _beside() as beside:
+        with _background() as pool:
             if (fields := run.parts.tissue.fields) and fields.frames:
                 tool, name = tool_surface(run.scene.tool), run.scene.name
-                held = beside.submit(draw_held, fields, folder / "held.png", title=name)
+                held = pool.submit(draw_held, fields, folder / "held.png", title=name)
                 notes["press.png"] = draw_press(fields, run.trace, folder / "press.png", title=name, tool=tool)
                 notes["held.png"] = held.result()
             draw_force_torque(run, folder / "force_torque.png")
@@ -54,23 +54,23 @@ def draw_pictures(run: Run, folder: Path) -> list[str]:
                 draw_insertion(run, folder / "insertion.png")
             if run.scene.anatomy.kind == "wall":
                 draw_wall(run, folder / "wall.png")
-        return _told(notes)
+        return _sentences(notes)
     depth = depth_map(run)
-    with _beside() as beside:
-        render = beside.submit(draw_before_after, run, depth, folder / "bone_before_after.png")
+    with _background() as pool:
+        render = pool.submit(draw_before_after, run, depth, folder / "bone_before_after.png")
         draw_removed_depth(run, depth, folder / "removed_depth.png")
         draw_force_torque(run, folder / "force_torque.png")
-        tells = len(run.parts.tissue.layer_names) > 1 and run.parts.tissue.measure_names
-        if tells and run.cutter.spin_rad_s != 0.0:
+        has_measures = len(run.parts.tissue.layer_names) > 1 and run.parts.tissue.measure_names
+        if has_measures and run.cutter.spin_rad_s != 0.0:
             side = {"axis": depth.axis, "outward": depth.outward}
             draw_section(run, folder / "section.png", **side)
             notes["force_depth.png"] = draw_force_depth(run, folder / "force_depth.png", **side)
         notes["bone_before_after.png"] = render.result()
-    return _told(notes)
+    return _sentences(notes)
 
 
 @contextmanager
-def _beside() -> Iterator[ThreadPoolExecutor]:
+def _background() -> Iterator[ThreadPoolExecutor]:
     """A thread that draws in 3D; what ends the block before its end, such as Ctrl-C, does not wait for it."""
     with ThreadPoolExecutor(1) as thread:
         try:
@@ -80,6 +80,6 @@ def _beside() -> Iterator[ThreadPoolExecutor]:
             raise
 
 
-def _told(notes: dict[str, str | None]) -> list[str]:
+def _sentences(notes: dict[str, str | None]) -> list[str]:
     """A sentence for every picture that could not be drawn."""
     return [f"{name} was not drawn: {note}" for name, note in notes.items() if note is not None]

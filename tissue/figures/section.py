@@ -20,8 +20,8 @@ __all__ = ["Section", "draw_section", "loaded_frame", "moment_of", "section_of"]
 STRESS = "von_mises_MPa"
 REMOVED_TINT = 0.28
 """How much of its layer's colour removed tissue keeps."""
-WAY: dict[str, Any] = {"color": "#CC79A7", "linewidth": 1.0}
-"""Line of the tip's way."""
+PATH_STYLE: dict[str, Any] = {"color": "#CC79A7", "linewidth": 1.0}
+"""Line of the tip's path."""
 DECADES = 3.0
 """Widest span of a logarithmic scale."""
 
@@ -60,7 +60,7 @@ class Section:
 
 
 def section_of(run: Run, *, axis: int, outward: int, row: int) -> Section:
-    """The section through the deepest point so far, along the tool's axis and the way that the tool went most.
+    """The section through the deepest point so far, along the tool's axis and the tool's main direction.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ def _contour(axes: Any, section: Section, values: NDArray[np.float64], **line: A
 
 
 def _draw_tool(axes: Any, run: Run, section: Section) -> None:
-    """Outline of the tool at one moment, and the way of its tip so far."""
+    """Outline of the tool at one moment, and the path of its tip so far."""
     from matplotlib.patheffects import withStroke
 
     trace, row = run.trace, section.row
@@ -211,7 +211,7 @@ def _draw_tool(axes: Any, run: Run, section: Section) -> None:
         points = tips[row, [section.across, section.axis]] + outline @ np.stack([sign * side, along])
         halo = [withStroke(linewidth=2.2, foreground="white")]  # for what lies on dark colours
         axes.plot(*points.T, color="0.1", linewidth=1.0, linestyle=(0, (3, 1.5)), path_effects=halo)
-    axes.plot(*tips[: row + 1, [section.across, section.axis]].T, **WAY)
+    axes.plot(*tips[: row + 1, [section.across, section.axis]].T, **PATH_STYLE)
     axes.set(xlim=section.extent_mm[:2], ylim=section.extent_mm[2:], aspect="equal")
 
 
@@ -262,7 +262,7 @@ def _legend(chart: Any, run: Run, section: Section, x: float, y: float, *, borde
     handles: list[Any] = [Patch(facecolor=colours[names[i]], label=names[i], **edge) for i in seen]
     handles.append(Patch(facecolor="0.9", edgecolor="black", linewidth=1.1, label="removed"))
     handles.append(Line2D([], [], color="0.1", linewidth=1.0, linestyle=(0, (3, 1.5)), label="tool"))
-    handles.append(Line2D([], [], **WAY, label="way of its tip"))
+    handles.append(Line2D([], [], **PATH_STYLE, label="path of its tip"))
     if borders:
         handles.append(Line2D([], [], color="0.55", linewidth=0.7, label="edges of the layers that are left"))
     chart.legend(

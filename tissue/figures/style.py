@@ -44,7 +44,7 @@ LAYERS = {
 }
 OTHER_LAYERS = ("#CC79A7", "#F0E442", "#0072B2", "#D55E00")
 COMPONENTS = ("#0072B2", "#D55E00", "#009E73")
-"""Colours of layers and components after Okabe and Ito (2008), told apart by colour-blind readers."""
+"""Colours of layers and components after Okabe and Ito (2008), distinct for colour-blind readers."""
 MAGNITUDE = "0.88"
 COMMANDED = 0.35
 """Opacity of what is commanded, below the model's line."""
@@ -65,7 +65,7 @@ def axis_names(run: Run) -> tuple[str, ...]:
     bone = run.scene.bone
     if bone.centre_mm is not None or bone.along is not None:
         return tuple("xyz")  # what was pointed at on a bone need not be its glenoid
-    # On bone from a file x points forward or backward with the side of the body, which the file does not tell.
+    # On bone from a file x points forward or backward with the side of the body, which the file does not state.
     return ("x", *named[1:]) if bone.file else named
 
 
@@ -140,10 +140,10 @@ def _draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
     bar = chart.add_axes(((left + wide + 0.15) / 8.0, 0.6 / full, 0.16 / 8.0, tall / full))
     chart.colorbar(image, cax=bar, label="removed depth / mm")
     cut = depth.depth_mm[depth.depth_mm >= least]
-    said = "nothing removed"
+    summary = "nothing removed"
     if cut.size:
-        said = f"peak {cut.max():.2f} mm, median {np.median(cut):.2f} mm over {cut.size * spacing**2:.0f} mm²"
-    title = f"{run.scene.name}: {said}"
+        summary = f"peak {cut.max():.2f} mm, median {np.median(cut):.2f} mm over {cut.size * spacing**2:.0f} mm²"
+    title = f"{run.scene.name}: {summary}"
     chart.text((left + 0.5 * wide) / 8.0, 1.0 - 0.2 / full, title, ha="center", va="center", size=10.5)
     chart.legend(
         handles=handles,
@@ -179,7 +179,7 @@ def _hillshade(height_mm: NDArray[np.float64], spacing_mm: float) -> NDArray[np.
 
 
 def draw_force_torque(run: Run, path: Path) -> None:
-    """Draw force, torque, removal rate (or contact area, where nothing goes) and the tool's way through layers."""
+    """Draw force, torque, removal rate (or contact area, where nothing goes) and the tool's path through layers."""
     import matplotlib
 
     with matplotlib.rc_context(STYLE):
@@ -192,8 +192,8 @@ def _draw_force_torque(run: Run, path: Path) -> None:
 
     trace = run.trace
     time = trace["time_s"]
-    told = event_lines(run.events)
-    foot = 0.55 + EVENT_IN * len(told)
+    event_texts = event_lines(run.events)
+    foot = 0.55 + EVENT_IN * len(event_texts)
     full = 6.25 + foot
     chart = figure(8.0, full)
     panels = chart.subplots(4, 1, sharex=True, height_ratios=(3.0, 2.2, 1.3, 1.3))
@@ -262,7 +262,7 @@ def _draw_force_torque(run: Run, path: Path) -> None:
         axes.set_axisbelow(True)
     chart.align_ylabels(panels)
     mark_events(panels, run.events)
-    for line, sentence in enumerate(told):
+    for line, sentence in enumerate(event_texts):
         chart.text(0.11, (foot - 0.6 - EVENT_IN * line) / full, _literal(sentence), va="center", size=8.5)
     save(chart, path)
 

@@ -18,7 +18,7 @@ LONGEST = 0.28
 
 
 def draw_wall(run: Run, path: Path) -> None:
-    """Draw the ways of ball and device across the wall and into it, and below the force over the device's depth.
+    """Draw the paths of ball and device across the wall and into it, and below the force over the device's depth.
 
     The ball is drawn at its deepest. In a run without a device the force is drawn over the ball's own depth.
     """

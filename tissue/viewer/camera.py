@@ -8,16 +8,16 @@ from numpy.typing import NDArray
 __all__ = ["aim"]
 
 EYE, UP = (0.25, -0.75, 0.8), (0.0, 0.35, 1.0)
-ROOM = (0.2, 0.86, 0.36, 0.88)
-"""Left, right, lower and upper end of the room for the scene, in shares of the window."""
+MARGINS = (0.2, 0.86, 0.36, 0.88)
+"""Left, right, lower and upper end of the area for the scene, in shares of the window."""
 MOST_POINTS = 20_000
 
 
-def aim(plotter: Any, points_mm: NDArray[np.float64], *, room: tuple[float, float, float, float] = ROOM) -> None:
-    """Look down from the front so that the points fill the room; without points so that all that there is does."""
+def aim(plotter: Any, points_mm: NDArray[np.float64], *, margins: tuple[float, float, float, float] = MARGINS) -> None:
+    """Look down from the front so that the points fill the area; without points so that all that there is does."""
     plotter.camera_position = [EYE, (0.0, 0.0, 0.0), UP]
     plotter.reset_camera()
-    left, right, low, high = room
+    left, right, low, high = margins
     if not len(points_mm):
         plotter.camera.SetWindowCenter(0.0, 1.0 - (low + high))
         return

@@ -117,7 +117,7 @@ def bone_of(saved: SavedRun, scene: Scene | None) -> BoneOverTime | None:
         if not poses.is_file():
             return _over_time(volume, saved.trace, scene, end=end)
         cut, origin_m, spacing_m = read_poses(poses)
-        # Not as the image says, which rounds them: the bits of the carving depend on them.
+        # Not as the image states them, rounded: the bits of the carving depend on them.
         exact = VoxelVolume(
             origin_m, spacing_m, volume.fraction, volume.layer, volume.density_kg_m3, volume.layer_names
         )

@@ -21,7 +21,7 @@ class LayerKeys:
     hidden
         Layers that are off at first.
     targets
-        Each is told the layers that are off, now and whenever they change.
+        Each is called with the layers that are off, now and whenever they change.
 
     Attributes
     ----------

@@ -18,11 +18,11 @@ class NameList:
     plotter
         The window.
     title
-        What stands above them.
+        Title above them.
     names
         What can be chosen, and the words that it is shown by.
     choose
-        Told what a click chose.
+        Called with what a click chose.
     """
 
     def __init__(

@@ -23,7 +23,7 @@ LONGEST = 0.3
 
 
 class MomentShown:
-    """What the trace tells of one moment.
+    """What the trace holds of one moment.
 
     Parameters
     ----------

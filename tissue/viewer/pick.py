@@ -32,7 +32,7 @@ class PointRead:
     reference_mm
         Where the point lay before loading [mm], or None.
     text
-        What is said of it.
+        Its description.
     """
 
     def __init__(self, plotter: Any, fields: FieldsShown, *, size_mm: float) -> None:

@@ -18,7 +18,7 @@ class Playback:
     plotter
         The window.
     show
-        Told the moment [s].
+        Called with the moment [s].
     span_s
         First and last moment [s].
     begin_s
@@ -50,7 +50,7 @@ class Playback:
     ) -> None:
         self._plotter, self._show, self.span_s = plotter, show, span_s
         self._rate = min((span_s[1] - span_s[0]) / slowest_s, 1.0)
-        self.time_s, self.playing, self._told = begin_s, False, 0.0
+        self.time_s, self.playing, self._shown_s = begin_s, False, 0.0
         self._button: Any = None
         left, right, height = slider
         self._slider = plotter.add_slider_widget(
@@ -83,7 +83,7 @@ class Playback:
         """Play or pause; at the end it begins again."""
         self.playing = not self.playing
         if self.playing:
-            self._told = perf_counter()
+            self._shown_s = perf_counter()
             if self.time_s >= self.span_s[1]:
                 self.to(self.span_s[0])
         if self._button is not None:
@@ -94,7 +94,7 @@ class Playback:
         """Move on by the time that has passed since the last tick, if it plays."""
         if not self.playing:
             return
-        passed, self._told = now_s - self._told, now_s
+        passed, self._shown_s = now_s - self._shown_s, now_s
         self.to(min(self.time_s + self._rate * passed, self.span_s[1]))
         if self.time_s >= self.span_s[1]:
             self.switch()

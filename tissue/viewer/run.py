@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["faces_of", "require_whole"]
 
 FACE_MM = 30.0
-"""Edge of a drawn piece of a face that goes on, and what of a wall goes beyond the way on it."""
+"""Edge of a drawn piece of a face that goes on, and how far a wall goes beyond the path on it."""
 WALL_MESH_MM = 5.0
 """Width of the squares of a drawn wall."""
 
@@ -26,7 +26,7 @@ def require_whole(saved: SavedRun) -> None:
     Raises
     ------
     InputError
-        If a file is damaged or lacks what it should hold; says which.
+        If a file is damaged or lacks what it should hold; the message names it.
     """
     wanted: dict[str, list[str]] = {}
     if saved.complete:
@@ -47,7 +47,7 @@ def require_whole(saved: SavedRun) -> None:
 def faces_of(scene: Scene | None) -> "dict[str, pyvista.PolyData]":
     """Pieces of the faces that a needle goes through or a ball presses [mm], by layer; none of an organ that is meshed.
 
-    A wall is drawn under all of the way that the tool can go.
+    A wall is drawn under all of the path that the tool can go.
     """
     import pyvista
 
@@ -55,8 +55,8 @@ def faces_of(scene: Scene | None) -> "dict[str, pyvista.PolyData]":
     if scene is not None and isinstance(anatomy, WallAnatomy):
         from tissue.builders.registry import motion_of
 
-        way = 1e3 * motion_of(scene, step_s=1e-3).sweep_m()[:, :2]
-        low, high = way.min(axis=0), way.max(axis=0)
+        path_mm = 1e3 * motion_of(scene, step_s=1e-3).sweep_m()[:, :2]
+        low, high = path_mm.min(axis=0), path_mm.max(axis=0)
         middle, (wide, deep) = 0.5 * (low + high), high - low + max(FACE_MM, 2.0 * (scene.coupling.roam_mm or 0.0))
         return {
             "wall": pyvista.Plane(

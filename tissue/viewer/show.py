@@ -35,13 +35,13 @@ def show(
     if screenshot is not None:
         window.plotter.screenshot(str(screenshot))
     if movie is not None:
-        write_movie(movie, _told(window))
+        write_movie(movie, _frames(window))
     if screenshot is None and movie is None:
         window.open()
     window.plotter.close()
 
 
-def _told(window: Window) -> Iterator[NDArray[np.uint8]]:
+def _frames(window: Window) -> Iterator[NDArray[np.uint8]]:
     count = window.picture_count
     for index, picture in enumerate(window.pictures()):
         yield picture

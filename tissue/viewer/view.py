@@ -58,7 +58,7 @@ def view(
     time_s
         Moment that is shown at first [s]; without it that of the greatest force.
     progress
-        Told how much of a file is drawn.
+        Called with how much of a file is drawn.
 
     Returns
     -------
@@ -72,7 +72,7 @@ def view(
     """
     _check_files(screenshot, movie, time_s)
     saved = SavedRun(path)
-    said = _about(saved)
+    about = _about(saved)
     require_whole(saved)
     choice = Choice(hide=hide, field=field, scale=scale, time_s=time_s)
     _check(saved, choice)
@@ -84,12 +84,12 @@ def view(
             raise InputError(
                 f"view must have a display to open a window, but {problem}: pass --screenshot FILE or --movie FILE"
             )
-        show(saved, said, choice)
+        show(saved, about, choice)
     for kind, file in (("screenshot", screenshot), ("movie", movie)):
         if file is not None:
             _draw(saved, choice, kind, file, progress or silent)
-            said += f"\n{kind} in {file}"
-    return said
+            about += f"\n{kind} in {file}"
+    return about
 
 
 def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, report: Progress) -> None:
@@ -97,9 +97,9 @@ def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, report: Progre
     longest_s = LONGEST_MOVIE_S if kind == "movie" else LONGEST_S
     chosen, doing = json.dumps(asdict(choice)), f"drawing the {kind}"
     report(doing, 0.0)
-    with whole_file(file) as beside, TemporaryDirectory(prefix="tissue-", ignore_cleanup_errors=True) as folder:
-        beside.touch()
-        beside.unlink()  # a folder that takes no file says so before anything is drawn
+    with whole_file(file) as temporary, TemporaryDirectory(prefix="tissue-", ignore_cleanup_errors=True) as folder:
+        temporary.touch()
+        temporary.unlink()  # a folder that takes no file is refused before anything is drawn
         drawn = Path(folder) / file.name
         problem = draw_apart(
             "tissue.viewer.view",
@@ -112,7 +112,7 @@ def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, report: Progre
         )
         if problem is not None:
             raise InputError(f"{kind} must be drawn in 3D, but {problem}")
-        shutil.copyfile(drawn, beside)
+        shutil.copyfile(drawn, temporary)
 
 
 def _check_files(screenshot: Path | None, movie: Path | None, time_s: float | None) -> None:

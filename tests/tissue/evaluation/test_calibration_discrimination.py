@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
+from tissue.evaluation.calibration.force_discrimination import (
+    Stimulus,
+    calibrated_commands,
+    gain_of,
+    share_right,
+    stimulus_of,
+)
 from tissue.evaluation.calibration.simulated_observer import SimulatedObservers, draw_observers
-from tissue.evaluation.calibration.told_apart import Stimulus, calibrated_commands, gain_of, share_right, stimulus_of
 from tissue.haptics.hand.hand import GROUPS
 from tissue.haptics.loop.filters import ForceRange
 from tissue.perception.population import reference_observer

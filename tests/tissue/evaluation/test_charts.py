@@ -79,7 +79,7 @@ def test_a_row_without_settings_is_in_the_table_and_is_never_chosen(tmp_path):
         np.array(9.0),
     )
     found = Frontier(scene, (point("P2", error=0.05),), 0.01, settings, 3e-7, law)
-    write_measured(tmp_path / "a.csv", (*found.points, *found.beside))
+    write_measured(tmp_path / "a.csv", (*found.points, *found.bounds))
     setting, linear, hyperelastic, rounding = read_measured(tmp_path / "a.csv")
     assert (linear.setting, linear.family) == ("linear law", "law") and np.isnan(linear.median_us)
     assert linear.force_error == pytest.approx(0.1, rel=1e-12)

@@ -206,7 +206,7 @@ REFUSED = {
     "signed speed": (lambda: spectral_arc_length(-np.ones(100), tick_s=TICK_S), "speed_mm_s must be non-negative"),
     "target": (lambda: overshoot_mm([1.0], target_mm=np.nan), "target_mm must be finite"),
     "done": (lambda: completion_time_s([0.0, 1.0], [True]), "done must have one entry a tick"),
-    "labels": (lambda: classification_accuracy([], []), "said and truth must hold one label a trial"),
+    "labels": (lambda: classification_accuracy([], []), "answers and truth must hold one label a trial"),
     "all right": (lambda: discrimination_threshold([0.1] * 9, [True] * 9), "right must hold some errors"),
     "guessing": (lambda: discrimination_threshold([0.1] * 4, [True, False] * 2), "right must hold some errors"),
     "equal pair": (lambda: discrimination_threshold([0.0, 0.1, 0.2], [True, True, False]), "difference must be positive"),

@@ -27,8 +27,8 @@ def said(differences):
     [
         ([-0.011, -0.009] * 4, "better than"),  # though the runs scatter fifty times as wide
         ([0.011, 0.009] * 4, "worse than"),
-        ([-0.011, 0.005] * 4, "not told apart from"),  # mean -0.003, standard error 0.003
-        ([-0.03, -0.001], "not told apart from"),  # both runs better, but two tell nothing
+        ([-0.011, 0.005] * 4, "not distinct from"),  # mean -0.003, standard error 0.003
+        ([-0.03, -0.001], "not distinct from"),  # both runs better, but two are too few
     ],
 )
 def test_one_predictor_is_better_only_where_pairs_of_runs_show_it(differences, told):

@@ -21,7 +21,7 @@ __all__ = ["CUT_CELLS"]
 Array = NDArray[np.float64]
 EDGE_M, CELLS = 1e-3, 3
 SINGULAR = 1e14
-"""Condition number from which on a double can no longer tell a matrix from a singular one."""
+"""Condition number from which on a double can no longer distinguish a matrix from a singular one."""
 
 
 def cut_block(fill: float, strength: float) -> ParticleBody:

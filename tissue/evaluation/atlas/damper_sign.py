@@ -41,13 +41,13 @@ def cycle_J(damping: float, *, ours: bool) -> float:
 
 def swing_m(damping: float, *, ours: bool, steps: int) -> Array:
     """Amplitude of a mass that is let go 1 mm off in a contact, in steps that leak nothing to speak of [m]."""
-    law, at, speed, told = ProxyRenderer(STIFFNESS_N_M, damping), np.array([0.0, 0.0, -1e-3]), np.zeros(3), []
+    law, at, speed, amplitudes = ProxyRenderer(STIFFNESS_N_M, damping), np.array([0.0, 0.0, -1e-3]), np.zeros(3), []
     for _ in range(steps):
         force = law.render(at, speed, STILL, STILL, STEP_S) if ours else printed(damping, at, speed)
         speed = speed + STEP_S / MASS_KG * force
         at = at + STEP_S * speed
-        told.append(np.sqrt(at[2] ** 2 + MASS_KG / STIFFNESS_N_M * speed[2] ** 2))
-    return np.array(told)
+        amplitudes.append(np.sqrt(at[2] ** 2 + MASS_KG / STIFFNESS_N_M * speed[2] ** 2))
+    return np.array(amplitudes)
 
 
 def measure(quick: bool) -> Data:
@@ -123,7 +123,7 @@ def draw(data: Data, chart: "Figure") -> None:
 DAMPER_SIGN = Page(
     "damper_sign",
     "E9 · Does +b·v of the device damp a contact?",
-    "The printed contact force is k(p_proxy − p_end) + b·v_end. Which way does its damper move energy?",
+    "The printed contact force is k(p_proxy − p_end) + b·v_end. In which direction does its damper move energy?",
     "Statement E9; the damper of the god-object acts on the relative velocity",
     measure,
     judge,

@@ -11,7 +11,7 @@ from tissue.evaluation.atlas.page import Conduct, Data, Page
 __all__ = ["BLUE", "GREEN", "GREY", "ORANGE", "PINK", "RED", "TINTS", "divided", "finish", "picture", "region"]
 
 BLUE, ORANGE, GREEN, RED, PINK, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "0.35"
-"""Okabe and Ito (2008), told apart by colour-blind readers."""
+"""Okabe and Ito (2008), distinct for colour-blind readers."""
 TINTS = {Conduct.HOLDS: "#D6ECF8", Conduct.FALLS_BACK: "#FBEBC2", Conduct.REFUSES: "#F3CFBC"}
 """Background of a region by what the engine does there."""
 DPI = 130

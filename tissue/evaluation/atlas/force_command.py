@@ -41,7 +41,7 @@ def measure(quick: bool) -> Data:
         law = ForceMap(reference, person, lowest_N=LOWEST_N, knee_N=KNEE_N)
         ours = np.array([law.table.at(force) for force in forces.tolist()])
         printed = person.expected(forces)
-        # An intensity has no unit of force: told in tenths of the unit, the printed command is ten times as large.
+        # An intensity has no unit of force: given in tenths of the unit, the printed command is ten times as large.
         tenths = Intensity(log_alpha=float(np.log(10.0 * alpha)), beta=beta).expected(forces)
         wanted = reference.expected(law.gain * forces)
         data[name] = {
@@ -72,7 +72,7 @@ def judge(data: Data) -> Verdict:
         worst[0] > 1.5 and worst[1] < 0.67 and scaled > 5.0,
         ours < 1e-6 and theory < 1e-6,
         f"Commanding E[S] as newtons makes people feel {worst[1]:.2g} to {worst[0]:.2g} times what is wanted, and "
-        f"{scaled:.0f} times the force if intensity is told in tenths. The inverted law is off by {ours:.0e} at most "
+        f"{scaled:.0f} times the force if intensity is given in tenths. The inverted law is off by {ours:.0e} at most "
         f"between {LOWEST_N:g} and {KNEE_N:.2f} N.",
     )
 
@@ -122,7 +122,7 @@ FORCE_COMMAND = Page(
     "force_command",
     "E5 · Is the force to command the expected intensity E[S | F]?",
     "A published framework commands F_perc = E[S | F]. What does a person feel of it, beside what the reference "
-    "observer would, and what if the intensity is told in other units?",
+    "observer would, and what if the intensity is given in other units?",
     "Statement E5; Stevens' law with exponents of 1.4 to 1.9 about 1.7 for muscle force; device: Touch",
     measure,
     judge,

@@ -46,8 +46,8 @@ def measure(quick: bool) -> Data:
     force = recording[1]
     data = {"ahead_ms": 1e3 * TICK_S * np.array(horizons, dtype=float)}
     for name, each in predictors().items():
-        told, _ = predicted(each, recording, horizons)
-        data[name] = np.array([relative_error(told[row], force, ahead) for row, ahead in enumerate(horizons)])
+        forces, _ = predicted(each, recording, horizons)
+        data[name] = np.array([relative_error(forces[row], force, horizon) for row, horizon in enumerate(horizons)])
     # For a short time a held force is off by the rate of the force times that time.
     rate = (force[104:] - force[100:-4]) / 4.0  # over 4 ms: over one, encoder steps are most of it
     data["theory_hold"] = np.array(horizons) * np.linalg.norm(rate) / np.linalg.norm(force[100:])
@@ -57,22 +57,22 @@ def measure(quick: bool) -> Data:
 def judge(data: Data) -> Verdict:
     """Where each predictor stops to be better than hold, and whether ours is worse anywhere."""
     table = data["horizon"]
-    ahead, hold = table["ahead_ms"], table["hold"]
+    horizon, hold = table["ahead_ms"], table["hold"]
     ends = {}
     for name in ("linear", "kalman", "koopman"):
         worse = table[name] > hold
-        ends[name] = f"beyond {ahead[worse].min():.0f} ms" if worse.any() else "nowhere"
-    within = ahead <= LEADS_MS
+        ends[name] = f"beyond {horizon[worse].min():.0f} ms" if worse.any() else "nowhere"
+    within = horizon <= LEADS_MS
     gain = float((table["koopman"] / hold)[within].max())
     best = float(np.min([table[name] / hold for name in ("linear", "kalman")], axis=0)[within].max())
-    at = int(np.argmin(np.abs(ahead - 8.0)))
+    at = int(np.argmin(np.abs(horizon - 8.0)))
     return Verdict(
         bool(table["kalman"][-1] > 2.0 * hold[-1] and (table["koopman"][-1] > 0.3)),
         gain < 1.0 and bool((table["koopman"] < 1.1 * hold).all()),
-        f"At {ahead[at]:.0f} ms hold is off by {100 * hold[at]:.1f} % of the force, the straight line by "
+        f"At {horizon[at]:.0f} ms hold is off by {100 * hold[at]:.1f} % of the force, the straight line by "
         f"{100 * table['linear'][at]:.1f} %, the Kalman filter by {100 * table['kalman'][at]:.1f} % and the Koopman "
         f"predictor by {100 * table['koopman'][at]:.1f} %. Worse than hold: the line {ends['linear']}, the filter "
-        f"{ends['kalman']}, Koopman {ends['koopman']}. At {ahead[-1]:.0f} ms none is of use: ours is off by "
+        f"{ends['kalman']}, Koopman {ends['koopman']}. At {horizon[-1]:.0f} ms none is of use: ours is off by "
         f"{100 * table['koopman'][-1]:.0f} %. Up to {LEADS_MS:g} ms ours keeps below {gain:.2f} of hold, the simpler "
         f"ones below {best:.2f}.",
     )
@@ -97,25 +97,25 @@ def ask() -> list[Answer]:
         shown("5 ms ahead after a sample that is not a number", before and bool(abs(left - size) < 0.2 * size),
               f"counts as none: {left:.3f} N where the force is {size:.3f} N"),
         shown("5 ms ahead after 15 of them", bool(np.isfinite(guarded.predict(5)).all()),
-              f"the last force stands: {np.linalg.norm(guarded.predict(5)):.3f} N", conduct=Conduct.FALLS_BACK),
+              f"the last force is held: {np.linalg.norm(guarded.predict(5)):.3f} N", conduct=Conduct.FALLS_BACK),
     ]  # fmt: skip
 
 
 def draw(data: Data, chart: "Figure") -> None:
     """Error over the horizon."""
     axes, table = chart.subplots(), data["horizon"]
-    ahead = table["ahead_ms"]
-    region(axes, Conduct.HOLDS, ahead[0], LEADS_MS)
+    horizon = table["ahead_ms"]
+    region(axes, Conduct.HOLDS, horizon[0], LEADS_MS)
     for name, (colour, marker) in STYLES.items():
-        axes.loglog(ahead, 100.0 * table[name], marker, color=colour, label=LABELS[name])
-    axes.loglog(ahead, 100.0 * table["theory_hold"], color=GREY, label="theory of hold: rate × horizon")
+        axes.loglog(horizon, 100.0 * table[name], marker, color=colour, label=LABELS[name])
+    axes.loglog(horizon, 100.0 * table["theory_hold"], color=GREY, label="theory of hold: rate × horizon")
     axes.axhline(100.0, color=GREEN, linestyle=":", label="as far off as no force at all")
-    finish(axes, "horizon / ms", "force error / %", xlim=ahead[[0, -1]], ylim=(0.5, 400.0), legend="upper left")
+    finish(axes, "horizon / ms", "force error / %", xlim=horizon[[0, -1]], ylim=(0.5, 400.0), legend="upper left")
 
 
 HORIZON = Page(
     "horizon",
-    "Prediction horizon: how far ahead can a force be told?",
+    "Prediction horizon: how far ahead can a force be predicted?",
     "A novice taps a wall of 800 N/m. How far off are forces that are predicted 1 to 64 ms ahead, and from where on is "
     "holding the last one better?",
     "Trained on two recordings, tested on a third; device of six degrees of freedom",

@@ -1,4 +1,4 @@
-"""The atlas as one HTML file that needs nothing beside it: pictures embedded, plain style for light and dark."""
+"""The atlas as one HTML file that needs no other file: pictures embedded, plain style for light and dark."""
 
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
@@ -46,7 +46,7 @@ class Entry:
 
 
 def document(entries: Sequence[Entry], made: Mapping[str, str]) -> str:
-    """The whole atlas; ``made`` tells when, with what and on what machine."""
+    """The whole atlas; ``made`` states when, with what and on what machine."""
     good = sum(entry.shown for entry in entries)
     rows = "".join(
         f'<tr><td><a href="#{escape(e.page.name)}">{escape(e.page.title)}</a></td><td class="what">{_mark(e)}</td></tr>'
@@ -60,7 +60,7 @@ def document(entries: Sequence[Entry], made: Mapping[str, str]) -> str:
         "<h1>Stability atlas</h1>\n"
         "<p>Every method is taken to where it fails and past it; E1 to E14 number statements of a published haptic"
         " framework that do not hold. Points are measured by running it, lines are theory, "
-        "and the background says what the engine does there. Verdicts and answers are computed from the runs of this"
+        "and the background shows what the engine does there. Verdicts and answers are computed from the runs of this"
         " atlas.</p>\n"
         f"<p>{good} of {len(entries)} pages show their boundary, with the engine holding, falling back or refusing.</p>"
         f'\n<p class="soft">{facts}</p>\n<table><tr><th>page</th><th>the engine there</th></tr>{rows}</table>\n'
@@ -79,7 +79,7 @@ def _section(entry: Entry) -> str:
     """One page."""
     page, image = entry.page, b64encode(entry.picture).decode("ascii")
     answers = "".join(
-        f'<tr><td>{escape(a.asked)}</td><td class="what">{escape(a.conduct.value)}</td><td>{escape(a.said)}</td></tr>'
+        f'<tr><td>{escape(a.asked)}</td><td class="what">{escape(a.conduct.value)}</td><td>{escape(a.result)}</td></tr>'
         for a in entry.answers
     )
     files = ", ".join(f'<a href="{escape(name)}">{escape(name)}</a>' for name in entry.files)
@@ -87,6 +87,6 @@ def _section(entry: Entry) -> str:
         f'<section id="{escape(page.name)}"><h2>{escape(page.title)}</h2>\n<p>{escape(page.question)}</p>\n'
         f'<img alt="{escape(page.title)}" src="data:image/png;base64,{image}">\n'
         f'<p class="verdict{"" if entry.shown else " open"}">{escape(entry.verdict.sentence)}</p>\n'
-        f"<table><tr><th>the engine is asked for</th><th>and</th><th>says</th></tr>{answers}</table>\n"
+        f"<table><tr><th>the engine is asked for</th><th>and</th><th>reports</th></tr>{answers}</table>\n"
         f'<p class="soft">{escape(page.source)}. Data: {files}; {entry.took_s:.1f} s.</p></section>'
     )

@@ -77,7 +77,7 @@ def judge(data: Data) -> Verdict:
     return Verdict(
         moves > 0.5 and mixed,
         drift < 1e-9 and whole < 1e-12 and bool((ours >= 0.0).all()),
-        f"As position errors are told in µm instead of m, their raw weight moves by {100 * moves:.0f} % and the signs "
+        f"As position errors are given in µm instead of m, their raw weight moves by {100 * moves:.0f} % and the signs "
         f"are mixed; oriented, standardised and squared, all weights are positive, sum to 1 to {whole:.0e} and move by "
         f"{drift:.0e}: "
         + ", ".join(f"{name} {value:.2f}" for name, value in zip(METRICS, ours[0].tolist(), strict=True))
@@ -95,7 +95,7 @@ def ask() -> list[Answer]:
         refused("an index of one metric", lambda: composite_index(study, {"time_s": -1}, rng=rng, count=50)),
         refused("a metric that is constant", lambda: composite_index(flat, METRICS, rng=rng, count=50)),
         shown("accuracy called lower-is-better", any(not each.holds for each in against.assumptions),
-              "told: " + "; ".join(each.says for each in against.assumptions if not each.holds),
+              "reported: " + "; ".join(each.finding for each in against.assumptions if not each.holds),
               conduct=Conduct.FALLS_BACK),
     ]  # fmt: skip
 
@@ -122,7 +122,7 @@ INDEX_WEIGHTS = Page(
     "index_weights",
     "E14 · What do weights from a principal component of raw metrics mean?",
     "A published index takes its weights from PCA on metrics with mixed signs and units. What becomes of them when one "
-    "metric is told in other units?",
+    "metric is given in other units?",
     "Statement E14; simulated study of 24 people in which all metrics share a skill",
     measure,
     judge,

@@ -70,7 +70,7 @@ def judge(data: Data) -> Verdict:
     return Verdict(
         bool((np.abs(ratio - 1.0) < 1e-3).all()),  # exact for ν = 0 by Betti's theorem, but for the solve
         worst < 1e-4 * YOUNG_PA,
-        f"Turned by {turn['angle_deg'][-1]:.0f}° without any strain, the bar is told a stress of "
+        f"Turned by {turn['angle_deg'][-1]:.0f}° without any strain, the bar is assigned a stress of "
         f"{100 * last / YOUNG_PA:.0f} % of E by the linear law: E(1 − cos θ) to {np.abs(ratio - 1.0).max():.0e}. The "
         f"corotational and the neo-Hookean law find {worst / YOUNG_PA:.0e} of E at most.",
     )
@@ -87,18 +87,18 @@ def pressed_slab() -> Run:
 
 
 def ask() -> list[Answer]:
-    """What is told of the linear law in a scene, and a turn that is too large for a step."""
+    """What is reported of the linear law in a scene, and a turn that is too large for a step."""
     space, held = bar()
     solver = NewtonSolver(NonlinearBody(space, lame(YOUNG_PA, 0.45), law=Law.NEO_HOOKEAN), held)
     turn = Rotation.from_rotvec([0.0, 0.0, np.pi])
     goal = np.where(space.nodes_m[:, :1] > LENGTH_M - 1e-9, turn.apply(space.nodes_m) - space.nodes_m, 0.0)
     outcome = solver.solve(goal).outcome
-    told = "; ".join(what for _, what in pressed_slab().events)
+    notes = "; ".join(what for _, what in pressed_slab().events)
     return [
         refused("displacements that are no numbers", lambda: solver.solve(np.full(space.nodes_m.shape, np.nan))),
         shown("one end turned by half a circle in one step", outcome is not SolverOutcome.CONVERGED,
               f"{outcome.name}: {outcome.value}", conduct=Conduct.REFUSES),
-        shown("a ball pressed 4 mm into a linear organ", "linear elasticity" in told, f"runs, and says: {told}",
+        shown("a ball pressed 4 mm into a linear organ", "linear elasticity" in notes, f"runs and reports: {notes}",
               conduct=Conduct.FALLS_BACK),
     ]  # fmt: skip
 

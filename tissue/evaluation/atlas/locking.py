@@ -28,7 +28,7 @@ MESHES = {"linear_coarse": (1, (20, 2, 2)), "linear_fine": (1, (30, 4, 4)), "qua
 
 
 def deflection(order: int, cells: tuple[int, int, int], ratio: float) -> tuple[float, float]:
-    """Tip deflection of the clamped bar [m], and whether the solver stands by it (1) or says that it does not (0)."""
+    """Tip deflection of the clamped bar [m], and whether the solver trusts it (1) or reports that it does not (0)."""
     space = Space(box((LENGTH, 1.0, 1.0), cells), order)
     held = np.repeat(space.nodes_m[:, :1] < 1e-9, 3, axis=1)
     faces = space.faces[(space.nodes_m[space.faces[:, :3], 0] > LENGTH - 1e-9).all(axis=1)]
@@ -61,9 +61,9 @@ def judge(data: Data) -> Verdict:
     bar = data["bar"]
     quadratic = bar["quadratic_m"] / bar["timoshenko_m"]
     linear = bar["linear_coarse_m"] / bar["timoshenko_m"]
-    vouched = bar["quadratic_vouched"] > 0.0
-    off, ratio = float(np.abs(quadratic[vouched] - 1.0).max()), bar["poisson_ratio"][-1]
-    last = bar["poisson_ratio"][vouched].max()
+    trusted = bar["quadratic_vouched"] > 0.0
+    off, ratio = float(np.abs(quadratic[trusted] - 1.0).max()), bar["poisson_ratio"][-1]
+    last = bar["poisson_ratio"][trusted].max()
     return Verdict(
         bool(linear[-1] < 0.5 and linear[-1] < 0.7 * linear[0]),
         # A clamp that stops bulging takes 1 to 4 % off a beam that may bulge, the more the nearer the ratio is to 0.5;
@@ -71,18 +71,18 @@ def judge(data: Data) -> Verdict:
         off < 0.1 and last > 0.49,
         f"Linear tetrahedra bend {100 * linear[0]:.0f} % as far as the beam at ν = {bar['poisson_ratio'][0]:.2f} and "
         f"{100 * linear[-1]:.0f} % at {ratio:.4f}; quadratic ones stay within {100 * off:.1f} % up to {last:.4f}"
-        f"{'' if vouched.all() else '; nearer to 0.5 the solver says that rounding eats its answer'}.",
+        f"{'' if trusted.all() else '; nearer to 0.5 the solver reports that rounding eats its answer'}.",
     )
 
 
 def ask() -> list[Answer]:
     """The limit itself, an order that is not there, a scene with locking cells."""
     mesh = box((0.02, 0.02, 0.02), (1, 1, 1))
-    _, said = elasticity_of(mesh, SlabAnatomy(kind="slab", nodule_diameter_mm=0.0), Organ(order=1, poisson_ratio=0.49))
+    _, note = elasticity_of(mesh, SlabAnatomy(kind="slab", nodule_diameter_mm=0.0), Organ(order=1, poisson_ratio=0.49))
     return [
         refused("ν = 0.5", lambda: lame(YOUNG, 0.5)),
         refused("tetrahedra of order 3", lambda: Space(mesh, 3)),
-        shown("an organ of linear tetrahedra at ν = 0.49", "lock" in said, f"runs, and its summary says: {said}",
+        shown("an organ of linear tetrahedra at ν = 0.49", "lock" in note, f"runs, and its summary states: {note}",
               conduct=Conduct.FALLS_BACK),
         shown("an organ without an order of its own", Organ().order == 2, "quadratic tetrahedra"),
     ]  # fmt: skip
@@ -92,10 +92,10 @@ def draw(data: Data, chart: "Figure") -> None:
     """Deflection over the beam's, over 1 - 2 nu."""
     axes, bar = chart.subplots(), data["bar"]
     gap = 1.0 - 2.0 * bar["poisson_ratio"]
-    vouched = bar["quadratic_vouched"] > 0.0
-    limit = gap[vouched].min()
+    trusted = bar["quadratic_vouched"] > 0.0
+    limit = gap[trusted].min()
     region(axes, Conduct.HOLDS, limit, gap[0])
-    if not vouched.all():
+    if not trusted.all():
         region(axes, Conduct.REFUSES, gap[-1], limit)
     axes.axhline(1.0, color=GREY, label="theory: Timoshenko beam")
     styles = {"quadratic": (BLUE, "o"), "linear_fine": (ORANGE, "^"), "linear_coarse": (RED, "s")}

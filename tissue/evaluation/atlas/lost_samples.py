@@ -45,14 +45,14 @@ def measure(quick: bool) -> Data:
             "guarded_step": guarded[:, 2],
             "bare_at_end": bare[:, 0],
             "bare_step": bare[:, 2],
-            # What is not yet too old is believed; from then on 1/20 is lost every tick.
+            # What is not yet too old is accepted; from then on 1/20 is lost every tick.
             "theory_at_end": np.clip(1.0 - (gaps - _young(kind)) / LIMITS.fade_s, 0.0, 1.0),
         }
     return data
 
 
 def _young(kind: FaultKind) -> float:
-    """Time for which samples of a fault are young enough to be believed [s]: repeated ones age, late ones are old."""
+    """Time for which samples of a fault are young enough to be accepted [s]: repeated ones age, late ones are old."""
     return 2.0 * TICK_S if kind == "duplicated" else 0.0
 
 
@@ -68,20 +68,20 @@ def judge(data: Data) -> Verdict:
         gone < 1e-9 and back > 0.5 and step < 0.1 and off < 0.1,
         f"Without a guard repeated samples keep at least {100 * stale:.0f} % of the force for as long as they last, "
         f"and dropped ones step it by {100 * jump:.0f} % in a tick. With it the force falls in 20 ms to {gone:.0e}, "
-        f"{100 * step:.0f} % a tick at most, as the line says to {100 * off:.0f} %, and comes back within 80 ms of its "
+        f"{100 * step:.0f} % a tick at most, as the line predicts to {100 * off:.0f} %, and is back 80 ms after its "
         "end.",
     )
 
 
 def ask() -> list[Answer]:
-    """What the guard says, and what it refuses."""
+    """What the guard reports, and what it refuses."""
     answers = []
     for kind in KINDS:
         run, guard = pressed([Fault(kind, FAULT_S, FAULT_S + 0.04)], seconds=FAULT_S + 0.1, guarded=True)
-        told = [what for when, what in guard.events if when > 0.1] if guard is not None else []
+        happened = [what for when, what in guard.events if when > 0.1] if guard is not None else []
         bounded = bool(np.isfinite(run.force_N).all())
-        right = len(told) >= 2 and told[-1] == "samples are good again" and bounded
-        answers.append(shown(f"40 ms of {kind} samples", right, "; ".join(told), conduct=Conduct.FALLS_BACK))
+        right = len(happened) >= 2 and happened[-1] == "samples are good again" and bounded
+        answers.append(shown(f"40 ms of {kind} samples", right, "; ".join(happened), conduct=Conduct.FALLS_BACK))
     return [*answers, refused("a guard that never fades", lambda: GuardLimits(fade_s=0.0))]
 
 
@@ -101,14 +101,14 @@ def draw(data: Data, chart: "Figure") -> None:
     finish(left, "length of the gap / ms", "force at its end / force before", title="with the sample guard (ours)",
            xlim=(0.0, longest), ylim=(-0.05, 1.25))  # fmt: skip
     finish(
-        right, "length of the gap / ms", "", title="every sample believed", legend="center left", xlim=(0.0, longest)
+        right, "length of the gap / ms", "", title="every sample accepted", legend="center left", xlim=(0.0, longest)
     )
 
 
 LOST_SAMPLES = Page(
     "lost_samples",
     "Dropped, late and repeated samples",
-    "A hand presses a device onto a wall and its samples stop coming, come 5 ms late, or are told again. What does the "
+    "A hand presses a device onto a wall and its samples stop coming, come 5 ms late, or are repeated. What does the "
     "hand feel while that lasts?",
     "Sample guard: samples older than 2.5 ms are missing, a missing one takes 1/20 of the force; Omni, wall of 1.5 "
     "kN/m",

@@ -37,7 +37,7 @@ def nearest_free(height_m: float, thickness_m: float) -> float:
 
 
 def measure(quick: bool) -> Data:
-    """Both proxies over the device's way through one wall; where they change sides, over thickness."""
+    """Both proxies over the device's path through one wall; where they change sides, over thickness."""
     depth = np.linspace(-0.5, 2.0, 26 if quick else 101) * SHOWN_M
     height = 0.5 * SHOWN_M - depth
     proxy = point_proxy(SHOWN_M, start_m=height[0])
@@ -65,9 +65,9 @@ def measure(quick: bool) -> Data:
 
 def judge(data: Data) -> Verdict:
     """Where the nearest point changes sides against half the thickness, and whether ours ever does."""
-    way, wall = data["way"], data["thickness"]
+    descent, wall = data["way"], data["thickness"]
     share = wall["nearest_pops_at_m"] / wall["thickness_m"]
-    off = float(np.abs(way["ours_m"] - way["theory_m"]).max())
+    off = float(np.abs(descent["ours_m"] - descent["theory_m"]).max())
     deepest = float((wall["ours_held_to_m"] / wall["thickness_m"]).min())
     return Verdict(
         bool((np.abs(share - 0.5) < 0.02).all()),
@@ -97,19 +97,19 @@ def ask() -> list[Answer]:
 def draw(data: Data, chart: "Figure") -> None:
     """Heights over depth; depth of the change over thickness."""
     left, right = chart.subplots(1, 2)
-    way, wall = data["way"], data["thickness"]
-    depth = 1e3 * way["depth_m"]
+    descent, wall = data["way"], data["thickness"]
+    depth = 1e3 * descent["depth_m"]
     region(left, Conduct.HOLDS, depth[0], depth[-1])
     left.axhspan(-500.0 * SHOWN_M, 500.0 * SHOWN_M, color="0.75", zorder=1, label="wall")
-    left.plot(depth, 1e3 * way["theory_m"], color=GREY, zorder=3, label="theory: stays outside")
-    left.plot(depth, 1e3 * way["nearest_m"], "--", color=RED, zorder=3, label="nearest free point (printed)")
-    left.plot(depth[::4], 1e3 * way["ours_m"][::4], "o", color=BLUE, zorder=4, label="local descent (ours)")
+    left.plot(depth, 1e3 * descent["theory_m"], color=GREY, zorder=3, label="theory: stays outside")
+    left.plot(depth, 1e3 * descent["nearest_m"], "--", color=RED, zorder=3, label="nearest free point (printed)")
+    left.plot(depth[::4], 1e3 * descent["ours_m"][::4], "o", color=BLUE, zorder=4, label="local descent (ours)")
     finish(left, "depth of the device under the face / mm", "height of the proxy / mm", xlim=depth[[0, -1]])
     thickness = 1e3 * wall["thickness_m"]
     region(right, Conduct.HOLDS, thickness[0], thickness[-1])
     right.loglog(thickness, 0.5 * thickness, color=GREY, label="theory: half the thickness")
     right.loglog(thickness, 1e3 * wall["nearest_pops_at_m"], "s", color=RED, label="nearest point changes sides")
-    right.loglog(thickness, 1e3 * wall["ours_held_to_m"], "^", color=BLUE, label="ours: still held (end of the way)")
+    right.loglog(thickness, 1e3 * wall["ours_held_to_m"], "^", color=BLUE, label="ours: still held (end of the path)")
     finish(right, "thickness of the wall / mm", "depth of the device / mm", xlim=thickness[[0, -1]])
 
 

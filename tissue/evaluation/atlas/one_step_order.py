@@ -40,8 +40,8 @@ def slow_manifold(states: Array, time_s: float) -> Array:
     """States so much later, exactly, shape (n, 2)."""
     x, y = states.T
     bend = FAST / (FAST - 2.0 * SLOW)
-    ahead = (y - bend * x * x) * np.exp(FAST * time_s) + bend * x * x * np.exp(2.0 * SLOW * time_s)
-    return np.column_stack([x * np.exp(SLOW * time_s), ahead])
+    fast_after = (y - bend * x * x) * np.exp(FAST * time_s) + bend * x * x * np.exp(2.0 * SLOW * time_s)
+    return np.column_stack([x * np.exp(SLOW * time_s), fast_after])
 
 
 def fitted(name: str) -> tuple[Generator, Array]:
@@ -105,8 +105,8 @@ def ask() -> list[Answer]:
         path[tick + 1] = path[tick] * np.exp(-0.1) + (1.0 - np.exp(-0.1)) * driven[tick]
     held = Edmd(Identity(), offset=False).fit([Episode(path, driven, 0.1)])
     off = abs(float(held.A[0, 0]) - np.exp(-0.1)) + abs(float(held.B[0, 0]) - (1.0 - np.exp(-0.1)))
-    ahead = generator.discrete(10.0).predict(states[0], None, 1)
-    far = float(np.abs(ahead - slow_manifold(states[:1], 10.0)).max())
+    fast_after = generator.discrete(10.0).predict(states[0], None, 1)
+    far = float(np.abs(fast_after - slow_manifold(states[:1], 10.0)).max())
     return [
         refused("a fit to a system at rest", lambda: Edmd(Identity()).fit([Episode(still, None, 0.1)])),
         refused("a fit to samples with a gap", lambda: Edmd(Identity()).fit([Episode(torn, None, 0.1)])),
@@ -138,7 +138,7 @@ def draw(data: Data, chart: "Figure") -> None:
 ONE_STEP_ORDER = Page(
     "one_step_order",
     "E1 · Is the one-step error of a lifted model O(Δt²)?",
-    "A published theorem says so for any dictionary. What order do dictionaries have that are closed under the "
+    "A published theorem claims it for any dictionary. What order do dictionaries have that are closed under the "
     "dynamics, and others?",
     "Statement E1; slow manifold of Brunton et al. (2016), generator EDMD of Klus et al. (2020)",
     measure,

@@ -87,7 +87,7 @@ def draw(data: Data, chart: "Figure") -> None:
         axes.semilogy(delay, table["pade_N_m"], "--", color=RED, label="Padé (printed)")
         axes.semilogy(delay, exact, color=GREY, label="eigenvalues, exact delay")
         axes.semilogy(delay, table["measured_N_m"], "o", color=BLUE, label="measured")
-        finish(axes, "delay beside the hold / ms", "critical stiffness / (N/m)", title=TITLES[name], ylim=(low, high))
+        finish(axes, "delay added to the hold / ms", "critical stiffness / (N/m)", title=TITLES[name], ylim=(low, high))
 
 
 PADE = Page(

@@ -21,7 +21,7 @@ Data = dict[str, dict[str, Array]]
 
 
 class Conduct(Enum):
-    """What the engine does where a method fails; the value is how a page says it."""
+    """What the engine does where a method fails; the value is the page's wording."""
 
     HOLDS = "holds"
     FALLS_BACK = "falls back"
@@ -39,13 +39,13 @@ class Answer:
         What it was asked for.
     conduct
         What it did.
-    said
-        What it told, or figures of what it did.
+    result
+        What it reported, or figures of what it did.
     """
 
     asked: str
     conduct: Conduct
-    said: str
+    result: str
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,9 @@ class Verdict:
     Attributes
     ----------
     fails
-        Whether the method that is called into question failed in the sweep, and where theory says.
+        Whether the method that is called into question failed in the sweep, and where theory predicts it.
     holds
-        Whether the engine's own way held all along it.
+        Whether the engine's own method held all along it.
     sentence
         Both in words, with the figures of the sweep.
     """
@@ -108,6 +108,6 @@ def refused(asked: str, call: Callable[[], object]) -> Answer:
     return Answer(asked, Conduct.SILENT, "taken without a word")
 
 
-def shown(asked: str, right: bool, said: str, *, conduct: Conduct = Conduct.HOLDS) -> Answer:
+def shown(asked: str, right: bool, result: str, *, conduct: Conduct = Conduct.HOLDS) -> Answer:
     """An answer whose figures were checked by the caller: silently wrong if they are not right."""
-    return Answer(asked, conduct if right else Conduct.SILENT, said)
+    return Answer(asked, conduct if right else Conduct.SILENT, result)

@@ -50,9 +50,9 @@ def swing_steps(stiffness: float, friction: float) -> float:
         depth = []
         for tick in range(round(SECONDS / TICK_S)):
             sample = device.read(tick * TICK_S)
-            told = 0.0 if sample is None else sample.position_m[2]
+            measured = 0.0 if sample is None else sample.position_m[2]
             depth.append(device.translation.position[2])
-            device.command(np.array([0.0, 0.0, -stiffness * told]), np.zeros(3))
+            device.command(np.array([0.0, 0.0, -stiffness * measured]), np.zeros(3))
         worst = max(worst, float(np.ptp(depth[-len(depth) // 3 :])) / ENCODER_M)
     return worst
 

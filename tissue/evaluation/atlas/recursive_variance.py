@@ -1,4 +1,4 @@
-"""E8: a recursive estimate that forgets its own last variance believes too much; the Kalman filter does not."""
+"""E8: a recursive estimate that forgets its own last variance is overconfident; the Kalman filter is not."""
 
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ __all__ = ["RECURSIVE_VARIANCE"]
 
 
 def measure(quick: bool) -> Data:
-    """Squared error of both filters over q / r, beside what each believes; 1000 levels at a time."""
+    """Squared error of both filters over q / r, and the variance that each estimates; 1000 levels at a time."""
     ratios = np.geomspace(1e-3, 1e2, 4 if quick else 11)
     rng, count = np.random.default_rng(8), 2000 if quick else 4000
     rows = []
@@ -75,20 +75,19 @@ def draw(data: Data, chart: "Figure") -> None:
         region(axes, Conduct.HOLDS, ratio[0], ratio[-1])
     left.loglog(ratio, table["theory"], color=GREY, label="theory: (−q + √(q² + 4qr))/2")
     left.loglog(ratio, table["printed_believed"], "--", color=RED, label="printed: qr/(q+r)")
-    left.loglog(ratio, table["ours_believed"], "o", color=BLUE, label="ours believes")
+    left.loglog(ratio, table["ours_believed"], "o", color=BLUE, label="estimated by ours")
     left.loglog(ratio, table["ours_error"], "^", color=ORANGE, label="squared error of ours, measured")
     finish(left, "wander over noise q / r", "variance / r", xlim=ratio[[0, -1]])
-    right.axhline(1.0, color=GREY, label="theory: believes its own error")
+    right.axhline(1.0, color=GREY, label="theory: estimates its own error")
     right.loglog(ratio, table["printed_error"] / table["printed_believed"], "s", color=RED, label="printed")
     right.loglog(ratio, table["ours_error"] / table["ours_believed"], "o", color=BLUE, label="ours")
-    finish(right, "wander over noise q / r", "squared error / believed variance", xlim=ratio[[0, -1]])
+    finish(right, "wander over noise q / r", "squared error / estimated variance", xlim=ratio[[0, -1]])
 
 
 RECURSIVE_VARIANCE = Page(
     "recursive_variance",
     "E8 · Is σ² = q·r/(q + r) the variance of a recursive estimate?",
-    "A published update forgets the variance of the step before. How far is what it believes from the error that it "
-    "makes?",
+    "A published update forgets the variance of the step before. How far is its estimate from the error that it makes?",
     "Statement E8; scalar Kalman filter (1960), errors over thousands of simulated levels",
     measure,
     judge,

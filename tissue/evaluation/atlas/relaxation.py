@@ -73,7 +73,7 @@ def judge(data: Data) -> Verdict:
 
 
 def ask() -> list[Answer]:
-    """What the engine relaxes with, and how it tells the bound."""
+    """What the engine relaxes with, and how it reports the bound."""
     gains = [low_pass_gain(constant, 1e-3) for constant in (0.0, 1e-4, 1e-3, 1e-2)]
     filtered = LowPass(1e-4, step_s=1e-3, size=1)
     reached = [float(filtered.step(np.ones(1))[0]) for _ in range(20)]

@@ -32,9 +32,9 @@ DAMPING_N_S_M = 0.5 * DEVICE.mass_kg / TICK_S
 def cycle_J(stiffness: float, *, watched: bool) -> float:
     """Energy that a wall gives to a device that is led into it and out at constant speed, by the motors' work [J]."""
     control = PassivityControl(DAMPING_N_S_M) if watched else None
-    way = -SPEED_M_S * TICK_S * np.concatenate([np.arange(SAMPLES), np.arange(SAMPLES, -1, -1)])
-    given, before = 0.0, way[0]
-    for depth, following in pairwise(way.tolist()):
+    depths = -SPEED_M_S * TICK_S * np.concatenate([np.arange(SAMPLES), np.arange(SAMPLES, -1, -1)])
+    given, before = 0.0, depths[0]
+    for depth, following in pairwise(depths.tolist()):
         force = np.array([0.0, 0.0, max(-stiffness * depth, 0.0)])
         if control is not None:
             speed = (depth - before) / TICK_S if depth != before else (following - depth) / TICK_S
@@ -78,8 +78,8 @@ def judge_wall(data: Data) -> Verdict:
         bool(np.isfinite(rate["measured_N_m"][fast]).all() and leak_off < 1e-6),
         bool(off < 0.01 and safe and paid < 1e-12),
         f"At {rate['rate_hz'][at]:g} Hz a wall of k, b > 0 grows from {rate['measured_N_m'][at]:.0f} N/m on "
-        f"(eigenvalues {rate['exact_N_m'][at]:.0f}, off by {100 * off:.2f} % at most). The hold leaks ½K(vT)² a sample "
-        f"each way to {leak_off:.0e}; the passivity controller pays all of it, at "
+        f"(eigenvalues {rate['exact_N_m'][at]:.0f}, {100 * off:.2f} % off at most). The hold leaks ½K(vT)² a sample, "
+        f"in and out, to {leak_off:.0e}; the passivity controller pays all of it, at "
         f"this speed by taking the force off where nothing is left in store. No hand of four brings the boundary below "
         f"Colgate's bound 2b/T = {rate['passive_N_m'][at]:.0f} N/m.",
     )
@@ -103,7 +103,7 @@ def ask() -> list[Answer]:
         ),
         shown("Colgate's bound in four hands", judge(loop.with_stiffness(bound), HANDS).stable, "accepted in all"),
         shown(
-            "energy booked on the way into 1 kN/m",
+            "energy booked on the path into 1 kN/m",
             abs(observer.energy_J / wanted - 1.0) < 1e-9,
             f"{1e3 * observer.energy_J:.3f} mJ taken, ½Kx² less the leak is {1e3 * wanted:.3f} mJ",
         ),
@@ -134,7 +134,7 @@ def draw(data: Data, chart: "Figure") -> None:
 SAMPLED_WALL = Page(
     "sampled_wall",
     "E10 · Is a wall passive because k, b > 0 and the loop runs at 1 kHz?",
-    "A published theorem says so. How stiff may the wall be at a rate, and what does the hold leak?",
+    "A published theorem claims it. How stiff may the wall be at a rate, and what does the hold leak?",
     "Statement E10; Colgate and Schenkel (1997), Hannaford and Ryu (2002); device: mass and damping of the Omni",
     measure,
     judge_wall,

@@ -48,7 +48,7 @@ def measure(quick: bool) -> Data:
 
 
 def judge(data: Data) -> Verdict:
-    """Which way either goes with the tremor, and what the tick does to it."""
+    """How either changes with the tremor, and what the tick does to it."""
     tremor, tick = data["tremor"], data["tick"]
     rises = bool((np.diff(tremor["printed_m_s2"]) > 0.0).all())
     # A tremor below a twentieth of the spectrum's peak counts as noise and leaves the arc length as it is.
@@ -104,7 +104,7 @@ def draw(data: Data, chart: "Figure") -> None:
 SMOOTHNESS = Page(
     "smoothness",
     "E13 · Is a higher smoothness index smoother?",
-    "A published index is mean |Δa|, while its table reads as if higher were better. Which way do the formula and the "
+    "A published index is mean |Δa|, while its table reads as if higher were better. Where do the formula and the "
     "spectral arc length go as a reach trembles more, and as it is sampled at other ticks?",
     "Statement E13; minimum-jerk reach of 100 mm in 1 s; SPARC of Balasubramanian et al. (2015)",
     measure,

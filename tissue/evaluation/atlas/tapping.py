@@ -23,7 +23,7 @@ __all__ = ["LIMIT_N", "TICK_S", "koopman", "predicted", "relative_error", "tappe
 
 Array = NDArray[np.float64]
 DEVICE = device_parameters("six-dof")
-LIMIT_N, TICK_S, LAGS, MOST_AHEAD = DEVICE.force_limit_N, 1e-3, 6, 64
+LIMIT_N, TICK_S, LAGS, LONGEST_HORIZON = DEVICE.force_limit_N, 1e-3, 6, 64
 TURN = np.array([[2.0, -2.0, 1.0], [1.0, 2.0, 2.0], [-2.0, -1.0, 2.0]]) / 3.0
 """The wall's frame in the world: askew, so that every component of position and force varies."""
 
@@ -52,27 +52,27 @@ def koopman(operator: Operator) -> Koopman:
     """The predictor of the loop on that operator; it distrusts itself beyond three times its training's error."""
     residual = float(np.sqrt((operator.statistics.residual_rms[3:6] ** 2).sum()))
     terms = LoopTerms(
-        gains=(0.0,) * MOST_AHEAD, residual_N=3.0 * residual, correction_N=LIMIT_N, quiet_N=0.02, reach_N=LIMIT_N,
+        gains=(0.0,) * LONGEST_HORIZON, residual_N=3.0 * residual, correction_N=LIMIT_N, quiet_N=0.02, reach_N=LIMIT_N,
         growth=25.0, following=np.zeros((3, 3)),
     )  # fmt: skip
     return Koopman(operator, terms)
 
 
 def predicted(predictor: Predictor, recording: tuple[Array, Array], horizons: Sequence[int]) -> tuple[Array, Array]:
-    """Forces told so many ticks ahead at every tick, shape (h, n, 3), and whether they were its own, (n,)."""
+    """Forces predicted for each horizon at every tick, shape (h, n, 3), and whether they are the primary's, (n,)."""
     position, force = recording
     velocity = np.gradient(position, TICK_S, axis=0)
-    told, own = np.zeros((len(horizons), len(force), 3)), np.zeros(len(force))
+    predictions, is_primary = np.zeros((len(horizons), len(force), 3)), np.zeros(len(force))
     with np.errstate(over="ignore", invalid="ignore"):
         for tick in range(len(force)):
             predictor.observe(position[tick], velocity[tick], force[tick])
-            own[tick] = float(predictor.is_primary)
-            for row, ahead in enumerate(horizons):
-                told[row, tick] = predictor.predict(ahead)
-    return told, own
+            is_primary[tick] = float(predictor.is_primary)
+            for row, horizon in enumerate(horizons):
+                predictions[row, tick] = predictor.predict(horizon)
+    return predictions, is_primary
 
 
-def relative_error(told: Array, force: Array, ahead: int) -> float:
-    """|told - what came| / |what came| over a recording but for its first 100 ticks; capped at 1e6."""
-    came, said = force[100 + ahead :], told[100 : len(told) - ahead]
-    return min(float(np.nan_to_num(np.linalg.norm(said - came) / np.linalg.norm(came), nan=1e6, posinf=1e6)), 1e6)
+def relative_error(predictions: Array, force: Array, horizon: int) -> float:
+    """|predicted - what came| / |what came| over a recording but for its first 100 ticks; capped at 1e6."""
+    came, forecast = force[100 + horizon :], predictions[100 : len(predictions) - horizon]
+    return min(float(np.nan_to_num(np.linalg.norm(forecast - came) / np.linalg.norm(came), nan=1e6, posinf=1e6)), 1e6)

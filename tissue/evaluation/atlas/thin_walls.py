@@ -109,8 +109,8 @@ def voxel_wall_m(speed_m_s: float) -> float:
     start = np.array([24.0, 24.0, 36.0]) * VOXEL_M
     proxy.place(start)
     lowest, steps = np.inf, max(round(5e-3 / (1e-3 * speed_m_s)), 2)
-    for way in [*np.linspace(0.0, 5e-3, steps).tolist(), *[5e-3] * 20]:
-        at = proxy.advance(start - np.array([0.0, 0.0, way])).position_m
+    for pushed in [*np.linspace(0.0, 5e-3, steps).tolist(), *[5e-3] * 20]:
+        at = proxy.advance(start - np.array([0.0, 0.0, pushed])).position_m
         lowest = min(lowest, float(at[2]) - 24.5 * VOXEL_M)
     return lowest
 

@@ -1,4 +1,4 @@
-"""An operator that was trained on one wall and is used on another: what it tells, and what the guard makes of it."""
+"""An operator that was trained on one wall and is used on another: what it predicts, and what the guard makes of it."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["TRAINED_ELSEWHERE"]
 
-HOME_N_M, AHEAD = 800.0, 5
+HOME_N_M, HORIZON_TICKS = 800.0, 5
 """Stiffness of the wall that was learnt from, and ticks ahead."""
 
 
@@ -32,12 +32,12 @@ def measure(quick: bool) -> Data:
     rows = []
     for stiffness in stiffnesses.tolist():
         recording = tapped(stiffness, seed=9, seconds=1.2 if quick else 2.0)
-        errors, own = [], 0.0
+        errors, is_primary = [], 0.0
         for each in (Hold(), koopman(operator), Guarded(koopman(operator), Hold(), reach_N=LIMIT_N)):
-            told, whose = predicted(each, recording, [AHEAD])
-            errors.append(relative_error(told[0], recording[1], AHEAD))
-            own = float(whose.mean())
-        rows.append((*errors, own))
+            predictions, whose = predicted(each, recording, [HORIZON_TICKS])
+            errors.append(relative_error(predictions[0], recording[1], HORIZON_TICKS))
+            is_primary = float(whose.mean())
+        rows.append((*errors, is_primary))
     found = np.array(rows)
     table = dict(zip(("hold", "bare", "guarded", "own_share"), found.T, strict=True))
     # The operator moves the force towards that of its own wall; by how much in five ticks is read off the softest.
@@ -58,7 +58,7 @@ def judge(data: Data) -> Verdict:
         bool((ratio < 1.5).all() and ratio[home] < 0.8 and table["own_share"][home] > 0.8),
         f"Five ticks ahead the operator is off by {100 * table['bare'][home]:.1f} % on its own wall, where hold is by "
         f"{100 * table['hold'][home]:.1f} %, and up to {worst:.0f} times as much as hold on others, as |K₀/K − 1| "
-        f"says. Guarded it is its own {100 * table['own_share'][home]:.0f} % of the time at home and "
+        f"predicts. Guarded it predicts itself {100 * table['own_share'][home]:.0f} % of the time at home and "
         f"{100 * table['own_share'][far].max():.0f} % at most on walls twice as stiff or soft (in free air all walls "
         f"are one), and never more than {ratio.max():.2f} times off as hold.",
     )
@@ -73,23 +73,23 @@ def ask() -> list[Answer]:
             "the Koopman predictor of another scene",
             lambda: predictor("koopman", scene_name="molar", file=str(path), force_limit_N=LIMIT_N, tick_s=TICK_S),
         )
-        answers = [_told(other, folder)]
+        answers = [_without_folder(other, folder)]
         path.write_bytes(path.read_bytes()[:200])
-        answers.append(_told(refused("a file that was cut off", lambda: read_predictor(path)), folder))
+        answers.append(_without_folder(refused("a file that was cut off", lambda: read_predictor(path)), folder))
     guarded = Guarded(koopman(operator), Hold(), reach_N=LIMIT_N)
     recording = tapped(4.0 * HOME_N_M, seed=9, seconds=1.0)
-    told, own = predicted(guarded, recording, [AHEAD])
-    steps = np.abs(np.diff(np.linalg.norm(told[0], axis=1))).max()
+    forces, is_primary = predicted(guarded, recording, [HORIZON_TICKS])
+    steps = np.abs(np.diff(np.linalg.norm(forces[0], axis=1))).max()
     return [
         *answers,
-        shown("a wall four times as stiff", bool(np.isfinite(told).all()) and float(own[200:].min()) == 0.0,
+        shown("a wall four times as stiff", bool(np.isfinite(forces).all()) and float(is_primary[200:].min()) == 0.0,
               f"hands over to hold; no tick changes the force by more than {steps:.2f} N", conduct=Conduct.FALLS_BACK),
     ]  # fmt: skip
 
 
-def _told(answer: Answer, folder: str) -> Answer:
+def _without_folder(answer: Answer, folder: str) -> Answer:
     """The answer without the folder it was tried in."""
-    return Answer(answer.asked, answer.conduct, answer.said.replace(f"{folder}/", ""))
+    return Answer(answer.asked, answer.conduct, answer.result.replace(f"{folder}/", ""))
 
 
 def draw(data: Data, chart: "Figure") -> None:
@@ -119,7 +119,7 @@ TRAINED_ELSEWHERE = Page(
     "trained_elsewhere",
     "Operators trained elsewhere",
     "A predictor has learnt a wall of 800 N/m and is used on walls an eighth to three times as stiff. What force does "
-    "it tell five milliseconds ahead?",
+    "it predict five milliseconds ahead?",
     "Guard by one-step residual and training range, falls back to hold",
     measure,
     judge,

@@ -84,7 +84,7 @@ def judge(data: Data) -> Verdict:
     return Verdict(
         bool(broken[table["seen_N"] <= 0.0].all() and two.any() and wrong.any() and agree),
         off < 1e-3,  # the grid's spacing is 6e-4 of a force
-        f"Between {between.min():.2f} and {between.max():.2f} N the posterior has two maxima, where theory says so. "
+        f"Between {between.min():.2f} and {between.max():.2f} N the posterior has two maxima, as in theory. "
         f"Newton's method from the observation gives no force in {int(broken.sum())} of {len(broken)} cases, among "
         f"them all at or below zero, and the lesser maximum in {int(wrong.sum())}; ours is the global one to {off:.0e} "
         "in all.",

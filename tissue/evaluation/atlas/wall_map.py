@@ -26,7 +26,7 @@ LOOP = in_hands(device_parameters("six-dof").loop(1.0), [hand_parameters("expert
 """The device of six degrees of freedom in an expert's hand."""
 AXES = {
     "damping": ("virtual damping / (N s/m)", 1.0),
-    "delay": ("delay beside the hold / ms", 1e3),
+    "delay": ("delay added to the hold / ms", 1e3),
     "rate": ("rate / Hz", 1.0),
 }
 
@@ -75,7 +75,7 @@ def judge(data: Data) -> Verdict:
     return Verdict(
         max(unsafe.values()) > 1.05 and high > 2.0 * low,
         off < 0.01 and passive,
-        f"The wall rings from {low:.0f} to {high:.0f} N/m on, and eigenvalues say where to {100 * off:.2f} %. The "
+        f"The wall rings from {low:.0f} to {high:.0f} N/m on, and eigenvalues predict where to {100 * off:.2f} %. The "
         f"passive bound is never passed; K = (b+B)/(T/2+t) promises up to {unsafe['first_order']:.1f} times, Padé up "
         f"to {unsafe['pade']:.1f} times what holds.",
     )
@@ -103,7 +103,7 @@ def ask() -> list[Answer]:
         shown(
             "five times the force that the device can play",
             compressed and float(played[2]) < limit,
-            f"compressed to {played[2]:.2f} of {limit:g} N, and told",
+            f"compressed to {played[2]:.2f} of {limit:g} N, and reported",
             conduct=Conduct.FALLS_BACK,
         ),
     ]
@@ -133,7 +133,7 @@ WALL_MAP = Page(
     "wall_map",
     "Stiffness × delay × damping × rate",
     "A device of six degrees of freedom in an expert's hand on a virtual wall: from which stiffness on does it ring, "
-    "over damping, delay and rate, and which line of theory says so?",
+    "over damping, delay and rate, and which line of theory predicts it?",
     "Colgate and Schenkel (1997), Gil et al. (2009); device and hand of the engine's data files",
     measure,
     judge,

@@ -66,7 +66,7 @@ def judge(data: Data) -> Verdict:
         f"With people scattering by {negative['scatter_over_kappa'].max():g} of κ, "
         f"{100 * negative['printed_share'].max():.0f} % of the printed thresholds are negative (normal law "
         f"{100 * negative['theory_share'].max():.0f} %), of ours none. Between 0.1 and 0.5 N ours are "
-        f"{100 * inside.min():.0f} to {100 * inside.max():.0f} % where 10 to 28 % were measured and κF says "
+        f"{100 * inside.min():.0f} to {100 * inside.max():.0f} % where 10 to 28 % were measured and κF predicts "
         f"{100 * KAPPA:.0f} %.",
     )
 
@@ -109,7 +109,7 @@ WEBER_LAW = Page(
     "weber_law",
     "E6 · Is the threshold ΔF/F normal about κ?",
     "A published model draws Weber fractions from N(κ, τ²). How many thresholds are negative, and what does the law "
-    "say of weak forces?",
+    "predict for weak forces?",
     "Statement E6; κ = 7 % of Pang et al. (1991), 10 to 28 % below half a newton, F0 from the engine's data file",
     measure,
     judge,

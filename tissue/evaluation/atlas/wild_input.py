@@ -23,7 +23,7 @@ BELIEVED_M = LIMITS.fastest_m_s * (TICK_S + LIMITS.oldest_s)
 
 
 def forced(jump_m: float, *, guarded: bool) -> tuple[float, float, int]:
-    """Force just before a sample lies so much deeper, and with it [N]; samples that were not believed."""
+    """Force just before a sample lies so much deeper, and with it [N]; samples that were not accepted."""
 
     def change(sample: Sample) -> Sample:
         x, y, z = sample.position_m
@@ -54,7 +54,7 @@ def measure(quick: bool) -> Data:
 
 
 def judge(data: Data) -> Verdict:
-    """What one sample commands without a guard; the bound with it, and where it stops to believe."""
+    """What one sample commands without a guard; the bound with it, and where it stops accepting."""
     table = data["jump"]
     beyond = table["jump_m"] > BELIEVED_M
     off = float(np.abs(table["bare_N"] / table["theory_N"] - 1.0).max())
@@ -64,9 +64,9 @@ def judge(data: Data) -> Verdict:
     return Verdict(
         bool(table["bare_N"].max() > 1e6 and off < 0.01),
         doubted and worst <= DEVICE.force_limit_N * (1.0 + 1e-12) and bridged < 1e-6,
-        f"Believed as it comes, one sample commands k·jump, up to {table['bare_N'].max():.1e} N. The guard believes "
+        f"Accepted as it comes, one sample commands k·jump, up to {table['bare_N'].max():.1e} N. The guard accepts "
         f"jumps below {1e3 * BELIEVED_M:.1f} mm (5 m/s over a tick and the age allowed) and none above; it never "
-        f"commands more than {worst:.2f} N, and a doubted sample costs 5 % of the force.",
+        f"commands more than {worst:.2f} N, and a rejected sample takes off 5 % of the force.",
     )
 
 
@@ -101,7 +101,7 @@ def draw(data: Data, chart: "Figure") -> None:
     region(axes, Conduct.FALLS_BACK, BELIEVED_M, jump[-1])
     order = np.argsort(jump)
     axes.loglog(jump[order], table["theory_N"][order], color=GREY, label="theory: force before + k·jump")
-    axes.loglog(jump, table["bare_N"], "s", color=RED, label="every sample believed")
+    axes.loglog(jump, table["bare_N"], "s", color=RED, label="every sample accepted")
     axes.loglog(jump, table["guarded_N"], "o", color=BLUE, label="with the sample guard (ours)")
     axes.axhline(DEVICE.force_limit_N, color=GREY, linestyle=":", label="the device's limit")
     finish(axes, "jump of one sample into the wall / m", "commanded force / N", xlim=jump[order][[0, -1]])

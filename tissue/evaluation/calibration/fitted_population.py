@@ -26,16 +26,16 @@ __all__ = ["fit_population", "new_person", "pooled_trials"]
 def pooled_trials(sessions: list[Session]) -> PopulationTrials:
     """Trials of many sessions, end to end."""
     compared = [(who, asked, answer) for who, each in enumerate(sessions) for asked, answer in each.asked]
-    told = [(who, force, number) for who, each in enumerate(sessions) for force, number in each.given]
+    numbers = [(who, force, number) for who, each in enumerate(sessions) for force, number in each.given]
     return PopulationTrials(
         observers=len(sessions),
         who_compared=np.array([who for who, _, _ in compared], dtype=int),
         base_N=np.array([asked.base_N for _, asked, _ in compared]),
         step_N=np.array([asked.step_N for _, asked, _ in compared]),
         right=np.array([answer == asked.greater for _, asked, answer in compared], dtype=bool),
-        who_rated=np.array([who for who, _, _ in told], dtype=int),
-        force_N=np.array([force for _, force, _ in told]),
-        number=np.array([number for _, _, number in told]),
+        who_rated=np.array([who for who, _, _ in numbers], dtype=int),
+        force_N=np.array([force for _, force, _ in numbers]),
+        number=np.array([number for _, _, number in numbers]),
     )
 
 

@@ -71,7 +71,7 @@ class Person:
     show
         Shows a line to the person.
     bars_N
-        Greatest force for bars that stand for forces, for devices that cannot push; None where they can.
+        Greatest force for bars that represent forces, for devices that cannot push; None where they can.
     clock, wait
         Time that passes [s], from any start, and how to let it pass.
     """

@@ -22,7 +22,7 @@ Answer = Callable[[Comparison | Magnitude, int], float]
 """Answers a trial of that number."""
 
 
-def simulated_observer(told: str) -> tuple[SimulatedObservers, int]:
+def simulated_observer(spec: str) -> tuple[SimulatedObservers, int]:
     """The one observer that simulated:SEED or simulated:GROUP:SEED names, and the seed.
 
     Raises
@@ -30,11 +30,11 @@ def simulated_observer(told: str) -> tuple[SimulatedObservers, int]:
     InputError
         If the name is another.
     """
-    kind, *parts = told.split(":")
+    kind, *parts = spec.split(":")
     group, seed = (parts[0], parts[1]) if len(parts) == 2 else ("intermediate", parts[0] if parts else "")
     if kind != "simulated" or len(parts) not in (1, 2) or not seed.isdecimal() or group not in GROUPS:
         raise InputError(
-            f"observer must be simulated:SEED or simulated:GROUP:SEED with {', '.join(GROUPS)}, got {told}: "
+            f"observer must be simulated:SEED or simulated:GROUP:SEED with {', '.join(GROUPS)}, got {spec}: "
             "use simulated:1"
         )
     return draw_observers(group, 1, np.random.default_rng(int(seed))), int(seed)
@@ -67,10 +67,10 @@ def questioner(
         raise InputError(f"device must be one of mouse, {', '.join(DEVICES)}, got {device}: use mouse")
     limits = device_parameters("touch" if device == "mouse" else device)
     if observer is not None:
-        people, own = simulated_observer(observer)
-        return simulated_answers(people, own), limits.force_limit_N
+        people, observer_seed = simulated_observer(observer)
+        return simulated_answers(people, observer_seed), limits.force_limit_N
     plays: Device = MouseDevice() if device == "mouse" else SimulatedDevice(limits)
-    show("bars stand for forces, as no force can be felt here: what is calibrated is the eye")
+    show("bars represent forces, as no force can be felt here: what is calibrated is the eye")
     person = Person(plays, read=read, show=show, bars_N=limits.force_limit_N)
     return lambda asked, _: person.answer(asked), limits.force_limit_N
 

@@ -1,4 +1,4 @@
-"""A calibration session: what is asked next, what the answers so far say, and what they cannot say."""
+"""A calibration session: what is asked next, what the answers so far show, and what they cannot show."""
 
 from dataclasses import asdict, dataclass, field
 
@@ -17,9 +17,9 @@ __all__ = ["Comparison", "Magnitude", "Plan", "Session"]
 
 Array = NDArray[np.float64]
 REPORTED_N = 2.0
-"""Force at which a threshold is told beside the Weber fraction [N]."""
+"""Force at which a threshold is reported with the Weber fraction [N]."""
 ODD = 0.01
-"""Probability below which answers count as contradicting what is believed."""
+"""Probability below which answers count as contradicting the estimate."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +54,7 @@ class Plan:
         if self.trials + self.numbers == 0:
             raise InputError("trials and numbers must not both be 0, got 0 and 0: use 120 and 24")
 
-    def told(self) -> dict[str, object]:
+    def as_dict(self) -> dict[str, object]:
         """The plan as plain numbers, for a file."""
         return asdict(self)
 
@@ -152,7 +152,7 @@ class Session:
         return fit_magnitudes([force for force, _ in self.given], [number for _, number in self.given])
 
     def observer(self, name: str) -> Observer:
-        """The observer as the answers so far tell: mean and covariance of the posteriors."""
+        """The observer as estimated from the answers so far: mean and covariance of the posteriors."""
         weber, floor, lapse, _ = self.plan.prior.parameters()
         coordinates = np.array([np.log(weber), np.log(floor), logit(lapse)])
         masses = self.threshold.posterior[:, 0]
@@ -170,20 +170,20 @@ class Session:
         """What is known now, in sentences."""
         low, middle, high = (float(q[0]) for q in self.threshold.weber_quantiles(np.array([0.025, 0.5, 0.975])))
         at, _ = self.threshold.threshold_N(REPORTED_N)
-        told = [
+        notes = [
             f"Weber fraction {100 * middle:.1f} % (95 % within {100 * low:.1f} to {100 * high:.1f} %), "
             f"threshold at {REPORTED_N:g} N {at[0]:.3f} N, after {len(self.asked)} comparisons"
         ]
         if self.given:
             least, exponent, most = self.magnitudes().exponent_at([0.025, 0.5, 0.975])
-            told.append(
+            notes.append(
                 f"Stevens' exponent {exponent:.2f} (95 % within {least:.2f} to {most:.2f}), "
                 f"after {len(self.given)} numbers"
             )
-        return told
+        return notes
 
     def notes(self) -> list[str]:
-        """What the answers cannot say, in sentences; empty for an ordinary session."""
+        """What the answers cannot show, in sentences; empty for an ordinary session."""
         found, count = [], len(self.asked)
         right = sum(answer == asked.greater for asked, answer in self.asked)
         high = float(self.threshold.weber_quantiles(np.array([0.95]))[0, 0])

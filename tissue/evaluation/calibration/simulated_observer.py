@@ -65,7 +65,7 @@ class SimulatedObservers:
     def correct(
         self, base_N: ArrayLike, step_N: ArrayLike, rng: np.random.Generator, *, trial: int = 0
     ) -> NDArray[np.bool_]:
-        """Whether each tells `base_N + step_N` from `base_N` [N], shape (n,); a step of 0 has no right answer.
+        """Whether each discriminates `base_N + step_N` from `base_N` [N], shape (n,); a step of 0 has no right answer.
 
         Parameters
         ----------
@@ -80,10 +80,10 @@ class SimulatedObservers:
         if not (np.isfinite(step) & (step >= 0.0) & (base >= 0.0)).all():
             raise InputError(f"base_N and step_N must not be negative, got {base_N!r} and {step_N!r}: forces are sizes")
         tired = max(1.0 + self.fatigue * trial / 100.0, 0.1)
-        return self.told_apart(D_PRIME_75 * step / (tired * self.kappa * (base + self.offset_N)), rng)
+        return self.discriminate(D_PRIME_75 * step / (tired * self.kappa * (base + self.offset_N)), rng)
 
-    def told_apart(self, distance: ArrayLike, rng: np.random.Generator) -> NDArray[np.bool_]:
-        """Whether each tells two intervals apart that lie a distance d' from each other, shape (n,)."""
+    def discriminate(self, distance: ArrayLike, rng: np.random.Generator) -> NDArray[np.bool_]:
+        """Whether each discriminates two intervals that lie a distance d' from each other, shape (n,)."""
         first, second = self._noise(rng), self._noise(rng)
         blind, guess = rng.random((2, len(self)))
         return np.where(blind < 2.0 * self.lapse, guess < 0.5, np.asarray(distance) + second > first)

@@ -28,7 +28,7 @@ class TrialLog:
     path
         The file. One that is there is gone on with, if it is of this observer and this plan.
     observer
-        Who answers, as the command was told.
+        Who answers, as given to the command.
     plan
         What is asked.
 
@@ -46,8 +46,8 @@ class TrialLog:
     """
 
     def __init__(self, path: Path, observer: str, plan: Plan) -> None:
-        told = {"format": FORMAT, "version": VERSION, "tissue": package_version(), "observer": observer}
-        head = json.dumps(told | {"plan": plan.told()}) + "\n"
+        about = {"format": FORMAT, "version": VERSION, "tissue": package_version(), "observer": observer}
+        head = json.dumps(about | {"plan": plan.as_dict()}) + "\n"
         self.path, self.mended = path, False
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -96,7 +96,7 @@ def read_log(path: Path) -> tuple[str, Session]:
     Raises
     ------
     InputError
-        If the file is none of a session, or a line of it is no trial of the session; says which.
+        If the file is none of a session, or a line of it is no trial of the session; the message names it.
     """
     try:
         text = path.read_bytes().decode()
@@ -137,14 +137,14 @@ def read_log(path: Path) -> tuple[str, Session]:
 
 def _entry(line: str) -> tuple[Comparison | Magnitude, float, int]:
     """A line's trial, answer and number."""
-    told: dict[str, Any] = json.loads(line)
-    if not isinstance(told, dict):
+    entry: dict[str, Any] = json.loads(line)
+    if not isinstance(entry, dict):
         raise ValueError(f"{line[:40]}")
-    trial, answer, what = told.pop("trial"), told.pop("answer"), told.pop("ask")
+    trial, answer, what = entry.pop("trial"), entry.pop("answer"), entry.pop("ask")
     if isinstance(answer, bool) or not isinstance(answer, int | float):
         raise InputError(f"answer must be a number, got {answer!r}")
     kinds = {"comparison": Comparison, "magnitude": Magnitude}
-    return kinds[what](**told), answer, trial
+    return kinds[what](**entry), answer, trial
 
 
 def _difference(who: str, held: Plan, observer: str, plan: Plan) -> str:

@@ -1,1 +1,1 @@
-"""What every setting of a scene costs and what it is worth, measured on this machine."""
+"""Performance and force error of every setting of a scene, measured on this machine."""

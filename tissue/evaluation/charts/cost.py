@@ -1,4 +1,4 @@
-"""What a tick costs at a setting that was not measured, from those that were."""
+"""Time of a tick at a setting that was not measured, from those that were."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ class CostModel:
 
     @classmethod
     def fitted(cls, points: Sequence[Measured]) -> "CostModel":
-        """Fit three or more measurements of one scene and one way of computing.
+        """Fit three or more measurements of one scene and one compute device.
 
         Raises
         ------

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
-from tissue.evaluation.charts.beside import BESIDE
+from tissue.evaluation.charts.error_bounds import BOUND_FAMILIES
 from tissue.evaluation.charts.frontier import frontier_of
 from tissue.evaluation.charts.measure import Measured
 from tissue.evaluation.charts.settings import Setting
@@ -33,7 +33,7 @@ def choose(points: Sequence[Measured], wanted: Fidelity, *, gap: float = 0.0) ->
         If none does; the sentence names the nearest that can.
     """
 
-    points = [point for point in points if point.family not in BESIDE]
+    points = [point for point in points if point.family not in BOUND_FAMILIES]
 
     def error_of(point: Measured) -> float:
         return max(SAFETY * point.force_error, gap)
@@ -79,9 +79,9 @@ def with_fidelity(scene: Scene, *, report: Progress = silent) -> tuple[Scene, st
     point = choose(found.points, wanted, gap=found.gap)
     setting = next(each for each in found.settings if each.name == point.setting)
     at = changed(plain, setting.changes)
-    said = (
-        f"{_in_words(at, setting, found.settings)}: force {100.0 * point.force_error:.2g} % from the converged, "
-        f"undelayed one (which is known to {100.0 * found.gap:.2g} %), tick {point.median_us:.0f} µs, "
+    sentence = (
+        f"{_in_words(at, setting, found.settings)}: force {100.0 * point.force_error:.2g} % from the converged "
+        f"reference (whose uncertainty is {100.0 * found.gap:.2g} %), tick {point.median_us:.0f} µs, "
         f"99 % {point.p99_us:.0f} µs, "
         + ("the cheapest" if wanted.force_error is not None else "the most accurate")
         + f" of {len(found.points)} settings that meets {_asked(wanted)}"
@@ -91,8 +91,8 @@ def with_fidelity(scene: Scene, *, report: Progress = silent) -> tuple[Scene, st
     if at.device != "none" and at.prediction in ("none", "hold") and late_ms > 0:
         leaves_out.append(f"prediction, so that the force comes up to {late_ms} ms late")
     if leaves_out:
-        said += f"; leaves out {'; and '.join(leaves_out)}"
-    return at, said
+        sentence += f"; leaves out {'; and '.join(leaves_out)}"
+    return at, sentence
 
 
 def _asked(wanted: Fidelity) -> str:

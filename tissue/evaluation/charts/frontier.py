@@ -11,10 +11,10 @@ from pathlib import Path
 from meshes.base.cache import cache_folder, read_entry, write_entry
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
-from tissue.evaluation.charts.beside import beside
+from tissue.evaluation.charts.error_bounds import bound_row
 from tissue.evaluation.charts.law import LawError, law_error
 from tissue.evaluation.charts.measure import (
-    WAY,
+    PROTOCOL,
     Measured,
     excerpt,
     machine,
@@ -66,10 +66,10 @@ class Frontier:
         return tuple(undominated(self.points))
 
     @property
-    def beside(self) -> tuple[Measured, ...]:
+    def bounds(self) -> tuple[Measured, ...]:
         """Rows of a table that are no settings: of the law and of rounding, where they were measured."""
         law = self.law.rows(self.scene) if self.law else ()
-        return law if isnan(self.rounding) else (*law, beside(self.scene, "float32", "rounding", self.rounding))
+        return law if isnan(self.rounding) else (*law, bound_row(self.scene, "float32", "rounding", self.rounding))
 
 
 def undominated(points: Sequence[Measured]) -> list[Measured]:
@@ -93,7 +93,7 @@ def frontier_of(scene: Scene, *, quick: bool = True, report: Progress = silent) 
     quick
         Fewer settings, a shorter excerpt and a coarser reference.
     report
-        Told what is being measured.
+        Called with what is being measured.
     """
     path = _store(scene, quick=quick)
     known = {point.key: point for point in _kept(path)}
@@ -130,12 +130,12 @@ def measured_keys(scene: Scene, *, quick: bool) -> set[str]:
 
 def _gap(scene: Scene, path: Path, *, quick: bool) -> float:
     """Distance of the finest setting to the next one, kept beside the measurements."""
-    beside = path.with_suffix(".gap")
-    kept = read_entry(beside)
+    gap_file = path.with_suffix(".gap")
+    kept = read_entry(gap_file)
     if kept is not None:
         return float(kept)
     gap = reference_gap(short_of(of_model(scene), quick), quick=quick)
-    write_entry(beside, repr(gap))
+    write_entry(gap_file, repr(gap))
     return gap
 
 
@@ -146,7 +146,7 @@ def _under(key: str, point: Measured) -> Measured:
 
 def _store(scene: Scene, *, quick: bool) -> Path:
     """Where a scene's measurements are kept: with the computed arrays of this machine."""
-    text = f"{plain(scene)}|{machine()}|{quick}|{WAY}"
+    text = f"{plain(scene)}|{machine()}|{quick}|{PROTOCOL}"
     return cache_folder() / "frontiers" / f"{scene.name}-{blake2b(text.encode(), digest_size=8).hexdigest()}.csv"
 
 
@@ -158,8 +158,8 @@ def read_measured(path: Path) -> list[Measured]:
 def write_measured(path: Path, points: Sequence[Measured]) -> None:
     """Write measurements as a table; a reader never sees half of it."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as beside:
-        beside.write_bytes(_table(points).encode())
+    with whole_file(path) as temporary:
+        temporary.write_bytes(_table(points).encode())
 
 
 def _kept(path: Path) -> list[Measured]:

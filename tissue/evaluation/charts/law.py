@@ -20,7 +20,7 @@ from meshes.shapes.polyline import arc_length, points_along
 from meshes.tets.regions import faces_of
 from tissue.builders.organ import elasticity_of, held_mesh
 from tissue.builders.registry import motion_of
-from tissue.evaluation.charts.beside import beside
+from tissue.evaluation.charts.error_bounds import bound_row
 from tissue.evaluation.charts.measure import Measured, machine, plain
 from tissue.evaluation.statistics.metrics import force_error
 from tissue.scene.organ import LiverAnatomy, SlabAnatomy
@@ -41,7 +41,7 @@ INSTANTS = 4
 POSES = 400
 """Poses of the motion at which contact is looked for."""
 EDGES = (1.4, 2.0)
-"""Edges of the mesh, and of one that tells what it is worth, over the scene's: liver-press takes 40 s of one core.
+"""Edges of the mesh, and of one that estimates its error, over the scene's: liver-press takes 40 s of one core.
 
 A graded slab with a nodule takes minutes: the nodule keeps its cells short, and the gradients take more iterations.
 """
@@ -56,11 +56,11 @@ class LawError:
     Attributes
     ----------
     depth_m
-        Way of the tool into the undeformed body [m], shape (k,).
+        Depth of the tool in the undeformed body [m], shape (k,).
     linear_N, neo_N, coarse_N
         By the linear law, by the neo-Hookean one, and by that on a coarser mesh, where deepest [N], shape (k, 3).
     solve_us
-        Time of a neo-Hookean solve a tick's way from one that is done [us], shape (k,).
+        Time of a neo-Hookean solve one tick's path from one that is done [us], shape (k,).
     cells, took_s
         Tetrahedra, and time of all of it [s], shape ().
     """
@@ -98,7 +98,7 @@ class LawError:
         if not on.any():
             return ()
         solve_us = self.solve_us[on]
-        return beside(scene, "linear law", "law", self.error), beside(
+        return bound_row(scene, "linear law", "law", self.error), bound_row(
             scene,
             "neo-Hookean (statics)",
             "law",
@@ -112,7 +112,7 @@ class LawError:
         )
 
     def line(self) -> str:
-        """What it says, in words."""
+        """The error in words."""
         on = self.solved
         if not on.any():
             return f"the neo-Hookean law converged at none of {len(on)} instants of this motion"
@@ -179,8 +179,8 @@ def _solvers(scene: Scene, coarser: float, laws: "Sequence[Law]") -> "list[Newto
     # Not as if it had been set: tetrahedra from a file have edges of their own.
     anatomy = type(scene.anatomy).model_construct(scene.anatomy.model_fields_set, **coarse)
     touch_mm = coarser * (anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm)
-    way = motion_of(scene, step_s=TICK_S).sweep_m()
-    found = held_mesh(anatomy, path_m=way, touch_edge_m=1e-3 * touch_mm, report=silent)
+    path = motion_of(scene, step_s=TICK_S).sweep_m()
+    found = held_mesh(anatomy, path_m=path, touch_edge_m=1e-3 * touch_mm, report=silent)
     space = Space(found.mesh, scene.organ.order)
     held = np.zeros((space.node_count, 3), dtype=bool)
     held[found.held] = True
@@ -195,7 +195,7 @@ def _solvers(scene: Scene, coarser: float, laws: "Sequence[Law]") -> "list[Newto
 
 
 def _instants(scene: Scene, solver: "NewtonSolver", radius_m: float) -> Instants:
-    """Tips [m], directions that the tool comes along and its way in a tick [m], spread over the contact."""
+    """Tips [m], directions that the tool comes along and its path in a tick [m], spread over the contact."""
     assert isinstance(scene.motion, PathMotion)
     motion = motion_of(scene, step_s=TICK_S)
     corners, axis = motion.sweep_m(), motion.rotations()[0][:, 2]
@@ -217,8 +217,8 @@ def _pressed(solver: "NewtonSolver", at: Instants, radius_m: float) -> tuple[Arr
     from tissue.fem.linear_limits import press_at
 
     found = []
-    for tip, way, step in at:
-        solution, sphere, depth = press_at(solver, tip, way, radius_m=radius_m, tolerance=TOLERANCE)
+    for tip, direction, step in at:
+        solution, sphere, depth = press_at(solver, tip, direction, radius_m=radius_m, tolerance=TOLERANCE)
         force, took = np.full(3, np.nan), float("nan")
         if solution.converged:
             force = solution.tool_force_N

@@ -1,4 +1,4 @@
-"""Run a scene at a setting and say what a tick costs and how far its force is from the converged, undelayed one."""
+"""Run a scene at a setting; measure the time of a tick and the error of its force against the converged reference."""
 
 import hashlib
 import platform
@@ -49,7 +49,7 @@ STRAY_MM = 1.5
 """The same by hand, which strays from the path."""
 REPEATS = 2
 """Runs of a setting at one place, of which the faster counts; a quick chart of a loop makes do with one."""
-WAY = "three places, visits"
+PROTOCOL = "three places, visits"
 """How errors are measured: part of every key, to be changed with it."""
 SETTLED = 20
 """Ticks in contact that are not counted: the first ones load code."""
@@ -57,7 +57,7 @@ SETTLED = 20
 
 @dataclass(frozen=True)
 class Measured:
-    """What one setting costs and what it is worth.
+    """Time of a tick and force error of one setting.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ class Measured:
 
 
 def machine() -> str:
-    """What a cost belongs to: processor, cores, and the versions that compute."""
+    """What a time belongs to: processor, cores, and the versions that compute."""
     import psutil
 
     return (
@@ -123,7 +123,7 @@ def machine() -> str:
 
 def setting_key(scene: Scene, setting: Setting, *, quick: bool) -> str:
     """Hash of a scene at a setting and of the machine."""
-    text = f"{plain(changed(scene, setting.changes))}|{setting.cores}|{setting.compute}|{quick}|{WAY}|{machine()}"
+    text = f"{plain(changed(scene, setting.changes))}|{setting.cores}|{setting.compute}|{quick}|{PROTOCOL}|{machine()}"
     return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
 
 
@@ -175,7 +175,7 @@ def _first_contact_s(scene: Scene, span_s: float) -> float:
 
 
 def _length_s(scene: Scene) -> float:
-    """Length of a scene; zero where only its run can tell, so that the first try is all of it."""
+    """Length of a scene; zero where only its run can show it, so that the first try is all of it."""
     if scene.duration_s is not None or not isinstance(scene.motion, PathMotion):
         return scene.duration_s or 0.0
     return float(arc_length(scene.motion.points_mm)[-1]) / scene.motion.feed_mm_s
@@ -245,7 +245,7 @@ def _run(scene: Scene, setting: Setting) -> Run:
 
 
 def reference_gap(scene: Scene, *, quick: bool) -> float:
-    """Distance of the finest setting to one a step coarser: below it nothing is told apart."""
+    """Distance of the finest setting to one a step coarser: below it no difference is resolved."""
     model = of_model(scene)
     changes = nearly_finest(model, quick=quick)
     if not changes:

@@ -21,7 +21,7 @@ COLOURS = 64
 LEAST = 1e-4
 """Error that is drawn for none."""
 SPAN_US = (25.0, 9e4)
-"""Ticks that are shown; beyond 1 ms stand the names."""
+"""Ticks that are shown; the names are beyond 1 ms."""
 NAMES_US, ROW = 1.35e3, 0.098
 """Where names begin, and the least distance of two of them, as a share of the panel."""
 

@@ -120,18 +120,18 @@ def _deadband(someone: Observer, path: Path) -> None:
     wanted, time = run.trace.vectors("filtered_force", "N"), run.trace["time_s"]
     law = weber_of(someone, quantile=CAUTION)
     played, changed = held_back(wanted, law)
-    size, told = np.linalg.norm(wanted, axis=1), np.linalg.norm(played, axis=1)
+    size, shown = np.linalg.norm(wanted, axis=1), np.linalg.norm(played, axis=1)
     contact = size > law.kappa * law.offset
     saved = 100.0 * (1.0 - changed[contact].mean())
-    off = np.linalg.norm(wanted - played, axis=1) / law.threshold(told)
+    off = np.linalg.norm(wanted - played, axis=1) / law.threshold(shown)
     chart = figure(10.0, 5.2)
     upper, lower = chart.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
     chart.subplots_adjust(left=0.075, right=0.985, top=0.93, bottom=0.1, hspace=0.08)
-    upper.fill_between(time, told - law.threshold(told), told + law.threshold(told), color=PEOPLE, alpha=0.18,
+    upper.fill_between(time, shown - law.threshold(shown), shown + law.threshold(shown), color=PEOPLE, alpha=0.18,
                        linewidth=0, step="post", label="not felt as a change")  # fmt: skip
     upper.plot(time, size, color=WANTED, linewidth=1.0, label="wanted")
-    upper.step(time, told, color=PEOPLE, linewidth=1.6, where="post", label="played")
-    upper.plot(time[changed], told[changed], "o", color=PERSON, markersize=3.5, label="changes")
+    upper.step(time, shown, color=PEOPLE, linewidth=1.6, where="post", label="played")
+    upper.plot(time[changed], shown[changed], "o", color=PERSON, markersize=3.5, label="changes")
     upper.set(ylabel="force / N", ylim=(0.0, None))
     upper.set_title(f"{SCENE} by a novice, {someone.name}: {saved:.1f} % of the samples in contact are not needed")
     lower.plot(time, off, color=PEOPLE, linewidth=1.0)

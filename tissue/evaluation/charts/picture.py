@@ -50,15 +50,15 @@ def _draw(axes: Any, found: Frontier) -> None:
     points, device = found.points, found.scene.device
     shown = [100.0 * max(point.force_error, LEAST) for point in points]
     known = [100.0 * found.gap] if found.gap > 0.0 else []
-    beside = [row for row in found.beside if not isnan(row.force_error)]
-    law = [100.0 * max(row.force_error, LEAST) for row in beside if row.family == "law"]
+    bounds = [row for row in found.bounds if not isnan(row.force_error)]
+    law = [100.0 * max(row.force_error, LEAST) for row in bounds if row.family == "law"]
     low, high = 0.5 * min(shown + known + law), 2.2 * max(*shown, *law, 1e-3)
-    told = set()
+    labelled = set()
     for point, error in zip(points, shown, strict=True):
         colour, mark, label = FAMILIES[point.family]
         axes.plot([point.median_us, point.p99_us], [error, error], color=colour, linewidth=0.8, alpha=0.5)
-        new = label if point.family not in told else None
-        told.add(point.family)
+        new = label if point.family not in labelled else None
+        labelled.add(point.family)
         axes.plot(point.median_us, error, mark, color=colour, markersize=6.5, label=new)
     best = found.best
     line = [100.0 * max(point.force_error, LEAST) for point in best]
@@ -71,15 +71,15 @@ def _draw(axes: Any, found: Frontier) -> None:
         axes.annotate(point.setting, (point.median_us, error), xytext=(5, up), textcoords="offset points", fontsize=8.5)
     if found.gap > 0.0:
         axes.axhspan(low, 100.0 * found.gap, color="0.9", zorder=0, label="reference not known better")
-    for row in beside:
-        _draw_beside(axes, row, low)
+    for row in bounds:
+        _draw_bound(axes, row, low)
     axes.axvline(1e3, color="#D55E00", linestyle="--", linewidth=1.3, label="1 ms")
     axes.set(
         xscale="log",
         yscale="log",
         ylim=(low, high),
         xlabel="tick in contact / µs: median, line to its 99th percentile",
-        ylabel="force error / %, to the converged, undelayed one",
+        ylabel="force error / %, to the converged reference",
         title=f"{found.scene.name}, " + ("by script" if device == "none" else f"by hand on {device}"),
     )
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -89,18 +89,18 @@ def _draw(axes: Any, found: Frontier) -> None:
     axes.legend(loc="best", fontsize=8)
 
 
-def _draw_beside(axes: Any, row: Measured, low: float) -> None:
+def _draw_bound(axes: Any, row: Measured, low: float) -> None:
     """What is no setting: a line across where it has no tick, else a point; the picture ends at ``low`` [%]."""
     colour, mark, label = FAMILIES["law"]
     error = 100.0 * max(row.force_error, LEAST)
     if row.family == "rounding":
-        said = f"float32 rounding, {error:.1g} %" + (", below the picture" if error < low else "")
-        axes.axhline(max(error, low), color="0.35", linestyle=":", linewidth=1.6, label=said)
+        label_text = f"float32 rounding, {error:.1g} %" + (", below the picture" if error < low else "")
+        axes.axhline(max(error, low), color="0.35", linestyle=":", linewidth=1.6, label=label_text)
     elif isnan(row.median_us):
         axes.axhline(error, color=colour, linestyle="--", linewidth=1.3)
-        said = f"linear law: {error:.2g} % off neo-Hookean on this motion;\nbelow it the law is what is wrong"
+        label_text = f"linear law: {error:.2g} % off neo-Hookean on this motion;\nbelow it the law is what is wrong"
         axes.text(
-            0.985, 0.96 * error, said, transform=axes.get_yaxis_transform(), fontsize=8, color=colour, ha="right",
+            0.985, 0.96 * error, label_text, transform=axes.get_yaxis_transform(), fontsize=8, color=colour, ha="right",
             va="top", linespacing=1.15,
         )  # fmt: skip
     else:

@@ -13,7 +13,7 @@ from tissue.scene.tool import PathMotion, Tool
 __all__ = ["PLACES", "moved", "placed"]
 
 PLACES = ((0.0, 0.0, 1.0), (-0.37, -0.61, 1.07), (0.61, 0.37, 0.93))
-"""Ways aside along x and y, as shares of the coarsest step, and factors of the depth. No share of a half, third or
+"""Shifts along x and y, as shares of the coarsest step, and factors of the depth. No share of a half, third or
 quarter, so that the tool lies elsewhere on the finer grids as well; less and more deep, since what a tool's depth makes
 of a mesh is as much an accident."""
 COARSEST = 4.0

@@ -146,7 +146,7 @@ def measured(
 
 
 def _cost_us(make: Callable[[], Predictor], run: Recording) -> tuple[float, float]:
-    """Median and 99th percentile of observing a tick and telling the force after the latency [us]."""
+    """Median and 99th percentile of observing a tick and predicting the force after the latency [us]."""
     predictor = make()
     times = []
     for position, velocity, force in zip(run.position_m, run.velocity_m_s, run.force_N, strict=True):
@@ -183,7 +183,7 @@ def chart_prediction(
 
 
 def comparison_lines(found: Sequence[Comparison]) -> list[str]:
-    """What a person reads: errors at 4 ms, and how the lifted predictor stands to hold and to the best other.
+    """What a person reads: errors at 4 ms, and how the lifted predictor compares to hold and to the best other.
 
     It is called better or worse only where the interval of the paired difference over runs excludes zero.
     """
@@ -195,12 +195,12 @@ def comparison_lines(found: Sequence[Comparison]) -> list[str]:
                 f"{each.scene:>12}  {kind:<8} {100 * at.mean:6.2f} ({100 * at.low:.2f} to {100 * at.high:.2f})"
                 f"   {each.cost_us[kind][0]:5.1f} µs"
             )
-        own, held = each.at("koopman", DELAY_MS).mean, each.at("hold", DELAY_MS).mean
+        koopman, held = each.at("koopman", DELAY_MS).mean, each.at("hold", DELAY_MS).mean
         best = min((kind for kind in PREDICTORS if kind != "koopman"), key=lambda kind: each.at(kind, DELAY_MS).mean)
         apart = interval((each.errors["koopman"] - each.errors[best])[:, HORIZONS.index(DELAY_MS)])
-        told = "better than" if apart.high < 0.0 else "worse than" if apart.low > 0.0 else "not told apart from"
+        verdict = "better than" if apart.high < 0.0 else "worse than" if apart.low > 0.0 else "not distinct from"
         lines.append(
-            f"{each.scene:>12}  koopman {own / held:.2f} of hold, {told} the best baseline, {best}: "
+            f"{each.scene:>12}  koopman {koopman / held:.2f} of hold, {verdict} the best baseline, {best}: "
             f"{100 * apart.mean:+.2f} in pairs ({100 * apart.low:+.2f} to {100 * apart.high:+.2f})"
         )
     return lines

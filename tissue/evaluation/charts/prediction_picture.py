@@ -55,8 +55,8 @@ def draw_tasks(found: "Sequence[Comparison]", path: Path) -> None:
     for place, each in enumerate(found):
         for index, (kind, (colour, _)) in enumerate(LOOKS.items()):
             at, x = each.at(kind, 4), place - 0.4 + (index + 0.5) * width
-            told = kind if place == 0 else None
-            axes.bar(x, 100 * at.mean, width, color=colour, label=told)
+            label_text = kind if place == 0 else None
+            axes.bar(x, 100 * at.mean, width, color=colour, label=label_text)
             axes.plot([x, x], [100 * at.low, 100 * at.high], color="0.1", linewidth=1.0)
         if each.scene in PAPER:
             _, raw, adjusted = PAPER[each.scene]

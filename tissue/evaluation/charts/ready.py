@@ -34,10 +34,10 @@ def make_ready(kinds: Sequence[Scene], pool: Executor, *, quick: bool, report: P
     """Make ready what scenes by script and by hand need that were not measured on this machine yet."""
     waiting = [kind for kind in kinds if _unknown(kind, quick=quick)]
     try:
-        for name, done in _told(pool, [(kind.name, (short_of, kind, quick)) for kind in waiting], report):
+        for name, done in _done(pool, [(kind.name, (short_of, kind, quick)) for kind in waiting], report):
             report(f"{name}: first contact", 0.2 * done)
         work = [(kind.name, (_make, each)) for kind in waiting for each in pieces(kind, quick=quick)]
-        for name, done in _told(pool, work, report):
+        for name, done in _done(pool, work, report):
             report(f"{name}: references and meshes", 0.2 + 0.8 * done)
     except BrokenExecutor:
         report("the processes that make charts ready were lost: what is missing is made where it is measured", 1.0)
@@ -75,7 +75,7 @@ def _unknown(scene: Scene, *, quick: bool) -> list[dict[str, object]]:
 
 
 def _make(piece: Piece) -> None:
-    """Run a piece. What is refused here is refused again, and told, where it is measured."""
+    """Run a piece. What is refused here is refused again, and reported, where it is measured."""
     try:
         if piece.mesh:
             simulate(piece.scene, allow_unstable=True)
@@ -85,8 +85,8 @@ def _make(piece: Piece) -> None:
         return
 
 
-def _told(pool: Executor, work: Sequence[tuple[str, tuple[Any, ...]]], report: Progress) -> Iterator[tuple[str, float]]:
-    """Do some work, and tell whose was done and what share that makes."""
+def _done(pool: Executor, work: Sequence[tuple[str, tuple[Any, ...]]], report: Progress) -> Iterator[tuple[str, float]]:
+    """Do some work; yield whose was done and what share that makes."""
     names = {pool.submit(*call): name for name, call in work}
     count = len(names)
     while names:

@@ -1,4 +1,4 @@
-"""What computing in float32 costs in accuracy: how far a force moves when its path is moved by a last place."""
+"""Error of computing in float32: how far a force moves when its path is moved by a last place."""
 
 import numpy as np
 
@@ -24,5 +24,5 @@ def float32_error(scene: Scene) -> float:
     if not isinstance(scene.tool, Tool) or not isinstance(motion, PathMotion):
         return float("nan")
     path = tuple((x + LAST_PLACE_MM, y - LAST_PLACE_MM, z - LAST_PLACE_MM) for x, y, z in motion.points_mm)
-    beside = scene.model_copy(update={"motion": motion.model_copy(update={"points_mm": path})})
-    return force_error(reference_force_N(beside, {"stress": None}), reference_force_N(scene, {"stress": None}))
+    shifted = scene.model_copy(update={"motion": motion.model_copy(update={"points_mm": path})})
+    return force_error(reference_force_N(shifted, {"stress": None}), reference_force_N(scene, {"stress": None}))

@@ -55,17 +55,17 @@ def chart_scenes(
     out.mkdir(parents=True, exist_ok=True)
     for index, (scene, both) in enumerate(zip(scenes, kinds, strict=True)):
 
-        def told(doing: str, share: float, index: int = index) -> None:
+        def report_share(doing: str, share: float, index: int = index) -> None:
             report(doing, begin + (1.0 - begin) * (index + share) / len(scenes))
 
-        frontiers = [frontier_of(kind, quick=quick, report=told) for kind in both]
+        frontiers = [frontier_of(kind, quick=quick, report=report_share) for kind in both]
         drawn.append([each for each in frontiers if len(each.points) > 1])
         draw_frontiers(drawn[-1], out / f"{scene.name}.png")
-        write_measured(out / f"{scene.name}.csv", [row for each in frontiers for row in (*each.points, *each.beside)])
+        write_measured(out / f"{scene.name}.csv", [row for each in frontiers for row in (*each.points, *each.bounds)])
         found.append(frontiers)
     draw_overview(drawn, out / "frontier.png")
-    with whole_file(out / "machine.txt") as beside:
-        beside.write_text(machine() + "\n", "utf-8")
+    with whole_file(out / "machine.txt") as temporary:
+        temporary.write_text(machine() + "\n", "utf-8")
     return found
 
 

@@ -21,7 +21,7 @@ Changes = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Setting:
-    """One way to run a scene.
+    """One setting to run a scene at.
 
     Attributes
     ----------
@@ -106,14 +106,14 @@ def _force_only(scene: Scene) -> dict[str, Any]:
 
 
 def _shell_mm(tool: Tool, spacing_mm: float) -> float:
-    """Distance of the cutter's elements where a scene says nothing."""
+    """Distance of the cutter's elements where a scene sets none."""
     from tissue.models.bone.model import SHELL_ELEMENTS
 
     return max(2.0 * spacing_mm, 1e3 * float((cutter_of(tool).cutting_area_m2 / SHELL_ELEMENTS) ** 0.5))
 
 
 def _edge_mm(scene: Scene, anatomy: LiverAnatomy | SlabAnatomy) -> float:
-    """Edge of a tetrahedron under the tool where a scene says nothing."""
+    """Edge of a tetrahedron under the tool where a scene sets none."""
     assert not isinstance(scene.tool, Tool)
     return anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
 
@@ -144,7 +144,7 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
 
 
 def _elements(scene: Scene, anatomy: LiverAnatomy | SlabAnatomy, *, quick: bool) -> Iterator[Setting]:
-    """Order and edge of tetrahedra, way of having the compliance, cores."""
+    """Order and edge of tetrahedra, compliance method, cores."""
     base, plain = _edge_mm(scene, anatomy), _force_only(scene)
     lost = LOST if plain else ""
     for order, factors in (

@@ -15,7 +15,7 @@ POINTS = 800
 def aligned_rows(path: Array, model: Array) -> NDArray[np.int64]:
     """Row of the model that each row of a path corresponds to, never falling (Sakoe and Chiba 1978).
 
-    The sum of distances over pairs is least among all ways to pass through both paths without going back.
+    The sum of distances over pairs is least among all orders of passing through both paths without going back.
 
     Parameters
     ----------
@@ -36,10 +36,10 @@ def aligned_rows(path: Array, model: Array) -> NDArray[np.int64]:
         raise InputError(
             f"path and model must have shapes (n, d) and (m, d), got {path.shape} and {model.shape}: cut both"
         )
-    own, theirs = (
+    ours, theirs = (
         np.unique(np.linspace(0, len(each) - 1, min(POINTS, len(each))).round().astype(int)) for each in (path, model)
     )
-    cost = np.linalg.norm(path[own][:, None] - model[theirs][None], axis=2)
+    cost = np.linalg.norm(path[ours][:, None] - model[theirs][None], axis=2)
     n, m = cost.shape
     total = np.full((n + 1, m + 1), np.inf)
     total[0, 0] = 0.0
@@ -57,7 +57,7 @@ def aligned_rows(path: Array, model: Array) -> NDArray[np.int64]:
         steps = (total[i - 1, j - 1], total[i - 1, j], total[i, j - 1])
         back = int(np.argmin(steps))
         i, j = i - (back != 2), j - (back != 1)
-    return np.interp(np.arange(len(path)), own, at / met).round().astype(np.int64)
+    return np.interp(np.arange(len(path)), ours, at / met).round().astype(np.int64)
 
 
 def deviation_mm(path: Array, model: Array, rows: NDArray[np.int64]) -> Array:
@@ -74,9 +74,9 @@ def deviation_mm(path: Array, model: Array, rows: NDArray[np.int64]) -> Array:
     best = np.full(len(path), np.inf)
     for shift in range(-reach, reach):
         start = np.clip(rows + shift, 0, max(0, len(model) - 2))
-        ahead = model[np.minimum(start + 1, len(model) - 1)] - model[start]
-        length = (ahead**2).sum(axis=1)
-        along = ((path - model[start]) * ahead).sum(axis=1) / np.where(length > 0.0, length, 1.0)
-        foot = model[start] + np.clip(along, 0.0, 1.0)[:, None] * ahead
+        edge = model[np.minimum(start + 1, len(model) - 1)] - model[start]
+        length = (edge**2).sum(axis=1)
+        along = ((path - model[start]) * edge).sum(axis=1) / np.where(length > 0.0, length, 1.0)
+        foot = model[start] + np.clip(along, 0.0, 1.0)[:, None] * edge
         best = np.minimum(best, np.linalg.norm(path - foot, axis=1))
     return best

@@ -1,4 +1,4 @@
-"""One metric of one study compared: every test in order, its assumptions checked, what rests on less beside it."""
+"""One metric of one study compared: every test in order, its assumptions checked, with the tests that rest on less."""
 
 from dataclasses import dataclass, replace
 
@@ -10,7 +10,7 @@ from meshes.base.errors import InputError
 from tissue.evaluation.statistics.effects import cohens_d, partial_eta_squared
 from tissue.evaluation.statistics.mixed import MixedModel, mixed_model
 from tissue.evaluation.statistics.normality import normal_residuals
-from tissue.evaluation.statistics.outcome import ALPHA, Assumption, Effect, Outcome, told_p
+from tissue.evaluation.statistics.outcome import ALPHA, Assumption, Effect, Outcome, format_p
 from tissue.evaluation.statistics.robust import friedman, hotelling, kruskal_wallis, permutation, welch
 from tissue.evaluation.statistics.strata import mauchly, scores_of, strata
 from tissue.evaluation.statistics.trials import Cells, TrialTable
@@ -71,7 +71,7 @@ def compare(table: TrialTable, metric: str, *, task: str, rng: np.random.Generat
     Raises
     ------
     InputError
-        If there is nothing to compare, or too little to tell: one user a group, or a constant metric.
+        If there is nothing to compare, or too little to compare: one user a group, or a constant metric.
     """
     chosen = table.where(task=task)
     cells = chosen.cells(metric)
@@ -82,8 +82,8 @@ def compare(table: TrialTable, metric: str, *, task: str, rng: np.random.Generat
     wanted += [((0,), True)] * (level_count > 1 and group_count > 1)
     tests = tuple(stratum_test(cells, within, between=between, rng=rng) for within, between in wanted)
     mixed = mixed_model(chosen, metric)
-    beside = {each.question: each for each in tests}
-    mixed = replace(mixed, tests=tuple(_with_exact(each, beside) for each in mixed.tests))
+    others = {each.question: each for each in tests}
+    mixed = replace(mixed, tests=tuple(_with_exact(each, others) for each in mixed.tests))
     pairs: tuple[Outcome, ...] = ()
     sizes: list[Effect] = []
     if level_count > 1:
@@ -104,23 +104,23 @@ def compare(table: TrialTable, metric: str, *, task: str, rng: np.random.Generat
 
 
 def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) -> MixedModel:
-    """The mixed model over all tasks, each test with the exact one of its stratum and what rests on less beside it.
+    """The mixed model over all tasks, each test with the exact one of its stratum and those that rest on less.
 
     A question whose stratum holds no variation keeps the model's test alone.
     """
     mixed = mixed_model(table, metric)
     within = [name for name in ("task", "method") if len(np.unique(getattr(table, name))) > 1]
     cells = table.cells(metric, within=within or ["method"])
-    beside: dict[str, Outcome] = {}
+    others: dict[str, Outcome] = {}
     for each in mixed.tests:
         asked = each.question.removeprefix(f"{metric}: ").split(" x ")
         chosen = tuple(index for index, (name, _) in enumerate(cells.factors) if name in asked)
         try:
-            beside[each.question] = stratum_test(cells, chosen, between="group" in asked, rng=rng)
+            others[each.question] = stratum_test(cells, chosen, between="group" in asked, rng=rng)
         except InputError:
             continue
     return replace(
-        mixed, tests=tuple(_with_exact(each, beside) if each.question in beside else each for each in mixed.tests)
+        mixed, tests=tuple(_with_exact(each, others) if each.question in others else each for each in mixed.tests)
     )
 
 
@@ -153,16 +153,16 @@ def stratum_test(cells: Cells, within: tuple[int, ...], *, between: bool, rng: n
     assumptions: list[Assumption] = []
     if residuals.size >= 8:
         assumptions.append(normal_residuals(residuals))
-    beside = [permutation(values, groups, sizes, within, between=between, question=question, rng=rng)]
+    others = [permutation(values, groups, sizes, within, between=between, question=question, rng=rng)]
     count = scores.shape[1]
     if count > 1:
         assumptions.append(_sphericity(scores, groups, float(found.epsilon)))
         degrees = tuple(float(found.epsilon) * each for each in found.degrees)
-        beside.append(Outcome("Greenhouse-Geisser", question, "F", float(found.F), degrees, float(found.corrected_p)))
+        others.append(Outcome("Greenhouse-Geisser", question, "F", float(found.F), degrees, float(found.corrected_p)))
     if between and min(np.bincount(groups)) > 2:
         assumptions.append(_equal_variances(scores, groups))
     if between and not within:
-        beside += [
+        others += [
             welch(scores[:, 0], groups, question=question),
             kruskal_wallis(scores[:, 0], groups, question=question),
         ]
@@ -170,22 +170,22 @@ def stratum_test(cells: Cells, within: tuple[int, ...], *, between: bool, rng: n
         # Levels that repeat one another on some task leave no spread to invert.
         whole = np.linalg.matrix_rank(residuals, tol=SINGULAR * np.linalg.norm(residuals)) == count
         if len(values) - len(means) >= count and whole:
-            beside.append(hotelling(scores, groups, question=question))
+            others.append(hotelling(scores, groups, question=question))
         if len(sizes) == 1 and sizes[0] > 2:
-            beside.append(friedman(values, question=question))
+            others.append(friedman(values, question=question))
     dropped = f"{len(cells.dropped)} users without a whole set of trials are left out." if cells.dropped else ""
     uneven = np.ptp(cells.counts) > 0
     note = " ".join([dropped] * bool(dropped) + ["Means of users rest on unequal numbers of trials."] * bool(uneven))
     effect = partial_eta_squared(float(found.F), *found.degrees)
     return Outcome(
         "analysis of strata", question, "F", float(found.F), found.degrees, float(found.p), effect,
-        tuple(assumptions), tuple(beside), note,
+        tuple(assumptions), tuple(others), note,
     )  # fmt: skip
 
 
-def _with_exact(test: Outcome, beside: dict[str, Outcome]) -> Outcome:
-    """A test of the mixed model with the exact one of the same question, and what stands beside that."""
-    exact = beside[test.question]
+def _with_exact(test: Outcome, others: dict[str, Outcome]) -> Outcome:
+    """A test of the mixed model with the exact one of the same question, and that one's alternatives."""
+    exact = others[test.question]
     return replace(test, alternatives=(replace(exact, assumptions=(), alternatives=()), *exact.alternatives))
 
 
@@ -193,7 +193,7 @@ def _sphericity(scores: Array, groups: NDArray[np.int64], epsilon: float) -> Ass
     """Mauchly's test, with Greenhouse and Geisser's epsilon."""
     p = mauchly(scores, groups)
     # NaN, where users are too few for the test, counts as not shown.
-    return Assumption("sphericity", bool(p >= ALPHA), f"Mauchly {told_p(p)}, epsilon {epsilon:.2f}")
+    return Assumption("sphericity", bool(p >= ALPHA), f"Mauchly {format_p(p)}, epsilon {epsilon:.2f}")
 
 
 def _equal_variances(scores: Array, groups: NDArray[np.int64]) -> Assumption:
@@ -202,4 +202,4 @@ def _equal_variances(scores: Array, groups: NDArray[np.int64]) -> Assumption:
         float(levene(*(column[groups == group] for group in range(groups.max() + 1))).pvalue) for column in scores.T
     ]
     p = min(1.0, len(found) * min(found))
-    return Assumption("equal variances of groups", p >= ALPHA, f"Brown-Forsythe {told_p(p)}")
+    return Assumption("equal variances of groups", p >= ALPHA, f"Brown-Forsythe {format_p(p)}")

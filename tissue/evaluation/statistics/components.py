@@ -86,14 +86,14 @@ def balanced_components(values: Array, groups: Ints) -> Components:
     users, methods, trials = values.shape
     counts = np.bincount(groups)
     cell_means = np.stack([values[groups == group].mean(axis=(0, 2)) for group in range(len(counts))])
-    own = values - cell_means[groups][:, :, None]
+    within = values - cell_means[groups][:, :, None]
     free = users - len(counts)
     if free < 1:
         raise InputError(f"users must outnumber groups, got {users} in {len(counts)}: use two or more a group")
-    user = own.mean(axis=(1, 2))
-    taste = own.mean(axis=2) - user[:, None]
-    trial = own.mean(axis=1) - user[:, None]
-    rest = own - user[:, None, None] - taste[:, :, None] - trial[:, None, :]
+    user = within.mean(axis=(1, 2))
+    taste = within.mean(axis=2) - user[:, None]
+    trial = within.mean(axis=1) - user[:, None]
+    rest = within - user[:, None, None] - taste[:, :, None] - trial[:, None, :]
     between = methods * trials * float((user**2).sum()) / free
     tastes = trials * float((taste**2).sum()) / (free * (methods - 1))
     repeats = methods * float((trial**2).sum()) / (users * (trials - 1))

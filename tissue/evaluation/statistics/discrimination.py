@@ -1,4 +1,4 @@
-"""What an observer tells apart: the share of right answers, and the difference that is noticed."""
+"""What an observer discriminates: the share of right answers, and the discrimination threshold."""
 
 from dataclasses import dataclass
 
@@ -33,23 +33,24 @@ class Threshold:
     high: float
 
 
-def classification_accuracy(said: ArrayLike, truth: ArrayLike, *, level: float = LEVEL) -> Share:
-    """Share of trials in which what was said is true, with Wilson's interval (Wilson 1927).
+def classification_accuracy(answers: ArrayLike, truth: ArrayLike, *, level: float = LEVEL) -> Share:
+    """Share of trials in which the answer is true, with Wilson's interval (Wilson 1927).
 
     Parameters
     ----------
-    said, truth
+    answers, truth
         Labels of any kind, shape (trials,).
     level
         Coverage of the interval.
     """
-    answers, right = np.asarray(said), np.asarray(truth)
-    if answers.ndim != 1 or answers.shape != right.shape or not len(answers):
+    given, right = np.asarray(answers), np.asarray(truth)
+    if given.ndim != 1 or given.shape != right.shape or not len(given):
         raise InputError(
-            f"said and truth must hold one label a trial, got {answers.shape} and {right.shape}: pass both of one study"
+            f"answers and truth must hold one label a trial, got {given.shape} and {right.shape}: "
+            "pass both of one study"
         )
-    count = len(answers)
-    share = float((answers == right).mean())
+    count = len(given)
+    share = float((given == right).mean())
     z = float(ndtri(0.5 * (1.0 + require_range("level", level, 0.5, 0.999, "use 0.95"))))
     middle = (share + z * z / (2 * count)) / (1.0 + z * z / count)
     half = z / (1.0 + z * z / count) * np.sqrt(share * (1.0 - share) / count + z * z / (4.0 * count * count))

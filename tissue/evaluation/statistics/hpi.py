@@ -1,4 +1,4 @@
-"""The composite index: metrics turned one way, standardised, weighted by their squared loadings."""
+"""The composite index: metrics signed alike, standardised, weighted by their squared loadings."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -49,10 +49,10 @@ class Index:
     @property
     def sentence(self) -> str:
         """Weights and means in words, with what does not hold."""
-        told = ", ".join(f"{each.name} {each.value:.2f}" for each in self.weights)
+        weights_text = ", ".join(f"{each.name} {each.value:.2f}" for each in self.weights)
         means = ", ".join(f"{each.name} {each.value:+.2f} [{each.low:.2f}, {each.high:.2f}]" for each in self.means)
-        failed = "; ".join(each.says for each in self.assumptions if not each.holds)
-        return f"Index by method, in standard deviations: {means}. Weights: {told}." + (
+        failed = "; ".join(each.finding for each in self.assumptions if not each.holds)
+        return f"Index by method, in standard deviations: {means}. Weights: {weights_text}." + (
             f" But {failed}." * bool(failed)
         )
 
@@ -106,16 +106,16 @@ def composite_index(
     tasks = np.unique(table.task[kept], return_inverse=True)[1]
     scaled = np.empty_like(raw)
     for task in range(int(tasks.max(initial=-1)) + 1):
-        own = raw[tasks == task]
-        spread = own.std(axis=0)
+        chosen = raw[tasks == task]
+        spread = chosen.std(axis=0)
         # Equal numbers leave a rounding error of their size, which is no spread.
-        flat = spread <= 1e-12 * np.abs(own).max(axis=0)
+        flat = spread <= 1e-12 * np.abs(chosen).max(axis=0)
         if flat.any():
             raise InputError(f"{names[int(flat.argmax())]} must vary within a task, got a constant: leave it out")
-        scaled[tasks == task] = (own - own.mean(axis=0)) / spread
+        scaled[tasks == task] = (chosen - chosen.mean(axis=0)) / spread
     people, person = np.unique(table.people()[kept], return_inverse=True)
     if len(people) < 2:
-        raise InputError(f"users must be at least two, got {len(people)}: weights from one user say nothing of others")
+        raise InputError(f"users must be at least two, got {len(people)}: weights from one user do not carry over")
     weights, loadings, variances = weights_of(scaled.T @ scaled / len(scaled))
     _, first_rows = np.unique(person, return_index=True)
     groups = np.unique(table.group[kept][first_rows], return_inverse=True)[1].astype(np.int64)
@@ -124,7 +124,7 @@ def composite_index(
     times = np.stack([np.bincount(each, minlength=len(people)) for each in drawn]).astype(float)
     again, sums = _resampled(scaled, person, method, times, len(methods))
     tail = 100.0 * 0.5 * (1.0 - LEVEL)
-    own = np.stack([scaled[method == each].mean(axis=0) for each in range(len(methods))]) @ weights
+    chosen = np.stack([scaled[method == each].mean(axis=0) for each in range(len(methods))]) @ weights
     spread = np.percentile(again, [tail, 100.0 - tail], axis=0)
     reach = np.percentile(np.einsum("bmk,bk->bm", sums, again), [tail, 100.0 - tail], axis=0)
     values = np.full(len(table), np.nan)
@@ -135,7 +135,7 @@ def composite_index(
         tuple(loadings.tolist()),
         float(variances[0] / variances.sum()),
         values,
-        _effects(methods.tolist(), own, reach),
+        _effects(methods.tolist(), chosen, reach),
         _checks(loadings, variances, spread),
     )
 
@@ -143,7 +143,7 @@ def composite_index(
 def _resampled(
     scaled: Array, person: NDArray[np.int64], method: NDArray[np.int64], times: Array, method_count: int
 ) -> tuple[Array, Array]:
-    """Weights and means of each method's metrics in populations where user u stands times[b, u] times."""
+    """Weights and means of each method's metrics in populations where user u is drawn times[b, u] times."""
     people, width = times.shape[1], scaled.shape[1]
     columns = [np.bincount(person, scaled[:, a] * scaled[:, b]) for a in range(width) for b in range(width)]
     squares = np.stack(columns, axis=1)
@@ -162,7 +162,7 @@ def _resampled(
 
 
 def _checks(loadings: Array, variances: Array, spread: Array) -> tuple[Assumption, ...]:
-    """Whether one number may stand for these metrics."""
+    """Whether one number may represent these metrics."""
     agree = bool((loadings > -1e-9).all())
     gap = float(variances[0] / max(float(variances[1]), 1e-300))
     widest = float((spread[1] - spread[0]).max())

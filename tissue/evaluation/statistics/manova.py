@@ -8,7 +8,7 @@ from scipy.stats import f
 
 from meshes.base.errors import InputError
 from tissue.evaluation.statistics.normality import mardia
-from tissue.evaluation.statistics.outcome import Assumption, Outcome, studied, told_p
+from tissue.evaluation.statistics.outcome import Assumption, Outcome, format_p, studied
 from tissue.evaluation.statistics.strata import scores_of
 from tissue.evaluation.statistics.trials import TrialTable
 
@@ -187,9 +187,9 @@ def _equal_covariances(scores: Array, groups: Ints) -> Assumption:
     counts = np.bincount(groups)
     name = "equal covariances of groups"
     if counts.min() <= scores.shape[1]:
-        return Assumption(name, False, "too few users a group to tell")
+        return Assumption(name, False, "too few users a group for a test")
     found = test_cov_oneway(
         [np.cov(scores[groups == group].T) for group in range(len(counts))], [int(each) for each in counts]
     )
     # Box's test is known to refuse too readily without normality and is customarily held to 0.001 (Tabachnick 2013).
-    return Assumption(name, bool(found.pvalue >= 1e-3), f"Box's M {told_p(float(found.pvalue))}")
+    return Assumption(name, bool(found.pvalue >= 1e-3), f"Box's M {format_p(float(found.pvalue))}")

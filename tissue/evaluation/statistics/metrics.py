@@ -1,4 +1,4 @@
-"""Metrics of one trial: how true the force was, how late, how smooth the motion, how near the aim."""
+"""Metrics of one trial: force error, latency, smoothness of the motion, distance from the aim."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -67,11 +67,11 @@ def latency_ms(force_N: ArrayLike, ideal_N: ArrayLike, *, tick_s: float, longest
     Parameters
     ----------
     force_N, ideal_N
-        The force that was played and the undelayed one [N], shape (ticks,) or (ticks, 3).
+        The force that was played and the reference [N], shape (ticks,) or (ticks, 3).
     tick_s
         Time from tick to tick [s].
     longest_ms
-        Largest shift that is looked at, either way [ms].
+        Largest shift that is looked at, in either direction [ms].
 
     Raises
     ------

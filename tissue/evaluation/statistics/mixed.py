@@ -52,8 +52,10 @@ class MixedModel:
         """The shares of variance in words."""
         shares: Mapping[str, float] = vars(self.components)
         total = sum(shares.values())
-        told = ", ".join(f"{name.replace('_', ' by ')} {100.0 * value / total:.0f} %" for name, value in shares.items())
-        return f"{self.metric}: variance by {told}."
+        shares_text = ", ".join(
+            f"{name.replace('_', ' by ')} {100.0 * value / total:.0f} %" for name, value in shares.items()
+        )
+        return f"{self.metric}: variance by {shares_text}."
 
 
 def mixed_model(table: TrialTable, metric: str) -> MixedModel:
@@ -61,7 +63,7 @@ def mixed_model(table: TrialTable, metric: str) -> MixedModel:
 
     Users who differ in how they take the methods have a term of their own: without it the methods' test would count
     trials of one user as independent (Barr et al. 2013). Trials that several methods render have one too. Terms that
-    the table cannot tell apart (one trial a cell) are left out. Wald's statistic is referred to F with the degrees
+    the table cannot separate (one trial a cell) are left out. Wald's statistic is referred to F with the degrees
     of freedom of its stratum, not to chi squared, which rejects too often with few users; in a complete design this is
     the exact test of :func:`tissue.evaluation.statistics.strata.strata` wherever no variance is estimated as zero.
 
@@ -139,10 +141,10 @@ def _closed(table: TrialTable, metric: str) -> Components | None:
     return found if min(found.user, found.user_method, found.trial) > 0.0 else None
 
 
-def _convergence(said: bool, found: Components, closed: Components | None, warned: str) -> Assumption:
+def _convergence(reported_convergence: bool, found: Components, closed: Components | None, warned: str) -> Assumption:
     """Whether the optimiser is at the maximum, which it has been seen to claim wrongly."""
     name, total = "convergence", sum(vars(found).values())
-    if not said:
+    if not reported_convergence:
         return Assumption(name, False, f"restricted likelihood not at its maximum in {ITERATIONS} steps: {warned}")
     if found.residual < LEAST * total:
         return Assumption(name, False, "restricted likelihood has no maximum: nothing varies beside users and trials")

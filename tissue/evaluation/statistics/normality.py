@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike
 from scipy.stats import chi2, kurtosis, norm, shapiro, skew
 
 from meshes.base.errors import InputError
-from tissue.evaluation.statistics.outcome import ALPHA, Assumption, Outcome, studied, told_p
+from tissue.evaluation.statistics.outcome import ALPHA, Assumption, Outcome, format_p, studied
 
 __all__ = ["anderson_darling", "mardia", "normal_residuals", "shapiro_wilk"]
 
@@ -35,7 +35,7 @@ def anderson_darling(residuals: ArrayLike, *, name: str = "residuals") -> Outcom
 def normal_residuals(residuals: ArrayLike, *, name: str = "normal residuals") -> Assumption:
     """Normality as an assumption of another test: refused where either test refuses it at half the usual chance.
 
-    In a large sample the slightest departure is refused, so skewness and excess kurtosis are told beside: below about
+    In a large sample the slightest departure is refused, so skewness and excess kurtosis are reported too: below about
     1 and 2 in size they hardly matter to a comparison of means (West et al. 1995 warn from 2 and 7).
     """
     values = _sample(residuals, name, 8)
@@ -43,9 +43,9 @@ def normal_residuals(residuals: ArrayLike, *, name: str = "normal residuals") ->
     if len(values) <= MOST:
         tests.insert(0, shapiro_wilk(values))
     holds = all(each.p >= ALPHA / len(tests) for each in tests)
-    told = ", ".join(f"{each.test} {told_p(each.p)}" for each in tests)
+    tests_text = ", ".join(f"{each.test} {format_p(each.p)}" for each in tests)
     return Assumption(
-        name, holds, f"{told}, skewness {float(skew(values)):.2f}, excess kurtosis {float(kurtosis(values)):.2f}"
+        name, holds, f"{tests_text}, skewness {float(skew(values)):.2f}, excess kurtosis {float(kurtosis(values)):.2f}"
     )
 
 
@@ -68,7 +68,7 @@ def mardia(residuals: ArrayLike) -> Assumption:
     tails = (np.diag(distances) ** 2).mean() - width * (width + 2)
     tailed = 2.0 * norm.sf(abs(tails) / np.sqrt(8.0 * width * (width + 2) / count))
     holds = bool(min(skewed, tailed) >= 0.5 * ALPHA)
-    return Assumption("joint normality", holds, f"Mardia's skewness {told_p(skewed)}, kurtosis {told_p(tailed)}")
+    return Assumption("joint normality", holds, f"Mardia's skewness {format_p(skewed)}, kurtosis {format_p(tailed)}")
 
 
 def _sample(values: ArrayLike, name: str, at_least: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:

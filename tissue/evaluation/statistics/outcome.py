@@ -1,4 +1,4 @@
-"""What a test says: its figure, what it rests on, and what stands beside it where that fails."""
+"""Outcome of a test: its figure, what it rests on, and the alternatives where that fails."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -7,7 +7,7 @@ import numpy as np
 
 from meshes.base.errors import InputError
 
-__all__ = ["ALPHA", "LEVEL", "Assumption", "Effect", "Outcome", "studied", "told_p"]
+__all__ = ["ALPHA", "LEVEL", "Assumption", "Effect", "Outcome", "format_p", "studied"]
 
 ALPHA = 0.05
 """Share of false alarms that a test allows itself."""
@@ -25,13 +25,13 @@ class Assumption:
         What is assumed, such as "normal residuals".
     holds
         Whether the check did not refuse it at :data:`ALPHA`. A check that is passed proves nothing in a small sample.
-    says
+    finding
         The check with its figures.
     """
 
     name: str
     holds: bool
-    says: str
+    finding: str
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Outcome:
     alternatives
         Tests of the same question that rest on less.
     note
-        What a reader must know beside it; empty if nothing.
+        What a reader must know as well; empty if nothing.
     """
 
     test: str
@@ -96,29 +96,29 @@ class Outcome:
     def figures(self) -> str:
         """The statistic with its degrees of freedom and p."""
         degrees = f"({', '.join(f'{each:.4g}' for each in self.degrees)})" if self.degrees else ""
-        return f"{self.statistic_name}{degrees} = {self.statistic:.4g}, {told_p(self.p)}"
+        return f"{self.statistic_name}{degrees} = {self.statistic:.4g}, {format_p(self.p)}"
 
     @property
     def sentence(self) -> str:
         """The result in words, with the robust alternatives where an assumption fails."""
         verdict = "an effect" if self.found else "no effect shown"
         size = f"; {self.effect}" if self.effect else ""
-        said = f"{self.question}: {verdict} ({self.test}, {self.figures}{size})."
+        text = f"{self.question}: {verdict} ({self.test}, {self.figures}{size})."
         failed = [each for each in self.assumptions if not each.holds]
         if failed:
-            said += f" Not given: {'; '.join(f'{each.name} ({each.says})' for each in failed)}."
-            beside = "; ".join(f"{each.test} {each.figures}" for each in self.alternatives)
-            said += f" Resting on less: {beside}." if beside else ""
+            text += f" Not given: {'; '.join(f'{each.name} ({each.finding})' for each in failed)}."
+            others = "; ".join(f"{each.test} {each.figures}" for each in self.alternatives)
+            text += f" Resting on less: {others}." if others else ""
             if any(each.found != self.found for each in self.alternatives):
-                said += " They do not all agree with it."
-        return f"{said} {self.note}".strip()
+                text += " They do not all agree with it."
+        return f"{text} {self.note}".strip()
 
     def as_dict(self) -> dict[str, Any]:
         """The result as plain data for a JSON file, with its sentence."""
         return asdict(self) | {"sentence": self.sentence, "sound": self.sound}
 
 
-def told_p(p: float) -> str:
+def format_p(p: float) -> str:
     """A p value as a reader expects it."""
     return "p < 0.0001" if p < 1e-4 else f"p = {p:.4f}" if np.isfinite(p) else "p unknown"
 

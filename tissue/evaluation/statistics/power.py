@@ -89,8 +89,8 @@ def simulated_cells(
     groups = np.repeat(np.arange(len(expected)), users_per_group)
     shape = (populations, len(groups), expected.shape[1])
     shared = np.sqrt(components.user + components.trial / trials)
-    own = np.sqrt(components.user_method + components.residual / trials)
-    values = shared * rng.standard_normal((*shape[:2], 1)) + own * rng.standard_normal(shape)
+    per_method = np.sqrt(components.user_method + components.residual / trials)
+    values = shared * rng.standard_normal((*shape[:2], 1)) + per_method * rng.standard_normal(shape)
     return values + expected[groups], groups
 
 

@@ -26,9 +26,9 @@ class Prior:
     Attributes
     ----------
     slope_spread
-        Standard deviation of slopes and intercept over that of the rest: 10 says almost nothing.
+        Standard deviation of slopes and intercept over that of the rest: 10 is almost no information.
     shape, scale
-        Of the inverse gamma distribution of the variance of the rest; 0.01 each says almost nothing (Gelman 2006
+        Of the inverse gamma distribution of the variance of the rest; 0.01 each is almost no information (Gelman 2006
         warns of it for variances between groups; those have a uniform correlation here instead).
     """
 
@@ -122,7 +122,7 @@ def regression(
         if np.ptp(column) == 0.0:
             raise InputError(f"{name} must vary, got {column[0]:g} throughout: leave it out of the regression")
     if len(names) < 2:
-        raise InputError(f"users must be at least two, got {len(names)}: random users cannot be told from the line")
+        raise InputError(f"users must be at least two, got {len(names)}: users cannot be separated from the line")
     spread, size = columns.std(axis=0), float(answers.std())
     design = np.column_stack([np.ones(len(answers)), (columns - columns.mean(axis=0)) / spread])
     if np.linalg.matrix_rank(design, tol=1e-8 * len(design)) < design.shape[1]:
@@ -150,13 +150,13 @@ def regression(
         )
         slopes.append(Effect(f"{response} per {name}", median, low, high))
         chances.append(1.0 - below(0.0))
-    told = "; ".join(
+    slopes_text = "; ".join(
         f"{each}, {100.0 * max(chance, 1.0 - chance):.1f} % likely {'above' if chance > 0.5 else 'below'} zero"
         for each, chance in zip(slopes, chances, strict=True)
     )
     correlation = float(mass @ shares)
     sentence = (
-        f"{told}. Of the variance about the line {100.0 * correlation:.0f} % is between {len(names)} users. "
+        f"{slopes_text}. Of the variance about the line {100.0 * correlation:.0f} % is between {len(names)} users. "
         "These are associations over trials, not causes."
     )
     return Posterior(tuple(slopes), correlation, tuple(chances), sentence)

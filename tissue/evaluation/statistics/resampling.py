@@ -68,7 +68,7 @@ def bootstrap(
     name
         Name of the effect.
     level
-        Coverage; with fewer than ten users the interval may still cover less than it says.
+        Coverage; with fewer than ten users the interval may still cover less than stated.
     """
     require_range("level", level, 0.5, 0.999, "use 0.95")
     order = np.argsort(groups, kind="stable")

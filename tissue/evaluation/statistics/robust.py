@@ -110,8 +110,8 @@ def permutation(
         order = rng.permuted(np.tile(np.arange(len(groups)), (count, 1)), axis=1)
         shuffled = centred[order]
     else:
-        own = values.reshape(len(values), *sizes)
-        moved = np.moveaxis(own, [1 + each for each in chosen], range(1, 1 + len(chosen)))
+        by_level = values.reshape(len(values), *sizes)
+        moved = np.moveaxis(by_level, [1 + each for each in chosen], range(1, 1 + len(chosen)))
         flat = moved.reshape(len(values), int(np.prod([sizes[each] for each in chosen])), -1)
         order = rng.permuted(np.tile(np.arange(flat.shape[1]), (count, len(values), 1)), axis=2)
         taken = np.take_along_axis(flat[None], order[..., None], axis=2).reshape(count, *moved.shape)

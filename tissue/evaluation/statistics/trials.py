@@ -81,7 +81,7 @@ class TrialTable:
     Raises
     ------
     InputError
-        If columns differ in length, a trial stands twice, or a metric of a trial that did not fail is not finite.
+        If columns differ in length, a trial is given twice, or a metric of a trial that did not fail is not finite.
     """
 
     task: Text
@@ -110,13 +110,13 @@ class TrialTable:
         rows = list(zip(*(getattr(self, name).tolist() for name in KEY), strict=True))
         for before, after in pairwise(rows):
             if before == after:
-                raise InputError(f"trial must stand once a method, got {_told(after)} twice: leave one out")
+                raise InputError(f"trial must be given once a method, got {_describe(after)} twice: leave one out")
         for name, values in sorted_metrics.items():
             bad = np.flatnonzero(~np.isfinite(values) & (self.failure == ""))
             if len(bad):
                 raise InputError(
                     f"{name} must be finite in a trial that did not fail, got {values[bad[0]]} in "
-                    f"{_told(rows[bad[0]])}: give the reason in failure"
+                    f"{_describe(rows[bad[0]])}: give the reason in failure"
                 )
 
     @classmethod
@@ -286,5 +286,5 @@ class TrialTable:
         return TrialTable(**columns, metrics={name: values[kept] for name, values in self.metrics.items()})
 
 
-def _told(row: Sequence[object]) -> str:
+def _describe(row: Sequence[object]) -> str:
     return ", ".join(f"{name} {value}" for name, value in zip(KEY, row, strict=True))

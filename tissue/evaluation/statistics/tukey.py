@@ -19,7 +19,7 @@ CORRECTIONS = ("bonferroni", "holm")
 
 
 def tukey_groups(samples: Sequence[ArrayLike], names: Sequence[str], *, metric: str) -> tuple[Outcome, ...]:
-    """Every pair of groups by Tukey (1949), Kramer's (1956) form for unequal sizes; Games and Howell's beside each.
+    """Every pair of groups by Tukey (1949), Kramer's (1956) form for unequal sizes; each with Games and Howell's.
 
     Parameters
     ----------
@@ -42,10 +42,10 @@ def tukey_groups(samples: Sequence[ArrayLike], names: Sequence[str], *, metric: 
     square = sum(((each - each.mean()) ** 2).sum() for each in groups) / below
     pairs = list(combinations(range(len(groups)), 2))
     errors = [float(np.sqrt(0.5 * square * (1.0 / counts[a] + 1.0 / counts[b]))) for a, b in pairs]
-    beside = games_howell(groups, names, metric=metric)
+    others = games_howell(groups, names, metric=metric)
     return tuple(
         replace(_pair("Tukey HSD", means, names, pair, error, below, metric), alternatives=(other,))
-        for pair, error, other in zip(pairs, errors, beside, strict=True)
+        for pair, error, other in zip(pairs, errors, others, strict=True)
     )
 
 
@@ -63,7 +63,7 @@ def games_howell(samples: Sequence[ArrayLike], names: Sequence[str], *, metric: 
 
 
 def tukey_levels(values: Array, names: Sequence[str], groups: NDArray[np.int64], *, metric: str) -> tuple[Outcome, ...]:
-    """Every pair of levels that all users met, by Tukey; the paired t test, corrected by Holm, beside each.
+    """Every pair of levels that all users met, by Tukey; each with the paired t test, corrected by Holm.
 
     The error is how differently users take the levels (their interaction), pooled over levels, which needs sphericity;
     the paired test does not.
@@ -88,7 +88,7 @@ def tukey_levels(values: Array, names: Sequence[str], groups: NDArray[np.int64],
     pairs = list(combinations(range(len(names)), 2))
     raw = [ttest_rel(values[:, b], values[:, a]) for a, b in pairs]
     p_values = corrected([float(each.pvalue) for each in raw], "holm")
-    beside = [
+    others = [
         Outcome("paired t, Holm", _question(metric, names, pair), "t", float(each.statistic), (float(each.df),), p)
         for pair, each, p in zip(pairs, raw, p_values, strict=True)
     ]
@@ -96,7 +96,7 @@ def tukey_levels(values: Array, names: Sequence[str], groups: NDArray[np.int64],
         replace(
             _pair("Tukey HSD within users", means, names, pair, error, found.degrees[1], metric), alternatives=(other,)
         )
-        for pair, other in zip(pairs, beside, strict=True)
+        for pair, other in zip(pairs, others, strict=True)
     )
 
 

@@ -1,11 +1,17 @@
-"""Sections of a report on what people tell apart, and on the case studies."""
+"""Sections of a report on discrimination, and on the case studies."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
+from tissue.evaluation.calibration.force_discrimination import (
+    Command,
+    Stimulus,
+    calibrated_commands,
+    gain_of,
+    share_right,
+)
 from tissue.evaluation.calibration.simulated_observer import SimulatedObservers, draw_observers
-from tissue.evaluation.calibration.told_apart import Command, Stimulus, calibrated_commands, gain_of, share_right
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.folder import StudyFolder
 from tissue.evaluation.study.paper import CASES
@@ -26,7 +32,7 @@ TORQUE_STEP_NM = CASES["torque_step_Nm"].mean
 
 
 def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) -> Section:
-    """Who tells what apart, with and without scaling for the person."""
+    """Who discriminates what, with and without scaling for the person."""
     pairs: dict[str, Pair | None] = {
         f"{task}: softer or usual": _specimens(table, task) for task in TASKS if task in table.task
     }
@@ -50,7 +56,7 @@ def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) ->
             change = f"{gain.percent:+.1f} [{gain.low:+.1f}, {gain.high:+.1f}]"
             rows.append((what, group, *levels, f"{100 * gain.before:.1f}", f"{100 * gain.after:.1f}", change))
     if not rows:
-        return Section("discrimination", "Told apart", ("No pair of specimens has two trials each yet.",))
+        return Section("discrimination", "Discrimination", ("No pair of specimens has two trials each yet.",))
     sentences = (
         f"Right answers of {PEOPLE} simulated people of each group in two intervals, 50 % being chance. Forces are "
         "those at the device under the penalty method, with their scatter over trials. Scaling for the person changes "
@@ -59,7 +65,7 @@ def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) ->
         "how far a difference lies above the person's own noise, where their exponent is not the reference's.",
     )
     header = ("what", "group", "less N", "more N", "right %", "right, scaled %", "change %")
-    return Section("discrimination", "Told apart", sentences, header, tuple(rows), _bars(shown))
+    return Section("discrimination", "Discrimination", sentences, header, tuple(rows), _bars(shown))
 
 
 def case_sections(folder: StudyFolder, seed: int) -> list[Section]:
@@ -77,21 +83,28 @@ def _needle(table: TrialTable, seed: int) -> Section:
     papers = {"penalty": CASES["overshoot_penalty_mm"], "koopman": CASES["overshoot_koopman_mm"]}
     for method in (each for each in ("penalty", "energy", "koopman", "koopman-perception") if each in table.method):
         for group in (each for each in GROUPS if each in table.group):
-            own = table.where(method=method, group=group).values("overshoot_mm")
+            part = table.where(method=method, group=group).values("overshoot_mm")
             paper = papers.get(method)
             rows.append(
-                (group, method, spread(own), str(paper or ""), agreement(own, paper) if paper else "", str(len(own)))
+                (
+                    group,
+                    method,
+                    spread(part),
+                    str(paper or ""),
+                    agreement(part, paper) if paper else "",
+                    str(len(part)),
+                )
             )
     pair = _sides(table)
     wrong = {}
     for group in GROUPS:
         people = draw_observers(group, PEOPLE, np.random.default_rng([seed, GROUPS.index(group)]))
         wrong[group] = 100.0 * (1.0 - float(share_right(people, *pair, seed=seed).mean()))
-    told = ", ".join(f"{group} {value:.1f} %" for group, value in wrong.items())
+    text = ", ".join(f"{group} {value:.1f} %" for group, value in wrong.items())
     means = {m: float(table.where(method=m).values("overshoot_mm").mean()) for m in papers if m in table.method}
     sentences = [
         f"Capsule ({pair[0].level_N:.2f} N in the tenth of a second before it gives way) and parenchyma "
-        f"({pair[1].level_N:.2f} N after) are confused by {told}; the paper prints less than 10 %: "
+        f"({pair[1].level_N:.2f} N after) are confused by {text}; the paper prints less than 10 %: "
         + ("so it is here." if max(wrong.values()) < 10.0 else "here it is more."),
     ]
     if len(means) == 2:
@@ -113,8 +126,8 @@ def _reaming(table: TrialTable, seed: int) -> Section:
     for method in (each for each in ("penalty", "energy", "koopman", "koopman-perception") if each in table.method):
         row = [method]
         for metric, paper in papers.items():
-            own = table.where(method=method).values(metric)
-            row += [spread(own, 3), f"< {paper}", "agrees" if own.max() < paper.mean else "exceeds it"]
+            part = table.where(method=method).values(metric)
+            row += [spread(part, 3), f"< {paper}", "agrees" if part.max() < paper.mean else "exceeds it"]
         rows.append((*row, str(len(table.where(method=method)))))
     level, scatter = (float(table.values(name).mean()) for name in ("torque_Nm", "torque_scatter_Nm"))
     torque = constants("perception", "torque")
@@ -134,14 +147,14 @@ def _reaming(table: TrialTable, seed: int) -> Section:
         )
         wide = ForceRange(limit_N=1e3)
         shares[where] = 100.0 * float(share_right(holders, *pair, seed=seed, limits=wide).mean())
-    told = ", ".join(f"{share:.0f} % {where}" for where, share in shares.items())
+    text = ", ".join(f"{share:.0f} % {where}" for where, share in shares.items())
     sentences = (
         f"RMS of the force's tracking error over {rows[0][-1]} trials, in newtons at the reamer, of forces up to "
         f"{float(table.values('peak_force_N').max()) / scale:.0f} N; the paper prints less than "
         f"{papers['tracking_rms_N']} N. At a feed of half a millimetre a second the force changes slowly, so that this "
-        "says little about latency. Bone guides the reamer: its distance from the path says little about hands.",
-        f"A step of {TORQUE_STEP_NM} N m on {level:.3f} ± {scatter:.3f} N m is told by {told} of two-interval answers, "
-        "75 % being the threshold; the paper says that it is told.",
+        "depends little on latency. Bone guides the reamer: its distance from the path depends little on hands.",
+        f"A step of {TORQUE_STEP_NM} N m on {level:.3f} ± {scatter:.3f} N m is discriminated in {text} of the answers, "
+        "75 % being the threshold; the paper states that it is felt.",
     )
     return Section("case-reaming", "Case: reaming of a glenoid", sentences,
                    ("method", "tracking RMS N", "paper N", "force against paper", "position error mm", "paper mm",
@@ -152,25 +165,25 @@ def _drilling(table: TrialTable, seed: int) -> Section:
     """Carious or sound, and latency at 400,000 rpm."""
     rows = []
     for method in (each for each in ("penalty", "energy", "koopman", "koopman-perception") if each in table.method):
-        own = table.where(method=method)
-        lag = own.values("latency_ms")
+        part = table.where(method=method)
+        lag = part.values("latency_ms")
         rows.append(
-            (method, spread(lag), f"< {CASES['drilling_latency_ms']}", spread(100.0 * own.values("force_error")))
+            (method, spread(lag), f"< {CASES['drilling_latency_ms']}", spread(100.0 * part.values("force_error")))
         )
     pair = _specimens(table, "drilling")
-    told = "there are too few trials to tell carious from sound"
+    text = "there are too few trials to discriminate carious from sound"
     if pair is not None:
         shares = []
         for group in GROUPS:
             people = draw_observers(group, PEOPLE, np.random.default_rng([seed, GROUPS.index(group)]))
             shares.append(100.0 * float(share_right(people, *pair, seed=seed).mean()))
-        told = (
-            f"carious ({pair[0].level_N:.3f} N at the device) and sound ({pair[1].level_N:.3f} N) are told apart in "
+        text = (
+            f"carious ({pair[0].level_N:.3f} N at the device) and sound ({pair[1].level_N:.3f} N) are discriminated in "
             f"{min(shares):.0f} to {max(shares):.0f} % of answers; the paper prints {CASES['caries_right_percent']} %"
         )
     late = [row[0] for row in rows if float(row[1].split()[0]) >= CASES["drilling_latency_ms"].mean]
     sentences = (
-        f"At 400,000 rpm {told}. The latency is {'not ' if late else ''}below {CASES['drilling_latency_ms']} ms"
+        f"At 400,000 rpm {text}. The latency is {'not ' if late else ''}below {CASES['drilling_latency_ms']} ms"
         + (f" under {', '.join(late)}" if late else " under every method")
         + ": spin adds none, as the force is the mean over a revolution.",
     )
@@ -187,13 +200,13 @@ def _shares(people: SimulatedObservers, pair: Pair, seed: int, commands: list[Co
 
 def _specimens(table: TrialTable, task: str) -> Pair | None:
     """Force on the first two specimens of a task, or None where one has less than two trials."""
-    own = table.where(task=task)
-    own = (
-        own.where(method=own.method[0]).complete()
-        if "penalty" not in own.method
-        else own.where(method="penalty").complete()
+    part = table.where(task=task)
+    part = (
+        part.where(method=part.method[0]).complete()
+        if "penalty" not in part.method
+        else part.where(method="penalty").complete()
     )
-    levels = [own.values("level_N")[own.values("specimen") == index] for index in (0.0, 1.0)]
+    levels = [part.values("level_N")[part.values("specimen") == index] for index in (0.0, 1.0)]
     if min(len(each) for each in levels) < 2:
         return None
     return _level(levels[0]), _level(levels[1])

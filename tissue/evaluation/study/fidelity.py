@@ -1,4 +1,4 @@
-"""Sections of a report on the force, on how late it is, and on what a task was like."""
+"""Sections of a report on force, latency and tasks."""
 
 from typing import Any
 
@@ -22,15 +22,15 @@ __all__ = ["force_section", "latency_section", "task_section"]
 
 
 def force_section(table: TrialTable) -> Section:
-    """Normalised force error of every method on every task, beside the paper's."""
+    """Normalised force error of every method on every task, against the paper's."""
     tasks, methods = _labels(table)
     rows: list[tuple[str, ...]] = []
     apart: list[str] = []
     agreeing: list[str] = []
     for task in tasks:
         for method in methods:
-            own = table.where(task=task, method=method).complete()
-            error = 100.0 * own.values("force_error")
+            part = table.where(task=task, method=method).complete()
+            error = 100.0 * part.values("force_error")
             paper = FORCE_ERROR[task].get(method)
             rows.append(
                 (
@@ -39,8 +39,8 @@ def force_section(table: TrialTable) -> Section:
                     f"{spread(error)}",
                     str(paper) if paper else "",
                     agreement(error, paper) if paper else "",
-                    spread(100.0 * own.values("perceived_error"), 1),
-                    str(len(own)),
+                    spread(100.0 * part.values("perceived_error"), 1),
+                    str(len(part)),
                 )
             )
             if paper:
@@ -49,7 +49,7 @@ def force_section(table: TrialTable) -> Section:
         "Error of what is played, ||F - F_ideal|| / ||F_ideal|| over all ticks, F_ideal being the prompt force on the "
         "same motion. The force is taken before it is scaled for a person, in newtons; what that scaling does is in "
         "the last column but one, the error of the intensity that this person feels against the reference observer's.",
-        f"Beside the paper, {', '.join(agreeing) or 'none'}; apart from it: {', '.join(apart) or 'none'}.",
+        f"Agreeing with the paper: {', '.join(agreeing) or 'none'}; not agreeing: {', '.join(apart) or 'none'}.",
         *_ratios(table, tasks, methods),
     ]
     header = ("task", "method", "force error %", "paper %", "against paper", "felt error %", "trials")
@@ -58,7 +58,7 @@ def force_section(table: TrialTable) -> Section:
 
 def _ratios(table: TrialTable, tasks: list[str], methods: list[str]) -> list[str]:
     """The headline: what prediction leaves of the error, and what perception leaves of the felt one."""
-    told = []
+    remarks = []
     for metric, first, second, what in (
         ("force_error", "penalty", "koopman", "prediction leaves of the force error"),
         ("perceived_error", "koopman", "koopman-perception", "scaling for the person leaves of the felt error"),
@@ -73,8 +73,8 @@ def _ratios(table: TrialTable, tasks: list[str], methods: list[str]) -> list[str
             parts.append((task, means[1] / means[0]))
         worse = [task for task, ratio in parts if ratio >= 1.0]
         sentence = f"{what[0].upper()}{what[1:]}: " + ", ".join(f"{task} {ratio:.2f}" for task, ratio in parts)
-        told.append(f"{sentence}; it does not help on {', '.join(worse)}." if worse else f"{sentence}.")
-    return told
+        remarks.append(f"{sentence}; it does not help on {', '.join(worse)}." if worse else f"{sentence}.")
+    return remarks
 
 
 def _force_picture(table: TrialTable) -> bytes:
@@ -115,7 +115,7 @@ def latency_section(table: TrialTable) -> Section:
             lag = table.where(task=task, method=method).complete().values("latency_ms")
             rows.append((task, method, spread(lag), str(LATENCY), agreement(lag, LATENCY)))
     means = {each: table.where(method=each).complete().values("latency_ms").mean() for each in methods}
-    told = ", ".join(f"{name} {value:.1f} ms" for name, value in means.items())
+    shifts = ", ".join(f"{name} {value:.1f} ms" for name, value in means.items())
     early = [
         f"{task} {method}"
         for task in tasks
@@ -123,7 +123,7 @@ def latency_section(table: TrialTable) -> Section:
         if table.where(task=task, method=method).complete().values("latency_ms").mean() < 0.0
     ]
     sentences = (
-        f"Shift at which played and ideal force correlate best, over all tasks: {told}. The loop is late by 4 ms in "
+        f"Shift at which played and ideal force correlate best, over all tasks: {shifts}. The loop is late by 4 ms in "
         f"every trial by construction, as the paper's mean is {LATENCY} ms; what prediction takes off is the result, "
         "and a value below zero is a force that comes early" + (f" ({', '.join(early)})." if early else "; none does."),
     )
@@ -132,34 +132,34 @@ def latency_section(table: TrialTable) -> Section:
 
 
 def task_section(table: TrialTable) -> Section:
-    """Time, position error and smoothness, beside the paper's."""
+    """Time, position error and smoothness, against the paper's."""
     tasks, methods = _labels(table)
-    rows, told = [], []
+    rows, remarks = [], []
     for task in tasks:
         paper = TASK_METRICS[task]
         for method in methods:
-            own = table.where(task=task, method=method).complete()
+            part = table.where(task=task, method=method).complete()
             rows.append(
                 (
                     task,
                     method,
-                    spread(own.values("time_s")),
+                    spread(part.values("time_s")),
                     str(paper["time_s"]),
-                    spread(own.values("position_error_mm")),
+                    spread(part.values("position_error_mm")),
                     str(paper["position_error_mm"]),
-                    spread(own.values("acceleration_change_m_s2")),
-                    spread(own.values("spectral_arc_length")),
+                    spread(part.values("acceleration_change_m_s2")),
+                    spread(part.values("spectral_arc_length")),
                     str(paper["smoothness"]),
-                    f"{100.0 * own.values('completed').mean():.0f}",
+                    f"{100.0 * part.values('completed').mean():.0f}",
                 )
             )
         of = table.where(task=task).complete()
-        told.append(
+        remarks.append(
             f"{task}: time {agreement(of.values('time_s'), paper['time_s'])}, position error "
             f"{agreement(of.values('position_error_mm'), paper['position_error_mm'])}"
         )
     sentences = (
-        f"Beside the paper, {'; '.join(told)}. Our tasks are a few seconds long, so that their time is not the "
+        f"Against the paper, {'; '.join(remarks)}. Our tasks are a few seconds long, so that their time is not the "
         "paper's; the position error is the mean distance of the tool from its wanted path.",
         "The paper's index of smoothness cannot be compared: its formula, a mean change of acceleration [m/s2], is "
         "lower for smoother motion, its table reads as if higher were better. Both that formula and the spectral arc "

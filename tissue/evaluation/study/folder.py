@@ -50,9 +50,10 @@ class StudyFolder:
             held = self.plan()
             if not plan.holds(held):
                 names = [name for name in asdict(plan) if getattr(held, name) != getattr(plan, name)]
-                told = ", ".join(f"{name} {_told(getattr(held, name))}" for name in names)
+                other = ", ".join(f"{name} {_as_text(getattr(held, name))}" for name in names)
                 raise InputError(
-                    f"out must hold a part of the same study, got one with {told} in {self.path}: choose another folder"
+                    f"out must hold a part of the same study, got one with {other} in {self.path}: "
+                    "choose another folder"
                 )
         elif self.path.is_dir() and any(each.name != LOCK for each in self.path.iterdir()):
             raise InputError(f"out must be empty or hold this study, got other files in {self.path}: choose another")
@@ -176,7 +177,7 @@ def _is_whole(value: object) -> bool:
     return isinstance(value, int) and 0 <= value < 2**63
 
 
-def _told(value: object) -> str:
+def _as_text(value: object) -> str:
     return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 

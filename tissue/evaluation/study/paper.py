@@ -1,4 +1,4 @@
-"""Figures of the paper that a study is printed beside; none of them is tuned to."""
+"""Figures of the paper that a study is compared with; none of them is tuned to."""
 
 from dataclasses import dataclass
 

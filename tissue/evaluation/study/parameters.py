@@ -21,7 +21,7 @@ TISSUES = {
 
 
 def parameters_section(plan: Plan) -> Section:
-    """Every parameter, those of the scenes apart, which the overview tells."""
+    """Every parameter, those of the scenes apart, which the overview lists."""
     rows = [*_own(), *_methods(plan)]
     tables = [("devices", "touch"), ("hands", "any"), *(("hands", group) for group in plan.groups)]
     tables += [("perception", "force"), *(("observers", group) for group in plan.groups)]
@@ -34,8 +34,8 @@ def parameters_section(plan: Plan) -> Section:
     unsure = sum(row[4] == "L" for row in rows)
     sentences = (
         f"{len(rows)} parameters; {unsure} of them are of low confidence (L: memory of the literature or assumed), "
-        "most of what tells people and groups apart among them. None was chosen by a figure of the paper but the "
-        "latency and the depth that the needle aims at, as its section says.",
+        "most of what distinguishes people and groups among them. None was chosen by a figure of the paper but the "
+        "latency and the depth that the needle aims at, as its section states.",
     )
     header = ("of", "parameter", "value", "range", "confidence", "source")
     return Section("parameters", "Parameters", sentences, header, tuple(rows))
@@ -53,6 +53,6 @@ def _own() -> Iterator[Row]:
 def _methods(plan: Plan) -> Iterator[Row]:
     """What each method sets."""
     for method in plan.methods:
-        own = dict(METHODS[method]) | ({"perception": "the person's own"} if method.endswith("perception") else {})
-        for name, value in own.items():
+        keys = dict(METHODS[method]) | ({"perception": "the person's own"} if method.endswith("perception") else {})
+        for name, value in keys.items():
             yield f"method {method}", name, str(value), "", "", "the method's definition"

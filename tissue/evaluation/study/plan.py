@@ -18,7 +18,7 @@ LATENCY_MS = 4
 REFERENCE = "reference"
 """Variant in which the reference itself is held against the finest model."""
 SENSITIVITY_TRIALS, REFERENCE_TRIALS = 6, 2
-"""Trials a task for each variant; reference trials cost the most, so there are few."""
+"""Trials a task for each variant; reference trials take longest, so there are few."""
 MIDDLE = "intermediate"
 """Group of the variants."""
 

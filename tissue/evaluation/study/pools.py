@@ -13,7 +13,7 @@ from tissue.system.workers import worker_pool
 __all__ = ["LOST", "executor"]
 
 LOST = (BrokenExecutor, CancelledError, ConnectionError, TimeoutError)
-"""What tells that workers are gone, and not that a trial is wrong."""
+"""Errors that mean that workers are gone, and not that a trial is wrong."""
 
 
 @contextmanager
@@ -57,7 +57,7 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
         raise InputError(
             "scheduler must have dask.distributed, got none installed: pip install 'tissue-sim[cluster]'"
         ) from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what is lost is told by who runs the study
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # losses are reported by who runs the study
     try:
         client = Client(f"tcp://{address}", timeout=f"{patience_s:g}s", set_as_default=False)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""The report of a study: sections as one HTML file that needs nothing beside it, and as CSV."""
+"""The report of a study: sections as one HTML file that needs no other, and as CSV."""
 
 from base64 import b64encode
 from html import escape
@@ -93,9 +93,9 @@ def _overview(folder: StudyFolder) -> Section:
                 failures.setdefault(f"{row['method']}: {row['failure']}", []).append(key.name)
     rows = []
     for task in plan.tasks:
-        own = [key for key, _ in kept if key.task == task and not key.variant]
-        groups = ", ".join(f"{group} {sum(key.group == group for key in own)}" for group in plan.groups)
-        rows.append((task, TASKS[task].title, _told(task), groups))
+        keys = [key for key, _ in kept if key.task == task and not key.variant]
+        groups = ", ".join(f"{group} {sum(key.group == group for key in keys)}" for group in plan.groups)
+        rows.append((task, TASKS[task].title, _describe(task), groups))
     empty = [group for group in plan.groups if not any(key.group == group and not key.variant for key, _ in kept)]
     total = sum(1 for _ in plan.all_trials())
     sentences = [
@@ -115,13 +115,13 @@ def _overview(folder: StudyFolder) -> Section:
     )
 
 
-def _told(task: str) -> str:
+def _describe(task: str) -> str:
     """Changes of a task's scene in words."""
     changes, *specimens = (
         ", ".join(map(_entry, each.items())) for each in (TASKS[task].changes, *TASKS[task].specimens)
     )
-    told = f"{TASKS[task].scene}: {changes}"
-    return f"{told}; specimens: {' or '.join(each or 'as it is' for each in specimens)}" if len(specimens) > 1 else told
+    text = f"{TASKS[task].scene}: {changes}"
+    return f"{text}; specimens: {' or '.join(each or 'as it is' for each in specimens)}" if len(specimens) > 1 else text
 
 
 def _entry(item: tuple[str, Any]) -> str:
@@ -144,7 +144,7 @@ def _document(sections: list[Section], files: list[str]) -> str:
 
 def _shown(section: Section, file: str) -> str:
     """One section."""
-    told = "".join(f'<p class="verdict">{escape(each)}</p>\n' for each in section.sentences)
+    text = "".join(f'<p class="verdict">{escape(each)}</p>\n' for each in section.sentences)
     picture = ""
     if section.picture:
         data = b64encode(section.picture).decode("ascii")
@@ -155,4 +155,4 @@ def _shown(section: Section, file: str) -> str:
         body = "".join(f"<tr>{''.join(f'<td>{escape(each)}</td>' for each in row)}</tr>" for row in section.rows)
         table = f'<div class="wide"><table><tr>{head}</tr>{body}</table></div>'
         table += f'<p class="soft">Data: <a href="{escape(file)}">{escape(file)}</a></p>'
-    return f'<section id="{escape(section.name)}"><h2>{escape(section.title)}</h2>\n{told}{picture}{table}</section>'
+    return f'<section id="{escape(section.name)}"><h2>{escape(section.title)}</h2>\n{text}{picture}{table}</section>'

@@ -19,7 +19,7 @@ from tissue.system.workers import first_done
 
 __all__ = ["run_study"]
 
-AHEAD = 3
+TRIALS_PER_WORKER = 3
 """Trials handed out for each worker, so that none waits and memory does not grow with the number of trials."""
 LOSSES = 3
 """Losses after which a trial that was under way is run alone, to see whether it is what ends its worker."""
@@ -50,13 +50,13 @@ def run_study(
     out
         Folder of the study; one that holds a part of it is gone on with.
     workers
-        Processes; default one a core. A scheduler has its own; the number then says how many trials it is handed.
+        Processes; default one a core. A scheduler has its own; the number is then how many trials it is given.
     scheduler
         ``dask://ADDRESS`` of a Dask scheduler instead of own processes.
     retry
         Run trials that failed again.
     report
-        Told how far it is, and what was found amiss.
+        Called with how far it is, and what was found amiss.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def run_study(
         try:
             with executor(1 if suspects else count, scheduler, patience_s=PATIENCE_S) as pool:
                 connected = True
-                work.drain(pool, suspects[:1] or list(work.waiting), 1 if suspects else AHEAD * count)
+                work.drain(pool, suspects[:1] or list(work.waiting), 1 if suspects else TRIALS_PER_WORKER * count)
         except LOST as error:
             if not connected:
                 raise InputError(
@@ -133,12 +133,12 @@ class _Work:
         """Share that is done."""
         return 1.0 - len(self.waiting) / self.total
 
-    def drain(self, pool: Executor, keys: Iterable[TrialKey], ahead: int) -> None:
+    def drain(self, pool: Executor, keys: Iterable[TrialKey], most: int) -> None:
         """Hand out trials, a few ahead, and keep what comes back."""
         self.running = {}
         fresh = iter(keys)
         while True:
-            while len(self.running) < ahead and (key := next(fresh, None)) is not None:
+            while len(self.running) < most and (key := next(fresh, None)) is not None:
                 self.running[pool.submit(_in_worker, self.plan, key)] = key
             if not self.running:
                 return

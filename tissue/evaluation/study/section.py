@@ -69,11 +69,11 @@ def spread(values: Array, digits: int = 2) -> str:
 
 def agreement(ours: Array, paper: Figure) -> str:
     """Whether two means lie within the standard deviation of their difference, or how far apart they are."""
-    own = float(ours.mean())
+    our_mean = float(ours.mean())
     reach = float(np.hypot(ours.std(ddof=1) if len(ours) > 1 else 0.0, paper.spread or ROUNDED * paper.mean))
-    if abs(own - paper.mean) <= reach:
+    if abs(our_mean - paper.mean) <= reach:
         return "agrees"
-    return f"{own / paper.mean:.2f} of it" if paper.mean else "differs"
+    return f"{our_mean / paper.mean:.2f} of it" if paper.mean else "differs"
 
 
 def interval_by_users(table: TrialTable, metric: str, method: str) -> tuple[float, float, float]:

@@ -26,8 +26,8 @@ def sensitivity_section(folder: StudyFolder) -> Section | None:
             continue
         pairs = [(ratios[task], usual[task]) for task in tasks if ratios[task] and usual[task]]
         moves[name] = float(np.mean([one / other for one, other in pairs if one and other])) if pairs else 1.0
-        told = [f"{value:.2f}" if value is not None else "" for value in ratios.values()]
-        rows.append((variant.parameter, variant.told, *told, f"{100.0 * (moves[name] - 1.0):+.0f} %"))
+        texts = [f"{value:.2f}" if value is not None else "" for value in ratios.values()]
+        rows.append((variant.parameter, variant.value, *texts, f"{100.0 * (moves[name] - 1.0):+.0f} %"))
     if not rows:
         return None
     base = ("as in the study", MIDDLE, *(f"{value:.2f}" if value is not None else "" for value in usual.values()), "")
@@ -37,7 +37,7 @@ def sensitivity_section(folder: StudyFolder) -> Section | None:
     count = min(SENSITIVITY_TRIALS, folder.plan().trials)
     sentences = (
         f"Force error under Koopman over that under penalty, {count} trials each with the seeds of the study. It moves "
-        f"most with {VARIANTS[most].parameter} ({VARIANTS[most].told}: {100.0 * (moves[most] - 1.0):+.0f} % on the "
+        f"most with {VARIANTS[most].parameter} ({VARIANTS[most].value}: {100.0 * (moves[most] - 1.0):+.0f} % on the "
         "average over tasks).",
         f"Prediction does harm at: {'; '.join(above)}." if above else "Prediction does no harm at any of these values.",
     )
@@ -47,7 +47,7 @@ def sensitivity_section(folder: StudyFolder) -> Section | None:
 
 def reference_section(folder: StudyFolder) -> Section | None:
     """What the reference itself leaves open: its error against the finest model on the same motion."""
-    rows, told = [], []
+    rows, by_task = [], []
     for task in (task for task in folder.plan().tasks if not TASKS[task].case):
         held = [held for key, held in folder.trials(variant=REFERENCE) if key.task == task]
         errors = np.array(
@@ -55,13 +55,13 @@ def reference_section(folder: StudyFolder) -> Section | None:
         )
         if len(errors):
             rows.append((task, spread(errors), str(len(errors))))
-            told.append(f"{task} {errors.mean():.1f} %")
+            by_task.append(f"{task} {errors.mean():.1f} %")
     if not rows:
         return None
     sentences = (
         f"F_ideal is the prompt force on the study's own model; against the finest model on the same motion it is off "
-        f"by {', '.join(told)}. That error is the model's, common to all methods, and no part of their errors above: a "
-        "method whose error lies below it is better than the model that it renders. Where it is zero there is "
+        f"by {', '.join(by_task)}. That error is the model's, common to all methods, and not in their errors above: "
+        "a method whose error lies below it is better than the model that it renders. Where it is zero there is "
         "no finer model.",
     )
     return Section("reference", "The reference's own error", sentences, ("task", "error %", "trials"), tuple(rows))
@@ -79,7 +79,7 @@ def speed_section(folder: StudyFolder) -> Section:
             rows.append((task, f"{np.median(took):.2f}", f"{took.max():.2f}", str(per_method), str(len(took))))
     minutes = 300.0 * total / 2.0 / 60.0
     sentences = (
-        f"Seconds on one worker for a trial under all its methods, beside whatever else the machine did. 900 trials of "
+        f"Seconds on one worker for a trial under all its methods, with whatever else the machine did. 900 trials of "
         f"T1 to T3 on two workers take {minutes:.0f} min at these medians.",
     )
     return Section("speed", "Speed", sentences, ("task", "median s", "longest s", "methods", "trials"), tuple(rows))
@@ -108,8 +108,8 @@ def _picture(rows: list[tuple[str, ...]], tasks: list[str], usual: Mapping[str, 
         at = tasks.index(task)
         values = [float(row[2 + at]) if row[2 + at] else np.nan for row in rows]
         axes.plot(values, range(len(rows)), mark, color=colour, label=task)
-        if (own := usual[task]) is not None:
-            axes.axvline(own, color=colour, lw=1.0, ls=":")
+        if (reference := usual[task]) is not None:
+            axes.axvline(reference, color=colour, lw=1.0, ls=":")
     axes.axvline(1.0, color="black", lw=0.8)
     axes.set_yticks(range(len(rows)), [f"{row[0]}: {row[1]}" for row in rows], fontsize=8)
     axes.invert_yaxis()

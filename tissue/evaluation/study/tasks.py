@@ -20,7 +20,7 @@ class Task:
     changes
         What is changed in it, by dotted key: force alone, and short enough for thousands of trials.
     specimens
-        What is met, one in turn by chance; the first two are to be told apart.
+        What is met, one in turn by chance; the first two are to be discriminated.
     extremes
         Softer and harder than any specimen, for the sensitivity; none for a case study.
     wanted_mm
@@ -118,27 +118,27 @@ METHODS: dict[str, Mapping[str, Any]] = {
     "koopman": {"renderer": "proxy", "prediction": "koopman"},
     "koopman-perception": {"renderer": "proxy", "prediction": "koopman"},
 }
-"""Ways to make a contact a force; the last one is scaled for the person whose trial it is."""
+"""Methods that make a contact a force; the last one is scaled for the person whose trial it is."""
 
 
 @dataclass(frozen=True)
 class Variant:
     """One parameter at another value; the rest is as in the study, seeds among it.
 
-    Attributes
-    ----------
-    parameter, told
-        What is varied, and the value in words.
-    changes
-        By dotted key.
-    pace
-        Factor on the hand's pace.
-    extreme
-        Which of the task's extremes replaces the specimen.
+        Attributes
+        ----------
+    parameter, value
+            What is varied, and the value in words.
+        changes
+            By dotted key.
+        pace
+            Factor on the hand's pace.
+        extreme
+            Which of the task's extremes replaces the specimen.
     """
 
     parameter: str
-    told: str
+    value: str
     changes: Mapping[str, Any]
     pace: float = 1.0
     extreme: int | None = None

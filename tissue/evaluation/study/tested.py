@@ -8,7 +8,7 @@ from meshes.base.errors import InputError
 from tissue.evaluation.statistics.comparison import Comparison, across_tasks, compare
 from tissue.evaluation.statistics.hpi import composite_index
 from tissue.evaluation.statistics.manova import manova
-from tissue.evaluation.statistics.outcome import ALPHA, Effect, Outcome, told_p
+from tissue.evaluation.statistics.outcome import ALPHA, Effect, Outcome, format_p
 from tissue.evaluation.statistics.power import redrawn_power
 from tissue.evaluation.statistics.regression import trial_regression
 from tissue.evaluation.statistics.trials import TrialTable
@@ -30,9 +30,9 @@ DIRECTIONS = {
     "time_s": -1,
 }
 """Metrics of the composite index and their directions."""
-TOLD = "could not be tested: "
+NOT_TESTED = "could not be tested: "
 LOOSE = 0.06
-"""False alarms of a test at 5 %, above which it is said that it finds too much."""
+"""False alarms of a test at 5 %, above which it is reported that it finds too much."""
 
 
 def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]:
@@ -43,49 +43,49 @@ def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]
     refused: dict[str, list[str]] = {}
     for task in (each for each in TASKS if each in table.task):
         for metric in COMPARED:
-            own, equal = _distinct(table.where(task=task), (metric,))
+            chosen, equal = _distinct(table.where(task=task), (metric,))
             same.setdefault(task, []).extend(equal)
             try:
-                found.append(compare(own, metric, task=task, rng=rng))
+                found.append(compare(chosen, metric, task=task, rng=rng))
             except InputError as error:
                 refused.setdefault(str(error), []).append(f"{task} {metric}")
                 continue
             outcomes += [(task, each) for each in found[-1].tests]
-        own, _ = _distinct(table.where(task=task), COMPARED)
+        chosen, _ = _distinct(table.where(task=task), COMPARED)
         for factor in ("method", "group"):
             try:
-                if factor == "method" and len(np.unique(own.method)) < 2:
+                if factor == "method" and len(np.unique(chosen.method)) < 2:
                     raise InputError(
                         "methods must differ in every metric, got none that do: compare metrics one by one"
                     )
-                outcomes.append((task, manova(own, COMPARED, factor=factor, rng=rng)))
+                outcomes.append((task, manova(chosen, COMPARED, factor=factor, rng=rng)))
             except InputError as error:
                 refused.setdefault(str(error), []).append(f"{task} all metrics by {factor}")
     for metric in COMPARED:
-        own, equal = _distinct(table, (metric,))
+        chosen, equal = _distinct(table, (metric,))
         same.setdefault("all", []).extend(equal)
         try:
-            whole = across_tasks(own, metric, rng=rng)
+            whole = across_tasks(chosen, metric, rng=rng)
         except InputError as error:
             refused.setdefault(str(error), []).append(f"{metric} over all tasks")
         else:
             outcomes += [("all", each) for each in whole.tests]
-    told = [f"{task}: {'; '.join(equal)}." for task, equal in same.items() if equal]
-    told += [f"{'; '.join(what)} {TOLD}{why}." for why, what in refused.items()]
-    return [_outcomes(outcomes, told), _pairs(found), _assumptions(outcomes)]
+    remarks = [f"{task}: {'; '.join(equal)}." for task, equal in same.items() if equal]
+    remarks += [f"{'; '.join(what)} {NOT_TESTED}{why}." for why, what in refused.items()]
+    return [_outcomes(outcomes, remarks), _pairs(found), _assumptions(outcomes)]
 
 
 def _distinct(table: TrialTable, metrics: Sequence[str]) -> tuple[TrialTable, list[str]]:
     """A task's trials without methods that give a metric of another's: there is no spread to test the two by."""
     kept: list[str] = []
-    said = []
+    left_out = []
     for method in (each for each in METHODS if each in table.method):
         same = [(other, metric) for other in kept for metric in metrics if _equal(table, metric, method, other)]
         if same:
-            said.append(f"{method} has the {same[0][1]} of {same[0][0]} in every trial and is left out")
+            left_out.append(f"{method} has the {same[0][1]} of {same[0][0]} in every trial and is left out")
         else:
             kept.append(method)
-    return table.where(method=kept), said
+    return table.where(method=kept), left_out
 
 
 def _equal(table: TrialTable, metric: str, one: str, other: str) -> bool:
@@ -95,19 +95,19 @@ def _equal(table: TrialTable, metric: str, one: str, other: str) -> bool:
     return bool((np.abs(first - second)[both] <= 1e-3 * first[both].std()).all())
 
 
-def _outcomes(outcomes: list[tuple[str, Outcome]], told: list[str]) -> Section:
+def _outcomes(outcomes: list[tuple[str, Outcome]], remarks: list[str]) -> Section:
     """All tests, their p corrected over the family."""
     whole = corrected([each.p for _, each in outcomes], "bonferroni")
     rows = []
     for (task, each), p in zip(outcomes, whole, strict=True):
-        robust = "; ".join(f"{other.test} {told_p(other.p)}" for other in each.alternatives)
+        robust = "; ".join(f"{other.test} {format_p(other.p)}" for other in each.alternatives)
         rows.append(
             (
                 task,
                 each.question,
                 each.test,
                 each.figures,
-                told_p(p),
+                format_p(p),
                 "effect" if p < ALPHA else "none shown",
                 str(each.effect or ""),
                 "yes" if each.sound else "no",
@@ -125,7 +125,7 @@ def _outcomes(outcomes: list[tuple[str, Outcome]], told: list[str]) -> Section:
         "do not make an effect.",
         f"An assumption is refused in {unsound} of them; the tests in the last column rest on less."
         + (f" They do not all agree on {'; '.join(differing)}." if differing else " They all agree with the test."),
-        *told,
+        *remarks,
     ]
     header = ("task", "question", "test", "figures", "p, Bonferroni", "shows", "size", "assumptions hold", "on less")
     return Section("tests", "Tests", tuple(sentences), header, tuple(rows))
@@ -159,7 +159,7 @@ def _pairs(found: list[Comparison]) -> Section:
         + ". Simulated people differ less than real ones, which makes a difference of one size look larger in standard "
         "deviations; the differences in percent above do not depend on that.",
     )
-    header = ("task", "pair", "figures", "size", "beside it")
+    header = ("task", "pair", "figures", "size", "alternative")
     return Section("pairs", "Pairs and sizes of effects", sentences, header, tuple(rows), _sizes_picture(sizes))
 
 
@@ -183,18 +183,18 @@ def _sizes_picture(sizes: list[tuple[str, Effect]]) -> bytes:
 def _assumptions(outcomes: list[tuple[str, Outcome]]) -> Section:
     """What every test rests on."""
     rows = tuple(
-        (task, each.question, check.name, "yes" if check.holds else "no", check.says)
+        (task, each.question, check.name, "yes" if check.holds else "no", check.finding)
         for task, each in outcomes
         for check in each.assumptions
     )
     failed: dict[str, int] = {}
     for row in rows:
         failed[row[2]] = failed.get(row[2], 0) + (row[3] == "no")
-    told = ", ".join(f"{name} {count}" for name, count in failed.items())
+    failures = ", ".join(f"{name} {count}" for name, count in failed.items())
     return Section(
         "diagnostics",
         "Diagnostics",
-        (f"Checks that refused an assumption: {told or 'none was made'}, of {len(rows)} in all.",),
+        (f"Checks that refused an assumption: {failures or 'none was made'}, of {len(rows)} in all.",),
         ("task", "question", "assumption", "holds", "check"),
         rows,
     )
@@ -241,15 +241,15 @@ def regression_section(table: TrialTable) -> Section:
 
     def made() -> Section:
         """Slopes by task."""
-        rows, told = [], []
+        rows, remarks = [], []
         for task in (each for each in TASKS if each in table.task):
             found = trial_regression(table.where(task=task), "position_error_mm", ("force_error", "latency_ms"))
-            told.append(f"{task}: {found.sentence}")
+            remarks.append(f"{task}: {found.sentence}")
             for slope, chance in zip(found.slopes, found.chances, strict=True):
                 figures = (f"{slope.value:.4g}", f"{slope.low:.4g}", f"{slope.high:.4g}", f"{chance:.3f}")
                 rows.append((task, slope.name, *figures))
         header = ("task", "slope", "median", "low", "high", "chance above zero")
-        return Section("regression", "Task error against force error and latency", tuple(told), header, tuple(rows))
+        return Section("regression", "Task error against force error and latency", tuple(remarks), header, tuple(rows))
 
     return _or_refusal("regression", "Task error against force error and latency", made)
 
@@ -259,24 +259,24 @@ def power_section(table: TrialTable, rng: np.random.Generator) -> Section:
 
     def made() -> Section:
         """Rates by task and test."""
-        rows, told, loose = [], [], []
+        rows, remarks, loose = [], [], []
         for task in (each for each in TASKS if each in table.task):
             for each in redrawn_power(
                 _distinct(table.where(task=task), ("force_error",))[0].cells("force_error"), rng=rng
             ):
-                told.append(f"{task}, {each.sentence}")
+                remarks.append(f"{task}, {each.sentence}")
                 if each.false_alarms.low > LOOSE:
                     loose.append(f"{task} {each.test}")
                 shares = [f"{100.0 * value:.1f}" for value in (each.false_alarms.value, each.hits.value)]
                 rows.append((task, each.test, *shares, f"{100.0 * (1.0 - each.hits.value):.1f}", str(each.populations)))
         if loose:
-            told.append(
+            remarks.append(
                 f"More false alarms than {100.0 * LOOSE:.0f} % for {', '.join(loose)}: where the spread differs "
                 "between groups or between pairs of methods, the usual F finds too much, and the tests that rest on "
-                "less, in the last column of Tests, are the ones to believe."
+                "less, in the last column of Tests, are the ones to trust."
             )
         header = ("task", "test", "type I %", "power %", "type II %", "populations")
-        return Section("power", "Power and error rates", tuple(told), header, tuple(rows))
+        return Section("power", "Power and error rates", tuple(remarks), header, tuple(rows))
 
     return _or_refusal("power", "Power and error rates", made)
 
@@ -286,4 +286,4 @@ def _or_refusal(name: str, title: str, made: Callable[[], Section]) -> Section:
     try:
         return made()
     except InputError as error:
-        return Section(name, title, (f"This {TOLD}{error}.",))
+        return Section(name, title, (f"This {NOT_TESTED}{error}.",))

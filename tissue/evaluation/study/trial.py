@@ -88,13 +88,13 @@ def run_trial(plan: Plan, key: TrialKey) -> Trial:
         try:
             trial = trial_scene(plan, key, Path(folder) / "observer.json")
         except Exception as error:  # as below
-            rows = [{"method": method, "failure": _told(error)} for method in _methods(plan, key)]
+            rows = [{"method": method, "failure": _as_sentence(error)} for method in _methods(plan, key)]
         else:
             for method in _methods(plan, key):
                 try:
                     found: dict[str, Any] = dict(_metrics(trial, method, key))
                 except Exception as error:  # a trial that fails must not take the study with it, whatever the fault
-                    found = {"failure": _told(error)}
+                    found = {"failure": _as_sentence(error)}
                 rows.append({"method": method} | found)
     return Trial(key, trial_seed(plan, key), tuple(rows), perf_counter() - started)
 
@@ -134,7 +134,7 @@ def _stiffness_N_m(scene: Scene) -> float:
 
 
 def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Observer]:
-    """A person, and what the numbers they gave to forces tell of them; thresholds are known as they are."""
+    """A person, and what the map fitted to their numbers; thresholds are known as they are."""
     drawn = draw_observers(key.group, 1, rng)
     name = f"{key.group} {key.user}"
     own: dict[str, Any] = {each: float(getattr(drawn, each)[0]) for each in PARAMETERS}
@@ -166,6 +166,6 @@ def _metrics(trial: TrialScene, method: str, key: TrialKey) -> dict[str, float]:
     return measured(run, key.task, trial.person, wanted_mm=wanted) | {"specimen": float(trial.specimen)}
 
 
-def _told(error: Exception) -> str:
+def _as_sentence(error: Exception) -> str:
     """Kind and words of an error on one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())}"

@@ -16,15 +16,15 @@ HORIZONS = (1, 2, 3, 4, 6, 8, 10)
 
 
 def forecast(predictor: Predictor, run: Recording, horizons: Sequence[int], *, model_ticks: int = 1) -> Array:
-    """What a predictor tells in every tick, shape (n, horizons, 3) [N]; it sees the force every `model_ticks`."""
-    told = np.empty((len(run.force_N), len(horizons), 3))
+    """What a predictor gives in every tick, shape (n, horizons, 3) [N]; it sees the force every `model_ticks`."""
+    predicted = np.empty((len(run.force_N), len(horizons), 3))
     for index, (position, velocity, force) in enumerate(
         zip(run.position_m, run.velocity_m_s, run.force_N, strict=True)
     ):
         predictor.observe(position, velocity, force if index % model_ticks == 0 else None)
         for column, horizon in enumerate(horizons):
-            told[index, column] = predictor.predict(horizon)
-    return told
+            predicted[index, column] = predictor.predict(horizon)
+    return predicted
 
 
 def forecast_errors(
@@ -34,14 +34,14 @@ def forecast_errors(
     horizons: Sequence[int] = HORIZONS,
     model_ticks: int = 1,
 ) -> Array:
-    """||told - F|| / ||F|| of a new predictor on each run, shape (runs, horizons).
+    """||predicted - F|| / ||F|| of a new predictor on each run, shape (runs, horizons).
 
-    F is the undelayed force in the tick that was told of, over all ticks that can be told of.
+    F is the reference force in the tick that was predicted, over all ticks that can be predicted.
     """
     errors = np.empty((len(runs), len(horizons)))
     for row, run in enumerate(runs):
-        told = forecast(make(), run, horizons, model_ticks=model_ticks)
+        predicted = forecast(make(), run, horizons, model_ticks=model_ticks)
         for column, horizon in enumerate(horizons):
             came = run.force_N[horizon:]
-            errors[row, column] = np.linalg.norm(told[: -horizon or None, column] - came) / np.linalg.norm(came)
+            errors[row, column] = np.linalg.norm(predicted[: -horizon or None, column] - came) / np.linalg.norm(came)
     return errors

@@ -34,7 +34,7 @@ LEADS = (0.0, 2.0, 4.0, 8.0)
 """Steps ahead at which the gap is looked at."""
 SPEED_STEPS = 10
 """Steps over which the gap's speed is taken."""
-TOLD_AHEAD = 12
+HORIZON_TICKS = 12
 """Ticks ahead up to which terms are learnt."""
 CENTRES = 12
 """Centres of radial observables."""
@@ -104,7 +104,7 @@ def fit(scene: str, runs: Sequence[Recording], *, rng: np.random.Generator) -> T
     operator = offered[choice.name].fit(episodes) if len(runs) > COMPARED else choice.operator
     control = Edmd(Identity()).fit([run.driven_episode() for run in runs])
     statistics = operator.statistics
-    told = {
+    facts = {
         "dictionary": choice.name,
         "scores": {name: float(scores.mean()) for name, scores in choice.scores.items() if np.isfinite(scores).all()},
         "refused": sorted(choice.refused),
@@ -114,13 +114,13 @@ def fit(scene: str, runs: Sequence[Recording], *, rng: np.random.Generator) -> T
         "capped": statistics.capped,
         "seeds": [run.seed for run in runs],
     }
-    return Trained(scene, operator, control, loop_terms(operator, episodes), told)
+    return Trained(scene, operator, control, loop_terms(operator, episodes), facts)
 
 
 def loop_terms(operator: Operator, episodes: Sequence[Episode]) -> LoopTerms:
-    """What the loop needs beside the operator, from its errors on the training runs."""
-    lags, ahead, powers = operator.dictionary.lags, TOLD_AHEAD, operator.predicted_states(TOLD_AHEAD)
-    along, square = np.zeros(ahead), 0.0
+    """What the loop needs besides the operator, from its errors on the training runs."""
+    lags, steps, powers = operator.dictionary.lags, HORIZON_TICKS, operator.predicted_states(HORIZON_TICKS)
+    along, square = np.zeros(steps), 0.0
     sizes, running, quiet, reach, growth = [], [], [], 0.0, 0.0
     moved, pushed = np.zeros((3, 3)), np.zeros((3, 3))
     for episode in episodes:
@@ -136,15 +136,15 @@ def loop_terms(operator: Operator, episodes: Sequence[Episode]) -> LoopTerms:
         touching = np.abs(states[1:, 3:]).max(axis=1) > 1e-4
         moved += missed[touching, :3].T @ missed[touching, :3]
         pushed += missed[touching, :3].T @ error[touching]
-        count = len(states) - 1 - ahead
+        count = len(states) - 1 - steps
         square += float((error[:count] ** 2).sum())
         for step, (matrix, offset) in enumerate(powers):
-            told = lifted[1 : 1 + count] @ matrix[3:].T + offset[3:]
+            predicted = lifted[1 : 1 + count] @ matrix[3:].T + offset[3:]
             came = states[2 + step : 2 + step + count, 3:]
-            along[step] += float((error[:count] * (came - told)).sum())
-        told = lifted @ powers[CHOSEN_AT - 1][0][3:].T + powers[CHOSEN_AT - 1][1][3:]
-        reach = max(reach, float(np.linalg.norm(told - states[:, 3:], axis=1).max()))
-        quiet.append(np.linalg.norm(told, axis=1)[_free(states[:, 3:])])
+            along[step] += float((error[:count] * (came - predicted)).sum())
+        predicted = lifted @ powers[CHOSEN_AT - 1][0][3:].T + powers[CHOSEN_AT - 1][1][3:]
+        reach = max(reach, float(np.linalg.norm(predicted - states[:, 3:], axis=1).max()))
+        quiet.append(np.linalg.norm(predicted, axis=1)[_free(states[:, 3:])])
     errors, free = np.concatenate(sizes), np.concatenate(quiet)
     return LoopTerms(
         gains=tuple(np.clip(along / square, -1.0, 1.0).tolist()),
@@ -167,5 +167,5 @@ def _smoothed(sizes: Array) -> Array:
 def _free(forces_N: Array) -> NDArray[np.bool_]:
     """Ticks in which the device has been free for a while and stays so."""
     touching = np.abs(forces_N).max(axis=1) > 1e-4
-    near = np.convolve(touching, np.ones(2 * TOLD_AHEAD + 1), "same") > 0.0
+    near = np.convolve(touching, np.ones(2 * HORIZON_TICKS + 1), "same") > 0.0
     return np.asarray(~near & (np.arange(len(near)) >= RELEASED))

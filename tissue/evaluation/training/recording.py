@@ -37,9 +37,9 @@ class Recording:
     Attributes
     ----------
     position_m, velocity_m_s
-        Of the device, as its encoders tell them, shape (n, 3).
+        Of the device, as its encoders measure them, shape (n, 3).
     force_N
-        On the device, undelayed, shape (n, 3).
+        On the device, without delay, shape (n, 3).
     group, seed
         Whose hand, and its seed.
     model_s

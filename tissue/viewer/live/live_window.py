@@ -27,8 +27,8 @@ FRAME_S = 1.0 / 30.0
 """Time between two frames [s]."""
 TISSUE_S = 0.2
 """Least time between two updates of the tissue [s]; one that took long is followed by a rest as long as itself."""
-ROOM = (0.08, 0.86, 0.1, 0.84)
-"""Left, right, lower and upper end of the room for the scene, in shares of the window."""
+MARGINS = (0.08, 0.86, 0.1, 0.84)
+"""Left, right, lower and upper end of the area for the scene, in shares of the window."""
 NICE = 5
 """On a busy machine the ticks come first."""
 
@@ -75,7 +75,7 @@ class LiveWindow:
         for row, line in enumerate(HELP):
             place = (0.012, 0.1 - 0.025 * row)
             self.plotter.add_text(line, position=place, viewport=True, font_size=9, color="black")
-        aim(self.plotter, points, room=ROOM)
+        aim(self.plotter, points, margins=MARGINS)
         self._start, self._axis, self._box = 1e3 * start["start_m"], start["axis"], (low, high)
         self._updated, self._took = 0.0, 0.0
 
@@ -86,7 +86,7 @@ class LiveWindow:
         self.plotter.iren.clear_key_event_callbacks()
         self.pointer = Pointer(self.plotter, self._start, self._axis, low_mm=low, high_mm=high)
         self.plotter.iren.interactor.AddObserver("ExitEvent", self._close)
-        self._told = self._start.copy()
+        self._sent_mm = self._start.copy()
 
     @property
     def over(self) -> bool:
@@ -94,18 +94,18 @@ class LiveWindow:
         return bool(self.arrays["ended"][0] or self.arrays["closed"][0])
 
     def frame(self) -> None:
-        """Take the events that have come, tell the pointer, and draw what is new."""
+        """Take the events that have come, send the pointer, and draw what is new."""
         self.plotter.iren.interactor.ProcessEvents()
         if self.pointer.ended:
             self._close()
         if self.over:
             return
-        if not np.array_equal(self._told, self.pointer.target_mm):
-            self._told = self.pointer.target_mm
-            self.arrays.write("pointer", self._told)
-        told = self.arrays.read("row")
-        if told is not None and told[0] > 0:
-            self.tool.show(told[1], self.pointer.target_mm)
+        if not np.array_equal(self._sent_mm, self.pointer.target_mm):
+            self._sent_mm = self.pointer.target_mm
+            self.arrays.write("pointer", self._sent_mm)
+        message = self.arrays.read("row")
+        if message is not None and message[0] > 0:
+            self.tool.show(message[1], self.pointer.target_mm)
         now = perf_counter()
         if self.tissue is not None and now - self._updated > max(TISSUE_S, 2.0 * self._took):
             self.tissue.update()
@@ -126,17 +126,17 @@ class LiveWindow:
 
 
 def _main(folder: str) -> None:
-    """Open the window, say so on the standard output, and run it until the ticks or a person end it."""
+    """Open the window, report it on the standard output, and run it until the ticks or a person end it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the ticks decide when it ends
     if hasattr(os, "nice"):
         os.nice(NICE)
     os.environ.setdefault("LP_NUM_THREADS", "1")  # OpenGL in software would take every core from the ticks
-    told = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    standard_output = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     window = LiveWindow(Path(folder))
     window.open()
     window.frame()
-    print("ready", file=told, flush=True)
+    print("ready", file=standard_output, flush=True)
     window.run()
 
 

@@ -16,10 +16,10 @@ HELP = (
 )
 """What there is to press."""
 NOTCH_MM, KEY_MM = 0.5, 0.5
-"""Way of a notch of the wheel and of a press of a key [mm]."""
+"""Travel of a notch of the wheel and of a press of a key [mm]."""
 DEEPER, HIGHER = ("Next", "s"), ("Prior", "w")
 ARROWS = {"Left": (-1.0, 0.0), "Right": (1.0, 0.0), "Up": (0.0, 1.0), "Down": (0.0, -1.0)}
-"""Ways right and up in the view."""
+"""Directions right and up in the view."""
 
 
 class Pointer:
@@ -62,17 +62,17 @@ class Pointer:
         style.AddObserver("MouseWheelBackwardEvent", lambda *_: self.along(NOTCH_MM))
         style.AddObserver("CharEvent", lambda *_: None)
 
-    def along(self, way_mm: float) -> None:
+    def along(self, travel_mm: float) -> None:
         """Go along the tool's axis [mm], positive out of the tissue."""
-        self._go(way_mm * self._axis)
+        self._go(travel_mm * self._axis)
 
     def across(self, right_mm: float, up_mm: float) -> None:
         """Go in the plane of the view [mm]."""
         camera = self._plotter.camera
-        ahead = np.array(camera.GetDirectionOfProjection())
-        right = np.cross(ahead, camera.GetViewUp())
+        forward = np.array(camera.GetDirectionOfProjection())
+        right = np.cross(forward, camera.GetViewUp())
         right /= np.linalg.norm(right)
-        self._go(right_mm * right + up_mm * np.cross(right, ahead))
+        self._go(right_mm * right + up_mm * np.cross(right, forward))
 
     @property
     def mm_per_pixel(self) -> float:
@@ -82,8 +82,8 @@ class Pointer:
         tall = self._plotter.window_size[1]
         return 2.0 * max(away, 1.0) * float(np.tan(np.radians(0.5 * camera.GetViewAngle()))) / tall
 
-    def _go(self, way_mm: Array) -> None:
-        self.target_mm = np.clip(self.target_mm + way_mm, self._low, self._high)
+    def _go(self, travel_mm: Array) -> None:
+        self.target_mm = np.clip(self.target_mm + travel_mm, self._low, self._high)
 
     def _moved(self, *_: Any) -> None:
         before, self._at = self._at, self._interactor.GetEventPosition()

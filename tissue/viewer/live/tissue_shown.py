@@ -151,10 +151,10 @@ class LiveOrgan:
 
     def update(self) -> bool:
         """Draw the surface where it has moved to."""
-        told = self._arrays.read("moved")
-        if told is None or told[0] == self._turn:
+        message = self._arrays.read("moved")
+        if message is None or message[0] == self._turn:
             return False
-        self._turn, moved = told
+        self._turn, moved = message
         known = (self._row >= 0) & np.isfinite(moved).all(axis=1)[self._row]
         if self._known is None or (known != self._known).any():
             self._spread(known)

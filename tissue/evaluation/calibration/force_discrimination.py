@@ -1,11 +1,11 @@
-"""How often simulated people tell two stimuli apart, with and without force scaled for each of them.
+"""How often simulated people discriminate two stimuli, with and without force scaled for each of them.
 
 A person feels a force with noise of their own, which comes after the mapping; the scatter of the force itself comes
 before it. A mapping that rises with the force adds no information to a noise that went through it: the scatter of
 tissue, hand and device is carried along. What it can change is the part of the difference that survives the person's
 noise: a power above 1 spreads forces and a gain lifts them over the low-force term; a power below 1, or a common factor
 that keeps forces within the device, does the opposite. Calibration brings everyone to the exponent of the reference:
-people whose exponent lies below it gain, those above it lose, and the mean over a population may move either way.
+people whose exponent lies below it gain, those above it lose, and the mean over a population may rise or fall.
 """
 
 from collections.abc import Callable, Sequence
@@ -130,7 +130,7 @@ def share_right(
     limits: ForceRange | None = None,
     texture_share: float = 0.0,
 ) -> Array:
-    """Share of trials in which each person tells the stimulus of greater level as the stronger one, shape (n,).
+    """Share of trials in which each person names the stimulus of greater level as the stronger one, shape (n,).
 
     Equal seeds give the same scatter and the same noise in people, whatever the commands: two calls are paired.
 
@@ -170,9 +170,11 @@ def share_right(
     distance = D_PRIME_75 * (more - less) / threshold
     if texture_share > 0.0:
         vibration = constants("observers", "texture")
-        own = vibration["kappa"].value * (texture_share * np.minimum(less, more) + vibration["offset_N"].value)
-        distance = np.sign(distance) * np.hypot(distance, D_PRIME_75 * texture_share * (more - less) / own)
-    return np.mean([people.told_apart(distance[trial], noise) for trial in range(trials)], axis=0)
+        texture_noise = vibration["kappa"].value * (
+            texture_share * np.minimum(less, more) + vibration["offset_N"].value
+        )
+        distance = np.sign(distance) * np.hypot(distance, D_PRIME_75 * texture_share * (more - less) / texture_noise)
+    return np.mean([people.discriminate(distance[trial], noise) for trial in range(trials)], axis=0)
 
 
 def _played(force_N: Array, device: ForceRange) -> Array:

@@ -1,17 +1,17 @@
-"""What a table and a picture show beside the settings of a scene: errors that no setting goes below."""
+"""Rows of a table and lines of a picture that are no settings: errors that no setting goes below."""
 
 from math import nan
 
 from tissue.evaluation.charts.measure import Measured, machine
 from tissue.scene.scene import Scene
 
-__all__ = ["BESIDE", "beside"]
+__all__ = ["BOUND_FAMILIES", "bound_row"]
 
-BESIDE = ("law", "rounding")
+BOUND_FAMILIES = ("law", "rounding")
 """Families of rows that are no settings. The error of a law is held to the neo-Hookean force, not to the reference."""
 
 
-def beside(
+def bound_row(
     scene: Scene, name: str, family: str, error: float, *, leaves_out: str = "", median_us: float = nan,
     p99_us: float = nan, missed: int = 0, elements: int = 0, built_s: float = nan,
 ) -> Measured:  # fmt: skip
