@@ -1,7 +1,10 @@
 """The pages name what exists: paths, modules, links, commands, layers, dependencies."""
 
+import os
 import re
 import shlex
+import subprocess
+import sys
 import tomllib
 from importlib import import_module
 from pathlib import Path
@@ -95,6 +98,22 @@ def test_the_first_lines_of_the_readme_install_run_and_test():
         "python3 -m venv .venv && .venv/bin/pip install -e . && .venv/bin/tissue run glenoid",
         "python3 -m venv .venv && .venv/bin/pip install --no-compile -e '.[test]' && .venv/bin/pytest -n logical --dist worksteal",
     ]
+
+
+@pytest.mark.slow
+def test_the_python_of_the_readme_runs(tmp_path):
+    (code,) = re.findall(r"^```python\n(.*?)^```", (ROOT / "README.md").read_text("utf-8"), re.DOTALL | re.MULTILINE)
+    ended = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert ended.returncode == 0, ended.stderr
+    assert {path.name for path in (tmp_path / "runs/coarse").iterdir()} >= {
+        "trace.csv",
+        "trace.npz",
+        "bone.vti",
+        "summary.json",
+    }
 
 
 def commands_of(page):
