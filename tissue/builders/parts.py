@@ -6,7 +6,8 @@ from typing import Any
 from meshes.base.placement import Placement
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
-from tissue.models.tissue_model import TissueModel
+from tissue.fem.fields import FieldSeries
+from tissue.models.tissue_model import HasFields, TissueModel
 from tissue.motion.motion import Motion
 
 __all__ = ["Parts"]
@@ -34,6 +35,11 @@ class Parts:
     volume: VoxelVolume | None = None
     placement: Placement | None = None
     notes: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def fields(self) -> FieldSeries | None:
+        """Displacement and stress over time; None where the tissue or the scene has none."""
+        return self.tissue.fields if isinstance(self.tissue, HasFields) else None
 
     @property
     def placement_record(self) -> dict[str, Any]:

@@ -44,7 +44,7 @@ def draw_pictures(run: Run, folder: Path) -> list[str]:
         draw_played(run, folder / "played.png")
     if run.parts.volume is None:
         with _background() as pool:
-            if (fields := run.parts.tissue.fields) and fields.frames:
+            if (fields := run.parts.fields) and fields.frames:
                 tool, name = tool_surface(run.scene.tool), run.scene.name
                 held = pool.submit(draw_held, fields, folder / "held.png", title=name)
                 notes["press.png"] = draw_press(fields, run.trace, folder / "press.png", title=name, tool=tool)

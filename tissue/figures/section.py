@@ -117,7 +117,7 @@ def loaded_frame(series: FieldSeries) -> Frame | None:
 
 def moment_of(run: Run) -> tuple[int, Frame | None]:
     """Row of the trace at the moment that a section shows, and the fields then: under load, else at the last cut."""
-    series, cutting = run.parts.tissue.fields, np.flatnonzero(run.trace["contact_mm2"] > 0.0)
+    series, cutting = run.parts.fields, np.flatnonzero(run.trace["contact_mm2"] > 0.0)
     frame = None if series is None else loaded_frame(series)
     if frame is None:
         return int(cutting[-1]) if cutting.size else len(run.trace.rows) - 1, None
@@ -135,7 +135,7 @@ def draw_section(run: Run, path: Path, *, axis: int, outward: int) -> None:
 
 
 def _draw_section(run: Run, path: Path, section: Section, frame: Frame | None) -> None:
-    series = run.parts.tissue.fields
+    series = run.parts.fields
     u0, u1, v0, v1 = section.extent_mm
     wide = 3.05 if frame is not None else min(5.2, 5.2 * (u1 - u0) / (v1 - v0))
     tall = wide * (v1 - v0) / (u1 - u0)

@@ -1,14 +1,26 @@
 """The contract between a moving tool and the tissue it meets, and the tissue that is not there."""
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissue.fem.fields import FieldSeries
 
-__all__ = ["TICK_S", "FreeSpace", "Response", "TissueModel", "ToolMotion"]
+__all__ = [
+    "TICK_S",
+    "Finishes",
+    "FreeSpace",
+    "HasFields",
+    "HasNotices",
+    "HasVoxels",
+    "Response",
+    "StartsBackground",
+    "TissueModel",
+    "ToolMotion",
+    "WaitsForBackground",
+]
 
 Array = NDArray[np.float64]
 TICK_S = 1e-3
@@ -81,7 +93,7 @@ class Response:
 
 
 class TissueModel(Protocol):
-    """A tissue that a tool moves through.
+    """A tissue that a tool moves through: what every model has. What some have beside it are the protocols below.
 
     `place` puts the tool where it starts. Every tick `advance` lets it take away what it reaches at its new pose, then
     `respond` gives the force at that pose. Neither allocates device memory.
@@ -95,11 +107,6 @@ class TissueModel(Protocol):
     @property
     def measure_names(self) -> tuple[str, ...]:
         """Names, with units, of the tissue's own columns in the trace."""
-        ...
-
-    @property
-    def notices(self) -> list[str]:
-        """What has happened and was not told yet, a sentence each; whoever tells it empties the list."""
         ...
 
     @property
@@ -124,25 +131,58 @@ class TissueModel(Protocol):
         """Force and torque on the tool at its pose; the returned object is overwritten by the next call."""
         ...
 
-    def wait_for_background(self, time_s: float) -> None:
-        """Wait, before a tick and outside it, for work beside the ticks whose result is due at that time."""
-        ...
 
-    def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Do what has a slower rate of its own, or start it beside the ticks; called at the end of every tick."""
-        ...
+@runtime_checkable
+class HasNotices(Protocol):
+    """A tissue that reports what has happened."""
 
-    def finish(self) -> None:
-        """Complete work that was spread over ticks."""
-        ...
+    notices: list[str]
+    """A sentence each; the loop takes them out as it logs them."""
+
+
+@runtime_checkable
+class HasFields(Protocol):
+    """A tissue that shows displacement and stress over time."""
 
     @property
     def fields(self) -> FieldSeries | None:
-        """Displacement and stress over time, where the scene asks for them."""
+        """Frames so far; None where the scene asks for none."""
         ...
 
-    def remaining(self) -> NDArray[np.uint8] | None:
-        """Tissue left in every voxel, 255 = full, shape of the voxel volume; None for a tissue without voxels."""
+
+@runtime_checkable
+class HasVoxels(Protocol):
+    """A tissue of voxels that a tool removes."""
+
+    def remaining(self) -> NDArray[np.uint8]:
+        """Tissue left in every voxel, 255 = full, shape of the voxel volume."""
+        ...
+
+
+@runtime_checkable
+class WaitsForBackground(Protocol):
+    """A tissue whose work in the background has a result that is due at a certain tick."""
+
+    def wait_for_background(self, time_s: float) -> None:
+        """Wait, before a tick and outside it, for work whose result is due at that time."""
+        ...
+
+
+@runtime_checkable
+class StartsBackground(Protocol):
+    """A tissue with work of a slower rate than the ticks."""
+
+    def start_background(self, time_s: float, motion: ToolMotion) -> None:
+        """Do that work, or start it in the background; called at the end of every tick."""
+        ...
+
+
+@runtime_checkable
+class Finishes(Protocol):
+    """A tissue with work that is spread over ticks."""
+
+    def finish(self) -> None:
+        """Complete it, after the last tick; once more changes nothing."""
         ...
 
 
@@ -151,11 +191,9 @@ class FreeSpace:
 
     layer_names: tuple[str, ...] = ("nothing",)
     measure_names: tuple[str, ...] = ()
-    fields: FieldSeries | None = None
 
     def __init__(self) -> None:
         self._response = Response.empty(1)
-        self.notices: list[str] = []
         self.start_m3 = np.zeros(1)
         self.removed_m3 = np.zeros(1)
 
@@ -168,15 +206,3 @@ class FreeSpace:
     def respond(self, motion: ToolMotion) -> Response:
         """No force."""
         return self._response
-
-    def wait_for_background(self, time_s: float) -> None:
-        """Nothing is awaited here."""
-
-    def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Nothing is slow here."""
-
-    def finish(self) -> None:
-        """There is nothing to complete."""
-
-    def remaining(self) -> None:
-        """There are no voxels."""

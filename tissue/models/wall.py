@@ -5,7 +5,6 @@ from math import pi
 import numpy as np
 
 from meshes.base.errors import InputError, require_positive
-from tissue.fem.fields import FieldSeries
 from tissue.models.tissue_model import Response, ToolMotion
 
 __all__ = ["WallModel"]
@@ -27,12 +26,10 @@ class WallModel:
 
     layer_names: tuple[str, ...] = ("wall",)
     measure_names: tuple[str, ...] = ("depth_mm",)
-    fields: FieldSeries | None = None
 
     def __init__(self, stiffness_N_m: float, *, radius_m: float) -> None:
         self.stiffness_N_m = require_positive("stiffness_N_m", stiffness_N_m, "use 1e4")
         self._radius = require_positive("radius_m", radius_m, "use 5e-3")
-        self.notices: list[str] = []
         self.start_m3, self.removed_m3 = np.zeros(1), np.zeros(1)
         self._free, self._pressed = np.zeros((3, 3)), np.diag((0.0, 0.0, self.stiffness_N_m))
         self._response = Response.empty(1)
@@ -65,18 +62,6 @@ class WallModel:
         response.engaged_m2[0] = pi * depth * max(2.0 * self._radius - depth, 0.0)
         response.measures[0] = 1e3 * depth
         return response
-
-    def wait_for_background(self, time_s: float) -> None:
-        """Nothing is awaited here."""
-
-    def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Nothing is slow here."""
-
-    def finish(self) -> None:
-        """There is nothing to complete."""
-
-    def remaining(self) -> None:
-        """There are no voxels."""
 
     def _depth_m(self, motion: ToolMotion) -> float:
         """How far the ball's lowest point lies below the plane [m]; negative above it."""

@@ -35,7 +35,7 @@ STEPS_S = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 25.0, 50.0, 100.0)
 def carving_ticks(run: "Run") -> list[int]:
     """Ticks at the end of which the bone is written: those of the fields where there are any, and the last one."""
     last = len(run.trace.rows) - 1
-    fields = run.parts.tissue.fields
+    fields = run.parts.fields
     if fields is not None and len(fields.frames) > 1:
         times = [frame.time_s for frame in fields.frames]
         times = times[:: ceil(len(times) / (MOST_FRAMES - 1))]

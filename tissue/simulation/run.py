@@ -15,6 +15,7 @@ from meshes.base.progress import Progress, silent
 from meshes.voxels.volume import VoxelVolume
 from tissue.builders.parts import Parts
 from tissue.cutters.cutter import Cutter
+from tissue.models.tissue_model import HasVoxels
 from tissue.scene.scene import Scene
 from tissue.simulation.run_folder import RunFolder
 from tissue.simulation.run_summary import FORMAT
@@ -90,8 +91,8 @@ class Run:
     def remaining(self) -> NDArray[np.uint8]:
         """Bone left in every voxel, 255 = full, uint8, shape (nx, ny, nz); raises as `volume`."""
         if self._fraction is None:
-            left = self.parts.tissue.remaining()
-            self._fraction = self.volume.fraction if left is None else left
+            tissue = self.parts.tissue
+            self._fraction = tissue.remaining() if isinstance(tissue, HasVoxels) else self.volume.fraction
         return self._fraction
 
     def replay(self) -> "CarvingReplay":
@@ -156,7 +157,7 @@ class Run:
         InputError
             If the tissue has neither.
         """
-        fields = self.parts.tissue.fields
+        fields = self.parts.fields
         if self.parts.volume is None and fields is not None and fields.frames:
             from tissue.simulation.series import frame_mesh
 
@@ -229,7 +230,7 @@ class Run:
             report("writing the bone", 0.0)
             write_bone(self, out)
             write_carving(self, out, report=report)
-            fields = self.parts.tissue.fields
+            fields = self.parts.fields
             if fields is not None and fields.frames:
                 report("writing the fields", 0.0)
                 write_fields(fields, out, self.parts.placement)

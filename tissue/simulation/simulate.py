@@ -5,7 +5,7 @@ import sys
 from contextlib import nullcontext, suppress
 from pathlib import Path
 from time import perf_counter
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +16,9 @@ from tissue.builders.parts import Parts
 from tissue.builders.registry import build
 from tissue.haptics.device.device import Device
 from tissue.haptics.device.safe_device import SafeDevice
-from tissue.haptics.hand_motion import HandMotion
-from tissue.models.tissue_model import TICK_S
+from tissue.models.tissue_model import TICK_S, Finishes, HasNotices, WaitsForBackground
 from tissue.motion.motion import LONGEST_S, Motion
+from tissue.prediction.predictor import Predictor
 from tissue.scene.messages import require_used
 from tissue.scene.scene import Scene
 from tissue.simulation.run import Run
@@ -55,6 +55,20 @@ class RunObserver(Protocol):
     def on_end(self) -> list[tuple[float, str]]:
         """The ticks have ended, or failed: what has happened, time [s] and a sentence each."""
         ...
+
+
+@runtime_checkable
+class MovedByDevice(Protocol):
+    """A motion whose tool is moved by a device, which feels a force that may be predicted."""
+
+    device: Device | SafeDevice
+    after_s: float
+    """How much later than the motion's path it ends [s]."""
+    predictor: Predictor | None
+    lead_ticks: int
+    """Ticks by which the force is predicted."""
+    model_ticks: int
+    """Ticks for which one answer of the tissue holds."""
 
 
 def simulate(
@@ -113,7 +127,7 @@ def simulate(
     with folder.ending() if folder is not None else nullcontext():
         parts = build(scene, step_s=TICK_S, compute=compute, cores=cores, report=report, allow_unstable=allow_unstable)
         if device is not None:
-            if not isinstance(parts.motion, HandMotion):
+            if not isinstance(parts.motion, MovedByDevice):
                 raise InputError("scene must name the device that is given, got none: set device, such as touch")
             parts.motion.device, parts.motion.after_s = device, 0.0
         ticks = _tick_count(scene, parts.motion)
@@ -136,6 +150,8 @@ def _loop(
 ) -> Run:
     """All ticks of a run."""
     tissue, motion = parts.tissue, parts.motion
+    background = tissue if isinstance(tissue, WaitsForBackground) else None
+    notices = tissue.notices if isinstance(tissue, HasNotices) else []
     layout = TraceLayout.of(tissue.layer_names, tissue.measure_names + motion.measure_names)
     trace = Table(layout.columns, np.zeros((ticks, len(layout.columns))), tissue.layer_names)
     timed = TIMING_COLUMNS + (observer.timing_columns if observer is not None else ())
@@ -153,12 +169,13 @@ def _loop(
     def go_through() -> None:
         nonlocal index, reported_s
         for index in range(ticks):
-            tissue.wait_for_background(index * TICK_S)
+            if background is not None:
+                background.wait_for_background(index * TICK_S)
             if observer is not None:
                 observer.before_tick(index)
             tick(index)
-            while tissue.notices:
-                events.append((index * TICK_S, tissue.notices.pop(0)))
+            while notices:
+                events.append((index * TICK_S, notices.pop(0)))
             goes_on = observer is None or observer.on_tick(index, trace.rows[index], timing.rows[index])
             if folder is not None:
                 folder.flush(
@@ -187,25 +204,26 @@ def _loop(
         if observer is not None:
             events += observer.on_end()
     trace.rows, timing.rows = trace.rows[: index + 1], timing.rows[: index + 1]
-    tissue.finish()
-    events += [((index + 1) * TICK_S, notice) for notice in tissue.notices]
-    tissue.notices.clear()
+    if isinstance(tissue, Finishes):
+        tissue.finish()
+    events += [((index + 1) * TICK_S, notice) for notice in notices]
+    notices.clear()
     if folder is not None:
         folder.flush(index + 1, force=True)
-    if isinstance(motion, HandMotion) and motion.predictor is not None and (note := _foreseen(trace, motion)):
+    if isinstance(motion, MovedByDevice) and motion.predictor is not None and (note := _foreseen(trace, motion)):
         parts.notes["prediction"] = note
     parts.notes |= shortfalls(scene, parts, trace)
     events = sorted(events + motion.happened(), key=lambda event: event[0])
     return Run(scene, parts, trace, timing, events=events, compute=compute, folder=folder, poses=tick.poses)
 
 
-def _foreseen(trace: Table, motion: HandMotion) -> str:
+def _foreseen(trace: Table, motion: MovedByDevice) -> str:
     """How near the predicted forces came to those that followed, in words; nothing where none did."""
-    reported_s, came, ticks = trace.vectors("predicted_force", "N"), trace.vectors("raw_force", "N"), motion.lead_ticks
+    predicted, came, ticks = trace.vectors("predicted_force", "N"), trace.vectors("raw_force", "N"), motion.lead_ticks
     size = float(np.linalg.norm(came))
     if size == 0.0 or not 0 < ticks < len(came) or motion.model_ticks > 1:
         return ""
-    missed, held = (100.0 * float(np.linalg.norm(came[ticks:] - f[:-ticks])) / size for f in (reported_s, came))
+    missed, held = (100.0 * float(np.linalg.norm(came[ticks:] - f[:-ticks])) / size for f in (predicted, came))
     share = 100.0 * float(trace["predicted_by"][np.any(came != 0.0, axis=1)].mean())
     return (
         f"{ticks} ms ahead, off by {missed:.2g} % of the force where holding it is off by {held:.2g} %; its "

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue.builders.parts import Parts
-from tissue.models.tissue_model import TICK_S, Response, ToolMotion
+from tissue.models.tissue_model import TICK_S, Response, StartsBackground, ToolMotion
 from tissue.motion.pose_log import PoseLog
 from tissue.motion.rotation import quaternion_of
 from tissue.scene.scene import Scene
@@ -23,6 +23,7 @@ class Tick:
 
     def __init__(self, scene: Scene, parts: Parts, layout: TraceLayout, trace: Table, timing: Table) -> None:
         self._motion, self._tissue = parts.motion, parts.tissue
+        self._background = parts.tissue if isinstance(parts.tissue, StartsBackground) else None
         tissue, self._model_ticks = parts.tissue, parts.motion.model_ticks
         self._rows, self._times = trace.rows, timing.rows
         self.tool = ToolMotion()
@@ -73,7 +74,8 @@ class Tick:
         np.multiply(self._filtered, 1.0 + self._vibration.factor(index), out=self._commanded)
         self._record(self._rows[index], index, response)
         recorded = perf_counter()
-        self._tissue.start_background(index * TICK_S, self.tool)
+        if self._background is not None:
+            self._background.start_background(index * TICK_S, self.tool)
         end = perf_counter()
         self._times[index, : len(TIMING_COLUMNS)] = (
             (end - start) * 1e6,

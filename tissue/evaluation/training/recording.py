@@ -13,7 +13,7 @@ from tissue.builders.loop import judged_loop
 from tissue.builders.registry import build, motion_of
 from tissue.haptics.hand.hand import GROUPS
 from tissue.haptics.hand_motion import HandMotion
-from tissue.models.tissue_model import Response, TissueModel, ToolMotion
+from tissue.models.tissue_model import Response, TissueModel, ToolMotion, WaitsForBackground
 from tissue.prediction.edmd.episodes import Episode
 from tissue.scene.coupling import WallAnatomy
 from tissue.scene.load import changed
@@ -126,7 +126,8 @@ class Recorder:
         before = 1e-3 * motion.measures[:3]
         took = np.zeros(ticks)
         for index, row in enumerate(rows):
-            tissue.wait_for_background(index * TICK_S)
+            if isinstance(tissue, WaitsForBackground):
+                tissue.wait_for_background(index * TICK_S)
             motion.advance(index * TICK_S, TICK_S, response, tool)
             start = perf_counter()
             tissue.advance(tool)

@@ -12,7 +12,6 @@ from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter, PointShell
-from tissue.fem.fields import FieldSeries
 from tissue.materials.cutting import CuttingCoefficients
 from tissue.models.bone.bricks import BrickStore
 from tissue.models.bone.carver import Carver, Removal
@@ -59,7 +58,6 @@ class BoneModel:
         self.layer_names = volume.layer_names
         self.measure_names: tuple[str, ...] = ()
         self.notices: list[str] = []
-        self.fields: FieldSeries | None = None
         self.cutter = cutter
         self.store = BrickStore.from_volume(volume, device=device)
         self.start_steps = self.store.steps_by_layer()
@@ -148,12 +146,6 @@ class BoneModel:
         np.multiply(response.resistance, speed, out=response.wrench)
         response.wrench += response.edge if speed > 0.0 else motion.pressed * response.edge
         return response
-
-    def wait_for_background(self, time_s: float) -> None:
-        """Bone has nothing beside the ticks."""
-
-    def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Bone has no slower rate."""
 
     def finish(self) -> None:
         """Complete the carving that was spread over ticks."""

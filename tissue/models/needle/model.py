@@ -4,7 +4,6 @@ from math import inf, isfinite, pi
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, require_positive
 from tissue.fem.fields import FieldSeries
@@ -135,9 +134,6 @@ class NeedleModel:
         measures[2], measures[3], measures[4] = elastic, cutting, friction - drag * motion.speed_m_s
         return response
 
-    def wait_for_background(self, time_s: float) -> None:
-        """Nothing is awaited here."""
-
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
         """Keep the deflection where a frame is due."""
         if self._fields is not None and time_s >= self._fields.next_s - 1e-9:
@@ -153,10 +149,6 @@ class NeedleModel:
         """Compute the fields of the frames."""
         if self._fields is not None:
             self._fields.compute()
-
-    def remaining(self) -> NDArray[np.uint8] | None:
-        """There are no voxels."""
-        return None
 
     def _travel_m(self, motion: ToolMotion) -> float:
         """How far the tip lies beyond the surface, along the needle's axis [m]; negative outside."""

@@ -135,9 +135,6 @@ class LiverModel:
         measures[1], measures[2] = result.contacts, result.iterations
         return response
 
-    def wait_for_background(self, time_s: float) -> None:
-        """Nothing is awaited here."""
-
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
         """Keep the forces where a frame is due."""
         if time_s >= self._fields.next_s - 1e-9:
@@ -149,9 +146,6 @@ class LiverModel:
         if self._lazy is not None:
             self._lazy.stop()
         self._fields.compute()
-
-    def remaining(self) -> None:
-        """There are no voxels."""
 
     def displacement_m(self) -> Array:
         """Displacement of the touchable nodes in the last tick [m], shape (t, 3); NaN where it is not known."""
