@@ -10,8 +10,9 @@ from tissue.haptics.device.sample_guard import GuardLimits, SampleGuard
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import Hand, hand_parameters
 from tissue.haptics.hand.minimum_jerk import waypoints
-from tissue.haptics.renderer import RENDERERS, renderer
+from tissue.haptics.renderer import renderer
 from tissue.haptics.rigid_wall import press_wall
+from tissue.scene.registry import RENDERERS
 
 TICK, SECONDS, STIFFNESS_N_M = 1e-3, 1.2, 1500.0
 FAULT_S = (0.8, 0.9)

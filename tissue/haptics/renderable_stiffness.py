@@ -12,8 +12,9 @@ from tissue.haptics.hand.hand import Hand, HandParameters
 from tissue.haptics.hand.minimum_jerk import waypoints
 from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
 from tissue.haptics.loop.stability_bounds import passive_bound_N_m
-from tissue.haptics.renderer import RENDERERS, renderer
+from tissue.haptics.renderer import renderer
 from tissue.haptics.rigid_wall import WallRun, press_wall
+from tissue.scene.registry import RENDERERS
 
 __all__ = ["WallLimit", "knock", "wall_limits"]
 
@@ -89,9 +90,9 @@ def wall_limits(
     *,
     rates_Hz: Sequence[float] = (500.0, 1000.0, 2000.0, 4000.0),
     delays_s: Sequence[float] = (0.0, 1e-3, 2e-3, 4e-3),
-    renderers: Sequence[str] = RENDERERS,
+    renderers: Sequence[str] | None = None,
 ) -> list[WallLimit]:
-    """The stiffest quiet wall for every renderer, rate and delay.
+    """The stiffest quiet wall for every renderer (without them all that are known), rate and delay.
 
     Stiffness climbs in steps of 15 % until the force ripples by more than 0.05 N, 0.3 to 0.5 s after the jerk.
     """
@@ -102,7 +103,7 @@ def wall_limits(
             loop = at.loop(1.0)
             held = critical_stiffness_N_m(in_hands(loop, [hand.grip[:3]])[0])
             free, passive = critical_stiffness_N_m(loop), passive_bound_N_m(loop)
-            for kind in renderers:
+            for kind in renderers or RENDERERS:
                 found.append(WallLimit(kind, rate, delay, _reached(at, hand, kind), held, free, passive))
     return found
 

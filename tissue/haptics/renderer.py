@@ -6,18 +6,19 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, require_positive, require_range
+from meshes.base.errors import require_positive, require_range
 from tissue.haptics.loop.passivity import RELEASE_RAD_S, PassivityControl
 from tissue.haptics.loop.sampled_loop import WallLoop
 from tissue.haptics.proxy.virtual_coupling import VirtualCoupling
 from tissue.motion.quaternion import Quaternion, conjugate, logarithm, product
+from tissue.scene.registry import RENDERERS
 
 __all__ = [
-    "RENDERERS", "PassivityRenderer", "PenaltyRenderer", "ProxyRenderer", "Renderer", "TurningRenderer", "renderer",
+    "PassivityRenderer", "PenaltyRenderer", "ProxyRenderer", "Renderer", "TurningRenderer", "passivity", "penalty",
+    "proxy", "renderer",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
-RENDERERS = ("penalty", "passivity", "proxy")
 
 
 class Renderer(Protocol):
@@ -130,28 +131,34 @@ class TurningRenderer:
         self._inner.pause()
 
 
-def renderer(kind: str, loop: WallLoop) -> Renderer:
-    """A renderer by its name for the wall of a loop: penalty, passivity (penalty, watched) or proxy.
+def penalty(loop: WallLoop) -> PenaltyRenderer:
+    """The penalty law for the wall of a loop, with its stiffness and damping."""
+    return PenaltyRenderer(loop.stiffness_N_m, loop.wall_damping_N_s_m)
 
-    The loop gives stiffness and damping to all, and to the passivity renderer its mass, its lag (delay and amplifier)
-    and the damping that they leave it, a half of m / (T + lag).
+
+def passivity(loop: WallLoop) -> PassivityRenderer:
+    """The penalty law for the wall of a loop, watched.
+
+    The loop gives its mass, its lag (delay and amplifier) and the damping that they leave it, a half of m / (T + lag).
+    """
+    lag = loop.delay_s + loop.filter_s + 1.0 / (2.0 * pi * loop.amplifier_Hz)
+    limit = 0.5 * loop.mass_kg / (loop.tick_s + lag)
+    return PassivityRenderer(
+        penalty(loop), damping_limit_N_s_m=limit, delay_ticks=lag / loop.tick_s, mass_kg=loop.mass_kg
+    )
+
+
+def proxy(loop: WallLoop) -> ProxyRenderer:
+    """The god-object's law for the wall of a loop, with its stiffness and damping."""
+    return ProxyRenderer(loop.stiffness_N_m, loop.wall_damping_N_s_m)
+
+
+def renderer(kind: str, loop: WallLoop) -> Renderer:
+    """A renderer by its name in `RENDERERS`, for the wall of a loop.
 
     Raises
     ------
     InputError
         If the name is none of these.
     """
-    stiffness_N_m, damping_N_s_m = loop.stiffness_N_m, loop.wall_damping_N_s_m
-    match kind:
-        case "penalty":
-            return PenaltyRenderer(stiffness_N_m, damping_N_s_m)
-        case "passivity":
-            inner = PenaltyRenderer(stiffness_N_m, damping_N_s_m)
-            lag = loop.delay_s + loop.filter_s + 1.0 / (2.0 * pi * loop.amplifier_Hz)
-            limit = 0.5 * loop.mass_kg / (loop.tick_s + lag)
-            return PassivityRenderer(
-                inner, damping_limit_N_s_m=limit, delay_ticks=lag / loop.tick_s, mass_kg=loop.mass_kg
-            )
-        case "proxy":
-            return ProxyRenderer(stiffness_N_m, damping_N_s_m)
-    raise InputError(f"renderer must be one of {', '.join(RENDERERS)}, got {kind}: choose one of these")
+    return RENDERERS[kind](loop)

@@ -6,6 +6,7 @@ from pydantic import Field, model_validator
 
 from meshes.base.errors import InputError
 from tissue.scene.anatomy import Part
+from tissue.scene.registry import RENDERERS, OneOf
 
 __all__ = [
     "Coupling", "DeviceName", "Fidelity", "HandName", "PerceptionName", "PredictionName", "RendererName", "WallAnatomy",
@@ -13,7 +14,7 @@ __all__ = [
 
 DeviceName = Literal["none", "touch", "omni", "six-dof"]
 HandName = Literal["novice", "intermediate", "expert"]
-RendererName = Literal["penalty", "passivity", "proxy"]
+RendererName = Annotated[str, OneOf(RENDERERS)]
 PredictionName = Literal["none", "hold", "linear", "kalman", "dmdc", "koopman"]
 PerceptionName = Annotated[
     str,

@@ -1,6 +1,5 @@
 """Faults of a scene, each in one sentence: key, requirement, value and remedy."""
 
-import difflib
 from collections.abc import Mapping
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -9,10 +8,11 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from meshes.base.errors import InputError
+from tissue.scene.registry import OneOf, nearest, unknown_name
 from tissue.scene.scene import Scene
 from tissue.scene.unused_keys import given_keys, refused_keys
 
-__all__ = ["nearest", "require_used", "sentence"]
+__all__ = ["choices_of", "require_used", "sentence"]
 
 BOUNDS = (("gt", "greater than"), ("ge", "at least"), ("lt", "below"), ("le", "at most"))
 LONGEST = 120
@@ -38,16 +38,15 @@ def sentence(fault: Mapping[str, Any], table: Table) -> str:
         return f"{key}.kind must be given, got nothing: {SEE}"
     if kind == "union_tag_invalid":
         choices = [tag.strip("'") for tag in context["expected_tags"].split(", ")]
-        return _choice(
+        return unknown_name(
             f"{key}.kind",
             choices,
             shown(context["tag"] if isinstance(context["tag"], str) else _value_at((*names, "kind"), table)),
         )
     got = fault["input"] if len(path) == len(names) else _value_at(names, table)
-    literals = [part for part in _alternatives(field.annotation) if get_origin(part) is Literal]
-    choices = [str(choice) for part in literals for choice in get_args(part)]
+    choices = choices_of(field)
     if choices:
-        return _choice(key, choices, shown(got))
+        return unknown_name(key, choices, shown(got))
     return f"{key} must be {_requirement(field, kind, len(path) > len(names))}, got {_shown(got)}: {_remedy(field)}"
 
 
@@ -75,12 +74,6 @@ def _got(value: Any) -> str:
     return "a table" if isinstance(value, BaseModel) else shown(value)
 
 
-def nearest(word: str, known: list[str]) -> str:
-    """The known word that ``word`` may have been meant to be, in brackets, or nothing."""
-    close = difflib.get_close_matches(word, known, n=1)
-    return f" (did you mean {close[0]}?)" if close else ""
-
-
 def shown(value: Any) -> str:
     """A value as a person would write it."""
     if isinstance(value, float):
@@ -102,8 +95,11 @@ def _shown(value: Any) -> str:
     return f'"{value}"' if isinstance(value, str) and value[:1].isdigit() else shown(value)
 
 
-def _choice(key: str, choices: list[str], got: str) -> str:
-    return f"{key} must be one of {', '.join(choices)}, got {got}{nearest(got, choices)}: choose one of these"
+def choices_of(field: FieldInfo) -> list[str]:
+    """All values of a field that takes one of some names; none for any other."""
+    literals = [part for part in _alternatives(field.annotation) if get_origin(part) is Literal]
+    named = [name for each in field.metadata if isinstance(each, OneOf) for name in each.names]
+    return named or [str(choice) for part in literals for choice in get_args(part)]
 
 
 def _requirement(field: FieldInfo, kind: str, inside: bool) -> str:

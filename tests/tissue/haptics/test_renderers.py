@@ -7,14 +7,15 @@ from tissue import InputError
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import Grip, HandAction
-from tissue.haptics.renderer import RENDERERS, PassivityRenderer, PenaltyRenderer, TurningRenderer, renderer
+from tissue.haptics.renderer import PassivityRenderer, PenaltyRenderer, TurningRenderer, renderer
 from tissue.motion.quaternion import conjugate, exponential, logarithm, product, unit
+from tissue.scene.registry import RENDERERS
 
 TICK, NOTHING = 1e-3, np.zeros(3)
 WALL = device_parameters("six-dof").loop(800.0, wall_damping_N_s_m=2.0)
 
 
-@pytest.fixture(params=RENDERERS)
+@pytest.fixture(params=RENDERERS.names)
 def law(request):
     return renderer(request.param, WALL)
 

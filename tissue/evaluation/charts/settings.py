@@ -8,6 +8,7 @@ from tissue.builders.prediction import PREDICTORS
 from tissue.builders.registry import cutter_of
 from tissue.scene.load import changed
 from tissue.scene.organ import LayersAnatomy, LiverAnatomy, SlabAnatomy
+from tissue.scene.registry import RENDERERS
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 
@@ -182,7 +183,7 @@ def _loops(scene: Scene, *, quick: bool) -> Iterator[Setting]:
     """Renderer, predictor and rate of the model."""
     plain = _force_only(scene)
     lost = LOST if plain else ""
-    for law in ("penalty", "passivity", "proxy"):
+    for law in RENDERERS:
         if not quick or law == "proxy":
             yield Setting(law, "loop", plain | {"renderer": law, "prediction": "none"}, lost)
     for kind in PREDICTORS[1:]:

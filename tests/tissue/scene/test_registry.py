@@ -1,0 +1,79 @@
+"""Every table of parts takes one from outside the package: a scene names it, runs with it, and messages list it."""
+
+import numpy as np
+import pytest
+
+from tissue import InputError, Scene, load_scene, simulate
+from tissue.scene.registry import RENDERERS, Registry
+
+
+@pytest.fixture
+def added():
+    """Add a part to a table until the test ends."""
+    places = []
+
+    def add(table, name, part):
+        table.add(name, part)
+        places.append((table, name))
+
+    yield add
+    for table, name in places:
+        table.remove(name)
+
+
+def run_of(**changes):
+    """A short run of a ball that a hand presses on a wall."""
+    given = {"device": "touch", "duration_s": 0.6, "coupling.stiffness_N_m": 300.0}
+    return simulate(load_scene("wall", given | {key.replace("__", "."): value for key, value in changes.items()}))
+
+
+def force_N(run):
+    """Force across the wall over time."""
+    return np.abs(run.trace["device_force_z_N"])
+
+
+def test_a_table_loads_lists_and_refuses():
+    table = Registry("renderer", {"proxy": "tissue.haptics.renderer:proxy"})
+    assert list(table) == ["proxy"] and len(table) == 1 and "proxy" in table and callable(table["proxy"])
+    with pytest.raises(
+        InputError, match=r"^renderer must be one of proxy, got prox \(did you mean proxy\?\): choose one"
+    ):
+        table["prox"]
+    with pytest.raises(
+        InputError, match=r"^name must be none of proxy, got proxy: choose another name for this renderer$"
+    ):
+        table.add("proxy", "elsewhere:proxy")
+    table.remove("proxy")
+    assert table.names == ()
+    with pytest.raises(InputError, match=r"^renderer must be one of"):
+        table.remove("proxy")
+
+
+class Half:
+    """A spring of half the stiffness that it was given."""
+
+    def __init__(self, loop):
+        self.stiffness_N_m = 0.5 * loop.stiffness_N_m
+
+    def render(self, device, device_velocity, proxy, proxy_velocity, dt):
+        return self.stiffness_N_m * (proxy - device)
+
+    def pause(self):
+        pass
+
+
+def test_a_renderer_from_outside_plays(added):
+    added(RENDERERS, "half", Half)
+    soft, stiff = run_of(renderer="half"), run_of(renderer="penalty")
+    assert force_N(soft).max() > 0.05
+    assert not np.array_equal(force_N(soft), force_N(stiff))
+    with pytest.raises(
+        InputError, match=r"renderer must be one of penalty, passivity, proxy, half, got halv \(did you"
+    ):
+        load_scene("wall", {"renderer": "halv"})
+    assert Scene.model_json_schema()["properties"]["renderer"]["enum"][-1] == "half"
+
+
+def test_a_part_that_was_removed_is_refused():
+    with pytest.raises(InputError, match="renderer must be one of penalty, passivity, proxy, got half: choose one of"):
+        load_scene("wall", {"device": "touch", "renderer": "half"})
