@@ -15,11 +15,13 @@ import warp as wp
 from kernels.bricks import cube_behind_plane, layer_of, plane_of
 from kernels.revolution import EDGE_BEND, Nearest, Revolution, nearest_on, offset_from
 
-__all__ = ["PHASES", "carve"]
+__all__ = ["BINARY", "COUNT", "EVERY_SIDE", "FIRST", "ORIGIN", "PHASES", "PLAN", "carve"]
 
 wp.set_module_options({"enable_backward": False})
 
 PHASES = 16
+FIRST, COUNT, BINARY, EVERY_SIDE, ORIGIN, PLAN = 0, 1, 2, 3, 4, 5
+"""Places in the plan: first group and how many; 1 for binary removal; 1 for every side; group of the first brick."""
 BLOCK_REACH = wp.constant(1.7320508)  # half diagonal of a block of 2 voxels [voxel]
 CELL = wp.constant(0.5)  # a cell of the distance table [voxel], by which a slope may be taken beside a kink
 SLACK = wp.constant(1024)  # stored steps by which two visits may differ in where they see the same surface
@@ -34,7 +36,7 @@ def carve(
     # tool
     tool: Revolution,
     pose: wp.array2d(dtype=wp.float64),  # row 0 now, row 1 + g last visit of group g: tip xyz [voxel], axis xyz
-    plan: wp.array(dtype=wp.int32),  # first group, how many, 1 for binary, 1 for every side, first brick's group
+    plan: wp.array(dtype=wp.int32),  # see FIRST
     lookahead: float,  # how far ahead of the surface the fill is foreseen [voxel]
     worker_offset: int,
     worker_count: int,
@@ -67,14 +69,14 @@ def carve(
         bx = low[0] + column / columns_y
         by = low[1] + column % columns_y
         column += worker_count
-        for visit in range(plan[1]):
-            group = (plan[0] + visit) & 15
-            bz = low[2] + ((group - plan[4] - bx - by - low[2]) & 15)
+        for visit in range(plan[COUNT]):
+            group = (plan[FIRST] + visit) & 15
+            bz = low[2] + ((group - plan[ORIGIN] - bx - by - low[2]) & 15)
             while bz <= high[2]:
                 row = int(brick_of[bx, by, bz])
                 if row >= 0:
                     carve_brick(
-                        tool, pose, axis, group, plan[2], plan[3], lookahead, bx, by, bz, row, worker,
+                        tool, pose, axis, group, plan[BINARY], plan[EVERY_SIDE], lookahead, bx, by, bz, row, worker,
                         remaining_out, material_out, alive_out, touched_out, removed_out,
                     )  # fmt: skip
                 bz += 16
@@ -94,11 +96,11 @@ def carve_brick(
     bz: int,
     row: int,
     worker: int,
-    remaining: wp.array2d(dtype=wp.uint16),
-    material: wp.array2d(dtype=wp.uint32),
+    remaining_out: wp.array2d(dtype=wp.uint16),
+    material_out: wp.array2d(dtype=wp.uint32),
     alive_out: wp.array(dtype=wp.uint64),
-    touched: wp.array(dtype=wp.uint8),
-    removed: wp.array2d(dtype=wp.int64),
+    touched_out: wp.array(dtype=wp.uint8),
+    removed_out: wp.array2d(dtype=wp.int64),
 ):
     """Carve one brick, block by block; the surface's direction is taken once a block."""
     alive = alive_out[row]
@@ -114,7 +116,7 @@ def carve_brick(
     if skip_behind and tool.radius > 24.0 and wp.dot(step, far.slope) < -0.7 * moved:
         return  # the whole brick lies behind a tool that leaves it
     before = alive
-    booked = booked_by(removed, worker)
+    booked = booked_by(removed_out, worker)
     for block in range(64):
         bit = wp.uint64(1) << wp.uint64(block)
         if (alive & bit) != wp.uint64(0):
@@ -128,23 +130,23 @@ def carve_brick(
                 if near.distance < -BLOCK_REACH:
                     for v in range(8):
                         voxel = block * 8 + v
-                        word = material[row, voxel]
-                        kept = int(remaining[row, voxel])
-                        removed[worker, layer_of(word)] += wp.int64(kept)
-                        remaining[row, voxel] = wp.uint16(0)
-                        material[row, voxel] = word & NO_FILL
+                        word = material_out[row, voxel]
+                        kept = int(remaining_out[row, voxel])
+                        removed_out[worker, layer_of(word)] += wp.int64(kept)
+                        remaining_out[row, voxel] = wp.uint16(0)
+                        material_out[row, voxel] = word & NO_FILL
                     alive = alive ^ bit
                 elif near.distance < BLOCK_REACH + lookahead:
                     advance = wp.dot(near.slope, step)
                     if advance >= -0.25 * moved or not skip_behind:
                         carve_block(
                             tool, axis, centre + shift, near, advance, binary, lookahead, row, block * 8, worker,
-                            remaining, material, removed,
+                            remaining_out, material_out, removed_out,
                         )  # fmt: skip
     if alive != before:
         alive_out[row] = alive
-    if booked_by(removed, worker) != booked:
-        touched[row] = wp.uint8(1)
+    if booked_by(removed_out, worker) != booked:
+        touched_out[row] = wp.uint8(1)
 
 
 @wp.func
@@ -168,9 +170,9 @@ def carve_block(
     row: int,
     first: int,
     worker: int,
-    remaining: wp.array2d(dtype=wp.uint16),
-    material: wp.array2d(dtype=wp.uint32),
-    removed: wp.array2d(dtype=wp.int64),
+    remaining_out: wp.array2d(dtype=wp.uint16),
+    material_out: wp.array2d(dtype=wp.uint32),
+    removed_out: wp.array2d(dtype=wp.int64),
 ):
     """Carve eight voxels around ``near``, the tool surface seen from the ``middle`` of their block.
 
@@ -190,17 +192,17 @@ def carve_block(
             distance = exact.distance
         if distance * plane.scale < 0.5 + lookahead:
             voxel = first + v
-            kept = int(remaining[row, voxel])
+            kept = int(remaining_out[row, voxel])
             target = int(65535)
             if binary == 0:
                 target = int(65535.5 - 65535.0 * cube_behind_plane(plane, distance))
             elif distance < 0.0:
                 target = 0
-            word = material[row, voxel]
+            word = material_out[row, voxel]
             met = word
             if kept > target:
-                removed[worker, layer_of(word)] += wp.int64(kept - target)
-                remaining[row, voxel] = wp.uint16(target)
+                removed_out[worker, layer_of(word)] += wp.int64(kept - target)
+                remaining_out[row, voxel] = wp.uint16(target)
                 met = word | FULL_FILL
             elif kept == 0:
                 if binary == 0 or distance >= 0.0:
@@ -210,4 +212,4 @@ def carve_block(
             elif kept < target - SLACK and advance > 0.0:
                 met = word & NO_FILL
             if met != word:
-                material[row, voxel] = met
+                material_out[row, voxel] = met

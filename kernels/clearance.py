@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from kernels.cutting import Elements
+from kernels.cutting import CHUNK, Elements
 
 __all__ = ["clearance"]
 
@@ -31,10 +31,10 @@ def clearance(
     # out
     least_out: wp.array(dtype=wp.float32),  # [chunk], smallest distance of the chunk's elements [m]
 ):
-    """Smallest distance over each chunk of 128 elements, trilinear between voxel centres."""
+    """Smallest distance over each chunk of elements, trilinear between voxel centres."""
     chunk = wp.tid() + chunk_offset
     least = float(1.0e9)
-    for e in range(chunk * 128, wp.min(chunk * 128 + 128, elements.point.shape[0])):
+    for e in range(chunk * CHUNK, wp.min(chunk * CHUNK + CHUNK, elements.point.shape[0])):
         arm = elements.point[e] / spacing
         x = float(motion[0, 0]) + arm[0] * float(motion[1, 0]) + arm[1] * float(motion[2, 0])
         y = float(motion[0, 1]) + arm[0] * float(motion[1, 1]) + arm[1] * float(motion[2, 1])

@@ -2,9 +2,12 @@
 
 import warp as wp
 
-from kernels.contact_state import LARGEST, Body, Lists, Points, block, distance_to, pose_of
+from kernels.contact_state import LARGEST, NEARBY, TICK, WORKING, Body, Lists, Points, block, distance_to, pose_of
 from kernels.friction_cone import safe_inverse
 from kernels.near_compliance import (
+    LOADED,
+    SLOTS,
+    STALE,
     Patch,
     add_node,
     drop_idle,
@@ -28,7 +31,6 @@ SLACK = wp.constant(wp.float64(1.25))
 @wp.kernel
 def find_near(
     # body
-    body: Body,
     centre: wp.array(dtype=wp.vec3d),  # [triangle], at rest [m]
     radius: wp.array(dtype=wp.float64),  # [triangle], of the ball around it [m]
     # tool
@@ -36,41 +38,42 @@ def find_near(
     size: wp.vec2d,  # [m]; of a shell: radius of the ball around it and its centre's height above the tip
     pose_rows: wp.array2d(dtype=wp.float64),
     reach: wp.float64,  # [m]
+    results: wp.array(dtype=wp.float64),  # of the last tick
     # in and out
-    lists: Lists,
-    patch: Patch,
-    results: wp.array(dtype=wp.float64),
+    body_out: Body,
+    lists_out: Lists,
+    patch_out: Patch,
 ):
     """Triangles whose rest position is within reach or that work, their nodes, and where those nodes are."""
     pose = pose_of(pose_rows)
     margin = reach + results[LARGEST]
     middle = pose.tip + pose.turn * wp.vec3d(ZERO, ZERO, size[1])
-    tick = lists.count[2] + 1
-    lists.count[2] = tick
+    tick = lists_out.count[TICK] + 1
+    lists_out.count[TICK] = tick
     near = int(0)
-    known = patch.count[0]
-    stale = patch.count[2]
+    known = patch_out.count[SLOTS]
+    stale = patch_out.count[STALE]
     if stale == 1:
-        gather_again(body, patch)
+        gather_again(body_out, patch_out)
     for t in range(centre.shape[0]):
         distance = wp.length(centre[t] - middle) - size[0]
         if kind != SHELL:
             distance, _normal = axis_distance(kind, size, pose, centre[t])
-        if distance < radius[t] + margin or lists.working_mark[t] == 1:
-            lists.near[near] = t
+        if distance < radius[t] + margin or lists_out.working_mark[t] == 1:
+            lists_out.near[near] = t
             near += 1
             for a in range(3):
-                node = body.corners[t, a]
-                patch.near_mark[node] = tick
-                if patch.slot[node] < 0:
-                    add_node(body, patch, node)
-    lists.count[0] = near
-    stale = wp.max(stale, patch.count[0] - known)
-    drop_left(patch, tick)
+                node = body_out.corners[t, a]
+                patch_out.near_mark[node] = tick
+                if patch_out.slot[node] < 0:
+                    add_node(body_out, patch_out, node)
+    lists_out.count[NEARBY] = near
+    stale = wp.max(stale, patch_out.count[SLOTS] - known)
+    drop_left(patch_out, tick)
     if stale > 0:
-        move_all(body, patch, patch.count[0])
-    for slot in range(patch.count[0]):
-        body.moved[patch.node[slot]] = moved_at(patch, slot)
+        move_all(body_out, patch_out, patch_out.count[SLOTS])
+    for slot in range(patch_out.count[SLOTS]):
+        body_out.moved[patch_out.node[slot]] = moved_at(patch_out, slot)
 
 
 @wp.func
@@ -78,11 +81,11 @@ def begin_work(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pos
     """Let a triangle work: its nodes may carry load, its points know their responses and anchors; the number of points
     whose compliance is not there."""
     missing = int(0)
-    lists.working[lists.count[1]] = triangle
-    lists.count[1] = lists.count[1] + 1
+    lists.working[lists.count[WORKING]] = triangle
+    lists.count[WORKING] = lists.count[WORKING] + 1
     lists.working_mark[triangle] = 1
     for a in range(3):
-        keep_loaded(body, patch, body.corners[triangle, a], lists.count[2])
+        keep_loaded(body, patch, body.corners[triangle, a], lists.count[TICK])
     point = points.first[triangle]
     while point >= 0:
         weight = points.weight[point]
@@ -121,7 +124,7 @@ def join_touching(
     """
     joined = int(0)
     lost = int(missing)
-    for k in range(lists.count[0]):
+    for k in range(lists.count[NEARBY]):
         triangle = lists.near[k]
         if lists.working_mark[triangle] == 0 and points.first[triangle] >= 0:
             a = body.corners[triangle, 0]
@@ -156,13 +159,13 @@ def join_touching(
 @wp.func
 def start_over(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pose):
     """Rebuild work and loads from the forces that points still carry; points whose compliance is not there."""
-    for k in range(lists.count[1]):
+    for k in range(lists.count[WORKING]):
         lists.working_mark[lists.working[k]] = 0
-    lists.count[1] = 0
-    for k in range(patch.count[1]):
+    lists.count[WORKING] = 0
+    for k in range(patch.count[LOADED]):
         body.force[patch.node[k]] = wp.vec3d()
     missing = int(0)
-    for k in range(lists.count[0]):
+    for k in range(lists.count[NEARBY]):
         triangle = lists.near[k]
         carries = int(0)
         point = points.first[triangle]
@@ -177,5 +180,5 @@ def start_over(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pos
             point = points.following[point]
         if carries == 1:
             missing += begin_work(body, points, lists, patch, pose, triangle)
-    drop_idle(patch, lists.count[2])
+    drop_idle(patch, lists.count[TICK])
     return missing

@@ -5,8 +5,8 @@ import warp as wp
 from kernels.probe_distance import SHELL, Pose, axis_distance
 
 __all__ = [
-    "AREA", "CONTACTS", "DEEPEST", "DONE", "FORCE", "IMMOVABLE", "LARGEST", "MISSING", "RESULTS", "RUN_OUT", "STATE",
-    "SWEEPS", "TORQUE", "Body", "Lists", "Points", "block", "distance_to", "pose_of",
+    "AREA", "CONTACTS", "DEEPEST", "DONE", "FORCE", "IMMOVABLE", "LARGEST", "MISSING", "NEARBY", "RESULTS", "RUN_OUT",
+    "STATE", "SWEEPS", "TICK", "TORQUE", "WORKING", "Body", "Lists", "Points", "block", "distance_to", "pose_of",
 ]  # fmt: skip
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -46,11 +46,15 @@ class Points:
     ready: wp.array(dtype=wp.int32)  # [point], 1 once the responses are there
 
 
+NEARBY, WORKING, TICK = 0, 1, 2
+"""Places in the counts of `Lists`: nearby triangles, working triangles, ticks."""
+
+
 @wp.struct
 class Lists:
-    """Work lists; the counts are those of nearby triangles, working triangles, ticks."""
+    """Work lists."""
 
-    count: wp.array(dtype=wp.int32)  # [3]
+    count: wp.array(dtype=wp.int32)  # [3], see NEARBY
     near: wp.array(dtype=wp.int32)  # triangles
     working: wp.array(dtype=wp.int32)  # triangles
     working_mark: wp.array(dtype=wp.int32)  # [triangle], 1 while it works

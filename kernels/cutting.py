@@ -12,17 +12,27 @@ import warp as wp
 
 from kernels.bricks import density_of, fill_of, layer_of, voxel_column, voxel_row
 
-__all__ = ["AREA", "CHUNK", "DENSITIES", "RATE", "Coefficients", "Elements", "cutting_forces"]
+__all__ = [
+    "AREA",
+    "CHIP_FORCE",
+    "CHIP_TORQUE",
+    "CHUNK",
+    "DENSITIES",
+    "EDGE_FORCE",
+    "EDGE_TORQUE",
+    "RATE",
+    "Coefficients",
+    "Elements",
+    "cutting_forces",
+]
 
 wp.set_module_options({"enable_backward": False})
 
 CHUNK = 128
 """Elements a chunk; chunks are summed in order, so the result does not depend on the number of threads."""
-RATE = 12
-"""Place of the removal rate [m2] per unit of speed among the sums. Before it stand, three each: force [N s/m] and
-torque about the tip [N s] per unit of speed, then force [N] and torque [N m] that do not depend on the speed."""
-AREA = 13
-"""First of the engaged areas, one a layer [m2]."""
+CHIP_FORCE, CHIP_TORQUE, EDGE_FORCE, EDGE_TORQUE, RATE, AREA = 0, 3, 6, 9, 12, 13
+"""Places in the sums. Three each per unit of speed: force [N s/m], torque about the tip [N s]; three each independent
+of speed: force [N] and torque [N m]; removal rate per unit of speed [m2]; engaged area of each layer [m2]."""
 DENSITIES = 4096
 """Entries of the strength table: densities of 0 to 4095 kg/m3."""
 
@@ -64,11 +74,11 @@ def cutting_forces(
     brick_of: wp.array3d(dtype=wp.int32),
     material: wp.array2d(dtype=wp.uint32),
     # out
-    sums_out: wp.array2d(dtype=wp.float64),  # [chunk, 13 + layers], tool frame: see RATE and AREA
+    sums_out: wp.array2d(dtype=wp.float64),  # [chunk, AREA + layers], tool frame: see CHIP_FORCE
 ):
     """Sum the forces on one chunk of elements for a motion of unit speed (1 m/s times the given velocities)."""
     chunk = wp.tid() + chunk_offset
-    for m in range(13, sums_out.shape[1]):
+    for m in range(AREA, sums_out.shape[1]):
         sums_out[chunk, m] = wp.float64(0.0)
     tip = wp.vec3(float(motion[0, 0]), float(motion[0, 1]), float(motion[0, 2]))
     ex = wp.vec3(float(motion[1, 0]), float(motion[1, 1]), float(motion[1, 2])) / spacing
@@ -83,7 +93,7 @@ def cutting_forces(
     edge_force = wp.vec3()
     edge_torque = wp.vec3()
     rate = float(0.0)
-    for e in range(chunk * 128, wp.min(chunk * 128 + 128, elements.point.shape[0])):
+    for e in range(chunk * CHUNK, wp.min(chunk * CHUNK + CHUNK, elements.point.shape[0])):
         normal = elements.normal[e]
         advance = wp.dot(velocity, normal)
         if turns:
@@ -116,10 +126,10 @@ def cutting_forces(
                     edge_torque += wp.cross(arm, edge_here)
                     engaged = elements.area[e] * share
                     rate += engaged * advance
-                    sums_out[chunk, 13 + m] += wp.float64(engaged)
+                    sums_out[chunk, AREA + m] += wp.float64(engaged)
     for c in range(3):
-        sums_out[chunk, c] = wp.float64(chip_force[c])
-        sums_out[chunk, 3 + c] = wp.float64(chip_torque[c])
-        sums_out[chunk, 6 + c] = wp.float64(edge_force[c])
-        sums_out[chunk, 9 + c] = wp.float64(edge_torque[c])
-    sums_out[chunk, 12] = wp.float64(rate)
+        sums_out[chunk, CHIP_FORCE + c] = wp.float64(chip_force[c])
+        sums_out[chunk, CHIP_TORQUE + c] = wp.float64(chip_torque[c])
+        sums_out[chunk, EDGE_FORCE + c] = wp.float64(edge_force[c])
+        sums_out[chunk, EDGE_TORQUE + c] = wp.float64(edge_torque[c])
+    sums_out[chunk, RATE] = wp.float64(rate)

@@ -14,8 +14,8 @@ import warp as wp
 from kernels.contact_state import Body, block
 
 __all__ = [
-    "LANES", "Pack", "Patch", "add_node", "drop_idle", "drop_left", "gather_again", "gather_all_again", "keep_loaded",
-    "move_all", "moved_at", "new_patch", "push",
+    "LANES", "LOADED", "SLOTS", "STALE", "Pack", "Patch", "add_node", "drop_idle", "drop_left", "gather_again",
+    "gather_all_again", "keep_loaded", "move_all", "moved_at", "new_patch", "push",
 ]  # fmt: skip
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -25,11 +25,15 @@ LANES = 16
 Pack = wp.types.vector(length=LANES, dtype=wp.float64)
 
 
+SLOTS, LOADED, STALE = 0, 1, 2
+"""Places in the counts of `Patch`: slots, those loaded, and 1 where rows must be gathered again."""
+
+
 @wp.struct
 class Patch:
     """Nodes near the tool, s at most."""
 
-    count: wp.array(dtype=wp.int32)  # [3]: slots; those loaded; 1 where rows must be gathered again
+    count: wp.array(dtype=wp.int32)  # [3], see SLOTS
     node: wp.array(dtype=wp.int32)  # [slot]
     slot: wp.array(dtype=wp.int32)  # [node], -1 for none
     near_mark: wp.array(dtype=wp.int32)  # [node], tick in which it was nearby
@@ -64,7 +68,7 @@ def move_all(body: Body, patch: Patch, slots: int):
     """Displacements of the first slots under all loads, afresh: sums of changes would keep their rounding."""
     for p in range((3 * slots + LANES - 1) // LANES):
         patch.moved_packs[p] = Pack()
-    for k in range(patch.count[1]):
+    for k in range(patch.count[LOADED]):
         push(patch, k, body.force[patch.node[k]], slots)
 
 
@@ -76,15 +80,15 @@ def gather(body: Body, patch: Patch, loaded: int, slot: int):
         for j in range(3):
             patch.row[3 * loaded + i, 3 * slot + j] = between[i, j]
     if not wp.isfinite(between[0, 0] + between[1, 1] + between[2, 2]):
-        patch.count[2] = 1
+        patch.count[STALE] = 1
 
 
 @wp.func
 def gather_again(body: Body, patch: Patch):
     """All rows anew, after the compliance was scaled or where some of it was missing."""
-    patch.count[2] = 0
-    for loaded in range(patch.count[1]):
-        for slot in range(patch.count[0]):
+    patch.count[STALE] = 0
+    for loaded in range(patch.count[LOADED]):
+        for slot in range(patch.count[SLOTS]):
             gather(body, patch, loaded, slot)
 
 
@@ -101,7 +105,7 @@ def swap(patch: Patch, p: int, q: int):
         shift = patch.moved[3 * p + j]
         patch.moved[3 * p + j] = patch.moved[3 * q + j]
         patch.moved[3 * q + j] = shift
-    for row in range(3 * patch.count[1]):
+    for row in range(3 * patch.count[LOADED]):
         for j in range(3):
             entry = patch.row[row, 3 * p + j]
             patch.row[row, 3 * p + j] = patch.row[row, 3 * q + j]
@@ -111,26 +115,26 @@ def swap(patch: Patch, p: int, q: int):
 @wp.func
 def add_node(body: Body, patch: Patch, node: int):
     """Give a node that came near a slot."""
-    slot = patch.count[0]
-    patch.count[0] = slot + 1
+    slot = patch.count[SLOTS]
+    patch.count[SLOTS] = slot + 1
     patch.node[slot] = node
     patch.slot[node] = slot
-    for loaded in range(patch.count[1]):
+    for loaded in range(patch.count[LOADED]):
         gather(body, patch, loaded, slot)
 
 
 @wp.func
 def drop_left(patch: Patch, tick: int):
     """Take the slots of nodes that are no longer nearby; none of them is loaded."""
-    slot = patch.count[0] - 1
-    while slot >= patch.count[1]:
+    slot = patch.count[SLOTS] - 1
+    while slot >= patch.count[LOADED]:
         node = patch.node[slot]
         if patch.near_mark[node] != tick:
-            last = patch.count[0] - 1
+            last = patch.count[SLOTS] - 1
             if slot != last:
                 swap(patch, slot, last)
             patch.slot[node] = -1
-            patch.count[0] = last
+            patch.count[SLOTS] = last
         slot -= 1
 
 
@@ -138,29 +142,29 @@ def drop_left(patch: Patch, tick: int):
 def keep_loaded(body: Body, patch: Patch, node: int, tick: int):
     """Let a node carry load in this tick: a slot among the first, and rows."""
     patch.loaded_mark[node] = tick
-    loaded = patch.count[1]
+    loaded = patch.count[LOADED]
     slot = patch.slot[node]
     if slot >= loaded:
         if slot != loaded:
             swap(patch, slot, loaded)
-        patch.count[1] = loaded + 1
-        for other in range(patch.count[0]):
+        patch.count[LOADED] = loaded + 1
+        for other in range(patch.count[SLOTS]):
             gather(body, patch, loaded, other)
 
 
 @wp.func
 def drop_idle(patch: Patch, tick: int):
     """Free the rows of nodes that are not loaded in this tick."""
-    slot = patch.count[1] - 1
+    slot = patch.count[LOADED] - 1
     while slot >= 0:
         if patch.loaded_mark[patch.node[slot]] != tick:
-            last = patch.count[1] - 1
+            last = patch.count[LOADED] - 1
             if slot != last:
                 swap(patch, slot, last)
-                for p in range((3 * patch.count[0] + LANES - 1) // LANES):
+                for p in range((3 * patch.count[SLOTS] + LANES - 1) // LANES):
                     for j in range(3):
                         patch.row_packs[3 * slot + j, p] = patch.row_packs[3 * last + j, p]
-            patch.count[1] = last
+            patch.count[LOADED] = last
         slot -= 1
 
 
@@ -185,4 +189,6 @@ def new_patch(nodes: int, device: str) -> Any:
 
 def gather_all_again(patch: Any) -> None:
     """Have all rows read anew in the next tick: the compliance was scaled."""
-    patch.count.assign(np.append(patch.count.numpy()[:2], 1).astype(np.int32))
+    count = patch.count.numpy()
+    count[STALE] = 1
+    patch.count.assign(count)

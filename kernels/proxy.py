@@ -102,11 +102,11 @@ def advance_proxy(
     # things and tool
     field: Field,
     shell: Shell,
-    contacts: Contacts,
     settings: DescentSettings,
     # device
     goal: wp.array(dtype=wp.float64),  # position xyz [m], quaternion xyzw
     # in and out
+    contacts_out: Contacts,
     state_out: wp.array(dtype=wp.float64),
     report_out: wp.array(dtype=wp.float64),
 ):
@@ -130,7 +130,7 @@ def advance_proxy(
             )
         frame = wp.quat_to_matrix(descent.trial_rotation)
         count, gap, clear = collect(
-            field, shell, contacts, descent.trial_position, frame, descent.travel, wanted, settings.step
+            field, shell, contacts_out, descent.trial_position, frame, descent.travel, wanted, settings.step
         )
         if gap < descent.deepest:
             if descent.halvings == HALVINGS:
@@ -139,7 +139,7 @@ def advance_proxy(
         else:
             descent = accept_trial(descent, gap, settings.step)
             descent, reaction, ended = take_step(
-                descent, reaction, contacts, count, settings, goal_position, goal_rotation, gap, clear,
+                descent, reaction, contacts_out, count, settings, goal_position, goal_rotation, gap, clear,
                 field.spacing, shell.reach,
             )  # fmt: skip
     write_state(descent, state_out)

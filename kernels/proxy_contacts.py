@@ -70,12 +70,12 @@ def add_candidate(contacts: Contacts, count: int, slot: int, arm: wp.vec3d, norm
 
 
 @wp.func
-def forget(plane_normal: wp.array2d(dtype=wp.vec3d), press: wp.array(dtype=wp.float64), point: int, first: int):
+def forget(plane_normal_out: wp.array2d(dtype=wp.vec3d), press_out: wp.array(dtype=wp.float64), point: int, first: int):
     """Drop all planes of a point that has left the voxels."""
-    if wp.length_sq(plane_normal[point, 0]) > ZERO:
+    if wp.length_sq(plane_normal_out[point, 0]) > ZERO:
         for k in range(VOXEL_PLANES):
-            plane_normal[point, k] = wp.vec3d()
-            press[first + k] = ZERO
+            plane_normal_out[point, k] = wp.vec3d()
+            press_out[first + k] = ZERO
 
 
 @wp.func

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from kernels.contact_state import Body, Lists, Points, pose_of
+from kernels.contact_state import NEARBY, Body, Lists, Points, pose_of
 
 __all__ = ["link_points", "project_shell"]
 
@@ -30,7 +30,7 @@ def project_shell(
     body: Body,
     lists: Lists,
     # out
-    points: Points,
+    points_out: Points,
     triangle_out: wp.array(dtype=wp.int32),  # [point], -1 where the point meets nothing
 ):
     """Place every point on the nearest triangle that its normal's line crosses within reach and its way since last."""
@@ -38,12 +38,12 @@ def project_shell(
     pose = pose_of(pose_rows)
     place = pose.tip + pose.turn * shell_point[i]
     direction = pose.turn * shell_normal[i]
-    points.tool_point[i] = place
-    points.tool_normal[i] = direction
+    points_out.tool_point[i] = place
+    points_out.tool_normal[i] = direction
     best = reach + wp.length(place - pose.last_tip - pose.last_turn * shell_point[i])
     found = int(-1)
     weight = wp.vec3d()
-    for k in range(lists.count[0]):
+    for k in range(lists.count[NEARBY]):
         triangle = lists.near[k]
         a = body.corners[triangle, 0]
         b = body.corners[triangle, 1]
@@ -69,19 +69,19 @@ def project_shell(
                     found = triangle
                     weight = wp.vec3d(ONE - wb - wc, wb, wc)
     triangle_out[i] = found
-    points.weight[i] = weight
-    points.ready[i] = 0
+    points_out.weight[i] = weight
+    points_out.ready[i] = 0
 
 
 @wp.kernel
-def link_points(triangle: wp.array(dtype=wp.int32), lists: Lists, points: Points):
+def link_points(triangle: wp.array(dtype=wp.int32), lists: Lists, points_out: Points):
     """Chain the points of each nearby triangle; a point that meets nothing carries nothing."""
-    for k in range(lists.count[0]):
-        points.first[lists.near[k]] = -1
+    for k in range(lists.count[NEARBY]):
+        points_out.first[lists.near[k]] = -1
     for i in range(triangle.shape[0]):
         home = triangle[i]
         if home < 0:
-            points.force[i] = wp.vec3d()
+            points_out.force[i] = wp.vec3d()
         else:
-            points.following[i] = points.first[home]
-            points.first[home] = i
+            points_out.following[i] = points_out.first[home]
+            points_out.first[home] = i

@@ -23,6 +23,7 @@ from kernels.contact_state import (
     STATE,
     SWEEPS,
     TORQUE,
+    WORKING,
     Body,
     Lists,
     Points,
@@ -30,7 +31,7 @@ from kernels.contact_state import (
     pose_of,
 )  # fmt: skip
 from kernels.friction_cone import coulomb_force
-from kernels.near_compliance import Patch, move_all, moved_at, push
+from kernels.near_compliance import LOADED, SLOTS, Patch, move_all, moved_at, push
 from kernels.probe_distance import Pose
 
 __all__ = ["solve_contact"]
@@ -45,7 +46,7 @@ def load(body: Body, patch: Patch, node: int, change: wp.vec3d):
     """Add to a node's force, and move all loaded nodes."""
     if wp.length_sq(change) > ZERO:
         body.force[node] = body.force[node] + change
-        push(patch, patch.slot[node], change, patch.count[1])
+        push(patch, patch.slot[node], change, patch.count[LOADED])
 
 
 @wp.func
@@ -103,9 +104,9 @@ def turn_of(
 @wp.func
 def sum_loads(body: Body, points: Points, lists: Lists, patch: Patch):
     """Nodal forces and displacements afresh: sums of changes carry rounding, and would leave it behind."""
-    for k in range(patch.count[1]):
+    for k in range(patch.count[LOADED]):
         body.force[patch.node[k]] = wp.vec3d()
-    for k in range(lists.count[1]):
+    for k in range(lists.count[WORKING]):
         triangle = lists.working[k]
         point = points.first[triangle]
         while point >= 0:
@@ -114,13 +115,13 @@ def sum_loads(body: Body, points: Points, lists: Lists, patch: Patch):
                 node = body.corners[triangle, a]
                 body.force[node] = body.force[node] + weight[a] * points.force[point]
             point = points.following[point]
-    move_all(body, patch, patch.count[0])
+    move_all(body, patch, patch.count[SLOTS])
 
 
 @wp.func
 def report(
     body: Body, points: Points, lists: Lists, patch: Patch, kind: int, size: wp.vec2d, pose: Pose, slack: wp.float64,
-    state: int, results: wp.array(dtype=wp.float64),
+    state: int, results_out: wp.array(dtype=wp.float64),
 ):  # fmt: skip
     """Sum what the tool feels; a penetration that no force can end turns a finished solve into an immovable one."""
     force = wp.vec3d()
@@ -129,7 +130,7 @@ def report(
     deepest = wp.float64(0.0)
     contacts = int(0)
     ended = int(state)
-    for k in range(lists.count[1]):
+    for k in range(lists.count[WORKING]):
         triangle = lists.working[k]
         point = points.first[triangle]
         while point >= 0:
@@ -155,18 +156,16 @@ def report(
                 contacts += 1
             point = points.following[point]
     for i in range(3):
-        results[FORCE + i] = force[i]
-        results[TORQUE + i] = torque[i]
-    results[STATE] = wp.float64(ended)
-    results[CONTACTS] = wp.float64(contacts)
-    results[AREA] = area
-    results[DEEPEST] = deepest
+        results_out[FORCE + i] = force[i]
+        results_out[TORQUE + i] = torque[i]
+    results_out[STATE] = wp.float64(ended)
+    results_out[CONTACTS] = wp.float64(contacts)
+    results_out[AREA] = area
+    results_out[DEEPEST] = deepest
 
 
 @wp.kernel
 def solve_contact(
-    body: Body,
-    points: Points,
     # tool
     kind: int,
     size: wp.vec2d,  # [m]
@@ -176,37 +175,39 @@ def solve_contact(
     tolerance: wp.float64,  # largest step of a point, relative to the largest displacement
     sweeps: int,
     # in and out
-    lists: Lists,
-    patch: Patch,
-    results: wp.array(dtype=wp.float64),
+    body_out: Body,
+    points_out: Points,
+    lists_out: Lists,
+    patch_out: Patch,
+    results_out: wp.array(dtype=wp.float64),
 ):
     """Sweep over working triangles until their points rest and no other triangle is entered."""
     pose = pose_of(pose_rows)
     state = int(RUN_OUT)
-    missing = start_over(body, points, lists, patch, pose)
-    joined, missing = join_touching(body, points, lists, patch, kind, size, pose, missing)
-    move_all(body, patch, patch.count[1])
+    missing = start_over(body_out, points_out, lists_out, patch_out, pose)
+    joined, missing = join_touching(body_out, points_out, lists_out, patch_out, kind, size, pose, missing)
+    move_all(body_out, patch_out, patch_out.count[LOADED])
     largest = wp.float64(0.0)
     sweep = int(0)
-    while state == RUN_OUT and missing == 0 and sweep < sweeps and lists.count[1] > 0:
+    while state == RUN_OUT and missing == 0 and sweep < sweeps and lists_out.count[WORKING] > 0:
         sweep += 1
         worst = wp.float64(0.0)
         largest = wp.float64(0.0)
-        for k in range(lists.count[1]):
-            step, moved = turn_of(body, points, patch, kind, size, pose, friction, lists.working[k])
+        for k in range(lists_out.count[WORKING]):
+            step, moved = turn_of(body_out, points_out, patch_out, kind, size, pose, friction, lists_out.working[k])
             worst = wp.max(worst, step)
             largest = wp.max(largest, moved)
         if worst <= tolerance * largest:
-            sum_loads(body, points, lists, patch)
-            joined, missing = join_touching(body, points, lists, patch, kind, size, pose, missing)
+            sum_loads(body_out, points_out, lists_out, patch_out)
+            joined, missing = join_touching(body_out, points_out, lists_out, patch_out, kind, size, pose, missing)
             if joined == 0:
                 state = int(DONE)
-    if lists.count[1] == 0:
+    if lists_out.count[WORKING] == 0:
         state = int(DONE)
     if sweep == 0 or state == RUN_OUT:
-        sum_loads(body, points, lists, patch)
+        sum_loads(body_out, points_out, lists_out, patch_out)
     if missing > 0:
         state = int(MISSING)
-    results[SWEEPS] = wp.float64(sweep)
-    results[LARGEST] = largest
-    report(body, points, lists, patch, kind, size, pose, tolerance * largest, state, results)
+    results_out[SWEEPS] = wp.float64(sweep)
+    results_out[LARGEST] = largest
+    report(body_out, points_out, lists_out, patch_out, kind, size, pose, tolerance * largest, state, results_out)

@@ -156,8 +156,8 @@ class Proxy:
         self._launch: Any = wp.launch(
             advance_proxy,
             dim=1,
-            inputs=[field.arrays, tool, self._contacts, settings, self._goal.device],
-            outputs=[self._state.device, self._report.device],
+            inputs=[field.arrays, tool, settings, self._goal.device],
+            outputs=[self._contacts, self._state.device, self._report.device],
             device=device,
             record_cmd=True,
         )

@@ -9,7 +9,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from kernels.bricks import BRICK
-from kernels.carving import PHASES, carve
+from kernels.carving import BINARY, COUNT, EVERY_SIDE, FIRST, ORIGIN, PHASES, PLAN, carve
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror
 from kernels.revolution import Revolution
@@ -98,7 +98,7 @@ class Carver:
         self._now = np.zeros(6)
         workers = WORKERS_CPU if device == "cpu" else WORKERS_GPU
         self._pose = Mirror((1 + PHASES, 6), dtype=wp.float64, device=device)
-        self._plan = Mirror(5, dtype=wp.int32, device=device)
+        self._plan = Mirror(PLAN, dtype=wp.int32, device=device)
         self._removed = Mirror((workers, layers), dtype=wp.int64, device=device)
         self._carve = SplitLaunch(
             carve,
@@ -187,7 +187,12 @@ class Carver:
     def _visit(self, groups: int, *, every_side: bool = False) -> None:
         """Carve ``groups`` groups of bricks at the current pose and book what they lost."""
         first = self._next_group
-        self._plan.host[:] = (first, groups, self._binary, every_side, self._first_group)
+        plan = self._plan.host
+        plan[FIRST] = first
+        plan[COUNT] = groups
+        plan[BINARY] = self._binary
+        plan[EVERY_SIDE] = every_side
+        plan[ORIGIN] = self._first_group
         self._plan.push()
         self._pose.push()
         self._carve()

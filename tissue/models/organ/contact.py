@@ -155,7 +155,7 @@ class SurfaceContact:
         def build() -> list[Any]:
             """Record the launches of a tick, in order."""
             stages: list[Any] = [
-                record(find_near, [body, centres, radii, probe.kind, size, pose, REACH_M, lists, patch, results])
+                record(find_near, [centres, radii, probe.kind, size, pose, REACH_M, results, body, lists, patch])
             ]
             if isinstance(probe, ShellProbe):
                 home = new(len(weights), wp.int32)
@@ -166,7 +166,7 @@ class SurfaceContact:
                 )  # fmt: skip
                 stages += [project, record(link_points, [home, lists, points])]
             law = [self.friction, tolerance, sweeps]
-            stages.append(record(solve_contact, [body, points, probe.kind, size, pose, *law, lists, patch, results]))
+            stages.append(record(solve_contact, [probe.kind, size, pose, *law, body, points, lists, patch, results]))
             return stages
 
         self._build = build
