@@ -18,8 +18,10 @@ def require_new_file(path: Path, *, overwrite: bool) -> None:
     Raises
     ------
     InputError
-        If it is there and may not.
+        If it is there and may not, or is a folder.
     """
+    if path.is_dir():
+        raise InputError(f"out must be a file, got the folder {path}: add the name of a file")
     if path.exists() and not overwrite:
         raise InputError(f"out must not exist yet, got {path}: pass --overwrite or choose another --out")
 

@@ -86,7 +86,10 @@ def test_bad_use_of_the_schema_is_refused(refused, tmp_path):
         assert refused("schema", "--out", path) == (
             f"out must lie in a folder that exists, got {path}: create {folder}"
         )
-    assert refused("schema", "--out", tmp_path).startswith("out must not exist yet, got")
+    for switch in ((), ("--overwrite",)):
+        assert refused("schema", "--out", tmp_path, *switch) == (
+            f"out must be a file, got the folder {tmp_path}: add the name of a file"
+        )
 
 
 @pytest.mark.parametrize("name", scene_names())
