@@ -7,7 +7,7 @@ import warp as wp
 
 
 def _start() -> None:
-    """Start Warp without its greeting, and without its warning where there is no GPU: a run says what it runs on."""
+    """Start Warp without its greeting, and without its warning where there is no GPU: a run states what it runs on."""
     wp.config.log_level = wp.LOG_WARNING
     sys.stderr.flush()
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)

@@ -23,7 +23,7 @@ PHASES = 16
 FIRST, COUNT, BINARY, EVERY_SIDE, ORIGIN, PLAN = 0, 1, 2, 3, 4, 5
 """Places in the plan: first group and how many; 1 for binary removal; 1 for every side; group of the first brick."""
 BLOCK_REACH = wp.constant(1.7320508)  # half diagonal of a block of 2 voxels [voxel]
-CELL = wp.constant(0.5)  # a cell of the distance table [voxel], by which a slope may be taken beside a kink
+CELL = wp.constant(0.5)  # a cell of the distance table [voxel], by which a slope may be taken next to a kink
 SLACK = wp.constant(1024)  # stored steps by which two visits may differ in where they see the same surface
 EDGE = wp.constant(float(EDGE_BEND))
 NO_FILL = wp.constant(wp.uint32(0xFFFFFF00))
@@ -124,7 +124,7 @@ def carve_brick(
             y = ((block >> 2) & 3) * 2
             z = (block & 3) * 2
             shift = wp.vec3(float(x) - 3.0, float(y) - 3.0, float(z) - 3.0)
-            # The distance to a convex tool lies above its tangent: three products tell most outer blocks apart.
+            # The distance to a convex tool lies above its tangent: three products exclude most outer blocks.
             if tool.convex == 0 or far.distance + wp.dot(far.slope, shift) < BLOCK_REACH + lookahead + CELL:
                 near = nearest_on(tool, centre + shift, axis)
                 if near.distance < -BLOCK_REACH:
@@ -178,7 +178,7 @@ def carve_block(
 
     One tangent plane serves all eight where the surface is smooth; near an edge every voxel takes its own.
 
-    The fill of a voxel tells whether the surface meets material in it: all where this visit removed some, none where
+    The fill of a voxel shows whether the surface meets material in it: all where this visit removed some, none where
     an older cut already lies deeper, and what the voxel holds where the surface has yet to reach it.
     """
     plane = plane_of(near.slope)

@@ -12,7 +12,7 @@ __all__ = [
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 FORCE, TORQUE, STATE, SWEEPS, CONTACTS, AREA, DEEPEST, LARGEST, RESULTS = 0, 3, 6, 7, 8, 9, 10, 11, 12
-"""Places in the results: on the tool [N], [N m]; end of the solve; counts; [m2]; deepest point and largest way [m]."""
+"""Of the results: on tool [N], [N m]; end of the solve; counts; [m2]; deepest point and largest displacement [m]."""
 DONE, RUN_OUT, IMMOVABLE, MISSING = 0, 1, 2, 3
 """Ends of a solve."""
 

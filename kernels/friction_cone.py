@@ -102,7 +102,7 @@ def coulomb_force(
     old: wp.vec3d,  # force that acts now [N]
     gap: wp.float64,  # with that force [m]
     normal: wp.vec3d,  # out of the tool
-    slip: wp.vec3d,  # way relative to the tool since the last tick, with that force [m]
+    slip: wp.vec3d,  # motion relative to the tool since the last tick, with that force [m]
     friction: wp.float64,
 ):
     """Force [N] that solves the contact while all others stay."""

@@ -21,9 +21,9 @@ __all__ = ["SPLIT_ABOVE_S", "SplitLaunch", "core_count"]
 
 SPLIT_ABOVE_S = 2.5e-4
 GROWTH = 2.0
-"""Factor by which a launch is believed to grow from one run to the next."""
+"""Factor by which a launch is assumed to grow from one run to the next."""
 FIRST_S = 1e-5
-"""What a launch is believed to take before its first run [s]."""
+"""What a launch is assumed to take before its first run [s]."""
 
 
 def core_count() -> int:

@@ -169,7 +169,7 @@ def drop_idle(patch: Patch, tick: int):
 
 
 def new_patch(nodes: int, device: str) -> Any:
-    """A patch with room for all of a body's nodes.
+    """A patch with space for all of a body's nodes.
 
     Of zeros from NumPy to which nobody writes, no memory is taken: on a CPU it is that of the nodes near the tool.
     """

@@ -1,7 +1,7 @@
 """Which points of a tool's shell are about to touch, and the plane each of them must stay above.
 
 A point that is far from everything sleeps until the shell has travelled as far as it was away. A point of the shell
-that lies near voxels keeps up to two planes it met before beside the present one, because at an inner corner one plane
+that lies near voxels keeps up to two planes it met before besides the present one, because at an inner corner one plane
 at a time makes it swing from face to face (Zilles and Salisbury 1995). A kept plane is dropped as soon as it would cut
 off space that the present distance shows to be free.
 """
@@ -21,7 +21,7 @@ FAR = wp.constant(wp.float64(1.0e30))
 AHEAD = wp.constant(wp.float64(4.0))
 """Steps ahead that a point is looked at again."""
 LEAST_SLOPE = wp.constant(wp.float64(0.5))
-"""A flatter level is read as one this steep, so that a point never believes to be farther away than a voxel."""
+"""A flatter level is read as one this steep, so that a point is never taken to be farther away than a voxel."""
 SAME_WAY = wp.constant(wp.float64(0.99999999))
 SLACK = wp.constant(wp.float64(1.0e-3))
 """Share of a voxel by which a kept plane may cut off free space."""
@@ -38,7 +38,7 @@ class Shell:
 
 @wp.struct
 class Contacts:
-    """What the shell remembers of its contacts, and room to solve them. A slot is a point with one solid or plane."""
+    """What the shell remembers of its contacts, and memory to solve them. A slot is a point with one solid or plane."""
 
     slots: int  # a point
     press: wp.array(dtype=wp.float64)  # [slot], normal force over the coupling's stiffness [m]
@@ -140,9 +140,9 @@ def collect(
     wanted: wp.float64,
     step: wp.float64,
 ):
-    """All planes within a ``step`` of the shell: their number, the least gap, and the way free for every point [m].
+    """All planes within a ``step`` of the shell: their number, the least gap, and the free path of every point [m].
 
-    A point wakes early where its sleep would cut the ``wanted`` way [m] short, but never from farther than ``AHEAD``.
+    A point wakes early where its sleep would cut the ``wanted`` path [m] short, but never from farther than ``AHEAD``.
     """
     early = wp.min(wanted, AHEAD * step)
     count = int(0)
@@ -163,7 +163,7 @@ def collect(
                 gap = distance - shell.radius
                 bound = wp.min(bound, gap)
                 if gap < step:
-                    # The contact point of a ball lies on its surface; it tells rolling from sliding.
+                    # The contact point of a ball lies on its surface; it separates rolling from sliding.
                     count = add_candidate(contacts, count, first + s, arm - shell.radius * normal, normal, gap)
                     worst = wp.min(worst, gap)
                 else:

@@ -29,7 +29,7 @@ TINY = wp.constant(wp.float64(1.0e-13))
 
 @wp.func
 def factorise(contacts: Contacts, members: int, compliance: wp.float64):
-    """Cholesky factor of the way that each plane's force moves the tool along the others' normals."""
+    """Cholesky factor of how each plane's force moves the tool along the others' normals."""
     for i in range(members):
         a = contacts.member[i]
         for j in range(i + 1):

@@ -2,7 +2,7 @@
 
 Friction acts on the resultant: at the centre of pressure, across the resultant normal force, no more than ``mu`` times
 the sum of the normal forces. It holds that point where it can, with every normal force answering at once; beyond the
-cone it works against the way that the point slips. A patch does not resist a spin about its own normal.
+cone it works against the slip of the point. A patch does not resist a spin about its own normal.
 """
 
 import warp as wp
@@ -22,7 +22,7 @@ ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
 HALF = wp.constant(wp.float64(0.5))
 SOFT = wp.constant(wp.float64(1.0e-11))
-"""Compliance given to a point that the planes hold, beside about 1 of a free one: its friction is not determined."""
+"""Compliance given to a point that the planes hold, next to about 1 of a free one: its friction is not determined."""
 EXACT = wp.constant(wp.float64(1.0e-13))
 """Relative change of the friction force at which it is found."""
 

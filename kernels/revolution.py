@@ -20,7 +20,7 @@ class Revolution:
     low: wp.float32  # lowest and highest height of the body above the tip [voxel]
     high: wp.float32
     convex: wp.int32  # 1 where the body is convex
-    round: wp.int32  # 1 where it is one smooth piece, so that what is behind it is told by one normal
+    round: wp.int32  # 1 where it is one smooth piece, so that what is behind it follows from one normal
 
 
 @wp.struct

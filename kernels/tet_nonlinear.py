@@ -204,7 +204,7 @@ def gather_forces(
 @wp.kernel
 def gather_blocks(
     pair_start: wp.array(dtype=wp.int32),  # [pair of nodes + 1]
-    contribution: wp.array(dtype=wp.int32),  # flat place in the cells' blocks; complement: the other way round
+    contribution: wp.array(dtype=wp.int32),  # flat place in the cells' blocks; complement: reversed
     place: wp.array(dtype=wp.int32),  # [pair of nodes], block written
     mirror: wp.array(dtype=wp.int32),  # [pair of nodes], block of the transpose
     share: wp.array(dtype=wp.mat33d),

@@ -52,7 +52,7 @@ def gradient_product(
     pair_weight: wp.array2d(dtype=wp.float64),
     gradient: wp.array2d(dtype=wp.vec3d),
 ):
-    """S of a pair in a cell over the cell's volume, transposed where the pair stands the other way round."""
+    """S of a pair in a cell over the cell's volume, transposed where the pair is reversed."""
     entry = contribution
     if contribution < 0:
         entry = -contribution - 1  # its bitwise complement
@@ -97,7 +97,7 @@ def write_pair(
 def pair_stiffness_isotropic(
     # pairs of nodes
     pair_start: wp.array(dtype=wp.int32),  # [pair + 1]
-    contribution: wp.array(dtype=wp.int32),  # cell times pairs a cell plus pair; complement: the other way round
+    contribution: wp.array(dtype=wp.int32),  # cell times pairs a cell plus pair; complement: reversed
     place: wp.array(dtype=wp.int32),  # [pair], block written
     mirror: wp.array(dtype=wp.int32),  # [pair], block of the transpose
     # pairs of shape functions

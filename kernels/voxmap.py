@@ -173,7 +173,7 @@ def field_distance(
     distance_out: wp.array(dtype=wp.float64),  # [m]
     normal_out: wp.array(dtype=wp.vec3d),
 ):
-    """Distance from each point to the nearest thing and the way out of it; voxels only as far as they are felt."""
+    """Distance from each point to the nearest solid and the direction out; voxels only as far as they are felt."""
     i = wp.tid()
     least = wp.float64(1.0e30)
     direction = wp.vec3d()

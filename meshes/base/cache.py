@@ -46,7 +46,7 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
 
     Notes
     -----
-    A file holds beside its arrays the version of the code that made them (that of tissue, and the module of ``make``),
+    A file holds, with its arrays, the version of the code that made them (that of tissue, and the module of ``make``),
     their kinds, their shapes and a checksum. One that does not fit, or cannot be read, is made again. A folder that
     cannot be written is done without.
     """
@@ -115,7 +115,7 @@ def _seal(arrays: Arrays, code: str) -> str:
 
 
 def _code(make: Callable[[], Arrays]) -> str:
-    """Version of tissue and of the module in which a function stands."""
+    """Version of tissue and of the module that defines a function."""
     module = sys.modules.get(make.__module__)
     try:
         source = Path(module.__file__).read_bytes() if module is not None and module.__file__ else b""

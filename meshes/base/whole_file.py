@@ -11,7 +11,7 @@ __all__ = ["whole_file"]
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """A name beside a file, of the same ending, to write to in the block.
+    """A temporary name in a file's folder, of the same ending, to write to in the block.
 
     What was written takes the file's place in one step when the block ends, and goes when it fails; so no reader sees
     half of it, and of two writers one wins.

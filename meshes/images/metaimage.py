@@ -88,7 +88,7 @@ def _voxels(fields: dict[str, str], path: Path, start: int) -> NDArray[Any]:
     data = path if local else path.parent / name
     if not data.is_file():
         raise InputError(
-            f"the voxels of {path.name} must lie in one file beside it, got {name}, which is not there: copy it there"
+            f"the voxels of {path.name} must lie in one file next to it, got {name}, which is not there: copy it there"
         )
     if not _is_true(fields, "binarydata", "True"):
         raise InputError(f"BinaryData must be True, got {fields.get('binarydata')} in {path.name}: export it binary")

@@ -34,7 +34,7 @@ def read_image(
 ) -> Image:
     """Read an image volume into LPS [mm], whatever the order and direction of the axes in its file.
 
-    Origin, directions, units, slope and intercept are those of the file; where it states none, a note says what is
+    Origin, directions, units, slope and intercept are those of the file; where it states none, a note states what is
     assumed. Axes along LPS in any order are turned exactly, oblique ones resampled: `meshes.images.frame.along_lps`.
 
     Parameters

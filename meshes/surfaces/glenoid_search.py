@@ -1,7 +1,7 @@
 """Finding the glenoid on a scapula: a thick-backed, flat to concave, oval face that ends at a rim.
 
 Surface samples are scored by four measures of the disc around them, all in millimetres: how fully a disc of radius 10
-facing one way is covered, in how many directions the surface has dropped away 20 to 26 from its middle, how thick the
+facing one direction is covered, in how many the surface has dropped away 20 to 26 from its middle, how thick the
 bone behind is, and that the disc is not convex. The sizes follow the adult glenoid
 (24-30 x 33-38 mm, see `meshes.surfaces.glenoid`).
 """

@@ -63,7 +63,7 @@ def _lattice_keys(vertices: NDArray[Any], tolerance: float) -> NDArray[np.int64]
 
 
 def _numbered(keys: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Where each different key stands first, ascending by key, and the number of its key for each.
+    """Where each different key occurs first, ascending by key, and the number of its key for each.
 
     As `numpy.unique`, but five times as quick: no stable sort is needed.
     """

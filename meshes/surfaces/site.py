@@ -173,7 +173,7 @@ def axes_along(normal: NDArray[np.float64], along: Sequence[float]) -> NDArray[n
 
 
 def _normal_near(samples: SurfaceSamples, centre: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mean normal of the samples around the one nearest to a point that face its way."""
+    """Mean normal of the samples around the one nearest to a point that face its direction."""
     distance = np.linalg.norm(samples.points - centre, axis=1)
     nearest = int(np.argmin(distance))
     around = np.linalg.norm(samples.points - samples.points[nearest], axis=1) < _AROUND_M

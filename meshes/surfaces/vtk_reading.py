@@ -101,7 +101,7 @@ def vtk_triangles(file: Path) -> Answer:
 def vtk_mesh(file: Path) -> Answer:
     """Arrays ``points`` and ``tets`` with arrays over them, or else ``points`` and ``triangles``.
 
-    Facts beside tetrahedra: ``others``, the number of cells that are not; ``quadratic``, whether some had more than
+    Facts besides tetrahedra: ``others``, the number of cells that are not; ``quadratic``, whether some had more than
     corners; ``names`` of the arrays over them, which are ``cells 0``, ``cells 1``, ... here.
     """
     import pyvista

@@ -51,7 +51,7 @@ def bisected(mesh: TetMesh, size_m: Callable[[NDArray[np.float64]], NDArray[np.f
         longest = np.take_along_axis(edge, place[:, None], axis=1)[:, 0]
         around = np.bincount(edge.ravel(), minlength=len(keys))
         marked = length > wanted
-        while True:  # what stands in a long edge's way has to go first
+        while True:  # what blocks a long edge has to go first
             waiting = np.zeros(len(keys), dtype=bool)
             waiting[longest[marked[edge].any(axis=1)]] = True
             if not (waiting & ~marked).any():

@@ -1,4 +1,4 @@
-"""What tetrahedra are worth: their quality, their neighbours, the pieces they form."""
+"""Checks of tetrahedra: their quality, their neighbours, the pieces they form."""
 
 from __future__ import annotations
 

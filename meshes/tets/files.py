@@ -66,7 +66,7 @@ def read_tets(
     """Read a tetrahedral mesh, or read a closed surface and fill it with tetrahedra.
 
     Gmsh text of versions 1 and 2 (``.msh``) is read here, everything else by pyvista, which reads VTK files itself and
-    further formats where meshio is installed. Cells other than tetrahedra are left out beside tetrahedra. An array of
+    further formats where meshio is installed. Cells other than tetrahedra are left out next to tetrahedra. An array of
     integers over the cells that is named as parts usually are (``gmsh:physical``, ``part``, ``region``, ...) gives the
     parts.
 

@@ -58,7 +58,7 @@ def nodes_facing(mesh: TetMesh, *, direction: Sequence[float], within_deg: float
     Raises
     ------
     InputError
-        If no triangle faces that way, naming how far the nearest turns away.
+        If no triangle faces that direction, naming how far the nearest turns away.
     """
     axis = _direction("direction", direction)
     within = require_range("within_deg", within_deg, 1.0, 180.0, "use 60")
@@ -103,7 +103,7 @@ def surface_normals(mesh: TetMesh) -> NDArray[np.float64]:
 
 
 def _chosen(mesh: TetMesh, away_m: NDArray[np.float64], region: str) -> Nodes:
-    """Surface nodes at a distance not above zero, with room for rounding."""
+    """Surface nodes at a distance not above zero, with a margin for rounding."""
     slack = 1e-9 * float(np.ptp(mesh.nodes_m, axis=0).max())
     chosen = mesh.surface_nodes[away_m <= slack]
     if not len(chosen):

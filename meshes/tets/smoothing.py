@@ -26,7 +26,7 @@ def smooth(
 ) -> tuple[NDArray[np.float64], int]:
     """Move nodes of cells worse than `enough` by pattern search on the worst mean ratio around each.
 
-    A move is kept only where the worst cell around the node improves, so no cell falls below the worst one beside it.
+    A move is kept only where the worst cell around the node improves, so no cell falls below the worst one next to it.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """A closed surface filled with tetrahedra by fTetWild (Hu et al., 2020), once, and kept.
 
-fTetWild keeps the surface within an envelope and takes for inside what the winding number says, so a surface that
+fTetWild keeps the surface within an envelope and takes the inside from the winding number, so a surface that
 crosses itself is filled as the union of what it encloses. Two runs give meshes that differ slightly, also on one
 thread: a mesh is reproducible through the cache, which holds it by the content of the surface.
 """
@@ -47,7 +47,7 @@ def tetrahedralise(
 
     Returns
     -------
-    The mesh in the frame of the surface, and what is worth saying, a sentence each.
+    The mesh in the frame of the surface, and notes, a sentence each.
 
     Raises
     ------

@@ -89,7 +89,7 @@ def molar(
     ligament_thickness_mm
         Thickness of the periodontal ligament [mm], 0.1 to 0.5.
     socket_mm
-        Bone left beside and below the roots in a block with a flat crest [mm], 0.5 to 10.
+        Bone left around and below the roots in a block with a flat crest [mm], 0.5 to 10.
     caries_depth_mm
         Depth of a lesion under the fossa [mm], 0 (none) or 0.1 to 0.3 short of the chamber's roof. Its softness is
         (1 - r²)², r the distance from its centre relative to its rim, an ellipsoid from the fossa down;

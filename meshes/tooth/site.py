@@ -31,7 +31,7 @@ class ToothAxes:
         along the widest direction across the lower half (mesiodistal where there are two roots, its sign unknown).
     middle_m
         Middle of the enamel [m], shape (3,); the site's origin lies above or below it along z.
-    said
+    note
         How the long axis was found, a sentence.
     """
 

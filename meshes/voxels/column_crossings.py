@@ -43,7 +43,7 @@ def column_crossings(
     vertices, faces
         Triangles wound outward, [m], shapes (n, 3) and (m, 3).
     x, y
-        Positions of the lines [m], evenly spaced, ascending; line i·len(y) + j stands at (x[i], y[j]).
+        Positions of the lines [m], evenly spaced, ascending; line i·len(y) + j is at (x[i], y[j]).
     """
     lines, heights, signs = [], [], []
     for axis, at in enumerate((x, y) if len(x) and len(y) else ()):

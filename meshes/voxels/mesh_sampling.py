@@ -102,7 +102,7 @@ class TriangleSampler:
         if needed.any():
             points = (np.argwhere(needed) * step + grid.first) * grid.spacing_m
             depth = -triangle_distance(vertices, faces, points)
-            # So far from all that was kept, a point of a cell with bone lies inside, whatever side the nearest says.
+            # So far from all that was kept, a point of a cell with bone lies inside, whatever the sign of the nearest.
             corners[needed] = np.where(np.abs(depth) >= margin, np.abs(depth), depth)
         weight = ((np.arange(step) + 0.5) / step).astype(np.float32)
         for axis in range(3):

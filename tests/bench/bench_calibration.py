@@ -52,7 +52,7 @@ def calibrated(people: SimulatedObservers, trials: int, prior: ThresholdPrior | 
 
 def trial() -> None:
     """Cost of a trial on a grid of 50 stimuli and 2,400 parameters."""
-    prior = ThresholdPrior(cells=60, floor_cells=8, lapse_cells=5)
+    prior = ThresholdPrior(cells=60, offset_cells=8, lapse_cells=5)
     ours = AdaptiveThreshold(prior, comparisons((1.0,), count=50, force_limit_N=10.0))
     rng = np.random.default_rng(0)
 
@@ -95,7 +95,7 @@ def staircase() -> None:
     rng, count, trials = np.random.default_rng(6), 300, 500
     people = draw_observers("intermediate", count, rng)
     truth = people.kappa * (2.0 + people.offset_N)
-    found = AdaptiveThreshold(ThresholdPrior(floor_cells=1), comparisons((2.0,)), observers=count)
+    found = AdaptiveThreshold(ThresholdPrior(offset_cells=1), comparisons((2.0,)), observers=count)
     stairs = {f"1-up-{down}-down": Staircase(0.6, down=down, observers=count) for down in (2, 3)}
     errors: dict[str, list[np.ndarray]] = {"adaptive": [], **{name: [] for name in stairs}}
     for _ in range(trials):

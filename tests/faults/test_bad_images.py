@@ -147,7 +147,7 @@ BAD = {
     "mha cut": (lambda f: meta(f, suffix=".mha", left=0.7), "file must "),
     "meta data missing": (
         lambda f: meta(f, ElementDataFile="gone.raw"),
-        "must lie in one file beside it, got gone.raw",
+        "must lie in one file next to it, got gone.raw",
     ),
     "meta larger than its data": (lambda f: meta(f, DimSize="70 50 40"), "must hold the 280000 bytes"),
     "meta smaller than its data": (lambda f: meta(f, DimSize="7 5 3"), "must hold the 210 bytes"),

@@ -18,7 +18,7 @@ from tissue.perception.magnitude import (
 from tissue.perception.psychometric import D_PRIME_75, d_prime_of_correct, two_interval
 from tissue.perception.staircase import Staircase
 
-SMALL = ThresholdPrior(cells=41, floor_cells=5, lapse_cells=3)
+SMALL = ThresholdPrior(cells=41, offset_cells=5, lapse_cells=3)
 
 
 def people(count, **given):
@@ -69,11 +69,11 @@ def test_stevens_of_1_7_is_recovered():
 def test_intervals_hold_the_truth_as_often_as_they_claim():
     """95 % intervals of 800 people drawn from the prior, between the grid's points: 92 to 98 % hold it."""
     rng, count = np.random.default_rng(2), 800
-    prior = ThresholdPrior(cells=61, floor_cells=9, lapse_cells=4)
-    weber, floor, lapse, masses = prior.parameters()
+    prior = ThresholdPrior(cells=61, offset_cells=9, lapse_cells=4)
+    weber, offset, lapse, masses = prior.parameters()
     drawn = rng.choice(len(masses), size=count, p=masses)
     within = np.exp((rng.random(count) - 0.5) * np.log(prior.weber_edges[1] / prior.weber_edges[0]))
-    crowd = people(count, kappa=weber[drawn] * within, offset_N=floor[drawn], lapse=lapse[drawn])
+    crowd = people(count, kappa=weber[drawn] * within, offset_N=offset[drawn], lapse=lapse[drawn])
     found = calibrated(crowd, rng, trials=60, prior=prior)
     low, high = found.weber_quantiles(np.array([0.025, 0.975]))
     covered = np.mean((low < crowd.kappa) & (crowd.kappa < high))
@@ -98,14 +98,14 @@ def test_ranks_of_simulated_calibrations_are_uniform():
     A chi-square test over twelve bins at 0.1 %. A posterior that is too narrow (answers counted twice) must fail it.
     """
     rng, count = np.random.default_rng(3), 600
-    weber, floor, lapse, masses = SMALL.parameters()
+    weber, offset, lapse, masses = SMALL.parameters()
     drawn = rng.choice(len(masses), size=count, p=masses)
-    crowd = people(count, kappa=weber[drawn], offset_N=floor[drawn], lapse=lapse[drawn])
+    crowd = people(count, kappa=weber[drawn], offset_N=offset[drawn], lapse=lapse[drawn])
     found = calibrated(crowd, rng, trials=40)
 
     def p_value(posterior):
         cells = posterior.reshape(SMALL.cells, -1, count).sum(axis=1)
-        cell = drawn // (SMALL.floor_cells * SMALL.lapse_cells)
+        cell = drawn // (SMALL.offset_cells * SMALL.lapse_cells)
         at = cells[cell, np.arange(count)]
         ranks = np.cumsum(cells, axis=0)[cell, np.arange(count)] - at + rng.random(count) * at
         return chisquare(np.histogram(ranks, bins=12, range=(0.0, 1.0))[0]).pvalue
@@ -128,14 +128,14 @@ def test_ranks_of_exponents_are_uniform():
 
 def test_the_most_informative_comparison_is_the_one_of_least_expected_entropy():
     """Against the definition, written out: every comparison, both answers, entropy of each posterior."""
-    prior = ThresholdPrior(cells=9, floor_cells=3, lapse_cells=2)
+    prior = ThresholdPrior(cells=9, offset_cells=3, lapse_cells=2)
     found = AdaptiveThreshold(prior, comparisons((0.5, 2.0), count=8))
     rng = np.random.default_rng(5)
-    weber, floor, lapse, _ = prior.parameters()
+    weber, offset, lapse, _ = prior.parameters()
     for _ in range(12):
         entropies = []
         for base, step in zip(found.base_N, found.step_N, strict=True):
-            right, entropy = two_interval(base, step, weber, floor, lapse), 0.0
+            right, entropy = two_interval(base, step, weber, offset, lapse), 0.0
             for likelihood in (right, 1.0 - right):
                 joint = likelihood * found.posterior[:, 0]
                 after = joint / joint.sum()
@@ -152,7 +152,7 @@ def test_ten_percent_in_fewer_trials_than_staircases():
     rng, count, trials = np.random.default_rng(6), 300, 500
     crowd = draw_observers("intermediate", count, rng)
     truth = crowd.kappa * (2.0 + crowd.offset_N)
-    found = AdaptiveThreshold(ThresholdPrior(floor_cells=1), comparisons((2.0,)), observers=count)
+    found = AdaptiveThreshold(ThresholdPrior(offset_cells=1), comparisons((2.0,)), observers=count)
     stairs = {down: Staircase(0.6, down=down, observers=count) for down in (2, 3)}
     errors = {name: [] for name in ("adaptive", 2, 3)}
     for _ in range(trials):

@@ -138,7 +138,7 @@ def _energy_note(volume: VoxelVolume) -> str:
 
 def _tooth(scene: Scene, milling: "BoneModel", *, compute: str, report: Progress) -> TissueModel:
     """The tooth around the milled voxels, with its stress where the scene asks for it."""
-    from tissue.models.tooth import stress_process as beside
+    from tissue.models.tooth import stress_process
     from tissue.models.tooth.model import ToothModel
     from tissue.models.tooth.warmth import Warmth
 
@@ -151,7 +151,7 @@ def _tooth(scene: Scene, milling: "BoneModel", *, compute: str, report: Progress
     whole = whole_tooth(scene, spacing_m=0.5 * cell_m, report=report)
     field = None
     if scene.stress is not None:
-        field = beside.StressProcess(
+        field = stress_process.StressProcess(
             whole,
             milling.store,
             cell_m=cell_m,

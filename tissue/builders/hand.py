@@ -30,13 +30,13 @@ __all__ = ["hand_motion"]
 
 Array = NDArray[np.float64]
 STRAY_M = 2e-3
-"""How far from the scripted way an organ's surface may be met [m]."""
+"""How far from the scripted path an organ's surface may be met [m]."""
 
 
 def hand_motion(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable: bool) -> tuple[HandMotion, str]:
     """The scene's motion as its hand makes it on its device, and what was chosen and found of that.
 
-    Forces are scaled by f and ways by m, so that a stiffness K at the tool is felt as m f K, and torques by f / m: work
+    Forces are scaled by f and lengths by m, so a stiffness K at the tool is felt as m f K, and torques by f / m: work
     at the device is f / m of that at the tool. The coupling's stiffness is that at the device, which is what is judged,
     whatever the scales.
 
@@ -99,7 +99,7 @@ def hand_motion(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable
 
 
 def _stray_m(scene: Scene) -> float:
-    """How far beside the scripted motion tissue is made ready for the tool [m]."""
+    """How far around the scripted motion tissue is made ready for the tool [m]."""
     if scene.coupling.roam_mm is not None:
         return 1e-3 * scene.coupling.roam_mm
     return 0.0 if isinstance(scene.tool, Tool) or isinstance(scene.anatomy, WallAnatomy) else STRAY_M
@@ -133,7 +133,7 @@ def _aims(
     *,
     step_s: float,
 ) -> tuple[Path, Callable[[float], Array] | None]:
-    """Where the hand aims, and what it pushes beside that."""
+    """Where the hand aims, and what it pushes with besides."""
     corners, scale = scripted.sweep_m(), scene.coupling.motion_scale
     furthest = scale * limits.force_limit_N * (1.0 / stiffness_N_m + 1.0 / person.stiffness_N_m)
     if isinstance(scene.motion, ThrustMotion):

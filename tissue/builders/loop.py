@@ -141,7 +141,7 @@ def judged_loop(scene: Scene, *, step_s: float) -> WallLoop:
 
 
 def predictor_of(scene: Scene) -> Predictor | None:
-    """What tells the force ahead."""
+    """What predicts the force."""
     if scene.prediction == "none":
         return None
     from tissue.builders.prediction import predictor

@@ -27,7 +27,7 @@ __all__ = ["HeldMesh", "elasticity_of", "held_mesh"]
 
 PART_NODULE = "nodule"
 NODULE_KPA = 50.0
-"""Young's modulus of a nodule where a scene says nothing [kPa]."""
+"""Young's modulus of a nodule where a scene states none [kPa]."""
 KEYS = {
     **dict.fromkeys(FILE_WORDS, "anatomy.file"),
     "nodule.radius_m": "anatomy.nodule_diameter_mm",
@@ -43,9 +43,9 @@ KEYS = {
 }
 """Keys of a scene by what functions of meshes call them."""
 GROWTH = 0.5
-"""Growth of the edges with the distance from the tool's way."""
+"""Growth of the edges with the distance from the tool's path."""
 LOCKING_RATIO = 0.45
-"""Poisson's ratio above which a run with linear tetrahedra is told that they lock."""
+"""Poisson's ratio above which a run notes that linear tetrahedra lock."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,11 +80,11 @@ def held_mesh(
     anatomy
         The scene's organ.
     path_m
-        Corners of the way of the tool's tip [m], shape (k, 3).
+        Corners of the path of the tool's tip [m], shape (k, 3).
     touch_edge_m
         Longest edge on it [m]; edges grow by `GROWTH` times the distance from it.
     report
-        Told what is being done.
+        Called with what is being done.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def held_mesh(
             size = tuple(1e-3 * side for side in anatomy.size_mm)
             block = slab(size_m=(size[0], size[1], size[2]), spacing_m=1e-3 * anatomy.edge_mm, nodule=_nodule(anatomy))
             mesh = fine(block)
-            return HeldMesh(mesh, slab_base(mesh), {"held": "the lower face, bonded to the floor"})
+            return HeldMesh(mesh, slab_base(mesh), {"held": "the lower face, bonded to the ground"})
         if anatomy.file is None:
             mesh = fine(liver(spacing_m=1e-3 * anatomy.edge_mm, nodule=_nodule(anatomy)))
             litres = 1e3 * float(mesh.volumes_m3.sum())
@@ -123,7 +123,7 @@ def elasticity_of(mesh: TetMesh, anatomy: LiverAnatomy | SlabAnatomy, organ: Org
         x = mesh.nodes_m[mesh.cells].mean(axis=1)[:, 0]
         share = (x - x.min()) / np.ptp(x)
         young += (organ.young_end_kPa - first) * share**organ.grading_exponent
-        note += f" to {organ.young_end_kPa:g} kPa along x, by the way to the power {organ.grading_exponent:g}"
+        note += f" to {organ.young_end_kPa:g} kPa along x, by the distance to the power {organ.grading_exponent:g}"
     nodule = _nodule_part(mesh, organ)
     if nodule is not None:
         stiff = NODULE_KPA if organ.nodule_kPa is None else organ.nodule_kPa
@@ -147,7 +147,7 @@ def elasticity_of(mesh: TetMesh, anatomy: LiverAnatomy | SlabAnatomy, organ: Org
 
 
 def _nodule_part(mesh: TetMesh, organ: Organ) -> int | None:
-    """Number of the part that is the nodule; None where there is none, which a scene that asks for one is told."""
+    """Number of the part that is the nodule; None where there is none; an error where a scene asks for one."""
     names, wanted = mesh.part_names, organ.nodule_part or PART_NODULE
     for name in (wanted, f"part {wanted}"):
         if name in names:
@@ -182,7 +182,7 @@ def _nodule(anatomy: LiverAnatomy | SlabAnatomy) -> Nodule | None:
 
 
 def _away(points_m: NDArray[np.float64], path_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distance of points from the way of the tip [m], shape (n,)."""
+    """Distance of points from the path of the tip [m], shape (n,)."""
     nearest = np.full(len(points_m), np.inf)
     for start, end in pairwise(path_m):
         along = end - start

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["pierce", "press"]
 
 HAND_M = 0.01
-"""How far beside the planned track a hand's entry is still shown on it [m]: an eighth of its block."""
+"""How far from the planned track a hand's entry is still shown on it [m]: an eighth of its block."""
 FACTOR_UNKNOWNS = 200_000
 """Above this, frames are solved by multigrid: a factor would take gigabytes."""
 
@@ -59,7 +59,7 @@ def pierce(scene: Scene, motion: Motion, *, report: Progress = silent) -> Parts:
         fields = NeedleFields.of_liver(track, near_m=near, interval_s=1e-3 * scene.anatomy.interval_ms)
         notes["fields"] = fields.note(tissue)
         if scene.device != "none":
-            notes["fields"] += f"; a hand that enters up to {1e3 * near:g} mm beside the track is drawn as on it"
+            notes["fields"] += f"; a hand that enters up to {1e3 * near:g} mm from the track is drawn as on it"
     return Parts(motion, NeedleModel(tissue, diameter_m=diameter, fields=fields), notes=notes)
 
 

@@ -19,11 +19,11 @@ __all__ = ["require_outside", "touchable_surface"]
 POSES_TRIED = 200
 """Poses along a motion at which the organ is looked for."""
 MARGIN_EDGES = 0.25
-"""Edges of the mesh beyond the tool's way within which the surface may be touched."""
+"""Edges of the mesh beyond the tool's path within which the surface may be touched."""
 
 
 def touchable_surface(space: "Space", probe: "Probe", motion: Motion) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Surface nodes near the tool's way, shape (t,), and the triangles between them, shape (f, 3), by their places."""
+    """Surface nodes near the tool's path, shape (t,), and the triangles between them, shape (f, 3), by their places."""
     triangles = _linear_triangles(space.faces)
     centres = space.nodes_m[triangles].mean(axis=1)
     reach = np.linalg.norm(space.nodes_m[triangles] - centres[:, None], axis=2).max(axis=1)

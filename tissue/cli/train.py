@@ -53,7 +53,7 @@ def train(
 
         found = trained_on(loaded, trials=trials, cores=cores, progress=report)
         found.write(path, overwrite=overwrite)
-    told, checked = found.told, found.told["validation"]
+    told, checked = found.facts, found.facts["validation"]
     lines = [
         f"{told['dictionary']}: {told['observables']} observables from {told['samples']} samples; largest eigenvalue "
         f"{told['radius_before_cap']:.6f}, {told['capped']} capped",

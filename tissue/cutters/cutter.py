@@ -98,7 +98,7 @@ class Cutter:
         """
         parts = [_spiral(piece, spacing_m=spacing_m) for piece in self.profile.pieces if piece.cutting]
         points, normals, areas = (np.concatenate(column) for column in zip(*parts, strict=True))
-        # Neighbours follow each other: they face the same way and meet the same voxels.
+        # Neighbours follow each other: they face the same direction and meet the same voxels.
         sector = np.floor(np.arctan2(points[:, 1], points[:, 0]) * (SECTORS / (2.0 * pi)))
         order = np.lexsort((points[:, 2], sector))
         points, normals, areas = points[order], normals[order], areas[order]

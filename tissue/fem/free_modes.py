@@ -44,7 +44,7 @@ def free_modes(nodes_m: Array, held: NDArray[np.bool_]) -> list[str]:
 
 
 def _reduced(rows: Array) -> Array:
-    """Row echelon form, so that motions along and about the axes stand alone where they can."""
+    """Row echelon form, so that motions along and about the axes are separate where they can."""
     rows = rows.copy()
     done = 0
     for column in range(6):

@@ -28,7 +28,7 @@ GAUSS = 0.13819660112501052
 
 
 class Law(Enum):
-    """Elastic laws with one small-strain limit; the value says what each holds for."""
+    """Elastic laws with one small-strain limit; the value states what each holds for."""
 
     LINEAR = "small strain and small rotation"
     COROTATIONAL = "small strain, any rotation: the linear law in the rotated frame of each Gauss point"

@@ -1,6 +1,6 @@
 """Where linear elasticity stops being enough: a sphere pressed into a body under the three laws, no friction.
 
-The linear law knows neither that pressed tissue stiffens nor that it turns beside the tool. Neo-Hookean does, and
+The linear law has no stiffening of pressed tissue and no turning of it near the tool. Neo-Hookean does, and
 judges; corotational shows how much of the difference is rotation. A scene may choose by the depth it presses to.
 """
 
@@ -81,14 +81,14 @@ def press(
     radius_m
         Radius of the sphere [m].
     depths_m
-        Way of the sphere from where it first touches a node [m], positive and rising.
+        Path length of the sphere from where it first touches a node [m], positive and rising.
     solver
         Solver to use, for its factorisation; default: a new one.
 
     Raises
     ------
     InputError
-        If the direction has no length, depths do not rise, no node of the surface lies in the sphere's way, or nothing
+        If the direction has no length, depths do not rise, no node of the surface lies in the sphere's path, or nothing
         is held.
     """
     start, direction = np.asarray(point_m, dtype=np.float64), np.asarray(inward, dtype=np.float64)
@@ -126,7 +126,7 @@ def press_at(
     ----------
     solver
         Solver of the body.
-    tip_m, way
+    tip_m, direction
         Foremost point of the sphere at its place [m], and the unit direction that it comes along, shapes (3,).
     radius_m
         Radius of the sphere [m].
@@ -135,13 +135,13 @@ def press_at(
 
     Returns
     -------
-    The equilibrium, the first that did not converge if one does not; the sphere; its way from the first touch [m],
+    The equilibrium, the first that did not converge if one does not; the sphere; its path from the first touch [m],
     not positive where it does not reach the body.
 
     Raises
     ------
     InputError
-        If the radius is not positive or no node of the surface lies in the sphere's way.
+        If the radius is not positive or no node of the surface lies in the sphere's path.
     """
     sphere, touching = _resting(solver, tip_m, direction, radius_m, tolerance)
     depth, now = -radius_m - touching, None
@@ -167,7 +167,7 @@ def _resting(
     aside = np.linalg.norm(offset - along[:, None] * direction, axis=1)
     inside = aside < radius
     if not inside.any():
-        raise InputError(f"point_m must lie on the surface, got {point_m}: no node of it is in the sphere's way")
+        raise InputError(f"point_m must lie on the surface, got {point_m}: no node of it is in the sphere's path")
     touching = float((along[inside] - np.sqrt(radius**2 - aside[inside] ** 2)).min())
     penalty = STIFFER * solver.rest_diagonal.reshape(-1, 3)[surface].mean(axis=1)
     centre = point_m + touching * direction

@@ -1,7 +1,7 @@
 """Where the 3x3 blocks of an assembled matrix lie, and which cells each one is summed from.
 
 Pairs of nodes are grouped by two stable counting sorts, linear in their number; SciPy's conversion of one compressed
-row into columns is such a sort. Each pair stands once, lower node first; its mirror image gets a place, not a sum.
+row into columns is such a sort. Each pair occurs once, lower node first; its mirror image gets a place, not a sum.
 """
 
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ class Pattern:
         First contribution to each pair of nodes, shape (p + 1,).
     contribution
         Cell times the pairs in a cell, plus the pair in the cell, shape (c,); in the order of cells within a pair. The
-        bitwise complement where the pair stands the other way round in its cell.
+        bitwise complement where the pair is reversed in its cell.
     place
         Block of each pair with the lower node as its row, shape (p,).
     mirror

@@ -36,7 +36,7 @@ MEASURES = (
     "margin",
     *(f"raw_force_{c}_N" for c in "xyz"),
 )
-"""Columns of a device: its pose, what it was told to play, the filtered force before it was brought into the device's
+"""Columns of a device: its pose, what it played, the filtered force before it was brought into the device's
 range [N at the device], whether that compressed it or the torque, the energy taken from the device, the share of the
 critical stiffness that is left, and the force of the renderer, before prediction, filter and delay."""
 PREDICTED = (*(f"predicted_force_{c}_N" for c in "xyz"), "prediction_residual_N", "predicted_by")
@@ -53,7 +53,7 @@ class HandMotion(Motion):
 
     Every tick: the sample is judged; the tool follows the device as far as the tissue of the last tick lets it; the
     tissue answers, and a free tool that has gone into it is brought back within the tick; device and tool give the
-    renderer's force, which passes prediction, low-pass, delay, perception and the device's range, is vouched for and
+    renderer's force, which passes prediction, low-pass, delay, perception and the device's range, is limited and
     changes no faster than the device's slew.
     So the force answers the sample of its own tick. Without a good sample the tool rests, the renderer pauses and the
     force fades to zero.
@@ -95,11 +95,11 @@ class HandMotion(Motion):
     model_ticks
         Ticks for which one answer of the tissue holds.
     predictor
-        What tells the force ahead; without it the present one is played.
+        What predicts the force; without it the present one is played.
     lead_ticks
         How far ahead it is asked for.
     prediction_gain
-        Share of the way from the present force to the one ahead that is played.
+        Share of the step from the present force to the predicted one that is played.
     perception
         The person for whom the force is scaled; without it newtons stay newtons.
     """
@@ -190,7 +190,7 @@ class HandMotion(Motion):
         return turns if self._stray == 0.0 else np.concatenate([turns] * 5)
 
     def begin(self, motion: ToolMotion) -> None:
-        """Stand where the scripted motion starts."""
+        """Begin where the scripted motion starts."""
         self._scripted.begin(motion)
         self.measures[:3] = 1e3 * motion.tip_m
 

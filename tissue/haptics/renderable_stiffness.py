@@ -1,4 +1,4 @@
-"""The stiffest wall that a device plays without ringing, for each renderer, beside what its physics allows."""
+"""The stiffest wall that a device plays without ringing, for each renderer, and what its physics allows."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ RUNG = 10.0 ** (1.0 / 16.0)
 """Step of the ladder of stiffnesses: 15 %."""
 LOWEST_N_M, HIGHEST_N_M = 50.0, 4e4
 RINGING_N = 0.05
-"""Ripple that counts as ringing [N]: below the 7 % of about 1 N that a person tells apart (Pang et al., 1991)."""
+"""Ripple that counts as ringing [N]: below the 7 % of about 1 N that a person discriminates (Pang et al., 1991)."""
 DEPTH_M, JERK_N, JERK_S, LASTS_S = 5e-3, 2.0, (0.8, 0.82), 1.3
 
 
@@ -55,7 +55,7 @@ class WallLimit:
     def ratio(self) -> float:
         """What was reached over what the linear loop in this hand allows.
 
-        Not 1, because a wall is left and met again (each bounce is a new impact, and the hold leaks on both ways) and
+        Not 1, because a wall is left and met again (each bounce is a new impact, and the hold leaks in and out) and
         encoders step, which lowers it; because friction takes energy that the linear loop does not have; and because a
         controller adds damping of its own, which raises it.
         """

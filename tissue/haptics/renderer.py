@@ -82,7 +82,7 @@ class ProxyRenderer:
 
 
 class PassivityRenderer:
-    """Another law, watched by an observer that makes a controller pay for the energy it creates.
+    """Another law, with an observer that makes a controller pay for the energy it creates.
 
     Measured at the motors on walls of up to 1.5 kN/m with latencies of up to 8 ms: never ahead by more than 0.3 mJ.
     It does not see a force that fades while samples are missing; what was taken before such a gap counts for nothing.
@@ -100,7 +100,7 @@ class PassivityRenderer:
         return self.control.step(force, device, device_velocity, dt)
 
     def pause(self) -> None:
-        """The way to the next sample is not booked: another force was played on it."""
+        """The motion to the next sample is not booked: another force was played on it."""
         self.control.pause()
 
 

@@ -27,11 +27,11 @@ class WallRun:
     time_s
         Start of every tick [s], shape (n,).
     position_m, velocity_m_s
-        As the device told them, shape (n, 3); of the last good sample where there was none.
+        As the device sampled them, shape (n, 3); of the last good sample where there was none.
     force_N
         Commanded from the tick on, on the device, shape (n, 3).
     taken_J
-        Energy that the loop has taken from the device up to the tick [J], shape (n,), by the positions it was told.
+        Energy that the loop has taken from the device up to the tick [J], shape (n,), by the positions it sampled.
     """
 
     time_s: Array
@@ -58,7 +58,7 @@ def press_wall(
     """Run device, proxy on the plane, renderer, low-pass and guard for a time [s].
 
     The proxy of a plane is the device's point where it is free and its foot on the plane elsewhere; its velocity is the
-    part along the plane. Without a guard every sample is believed and no sample means no force. Whatever ends the run,
+    part along the plane. Without a guard every sample is valid and no sample means no force. Whatever ends the run,
     the device is left without force.
     """
     require_positive("duration_s", duration_s, "use 1")

@@ -1,4 +1,4 @@
-"""Cited constants, read from the data files beside this one."""
+"""Cited constants, read from the data files next to this one."""
 
 import tomllib
 from dataclasses import dataclass

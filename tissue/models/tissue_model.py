@@ -72,7 +72,7 @@ class Response:
     engaged_m2
         Area of the tool that meets tissue, by layer [m2], shape (layers,).
     measures
-        What else the tissue tells of itself, in the order and units of its `measure_names`.
+        Further columns of the tissue, in the order and units of its `measure_names`.
     stiffness_N_m
         How the force on a resting tool falls with its position, -dF/dx [N/m], shape (3, 3); None where the tissue does
         not know it.

@@ -14,7 +14,7 @@ class WallModel:
     """A linear unilateral spring along z over the plane z = 0: F = k depth, without friction.
 
     Its measure is the depth of the ball's deepest point [mm]; ``engaged_m2`` is the circle in which ball and plane
-    cross. The response tells its stiffness, by which a tool on a device finds its balance at once.
+    cross. The response holds its stiffness, by which a tool on a device finds its balance at once.
 
     Parameters
     ----------

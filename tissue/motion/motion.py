@@ -110,7 +110,7 @@ class FollowPath(Motion):
         return np.broadcast_to(self._rotation, (len(self._points), 3, 3))
 
     def begin(self, motion: ToolMotion) -> None:
-        """Stand at the first corner."""
+        """Start at the first corner."""
         motion.tip_m[:], motion.rotation[:] = self._starts[0], self._rotation
         motion.heading[0] = self._headings[0]
 
@@ -184,7 +184,7 @@ class PushAlongAxis(Motion):
         return np.broadcast_to(self._rotation, (2, 3, 3))
 
     def begin(self, motion: ToolMotion) -> None:
-        """Stand at the start."""
+        """Begin at the start."""
         motion.tip_m[:], motion.rotation[:] = self._start, self._rotation
         motion.heading[0] = self._heading
 

@@ -1,4 +1,4 @@
-"""Where a tool can go, and whether it meets the bone on its way."""
+"""Where a tool can go, and whether it meets the bone on its path."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 def turn_between(start: Array, goal: Array) -> Array:
     """Rotation vector [rad] of the shortest turn that brings quaternion ``start`` to ``goal``, shape (3,).
 
-    The logarithm of ``goal start^-1``, in the world's axes; at half a turn either way is as short, and one is returned.
+    The logarithm of ``goal start^-1``, in the world's axes; at half a turn one of two equal ones is returned.
     """
     return np.array(logarithm(product(_four(goal), conjugate(_four(start)))))
 

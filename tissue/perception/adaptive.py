@@ -1,4 +1,4 @@
-"""QUEST+: the two forces whose comparison is expected to tell most about an observer's threshold."""
+"""QUEST+: the two forces whose comparison is expected to inform most about an observer's threshold."""
 
 from dataclasses import dataclass
 
@@ -23,7 +23,7 @@ LOW_FORCE_N = 0.2
 
 @dataclass(frozen=True, kw_only=True)
 class ThresholdPrior:
-    """What is believed of Weber fraction, low-force term and lapse before the first trial, on a grid.
+    """Prior knowledge of Weber fraction, low-force term and lapse before the first trial, on a grid.
 
     The Weber fraction is log-normal between two bounds, the low-force term log-normal around 0.2 N (factor 1.65) within
     0.05 to 0.8 N, the lapse Beta(1, 10) (Schuett et al., 2016) up to 0.2. Cells of the Weber fraction are equal in its
@@ -37,7 +37,7 @@ class ThresholdPrior:
         Standard deviation of its logarithm.
     lowest, highest
         Bounds of the Weber fraction.
-    cells, floor_cells, lapse_cells
+    cells, offset_cells, lapse_cells
         Size of the grid.
     """
 
@@ -46,7 +46,7 @@ class ThresholdPrior:
     lowest: float = 0.015
     highest: float = 0.6
     cells: int = 61
-    floor_cells: int = 7
+    offset_cells: int = 7
     lapse_cells: int = 4
 
     def __post_init__(self) -> None:
@@ -55,7 +55,7 @@ class ThresholdPrior:
         require_positive("lowest", self.lowest, "use 0.015")
         if not self.lowest < self.highest < 10.0:
             raise InputError(f"highest must be in ({self.lowest:g}, 10), got {self.highest}: use 0.6")
-        for name, least in (("cells", 5), ("floor_cells", 1), ("lapse_cells", 1)):
+        for name, least in (("cells", 5), ("offset_cells", 1), ("lapse_cells", 1)):
             require_range(name, getattr(self, name), least, 1000, "see the defaults")
 
     @property
@@ -70,9 +70,9 @@ class ThresholdPrior:
         return np.sqrt(edges[1:] * edges[:-1])
 
     @property
-    def floors_N(self) -> Array:
-        """Low-force terms [N], shape (floor_cells,)."""
-        return np.geomspace(0.05, 0.8, self.floor_cells) if self.floor_cells > 1 else np.array([LOW_FORCE_N])
+    def offsets_N(self) -> Array:
+        """Low-force terms [N], shape (offset_cells,)."""
+        return np.geomspace(0.05, 0.8, self.offset_cells) if self.offset_cells > 1 else np.array([LOW_FORCE_N])
 
     @property
     def lapses(self) -> Array:
@@ -83,14 +83,14 @@ class ThresholdPrior:
     def parameters(self) -> tuple[Array, Array, Array, Array]:
         """Weber fractions, low-force terms [N], lapses and prior masses of the grid's points, each of shape (n,)."""
         place = (np.log(self.webers) - np.log(self.weber)) / self.weber_log_spread
-        floors = np.log(self.floors_N / LOW_FORCE_N) / 0.5
+        offsets = np.log(self.offsets_N / LOW_FORCE_N) / 0.5
         lapse_edges = np.linspace(0.0, 0.2, self.lapse_cells + 1)
         masses = np.einsum(
-            "i,j,k->ijk", np.exp(-0.5 * place**2), np.exp(-0.5 * floors**2), np.diff(beta.cdf(lapse_edges, 1.0, 10.0))
+            "i,j,k->ijk", np.exp(-0.5 * place**2), np.exp(-0.5 * offsets**2), np.diff(beta.cdf(lapse_edges, 1.0, 10.0))
         )
-        grid = np.meshgrid(self.webers, self.floors_N, self.lapses, indexing="ij")
-        weber, floor, lapse = (values.ravel() for values in grid)
-        return weber, floor, lapse, (masses / masses.sum()).ravel()
+        grid = np.meshgrid(self.webers, self.offsets_N, self.lapses, indexing="ij")
+        weber, offset, lapse = (values.ravel() for values in grid)
+        return weber, offset, lapse, (masses / masses.sum()).ravel()
 
 
 def comparisons(
@@ -119,7 +119,7 @@ def comparisons(
 
 
 class AdaptiveThreshold:
-    """Posterior over the threshold of one or many observers, and the most telling next comparison for each.
+    """Posterior over the threshold of one or many observers, and the most informative next comparison for each.
 
     The least expected entropy is the greatest mutual information of answer and parameters, H(answer) minus the mean
     entropy of the answer at known parameters. With the likelihoods of the comparisons at the grid's points (rows and
@@ -154,9 +154,9 @@ class AdaptiveThreshold:
     ) -> None:
         self.prior = prior or ThresholdPrior()
         self.base_N, self.step_N = stimuli or comparisons()
-        self._weber, self._floor, self._lapse, masses = self.prior.parameters()
+        self._weber, self._offset, self._lapse, masses = self.prior.parameters()
         self.posterior: Array = np.tile(masses[:, None], observers)
-        self._right = two_interval(self.base_N[:, None], self.step_N[:, None], self._weber, self._floor, self._lapse)
+        self._right = two_interval(self.base_N[:, None], self.step_N[:, None], self._weber, self._offset, self._lapse)
         wrong = 1.0 - self._right
         self._entropy = -(self._right * np.log(self._right) + wrong * np.log(wrong))
         self.trials = 0
@@ -178,14 +178,14 @@ class AdaptiveThreshold:
         """Posterior of the Weber fraction alone, shape (cells, observers)."""
         return self.posterior.reshape(self.prior.cells, -1, self.posterior.shape[1]).sum(axis=1)
 
-    def floor_masses(self) -> Array:
-        """Posterior of the low-force term alone, shape (floor_cells, observers)."""
-        shape = (self.prior.cells, self.prior.floor_cells, -1, self.posterior.shape[1])
+    def offset_masses(self) -> Array:
+        """Posterior of the low-force term alone, shape (offset_cells, observers)."""
+        shape = (self.prior.cells, self.prior.offset_cells, -1, self.posterior.shape[1])
         return self.posterior.reshape(shape).sum(axis=(0, 2))
 
     def threshold_N(self, base_N: float) -> tuple[Array, Array]:
         """Mean threshold at a base force [N] and standard deviation of its logarithm, each of shape (observers,)."""
-        logs = np.log(self._weber * (base_N + self._floor))
+        logs = np.log(self._weber * (base_N + self._offset))
         mean = logs @ self.posterior
         return np.exp(mean), np.sqrt(np.maximum(logs**2 @ self.posterior - mean**2, 0.0))
 
@@ -195,9 +195,9 @@ class AdaptiveThreshold:
         mean = logs @ masses
         return np.exp(mean), np.sqrt(np.maximum(logs**2 @ masses - mean**2, 0.0))
 
-    def floor_N(self) -> Array:
+    def offset_N(self) -> Array:
         """Geometric mean of the low-force term [N], shape (observers,)."""
-        return np.exp(np.log(self.prior.floors_N) @ self.floor_masses())
+        return np.exp(np.log(self.prior.offsets_N) @ self.offset_masses())
 
     def lapse(self) -> Array:
         """Mean of the lapse, shape (observers,)."""

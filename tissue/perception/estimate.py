@@ -84,7 +84,7 @@ def map_force_N(
 
 
 def require_prior_fits(seen_N: float, noise_N: float, *, median_N: float, log_spread: float) -> None:
-    """Refuse a prior that leaves what was seen no room: further than six standard deviations of both laws.
+    """Refuse a prior that excludes what was seen: further than six standard deviations of both laws.
 
     Raises
     ------

@@ -67,7 +67,7 @@ class PopulationTrials:
 
 @dataclass(frozen=True)
 class PopulationFit:
-    """Draws of the posterior, and what tells whether they can be trusted.
+    """Draws of the posterior, and what decides whether they can be trusted.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class PopulationFit:
     divergences: int
 
     def problems(self) -> list[str]:
-        """Why the fit should not be trusted, in sentences; empty where nothing speaks against it."""
+        """Why the fit should not be trusted, in sentences; empty where it can be."""
         found = []
         worst, least = max(self.r_hat, key=self._r_hat), min(self.ess, key=lambda name: self.ess[name])
         if not self.r_hat[worst] <= R_HAT:
@@ -120,8 +120,8 @@ def fit_hierarchy(
 
     People: ln alpha, beta, ln kappa and ln offset are normal over people, sigma squared inverse-gamma, lapses
     Beta(1, 10). The means over people have wide priors around what is published, the standard deviations half-normal
-    ones. Thresholds are written as offsets from the mean, which keeps the geometry simple where a person tells
-    little; factor and exponent, which every person tells well, are not.
+    ones. Thresholds are written as offsets from the mean, for a simple geometry where a person's trials inform
+    little; factor and exponent, which every person's trials inform well, are not.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def _model(
     from numpyro import distributions as law
 
     def person(name: str, mean: Any, spread: Any, *, is_well_known: bool) -> Any:
-        """A normal parameter of each person around the population's; as an offset from it where trials tell little."""
+        """A normal parameter of each person around the population's; an offset from it where trials are few."""
         centre = numpyro.sample(name, mean)
         width = numpyro.sample(f"{name}_spread", spread)
         with numpyro.plate(f"{name}_people", observers):

@@ -65,7 +65,7 @@ class MagnitudePosterior:
 def fit_magnitudes(forces_N: ArrayLike, numbers: ArrayLike) -> MagnitudePosterior:
     """Posterior after some reports; without any it is the prior.
 
-    The factor is that of a person's numbers: it cannot be told apart from the way in which the person uses them.
+    The factor is that of a person's numbers: it cannot be separated from how the person uses them.
 
     Parameters
     ----------

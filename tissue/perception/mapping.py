@@ -59,7 +59,7 @@ class ForceMap:
 
         E[S | command(F1)] / E[S | command(F2)] = (F1 / F2)^beta of the reference
 
-    Beyond it `tissue.haptics.loop.filters.ForceRange` compresses, and says so.
+    Beyond it `tissue.haptics.loop.filters.ForceRange` compresses, and reports it.
 
     Neither law has been measured far below the observer's low-force term: below it the map is continued in a straight
     line to zero, which also bounds its slope there, so that a contact does not begin infinitely stiff.

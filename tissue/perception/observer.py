@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 PARAMETERS = ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma")
 """Stevens' factor and exponent, Weber's fraction and low-force term [N], share of lapses, and relative scatter of a
 reported intensity: S = alpha (F / 1 N)^beta (1 + sigma e), with e of unit variance; a change of kappa (F + offset) is
-told in 75 % of two-interval trials, lapses apart."""
+discriminated in 75 % of two-interval trials, lapses apart."""
 BOUNDS = {
     "alpha": (1e-3, 1e3),
     "beta": (0.05, 5.0),
@@ -30,7 +30,7 @@ BOUNDS = {
     "lapse": (1e-6, 0.5),
     "sigma": (1e-4, 2.0),
 }
-"""Medians that are believed of a person; what lies outside is an error of units or of a fit."""
+"""Plausible medians of a person; what lies outside is an error of units or of a fit."""
 FORMAT, VERSION = "tissue observer", 1
 COORDINATES = ("ln alpha", "beta", "ln kappa", "ln offset_N", "logit lapse", "ln sigma")
 WIDEST = 10.0
@@ -58,7 +58,7 @@ class Observer:
     Raises
     ------
     InputError
-        If a number is not finite, a median lies outside what is believed of a person, or the covariance is none.
+        If a number is not finite, a median is not plausible, or the covariance is none.
     """
 
     name: str
@@ -180,7 +180,7 @@ class Observer:
 
 
 def write_observer(observer: Observer, path: Path, *, overwrite: bool = False) -> None:
-    """Write an observer as JSON; a file that is there is replaced only when told so, and then in one step.
+    """Write an observer as JSON; a file that is there is replaced only where asked for, and then in one step.
 
     Raises
     ------

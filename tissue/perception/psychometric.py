@@ -87,11 +87,11 @@ def d_prime_of_correct(share: ArrayLike) -> Array:
 
 
 def two_interval(
-    base_N: ArrayLike, step_N: ArrayLike, weber: ArrayLike, floor_N: ArrayLike, lapse: ArrayLike = 0.0
+    base_N: ArrayLike, step_N: ArrayLike, weber: ArrayLike, offset_N: ArrayLike, lapse: ArrayLike = 0.0
 ) -> Array:
     """Share of right answers to which of two forces was greater, `base_N` or `base_N + step_N`.
 
-    The distance d' grows with the step and is 0.954 (75 %) at the threshold weber (base + floor), which is Weber's law
+    The distance d' grows with the step and is 0.954 (75 %) at the threshold weber (base + offset), which is Weber's law
     with its term for low forces. Arguments broadcast.
 
     Parameters
@@ -100,13 +100,13 @@ def two_interval(
         The smaller force, and how much greater the other is [N].
     weber
         Weber fraction, positive.
-    floor_N
+    offset_N
         Force that Weber's law is short of at low forces [N].
     lapse
         Share of strong stimuli that is answered wrongly.
     """
     base, step = _strength(base_N, 0.0), _strength(step_N, 0.0)
-    distance = D_PRIME_75 * step / (np.asarray(weber, dtype=float) * (base + np.asarray(floor_N, dtype=float)))
+    distance = D_PRIME_75 * step / (np.asarray(weber, dtype=float) * (base + np.asarray(offset_N, dtype=float)))
     return with_lapse(2.0 * correct_of_d_prime(distance) - 1.0, lapse=lapse)
 
 

@@ -56,8 +56,8 @@ class Sense:
     """What a person takes a force for: a noisy look at it every tick, averaged by the steady filter.
 
     The gain is that of the time over which force is averaged, 1 - exp(-T / tau), and the noise of a look is such that
-    the estimate of a constant force scatters as the threshold says: a change of one threshold is d' = 0.954 from none.
-    For this gain G and scatter s a look has the variance r = s^2 (2 - G) / G, and the filter believes that the force
+    the estimate of a constant force scatters by the threshold: a change of one threshold is d' = 0.954 from none.
+    For this gain G and scatter s a look has the variance r = s^2 (2 - G) / G, and the filter assumes that the force
     wanders by q = G^2 r / (1 - G) a tick.
 
     Attributes

@@ -27,7 +27,7 @@ class PerceivedForce:
     sense
         What the observer takes the command for.
     sentence
-        Who feels, and what is done to the force for that; told before a run.
+        Who feels, and what is done to the force for that; reported before a run.
 
     Attributes
     ----------

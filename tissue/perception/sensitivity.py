@@ -1,4 +1,4 @@
-"""What estimates of force are worth where prior or noise are not what they are taken for."""
+"""Errors of estimated forces where prior or noise are wrong."""
 
 from dataclasses import dataclass
 

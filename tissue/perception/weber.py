@@ -20,7 +20,7 @@ QUANTITIES = {"force": "offset_N", "torque": "offset_Nm", "stiffness": "offset_N
 
 @dataclass(frozen=True, kw_only=True)
 class Weber:
-    """Threshold kappa (level + offset), told in 75 % of two-interval trials (E6).
+    """Threshold kappa (level + offset), discriminated in 75 % of two-interval trials (E6).
 
     Weber's law alone, kappa level, lets every change be felt at a level of zero; the offset is the level at which the
     threshold, as a share of the level, has doubled. Both are positive, so that every threshold is.

@@ -98,7 +98,7 @@ class Kalman:
             self._since, self._force = 0, force_N.copy()
 
     def predict(self, ticks: int) -> Array:
-        """Along the parabola; 0 ahead of a force that was just told, that force."""
+        """Along the parabola; 0 ahead of a force that was just observed, that force."""
         if ticks == 0 and self._since == 0:
             return self._force
         return np.array((1.0, ticks, 0.5 * ticks * ticks)) @ self._state
@@ -156,4 +156,4 @@ class LinearControl:
         return matrix @ self._known + offset
 
     def pause(self) -> None:
-        """The next sample stands for itself."""
+        """The next sample is the last one."""

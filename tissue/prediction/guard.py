@@ -1,4 +1,4 @@
-"""When a predictor is believed, and what is played while it is not."""
+"""When a predictor is trusted, and what is played while it is not."""
 
 from collections import deque
 from math import isfinite, sqrt
@@ -33,17 +33,17 @@ class Judged(Predictor, Protocol):
 
     @property
     def trusted(self) -> bool:
-        """Whether what it would tell now follows from what it has learnt."""
+        """Whether what it would predict now follows from what it has learnt."""
         ...
 
 
 class Guarded:
     """A predictor for as long as it can be trusted, and another one in its place: no step in between.
 
-    The force told is the other's plus a share of the way to the predictor's own. Trust ends when the predictor itself
-    doubts, or when what it told has lately missed the force that came by more than the other's did; then the share
-    falls from 1 to 0 over some ticks, and it rises as slowly once trust has lasted for a while. The way is bounded, and
-    where it is not finite the last one stands, so a handover changes the force by no more than the bound over those
+    The force is the fallback's plus a share of the difference to the predictor's. Trust ends when the predictor itself
+    doubts, or when its predictions have lately missed the force that came by more than the other's did; then the share
+    falls from 1 to 0 over some ticks, and it rises as slowly after a while of trust. The difference is bounded, and
+    where it is not finite the last one is kept, so a handover changes the force by no more than the bound over those
     ticks.
 
     Parameters
@@ -53,7 +53,7 @@ class Guarded:
     instead
         What is asked while it is not trusted.
     reach_N
-        Greatest way between both [N].
+        Greatest difference between both [N].
     """
 
     residual_N = 0.0
@@ -111,14 +111,14 @@ class Guarded:
         return np.array((x + share * u, y + share * v, z + share * w))
 
     def _keep(self, ticks: int, primary: Triple, safe: Triple) -> None:
-        """Keep what both told until the force that they told of is there."""
+        """Keep what both predicted until that force is there."""
         self._asked = True
         if ticks != self._lead:
             self._lead, self._kept = ticks, deque(maxlen=ticks)
         self._kept.append((primary, safe))
 
     def pause(self) -> None:
-        """Pass it on; what was told belongs to no force any more."""
+        """Pass it on; what was predicted belongs to no force any more."""
         self._kept.clear()
         self.inner.pause()
         self.instead.pause()

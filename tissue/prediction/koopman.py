@@ -34,7 +34,7 @@ class LoopTerms:
     correction_N
         Greatest correction.
     quiet_N
-        Force below which nothing is told while the device is free.
+        Force below which nothing is predicted while the device is free.
     reach_N
         How far the prediction may lie from that of what it falls back on.
     growth
@@ -69,7 +69,7 @@ class Koopman:
     Once a tick the newest state is put before the window, the window is lifted, and the force h ticks on is
     C A^h phi plus a bounded share of the last one-step error: one product with a matrix that was made beforehand.
 
-    Of the ways to treat contact this one, gaps among the observables of one operator, was best by measurement: at 4 ms
+    Of the treatments of contact this one, gaps among the observables of one operator, was best by measurement: at 4 ms
     on the wall 1.28 % against 1.39 % with an operator for each contact mode, 1.27 % with both, 1.63 % with neither.
 
     Parameters

@@ -11,16 +11,16 @@ Array = NDArray[np.float64]
 
 
 class Predictor(Protocol):
-    """Tells the force on a device some ticks ahead of what has been seen of it.
+    """Predicts the force on a device some ticks ahead of what has been seen of it.
 
-    Once a tick `observe` is told where the device is and, in ticks in which the tissue has answered, the force; then
+    Once a tick `observe` gets where the device is and, in ticks in which the tissue has answered, the force; then
     `ahead` gives the force to be expected. Both keep to a fixed cost.
     """
 
     residual_N: float
     """Size of the last one-tick error [N]: what was expected for the newest force, less that force."""
     is_primary: bool
-    """Whether the last force that was told is the predictor's own, and not that of what it falls back on."""
+    """Whether the last predicted force is the predictor's, not that of its fallback."""
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
         """Take in the device's position [m] and velocity [m/s], shape (3,), and the force on it [N], or None."""

@@ -32,7 +32,7 @@ class Trained:
         Of linear dynamic mode decomposition; states are the force, inputs position and velocity of the device.
     terms
         What else the lifted predictor needs in a loop.
-    told
+    facts
         How it was trained and validated: numbers and names.
     """
 
@@ -40,7 +40,7 @@ class Trained:
     operator: Operator
     control: Operator
     terms: LoopTerms
-    told: dict[str, Any] = field(default_factory=dict)
+    facts: dict[str, Any] = field(default_factory=dict)
 
     def write(self, path: Path, *, overwrite: bool = False) -> Path:
         """Write it; operators in single precision and without moments, which keeps the file small.
@@ -54,7 +54,7 @@ class Trained:
         terms = asdict(self.terms)
         following = terms.pop("following")
         operators = {"lifted": _rounded(self.operator), "control": _rounded(self.control)}
-        header = {"terms": terms, "told": self.told}
+        header = {"terms": terms, "told": self.facts}
         arrays = {"following": following}
         return write_predictor(path, operators, scene=self.scene, header=header, arrays=arrays, replace=overwrite)
 

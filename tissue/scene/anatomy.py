@@ -1,4 +1,4 @@
-"""What a scene says of the anatomy: procedural, or read from files."""
+"""What a scene states of the anatomy: procedural, or read from files."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal

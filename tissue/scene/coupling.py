@@ -1,4 +1,4 @@
-"""What a scene says of the device in a person's hand, and of the wall that shows what the device can do."""
+"""What a scene states of the device in a person's hand, and of the wall that shows what the device can do."""
 
 from typing import Annotated, Literal
 
@@ -38,7 +38,7 @@ class Coupling(Part):
     motion_scale: float = Field(1.0, ge=0.01, le=100)
     """Metres at the tool for each metre at the device, both from where the motion starts; angles stay."""
     delay_ms: int = Field(0, ge=0, le=200)
-    """Latency added on the way to the device, in whole ticks."""
+    """Latency added before the device, in whole ticks."""
     model_ms: int = Field(1, ge=1, le=100)
     """Time for which one answer of the tissue holds, in whole ticks; 10 is a model at 100 Hz."""
     prediction_gain: float = Field(1.0, ge=0, le=2)
@@ -46,14 +46,14 @@ class Coupling(Part):
     predictor_file: str = ""
     """Trained predictor, as `tissue train` writes it; empty for the scene's own."""
     roam_mm: float | None = Field(None, ge=0, le=100, examples=[8.0])
-    """How far beside the scripted motion tissue is made ready for the tool; without it 2 mm on an organ, else none."""
+    """How far around the scripted motion tissue is made ready for the tool; without it 2 mm on an organ, else none."""
 
 
 class Fidelity(Part):
-    """What a run shall be worth at least; the cheapest setting of this machine that meets it is taken."""
+    """The least fidelity of a run; the fastest setting of this machine that meets it is taken."""
 
     force_error: float | None = Field(None, gt=0, le=1, examples=[0.03])
-    """Greatest error of the force, as a share of the converged, undelayed one."""
+    """Greatest error of the force, as a share of the converged reference without latency."""
     tick_ms: float | None = Field(None, gt=0, le=100, examples=[0.7])
     """Time within which 99 % of the ticks shall end."""
 

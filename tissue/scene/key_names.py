@@ -35,7 +35,7 @@ def in_scene_words(message: str, names: Mapping[str, str]) -> str:
             message = re.sub(rf"{NUMBER}(?! times)( m\b)?", _millimetres, message)
         message = key + message.removeprefix(words)
         if "_" not in argument:
-            return message  # a plain word, which may stand for itself further on
+            return message  # a plain word, which may have its plain meaning further on
         return re.sub(rf"(?<![\w.]){re.escape(argument)}(?!\w)", key.split(" ", 1)[0], message)
     return message
 

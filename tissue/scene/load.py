@@ -1,4 +1,4 @@
-"""Read a scene from a built-in name or a TOML file, with overrides, or say in one sentence what is wrong."""
+"""Read a scene from a built-in name or a TOML file, with overrides, or raise one sentence on what is wrong."""
 
 import tomllib
 from collections.abc import Mapping
@@ -19,9 +19,9 @@ from tissue.scene.unused_keys import refused_keys
 __all__ = ["changed", "load_scene", "parse_override", "saved_text", "scene_names", "scene_text"]
 
 FORMAT = 1
-"""Version of a scene's file; one that says none is of the first."""
+"""Version of a scene's file; one that states none is of the first."""
 KEPT = {"description", "seed", "voxels", "output", "device", "hand", "renderer"}
-"""What every scene that a run kept held before its file said who wrote it: every default."""
+"""What every scene that a run kept held before its file stated its version: every default."""
 
 
 def scene_names() -> list[str]:
@@ -55,12 +55,12 @@ def load_scene(source: str | Path, overrides: Mapping[str, Any] | None = None, *
     overrides
         Values by dotted key, such as ``{"voxels.spacing_mm": 0.2}``. What one of them makes of no effect is left out.
     live
-        Whether a mouse will stand for the device of a scene without one.
+        Whether a mouse replaces the device of a scene without one.
 
     Raises
     ------
     InputError
-        If a key has no effect in the scene, or the scene is unknown, unreadable or invalid: one sentence that says what
+        If a key has no effect in the scene, or the scene is unknown, unreadable or invalid: a sentence on what
         to change.
     """
     path = Path(source)
@@ -148,7 +148,7 @@ def _without_defaults(table: dict[str, Any]) -> dict[str, Any]:
     try:
         scene = _validated(table)
     except InputError:
-        return table  # its fault is told when the scene is made
+        return table  # its fault is raised when the scene is made
     return _chosen_entries(table, scene)
 
 

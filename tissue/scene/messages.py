@@ -170,7 +170,7 @@ def _parts(field: FieldInfo) -> list[type[BaseModel]]:
 
 
 def _alternatives(annotation: Any) -> list[Any]:
-    """Types that an annotation allows, beside nothing."""
+    """Types that an annotation allows, besides None."""
     if get_origin(annotation) is Annotated:
         return _alternatives(get_args(annotation)[0])
     if get_origin(annotation) in (Union, UnionType):

@@ -1,4 +1,4 @@
-"""What a scene says of a soft organ: its shape, what holds it, and what it is made of."""
+"""What a scene states of a soft organ: its shape, what holds it, and what it is made of."""
 
 from typing import Annotated, Literal
 
@@ -49,7 +49,7 @@ class LiverAnatomy(SoftAnatomy):
 
 
 class SlabAnatomy(SoftAnatomy):
-    """A block of soft tissue with its top face at z = 0, bonded to the floor: a phantom for palpation."""
+    """A block of soft tissue with its top face at z = 0, bonded to the ground: a phantom for palpation."""
 
     kind: Literal["slab"] = "slab"
     """A slab."""
@@ -74,13 +74,13 @@ class Organ(Part):
     """What a soft organ is made of, and how it is solved."""
 
     material: Literal["liver", "kidney"] = "liver"
-    """Tissue whose cited constants are used where nothing else is said."""
+    """Tissue whose cited constants are used where nothing else is stated."""
     young_kPa: float | None = Field(None, ge=0.1, le=1e5, examples=[5.4])
     """Young's modulus; without it the cited one."""
     young_end_kPa: float | None = Field(None, ge=0.1, le=1e5, examples=[50.0])
     """Young's modulus at the greatest x; between, it is graded from `young_kPa` at the least x."""
     grading_exponent: float = Field(1.0, ge=0.2, le=5)
-    """Power of the way from one end to the other by which it is graded; 1 is linear."""
+    """Power of the distance from one end to the other by which it is graded; 1 is linear."""
     nodule_kPa: float | None = Field(None, ge=0.1, le=1e5, examples=[50.0])
     """Young's modulus of the nodule; without it 50 kPa."""
     nodule_part: str | None = Field(None, examples=["tumour"])

@@ -92,7 +92,7 @@ TOOLS: dict[str, type[Part]] = {
 }
 """What meets each kind of anatomy."""
 FORCE_SCALES = {"glenoid": 0.03, "block": 0.03, "molar": 0.1}
-"""Newtons at the device for each one at the tool where a scene says nothing: what keeps cutting within its range."""
+"""Newtons at the device for each one at the tool where a scene states nothing: what keeps cutting within its range."""
 
 
 class Scene(Part):
@@ -125,7 +125,7 @@ class Scene(Part):
     renderer: RendererName = "proxy"
     """Law by which the device plays what the tool meets."""
     prediction: PredictionName = "none"
-    """What tells the device's force ahead of latency and slow models."""
+    """What predicts the device's force ahead of latency and slow models."""
     perception: PerceptionName = "none"
     """For whom the device's force is scaled: none, population, or observer:FILE, as `tissue calibrate` writes it."""
     coupling: Coupling = Coupling()
@@ -138,7 +138,7 @@ class Scene(Part):
     """What a soft organ is made of, and how it is solved."""
 
     fidelity: Fidelity | None = None
-    """What the run shall be worth; its settings are then chosen by what was measured on this machine."""
+    """The fidelity demanded of the run; its settings are then chosen by what was measured on this machine."""
 
     @property
     def bone(self) -> AnatomyFile:

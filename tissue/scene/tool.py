@@ -1,4 +1,4 @@
-"""What a scene says of the tool that meets the tissue, and of how it moves."""
+"""What a scene states of the tool that meets the tissue, and of how it moves."""
 
 import math
 from typing import Annotated, Literal

@@ -71,7 +71,7 @@ def is_given(part: Part, name: str) -> bool:
 
 
 def refused_keys(scene: "Scene") -> dict[str, Unused]:
-    """Keys that were set in a scene and have no effect in it; one that asks for nothing, such as 0, may stand."""
+    """Keys that were set in a scene and have no effect in it; one that asks for nothing, such as 0, is allowed."""
     unused = unused_keys(scene)
     found = {}
     for key, value in given_keys(scene):

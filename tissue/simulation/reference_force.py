@@ -53,7 +53,7 @@ def ideal_scene(scene: Scene, finest: Mapping[str, Any] | None = None) -> Scene:
 def ideal_force_N(run: Run, finest: Mapping[str, Any] | None = None, *, cores: int | None = None) -> Array:
     """Force on the device that a prompt loop with the finest model gives on the very motion of a run [N], shape (n, 3).
 
-    The motion is that which the device has told, so that a hand's reaction to another force is no part of the
+    The motion is that which the device has sampled, so that a hand's reaction to another force is no part of the
     difference. Tissue that is cut differs by what the coarse model has cut otherwise, as it does in a run.
 
     Raises

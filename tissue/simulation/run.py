@@ -42,7 +42,7 @@ class Run:
     trace, timing
         One row a tick; columns by name, ``run.trace["force_z_N"]``.
     events
-        What happened on the way: time [s] and a sentence each.
+        What happened in the run: time [s] and a sentence each.
     poses
         Poses of a tool that cuts, see `tissue.motion.pose_log.PoseLog`; None of one that does not.
     draw
@@ -199,7 +199,7 @@ class Run:
         overwrite
             Replace a run that the folder already holds.
         progress
-            Told what is being done.
+            Called with what is being done.
 
         Raises
         ------

@@ -46,7 +46,7 @@ OWN_FILES = (
 class RunFolder:
     """A folder that takes a run while it goes on, held against other processes until the run has ended.
 
-    It never replaces files that it did not write: a folder that holds a run is kept unless told to overwrite it, and
+    It never replaces files that it did not write: a folder that holds a run is kept unless asked to overwrite it, and
     one that holds other files of the same names is always kept. Nothing in it changes before `begin`.
 
     Parameters
@@ -74,11 +74,11 @@ class RunFolder:
         """Refuse a folder that cannot take a run."""
         if path.exists() and not path.is_dir():
             raise InputError(f"out must be a folder, got the file {path}: choose another --out")
-        standing = next(each for each in (path, *path.absolute().parents) if each.exists())
-        if not standing.is_dir():
-            raise InputError(f"out must lie in a folder, got {path} under the file {standing}: choose another --out")
-        if not os.access(standing, os.W_OK | os.X_OK):
-            raise InputError(f"out must be writable, got permission denied at {standing}: choose another --out")
+        existing = next(each for each in (path, *path.absolute().parents) if each.exists())
+        if not existing.is_dir():
+            raise InputError(f"out must lie in a folder, got {path} under the file {existing}: choose another --out")
+        if not os.access(existing, os.W_OK | os.X_OK):
+            raise InputError(f"out must be writable, got permission denied at {existing}: choose another --out")
         taken = _run_files(path)
         if not taken:
             return
@@ -106,11 +106,11 @@ class RunFolder:
 
     @contextmanager
     def ending(self) -> Iterator[None]:
-        """Say in the summary what ended a block before its end, and let go of the folder then."""
+        """Write to the summary what ended a block before its end, and let go of the folder then."""
         try:
             yield
         except BaseException as error:
-            with suppress(OSError):  # such as a full disk: the run is then told as one whose process is gone
+            with suppress(OSError):  # such as a full disk: the run is then reported as one whose process is gone
                 self.close_tables()
                 self._stopped(error)
             self._lock.release()
@@ -201,7 +201,7 @@ class SavedRun:
         return self.status == "complete"
 
     def _require_ticks(self, found: int) -> None:
-        """Refuse a trace that is not as long as the summary of the complete run says."""
+        """Refuse a trace that is not as long as the summary of the complete run states."""
         stated = round(self.summary["simulated_s"] / TICK_S)
         if found != stated:
             raise InputError(
@@ -247,7 +247,7 @@ def _run_files(path: Path) -> list[str]:
 
 
 def _status_of(summary: dict[str, Any]) -> str:
-    """How a run stands: what its summary says, but one that is said to go on has to have its process."""
+    """Status of a run: that of its summary, but one that goes on has to have its process."""
     status = str(summary.get("status", "interrupted"))
     return status if status != "running" or is_alive(summary.get("process")) else "interrupted"
 

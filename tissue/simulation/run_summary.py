@@ -18,7 +18,7 @@ AGAIN = "run the scene again"
 
 
 def summary_of(folder: Path) -> dict[str, Any]:
-    """The summary of a folder as it stands; empty where there is none or it is no table."""
+    """The summary of a folder as it is; empty where there is none or it is no table."""
     return _table_of(folder) or {}
 
 
@@ -59,7 +59,7 @@ def read_summary(folder: Path) -> dict[str, Any]:
 
 
 def _table_of(folder: Path) -> dict[str, Any] | None:
-    """The summary of a folder as it stands; None where there is none or it is no table."""
+    """The summary of a folder as it is; None where there is none or it is no table."""
     try:
         held = json.loads((folder / "summary.json").read_text("utf-8"))
     except (OSError, ValueError, RecursionError):

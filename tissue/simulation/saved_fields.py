@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["SavedFields", "field_label", "field_limits", "field_names", "field_values", "frames_of"]
 
 PEAK = 99.8
-"""Percentile of a cell field that ends its scale: single cells at the tool stand out from it."""
+"""Percentile of a cell field that ends its scale: single cells at the tool lie above it."""
 SPAN = 1e-3
 """Lowest stress of a logarithmic scale, as a share of its highest."""
 FAINT = 5.0

@@ -31,7 +31,7 @@ from tissue.simulation.trace_layout import TraceLayout
 __all__ = ["TICK_S", "RunObserver", "simulate"]
 
 SWITCH_S = 5e-5
-"""How long a thread that works beside the ticks may keep the interpreter from them [s]."""
+"""How long a background thread may keep the interpreter from them [s]."""
 
 
 class RunObserver(Protocol):
@@ -41,7 +41,7 @@ class RunObserver(Protocol):
     """Its own columns in the table of timing."""
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
-        """The ticks begin; told what runs and the columns of its trace."""
+        """The ticks begin, with what runs and the columns of its trace."""
         ...
 
     def before_tick(self, index: int) -> None:
@@ -99,7 +99,7 @@ def simulate(
     overwrite
         Replace a run that ``out`` already holds.
     progress
-        Told what is being done.
+        Called with what is being done.
     allow_unstable
         Run a device whose coupling is judged unstable, too.
     device

@@ -130,7 +130,7 @@ def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
     Raises
     ------
     InputError
-        If the file is no such table; says which line is not.
+        If the file is no such table, naming the line.
     """
     again = "mend that line or run the scene again"
     try:

@@ -17,11 +17,11 @@ LOOK_S = 1.0
 IDLE_S = 30.0
 """How long a process that is waited for may do nothing [s]."""
 WORK_S = 0.05
-"""Processor time that counts as having done something [s]; watching for the parent's end takes less."""
+"""Processor time that counts as having done something [s]; monitoring the parent's end takes less."""
 
 
 class HelperLostError(RuntimeError):
-    """A helper process ended, was stopped or hangs; says so in half a sentence."""
+    """A helper process ended, was stopped or hangs; the message is half a sentence."""
 
 
 def child_command(module: str, *arguments: str) -> list[str]:

@@ -56,7 +56,7 @@ class Helper:
         assert stream is not None
 
         def write() -> None:
-            with suppress(OSError, ValueError):  # it has ended: the next answer says so
+            with suppress(OSError, ValueError):  # it has ended: the next answer shows it
                 stream.write(data)  # at once: in parts it wakes the other too early
                 stream.flush()
 

@@ -33,7 +33,7 @@ def draw_apart(
     longest_s: float = LONGEST_S,
     drawn: Callable[[float], None] | None = None,
 ) -> str | None:
-    """Run ``python -m module arguments`` where it may draw, and say in half a sentence why it could not.
+    """Run ``python -m module arguments`` where it may draw, and return half a sentence on why it could not.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def draw_apart(
     longest_s
         How long it may draw [s].
     drawn
-        Told how much is drawn, 0 to 1, as the process prints it, a line each.
+        Called with how much is drawn, 0 to 1, as the process prints it, a line each.
 
     Returns
     -------
@@ -116,7 +116,7 @@ def _last_share(printed: Path) -> float:
 
 
 def _awaited(process: "subprocess.Popen[str]", longest_s: float, look: Callable[[], object]) -> tuple[str, str | None]:
-    """Let a process draw: what it says, and why it was ended, or None; ``look`` is called on the way."""
+    """Let a process draw: its output, and why it was ended, or None; ``look`` is called meanwhile."""
     patience = Patience(lambda: [process.pid], longest_s=longest_s)
     sent: str | None = "ready\n"
     while True:
@@ -167,7 +167,7 @@ def await_display(*, longest_s: float = DISPLAY_S) -> str | None:
 
 
 def _answers(library: ctypes.CDLL, name: str) -> bool:
-    """Whether a display can be opened; one that takes the call and says nothing would keep it for ever."""
+    """Whether a display can be opened; one that takes the call and does not answer would keep it for ever."""
     output: SimpleQueue[bool] = SimpleQueue()
     library.XOpenDisplay.restype = ctypes.c_void_p
     library.XCloseDisplay.argtypes = [ctypes.c_void_p]

@@ -19,15 +19,15 @@ else:
 __all__ = ["LOCK", "OutputLock", "output_locked"]
 
 LOCK = ".lock"
-"""Name of the lock in a folder; of a file's, the end of the hidden name beside it."""
+"""Name of the lock in a folder; of a file's, the end of the hidden name next to it."""
 FAR = 1 << 30
 """Byte that is locked where locked bytes cannot be read (Windows): far beyond the process id."""
 HELD = (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
-"""What the system says of a lock that another has; anything else means that the file system has no locks."""
+"""The system's error for a lock that another has; anything else means that the file system has no locks."""
 
 
 class OutputLock:
-    """Hold a folder or a file against every other writer until `release`, or until the process ends in any way.
+    """Hold a folder or a file against every other writer until `release`, or until the process ends for any reason.
 
     Parameters
     ----------
@@ -44,9 +44,9 @@ class OutputLock:
 
     def __init__(self, out: Path, *, folder: bool) -> None:
         place = (out if folder else out.parent).absolute()
-        standing = next(each for each in (place, *place.parents) if each.exists())
-        if not standing.is_dir():
-            under = "" if standing == place else f" under the file {standing}"
+        existing = next(each for each in (place, *place.parents) if each.exists())
+        if not existing.is_dir():
+            under = "" if existing == place else f" under the file {existing}"
             what = f"a folder, got the file {out}" if folder and not under else f"in a folder, got {out}{under}"
             raise InputError(f"out must {'be' if folder and not under else 'lie'} {what}: choose another --out")
         made = [each for each in (place, *place.parents) if not each.exists()]

@@ -1,4 +1,4 @@
-"""Which process is writing a run, told so that it can be looked for later: a number alone is soon another's."""
+"""Which process is writing a run, recorded so that it can be looked for later: a number alone is soon another's."""
 
 import os
 import platform
@@ -7,7 +7,7 @@ from typing import Any
 __all__ = ["identity", "is_alive"]
 
 SAME_S = 5.0
-"""Most by which the start of one process may differ between two looks [s]: the clock that it is told by is set."""
+"""Most by which the start of one process may differ between two looks [s]: the clock behind it may be set."""
 
 
 def identity() -> dict[str, Any]:
@@ -18,7 +18,7 @@ def identity() -> dict[str, Any]:
 
 
 def is_alive(process: object) -> bool:
-    """Whether a process of that `identity` still runs; one of another machine cannot be looked for and is believed."""
+    """Whether a process of that `identity` still runs; one of another machine cannot be looked up, so counts."""
     import psutil
 
     if not isinstance(process, dict) or "id" not in process:

@@ -15,8 +15,8 @@ from tissue.system.child import LOOK_S, Patience, end_with
 __all__ = ["first_done", "worker_pool"]
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""A worker has one thread for linear algebra: sums are then the same on every machine, and workers not in each other's
-way."""
+"""A worker has one thread for linear algebra: sums are then the same on every machine, and workers do not
+block each other."""
 Result = TypeVar("Result")
 
 
@@ -57,7 +57,7 @@ def first_done(pool: Executor, futures: Collection["Future[Result]"], report: Pr
     pool, futures
         Who works, and at what; of processes elsewhere their scheduler knows whether they still work.
     report
-        Told why workers were ended.
+        Called with why workers were ended.
 
     Returns
     -------
@@ -77,7 +77,7 @@ def first_done(pool: Executor, futures: Collection["Future[Result]"], report: Pr
 
 @contextmanager
 def _interrupted_later() -> Iterator[None]:
-    """Hold Ctrl-C back while processes start, which inherit that and would speak of it before they can ignore it."""
+    """Hold Ctrl-C back while processes start, which inherit that and would print it before they can ignore it."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -89,6 +89,6 @@ def _interrupted_later() -> Iterator[None]:
 
 
 def _begin_worker(parent: int, strictly: bool) -> None:
-    """Leave Ctrl-C to the process that began this one, and end when it ends: killed, it could not say so."""
+    """Leave Ctrl-C to the process that began this one, and end when it ends: killed, it could not ask for it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with(parent, strictly=strictly)

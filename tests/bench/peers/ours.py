@@ -138,7 +138,7 @@ def threshold() -> None:
     from tissue.perception.adaptive import AdaptiveThreshold, ThresholdPrior
 
     steps, rng = steps_N(), np.random.default_rng(0)
-    found = AdaptiveThreshold(ThresholdPrior(cells=60, floor_cells=8, lapse_cells=5), (np.ones(len(steps)), steps))
+    found = AdaptiveThreshold(ThresholdPrior(cells=60, offset_cells=8, lapse_cells=5), (np.ones(len(steps)), steps))
 
     def trial(_: int) -> None:
         asked = found.propose()

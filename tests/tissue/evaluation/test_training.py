@@ -21,7 +21,7 @@ def test_a_shipped_predictor_is_sound(scene):
     trained = Trained.read(path, scene=scene)
     assert path.stat().st_size < 150_000
     assert isinstance(trained.operator, Operator) and abs(trained.operator.eigenvalues[0]) < 1.0 + 1e-6
-    checked = trained.told["validation"]
+    checked = trained.facts["validation"]
     at = checked["horizons_ms"].index(4)
     assert checked["errors"]["koopman"][at] < checked["errors"]["hold"][at]
     told = trained_predictor("koopman", trained, force_limit_N=LIMIT_N)
@@ -77,8 +77,8 @@ def test_training_again_gives_the_shipped_predictor(command, here):
     code, _, _ = command("train", "wall")
     assert code == 0
     again, shipped = Trained.read(here / "wall.npz"), Trained.read(shipped_file("wall"))
-    assert again.told["dictionary"] == shipped.told["dictionary"]
-    ours, theirs = (np.array(each.told["validation"]["errors"]["koopman"]) for each in (again, shipped))
+    assert again.facts["dictionary"] == shipped.facts["dictionary"]
+    ours, theirs = (np.array(each.facts["validation"]["errors"]["koopman"]) for each in (again, shipped))
     np.testing.assert_allclose(ours, theirs, rtol=0.05)  # another processor rounds otherwise
 
 

@@ -226,7 +226,7 @@ def test_a_needle_is_drawn_with_its_insertion_and_its_block(pierced, tmp_path):
 
 
 def test_a_hand_that_misses_the_track_still_moves_the_block():
-    """A novice enters 1.6 mm beside the track, which is more than the needle's diameter."""
+    """A novice enters 1.6 mm from the track, which is more than the needle's diameter."""
     overrides = SCENE | {
         "device": "touch",
         "hand": "novice",
@@ -237,4 +237,4 @@ def test_a_hand_that_misses_the_track_still_moves_the_block():
     entry = int(np.argmax(run.trace["deflection_mm"] > 0.0))
     assert np.hypot(run.trace["tool_x_mm"][entry], run.trace["tool_y_mm"][entry]) > 1e3 * NEEDLE_M
     assert any(frame.points["displacement_mm"].any() for frame in run.parts.tissue.fields.frames)
-    assert "10 mm beside the track" in run.parts.notes["fields"]
+    assert "10 mm from the track" in run.parts.notes["fields"]

@@ -308,7 +308,7 @@ def test_a_file_gives_the_same_predictor(trained, tmp_path):
             each.observe(run.position_m[row], run.velocity_m_s[row], run.force_N[row])
     # Matrices are kept in single precision: 1e-7 of states whose weights cancel to a hundredth.
     np.testing.assert_allclose(second.predict(6), first.predict(6), atol=1e-4)
-    assert again.told == trained.told
+    assert again.facts == trained.facts
     with pytest.raises(InputError, match=r"out must not exist yet, got .*spring.npz: pass --overwrite"):
         trained.write(path)
     trained.write(path, overwrite=True)

@@ -65,9 +65,9 @@ def _posterior(session: Session, axes: "Axes") -> None:
 
 def _answers(session: Session, axes: "Axes") -> None:
     """Shares of right answers over the step in thresholds, in bins of equal count."""
-    weber, floor, lapse = (float(get()[0]) for get in (lambda: session.threshold.weber()[0], session.threshold.floor_N,
-                                                       session.threshold.lapse))  # fmt: skip
-    steps = np.array([asked.step_N / (weber * (asked.base_N + floor)) for asked, _ in session.asked])
+    weber, offset, lapse = (float(get()[0]) for get in (
+        lambda: session.threshold.weber()[0], session.threshold.offset_N, session.threshold.lapse))  # fmt: skip
+    steps = np.array([asked.step_N / (weber * (asked.base_N + offset)) for asked, _ in session.asked])
     right = np.array([answer == asked.greater for asked, answer in session.asked])
     order = np.argsort(steps, kind="stable")
     for bin_ in np.array_split(order, max(min(8, len(order) // 6), 1)):

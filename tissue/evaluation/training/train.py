@@ -54,4 +54,4 @@ def validated(trained: Trained, held_out: list[Recording], force_limit_N: float)
         make = lambda kind=kind: trained_predictor(kind, trained, force_limit_N=force_limit_N)  # noqa: E731
         errors[kind] = forecast_errors(make, held_out).mean(axis=0).tolist()
     validation = {"held_out": [run.seed for run in held_out], "horizons_ms": list(HORIZONS), "errors": errors}
-    return replace(trained, told=trained.told | {"validation": validation})
+    return replace(trained, facts=trained.facts | {"validation": validation})

@@ -92,7 +92,7 @@ def surface_compliance(
     solver
         Makes what finds columns where the cache has no answer and they are asked for one by one. Default: a factor.
     progress
-        Told the share that is done, in (0, 1].
+        Called with the share that is done, in (0, 1].
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Compliance where the tool is: columns found on demand, beside the ticks, in a bounded buffer."""
+"""Compliance where the tool is: columns found on demand, in the background, in a bounded buffer."""
 
 from collections import OrderedDict, deque
 from threading import Condition, Thread
@@ -18,9 +18,9 @@ Nodes = NDArray[np.int64]
 class LazyCompliance:
     """Columns of ``W = H K^-1 H^T`` for the nodes that were asked for last.
 
-    Nodes are named by their place among the touchable ones. ``want`` says near which nodes the tool is; ``fill`` finds
-    their columns in the caller's thread, before the ticks, and ``start`` has a thread do so beside them. Nothing but
-    copying happens in ``block`` and ``pour``. The node wanted longest ago makes room.
+    Nodes are named by their place among the touchable ones. ``want`` names the nodes near the tool; ``fill`` finds
+    their columns in the caller's thread, before the ticks, and ``start`` has a thread do so in parallel. Nothing but
+    copying happens in ``block`` and ``pour``. The node wanted longest ago is dropped first.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class LazyCompliance:
         Raises
         ------
         RuntimeError
-            If the thread beside the ticks failed.
+            If the background thread failed.
         """
         if self._problem is not None:
             raise RuntimeError("the compliance could not be found") from self._problem

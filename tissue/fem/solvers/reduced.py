@@ -3,7 +3,7 @@
 Proper orthogonal decomposition in the energy of the answers to all unit forces on the touchable nodes. Their Gram
 matrix is the compliance W itself, so with ``W = V L V^T`` the modes are ``U V L^-1/2``, U the answers: orthonormal in
 K, and the reduced compliance is W cut to its largest eigenvalues, the best of its rank (Eckart and Young 1936,
-Psychometrika 1:211). What is left out gives mostly where it is touched; its blocks at single nodes stand in for it, as
+Psychometrika 1:211). What is left out gives mostly where it is touched; its blocks at single nodes replace it, as
 residual flexibility does for modes left out (MacNeal 1971, Comput. Struct. 1:581).
 """
 
@@ -99,7 +99,7 @@ class ReducedSolver:
     def solve(self, load_N: Array, *, start_m: Array | None = None) -> Solution:
         """Displacement under nodal forces [N], shape (n, 3); ``start_m`` is ignored.
 
-        For loads on touchable nodes the error in the energy norm is known, by what W says of the modes left out. Any
+        For loads on touchable nodes the error in the energy norm is known, by W over the modes left out. Any
         other load is answered OUTSIDE_BASIS, with a share of 1.
         """
         right = self.body.right_side(load_N)

@@ -20,7 +20,7 @@ DEVICES = ("touch", "omni", "six-dof")
 
 
 class Sample(NamedTuple):
-    """What a device tells of itself at a time: pose and its rate of change, in the world frame."""
+    """The sample of a device at a time: pose and its rate of change, in the world frame."""
 
     time_s: float
     position_m: Triple
@@ -96,14 +96,14 @@ class DeviceParameters:
     rate_Hz
         Samples and force updates a second.
     transport_delay_s
-        From a sample to the force that answers it, beside the hold [s].
+        From a sample to the force that answers it, besides the hold [s].
     amplifier_Hz
         Bandwidth of the amplifiers; infinite for none.
     inertia_kg_m2, damping_Nm_s_rad, friction_Nm, encoder_step_rad, torque_limit_Nm, torque_slew_Nm_ms
         The same for rotation; a torque limit of 0 makes a device of three degrees of freedom, whose rotation moves
         freely with the hand.
     stiffness_limit_N_m, damping_limit_N_s_m, stiffness_limit_Nm_rad
-        What the vendor's software allows for; told, not enforced.
+        What the vendor's software allows for; reported, not enforced.
     workspace_width_m, workspace_height_m, workspace_depth_m
         Box in which the tip can be moved [m].
     """

@@ -20,7 +20,7 @@ class Roughness:
 
     The middle one of three samples lies off the straight line between its neighbours by a T^2 / 2 for steps of T at
     the acceleration a, and by no more in between. A sample is rough where that is more than the limit allows; a course
-    is noise once more than half of its last samples (exponential mean over 8 of them) are rough, and is believed again
+    is noise once more than half of its last samples (exponential mean over 8 of them) are rough, and is valid again
     when fewer than a twentieth are. One leap, a lost sample, an encoder's step or a blow are rough for two samples at
     most. White noise is recognised from a standard deviation of about a quarter of the limit times (1 ms)^2 an axis.
 

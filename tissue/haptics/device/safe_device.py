@@ -28,7 +28,7 @@ ANSWER_S = 0.2
 """How long a command of zero from a second thread, or a close, may take [s]."""
 OPENED = ", and give it without `with`: the run opens and closes it"
 IDLE = ("", inf)
-"""No call is under way."""
+"""No call is running."""
 
 
 class SafeDevice:
@@ -41,7 +41,7 @@ class SafeDevice:
     A loop that is given ``held`` in place of the device finds it entered and leaves it so, without force: one block can
     hold a device for many runs.
 
-    A device that is not ``in_process`` may block. Another thread that calls `watch` often sends zero once no command
+    A device that is not ``in_process`` may block. A thread that calls `stop_if_stuck` often sends zero once no command
     came for `STALL_S`, and gives the device up once a call has lasted `GIVE_UP_S`.
 
     Parameters
@@ -78,7 +78,7 @@ class SafeDevice:
         self._torque = SlewLimit(inf if limits is None else tick_ms * limits.torque_slew_Nm_ms)
         self._lock = threading.Lock()
         self._stack = ExitStack()
-        self._call = IDLE  # name of the call that is under way, and since when
+        self._call = IDLE  # name of the call that is running, and since when
         self._played = inf  # when the last command that was not zero was sent
         self._stop: BaseException | None = None
         self._lost: DeviceError | None = None
@@ -212,7 +212,7 @@ class SafeDevice:
             if sent:
                 return
         self._lost = DeviceError(
-            f"device.command must play zero once the loop stands still, got no answer for {ANSWER_S:g} s: check the "
+            f"device.command must play zero once the loop stops, got no answer for {ANSWER_S:g} s: check the "
             f"device and its cable{self._close()}"
         )
 
@@ -262,7 +262,7 @@ class SafeDevice:
         return problem
 
     def _close(self) -> str:
-        """Close the device for good; what is to be said of that."""
+        """Close the device for good; the error, if any."""
         close = getattr(self.device, "close", None)
         if self._closed:
             return ""

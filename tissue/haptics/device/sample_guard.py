@@ -1,4 +1,4 @@
-"""What a loop believes of a device: samples that a hand could have made; without them the force fades to nothing."""
+"""Samples that a loop accepts: those that a hand could have made; without them the force fades to nothing."""
 
 from dataclasses import dataclass
 from math import dist, isfinite, nan, sqrt
@@ -32,7 +32,7 @@ class GuardLimits:
     Attributes
     ----------
     fastest_m_s, fastest_rad_s
-        Greatest speed of a hand [m/s], [rad/s]; a sample that tells a greater one, or is further away than that from
+        Greatest speed of a hand [m/s], [rad/s]; a sample with a greater one, or is further away than that from
         the last good one, is refused.
     oldest_s
         Age above which a sample counts as missing, and how far ahead of now it may be dated [s].
@@ -60,19 +60,19 @@ class GuardLimits:
 
 
 class SampleGuard:
-    """Judges every sample and holds the force that follows from it to what can be vouched for.
+    """Judges every sample and limits the force that follows from it.
 
-    Call `believe` with what the device told, then `vouch` with the force that the loop has found for a good sample, or
-    with None after a bad one. A bad sample makes the last good force fade in a straight line, to exactly zero after
+    Call `validate_sample` with the device's sample, then `limit_force` with the force that the loop has found for a good
+    sample, or with None after a bad one. A bad sample makes the last good force fade in a straight line, to exactly zero after
     ``fade_s``; good ones bring the force back as slowly. Forces are bounded always. What is not a sample at all, by its
     type or its number of entries, is a mistake in the device's class and not a fault of the moment: it is an error.
 
     Parameters
     ----------
     limits
-        What is believed.
+        Which samples are valid.
     force_limit_N, torque_limit_Nm
-        Greatest force and torque that are vouched for, in their own direction; a zero torque limit lets none pass.
+        Greatest force and torque that pass, in their own direction; a zero torque limit lets none pass.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class SampleGuard:
     events
         Time [s] and a sentence for every change between good and bad, and every other kind of fault; the first 200.
     bad_ticks
-        Samples that were not believed.
+        Samples that were not valid.
     """
 
     def __init__(
@@ -150,7 +150,7 @@ class SampleGuard:
             self.events.append((time_s, "faults go on, and are not listed from here"))
 
     def _fault_of(self, sample: Sample | None, turned: Quaternion | None, time_s: float) -> str:
-        """What is wrong with a sample, or nothing; its quaternion at unit length beside it."""
+        """What is wrong with a sample, or nothing; and its quaternion at unit length."""
         limits, good = self._limits, self._good
         if sample is None:
             return "no sample"
@@ -211,7 +211,7 @@ def _repaired(sample: Sample) -> Sample:
 
 
 def _numbers(part: str, given: object, count: int) -> tuple[float, ...]:
-    """A number or a vector as a tuple of floats; what stands for a number, such as "1" or True, is none."""
+    """A number or a vector as a tuple of floats; what looks like a number, such as "1" or True, is none."""
     try:
         numbers = np.asarray(given)
         parts: list[object] = [given] if count == 1 else list(given)  # type: ignore[call-overload]

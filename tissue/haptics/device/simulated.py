@@ -178,11 +178,11 @@ class SimulatedDevice(ComputedDevice):
         )
 
     def _read_position(self) -> Triple:
-        """The position that the encoders tell [m]."""
+        """The position that the encoders read [m]."""
         return _stepped(self.translation.position, self.parameters.encoder_step_m)
 
     def _read_orientation(self) -> Quaternion:
-        """The orientation that the encoders tell."""
+        """The orientation that the encoders read."""
         if self.parameters.encoder_step_rad == 0.0:
             return self.orientation
         return exponential(_stepped(logarithm(self.orientation), self.parameters.encoder_step_rad))

@@ -19,7 +19,7 @@ def run_held(work: Callable[[], None], held: SafeDevice) -> None:
     """Run ``work``, the loop of a device, and see to it that the device is not left pushing.
 
     With a device that may block the work runs in a second thread, because nothing can interrupt a call that blocks.
-    This one sends zero where the loop stands still, and gives up a device that does not answer: the work is then left
+    This one sends zero where the loop stops, and gives up a device that does not answer: the work is then left
     behind. Ctrl-C and what asks the process to end, such as SIGTERM and the SIGHUP of a closed terminal, let the
     loop end after its tick; handlers are as before when this returns.
 

@@ -37,7 +37,7 @@ class Grip(NamedTuple):
 
 
 class HandAction(NamedTuple):
-    """What a hand does in a tick: where its grip pulls to, and what it pushes beside that."""
+    """What a hand does in a tick: where its grip pulls to, and what it pushes with besides."""
 
     aim_m: Triple = NOTHING
     aim_velocity_m_s: Triple = NOTHING

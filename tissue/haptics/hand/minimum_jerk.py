@@ -17,9 +17,9 @@ Path = Callable[[float], Array]
 
 
 def minimum_jerk(share: float) -> tuple[float, float]:
-    """Way and speed of a minimum-jerk movement (Flash and Hogan, 1985) at a share of its duration, both from 0 to 1.
+    """Position and speed of a minimum-jerk movement (Flash and Hogan, 1985) at a share of its duration, from 0 to 1.
 
-    Way 10 s^3 - 15 s^4 + 6 s^5, speed its derivative by the share; at rest before 0 and after 1.
+    Position 10 s^3 - 15 s^4 + 6 s^5, speed its derivative by the share; at rest before 0 and after 1.
     """
     if share <= 0.0:
         return 0.0, 0.0
@@ -49,7 +49,7 @@ class Aim:
     """Movement of the aim along a path that the person knows ahead.
 
     Every ``correction_s`` a submovement of ``submovement_s`` begins, towards where the path will be half a correction
-    before it ends; the next one is under way by then, so that a steady movement neither leads nor lags.
+    before it ends; the next one has begun by then, so that a steady movement neither leads nor lags.
     Submovements add up (Flash and Henis, 1991), so that the aim is smooth to its acceleration. The muscles miss by a
     share of the distance (signal-dependent noise, Harris and Wolpert, 1998); an error is seen, and corrected, a
     reaction time later. The first submovement begins a reaction time after the start.

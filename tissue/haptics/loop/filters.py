@@ -1,4 +1,4 @@
-"""What a force passes on its way to a device: low-pass, exact delay, relaxation, the device's range and its slew."""
+"""What a force passes before a device: low-pass, exact delay, relaxation, the device's range and its slew."""
 
 from collections import deque
 from dataclasses import dataclass

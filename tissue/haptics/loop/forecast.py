@@ -27,13 +27,13 @@ SETTLING = 300
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Forecast:
-    """How the force that is told ahead answers what was seen: F(t) = sum over ages a of taps . (x, v, F)(t - a).
+    """How the predicted force answers what was seen: F(t) = sum over ages a of taps . (x, v, F)(t - a).
 
     Attributes
     ----------
     taps
         Answers, shape (phases, ages, 3), to position [N/m], velocity [N s/m] and force [N/N]; the phase is that of the
-        tick in which it was seen, counted from the last one in which the model told its force; later phases see none.
+        tick in which it was seen, counted from the last one in which the model gave its force; later phases see none.
     gain
         C of F + C (F_ahead - F): 0 plays the force as it is, 1 the one that is ahead.
     """
@@ -76,9 +76,9 @@ def forecast_of(
     stiffness_N_m, depth_m
         Of the contact: the force is their product.
     model_ticks
-        Ticks between two forces that it is told.
+        Ticks between two forces that it observes.
     axis
-        Way out of the tissue, unit, shape (3,); z without it.
+        Direction out of the tissue, unit, shape (3,); z without it.
     gain
         See `Forecast`.
 
@@ -117,7 +117,7 @@ def _answers(
     model_ticks: int,
     out: Array,
 ) -> Array:
-    """Forces told along the axis from a settled state on, one of what is seen being changed in one tick [N]."""
+    """Forces predicted along the axis from a settled state on, one of what is seen being changed in one tick [N]."""
     forces = np.zeros(LONGEST + 1 + model_ticks)
     for tick in range(len(forces)):
         shown = [array + change if tick == at and index == channel else array for index, array in enumerate(seen)]

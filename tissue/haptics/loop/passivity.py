@@ -27,13 +27,13 @@ class PassivityObserver:
 
     A force F on the device that is held while the device moves by dx takes -F . dx from it. With the force of the last
     tick and the displacement since then the sum is exact, and shows what the hold leaks: a spring K that is entered and
-    left at speed v gives back K (v T)^2 more for every sample of depth than it took, half of it on either way. A force
+    left at speed v gives back K (v T)^2 more for every sample of depth than it took, half in and half out. A force
     that acts later works on a later displacement; with a known delay that is booked exactly, too.
 
     Parameters
     ----------
     delay_ticks
-        From the sample to the force at the motor, beside the hold [ticks]; any real number.
+        From the sample to the force at the motor, besides the hold [ticks]; any real number.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class PassivityObserver:
         self._forces: deque[Array] = deque([np.zeros(3)] * (whole + 2), maxlen=whole + 2)
 
     def observe(self, position_m: Array) -> float:
-        """Book what the acting forces did on the way to this position [m]; the energy [J]."""
+        """Book what the acting forces did up to this position [m]; the energy [J]."""
         if self._position is not None:
             moved = position_m - self._position
             self.energy_J -= (1.0 - self._delay) * float(self._forces[1].dot(moved))
@@ -67,7 +67,7 @@ class PassivityObserver:
         self._forces.append(np.array(force_N))
 
     def pause(self) -> None:
-        """Samples are missing: what happens until the next one is not booked, and no force is on its way then."""
+        """Samples are missing: what happens until the next one is not booked, and no force is pending then."""
         self._position = None
         self._forces.extend([np.zeros(3)] * len(self._forces))
 
@@ -81,11 +81,11 @@ class PassivityObserver:
 class PassivityControl:
     """Holds back what an environment is about to create, and pays back what it has created.
 
-    A force acts when those on their way have acted. Until then they go on pushing the device, so its speed along the
+    A force acts when the pending ones have acted. Until then they go on pushing the device, so its speed along the
     force is predicted as v + sum F T / m with the device's own mass, which overstates what a held device does. The work
-    that the forces on their way and the new one would do at those speeds, as far as they drive the device out, must not
+    that the pending forces and the new one would do at those speeds, as far as they drive the device out, must not
     exceed the energy E in the observer's ledger. What exceeds it is taken off the new force: where the device will move
-    out fast, as far as to nothing; and a damper -d v is added, which also pays a debt on the way in. d has an upper
+    out fast, as far as to nothing; and a damper -d v is added, which also pays a debt while going in. d has an upper
     bound, because damping is sampled, too: beyond m / T it would itself be unstable. Near rest nothing can be paid and
     the debt waits. v is the mean speed over the last ticks, for encoders step.
 
@@ -159,8 +159,8 @@ class PassivityControl:
     def pause(self) -> None:
         """Samples are missing: nothing is known of the motion until the next one.
 
-        The force fades then and comes back slowly, so that less is taken on the way in than is booked: what was taken
-        until now is struck off, lest the way out should live on it.
+        The force fades then and comes back slowly, so that less is taken while going in than is booked: what was taken
+        until now is struck off, lest going out should spend it.
         """
         self.observer.pause()
         self.observer.energy_J = min(self.observer.energy_J, 0.0)

@@ -32,7 +32,7 @@ class WallLoop:
     tick_s
         Time between two forces at the device [s].
     delay_s
-        From the sample to the force, beside the hold [s]; any real number of ticks.
+        From the sample to the force, besides the hold [s]; any real number of ticks.
     model_ticks
         Ticks for which one force of the model is held: 1, or 10 for a model at 100 Hz in a loop at 1 kHz.
     filter_s
@@ -109,7 +109,7 @@ def loop_matrix(loop: WallLoop) -> Array:
     """Map of the loop's whole state over one step of the model, square.
 
     The state holds position, velocity and motor force, the position at the last model step, the filtered force, the
-    forces that are still on their way and, with a forecast, the positions and forces that it has seen. The map is what
+    forces that are still pending and, with a forecast, the positions and forces that it has seen. The map is what
     the loop does to the columns of a unit matrix, tick by tick.
     """
     whole = int(loop.delay_s / loop.tick_s + 1e-9)

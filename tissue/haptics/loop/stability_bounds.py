@@ -1,7 +1,7 @@
 """Lines that theory draws into a stability map: simple bounds on the stiffness of a virtual wall.
 
 None of them judges a run; the eigenvalues in `tissue.haptics.loop.critical_stiffness` do. Each takes the same
-`WallLoop`; a hand adds its damping to the device's where the bound speaks of damping.
+`WallLoop`; a hand adds its damping to the device's where the bound has damping.
 """
 
 from math import ceil, inf, pi

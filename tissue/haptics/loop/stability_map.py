@@ -1,4 +1,4 @@
-"""Where a wall stops being stable, measured by letting it run, beside the eigenvalues and the lines of theory."""
+"""Where a wall stops being stable, measured by letting it run, against the eigenvalues and the lines of theory."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

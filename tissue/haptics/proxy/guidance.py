@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 SHARE = 0.5
 """Share of what is seen missing that is added in every correction, where the tool goes as far as the hand; assumed."""
 LEAST_YIELD = 0.6
-"""Least way of a tool for each of the hand that a person reckons with; assumed. Of 1 to 0.2 it is where reaming is
+"""Least motion of a tool for each of the hand that a person reckons with; assumed. Of 1 to 0.2 it is where reaming is
 nearly finished (0.2 mm are missing instead of 0.5) before milling overshoots."""
 
 
@@ -24,7 +24,7 @@ class Lead:
     """A path on which the tool, not the hand, is brought to where it shall be.
 
     A hand that only went where the tool shall be would stop where spring and resistance balance. At every correction
-    this one goes farther by a share of what the tool is seen to lack, and by the more the less of its last ways the
+    this one goes farther by a share of what the tool is seen to lack, and by the more the less of its last motions the
     tool has made.
 
     Attributes
@@ -60,7 +60,7 @@ class Lead:
         return aim
 
     def _learn(self) -> None:
-        """Take the tool's last way for each of the hand's, which was aimed at two corrections ago."""
+        """Take the tool's last motion for each of the hand's, which was aimed at two corrections ago."""
         if len(self._aims_m) == 3:
             went, aimed = self.tool.tip_m - self._tip_m, self._aims_m[1] - self._aims_m[0]
             square = float(aimed @ aimed)
@@ -70,7 +70,7 @@ class Lead:
 
 @dataclass
 class Thrust:
-    """A push of given size along a line until the tool has gone its way; the hand goes with the tool.
+    """A push of given size along a line until the tool has gone its path; the hand goes with the tool.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class Thrust:
 
     @property
     def share(self) -> float:
-        """Share of the way that the tool has gone, 0 to 1."""
+        """Share of the path that the tool has gone, 0 to 1."""
         gone = float((self.tool.tip_m - self.start_m) @ self.path_m) / float(self.path_m @ self.path_m)
         return min(max(gone, 0.0), 1.0)
 

@@ -22,13 +22,13 @@ LEAST_N, LEAST_N_s_m = 1e-3, 1.0
 TOO_MUCH = 1.2
 """Force of a cut over the spring's pull from which the balance is found anew: they differ by what changes in a tick."""
 LEAST_M = 2e-6
-"""Way from which the stiffness of a tissue is learnt [m]."""
+"""Displacement from which the stiffness of a tissue is learnt [m]."""
 ROUNDING = 1e-9
 """Share of a stretch that counts as none."""
 
 
 class HeldTool(Protocol):
-    """A law for the pose of a tool; the spring's pull is the stiffness times the way to the device.
+    """A law for the pose of a tool; the spring's pull is the stiffness times the distance to the device.
 
     The device is where it would have the tool: its position in the tool's metres, its turn from its first orientation.
     """
@@ -38,7 +38,7 @@ class HeldTool(Protocol):
     pressed: float
     """Share of the force that would make a resting tool cut, see `ToolMotion`."""
     driven: bool
-    """Whether its last way was made against resistance, and so at a speed of its own."""
+    """Whether its last motion was made against resistance, and so at a speed of its own."""
 
     @property
     def quaternion(self) -> Quaternion:
@@ -50,14 +50,14 @@ class HeldTool(Protocol):
         ...
 
     def lands(self, response: Response, heading: Array) -> bool:
-        """Whether this answer to its new place tells that it has met more than it knew of, so that it follows anew."""
+        """Whether this answer to its new place shows that it has met more than it knew of, so that it follows anew."""
         ...
 
 
 class CuttingTool:
     """A tool in a tissue that yields only by being cut, such as bone.
 
-    The tip moves along the pull, by a way s in the step T that balances spring, cutting resistance and edge force at
+    The tip moves along the pull, by a length s in the step T that balances spring, cutting resistance and edge force at
     its end (implicit, for resistances up to 1e5 N s/m)::
 
         k (|x_device - x| - s) = edge + c s / T,    s >= 0
@@ -128,7 +128,7 @@ class PressingTool:
 
     The tip is where spring and tissue balance, k (x_device - x) + F(x) = 0, by one Newton step a tick from the force F
     and stiffness K of the last one: x' = x + (k + K)^-1 (k (x_device - x) + F). A tissue that does not know its K is
-    taken as alike in all directions, as stiff as its force has changed along the tip's last ways; a greater value
+    taken as alike in all directions, as stiff as its force has changed along the tip's last motions; a greater value
     counts at once, a smaller one gradually. A balance in which the tissue would pull where it has pushed is none: the
     tip is where the device is, and so it is where nothing touches.
 
@@ -182,7 +182,7 @@ class PressingTool:
         return self._free and any(response.wrench[:3].tolist())
 
     def _learn(self, force_N: Array) -> None:
-        """Take the stiffness from what the last way has changed."""
+        """Take the stiffness from what the last motion has changed."""
         moved, changed = self.tip_m - self._before_m, force_N - self._before_N
         square = float(moved.dot(moved))
         if square > LEAST_M**2:

@@ -21,7 +21,7 @@ FURTHEST_RAD = 2.5
 
 
 class HeldTurn:
-    """The tool's turn from its first orientation, as a unit quaternion beside the device's.
+    """The tool's turn from its first orientation, as a unit quaternion next to the device's.
 
     Spring and tissue balance, k theta + T = 0, with theta the rotation vector from tool to device and T the torque on
     the tool about its tip, by one Newton step a tick from the torque of the last one. The tissue is taken as alike

@@ -28,7 +28,7 @@ class ProbingTool:
     """The god-object of a tool of any shape: where it would be if nothing could be pushed into.
 
     Contacts of the shell's points with the bone balance the springs of translation and rotation, see
-    :class:`tissue.haptics.proxy.proxy.Proxy`; the bone is read where it stands, in voxels that others may carve.
+    :class:`tissue.haptics.proxy.proxy.Proxy`; the bone is read in place, in voxels that others may carve.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class ProbingTool:
         self.quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
     def meet(self, shell: ToolShell, field: ContactField) -> Proxy:
-        """Stand where the tool starts, before what it may touch; the shell is in the world's axes there.
+        """Begin where the tool starts, before what it may touch; the shell is in the world's axes there.
 
         Raises
         ------

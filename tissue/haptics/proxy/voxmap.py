@@ -1,6 +1,6 @@
 """What a rigid tool may touch: bone in voxels, and exact half-spaces, boxes and balls.
 
-The voxels are read where they stand, in the store that a cutter carves: nothing is copied and nothing has to be brought
+The voxels are read in place, in the store that a cutter carves: nothing is copied and nothing has to be brought
 up to date, see :mod:`kernels.voxmap`. A deformable organ does not belong here: its contact moves the surface as well as
 the tool and is solved where the organ's compliance is known, so there the tool itself is the proxy.
 """
@@ -35,7 +35,7 @@ class HalfSpace:
     point_m
         A point of the plane [m], shape (3,).
     normal
-        The way out, shape (3,); any length but 0.
+        The direction out, shape (3,); any length but 0.
     """
 
     point_m: Array
@@ -134,10 +134,10 @@ class ContactField:
         self.arrays = arrays
 
     def distance(self, points_m: Array) -> tuple[Array, Array]:
-        """Distance [m] to the nearest thing, shape (n,), and the way out of it, shape (n, 3), at points, shape (n, 3).
+        """Distance [m] to the nearest solid, shape (n,), and the direction out, shape (n, 3), at points, shape (n, 3).
 
         Exact for solids. For voxels the distance to where their surface is felt, first order in it within half a voxel;
-        farther off a lower bound and the way (0, 0, 0).
+        farther off a lower bound and the direction (0, 0, 0).
         """
         points = np.ascontiguousarray(points_m, dtype=np.float64)
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():

@@ -92,7 +92,7 @@ class Carver:
         self._next_group = 0
         # Groups follow the world's lattice, so that the same cut in a larger region is visited at the same ticks.
         self._first_group = int(np.rint(self._origin / (BRICK * spacing)).sum()) % PHASES
-        self._debt = 0.0  # visits owed for the way made so far
+        self._debt = 0.0  # visits owed for the path so far
         self._behind = 0  # groups that have not seen the present pose
         self._heading = np.zeros((2, 3))
         self._now = np.zeros(6)
@@ -128,7 +128,7 @@ class Carver:
         """Carve what the tool reaches at its new pose; a slow tool's carving is spread over ticks."""
         now = self._pose_of(motion)
         if self._behind > 0 and np.vdot(motion.heading, self._heading) < TURN * np.vdot(self._heading, self._heading):
-            self._visit(PHASES)  # the tool turns: first complete what it cut on its old way
+            self._visit(PHASES)  # the tool turns: first complete what it cut on its old path
         self._heading[:] = motion.heading
         moved = now - self._pose.host[0]
         step = sqrt(moved[:3].dot(moved[:3])) + self._lever * sqrt(moved[3:].dot(moved[3:]))
@@ -153,7 +153,7 @@ class Carver:
         return now
 
     def _sweep(self, now: NDArray[np.float64], *, parts: int) -> None:
-        """Carve a fast tool at several poses on its way."""
+        """Carve a fast tool at several poses on its path."""
         before = self._pose.host[0].copy()
         for part in range(1, parts + 1):
             pose = before + part / parts * (now - before)

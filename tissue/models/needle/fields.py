@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 SIDE_M = 0.08
 """Side of the block across the needle [m]."""
 BELOW_M = 0.03
-"""Tissue between the deepest tip and the floor [m]."""
+"""Tissue between the deepest tip and the base [m]."""
 COARSE_M, FINE_M, GROWTH = 0.01, 2.2e-3, 0.75
 """Bricks of the block [m], longest edge on the track [m], and how much edges grow with the distance from it."""
 ON_TRACK_M = 1e-9
@@ -40,7 +40,7 @@ ON_TRACK_M = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Where a needle goes in, which way, and how far.
+    """Where a needle goes in, its direction and depth.
 
     Attributes
     ----------
@@ -176,13 +176,13 @@ class NeedleFields:
         self._fields.compute()
 
     def note(self, tissue: NeedleTissue) -> str:
-        """A sentence on what the fields are, and the force that their block takes beside that of the needle's model."""
+        """A sentence on what the fields are, and the force of their block besides that of the needle's model."""
         puncture = tissue.membranes[0].puncture_N if tissue.membranes else tissue.cutting_N
         moved, deepest = tissue.deflection_m(puncture), self.track.deepest_m
         entry, shaft = (float(self.forces_N(moved, inserted).sum()) for inserted in (0.0, deepest))
         size = " x ".join(f"{1e3 * side:.0f}" for side in np.ptp(self.series.nodes_m, axis=0))
         return (
-            f"the linear-elastic answer of a block of {size} mm around the first track, its floor held, to the "
+            f"the linear-elastic answer of a block of {size} mm around the first track, its base held, to the "
             "deflection that the needle's model gives: a picture, not a second model of the force. To move by "
             f"{1e3 * moved:.1f} mm it takes {entry:.2g} N at the entry and {shaft:.2g} N along {1e3 * deepest:.0f} mm "
             f"of shaft, where the needle's model has {puncture:.2f} N: the block has neither capsule nor strain "

@@ -25,7 +25,7 @@ class Insertion:
 
     A shaft sticks when its motion stops, turns round, falls below half the band of speeds that counts as rest, or when
     the tip meets something that stops it. Viscous friction acts on the needle but does not deflect the organ, so that
-    the state depends on where the needle has been and not on how finely its way was cut. The tissue is punctured, cut
+    the state depends on where the needle has been not on how finely its path was cut. The tissue is punctured, cut
     and rubbed, never healed; the work of every one of these is lost, and only the organ's energy can come back.
 
     Not modelled: relaxation at rest, mass of the organ, force across the axis, bending, and stiffness that changes with
@@ -95,7 +95,7 @@ class Insertion:
         """Elastic, cutting and friction part of the pull [N]; they add up to it.
 
         While the shaft slides they are what the membranes hold, the tip cuts and the shaft rubs. While it sticks only
-        the pull is known: up to the sliding force it is shared in the same proportion, what goes beyond is told as
+        the pull is known: up to the sliding force it is shared in the same proportion, what goes beyond is reported as
         elastic before an intact membrane and as friction elsewhere.
         """
         pull, length = self.pull_N, self.inserted_m

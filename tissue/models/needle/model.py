@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["NeedleModel"]
 
 LEAST_COSINE = 0.17
-"""The needle's axis must meet the surface at more than 10 degrees: the model knows no force across the axis."""
+"""The needle's axis must meet the surface at more than 10 degrees: the model has no force across the axis."""
 
 
 class NeedleModel:

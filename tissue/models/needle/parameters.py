@@ -28,7 +28,7 @@ class Membrane:
     puncture_N
         Force of the tip at which it breaks [N].
     hold_N
-        Force with which the edge of its hole clings to the shaft [N], either way: the elastic force that is left after
+        Force with which the edge of its hole clings to the shaft [N], in or out: the elastic force that is left after
         the puncture.
     """
 
@@ -75,11 +75,11 @@ class ShaftFriction:
     def __post_init__(self) -> None:
         for entry in fields(self):
             require_range(entry.name, getattr(self, entry.name), 0.0, GREATEST_N_M, "give its size, in SI units")
-        for way in ("in", "out"):
-            sliding, static = getattr(self, f"sliding_{way}_N_m"), getattr(self, f"static_{way}_N_m")
+        for side in ("in", "out"):
+            sliding, static = getattr(self, f"sliding_{side}_N_m"), getattr(self, f"static_{side}_N_m")
             if static < sliding:
                 raise InputError(
-                    f"static_{way}_N_m must be at least sliding_{way}_N_m ({sliding:g}), got {static:g}: a shaft at "
+                    f"static_{side}_N_m must be at least sliding_{side}_N_m ({sliding:g}), got {static:g}: a shaft at "
                     "rest is not easier to move than a sliding one"
                 )
 

@@ -40,14 +40,14 @@ OUTCOMES = tuple(ContactOutcome)
 START_M = 1e-6
 """How far a tool may enter the organ where it starts [m]."""
 REACH_M = 1e-4
-"""Distance beyond the largest displacement at which triangles are watched [m]."""
+"""Distance beyond the largest displacement at which triangles are searched [m]."""
 
 
 class SurfaceContact:
     """A tool and the surface of an organ that answers by its compliance.
 
-    Each solve is one tick: what slipped and what stuck follows from the tool's way since the last solve, so call it
-    once for every pose on the way. Unilateral contact with Coulomb friction, implicit: slip counts over the whole tick.
+    Each solve is one tick: what slipped and what stuck follows from the tool's path since the last solve, so call it
+    once for every pose. Unilateral contact with Coulomb friction, implicit: slip counts over the whole tick.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ class SurfaceContact:
         self._placed = True
 
     def forget(self) -> None:
-        """Drop all forces and the tool's way so far."""
+        """Drop all forces and the tool's path so far."""
         self._points.force.zero_()
         self._body.force.zero_()
         self._patch.moved.zero_()
@@ -278,7 +278,7 @@ class SurfaceContact:
         return self._result
 
     def _keep(self, tip_m: Array, rotation: Array) -> None:
-        """The pose that the next solve's way starts from."""
+        """The pose that the next solve's path starts from."""
         rows = self._pose.host
         rows[4], rows[5:8] = tip_m, rotation
 

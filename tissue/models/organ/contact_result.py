@@ -12,11 +12,11 @@ Array = NDArray[np.float64]
 
 
 class ContactOutcome(Enum):
-    """How a contact solve ended; the value says what to do about it."""
+    """How a contact solve ended; the value holds the remedy."""
 
     CONVERGED = "the forces hold to the tolerance"
     NOT_CONVERGED = "the sweeps ran out: allow more, loosen the tolerance, or move the tool in smaller steps"
-    IMMOVABLE = "the tool enters where supports leave the organ no way out: hold fewer nodes, or press elsewhere"
+    IMMOVABLE = "the tool enters where the organ's supports do not yield: hold fewer nodes, or press elsewhere"
     MISSING = "the compliance of nodes in reach is not there: fill the blocks of nodes_in_reach before the solve"
 
 

@@ -1,6 +1,6 @@
 """Tools that press on an organ: a sphere, a flat cylinder, and any shape as a shell of points.
 
-A tool's tip is the origin of its frame and its z axis runs from the tip to the shank. Each tool says what kind of
+A tool's tip is the origin of its frame and its z axis runs from the tip to the shank. Each tool states what kind of
 distance the contact kernels take (`kind`, `size_m`), how far apart the organ's contact points may lie so that the tool
 does not slip between them (`spacing_m`), and the ball that bounds the part of it that may touch first.
 """
@@ -229,7 +229,7 @@ class ShellProbe:
 
 
 def _thinned(centres: Array, normals: Array, areas: Array, side: float) -> tuple[NDArray[np.int64], Array]:
-    """One point for each cube of a side and each way that its surface faces, shape (k,), and the areas of these."""
+    """One point for each cube of a side and each side that its surface faces, shape (k,), and the areas of these."""
     normal = np.abs(normals).argmax(axis=1)
     faces = 2 * normal + (np.take_along_axis(normals, normal[:, None], axis=1)[:, 0] > 0.0)
     cells = np.column_stack([np.floor(centres / side).astype(np.int64), faces])

@@ -20,7 +20,7 @@ __all__ = ["Change", "ParticleBody"]
 
 Array = NDArray[np.float64]
 INNER_STRENGTH = 0.1
-"""Least that leaves no cell singular at an error beside that of no stabilisation (table of test_tooth_sphere.py)."""
+"""Least that leaves no cell singular at an error next to that of no stabilisation (table of test_tooth_sphere.py)."""
 LEAST_FILL = 1e-3
 """Fill below which a cell carries nothing: its share of the stiffness is below what one particle's place decides."""
 MORE_ITERATIONS = 1.5
@@ -104,7 +104,7 @@ class ParticleBody:
         return nodes
 
     def set_remaining(self, particles: NDArray[np.integer], steps: NDArray[np.integer]) -> None:
-        """Say what is left of particles, by the caller's index, in steps of 1/65535; `update` makes it count."""
+        """Set what is left of particles, by the caller's index, in steps of 1/65535; `update` makes it count."""
         rows = self.cells.rank[particles]
         left = self.cells.remaining
         changed = left[rows] != steps

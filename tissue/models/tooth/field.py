@@ -86,7 +86,7 @@ class StressField:
         self._particle_at = np.full(tooth.shape, -1, dtype=np.int64)
         self._particle_at[solid] = np.arange(len(places))
         particles = _particles(tooth, places)
-        self._whole = tooth.fraction[solid] / 255.0 * FULL_STEPS  # steps of one fine voxel's worth of each particle
+        self._whole = tooth.fraction[solid] / 255.0 * FULL_STEPS  # steps of each particle, in fine voxels
         self._lost = np.zeros(len(places))
         origin = cell_m * np.floor(particles.position_m.min(axis=0) / cell_m)
         grid = HexGrid.around(particles.position_m, edge_m=cell_m, origin_m=origin)

@@ -1,4 +1,4 @@
-"""A tooth under a bur: milled like bone, with the pulp watched and, where asked for, stress and displacement."""
+"""A tooth under a bur: milled like bone, with the distance to the pulp and, if asked for, the stress."""
 
 import numpy as np
 import warp as wp
@@ -20,7 +20,7 @@ __all__ = ["ToothModel"]
 WARM_EVERY_S = 0.02
 """Time between two steps of the heat [s]."""
 WARN_M = (1.0e-3, 0.5e-3)
-"""Dentin over the pulp at which its loss is told [m]; below 0.5 mm the pulp is at risk (memory of the literature)."""
+"""Dentin over the pulp at which its loss is reported [m]; below 0.5 mm it is at risk (memory of the literature)."""
 
 
 class ToothModel:
@@ -31,8 +31,8 @@ class ToothModel:
     the voxels hold no pulp it is not measured: the pulp is then farther away than the margin around the bur's reach.
 
     The tooth's displacement follows the force at every tick by the compliance of its ligament, since enamel does not
-    bend. Stress is solved beside the ticks, on a copy of the voxels and the force taken every ``interval_s``; the
-    result is told one interval later, so that it is the same however long the solve took.
+    bend. Stress is solved in the background, on a copy of the voxels and the force taken every ``interval_s``; the
+    result is recorded one interval later, so that it is the same however long the solve took.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ class ToothModel:
         return self.milling.remaining()
 
     def _report_pulp(self, near_m: float) -> None:
-        """Keep the least distance and say when a limit or the pulp itself is passed."""
+        """Keep the least distance and report when a limit or the pulp itself is passed."""
         before, self._least_m = self._least_m, min(self._least_m, near_m)
         for limit in WARN_M:
             if self._least_m < limit <= before:

@@ -1,4 +1,4 @@
-"""Preconditioned conjugate gradients that say how they ended."""
+"""Preconditioned conjugate gradients that return how they ended."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -122,5 +122,5 @@ def conjugate_gradients(
 
 
 def dot(a: Array, b: Array) -> float:
-    """Scalar product, summed the same way on any number of cores."""
+    """Scalar product, summed in the same order on any number of cores."""
     return float(np.einsum("ij,ij->", a, b))

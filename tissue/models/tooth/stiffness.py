@@ -26,7 +26,7 @@ class CellStiffness:
     particles, grid
         The body, and a grid whose cells hold all of its particles.
     inner_strength
-        Share of a full cell's inner stiffness that stands in for what the particles of a cell miss.
+        Share of a full cell's inner stiffness that replaces what the particles of a cell miss.
     cores
         Processor cores to split launches over; default all.
 
@@ -93,14 +93,14 @@ class CellStiffness:
         return np.asarray(self.live_on.numpy())
 
     def set_remaining(self, rows: NDArray[np.integer], steps: NDArray[np.uint16]) -> None:
-        """Say what is left of sorted particles; `update` their cells to make it count."""
+        """Set what is left of sorted particles; `update` their cells to make it count."""
         left = self.remaining
         left[rows] = steps
         if self.device != "cpu":
             self.remaining_on.assign(left)
 
     def set_live(self, live: NDArray[np.bool_]) -> None:
-        """Say which cells carry load, shape (c,)."""
+        """Set which cells carry load, shape (c,)."""
         self.live_on.assign(live.astype(np.uint8))
 
     def run(self, kernel: Any, dim: int, inputs: list[Any], outputs: list[Any]) -> None:

@@ -50,7 +50,7 @@ def cell_stress(cells: CellStiffness, displacement_m: Array) -> Stress:
 
 
 def node_average(grid: HexGrid, cell_values: Array, weights: Array) -> Array:
-    """Mean of cell values, shape (c, k), over the cells around each node, weighted (by fill, say); 0 where none is."""
+    """Mean of cell values, shape (c, k), over the cells around each node, weighted (as by fill); 0 where none is."""
     around = grid.node_cells
     share = np.where(around >= 0, weights[around], 0.0)
     total = share.sum(axis=1)

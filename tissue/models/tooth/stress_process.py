@@ -1,7 +1,7 @@
-"""Stress beside the ticks: solved when it is due, here or in a process of its own.
+"""Stress in the background: solved when it is due, here or in a process of its own.
 
 Ticks and solves in one Python process wait for each other's interpreter lock, at 99 % for most of a millisecond. A
-process of its own is told what the bur took away and with what force it pushed; its frames come when the run ends.
+separate process receives what the bur took away and with what force it pushed; its frames come when the run ends.
 """
 
 import os

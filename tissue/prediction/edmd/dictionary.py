@@ -18,7 +18,7 @@ class Dictionary(ABC):
     """Observables φ(x) of a state x. The state itself leads them, once, so that its first entries decode it.
 
     A dictionary with `lags` earlier states in it takes windows of shape (..., (lags + 1) d), newest state first; the
-    state that leads is then the whole window, and its newest d entries come first. A further dictionary says what
+    state that leads is then the whole window, and its newest d entries come first. A further dictionary states what
     follows the state: `extra_size`, `extra` and `extra_rates`; all work over any leading axes, one sample included.
     """
 

@@ -140,7 +140,7 @@ def _table(name: str, values: object) -> Array:
 
 
 def _refuse_constant(name: str, tables: list[Array]) -> None:
-    """Refuse a column that never varies: it cannot be told from the constant."""
+    """Refuse a column that never varies: it cannot be separated from the constant."""
     if not tables:
         return
     lowest = np.min([each.min(axis=0) for each in tables], axis=0)

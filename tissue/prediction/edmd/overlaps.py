@@ -1,4 +1,4 @@
-"""Observables that tell how deep a contact is, now and some steps ahead."""
+"""Observables for the depth of a contact, now and some steps ahead."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 class Overlaps(Dictionary):
     """max(0, -g) of the gap g = normal · x + distance that a steady speed leads to after each of `leads` steps.
 
-    The speed is the way of the last `span` steps over these, long enough to see past the steps of an encoder. A
+    The speed is the path of the last `span` steps over these, long enough to see past the steps of an encoder. A
     unilateral spring met at a steady speed is linear in these observables before it is touched, which no combination
     of earlier positions and forces is. One product with a matrix gives all of them.
 

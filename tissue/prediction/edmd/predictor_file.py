@@ -120,7 +120,7 @@ def read_predictor(path: str | Path, *, scene: str | None = None) -> StoredPredi
     if not path.is_file():
         raise InputError(f"predictor file must be an existing file, got {path}: train it with 'tissue train'")
     again = f"train it again with 'tissue train {scene or 'SCENE'}'"
-    if not is_zipfile(path):  # NumPy would take it for a pickle, and say how to load one
+    if not is_zipfile(path):  # NumPy would take it for a pickle
         raise InputError(f"predictor file must be whole and one that 'tissue train' wrote, got {path}: {again}")
     try:
         with np.load(path, allow_pickle=False) as archive:

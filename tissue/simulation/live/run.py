@@ -26,17 +26,17 @@ from tissue.system.offscreen import await_display, display_problem
 __all__ = ["LiveObserver", "live", "moved_by"]
 
 LONGEST_S = 600.0
-"""How long a run by the mouse lasts where nobody says [s]; its trace is held in memory."""
+"""How long a run by the mouse lasts without a duration [s]; its trace is held in memory."""
 STANDS_FOR = "touch"
 """Device whose numbers a mouse takes in a scene without one."""
 ROAM_MM, ROAM_ON_WALL_MM = 8.0, 40.0
-"""How far beside the scripted way the pointer may take the tool; a wall goes on for ever."""
+"""How far from the scripted path the pointer may take the tool; a wall goes on for ever."""
 LOOK_TICKS = 200
 """Ticks between two looks whether the window's process is still there and draws."""
 STALLED_S, HELD_S = 3.0, 60.0
 """How long a window may draw nothing before the run waits for it, and how long it waits [s]."""
 ABOVE_M, BELOW_M = 0.02, 0.01
-"""How far the pointer may draw a tool back from the scripted way and press a probe beyond it [m]; a tool that cuts it
+"""How far the pointer may draw a tool back from the scripted path and press a probe beyond it [m]; a tool that cuts it
 presses as far as there is bone beyond what the script reaches."""
 
 
@@ -63,7 +63,7 @@ def live(
     """Simulate a scene against the wall clock, in a window with the mouse as device or, without a display, scripted.
 
     The tool hangs on the mouse as on the scene's device, by the same spring, and the forces that the device would play
-    are in the trace and shown; in a scene without a device a mouse stands for a touch. A tick has missed its deadline
+    are in the trace and shown; in a scene without a device a mouse acts as a touch. A tick has missed its deadline
     if it is not done within 1 ms of when it was due. See `WallClock` for what happens when the ticks fall behind.
     Ctrl-C or closing the window ends the run, and what there is of it is a run like any other.
 
@@ -74,7 +74,7 @@ def live(
         leaves one to it by default.
     duration_s
         How long a run by the mouse lasts [s]; without it until the window is closed, 600 s at most. A scripted run
-        lasts as long as its scene says.
+        lasts as long as its scene states.
 
     Raises
     ------
@@ -142,7 +142,7 @@ class LiveObserver:
             self._handler = signal.signal(signal.SIGINT, self._stop)
 
     def before_tick(self, index: int) -> None:
-        """Wait until a tick is due, and for a window that stands still; take what the pointer wants by then."""
+        """Wait until a tick is due, and for a window that hangs; take what the pointer wants by then."""
         if self._window is not None and index % LOOK_TICKS == 0:
             self._hold(self._window, index)
         self._clock.wait(index)
@@ -212,9 +212,9 @@ def _start_m(scene: Scene) -> tuple[float, float, float]:
 
 
 def _box(scene: Scene, parts: Parts) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Corners of the box in which the pointer may move the tool [m]: around the scripted way, and back from it."""
-    way = parts.motion.sweep_m()
+    """Corners of the box in which the pointer may move the tool [m]: around the scripted path, and back from it."""
+    path = parts.motion.sweep_m()
     axis = parts.motion.rotations()[0][:, 2]
     below_m = 1e-3 * scene.voxels.margin_mm if isinstance(scene.tool, Tool) else BELOW_M
-    points: Any = np.concatenate([way + ABOVE_M * axis, way - below_m * axis])
+    points: Any = np.concatenate([path + ABOVE_M * axis, path - below_m * axis])
     return points.min(axis=0), points.max(axis=0)

@@ -23,7 +23,7 @@ ALIGNED = 64
 class SharedArrays:
     """Named arrays in one mapped file; both sides write and read them as NumPy arrays, without a call to the system.
 
-    What must be read whole goes through `write` and `read`: the reader tries again while a write is under way. There is
+    What must be read whole goes through `write` and `read`: the reader tries again while a write is running. There is
     one writer for each array.
 
     Parameters
@@ -62,14 +62,14 @@ class SharedArrays:
         return self._arrays[name]
 
     def write(self, name: str, values: NDArray[Any]) -> None:
-        """Write an array whose name with ``_turn`` is its counter, odd while the write is under way."""
+        """Write an array whose name with ``_turn`` is its counter, odd while the write is running."""
         turn = self._arrays[f"{name}_turn"]
         turn[0] += 1
         self._arrays[name][:] = values
         turn[0] += 1
 
     def read(self, name: str) -> tuple[int, NDArray[Any]] | None:
-        """The number of an array's writes and a whole copy of it; None where a writer was in the way, or died there."""
+        """The number of an array's writes and a whole copy of it; None where a writer was busy, or died."""
         turn, values = self._arrays[f"{name}_turn"], self._arrays[name]
         for _ in range(TRIES):
             before = int(turn[0])

@@ -100,7 +100,7 @@ class OrganShared:
     Parameters
     ----------
     organ
-        The organ; it tells `fields` and `displacement_m`.
+        The organ; it holds `fields` and `displacement_m`.
     """
 
     def __init__(self, organ: Any) -> None:
@@ -116,7 +116,7 @@ class OrganShared:
         }
 
     def publish(self, arrays: SharedArrays, index: int) -> None:
-        """Tell the displacement where it is time."""
+        """Write the displacement where it is time."""
         if index % MOVED_TICKS == 0:
             arrays.write("moved", self._organ.displacement_m()[: len(arrays["moved"])])
 

@@ -26,11 +26,11 @@ __all__ = ["CLOCK", "WindowProcess"]
 MODULE = "tissue.viewer.live.live_window"
 """What is run in the other process; it lies above and is named, not imported."""
 CLOCK = ("tick_us", "late_us", "missed", "skipped_ms")
-"""What a window is told of the clock."""
+"""What a window receives of the clock."""
 ROW_TICKS = 8
-"""Ticks between two rows that a window is told."""
+"""Ticks between two rows that a window receives."""
 COLOURS = re.compile(r"\x1b\[[0-9;]*m")
-"""Colours of a terminal in what a process says."""
+"""Colours of a terminal in what a process prints."""
 CLOSES_S = 10.0
 """How long a window may take to close [s]."""
 OPENS_S = 120.0
@@ -39,7 +39,7 @@ FOLDER = "tissue-live-"
 
 
 class WindowProcess:
-    """A window that shows a run while it goes on, and tells where the pointer wants the tool.
+    """A window that shows a run while it goes on, and reports where the pointer wants the tool.
 
     The ticks never wait for it: both sides map the same memory. Nothing of it is interrupted by Ctrl-C, and it ends by
     itself when the ticks do.
@@ -93,7 +93,7 @@ class WindowProcess:
         start: dict[str, Any] = {**box, **self._shared.start}
         np.savez(self._folder / "start.npz", allow_pickle=False, **start)
         self._shared.publish(self.arrays, 0)
-        with (self._folder / "said.txt").open("w+", encoding="utf-8", errors="replace") as output:
+        with (self._folder / "output.txt").open("w+", encoding="utf-8", errors="replace") as output:
             self._child = subprocess.Popen(
                 child_command(MODULE, str(self._folder)),
                 stdin=subprocess.PIPE,
@@ -102,7 +102,7 @@ class WindowProcess:
                 start_new_session=True,
                 text=True,
             )
-        self._words = (self._folder / "said.txt").open(encoding="utf-8", errors="replace")
+        self._words = (self._folder / "output.txt").open(encoding="utf-8", errors="replace")
         try:
             last = self._unready()
         except BaseException:
@@ -119,7 +119,7 @@ class WindowProcess:
         shutil.rmtree(self._folder, ignore_errors=True)  # both sides have it open: nothing is left behind by a kill
 
     def _unready(self) -> str | None:
-        """Wait for the window to stand; why it does not, or None."""
+        """Wait for the window to open; why it does not, or None."""
         stdout, first, patience = (
             self._child.stdout,
             SimpleQueue[str](),
@@ -136,7 +136,7 @@ class WindowProcess:
             except Empty:
                 why = patience.look()
             except subprocess.TimeoutExpired:
-                return "its process says nothing"
+                return "its process does not answer"
             if why is not None:
                 return f"it {why}"
 
@@ -151,7 +151,7 @@ class WindowProcess:
         return bool(self._closed[0])
 
     def failed(self) -> str | None:
-        """What its process said last if that has ended though nobody closed it, else None."""
+        """What its process printed last if that has ended though nobody closed it, else None."""
         return self._last_words() if self._child.poll() is not None and not self.closed else None
 
     def pointed_m(self) -> tuple[float, float, float] | None:
@@ -163,7 +163,7 @@ class WindowProcess:
         return 1e-3 * float(x), 1e-3 * float(y), 1e-3 * float(z)
 
     def show(self, index: int, row: NDArray[np.float64], clock: tuple[float, float, float, float]) -> None:
-        """Tell a tick's row of the trace, and what the clock says, see `CLOCK`."""
+        """Send a tick's row of the trace and of the clock, see `CLOCK`."""
         if index % ROW_TICKS == 0:
             self._row[: len(row)], self._row[len(row) :] = row, clock
             self.arrays.write("row", self._row)
