@@ -1,6 +1,6 @@
 """One tick of a proxy: a rigid tool goes as near to where its device is as the things around it allow.
 
-From its last pose the tool descends in steps no longer than the path that is surely free, or half a voxel beside
+From its last pose the tool descends in steps no longer than the path that is surely free, or half a voxel near
 something; every step solves the contacts at hand, and one that ends too deep is taken back and halved. So the proxy
 stays on the side of a wall on which it was, however fast the device went through (Zilles and Salisbury 1995, IROS;
 Ruspini, Kolarov and Khatib 1997, SIGGRAPH).
@@ -123,7 +123,7 @@ def advance_proxy(
     ended = int(GOES_ON)
     while steps < settings.step_limit and ended == GOES_ON:
         steps += 1
-        wanted = ZERO  # beside something every step is short, so that no point needs to wake for a long one
+        wanted = ZERO  # near something every step is short, so that no point needs to wake for a long one
         if reaction.pressing == 0:
             wanted = pose_distance(
                 descent.trial_position, descent.trial_rotation, goal_position, goal_rotation, turning

@@ -16,9 +16,9 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 GOES_ON, AT_REST, OUT_OF_SOLVES = 0, 1, 2
 """Ends of a step."""
 STALLS = 2
-"""Steps in a row that hardly lower the springs' energy: beside voxels the proxy swings over creases, and may rest."""
+"""Steps in a row that hardly lower the springs' energy: near voxels the proxy swings over creases, and may rest."""
 LITTLE = wp.constant(wp.float64(1.0e-4))
-"""Share of the springs' energy by which a step must lower it beside voxels."""
+"""Share of the springs' energy by which a step must lower it near voxels."""
 TOO_DEEP = wp.constant(wp.float64(0.1))
 """Share of a step by which a point may sink in before the step is taken back."""
 ZERO = wp.constant(wp.float64(0.0))
@@ -33,7 +33,7 @@ class DescentSettings:
 
     compliance: wp.float64  # 1 / l^2 [1/m2], 0 for a tool that does not turn
     friction: wp.float64
-    step: wp.float64  # longest step beside something [m]
+    step: wp.float64  # longest step near something [m]
     tolerance: wp.float64  # step below which the proxy has settled [m]
     step_limit: int
     solve_limit: int

@@ -154,7 +154,7 @@ def resolve(
             before = rub
             arm_before = arm
             rub, arm = friction_force(contacts, members, compliance, friction, shift, turn, before)
-            if k > 0:  # half way, lest two sets of planes take turns
+            if k > 0:  # halve it, lest two sets of planes take turns
                 rub = HALF * (rub + before)
                 arm = HALF * (arm + arm_before)
             dragged = turn + compliance * wp.cross(arm, rub)

@@ -62,10 +62,11 @@ class GuardLimits:
 class SampleGuard:
     """Judges every sample and limits the force that follows from it.
 
-    Call `validate_sample` with the device's sample, then `limit_force` with the force that the loop has found for a good
-    sample, or with None after a bad one. A bad sample makes the last good force fade in a straight line, to exactly zero after
-    ``fade_s``; good ones bring the force back as slowly. Forces are bounded always. What is not a sample at all, by its
-    type or its number of entries, is a mistake in the device's class and not a fault of the moment: it is an error.
+    Call `validate_sample` with the device's sample, then `limit_force` with the force that the loop has found for a
+    good sample, or with None after a bad one. A bad sample makes the last good force fade in a straight line, to
+    exactly zero after ``fade_s``; good ones bring the force back as slowly. Forces are bounded always. What is not
+    a sample at all, by its type or its number of entries, is a mistake in the device's class and not a fault of the
+    moment: it is an error.
 
     Parameters
     ----------

@@ -42,11 +42,11 @@ __all__ = ["Proxy", "ProxyOutcome", "ProxyResult"]
 
 Array = NDArray[np.float64]
 STEP_M = 2.5e-4
-"""Longest step beside solids [m]."""
+"""Longest step near solids [m]."""
 STEP_VOXELS = 0.5
-"""Longest step beside voxels [voxel]."""
+"""Longest step near voxels [voxel]."""
 TOLERANCE_M, TOLERANCE_VOXELS = 1e-12, 1e-3
-"""Step below which the proxy has settled: rounding beside exact solids, a thousandth voxel beside voxels."""
+"""Step below which the proxy has settled: rounding near exact solids, a thousandth voxel near voxels."""
 _POSITION = slice(POSITION, POSITION + 3)
 _ROTATION = slice(ROTATION, ROTATION + 4)
 _FORCE = slice(FORCE, FORCE + 3)
