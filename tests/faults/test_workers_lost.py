@@ -81,10 +81,10 @@ def test_a_drawing_in_another_thread_ends_on_request(drawing, monkeypatch):
 
 
 def test_an_exception_during_a_drawing_does_not_wait_for_it(drawing, monkeypatch):
-    from tissue.figures.report import _beside
+    from tissue.figures.report import _background
 
     monkeypatch.setattr("tissue.system.child.IDLE_S", 600.0)
-    with pytest.raises(KeyboardInterrupt), _beside() as thread:
+    with pytest.raises(KeyboardInterrupt), _background() as thread:
         thread.submit(draw_apart, "drawing", str(drawing))
         number_in(drawing)
         raise KeyboardInterrupt
