@@ -10,13 +10,14 @@ from time import perf_counter
 import numpy as np
 from harness import cost_of, machine, table
 
-from tissue.builders.prediction import PREDICTORS, trained_predictor
+from tissue.builders.prediction import trained_predictor
 from tissue.evaluation.training.recording import Recorder, Recording, trial
 from tissue.prediction.edmd.edmd import Edmd
 from tissue.prediction.edmd.online import Online
 from tissue.prediction.predictor import Predictor
 from tissue.prediction.trained import Trained, shipped_file
 from tissue.scene.load import load_scene
+from tissue.scene.registry import PREDICTORS
 
 LEAD = 6
 FIT_SAMPLES = 100_000

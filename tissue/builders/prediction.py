@@ -9,10 +9,9 @@ from tissue.prediction.guard import Guarded
 from tissue.prediction.koopman import Koopman
 from tissue.prediction.predictor import Hold, Predictor
 from tissue.prediction.trained import Trained, shipped_file
+from tissue.scene.registry import PREDICTORS
 
-__all__ = ["PREDICTORS", "predictor", "trained_predictor"]
-
-PREDICTORS = ("hold", "linear", "kalman", "dmdc", "koopman")
+__all__ = ["dmdc", "hold", "kalman", "koopman", "linear", "predictor", "trained_predictor"]
 
 
 def predictor(kind: str, *, scene_name: str, file: str, force_limit_N: float, tick_s: float) -> Predictor:
@@ -21,7 +20,7 @@ def predictor(kind: str, *, scene_name: str, file: str, force_limit_N: float, ti
     Parameters
     ----------
     kind
-        One of `PREDICTORS`; dmdc and koopman are trained.
+        One of `PREDICTORS`.
     scene_name
         Name of the scene, which the file must be of.
     file
@@ -36,10 +35,8 @@ def predictor(kind: str, *, scene_name: str, file: str, force_limit_N: float, ti
     InputError
         If there is none of that kind, or its file is missing, damaged, or of another version, scene or tick.
     """
-    if kind not in PREDICTORS:
-        raise InputError(f"prediction must be one of {', '.join(PREDICTORS)}, got {kind}: choose one of these")
     trained = None
-    if kind in ("dmdc", "koopman"):
+    if PREDICTORS[kind].trained:
         if abs(tick_s - TICK_S) > 1e-9:
             raise InputError(
                 f"device must have a tick of {1e3 * TICK_S:g} ms for a trained predictor, got {1e3 * tick_s:g}: use "
@@ -51,14 +48,41 @@ def predictor(kind: str, *, scene_name: str, file: str, force_limit_N: float, ti
 
 
 def trained_predictor(kind: str, trained: Trained | None, *, force_limit_N: float) -> Predictor:
-    """A predictor by its name, guarded, with what was trained for it."""
-    match kind:
-        case "linear":
-            return Guarded(Linear(), Hold(), reach_N=force_limit_N)
-        case "kalman":
-            return Guarded(Kalman(), Hold(), reach_N=force_limit_N)
-        case "dmdc" if trained is not None:
-            return Guarded(LinearControl(trained.control), Hold(), reach_N=force_limit_N)
-        case "koopman" if trained is not None:
-            return Guarded(Koopman(trained.operator, trained.terms), Linear(), reach_N=trained.terms.reach_N)
+    """A predictor by its name in `PREDICTORS`, guarded, with what was trained for it.
+
+    Raises
+    ------
+    InputError
+        If there is none of that kind, or nothing was trained for one that needs it.
+    """
+    entry = PREDICTORS[kind]
+    if entry.trained and trained is None:
+        raise InputError(f"trained must be given for {kind}, got nothing: pass Trained.read(FILE)")
+    return entry.predictor(trained, force_limit_N)
+
+
+def hold(trained: Trained | None, force_limit_N: float) -> Predictor:
+    """The last force stays."""
     return Hold()
+
+
+def linear(trained: Trained | None, force_limit_N: float) -> Predictor:
+    """The force goes on along its line."""
+    return Guarded(Linear(), Hold(), reach_N=force_limit_N)
+
+
+def kalman(trained: Trained | None, force_limit_N: float) -> Predictor:
+    """The force goes on as a Kalman filter estimates it."""
+    return Guarded(Kalman(), Hold(), reach_N=force_limit_N)
+
+
+def dmdc(trained: Trained | None, force_limit_N: float) -> Predictor:
+    """Linear dynamic mode decomposition with control."""
+    assert trained is not None
+    return Guarded(LinearControl(trained.control), Hold(), reach_N=force_limit_N)
+
+
+def koopman(trained: Trained | None, force_limit_N: float) -> Predictor:
+    """The lifted predictor, which hands over to a line."""
+    assert trained is not None
+    return Guarded(Koopman(trained.operator, trained.terms), Linear(), reach_N=trained.terms.reach_N)

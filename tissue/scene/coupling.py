@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from meshes.base.errors import InputError
 from tissue.scene.anatomy import Part
-from tissue.scene.registry import RENDERERS, OneOf
+from tissue.scene.registry import PREDICTORS, RENDERERS, OneOf
 
 __all__ = [
     "Coupling", "DeviceName", "Fidelity", "HandName", "PerceptionName", "PredictionName", "RendererName", "WallAnatomy",
@@ -15,7 +15,7 @@ __all__ = [
 DeviceName = Literal["none", "touch", "omni", "six-dof"]
 HandName = Literal["novice", "intermediate", "expert"]
 RendererName = Annotated[str, OneOf(RENDERERS)]
-PredictionName = Literal["none", "hold", "linear", "kalman", "dmdc", "koopman"]
+PredictionName = Annotated[str, OneOf(PREDICTORS, ("none",))]
 PerceptionName = Annotated[
     str,
     Field(

@@ -15,8 +15,10 @@ from meshes.base.errors import InputError
 if TYPE_CHECKING:
     from tissue.haptics.loop.sampled_loop import WallLoop
     from tissue.haptics.renderer import Renderer
+    from tissue.prediction.predictor import Predictor
+    from tissue.prediction.trained import Trained
 
-__all__ = ["RENDERERS", "OneOf", "Registry", "nearest", "unknown_name"]
+__all__ = ["PREDICTORS", "RENDERERS", "OneOf", "PredictorEntry", "Registry", "loaded", "nearest", "unknown_name"]
 
 T = TypeVar("T")
 
@@ -31,6 +33,15 @@ def unknown_name(key: str, known: Iterable[str], got: str) -> str:
     """The sentence that refuses a name which is not one of those known."""
     known = list(known)
     return f"{key} must be one of {', '.join(known)}, got {got}{nearest(got, known)}: choose one of these"
+
+
+def loaded(part: T | str) -> T:
+    """A part as it is, imported where it is named as ``module:name``."""
+    if not isinstance(part, str):
+        return part
+    module, _, attribute = part.partition(":")
+    found: T = getattr(import_module(module), attribute)
+    return found
 
 
 class Registry(Generic[T]):
@@ -60,12 +71,7 @@ class Registry(Generic[T]):
     def __getitem__(self, name: str) -> T:
         if name not in self._parts:
             raise InputError(unknown_name(self.key, self, name))
-        part = self._parts[name]
-        if isinstance(part, str):
-            module, _, attribute = part.partition(":")
-            loaded: T = getattr(import_module(module), attribute)
-            self._parts[name] = part = loaded
-        return part
+        return loaded(self._parts[name])
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -131,3 +137,41 @@ RENDERERS: "Registry[Callable[[WallLoop], Renderer]]" = Registry(
     },
 )
 """Laws by which a device plays what the tool meets: each from the loop of its wall."""
+
+
+@dataclass(frozen=True)
+class PredictorEntry:
+    """What a table holds of a predictor.
+
+    Attributes
+    ----------
+    make
+        Makes one from what was trained for the scene, None for one that is not trained, and the device's greatest force
+        [N].
+    trained
+        Whether it needs what `tissue train` writes.
+    colour, marker
+        Its own in charts, as matplotlib has them.
+    """
+
+    make: "Callable[[Trained | None, float], Predictor] | str"
+    trained: bool = False
+    colour: str = "#D55E00"
+    marker: str = "*"
+
+    def predictor(self, trained: "Trained | None", force_limit_N: float) -> "Predictor":
+        """A new predictor."""
+        return loaded(self.make)(trained, force_limit_N)
+
+
+PREDICTORS: Registry[PredictorEntry] = Registry(
+    "prediction",
+    {
+        "hold": PredictorEntry("tissue.builders.prediction:hold", colour="0.45", marker="s"),
+        "linear": PredictorEntry("tissue.builders.prediction:linear", colour="#E69F00", marker="^"),
+        "kalman": PredictorEntry("tissue.builders.prediction:kalman", colour="#CC79A7", marker="v"),
+        "dmdc": PredictorEntry("tissue.builders.prediction:dmdc", trained=True, colour="#009E73", marker="D"),
+        "koopman": PredictorEntry("tissue.builders.prediction:koopman", trained=True, colour="#0072B2", marker="o"),
+    },
+)
+"""What predicts the force on a device; colours after Okabe and Ito (2008)."""

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from tissue.scene.anatomy import AnatomyFile, BlockAnatomy, GlenoidAnatomy, MolarAnatomy, Part
 from tissue.scene.coupling import WallAnatomy
 from tissue.scene.organ import LiverAnatomy, SlabAnatomy
+from tissue.scene.registry import PREDICTORS
 from tissue.scene.tool import Needle, Probe, ReplayMotion, ThrustMotion, Tool
 
 if TYPE_CHECKING:
@@ -99,7 +100,7 @@ def _device(scene: "Scene") -> Iterator[Rule]:
     yield "coupling.prediction_gain", scene.prediction == "none", "without a prediction", "set prediction = koopman"
     kept = scene.prediction == "hold"
     yield "coupling.prediction_gain", kept, "with prediction = hold, the present force", "set prediction = koopman"
-    trained = scene.prediction in ("dmdc", "koopman")
+    trained = scene.prediction in PREDICTORS and PREDICTORS[scene.prediction].trained
     yield "coupling.predictor_file", not trained, "unless a trained prediction is used", "set prediction = koopman"
     wall = isinstance(scene.anatomy, WallAnatomy)
     yield "coupling.roam_mm", wall, "for a wall, which goes on for ever", "set motion.points_mm"

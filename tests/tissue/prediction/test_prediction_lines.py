@@ -1,15 +1,11 @@
-"""What `tissue chart prediction` says of its figures, and that scenes and charts know the same predictors."""
-
-from typing import get_args
+"""What `tissue chart prediction` says of its figures."""
 
 import numpy as np
 import pytest
 
-from tissue.builders.prediction import PREDICTORS
 from tissue.evaluation.charts.prediction import Comparison, Interval, comparison_lines
-from tissue.evaluation.charts.prediction_picture import LOOKS
 from tissue.evaluation.training.evaluation import HORIZONS
-from tissue.scene.coupling import PredictionName
+from tissue.scene.registry import PREDICTORS
 
 
 def said(differences):
@@ -39,7 +35,3 @@ def test_the_interval_of_pairs_is_that_of_student():
     """Mean -1 %, standard deviation 0.1 %, three runs: 4.3027 is the 97.5 % quantile of t at two degrees of freedom."""
     half = 4.3027 * 0.1 / np.sqrt(3.0)
     assert f"-1.00 in pairs ({-1.0 - half:+.2f} to {-1.0 + half:+.2f})" in said([-0.009, -0.010, -0.011])
-
-
-def test_scenes_and_charts_know_every_predictor():
-    assert get_args(PredictionName) == ("none", *PREDICTORS) and set(LOOKS) == set(PREDICTORS)

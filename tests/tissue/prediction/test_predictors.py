@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tissue import InputError, load_scene
-from tissue.builders.prediction import PREDICTORS, predictor, trained_predictor
+from tissue.builders.prediction import predictor, trained_predictor
 from tissue.evaluation.training import fitting
 from tissue.evaluation.training.evaluation import forecast_errors
 from tissue.evaluation.training.fitting import fit
@@ -20,6 +20,7 @@ from tissue.prediction.guard import BLEND, PROBATION, Guarded
 from tissue.prediction.koopman import WIDTH, Koopman
 from tissue.prediction.predictor import Hold
 from tissue.prediction.trained import Trained
+from tissue.scene.registry import PREDICTORS
 
 STIFFNESS_N_M = 400.0
 ENCODER_M = 5.5e-5
@@ -124,7 +125,7 @@ def test_a_linear_model_with_control_is_exact_on_a_linear_model():
         force = A @ force + B @ np.concatenate([position + 1e-3 * step * velocity, velocity])
 
 
-@pytest.mark.parametrize("kind", PREDICTORS[1:])
+@pytest.mark.parametrize("kind", PREDICTORS.names[1:])
 def test_predictions_are_finite_whatever_comes(kind, trained):
     """NaN, infinity, jumps of metres and of 1e200; hold alone is not guarded: it repeats what it was told."""
     rng = np.random.default_rng(4)
@@ -325,6 +326,8 @@ def test_what_cannot_be_used_is_refused(trained, tmp_path):
         predictor("dmdc", scene_name="wall", file="nowhere.npz", **options)
     with pytest.raises(InputError, match=r"prediction must be one of hold, linear, .*, got arima: choose"):
         predictor("arima", scene_name="wall", file="", **options)
+    with pytest.raises(InputError, match="trained must be given for dmdc, got nothing: pass"):
+        trained_predictor("dmdc", None, force_limit_N=LIMIT_N)
     with pytest.raises(
         InputError, match=r"coupling.predictor_file must be given for a scene other than caries, .*wall"
     ):

@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from tissue import InputError, Scene, load_scene, simulate
-from tissue.scene.registry import RENDERERS, Registry
+from tissue.evaluation.charts.prediction import Comparison, Interval, comparison_lines
+from tissue.evaluation.charts.prediction_picture import draw_tasks
+from tissue.evaluation.training.evaluation import HORIZONS
+from tissue.scene.registry import PREDICTORS, RENDERERS, PredictorEntry, Registry
 
 
 @pytest.fixture
@@ -72,6 +75,44 @@ def test_a_renderer_from_outside_plays(added):
     ):
         load_scene("wall", {"renderer": "halv"})
     assert Scene.model_json_schema()["properties"]["renderer"]["enum"][-1] == "half"
+
+
+class Third:
+    """Expects a third of the last force at any time ahead."""
+
+    residual_N, is_primary = 0.0, True
+
+    def __init__(self):
+        self.force_N = np.zeros(3)
+
+    def observe(self, position_m, velocity_m_s, force_N):
+        self.force_N = self.force_N if force_N is None else force_N.copy()
+
+    def predict(self, ticks):
+        return self.force_N / 3.0 if ticks else self.force_N
+
+    def pause(self):
+        pass
+
+
+def test_a_predictor_from_outside_predicts_and_is_charted(added, tmp_path):
+    added(PREDICTORS, "third", PredictorEntry(lambda trained, force_limit_N: Third(), colour="0.2", marker="h"))
+    ahead, held = run_of(prediction="third"), run_of(prediction="hold")
+    assert force_N(ahead).max() < 0.8 * force_N(held).max()
+    with pytest.raises(
+        InputError, match=r"prediction must be one of none, hold, .*, koopman, third, got thirt \(did you"
+    ):
+        load_scene("wall", {"prediction": "thirt"})
+    with pytest.raises(
+        InputError, match=r"coupling.predictor_file must be left out unless a trained prediction is used"
+    ):
+        load_scene("wall", {"prediction": "third", "coupling.predictor_file": "mine.npz"})
+    errors = {kind: np.linspace(0.1, 0.2, 8)[:, None] * np.ones(len(HORIZONS)) for kind in PREDICTORS}
+    costs, nothing = dict.fromkeys(PREDICTORS, (1.0, 2.0)), Interval(0.0, 0.0, 0.0)
+    found = Comparison("wall", errors, costs, np.array([1.0 + 0j]), {1: nothing}, {})
+    assert any("third" in line for line in comparison_lines([found]))
+    draw_tasks([found], tmp_path / "tasks.png")
+    assert (tmp_path / "tasks.png").stat().st_size > 1000
 
 
 def test_a_part_that_was_removed_is_refused():

@@ -4,12 +4,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tissue.evaluation.atlas.drawing import BLUE, GREEN, GREY, ORANGE, RED, finish, region
+from tissue.evaluation.atlas.drawing import GREEN, GREY, finish, region
 from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
 from tissue.evaluation.atlas.tapping import LIMIT_N, TICK_S, koopman, predicted, relative_error, tapped, trained
 from tissue.prediction.baselines import Kalman, Linear
 from tissue.prediction.guard import Guarded
 from tissue.prediction.predictor import Hold, Predictor
+from tissue.scene.registry import PREDICTORS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
 __all__ = ["HORIZON"]
 
 STIFFNESS_N_M = 800.0
-STYLES = {"hold": (GREY, "v"), "linear": (ORANGE, "^"), "kalman": (RED, "s"), "koopman": (BLUE, "o")}
 LABELS = {
     "hold": "hold",
     "linear": "straight line",
@@ -106,7 +106,8 @@ def draw(data: Data, chart: "Figure") -> None:
     axes, table = chart.subplots(), data["horizon"]
     horizon = table["ahead_ms"]
     region(axes, Conduct.HOLDS, horizon[0], LEADS_MS)
-    for name, (colour, marker) in STYLES.items():
+    for name in LABELS:
+        colour, marker = PREDICTORS[name].colour, PREDICTORS[name].marker
         axes.loglog(horizon, 100.0 * table[name], marker, color=colour, label=LABELS[name])
     axes.loglog(horizon, 100.0 * table["theory_hold"], color=GREY, label="theory of hold: rate × horizon")
     axes.axhline(100.0, color=GREEN, linestyle=":", label="as far off as no force at all")

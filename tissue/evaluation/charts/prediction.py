@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
-from tissue.builders.prediction import PREDICTORS, trained_predictor
+from tissue.builders.prediction import trained_predictor
 from tissue.evaluation.charts.prediction_files import FILES, write_comparisons
 from tissue.evaluation.charts.prediction_picture import draw_scene, draw_tasks
 from tissue.evaluation.training.evaluation import HORIZONS, forecast_errors
@@ -20,6 +20,7 @@ from tissue.haptics.device.device import device_parameters
 from tissue.prediction.edmd.edmd import Edmd
 from tissue.prediction.predictor import Predictor
 from tissue.prediction.trained import Trained, shipped_file
+from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Scene
 from tissue.system.outputs import require_free_folder
 

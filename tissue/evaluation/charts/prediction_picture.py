@@ -8,20 +8,13 @@ import numpy as np
 
 from tissue.evaluation.training.evaluation import HORIZONS
 from tissue.figures.figure import figure, save
+from tissue.scene.registry import PREDICTORS
 
 if TYPE_CHECKING:
     from tissue.evaluation.charts.prediction import Comparison
 
 __all__ = ["draw_scene", "draw_tasks"]
 
-LOOKS = {
-    "hold": ("0.45", "s"),
-    "linear": ("#E69F00", "^"),
-    "kalman": ("#CC79A7", "v"),
-    "dmdc": ("#009E73", "D"),
-    "koopman": ("#0072B2", "o"),
-}
-"""Colours after Okabe and Ito (2008), and marks."""
 PAPER = {"palpation": ("T1", 8.2, 3.5), "wall": ("T2", 7.1, 3.0), "milling": ("T3", 9.5, 4.2)}
 """Raw and adjusted errors [%] that a paper prints for its tasks, against its own ideal force."""
 STRONG = 1.8
@@ -51,9 +44,10 @@ def draw_tasks(found: "Sequence[Comparison]", path: Path) -> None:
     chart = figure(max(1.9 * len(found) + 1.6, 6.0), 4.4)
     axes = chart.subplots()
     chart.subplots_adjust(left=0.11, right=0.98, top=0.86, bottom=0.1)
-    width = 0.8 / (len(LOOKS) + 2)
+    width = 0.8 / (len(PREDICTORS) + 2)
     for place, each in enumerate(found):
-        for index, (kind, (colour, _)) in enumerate(LOOKS.items()):
+        for index, kind in enumerate(PREDICTORS):
+            colour = PREDICTORS[kind].colour
             at, x = each.at(kind, 4), place - 0.4 + (index + 0.5) * width
             label_text = kind if place == 0 else None
             axes.bar(x, 100 * at.mean, width, color=colour, label=label_text)
@@ -63,7 +57,7 @@ def draw_tasks(found: "Sequence[Comparison]", path: Path) -> None:
             for index, (value, fill, name) in enumerate(
                 ((raw, "none", "paper, raw"), (adjusted, "0.1", "paper, adjusted"))
             ):
-                x = place - 0.4 + (len(LOOKS) + index + 0.5) * width
+                x = place - 0.4 + (len(PREDICTORS) + index + 0.5) * width
                 first = not any(other.scene in PAPER for other in found[:place])
                 axes.plot(x, value, "*", color="0.1", markerfacecolor=fill, markersize=9, label=name if first else None)
     names = [f"{PAPER[each.scene][0]} {each.scene}" if each.scene in PAPER else each.scene for each in found]
@@ -79,7 +73,8 @@ def draw_tasks(found: "Sequence[Comparison]", path: Path) -> None:
 
 
 def _over_horizon(axes: Any, found: "Comparison") -> None:
-    for kind, (colour, mark) in LOOKS.items():
+    for kind in PREDICTORS:
+        colour, mark = PREDICTORS[kind].colour, PREDICTORS[kind].marker
         at = [found.at(kind, horizon) for horizon in HORIZONS]
         strong = STRONG if kind == "koopman" else 1.1
         axes.plot(
@@ -93,7 +88,8 @@ def _over_horizon(axes: Any, found: "Comparison") -> None:
 
 
 def _over_cost(axes: Any, found: "Comparison") -> None:
-    for kind, (colour, mark) in LOOKS.items():
+    for kind in PREDICTORS:
+        colour, mark = PREDICTORS[kind].colour, PREDICTORS[kind].marker
         at, (median, p99) = found.at(kind, 4), found.cost_us[kind]
         axes.plot([median, p99], [100 * at.mean] * 2, color=colour, alpha=0.5)
         axes.plot(median, 100 * at.mean, mark, color=colour, label=kind, markersize=6)
@@ -109,7 +105,7 @@ def _spectrum(axes: Any, found: "Comparison") -> None:
     turn = np.linspace(0.0, 2.0 * np.pi, 200)
     axes.plot(np.cos(turn), np.sin(turn), color="0.6", linewidth=0.8)
     values = found.eigenvalues
-    axes.plot(values.real, values.imag, "o", color=LOOKS["koopman"][0], markersize=3, alpha=0.7)
+    axes.plot(values.real, values.imag, "o", color=PREDICTORS["koopman"].colour, markersize=3, alpha=0.7)
     largest = float(np.abs(values).max())
     axes.set(xlabel="real", ylabel="imaginary", aspect="equal")
     axes.set_title(f"{len(values)} eigenvalues, largest {largest:.5f}", fontsize=9)
@@ -119,13 +115,16 @@ def _spectrum(axes: Any, found: "Comparison") -> None:
 def _sizes(axes: Any, found: "Comparison") -> None:
     sizes, at = list(found.sizes), list(found.sizes.values())
     bars = [[100 * (a.mean - a.low) for a in at], [100 * (a.high - a.mean) for a in at]]
-    axes.errorbar(sizes, [100 * a.mean for a in at], bars, fmt="-o", color=LOOKS["koopman"][0], capsize=3, ms=4)
+    axes.errorbar(
+        sizes, [100 * a.mean for a in at], bars, fmt="-o", color=PREDICTORS["koopman"].colour, capsize=3, ms=4
+    )
     axes.set(xlabel="runs trained on", ylabel="koopman's error 4 ms ahead / %", ylim=(0, None))
     axes.grid(alpha=0.3)
 
 
 def _slow(axes: Any, found: "Comparison") -> None:
-    for kind, (colour, mark) in LOOKS.items():
+    for kind in PREDICTORS:
+        colour, mark = PREDICTORS[kind].colour, PREDICTORS[kind].marker
         slow = found.slow[kind]
         bars = [[100 * (slow.error.mean - slow.error.low)], [100 * (slow.error.high - slow.error.mean)]]
         axes.errorbar(slow.cost_us, 100 * slow.error.mean, bars, fmt=mark, color=colour, ms=6, label=f"100 Hz, {kind}")
@@ -138,13 +137,17 @@ def _slow(axes: Any, found: "Comparison") -> None:
 
 def _spread(axes: Any, found: "Comparison") -> None:
     column = HORIZONS.index(4)
-    for place, (kind, (colour, _)) in enumerate(LOOKS.items()):
+    for place, kind in enumerate(PREDICTORS):
+        colour = PREDICTORS[kind].colour
         values = 100 * found.errors[kind][:, column]
         aside = np.linspace(-0.25, 0.25, len(values))
         axes.plot(place + aside, np.sort(values), ".", color=colour, markersize=4)
         axes.plot([place - 0.3, place + 0.3], [np.median(values)] * 2, color="0.1", linewidth=1.2)
     axes.set(
-        xticks=range(len(LOOKS)), xticklabels=list(LOOKS), ylabel="error 4 ms ahead of each run / %", ylim=(0, None)
+        xticks=range(len(PREDICTORS)),
+        xticklabels=PREDICTORS.names,
+        ylabel="error 4 ms ahead of each run / %",
+        ylim=(0, None),
     )
     axes.tick_params(axis="x", labelsize=8)
     axes.grid(axis="y", alpha=0.3)

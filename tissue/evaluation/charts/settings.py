@@ -4,11 +4,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from tissue.builders.prediction import PREDICTORS
 from tissue.builders.registry import cutter_of
 from tissue.scene.load import changed
 from tissue.scene.organ import LayersAnatomy, LiverAnatomy, SlabAnatomy
-from tissue.scene.registry import RENDERERS
+from tissue.scene.registry import PREDICTORS, RENDERERS
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 
@@ -186,7 +185,7 @@ def _loops(scene: Scene, *, quick: bool) -> Iterator[Setting]:
     for law in RENDERERS:
         if not quick or law == "proxy":
             yield Setting(law, "loop", plain | {"renderer": law, "prediction": "none"}, lost)
-    for kind in PREDICTORS[1:]:
+    for kind in PREDICTORS.names[1:]:
         if not quick or kind in ("kalman", "koopman"):
             yield Setting(kind, "loop", plain | {"prediction": kind}, lost)
     for kind in ("hold", "koopman") if quick else PREDICTORS:

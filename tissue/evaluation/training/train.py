@@ -6,12 +6,13 @@ import numpy as np
 
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
-from tissue.builders.prediction import PREDICTORS, trained_predictor
+from tissue.builders.prediction import trained_predictor
 from tissue.evaluation.training.evaluation import HORIZONS, forecast_errors
 from tissue.evaluation.training.fitting import fit
 from tissue.evaluation.training.recording import Recorder, Recording, trial
 from tissue.haptics.device.device import device_parameters
 from tissue.prediction.trained import Trained
+from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Scene
 
 __all__ = ["LEAST_TRIALS", "TRIALS", "train", "validated"]
