@@ -143,7 +143,9 @@ def main() -> None:
     for line in ended.stdout.splitlines():
         if line.startswith("ENTERED"):
             entered = line.split()[1:]
-            print(f"{chosen.scene} from the command to the first tick enters {len(entered)} modules: {', '.join(entered)}")
+            print(
+                f"{chosen.scene} from the command to the first tick enters {len(entered)} modules: {', '.join(entered)}"
+            )
         if line.startswith("CALLS") and (root / "tests" / "test_architecture.py").is_file():
             up = [pair for pair in line.split()[1:] if climbs(root, *pair.split(">"))]
             print(f"calls to a module of a higher layer: {len(up)}: {', '.join(up)}")
