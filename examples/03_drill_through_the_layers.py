@@ -64,8 +64,8 @@ def main(out: Path | None = None) -> None:
     print(f"axial force: {enamel:.3f} N in enamel, {dentin:.3f} N in dentin, ratio {enamel / dentin:.1f}")
     print(f"enamel ends at {felt:.2f} mm by the force, at {true:.2f} mm by the voxels")
     print(f"dentin left over the pulp: {left:.2f} mm")
-    for time_s, said in run.events:
-        print(f"after {time_s:.2f} s: {said}")
+    for time_s, event in run.events:
+        print(f"after {time_s:.2f} s: {event}")
 
     assert abs(enamel - 1.120) < 0.01
     assert abs(dentin - 0.136) < 0.002
@@ -73,7 +73,7 @@ def main(out: Path | None = None) -> None:
     assert abs(enamel / dentin - 8.2) < 0.1
     assert abs(felt - 1.39) < 0.01 and abs(true - 1.35) < 0.01
     assert abs(left - 0.60) < 0.02
-    assert [said for _, said in run.events] == ["less than 1 mm of dentin is left over the pulp"]
+    assert [event for _, event in run.events] == ["less than 1 mm of dentin is left over the pulp"]
     if out is not None:
         draw(run, (enamel, dentin), felt, true, out)
         print("picture in", out)

@@ -47,8 +47,8 @@ def insert_twice() -> tuple[dict[str, np.ndarray], list[tuple[float, str]]]:
 def main(out: Path | None = None) -> None:
     trace, events = insert_twice()
     travel, force = trace["travel_mm"], trace["force_N"]
-    for at_mm, said in events:
-        print(f"at {at_mm:5.1f} mm: {said}")
+    for at_mm, event in events:
+        print(f"at {at_mm:5.1f} mm: {event}")
 
     first = int(np.flatnonzero(travel > DEEP_MM - 1e-6)[0])
     last = first + int(np.argmin(travel[first:]))

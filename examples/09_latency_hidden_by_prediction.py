@@ -32,8 +32,8 @@ def run(hand: str, seed: int, prediction: str) -> Table:
 
 def error(trace: Table) -> float:
     """Error of the played force against the undelayed one."""
-    undelayed, played = trace.vectors("raw_force", "N"), trace.vectors("filtered_force", "N")
-    return float(np.linalg.norm(played - undelayed) / np.linalg.norm(undelayed))
+    reference, played = trace.vectors("raw_force", "N"), trace.vectors("filtered_force", "N")
+    return float(np.linalg.norm(played - reference) / np.linalg.norm(reference))
 
 
 def main(out: Path | None = None) -> None:
@@ -61,11 +61,11 @@ def draw(traces: dict[str, Table], out: Path) -> None:
     figure, panels = pyplot.subplots(1, 2, figsize=(9.0, 3.6), sharey=True, layout="constrained")
     for panel, kind in zip(panels, ("none", "koopman"), strict=True):
         trace = traces[kind]
-        undelayed, played = trace["raw_force_z_N"], trace["filtered_force_z_N"]
-        first = int(np.flatnonzero(undelayed)[0])
+        reference, played = trace["raw_force_z_N"], trace["filtered_force_z_N"]
+        first = int(np.flatnonzero(reference)[0])
         shown = slice(first - 15, first + 75)
         time_ms = 1e3 * (trace["time_s"][shown] - trace["time_s"][first])
-        panel.plot(time_ms, undelayed[shown], color="0.15", linewidth=2.0, label="undelayed")
+        panel.plot(time_ms, reference[shown], color="0.15", linewidth=2.0, label="undelayed")
         panel.plot(time_ms, played[shown], color="#D55E00", linestyle="--", linewidth=1.6, label="played")
         panel.set(title=PREDICTIONS[kind], xlabel="time since the touch / ms")
         panel.grid(alpha=0.3)

@@ -23,8 +23,8 @@ def main() -> None:
         method: {metric: table.where(method=method).values(metric).mean() for metric in ("force_error", "latency_ms")}
         for method in PLAN.methods
     }
-    for method, own in means.items():
-        print(f"{method}: force error {100 * own['force_error']:.1f} %, {own['latency_ms']:.1f} ms late")
+    for method, figures in means.items():
+        print(f"{method}: force error {100 * figures['force_error']:.1f} %, {figures['latency_ms']:.1f} ms late")
     plain, ahead = means["penalty"], means["koopman"]
     assert 0.02 < plain["force_error"] < 0.1 and ahead["force_error"] < 0.85 * plain["force_error"]
     assert plain["latency_ms"] - ahead["latency_ms"] > 2.0

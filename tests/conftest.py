@@ -34,8 +34,8 @@ def command(monkeypatch, capfd):
         capfd.readouterr()
         with pytest.raises(SystemExit) as ended:
             main()
-        said = capfd.readouterr()
-        return ended.value.code, said.out, said.err
+        message = capfd.readouterr()
+        return ended.value.code, message.out, message.err
 
     return run
 
@@ -45,10 +45,10 @@ def refused(command):
     """Run the command with bad input; return the one sentence that it says."""
 
     def run(*arguments):
-        code, _, said = command(*arguments)
-        assert code == 2, said
-        assert said.startswith("error: ") and said.endswith("\n") and said.count("\n") == 1, said
-        return said.removeprefix("error: ").removesuffix("\n")
+        code, _, message = command(*arguments)
+        assert code == 2, message
+        assert message.startswith("error: ") and message.endswith("\n") and message.count("\n") == 1, message
+        return message.removeprefix("error: ").removesuffix("\n")
 
     return run
 

@@ -141,8 +141,8 @@ def test_a_module_has_a_docstring(module):
     for name in loaded.__all__:
         thing = getattr(loaded, name)
         code = getattr(thing, "func", thing)  # of a Warp function or kernel
-        own = getattr(code, "__module__", "").split(".")[0] in PACKAGES
-        if own and (inspect.isclass(code) or inspect.isfunction(code)):
+        is_ours = getattr(code, "__module__", "").split(".")[0] in PACKAGES
+        if is_ours and (inspect.isclass(code) or inspect.isfunction(code)):
             assert (code.__doc__ or "").strip(), f"{name} has no docstring"
         if inspect.isclass(thing) and thing.__module__ == module:
             for method, code in vars(thing).items():
@@ -198,9 +198,9 @@ def test_a_foreign_package_of_the_same_name_is_reported(tmp_path, name, module):
     else:
         (tmp_path / f"{name}.py").write_text("raise SystemExit('it was imported')")
     code = f"import sys; sys.path.insert(0, {str(ROOT)!r}); sys.path.insert(0, {str(tmp_path)!r}); import tissue"
-    said = fresh(code).stderr.splitlines()[-1]
+    message = fresh(code).stderr.splitlines()[-1]
     found = tmp_path / name if module else tmp_path
-    assert said == (
+    assert message == (
         f"ImportError: tissue needs its own package {name} at {ROOT / name}, got {found}: uninstall the other {name} "
         "or reinstall tissue-sim in a fresh environment"
     )

@@ -104,8 +104,8 @@ def staircase() -> None:
         errors["adaptive"].append(np.abs(np.log(found.threshold_N(2.0)[0] / truth)))
         for name, each in stairs.items():
             each.answer(people.correct(2.0, each.level, rng))
-            told = each.threshold() * D_PRIME_75 / d_prime_of_correct(each.target)
-            errors[name].append(np.abs(np.log(told / truth)))
+            result = each.threshold() * D_PRIME_75 / d_prime_of_correct(each.target)
+            errors[name].append(np.abs(np.log(result / truth)))
     needed = {}
     for name, each in errors.items():
         beyond = np.median(each, axis=1)[::-1] > np.log(1.1)
@@ -224,17 +224,17 @@ def scenes() -> None:
                     offset_N=np.full(PEOPLE, turning.offset),
                 )
                 right = share_right(people, one, two, seed=1, limits=ForceRange(limit_N=1e3))
-                told = ("no map of torque", "")
+                result = ("no map of torque", "")
             else:
                 texture = 0.1 if "texture" in name else 0.0
                 right = share_right(people, one, two, seed=1, texture_share=texture)
                 commands = calibrated_commands(people, rng)
                 scaled = share_right(people, one, two, seed=1, commands=commands, texture_share=texture)
                 gain = gain_of(right, scaled, rng)
-                told = (f"{100 * gain.after:.1f}", f"{gain.percent:+.1f} ({gain.low:+.1f} to {gain.high:+.1f})")
+                result = (f"{100 * gain.after:.1f}", f"{gain.percent:+.1f} ({gain.low:+.1f} to {gain.high:+.1f})")
             error = 196.0 * right.std() / len(right) ** 0.5
             levels = f"{one.level_N:.3f}, {two.level_N:.3f}"
-            rows.append((name, levels, group, f"{100 * right.mean():.1f} ± {error:.1f}", *told, paper))
+            rows.append((name, levels, group, f"{100 * right.mean():.1f} ± {error:.1f}", *result, paper))
     head = ("stimuli", "levels / N or N m", "group", "right / %", "calibrated / %", "change / %", "paper")
     print(table(rows, head))
 

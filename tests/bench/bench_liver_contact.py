@@ -51,8 +51,8 @@ def slab() -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
 
 def tip(depth: float, tick: int) -> np.ndarray:
     """Down to the depth, then along a slanted line."""
-    way = max(0, tick - PRESS_TICKS) * FEED_M
-    return np.array([way, 0.4 * way, -depth * min(1.0, tick / PRESS_TICKS)])
+    travel = max(0, tick - PRESS_TICKS) * FEED_M
+    return np.array([travel, 0.4 * travel, -depth * min(1.0, tick / PRESS_TICKS)])
 
 
 class NumpyContact:
@@ -77,10 +77,10 @@ class NumpyContact:
         spread = np.zeros((len(near), len(named)))
         np.add.at(spread, (np.arange(len(near))[:, None], place.reshape(corners.shape)), weights)
         between = self.blocks[named][:, :, named]
-        own = np.einsum("pa,aibj,qb->piqj", spread, between, spread, optimize=True)
-        inverse = np.linalg.inv(own[np.arange(len(near)), :, np.arange(len(near)), :])
+        mutual = np.einsum("pa,aibj,qb->piqj", spread, between, spread, optimize=True)
+        inverse = np.linalg.inv(mutual[np.arange(len(near)), :, np.arange(len(near)), :])
         force = self.force[near]
-        moved = np.einsum("piqj,qj->pi", own, force)
+        moved = np.einsum("piqj,qj->pi", mutual, force)
         anchor = self.rest[near] + moved + at - last
         for _ in range(sweeps):
             for i in range(len(near)):
@@ -99,7 +99,7 @@ class NumpyContact:
                     new = np.zeros(3)
                 elif size > FRICTION * press:
                     new = press * normal + FRICTION * press / size * side
-                moved += own[:, :, i] @ (new - force[i])
+                moved += mutual[:, :, i] @ (new - force[i])
                 force[i] = new
         self.force[:] = 0.0
         self.force[near] = force

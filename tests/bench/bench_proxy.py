@@ -62,8 +62,8 @@ def crossing(speed_m_s: float):
     """Device up and down through the face."""
 
     def pose(tick: int) -> tuple[np.ndarray, np.ndarray]:
-        way = (speed_m_s * TICK_S * tick) % 0.024
-        return np.array([0.0, 0.0, 8e-3 - abs(way - 0.012)]), np.array([0.0, 0.0, 0.0, 1.0])
+        travel = (speed_m_s * TICK_S * tick) % 0.024
+        return np.array([0.0, 0.0, 8e-3 - abs(travel - 0.012)]), np.array([0.0, 0.0, 0.0, 1.0])
 
     return pose
 

@@ -25,11 +25,11 @@ def study(users: int = 10, trials: int = 10) -> TrialTable:
     rows = []
     for group in ("expert", "intermediate", "novice"):
         for user in range(users):
-            own, tastes = rng.normal(), 0.5 * rng.normal(size=4)
+            level, tastes = rng.normal(), 0.5 * rng.normal(size=4)
             for trial in range(trials):
                 shared = 0.7 * rng.normal()
                 for index, method in enumerate(("energy", "koopman", "penalty", "perception")):
-                    value = own + tastes[index] + shared + rng.normal()
+                    value = level + tastes[index] + shared + rng.normal()
                     row = {"task": "wall", "group": group, "user": f"u{user}", "trial": trial, "method": method}
                     rows.append(row | {"seed": 0, "force_error": value, "latency_ms": 4.0 + 0.2 * value + rng.normal()})
     return TrialTable.from_rows(rows)

@@ -330,10 +330,10 @@ def main() -> None:
             print(series.__name__, flush=True)
     rows = []
     for name, points in found.items():
-        told = [exponent(points, of, upper=upper) for of in ("time", "memory") for upper in (False, True)]
-        why = [BECAUSE.get((name, of), "NOT EXPLAINED") for of, power in (("time", told[1]), ("memory", told[3])) if power > ABOVE]  # fmt: skip
+        exponents = [exponent(points, of, upper=upper) for of in ("time", "memory") for upper in (False, True)]
+        why = [BECAUSE.get((name, of), "NOT EXPLAINED") for of, power in (("time", exponents[1]), ("memory", exponents[3])) if power > ABOVE]  # fmt: skip
         rows.append((name, f"{points[0].size:.0f}-{points[-1].size:.0f}", f"{points[0].time_us:.0f}-{points[-1].time_us:.0f}",
-                     f"{points[-1].memory / 1e6:.3g}", *(f"{each:.2f}" for each in told), "; ".join(why)))  # fmt: skip
+                     f"{points[-1].memory / 1e6:.3g}", *(f"{each:.2f}" for each in exponents), "; ".join(why)))  # fmt: skip
     print(
         table(
             rows,

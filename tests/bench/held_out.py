@@ -188,10 +188,10 @@ def cost(name: str) -> list[float]:
     points = [min(each, key=lambda point: point.median_us) for each in zip(*rounds, strict=True)]
     ratios, rows = [], []
     for index, point in enumerate(points):
-        told = CostModel.fitted(points[:index] + points[index + 1 :]).tick_us(point)
-        ratios.append(told / point.median_us)
+        predicted_us = CostModel.fitted(points[:index] + points[index + 1 :]).tick_us(point)
+        ratios.append(predicted_us / point.median_us)
         rows.append((point.setting, f"{point.elements}", f"{point.met:.0f}", f"{point.median_us:.0f}",
-                     f"{told:.0f}", f"{100 * (ratios[-1] - 1):+.0f} %"))  # fmt: skip
+                     f"{predicted_us:.0f}", f"{100 * (ratios[-1] - 1):+.0f} %"))  # fmt: skip
     print(f"\n{name}: {CostModel.fitted(points)}")
     print(table(rows, ("setting", "elements", "met", "tick us", "predicted", "off")), flush=True)
     return ratios

@@ -98,8 +98,8 @@ def main() -> None:
                 (name, kind, f"{at['tick']:.0f}", f"{at['p99']:.0f}", *(f"{at[s]:.0f}" for s in STAGES), largest)
             )
             if given.deep:
-                told = [f"{100 * share:.0f} % {what} ({calls:.3g} calls)" for what, share, calls in deepest(short)]
-                deep.append(f"{name}, {kind}: " + "; ".join(told))
+                shares = [f"{100 * share:.0f} % {what} ({calls:.3g} calls)" for what, share, calls in deepest(short)]
+                deep.append(f"{name}, {kind}: " + "; ".join(shares))
             print(f"{name}, {kind}", flush=True)
     print("\n" + table(rows, ("scene", "moved by", "tick", "99 %", *STAGES, "largest")))
     print("\n" + "\n".join(deep))

@@ -235,9 +235,9 @@ def refusal(path):
 @pytest.mark.parametrize("name", BAD)
 def test_known_bad_image_is_refused(tmp_path, name, capfd):
     make, expected = BAD[name]
-    said = refusal(make(tmp_path))
-    assert re.search(expected, said), said
-    assert said.count("\n") == 0 and ": " in said
+    message = refusal(make(tmp_path))
+    assert re.search(expected, message), message
+    assert message.count("\n") == 0 and ": " in message
     assert capfd.readouterr().err == ""
 
 

@@ -67,17 +67,17 @@ def test_a_normal_end_ramps_the_force_off(kind):
 )
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_exception_in_read_ends_at_zero_and_raises_one_sentence(kind, error, tmp_path):
-    device, own = kind(raising(error)), isinstance(error, Exception)
-    with pytest.raises(DeviceError if own else type(error)) as raised:
+    device, is_error = kind(raising(error)), isinstance(error, Exception)
+    with pytest.raises(DeviceError if is_error else type(error)) as raised:
         pressed(device, out=tmp_path / "run")
     assert_left_alone(device)
     saved = SavedRun(tmp_path / "run")
     assert len(saved.trace.rows) == round(PRESSED_S / TICK_S)
     assert saved.status == ("interrupted" if isinstance(error, KeyboardInterrupt) else "failed")
-    if own:
-        said = str(raised.value)
-        assert said.startswith(f"device.read must not fail, got {type(error).__name__}") and "\n" not in said
-        assert "at 0.300 s: check the device" in said and saved.problem == said
+    if is_error:
+        message = str(raised.value)
+        assert message.startswith(f"device.read must not fail, got {type(error).__name__}") and "\n" not in message
+        assert "at 0.300 s: check the device" in message and saved.problem == message
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -152,8 +152,8 @@ def test_a_loop_that_hangs_lets_the_device_go_and_takes_it_up_again(monkeypatch)
 
     monkeypatch.setattr(HandMotion, "play", slow)
     pressed(device)
-    before, told = stood[0]
-    assert not any(told) and device.sizes_N[before - 1] > PUSHING_N
+    before, commanded = stood[0]
+    assert not any(commanded) and device.sizes_N[before - 1] > PUSHING_N
     slew = device_parameters("touch").force_slew_N_ms
     back = device.sizes_N[before : before + 100]
     assert np.diff(back).max() <= slew * (1 + 1e-9) and back.max() > PUSHING_N
@@ -181,19 +181,19 @@ sys.path.insert(0, sys.argv[1])
 from device_doubles import Managed
 from tissue import load_scene, simulate
 
-class Told(Managed):
+class Recorded(Managed):
     def read(self, time_s):
         if time_s >= 0.35:
             print("pressed", flush=True)
             threading.Event().wait(0.02)
         return super().read(time_s)
 
-device = Told()
+device = Recorded()
 try:
     simulate(load_scene("wall", {"duration_s": 60.0}), device=device, out=Path(sys.argv[2]))
 finally:
-    told = [list(map(float, device.commands[-1])), float(max(device.sizes_N)), device.left]
-    Path(sys.argv[3]).write_text(json.dumps(told))
+    report = [list(map(float, device.commands[-1])), float(max(device.sizes_N)), device.left]
+    Path(sys.argv[3]).write_text(json.dumps(report))
 """
 
 
@@ -208,8 +208,8 @@ finally:
     ],
 )
 def test_a_signal_ends_at_zero(name, tmp_path):
-    out, said = tmp_path / "run", tmp_path / "last"
-    command = [sys.executable, "-c", CHILD, str(Path(__file__).parents[1] / "fixtures"), str(out), str(said)]
+    out, message = tmp_path / "run", tmp_path / "last"
+    command = [sys.executable, "-c", CHILD, str(Path(__file__).parents[1] / "fixtures"), str(out), str(message)]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     try:
         while (line := child.stdout.readline()) and line != "pressed\n":
@@ -218,7 +218,7 @@ def test_a_signal_ends_at_zero(name, tmp_path):
         child.communicate(timeout=60)
     finally:
         child.kill()
-    last, greatest, left = json.loads(said.read_text("utf-8"))
+    last, greatest, left = json.loads(message.read_text("utf-8"))
     assert last == [0.0] * 6 and greatest > PUSHING_N and left == 1
     assert (SavedRun(out).status, SavedRun(out).problem) == ("interrupted", "Ctrl-C" if name == "SIGINT" else name)
     assert child.returncode != 0
@@ -269,19 +269,19 @@ def test_a_faulty_device_passes_on_that_it_is_entered_and_left():
 
 
 @pytest.mark.parametrize(
-    ("sample", "said"),
+    ("sample", "message"),
     [
         ((0.0, 0.0, 0.02), "device.read must return a Sample or None, got tuple: use tissue.haptics.Sample"),
         (None, ""),
     ],
 )
-def test_what_is_no_sample_is_an_error(sample, said):
+def test_what_is_no_sample_is_an_error(sample, message):
     device = Recording()
     device.read = lambda time_s: sample
-    if said:
+    if message:
         with pytest.raises(InputError) as raised:
             pressed(device)
-        assert str(raised.value).startswith(said)
+        assert str(raised.value).startswith(message)
     else:
         assert not pressed(device).trace["raw_force_z_N"].any()
     assert_left_alone(device, pushed=False)

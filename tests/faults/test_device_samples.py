@@ -152,7 +152,7 @@ def test_what_cannot_be_is_a_fault(sample, what):
 
 
 @pytest.mark.parametrize(
-    ("sample", "said"),
+    ("sample", "message"),
     [
         ((0.0, AT), "device.read must return a Sample or None, got tuple"),
         ([0.0, 0.0, 0.0], "device.read must return a Sample or None, got list"),
@@ -177,8 +177,8 @@ def test_what_cannot_be_is_a_fault(sample, what):
         (Sample(0.0, (10**400, 0.0, 0.0)), "position_m is 3 numbers"),
     ],
 )
-def test_what_is_no_sample_is_an_error_of_one_sentence(sample, said):
-    with pytest.raises(DeviceError, match=said) as raised:
+def test_what_is_no_sample_is_an_error_of_one_sentence(sample, message):
+    with pytest.raises(DeviceError, match=message) as raised:
         SampleGuard(force_limit_N=3.0).validate_sample(sample, 0.0)
     assert "\n" not in str(raised.value)
 
@@ -261,9 +261,9 @@ class Missing(ComputedDevice):
             push = -0.8 - 1.2 * np.sin(10.0 * np.pi * self.time_s)
             before = self.speed_m_s
             self.speed_m_s += step_s * (push + self.force_N - 0.2 * before) / 0.045
-            way = 0.5 * step_s * (before + self.speed_m_s)
-            self.depth_m += way
-            self.work_J += self.force_N * way
+            travel = 0.5 * step_s * (before + self.speed_m_s)
+            self.depth_m += travel
+            self.work_J += self.force_N * travel
             self.time_s += step_s
         self.most_J = max(self.most_J, self.work_J)
         if self._gap == 0 and self._rng.random() < 0.02:

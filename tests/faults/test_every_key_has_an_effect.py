@@ -37,9 +37,9 @@ def files(tmp_path_factory):
 @pytest.fixture(autouse=True)
 def stress_in_this_process(monkeypatch):
     """A process of its own takes seconds to start and computes the same."""
-    from tissue.models.tooth import stress_process as beside
+    from tissue.models.tooth import stress_process
 
-    monkeypatch.setattr(beside, "StressProcess", beside.InlineStressSolver)
+    monkeypatch.setattr(stress_process, "StressProcess", stress_process.InlineStressSolver)
 
 
 def fingerprint(scene):
@@ -47,8 +47,8 @@ def fingerprint(scene):
     from tissue.figures.tool_mesh import tool_surface
 
     run = simulate(scene)
-    told = {k: v for k, v in run.summary().items() if k not in CLOCK}
-    digest = hashlib.blake2b(json.dumps(told, sort_keys=True, default=str).encode())
+    figures_of_run = {k: v for k, v in run.summary().items() if k not in CLOCK}
+    digest = hashlib.blake2b(json.dumps(figures_of_run, sort_keys=True, default=str).encode())
     arrays = [run.trace.rows, tool_surface(scene.tool).points]
     if (volume := run.parts.volume) is not None:
         arrays += [volume.origin_m, np.float64(volume.spacing_m), volume.fraction, volume.layer, volume.density_kg_m3]
@@ -78,13 +78,13 @@ def without_effect(kind, files, folder):
     return found
 
 
-def is_refused(key, said):
+def is_refused(key, message):
     """Whether a refusal says that a key, or the whole part that it is in, has no effect."""
-    keys, must, rest = said.partition(" must be left out ")
+    keys, must, rest = message.partition(" must be left out ")
     named = keys.replace(",", " ").split()
-    told = must and "\n" not in said and ", got " in rest and ": " in rest
-    by_data = key in BY_DATA and said.startswith(BY_DATA[key])
-    return by_data or (bool(told) and (key in named or key.split(".")[0] in named))
+    well_formed = must and "\n" not in message and ", got " in rest and ": " in rest
+    by_data = key in BY_DATA and message.startswith(BY_DATA[key])
+    return by_data or (bool(well_formed) and (key in named or key.split(".")[0] in named))
 
 
 @pytest.mark.parametrize(

@@ -47,11 +47,11 @@ def fuzz(sources, work, counts, first_seed):
         for source in paths:
             for seed in range(first_seed, first_seed + counts[reader]):
                 given = spoilt_file(folder, source, reader, seed, work)
-                outcome, said = reading.read(reader.removesuffix(" apart"), given)
+                outcome, message = reading.read(reader.removesuffix(" apart"), given)
                 outcomes[outcome] = outcomes.get(outcome, 0) + 1
-                sentence = outcome != "refused" or (said.count("\n") == 0 and ": " in said)
+                sentence = outcome != "refused" or (message.count("\n") == 0 and ": " in message)
                 if outcome not in ("read", "refused") or not sentence:
-                    wrong.append(f"{reader} of {source.name}, seed {seed}: {outcome} {said}")
+                    wrong.append(f"{reader} of {source.name}, seed {seed}: {outcome} {message}")
                 if given.is_dir():
                     shutil.rmtree(given)
     reading.close()

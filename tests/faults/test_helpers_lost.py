@@ -11,7 +11,7 @@ import psutil
 import pytest
 
 from tissue import SavedRun, load_scene, simulate
-from tissue.models.tooth import stress_process as beside
+from tissue.models.tooth import stress_process
 from tissue.system import child
 from tissue.system.child import HelperLostError, Patience, child_command
 from tissue.system.helper import Helper
@@ -96,11 +96,11 @@ def test_a_helper_that_is_stopped_is_given_up_and_sending_to_it_does_not_block(e
 
 
 @pytest.mark.parametrize(
-    ("does", "said"), [("sleep", "hangs and has done nothing for 1.5 s"), ("busy", "took longer than 2.5 s")]
+    ("does", "message"), [("sleep", "hangs and has done nothing for 1.5 s"), ("busy", "took longer than 2.5 s")]
 )
-def test_a_helper_that_hangs_or_works_for_ever_is_given_up(echo, does, said):
+def test_a_helper_that_hangs_or_works_for_ever_is_given_up(echo, does, message):
     echo.send(does)
-    with pytest.raises(HelperLostError, match=f"the process that echoes {said}"):
+    with pytest.raises(HelperLostError, match=f"the process that echoes {message}"):
         echo.receive(longest_s=2.5)
     assert gone(echo.number)
 
@@ -145,7 +145,7 @@ def test_a_run_that_loses_its_stress_keeps_all_else(plain, tmp_path, monkeypatch
     if not hasattr(signal, name):
         pytest.skip(f"this system has no {name}")
     monkeypatch.setattr("tissue.system.child.IDLE_S", 2.0)
-    begin, hit = beside.StressProcess.begin, []
+    begin, hit = stress_process.StressProcess.begin, []
 
     def hitting(self, state):
         begin(self, state)
@@ -153,7 +153,7 @@ def test_a_run_that_loses_its_stress_keeps_all_else(plain, tmp_path, monkeypatch
             hit.append(self._helper.number)
             os.kill(self._helper.number, getattr(signal, name))
 
-    monkeypatch.setattr(beside.StressProcess, "begin", hitting)
+    monkeypatch.setattr(stress_process.StressProcess, "begin", hitting)
     out = tmp_path / "run"
     run = simulate(load_scene("molar", TOOTH), out=out)
     run.save(out, pictures=when == "begun" and name == "SIGKILL")
@@ -162,9 +162,13 @@ def test_a_run_that_loses_its_stress_keeps_all_else(plain, tmp_path, monkeypatch
     assert saved.complete and (out / "bone.stl").is_file()
     np.testing.assert_array_equal(saved.trace.rows, plain.trace.rows)
     np.testing.assert_array_equal(run.remaining, plain.remaining)
-    said = [each["what"] for each in saved.summary["events"] if "solves the stress" in each["what"]]
+    message = [each["what"] for each in saved.summary["events"] if "solves the stress" in each["what"]]
     how = "was ended by SIGKILL" if name == "SIGKILL" else "was stopped and has done nothing for 2 s"
-    assert len(said) == 1 and how in said[0] and said[0].endswith("no stress and no frames, everything else goes on")
+    assert (
+        len(message) == 1
+        and how in message[0]
+        and message[0].endswith("no stress and no frames, everything else goes on")
+    )
     if (out / "pictures").is_dir():
         assert {"removed_depth.png", "force_torque.png"} <= {each.name for each in (out / "pictures").iterdir()}
 
@@ -207,6 +211,6 @@ def test_a_helper_that_is_lost_before_the_first_tick_ends_the_run_in_a_sentence(
 
     monkeypatch.setattr("tissue.models.tooth.stress_process.StressProcess", lost)
     changes = [f"--set={key}={value}" for key, value in TOOTH.items() if key.startswith(("voxels", "stress"))]
-    code, _, said = command("run", "molar", *changes, "--duration-s", 0.01, "--out", tmp_path / "run")
-    assert (code, said) == (1, "error: the process that solves the stress was ended by SIGKILL: run it again\n")
+    code, _, message = command("run", "molar", *changes, "--duration-s", 0.01, "--out", tmp_path / "run")
+    assert (code, message) == (1, "error: the process that solves the stress was ended by SIGKILL: run it again\n")
     assert not (tmp_path / "run").exists()

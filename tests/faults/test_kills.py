@@ -43,14 +43,14 @@ class Command:
 
     def __init__(self, place, *arguments):
         self.mark = uuid4().hex
-        own = {"PYTHONPATH": str(ROOT), "TISSUE_CACHE": str(place / "cache"), MARK: self.mark}
+        variables = {"PYTHONPATH": str(ROOT), "TISSUE_CACHE": str(place / "cache"), MARK: self.mark}
         heeding = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
         self.begun = place / f"{self.mark}.begun"
         code = heeding + f"from tissue.__main__ import main; open({str(self.begun)!r}, 'w').close(); main()"
         self.process = subprocess.Popen(
             [sys.executable, "-c", code, *map(str, arguments)],
             cwd=place,
-            env=os.environ | own,
+            env=os.environ | variables,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,
@@ -62,8 +62,8 @@ class Command:
         while not self.begun.exists() and time.monotonic() < until:
             time.sleep(0.005)
         try:
-            said = self.process.communicate(timeout=seconds)[1]
-            return False, said
+            message = self.process.communicate(timeout=seconds)[1]
+            return False, message
         except subprocess.TimeoutExpired:
             self.process.send_signal(how)
             return True, self.process.communicate(timeout=120.0)[1]
@@ -71,11 +71,11 @@ class Command:
     def left(self, within_s=30.0):
         """What it started and has not ended after a while."""
         until = time.monotonic() + within_s
-        while (found := [each for each in psutil.process_iter() if self._own(each)]) and time.monotonic() < until:
+        while (found := [each for each in psutil.process_iter() if self._is_ours(each)]) and time.monotonic() < until:
             time.sleep(0.1)
         return found
 
-    def _own(self, process):
+    def _is_ours(self, process):
         try:
             return process.environ().get(MARK) == self.mark and process.status() != psutil.STATUS_ZOMBIE
         except psutil.Error:
@@ -171,8 +171,8 @@ def whole(tmp_path_factory):
             line, name, *_ = CASES[kind]
             began = time.monotonic()
             command = Command(place, *line, "--out", place / name)
-            said = command.process.communicate(timeout=900.0)[1]
-            assert command.process.returncode == 0, said
+            message = command.process.communicate(timeout=900.0)[1]
+            assert command.process.returncode == 0, message
             assert not command.left(10.0)
             made[kind] = place / name, time.monotonic() - began
         return made[kind]
@@ -190,16 +190,18 @@ def test_a_kill_at_any_moment_loses_only_the_work_in_progress(tmp_path, whole, k
     for turn in range(KILLS):
         again = ["--overwrite"] if anew and turn else []
         command = Command(tmp_path, *line, "--out", out, *again)
-        killed, said = command.stopped_after(rng.uniform(0.1, 1.0) * lasts_s, signal.SIGKILL)
+        killed, message = command.stopped_after(rng.uniform(0.1, 1.0) * lasts_s, signal.SIGKILL)
         assert not command.left(), "a helper outlived it"
-        assert killed or command.process.returncode == 0 or (turn and "must not" in said), said  # it was whole before
+        assert killed or command.process.returncode == 0 or (turn and "must not" in message), (
+            message
+        )  # it was whole before
         check(out, wanted, killed=killed)
         if not killed and not anew:
             break  # it had come to its end
     command = Command(tmp_path, *line, "--out", out, *(["--overwrite"] if anew else []))
-    said = command.process.communicate(timeout=900.0)[1]
-    if "must not" not in said:  # else it had come to its end before
-        assert command.process.returncode == 0, said
+    message = command.process.communicate(timeout=900.0)[1]
+    if "must not" not in message:  # else it had come to its end before
+        assert command.process.returncode == 0, message
     check(out, wanted, killed=False)
 
 
@@ -222,15 +224,15 @@ def test_a_stop_is_met_in_one_sentence(tmp_path, kind, how):
     for seconds in (rng.uniform(0.1, 0.6), rng.uniform(1.5, 6.0)):
         out = tmp_path / f"{seconds:.3f}{'.json' if kind == 'calibrate' else '.npz' if kind == 'train' else ''}"
         command = Command(tmp_path, *STOPPED[kind], "--out", out)
-        stopped, said = command.stopped_after(seconds, getattr(signal, how))
-        assert "Traceback" not in said and said.count("\n") <= 1, said
+        stopped, message = command.stopped_after(seconds, getattr(signal, how))
+        assert "Traceback" not in message and message.count("\n") <= 1, message
         code = command.process.returncode
-        assert code != 2, said
+        assert code != 2, message
         if code == -getattr(signal, how):  # Python was ending after the command's last line: a shell shows 130 or 143
-            assert out.exists() and "stopped" not in said
+            assert out.exists() and "stopped" not in message
         elif stopped and code != 0:
-            assert code == (130 if how == "SIGINT" else 143), said
-            assert said.startswith("stopped")
+            assert code == (130 if how == "SIGINT" else 143), message
+            assert message.startswith("stopped")
         assert not command.left(), "a helper outlived it"
         if (out / "summary.json").is_file():
             assert SavedRun(out).status in ("interrupted", "complete")
@@ -241,5 +243,5 @@ def test_a_stop_at_once_is_met_in_one_sentence(tmp_path):
     """While the command is still being imported."""
     for how, code in ((signal.SIGINT, 130), (signal.SIGTERM, 143)):
         command = Command(tmp_path, "scenes")
-        stopped, said = command.stopped_after(0.02, how)
-        assert stopped and command.process.returncode == code and said == "stopped before anything was begun\n"
+        stopped, message = command.stopped_after(0.02, how)
+        assert stopped and command.process.returncode == code and message == "stopped before anything was begun\n"

@@ -55,10 +55,10 @@ BAD_TEXT = [
 
 def refused(reader, path):
     """The sentence of a refusal."""
-    with pytest.raises(InputError) as told:
+    with pytest.raises(InputError) as raised:
         READERS[reader](path)
-    assert "\n" not in str(told.value)
-    return str(told.value)
+    assert "\n" not in str(raised.value)
+    return str(raised.value)
 
 
 @pytest.mark.parametrize(("reader", "name", "text", "sentence"), BAD_TEXT, ids=[case[1] for case in BAD_TEXT])
@@ -100,19 +100,19 @@ def test_a_bad_surface_is_refused(meshes, tmp_path, name, old, new):
 
 
 @pytest.mark.parametrize(
-    ("length", "said"), [(-50, "12 triangles in its header and 11 of them"), (60, "a part of its header and 0 of")]
+    ("length", "message"), [(-50, "12 triangles in its header and 11 of them"), (60, "a part of its header and 0 of")]
 )
-def test_a_binary_stl_that_is_cut_is_refused(meshes, tmp_path, length, said):
+def test_a_binary_stl_that_is_cut_is_refused(meshes, tmp_path, length, message):
     (tmp_path / "cut.stl").write_bytes((meshes / "binary.stl").read_bytes()[:length])
-    assert f"got {said}" in refused("surface", tmp_path / "cut.stl")
+    assert f"got {message}" in refused("surface", tmp_path / "cut.stl")
 
 
 def test_messages_for_the_author_of_a_parser_are_left_out(tmp_path):
     """A text file of PLY by its header, and noise by the names of its formats."""
     for name in ("noise.ply", "noise.vtp", "noise.vtk"):
         (tmp_path / name).write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex x\n\xff\x00")
-        said = refused("surface", tmp_path / name)
-        assert not re.search(r"\w(Error|Exception)|object|codec", said) and said.endswith("export it again")
+        message = refused("surface", tmp_path / name)
+        assert not re.search(r"\w(Error|Exception)|object|codec", message) and message.endswith("export it again")
 
 
 @pytest.mark.slow

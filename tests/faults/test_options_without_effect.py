@@ -66,8 +66,8 @@ def test_a_built_in_scene_holds_no_key_without_effect_and_lasts_as_long_as_its_m
     require_used(scene)
     if scene.duration_s is not None and scene.motion.kind == "path":
         points = scene.motion.points_mm
-        way = sum(sum((a - b) ** 2 for a, b in zip(p, q, strict=True)) ** 0.5 for p, q in pairwise(points))
-        assert scene.duration_s >= way / scene.motion.feed_mm_s - 1e-9
+        length = sum(sum((a - b) ** 2 for a, b in zip(p, q, strict=True)) ** 0.5 for p, q in pairwise(points))
+        assert scene.duration_s >= length / scene.motion.feed_mm_s - 1e-9
 
 
 def test_what_an_override_makes_idle_is_left_out_and_what_a_file_holds_idle_is_refused(tmp_path):
@@ -116,8 +116,8 @@ def test_a_vessel_that_the_needle_never_reaches_is_reported():
 
 
 def test_a_lesion_that_the_tool_never_meets_is_reported():
-    beside = {"voxels.spacing_mm": 0.25, "stress": None, "motion.points_mm": [[3.5, 0, 4.5], [3.5, 0, 0.5]]}
-    run = simulate(load_scene("caries", beside | {"motion.feed_mm_s": 20.0, "duration_s": None}))
+    off_the_lesion = {"voxels.spacing_mm": 0.25, "stress": None, "motion.points_mm": [[3.5, 0, 4.5], [3.5, 0, 0.5]]}
+    run = simulate(load_scene("caries", off_the_lesion | {"motion.feed_mm_s": 20.0, "duration_s": None}))
     assert run.summary()["removed_mm3"]["enamel"] > 0.0 and run.summary()["removed_mm3"]["caries"] == 0.0
     assert run.summary()["notes"]["removed"].startswith("nothing of the caries: the tool never met the lesion")
 
@@ -129,9 +129,9 @@ def test_a_part_of_a_file_is_named_as_the_nodule():
     mesh, liver = replace(whole, part=part, part_names=("part 1", "tumour")), LiverAnatomy(file="organ.vtu")
     plain = elasticity_of(mesh, liver, Organ())[0]
     for named, number in (("tumour", 1), ("part 1", 0), ("1", 0)):
-        found, said = elasticity_of(mesh, liver, Organ(nodule_part=named, nodule_kPa=300.0))
+        found, message = elasticity_of(mesh, liver, Organ(nodule_part=named, nodule_kPa=300.0))
         np.testing.assert_array_equal((found != plain).any(axis=1), part == number)
-        assert f"{mesh.part_names[number]} 300 kPa" in said
+        assert f"{mesh.part_names[number]} 300 kPa" in message
     with pytest.raises(InputError, match=r"organ\.nodule_part must be one of part 1, tumour, got liver: use one"):
         elasticity_of(mesh, liver, Organ(nodule_part="liver"))
     with pytest.raises(InputError, match=r"organ\.nodule_part must be given .* got nothing: use one of part 1, tumour"):
@@ -143,8 +143,8 @@ def test_a_part_of_a_file_is_named_as_the_nodule():
 
 
 def test_refusals_of_functions_below_come_in_keys_and_millimetres():
-    said = in_scene_words("edge_m must be in [0.001, 0.05], got 0.2: use about 0.01", {"edge_m": "anatomy.edge_mm"})
-    assert said == "anatomy.edge_mm must be in [1, 50], got 200: use about 10"
+    message = in_scene_words("edge_m must be in [0.001, 0.05], got 0.2: use about 0.01", {"edge_m": "anatomy.edge_mm"})
+    assert message == "anatomy.edge_mm must be in [1, 50], got 200: use about 10"
     names = {"nodes_m must lie closer to each other": "anatomy.touch_edge_mm must give shorter edges"}
     assert (
         in_scene_words(

@@ -36,11 +36,11 @@ def write_block(folder, **options):
     write.write_dicom(folder / "scan", values, 0.5 * np.eye(3), (0.0, 0.0, 0.0), **fields)
 
 
-def require_none(said):
+def require_none(sentence):
     """No secret in some bytes, in the codings that files have."""
     for secret in (*SECRETS, *UIDS):
         for coding in ("utf-8", "utf-16-le"):
-            assert secret.lower().encode(coding) not in said.lower(), secret
+            assert secret.lower().encode(coding) not in sentence.lower(), secret
 
 
 @pytest.mark.slow
@@ -75,22 +75,22 @@ def broken(kind, folder):
 def test_a_broken_series_names_no_patient(refused, here, kind, recwarn):
     write_block(here)
     broken(kind, here)
-    said = refused(*RUN)
-    assert "in scan" in said
-    require_none(said.encode())
+    sentence = refused(*RUN)
+    assert "in scan" in sentence
+    require_none(sentence.encode())
     for warning in recwarn:
         require_none(str(warning.message).encode())
 
 
 def test_several_series_are_named_by_number_and_slices(refused, here):
     write_block(here, each=lambda k: {"series": UIDS[k % 2], "series_number": 7 + k % 2})
-    said = refused(*RUN)
-    assert "got 2 in scan (number 7 of 6 slices, number 8 of 6 slices)" in said
-    require_none(said.encode())
+    sentence = refused(*RUN)
+    assert "got 2 in scan (number 7 of 6 slices, number 8 of 6 slices)" in sentence
+    require_none(sentence.encode())
 
 
 def test_a_series_number_that_holds_a_name_is_left_out(refused, here):
     write_block(here, each=lambda k: {"series": UIDS[k % 2], "series_number": "Aurelia" if k % 2 else 1})
-    said = refused(*RUN)
-    assert "number ? of 6 slices" in said
-    require_none(said.encode())
+    sentence = refused(*RUN)
+    assert "number ? of 6 slices" in sentence
+    require_none(sentence.encode())

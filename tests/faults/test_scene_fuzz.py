@@ -124,9 +124,9 @@ def outcome(path):
         raise AssertionError(f"a fault of its own: {path.read_bytes()[:2000]!r}") from problem
 
 
-def is_sentence(said):
+def is_sentence(message):
     """Whether a refusal is one line that holds what was given."""
-    return "\n" not in said and ", got " in said and 20 < len(said) < 2000
+    return "\n" not in message and ", got " in message and 20 < len(message) < 2000
 
 
 def share_refused(numbers, tables, folder):

@@ -74,8 +74,8 @@ def test_a_lock_leaves_nothing_and_excludes_its_own_process(tmp_path):
 def test_a_run_is_kept_out_of_a_folder_that_another_writes(tmp_path, holder, refused, overwrite):
     out = tmp_path / "run"
     process = holder(out, "folder")
-    said = refused("run", "milling", "--out", out, *(["--overwrite"] if overwrite else []))
-    assert said == (
+    message = refused("run", "milling", "--out", out, *(["--overwrite"] if overwrite else []))
+    assert message == (
         f"out must have one writer at a time, got {out}, which process {process.pid} is writing: wait for it, end it, "
         "or choose another --out"
     )
@@ -239,6 +239,8 @@ def test_no_command_writes_what_another_process_writes(tmp_path, refused, kind, 
     out = tmp_path / kind
     with output_locked(out, folder=kind == "folder"):
         before = sorted(each.relative_to(tmp_path) for each in tmp_path.rglob("*"))
-        said = refused(*command_line, "--out", out)
-        assert said.startswith(f"out must have one writer at a time, got {out}, which process {os.getpid()} is writing")
+        message = refused(*command_line, "--out", out)
+        assert message.startswith(
+            f"out must have one writer at a time, got {out}, which process {os.getpid()} is writing"
+        )
         assert sorted(each.relative_to(tmp_path) for each in tmp_path.rglob("*")) == before

@@ -28,12 +28,12 @@ def test_a_worker_that_does_not_work_is_ended_and_reported(monkeypatch, how):
     monkeypatch.setattr("tissue.system.child.IDLE_S", 1.0)
     monkeypatch.setattr("tissue.system.workers.LOOK_S", 0.25)
     monkeypatch.setattr("tissue.system.child.LOOK_S", 0.25)
-    said = []
+    message = []
     with pytest.raises(BrokenExecutor), worker_pool(1) as pool:
         assert first_done(pool, [pool.submit(abs, -3)], lambda *_: None).pop().result() == 3
         futures = [pool.submit(stop_oneself, getattr(signal, how)), pool.submit(abs, -4)]
-        first_done(pool, futures, lambda doing, _: said.append(doing)).pop().result()
-    assert said == (["a worker was stopped and has done nothing for 1 s: it is ended"] if how == "SIGSTOP" else [])
+        first_done(pool, futures, lambda doing, _: message.append(doing)).pop().result()
+    assert message == (["a worker was stopped and has done nothing for 1 s: it is ended"] if how == "SIGSTOP" else [])
     assert not multiprocessing.active_children()
 
 
@@ -63,20 +63,20 @@ def number_in(path):
 
 
 def test_a_drawing_that_hangs_is_given_up_in_a_sentence(drawing):
-    said = draw_apart("drawing", str(drawing))
-    assert said.startswith("drawing in 3D hangs and has done nothing for 1 s: ")
+    message = draw_apart("drawing", str(drawing))
+    assert message.startswith("drawing in 3D hangs and has done nothing for 1 s: ")
     assert not psutil.pid_exists(number_in(drawing))
 
 
 def test_a_drawing_in_another_thread_ends_on_request(drawing, monkeypatch):
     monkeypatch.setattr("tissue.system.child.IDLE_S", 600.0)
-    said = []
-    thread = threading.Thread(target=lambda: said.append(draw_apart("drawing", str(drawing))))
+    message = []
+    thread = threading.Thread(target=lambda: message.append(draw_apart("drawing", str(drawing))))
     thread.start()
     number = number_in(drawing)
     end_drawing()
     thread.join(20.0)
-    assert said == ["drawing was stopped"] and not psutil.pid_exists(number)
+    assert message == ["drawing was stopped"] and not psutil.pid_exists(number)
     assert not offscreen._drawing
 
 

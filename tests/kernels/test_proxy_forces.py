@@ -72,8 +72,8 @@ def least_distance(arms, normals, gaps, free, *, compliance):
     size = max(np.abs(wanted).max(), 1e-30)
     u, _ = nnls(np.vstack([rows.T, wanted / size]), np.concatenate([np.zeros(6), [1.0]]), maxiter=10_000)
     rest = np.vstack([rows.T, wanted / size]) @ u - np.concatenate([np.zeros(6), [1.0]])
-    way = start - size * rest[:6] / rest[6]
-    return way[:3], scale * way[3:]
+    step = start - size * rest[:6] / rest[6]
+    return step[:3], scale * step[3:]
 
 
 def moved(arms, normals, press, free, *, compliance, rub=(0, 0, 0), arm=(0, 0, 0)):

@@ -16,7 +16,7 @@ ROUNDING = 1e-9
 
 @wp.kernel
 def solve_each(
-    own: wp.array(dtype=wp.mat33d),
+    compliance: wp.array(dtype=wp.mat33d),
     old: wp.array(dtype=wp.vec3d),
     gap: wp.array(dtype=wp.float64),
     normal: wp.array(dtype=wp.vec3d),
@@ -25,7 +25,9 @@ def solve_each(
     force_out: wp.array(dtype=wp.vec3d),
 ):
     i = wp.tid()
-    force_out[i] = coulomb_force(own[i], safe_inverse(own[i]), old[i], gap[i], normal[i], slip[i], friction)
+    force_out[i] = coulomb_force(
+        compliance[i], safe_inverse(compliance[i]), old[i], gap[i], normal[i], slip[i], friction
+    )
 
 
 @wp.kernel
@@ -35,12 +37,12 @@ def distance_each(
     rows: wp.array2d(dtype=wp.float64),
     point: wp.array(dtype=wp.vec3d),
     distance_out: wp.array(dtype=wp.float64),
-    way_out: wp.array(dtype=wp.vec3d),
+    direction_out: wp.array(dtype=wp.vec3d),
 ):
     i = wp.tid()
-    distance, way = axis_distance(kind, size, pose_of(rows), point[i])
+    distance, direction = axis_distance(kind, size, pose_of(rows), point[i])
     distance_out[i] = distance
-    way_out[i] = way
+    direction_out[i] = direction
 
 
 def random_contacts(seed, count=4000):
@@ -48,19 +50,19 @@ def random_contacts(seed, count=4000):
     rng = np.random.default_rng(seed)
     turns = Rotation.random(count, random_state=seed).as_matrix()
     spread = rng.uniform(-1.5, 1.5, (count, 3)) * rng.uniform(size=(count, 1))
-    own = np.einsum("nij,nj,nkj->nik", turns, 10.0**spread, turns)
+    compliance = np.einsum("nij,nj,nkj->nik", turns, 10.0**spread, turns)
     normal = rng.normal(size=(count, 3))
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     small = 10.0 ** rng.uniform(-3.0, 0.0, (2, count, 1))
     old, slip = small * rng.normal(size=(2, count, 3))
-    return own, old, rng.normal(size=count), normal, slip
+    return compliance, old, rng.normal(size=count), normal, slip
 
 
-def forces(own, old, gap, normal, slip, friction):
+def forces(compliance, old, gap, normal, slip, friction):
     given = [
         wp.array(value, dtype=dtype, device="cpu")
         for value, dtype in zip(
-            (own, old, gap, normal, slip), (wp.mat33d, wp.vec3d, wp.float64, wp.vec3d, wp.vec3d), strict=True
+            (compliance, old, gap, normal, slip), (wp.mat33d, wp.vec3d, wp.float64, wp.vec3d, wp.vec3d), strict=True
         )
     ]
     out = wp.zeros(len(gap), dtype=wp.vec3d, device="cpu")
@@ -71,15 +73,15 @@ def forces(own, old, gap, normal, slip, friction):
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("friction", [0.0, 0.05, 0.3, 1.0])
 def test_a_contact_obeys_signorini_and_coulomb(seed, friction):
-    own, old, gap, normal, slip = random_contacts(seed)
-    force = forces(own, old, gap, normal, slip, friction)
-    change = np.einsum("nij,nj->ni", own, force - old)
+    compliance, old, gap, normal, slip = random_contacts(seed)
+    force = forces(compliance, old, gap, normal, slip, friction)
+    change = np.einsum("nij,nj->ni", compliance, force - old)
     left = gap + np.einsum("ni,ni->n", normal, change)
     moved = slip + change
     sideways = moved - np.einsum("ni,ni->n", moved, normal)[:, None] * normal
     press = np.einsum("ni,ni->n", force, normal)
     tangential = force - press[:, None] * normal
-    size, way = np.linalg.norm(tangential, axis=1), np.linalg.norm(sideways, axis=1)
+    size, direction = np.linalg.norm(tangential, axis=1), np.linalg.norm(sideways, axis=1)
     scale = 1.0 + np.abs(change).max(axis=1) + np.abs(slip).max(axis=1)
     assert press.min() >= -ROUNDING
     assert (left / scale).min() >= -ROUNDING
@@ -87,19 +89,19 @@ def test_a_contact_obeys_signorini_and_coulomb(seed, friction):
     assert ((size - friction * press) / (1.0 + press)).max() <= ROUNDING
     sticking = (press > 0.0) & (size < friction * press * (1.0 - 1e-9))
     slipping = (press > 0.0) & ~sticking
-    assert (way[sticking] / scale[sticking] < ROUNDING).all()
+    assert (direction[sticking] / scale[sticking] < ROUNDING).all()
     opposed = np.einsum("ni,ni->n", tangential, sideways)[slipping]
-    assert np.abs(opposed + size[slipping] * way[slipping]).max() < ROUNDING * ((1.0 + size) * scale).max()
+    assert np.abs(opposed + size[slipping] * direction[slipping]).max() < ROUNDING * ((1.0 + size) * scale).max()
     assert (press == 0.0).sum() > 100 and slipping.sum() > 100
     assert friction == 0.0 or sticking.sum() > 10
 
 
 def test_a_point_that_cannot_move_sideways_is_still_pushed():
     """On a plane of symmetry one direction has no compliance: the limit of a small one."""
-    own = np.diag([0.0, 2.0, 1.0])[None]
-    almost = own + np.diag([1e-7, 0.0, 0.0])
+    compliance = np.diag([0.0, 2.0, 1.0])[None]
+    almost = compliance + np.diag([1e-7, 0.0, 0.0])
     given = (np.zeros((1, 3)), np.array([-1.0]), np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.3, 0.0]]), 0.2)
-    np.testing.assert_allclose(forces(own, *given), forces(almost, *given), atol=1e-6)
+    np.testing.assert_allclose(forces(compliance, *given), forces(almost, *given), atol=1e-6)
 
 
 @pytest.mark.parametrize("probe", [SphereProbe(0.004), CylinderProbe(0.004, 0.0005)], ids=["sphere", "cylinder"])
@@ -120,13 +122,13 @@ def test_distances_agree_with_numpy_and_their_gradients_with_differences(probe):
         wp.launch(distance_each, dim=len(points), inputs=inputs, outputs=list(out), device="cpu")
         return out[0].numpy(), out[1].numpy() @ rotation
 
-    distance, way = kernel(local)
-    expected, expected_way = probe.distance(local)
+    distance, direction = kernel(local)
+    expected, expected_direction = probe.distance(local)
     np.testing.assert_allclose(distance, expected, atol=1e-15)
-    np.testing.assert_allclose(way, expected_way, atol=1e-10)
+    np.testing.assert_allclose(direction, expected_direction, atol=1e-10)
     step = 1e-7
     slopes = np.column_stack([(kernel(local + e)[0] - kernel(local - e)[0]) / (2 * step) for e in step * np.eye(3)])
     # Within a step of an edge between face and side the difference straddles both.
     smooth = np.abs(np.linalg.norm(slopes, axis=1) - 1.0) < 1e-3
     assert smooth.mean() > 0.99
-    np.testing.assert_allclose(way[smooth], slopes[smooth], atol=2e-3)
+    np.testing.assert_allclose(direction[smooth], slopes[smooth], atol=2e-3)

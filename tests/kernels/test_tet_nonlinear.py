@@ -46,12 +46,12 @@ def test_energy_force_and_stiffness_agree(law, order, seed):
     _, force = body.energy_and_force(at)
     stiffness = body.stiffness(at)
     for _ in range(3):
-        way = random.normal(size=at.shape)
+        direction = random.normal(size=at.shape)
         h = 1e-6 * np.abs(body.nodes_m).max()
-        plus, minus = body.energy_and_force(at + h * way), body.energy_and_force(at - h * way)
-        scale = np.linalg.norm(force) * np.linalg.norm(way)
-        assert abs((plus[0] - minus[0]) / (2.0 * h) - np.sum(force * way)) < 1e-7 * scale
-        product = (stiffness @ way.ravel()).reshape(-1, 3)
+        plus, minus = body.energy_and_force(at + h * direction), body.energy_and_force(at - h * direction)
+        scale = np.linalg.norm(force) * np.linalg.norm(direction)
+        assert abs((plus[0] - minus[0]) / (2.0 * h) - np.sum(force * direction)) < 1e-7 * scale
+        product = (stiffness @ direction.ravel()).reshape(-1, 3)
         np.testing.assert_allclose((plus[1] - minus[1]) / (2.0 * h), product, atol=1e-7 * np.abs(product).max())
 
 
@@ -148,10 +148,13 @@ def test_turned_over_cells_have_infinite_energy(law):
 def test_small_strain_limit():
     """All laws agree to first order: the difference to linear shrinks with the square of the strain."""
     linear = body_of(Law.LINEAR, 2)
-    way = np.random.default_rng(0).normal(size=linear.nodes_m.shape) * 1e-3
+    direction = np.random.default_rng(0).normal(size=linear.nodes_m.shape) * 1e-3
     for law in (Law.COROTATIONAL, Law.NEO_HOOKEAN):
         body, sizes = body_of(law, 2), np.array([1e-2, 1e-3, 1e-4])
-        errors = [np.abs(body.energy_and_force(s * way)[1] - linear.energy_and_force(s * way)[1]).max() for s in sizes]
+        errors = [
+            np.abs(body.energy_and_force(s * direction)[1] - linear.energy_and_force(s * direction)[1]).max()
+            for s in sizes
+        ]
         assert np.polyfit(np.log(sizes), np.log(errors), 1)[0] == pytest.approx(2.0, abs=0.05)
 
 

@@ -57,23 +57,23 @@ def test_crown_comes_up_and_the_origin_lies_on_it():
 
 
 def test_islands_are_dropped_and_reported():
-    values, said = tooth_labels(), []
+    values, remarks = tooth_labels(), []
     values[2:4, 2:4, 2:4] = 3
     values[135, 65, 55] = 2
-    volume = labelled_volume(image(values), resample_mm=0.2, remark=said.append)
-    assert "Dropped 2 loose pieces of 9 voxels, 0.009 mm3 in all." in said
+    volume = labelled_volume(image(values), resample_mm=0.2, remark=remarks.append)
+    assert "Dropped 2 loose pieces of 9 voxels, 0.009 mm3 in all." in remarks
     assert volume.volume_m3() == labelled_volume(image(tooth_labels()), resample_mm=0.2).volume_m3()
 
 
 def test_cavity_becomes_pulp_by_default():
-    said = []
-    volume = labelled_volume(image(tooth_labels()), resample_mm=0.1, remark=said.append)
+    remarks = []
+    volume = labelled_volume(image(tooth_labels()), resample_mm=0.1, remark=remarks.append)
     assert 1e9 * volume.volume_m3("pulp") == pytest.approx(4.0, rel=0.1)
-    assert any("in the dentin is taken as pulp" in sentence for sentence in said)
+    assert any("in the dentin is taken as pulp" in sentence for sentence in remarks)
     assert 1e9 * volume.volume_m3() == pytest.approx(240.0, rel=5e-3)
-    said.clear()
-    empty = labelled_volume(image(tooth_labels()), resample_mm=0.1, pulp_from_cavity=False, remark=said.append)
-    assert empty.volume_m3("pulp") == 0.0 and any("are unknown" in sentence for sentence in said)
+    remarks.clear()
+    empty = labelled_volume(image(tooth_labels()), resample_mm=0.1, pulp_from_cavity=False, remark=remarks.append)
+    assert empty.volume_m3("pulp") == 0.0 and any("are unknown" in sentence for sentence in remarks)
 
 
 def test_cavity_with_a_narrow_mouth_is_still_pulp():
@@ -157,10 +157,10 @@ def test_refusals(make, options, message):
 )
 def test_real_carious_teeth(anatomy, number, islands, counts):
     """Voxel counts and islands are those of the data's README; the islands hold less than 0.2 mm3."""
-    said = []
+    remarks = []
     path = anatomy / "tooth" / f"caries_tooth_{number}.nii.gz"
-    volume = label_volume(path, spacing_mm=0.034, resample_mm=0.1, remark=said.append)
-    assert any(f"Dropped {islands - 1} loose pieces" in sentence for sentence in said)  # the tooth is one of them
+    volume = label_volume(path, spacing_mm=0.034, resample_mm=0.1, remark=remarks.append)
+    assert any(f"Dropped {islands - 1} loose pieces" in sentence for sentence in remarks)  # the tooth is one of them
     for name, count in counts.items():
         expected = count * 0.034**3
         rel = 2e-3 if name != "caries" else 0.15  # decay in sheets thinner than 0.1 mm is outvoted

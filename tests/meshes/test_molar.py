@@ -116,8 +116,8 @@ def test_ligament_has_its_thickness():
     layer = labels(volume)
     outward = ndimage.distance_transform_edt((layer != DENTIN) & (layer != PULP)) * spacing
     bone = layer == TOOTH_LAYERS.index("bone")
-    beside = bone & ndimage.binary_dilation(layer == LIGAMENT)
-    assert np.median(outward[beside]) - 0.5 * spacing == pytest.approx(thickness, abs=0.5 * spacing)
+    neighbours = bone & ndimage.binary_dilation(layer == LIGAMENT)
+    assert np.median(outward[neighbours]) - 0.5 * spacing == pytest.approx(thickness, abs=0.5 * spacing)
     assert outward[layer == LIGAMENT].max() < thickness + 2.5 * spacing
 
 

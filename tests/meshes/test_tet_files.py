@@ -55,10 +55,10 @@ def test_both_versions_of_a_gmsh_file_hold_one_mesh(anatomy: Path, name: str) ->
 def test_a_pinched_mesh_of_slivers_is_kept_and_reported(anatomy: Path) -> None:
     found = read_tets(anatomy / "bone" / "ossicles.vtu", unit_mm=1.0)
     assert found.mesh.volumes_m3.sum() == pytest.approx(27.145e-9, rel=1e-3)
-    said = " ".join(found.sentences)
-    assert "not the size of an organ" in said
-    assert "Kept 18 surface edges of more than two triangles (pinched" in said
-    assert "Found 24 slivers (mean ratio below 0.1), the worst at" in said
+    remarks = " ".join(found.sentences)
+    assert "not the size of an organ" in remarks
+    assert "Kept 18 surface edges of more than two triangles (pinched" in remarks
+    assert "Found 24 slivers (mean ratio below 0.1), the worst at" in remarks
 
 
 @pytest.mark.parametrize("name", ["liver.v22.msh", "liver2.v22.msh"])

@@ -83,8 +83,8 @@ def test_graded_positions_start_small_grow_and_meet_the_end() -> None:
 
 def test_meshes_that_meet_node_on_node_become_one() -> None:
     one = box((1.0, 1.0, 1.0), (2, 2, 2))
-    beside = TetMesh(np.array([1.0, 0.0, 0.0]) + one.nodes_m, one.cells)
-    both = joined([one, beside])
+    other = TetMesh(np.array([1.0, 0.0, 0.0]) + one.nodes_m, one.cells)
+    both = joined([one, other])
     assert len(both.nodes_m) == 27 + 27 - 9
     assert both.volumes_m3.sum() == pytest.approx(2.0, rel=1e-13)
     closed_and_conforming(both)

@@ -33,7 +33,7 @@ def test_a_ball_is_filled_quietly_once_and_comes_from_the_cache_after(
 ) -> None:
     calls: list[tuple[str, float]] = []
     surface = ball()
-    mesh, said = tetrahedralise(surface, edge_m=0.02, report=lambda doing, share: calls.append((doing, share)))
+    mesh, message = tetrahedralise(surface, edge_m=0.02, report=lambda doing, share: calls.append((doing, share)))
     assert capfd.readouterr() == ("", "")
     assert calls[0][1] == 0.0
     assert calls[-1][1] == 1.0
@@ -42,7 +42,7 @@ def test_a_ball_is_filled_quietly_once_and_comes_from_the_cache_after(
     radius = np.linalg.norm(mesh.nodes_m[mesh.surface_nodes], axis=1)
     assert radius.max() < 0.05 + 1e-3 * 0.1 * np.sqrt(3.0)
     assert mean_ratio(mesh.nodes_m, mesh.cells).min() > 0.1
-    assert "inverted" not in " ".join(said)
+    assert "inverted" not in " ".join(message)
 
     def never(surface: Surface, edge: float) -> None:
         raise AssertionError("the mesh must come from the cache")
@@ -65,13 +65,13 @@ def test_a_surface_that_crosses_itself_is_filled_as_a_union_and_reported() -> No
     vertices = np.vstack([one.vertices_m, one.vertices_m + np.array([0.06, 0.003, 0.001])])
     faces = np.vstack([one.faces, one.faces + len(one.vertices_m)])
     both = Surface(vertices, faces, one.report, (), (vertices, faces))
-    mesh, said = tetrahedralise(both, edge_m=0.03)
-    assert "triangles of the surface cross others, the first at" in said[0]
+    mesh, message = tetrahedralise(both, edge_m=0.03)
+    assert "triangles of the surface cross others, the first at" in message[0]
     # Two balls of radius r whose centres are d apart overlap in pi (4 r + d) (2 r - d)^2 / 12.
     distance = float(np.linalg.norm([0.06, 0.003, 0.001]))
     overlap = np.pi * (0.2 + distance) * (0.1 - distance) ** 2 / 12.0
     assert mesh.volumes_m3.sum() == pytest.approx(2.0 * one.report.volume_mm3 * 1e-9 - overlap, rel=0.05)
-    assert any("of volume against the surface" in sentence for sentence in said)
+    assert any("of volume against the surface" in sentence for sentence in message)
 
 
 @pytest.mark.parametrize("edge", [-1.0, float("nan"), 1e-6, 1.0])
@@ -83,10 +83,10 @@ def test_an_edge_that_does_not_suit_is_refused(edge: float) -> None:
 @pytest.mark.slow
 def test_the_liver_surface_is_repaired_and_filled(anatomy: Path) -> None:
     found = read_tets(anatomy / "liver" / "liver.vtk", edge_m=0.02)
-    said = " ".join(found.sentences)
-    assert "taken to be in millimetres: 194 x 154 x 156 mm" in said
-    assert "Dropped 3 loose pieces, the largest 0.059 mm long." in said
-    assert "Turned the surface outward: it was wound inward." in said
+    message = " ".join(found.sentences)
+    assert "taken to be in millimetres: 194 x 154 x 156 mm" in message
+    assert "Dropped 3 loose pieces, the largest 0.059 mm long." in message
+    assert "Turned the surface outward: it was wound inward." in message
     # 1477.2 ml as measured on the file; the surface may lie anywhere in the envelope of 2 mm, mostly it is inside.
     assert found.mesh.volumes_m3.sum() == pytest.approx(1.4772e-3, rel=0.03)
     assert mean_ratio(found.mesh.nodes_m, found.mesh.cells).min() > 0.05

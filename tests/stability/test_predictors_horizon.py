@@ -46,14 +46,14 @@ def test_at_long_horizons_the_capped_operator_stays_and_an_uncapped_one_explodes
 def test_the_guard_bounds_the_prediction_of_an_exploding_operator(wall, unseen):
     grown = replace(wall.operator, A=1.05 * wall.operator.A)
     guarded = Guarded(Koopman(grown, wall.terms), Linear(), reach_N=wall.terms.reach_N)
-    told, owned = [], []
+    predicted, primary = [], []
     for position, velocity, force in zip(unseen.position_m, unseen.velocity_m_s, unseen.force_N, strict=True):
         guarded.observe(position, velocity, force)
-        told.append(guarded.predict(4))
-        owned.append(guarded.is_primary)
+        predicted.append(guarded.predict(4))
+        primary.append(guarded.is_primary)
     line = forecast(Linear(), unseen, (4,))[:, 0]
-    assert np.linalg.norm(told - line, axis=1).max() <= wall.terms.reach_N * (1.0 + 1e-12)
-    assert np.mean(np.array(owned)[unseen.force_N.any(axis=1)]) < 0.2
+    assert np.linalg.norm(predicted - line, axis=1).max() <= wall.terms.reach_N * (1.0 + 1e-12)
+    assert np.mean(np.array(primary)[unseen.force_N.any(axis=1)]) < 0.2
 
 
 @pytest.mark.parametrize(("factor", "worst"), [(0.5, 1.4), (2.0, 1.05), (8.0, 1.15)])
@@ -64,9 +64,9 @@ def test_in_a_force_it_was_not_trained_on_it_is_little_worse_than_what_it_falls_
     """
     other = Recording(unseen.position_m, unseen.velocity_m_s, factor * unseen.force_N, "expert", 0)
     make = lambda kind: lambda: trained_predictor(kind, wall, force_limit_N=LIMIT_N)  # noqa: E731
-    own = forecast_errors(make("koopman"), [other], horizons=(4,))[0, 0]
+    error = forecast_errors(make("koopman"), [other], horizons=(4,))[0, 0]
     line = forecast_errors(make("linear"), [other], horizons=(4,))[0, 0]
-    assert own < worst * line, (own, line)
+    assert error < worst * line, (error, line)
 
 
 def test_dropped_and_repeated_samples_leave_it_bounded(wall, unseen):

@@ -46,8 +46,8 @@ def test_a_faulty_device_fades_and_comes_back(kind, fault):
     jumps = np.abs(np.diff(size[at(FAULT_S[0]) - 1 : at(FAULT_S[1])]))
     assert jumps.max() < 0.06 * size.max(), "the force steps instead of fading"
     assert guard.bad_ticks >= 97
-    told = [what for when, what in guard.events if when > 0.1]
-    assert len(told) >= 2 and told[-1] == "samples are good again" and told[0].endswith("the force fades")
+    reported = [what for when, what in guard.events if when > 0.1]
+    assert len(reported) >= 2 and reported[-1] == "samples are good again" and reported[0].endswith("the force fades")
     assert simulated.refused_commands == 0
     assert np.abs(simulated.translation.position).max() < 0.05
 
@@ -93,9 +93,9 @@ def test_a_hand_that_lets_go_is_not_thrown_at(kind):
 
 
 @pytest.mark.parametrize("kind", RENDERERS)
-@pytest.mark.parametrize("way", [(0.0, 0.0, -1.0), (0.6, 0.0, 0.8)], ids=["into the wall", "off it"])
-def test_a_jerk_of_60_N_stays_bounded_and_settles(kind, way):
-    jerk = 60.0 * np.array(way)
+@pytest.mark.parametrize("direction", [(0.0, 0.0, -1.0), (0.6, 0.0, 0.8)], ids=["into the wall", "off it"])
+def test_a_jerk_of_60_N_stays_bounded_and_settles(kind, direction):
+    jerk = 60.0 * np.array(direction)
     run, _, _ = pressed(kind, push=lambda t: jerk if 0.7 <= t < 0.72 else 0.0 * jerk, seconds=2.5)
     assert np.linalg.norm(run.force_N, axis=1).max() <= 3.3 * (1 + 1e-12)
     assert np.abs(run.velocity_m_s).max() > 0.5, "it was no jerk"

@@ -31,8 +31,8 @@ def display():
     command = ["Xvfb", "-displayfd", str(write), "-screen", "0", "1600x1100x24", "-nolisten", "tcp", "-noreset"]
     with subprocess.Popen(command, pass_fds=[write], stderr=subprocess.DEVNULL) as server:
         os.close(write)
-        with os.fdopen(read) as told:
-            number = told.readline().strip()
+        with os.fdopen(read) as stream:
+            number = stream.readline().strip()
         if not number:
             pytest.skip("Xvfb does not start here")
         yield f":{number}"

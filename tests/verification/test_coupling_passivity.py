@@ -19,7 +19,7 @@ from tissue.haptics.rigid_wall import press_wall
 STIFFNESS, SPEED, TICK, SAMPLES = 1000.0, 0.1, 1e-3, 100
 LEAK_J = SAMPLES * STIFFNESS * (SPEED * TICK) ** 2
 """1.000e-3 J: half of K (v T)^2 a sample, in and out."""
-WAY = np.concatenate([np.arange(SAMPLES), np.arange(SAMPLES, -1, -1)]) * -SPEED * TICK
+DEPTHS = np.concatenate([np.arange(SAMPLES), np.arange(SAMPLES, -1, -1)]) * -SPEED * TICK
 """Into the wall and out of it at constant speed [m]."""
 
 
@@ -30,8 +30,8 @@ def along_z(value):
 def through_the_wall(play):
     """Prescribed motion through a wall; energy that the acting forces took, counted apart from any observer [J]."""
     taken, lowest = 0.0, 0.0
-    for tick, (depth, following) in enumerate(pairwise(WAY)):
-        velocity = (depth - WAY[tick - 1]) / TICK if tick else following / TICK
+    for tick, (depth, following) in enumerate(pairwise(DEPTHS)):
+        velocity = (depth - DEPTHS[tick - 1]) / TICK if tick else following / TICK
         force = play(along_z(max(-STIFFNESS * depth, 0.0)), along_z(depth), along_z(velocity))
         taken -= force[2] * (following - depth)
         lowest = min(lowest, taken)
@@ -47,7 +47,7 @@ def test_the_hold_leaks_what_it_should_and_the_observer_books_it():
         return force
 
     taken, _ = through_the_wall(play)
-    observer.observe(along_z(WAY[-1]))
+    observer.observe(along_z(DEPTHS[-1]))
     assert -taken == pytest.approx(1.000e-3, rel=1e-12)
     assert -taken == pytest.approx(LEAK_J, rel=1e-12)
     assert observer.energy_J == pytest.approx(taken, rel=1e-12) and observer.lowest_J == observer.energy_J

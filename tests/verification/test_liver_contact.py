@@ -182,8 +182,8 @@ def test_a_drag_follows_its_own_normal_curve():
     drag.place(np.array([0.0, 0.0, 1e-6]), np.eye(3))
     drag.solve(np.array([0.0, 0.0, -depth]), np.eye(3))
     whole = normal_N(depth)
-    for way in np.linspace(0.0, 1.3 * friction * 1.21 * depth, 9)[1:]:
-        result = drag.solve(np.array([way, 0.0, -depth]), np.eye(3))
+    for travel in np.linspace(0.0, 1.3 * friction * 1.21 * depth, 9)[1:]:
+        result = drag.solve(np.array([travel, 0.0, -depth]), np.eye(3))
         assert result.outcome is ContactOutcome.CONVERGED
-        expected = friction * (whole - normal_N(depth - way / (friction * 1.21)))
+        expected = friction * (whole - normal_N(depth - travel / (friction * 1.21)))
         assert abs(-result.force_N[0] - expected) < 0.01 * friction * whole

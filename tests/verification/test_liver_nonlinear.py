@@ -96,10 +96,10 @@ def test_sphere_contact(law):
     space, base = block(first=3e-3)
     solver = quarter_solver(space, base, law)
     top = np.flatnonzero(space.nodes_m[:, 2] > -1e-12)
-    own = solver.rest_diagonal.reshape(-1, 3)[top].mean(axis=1)
+    compliance = solver.rest_diagonal.reshape(-1, 3)[top].mean(axis=1)
     forces = []
     for stiffer in (3.0, 30.0):
-        sphere = RigidSphere(top, stiffer * own, radius_m=RADIUS_M, centre_m=(0.0, 0.0, RADIUS_M - 5e-3))
+        sphere = RigidSphere(top, stiffer * compliance, radius_m=RADIUS_M, centre_m=(0.0, 0.0, RADIUS_M - 5e-3))
         solution = solver.solve(sphere=sphere)
         assert solution.outcome is SolverOutcome.CONVERGED
         away = np.linalg.norm(space.nodes_m[top] + solution.displacement_m[top] - sphere.centre_m, axis=1)
@@ -120,13 +120,15 @@ def test_shallow_contact_is_hertz():
     space, base = block(2, first=1.2e-3, growth=1.6, deep=0.1)
     solver = quarter_solver(space, base, Law.LINEAR, tolerance=1e-6)
     top = np.flatnonzero((space.nodes_m[:, 2] > -1e-12) & (np.linalg.norm(space.nodes_m, axis=1) < RADIUS_M))
-    own = solver.rest_diagonal.reshape(-1, 3)[top].mean(axis=1)
-    sphere = RigidSphere(top, 10.0 * own, radius_m=RADIUS_M, centre_m=(0.0, 0.0, RADIUS_M - 1e-3), tolerance=1e-4)
+    compliance = solver.rest_diagonal.reshape(-1, 3)[top].mean(axis=1)
+    sphere = RigidSphere(
+        top, 10.0 * compliance, radius_m=RADIUS_M, centre_m=(0.0, 0.0, RADIUS_M - 1e-3), tolerance=1e-4
+    )
     force = 4.0 * solver.solve(sphere=sphere).tool_force_N[2]
     assert force == pytest.approx(4.0 / 3.0 * 5e3 / (1.0 - 0.45**2) * np.sqrt(RADIUS_M) * 1e-3**1.5, rel=0.05)
 
 
-def told(name: str, limits: LinearLimits) -> str:
+def sentence_of(name: str, limits: LinearLimits) -> str:
     """One line on where the linear law passes 1, 5 and 10 %, and one on the forces."""
     depths = ", ".join(f"{share:.0%} at {1e3 * limits.passed_at_m(share):.2f} mm" for share in (0.01, 0.05, 0.10))
     pairs = zip(limits.depth_m, limits.force_N[Law.NEO_HOOKEAN], limits.error(Law.LINEAR), strict=True)
@@ -148,7 +150,7 @@ def test_linear_limits_of_a_block(capsys):
         depths_m=DEPTHS_M, laws=(Law.LINEAR, Law.NEO_HOOKEAN),
     )  # fmt: skip
     with capsys.disabled():
-        print(told("block 100 x 100 x 50 mm", limits))
+        print(sentence_of("block 100 x 100 x 50 mm", limits))
     error = limits.error(Law.LINEAR)
     # A contact of few nodes jumps when one more comes in: at 1 mm by a per cent or two of the force.
     assert abs(error[0]) < 0.03 and (np.diff(error[1:]) < 0.0).all()
@@ -167,7 +169,7 @@ def test_linear_limits_of_the_procedural_liver(capsys):
         depths_m=DEPTHS_M, laws=(Law.LINEAR, Law.NEO_HOOKEAN),
     )  # fmt: skip
     with capsys.disabled():
-        print(told(f"procedural liver, {len(mesh.cells)} tetrahedra", limits))
+        print(sentence_of(f"procedural liver, {len(mesh.cells)} tetrahedra", limits))
     assert limits.passed_at_m(0.01) < limits.passed_at_m(0.05) < limits.passed_at_m(0.10)
 
 
@@ -183,7 +185,7 @@ def test_linear_limits_of_a_real_liver(anatomy, capsys):
         depths_m=DEPTHS_M, laws=(Law.LINEAR, Law.NEO_HOOKEAN),
     )  # fmt: skip
     with capsys.disabled():
-        print(told(f"scanned liver, {len(mesh.cells)} tetrahedra", limits))
+        print(sentence_of(f"scanned liver, {len(mesh.cells)} tetrahedra", limits))
     assert np.isfinite(limits.passed_at_m(0.05))
 
 

@@ -82,8 +82,8 @@ def condensed(radii, depths, poisson_ratio, *, touch_m, rim_held):
         load = np.zeros(len(free))
         load[rows[column]] = 1.0
         compliance[moving, column] = factor.solve(load)[rows[moving]]
-    own, count = frame[top], len(top)
-    compliance = np.einsum("aji,ajbk,bkl->aibl", own, compliance.reshape(count, 3, count, 3), own, optimize=True)
+    axes, count = frame[top], len(top)
+    compliance = np.einsum("aji,ajbk,bkl->aibl", axes, compliance.reshape(count, 3, count, 3), axes, optimize=True)
     compliance = compliance.reshape(3 * count, -1)
     return nodes[top], faces, 0.5 * (compliance + compliance.T)
 
@@ -121,10 +121,10 @@ def test_shallow_sphere_and_point_load():
     nodes, _, compliance = body
     distance = np.linalg.norm(nodes, axis=1)
     centre = int(np.argmin(distance))
-    beside = np.flatnonzero((distance > 0.75 * a) & (distance < 1.3 * a))
+    ring = np.flatnonzero((distance > 0.75 * a) & (distance < 1.3 * a))
     # The wedge's share of a newton acts on its own axis; the far end is held, which takes its deflection off everywhere.
-    deflection = compliance[3 * beside + 2, 3 * centre + 2] / TIMES
-    exact = (1.0 / distance[beside] - 1.0 / far) / (np.pi * plane_modulus(0.49))
+    deflection = compliance[3 * ring + 2, 3 * centre + 2] / TIMES
+    exact = (1.0 / distance[ring] - 1.0 / far) / (np.pi * plane_modulus(0.49))
     assert abs(deflection / exact - 1.0).max() < 0.03
 
 

@@ -54,19 +54,19 @@ def patch(surface):
     return near, compliance[:, 3 * near + 2]
 
 
-def pressed(surface, way, *, elastic_start=None, step_s=STEP_S):
+def pressed(surface, depths, *, elastic_start=None, step_s=STEP_S):
     """Force [N] on a bonded punch that follows ``way`` [m], solved tick by tick on the compliance."""
     near, columns = patch(surface)
-    own = columns[3 * near + 2]
+    mutual = columns[3 * near + 2]
     creep = CreepState(len(surface[0]), SERIES, step_s=step_s)
     if elastic_start is not None:
-        creep.restart((columns @ np.linalg.solve(own, np.full(len(near), elastic_start))).reshape(-1, 3))
+        creep.restart((columns @ np.linalg.solve(mutual, np.full(len(near), elastic_start))).reshape(-1, 3))
     force = []
-    for depth in way:
-        nodal = np.linalg.solve(creep.instant_factor * own, depth - creep.offset_m[near, 2])
+    for depth in depths:
+        nodal = np.linalg.solve(creep.instant_factor * mutual, depth - creep.offset_m[near, 2])
         creep.advance((columns @ nodal).reshape(-1, 3))
         force.append(nodal.sum())
-    return np.array(force) / np.linalg.solve(own, np.ones(len(near))).sum()
+    return np.array(force) / np.linalg.solve(mutual, np.ones(len(near))).sum()
 
 
 def test_step_of_displacement_relaxes(surface):
@@ -118,7 +118,7 @@ def test_against_the_hereditary_integral(seed):
     np.testing.assert_allclose(found, direct, atol=1e-11 * np.abs(direct).max())
 
 
-def sphere_forces(surface, way):
+def sphere_forces(surface, depths):
     """Elastic and creeping force [N] on a frictionless sphere of 20 mm at these depths [m]; nodes in contact."""
     nodes, compliance = surface
     up = compliance[2::3, 2::3]
@@ -130,7 +130,7 @@ def sphere_forces(surface, way):
         """Non-negative pushes f down that leave no node in the sphere: scale W f >= room, where f > 0 equal."""
         return nnls(np.sqrt(scale) * factor, solve_triangular(factor.T, room, lower=True) / np.sqrt(scale))[0]
 
-    for depth in way:
+    for depth in depths:
         elastic = nodal(depth - rise, 1.0)
         push = nodal(depth - rise + creep.offset_m[:, 2], creep.instant_factor)
         creep.advance(-(compliance[:, 2::3] @ push).reshape(-1, 3))
@@ -141,8 +141,8 @@ def sphere_forces(surface, way):
 def test_growing_contact_is_lee_and_radok(surface):
     """While the contact grows, the relaxed elastic force is right; when it shrinks, it pulls where the contact has let go."""
     ticks = np.arange(1, 101)
-    way = 4e-3 * np.concatenate([ticks / 100.0, 1.0 - ticks / 100.0])
-    forces = sphere_forces(surface, way)
+    depths = 4e-3 * np.concatenate([ticks / 100.0, 1.0 - ticks / 100.0])
+    forces = sphere_forces(surface, depths)
     assert forces[99, 2] > 4 * forces[19, 2] > 0
     relaxed, shortcut = HereditaryIntegral(SERIES.relaxation, (1,), step_s=STEP_S), []
     for elastic in forces[:, 0]:
@@ -154,7 +154,7 @@ def test_growing_contact_is_lee_and_radok(surface):
     assert shortcut[-1] < -0.02 * shortcut.max()
     assert (forces[:, 1] >= 0.0).all()
     lost = np.flatnonzero(forces[100:, 2] == 0)
-    assert len(lost) and way[100 + lost[0]] > 2e-4  # it lets go of a dent that is still there
+    assert len(lost) and depths[100 + lost[0]] > 2e-4  # it lets go of a dent that is still there
     assert (forces[100 + lost[0] :, 2] == 0).all()
 
 

@@ -288,13 +288,13 @@ def test_the_state_does_not_depend_on_the_step(tissue, seed):
     np.testing.assert_allclose(coarse.punctures, fine.punctures, atol=EXACT)
 
 
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_pull_energy_and_deflection_agree(way):
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_pull_energy_and_deflection_agree(sign):
     """The pull is the slope of the energy (central difference), and the deflection its inverse."""
     for deflection in np.linspace(1e-4, 20e-3, 40):
         step = 1e-6
-        slope = LIVER.stored_J(way * deflection + step) - LIVER.stored_J(way * deflection - step)
-        assert LIVER.pull_N(way * deflection) == pytest.approx(slope / (2.0 * step), rel=1e-6)
+        slope = LIVER.stored_J(sign * deflection + step) - LIVER.stored_J(sign * deflection - step)
+        assert LIVER.pull_N(sign * deflection) == pytest.approx(slope / (2.0 * step), rel=1e-6)
         assert LIVER.deflection_m(LIVER.pull_N(deflection)) == pytest.approx(deflection, rel=EXACT)
 
 

@@ -161,8 +161,8 @@ def test_ten_percent_in_fewer_trials_than_staircases():
         errors["adaptive"].append(np.median(np.abs(np.log(found.threshold_N(2.0)[0] / truth))))
         for down, each in stairs.items():
             each.answer(crowd.correct(2.0, each.level, rng))
-            told = each.threshold() * D_PRIME_75 / d_prime_of_correct(each.target)
-            errors[down].append(np.median(np.abs(np.log(told / truth))))
+            estimate = each.threshold() * D_PRIME_75 / d_prime_of_correct(each.target)
+            errors[down].append(np.median(np.abs(np.log(estimate / truth))))
     needed = {name: trials - int(np.argmax(np.array(each)[::-1] > np.log(1.1))) for name, each in errors.items()}
     assert needed["adaptive"] < needed[3] and needed["adaptive"] < needed[2]
 

@@ -210,9 +210,9 @@ def test_a_sense_scatters_by_its_threshold_and_is_the_steady_filter():
     estimates = []
     for force, seed in ((2.0, 9), (2.0 + float(law.threshold(2.0)), 10)):
         sense = Sense(law, integration_s=0.1, tick_s=1e-3, rng=np.random.default_rng(seed))
-        told = np.array([sense.step(force) for _ in range(400_000)])[1000:]
-        assert told.mean() == pytest.approx(force, abs=0.02)
-        estimates.append(told[::500])  # five time constants apart: independent
+        estimates_N = np.array([sense.step(force) for _ in range(400_000)])[1000:]
+        assert estimates_N.mean() == pytest.approx(force, abs=0.02)
+        estimates.append(estimates_N[::500])  # five time constants apart: independent
     weak, strong = estimates
     assert weak.std() == pytest.approx(float(law.threshold(2.0)) / 0.9538725524, rel=0.12)  # 800 looks: 2.5 %
     right = np.mean(strong[:, None] > weak[None, :])

@@ -99,7 +99,7 @@ def test_limits_are_the_prior_and_the_observation():
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"seen_N": np.nan}, "seen_N must be finite"),
         ({"noise_N": 0.0}, "noise_N must be positive and finite, got 0.0"),
@@ -107,9 +107,9 @@ def test_limits_are_the_prior_and_the_observation():
         ({"log_spread": np.inf}, "log_spread must be positive and finite"),
     ],
 )
-def test_impossible_numbers_are_refused(change, told):
+def test_impossible_numbers_are_refused(change, message):
     given = {"seen_N": 1.0, "noise_N": 0.1, "median_N": 1.0, "log_spread": 1.0} | change
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=message):
         map_force_N(given.pop("seen_N"), given.pop("noise_N"), **given)
 
 

@@ -88,10 +88,10 @@ def test_ball_on_a_convex_edge_and_corner(radius):
     device = 0.6 * radius * at(np.cos(0.9), 0.0, np.sin(0.9)) + at(0.0, -2e-3, 0.0)
     result = walk(proxy, (2 * radius, -2e-3, 2 * radius), device)
     assert result.position_m == pytest.approx(at(0.0, -2e-3, 0.0) + (device + at(0, 2e-3, 0)) / 0.6, abs=EXACT)
-    way = at(1.0, 2.0, 2.0) / 3.0
-    proxy.place(3.0 * radius * way)
-    result = walk(proxy, 3.0 * radius * way, 0.7 * radius * way)
-    assert result.position_m == pytest.approx(radius * way, abs=EXACT)
+    direction = at(1.0, 2.0, 2.0) / 3.0
+    proxy.place(3.0 * radius * direction)
+    result = walk(proxy, 3.0 * radius * direction, 0.7 * radius * direction)
+    assert result.position_m == pytest.approx(radius * direction, abs=EXACT)
 
 
 def test_point_slides_off_a_convex_edge_and_is_free():
@@ -130,13 +130,13 @@ def test_no_speed_gets_through_a_thin_wall(speed):
         normal = turn[:, 2]
         start = wall.centre_m + 1e-3 * random.uniform(0.02, 1.0) * normal
         proxy = point_on(wall, start=start)
-        way = random.normal(size=3)
-        way *= -np.sign(way @ normal) * 1e-3 * speed / np.linalg.norm(way)
+        direction = random.normal(size=3)
+        direction *= -np.sign(direction @ normal) * 1e-3 * speed / np.linalg.norm(direction)
         for _ in range(5):
-            result = proxy.advance(start + way)
+            result = proxy.advance(start + direction)
         height = (result.position_m - wall.centre_m) @ normal
         assert height >= 1e-5 - EXACT
-        if (start + way - wall.centre_m) @ normal < 0.0 and np.linalg.norm(way) < 0.05:
+        if (start + direction - wall.centre_m) @ normal < 0.0 and np.linalg.norm(direction) < 0.05:
             assert height == pytest.approx(1e-5, abs=EXACT)
 
 
@@ -146,13 +146,13 @@ def test_friction_sticks_if_and_only_if_the_pull_is_inside_the_cone():
         proxy = point_on(FLOOR, start=(0.0, 0.0, 1e-3), friction=friction)
         depth = 2e-3
         walk(proxy, (0.0, 0.0, 1e-3), (0.0, 0.0, -depth))
-        way = at(0.6, 0.8, 0.0)
+        direction = at(0.6, 0.8, 0.0)
         for share in (0.5, 0.999999):
-            result = proxy.advance(share * friction * depth * way - at(0.0, 0.0, depth))
+            result = proxy.advance(share * friction * depth * direction - at(0.0, 0.0, depth))
             assert result.position_m == pytest.approx(STILL, abs=EXACT)
         for pull in (1.000001 * friction * depth, 2.0 * friction * depth, 9e-3):
-            result = proxy.advance(pull * way - at(0.0, 0.0, depth))
-            assert result.position_m == pytest.approx((pull - friction * depth) * way, abs=EXACT)
+            result = proxy.advance(pull * direction - at(0.0, 0.0, depth))
+            assert result.position_m == pytest.approx((pull - friction * depth) * direction, abs=EXACT)
             assert np.linalg.norm(result.push_m[:2]) == pytest.approx(friction * result.push_m[2], rel=1e-9)
 
 

@@ -94,12 +94,12 @@ def simulated_trials(rng):
     """Twelve users of two groups under four methods, four paired trials each."""
     rows = []
     for user in range(12):
-        own, tastes = rng.normal(), 0.9 * rng.normal(size=4)
+        user_level, tastes = rng.normal(), 0.9 * rng.normal(size=4)
         for trial in range(4):
             shared = 0.9 * rng.normal()
             rows += [
                 {"task": "t", "group": "gh"[user // 6], "user": user, "trial": trial, "method": method, "seed": 0,
-                 "m": own + tastes[index] + shared + 0.7 * rng.normal()}
+                 "m": user_level + tastes[index] + shared + 0.7 * rng.normal()}
                 for index, method in enumerate("abcd")
             ]  # fmt: skip
     return TrialTable.from_rows(rows)
@@ -198,9 +198,9 @@ def test_quadrature_agrees_with_chains():
         level = numpyro.sample("level", dist.Normal(0.0, 10.0)) * rest
         slopes = numpyro.sample("slopes", dist.Normal(0.0, 10.0).expand([2])) * rest
         users = numpyro.sample("users", dist.Normal(0.0, 1.0).expand([10]))
-        own = users * rest * jax.numpy.sqrt(share / (1.0 - share))
+        user_level = users * rest * jax.numpy.sqrt(share / (1.0 - share))
         numpyro.deterministic("slope", slopes)
-        numpyro.sample("seen", dist.Normal(level + design @ slopes + own[person], rest), obs=standard)
+        numpyro.sample("seen", dist.Normal(level + design @ slopes + user_level[person], rest), obs=standard)
 
     chains = numpyro.infer.MCMC(
         numpyro.infer.NUTS(model, target_accept_prob=0.9), num_warmup=500, num_samples=4000, progress_bar=False

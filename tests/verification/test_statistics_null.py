@@ -167,8 +167,8 @@ def test_permuted_pillai_alarms_at_the_stated_level(between):
             (1 + (pillai(others, groups, between=between)[0] >= measured * (1.0 - 1e-12)).sum()) / 100 <= ALPHA
         )
     assert np.mean(alarms) == pytest.approx(ALPHA, abs=OFF)
-    said = multivariate(scores, groups, between=between, question="?", rng=rng, permutations=999)
-    assert said.alternatives[0].statistic == pytest.approx(float(measured), rel=1e-9)
+    message = multivariate(scores, groups, between=between, question="?", rng=rng, permutations=999)
+    assert message.alternatives[0].statistic == pytest.approx(float(measured), rel=1e-9)
 
 
 @pytest.mark.slow
@@ -206,11 +206,11 @@ def test_the_mixed_model_itself_on_a_few_populations():
         rows = []
         for group in "ab":
             for user in range(5):
-                own, tastes = rng.normal(), 0.8 * rng.normal(size=3)
+                user_level, tastes = rng.normal(), 0.8 * rng.normal(size=3)
                 for trial in range(3):
                     shared = 0.7 * rng.normal()
                     for method in range(3):
-                        value = own + tastes[method] + shared + 0.7 * rng.normal()
+                        value = user_level + tastes[method] + shared + 0.7 * rng.normal()
                         rows.append(
                             {
                                 "task": "t",

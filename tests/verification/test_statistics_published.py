@@ -248,11 +248,11 @@ def study(seed, *, users=6, trials=5, user=1.0, taste=0.6, trial=0.7, rest=1.0, 
     rows = []
     for group in ("expert", "novice"):
         for name in range(users):
-            own, tastes = user * rng.normal(), taste * rng.normal(size=3)
+            user_level, tastes = user * rng.normal(), taste * rng.normal(size=3)
             for number in range(trials):
                 shared = trial * rng.normal()
                 for index, method in enumerate(("a", "b", "c")):
-                    value = 5.0 + own + tastes[index] + shared + rest * rng.normal() + effect * index
+                    value = 5.0 + user_level + tastes[index] + shared + rest * rng.normal() + effect * index
                     rows.append(
                         {"task": "wall", "group": group, "user": f"u{name}", "trial": number, "method": method,
                          "seed": number, "force_error": value}

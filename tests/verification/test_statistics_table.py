@@ -206,7 +206,7 @@ def test_a_whole_analysis_runs_without_a_warning_and_repeats():
     pytest.importorskip("statsmodels", reason="statsmodels is not installed: pip install 'tissue-sim[study]'")
     table = table_of(users=8)
 
-    def told():
+    def sentences_of():
         rng = np.random.default_rng(8)
         found = compare(table, "force_error", task="wall", rng=rng)
         both = [
@@ -224,8 +224,8 @@ def test_a_whole_analysis_runs_without_a_warning_and_repeats():
 
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        first = told()
-    assert first == told()
+        first = sentences_of()
+    assert first == sentences_of()
     assert first[1].startswith("force_error: method: an effect (mixed model, F(3, 42)")
 
 
@@ -303,14 +303,14 @@ REFUSED = {
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_cannot_be_compared_is_reported_in_a_sentence(case):
-    call, said = REFUSED[case]
-    with pytest.raises(InputError, match=said) as refused:
+    call, message = REFUSED[case]
+    with pytest.raises(InputError, match=message) as refused:
         call()
     assert ": " in str(refused.value) and "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("time_s,force_N\n0,1\n", "table must begin with task,group,user"),
         ("", "table must begin"),
@@ -319,13 +319,13 @@ def test_what_cannot_be_compared_is_reported_in_a_sentence(case):
     ],
     ids=["a trace", "empty", "cut short", "words"],
 )
-def test_a_file_that_is_no_table_is_refused(tmp_path: Path, text, said):
+def test_a_file_that_is_no_table_is_refused(tmp_path: Path, text, message):
     path = tmp_path / "trials.csv"
     if text is None:
         table_of().write_csv(path)
         text = "\n".join(path.read_text().splitlines()[:4])[:-60]
     path.write_text(text)
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         TrialTable.read_csv(path)
 
 

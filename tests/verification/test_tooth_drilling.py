@@ -12,7 +12,7 @@ from tissue.materials.cutting import cutting_coefficients
 from tissue.models.bone.bricks import voxels_of
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import ToolMotion
-from tissue.models.tooth import stress_process as beside
+from tissue.models.tooth import stress_process
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.compliance import support_compliance
 from tissue.models.tooth.field import TOOTH, StressField
@@ -112,7 +112,7 @@ class Drilled:
                 self.lead.append(np.linalg.norm(difference) / np.linalg.norm(exact[there]))
             return frame
 
-        monkeypatch.setattr(beside, "StressProcess", beside.InlineStressSolver)
+        monkeypatch.setattr(stress_process, "StressProcess", stress_process.InlineStressSolver)
         monkeypatch.setattr(StressField, "solve", solve)
         self.run = tissue.simulate(tissue.load_scene("molar", DEEP))
         self.trace, self.model = self.run.trace, self.run.parts.tissue
@@ -178,15 +178,15 @@ def test_stress_after_warm_starts_is_that_of_a_cold_solve(drilled):
 
 def test_the_pulp_is_reported_before_it_is_hit(drilled):
     """Both limits and the exposure once each, in their order; the exposure within a voxel of the pulp's roof."""
-    told = [event for event in drilled.run.events if "pulp" in event[1]]  # a busy machine also tells of late stress
-    times, said = zip(*told, strict=True)
-    assert said == (
+    on_pulp = [event for event in drilled.run.events if "pulp" in event[1]]  # a busy machine also tells of late stress
+    times, message = zip(*on_pulp, strict=True)
+    assert message == (
         "less than 1 mm of dentin is left over the pulp",
         "less than 0.5 mm of dentin is left over the pulp",
         "the pulp is exposed",
     )
     assert list(times) == sorted(set(times))
-    depth = dict(zip(said, np.interp(times, drilled.trace["time_s"], drilled.trace["tool_z_mm"]), strict=True))
+    depth = dict(zip(message, np.interp(times, drilled.trace["time_s"], drilled.trace["tool_z_mm"]), strict=True))
     assert depth["the pulp is exposed"] == pytest.approx(-5.0, abs=0.1)
     assert not drilled.trace["removed_pulp_mm3"][drilled.trace["time_s"] < times[1]].any()
     assert drilled.trace["removed_pulp_mm3"][-1] > 0.0

@@ -67,7 +67,7 @@ def environment(name: str, folder: Path) -> Path:
 
 def lines(python: Path | str, script: str, *arguments: str) -> list[dict[str, Any]]:
     """What a script says, one JSON object a line."""
-    said = subprocess.run(
+    done = subprocess.run(
         [python, HERE / script, *arguments],
         check=True,
         capture_output=True,
@@ -75,7 +75,7 @@ def lines(python: Path | str, script: str, *arguments: str) -> list[dict[str, An
         timeout=600,
         env=os.environ | ALONE,
     )
-    return [json.loads(line) for line in said.stdout.splitlines() if line.startswith("{")]
+    return [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
 
 
 def fastest(rounds: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
@@ -130,7 +130,7 @@ def in_words(us: float) -> str:
 
 def markdown(rows: list[dict[str, Any]], missing: dict[str, str], rounds: int) -> str:
     """The table for people."""
-    said = [
+    text = [
         f"{date.today().isoformat()}, {machine()}; the faster of {rounds} rounds each, ours and theirs in turn, one thread of BLAS, processor time.",
         "",
         "| work | peer | its median (99 %) | ours (99 %) | ours is faster by | came out: theirs, ours |",
@@ -140,17 +140,17 @@ def markdown(rows: list[dict[str, Any]], missing: dict[str, str], rounds: int) -
         ratio = f"{row['ratio']:.2g}" if row["ratio"] > 1.0 else f"**{row['ratio']:.2g}: {row['peer']} wins**"
         same = row["unit"] == row["our_unit"]
         came = f"{row['peer_value']:.4g}{'' if same else ' ' + row['unit']}, {row['our_value']:.4g} {row['our_unit']}"
-        said.append(
+        text.append(
             f"| {row['work']}, {row['size']} | {row['peer']} | {in_words(row['peer_us'])} ({in_words(row['peer_p99_us'])}) "
             f"| {in_words(row['our_us'])} ({in_words(row['our_p99_us'])}) | {ratio} "
             f"| {came} |"
         )
-    said += ["", "Where the work is not the same:"]
+    text += ["", "Where the work is not the same:"]
     for differs in dict.fromkeys(row["differs"] for row in rows):
         peers = dict.fromkeys(row["peer"].split(",")[0] for row in rows if row["differs"] == differs)
-        said.append(f"- {', '.join(peers)}: {differs}.")
-    said += [f"- {name} is missing: {why}" for name, why in missing.items()]
-    return "\n".join(said) + "\n"
+        text.append(f"- {', '.join(peers)}: {differs}.")
+    text += [f"- {name} is missing: {why}" for name, why in missing.items()]
+    return "\n".join(text) + "\n"
 
 
 def main() -> None:

@@ -113,8 +113,8 @@ def bricks_in_tetrahedra(size_m: tuple[float, ...], cells: tuple[int, ...]) -> t
 
 def ball_tip(tick: int, top_m: float = SLAB_M[2]) -> np.ndarray:
     """Lowest point of the ball: down to its depth in 200 ticks, then along at 20 mm/s."""
-    way = max(0, tick - 200) * 20e-3 * STEP_S
-    return np.array([0.5 * SLAB_M[0] + way, 0.5 * SLAB_M[1], top_m - DEPTH_M * min(1.0, tick / 200)])
+    travel = max(0, tick - 200) * 20e-3 * STEP_S
+    return np.array([0.5 * SLAB_M[0] + travel, 0.5 * SLAB_M[1], top_m - DEPTH_M * min(1.0, tick / 200)])
 
 
 def ball_centre(tick: int) -> np.ndarray:

@@ -33,8 +33,8 @@ def test_a_placeholder_spacing_is_refused_with_the_size_it_makes(refused, here):
     labels[10:50, 10:50, 50:70] = 2
     image.point_data["labels"] = labels.ravel(order="F")
     image.save(here / "labels.vti")
-    said = refused("run", "molar", *FORCE_ONLY, "--set", "anatomy.file=labels.vti")
-    assert said.startswith("anatomy.spacing_mm must make the tooth 5 to 40 mm long, got 1, which makes it ")
+    message = refused("run", "molar", *FORCE_ONLY, "--set", "anatomy.file=labels.vti")
+    assert message.startswith("anatomy.spacing_mm must make the tooth 5 to 40 mm long, got 1, which makes it ")
 
 
 def test_unknown_labels_are_listed(refused, here):
@@ -44,23 +44,25 @@ def test_unknown_labels_are_listed(refused, here):
     labels = np.full((40, 40, 60), 7, dtype=np.uint8)
     image.point_data["labels"] = labels.ravel(order="F")
     image.save(here / "labels.vti")
-    said = refused("run", "molar", *FORCE_ONLY, "--set", "anatomy.file=labels.vti", "--set", "anatomy.spacing_mm=0.3")
-    assert said.startswith("anatomy.file must name every label of labels.vti, got unnamed 7 (")
+    message = refused(
+        "run", "molar", *FORCE_ONLY, "--set", "anatomy.file=labels.vti", "--set", "anatomy.spacing_mm=0.3"
+    )
+    assert message.startswith("anatomy.file must name every label of labels.vti, got unnamed 7 (")
 
 
 def test_layers_in_different_units_are_refused(refused, here):
     enamel = write_ball(here / "enamel.stl", 5.0, (0.0, 0.0, 6.0))
     dentin = write_ball(here / "dentin.stl", 6.0, (300.0, 0.0, 0.0))
-    said = refused("run", "molar", *FORCE_ONLY, "--set", f"anatomy.enamel_file={enamel}",
+    message = refused("run", "molar", *FORCE_ONLY, "--set", f"anatomy.enamel_file={enamel}",
                    "--set", f"anatomy.dentin_file={dentin}")  # fmt: skip
-    assert "touch" in said or "tooth" in said
+    assert "touch" in message or "tooth" in message
 
 
 def test_a_layer_file_that_is_missing_is_named(refused, here):
     dentin = write_ball(here / "dentin.stl", 6.0)
-    said = refused("run", "molar", *FORCE_ONLY, "--set", "anatomy.enamel_file=nowhere.stl",
+    message = refused("run", "molar", *FORCE_ONLY, "--set", "anatomy.enamel_file=nowhere.stl",
                    "--set", f"anatomy.dentin_file={dentin}")  # fmt: skip
-    assert "nowhere.stl" in said
+    assert "nowhere.stl" in message
 
 
 def test_enamel_alone_is_no_tooth(refused, here):
@@ -72,8 +74,8 @@ def test_enamel_alone_is_no_tooth(refused, here):
 
 @pytest.mark.parametrize("part", ["stress={}", "heat=true"])
 def test_what_only_a_tooth_has_is_refused_elsewhere(refused, here, part):
-    said = refused("run", "milling", "--set", part)
-    assert said in (
+    message = refused("run", "milling", "--set", part)
+    assert message in (
         "stress must be left out for a block, got a table: set anatomy.kind = molar, or remove it",
         "heat must be left out for a block, got true: set anatomy.kind = molar, or remove it",
     )

@@ -158,8 +158,8 @@ def test_a_liver_from_a_file_is_placed_held_and_pressed(anatomy):
 
 def test_a_needle_scene_reports_its_punctures():
     run = simulate(load_scene("needle"))
-    said = [what for _, what in run.events]
-    assert [line.split(" is punctured")[0] for line in said[:2]] == ["the capsule", "the vessel wall"]
+    message = [what for _, what in run.events]
+    assert [line.split(" is punctured")[0] for line in message[:2]] == ["the capsule", "the vessel wall"]
     assert run.trace["model_force_z_N"].max() == pytest.approx(3.2, abs=0.1)
 
 

@@ -121,8 +121,8 @@ def test_a_surface_that_encloses_no_bone_is_refused(refused, here, name, corners
         path.touch()
     elif corners is not None:
         write_stl(path, corners, faces)
-    said = refused("run", "glenoid", "--set", f"anatomy.file={path}")
-    assert said == sentence.format(path=path)
+    message = refused("run", "glenoid", "--set", f"anatomy.file={path}")
+    assert message == sentence.format(path=path)
 
 
 def test_a_surface_of_absurd_scale_is_refused(refused, here):
@@ -186,8 +186,8 @@ def test_a_bad_pose_table_is_refused(refused, here, table, sentence):
     path = here / "poses.csv"
     if table is not None:
         path.write_bytes(table if isinstance(table, bytes) else table.encode())
-    said = refused("run", "milling", *COARSE, "--set", "motion.kind=replay", "--set", "motion.file=poses.csv")
-    assert said == sentence.format(path=path)
+    message = refused("run", "milling", *COARSE, "--set", "motion.kind=replay", "--set", "motion.file=poses.csv")
+    assert message == sentence.format(path=path)
 
 
 def test_a_thrust_that_starts_below_its_end_is_refused(refused, here):

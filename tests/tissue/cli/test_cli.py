@@ -354,7 +354,7 @@ def test_a_truly_full_disk_is_refused(tiny_disk):
 
 
 def test_a_run_prints_its_figures_and_where_they_are(command, here):
-    code, said, error = command("run", "milling", *COARSE, "--duration-s", 0.1)
+    code, output, error = command("run", "milling", *COARSE, "--duration-s", 0.1)
     assert (code, error) == (0, "")
     for word in (
         "removed cortical",
@@ -364,17 +364,17 @@ def test_a_run_prints_its_figures_and_where_they_are(command, here):
         "missed 1 ms deadlines",
         "files in runs/milling",
     ):
-        assert word in said
-    assert "Warp" not in said
+        assert word in output
+    assert "Warp" not in output
 
 
 def test_scenes_are_listed_and_printed(command, here):
-    code, said, _ = command("scenes")
+    code, output, _ = command("scenes")
     assert code == 0
-    assert [line.split()[0] for line in said.splitlines()] == scene_names()
+    assert [line.split()[0] for line in output.splitlines()] == scene_names()
     for name in scene_names():
-        code, said, _ = command("scenes", name)
-        assert code == 0 and f'name = "{name}"' in said
+        code, output, _ = command("scenes", name)
+        assert code == 0 and f'name = "{name}"' in output
 
 
 def test_the_version_is_that_of_the_project(command):
@@ -384,7 +384,7 @@ def test_the_version_is_that_of_the_project(command):
 
 
 def test_help_lists_every_option(command):
-    code, said, _ = command("run", "--help")
+    code, output, _ = command("run", "--help")
     assert code == 0
     for option in (
         "--out",
@@ -398,7 +398,7 @@ def test_help_lists_every_option(command):
         "--overwrite",
         "--allow-unstable",
     ):
-        assert option in said
+        assert option in output
 
 
 def test_a_peg_that_fits_neither_tool_nor_hole_is_refused(refused):

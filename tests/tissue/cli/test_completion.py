@@ -22,10 +22,10 @@ def home(monkeypatch, tmp_path):
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_is_installed_in_a_shell(command, home, shell):
-    code, said, problems = command("--install-completion", "--shell", shell)
+    code, output, problems = command("--install-completion", "--shell", shell)
     written = [path for path in home.rglob("*") if path.is_file() and "tissue" in path.name]
     assert (code, problems, len(written)) == (0, "", 1)
-    assert said == f"wrote {written[0]}: open a new {shell} to use it\n"
+    assert output == f"wrote {written[0]}: open a new {shell} to use it\n"
     if shell in PLACES:
         assert written[0] == home / PLACES[shell]
     script = written[0].read_text("utf-8")

@@ -40,8 +40,8 @@ def stated(table, entry, defs, where):
 
 
 def test_the_schema_states_every_key_of_the_scenes(command):
-    code, said, _ = command("schema")
-    schema = json.loads(said)
+    code, output, _ = command("schema")
+    schema = json.loads(output)
     assert code == 0 and schema["additionalProperties"] is False
     for name in scene_names():
         for text in (scene_text(name), saved_text(load_scene(name))):
@@ -96,14 +96,14 @@ def test_bad_use_of_the_schema_is_refused(refused, tmp_path):
 def test_a_printed_scene_names_a_schema_that_is_there_and_loads_unchanged(command, monkeypatch, tmp_path, name):
     cache = tmp_path / "a cache, with ü"
     monkeypatch.setenv("TISSUE_CACHE", str(cache))
-    _, said, _ = command("scenes", name)
-    first, rest = said.split("\n", 1)
+    _, output, _ = command("scenes", name)
+    first, rest = output.split("\n", 1)
     keyword, url = first.split(" ", 1)
     assert keyword == "#:schema" and " " not in url and urlsplit(url).scheme == "file"
     with open(url2pathname(urlsplit(url).path), encoding="utf-8") as schema:
         assert schema.read() == command("schema")[1]
     assert rest == scene_text(name)
-    (tmp_path / "mine.toml").write_text(said, "utf-8")
+    (tmp_path / "mine.toml").write_text(output, "utf-8")
     assert load_scene(tmp_path / "mine.toml") == load_scene(name)
 
 

@@ -76,8 +76,8 @@ def test_alignment_never_goes_back_and_keeps_crossings_apart():
     np.testing.assert_allclose(rows, np.arange(0, 1000, 2), atol=4)
     turned = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
     line = np.column_stack([path, 0.3 * path, 0.0 * path])
-    own, other = deviation_mm(line[::2], line, rows), deviation_mm(line[::2] @ turned + 7.0, line @ turned + 7.0, rows)
-    np.testing.assert_allclose(own, other, atol=1e-9)
+    off, other = deviation_mm(line[::2], line, rows), deviation_mm(line[::2] @ turned + 7.0, line @ turned + 7.0, rows)
+    np.testing.assert_allclose(off, other, atol=1e-9)
 
 
 def test_breaches_are_found_where_they_were_planted(tmp_path):
@@ -141,7 +141,7 @@ def test_what_cannot_be_assessed_is_refused(tmp_path):
         assess(short, reference)
 
 
-def told(monkeypatch, *words):
+def run_command(monkeypatch, *words):
     """Run the command in this process; its exit code."""
     monkeypatch.setattr("sys.argv", ["tissue", "assess", *map(str, words)])
     with pytest.raises(SystemExit) as ended:
@@ -152,8 +152,8 @@ def told(monkeypatch, *words):
 def test_the_command_prints_and_refuses(tmp_path, capsys, monkeypatch):
     saved(tmp_path / "r", reach(1.0))
     saved(tmp_path / "t", reach(1.2, aside_mm=3.0))
-    assert told(monkeypatch, tmp_path / "t", "--against", tmp_path / "r", "--out", tmp_path / "out") == 0
-    said = capsys.readouterr().out
-    assert "breach: distance from the path above 1 mm" in said and "assessment.png" in said
-    assert told(monkeypatch, tmp_path / "none", "--against", tmp_path / "r") == 2
+    assert run_command(monkeypatch, tmp_path / "t", "--against", tmp_path / "r", "--out", tmp_path / "out") == 0
+    message = capsys.readouterr().out
+    assert "breach: distance from the path above 1 mm" in message and "assessment.png" in message
+    assert run_command(monkeypatch, tmp_path / "none", "--against", tmp_path / "r") == 2
     assert "run must be a folder that `tissue run` wrote" in capsys.readouterr().err

@@ -70,8 +70,8 @@ def test_a_session_ends_with_observer_trials_and_picture(command, here):
 
 def test_a_picture_that_is_there_is_kept(refused, here):
     (here / "mine.png").write_text("mine")
-    said = refused("calibrate", "--observer", "simulated:4", "--out", "mine.json")
-    assert "got mine.png: pass --overwrite or choose another --out" in said
+    message = refused("calibrate", "--observer", "simulated:4", "--out", "mine.json")
+    assert "got mine.png: pass --overwrite or choose another --out" in message
     assert os.listdir(here) == ["mine.png"] and (here / "mine.png").read_text() == "mine"
 
 
@@ -110,14 +110,14 @@ def test_a_stopped_command_goes_on(tmp_path, name):
         assert first.poll() is None, first.stderr.read()
         time.sleep(0.001)
     first.send_signal(getattr(signal, name))
-    _, said = first.communicate(timeout=60)
+    _, message = first.communicate(timeout=60)
     done = path.read_bytes().count(b"\n") - 1
     assert 9 <= done < 604 and not out.exists()
     if name == "SIGINT":
-        assert first.returncode == 130 and f"stopped after trial {done}" in said
+        assert first.returncode == 130 and f"stopped after trial {done}" in message
     second = run(out)
-    _, said = second.communicate(timeout=120)
-    assert second.returncode == 0 and f"going on at trial {done + 1}" in said
+    _, message = second.communicate(timeout=120)
+    assert second.returncode == 0 and f"going on at trial {done + 1}" in message
     session = answered(
         Plan(trials=600, numbers=4), questioner("simulated:2", "mouse", seed=0, read=input, show=print)[0]
     )
@@ -128,8 +128,8 @@ def test_a_stopped_command_goes_on(tmp_path, name):
 
 def change(lines, number, **entries):
     """Lines of a log with entries of one replaced."""
-    told = json.loads(lines[number]) | entries
-    return [*lines[:number], json.dumps(told), *lines[number + 1 :]]
+    entry = json.loads(lines[number]) | entries
+    return [*lines[:number], json.dumps(entry), *lines[number + 1 :]]
 
 
 @pytest.mark.parametrize("content", [b"\xff\xfe\x00", b""], ids=["no text", "empty"])
@@ -142,7 +142,7 @@ def test_a_log_that_is_no_text_is_refused_without_the_words_of_a_decoder(tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("mend", "said"),
+    ("mend", "message"),
     [
         (lambda lines: change(lines, 3, answer=3), "answer must be 1 or 2, got 3"),
         (lambda lines: change(lines, 3, answer="one"), "answer must be a number, got 'one'"),
@@ -163,12 +163,12 @@ def test_a_log_that_is_no_text_is_refused_without_the_words_of_a_decoder(tmp_pat
     ids=["three", "word", "true", "negative", "foreign", "force", "gap", "twice", "text", "list", "version", "format", "plan",
          "observer", "table"],
 )  # fmt: skip
-def test_a_log_that_cannot_be_gone_on_with_is_refused_and_kept(log, mend, said):
+def test_a_log_that_cannot_be_gone_on_with_is_refused_and_kept(log, mend, message):
     log.write_text("\n".join(mend(log.read_text().splitlines())) + "\n")
     before = log.read_bytes()
     with pytest.raises(InputError) as refused:
         TrialLog(log, "somebody", SHORT)
-    assert said in str(refused.value)
+    assert message in str(refused.value)
     assert log.read_bytes() == before
 
 
@@ -205,9 +205,9 @@ def test_what_cannot_be_calibrated_is_refused(refused, here, arguments, sentence
 
 
 def simulated(seed, prior=None, **plan):
-    people, own = simulated_observer(f"simulated:{seed}")
+    people, observer_seed = simulated_observer(f"simulated:{seed}")
     given = {"prior": prior} if prior else {}
-    return answered(Plan(**plan, **given), simulated_answers(people, own))
+    return answered(Plan(**plan, **given), simulated_answers(people, observer_seed))
 
 
 def test_an_ordinary_session_has_no_notes():

@@ -75,9 +75,9 @@ def test_shares_follow_from_the_distance():
     for scatter in (0.0, 0.1):
         share = share_right(crowd, Stimulus(1.0, scatter), Stimulus(1.1, scatter), seed=1).mean()
         distance = D_PRIME_75 * 0.1 / threshold
-        own = D_PRIME_75 * scatter / threshold
+        felt_scatter = D_PRIME_75 * scatter / threshold
         # thresholds are taken at the smaller force, so that scatter counts a little more than to first order
-        assert share == pytest.approx(float(correct_of_d_prime(distance / np.hypot(1.0, own))), abs=0.02)
+        assert share == pytest.approx(float(correct_of_d_prime(distance / np.hypot(1.0, felt_scatter))), abs=0.02)
 
 
 def test_a_mapping_cannot_help_against_scatter():

@@ -76,8 +76,8 @@ def test_a_folder_that_holds_no_population_is_refused(tmp_path, held):
         (folder / "a.trials.jsonl").write_text("x\n")
     if held == "file":
         out.write_text("mine")
-    said = {"foreign": "which is something else", "file": "out must not exist yet"}
-    with pytest.raises(InputError, match=said.get(held, "three sessions or more")):
+    message = {"foreign": "which is something else", "file": "out must not exist yet"}
+    with pytest.raises(InputError, match=message.get(held, "three sessions or more")):
         fit_population(folder, out, seed=0, overwrite=False)
     assert not out.exists() or out.read_text() == "mine"
 

@@ -95,8 +95,12 @@ def test_a_row_without_settings_is_in_the_table_and_is_never_chosen(tmp_path):
     )
     with pytest.raises(InputError, match="the nearest is P2"):
         choose(everything, Fidelity(force_error=0.02 * SAFETY))
-    said = chart_lines([[found]])
-    assert "linear law is 10 % off" in said[2] and "2 instants" in said[2] and "1 more did not converge" in said[2]
+    message = chart_lines([[found]])
+    assert (
+        "linear law is 10 % off" in message[2]
+        and "2 instants" in message[2]
+        and "1 more did not converge" in message[2]
+    )
     draw_frontiers([found], tmp_path / "a.png")
     assert (tmp_path / "a.png").stat().st_size > 10_000
 
@@ -202,9 +206,11 @@ def test_an_interrupted_chart_goes_on_and_a_finished_one_is_not_measured_again(b
     frontier_of(block)
     assert len(ran) == 3
     wanted = changed(block, {"fidelity": {"force_error": 1.01 * SAFETY * coarse.force_error}})
-    chosen, said = with_fidelity(wanted)
-    assert chosen.fidelity is None and chosen.voxels.spacing_mm in (0.2, 0.4) and "the cheapest of 2 settings" in said
-    assert said.startswith(("0.4 mm, of 0.4 mm; 0.2 mm: force", "0.2 mm, of 0.4 mm; 0.2 mm: force"))
+    chosen, message = with_fidelity(wanted)
+    assert (
+        chosen.fidelity is None and chosen.voxels.spacing_mm in (0.2, 0.4) and "the cheapest of 2 settings" in message
+    )
+    assert message.startswith(("0.4 mm, of 0.4 mm; 0.2 mm: force", "0.2 mm, of 0.4 mm; 0.2 mm: force"))
     run = tissue.simulate(wanted.model_copy(update={"duration_s": 0.01}))
     assert run.parts.notes["fidelity"] and run.scene.fidelity is None
 
@@ -220,21 +226,21 @@ def test_an_excerpt_ends_a_while_after_the_first_contact(block):
 def test_a_loop_is_described_in_plain_words():
     scene = by_hand(load_scene("milling"))
     settings = settings_of(scene, quick=True)
-    said = {each.name: _in_words(changed(scene, each.changes), each, settings) for each in settings}
-    assert said["koopman"].startswith(
+    message = {each.name: _in_words(changed(scene, each.changes), each, settings) for each in settings}
+    assert message["koopman"].startswith(
         "renderer proxy, forces foretold by the koopman predictor, tissue asked at 1000 Hz"
     )
-    assert said["100 Hz, hold"].startswith("renderer proxy, the tissue's last force held, tissue asked at 100 Hz")
-    assert "rather than proxy; kalman; koopman; 100 Hz, koopman" in said["100 Hz, hold"]
+    assert message["100 Hz, hold"].startswith("renderer proxy, the tissue's last force held, tissue asked at 100 Hz")
+    assert "rather than proxy; kalman; koopman; 100 Hz, koopman" in message["100 Hz, hold"]
 
 
 def test_places_keep_a_peg_in_its_hole_and_leave_hands_alone(block):
-    glenoid, own = load_scene("glenoid"), np.array(load_scene("glenoid").motion.points_mm)
+    glenoid, given_mm = load_scene("glenoid"), np.array(load_scene("glenoid").motion.points_mm)
     assert [each.motion for each in placed(by_hand(block))] == [block.motion]
     for scene in placed(glenoid)[1:]:
-        away = np.array(scene.motion.points_mm) - own
+        away = np.array(scene.motion.points_mm) - given_mm
         assert 0.0 < np.abs(away[:, :2]).max() <= 0.5 * glenoid.voxels.spacing_mm
-        assert scene.motion.points_mm[-1][2] != own[-1, 2] and scene.motion.points_mm[0][2] == own[0, 2]
+        assert scene.motion.points_mm[-1][2] != given_mm[-1, 2] and scene.motion.points_mm[0][2] == given_mm[0, 2]
     assert placed(block)[0] is block and len({scene.motion for scene in placed(block)}) == 3
 
 

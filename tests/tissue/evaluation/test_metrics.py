@@ -215,7 +215,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_a_metric_refuses_is_reported(case):
-    call, said = REFUSED[case]
-    with pytest.raises(InputError, match=said) as refused:
+    call, message = REFUSED[case]
+    with pytest.raises(InputError, match=message) as refused:
         call()
     assert ": " in str(refused.value)

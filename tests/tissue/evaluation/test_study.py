@@ -88,7 +88,7 @@ def test_seeds_belong_to_trials_and_to_nothing_else():
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [
         ({"trials": 0}, r"trials must be in \[1, 10000\], got 0: use 100"),
         ({"tasks": ("T9",)}, "tasks must each be one of T1, T2, T3, needle, reaming, drilling, got T9"),
@@ -96,8 +96,8 @@ def test_seeds_belong_to_trials_and_to_nothing_else():
         ({"methods": ("penalty", "penalty")}, "methods must each be .* got penalty,penalty: choose among these, once"),
     ],
 )
-def test_a_plan_that_makes_no_sense_is_refused(given, said):
-    with pytest.raises(InputError, match=said):
+def test_a_plan_that_makes_no_sense_is_refused(given, message):
+    with pytest.raises(InputError, match=message):
         Plan(**given)
 
 
@@ -133,10 +133,10 @@ def test_a_study_that_is_stopped_goes_on(tmp_path, pool):
 
 def test_a_lost_worker_loses_no_trial(tmp_path, pool):
     run_study(SMALL, tmp_path / "whole")
-    rng, told = np.random.default_rng(0), []
+    rng, reported = np.random.default_rng(0), []
     pool._lose = lambda key: rng.random() < 0.1
-    run_study(SMALL, tmp_path / "lossy", workers=3, report=lambda doing, share: told.append(doing))
-    assert any("workers were lost" in each for each in told)
+    run_study(SMALL, tmp_path / "lossy", workers=3, report=lambda doing, share: reported.append(doing))
+    assert any("workers were lost" in each for each in reported)
     assert table(tmp_path / "lossy") == table(tmp_path / "whole")
 
 
@@ -162,15 +162,15 @@ def test_a_study_whose_workers_never_live_gives_up(tmp_path, pool):
 
 
 def test_a_trial_file_that_is_cut_short_is_run_again(tmp_path, pool):
-    out, told = tmp_path / "study", []
+    out, reported = tmp_path / "study", []
     folder = run_study(SMALL, out)
     before = table(out)
     cut, gone = out / "trials" / "T2-novice-0001.json", out / "trials" / "needle-expert-0002.json"
     cut.write_bytes(cut.read_bytes()[:50])
     gone.unlink()
     pool.calls.clear()
-    run_study(SMALL, out, report=lambda doing, share: told.append(doing))
-    assert told[0] == "trial T2-novice-0001 was cut short and is run again"
+    run_study(SMALL, out, report=lambda doing, share: reported.append(doing))
+    assert reported[0] == "trial T2-novice-0001 was cut short and is run again"
     assert sorted(key.name for key in pool.calls) == ["T2-novice-0001", "needle-expert-0002"]
     assert table(out) == before and len(folder.table("T2")) == 3 * 3 * len(METHODS)
 

@@ -49,9 +49,9 @@ def planted(key, rng):
     doubled = 2.0 if key.variant == "pace-fast" else 1.0
     rows = []
     for method, left in LEFT.items():
-        own = left * (doubled if left < 1.0 else 1.0) * error * (1.0 if left == 1.0 else np.exp(0.05 * rng.normal()))
+        made = left * (doubled if left < 1.0 else 1.0) * error * (1.0 if left == 1.0 else np.exp(0.05 * rng.normal()))
         latency = 4.3 * left + 0.01 * rng.random() * (left < 1.0)
-        felt = {"force_error": own, "perceived_error": own + 0.1, "latency_ms": latency}
+        felt = {"force_error": made, "perceived_error": made + 0.1, "latency_ms": latency}
         rows.append({"method": method} | shared | felt)
     return rows
 
@@ -71,12 +71,12 @@ def study(tmp_path_factory):
 
 @pytest.mark.slow
 def test_the_report_finds_what_was_planted(study):
-    page, said = write_report(study.path)
+    page, message = write_report(study.path)
     text = page.read_text("utf-8")
     assert text.count("<section") >= 14 and text.count("data:image/png;base64,") == 5
     assert "http" not in text.replace("http-equiv", "") and "<script" not in text
-    assert any("1 failed, koopman: InputError: it was too late (T1-expert-0003)" in each for each in said)
-    assert any(each.startswith("Prediction leaves of the force error: T1 0.4") for each in said)
+    assert any("1 failed, koopman: InputError: it was too late (T1-expert-0003)" in each for each in message)
+    assert any(each.startswith("Prediction leaves of the force error: T1 0.4") for each in message)
     assert "T1: energy has the force_error of penalty in every trial and is left out" in text
     tests = {(row["task"], row["question"]): row for row in rows_of(page.parent / "tests.csv")}
     assert tests["T1", "force_error: method"]["shows"] == "effect"
@@ -134,8 +134,8 @@ def test_a_study_that_has_hardly_begun_is_reported(tmp_path):
     key = TrialKey("T2", "novice", 0)
     folder.write(Trial(key, 1, tuple(planted(key, np.random.default_rng(0))), 1.0))
     sections = {each.name: each for each in sections_of(folder)}
-    told = " ".join(sections["overview"].sentences)
-    assert "No trial yet of intermediate, expert: the figures are of the other groups." in told
+    overview = " ".join(sections["overview"].sentences)
+    assert "No trial yet of intermediate, expert: the figures are of the other groups." in overview
     assert "could not be tested" in " ".join(sections["tests"].sentences)
     assert "force" in sections and "sensitivity" not in sections and "case-needle" not in sections
 

@@ -61,9 +61,9 @@ def test_a_killed_study_goes_on(tmp_path, alone, name):
         wait_for(lambda: len(kept(out)) >= 3)
         workers = children(study.pid)
         study.send_signal(blow)
-        said = study.stderr.read()
-    assert workers and study.returncode == (130 if name == "SIGINT" else -blow), said
-    assert "Traceback" not in said
+        message = study.stderr.read()
+    assert workers and study.returncode == (130 if name == "SIGINT" else -blow), message
+    assert "Traceback" not in message
     wait_for(lambda: not any(psutil.pid_exists(each) for each in workers))
     had = {each.name: each.stat().st_mtime_ns for each in kept(out)}
     assert 3 <= len(had) < len(list(PLAN.all_trials()))
@@ -73,15 +73,15 @@ def test_a_killed_study_goes_on(tmp_path, alone, name):
 
 
 def test_a_killed_worker_is_replaced(tmp_path, alone):
-    told = []
+    reported = []
 
     def report(doing, share):
-        told.append(doing)
-        if len(told) == 2:
+        reported.append(doing)
+        if len(reported) == 2:
             os.kill(children(os.getpid(), "spawn_main")[0], signal.SIGKILL)
 
     run_study(PLAN, tmp_path / "study", workers=2, report=report)
-    assert any("workers were lost" in each for each in told)
+    assert any("workers were lost" in each for each in reported)
     assert tables(tmp_path / "study") == tables(alone)
 
 
@@ -91,12 +91,12 @@ def test_dask_gives_the_same_table(tmp_path, alone):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    out, told, failed = tmp_path / "study", [], []
+    out, reported, failed = tmp_path / "study", [], []
 
     def study():
         try:
             run_study(
-                PLAN, out, workers=2, scheduler=f"dask://127.0.0.1:{port}", report=lambda *given: told.append(given)
+                PLAN, out, workers=2, scheduler=f"dask://127.0.0.1:{port}", report=lambda *given: reported.append(given)
             )
         except BaseException as error:
             failed.append(error)
@@ -115,7 +115,7 @@ def test_dask_gives_the_same_table(tmp_path, alone):
             wait_for(lambda at=at: len(kept(out)) > at or not thread.is_alive())
     assert not failed, failed
     assert had < len(list(PLAN.all_trials()))
-    assert any("workers were lost" in doing for doing, _ in told)
+    assert any("workers were lost" in doing for doing, _ in reported)
     assert tables(out) == tables(alone)
     assert len(StudyFolder(out).table("T2")) == 9
 

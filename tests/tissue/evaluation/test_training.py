@@ -24,10 +24,10 @@ def test_a_shipped_predictor_is_sound(scene):
     checked = trained.facts["validation"]
     at = checked["horizons_ms"].index(4)
     assert checked["errors"]["koopman"][at] < checked["errors"]["hold"][at]
-    told = trained_predictor("koopman", trained, force_limit_N=LIMIT_N)
+    predictor = trained_predictor("koopman", trained, force_limit_N=LIMIT_N)
     for _ in range(60):
-        told.observe(trained.operator.training.middle[:3], np.zeros(3), np.zeros(3))
-    assert np.linalg.norm(told.predict(6)) <= trained.terms.reach_N
+        predictor.observe(trained.operator.training.middle[:3], np.zeros(3), np.zeros(3))
+    assert np.linalg.norm(predictor.predict(6)) <= trained.terms.reach_N
 
 
 def test_trials_differ_in_hand_seed_and_latency():
@@ -59,8 +59,8 @@ def test_latency_is_hidden_on_the_wall():
 @pytest.mark.slow
 def test_train_writes_what_a_run_can_use(command, refused, here, monkeypatch):
     monkeypatch.setattr(fitting, "LAGS", (5,))  # fewer dictionaries to choose from
-    code, said, _ = command("train", "wall", "--trials", "6", "--out", "mine.npz")
-    assert code == 0 and "error on 1 run held out" in said and "koopman" in said
+    code, output, _ = command("train", "wall", "--trials", "6", "--out", "mine.npz")
+    assert code == 0 and "error on 1 run held out" in output and "koopman" in output
     hidden, _ = played_error("koopman", **{"coupling.predictor_file": str(here / "mine.npz")})
     assert hidden < 0.025
     assert refused("train", "wall", "--out", "mine.npz") == (
@@ -84,8 +84,8 @@ def test_training_again_gives_the_shipped_predictor(command, here):
 
 @pytest.mark.slow
 def test_a_chart_of_predictors(command, refused, here):
-    code, said, _ = command("chart", "prediction", "wall", "--trials", "2", "--out", "chart")
-    assert code == 0 and "koopman" in said
+    code, output, _ = command("chart", "prediction", "wall", "--trials", "2", "--out", "chart")
+    assert code == 0 and "koopman" in output
     names = {path.name for path in (here / "chart").iterdir()}
     assert {"prediction_wall.png", "prediction_tasks.png", "errors.csv", "slow_model.csv"} <= names
     rows = (here / "chart" / "errors.csv").read_text().splitlines()

@@ -58,15 +58,15 @@ def test_a_compliance_that_would_not_fit_is_refused_beforehand():
 
 
 @pytest.mark.parametrize(
-    ("touchable", "said"),
+    ("touchable", "message"),
     [
         ([], "touchable must name at least one node"),
         ([3, 125], "touchable must name nodes 0 to 124, got 3 to 125"),
         ([3, 3, 4], "touchable must name each node once, got 1 twice"),
     ],
 )
-def test_touchable_nodes_are_checked(touchable, said):
-    with pytest.raises(InputError, match=said):
+def test_touchable_nodes_are_checked(touchable, message):
+    with pytest.raises(InputError, match=message):
         surface_compliance(body_of(), np.array(touchable, dtype=np.int64))
 
 
@@ -198,17 +198,17 @@ def test_more_modes_leave_out_less_and_the_reported_error_is_the_error():
     factor = DirectSolver(body)
     load = load_on(free[:6])
     exact = factor.solve(load).displacement_m
-    told_errors = []
+    reported_errors = []
     for size in (5, 20, 60, 200):
         found = ReducedSolver(factor, free, size=size).solve(load)
-        told_errors.append(found.residual)
+        reported_errors.append(found.residual)
         assert found.residual == pytest.approx(energy_error(body, found.displacement_m, exact), rel=1e-6)
         assert found.converged is (found.residual <= 0.1)
-    assert told_errors == sorted(told_errors, reverse=True)
-    assert told_errors[0] > 0.1 > told_errors[-1]
-    told = ReducedSolver(factor, free, size=5).errors([5, 20, 60, 200])
+    assert reported_errors == sorted(reported_errors, reverse=True)
+    assert reported_errors[0] > 0.1 > reported_errors[-1]
+    left_out = ReducedSolver(factor, free, size=5).errors([5, 20, 60, 200])
     for name in ("energy", "point", "corrected"):
-        values = [getattr(error, name) for error in told]
+        values = [getattr(error, name) for error in left_out]
         assert values == sorted(values, reverse=True) and 0.0 < values[-1] < values[0] <= 1.0
 
 
@@ -231,8 +231,8 @@ def test_a_load_outside_the_basis_is_reported():
     assert solver.solve(load_on(inside)).outcome is SolverOutcome.OUTSIDE_BASIS
 
 
-@pytest.mark.parametrize(("options", "said"), [({"size": 0}, "size must be in"), ({"size": 9999}, "size must be in"),
+@pytest.mark.parametrize(("options", "message"), [({"size": 0}, "size must be in"), ({"size": 9999}, "size must be in"),
                                                ({"size": 5, "tolerance": 1.0}, "tolerance must be in")])  # fmt: skip
-def test_a_basis_that_makes_no_sense_is_refused(options, said):
-    with pytest.raises(InputError, match=said):
+def test_a_basis_that_makes_no_sense_is_refused(options, message):
+    with pytest.raises(InputError, match=message):
         ReducedSolver(DirectSolver(body_of()), SURFACE, **options)

@@ -93,10 +93,10 @@ def refusals():
     }
 
 
-@pytest.mark.parametrize("said", refusals())
-def test_what_cannot_be_used_is_refused(said):
-    with pytest.raises(InputError, match=said):
-        refusals()[said]()
+@pytest.mark.parametrize("message", refusals())
+def test_what_cannot_be_used_is_refused(message):
+    with pytest.raises(InputError, match=message):
+        refusals()[message]()
 
 
 def test_a_body_far_from_the_origin_has_the_same_matrix():

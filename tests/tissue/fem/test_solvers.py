@@ -229,7 +229,7 @@ def test_nodes_of_no_cell_stay_where_they_are(solver):
 
 
 @pytest.mark.parametrize(
-    ("values", "said"),
+    ("values", "message"),
     [
         ({"fixed": np.zeros((5, 2), dtype=bool)}, "fixed must be booleans of shape"),
         ({"fixed": np.zeros((5, 3))}, "fixed must be booleans of shape"),
@@ -239,8 +239,8 @@ def test_nodes_of_no_cell_stay_where_they_are(solver):
         ({"displacement_m": np.zeros((4, 3))}, "displacement_m must have the shape of fixed"),
     ],
 )
-def test_supports_that_make_no_sense_are_refused(values, said):
-    with pytest.raises(InputError, match=said):
+def test_supports_that_make_no_sense_are_refused(values, message):
+    with pytest.raises(InputError, match=message):
         Supports(**({"fixed": np.ones((5, 3), dtype=bool)} | values))
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from fake_fields import block_series, told
+from fake_fields import block_series, with_measures
 
 from tissue import load_scene, simulate
 from tissue.fem.fields import Frame
@@ -53,7 +53,7 @@ def test_a_section_shows_one_moment(run):
 
 
 def test_the_moment_of_a_section_is_that_of_its_stress(run):
-    loaded = told(run)
+    loaded = with_measures(run)
     row, frame = moment_of(loaded)
     assert frame is loaded_frame(loaded.parts.tissue.fields)
     assert loaded.trace["time_s"][row] == pytest.approx(frame.time_s)
@@ -62,11 +62,13 @@ def test_the_moment_of_a_section_is_that_of_its_stress(run):
 def test_descent_ends_where_the_tool_is_deepest_before_it_rises():
     down = np.linspace(1.0, -2.0, 301)
     shaken = down + 0.05 * np.sin(np.arange(301))
-    for way in (down, shaken):
-        path = np.concatenate([way, np.full(50, way[-1]), np.linspace(way[-1], 0.0, 100), np.linspace(0.0, -5.0, 100)])
+    for descent in (down, shaken):
+        path = np.concatenate(
+            [descent, np.full(50, descent[-1]), np.linspace(descent[-1], 0.0, 100), np.linspace(0.0, -5.0, 100)]
+        )
         rows = first_descent(path, path < 0.5)
         assert path[rows.start] == pytest.approx(path[np.argmax(path < 0.5)] + 0.2, abs=0.1)
-        assert path[rows.stop - 1] == way.min()
+        assert path[rows.stop - 1] == descent.min()
         assert rows.stop <= 351
     assert first_descent(down, np.zeros(301, dtype=bool)) == slice(0, 0)
     assert first_descent(down, np.ones(301, dtype=bool)) == slice(0, 301)
@@ -102,7 +104,7 @@ def test_a_tissue_with_measures_gets_its_pictures(run, tmp_path, monkeypatch, fi
     from PIL import Image
 
     monkeypatch.setattr("tissue.figures.before_after.draw_before_after", lambda *_: None)
-    assert draw_pictures(told(run, fields=fields), tmp_path) == []
+    assert draw_pictures(with_measures(run, fields=fields), tmp_path) == []
     for name in ("section.png", "force_depth.png", "force_torque.png"):
         with Image.open(tmp_path / name) as picture:
             assert picture.width == 1600 and 500 < picture.height < 1900, name
@@ -113,6 +115,6 @@ def test_a_tissue_with_measures_gets_its_pictures(run, tmp_path, monkeypatch, fi
 
 def test_a_tool_that_never_touches_has_no_force_over_depth(run, tmp_path, monkeypatch):
     monkeypatch.setattr("tissue.figures.before_after.draw_before_after", lambda *_: None)
-    still = told(run, fields=False)
+    still = with_measures(run, fields=False)
     still.trace.rows[:, still.trace.columns.index("contact_mm2")] = 0.0
     assert draw_pictures(still, tmp_path) == ["force_depth.png was not drawn: the tool did not go down into the tissue"]

@@ -76,8 +76,8 @@ def test_a_mass_at_rest_does_not_creep_or_chatter_until_the_friction_is_passed(a
     plant.hold(stiffness_N_m=300.0, damping_N_s_m=4.0, mass_kg=0.1)
     rng = np.random.default_rng(0)
     for _ in range(500):
-        way = rng.normal(size=3)
-        push = tuple(0.2599 * way / np.linalg.norm(way))
+        direction = rng.normal(size=3)
+        push = tuple(0.2599 * direction / np.linalg.norm(direction))
         plant.advance(1e-3, command=push, external=(0.0, 0.0, 0.0), substeps=5)
         assert plant.position == (0.0, 0.0, 0.0) and plant.velocity == (0.0, 0.0, 0.0)
     for _ in range(20):
@@ -150,10 +150,10 @@ def test_a_hand_turns_the_device_to_where_it_aims():
     aim = exponential((0.5, -0.4, 0.3))
     grip = Grip(300.0, 4.0, 0.1, 0.6, 0.01, 2e-4)
     device = SimulatedDevice(device_parameters("six-dof"), Steady(aim_quaternion=aim, grip=grip))
-    told = device.read(1.0)
+    seen = device.read(1.0)
     left = logarithm(product(device.orientation, conjugate(aim)))
     assert sqrt(sum(a * a for a in left)) <= 1e-3 / 0.6 + 1e-9  # friction over stiffness
-    assert logarithm(product(told.quaternion, conjugate(device.orientation))) == pytest.approx((0, 0, 0), abs=2.3e-4)
+    assert logarithm(product(seen.quaternion, conjugate(device.orientation))) == pytest.approx((0, 0, 0), abs=2.3e-4)
     three = SimulatedDevice(device_parameters("omni"), Steady(aim_quaternion=aim, grip=grip))
     assert not three.six_dof and three.read(0.01).quaternion == aim
     three.command(NOTHING, np.ones(3))
@@ -274,11 +274,11 @@ def test_a_force_is_brought_into_range_by_a_law_that_can_be_undone():
     sizes = np.geomspace(1e-3, 60.0, 60)
     played = []
     for size in sizes:
-        way = rng.normal(size=3)
-        way /= np.linalg.norm(way)
-        force, compressed = law.play(size * way)
+        direction = rng.normal(size=3)
+        direction /= np.linalg.norm(direction)
+        force, compressed = law.play(size * direction)
         played.append(float(np.linalg.norm(force)))
-        assert force == pytest.approx(played[-1] * way, rel=1e-12)
+        assert force == pytest.approx(played[-1] * direction, rel=1e-12)
         assert compressed == (0.1 * size > 0.7 * 3.3)
         assert law.physical_N(played[-1]) == pytest.approx(size, rel=1e-6)
     assert (np.diff(played) > 0.0).all() and played[-1] < 3.3

@@ -63,13 +63,13 @@ def grows(loop, stiffness, predictor, lead, *, ticks=2500):
     # About a contact 1 mm deep, whose force is that of the rest: what is shown is the whole of both.
     rest, force, up = -1e-3, 1e-3 * stiffness, np.array([0.0, 0.0, 1.0])
     for tick in range(-300, ticks):
-        told = tick % loop.model_ticks == 0
+        is_model_tick = tick % loop.model_ticks == 0
         place = plant[0] if tick >= 0 else 0.0
-        if told:
+        if is_model_tick:
             raw = -stiffness * place
         speed = (place - before) / TICK
         before = place
-        predictor.observe((rest + place) * up, speed * up, (force + raw) * up if told else None)
+        predictor.observe((rest + place) * up, speed * up, (force + raw) * up if is_model_tick else None)
         ahead = float(predictor.predict(lead) @ up) - force
         if tick < 0:
             continue

@@ -27,10 +27,10 @@ def aim(path, **changed):
 
 def test_minimum_jerk_is_at_rest_at_both_ends_and_its_speed_is_its_slope():
     shares = np.linspace(-0.1, 1.1, 2401)
-    way, speed = np.array([minimum_jerk(s) for s in shares]).T
+    share, speed = np.array([minimum_jerk(s) for s in shares]).T
     assert minimum_jerk(0.5) == (0.5, 1.875)  # Flash and Hogan's peak
-    assert np.abs(np.gradient(way, shares) - speed).max() < 1e-4
-    assert way[shares <= 0.0].max() == 0.0 and way[shares >= 1.0].min() == 1.0
+    assert np.abs(np.gradient(share, shares) - speed).max() < 1e-4
+    assert share[shares <= 0.0].max() == 0.0 and share[shares >= 1.0].min() == 1.0
     assert np.abs(np.diff(speed)).max() < 6.0 * (shares[1] - shares[0])  # no step in speed: |s''| < 5.8
 
 
@@ -38,9 +38,9 @@ def test_one_reach_is_one_minimum_jerk_after_the_reaction_time():
     reach = aim(to([0.1, -0.05, 0.0]))
     for tick in range(800):
         time = tick * TICK
-        way, speed = minimum_jerk((time - 0.2) / 0.4)
+        share, speed = minimum_jerk((time - 0.2) / 0.4)
         position, velocity = reach.at(time)
-        assert position == pytest.approx((0.1 * way, -0.05 * way, 0.0), abs=1e-15)
+        assert position == pytest.approx((0.1 * share, -0.05 * share, 0.0), abs=1e-15)
         assert velocity == pytest.approx((0.25 * speed, -0.125 * speed, 0.0), abs=1e-14)
 
 

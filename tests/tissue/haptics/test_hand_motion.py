@@ -126,14 +126,14 @@ def test_the_whole_loop_is_stable_up_to_the_stiffness_that_is_judged(share, sett
     person, wall = replace(hand_parameters("expert"), **still), 2e4
     critical = judge(limits.loop(1.0, filter_s=1e-3), [person.grip[:3]]).critical_N_m
     stiffness = 1.0 / (1.0 / (share * critical) - 1.0 / wall)
-    way = np.array([[0.0, 0.0, 1e-3], [0.0, 0.0, -5e-3]])
-    hand = Hand(person, waypoints(np.array([0.0, 0.1]), way), rng=np.random.default_rng(0))
+    line = np.array([[0.0, 0.0, 1e-3], [0.0, 0.0, -5e-3]])
+    hand = Hand(person, waypoints(np.array([0.0, 0.1]), line), rng=np.random.default_rng(0))
     loop = limits.loop(stiffness, filter_s=1e-3)
     motion = HandMotion(
         SimulatedDevice(limits, hand, position_m=(0.0, 0.0, 1e-3)),
-        PressingTool(stiffness, way[0]),
+        PressingTool(stiffness, line[0]),
         renderer("proxy", loop),
-        scripted=FollowPath(way, feed_m_s=0.06, axis=(0.0, 0.0, 1.0)),
+        scripted=FollowPath(line, feed_m_s=0.06, axis=(0.0, 0.0, 1.0)),
         limits=limits,
         loop=loop,
         margin=1.0 - share,
@@ -297,8 +297,8 @@ def test_a_run_of_the_whole_motion_waits_for_the_hand_and_a_short_one_does_not(o
     late = person.reaction_s + person.submovement_s + person.correction_s
     assert len(on_the_wall.trace.rows) == round(1e3 * (2.2 + late))
     assert len(run_of("wall", duration_s=0.3).trace.rows) == 300
-    told = RecordedDevice(np.array([0.0, 2.2]), np.tile([0.0, 0.0, 0.02], (2, 1)))
-    assert len(simulate(load_scene("wall"), device=told).trace.rows) == 2200
+    replayed = RecordedDevice(np.array([0.0, 2.2]), np.tile([0.0, 0.0, 0.02], (2, 1)))
+    assert len(simulate(load_scene("wall"), device=replayed).trace.rows) == 2200
 
 
 @pytest.mark.parametrize("device", ["touch", "six-dof"])

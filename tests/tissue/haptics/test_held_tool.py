@@ -32,8 +32,8 @@ def test_what_a_cutting_tool_has_felt_fades_and_then_it_is_free():
     tool, response, nothing = CuttingTool(1e4, np.zeros(3)), Response.empty(1), Response.empty(1)
     response.resistance[2] = 1e5
     tool.follow(1e-3 * DOWN, UPRIGHT, response, DOWN, STEP_S)
-    ways = -np.diff([tool.follow(1e-3 * DOWN, UPRIGHT, nothing, DOWN, STEP_S)[2] for _ in range(80)])
-    assert ways[0] < 2e-6 and (ways >= 0.0).all()
+    steps = -np.diff([tool.follow(1e-3 * DOWN, UPRIGHT, nothing, DOWN, STEP_S)[2] for _ in range(80)])
+    assert steps[0] < 2e-6 and (steps >= 0.0).all()
     np.testing.assert_array_equal(tool.follow(2e-3 * DOWN, UPRIGHT, nothing, DOWN, STEP_S), 2e-3 * DOWN)
 
 

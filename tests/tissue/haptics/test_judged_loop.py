@@ -35,8 +35,8 @@ def test_the_command_refuses_and_allows(command, refused, here):
         "coupling.stiffness_N_m must be below 2036 to be stable with device = touch in the hand of an expert, got 3000 "
         "(margin -47.4 %): use 2030, or pass --allow-unstable"
     )
-    code, said, error = command(*rigid, "--allow-unstable")
-    assert (code, error) == (0, "") and "is unstable, margin -47.4 %" in said
+    code, output, error = command(*rigid, "--allow-unstable")
+    assert (code, error) == (0, "") and "is unstable, margin -47.4 %" in output
 
 
 def test_too_much_damping_is_refused():
@@ -130,8 +130,8 @@ def test_prediction_is_part_of_what_is_judged():
 
 
 def test_the_coupling_names_what_stops_a_ringing():
-    told = simulate(load_scene("wall", {"duration_s": 0.01, "renderer": "passivity"})).parts.notes["coupling"]
-    assert "nothing but friction and the passivity controller stops its ringing" in told
+    note = simulate(load_scene("wall", {"duration_s": 0.01, "renderer": "passivity"})).parts.notes["coupling"]
+    assert "nothing but friction and the passivity controller stops its ringing" in note
 
 
 def test_a_predictor_file_that_nothing_reads_is_refused():

@@ -162,12 +162,12 @@ def push_through(normal, offset, shell, speed_m_s, random):
     proxy = Proxy(shell, ContactField(store=slab_store(tuple(normal), offset)))
     device = centre + (1.2e-3 + shell.reach_m) * normal
     proxy.place(device)
-    way = random.normal(size=3) * 0.4
-    way -= normal * (way @ normal + 1.0)
-    way *= speed_m_s * 1e-3 / np.linalg.norm(way)
-    lowest, going = np.inf, max(int(5e-3 / np.linalg.norm(way)), 4)
+    step = random.normal(size=3) * 0.4
+    step -= normal * (step @ normal + 1.0)
+    step *= speed_m_s * 1e-3 / np.linalg.norm(step)
+    lowest, going = np.inf, max(int(5e-3 / np.linalg.norm(step)), 4)
     for tick in range(going + 40):
-        device = device + way * (tick < going)
+        device = device + step * (tick < going)
         result = proxy.advance(device)
         lowest = min(lowest, ((surface_of(shell, result) - centre) @ normal).min())
     around = np.abs(result.position_m - centre).max() >= 26 * SPACING

@@ -105,7 +105,7 @@ def test_poisson_ratio_outside_is_refused(ratio):
 
 
 @pytest.mark.parametrize(
-    ("make", "said"),
+    ("make", "message"),
     [
         (lambda: lame(-5.0, 0.3), "young_Pa must be positive and finite"),
         (lambda: lame([5e3, np.nan], 0.3), "young_Pa must be positive and finite"),
@@ -125,6 +125,6 @@ def test_poisson_ratio_outside_is_refused(ratio):
         (lambda: elasticity_rows(np.tile(lame(1e3, 0.3), (3, 1)), 4), "one for each of 4 cells, got 3"),
     ],
 )  # fmt: skip
-def test_what_is_no_elastic_material_is_refused(make, said):
-    with pytest.raises(InputError, match=said):
+def test_what_is_no_elastic_material_is_refused(make, message):
+    with pytest.raises(InputError, match=message):
         make()

@@ -53,8 +53,13 @@ def layered_bone(removal="subvoxel", names=("top", "below")):
 def pressed_slab():
     """A slab of soft tissue under a ball."""
     ball = {"tool.diameter_mm": 6.0, "anatomy.size_mm": [16, 16, 8], "anatomy.edge_mm": 4.0, "organ.order": 1}
-    way = {"motion.points_mm": [[-2, -2, 0.6], [2, 2, -1.2], [2, -2, -1.2], [-2, 2, -1.2]], "organ.young_end_kPa": None}
-    scene = load_scene("palpation", {**ball, **way, "anatomy.nodule_diameter_mm": 0.0, "anatomy.touch_edge_mm": 1.5})
+    wandering = {
+        "motion.points_mm": [[-2, -2, 0.6], [2, 2, -1.2], [2, -2, -1.2], [-2, 2, -1.2]],
+        "organ.young_end_kPa": None,
+    }
+    scene = load_scene(
+        "palpation", {**ball, **wandering, "anatomy.nodule_diameter_mm": 0.0, "anatomy.touch_edge_mm": 1.5}
+    )
     return build(scene, step_s=STEP_S, compute="cpu", cores=None, report=silent).tissue
 
 
@@ -133,10 +138,12 @@ def test_removed_and_remaining_make_up_the_start(model):
     np.testing.assert_array_equal(bone.removed_steps + bone.store.steps_by_layer(), bone.start_steps)
     # The voxels tell what remains in 255 steps, to the nearest: a cut one is off by half a step at most.
     volume = bone.store.volume
-    told = np.array([remaining[volume.layer == k].sum(dtype=np.int64) for k in range(2)]) / 255 * volume.voxel_volume_m3
+    from_voxels = (
+        np.array([remaining[volume.layer == k].sum(dtype=np.int64) for k in range(2)]) / 255 * volume.voxel_volume_m3
+    )
     cut = np.count_nonzero(remaining < volume.fraction)
     rounding = 0.5 * cut / 255 * volume.voxel_volume_m3
-    np.testing.assert_allclose(told, model.start_m3 - model.removed_m3, atol=rounding, rtol=1e-12)
+    np.testing.assert_allclose(from_voxels, model.start_m3 - model.removed_m3, atol=rounding, rtol=1e-12)
 
 
 def test_a_tool_at_rest_changes_nothing_and_feels_nothing(model):

@@ -157,9 +157,9 @@ def test_a_needle_that_goes_in_elsewhere_punctures_again():
     go(model, [-1.0, 30.0, -20.0])
     go(model, [-20.0, 30.0, -20.0], sideways_mm=0.9 * 1e3 * NEEDLE_M)
     assert len(model.insertion.punctures) == 1
-    assert sum("punctured" in told for told in model.notices) == 1
+    assert sum("punctured" in notice for notice in model.notices) == 1
     go(model, [-20.0, 30.0, -20.0], sideways_mm=2.0)
-    assert sum("punctured" in told for told in model.notices) == 2
+    assert sum("punctured" in notice for notice in model.notices) == 2
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -232,7 +232,7 @@ CAPSULE = LIVER.membranes[0]
 
 
 @pytest.mark.parametrize(
-    ("make", "said"),
+    ("make", "message"),
     [
         (lambda bad: replace(CAPSULE, depth_m=-1e-3), "depth_m of the capsule must be in [0, 1], got -0.001"),
         (lambda bad: replace(CAPSULE, depth_m=bad), "depth_m of the capsule must be in [0, 1], got nan"),
@@ -265,10 +265,10 @@ CAPSULE = LIVER.membranes[0]
         ),
     ],
 )  # fmt: skip
-def test_numbers_that_cannot_be_meant_are_refused(make, said):
+def test_numbers_that_cannot_be_meant_are_refused(make, message):
     with pytest.raises(InputError) as refused:
         make(float("nan"))
-    assert said in str(refused.value)
+    assert message in str(refused.value)
     assert ": " in str(refused.value) and "\n" not in str(refused.value)
 
 

@@ -111,11 +111,11 @@ def newton(slab, u, force, gap, normal, where, anchor, friction, scale=1.0):
                 residual = scale * (g * n + slip)
             else:
                 size = np.linalg.norm(pull)
-                way = pull / size
-                turn = friction * trial / size * (tangent - np.outer(way, way))
-                by_u = scale * (np.outer(n, n) + turn + friction * np.outer(way, n))
-                by_f = tangent - turn - friction * np.outer(way, n)
-                residual = scale * g * n + side - friction * trial * way
+                direction = pull / size
+                turn = friction * trial / size * (tangent - np.outer(direction, direction))
+                by_u = scale * (np.outer(n, n) + turn + friction * np.outer(direction, n))
+                by_f = tangent - turn - friction * np.outer(direction, n)
+                residual = scale * g * n + side - friction * trial * direction
             rows.append(by_u), contact_rows.append(by_f), right.append(residual)
         columns = slab.unknowns.reshape(-1, 3)[near].ravel()
         size = 3 * len(near)
@@ -175,17 +175,17 @@ def test_friction_cone_and_complementarity_hold_on_random_scenes(slab, seed):
         side = force - press[:, None] * normal
         slip = place - anchor
         slip -= np.einsum("pj,pj->p", slip, normal)[:, None] * normal
-        size, way = np.linalg.norm(side, axis=1), np.linalg.norm(slip, axis=1)
+        size, direction = np.linalg.norm(side, axis=1), np.linalg.norm(slip, axis=1)
         largest, deepest = np.linalg.norm(result.force_N), np.abs(result.displacement_m()).max()
         assert press.min() >= -CLOSE * largest
         assert gap.min() >= -CLOSE * deepest
         assert np.abs(press * gap).max() <= CLOSE * largest * deepest
         assert (size - friction * press).max() <= CLOSE * largest
         sticking = (press > CLOSE * largest) & (size < friction * press * (1.0 - 1e-6))
-        assert (way[sticking] <= CLOSE * deepest).all()
+        assert (direction[sticking] <= CLOSE * deepest).all()
         loaded = press > 1e-3 * largest
         opposed = np.einsum("pj,pj->p", side, slip)[loaded & ~sticking]
-        assert (opposed <= CLOSE * largest * deepest - 0.999 * (size * way)[loaded & ~sticking]).all()
+        assert (opposed <= CLOSE * largest * deepest - 0.999 * (size * direction)[loaded & ~sticking]).all()
         seen += [sticking.sum(), (loaded & ~sticking).sum()]
         about = -np.cross(moved - tip, result.nodal_forces_N).sum(axis=0)
         np.testing.assert_allclose(result.torque_Nm, about, atol=1e-12 + 1e-9 * largest * radius)
@@ -314,11 +314,11 @@ def test_leaving_drops_all_force(slab):
 
 def test_bad_input_is_refused_where_it_enters(slab):
     probe = SphereProbe(0.01)
-    for change, said in (
+    for change, message in (
         ({"friction": -0.1}, "friction must be"),
         ({"spacing_m": 1e-4}, "nodes_m must lie closer"),
     ):
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=message):
             slab.contact(probe, **change)
     with pytest.raises(InputError, match="compliance_m_N must be float64"):
         SurfaceContact(slab.rest, slab.faces, slab.compliance[:-3], probe)
@@ -333,11 +333,11 @@ def test_bad_input_is_refused_where_it_enters(slab):
         contact.place(np.array([0.0, 0.0, 0.01]), 2.0 * np.eye(3))
     with pytest.raises(InputError, match="must be finite"):
         contact.solve(np.array([0.0, np.nan, 0.01]), np.eye(3))
-    for make, said in (
+    for make, message in (
         (lambda: SphereProbe(0.0), "radius_m"),
         (lambda: CylinderProbe(0.01, 0.02), "edge_m must be below"),
         (lambda: ShellProbe(np.zeros((2, 3)), np.ones((2, 3)), np.ones(2)), "normals must have length 1"),
         (lambda: ShellProbe(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)), "points_m must have shape"),
     ):
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=message):
             make()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tissue import load_scene, simulate
-from tissue.models.tooth import stress_process as beside
+from tissue.models.tooth import stress_process
 from tissue.models.tooth.field import StressField
 
 COARSE = {
@@ -44,7 +44,7 @@ def run(seen):
             seen.append((time_s, lost[-1], force_N.copy(), point_m.copy()))
             return solve(field, time_s, force_N, point_m)
 
-        patch.setattr(beside, "StressProcess", beside.InlineStressSolver)
+        patch.setattr(stress_process, "StressProcess", stress_process.InlineStressSolver)
         patch.setattr(StressField, "remove", removing)
         patch.setattr(StressField, "solve", solving)
         return drill()
@@ -121,17 +121,17 @@ def test_a_separate_process_gives_the_same_bits(run):
 
 
 def test_the_end_of_the_other_process_is_reported_and_only_the_stress_is_lost(run, monkeypatch):
-    begin = beside.StressProcess.begin
+    begin = stress_process.StressProcess.begin
 
     def killed(self, state):
         begin(self, state)
         if state.time_s > 0.1:
             self._helper.kill()
 
-    monkeypatch.setattr(beside.StressProcess, "begin", killed)
+    monkeypatch.setattr(stress_process.StressProcess, "begin", killed)
     lost = drill()
-    said = [what for _, what in lost.events if "process that solves the stress was ended by" in what]
-    assert len(said) == 1 and said[0].endswith("this run has no stress and no frames, everything else goes on")
+    message = [what for _, what in lost.events if "process that solves the stress was ended by" in what]
+    assert len(message) == 1 and message[0].endswith("this run has no stress and no frames, everything else goes on")
     np.testing.assert_array_equal(lost.trace.rows, run.trace.rows)
     np.testing.assert_array_equal(lost.remaining, run.remaining)
     assert not lost.parts.tissue.fields.frames

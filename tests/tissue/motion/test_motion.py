@@ -18,11 +18,11 @@ ROUNDING = 1e-12
 def ticks(motion, count, response=None):
     """Tip, rotation, heading and speed of each tick."""
     tool, response = ToolMotion(), response or Response.empty(1)
-    told = []
+    poses = []
     for index in range(count):
         motion.advance(index * STEP_S, STEP_S, response, tool)
-        told.append((tool.tip_m.copy(), tool.rotation.copy(), tool.heading.copy(), tool.speed_m_s))
-    return tuple(np.array(column) for column in zip(*told, strict=True))
+        poses.append((tool.tip_m.copy(), tool.rotation.copy(), tool.heading.copy(), tool.speed_m_s))
+    return tuple(np.array(column) for column in zip(*poses, strict=True))
 
 
 @pytest.mark.parametrize("axis", [*np.random.default_rng(0).normal(size=(50, 3)), (1, 0, 0), (0, 0, -2)])

@@ -54,8 +54,8 @@ def test_it_keeps_the_contract(choice):
     person: Perception = built(choice)
     for name in ("estimated_N", "perceived", "perceived_spread", "above"):
         assert getattr(person, name) == 0.0
-    told = person.step(np.array([0.0, 0.0, 1.0]))
-    assert told.shape == (3,) and told[0] == told[1] == 0.0 and told[2] > 0.0
+    felt = person.step(np.array([0.0, 0.0, 1.0]))
+    assert felt.shape == (3,) and felt[0] == felt[1] == 0.0 and felt[2] > 0.0
     assert person.above and person.perceived > 0.0 and person.perceived_spread > 0.0
 
 
@@ -102,8 +102,8 @@ def test_what_the_device_plays_uncompressed_is_what_was_commanded(choice):
     for size in (0.3, 1.0, 0.7 * LIMIT_N):
         person.pause()
         command = person.step(np.array([size, 0.0, 0.0])).copy()
-        told, compressed = device.play(command)
-        assert np.array_equal(told, command) and (not compressed or size == 0.7 * LIMIT_N)
+        felt, compressed = device.play(command)
+        assert np.array_equal(felt, command) and (not compressed or size == 0.7 * LIMIT_N)
     person.pause()
     assert device.play(person.step(np.array([40.0, 0.0, 0.0])))[0][0] <= LIMIT_N
 

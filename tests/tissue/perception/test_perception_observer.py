@@ -63,18 +63,18 @@ def test_a_file_is_never_replaced_unasked(tmp_path):
 
 
 def spoil(**changed):
-    def change(told):
-        return json.dumps(told | changed)
+    def change(message):
+        return json.dumps(message | changed)
 
     return change
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
-        (lambda told: "{", "observer must be a JSON file"),
-        (lambda told: "[1, 2]", "observer must be a file of an observer, got .*, which is something else"),
-        (lambda told: '{"format": "tissue run"}', "observer must be a file of an observer"),
+        (lambda message: "{", "observer must be a JSON file"),
+        (lambda message: "[1, 2]", "observer must be a file of an observer, got .*, which is something else"),
+        (lambda message: '{"format": "tissue run"}', "observer must be a file of an observer"),
         (
             spoil(version=2),
             "observer must be of format 1 or older, got 2, written by tissue .*: read it with that version",
@@ -91,22 +91,22 @@ def spoil(**changed):
         (spoil(trials=-3), "trials must be in"),
     ],
 )
-def test_a_bad_file_is_refused_in_one_sentence(tmp_path, change, told):
+def test_a_bad_file_is_refused_in_one_sentence(tmp_path, change, message):
     path = tmp_path / "ada.json"
     write_observer(observer(), path)
     path.write_text(change(json.loads(path.read_text("utf-8"))), "utf-8")
-    with pytest.raises(InputError, match=told) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         read_observer(path)
     assert "\n" not in str(caught.value)
 
 
 def test_impossible_people_are_refused():
-    for wrong, told in (
+    for wrong, message in (
         ({"kappa": -0.07}, "kappa must be in"),
         ({"beta": float("nan")}, "beta must be in"),
         ({"lapse": 0.7}, "lapse must be in"),
     ):
-        with pytest.raises(InputError, match=told):
+        with pytest.raises(InputError, match=message):
             observer(**wrong)
     good = observer().draws(100, np.random.default_rng(2))
     with pytest.raises(InputError, match="draws of kappa must be possible values"):

@@ -8,7 +8,7 @@ from tissue.evaluation.training.evaluation import HORIZONS
 from tissue.scene.registry import PREDICTORS
 
 
-def said(differences):
+def line_of(differences):
     """The sentence on runs of very different errors, in which koopman's are these much greater than all others'."""
     runs = np.geomspace(0.01, 0.5, len(differences))
     errors = {kind: np.tile(runs[:, None], len(HORIZONS)) for kind in PREDICTORS}
@@ -19,7 +19,7 @@ def said(differences):
 
 
 @pytest.mark.parametrize(
-    ("differences", "told"),
+    ("differences", "verdict"),
     [
         ([-0.011, -0.009] * 4, "better than"),  # though the runs scatter fifty times as wide
         ([0.011, 0.009] * 4, "worse than"),
@@ -27,11 +27,11 @@ def said(differences):
         ([-0.03, -0.001], "not distinct from"),  # both runs better, but two are too few
     ],
 )
-def test_one_predictor_is_better_only_where_pairs_of_runs_show_it(differences, told):
-    assert f"{told} the best baseline, " in said(differences)
+def test_one_predictor_is_better_only_where_pairs_of_runs_show_it(differences, verdict):
+    assert f"{verdict} the best baseline, " in line_of(differences)
 
 
 def test_the_interval_of_pairs_is_that_of_student():
     """Mean -1 %, standard deviation 0.1 %, three runs: 4.3027 is the 97.5 % quantile of t at two degrees of freedom."""
     half = 4.3027 * 0.1 / np.sqrt(3.0)
-    assert f"-1.00 in pairs ({-1.0 - half:+.2f} to {-1.0 + half:+.2f})" in said([-0.009, -0.010, -0.011])
+    assert f"-1.00 in pairs ({-1.0 - half:+.2f} to {-1.0 + half:+.2f})" in line_of([-0.009, -0.010, -0.011])

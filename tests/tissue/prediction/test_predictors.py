@@ -81,21 +81,23 @@ def test_asking_changes_nothing(kind, trained):
 
 @pytest.mark.parametrize("kind", ["hold", "linear", "kalman"])
 def test_a_constant_force_stays(kind, trained):
-    told = feed(made(kind, trained), [1.3] * 300).predict(6)
-    np.testing.assert_allclose(told, [0.0, 0.0, 1.3], atol=1e-9)  # a filter of 1e-3 has forgotten its start by then
+    predicted = feed(made(kind, trained), [1.3] * 300).predict(6)
+    np.testing.assert_allclose(
+        predicted, [0.0, 0.0, 1.3], atol=1e-9
+    )  # a filter of 1e-3 has forgotten its start by then
 
 
 @pytest.mark.parametrize("kind", ["linear", "kalman"])
 def test_a_ramp_goes_on(kind, trained):
-    told = feed(made(kind, trained), 2e-3 * np.arange(400)).predict(8)
-    assert told[2] == pytest.approx(2e-3 * 407, abs=1e-9)
+    predicted = feed(made(kind, trained), 2e-3 * np.arange(400)).predict(8)
+    assert predicted[2] == pytest.approx(2e-3 * 407, abs=1e-9)
 
 
 def test_a_parabola_goes_on_in_the_filter_alone():
     times = np.arange(400.0)
-    told = feed(Kalman(), 1e-6 * times**2).predict(8)[2]
-    assert told == pytest.approx(1e-6 * 407.0**2, abs=1e-9)
-    assert abs(feed(Linear(), 1e-6 * times**2).predict(8)[2] - told) > 1e-5
+    predicted = feed(Kalman(), 1e-6 * times**2).predict(8)[2]
+    assert predicted == pytest.approx(1e-6 * 407.0**2, abs=1e-9)
+    assert abs(feed(Linear(), 1e-6 * times**2).predict(8)[2] - predicted) > 1e-5
 
 
 def test_kalman_gains_are_those_that_the_recursion_settles_to():
@@ -195,8 +197,8 @@ class Fake:
 
     residual_N, is_primary = 0.0, True
 
-    def __init__(self, told, trusted=True):
-        self.told, self.trusted, self.paused = told, trusted, 0
+    def __init__(self, predicted, trusted=True):
+        self.told, self.trusted, self.paused = predicted, trusted, 0
 
     def observe(self, position_m, velocity_m_s, force_N):
         """Nothing is kept."""
@@ -213,17 +215,19 @@ class Fake:
 def test_a_handover_has_no_step_and_comes_back():
     inner = Fake(1.0)
     guarded = Guarded(inner, Fake(0.0), reach_N=10.0)
-    told, owned = [], []
+    predicted, primary = [], []
     for tick in range(300):
         inner.trusted = not 100 <= tick < 150
         guarded.observe(np.zeros(3), np.zeros(3), np.ones(3))
-        told.append(guarded.predict(4)[0])
-        owned.append(guarded.is_primary)
-    told = np.array(told)
-    assert told[99] == 1.0 and told[100 + BLEND] == pytest.approx(0.0, abs=1e-12)
-    assert np.abs(np.diff(told)).max() <= 1.0 / BLEND + 1e-12
-    assert not told[100 + BLEND : 149 + PROBATION - 1].any() and told[149 + PROBATION + BLEND] == pytest.approx(1.0)
-    assert owned[99] and not owned[120] and owned[-1]
+        predicted.append(guarded.predict(4)[0])
+        primary.append(guarded.is_primary)
+    predicted = np.array(predicted)
+    assert predicted[99] == 1.0 and predicted[100 + BLEND] == pytest.approx(0.0, abs=1e-12)
+    assert np.abs(np.diff(predicted)).max() <= 1.0 / BLEND + 1e-12
+    assert not predicted[100 + BLEND : 149 + PROBATION - 1].any() and predicted[
+        149 + PROBATION + BLEND
+    ] == pytest.approx(1.0)
+    assert primary[99] and not primary[120] and primary[-1]
 
 
 def test_who_misses_more_than_the_other_is_not_asked():
@@ -232,12 +236,12 @@ def test_who_misses_more_than_the_other_is_not_asked():
     for _ in range(50):
         guarded.observe(np.zeros(3), np.zeros(3), np.zeros(3))
         guarded.predict(4)
-    owned = []
+    primary = []
     for tick in range(600):
         guarded.observe(np.zeros(3), np.zeros(3), np.full(3, 1.0 + float(tick >= 200)))
         guarded.predict(4)
-        owned.append(guarded.is_primary)
-    assert owned[0] and not any(owned[20:200]) and owned[-1]
+        primary.append(guarded.is_primary)
+    assert primary[0] and not any(primary[20:200]) and primary[-1]
 
 
 def test_the_transition_between_two_predictors_is_bounded_and_finite():

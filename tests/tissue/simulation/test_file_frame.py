@@ -45,11 +45,11 @@ def milled(path, mesh, *, motion=None, unit_mm=1.0, mirrored=False):
         pyvista.PolyData.from_regular_faces(moved.vertices, moved.faces).save(path)
     else:
         moved.export(path)
-    way = motion[:3, :3]
+    frame = motion[:3, :3]
     site = {
-        "anatomy.centre_mm": (way @ SITE["centre_mm"] + motion[:3, 3]).tolist(),
-        "anatomy.normal": (way @ SITE["normal"]).tolist(),
-        "anatomy.along": (way @ SITE["along"]).tolist(),
+        "anatomy.centre_mm": (frame @ SITE["centre_mm"] + motion[:3, 3]).tolist(),
+        "anatomy.normal": (frame @ SITE["normal"]).tolist(),
+        "anatomy.along": (frame @ SITE["along"]).tolist(),
     }
     side = -1.0 if mirrored else 1.0  # x is mirrored by `along`, so y is what changes its side
     scene = {

@@ -100,9 +100,9 @@ def test_a_write_that_is_under_way_is_never_read(tmp_path):
         seen = set()
         limit = time.perf_counter() + 60.0
         while len(seen) < 50 and time.perf_counter() < limit:
-            if (told := ours.read("row")) is not None:
-                assert (told[1] == told[1][0]).all()
-                seen.add(told[1][0])
+            if (message := ours.read("row")) is not None:
+                assert (message[1] == message[1][0]).all()
+                seen.add(message[1][0])
             if not seen:
                 time.sleep(1e-3)  # it has not begun
         ours["end"][0] = 1
@@ -153,15 +153,15 @@ def test_without_a_display_the_script_runs_and_gives_the_same_rows(no_display, d
     assert summary["skipped_ms"] == pytest.approx(1e-3 * run.timing["skipped_us"].sum())
     mover = "a simulated expert moves it" if device == "touch" else "the scripted motion moves the tool"
     assert summary["notes"]["live"] == f"no window, for there is no display: {mover}"
-    told = any("the clock skips from here" in what for _, what in run.events)
-    assert told == (summary["skipped_ms"] > 0.0)
+    reported = any("the clock skips from here" in what for _, what in run.events)
+    assert reported == (summary["skipped_ms"] > 0.0)
 
 
 def test_the_command_runs_live_without_a_display(no_display, command, here):
-    code, said, _ = command("run", "wall", "--live", "--duration-s", "0.3", "--no-pictures", "--out", "run")
+    code, output, _ = command("run", "wall", "--live", "--duration-s", "0.3", "--no-pictures", "--out", "run")
     assert code == 0
-    assert said.startswith("live: no window, for there is no display: a simulated expert moves it; Ctrl-C ends it")
-    assert "delay of ticks, median / 99 % / max" in said and "wall clock skipped" in said
+    assert output.startswith("live: no window, for there is no display: a simulated expert moves it; Ctrl-C ends it")
+    assert "delay of ticks, median / 99 % / max" in output and "wall clock skipped" in output
     saved = SavedRun(here / "run")
     assert saved.complete and len(saved.trace.rows) == 300
     timing = np.loadtxt(here / "run" / "timing.csv", delimiter=",", skiprows=1)
@@ -182,8 +182,8 @@ def test_ctrl_c_ends_a_live_run_that_is_whole(tmp_path):
         while time.perf_counter() < limit and not (trace.is_file() and trace.stat().st_size > 20_000):
             time.sleep(0.02)
         process.send_signal(signal.SIGINT)
-        said, _ = process.communicate(timeout=100.0)
-    assert process.returncode == 0, said
+        output, _ = process.communicate(timeout=100.0)
+    assert process.returncode == 0, output
     saved = SavedRun(tmp_path / "run")
     assert saved.complete and 10 < len(saved.trace.rows) < 600_000
     assert saved.summary["simulated_s"] == pytest.approx(1e-3 * len(saved.trace.rows))
@@ -268,9 +268,9 @@ def stalled(monkeypatch):
 def test_a_run_waits_for_a_window_that_hangs_and_reports_it(stalled):
     run = run_live(load_scene("wall"))
     assert len(run.trace.rows) == 600
-    (time_s, said), *more = [event for event in run.events if "drew nothing" in event[1]]
-    assert said.startswith("the window drew nothing: the run waited ") and not more
-    waited_us = 1e6 * float(said.split("waited ")[1].split(" s")[0])
+    (time_s, what), *more = [event for event in run.events if "drew nothing" in event[1]]
+    assert what.startswith("the window drew nothing: the run waited ") and not more
+    waited_us = 1e6 * float(what.split("waited ")[1].split(" s")[0])
     paused = round(time_s / TICK_S)
     assert run.timing["skipped_us"][paused : paused + 2].max() < waited_us, "a pause of the run is no lateness"
 

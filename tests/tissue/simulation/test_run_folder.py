@@ -90,25 +90,25 @@ def copied(made, tmp_path):
     folder = tmp_path / "copy"
     shutil.copytree(made, folder)
 
-    def said(refused):
-        told = {
+    def message(refused):
+        messages = {
             refused("view", folder, "--screenshot", tmp_path / "x.png"),
             refused("assess", folder, "--against", made),
         }
-        assert len(told) == 1 and not (tmp_path / "x.png").exists()
-        return told.pop()
+        assert len(messages) == 1 and not (tmp_path / "x.png").exists()
+        return messages.pop()
 
-    return folder, said
+    return folder, message
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])
 def test_a_trace_shorter_than_its_run_is_refused(copied, refused, share):
-    folder, said = copied
+    folder, message = copied
     table = folder / "trace.csv"
     lines = table.read_text().splitlines(keepends=True)
     table.write_text("".join(lines[: round(share * len(lines))]))
     found = max(round(share * len(lines)) - 1, 0)
-    assert said(refused) == (
+    assert message(refused) == (
         f"trace.csv must hold 600 ticks as in summary.json, got {found} in {table}: run the scene again"
     )
     summary = json.loads((folder / "summary.json").read_text())
@@ -125,9 +125,9 @@ def test_a_trace_shorter_than_its_run_is_refused(copied, refused, share):
     ],
 )
 def test_a_damaged_scene_of_a_run_is_refused(copied, refused, content, sentence):
-    folder, said = copied
+    folder, message = copied
     (folder / "scene.toml").write_bytes(content)
-    assert said(refused).startswith(sentence)
+    assert message(refused).startswith(sentence)
     (folder / "scene.toml").unlink()
     assert SavedRun(folder).scene is None
 
@@ -235,9 +235,9 @@ def test_an_interrupted_run_keeps_its_trace_and_prints_one_line(tmp_path, start)
     process = start("run", "milling", *COARSE, "--duration-s", "600", "--out", str(out))
     wait_for_rows(out / "trace.csv", process, 100)
     process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=30)
+    _, message = process.communicate(timeout=30)
     assert process.returncode == 130
-    assert said == "stopped: what was written so far is kept, see `tissue view`\n"
+    assert message == "stopped: what was written so far is kept, see `tissue view`\n"
     saved = SavedRun(out)
     assert not saved.complete
     assert len(saved.trace.rows) > 100
@@ -248,8 +248,8 @@ def test_a_run_stopped_before_it_has_begun_is_reported(tmp_path, command, monkey
         raise KeyboardInterrupt
 
     monkeypatch.setattr("tissue.simulation.simulate.build", stop)
-    code, _, said = command("run", "milling", *COARSE, "--out", tmp_path / "out")
-    assert (code, said) == (130, "stopped before anything was written\n") and not (tmp_path / "out").exists()
+    code, _, message = command("run", "milling", *COARSE, "--out", tmp_path / "out")
+    assert (code, message) == (130, "stopped before anything was written\n") and not (tmp_path / "out").exists()
 
 
 def test_a_run_killed_before_its_first_row_reads_back(tmp_path):

@@ -116,14 +116,14 @@ def test_a_run_in_memory_writes_nothing(tmp_path, monkeypatch):
 
 
 def test_progress_names_what_is_done_and_never_falls_back():
-    told = []
+    reported = []
     scene = load_scene("milling", COARSE | {"duration_s": 3.0})
-    simulate(scene, progress=lambda doing, share: told.append((doing, share)))
-    names = list(dict.fromkeys(doing for doing, _ in told))
+    simulate(scene, progress=lambda doing, share: reported.append((doing, share)))
+    names = list(dict.fromkeys(doing for doing, _ in reported))
     assert names.index("building the anatomy") < names.index("voxelising") < names.index("simulating")
     assert any("compiling kernels" in name for name in names)
     for name in names:
-        shares = [share for doing, share in told if doing == name]
+        shares = [share for doing, share in reported if doing == name]
         assert shares == sorted(shares) and shares[0] >= 0.0 and shares[-1] <= 1.0
 
 

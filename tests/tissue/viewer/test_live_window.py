@@ -103,7 +103,7 @@ def test_wheel_and_keys_move_it_along_the_axis_and_in_the_view_within_the_box(po
     events.observers["MouseWheelForwardEvent"]()
     np.testing.assert_allclose(pointer.target_mm, -NOTCH_MM * UP)
     events.observers["MouseWheelBackwardEvent"]()
-    for keys, way in (
+    for keys, target in (
         (("Next", "s"), -2 * KEY_MM * UP),
         (("Prior", "w"), 0.0 * UP),
         (("Right", "Up"), KEY_MM * np.array([1.0, 0.0, 1.0])),
@@ -111,7 +111,7 @@ def test_wheel_and_keys_move_it_along_the_axis_and_in_the_view_within_the_box(po
     ):
         for events.key in keys:
             events.observers["KeyPressEvent"]()
-        np.testing.assert_allclose(pointer.target_mm, way, atol=1e-12)
+        np.testing.assert_allclose(pointer.target_mm, target, atol=1e-12)
     events.key = "s"
     for _ in range(100):
         events.observers["KeyPressEvent"]()
@@ -248,10 +248,10 @@ def last_row(out, process, *, least=1):
     limit = time.monotonic() + 100.0
     while time.monotonic() < limit:
         if process.poll() is not None:
-            said = process.stderr.read()
-            if "its window" in said or "OpenGL" in said:
-                pytest.skip(f"no window can be opened here: {said[-300:]}")
-            raise AssertionError(said)
+            message = process.stderr.read()
+            if "its window" in message or "OpenGL" in message:
+                pytest.skip(f"no window can be opened here: {message[-300:]}")
+            raise AssertionError(message)
         if (out / "trace.csv").is_file():
             with (out / "trace.csv").open("rb") as file:
                 columns = file.readline().decode().strip().split(",")
@@ -282,8 +282,8 @@ def test_a_person_presses_the_wall_with_mouse_wheel_and_keys(started, display):
     process, out = started("wall")
     person = Person(display)
     assert last_row(out, process)["tool_z_mm"] == pytest.approx(20.0, abs=0.1)
-    way = iter(range(400, 800, 5))
-    moved = until(out, process, lambda row: row["tool_x_mm"] > 5.0, lambda: person.move(next(way), 420))
+    pixels = iter(range(400, 800, 5))
+    moved = until(out, process, lambda row: row["tool_x_mm"] > 5.0, lambda: person.move(next(pixels), 420))
     assert moved is not None, "the mouse does not move the tool"
     lower = until(out, process, lambda row: row["tool_z_mm"] < moved["tool_z_mm"] - 5.0, lambda: person.wheel(1))
     assert lower is not None, "the wheel does not move the tool"
@@ -296,12 +296,12 @@ def test_a_person_presses_the_wall_with_mouse_wheel_and_keys(started, display):
     assert "late_us" in (out / "timing.csv").read_text("utf-8").splitlines()[0]
     person.type("q")
     person.leave()
-    said, _ = process.communicate(timeout=100.0)
+    message, _ = process.communicate(timeout=100.0)
     assert process.returncode == 0
     saved = SavedRun(out)
     assert saved.complete and saved.summary["notes"]["live"].startswith("the mouse moves the tool in a window")
     assert saved.summary["force_N"]["peak"] > 0.5 and "skipped_ms" in saved.summary
-    assert "delay of ticks, median / 99 % / max" in said
+    assert "delay of ticks, median / 99 % / max" in message
     assert not any("by itself" in event["what"] for event in saved.summary["events"])
 
 

@@ -67,9 +67,9 @@ def _colours(path) -> int:
 def test_screenshot_of_a_whole_run(whole, tmp_path):
     picture = tmp_path / "view.png"
     picture.write_bytes(b"an older picture")
-    said = _screenshot(whole, picture)
-    assert said.startswith("milling: 0.3 s, force up to ")
-    assert said.endswith(f"screenshot in {picture}")
+    report = _screenshot(whole, picture)
+    assert report.startswith("milling: 0.3 s, force up to ")
+    assert report.endswith(f"screenshot in {picture}")
     assert _colours(picture) > 100
 
 
@@ -241,8 +241,8 @@ def test_a_run_without_fields_is_reported(whole, tmp_path):
 
 
 def test_a_stopped_run_is_named_so_and_shows_what_it_has(stopped, tmp_path):
-    said = _screenshot(stopped, tmp_path / "view.png")
-    assert said.splitlines()[0] == "run is incomplete: it was interrupted at 0.149 s of 0.3 s"
+    report = _screenshot(stopped, tmp_path / "view.png")
+    assert report.splitlines()[0] == "run is incomplete: it was interrupted at 0.149 s of 0.3 s"
     assert _colours(tmp_path / "view.png") > 100
 
 
@@ -259,8 +259,8 @@ def test_a_run_stopped_at_once_can_be_seen(stopped, tmp_path, rows):
     lines = (stopped / "trace.csv").read_text().splitlines(keepends=True)
     (stopped / "trace.csv").write_text("".join(lines[: 1 + rows]))
     (stopped / "scene.toml").unlink()
-    said = _screenshot(stopped, tmp_path / "view.png")
-    assert said.startswith(
+    report = _screenshot(stopped, tmp_path / "view.png")
+    assert report.startswith(
         (
             "run is incomplete: it was interrupted before its first tick",
             "run is incomplete: it was interrupted at 0.000 s",
@@ -313,13 +313,13 @@ def test_what_is_not_drawn_to_its_end_leaves_no_file_and_keeps_an_older_one(
             return ends
         raise ends
 
-    told = []
+    reported = []
     monkeypatch.setattr("tissue.viewer.view.draw_apart", half)
     monkeypatch.setattr("tissue.viewer.view.check_movie", lambda path: None)
     monkeypatch.setattr("tissue.viewer.view.require_whole", lambda saved: None)  # it starts a process each time
     with pytest.raises(KeyboardInterrupt if isinstance(ends, KeyboardInterrupt) else InputError):
-        view(whole, **{kind: file}, progress=lambda doing, share: told.append((doing, share)))
-    assert told == [(f"drawing the {kind}", 0.0), (f"drawing the {kind}", 0.5)]
+        view(whole, **{kind: file}, progress=lambda doing, share: reported.append((doing, share)))
+    assert reported == [(f"drawing the {kind}", 0.0), (f"drawing the {kind}", 0.5)]
     assert [one.name for one in tmp_path.iterdir()] == ([] if older is None else [name])
     assert older is None or file.read_bytes() == older
 
@@ -334,12 +334,12 @@ def test_a_movie_reports_how_much_of_it_is_drawn(tmp_path, monkeypatch):
     monkeypatch.setattr("tissue.system.offscreen.LOOK_S", 0.05)
     shares = []
 
-    def told(share):
+    def reported(share):
         shares.append(share)
         if share > 0.0:
             (tmp_path / "seen").touch()
 
-    assert draw_apart("drawing", drawn=told) is None
+    assert draw_apart("drawing", drawn=reported) is None
     assert set(shares) <= {0.0, 0.25} and shares[-1] == 0.25
 
 

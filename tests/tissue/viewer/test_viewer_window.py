@@ -59,24 +59,24 @@ def read_mm(text):
 
 
 def test_a_click_reads_the_material_under_it(driven):
-    told, _ = driven
-    x, y, z = told["clicked"]["reference_mm"]
+    found, _ = driven
+    x, y, z = found["clicked"]["reference_mm"]
     assert (x, y, z) == pytest.approx((0.0, -8.0, 0.0), abs=1.0)
     # Boussinesq's face under a point 6 mm above it, and 3/4 of its depth at 0.5 s and 3/8 of the time behind.
     expected = 6.0 * 6.0 / np.hypot(np.hypot(x, y), 6.0)
-    assert read_mm(told["clicked"]["text"]) == pytest.approx(expected, rel=0.03)  # error of linear cells of 2.5 mm
-    assert read_mm(told["earlier"]) == pytest.approx(0.375 * expected, rel=0.03)
-    assert told["clicked"]["text"].startswith("capsule at (")
-    assert "von Mises: " in told["clicked"]["text"] and "kPa" in told["clicked"]["text"]
-    assert told["camera_kept"] and told["beside"] == told["clicked"]["reference_mm"]
+    assert read_mm(found["clicked"]["text"]) == pytest.approx(expected, rel=0.03)  # error of linear cells of 2.5 mm
+    assert read_mm(found["earlier"]) == pytest.approx(0.375 * expected, rel=0.03)
+    assert found["clicked"]["text"].startswith("capsule at (")
+    assert "von Mises: " in found["clicked"]["text"] and "kPa" in found["clicked"]["text"]
+    assert found["camera_kept"] and found["missed"] == found["clicked"]["reference_mm"]
     # Drawn twice its size, the mark lies twice as deep.
-    assert told["enlarged_mm"][2] == pytest.approx(-2.0 * read_mm(told["clicked"]["text"]), rel=0.01)
+    assert found["enlarged_mm"][2] == pytest.approx(-2.0 * read_mm(found["clicked"]["text"]), rel=0.01)
 
 
 def test_fields_are_switched_by_key_and_by_click(driven):
-    told, _ = driven
-    assert told["after_m"] == "principal_1_kPa"
-    assert told["listed"] == [
+    found, _ = driven
+    assert found["after_m"] == "principal_1_kPa"
+    assert found["listed"] == [
         "von_mises_kPa",
         "principal_1_kPa",
         "max_principal_strain_percent",
@@ -86,16 +86,16 @@ def test_fields_are_switched_by_key_and_by_click(driven):
 
 
 def test_the_clip_plane_is_switched_pushed_and_turned(driven):
-    told, _ = driven
-    assert told["clipped"][2] == pytest.approx(0.0, abs=1e-3)
+    found, _ = driven
+    assert found["clipped"][2] == pytest.approx(0.0, abs=1e-3)
     diagonal = np.linalg.norm((40.0, 40.0, 20.0))
-    assert told["pushed"][2] == pytest.approx(3 * 0.02 * diagonal, rel=1e-3)
-    assert told["back"][2] == pytest.approx(2 * 0.02 * diagonal, rel=1e-3)
-    normal, origin = map(np.array, told["turned"])
+    assert found["pushed"][2] == pytest.approx(3 * 0.02 * diagonal, rel=1e-3)
+    assert found["back"][2] == pytest.approx(2 * 0.02 * diagonal, rel=1e-3)
+    normal, origin = map(np.array, found["turned"])
     assert 0.05 < abs(normal[0]) < 0.9 and origin[1] == pytest.approx(2 * 0.02 * diagonal, rel=1e-3)
-    slid = np.array(told["slid"][1])
+    slid = np.array(found["slid"][1])
     assert slid[2] < origin[2] - 1.0 and (slid - origin) @ normal == pytest.approx(0.0, abs=1e-6)
-    assert told["closed"][2] == pytest.approx(-20.0, abs=0.1)
+    assert found["closed"][2] == pytest.approx(-20.0, abs=0.1)
 
 
 def test_a_part_is_switched_off_on_the_field_too(driven):
@@ -105,11 +105,11 @@ def test_a_part_is_switched_off_on_the_field_too(driven):
 
 
 def test_time_plays_pauses_and_ends(driven):
-    told, _ = driven
-    assert told["playing"] and 0.5 < told["played_to"] < 1.0
-    assert told["paused_at"] == told["played_to"]
-    assert told["button"] == [True, False]
-    assert told["end"] == [1.0, False]
+    found, _ = driven
+    assert found["playing"] and 0.5 < found["played_to"] < 1.0
+    assert found["paused_at"] == found["played_to"]
+    assert found["button"] == [True, False]
+    assert found["end"] == [1.0, False]
 
 
 def test_the_window_shows_it(driven):
@@ -141,8 +141,8 @@ def test_a_screenshot_shows_the_field_at_a_time_and_scale(pressed, tmp_path):
     shares = []
     for index, options in enumerate(({"time_s": 0.1}, {"scale": 1.5})):
         file = tmp_path / f"{index}.png"
-        said = _drawn(pressed, screenshot=file, field="displacement_mm", **options)
-        assert said.endswith(f"screenshot in {file}")
+        report = _drawn(pressed, screenshot=file, field="displacement_mm", **options)
+        assert report.endswith(f"screenshot in {file}")
         with Image.open(file) as picture:
             red, green, blue = np.moveaxis(np.asarray(picture.convert("RGB"), dtype=int)[100:640, 250:1150], 2, 0)
         shares.append(((red > 130) & (green > 150) & (blue < 90)).mean())  # upper end of the scale, yellow
