@@ -22,7 +22,7 @@ AHEAD = wp.constant(wp.float64(4.0))
 """Steps ahead that a point is looked at again."""
 LEAST_SLOPE = wp.constant(wp.float64(0.5))
 """A flatter level is read as one this steep, so that a point is never taken to be farther away than a voxel."""
-SAME_WAY = wp.constant(wp.float64(0.99999999))
+SAME_DIRECTION = wp.constant(wp.float64(0.99999999))
 SLACK = wp.constant(wp.float64(1.0e-3))
 """Share of a voxel by which a kept plane may cut off free space."""
 
@@ -108,7 +108,7 @@ def collect_voxels(
         return count, step, ZERO
     normal = slope / size
     held = contacts.plane_normal[point, 0]
-    if contacts.press[first] > ZERO and wp.dot(held, normal) < SAME_WAY:
+    if contacts.press[first] > ZERO and wp.dot(held, normal) < SAME_DIRECTION:
         keep_plane(contacts, point, first)
     contacts.plane_normal[point, 0] = normal
     contacts.plane_offset[point, 0] = wp.dot(normal, at) - gap
@@ -121,7 +121,7 @@ def collect_voxels(
         above = wp.dot(held, at) - contacts.plane_offset[point, k]
         if wp.length_sq(held) > ZERO:
             cuts = above < gap - SLACK * field.spacing
-            if cuts or above > step or wp.dot(held, normal) > SAME_WAY:
+            if cuts or above > step or wp.dot(held, normal) > SAME_DIRECTION:
                 contacts.plane_normal[point, k] = wp.vec3d()
                 contacts.press[first + k] = ZERO
             else:

@@ -35,14 +35,14 @@ _HOMES = {
 
 
 def _require_siblings() -> None:
-    """Refuse another package named ``meshes`` or ``kernels`` that hides the one beside this package."""
-    beside = Path(__file__).resolve().parent.parent
+    """Refuse another package named ``meshes`` or ``kernels`` that hides the one next to this package."""
+    root = Path(__file__).resolve().parent.parent
     for name in ("meshes", "kernels"):
         spec = find_spec(name)
         found = Path(spec.origin).resolve().parent if spec is not None and spec.origin else None
-        if found != beside / name:
+        if found != root / name:
             raise ImportError(
-                f"tissue needs its own package {name} at {beside / name}, got {found}: "
+                f"tissue needs its own package {name} at {root / name}, got {found}: "
                 f"uninstall the other {name} or reinstall tissue-sim in a fresh environment"
             )
 

@@ -20,7 +20,7 @@ def main() -> NoReturn:
         print("stopped before anything was begun", file=sys.stderr)
         sys.exit(stopped.exit_code if isinstance(stopped, Terminated) else 130)
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_DFL)  # once more while Python ends: it ends at once, and says nothing
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # once more while Python ends: it ends at once, and prints nothing
 
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ __all__ = ["GLENOID_LAYERS", "glenoid"]
 
 GLENOID_LAYERS = ("subchondral", "cortical", "trabecular")
 _PLATE_RANGE_M = (1.2e-3, 2.9e-3)
-_VAULT_FLOOR_BLEND_M = 4e-3
+_VAULT_BASE_BLEND_M = 4e-3
 
 
 @dataclass(frozen=True)
@@ -205,14 +205,14 @@ def _checked_pear(width: float, height: float, ratio: float, depth: float, taper
         )
     if depth * math.tan(taper) > 0.45 * width:
         raise InputError(
-            f"vault_taper_deg must leave the vault open at its floor, got {math.degrees(taper):g} over "
+            f"vault_taper_deg must leave the vault open at its base, got {math.degrees(taper):g} over "
             f"{1e3 * depth:g} mm: use at most {math.degrees(math.atan(0.45 * width / depth)):.1f}"
         )
     return _pear(width, height, ratio)
 
 
 def _bone(pear: _Pear, radius: float, depth: float, taper: float, blend: float) -> Shape:
-    """Outer surface: the outline extruded, leaning inward below z = 0, dished by a sphere, cut off at the floor."""
+    """Outer surface: the outline extruded, leaning inward below z = 0, dished by a sphere, cut off at the base."""
     sine, cosine = math.sin(taper), math.cos(taper)
     half_width = pear.lower_radius
     half_height = pear.lower_radius - pear.lower_y
@@ -228,7 +228,7 @@ def _bone(pear: _Pear, radius: float, depth: float, taper: float, blend: float) 
     walls = Shape(wall_distance, (-half_width, -half_height, -depth), (half_width, half_height, rim))
     lid = half_space((0.0, 0.0, 1.0), (0.0, 0.0, rim))
     dished = intersection(walls & lid, Shape(dish_distance), blend_m=blend)
-    return intersection(dished, half_space((0.0, 0.0, -1.0), (0.0, 0.0, -depth)), blend_m=_VAULT_FLOOR_BLEND_M)
+    return intersection(dished, half_space((0.0, 0.0, -1.0), (0.0, 0.0, -depth)), blend_m=_VAULT_BASE_BLEND_M)
 
 
 def _layers(plate: _Plate, radius: float, wall: float, densities: tuple[float, ...]) -> Any:

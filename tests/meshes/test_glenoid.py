@@ -105,7 +105,7 @@ def test_layer_volumes_make_the_whole(face):
         ),
         (
             {"vault_taper_deg": 25, "vault_depth_mm": 40},
-            "vault_taper_deg must leave the vault open at its floor, got 25 over 40 mm: use at most 17.4",
+            "vault_taper_deg must leave the vault open at its base, got 25 over 40 mm: use at most 17.4",
         ),
         ({"trabecular_density_kg_m3": "light"}, "trabecular_density_kg_m3 must be a number, got 'light': use 300"),
         ({"rim_blend_mm": True}, "rim_blend_mm must be a number, got True: use 1.5"),

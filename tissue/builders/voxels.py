@@ -115,8 +115,8 @@ def _anatomy(scene: Scene, notes: dict[str, str]) -> Anatomy:
 
 def _named(parameters: AnatomyFile) -> AbstractContextManager[None]:
     """Let a refusal name the scene's key: geometry knows its arguments, not where a scene gives them."""
-    own = {name: f"anatomy.{name}" for name in type(parameters).model_fields}
-    names = dict.fromkeys(FILE_WORDS, "anatomy.file") | own
+    keys = {name: f"anatomy.{name}" for name in type(parameters).model_fields}
+    names = dict.fromkeys(FILE_WORDS, "anatomy.file") | keys
     layers = parameters.layer_files if isinstance(parameters, MolarAnatomy) else {}
     if layers:
         names |= {f"{layer} {word}": f"anatomy.{layer}_file" for layer in layers for word in FILE_WORDS}

@@ -33,6 +33,6 @@ def schema(*, out: Path | None = None, overwrite: Annotated[bool, Parameter(nega
     require_new_file(out, overwrite=overwrite)
     if not out.parent.is_dir():
         raise InputError(f"out must lie in a folder that exists, got {out}: create {out.parent}")
-    with whole_file(out) as beside:
-        beside.write_text(schema_text(), "utf-8")
+    with whole_file(out) as temporary:
+        temporary.write_text(schema_text(), "utf-8")
     console.print(f"wrote {out}", soft_wrap=True)

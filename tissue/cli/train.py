@@ -53,10 +53,10 @@ def train(
 
         found = trained_on(loaded, trials=trials, cores=cores, progress=report)
         found.write(path, overwrite=overwrite)
-    told, checked = found.facts, found.facts["validation"]
+    facts, checked = found.facts, found.facts["validation"]
     lines = [
-        f"{told['dictionary']}: {told['observables']} observables from {told['samples']} samples; largest eigenvalue "
-        f"{told['radius_before_cap']:.6f}, {told['capped']} capped",
+        f"{facts['dictionary']}: {facts['observables']} observables from {facts['samples']} samples; "
+        f"largest eigenvalue {facts['radius_before_cap']:.6f}, {facts['capped']} capped",
         f"error on {len(checked['held_out'])} run{'s' * (len(checked['held_out']) > 1)} held out, % of the force, at "
         f"{', '.join(map(str, checked['horizons_ms']))} ms:",
         *(

@@ -137,7 +137,7 @@ def penalty(loop: WallLoop) -> PenaltyRenderer:
 
 
 def passivity(loop: WallLoop) -> PassivityRenderer:
-    """The penalty law for the wall of a loop, watched.
+    """The penalty law for the wall of a loop, with a passivity controller.
 
     The loop gives its mass, its lag (delay and amplifier) and the damping that they leave it, a half of m / (T + lag).
     """

@@ -116,7 +116,7 @@ class HereditaryIntegral:
     """The integral of a spectrum's step response over an input that is linear within each step.
 
     With ``x`` the input, the response at the end of a step is ``y = instant_factor x + history``. The history is known
-    before the step, so that x may be found from a condition on y (a contact, say) without iterating. Nothing is
+    before the step, so that x may be found from a condition on y (such as a contact) without iterating. Nothing is
     allocated after construction.
 
     Parameters

@@ -93,7 +93,7 @@ class Response:
 
 
 class TissueModel(Protocol):
-    """A tissue that a tool moves through: what every model has. What some have beside it are the protocols below.
+    """A tissue that a tool moves through: what every model has. What only some have are the protocols below.
 
     `place` puts the tool where it starts. Every tick `advance` lets it take away what it reaches at its new pose, then
     `respond` gives the force at that pose. Neither allocates device memory.

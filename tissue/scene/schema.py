@@ -15,7 +15,7 @@ STATED = {
     "format": {"description": "Version of this file's format.", "minimum": 1, "type": "integer"},
     "tissue": {"description": "Version of tissue that wrote this file.", "type": "string"},
 }
-"""Entries that a scene's file may hold beside those of `Scene`."""
+"""Entries that a scene's file may hold besides those of `Scene`."""
 
 
 def schema_text() -> str:
@@ -47,6 +47,6 @@ def _written_schema() -> Path:
     path, text = (cache_folder() / "scene.schema.json").absolute(), schema_text()
     if not (path.is_file() and path.read_bytes() == text.encode()):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path) as beside:
-            beside.write_bytes(text.encode())
+        with whole_file(path) as temporary:
+            temporary.write_bytes(text.encode())
     return path

@@ -57,7 +57,7 @@ def plain_iterations(body: ParticleBody, *, scaled: bool) -> float:
     class _Near(Exception):  # noqa: N818 - it is no error
         """The goal is reached."""
 
-    def watch(found: Any) -> None:
+    def keep(found: Any) -> None:
         """Stop where every fifth iterate is near enough."""
         nonlocal count
         count += 1
@@ -73,7 +73,7 @@ def plain_iterations(body: ParticleBody, *, scaled: bool) -> float:
             rtol=0.0,
             maxiter=MOST,
             M=diags_array(1.0 / inner.diagonal()) if scaled else None,
-            callback=watch,
+            callback=keep,
         )
     except _Near:
         return float(count)

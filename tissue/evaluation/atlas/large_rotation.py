@@ -106,7 +106,7 @@ def ask() -> list[Answer]:
 def draw(data: Data, chart: "Figure") -> None:
     """False stress over the angle."""
     axes, turn = chart.subplots(), data["turn"]
-    angle, floor = turn["angle_deg"], 1e-13
+    angle, least = turn["angle_deg"], 1e-13
     region(axes, Conduct.HOLDS, angle[0], angle[-1])
     fine = np.geomspace(angle[0], angle[-1], 100)
     axes.loglog(fine, 1.0 - np.cos(np.deg2rad(fine)), color=GREY, label="theory of the linear law: 1 − cos θ")
@@ -114,13 +114,13 @@ def draw(data: Data, chart: "Figure") -> None:
         ("linear", RED, "s", "linear"), ("corotational", GREEN, "^", "corotational"),
         ("neo_hookean", BLUE, "o", "neo-Hookean"),
     ):  # fmt: skip
-        axes.loglog(angle, np.maximum(turn[f"{name}_pa"] / YOUNG_PA, floor), marker, color=colour, label=label)
+        axes.loglog(angle, np.maximum(turn[f"{name}_pa"] / YOUNG_PA, least), marker, color=colour, label=label)
     finish(
         axes,
         "both ends turned by θ / degrees",
         "stress where there is none / E",
         xlim=angle[[0, -1]],
-        ylim=(floor, 10.0),
+        ylim=(least, 10.0),
     )
 
 

@@ -26,8 +26,8 @@ def amplitude(frequency_hz: float) -> float:
     """Steady amplitude for a sine of amplitude 1, by running the filter at 400 steps a period."""
     step = 1.0 / (400.0 * frequency_hz)
     low_pass = LowPass(CONSTANT_S, step_s=step, size=1)
-    settle = round(6.0 * CONSTANT_S / step) + 400
-    wave = np.sin(2.0 * pi * frequency_hz * step * np.arange(settle))
+    steps_run = round(6.0 * CONSTANT_S / step) + 400
+    wave = np.sin(2.0 * pi * frequency_hz * step * np.arange(steps_run))
     found = np.array([low_pass.step(value)[0] for value in wave[:, None]])
     return float(np.abs(found[-400:]).max())
 
@@ -101,9 +101,9 @@ def draw(data: Data, chart: "Figure") -> None:
     finish(left, "frequency / Hz", "amplitude", title="α = 5 ms", legend="lower left", xlim=frequency[[0, -1]])
     ratio = stepped["step_over_constant"]
     region(right, Conduct.HOLDS, ratio[0], ratio[-1])
-    floor = 1e-17
-    right.loglog(ratio, np.clip(stepped["explicit_error"], floor, 1e12), "s", color=RED, label="explicit step")
-    right.loglog(ratio, np.clip(stepped["exact_error"], floor, 1e12), "o", color=BLUE, label="exact step (ours)")
+    least = 1e-17
+    right.loglog(ratio, np.clip(stepped["explicit_error"], least, 1e12), "s", color=RED, label="explicit step")
+    right.loglog(ratio, np.clip(stepped["exact_error"], least, 1e12), "o", color=BLUE, label="exact step (ours)")
     right.axvline(2.0, color=GREY, label="theory: T = 2α")
     finish(right, "step / time constant", "error after 200 steps", title="step response", xlim=ratio[[0, -1]])
 

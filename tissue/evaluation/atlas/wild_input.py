@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["WILD_INPUT"]
 
 LIMITS = GuardLimits()
-BELIEVED_M = LIMITS.fastest_m_s * (TICK_S + LIMITS.oldest_s)
+VALID_M = LIMITS.fastest_m_s * (TICK_S + LIMITS.oldest_s)
 """Longest jump in a tick that a hand could have made [m]."""
 
 
@@ -37,7 +37,7 @@ def forced(jump_m: float, *, guarded: bool) -> tuple[float, float, int]:
 def measure(quick: bool) -> Data:
     """Commanded force over the size of the jump."""
     jumps = np.array([1e-3, 1e-2, 1.0, 1e9]) if quick else np.concatenate(
-        [np.geomspace(1e-4, 1e-2, 6), BELIEVED_M * np.array([0.9, 1.1]), 10.0 ** np.array([-1, 0, 2, 4, 6, 9])]
+        [np.geomspace(1e-4, 1e-2, 6), VALID_M * np.array([0.9, 1.1]), 10.0 ** np.array([-1, 0, 2, 4, 6, 9])]
     )  # fmt: skip
     bare = np.array([forced(jump, guarded=False) for jump in jumps.tolist()])
     guarded = np.array([forced(jump, guarded=True) for jump in jumps.tolist()])
@@ -56,7 +56,7 @@ def measure(quick: bool) -> Data:
 def judge(data: Data) -> Verdict:
     """What one sample commands without a guard; the bound with it, and where it stops accepting."""
     table = data["jump"]
-    beyond = table["jump_m"] > BELIEVED_M
+    beyond = table["jump_m"] > VALID_M
     off = float(np.abs(table["bare_N"] / table["theory_N"] - 1.0).max())
     doubted = bool((table["not_believed"][beyond] == 1.0).all() and (table["not_believed"][~beyond] == 0.0).all())
     worst = float(table["guarded_N"].max())
@@ -65,7 +65,7 @@ def judge(data: Data) -> Verdict:
         bool(table["bare_N"].max() > 1e6 and off < 0.01),
         doubted and worst <= DEVICE.force_limit_N * (1.0 + 1e-12) and bridged < 1e-6,
         f"Accepted as it comes, one sample commands k·jump, up to {table['bare_N'].max():.1e} N. The guard accepts "
-        f"jumps below {1e3 * BELIEVED_M:.1f} mm (5 m/s over a tick and the age allowed) and none above; it never "
+        f"jumps below {1e3 * VALID_M:.1f} mm (5 m/s over a tick and the age allowed) and none above; it never "
         f"commands more than {worst:.2f} N, and a rejected sample takes off 5 % of the force.",
     )
 
@@ -75,9 +75,9 @@ def ask() -> list[Answer]:
     answers = []
     for what, wrong in (("NaN", nan), ("infinite", inf)):
         guard = SampleGuard(force_limit_N=DEVICE.force_limit_N)
-        believed = guard.validate_sample(Sample(0.0, (0.0, wrong, 0.0)), 0.0)
+        valid = guard.validate_sample(Sample(0.0, (0.0, wrong, 0.0)), 0.0)
         answers.append(
-            shown(f"a first sample that is {what}", believed is None, guard.events[0][1], conduct=Conduct.FALLS_BACK)
+            shown(f"a first sample that is {what}", valid is None, guard.events[0][1], conduct=Conduct.FALLS_BACK)
         )
     guard = SampleGuard(force_limit_N=DEVICE.force_limit_N)
     for tick in range(40):
@@ -97,8 +97,8 @@ def draw(data: Data, chart: "Figure") -> None:
     """Force over the jump."""
     axes, table = chart.subplots(), data["jump"]
     jump = table["jump_m"]
-    region(axes, Conduct.HOLDS, jump[0], BELIEVED_M)
-    region(axes, Conduct.FALLS_BACK, BELIEVED_M, jump[-1])
+    region(axes, Conduct.HOLDS, jump[0], VALID_M)
+    region(axes, Conduct.FALLS_BACK, VALID_M, jump[-1])
     order = np.argsort(jump)
     axes.loglog(jump[order], table["theory_N"][order], color=GREY, label="theory: force before + k·jump")
     axes.loglog(jump, table["bare_N"], "s", color=RED, label="every sample accepted")

@@ -153,8 +153,8 @@ class Session:
 
     def observer(self, name: str) -> Observer:
         """The observer as estimated from the answers so far: mean and covariance of the posteriors."""
-        weber, floor, lapse, _ = self.plan.prior.parameters()
-        coordinates = np.array([np.log(weber), np.log(floor), logit(lapse)])
+        weber, offset, lapse, _ = self.plan.prior.parameters()
+        coordinates = np.array([np.log(weber), np.log(offset), logit(lapse)])
         masses = self.threshold.posterior[:, 0]
         threshold = coordinates @ masses
         numbers = self.magnitudes()
@@ -224,10 +224,10 @@ class Session:
 
     def _surprise(self) -> float:
         """Log-likelihood of the answers at the likeliest point of the grid, in standard deviations from its mean."""
-        weber, floor, lapse, _ = self.plan.prior.parameters()
+        weber, offset, lapse, _ = self.plan.prior.parameters()
         likeliest = int(np.argmax(self.threshold.posterior[:, 0]))
         base, step = (np.array([getattr(asked, name) for asked, _ in self.asked]) for name in ("base_N", "step_N"))
-        right = two_interval(base, step, weber[likeliest], floor[likeliest], lapse[likeliest])
+        right = two_interval(base, step, weber[likeliest], offset[likeliest], lapse[likeliest])
         was = np.array([answer == asked.greater for asked, answer in self.asked])
         logs, other = np.log(np.where(was, right, 1.0 - right)), np.log(np.where(was, 1.0 - right, right))
         chance = np.where(was, right, 1.0 - right)

@@ -52,10 +52,10 @@ def draw_overview(found: Sequence[Sequence[Frontier]], path: Path) -> None:
         if place + columns >= len(found):
             panel.set_xlabel("tick / µs", fontsize=10)
     lines = {str(line.get_label()): line for panel in panels for line in panel.lines}
-    told = {label: line for label, line in lines.items() if not label.startswith("_")}
+    named = {label: line for label, line in lines.items() if not label.startswith("_")}
     wide = columns > 2
     chart.legend(
-        told.values(), told.keys(), loc="upper center", ncols=len(told) if columns > 1 else 2, frameon=False,
+        named.values(), named.keys(), loc="upper center", ncols=len(named) if columns > 1 else 2, frameon=False,
         fontsize=10.5 if wide else 7.5, columnspacing=2.0 if wide else 0.8, handlelength=2.0 if wide else 1.2,
     )  # fmt: skip
     save(chart, path)

@@ -117,14 +117,14 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
     scene = changed(load_scene(task.scene), dict(task.changes) | dict(met))
     assert isinstance(scene.motion, PathMotion)
     changes = {"device": "touch", "hand": key.group, "coupling.delay_ms": LATENCY_MS}
-    own = {"seed": seed, "motion.feed_mm_s": round(float(pace) * scene.motion.feed_mm_s, 3)}
+    per_trial = {"seed": seed, "motion.feed_mm_s": round(float(pace) * scene.motion.feed_mm_s, 3)}
     scene = changed(scene, changes | dict(variant.changes))
     scenes = {name: changed(scene, method) for name, method in METHODS.items()}
     stiffness = [_stiffness_N_m(each) for each in scenes.values()]
     scenes["koopman-perception"] = changed(scenes["koopman-perception"], {"perception": f"observer:{observer}"})
     stiffness.append(judged_loop(scenes["koopman-perception"], step_s=TICK_S).stiffness_N_m)
-    own["coupling.stiffness_N_m"] = floor(min(stiffness))
-    return TrialScene({name: changed(each, own) for name, each in scenes.items()}, specimen, truth)
+    per_trial["coupling.stiffness_N_m"] = floor(min(stiffness))
+    return TrialScene({name: changed(each, per_trial) for name, each in scenes.items()}, specimen, truth)
 
 
 @lru_cache(maxsize=64)
@@ -137,8 +137,8 @@ def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Obse
     """A person, and what the map fitted to their numbers; thresholds are known as they are."""
     drawn = draw_observers(key.group, 1, rng)
     name = f"{key.group} {key.user}"
-    own: dict[str, Any] = {each: float(getattr(drawn, each)[0]) for each in PARAMETERS}
-    truth = Observer.known(name, **own)
+    per_trial: dict[str, Any] = {each: float(getattr(drawn, each)[0]) for each in PARAMETERS}
+    truth = Observer.known(name, **per_trial)
     forces = np.resize(MAGNITUDE_FORCES_N, NUMBERS)
     fit = fit_magnitudes(forces, np.array([drawn.number(force, rng)[0] for force in forces]))
     mean, covariance = truth.mean.copy(), truth.covariance.copy()

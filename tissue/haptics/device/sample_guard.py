@@ -27,7 +27,7 @@ OFF_UNIT = 0.02
 
 @dataclass(frozen=True, kw_only=True)
 class GuardLimits:
-    """What counts as believable.
+    """What counts as valid.
 
     Attributes
     ----------

@@ -56,7 +56,7 @@ _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 class ProxyOutcome(Enum):
-    """How a tick ended; the value says what to do about it."""
+    """How a tick ended; the value holds the remedy."""
 
     FREE = "the proxy is where the device is: nothing to do"
     CONTACT = "the proxy rests against something: render the coupling's force"
@@ -232,7 +232,7 @@ class Proxy:
 
 
 def _contacts(points: int, field: ContactField, *, device: str) -> Contacts:
-    """Room for every contact that a shell of so many points can have."""
+    """Memory for every contact that a shell of so many points can have."""
     slots = field.solid_count + (VOXEL_PLANES if field.spacing_m > 0.0 else 0)
     contacts: Any = Contacts()
     contacts.slots = slots

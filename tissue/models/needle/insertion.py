@@ -155,10 +155,10 @@ class Insertion:
 
     def _next_stop_m(self) -> float:
         """Inserted length at which what resists rises: the track's end or a membrane."""
-        ahead = [depth for depth in self._depths if depth > self.inserted_m]
+        deeper = [depth for depth in self._depths if depth > self.inserted_m]
         if self.cut_m > self.inserted_m:
-            ahead.append(self.cut_m)
-        return min(ahead, default=inf)
+            deeper.append(self.cut_m)
+        return min(deeper, default=inf)
 
     def _draw(self, quick: bool) -> None:
         """Slide out while the organ, drawn along, pulls back with more than what holds it."""

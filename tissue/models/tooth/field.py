@@ -28,7 +28,7 @@ VTK_ORDER = (0, 4, 6, 2, 1, 5, 7, 3)
 INFECTED_SHARE = 0.05
 """Modulus of fully softened dentin relative to sound dentin: 1 of 18.6 GPa (infected 0.1-5 GPa, low confidence)."""
 
-_ROOM = 6
+_MARGIN = 6
 """Voxels of air laid around a tooth that may fill its volume: as far as the smooth normal of its surface reaches."""
 
 
@@ -197,7 +197,7 @@ def _ligament_springs(
     across, along = bed_stiffness(1e9 * table["modulus_GPa"].value, table["poisson_ratio"].value, thickness_m)
     bed, origin_m = (tooth.fraction > 0) & np.isin(tooth.layer, _bed_layers(tooth)), tooth.origin_m
     if not bed.any():
-        solid, origin_m = np.pad(solid, _ROOM), origin_m - _ROOM * tooth.spacing_m
+        solid, origin_m = np.pad(solid, _MARGIN), origin_m - _MARGIN * tooth.spacing_m
         depth = np.flatnonzero(solid.any(axis=(0, 1)))
         below = np.arange(solid.shape[2]) < depth[0] + (depth[-1] - depth[0]) // 3
         bed = ~solid & below[None, None, :]

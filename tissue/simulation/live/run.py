@@ -27,7 +27,7 @@ __all__ = ["LiveObserver", "live", "moved_by"]
 
 LONGEST_S = 600.0
 """How long a run by the mouse lasts without a duration [s]; its trace is held in memory."""
-STANDS_FOR = "touch"
+REPLACED_DEVICE = "touch"
 """Device whose numbers a mouse takes in a scene without one."""
 ROAM_MM, ROAM_ON_WALL_MM = 8.0, 40.0
 """How far from the scripted path the pointer may take the tool; a wall goes on for ever."""
@@ -85,7 +85,7 @@ def live(
     by_mouse, note = moved_by(scene)
     mouse = MouseDevice(_start_m(scene)) if by_mouse else None
     if by_mouse:
-        device = STANDS_FOR if scene.device == "none" else scene.device
+        device = REPLACED_DEVICE if scene.device == "none" else scene.device
         roam_mm = ROAM_ON_WALL_MM if scene.anatomy.kind == "wall" else ROAM_MM
         coupling = scene.coupling.model_copy(update={"roam_mm": scene.coupling.roam_mm or roam_mm})
         changes = {"device": device, "duration_s": duration_s or LONGEST_S, "coupling": coupling}

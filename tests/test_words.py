@@ -1,0 +1,82 @@
+"""Names, docstrings, comments, messages and pages use the field's words; CONTRIBUTING lists what to write instead."""
+
+import io
+import re
+import tokenize
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PLACES = (
+    "meshes",
+    "kernels",
+    "tissue",
+    "docs",
+    "README.md",
+    "CONTRIBUTING.md",
+    "CHANGELOG.md",
+)
+FILES = sorted(
+    path
+    for place in PLACES
+    for path in ([ROOT / place] if (ROOT / place).is_file() else (ROOT / place).rglob("*"))
+    if path.suffix in (".py", ".md")
+)
+WORDS = {
+    r"told|tells?|telling|said|says?": "reports, states, shows, raises",
+    r"believ\w*|vouch\w*": "valid, trusted, assumed; validate_sample, limit_force",
+    r"undelayed": "reference, without latency",
+    r"(?<!half )(?<!gives )(?<!gave )(?<!under )ways?": "path, path length, direction, method",
+    r"rooms?|houses?": "memory, space; package, module",
+    r"(?<!\.)(?<!import )floors?(?!\()": "base, ground; layer",
+    r"worth": "fidelity, error; verification",
+    r"in its hand": "closed-loop stability",
+    r"overdo\w*": "over-compensates",
+    r"catch(es)? up": "start_background",
+    r"StressBeside|StressHere": "StressSolver, InlineStressSolver",
+}
+"""Words of text, by what to write instead; an underscore ends a word."""
+NAMES = {
+    "ahead",
+    "believe",
+    "beside",
+    "catch_up",
+    "own",
+    "settle",
+    "undelayed",
+    "vouch",
+    "watch",
+    "ways_along",
+    "of_one_look",
+}
+"""Names that say too little: predict, is_primary, wait_for_background, observer, arc_length, map_estimate_errors."""
+
+
+def hits(text):
+    """Line and word of each hit in a text; a word in quotes alone is a key of a file's format."""
+    found = []
+    for number, line in enumerate(text.splitlines(), 1):
+        for words in WORDS:
+            for hit in re.finditer(rf"(?<![A-Za-z\"])(?:{words})(?![A-Za-z\"])", line, re.IGNORECASE):
+                found.append((number, hit.group()))
+    return found
+
+
+def named(code):
+    """Line and name of each definition or use of a name that is not to be used."""
+    tokens = tokenize.generate_tokens(io.StringIO(code).readline)
+    return [(each.start[0], each.string) for each in tokens if each.type == tokenize.NAME and each.string in NAMES]
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_a_file_uses_the_words_of_the_field(path):
+    text = path.read_text("utf-8")
+    found = hits(text) + (named(text) if path.suffix == ".py" else [])
+    assert not found, "\n".join(f"{path.relative_to(ROOT)}:{line}: {word}" for line, word in sorted(found))
+
+
+def test_words_are_found_and_plain_ones_left():
+    text = "the tool is told its way\nalways half way, np.floor(x), what it stands for\nway_m, _tell"
+    assert sorted(hits(text)) == [(1, "told"), (1, "way"), (3, "tell"), (3, "way")]
+    assert named("own = ahead(3)  # its own\n") == [(1, "own"), (1, "ahead")]
