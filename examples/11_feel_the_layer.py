@@ -14,8 +14,8 @@ import numpy as np
 import tissue
 from tissue.evaluation.calibration.force_discrimination import calibrated_commands, gain_of, share_right, stimulus_of
 from tissue.evaluation.calibration.simulated_observer import SimulatedObservers, draw_observers
-from tissue.haptics.hand.hand import GROUPS
 from tissue.perception.population import reference_observer
+from tissue.scene.registry import HANDS
 
 PEOPLE = 100
 WINDOW_S = 0.1
@@ -29,7 +29,7 @@ def main() -> None:
     print(f"capsule {capsule.level_N:.2f} N, parenchyma {parenchyma.level_N:.2f} N")
     assert 1.9 < capsule.level_N < 2.3 and 1.5 < parenchyma.level_N < 1.8
     rng = np.random.default_rng(0)
-    for group in GROUPS:
+    for group in HANDS:
         people = draw_observers(group, PEOPLE, rng)
         plain = share_right(people, capsule, parenchyma, seed=1)
         scaled = share_right(people, capsule, parenchyma, seed=1, commands=calibrated_commands(people, rng))

@@ -22,12 +22,12 @@ from tissue.evaluation.calibration.force_discrimination import (
     stimulus_of,
 )
 from tissue.evaluation.calibration.simulated_observer import SimulatedObservers, draw_observers
-from tissue.haptics.hand.hand import GROUPS
 from tissue.haptics.loop.filters import ForceRange
 from tissue.perception.adaptive import AdaptiveThreshold, ThresholdPrior, comparisons
 from tissue.perception.psychometric import D_PRIME_75, d_prime_of_correct, two_interval
 from tissue.perception.staircase import Staircase
 from tissue.perception.weber import weber
+from tissue.scene.registry import GROUPS
 
 PEOPLE = 100
 

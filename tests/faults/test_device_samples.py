@@ -7,15 +7,16 @@ import pytest
 from device_doubles import Recording
 
 from tissue import load_scene, simulate
-from tissue.haptics.device.device import DEVICES, ComputedDevice, DeviceError, Sample, device_parameters
+from tissue.haptics.device.device import ComputedDevice, DeviceError, Sample, device_parameters
 from tissue.haptics.device.roughness import Roughness
 from tissue.haptics.device.sample_guard import GuardLimits, SampleGuard
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import GROUPS, Hand, hand_parameters
+from tissue.haptics.hand.hand import Hand, hand_parameters
 from tissue.haptics.hand.minimum_jerk import waypoints
 from tissue.haptics.loop.filters import SlewLimit
 from tissue.haptics.renderer import renderer
 from tissue.haptics.rigid_wall import press_wall
+from tissue.scene.registry import DEVICES, HANDS
 
 TICK = 1e-3
 NOISE_M = 2e-3
@@ -99,7 +100,7 @@ def test_clocks_that_jitter_are_no_noise():
 
 
 @pytest.mark.parametrize("name", DEVICES)
-@pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.parametrize("group", HANDS)
 def test_no_hand_on_no_device_is_taken_for_noise(group, name):
     """Fast taps on the stiffest wall that a vendor allows, with tremor, encoder steps, and a jerk of 19 N."""
     device, rng = device_parameters(name), np.random.default_rng(3)

@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 
 from tissue import InputError
-from tissue.haptics.device.device import DEVICES, DeviceParameters, device_parameters
+from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import GROUPS, HandAction, hand_parameters
+from tissue.haptics.hand.hand import HandAction, hand_parameters
 from tissue.haptics.hand.minimum_jerk import waypoints
 from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands, judge, require_stable
 from tissue.haptics.loop.sampled_loop import WallLoop, loop_matrix, spectral_radius
 from tissue.haptics.loop.stability_bounds import delay_bound_N_m, passive_bound_N_m, quantised_bound_N_m
 from tissue.haptics.loop.stability_map import measured_critical_N_m, stability_map
+from tissue.scene.registry import DEVICES, HANDS
 
 TABLE = [
     (wall_damping, delay, critical)
@@ -53,7 +54,7 @@ def test_real_devices_held_and_free_filtered_and_slow(model_ticks):
     loops = []
     for name in DEVICES:
         bare = device_parameters(name).loop(100.0)
-        held = in_hands(bare, [hand_parameters(group).grip[:3] for group in GROUPS])
+        held = in_hands(bare, [hand_parameters(group).grip[:3] for group in HANDS])
         loops += [bare, *held, replace(held[0], filter_s=1e-3), replace(held[0], wall_damping_N_s_m=2.0)]
     loops = [replace(each, model_ticks=model_ticks) for each in loops]
     assert measured_critical_N_m(loops) == pytest.approx(

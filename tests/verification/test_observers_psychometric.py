@@ -5,7 +5,6 @@ import pytest
 
 from meshes.base.errors import InputError
 from tissue.evaluation.calibration.simulated_observer import SimulatedObservers, draw_observers
-from tissue.haptics.hand.hand import GROUPS
 from tissue.perception.psychometric import (
     correct_of_d_prime,
     cumulative_normal,
@@ -15,6 +14,7 @@ from tissue.perception.psychometric import (
     weibull,
 )
 from tissue.perception.staircase import Staircase
+from tissue.scene.registry import GROUPS
 
 
 def people(count, **given):

@@ -5,11 +5,11 @@ from pathlib import Path
 from meshes.base.errors import InputError
 from tissue.builders.loop import judged_loop
 from tissue.evaluation.stability_picture import draw_stability, write_stability
-from tissue.haptics.device.device import DEVICES
 from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.loop.critical_stiffness import in_hands
 from tissue.haptics.loop.stability_map import StabilityMap, stability_map
 from tissue.models.tissue_model import TICK_S
+from tissue.scene.registry import DEVICES
 from tissue.scene.scene import Scene
 from tissue.system.outputs import require_free_folder
 

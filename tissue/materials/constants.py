@@ -4,10 +4,11 @@ import tomllib
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from typing import Any
 
 from meshes.base.errors import InputError
 
-__all__ = ["Constant", "constants"]
+__all__ = ["Constant", "constants", "listed"]
 
 
 @dataclass(frozen=True)
@@ -30,10 +31,20 @@ def constants(table: str, material: str) -> dict[str, Constant]:
     InputError
         If the material is not listed.
     """
-    listed = tomllib.loads(files("tissue.materials").joinpath(f"{table}.toml").read_text("utf-8"))
-    if material not in listed:
-        raise InputError(f"material must be one of {', '.join(listed)}, got {material}: choose a listed one")
+    entries = _table(table)
+    if material not in entries:
+        raise InputError(f"material must be one of {', '.join(entries)}, got {material}: choose a listed one")
     return {
         name: Constant(entry["value"], entry["range"][0], entry["range"][1], entry["source"], entry["confidence"])
-        for name, entry in listed[material].items()
+        for name, entry in entries[material].items()
     }
+
+
+def listed(table: str) -> tuple[str, ...]:
+    """Materials of ``table.toml``, in its order."""
+    return tuple(_table(table))
+
+
+@cache
+def _table(table: str) -> dict[str, dict[str, Any]]:
+    return tomllib.loads(files("tissue.materials").joinpath(f"{table}.toml").read_text("utf-8"))

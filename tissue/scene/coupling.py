@@ -6,14 +6,14 @@ from pydantic import Field, model_validator
 
 from meshes.base.errors import InputError
 from tissue.scene.anatomy import Part
-from tissue.scene.registry import PREDICTORS, RENDERERS, OneOf
+from tissue.scene.registry import DEVICES, HANDS, PREDICTORS, RENDERERS, OneOf
 
 __all__ = [
     "Coupling", "DeviceName", "Fidelity", "HandName", "PerceptionName", "PredictionName", "RendererName", "WallAnatomy",
 ]  # fmt: skip
 
-DeviceName = Literal["none", "touch", "omni", "six-dof"]
-HandName = Literal["novice", "intermediate", "expert"]
+DeviceName = Annotated[str, OneOf(DEVICES, ("none",))]
+HandName = Annotated[str, OneOf(HANDS)]
 RendererName = Annotated[str, OneOf(RENDERERS)]
 PredictionName = Annotated[str, OneOf(PREDICTORS, ("none",))]
 PerceptionName = Annotated[

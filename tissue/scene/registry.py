@@ -11,6 +11,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from meshes.base.errors import InputError
+from tissue.materials.constants import constants, listed
 
 if TYPE_CHECKING:
     from tissue.haptics.loop.sampled_loop import WallLoop
@@ -18,7 +19,10 @@ if TYPE_CHECKING:
     from tissue.prediction.predictor import Predictor
     from tissue.prediction.trained import Trained
 
-__all__ = ["PREDICTORS", "RENDERERS", "OneOf", "PredictorEntry", "Registry", "loaded", "nearest", "unknown_name"]
+__all__ = [
+    "DEVICES", "GROUPS", "HANDS", "PREDICTORS", "RENDERERS", "OneOf", "PredictorEntry", "Registry", "loaded", "nearest",
+    "unknown_name",
+]  # fmt: skip
 
 T = TypeVar("T")
 
@@ -128,6 +132,21 @@ class OneOf:
         return {"enum": list(self.names), "type": "string"}
 
 
+def _numbers(table: str, *names: str) -> dict[str, float]:
+    """Values of a data file, later names over earlier ones."""
+    return {key: entry.value for name in names for key, entry in constants(table, name).items()}
+
+
+DEVICES: Registry[Mapping[str, float]] = Registry(
+    "device", {name: _numbers("devices", name) for name in listed("devices")}
+)
+"""Haptic devices: the numbers of `tissue.haptics.device.device.DeviceParameters` by their names."""
+HANDS: Registry[Mapping[str, float]] = Registry(
+    "hand", {name: _numbers("hands", "any", name) for name in listed("hands") if name != "any"}
+)
+"""Hands that hold a device: the numbers of `tissue.haptics.hand.hand.HandParameters` by their names."""
+GROUPS = HANDS.names
+"""Groups of people whose senses are known beside their hands: those of studies and of training."""
 RENDERERS: "Registry[Callable[[WallLoop], Renderer]]" = Registry(
     "renderer",
     {

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from tissue.scene.anatomy import AnatomyFile, BlockAnatomy, GlenoidAnatomy, MolarAnatomy, Part
 from tissue.scene.coupling import WallAnatomy
 from tissue.scene.organ import LiverAnatomy, SlabAnatomy
-from tissue.scene.registry import PREDICTORS
+from tissue.scene.registry import DEVICES, PREDICTORS
 from tissue.scene.tool import Needle, Probe, ReplayMotion, ThrustMotion, Tool
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def _device(scene: "Scene") -> Iterator[Rule]:
     yield "seed", alone, "without a device, for nothing is drawn at random then", "set device = touch"
     if alone:
         return
-    torque = scene.device == "six-dof"
+    torque = scene.device in DEVICES and DEVICES[scene.device].get("torque_limit_Nm", 0.0) > 0.0
     yield "coupling.stiffness_Nm_rad", not torque, "with a device that plays no torque", "set device = six-dof"
     yield "coupling.prediction_gain", scene.prediction == "none", "without a prediction", "set prediction = koopman"
     kept = scene.prediction == "hold"

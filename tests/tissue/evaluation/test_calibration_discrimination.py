@@ -14,10 +14,10 @@ from tissue.evaluation.calibration.force_discrimination import (
     stimulus_of,
 )
 from tissue.evaluation.calibration.simulated_observer import SimulatedObservers, draw_observers
-from tissue.haptics.hand.hand import GROUPS
 from tissue.haptics.loop.filters import ForceRange
 from tissue.perception.population import reference_observer
 from tissue.perception.psychometric import D_PRIME_75, correct_of_d_prime
+from tissue.scene.registry import GROUPS
 from tissue.simulation.trace import Table
 
 

@@ -16,7 +16,7 @@ from tissue.evaluation.study.plan import Plan, TrialKey
 from tissue.evaluation.study.runner import run_study
 from tissue.evaluation.study.tasks import METHODS, TASKS
 from tissue.evaluation.study.trial import Trial, run_trial, trial_seed
-from tissue.haptics.hand.hand import GROUPS
+from tissue.scene.registry import GROUPS
 
 SMALL = Plan(trials=3, tasks=("T2", "needle"), sensitivity=False)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tissue import InputError
-from tissue.haptics.device.device import DEVICES, DeviceParameters, Sample, device_parameters
+from tissue.haptics.device.device import DeviceParameters, Sample, device_parameters
 from tissue.haptics.device.faulty import FaultyDevice
 from tissue.haptics.device.recorded import MouseDevice, RecordedDevice
 from tissue.haptics.device.simulated import SimulatedDevice
@@ -15,6 +15,7 @@ from tissue.haptics.loop.filters import ForceRange
 from tissue.haptics.loop.plant import Plant
 from tissue.materials.constants import constants
 from tissue.motion.quaternion import conjugate, exponential, logarithm, product
+from tissue.scene.registry import DEVICES
 
 NOTHING = np.zeros(3)
 TICK = 1e-3

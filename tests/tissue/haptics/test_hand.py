@@ -8,9 +8,10 @@ import pytest
 from tissue import InputError
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import GROUPS, Hand, hand_parameters
+from tissue.haptics.hand.hand import Hand, hand_parameters
 from tissue.haptics.hand.minimum_jerk import Aim, minimum_jerk, waypoints
 from tissue.materials.constants import constants
+from tissue.scene.registry import HANDS
 
 TICK = 1e-3
 STILL = {"endpoint_noise": 0.0, "force_noise": 0.0, "tremor_m": 0.0}
@@ -128,7 +129,7 @@ def test_the_same_generator_gives_the_same_movement_and_another_another():
 def test_experts_are_steadier_than_novices(name):
     path = waypoints([0.0, 0.2, 1.2, 3.0], [[0, 0, 0], [0.02, 0, 0], [0.02, 0.03, 0], [0, 0.03, 0]])
     late = []
-    for group in GROUPS:
+    for group in HANDS:
         errors = []
         for seed in range(4):
             moved = held(
@@ -149,7 +150,7 @@ def test_an_open_hand_does_nothing():
 
 
 def test_groups_are_complete_cited_and_ordered():
-    for table in ("any", *GROUPS):
+    for table in ("any", *HANDS):
         for name, entry in constants("hands", table).items():
             assert entry.low <= entry.value <= entry.high and entry.confidence == "L", name
             assert entry.source.startswith("memory of the literature"), name
@@ -157,7 +158,7 @@ def test_groups_are_complete_cited_and_ordered():
     for name in ("endpoint_noise", "force_noise", "tremor_m", "submovement_s"):
         assert getattr(novice, name) > getattr(expert, name)
     assert 8.0 <= novice.tremor_Hz <= 12.0
-    with pytest.raises(InputError, match="group must be one of novice, intermediate, expert, got master"):
+    with pytest.raises(InputError, match="hand must be one of novice, intermediate, expert, got master"):
         hand_parameters("master")
     with pytest.raises(InputError, match="tremor_m must be in"):
         parameters(tremor_m=float("nan"))

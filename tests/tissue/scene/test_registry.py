@@ -7,7 +7,7 @@ from tissue import InputError, Scene, load_scene, simulate
 from tissue.evaluation.charts.prediction import Comparison, Interval, comparison_lines
 from tissue.evaluation.charts.prediction_picture import draw_tasks
 from tissue.evaluation.training.evaluation import HORIZONS
-from tissue.scene.registry import PREDICTORS, RENDERERS, PredictorEntry, Registry
+from tissue.scene.registry import DEVICES, HANDS, PREDICTORS, RENDERERS, PredictorEntry, Registry
 
 
 @pytest.fixture
@@ -50,6 +50,31 @@ def test_a_table_loads_lists_and_refuses():
     assert table.names == ()
     with pytest.raises(InputError, match=r"^renderer must be one of"):
         table.remove("proxy")
+
+
+def test_a_device_from_outside_is_held(added):
+    """One of 0.2 N and a third of the mass; it plays no torque, so that a stiffness of turns has no effect."""
+    added(
+        DEVICES, "feather", {"mass_kg": 0.03, "damping_N_s_m": 0.2, "force_limit_N": 0.2, "stiffness_limit_N_m": 400.0}
+    )
+    weak, strong = run_of(device="feather"), run_of(device="touch")
+    assert 0.19 < force_N(weak).max() <= 0.2 and force_N(strong).max() > 0.5
+    with pytest.raises(
+        InputError, match=r"device must be one of none, touch, omni, six-dof, feather, got fether \(did"
+    ):
+        load_scene("wall", {"device": "fether"})
+    with pytest.raises(
+        InputError, match=r"stiffness_Nm_rad must be left out with a device that plays no torque, got 0.3"
+    ):
+        load_scene("wall", {"device": "feather", "coupling.stiffness_Nm_rad": 0.3})
+
+
+def test_a_hand_from_outside_holds(added):
+    added(HANDS, "limp", HANDS["expert"] | {"stiffness_N_m": 30.0})
+    limp, firm = run_of(hand="limp"), run_of(hand="expert")
+    assert force_N(limp).max() < 0.5 * force_N(firm).max()
+    with pytest.raises(InputError, match=r"hand must be one of novice, intermediate, expert, limp, got lim \(did you"):
+        load_scene("wall", {"hand": "lim"})
 
 
 class Half:

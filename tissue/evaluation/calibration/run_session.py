@@ -10,10 +10,10 @@ from tissue.evaluation.calibration.intervals import Person
 from tissue.evaluation.calibration.session import Comparison, Magnitude, Plan
 from tissue.evaluation.calibration.simulated_observer import SimulatedObservers, draw_observers
 from tissue.evaluation.calibration.trial_log import TrialLog, log_path, read_log
-from tissue.haptics.device.device import DEVICES, Device, device_parameters
+from tissue.haptics.device.device import Device, device_parameters
 from tissue.haptics.device.recorded import MouseDevice
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import GROUPS
+from tissue.scene.registry import DEVICES, GROUPS
 from tissue.system.outputs import require_new_file
 
 __all__ = ["Answer", "begin", "questioner", "simulated_answers", "simulated_observer"]

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from meshes.base.errors import InputError, require_range
-from tissue.haptics.hand.hand import GROUPS
 from tissue.materials.constants import constants
 from tissue.perception.population import population
 from tissue.perception.psychometric import D_PRIME_75
+from tissue.scene.registry import GROUPS
 
 __all__ = ["SimulatedObservers", "draw_observers"]
 

@@ -18,9 +18,9 @@ from tissue.evaluation.study.paper import CASES
 from tissue.evaluation.study.section import Section, agreement, drawing, image, legend, spread
 from tissue.evaluation.study.tasks import TASKS
 from tissue.haptics.device.device import device_parameters
-from tissue.haptics.hand.hand import GROUPS
 from tissue.haptics.loop.filters import ForceRange
 from tissue.materials.constants import constants
+from tissue.scene.registry import GROUPS
 
 __all__ = ["case_sections", "discrimination_section"]
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from meshes.base.errors import InputError, require_range
 from tissue.evaluation.study.tasks import METHODS, TASKS, VARIANTS
-from tissue.haptics.hand.hand import GROUPS
+from tissue.scene.registry import GROUPS
 
 __all__ = ["LATENCY_MS", "REFERENCE", "USERS", "Plan", "TrialKey"]
 

@@ -11,12 +11,12 @@ from meshes.base.progress import silent
 from tissue.builders.hand import hand_motion
 from tissue.builders.loop import judged_loop
 from tissue.builders.registry import build, motion_of
-from tissue.haptics.hand.hand import GROUPS
 from tissue.haptics.hand_motion import HandMotion
 from tissue.models.tissue_model import Response, TissueModel, ToolMotion, WaitsForBackground
 from tissue.prediction.edmd.episodes import Episode
 from tissue.scene.coupling import WallAnatomy
 from tissue.scene.load import changed
+from tissue.scene.registry import GROUPS
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Probe
 from tissue.simulation.simulate import TICK_S

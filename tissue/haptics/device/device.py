@@ -1,6 +1,6 @@
 """What a haptic device is to a loop, and the published numbers of some."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from math import inf
 from types import TracebackType
 from typing import NamedTuple, Protocol, Self
@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.haptics.loop.sampled_loop import WallLoop
-from tissue.materials.constants import constants
 from tissue.motion.quaternion import Quaternion, Triple
+from tissue.scene.registry import DEVICES
 
-__all__ = ["DEVICES", "ComputedDevice", "Device", "DeviceError", "DeviceParameters", "Sample", "device_parameters"]
+__all__ = ["ComputedDevice", "Device", "DeviceError", "DeviceParameters", "Sample", "device_parameters"]
 
 Array = NDArray[np.float64]
-DEVICES = ("touch", "omni", "six-dof")
 
 
 class Sample(NamedTuple):
@@ -181,14 +180,11 @@ class DeviceParameters:
 
 
 def device_parameters(name: str) -> DeviceParameters:
-    """Numbers of a device from ``devices.toml``: touch, omni (three degrees of freedom) or six-dof (Premium 1.5 6DOF).
+    """Numbers of a device by its name in `DEVICES`; those of ``devices.toml`` are there.
 
     Raises
     ------
     InputError
         If the device is not one of these.
     """
-    if name not in DEVICES:
-        raise InputError(f"device must be one of {', '.join(DEVICES)}, got {name}: choose one of these")
-    given = constants("devices", name)
-    return DeviceParameters(**{e.name: given[e.name].value for e in fields(DeviceParameters) if e.name in given})
+    return DeviceParameters(**DEVICES[name])

@@ -9,16 +9,15 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, require_positive, require_range
+from meshes.base.errors import require_positive, require_range
 from tissue.haptics.hand.minimum_jerk import Aim, Path
-from tissue.materials.constants import constants
 from tissue.motion.quaternion import Quaternion, Triple
+from tissue.scene.registry import HANDS
 
-__all__ = ["GROUPS", "Grip", "Hand", "HandAction", "HandParameters", "HoldingHand", "hand_parameters"]
+__all__ = ["Grip", "Hand", "HandAction", "HandParameters", "HoldingHand", "hand_parameters"]
 
 Array = NDArray[np.float64]
 
-GROUPS = ("novice", "intermediate", "expert")
 BLOCK = 500
 """Ticks whose random numbers are drawn at once."""
 NOTHING: Triple = (0.0, 0.0, 0.0)
@@ -112,18 +111,15 @@ class HandParameters:
         )
 
 
-def hand_parameters(group: str) -> HandParameters:
-    """Parameters of a novice, intermediate or expert hand from ``hands.toml``.
+def hand_parameters(name: str) -> HandParameters:
+    """Parameters of a hand by its name in `HANDS`; those of ``hands.toml`` are there.
 
     Raises
     ------
     InputError
-        If the group is not one of these.
+        If the hand is not one of these.
     """
-    if group not in GROUPS:
-        raise InputError(f"group must be one of {', '.join(GROUPS)}, got {group}: choose one of these")
-    given = {**constants("hands", "any"), **constants("hands", group)}
-    return HandParameters(**{entry.name: given[entry.name].value for entry in fields(HandParameters)})
+    return HandParameters(**HANDS[name])
 
 
 class Hand:
