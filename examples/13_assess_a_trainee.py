@@ -12,7 +12,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import tissue
-from tissue.evaluation.assessment import assess, assessment_lines, write_assessment
+from tissue.evaluation.assessment import assess, assessment_lines
+from tissue.evaluation.assessment_files import write_assessment
 from tissue.simulation.run_folder import SavedRun
 
 
