@@ -18,7 +18,7 @@ from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 
 if TYPE_CHECKING:
-    from tissue.perception.scaling import PerceivedForce
+    from tissue.perception.perception import Perception
 
 __all__ = ["JudgedLoop", "judged_loop", "judged_loops", "lead_ticks", "perception_of", "person_of", "predictor_of"]
 
@@ -106,7 +106,7 @@ def _steepest(scene: Scene) -> float:
     return 1.0 if found is None else found.steepest
 
 
-def perception_of(scene: Scene, rng: np.random.Generator) -> "PerceivedForce | None":
+def perception_of(scene: Scene, rng: np.random.Generator) -> "Perception | None":
     """The person for whom the force is scaled; `rng` draws the noise of that person's sense."""
     if scene.perception == "none":
         return None

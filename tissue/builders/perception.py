@@ -5,29 +5,29 @@ from pathlib import Path
 
 import numpy as np
 
-from meshes.base.errors import InputError
 from tissue.haptics.loop.filters import ForceRange
 from tissue.materials.constants import constants
 from tissue.perception.deadband import Deadband
 from tissue.perception.mapping import ForceMap
 from tissue.perception.observer import Observer, read_observer
+from tissue.perception.perception import Perception
 from tissue.perception.population import population_observer, reference_observer
 from tissue.perception.recursive import Sense
 from tissue.perception.scaling import PerceivedForce
 from tissue.perception.stevens import intensity_of
 from tissue.perception.weber import weber_of
+from tissue.scene.registry import PERCEPTIONS
 
-__all__ = ["CAUTION", "perception", "perception_for"]
+__all__ = ["CAUTION", "of_observer", "of_population", "perception", "perception_for"]
 
 CAUTION = 0.1
 """Quantile of what is known of the threshold that bounds the deadband: nine in ten have a greater one."""
-OBSERVER = "observer:"
 
 
 def perception(
     choice: str, *, rng: np.random.Generator, force_limit_N: float, tick_s: float, friction_N: float = inf
-) -> PerceivedForce | None:
-    """Perception by its name in a scene: ``none``, ``population`` or ``observer:FILE``.
+) -> Perception | None:
+    """Perception by its name in `PERCEPTIONS`; None for ``none``.
 
     Parameters
     ----------
@@ -50,15 +50,26 @@ def perception(
     """
     if choice == "none":
         return None
-    if choice == "population":
-        observer = population_observer()
-    elif choice.startswith(OBSERVER):
-        observer = read_observer(Path(choice.removeprefix(OBSERVER)))
-    else:
-        raise InputError(
-            f"perception must be one of none, population, observer:FILE, got {choice}: choose one of these"
-        )
-    return perception_for(observer, rng=rng, force_limit_N=force_limit_N, tick_s=tick_s, friction_N=friction_N)
+    name, argument = PERCEPTIONS.split(choice, "none")
+    return PERCEPTIONS[name](argument, rng=rng, force_limit_N=force_limit_N, tick_s=tick_s, friction_N=friction_N)
+
+
+def of_population(
+    argument: str, *, rng: np.random.Generator, force_limit_N: float, tick_s: float, friction_N: float
+) -> PerceivedForce:
+    """Perception of an observer of whom no more is known than that it is one of the population."""
+    return perception_for(
+        population_observer(), rng=rng, force_limit_N=force_limit_N, tick_s=tick_s, friction_N=friction_N
+    )
+
+
+def of_observer(
+    argument: str, *, rng: np.random.Generator, force_limit_N: float, tick_s: float, friction_N: float
+) -> PerceivedForce:
+    """Perception of the observer in a file, as `tissue calibrate` writes it."""
+    return perception_for(
+        read_observer(Path(argument)), rng=rng, force_limit_N=force_limit_N, tick_s=tick_s, friction_N=friction_N
+    )
 
 
 def perception_for(

@@ -5,7 +5,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Perception"]
+__all__ = ["Perception", "PerceptionMaker"]
 
 Array = NDArray[np.float64]
 
@@ -22,6 +22,10 @@ class Perception(Protocol):
     """Mean of the intensity that the commanded force evokes, in units of the reference observer's."""
     perceived_spread: float
     """Standard deviation of that intensity."""
+    steepest: float
+    """Greatest slope of command over force: a loop is as stable as on a wall that much stiffer."""
+    sentence: str
+    """Who feels, and what is done to the force for that; reported before a run."""
     above: bool
     """Whether the last change was above the observer's threshold, and so was rendered."""
 
@@ -31,4 +35,26 @@ class Perception(Protocol):
 
     def pause(self) -> None:
         """No sample came: nothing is commanded, and the next force counts as a change."""
+        ...
+
+
+class PerceptionMaker(Protocol):
+    """Makes a perception on a device."""
+
+    def __call__(
+        self, argument: str, *, rng: np.random.Generator, force_limit_N: float, tick_s: float, friction_N: float
+    ) -> Perception:
+        """A new perception.
+
+        Parameters
+        ----------
+        argument
+            What follows the colon of a name such as ``observer:FILE``; empty for one without.
+        rng
+            Random generator of the noise in the observer's sense.
+        force_limit_N, friction_N
+            Greatest force and Coulomb friction of the device [N].
+        tick_s
+            Time between two steps [s].
+        """
         ...

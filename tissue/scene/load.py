@@ -11,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from meshes.base.errors import InputError
 from meshes.base.file_version import package_version, require_version
+from tissue.scene.coupling import perception_at
 from tissue.scene.messages import require_used, sentence
 from tissue.scene.registry import nearest
 from tissue.scene.scene import Scene
@@ -84,8 +85,8 @@ def load_scene(source: str | Path, overrides: Mapping[str, Any] | None = None, *
         inner = table.get(part)
         if isinstance(inner, dict) and isinstance(inner.get(name), str) and inner[name]:
             inner[name] = str((folder / inner[name]).resolve())
-    if isinstance(person := table.get("perception"), str) and person.startswith("observer:"):
-        table["perception"] = f"observer:{(folder / person.removeprefix('observer:')).resolve()}"
+    if isinstance(person := table.get("perception"), str):
+        table["perception"] = perception_at(person, folder)
     scene = _replaced(table, overrides or {})
     require_used(scene.model_copy(update={"device": "touch"}) if live and scene.device == "none" else scene)
     return scene.with_files_at(Path.cwd())

@@ -114,8 +114,7 @@ def _requirement(field: FieldInfo, kind: str, inside: bool) -> str:
     if part is bool:
         return "true or false"
     if part is str:
-        of = field.title or "lower-case letters, digits, - and _"
-        return of if kind == "string_pattern_mismatch" else "text"
+        return "lower-case letters, digits, - and _" if kind == "string_pattern_mismatch" else "text"
     if get_origin(part) is tuple:
         item = get_args(part)[0]
         if get_args(part)[-1] is Ellipsis:

@@ -5,6 +5,7 @@ above this one is named as ``module:name`` and imported when it is asked for.
 """
 
 import difflib
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib import import_module
@@ -16,12 +17,13 @@ from tissue.materials.constants import constants, listed
 if TYPE_CHECKING:
     from tissue.haptics.loop.sampled_loop import WallLoop
     from tissue.haptics.renderer import Renderer
+    from tissue.perception.perception import PerceptionMaker
     from tissue.prediction.predictor import Predictor
     from tissue.prediction.trained import Trained
 
 __all__ = [
-    "DEVICES", "GROUPS", "HANDS", "PREDICTORS", "RENDERERS", "OneOf", "PredictorEntry", "Registry", "loaded", "nearest",
-    "unknown_name",
+    "DEVICES", "GROUPS", "HANDS", "PERCEPTIONS", "PREDICTORS", "RENDERERS", "OneOf", "PredictorEntry", "Registry",
+    "loaded", "nearest", "unknown_name",
 ]  # fmt: skip
 
 T = TypeVar("T")
@@ -56,7 +58,8 @@ class Registry(Generic[T]):
     key
         Key of a scene whose value is a name of this table, as messages have it.
     parts
-        The parts by their names, each as it is or as ``module:name``.
+        The parts by their names, each as it is or as ``module:name``. A name such as ``observer:FILE`` stands for all
+        texts with something else behind the colon.
     """
 
     def __init__(self, key: str, parts: Mapping[str, T | str]) -> None:
@@ -81,6 +84,22 @@ class Registry(Generic[T]):
     def names(self) -> tuple[str, ...]:
         """Names of the parts."""
         return tuple(self._parts)
+
+    def split(self, text: str, *others: str) -> tuple[str, str]:
+        """The name of a part that a text stands for, and its argument: observer:FILE and a.json for observer:a.json.
+
+        Raises
+        ------
+        InputError
+            If the text stands for none; the sentence lists `others` beside the names of the table.
+        """
+        for name in self:
+            head, colon, _ = name.partition(":")
+            if text == name and not colon:
+                return name, ""
+            if colon and text.startswith(head + colon) and len(text) > len(head + colon):
+                return name, text.removeprefix(head + colon)
+        raise InputError(unknown_name(self.key, (*others, *self), text))
 
     def add(self, name: str, part: T | str) -> None:
         """Make a part known by a name that no other has.
@@ -115,12 +134,13 @@ class OneOf:
         return (*self.others, *self.table)
 
     def _check(self, name: str) -> str:
-        if name not in self.names:
+        if name not in self.others:
             from pydantic_core import PydanticCustomError
 
-            raise PydanticCustomError(
-                "unknown_name", "{sentence}", {"sentence": unknown_name(self.table.key, self.names, name)}
-            )
+            try:
+                self.table.split(name, *self.others)
+            except InputError as refusal:
+                raise PydanticCustomError("unknown_name", "{sentence}", {"sentence": str(refusal)}) from None
         return name
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
@@ -129,7 +149,10 @@ class OneOf:
         return core_schema.no_info_after_validator_function(self._check, handler(source))
 
     def __get_pydantic_json_schema__(self, schema: Any, handler: Callable[[Any], Any]) -> dict[str, Any]:
-        return {"enum": list(self.names), "type": "string"}
+        if not any(":" in name for name in self.names):
+            return {"enum": list(self.names), "type": "string"}
+        patterns = (re.sub(":.*", ":.+", re.escape(name)) for name in self.names)
+        return {"pattern": f"^({'|'.join(patterns)})$", "type": "string"}
 
 
 def _numbers(table: str, *names: str) -> dict[str, float]:
@@ -194,3 +217,11 @@ PREDICTORS: Registry[PredictorEntry] = Registry(
     },
 )
 """What predicts the force on a device; colours after Okabe and Ito (2008)."""
+PERCEPTIONS: "Registry[PerceptionMaker]" = Registry(
+    "perception",
+    {
+        "population": "tissue.builders.perception:of_population",
+        "observer:FILE": "tissue.builders.perception:of_observer",
+    },
+)
+"""For whom the force on a device is scaled."""

@@ -21,6 +21,7 @@ from tissue.scene.coupling import (
     PredictionName,
     RendererName,
     WallAnatomy,
+    perception_at,
 )
 from tissue.scene.organ import LayersAnatomy, LiverAnatomy, Organ, SlabAnatomy
 from tissue.scene.tool import Needle, PathMotion, Probe, ReplayMotion, ThrustMotion, Tool
@@ -209,8 +210,8 @@ class Scene(Part):
     def with_files_at(self, folder: Path) -> "Scene":
         """The same scene with the paths of its files made absolute, relative ones taken from ``folder``."""
         changes: dict[str, Any] = {}
-        if self.perception.startswith("observer:"):
-            changes["perception"] = f"observer:{(folder / self.perception.removeprefix('observer:')).resolve()}"
+        if (perception := perception_at(self.perception, folder)) != self.perception:
+            changes["perception"] = perception
         for part in ("anatomy", "motion", "tool", "coupling"):
             value: Part = getattr(self, part)
             names = [name for name in type(value).model_fields if name == "file" or name.endswith("_file")]

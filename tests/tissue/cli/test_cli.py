@@ -106,7 +106,10 @@ POINTS = "motion.points_mm must be a list of at least two points [x, y, z], got"
         ),
         ("spacing", "--set must be key=value, got spacing: use for example voxels.spacing_mm=0.2"),
         ("=1", "--set must be key=value, got =1: use for example voxels.spacing_mm=0.2"),
-        ("perception=all", 'perception must be none, population or observer:FILE, got all: use "population"'),
+        (
+            "perception=all",
+            "perception must be one of none, population, observer:FILE, got all: choose one of these",
+        ),
     ],
 )
 def test_a_bad_entry_is_refused_in_one_sentence(refused, here, override, sentence):

@@ -7,7 +7,7 @@ from tissue import InputError, Scene, load_scene, simulate
 from tissue.evaluation.charts.prediction import Comparison, Interval, comparison_lines
 from tissue.evaluation.charts.prediction_picture import draw_tasks
 from tissue.evaluation.training.evaluation import HORIZONS
-from tissue.scene.registry import DEVICES, HANDS, PREDICTORS, RENDERERS, PredictorEntry, Registry
+from tissue.scene.registry import DEVICES, HANDS, PERCEPTIONS, PREDICTORS, RENDERERS, PredictorEntry, Registry
 
 
 @pytest.fixture
@@ -138,6 +138,35 @@ def test_a_predictor_from_outside_predicts_and_is_charted(added, tmp_path):
     assert any("third" in line for line in comparison_lines([found]))
     draw_tasks([found], tmp_path / "tasks.png")
     assert (tmp_path / "tasks.png").stat().st_size > 1000
+
+
+class Share:
+    """Makes felt so much of every force."""
+
+    steepest, above, estimated_N, perceived, perceived_spread = 1.0, False, 0.0, 0.0, 0.0
+
+    def __init__(self, argument, *, rng, force_limit_N, tick_s, friction_N):
+        assert force_limit_N == pytest.approx(3.3) and tick_s == pytest.approx(1e-3)
+        self.share, self.sentence = float(argument), f"felt by a share of {argument}"
+
+    def step(self, force_N):
+        return self.share * force_N
+
+    def pause(self):
+        pass
+
+
+def test_a_perceptual_map_from_outside_scales(added):
+    added(PERCEPTIONS, "share:NUMBER", Share)
+    quarter, whole = run_of(perception="share:0.25"), run_of(perception="share:1")
+    assert force_N(quarter).max() < 0.5 * force_N(whole).max()
+    for refused in ("share:", "share", "shares:1"):
+        with pytest.raises(
+            InputError, match=r"^perception must be one of none, population, observer:FILE, share:NUMBER, got share"
+        ):
+            load_scene("wall", {"perception": refused})
+    pattern = Scene.model_json_schema()["properties"]["perception"]["pattern"]
+    assert pattern == "^(none|population|observer:.+|share:.+)$"
 
 
 def test_a_part_that_was_removed_is_refused():
