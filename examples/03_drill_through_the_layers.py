@@ -1,7 +1,7 @@
 """Drill straight down through enamel into dentin, stop above the pulp, and read the layers from the force.
 
 Expected: the bur is pushed back with 1.12 N in enamel and 0.136 N in dentin, 8.2 times less, both within the 0.1 to
-4.9 N that are published for preparing teeth. The force falls half way at 1.39 mm; the voxels end enamel at 1.35 mm
+4.9 N that are published for preparing teeth. The force falls halfway at 1.39 mm; the voxels end enamel at 1.35 mm
 under the fossa. 0.60 mm of dentin are left over the pulp, after a warning at 1 mm. The figures rest on cutting
 coefficients of low confidence (`tissue/materials/cutting.toml`): they are plausible, not validated.
 Run: python examples/03_drill_through_the_layers.py [--out FILE.png]
@@ -43,7 +43,7 @@ def steady_force_N(run: tissue.Run, layer: str) -> float:
 
 
 def felt_boundary_mm(run: tissue.Run, high_N: float, low_N: float) -> float:
-    """Depth of the tip at which the force has fallen half way from one level to the other, for good."""
+    """Depth of the tip at which the force has fallen halfway from one level to the other, for good."""
     force, depth = run.trace["model_force_z_N"], -run.trace["tool_z_mm"]
     return float(depth[np.flatnonzero(force > 0.5 * (high_N + low_N))[-1]])
 
@@ -95,7 +95,7 @@ def draw(run: tissue.Run, levels_N: tuple[float, float], felt_mm: float, true_mm
         axes.axvspan(first, last, color=colour, alpha=0.25, linewidth=0)
         axes.text(0.5 * (first + last), 1.04 * levels_N[0], f"{layer}\n{level:.3g} N", ha="center", va="bottom")
     axes.plot(depth, force, color="0.1", linewidth=2)
-    axes.axvline(felt_mm, color="0.1", linestyle="--", linewidth=1, label=f"half way by the force, {felt_mm:.2f} mm")
+    axes.axvline(felt_mm, color="0.1", linestyle="--", linewidth=1, label=f"halfway by the force, {felt_mm:.2f} mm")
     axes.axvline(true_mm, color="0.1", linestyle=":", linewidth=1, label=f"boundary in the voxels, {true_mm:.2f} mm")
     axes.set(xlabel="depth of the tip under the fossa / mm", ylabel="axial force / N")
     axes.set(xlim=(depth[0], DEPTH_MM), ylim=(0.0, 1.3 * levels_N[0]))

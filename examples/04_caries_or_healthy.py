@@ -1,4 +1,4 @@
-"""The same path through a sound and a carious tooth: how far does the force alone tell them apart?
+"""The same path through a sound and a carious tooth: how far does the force alone discriminate them?
 
 A round bur goes straight down the fossa of two molars that differ by a lesion 3 mm deep. Tick by tick, a threshold on
 the axial force calls each tick carious or sound; the example prints its best share of right calls and the chance that
@@ -7,7 +7,7 @@ Expected: over the lesion the carious tooth pushes back with 0.16 of the sound o
 dentin with 0.58. The best threshold is right in 94 % of all ticks, since decayed enamel is at first harder than sound
 dentin, and in 99 % of those in dentin, where it misses the lesion's rim. But it holds for one feed: at half of it all
 sound dentin is called carious. The forces have no noise and rest on coefficients of low confidence
-(`tissue/materials/cutting.toml`): how well a hand would do is not said.
+(`tissue/materials/cutting.toml`): how well a hand would do is not stated.
 Run: python examples/04_caries_or_healthy.py [--out FILE.png]
 """
 

@@ -1,10 +1,10 @@
 """Press a liver with a ball, then inspect what it did inside: force over depth, displacement, stress.
 
 Expected: 0.255 N at 5 mm with a ball of 20 mm on 5.4 kPa, 0.77 of what Hertz gives for a half-space (the surface is a
-dome that gives way, and Hertz's parabola is steeper than the ball). The tissue under the ball has gone down nearly by
+dome that yields, and Hertz's parabola is steeper than the ball). The tissue under the ball has gone down nearly by
 what the ball has; the von Mises stress is greatest within a radius under it. The scene's cells are quadratic and fine
 under the ball only: halving the fine ones moves the force by under 1 %, the coarse ones elsewhere by up to 9 %. The run
-says from which depth linear elasticity is 5 % off. The modulus is that of a cited range of 2 to 15 kPa: the force
+states from which depth linear elasticity is 5 % off. The modulus is that of a cited range of 2 to 15 kPa: the force
 follows it in proportion.
 Run: python examples/05_press_and_inspect.py [--out FILE.png]
 """

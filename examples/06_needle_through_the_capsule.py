@@ -1,6 +1,6 @@
 """Push a needle through the capsule of a liver and a vessel wall, draw it out, push it in again along its track.
 
-Expected: the capsule gives way at 16.9 mm with 2.30 N and the force drops by 0.67 N, not to the cutting force alone:
+Expected: the capsule is punctured at 16.9 mm with 2.30 N and the force drops by 0.67 N, not to the cutting force alone:
 the edge of the hole still holds 0.65 N, and the organ stays deflected by 13.7 mm. From there the force grows by 11.6 N
 per metre of needle in the organ. The vessel wall, 30 mm deep in the organ, breaks at 49.9 mm of travel with 3.00 N.
 Drawn back, the shaft sticks over 32.6 mm before it slides, and pulls with up to 1.91 N. The second insertion costs 59 %
@@ -25,7 +25,7 @@ TICK_S = 1e-3
 
 
 def insert_twice() -> tuple[dict[str, np.ndarray], list[tuple[float, str]]]:
-    """In, out and in again at 1 kHz: columns over the ticks, and the events with the travel at which they were told."""
+    """In, out and in again at 1 kHz: columns over the ticks, and the events with the travel at which they came."""
     corners = np.zeros((4, 3))
     corners[:, 2] = -1e-3 * np.array([-2.0, DEEP_MM, OUT_MM, DEEP_MM])
     path, motion = FollowPath(corners, feed_m_s=1e-3 * FEED_MM_S, axis=(0.0, 0.0, 1.0)), ToolMotion()

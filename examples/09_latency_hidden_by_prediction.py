@@ -1,12 +1,12 @@
 """A force that comes 4 ms late is wrong by 3 to 4 % on a stiff wall; how much of that can a prediction take back?
 
 Expected: three hands, one of each group, push a ball onto a wall with 4 ms of latency between the force and the device.
-Played as it comes, the force is off the undelayed one by 3.4 % of its size, a straight line through the last ten
+Played as it comes, the force is off the reference by 3.4 % of its size, a straight line through the last ten
 milliseconds leaves 2.3 %, and the lifted linear predictor that ships with the scene 1.6 %: less than half, and less
 than the best that knows nothing of the wall. It has learnt from other hands; what it looks at are the last 21
 positions and forces, and how deep a steady speed would lead into the wall after 0, 2, 4 and 8 ms. Errors are
-||played - undelayed|| / ||undelayed|| over a run, with the low-pass of 1 ms and the encoder's steps in them, so they
-say how well latency is hidden, not how true the wall is. With prediction the coupling may be stiffer, and is: 400 N/m
+||played - reference|| / ||reference|| over a run, with the low-pass of 1 ms and the encoder's steps in them, so they
+show how well latency is hidden, not how true the wall is. With prediction the coupling may be stiffer, and is: 400 N/m
 instead of 360.
 Run: python examples/09_latency_hidden_by_prediction.py [--out FILE.png]
 """
@@ -31,7 +31,7 @@ def run(hand: str, seed: int, prediction: str) -> Table:
 
 
 def error(trace: Table) -> float:
-    """Error of the played force against the undelayed one."""
+    """Error of the played force against the reference, which has no delay."""
     reference, played = trace.vectors("raw_force", "N"), trace.vectors("filtered_force", "N")
     return float(np.linalg.norm(played - reference) / np.linalg.norm(reference))
 
@@ -52,7 +52,7 @@ def main(out: Path | None = None) -> None:
 
 
 def draw(traces: dict[str, Table], out: Path) -> None:
-    """The first touch: undelayed and played force over time, without and with prediction."""
+    """The first touch: reference and played force over time, without and with prediction."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -65,7 +65,7 @@ def draw(traces: dict[str, Table], out: Path) -> None:
         first = int(np.flatnonzero(reference)[0])
         shown = slice(first - 15, first + 75)
         time_ms = 1e3 * (trace["time_s"][shown] - trace["time_s"][first])
-        panel.plot(time_ms, reference[shown], color="0.15", linewidth=2.0, label="undelayed")
+        panel.plot(time_ms, reference[shown], color="0.15", linewidth=2.0, label="without delay")
         panel.plot(time_ms, played[shown], color="#D55E00", linestyle="--", linewidth=1.6, label="played")
         panel.set(title=PREDICTIONS[kind], xlabel="time since the touch / ms")
         panel.grid(alpha=0.3)

@@ -1,7 +1,7 @@
-"""Can a hand tell a liver's capsule from the parenchyma under it, and does it help to know the hand?
+"""Can a hand discriminate a liver's capsule from the parenchyma under it, and does it help to know the hand?
 
 Expected: in the tenth of a second before the puncture the needle is held back by 2.1 N, in the one after it by 1.6 N,
-and 100 simulated people of each group tell the two apart with an error below 10 %. Scaling the force for each of them,
+and 100 simulated people of each group discriminate the two with an error below 10 %. Scaling the force for each,
 after 24 numbers they gave, changes their right answers by less than 3 %: a mapping that rises with the force cannot add
 information. It spreads the difference for people whose exponent lies below the reference's and narrows it for the
 others. For an observer equal to the reference it changes nothing at all. The tissue itself scatters by more than any of

@@ -42,7 +42,7 @@ def command(monkeypatch, capfd):
 
 @pytest.fixture
 def refused(command):
-    """Run the command with bad input; return the one sentence that it says."""
+    """Run the command with bad input; return the one sentence that it prints."""
 
     def run(*arguments):
         code, _, message = command(*arguments)
@@ -55,7 +55,7 @@ def refused(command):
 
 @pytest.fixture
 def full_disk(monkeypatch):
-    """Give a file no room: what is written to take its place goes to a device that is always full."""
+    """Leave a file no space: what is written to take its place goes to a device that is always full."""
     if not Path("/dev/full").exists():
         pytest.skip("needs a device that is always full")
     monkeypatch.setattr("meshes.base.whole_file.uuid4", lambda: SimpleNamespace(hex="0" * 32))

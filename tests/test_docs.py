@@ -22,7 +22,7 @@ PLACES = (*PACKAGES, "tests", "examples", "docs", ".ci", ".github")
 
 
 def code_of(text):
-    """Words of a page's code, in lines or in blocks, with what stands around a name taken off."""
+    """Words of a page's code, in lines or in blocks, with what is around a name taken off."""
     blocks = re.findall(r"^```\w*\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
     inline = re.findall(r"`([^`]+)`", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE))
     return {word.rstrip(",;:.)") for code in (*blocks, *inline) for word in code.split()}

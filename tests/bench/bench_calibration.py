@@ -157,7 +157,7 @@ def coverage() -> None:
 
 
 def scene_stimuli() -> dict[str, tuple[Stimulus, Stimulus, str]]:
-    """Pairs of stimuli from runs of the scenes, as their devices play them, and what the paper says of them."""
+    """Pairs of stimuli from runs of the scenes, as their devices play them, and what the paper reports of them."""
     import tissue
 
     def ran(name: str, **overrides: object) -> tissue.Run:
@@ -205,7 +205,11 @@ def scene_stimuli() -> dict[str, tuple[Stimulus, Stimulus, str]]:
     torques = np.linalg.norm(run.trace.vectors("model_torque", "Nm"), axis=1)
     for scale in (1.0, 0.03):
         level = scale * float(np.median(torques[torques > 0.01]))
-        found[f"reaming: torque +0.08 N m, x {scale:g}"] = Stimulus(level), Stimulus(level + scale * 0.08), "told apart"
+        found[f"reaming: torque +0.08 N m, x {scale:g}"] = (
+            Stimulus(level),
+            Stimulus(level + scale * 0.08),
+            "discriminated",
+        )
     return found
 
 

@@ -1,7 +1,7 @@
 """Live runs of one motion with and without a window: ``python tests/bench/bench_live.py``.
 
 The scripted motion, or the hand of the scene, runs against the wall clock twice, so that all that differs is the window,
-which is opened on a virtual display (Xvfb) that draws in software. The load of the machine is told: lateness is as much
+which is opened on a virtual display (Xvfb) that draws in software. The load of the machine is printed: lateness is as much
 its other work's as ours.
 """
 

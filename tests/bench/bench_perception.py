@@ -1,4 +1,4 @@
-"""Cost and worth of perception: `python tests/bench/bench_perception.py [--quick]`.
+"""Performance and accuracy of perception: `python tests/bench/bench_perception.py [--quick]`.
 
 A tick of the run-time mapping (5 us is the aim): forces that are held back, as nearly all of a contact's are, and forces
 of which every one is a change; the population and an observer. Then building it, the estimate of greatest density, the

@@ -32,7 +32,7 @@ def measure(name: str) -> None:
         cost = cost_of(ticks_of(trained_predictor(kind, trained, force_limit_N=3.3), run), count=len(run.force_N))
         rows.append((kind, f"{cost.median:.1f}", f"{cost.p99:.1f}", f"{cost.worst:.1f}"))
     size, episode = len(trained.operator.offset), run.episode()
-    print(f"\n{name}: observe and tell {LEAD} ticks ahead [us]; {size} observables, {len(run.force_N)} ticks")
+    print(f"\n{name}: observe and predict {LEAD} ticks ahead [us]; {size} observables, {len(run.force_N)} ticks")
     print(table(rows, ("predictor", "median", "99 %", "worst")))
     many = [episode] * (FIT_SAMPLES // len(episode.states) + 1)
     start = perf_counter()

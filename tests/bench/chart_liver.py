@@ -9,7 +9,7 @@
   and the scanned one (if it lies beside the checkout).
 
 The reference is neo-Hookean on the finest quadratic mesh; its distance to the next coarser one is the bar below which
-nothing is told apart. Coarse and linear cells are too stiff, the linear law is too soft: single points come close by
+no difference is resolved. Coarse and linear cells are too stiff, the linear law is too soft: single points come close by
 accident, a trend over refinement does not. Agreement with the reference is not agreement with an organ, whose moduli
 scatter by 20 % and more.
 """
@@ -52,7 +52,7 @@ LAW_NAMES = {Law.LINEAR: "linear", Law.COROTATIONAL: "corotational", Law.NEO_HOO
 
 
 def quarter(order: int, layers: int) -> tuple[Space, np.ndarray]:
-    """A quarter of the block about the sphere's axis, so many layers of cells each way; its held components."""
+    """A quarter of the block about the sphere's axis, so many layers of cells in each direction; its held components."""
     aside = 0.05 * (GROWTH ** np.arange(layers + 1) - 1.0) / (GROWTH**layers - 1.0)
     space = Space(grid(aside, aside, -aside[::-1]), order)
     held = (np.abs(space.nodes_m) < 1e-12) & np.array([True, True, False])
@@ -100,7 +100,7 @@ def ticks(space: Space, held: np.ndarray) -> tuple[float, float]:
 
 
 def forces(quick: bool) -> tuple[list[Point], float]:
-    """Error of the force on the sphere by order, refinement, law and way of solving; and what the reference leaves open."""
+    """Error of the force on the sphere by order, refinement, law and solver; and what the reference leaves open."""
     finest, next_finest = ((2, 7), (2, 6)) if quick else ((2, 9), (2, 8))
     sizes = {1: (5, 6) if quick else (5, 6, 7, 8, 10), 2: (5,) if quick else (4, 5, 6, 7)}
     reference, _ = whole_solve(*quarter(*finest), Law.NEO_HOOKEAN)

@@ -1,7 +1,7 @@
 """Cells and particles of the tooth against error and cost: `python tests/bench/chart_tooth.py [--out FILE.png]`.
 
 The procedural molar with a cavity under 1 N: displacement of the tooth in its ligament, and von Mises stress in the
-dentin under the cavity's floor, at several cell sizes and particles a cell, against the finest. The force at the bur
+dentin under the cavity's bottom, at several cell sizes and particles a cell, against the finest. The force at the bur
 needs none of it.
 """
 

@@ -163,7 +163,7 @@ def report(name: str, points: Sequence[Measured], found: dict[str, dict[str, flo
 
 
 def cost_settings(scene: Scene) -> list[Setting]:
-    """Settings whose ticks are compared: those of a full chart that compute in one way, without the stress."""
+    """Settings whose ticks are compared: those of a full chart on one compute device, without the stress."""
     return [each for each in settings_of(scene, quick=False)
             if each.family in ("voxels", "shell", "elements") and "binary" not in each.name]  # fmt: skip
 

@@ -53,7 +53,7 @@ def draw(panels: list[tuple[str, str, list[Point], float]], judged: dict[str, Li
             )  # fmt: skip
         if floor > 0.0:
             axis.axhspan(30.0 * floor, 100.0 * floor, color="0.9", zorder=0)
-            axis.text(0.98, 100.0 * floor, "reference not told apart below ", ha="right", va="bottom", color="0.4",
+            axis.text(0.98, 100.0 * floor, "reference uncertain below ", ha="right", va="bottom", color="0.4",
                       transform=axis.get_yaxis_transform())  # fmt: skip
         axis.axvline(1.0, color="0.5", linestyle="--")
         axis.text(1.0, 0.02, " 1 ms", color="0.4", transform=axis.get_xaxis_transform())

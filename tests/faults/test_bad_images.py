@@ -1,4 +1,4 @@
-"""Images that are not what they say: each is refused in one sentence that names what is wrong, none is run."""
+"""Images that are not what they claim: each is refused in one sentence that names what is wrong, none is run."""
 
 import gzip
 import re

@@ -1,4 +1,4 @@
-"""Whatever ends a run, a device is left without force: every way out, for every kind of device."""
+"""Whatever ends a run, a device is left without force: every exit, for every kind of device."""
 
 import json
 import os

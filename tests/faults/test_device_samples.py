@@ -1,4 +1,4 @@
-"""What a loop believes of a device: dates, types and noise, and that no hand is taken for noise."""
+"""What a loop accepts of a device: dates, types and noise, and that no hand is taken for noise."""
 
 from dataclasses import replace
 
@@ -23,8 +23,8 @@ NOISE_M = 2e-3
 AT = (0.0, 0.0, 0.0)
 
 
-def believed(samples, **limits):
-    """Share of samples that are believed, and the faults found."""
+def accepted(samples, **limits):
+    """Share of samples that are accepted, and the faults found."""
     guard = SampleGuard(GuardLimits(**limits), force_limit_N=3.0)
     for tick, sample in enumerate(samples):
         guard.validate_sample(sample, tick * TICK)
@@ -39,7 +39,7 @@ def moving(offsets, *, speed_m_s=0.1):
 @pytest.mark.parametrize("seed", range(5))
 def test_white_noise_is_a_fault_from_its_first_tenths_of_a_second(seed):
     noise = np.random.default_rng(seed).normal(scale=NOISE_M, size=(2000, 3))
-    share, events = believed(moving(noise))
+    share, events = accepted(moving(noise))
     assert share < 0.05 and events[0].startswith("noise that no hand makes")
 
 
@@ -47,7 +47,7 @@ def test_white_noise_is_a_fault_from_its_first_tenths_of_a_second(seed):
 def test_noise_along_one_axis_is_a_fault(axis):
     noise = np.zeros((2000, 3))
     noise[:, axis] = np.random.default_rng(axis).normal(scale=NOISE_M, size=2000)
-    share, _ = believed(moving(noise))
+    share, _ = accepted(moving(noise))
     assert share < 0.2
 
 
@@ -67,7 +67,7 @@ def test_noise_of_a_turn_is_a_fault_and_smooth_samples_are_accepted_again():
 @pytest.mark.parametrize("scale_m", [2e-5, 1e-4, 2e-4])
 def test_the_noise_of_a_sensor_is_none(scale_m):
     noise = np.random.default_rng(1).normal(scale=scale_m, size=(5000, 3))
-    assert believed(moving(noise, speed_m_s=1.0)) == (1.0, [])
+    assert accepted(moving(noise, speed_m_s=1.0)) == (1.0, [])
 
 
 def test_roughness_by_its_closed_form():
@@ -89,14 +89,14 @@ def test_a_device_that_repeats_its_samples_is_no_noise(held):
     times = TICK * held * (np.arange(3000) // held)
     places = 0.1 * np.sin(20.0 * times)
     samples = [Sample(tick * TICK, (x, 0.0, 0.0)) for tick, x in enumerate(places.tolist())]
-    assert believed(samples, oldest_s=0.02) == (1.0, [])
+    assert accepted(samples, oldest_s=0.02) == (1.0, [])
 
 
 def test_clocks_that_jitter_are_no_noise():
     rng = np.random.default_rng(2)
     true = np.arange(3000) * TICK + rng.uniform(-4e-4, 4e-4, size=3000)
     samples = [Sample(tick * TICK, (0.1 * np.sin(10.0 * at), 0.0, 0.0)) for tick, at in enumerate(true.tolist())]
-    assert believed(samples) == (1.0, [])
+    assert accepted(samples) == (1.0, [])
 
 
 @pytest.mark.parametrize("name", DEVICES)

@@ -22,7 +22,7 @@ EXEMPT = {
 BY_DATA = {
     "anatomy.site": "anatomy.site must not be caries for a tooth without a lesion, got caries: ",
 }
-"""Refusals of keys that only the contents of files leave without effect, beside those that say "must be left out"."""
+"""Refusals of keys that only the contents of files leave without effect, besides those with "must be left out"."""
 CLOCK = ("tick_us", "missed_deadlines", "events", "machine", "tissue")
 """Entries of a summary that a clock or a machine decides."""
 QUICK = ("wall",)
@@ -43,7 +43,7 @@ def stress_in_this_process(monkeypatch):
 
 
 def fingerprint(scene):
-    """A digest of all that a run gives but for times, events, which tell times too, and the machine."""
+    """A digest of all that a run gives but for times, events, which hold times too, and the machine."""
     from tissue.figures.tool_mesh import tool_surface
 
     run = simulate(scene)
@@ -79,7 +79,7 @@ def without_effect(kind, files, folder):
 
 
 def is_refused(key, message):
-    """Whether a refusal says that a key, or the whole part that it is in, has no effect."""
+    """Whether a refusal states that a key, or the whole part that it is in, has no effect."""
     keys, must, rest = message.partition(" must be left out ")
     named = keys.replace(",", " ").split()
     well_formed = must and "\n" not in message and ", got " in rest and ": " in rest

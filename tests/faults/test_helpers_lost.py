@@ -141,7 +141,7 @@ def plain():
 @pytest.mark.parametrize("when", ["begun", "last"])
 @pytest.mark.parametrize("name", ["SIGKILL", "SIGSTOP"])
 def test_a_run_that_loses_its_stress_keeps_all_else(plain, tmp_path, monkeypatch, name, when):
-    """Bone, trace and pictures are those of the run that nothing disturbs; one sentence says what is missing."""
+    """Bone, trace and pictures are those of the run that nothing disturbs; one sentence names what is missing."""
     if not hasattr(signal, name):
         pytest.skip(f"this system has no {name}")
     monkeypatch.setattr("tissue.system.child.IDLE_S", 2.0)

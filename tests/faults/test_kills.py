@@ -57,7 +57,7 @@ class Command:
         )
 
     def stopped_after(self, seconds, how):
-        """Send a signal a while after its first own line, unless it has ended; whether it was sent, what it said."""
+        """Send a signal a while after its first own line, unless it has ended; whether it was sent, what it printed."""
         until = time.monotonic() + 60.0
         while not self.begun.exists() and time.monotonic() < until:
             time.sleep(0.005)
@@ -134,7 +134,7 @@ def check_session(out, whole, *, killed):
 
 
 def check_chart(out, whole, *, killed):
-    """A table is there whole or not at all, and equal but for what the clock says."""
+    """A table is there whole or not at all, and equal but for the clock's figures."""
     if not (out / "wall.csv").exists():
         assert killed
         return

@@ -1,4 +1,4 @@
-"""Options of commands that have no effect, and what a run says that it left undone."""
+"""Options of commands that have no effect, and what a run reports as left undone."""
 
 import errno
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What a DICOM header says of a patient reaches nothing that a run writes, prints or keeps."""
+"""What a DICOM header holds of a patient reaches nothing that a run writes, prints or keeps."""
 
 import image_writers as write
 import numpy as np

@@ -1,4 +1,4 @@
-"""How a run stands is told truly, whatever ended it, and two processes never write one output."""
+"""The status of a run is reported truly, whatever ended it, and two processes never write one output."""
 
 import json
 import os
@@ -209,7 +209,7 @@ def test_a_stop_that_native_code_makes_an_error_of_its_own_is_still_a_stop(name,
             try:
                 os.kill(os.getpid(), number)
             except KeyboardInterrupt as stop:
-                raise ValueError("as a parser says") from stop
+                raise ValueError("as a parser puts it") from stop
         with pytest.raises(raised), terminated_as_exception():
             thing = Held()
             fate = weakref.ref(thing, lambda _: os.kill(os.getpid(), number))

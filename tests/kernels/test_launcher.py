@@ -52,7 +52,7 @@ def test_a_part_that_no_thread_begins_is_taken_back(split, monkeypatch):
 
 
 def test_one_slow_run_does_not_split_a_small_launch(split, monkeypatch):
-    """Only what stays large is split: work is believed to grow by a factor of two from run to run."""
+    """Only what stays large is split: work is assumed to grow by a factor of two from run to run."""
     launch, _ = split
     clock = iter(np.cumsum([0.0, 1e-5, 0.0, 5e-3, 0.0, 1e-5, 0.0, *[5e-3, 0.0] * 6]))
     monkeypatch.setattr(launcher, "perf_counter", lambda: next(clock))

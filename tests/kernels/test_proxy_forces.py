@@ -43,24 +43,24 @@ def solve_once(
 def solved(arms, normals, gaps, free, *, compliance, friction=0.0, press=None):
     """Normal forces, friction force and its arm."""
     count = len(gaps)
-    room = Contacts()
-    room.slots = 1
-    room.press = wp.array(np.zeros(count) if press is None else press, dtype=wp.float64, device="cpu")
-    room.slot = wp.array(np.arange(count), dtype=wp.int32, device="cpu")
-    room.arm = wp.array(arms, dtype=wp.vec3d, device="cpu")
-    room.normal = wp.array(normals, dtype=wp.vec3d, device="cpu")
-    room.moment = wp.array(np.cross(arms, normals), dtype=wp.vec3d, device="cpu")
-    room.gap = wp.array(gaps, dtype=wp.float64, device="cpu")
-    room.chosen = wp.zeros(count, dtype=wp.int32, device="cpu")
-    room.member = wp.zeros(MEMBERS, dtype=wp.int32, device="cpu")
-    room.lower = wp.zeros((MEMBERS, MEMBERS), dtype=wp.float64, device="cpu")
-    room.side = wp.zeros((MEMBERS, 3), dtype=wp.float64, device="cpu")
+    clearance = Contacts()
+    clearance.slots = 1
+    clearance.press = wp.array(np.zeros(count) if press is None else press, dtype=wp.float64, device="cpu")
+    clearance.slot = wp.array(np.arange(count), dtype=wp.int32, device="cpu")
+    clearance.arm = wp.array(arms, dtype=wp.vec3d, device="cpu")
+    clearance.normal = wp.array(normals, dtype=wp.vec3d, device="cpu")
+    clearance.moment = wp.array(np.cross(arms, normals), dtype=wp.vec3d, device="cpu")
+    clearance.gap = wp.array(gaps, dtype=wp.float64, device="cpu")
+    clearance.chosen = wp.zeros(count, dtype=wp.int32, device="cpu")
+    clearance.member = wp.zeros(MEMBERS, dtype=wp.int32, device="cpu")
+    clearance.lower = wp.zeros((MEMBERS, MEMBERS), dtype=wp.float64, device="cpu")
+    clearance.side = wp.zeros((MEMBERS, 3), dtype=wp.float64, device="cpu")
     out, members = wp.zeros(2, dtype=wp.vec3d, device="cpu"), wp.zeros(1, dtype=wp.int32, device="cpu")
     start = wp.array(free, dtype=wp.vec3d, device="cpu")
     wp.launch(
-        solve_once, dim=1, inputs=[room, count, compliance, friction, start], outputs=[out, members], device="cpu"
+        solve_once, dim=1, inputs=[clearance, count, compliance, friction, start], outputs=[out, members], device="cpu"
     )
-    return room.press.numpy(), *out.numpy()
+    return clearance.press.numpy(), *out.numpy()
 
 
 def least_distance(arms, normals, gaps, free, *, compliance):

@@ -11,7 +11,7 @@ from kernels.probe_distance import axis_distance
 from tissue.models.organ.probe import CylinderProbe, SphereProbe
 
 ROUNDING = 1e-9
-"""Newton on the cone stops at 1e-13; systems of condition up to 1e3 stand between that and the laws."""
+"""Newton on the cone stops at 1e-13; systems of condition up to 1e3 lie between that and the laws."""
 
 
 @wp.kernel

@@ -18,7 +18,7 @@ from meshes.voxels.mesh_sampling import triangle_distance
 BONE_HU = 300.0
 WINDOW = (slice(215, 285), slice(300, 370))
 """Columns and rows that hold a vertebra."""
-STORED = {  # which axis of LPS each axis of the array is, and which way it runs
+STORED = {  # which axis of LPS each axis of the array is, and its direction
     "as it is": ((0, 1, 2), (1, 1, 1)),
     "mirrored": ((0, 1, 2), (-1, 1, 1)),
     "upside down": ((0, 1, 2), (1, -1, -1)),

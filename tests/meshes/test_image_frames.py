@@ -1,6 +1,6 @@
 """Where images lie: every format, order and direction of axes gives the same values at the same place in LPS [mm].
 
-The files are written byte by byte by `image_writers`, and what they must say is plain arithmetic here.
+The files are written byte by byte by `image_writers`, and what they must hold is plain arithmetic here.
 """
 
 from itertools import permutations, product
@@ -16,7 +16,7 @@ from meshes.images.threshold_surface import image_surface
 SHAPE, SPACING, ORIGIN = (5, 4, 3), np.array([0.5, 0.75, 2.0]), np.array([-30.0, 12.0, 101.0])
 VALUES = np.arange(60, dtype=np.int16).reshape(SHAPE) + 100
 TURNS = list(product(permutations(range(3)), product((1, -1), repeat=3)))
-"""The 48 ways of storing an image along LPS: which axis of LPS each axis of the array is, and which way it runs."""
+"""The 48 orientations of an image stored along LPS: which axis of LPS each axis of the array is, and its direction."""
 FORMATS = (".nii", ".nii.gz", ".nrrd", "ras.nrrd", "gzip.nrrd", ".mhd", ".mha", "dicom")
 VTK = pytest.param(".vti", marks=pytest.mark.slow)  # a process is started for each
 

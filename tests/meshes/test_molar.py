@@ -32,7 +32,7 @@ def extent(volume, flags, axis):
 
 
 def along(volume, x, y):
-    """Layers met on the way down at (x, y) [m], and the height of each one's top and bottom [m]."""
+    """Layers met on the path down at (x, y) [m], and the height of each one's top and bottom [m]."""
     i, j = (int((value - volume.origin_m[k]) / volume.spacing_m) for k, value in enumerate((x, y)))
     column = labels(volume)[i, j]
     met = []

@@ -12,7 +12,7 @@ from meshes.surfaces.glenoid import glenoid
 from meshes.voxels.block_sampling import voxel_fraction
 from meshes.voxels.voxelise import voxelise
 
-ROUNDING = 1  # stored fractions are integers of 255: evaluations in another order may round the other way
+ROUNDING = 1  # stored fractions are integers of 255: evaluations in another order may round differently
 
 
 def uniform(shape: sdf.Shape) -> Anatomy:

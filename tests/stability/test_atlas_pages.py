@@ -84,7 +84,7 @@ def test_a_page_shows_its_boundary_and_how_the_engine_behaves(page):
     for table in data.values():
         assert len({len(values) for values in table.values()}) == 1
         assert all(np.asarray(values).dtype == float for values in table.values())
-    # Were the engine as wrong as the method in question, or that one as right as the engine, the page would say so.
+    # Were the engine as wrong as the method in question, or that one as right as the engine, the page would report it.
     table, ours, failing = SPOILT[page.name]
     righted = RIGHTED.get(page.name, (table, {failing: ours}))
     with np.errstate(all="ignore"):

@@ -78,7 +78,7 @@ def half_of_critical(parameters, grip=None):
 
 
 def test_a_cycle_through_a_deadband_returns_the_energy_of_its_threshold():
-    """Loaded and unloaded slowly along a spring, the held force lags by half a threshold on the average, either way.
+    """Loaded and unloaded slowly along a spring, the held force lags by half a threshold on the average, in either direction.
 
     So a cycle creates the integral of the threshold over the depth, kappa ((F2 + F0)^2 - (F1 + F0)^2) / 2 K: a Coulomb
     friction of half the threshold with the wrong sign.

@@ -60,7 +60,7 @@ def test_the_guard_bounds_the_prediction_of_an_exploding_operator(wall, unseen):
 def test_in_a_force_it_was_not_trained_on_it_is_little_worse_than_what_it_falls_back_on(wall, unseen, factor, worst):
     """Half to eight times the force of the same motion: the straight line takes over once it is felt to be off.
 
-    At half the force a touch is foreseen with twice its stiffness, which nothing tells before it is felt.
+    At half the force a touch is foreseen with twice its stiffness, which nothing shows before it is felt.
     """
     other = Recording(unseen.position_m, unseen.velocity_m_s, factor * unseen.force_N, "expert", 0)
     make = lambda kind: lambda: trained_predictor(kind, wall, force_limit_N=LIMIT_N)  # noqa: E731

@@ -40,7 +40,7 @@ def test_a_faulty_device_fades_and_comes_back(kind, fault):
     at = lambda seconds: int(seconds / TICK)  # noqa: E731
     assert np.isfinite(run.force_N).all() and size.max() <= limit * (1 + 1e-12)
     assert size[at(0.79)] > 0.3
-    if fault != "late":  # late ones are believed again as long as they are young enough
+    if fault != "late":  # late ones are accepted again as long as they are young enough
         assert not size[at(FAULT_S[0] + 0.03) : at(FAULT_S[1]) - 1].any(), "a stale force stays"
     assert size[at(1.15)] > 0.3, "the force does not come back"
     jumps = np.abs(np.diff(size[at(FAULT_S[0]) - 1 : at(FAULT_S[1])]))
@@ -108,7 +108,7 @@ def test_the_guard_lets_a_fast_hand_pass_and_takes_up_a_device_that_comes_back()
     for tick in range(50):
         assert guard.validate_sample(Sample(tick * TICK, (4e-3 * tick, 0.0, 0.0), (4.0, 0.0, 0.0)), tick * TICK)
     assert guard.bad_ticks == 0
-    # Gone for 100 ms, back 0.3 m away: that is 3 m/s and believed.
+    # Gone for 100 ms, back 0.3 m away: that is 3 m/s and accepted.
     assert guard.validate_sample(None, 0.06) is None
     assert guard.validate_sample(Sample(0.15, (0.5, 0.0, 0.0)), 0.15)
     # A jump of 0.3 m in a millisecond is not, until a hand could have got there.

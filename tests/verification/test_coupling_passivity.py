@@ -84,15 +84,15 @@ def test_a_delayed_force_is_booked_where_it_acts(delay_ticks):
 
 @pytest.mark.parametrize("name", ["six-dof", "omni"])
 def test_a_wall_that_feeds_a_knocked_device_is_stopped_by_the_controller(name):
-    """Where the penalty wall creates energy and rings, the watched one takes it and is quiet."""
+    """Where the penalty wall creates energy and rings, the supervised one takes it and is quiet."""
     device, hand = device_parameters(name), hand_parameters("expert")
     stiffness = 3000.0 if name == "six-dof" else 8000.0
     bare, bare_device = knock(device, hand, "penalty", stiffness)
-    watched, watched_device = knock(device, hand, "passivity", stiffness)
+    supervised, supervised_device = knock(device, hand, "passivity", stiffness)
     assert bare.taken_J.min() < -1e-3 and -bare_device.translation.motor_work_J < -2e-3
-    assert watched.taken_J.min() > 0.5 * bare.taken_J.min()
-    assert bare.ripple_N(0.2) > 0.3 and watched.ripple_N(0.2) < 0.05
-    assert watched_device.translation.motor_work_J < 0.3 * bare_device.translation.motor_work_J
+    assert supervised.taken_J.min() > 0.5 * bare.taken_J.min()
+    assert bare.ripple_N(0.2) > 0.3 and supervised.ripple_N(0.2) < 0.05
+    assert supervised_device.translation.motor_work_J < 0.3 * bare_device.translation.motor_work_J
 
 
 def tapping(seconds, kind, *, seed=1, name="six-dof", stiffness_N_m=1500.0, delay_s=0.0):
@@ -118,7 +118,7 @@ def tapping(seconds, kind, *, seed=1, name="six-dof", stiffness_N_m=1500.0, dela
 
 
 DIP_J = 2e-4
-"""Energy by which a watched wall may be ahead of its ledger [J]: a prediction is wrong by a change of speed within the
+"""Energy by which a supervised wall may be ahead of its ledger [J]: a prediction is wrong by a change of speed within the
 step and the lag, F T dv with F up to 3 N and dv up to 0.03 m/s, for the few ticks until it is paid back."""
 
 

@@ -15,7 +15,7 @@ from tissue.prediction.edmd.radial import Gaussians
 from tissue.prediction.edmd.validation import horizon_errors
 
 PRINTED_ORDER = 2.0
-"""What the paper's Theorem 1 says of every dictionary."""
+"""What the paper's Theorem 1 claims for every dictionary."""
 STEPS_S = np.array([1e-3, 5e-4, 2.5e-4, 1.25e-4])
 
 

@@ -137,7 +137,7 @@ RADIUS_M, DEPTH_M = 5e-3, 2e-3
 DEEP_N = 0.0487
 """Force on a true sphere, R = 5 mm, 2 mm deep, E = 5 kPa, nu = 0.49, at which tiles converge.
 
-8.6 % below Sneddon's 0.0533 N and 12 % below Hertz' 0.0555 N. Both press with normals that stand upright and count what
+8.6 % below Sneddon's 0.0533 N and 12 % below Hertz' 0.0555 N. Both press with upright normals and count what
 moves down at the place where it lay. A frictionless sphere 2 mm deep leans its normals by up to 37 degrees and so
 spreads the surface: what lay at r is met by the sphere farther out, where the sphere is higher. Linear elasticity,
 contact where the surface has moved to; 1 % covers what is left at 12 tiles to 3.3 mm.

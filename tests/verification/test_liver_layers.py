@@ -90,7 +90,7 @@ def test_capsule_does_not_stiffen_palpation_and_a_thick_skin_stiffens_a_needle()
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_stretched_capsule_has_the_energy_of_plane_stress(order):
-    """Uniform stretch e both ways: t A E e^2 / (1 - nu); along one side alone t A E e^2 / (2 (1 - nu^2)); shear t A mu g^2 / 2."""
+    """Uniform stretch e in both directions: t A E e^2 / (1 - nu); along one side alone t A E e^2 / (2 (1 - nu^2)); shear t A mu g^2 / 2."""
     space = Space(box((0.3, 0.2, 0.1), (3, 2, 1)), order)
     top = faces_where(space, lambda x: x[:, 2] > 0.1 - 1e-9)
     matrix = capsule_stiffness(space, thickness_m=5e-5, young_Pa=8.2e6, poisson_ratio=0.4, faces=top)

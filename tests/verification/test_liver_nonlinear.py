@@ -203,7 +203,7 @@ def test_how_solves_end():
 
 
 def test_corotational_cells_can_be_pressed_flat():
-    """The law has a finite energy up to a flat cell: a sphere gets there at its radius of depth, and the solve says so."""
+    """The law has a finite energy up to a flat cell: a sphere gets there at its radius of depth, and the solve reports it."""
     space, base = block(first=3e-3)
     body = quarter_solver(space, base, Law.COROTATIONAL).body
     found = press(

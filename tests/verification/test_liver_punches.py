@@ -142,7 +142,7 @@ def upright(nodes):
 def test_deep_sphere_at_its_literal_numbers():
     """Case 13, R = 5 mm, 2 mm deep: Hertz' problem 0.0555 N, normals upright; a true sphere as on the exact half-space,
 
-    where `test_liver_contact` finds 0.0487 N and says why it is less; 2 %, and nearer with every refinement. Cells that
+    where `test_liver_contact` finds 0.0487 N and explains why it is less; 2 %, and nearer with every refinement. Cells that
     grow by 1.7 and 1.5 a ring and layer leave 1 % whatever the first is.
     """
     at = np.linspace(5e-5, 2e-3, 40)

@@ -55,7 +55,7 @@ def patch(surface):
 
 
 def pressed(surface, depths, *, elastic_start=None, step_s=STEP_S):
-    """Force [N] on a bonded punch that follows ``way`` [m], solved tick by tick on the compliance."""
+    """Force [N] on a bonded punch that follows ``depths`` [m], solved tick by tick on the compliance."""
     near, columns = patch(surface)
     mutual = columns[3 * near + 2]
     creep = CreepState(len(surface[0]), SERIES, step_s=step_s)
@@ -126,9 +126,9 @@ def sphere_forces(surface, depths):
     rise = np.sum((nodes[:, :2] - SIDE_M / 2) ** 2, axis=1) / 0.04
     creep, found = CreepState(len(nodes), SERIES, step_s=STEP_S), []
 
-    def nodal(room, scale):
-        """Non-negative pushes f down that leave no node in the sphere: scale W f >= room, where f > 0 equal."""
-        return nnls(np.sqrt(scale) * factor, solve_triangular(factor.T, room, lower=True) / np.sqrt(scale))[0]
+    def nodal(clearance, scale):
+        """Non-negative pushes f down that leave no node in the sphere: scale W f >= clearance, where f > 0 equal."""
+        return nnls(np.sqrt(scale) * factor, solve_triangular(factor.T, clearance, lower=True) / np.sqrt(scale))[0]
 
     for depth in depths:
         elastic = nodal(depth - rise, 1.0)

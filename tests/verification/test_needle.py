@@ -29,7 +29,7 @@ CAPSULE = LIVER.membranes[0]
 
 
 def drive(insertion, to_m, *, step_m=1e-5, speed_m_s=SPEED_M_S):
-    """Travel, inserted length, pull and stored energy on the way to a travel, from where the needle is."""
+    """Travel, inserted length, pull and stored energy on the path to a travel, from where the needle is."""
 
     def row():
         stored_J = insertion.tissue.stored_J(insertion.deflection_m)

@@ -95,7 +95,7 @@ def test_a_staircase_settles_at_its_target(down, target):
     """Up as often as down: over all moves the mean of p^n is one half, exactly, and p lies close to its root.
 
     The first is a martingale's law and is held to four standard errors; the second is biased by the size of a step and
-    the curve's bend, and is held to 1.5 points, which tells 70.7 from 79.4 %.
+    the curve's bend, and is held to 1.5 points, which separates 70.7 from 79.4 %.
     """
     count, rng = 200, np.random.default_rng(4)
     crowd = people(count)

@@ -52,7 +52,7 @@ def test_weber_of_seven_percent_is_recovered():
 
 
 def test_stevens_of_1_7_is_recovered():
-    """200 sessions of 24 numbers: the mean to four standard errors, intervals that hold the truth as often as they say."""
+    """200 sessions of 24 numbers: the mean to four standard errors, intervals that hold the truth as often as they claim."""
     crowd, rng = people(200), np.random.default_rng(1)
     forces = np.resize(MAGNITUDE_FORCES_N, 24)
     numbers = np.array([crowd.number(force, rng) for force in forces])

@@ -205,7 +205,7 @@ def test_e8_is_the_local_level_filter_of_statsmodels(wander, noise):
 
 
 def test_a_sense_scatters_by_its_threshold_and_is_the_steady_filter():
-    """Two constant forces a threshold apart are told apart at d' = 0.954: 75 % in two intervals."""
+    """Two constant forces a threshold apart are discriminated at d' = 0.954: 75 % in two intervals."""
     law = Weber(kappa=0.07, offset=0.2)
     estimates = []
     for force, seed in ((2.0, 9), (2.0 + float(law.threshold(2.0)), 10)):

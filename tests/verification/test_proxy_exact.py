@@ -18,7 +18,7 @@ from tissue.motion.rotation import turn_between
 
 EXACT = 1e-9
 STIFFNESS = 1000.0
-FLOOR = HalfSpace((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+PLANE = HalfSpace((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 STILL = np.zeros(3)
 
 
@@ -107,7 +107,7 @@ def test_point_slides_off_a_convex_edge_and_is_free():
 
 
 def test_thin_wall_holds_where_the_nearest_point_pops_through():
-    """E12: the free point nearest to the device changes sides half way through a wall; the proxy does not."""
+    """E12: the free point nearest to the device changes sides halfway through a wall; the proxy does not."""
     wall = Box((0.0, 0.0, 0.0), (0.1, 0.1, 1e-4))
     proxy = point_on(wall, start=(0.0, 0.0, 1e-3))
     grid = np.arange(-3000, 3001) * 1e-6
@@ -143,7 +143,7 @@ def test_no_speed_gets_through_a_thin_wall(speed):
 def test_friction_sticks_if_and_only_if_the_pull_is_inside_the_cone():
     """|F_t| <= mu F_n sticks; beyond, the proxy trails by mu times the depth (case 23)."""
     for friction in (0.1, 0.5, 1.2):
-        proxy = point_on(FLOOR, start=(0.0, 0.0, 1e-3), friction=friction)
+        proxy = point_on(PLANE, start=(0.0, 0.0, 1e-3), friction=friction)
         depth = 2e-3
         walk(proxy, (0.0, 0.0, 1e-3), (0.0, 0.0, -depth))
         direction = at(0.6, 0.8, 0.0)
@@ -167,8 +167,8 @@ def test_friction_changes_nothing_where_planes_hold_every_direction():
 
 
 def test_friction_starts_where_the_surface_is_met():
-    """A device that comes down slanting sticks where its way meets the plane, not below where it set out."""
-    proxy = point_on(FLOOR, start=(0.0, 0.0, 1.03e-3), friction=2.0)
+    """A device that comes down slanting sticks where its path meets the plane, not below where it set out."""
+    proxy = point_on(PLANE, start=(0.0, 0.0, 1.03e-3), friction=2.0)
     result = walk(proxy, (0.0, 0.0, 1.03e-3), (1.03e-3, 0.0, 0.0), (1.33e-3, 0.0, -0.3e-3), feed=0.17e-3)
     assert result.position_m == pytest.approx(at(1.03e-3, 0.0, 0.0), abs=EXACT)
 
@@ -193,7 +193,7 @@ def sphere_shell(radius, count=800):
 
 def test_sphere_of_shell_points_on_a_plane():
     """The exact depth, and no torque about the centre."""
-    proxy = Proxy(sphere_shell(3e-3), ContactField(FLOOR), lever_m=0.02)
+    proxy = Proxy(sphere_shell(3e-3), ContactField(PLANE), lever_m=0.02)
     proxy.place(at(0.0, 0.0, 4e-3))
     result = walk(proxy, (0.0, 0.0, 4e-3), (1e-3, 0.0, 2.2e-3), quaternion=at(0.0, 0.0, 0.0, 1.0))
     assert result.position_m == pytest.approx(at(1e-3, 0.0, 3e-3), abs=EXACT)
@@ -213,9 +213,9 @@ HALF = (6e-3, 4e-3, 2e-3)
 LEVER = 0.02
 
 
-def box_on_floor(device, turn):
-    """Settled result of a box whose device was led down to a pose below the floor."""
-    proxy = Proxy(box_shell(HALF), ContactField(FLOOR), lever_m=LEVER)
+def box_on_plane(device, turn):
+    """Settled result of a box whose device was led down to a pose below the plane."""
+    proxy = Proxy(box_shell(HALF), ContactField(PLANE), lever_m=LEVER)
     proxy.place(at(0.0, 0.0, 0.02))
     for share in np.linspace(0.0, 1.0, 400):
         pose = Rotation.from_rotvec(share * np.asarray(turn)).as_quat()
@@ -225,7 +225,7 @@ def box_on_floor(device, turn):
 
 def test_box_flat_on_a_plane_is_balanced():
     """Pushed straight down: the depth is exact, the torque zero, however many points touch."""
-    result, _ = box_on_floor(at(1e-3, 0.0, HALF[2] - 1e-3), (0.0, 0.0, 0.0))
+    result, _ = box_on_plane(at(1e-3, 0.0, HALF[2] - 1e-3), (0.0, 0.0, 0.0))
     assert result.position_m == pytest.approx(at(1e-3, 0.0, HALF[2]), abs=EXACT)
     assert result.push_m == pytest.approx(at(0.0, 0.0, 1e-3), abs=EXACT)
     assert result.push_moment_m2 == pytest.approx(STILL, abs=1e-12)
@@ -234,7 +234,7 @@ def test_box_flat_on_a_plane_is_balanced():
 def test_tilted_device_of_a_box_that_lies_flat():
     """While the push lies within the base the box is flat, and the torque is the rotational spring's: k l^2 theta."""
     tilt = 0.04  # l^2 theta = 1.6e-5 < depth x half width = 2.4e-5
-    result, pose = box_on_floor(at(0.0, 0.0, HALF[2] - 4e-3), (0.0, tilt, 0.0))
+    result, pose = box_on_plane(at(0.0, 0.0, HALF[2] - 4e-3), (0.0, tilt, 0.0))
     assert turn_between(result.quaternion, at(0.0, 0.0, 0.0, 1.0)) == pytest.approx(STILL, abs=EXACT)
     assert result.position_m[2] == pytest.approx(HALF[2], abs=EXACT)
     torque = VirtualCoupling(stiffness_N_m=STIFFNESS, rotational_stiffness_Nm_rad=STIFFNESS * LEVER**2).torque_Nm(
@@ -257,7 +257,7 @@ def test_tilted_box_on_its_edge():
         return LEVER**2 * (tilt - phi) - (below - height) * arm
 
     phi = brentq(balance, 0.0, tilt, xtol=1e-15)
-    result, _ = box_on_floor(at(0.0, 0.0, height), (0.0, tilt, 0.0))
+    result, _ = box_on_plane(at(0.0, 0.0, height), (0.0, tilt, 0.0))
     assert turn_between(at(0.0, 0.0, 0.0, 1.0), result.quaternion) == pytest.approx(at(0.0, phi, 0.0), abs=EXACT)
     assert result.position_m[2] == pytest.approx(low(phi)[0], abs=EXACT)
     assert result.push_moment_m2[1] == pytest.approx(-(low(phi)[0] - height) * low(phi)[1], abs=1e-12)

@@ -1,7 +1,7 @@
 """Silicone cylinders pressed between platens: a modulus from one batch predicts the force of the other.
 
 Dawood et al. 2026: diameter 50 mm, height 30 mm, three mixes, batches A and B of five tests each. Friction of the platens
-is unreported, so the two limits stand beside each other: none, which neo-Hookean answers in closed form, and bonded,
+is unreported, so both limits are given: none, which neo-Hookean answers in closed form, and bonded,
 which takes finite elements. One number is fitted, Young's modulus, on batch A up to 30 % compression; batch B is
 predicted. The force is proportional to the modulus, so one solve serves all.
 """

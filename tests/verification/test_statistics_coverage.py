@@ -1,4 +1,4 @@
-"""Planted effects are recovered, and intervals hold the truth as often as they say."""
+"""Planted effects are recovered, and intervals hold the truth as often as they claim."""
 
 import numpy as np
 import pytest

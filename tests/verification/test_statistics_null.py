@@ -276,7 +276,7 @@ def cells_of(values, groups):
 
 
 def test_redrawn_users_alarm_nearly_at_their_level():
-    """Users drawn with replacement stand twice: error rates lie near 5 %, within two points at 12 users a group."""
+    """Users drawn with replacement appear twice: error rates lie near 5 %, within two points at 12 users a group."""
     shares = []
     for seed in range(8):
         values, groups = null(1, seed=seed)

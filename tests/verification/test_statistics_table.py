@@ -103,7 +103,7 @@ def test_a_user_whose_trials_all_failed_is_left_out_and_named():
 @pytest.mark.slow
 @pytest.mark.parametrize("kept", ["one method", "one group", "gaps"])
 def test_studies_that_are_not_whole_are_compared(kept):
-    """One method leaves the groups' test, one group the methods'; trials that failed leave unequal numbers, said."""
+    """One method leaves the groups' test, one group the methods'; trials that failed leave unequal numbers, reported."""
     pytest.importorskip("statsmodels", reason="statsmodels is not installed: pip install 'tissue-sim[study]'")
     table = table_of(users=5)
     if kept == "gaps":

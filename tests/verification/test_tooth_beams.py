@@ -84,7 +84,7 @@ def cantilever(through):
 
 
 def test_cantilever():
-    """Case 5: 4.0312 (Timoshenko). The clamp holds the cross-section from bulging, worth 0.3 % here; 1 % with it.
+    """Case 5: 4.0312 (Timoshenko). The clamp holds the cross-section from bulging, 0.3 % here; 1 % with it.
 
     Trilinear cells lock in bending at order 2: two grids extrapolate.
     """

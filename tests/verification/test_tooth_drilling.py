@@ -178,7 +178,7 @@ def test_stress_after_warm_starts_is_that_of_a_cold_solve(drilled):
 
 def test_the_pulp_is_reported_before_it_is_hit(drilled):
     """Both limits and the exposure once each, in their order; the exposure within a voxel of the pulp's roof."""
-    on_pulp = [event for event in drilled.run.events if "pulp" in event[1]]  # a busy machine also tells of late stress
+    on_pulp = [event for event in drilled.run.events if "pulp" in event[1]]  # a busy machine also reports late stress
     times, message = zip(*on_pulp, strict=True)
     assert message == (
         "less than 1 mm of dentin is left over the pulp",

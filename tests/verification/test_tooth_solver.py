@@ -1,4 +1,4 @@
-"""Iterations over contrast and refinement, every way a solve can end, islands, removal and warm starts."""
+"""Iterations over contrast and refinement, every outcome of a solve, islands, removal and warm starts."""
 
 import numpy as np
 import pytest

@@ -17,7 +17,7 @@ __all__ = ["draw_force_depth", "first_descent", "layers_passed"]
 UNITS = {"um": "µm", "degC": "°C", "mm2": "mm²", "mm3": "mm³"}
 """Units of the trace's columns as they are printed; all others as they are."""
 MEANT = {"µm": "displacement"}
-"""Quantity that a unit stands for."""
+"""Quantity of a unit."""
 RISE_MM = 0.2
 """A tool that rises by this much has ended its descent."""
 

@@ -13,7 +13,7 @@ def carve(
     remaining: wp.array3d(dtype=wp.uint16),
     removed: wp.array(dtype=wp.int64),
 ):
-    """Every voxel of the burr's box loses what a linear ramp says lies inside the ball."""
+    """Every voxel of the burr's box loses what lies inside the ball by a linear ramp."""
     i, j, k = wp.tid()
     x, y, z = low[0][0] + i, low[0][1] + j, low[0][2] + k
     at = wp.vec3(float(x) + 0.5, float(y) + 0.5, float(z) + 0.5)

@@ -66,7 +66,7 @@ def environment(name: str, folder: Path) -> Path:
 
 
 def lines(python: Path | str, script: str, *arguments: str) -> list[dict[str, Any]]:
-    """What a script says, one JSON object a line."""
+    """What a script prints, one JSON object a line."""
     done = subprocess.run(
         [python, HERE / script, *arguments],
         check=True,

@@ -1,4 +1,4 @@
-"""What peers and ours both do, in NumPy alone, and the line in which each says what it cost."""
+"""What peers and ours both do, in NumPy alone, and the line in which each reports its time."""
 
 import gc
 import json

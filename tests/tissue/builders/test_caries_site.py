@@ -1,4 +1,4 @@
-"""A tooth from files is entered over its lesion, and a run beside the lesion says how to come there."""
+"""A tooth from files is entered over its lesion, and a run beside the lesion reports how to come there."""
 
 import pytest
 import trimesh

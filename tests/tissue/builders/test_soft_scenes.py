@@ -57,7 +57,7 @@ def test_a_pressed_liver_pushes_back_and_lets_go(pressed):
 
 
 def test_friction_drags_against_the_slide(pressed):
-    """Sideways no more than friction and the tilt of the surface allow, against the way."""
+    """Sideways no more than friction and the tilt of the surface allow, against the motion."""
     trace = pressed.trace
     sliding = (trace["velocity_x_mm_s"] > 1.0) & (trace["tool_x_mm"] > 2.0)
     assert (trace["model_force_x_N"][sliding] < 0.0).all()
@@ -141,7 +141,7 @@ def test_capsule_gravity_and_fibres_run():
 
 
 def test_a_liver_from_a_file_is_placed_held_and_pressed(anatomy):
-    """The file names no unit: it is told. The origin becomes its highest point, and what faces down is held."""
+    """The file names no unit: it is given. The origin becomes its highest point, and what faces down is held."""
     changes = {"anatomy.file": str(anatomy / "liver" / "liver.v22.msh"), "anatomy.touch_edge_mm": 12.0}
     with pytest.raises(InputError, match=r"anatomy\.edge_mm must be left out for tetrahedra from a file, got 22: set "):
         press(**changes, **{"anatomy.scale_mm": 34.3})

@@ -56,7 +56,7 @@ def test_a_scene_file_that_cannot_be_read_is_refused(refused, here, monkeypatch)
 
 
 def mesh_cases():
-    """Corners [file unit] and faces of surfaces that enclose no usable solid, and what is said of them."""
+    """Corners [file unit] and faces of surfaces that enclose no usable solid, and the messages."""
     cube = np.array(CUBE_CORNERS, dtype=float) * 30.0
     third = np.array([[15.0, 0, 0], [15.0, 30, 0], [15.0, 15, 30]])
     yield (

@@ -349,7 +349,7 @@ def test_a_truly_full_disk_is_refused(tiny_disk):
         check=False,
     )
     assert ended.returncode == 2
-    assert ended.stderr in {  # whichever of the two is flushed when the room ends
+    assert ended.stderr in {  # whichever of the two is flushed when the space ends
         f"error: out must have room, got no space left on device at {tiny_disk / 'run' / name}.csv: free some space "
         "or choose another --out\n"
         for name in ("trace", "timing")

@@ -28,7 +28,7 @@ def part_of(entry, table, defs):
 
 
 def stated(table, entry, defs, where):
-    """Check that all entries of a table stand in its part of the schema, described, and no others may."""
+    """Check that all entries of a table are in its part of the schema, described, and no others may."""
     part = part_of(entry, table, defs)
     assert part["additionalProperties"] is False and part["description"], where
     for name, value in table.items():

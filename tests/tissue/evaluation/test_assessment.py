@@ -68,7 +68,7 @@ def test_a_slower_run_with_a_pause_is_no_deviation(tmp_path):
 
 
 def test_alignment_never_goes_back_and_keeps_crossings_apart():
-    """Up and down one line: the nearest point would be on either way, the moment is not."""
+    """Up and down one line: the nearest point would be on either leg, the moment is not."""
     there = np.linspace(0.0, 10.0, 500)
     path = np.concatenate([there, there[::-1]])[:, None]
     rows = aligned_rows(path[::2], path)

@@ -254,7 +254,7 @@ def test_no_numbers_leave_the_exponent_to_the_prior():
 
 
 class Recorder(MouseDevice):
-    """A device that keeps what it is told to play."""
+    """A device that keeps the commands it is to play."""
 
     def __init__(self):
         super().__init__()

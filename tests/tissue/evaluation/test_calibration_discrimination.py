@@ -1,4 +1,4 @@
-"""People telling stimuli apart: null data, what a mapping can and cannot do, and stimuli from runs."""
+"""People who discriminate stimuli: null data, what a mapping can and cannot do, and stimuli from runs."""
 
 from dataclasses import replace
 

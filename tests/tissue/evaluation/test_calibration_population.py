@@ -1,4 +1,4 @@
-"""A population from many sessions: the hierarchy, what tells whether it converged, and what is refused."""
+"""A population from many sessions: the hierarchy, the check of its convergence, and what is refused."""
 
 import sys
 

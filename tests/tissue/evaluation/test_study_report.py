@@ -81,7 +81,7 @@ def test_the_report_finds_what_was_planted(study):
     tests = {(row["task"], row["question"]): row for row in rows_of(page.parent / "tests.csv")}
     assert tests["T1", "force_error: method"]["shows"] == "effect"
     assert tests["T2", "perceived_error: group"]["shows"] == "none shown"
-    # What rests on less stands beside a model over all tasks as it does on each.
+    # Tests that rest on less are given with a model over all tasks as with each.
     assert tests["all", "position_error_mm: group"]["on less"].startswith("analysis of strata p")
     sources = {(row["of"], row["parameter"]): row["source"] for row in rows_of(page.parent / "parameters.csv")}
     assert "chai3d" in sources["devices, touch", "force_limit_N"] and ("method koopman", "prediction") in sources

@@ -1,4 +1,4 @@
-"""Laws that every path to ``K u = f`` keeps, what each refuses, and every way a solve can end."""
+"""Laws that every path to ``K u = f`` keeps, what each refuses, and every outcome of a solve."""
 
 import numpy as np
 import pytest
@@ -79,7 +79,7 @@ def test_the_answer_is_lapacks_to_the_stated_tolerance(path, held):
 
 
 def test_a_solve_is_linear_reciprocal_and_stores_energy(path):
-    """Betti (1872): the work of one load along another's displacement is the same either way round."""
+    """Betti (1872): the work of one load along another's displacement is the same in either order."""
     body = body_of()
     solver = path(body)
     free = SURFACE[~BOTTOM[SURFACE]]

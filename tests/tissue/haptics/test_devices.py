@@ -53,7 +53,7 @@ def test_a_held_mass_swings_as_it_should_and_its_energy_is_booked():
 
 
 def slide(substeps):
-    """Way until friction and damping stop a mass that slides across two axes [m]."""
+    """Path length until friction and damping stop a mass that slides across two axes [m]."""
     plant = Plant(mass_kg=0.045, damping_N_s_m=0.35, friction_N=0.26)
     plant.velocity = (0.3, -0.4, 0.0)
     for _ in range(200):

@@ -186,7 +186,7 @@ def test_a_hand_presses_a_liver():
 
 @pytest.mark.parametrize("delay_ms", [0, 4])
 def test_the_energy_of_the_trace_is_that_of_the_motors(delay_ms):
-    """Also where the delay is made here; and the watched wall gives next to nothing."""
+    """Also where the delay is made here; and the supervised wall gives next to nothing."""
     for law, most in (("proxy", 1e-3), ("passivity", 3e-4)):
         run = run_of("wall", device="six-dof", renderer=law, coupling__delay_ms=delay_ms)
         energy = run.trace["passivity_J"]
@@ -276,7 +276,7 @@ def test_torque_turns_the_tool_until_the_spring_balances_it_and_is_played():
 
 
 def test_paths_and_forces_are_scaled_by_a_stated_law():
-    """The hand goes 1 / m of the way; a tool of K is felt as m f K; the energy is that at the device."""
+    """The hand goes 1 / m of the path; a tool of K is felt as m f K; the energy is that at the device."""
     run = run_of("wall", coupling__motion_scale=2.5, coupling__force_scale=0.4)
     trace = run.trace
     away = 1e-3 * (trace.vectors("tool", "mm") - [0, 0, 20]), 1e-3 * (trace.vectors("device", "mm") - [0, 0, 20])
@@ -320,8 +320,8 @@ def test_a_tool_that_does_not_turn_feels_the_bone_and_cuts_nothing(device):
 def test_what_a_controller_adds_is_not_extrapolated():
     """Its one-tick pulses passed through a predictor were spikes of 0.9 N; what is left is a force that is let go of."""
     late = {"coupling__delay_ms": 4, "prediction": "koopman"}
-    watched, bare = run_of("wall", renderer="passivity", **late), run_of("wall", renderer="proxy", **late)
-    steps = [np.abs(np.diff(run.trace.vectors("device_force", "N"), axis=0)).max() for run in (watched, bare)]
+    supervised, bare = run_of("wall", renderer="passivity", **late), run_of("wall", renderer="proxy", **late)
+    steps = [np.abs(np.diff(run.trace.vectors("device_force", "N"), axis=0)).max() for run in (supervised, bare)]
     assert steps[0] < 0.2 and steps[1] < 0.1
     assert "6 ms ahead" in bare.parts.notes["prediction"]
 

@@ -55,7 +55,7 @@ def slab_store(normal, offset, thickness=1.0):
 
 
 def solids_scene(seed):
-    """A floor, a box askew and a ball."""
+    """A plane, a box askew and a ball."""
     random = np.random.default_rng(seed)
     turn = Rotation.random(random_state=seed).as_matrix()
     return ContactField(
@@ -176,7 +176,7 @@ def push_through(normal, offset, shell, speed_m_s, random):
 
 @pytest.mark.parametrize("speed_m_s", [0.05, 0.5, 2.0])
 def test_no_path_through_a_wall_one_voxel_thick(speed_m_s):
-    """Random walls, the worst place between voxels among them, and random ways; a point and a burr."""
+    """Random walls, the worst place between voxels among them, and random paths; a point and a burr."""
     random = np.random.default_rng(7)
     for number, normal in enumerate([np.eye(3)[2], np.array([0.0, 0.6, 0.8]), *random.normal(size=(6, 3))]):
         for shell in (ToolShell.ball(), BURR):
@@ -269,7 +269,7 @@ def test_turning_everything_turns_the_proxy():
 
 
 def test_removed_bone_lets_the_proxy_in_at_once():
-    """The voxels are read where they stand: what is carved is free in the same tick."""
+    """The voxels are read in place: what is carved is free in the same tick."""
     fraction = np.zeros((32, 32, 32), np.uint8)
     fraction[:, :, :20] = 255
     store = BrickStore.from_volume(volume_of(fraction), device="cpu")
@@ -302,7 +302,7 @@ def test_inner_corner_of_voxels():
 
 
 def test_work_of_a_tick_is_bounded_and_goes_on_in_the_next():
-    """A jump along a floor needs more steps than a tick has; the next ticks finish it."""
+    """A jump along a plane needs more steps than a tick has; the next ticks finish it."""
     proxy = Proxy(ToolShell.ball(), ContactField(HalfSpace((0, 0, 0), (0, 0, 1))), step_limit=10)
     proxy.place(np.array([0.0, 0.0, 1e-3]))
     device = np.array([6e-3, 0.0, -1e-3])

@@ -56,12 +56,12 @@ def test_penalty_never_pulls_into_the_surface_and_the_supervised_one_may_brake()
     out = np.array([0.0, 0.0, 3.0])
     penalty = renderer("penalty", WALL)
     assert not penalty.render(np.array([0.0, 0.0, -1e-3]), out, NOTHING, NOTHING, TICK).any()
-    watched = renderer("passivity", device_parameters("six-dof").loop(800.0))
+    supervised = renderer("passivity", device_parameters("six-dof").loop(800.0))
     for depth in (0.0, -4e-3, -3.8e-3, -3.5e-3):
-        force = watched.render(np.array([0.0, 0.0, depth]), NOTHING, NOTHING, NOTHING, TICK)
-    force = watched.render(np.array([0.0, 0.0, -3e-3]), NOTHING, NOTHING, NOTHING, TICK)
-    assert watched.control.observer.energy_J < 0.0 < watched.control.damping_N_s_m
-    assert force[2] < 0.5 * 800.0 * 3e-3  # on its way out, with nothing in store
+        force = supervised.render(np.array([0.0, 0.0, depth]), NOTHING, NOTHING, NOTHING, TICK)
+    force = supervised.render(np.array([0.0, 0.0, -3e-3]), NOTHING, NOTHING, NOTHING, TICK)
+    assert supervised.control.observer.energy_J < 0.0 < supervised.control.damping_N_s_m
+    assert force[2] < 0.5 * 800.0 * 3e-3  # on its path out, with nothing in store
 
 
 def test_a_turn_is_rendered_on_the_group():
@@ -84,13 +84,13 @@ class Turning:
         return HandAction(aim_quaternion=exponential((0.0, 0.0, -0.3)), grip=Grip(300.0, 4.0, 0.1, 0.6, 2e-4, 5e-5))
 
 
-@pytest.mark.parametrize("watched", [False, True])
-def test_a_stop_for_a_rotation_creates_energy_unless_it_is_supervised(watched):
+@pytest.mark.parametrize("supervised", [False, True])
+def test_a_stop_for_a_rotation_creates_energy_unless_it_is_supervised(supervised):
     """A stop at angle 0 about z of 1.5 N m/rad, three times what the vendor allows for, in a hand with little damping."""
     device = SimulatedDevice(device_parameters("six-dof"), Turning())
     inner = PenaltyRenderer(1.5)
     lag = 0.5 + 0.53  # ticks of delay and amplifier
-    law = TurningRenderer(PassivityRenderer(inner, damping_limit_N_s_m=0.02, delay_ticks=lag) if watched else inner)
+    law = TurningRenderer(PassivityRenderer(inner, damping_limit_N_s_m=0.02, delay_ticks=lag) if supervised else inner)
     given = []
     for tick in range(1500):
         sample = device.read(tick * TICK)
@@ -99,7 +99,7 @@ def test_a_stop_for_a_rotation_creates_energy_unless_it_is_supervised(watched):
         torque = law.render(sample.quaternion, np.array(sample.spin_rad_s), proxy, NOTHING, TICK)
         device.command(NOTHING, torque)
         given.append(device.rotation.motor_work_J)
-    if watched:
+    if supervised:
         assert law._inner.control.dissipated_J > 0.0
         assert given[-1] < 0.2 * 2e-3
     else:

@@ -53,7 +53,7 @@ def test_orthotropic_constants_by_their_meaning():
     compliance = np.linalg.inv(orthotropic(**FEMUR))
     assert np.allclose(1.0 / np.diag(compliance), [12e9, 13.4e9, 20e9, 6.23e9, 5.61e9, 4.53e9])
     assert -compliance[1, 0] * 12e9 == pytest.approx(0.376)
-    # the ratios printed the other way round, nu31 = nu13 E3 / E1 and so on, which agree within 1 % (Ashman 1984)
+    # the ratios printed inverted, nu31 = nu13 E3 / E1 and so on, which agree within 1 % (Ashman 1984)
     assert [-compliance[0, 1] * 13.4e9, -compliance[0, 2] * 20e9, -compliance[1, 2] * 20e9] == pytest.approx(
         [0.422, 0.371, 0.350], rel=0.01
     )

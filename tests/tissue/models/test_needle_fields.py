@@ -71,7 +71,7 @@ def driven(request):
 
 
 def test_the_track_moves_with_the_organ_and_no_farther(driven):
-    """Down to the tip every node is deflected by what the needle's model says, the next one already by less."""
+    """Down to the tip every node is deflected as in the needle's model, the next one already by less."""
     fields, _, states = driven
     frames = fields.series.frames
     assert len(frames) == len(states)
@@ -94,18 +94,18 @@ def test_the_force_on_the_needle_does_not_come_from_the_fields(driven):
 
 
 def test_the_bottom_carries_what_moves_the_track(driven):
-    """Reactions lie on the floor alone, and their sum is the opposite of the forces along the needle."""
+    """Reactions lie on the bottom alone, and their sum is the opposite of the forces along the needle."""
     fields, _, states = driven
     series = fields.series
-    on_floor = np.zeros(len(series.nodes_m), dtype=bool)
-    on_floor[series.node_sets["held"]] = True
+    on_bottom = np.zeros(len(series.nodes_m), dtype=bool)
+    on_bottom[series.node_sets["held"]] = True
     for frame, (deflection, inserted) in zip(series.frames, states, strict=True):
         force = fields.forces_N(deflection, inserted).sum() * -fields.track.outward
         reaction = frame.points["reaction_N"].astype(float)
         size = max(np.abs(force).max(), 1e-3)
         np.testing.assert_allclose(reaction.sum(axis=0), -force, atol=1e-5 * size)
-        assert np.abs(reaction[~on_floor]).max() < 1e-7 * size
-        assert not frame.points["displacement_mm"][on_floor].any()
+        assert np.abs(reaction[~on_bottom]).max() < 1e-7 * size
+        assert not frame.points["displacement_mm"][on_bottom].any()
 
 
 def test_nothing_moves_before_the_needle_touches_nor_after_it_left(pierced):
@@ -160,7 +160,7 @@ def test_the_surface_sinks_around_the_entry_as_boussinesq_predicts(monkeypatch):
     """w = F (1 - nu2) / (pi E r) on a half-space (Boussinesq 1885), as the difference of two radii inside the block.
 
     The difference leaves out how the block sinks as a whole. Two edges lie between the radii; with edges that grow half
-    as fast the error is less, 9 %, of which the block's free sides and its floor keep a part.
+    as fast the error is less, 9 %, of which the block's free sides and its bottom keep a part.
     """
     errors = []
     for growth in (GROWTH, 0.5 * GROWTH):

@@ -1,4 +1,4 @@
-"""The needle as a tissue model: the contract's laws, where it meets the organ, what it tells, what it refuses."""
+"""The needle as a tissue model: the contract's laws, where it meets the organ, what it reports, what it refuses."""
 
 import gc
 import tracemalloc

@@ -1,4 +1,4 @@
-"""A tooth in a scene: stress beside the ticks leaves the trace alone, and is told for the state that it belongs to."""
+"""A tooth in a scene: stress beside the ticks leaves the trace alone, and is reported for the state that it belongs to."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ COLUMN = ("dentin_over_pulp_mm",)
 
 
 def drill(**changes):
-    """A short way into a coarse molar."""
+    """A short path into a coarse molar."""
     return simulate(load_scene("molar", COARSE | {key.replace("__", "."): value for key, value in changes.items()}))
 
 
@@ -154,7 +154,7 @@ def test_stress_leaves_the_force_alone(run):
 
 
 def test_the_tooths_own_columns(run):
-    """They stand in the trace; the tooth is pushed down by the bur and back at rest without it."""
+    """They are in the trace; the tooth is pushed down by the bur and back at rest without it."""
     assert run.parts.tissue.measure_names == COLUMN + MOVES
     at = run.trace.columns.index(COLUMN[0])
     assert run.trace.columns[at : at + 4] == COLUMN + MOVES
@@ -169,7 +169,7 @@ def test_a_pulp_out_of_reach_is_not_measured():
     assert run.trace["removed_mm3"][-1] > 0.0
     assert run.parts.tissue.measure_names == MOVES
     assert np.isfinite(run.trace.rows).all()
-    assert not any("pulp" in what for _, what in run.events)  # a busy machine may tell of late stress
+    assert not any("pulp" in what for _, what in run.events)  # a busy machine may report late stress
 
 
 @pytest.mark.parametrize(

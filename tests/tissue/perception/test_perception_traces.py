@@ -1,4 +1,4 @@
-"""Perception in whole runs: what the deadband leaves of recorded forces, and what the trace tells."""
+"""Perception in whole runs: what the deadband leaves of recorded forces, and what the trace holds."""
 
 import numpy as np
 import pytest

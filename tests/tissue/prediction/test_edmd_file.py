@@ -1,4 +1,4 @@
-"""Predictor files: what is written comes back bit by bit, and nothing else is believed."""
+"""Predictor files: what is written comes back bit by bit, and nothing else is accepted."""
 
 import json
 

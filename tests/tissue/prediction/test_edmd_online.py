@@ -16,7 +16,7 @@ def swings(rng, count=8, field=duffing):
 
 
 def learn(online, episodes, lift):
-    """Tell every step; the errors before learning."""
+    """Give every step; the errors before learning."""
     errors = []
     for each in episodes:
         lifted = lift(each.states)

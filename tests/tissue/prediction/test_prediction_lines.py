@@ -1,4 +1,4 @@
-"""What `tissue chart prediction` says of its figures."""
+"""What `tissue chart prediction` prints of its figures."""
 
 import numpy as np
 import pytest

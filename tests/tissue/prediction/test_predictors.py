@@ -113,7 +113,7 @@ def test_kalman_gains_are_those_that_the_recursion_settles_to():
 
 
 def test_a_linear_model_with_control_is_exact_on_a_linear_model():
-    """F+ = A F + B (x, v) with a device at constant speed: fitted on noise, told ahead to rounding."""
+    """F+ = A F + B (x, v) with a device at constant speed: fitted on noise, predicted to rounding."""
     rng = np.random.default_rng(3)
     A, B = np.diag([0.9, 0.8, 0.7]), rng.standard_normal((3, 6)) * np.array([3.0] * 3 + [0.1] * 3)
     inputs, states = rng.standard_normal((400, 6)), np.zeros((400, 3))
@@ -129,7 +129,7 @@ def test_a_linear_model_with_control_is_exact_on_a_linear_model():
 
 @pytest.mark.parametrize("kind", PREDICTORS.names[1:])
 def test_predictions_are_finite_whatever_comes(kind, trained):
-    """NaN, infinity, jumps of metres and of 1e200; hold alone is not guarded: it repeats what it was told."""
+    """NaN, infinity, jumps of metres and of 1e200; hold alone is not guarded: it repeats what it was given."""
     rng = np.random.default_rng(4)
     predictor = made(kind, trained)
     wild = (np.nan, np.inf, -np.inf, 1e200, 1e30, 3.0, 0.0)
@@ -150,7 +150,7 @@ def test_after_a_pause_rates_begin_anew(kind, trained):
     predictor = feed(made(kind, trained), 1e-3 * np.arange(200))
     predictor.pause()
     predictor.observe(np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 0.5]))
-    # What is left is the filter's share of the jump; a line or window across the pause would tell 0.5 + 10 * 0.03.
+    # What is left is the filter's share of the jump; a line or window across the pause would predict 0.5 + 10 * 0.03.
     assert abs(predictor.predict(1)[2] - 0.5) < 0.2
 
 
@@ -193,19 +193,19 @@ def test_a_slow_model_is_bridged(trained):
 
 
 class Fake:
-    """A predictor that tells a constant and is trusted on demand."""
+    """A predictor that predicts a constant and is trusted on demand."""
 
     residual_N, is_primary = 0.0, True
 
     def __init__(self, predicted, trusted=True):
-        self.told, self.trusted, self.paused = predicted, trusted, 0
+        self.constant, self.trusted, self.paused = predicted, trusted, 0
 
     def observe(self, position_m, velocity_m_s, force_N):
         """Nothing is kept."""
 
     def predict(self, ticks):
         """The constant."""
-        return np.full(3, self.told)
+        return np.full(3, self.constant)
 
     def pause(self):
         """Count it."""
@@ -231,7 +231,7 @@ def test_a_handover_has_no_step_and_comes_back():
 
 
 def test_who_misses_more_than_the_other_is_not_asked():
-    """The force is 1, then 2; the inner tells 2 throughout, the other 1. While nothing is touched nobody is judged."""
+    """The force is 1, then 2; the inner predicts 2 throughout, the other 1. While nothing is touched nobody is judged."""
     guarded = Guarded(Fake(2.0), Fake(1.0), reach_N=10.0)
     for _ in range(50):
         guarded.observe(np.zeros(3), np.zeros(3), np.zeros(3))
@@ -250,7 +250,7 @@ def test_the_transition_between_two_predictors_is_bounded_and_finite():
     guarded.observe(np.zeros(3), np.zeros(3), np.zeros(3))
     assert np.linalg.norm(guarded.predict(1)) == pytest.approx(2.0)
     before = guarded.predict(1)
-    inner.told = np.nan
+    inner.constant = np.nan
     np.testing.assert_array_equal(guarded.predict(1), before)
     guarded.observe(np.array([np.nan, 0.0, 0.0]), np.zeros(3), np.zeros(3))
     assert inner.paused == 1

@@ -46,7 +46,7 @@ def test_the_bone_at_a_tick_is_that_of_a_run_stopped_there(cut):
         if kind == "by a hand":  # it looks ahead to the end of its motion, and the ticks after it are the hand's delay
             assert len(stopped.trace.rows) >= stop
         np.testing.assert_array_equal(
-            stopped.trace.rows[:stop, 1:8], run.trace.rows[:stop, 1:8], "the runs go the same way"
+            stopped.trace.rows[:stop, 1:8], run.trace.rows[:stop, 1:8], "the runs take the same path"
         )
         np.testing.assert_array_equal(replay.at(len(stopped.trace.rows) - 1), stopped.remaining)
 

@@ -195,16 +195,16 @@ class FakeWindow:
     """A window whose pointer goes 8 mm down at once, and that is closed after 600 ticks."""
 
     def __init__(self, scene, parts, columns, *, low_m, high_m):
-        self.closed, self.box, self.shown, self._told = False, (low_m, high_m), 0, False
+        self.closed, self.box, self.shown, self._announced = False, (low_m, high_m), 0, False
 
     @property
     def frames(self):
         return self.shown
 
     def pointed_m(self):
-        if self._told:
+        if self._announced:
             return None
-        self._told = True
+        self._announced = True
         return (0.0, 0.0, -2e-3)
 
     def show(self, index, row, clock):

@@ -86,7 +86,7 @@ def test_a_folder_without_a_run_is_no_run(tmp_path):
 
 @pytest.fixture
 def copied(made, tmp_path):
-    """A copy of the run's folder to damage, and what both that look at a run say of it."""
+    """A copy of the run's folder to damage, and what both that look at a run report of it."""
     folder = tmp_path / "copy"
     shutil.copytree(made, folder)
 

@@ -27,7 +27,7 @@ def test_series_reads_back_with_times_and_arrays(tmp_path):
         # Coordinates and displacements belong together, in single precision: u = t x, in um for x in mm.
         np.testing.assert_allclose(mesh.point_data["displacement_um"], frame.time_s * mesh.points, rtol=1e-6, atol=1e-9)
         assert [str(name) for name in mesh.field_data["layer_names"]] == ["enamel", "dentin"]
-        # Each cell is a cube of 1 mm3 the right way round: a wrong order of its nodes would give another volume.
+        # Each cell is a cube of 1 mm3 in the right order: a wrong order of its nodes would give another volume.
         volumes = mesh.compute_cell_sizes(length=False, area=False)["Volume"]
         np.testing.assert_allclose(volumes, 1.0, rtol=1e-5)
     assert sorted(path.name for path in (tmp_path / "fields").iterdir()) == [f"frame_000{i}.vtu" for i in range(3)]

@@ -41,7 +41,7 @@ class Plotter:
 
 
 class Interactor:
-    """Events as VTK tells them: observers by name, and what they ask for."""
+    """Events as VTK sends them: observers by name, and what they ask for."""
 
     def __init__(self):
         self.observers, self.place, self.key, self.state = {}, (0, 0), "", 0

@@ -42,7 +42,7 @@ def test_an_mp4_holds_every_picture(tmp_path):
     check_movie(path)
     write_movie(path, pictures(8))
     read = [frame.mean() for frame in imageio.v2.get_reader(path)]
-    # Colours are rounded twice on their way through the codec.
+    # Colours are rounded twice in the codec.
     assert read == pytest.approx([20.0 * index + 20.0 for index in range(8)], abs=4.0)
 
 

@@ -47,7 +47,7 @@ def stopped(whole, tmp_path):
 
 
 def _screenshot(folder, picture) -> str:
-    """What `view` says; skips the test where no OpenGL works."""
+    """What `view` prints; skips the test where no OpenGL works."""
     try:
         return view(folder, screenshot=picture)
     except InputError as problem:
@@ -326,7 +326,7 @@ def test_what_is_not_drawn_to_its_end_leaves_no_file_and_keeps_an_older_one(
 
 def test_a_movie_reports_how_much_of_it_is_drawn(tmp_path, monkeypatch):
     (tmp_path / "drawing.py").write_text(
-        "import sys\nsys.stdin.readline()\nprint('VTK says')\nprint(0.25, flush=True)\nprint('0.', end='', flush=True)\n"
+        "import sys\nsys.stdin.readline()\nprint('VTK warns')\nprint(0.25, flush=True)\nprint('0.', end='', flush=True)\n"
         f"import pathlib, time\nwhile not pathlib.Path({str(tmp_path / 'seen')!r}).exists(): time.sleep(0.01)\n"
     )
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))

@@ -53,7 +53,7 @@ def driven(pressed, display, tmp_path_factory):
 
 
 def read_mm(text):
-    """Displacement that the window tells of the marked point [mm]."""
+    """Displacement that the window shows of the marked point [mm]."""
     line = next(line for line in text.splitlines() if line.startswith("displacement: "))
     return float(line.split()[1])
 
@@ -125,7 +125,7 @@ def test_the_window_shows_it(driven):
 
 
 def _drawn(folder, **options):
-    """What `view` says; skips the test where no OpenGL works."""
+    """What `view` prints; skips the test where no OpenGL works."""
     try:
         return view(folder, **options)
     except InputError as problem:

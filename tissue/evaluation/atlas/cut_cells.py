@@ -52,7 +52,7 @@ def conditions(body: ParticleBody) -> tuple[float, float]:
 
 
 def give_m_N(body: ParticleBody, fill: float) -> float:
-    """How far the place of a force on top gives way [m/N]."""
+    """Compliance at the place of a force on top [m/N]."""
     load = body.spread(EDGE_M * np.array([1.5, 1.5, CELLS + 0.999 * fill]), np.array([0.0, 0.0, -1.0]))
     return float((load * body.solve(load, tolerance=1e-10).displacement_m).sum())
 
@@ -83,7 +83,7 @@ def judge(data: Data) -> Verdict:
         worst < 1e3 and cost < 0.1 and bool((table["fill"][carried] >= LEAST_FILL).all()),
         f"With one particle in a cell the stiffness is singular at every fill. With {INNER_STRENGTH:g} of a full "
         f"cell's inner stiffness its condition number grows as the fill to the power {slope:.2f} (theory −1), and "
-        f"scaled by the diagonal it stays below {worst:.0f}; a force on top gives way up to {100 * cost:.1f} % less. "
+        f"scaled by the diagonal it stays below {worst:.0f}; a force on top yields up to {100 * cost:.1f} % less. "
         f"Cells below {LEAST_FILL:g} are dropped (here from {dropped:.1e} on).",
     )
 

@@ -29,9 +29,9 @@ DAMPING_N_S_M = 0.5 * DEVICE.mass_kg / TICK_S
 """Most that the controller may add: half of what would itself be unstable."""
 
 
-def cycle_J(stiffness: float, *, watched: bool) -> float:
+def cycle_J(stiffness: float, *, supervised: bool) -> float:
     """Energy that a wall gives to a device that is led into it and out at constant speed, by the motors' work [J]."""
-    control = PassivityControl(DAMPING_N_S_M) if watched else None
+    control = PassivityControl(DAMPING_N_S_M) if supervised else None
     depths = -SPEED_M_S * TICK_S * np.concatenate([np.arange(SAMPLES), np.arange(SAMPLES, -1, -1)])
     given, before = 0.0, depths[0]
     for depth, following in pairwise(depths.tolist()):
@@ -58,8 +58,8 @@ def measure(quick: bool) -> Data:
         },
         "leak": {
             "stiffness_N_m": stiffnesses,
-            "hold_J": np.array([cycle_J(k, watched=False) for k in stiffnesses.tolist()]),
-            "watched_J": np.array([cycle_J(k, watched=True) for k in stiffnesses.tolist()]),
+            "hold_J": np.array([cycle_J(k, supervised=False) for k in stiffnesses.tolist()]),
+            "watched_J": np.array([cycle_J(k, supervised=True) for k in stiffnesses.tolist()]),
             "theory_J": SAMPLES * stiffnesses * (SPEED_M_S * TICK_S) ** 2,
         },
     }

@@ -103,7 +103,7 @@ def _needle(table: TrialTable, seed: int) -> Section:
     text = ", ".join(f"{group} {value:.1f} %" for group, value in wrong.items())
     means = {m: float(table.where(method=m).values("overshoot_mm").mean()) for m in papers if m in table.method}
     sentences = [
-        f"Capsule ({pair[0].level_N:.2f} N in the tenth of a second before it gives way) and parenchyma "
+        f"Capsule ({pair[0].level_N:.2f} N in the tenth of a second before its puncture) and parenchyma "
         f"({pair[1].level_N:.2f} N after) are confused by {text}; the paper prints less than 10 %: "
         + ("so it is here." if max(wrong.values()) < 10.0 else "here it is more."),
     ]
@@ -213,7 +213,7 @@ def _specimens(table: TrialTable, task: str) -> Pair | None:
 
 
 def _sides(needle: TrialTable) -> Pair:
-    """Force before and after the capsule gives way."""
+    """Force before and after the capsule's puncture."""
     return _level(needle.values("capsule_N")), _level(needle.values("parenchyma_N"))
 
 

@@ -79,7 +79,7 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
 
 
 def _pierced(run: Run, wanted_mm: Array) -> dict[str, float]:
-    """How far the needle went too deep, and the force before and after the capsule gave way."""
+    """How far the needle went too deep, and the force before and after the capsule's puncture."""
     puncture = next((time for time, what in run.events if "capsule" in what), None)
     if puncture is None:
         raise InputError("capsule must be punctured in a trial, got a needle that did not come through: aim deeper")
