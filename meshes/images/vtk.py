@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
-from meshes.base.parse_apart import parse_apart
+from meshes.base.isolated_parser import parse_isolated
 from meshes.images.frame import StoredImage
 
 __all__ = ["read_vtk_image", "vtk_voxels"]
@@ -23,7 +23,7 @@ def read_vtk_image(path: Path, array: str | None) -> StoredImage:
     array
         Name of the array of points or cells; None: the active one.
     """
-    parsed = parse_apart(
+    parsed = parse_isolated(
         "meshes.images.vtk:vtk_voxels", path, what="image volume", remedy="export it again", array=array
     )
     values, facts = parsed.arrays["values"], parsed.facts

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, counted
-from meshes.base.parse_apart import parse_apart
+from meshes.base.isolated_parser import parse_isolated
 from meshes.surfaces.holes import fill_holes
 from meshes.surfaces.length_unit import unit_of
 from meshes.surfaces.obj import read_obj
@@ -226,7 +226,7 @@ def read_triangles(file: Path) -> tuple[NDArray[Any], NDArray[Any]]:
 def _stored(file: Path) -> tuple[NDArray[Any], NDArray[Any]]:
     kind = file.suffix.lower()[1:].upper()
     if kind in ("VTK", "VTP"):
-        parsed = parse_apart(
+        parsed = parse_isolated(
             "meshes.surfaces.vtk_reading:vtk_triangles", file, what=f"{kind} surface", remedy="export it again"
         )
         return parsed.arrays["points"], parsed.arrays["triangles"]

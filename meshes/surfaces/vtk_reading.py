@@ -1,4 +1,4 @@
-"""What VTK's readers find in a file; run by `meshes.base.parse_apart`, since a damaged file can end the process.
+"""What VTK's readers find in a file; run by `meshes.base.isolated_parser`, since a damaged file can end the process.
 
 The readers complain on VTK's output window and go on with arrays half filled, so a complaint counts as a failure here.
 Cells are checked before any filter sees them, which would copy what lies beyond the points.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, require_positive
-from meshes.base.parse_apart import parse_apart
+from meshes.base.isolated_parser import parse_isolated
 from meshes.base.progress import Progress, silent
 from meshes.surfaces.surface import surface_from_triangles
 from meshes.tets.msh import read_msh
@@ -141,7 +141,7 @@ def _from_msh(file: Path) -> _Stored:
 def _from_vtk(file: Path) -> _Stored:
     """A file as pyvista reads it."""
     remedy = "export it as .vtu, .vtk, .msh or .stl"
-    parsed = parse_apart("meshes.surfaces.vtk_reading:vtk_mesh", file, what="mesh", remedy=remedy)
+    parsed = parse_isolated("meshes.surfaces.vtk_reading:vtk_mesh", file, what="mesh", remedy=remedy)
     points, none = parsed.arrays["points"].astype(np.float64), np.zeros((0, 3), dtype=np.int64)
     if "tets" not in parsed.arrays:
         triangles = parsed.arrays["triangles"]

@@ -17,7 +17,7 @@ from tissue.perception.deadband import held_back
 from tissue.perception.estimate import map_force_N
 from tissue.perception.observer import Observer
 from tissue.perception.population import population_observer
-from tissue.perception.sensitivity import map_estimate_errors, of_the_recursion
+from tissue.perception.sensitivity import map_estimate_errors, recursive_estimate_errors
 from tissue.perception.weber import weber
 
 LIMIT_N, TICK_S = 3.3, 1e-3
@@ -79,7 +79,7 @@ def main() -> None:
     print(table(traces(quick), head), "\n")
     rows = [
         (each.assumed, f"{each.error:.2f}", "" if np.isnan(each.held) else f"{100 * each.held:.0f}")
-        for each in (*map_estimate_errors(rng), *of_the_recursion(rng))
+        for each in (*map_estimate_errors(rng), *recursive_estimate_errors(rng))
     ]
     print(table(rows, ("assumed", "error", "held %")))
 

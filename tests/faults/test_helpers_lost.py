@@ -13,7 +13,7 @@ import pytest
 from tissue import SavedRun, load_scene, simulate
 from tissue.models.tooth import stress_process
 from tissue.system import child
-from tissue.system.child import HelperLostError, Patience, child_command
+from tissue.system.child import HangDetector, HelperLostError, child_command
 from tissue.system.helper import Helper
 
 TOOTH = {
@@ -51,8 +51,8 @@ def echo(tmp_path, monkeypatch):
     """A helper that answers what it is sent, or does not."""
     (tmp_path / "echoing.py").write_text(ECHO)
     monkeypatch.setattr("tissue.system.child.IDLE_S", 1.5)
-    monkeypatch.setattr("tissue.system.child.LOOK_S", 0.25)
-    monkeypatch.setattr("tissue.system.helper.LOOK_S", 0.25)
+    monkeypatch.setattr("tissue.system.child.CHECK_S", 0.25)
+    monkeypatch.setattr("tissue.system.helper.CHECK_S", 0.25)
     monkeypatch.setattr("tissue.system.child.START", start_in(tmp_path))
     helper = Helper("echoing", does="echoes")
     yield helper
@@ -119,16 +119,16 @@ def test_patience_does_not_pass_while_this_process_is_stopped(monkeypatch):
     """It counts looks and no time of the clock, and work begins it anew."""
     work_s = [0.0]
     monkeypatch.setattr("tissue.system.child._work_of", lambda _: (work_s[0], False))
-    patience = Patience(lambda: [1], longest_s=12.0, idle_s=3.0)
-    assert [patience.look() for _ in range(3)] == [None] * 3
+    detector = HangDetector(lambda: [1], longest_s=12.0, idle_s=3.0)
+    assert [detector.check() for _ in range(3)] == [None] * 3
     work_s[0] = 1.0
-    assert [patience.look() for _ in range(3)] == [None] * 3
-    assert patience.look() == "hangs and has done nothing for 3 s"
+    assert [detector.check() for _ in range(3)] == [None] * 3
+    assert detector.check() == "hangs and has done nothing for 3 s"
     for _ in range(4):
         work_s[0] += 1.0
-        assert patience.look() is None
+        assert detector.check() is None
     work_s[0] += 1.0
-    assert patience.look() == "took longer than 12 s"
+    assert detector.check() == "took longer than 12 s"
 
 
 @pytest.fixture(scope="module")

@@ -26,8 +26,8 @@ def stop_oneself(how):
 @pytest.mark.parametrize("how", ["SIGSTOP", "SIGKILL"])
 def test_a_worker_that_does_not_work_is_ended_and_reported(monkeypatch, how):
     monkeypatch.setattr("tissue.system.child.IDLE_S", 1.0)
-    monkeypatch.setattr("tissue.system.workers.LOOK_S", 0.25)
-    monkeypatch.setattr("tissue.system.child.LOOK_S", 0.25)
+    monkeypatch.setattr("tissue.system.workers.CHECK_S", 0.25)
+    monkeypatch.setattr("tissue.system.child.CHECK_S", 0.25)
     message = []
     with pytest.raises(BrokenExecutor), worker_pool(1) as pool:
         assert first_done(pool, [pool.submit(abs, -3)], lambda *_: None).pop().result() == 3
@@ -47,8 +47,8 @@ def drawing(tmp_path, monkeypatch):
     start = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); {child.START}"
     monkeypatch.setattr("tissue.system.child.START", start)
     monkeypatch.setattr("tissue.system.child.IDLE_S", 1.0)
-    monkeypatch.setattr("tissue.system.child.LOOK_S", 0.25)
-    monkeypatch.setattr("tissue.system.offscreen.LOOK_S", 0.25)
+    monkeypatch.setattr("tissue.system.child.CHECK_S", 0.25)
+    monkeypatch.setattr("tissue.system.offscreen.CHECK_S", 0.25)
     monkeypatch.setattr("tissue.system.offscreen._windows", lambda: iter([""]))
     return tmp_path / "number"
 

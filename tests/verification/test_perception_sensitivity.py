@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissue.perception.sensitivity import map_estimate_errors, of_the_recursion
+from tissue.perception.sensitivity import map_estimate_errors, recursive_estimate_errors
 
 
 @pytest.fixture(scope="module")
@@ -13,7 +13,7 @@ def look():
 
 @pytest.fixture(scope="module")
 def recursion():
-    return {each.assumed: each for each in of_the_recursion(np.random.default_rng(0))}
+    return {each.assumed: each for each in recursive_estimate_errors(np.random.default_rng(0))}
 
 
 def test_a_right_prior_makes_a_look_better_and_no_wrong_one_much_worse(look):

@@ -139,8 +139,8 @@ def _energy_note(volume: VoxelVolume) -> str:
 def _tooth(scene: Scene, milling: "BoneModel", *, compute: str, report: Progress) -> TissueModel:
     """The tooth around the milled voxels, with its stress where the scene asks for it."""
     from tissue.models.tooth import stress_process
+    from tissue.models.tooth.cutting_heat import CuttingHeat
     from tissue.models.tooth.model import ToothModel
-    from tissue.models.tooth.warmth import Warmth
 
     anatomy = scene.anatomy
     if not isinstance(anatomy, MolarAnatomy) or not (scene.stress or scene.heat):
@@ -159,6 +159,6 @@ def _tooth(scene: Scene, milling: "BoneModel", *, compute: str, report: Progress
             device=compute,
             cores=1,  # the ticks want a core of their own
         )
-    warmth = Warmth(whole, reach_m=milling.cutter.profile.radius_m, device=compute) if scene.heat else None
+    heat = CuttingHeat(whole, reach_m=milling.cutter.profile.radius_m, device=compute) if scene.heat else None
     interval_s = stress.interval_ms * 1e-3
-    return ToothModel(milling, stress=field, interval_s=interval_s, warmth=warmth, device=compute)
+    return ToothModel(milling, stress=field, interval_s=interval_s, heat=heat, device=compute)

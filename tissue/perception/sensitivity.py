@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from tissue.perception.estimate import map_force_N
 from tissue.perception.recursive import LocalLevel
 
-__all__ = ["AssumptionResult", "map_estimate_errors", "of_the_recursion"]
+__all__ = ["AssumptionResult", "map_estimate_errors", "recursive_estimate_errors"]
 
 Array = NDArray[np.float64]
 MEDIAN_N, LOG_SPREAD, NOISE_N = 1.0, 1.0, 0.3
@@ -65,7 +65,7 @@ def map_estimate_errors(rng: np.random.Generator, *, count: int = 20_000) -> lis
     ]
 
 
-def of_the_recursion(rng: np.random.Generator, *, runs: int = 200) -> list[AssumptionResult]:
+def recursive_estimate_errors(rng: np.random.Generator, *, runs: int = 200) -> list[AssumptionResult]:
     """The recursive estimate of a wandering level in each of ``runs`` runs, by what is assumed."""
     right = LocalLevel(wander=WANDER, noise=NOISE)
     level = 5.0 + np.cumsum(np.sqrt(WANDER) * rng.standard_normal((TICKS, runs)), axis=0)

@@ -9,10 +9,10 @@ from time import sleep
 
 from meshes.base.child_process import kill_with_parent, python_command, start_code
 
-__all__ = ["LOOK_S", "HelperLostError", "Patience", "child_command", "end_with"]
+__all__ = ["CHECK_S", "HangDetector", "HelperLostError", "child_command", "end_with"]
 
 START = start_code("tissue.system.child", "_main")
-LOOK_S = 1.0
+CHECK_S = 1.0
 """Time between two looks at a process that is waited for [s]."""
 IDLE_S = 30.0
 """How long a process that is waited for may do nothing [s]."""
@@ -58,11 +58,11 @@ def _await_end(parent: int) -> None:
     os._exit(1)
 
 
-class Patience:
+class HangDetector:
     """Judges whether processes that are waited for still work.
 
     They are given up when they have done nothing for a while, or at the latest after a given time. Time counts by
-    looks, so that it does not pass while this process itself was stopped.
+    checks, so that it does not pass while this process itself was stopped.
 
     Parameters
     ----------
@@ -80,9 +80,9 @@ class Patience:
         self._processes, self._longest_s, self._idle_s = processes, longest_s, idle_s or IDLE_S
         self._waited_s, self._idle_since_s, self._work_s = 0.0, 0.0, -WORK_S
 
-    def look(self) -> str | None:
-        """Why to give up, in half a sentence, or None; to be called every `LOOK_S`."""
-        self._waited_s += LOOK_S
+    def check(self) -> str | None:
+        """Why to give up, in half a sentence, or None; to be called every `CHECK_S`."""
+        self._waited_s += CHECK_S
         work_s, stopped = _work_of(self._processes())
         if abs(work_s - self._work_s) >= WORK_S:
             self._work_s, self._idle_since_s = work_s, self._waited_s

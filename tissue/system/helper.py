@@ -10,7 +10,7 @@ from contextlib import suppress
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from tissue.system.child import LOOK_S, HelperLostError, Patience, child_command
+from tissue.system.child import CHECK_S, HangDetector, HelperLostError, child_command
 
 __all__ = ["Helper", "HelperLostError"]
 
@@ -82,13 +82,13 @@ class Helper:
                 answers.put(_Ended(str(problem)))
 
         self._jobs.put(read)
-        patience = Patience(lambda: [self.number], longest_s=longest_s)
+        detector = HangDetector(lambda: [self.number], longest_s=longest_s)
         while True:
             try:
-                answer = answers.get(timeout=LOOK_S)
+                answer = answers.get(timeout=CHECK_S)
                 break
             except Empty:
-                why = patience.look()
+                why = detector.check()
                 if why is not None:
                     self.kill()
                     raise HelperLostError(f"the process that {self._does} {why}") from None

@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 from time import monotonic, sleep
 
 from meshes.base.errors import InputError
-from tissue.system.child import LOOK_S, Patience, child_command
+from tissue.system.child import CHECK_S, HangDetector, child_command
 
 __all__ = ["REMEDY", "await_display", "display_problem", "draw_apart", "end_drawing"]
 
@@ -115,16 +115,16 @@ def _last_share(printed: Path) -> float:
     return 0.0
 
 
-def _awaited(process: "subprocess.Popen[str]", longest_s: float, look: Callable[[], object]) -> tuple[str, str | None]:
-    """Let a process draw: its output, and why it was ended, or None; ``look`` is called meanwhile."""
-    patience = Patience(lambda: [process.pid], longest_s=longest_s)
+def _awaited(process: "subprocess.Popen[str]", longest_s: float, poll: Callable[[], object]) -> tuple[str, str | None]:
+    """Let a process draw: its output, and why it was ended, or None; ``poll`` is called meanwhile."""
+    detector = HangDetector(lambda: [process.pid], longest_s=longest_s)
     sent: str | None = "ready\n"
     while True:
         try:
-            return process.communicate(sent, timeout=LOOK_S)[1], None
+            return process.communicate(sent, timeout=CHECK_S)[1], None
         except subprocess.TimeoutExpired:
-            sent, late = None, patience.look()
-            look()
+            sent, late = None, detector.check()
+            poll()
         if late is not None:
             process.kill()
             return process.communicate()[1], late

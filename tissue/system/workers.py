@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from typing import TypeVar
 
 from meshes.base.progress import Progress
-from tissue.system.child import LOOK_S, Patience, end_with
+from tissue.system.child import CHECK_S, HangDetector, end_with
 
 __all__ = ["first_done", "worker_pool"]
 
@@ -63,12 +63,12 @@ def first_done(pool: Executor, futures: Collection["Future[Result]"], report: Pr
     -------
     What is done; its results raise `concurrent.futures.BrokenExecutor` where the workers are gone.
     """
-    patience = Patience(lambda: [number for child in multiprocessing.active_children() if (number := child.pid)])
+    detector = HangDetector(lambda: [number for child in multiprocessing.active_children() if (number := child.pid)])
     while True:
-        done = wait(futures, timeout=LOOK_S, return_when=FIRST_COMPLETED).done
+        done = wait(futures, timeout=CHECK_S, return_when=FIRST_COMPLETED).done
         if done:
             return done
-        why = patience.look() if isinstance(pool, ProcessPoolExecutor) else None
+        why = detector.check() if isinstance(pool, ProcessPoolExecutor) else None
         if why is not None:
             report(f"a worker {why}: it is ended", 0.0)
             for child in multiprocessing.active_children():

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from meshes.base.parse_apart import parse_apart
+from meshes.base.isolated_parser import parse_isolated
 from tissue.scene.coupling import WallAnatomy
 from tissue.scene.organ import LayersAnatomy
 from tissue.scene.scene import Scene
@@ -35,7 +35,7 @@ def require_whole(saved: SavedRun) -> None:
         wanted |= {name: [] for _, name in frames_of(saved.path)}
     there = {name: arrays for name, arrays in wanted.items() if (saved.path / name).is_file()}
     if there:
-        parse_apart(
+        parse_isolated(
             "meshes.surfaces.vtk_reading:check_vtk",
             saved.path,
             what="folder of a run",

@@ -331,7 +331,7 @@ def test_a_movie_reports_how_much_of_it_is_drawn(tmp_path, monkeypatch):
     )
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setattr("tissue.system.offscreen.child_command", lambda module: [sys.executable, "-m", module])
-    monkeypatch.setattr("tissue.system.offscreen.LOOK_S", 0.05)
+    monkeypatch.setattr("tissue.system.offscreen.CHECK_S", 0.05)
     shares = []
 
     def reported(share):

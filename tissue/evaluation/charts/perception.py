@@ -15,7 +15,7 @@ from tissue.perception.deadband import held_back
 from tissue.perception.estimate import log_posterior, map_force_N
 from tissue.perception.observer import Observer, read_observer
 from tissue.perception.population import population, population_observer, reference_observer
-from tissue.perception.sensitivity import map_estimate_errors, of_the_recursion
+from tissue.perception.sensitivity import map_estimate_errors, recursive_estimate_errors
 from tissue.perception.stevens import intensity_of
 from tissue.perception.weber import weber_of
 from tissue.scene.load import load_scene
@@ -157,7 +157,7 @@ def _estimate(someone: Observer, path: Path) -> None:
     middle.set(xlabel="what one look shows / N", ylabel="most probable force / N", ylim=(0.0, 4.0))
     middle.set_title("prior of median 1 N, spread of ln F 1")
     rng = np.random.default_rng(0)
-    rows = [*map_estimate_errors(rng), *of_the_recursion(rng)]
+    rows = [*map_estimate_errors(rng), *recursive_estimate_errors(rng)]
     names = [
         f"{each.assumed}, {100 * each.held:.0f} % held" if each.held == each.held else each.assumed for each in rows
     ]

@@ -11,8 +11,8 @@ from kernels.mirror import Mirror
 from tissue.fem.fields import FieldSeries
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
+from tissue.models.tooth.cutting_heat import PULP_LIMIT_K, CuttingHeat
 from tissue.models.tooth.stress_process import Drilled, StressSolver
-from tissue.models.tooth.warmth import PULP_LIMIT_K, Warmth
 from tissue.system.helper import HelperLostError
 
 __all__ = ["ToothModel"]
@@ -42,7 +42,7 @@ class ToothModel:
         Finite elements of the whole tooth; None where the scene needs only the force.
     interval_s
         Time between two solves of the stress [s].
-    warmth
+    heat
         Heat in the whole tooth; None where the scene does not ask for it.
     device
         Warp device name.
@@ -54,10 +54,10 @@ class ToothModel:
         *,
         stress: StressSolver | None = None,
         interval_s: float = 0.1,
-        warmth: Warmth | None = None,
+        heat: CuttingHeat | None = None,
         device: str = "cpu",
     ) -> None:
-        self.milling, self.stress, self.warmth = milling, stress, warmth
+        self.milling, self.stress, self.heat = milling, stress, heat
         self.layer_names = milling.layer_names
         volume = milling.store.volume
         is_pulp = volume.layer == self.layer_names.index("pulp")
@@ -68,7 +68,7 @@ class ToothModel:
         self._moves = slice(len(self.measure_names), len(self.measure_names) + 3)
         if stress is not None:
             self.measure_names += ("tooth_x_um", "tooth_y_um", "tooth_z_um")
-        if warmth is not None:
+        if heat is not None:
             self.measure_names += ("pulp_rise_K",)
         self._energy_J, self._pulp_rise_K, self._warmed_s = 0.0, 0.0, 0.0
         self._interval_s, self._next_s, self._late_reported, self._stress_lost = interval_s, 0.0, False, False
@@ -130,7 +130,7 @@ class ToothModel:
             self._load[:] = response.wrench
             self._load[3:] += (b * z - c * y, c * x - a * z, a * y - b * x)
             response.measures[self._moves] = -1e6 * self.stress.compliance.matrix[:3].dot(self._load)
-        if self.warmth is not None:
+        if self.heat is not None:
             torque = float(response.wrench[3:].dot(motion.rotation[:, 2]))
             self._energy_J += abs(torque * self.milling.cutter.spin_rad_s) * TICK_S
             response.measures[-1] = self._pulp_rise_K
@@ -148,7 +148,7 @@ class ToothModel:
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
         """Every interval: begin the next solve, on a copy of what changed."""
-        if self.warmth is not None and time_s - self._warmed_s >= WARM_EVERY_S - 1e-9:
+        if self.heat is not None and time_s - self._warmed_s >= WARM_EVERY_S - 1e-9:
             self._warm(time_s, motion)
         if self.stress is None or self._stress_lost or time_s < self._next_s - 1e-9:
             return
@@ -165,9 +165,9 @@ class ToothModel:
 
     def _warm(self, time_s: float, motion: ToolMotion) -> None:
         """Put the heat of the last ticks into the tooth."""
-        assert self.warmth is not None
+        assert self.heat is not None
         before = self._pulp_rise_K
-        self._pulp_rise_K = self.warmth.advance(self._energy_J, time_s - self._warmed_s, motion.tip_m)
+        self._pulp_rise_K = self.heat.advance(self._energy_J, time_s - self._warmed_s, motion.tip_m)
         self._energy_J, self._warmed_s = 0.0, time_s
         if before < PULP_LIMIT_K <= self._pulp_rise_K:
             self.notices.append(f"the pulp is {PULP_LIMIT_K:g} K warmer than at the start")

@@ -19,7 +19,7 @@ from tissue.builders.parts import Parts
 from tissue.scene.scene import Scene
 from tissue.simulation.live.shared import MEMORY, Layout, SharedArrays
 from tissue.simulation.live.tissues import shared_tissue
-from tissue.system.child import LOOK_S, Patience, child_command
+from tissue.system.child import CHECK_S, HangDetector, child_command
 
 __all__ = ["CLOCK", "WindowProcess"]
 
@@ -120,21 +120,21 @@ class WindowProcess:
 
     def _unready(self) -> str | None:
         """Wait for the window to open; why it does not, or None."""
-        stdout, first, patience = (
+        stdout, first, detector = (
             self._child.stdout,
             SimpleQueue[str](),
-            Patience(lambda: [self._child.pid], longest_s=OPENS_S),
+            HangDetector(lambda: [self._child.pid], longest_s=OPENS_S),
         )
         assert stdout is not None
         threading.Thread(target=lambda: first.put(stdout.readline()), daemon=True).start()
         while True:
             try:
-                if first.get(timeout=LOOK_S).strip() == "ready":
+                if first.get(timeout=CHECK_S).strip() == "ready":
                     return None
                 self._child.wait(CLOSES_S)
                 return self._last_words()
             except Empty:
-                why = patience.look()
+                why = detector.check()
             except subprocess.TimeoutExpired:
                 return "its process does not answer"
             if why is not None:

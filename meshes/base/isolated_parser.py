@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 from meshes.base.child_process import kill_with_parent, python_command, start_code
 from meshes.base.errors import DamagedFileError, InputError
 
-__all__ = ["Parsed", "parse_apart"]
+__all__ = ["Parsed", "parse_isolated"]
 
-_START = start_code("meshes.base.parse_apart", "_serve")
+_START = start_code("meshes.base.isolated_parser", "_serve")
 _LONGEST_S, _BYTES_A_SECOND = 60.0, 1_000_000
 _LEAST_BYTES, _BYTES_A_BYTE = 2 << 30, 64
 """Memory that a parser may take at least, and for each byte of the file: label images shrink to a hundredth."""
@@ -49,7 +49,7 @@ class Parsed:
     arrays: dict[str, NDArray[Any]]
 
 
-def parse_apart(
+def parse_isolated(
     parser: str, file: Path, *, what: str, remedy: str, longest_s: float | None = None, **options: Any
 ) -> Parsed:
     """Run a parser on a file in a process of its own.

@@ -1,4 +1,4 @@
-"""How warm a bur makes a tooth and its pulp."""
+"""Temperature of a tooth and its pulp under a bur."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,13 +7,13 @@ from meshes.voxels.volume import VoxelVolume
 from tissue.materials.constants import constants
 from tissue.models.tooth.heat import Conduction
 
-__all__ = ["PULP_LIMIT_K", "Warmth"]
+__all__ = ["PULP_LIMIT_K", "CuttingHeat"]
 
 PULP_LIMIT_K = 5.5
 """Rise of the pulp's temperature that it may not survive (Zach and Cohen 1965)."""
 
 
-class Warmth:
+class CuttingHeat:
     """Heat of cutting in a tooth's voxels.
 
     A share of the cutting power goes into the tooth where the bur meets it; chips and spray carry off the rest. The

@@ -11,9 +11,9 @@ import numpy as np
 import psutil
 import pytest
 
-import meshes.base.parse_apart
+import meshes.base.isolated_parser
 from meshes.base.errors import InputError
-from meshes.base.parse_apart import parse_apart
+from meshes.base.isolated_parser import parse_isolated
 
 ROOT = Path(__file__).resolve().parents[2]
 PARSERS = """
@@ -62,7 +62,7 @@ def parse(tmp_path, monkeypatch):
     file.write_text("x")
 
     def run(parser, **options):
-        return parse_apart(
+        return parse_isolated(
             f"parsers_of_the_test:{parser}", file, what="ABC surface", remedy="export it again", **options
         )
 
@@ -100,7 +100,7 @@ def test_a_refusal_of_the_parser_is_passed_on(parse):
 
 
 def test_a_parser_that_takes_too_much_memory_is_ended(parse, monkeypatch):
-    monkeypatch.setattr(meshes.base.parse_apart, "_LEAST_BYTES", 300 << 20)
+    monkeypatch.setattr(meshes.base.isolated_parser, "_LEAST_BYTES", 300 << 20)
     with pytest.raises(InputError, match=r"its parser took more than 0.29 GiB of memory"):
         parse("grows")
 
@@ -109,8 +109,8 @@ def test_a_parser_that_takes_too_much_memory_is_ended(parse, monkeypatch):
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere it ends at its own time limit")
 def test_a_parser_ends_with_the_process_that_started_it(parse, tmp_path):
     code = (
-        "from pathlib import Path; from meshes.base.parse_apart import parse_apart; "
-        f"parse_apart('parsers_of_the_test:hangs', Path({str(tmp_path / 'bone.abc')!r}), what='', remedy='')"
+        "from pathlib import Path; from meshes.base.isolated_parser import parse_isolated; "
+        f"parse_isolated('parsers_of_the_test:hangs', Path({str(tmp_path / 'bone.abc')!r}), what='', remedy='')"
     )
     with subprocess.Popen([sys.executable, "-c", code], cwd=ROOT) as parent:
         children = []
