@@ -52,7 +52,8 @@ def fingerprint(scene):
     arrays = [run.trace.rows, tool_surface(scene.tool).points]
     if (volume := run.parts.volume) is not None:
         arrays += [volume.origin_m, np.float64(volume.spacing_m), volume.fraction, volume.layer, volume.density_kg_m3]
-    for frame in run.parts.tissue.fields.frames if run.parts.tissue.fields is not None else ():
+    series = getattr(run.parts.tissue, "fields", None)
+    for frame in series.frames if series is not None else ():
         arrays += [frame.points[name] for name in sorted(frame.points)]
     for array in arrays:
         digest.update(np.ascontiguousarray(array).tobytes())
