@@ -25,9 +25,9 @@ def main() -> None:
     }
     for method, figures in means.items():
         print(f"{method}: force error {100 * figures['force_error']:.1f} %, {figures['latency_ms']:.1f} ms late")
-    plain, ahead = means["penalty"], means["koopman"]
-    assert 0.02 < plain["force_error"] < 0.1 and ahead["force_error"] < 0.85 * plain["force_error"]
-    assert plain["latency_ms"] - ahead["latency_ms"] > 2.0
+    plain, predicted = means["penalty"], means["koopman"]
+    assert 0.02 < plain["force_error"] < 0.1 and predicted["force_error"] < 0.85 * plain["force_error"]
+    assert plain["latency_ms"] - predicted["latency_ms"] > 2.0
     alone = run_trial(PLAN, TrialKey.named("T2-expert-0001")).rows[1]
     inside = table.where(group="expert", method="koopman").values("force_error")[1]
     assert alone["force_error"] == inside

@@ -42,7 +42,7 @@ def measure(name: str) -> None:
     windows = [operator.lift(episode.states[row - lags : row + 1]) for row in range(lags, lags + 400)]
     update = cost_of(lambda index: online.update(windows[index], None, windows[index + 1]), count=398)
     print(f"one online update: {update.median:.0f} us median, {update.p99:.0f} us 99 %, without new powers")
-    _beside_pykoop(episode.states[:3000], lags)
+    _against_pykoop(episode.states[:3000], lags)
 
 
 def ticks_of(predictor: Predictor, run: Recording) -> Callable[[int], object]:
@@ -55,7 +55,7 @@ def ticks_of(predictor: Predictor, run: Recording) -> Callable[[int], object]:
     return tick
 
 
-def _beside_pykoop(states: np.ndarray, lags: int) -> None:
+def _against_pykoop(states: np.ndarray, lags: int) -> None:
     """A call of pykoop with the same delays."""
     try:
         import pykoop

@@ -93,13 +93,13 @@ def measured(plan: Plan, workers: int) -> Measured:
         def report(doing: str, share: float) -> None:
             found.done.append((perf_counter() - start, len(list(kept.glob("*.json")))))
 
-        watch = threading.Thread(target=look)
-        watch.start()
+        watcher = threading.Thread(target=look)
+        watcher.start()
         try:
             run_study(plan, folder.path, workers=workers, report=report)
         finally:
             over.set()
-            watch.join()
+            watcher.join()
         found.wall_s = perf_counter() - start
         found.rows = (folder.path / "trials.csv").read_bytes()
         for task in plan.tasks:

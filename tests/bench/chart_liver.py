@@ -220,7 +220,7 @@ def main() -> None:
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
     print(machine())
-    by_force, floor = forces(asked.quick)
+    by_force, resolution = forces(asked.quick)
     by_path = paths(asked.quick)
     for name, points in (("force", by_force), ("path", by_path)):
         on = {p[:2] for p in frontier([p for p in points if np.isfinite(p[3])])}
@@ -237,7 +237,7 @@ def main() -> None:
     write(asked.out / "chart_liver_forces.csv", ("body", "depth_mm", *(f"{LAW_NAMES[law]}_N" for law in Law)), rows)
     draw(
         [
-            (f"force {1e3 * DEPTH_M:g} mm deep", "error to the finest neo-Hookean / %", by_force, floor),
+            (f"force {1e3 * DEPTH_M:g} mm deep", "error to the finest neo-Hookean / %", by_force, resolution),
             ("one linear body, one load", "error to the factor's answer / %", by_path, 0.0),
         ],
         judged,

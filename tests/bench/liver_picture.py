@@ -37,7 +37,7 @@ def draw(panels: list[tuple[str, str, list[Point], float]], judged: dict[str, Li
 
     pyplot.rcParams.update({"font.size": 13})
     figure, axes = pyplot.subplots(1, 3, figsize=(22, 8), layout="constrained")
-    for axis, (title, label, points, floor) in zip(axes, panels, strict=False):
+    for axis, (title, label, points, resolution) in zip(axes, panels, strict=False):
         drawn = [p for p in points if np.isfinite(p[3])]
         for kind in dict.fromkeys(p[0] for p in drawn):
             chosen = [(1e3 * p[2], 100.0 * max(p[3], 1e-10)) for p in drawn if p[0] == kind]
@@ -51,9 +51,9 @@ def draw(panels: list[tuple[str, str, list[Point], float]], judged: dict[str, Li
                 point[1], (1e3 * point[2], 100.0 * max(point[3], 1e-10)), textcoords="offset points",
                 xytext=(10, -5), fontsize=12,
             )  # fmt: skip
-        if floor > 0.0:
-            axis.axhspan(30.0 * floor, 100.0 * floor, color="0.9", zorder=0)
-            axis.text(0.98, 100.0 * floor, "reference uncertain below ", ha="right", va="bottom", color="0.4",
+        if resolution > 0.0:
+            axis.axhspan(30.0 * resolution, 100.0 * resolution, color="0.9", zorder=0)
+            axis.text(0.98, 100.0 * resolution, "reference uncertain below ", ha="right", va="bottom", color="0.4",
                       transform=axis.get_yaxis_transform())  # fmt: skip
         axis.axvline(1.0, color="0.5", linestyle="--")
         axis.text(1.0, 0.02, " 1 ms", color="0.4", transform=axis.get_xaxis_transform())

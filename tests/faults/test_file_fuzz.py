@@ -19,7 +19,7 @@ SLOW = {reader: 14 if reader.endswith(" apart") else 18 * count for reader, coun
 def sources(tmp_path_factory):
     """Whole files by reader, and the folder that they lie in."""
     folder = tmp_path_factory.mktemp("whole")
-    return folder, fuzz_sources.write_meshes(folder) | fuzz_sources.write_own(folder)
+    return folder, fuzz_sources.write_meshes(folder) | fuzz_sources.write_native(folder)
 
 
 def spoilt_file(folder: Path, source: Path, reader: str, seed: int, work: Path) -> Path:

@@ -55,7 +55,7 @@ def test_a_cache_that_cannot_be_written_is_named_as_the_cache(refused, here, mon
     monkeypatch.setattr("tissue.scene.load.load_scene", full)
     assert run is not None
     assert refused("run", "milling") == (
-        f"cache must have room, got no space left on device at {here / 'cache' / 'frontiers' / 'x.csv'}: free some "
+        f"cache must have space, got no space left on device at {here / 'cache' / 'frontiers' / 'x.csv'}: free some "
         "space or choose another folder by TISSUE_CACHE"
     )
 

@@ -1,4 +1,4 @@
-"""A tick of a ball above a floor against the closed form, as the kernel writes it."""
+"""A tick of a ball above a plane against the closed form, as the kernel writes it."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ NORMAL = np.array([0.2, -0.3, 1.0]) / np.linalg.norm([0.2, -0.3, 1.0])
 
 
 def tick(device_m, *, friction=0.0, lever_m=None):
-    """State and report after one tick from above the floor, the ball's centre off the tool's origin."""
+    """State and report after one tick from above the plane, the ball's centre off the tool's origin."""
     arm = np.array([1e-3, 2e-3, -1e-3])
     field = ContactField(HalfSpace(np.zeros(3), NORMAL))
     shell = ToolShell.ball(RADIUS_M, centre_m=tuple(arm))
@@ -37,8 +37,8 @@ def test_a_free_device_is_followed(lever_m):
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.2, 5.0])
-def test_a_ball_rests_on_the_floor_below_its_device(friction):
-    """The device goes d = 0.5 mm deep and 2 d along, from 4 d above contact: the floor is met after 1.6 d along.
+def test_a_ball_rests_on_the_plane_below_its_device(friction):
+    """The device goes d = 0.5 mm deep and 2 d along, from 4 d above contact: the plane is met after 1.6 d along.
 
     There friction holds the ball, or lets it slide until it pulls back by the coefficient times d.
     """

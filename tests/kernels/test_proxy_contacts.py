@@ -62,7 +62,7 @@ class Looker:
 
 
 def solids(random):
-    """A floor askew, a box and a ball, and their distances and normals by formula, shape (points, 3)."""
+    """A plane askew, a box and a ball, and their distances and normals by formula, shape (points, 3)."""
     normal, low = np.array([0.1, -0.2, 1.0]) / np.linalg.norm([0.1, -0.2, 1.0]), np.array([0.0, 0.0, -2e-3])
     centre, half = np.array([4e-3, 0.0, 1e-3]), np.array([1e-3, 2e-3, 1.5e-3])
     middle, radius = np.array([-4e-3, 1e-3, 0.0]), 2e-3
@@ -119,7 +119,7 @@ def test_candidates_beside_solids_and_points_that_sleep(seed):
         assert looker.read("wake") == pytest.approx(woken, abs=ROUNDING_M)
 
 
-def test_a_point_keeps_the_floor_that_it_met_while_it_goes_up_a_wall():
+def test_a_point_keeps_the_plane_that_it_met_while_it_goes_up_a_wall():
     """At an inner corner the plane met before stays with its force, until the point has left it or the voxels."""
     spacing, count = 2e-4, 32
     corner = np.indices((count,) * 3)

@@ -99,8 +99,8 @@ def test_solids_against_signed_distance_shapes():
         distance, normal = ContactField(solid).distance(points)
         assert distance == pytest.approx(shape.distance(local), abs=1e-15)
         step = 1e-7
-        ahead = ContactField(solid).distance(points + step * normal)[0]
-        assert ahead - distance == pytest.approx(np.full(len(points), step), rel=1e-6)
+        outside = ContactField(solid).distance(points + step * normal)[0]
+        assert outside - distance == pytest.approx(np.full(len(points), step), rel=1e-6)
 
 
 def test_plane_surface_is_found_within_a_quarter_voxel():

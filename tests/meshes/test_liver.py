@@ -79,9 +79,9 @@ def test_a_slab_is_a_block_finer_at_the_top() -> None:
     assert mesh.nodes_m.min(axis=0) == pytest.approx((-0.05, -0.05, -0.04))
     layers = np.diff(np.unique(mesh.nodes_m[:, 2]))
     assert (np.diff(layers) < 0.0).all()
-    floor = slab_base(mesh)
-    assert len(floor) == 25 * 25
-    assert (mesh.nodes_m[floor, 2] == mesh.nodes_m[:, 2].min()).all()
+    base = slab_base(mesh)
+    assert len(base) == 25 * 25
+    assert (mesh.nodes_m[base, 2] == mesh.nodes_m[:, 2].min()).all()
 
 
 @pytest.mark.parametrize("radius", [0.005, 0.006, 0.008])

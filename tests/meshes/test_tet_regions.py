@@ -20,16 +20,16 @@ MESH = box((0.1, 0.1, 0.1), (5, 5, 5))
 
 
 def test_a_plane_chooses_the_nodes_behind_it() -> None:
-    floor = nodes_behind_plane(MESH, point_m=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 2.0))
-    assert len(floor) == 36
-    assert (MESH.nodes_m[floor, 2] == 0.0).all()
+    base = nodes_behind_plane(MESH, point_m=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 2.0))
+    assert len(base) == 36
+    assert (MESH.nodes_m[base, 2] == 0.0).all()
     # Two planes of nodes: the bottom and the rim of the next.
     assert len(nodes_behind_plane(MESH, point_m=(0.0, 0.0, 0.02), normal=(0.0, 0.0, 1.0))) == 36 + 20
 
 
 def test_faces_of_a_flat_bottom_cover_it() -> None:
-    floor = nodes_behind_plane(MESH, point_m=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
-    faces = faces_of(MESH, floor)
+    base = nodes_behind_plane(MESH, point_m=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
+    faces = faces_of(MESH, base)
     a, b, c = (MESH.nodes_m[faces[:, k]] for k in range(3))
     normal = 0.5 * np.cross(b - a, c - a)
     assert normal.sum(axis=0) == pytest.approx((0.0, 0.0, -0.01), abs=1e-15)

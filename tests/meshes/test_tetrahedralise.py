@@ -15,7 +15,7 @@ from meshes.tets.tetrahedralise import tetrahedralise
 
 
 @pytest.fixture(autouse=True)
-def own_cache(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def private_cache(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # The liver takes half a minute to fill: once for all slow tests, from the machine's own cache.
     if request.node.get_closest_marker("slow") is None:
         monkeypatch.setenv("TISSUE_CACHE", str(tmp_path / "cache"))

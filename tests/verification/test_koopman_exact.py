@@ -48,11 +48,11 @@ def test_the_slow_manifold_has_its_printed_operator(seed, offset):
 
 def test_500_steps_on_the_slow_manifold():
     fitted = Edmd(CLOSED).fit(slow_episodes(np.random.default_rng(0)))
-    ahead = fitted.predict(np.array([1.0, -0.5]), None, 500)
-    off = np.abs(ahead - slow_manifold_at([1.0, -0.5], SLOW_STEP_S * np.arange(1, 501))).max()
+    predicted = fitted.predict(np.array([1.0, -0.5]), None, 500)
+    off = np.abs(predicted - slow_manifold_at([1.0, -0.5], SLOW_STEP_S * np.arange(1, 501))).max()
     print(f"500 steps on it: {off:.0e}")
     assert off < 1e-8
-    assert ahead[49] == pytest.approx([0.77880078, 0.66306737], abs=PRINTED)
+    assert predicted[49] == pytest.approx([0.77880078, 0.66306737], abs=PRINTED)
 
 
 def test_a_generator_from_rates_is_the_slow_manifolds_own():
@@ -123,8 +123,8 @@ def test_delays_make_up_for_a_speed_that_is_not_measured():
         states.append(states[-1] @ whole[:2, :2].T)
     table = np.stack(states, axis=1)
     operator = Edmd(Delays(1)).fit([Episode(each[:, :1], None, 0.02) for each in table])
-    ahead = operator.predict(table[0, :2, :1], None, 40)
-    assert np.abs(ahead - table[0, 2:42, :1]).max() < 1e-9
+    predicted = operator.predict(table[0, :2, :1], None, 40)
+    assert np.abs(predicted - table[0, 2:42, :1]).max() < 1e-9
     assert np.sort(operator.eigenvalues) == pytest.approx(np.sort(np.linalg.eigvals(whole[:2, :2])), abs=EXACT)
 
 
@@ -143,8 +143,8 @@ def test_van_der_pol_as_korda_and_mezic():
             assert np.abs(operator.eigenvalues).max() <= 1.0 + 1e-9
             missed = []
             for each in unseen:
-                ahead = operator.predict(each.states[0], each.inputs[:-1], 300)
-                missed.append(np.linalg.norm(ahead - each.states[1:]) / np.linalg.norm(each.states[1:]))
+                predicted = operator.predict(each.states[0], each.inputs[:-1], 300)
+                missed.append(np.linalg.norm(predicted - each.states[1:]) / np.linalg.norm(each.states[1:]))
             errors.append(100.0 * np.mean(missed))
     # Measured: 27, 29 and 32 % of 100 centres; 97, 81 and 56 % of five, where the centres' luck decides.
     for count, errors in found.items():

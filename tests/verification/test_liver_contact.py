@@ -167,7 +167,7 @@ def test_a_drag_follows_its_own_normal_curve():
     """Without coupling, Q(U) = mu (P(d) - P(d - U / (mu k))) exactly, also after discretisation.
 
     Ciavarella 1998 and Jäger 1998, after Cattaneo 1938 and Mindlin 1949; k is tangential over normal compliance. The
-    sphere is shallow, so that its normals lean by at most a/R = 0.01 out of the vertical, and the drag is one-way.
+    sphere is shallow, so that its normals lean by at most a/R = 0.01 out of the vertical, and the drag does not reverse.
     """
     nodes, faces, compliance = half_space(21, TILE_M, 0.3, 1.21)
     radius, depth, friction = 0.08, 1e-5, 0.4

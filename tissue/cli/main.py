@@ -66,7 +66,7 @@ def main() -> NoReturn:
         if error.errno not in FULL + CLOSED:
             raise
         required, remedy = (
-            ("have room", "free some space or choose") if error.errno in FULL else ("be writable", "choose")
+            ("have space", "free some space or choose") if error.errno in FULL else ("be writable", "choose")
         )
         where = f" at {error.filename}" if error.filename else ""
         place, other = _place(error.filename)

@@ -25,8 +25,8 @@ from works import (
     bricks_in_tetrahedra,
     burr_tip,
     contacts,
+    print_result,
     right_share,
-    say,
     steps_N,
     timed,
 )
@@ -53,9 +53,9 @@ def stiffness() -> None:
     size = f"{space.cell_count} tetrahedra"
     times = timed(lambda _: made.update(K=assemble(space, material)), count=15, warm_up=2)
     trace = made["K"].diagonal().sum()
-    say("tissue", "stiffness again", size, times, PACKAGES, value=trace, unit="N/m, trace")
+    print_result("tissue", "stiffness again", size, times, PACKAGES, value=trace, unit="N/m, trace")
     times = timed(lambda _: made.update(K=assemble(space_of(CUBE_CELLS), material)), count=5)
-    say("tissue", "stiffness of a mesh", size, times, PACKAGES, value=trace, unit="N/m, trace")
+    print_result("tissue", "stiffness of a mesh", size, times, PACKAGES, value=trace, unit="N/m, trace")
 
     space = space_of(CLAMPED_CELLS)
     held, top = space.nodes_m[:, 2] < 1e-9, space.nodes_m[:, 2] > 1.0 - 1e-9
@@ -66,7 +66,7 @@ def stiffness() -> None:
         made["u"] = DirectSolver(HeldBody(matrix, space.nodes_m, Supports.of_nodes(held))).solve(load).displacement_m
 
     times = timed(solve, count=3)
-    say("tissue", "factorise and solve", f"{3 * len(held)} unknowns", times, PACKAGES,
+    print_result("tissue", "factorise and solve", f"{3 * len(held)} unknowns", times, PACKAGES,
         value=1e3 * made["u"][top, 2].mean(), unit="mm, mean of the top")  # fmt: skip
 
 
@@ -102,7 +102,7 @@ def soft() -> None:
             pressed.append(float(contact.solve(ball_tip(index), np.eye(3)).force_N[2]))
 
         times = timed(tick, count=1000, warm_up=210)
-        say("tissue", f"soft step, {prod(cells)} bricks", f"{len(mesh.cells)} tetrahedra", times, PACKAGES,
+        print_result("tissue", f"soft step, {prod(cells)} bricks", f"{len(mesh.cells)} tetrahedra", times, PACKAGES,
             value=float(np.median(np.abs(pressed[250:510]))), unit="N, press")  # fmt: skip
 
 
@@ -121,16 +121,18 @@ def prediction() -> None:
                       following=np.zeros((3, 3)))  # fmt: skip
     predictor, far = Koopman(made["it"], terms), []
 
-    def ahead(tick: int) -> None:
+    def predict_ahead(tick: int) -> None:
         predictor.observe(unseen[tick, :3], np.zeros(3), unseen[tick, 3:])
         far.append(predictor.predict(HORIZON)[2] - unseen[tick + HORIZON, 5])
 
-    each = timed(ahead, count=1900, warm_up=50)
+    each = timed(predict_ahead, count=1900, warm_up=50)
     error = float(np.sqrt(np.mean(np.square(far[50:]))))
     observables = f"{6 * (DELAYS + 1)} observables"
-    say("tissue", "fit a predictor", f"{10 * len(unseen)} samples, {observables}", fits, PACKAGES, value=error,
+    print_result("tissue", "fit a predictor", f"{10 * len(unseen)} samples, {observables}", fits, PACKAGES, value=error,
         unit="N, RMS error 10 ms ahead")  # fmt: skip
-    say("tissue", "predict 10 ms ahead", observables, each, PACKAGES, value=error, unit="N, RMS error 10 ms ahead")
+    print_result(
+        "tissue", "predict 10 ms ahead", observables, each, PACKAGES, value=error, unit="N, RMS error 10 ms ahead"
+    )
 
 
 def threshold() -> None:
@@ -145,7 +147,7 @@ def threshold() -> None:
         found.answer(asked, rng.random(1) < right_share(float(found.step_N[asked][0])))
 
     times = timed(trial, count=60, warm_up=10)
-    say("tissue", "trial of a threshold", f"{len(steps)} x {len(found.posterior)}", times, PACKAGES,
+    print_result("tissue", "trial of a threshold", f"{len(steps)} x {len(found.posterior)}", times, PACKAGES,
         value=float(found.threshold_N(1.0)[0][0]), unit="N, threshold after 70 trials")  # fmt: skip
 
 
@@ -181,8 +183,8 @@ def milling() -> None:
     both = timed(tick, count=1000, warm_up=50)
     gone = 1e9 * (removed[-1] - removed[49]) / 1000
     size = f"6 mm ball, {1e3 * SPACING_M:g} mm"
-    say("tissue", "mill, carve alone", size, carving[50:], PACKAGES, value=gone, unit="mm3 a tick")
-    say("tissue", "mill, carve and force", size, both, PACKAGES, value=gone, unit="mm3 a tick")
+    print_result("tissue", "mill, carve alone", size, carving[50:], PACKAGES, value=gone, unit="mm3 a tick")
+    print_result("tissue", "mill, carve and force", size, both, PACKAGES, value=gone, unit="mm3 a tick")
 
 
 WORKS = {

@@ -2,7 +2,7 @@
 
 import numpy as np
 from manifold3d import Manifold
-from works import BLOCK_M, BURR_M, burr_centre, say, timed
+from works import BLOCK_M, BURR_M, burr_centre, print_result, timed
 
 SEGMENTS = 64
 TICKS = 60
@@ -21,10 +21,10 @@ def main() -> None:
 
     times = timed(tick, count=TICKS)
     gone = (left["first"] - left["it"].volume()) / (TICKS - 1)
-    say("manifold3d", "mill, carve alone", f"6 mm ball, {SEGMENTS} segments", times[1:], "manifold3d numpy",
+    print_result("manifold3d", "mill, carve alone", f"6 mm ball, {SEGMENTS} segments", times[1:], "manifold3d numpy",
         value=gone, unit="mm3 a tick")  # fmt: skip
     growth = np.median(times[-15:]) / np.median(times[5:20])
-    say("manifold3d", "mill, growth of a tick over 60", f"6 mm ball, {SEGMENTS} segments", times[-15:], "manifold3d numpy",
+    print_result("manifold3d", "mill, growth of a tick over 60", f"6 mm ball, {SEGMENTS} segments", times[-15:], "manifold3d numpy",
         value=float(growth), unit="times the first ones")  # fmt: skip
 
 

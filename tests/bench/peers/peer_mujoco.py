@@ -5,7 +5,7 @@ from math import prod
 
 import mujoco
 import numpy as np
-from works import BALL_M, POISSON, SLAB_M, SLABS, STEP_S, YOUNG_PA, ball_centre, say, timed
+from works import BALL_M, POISSON, SLAB_M, SLABS, STEP_S, YOUNG_PA, ball_centre, print_result, timed
 
 KINDS = {"Euler": 0.0, "discrete": 0.01}
 """Integrators and the damping [s] with which they are stable here at 1 ms: explicit elasticity without, implicit with."""
@@ -52,7 +52,7 @@ def main() -> None:
             pressed.append(total)
 
         times = timed(step, count=300, warm_up=210)
-        say(f"MuJoCo flex, {integrator}", f"soft step, {prod(cells)} bricks", f"{model.flex_elemnum[0]} tetrahedra", times, "mujoco numpy",
+        print_result(f"MuJoCo flex, {integrator}", f"soft step, {prod(cells)} bricks", f"{model.flex_elemnum[0]} tetrahedra", times, "mujoco numpy",
             value=float(np.median(pressed[250:])), unit="N, press")  # fmt: skip
 
 

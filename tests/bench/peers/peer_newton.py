@@ -5,7 +5,7 @@ from math import prod
 import newton
 import numpy as np
 import warp as wp
-from works import BALL_M, POISSON, SLAB_M, SLABS, STEP_S, YOUNG_PA, ball_centre, say, timed
+from works import BALL_M, POISSON, SLAB_M, SLABS, STEP_S, YOUNG_PA, ball_centre, print_result, timed
 
 DENSITY = 1000.0
 
@@ -54,7 +54,7 @@ def run(cells: tuple[int, ...], kind: str, iterations: int) -> None:
 
     times = timed(step, count=200, warm_up=210)
     sunk = SLAB_M[2] - float(now.particle_q.numpy()[tops, 2].min())
-    say(f"Newton {kind}, {iterations} iterations", f"soft step, {prod(cells)} bricks", f"{len(model.tet_indices)} tetrahedra", times,
+    print_result(f"Newton {kind}, {iterations} iterations", f"soft step, {prod(cells)} bricks", f"{len(model.tet_indices)} tetrahedra", times,
         "newton warp-lang numpy", value=1e3 * sunk, unit="mm, deepest node")  # fmt: skip
 
 

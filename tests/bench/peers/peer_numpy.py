@@ -1,7 +1,7 @@
 """NumPy: the same box of voxels, array by array."""
 
 import numpy as np
-from works import BLOCK_M, BURR_M, SPACING_M, burr_centre, say, timed
+from works import BLOCK_M, BURR_M, SPACING_M, burr_centre, print_result, timed
 
 BOX = int(2 * BURR_M / SPACING_M) + 4
 
@@ -25,7 +25,7 @@ def main() -> None:
 
     times = timed(tick, count=40, warm_up=3)
     gone = np.mean(counted[3:]) / 65535 * (1e3 * SPACING_M) ** 3
-    say("NumPy", "mill, carve alone", "6 mm ball, 0.1 mm", times, "numpy", value=gone, unit="mm3 a tick")
+    print_result("NumPy", "mill, carve alone", "6 mm ball, 0.1 mm", times, "numpy", value=gone, unit="mm3 a tick")
 
 
 if __name__ == "__main__":

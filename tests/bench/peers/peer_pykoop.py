@@ -2,7 +2,7 @@
 
 import numpy as np
 import pykoop
-from works import DELAYS, HORIZON, contacts, say, timed
+from works import DELAYS, HORIZON, contacts, print_result, timed
 
 
 def main() -> None:
@@ -16,7 +16,7 @@ def main() -> None:
     times = timed(lambda _: pipeline.fit(training, n_inputs=0, episode_feature=True), count=3)
     far, ticks = [], range(DELAYS + 1, len(unseen) - HORIZON, 7)
 
-    def ahead(index: int) -> None:
+    def predict(index: int) -> None:
         tick = ticks[index]
         lifted = pipeline.lift(
             np.column_stack([np.zeros(DELAYS + 1), unseen[tick - DELAYS : tick + 1]]), episode_feature=True
@@ -25,11 +25,13 @@ def main() -> None:
             lifted = lifted @ pipeline.regressor_.coef_
         far.append(lifted[5] - unseen[tick + HORIZON, 5])
 
-    each = timed(ahead, count=250)
+    each = timed(predict, count=250)
     error = float(np.sqrt(np.mean(np.square(far))))
-    say("pykoop", "fit a predictor", f"{len(training)} samples, {observables}", times, packages, value=error,
+    print_result("pykoop", "fit a predictor", f"{len(training)} samples, {observables}", times, packages, value=error,
         unit="N, RMS error 10 ms ahead")  # fmt: skip
-    say("pykoop", "predict 10 ms ahead", observables, each, packages, value=error, unit="N, RMS error 10 ms ahead")
+    print_result(
+        "pykoop", "predict 10 ms ahead", observables, each, packages, value=error, unit="N, RMS error 10 ms ahead"
+    )
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 import numpy as np
 from questplus import QuestPlus
-from works import right_share, say, steps_N, timed
+from works import print_result, right_share, steps_N, timed
 
 
 def main() -> None:
@@ -29,7 +29,7 @@ def main() -> None:
 
     times = timed(trial, count=60, warm_up=10)
     threshold = 10.0 ** asked.param_estimate["threshold"]
-    say("questplus", "trial of a threshold", "50 x 2400", times, "questplus numpy xarray",
+    print_result("questplus", "trial of a threshold", "50 x 2400", times, "questplus numpy xarray",
         value=float(threshold), unit="N, threshold after 70 trials (another slope model)")  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """trimesh: the same booleans through its own interface, which hands them to manifold3d."""
 
 import trimesh
-from works import BLOCK_M, BURR_M, burr_centre, say, timed
+from works import BLOCK_M, BURR_M, burr_centre, print_result, timed
 
 TICKS = 40
 
@@ -19,7 +19,7 @@ def main() -> None:
 
     times = timed(tick, count=TICKS)
     gone = (left["first"] - left["it"].volume) / (TICKS - 1)
-    say("trimesh", "mill, carve alone", f"6 mm ball, {len(ball.faces)} triangles", times[1:], "trimesh manifold3d numpy",
+    print_result("trimesh", "mill, carve alone", f"6 mm ball, {len(ball.faces)} triangles", times[1:], "trimesh manifold3d numpy",
         value=gone, unit="mm3 a tick")  # fmt: skip
 
 

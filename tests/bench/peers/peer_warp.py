@@ -3,7 +3,7 @@
 import numpy as np
 import warp as wp
 from brute_force import carve
-from works import BLOCK_M, BURR_M, SPACING_M, burr_centre, say, timed
+from works import BLOCK_M, BURR_M, SPACING_M, burr_centre, print_result, timed
 
 BOX = int(2 * BURR_M / SPACING_M) + 4
 
@@ -28,7 +28,7 @@ def main() -> None:
     times = timed(tick, count=300, warm_up=50)
     counted[1] = int(removed.numpy()[0])
     gone = (counted[1] - counted[0]) / 65535 * (1e3 * SPACING_M) ** 3 / 300
-    say("brute-force Warp", "mill, carve alone", "6 mm ball, 0.1 mm", times, "warp-lang numpy", value=gone,
+    print_result("brute-force Warp", "mill, carve alone", "6 mm ball, 0.1 mm", times, "warp-lang numpy", value=gone,
         unit="mm3 a tick")  # fmt: skip
 
 

@@ -32,8 +32,8 @@ __all__ = [
     "burr_centre",
     "burr_tip",
     "contacts",
+    "print_result",
     "right_share",
-    "say",
     "steps_N",
     "timed",
 ]
@@ -69,7 +69,9 @@ def timed(call: Callable[[int], object], *, count: int, warm_up: int = 0) -> lis
     return times[warm_up:]
 
 
-def say(name: str, work: str, size: str, times_s: list[float], packages: str, *, value: float, unit: str) -> None:
+def print_result(
+    name: str, work: str, size: str, times_s: list[float], packages: str, *, value: float, unit: str
+) -> None:
     """One line of JSON: what was done, what a call cost [us], and a number that came out of it."""
     us = 1e6 * np.asarray(times_s)
     found = {}

@@ -315,7 +315,7 @@ def test_a_full_disk_is_refused_and_the_run_is_incomplete(refused, here, monkeyp
 
     monkeypatch.setattr(TraceWriter, "__init__", full)
     assert refused("run", "milling", *COARSE, "--duration-s", 0.1) == (
-        "out must have room, got no space left on device at runs/milling/trace.csv: free some space or choose another "
+        "out must have space, got no space left on device at runs/milling/trace.csv: free some space or choose another "
         "--out"
     )
     saved = SavedRun("runs/milling")
@@ -350,7 +350,7 @@ def test_a_truly_full_disk_is_refused(tiny_disk):
     )
     assert ended.returncode == 2
     assert ended.stderr in {  # whichever of the two is flushed when the space ends
-        f"error: out must have room, got no space left on device at {tiny_disk / 'run' / name}.csv: free some space "
+        f"error: out must have space, got no space left on device at {tiny_disk / 'run' / name}.csv: free some space "
         "or choose another --out\n"
         for name in ("trace", "timing")
     }

@@ -70,10 +70,10 @@ def grows(loop, stiffness, predictor, lead, *, ticks=2500):
         speed = (place - before) / TICK
         before = place
         predictor.observe((rest + place) * up, speed * up, (force + raw) * up if is_model_tick else None)
-        ahead = float(predictor.predict(lead) @ up) - force
+        predicted = float(predictor.predict(lead) @ up) - force
         if tick < 0:
             continue
-        filtered += gain * (raw + loop.forecast.gain * (ahead - raw) - filtered)
+        filtered += gain * (raw + loop.forecast.gain * (predicted - raw) - filtered)
         queue = [*queue[1:], filtered]
         for matrix, back in steps:
             plant[3] = queue[-1 - back]

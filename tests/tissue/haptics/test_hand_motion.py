@@ -256,8 +256,12 @@ def test_a_cutter_that_meets_bone_is_slowed_in_the_same_tick(speed_m_s):
 
 def test_torque_turns_the_tool_until_the_spring_balances_it_and_is_played():
     """A ball rolled aside of its tip on the wall: arm x F of the wall = k_r theta, at the device scaled by f / m."""
-    tilt, scale, ways = 0.3, 0.5, 2.0
-    changes = {"coupling__stiffness_Nm_rad": 0.2, "coupling__force_scale": scale, "coupling__motion_scale": ways}
+    tilt, scale, motion_factor = 0.3, 0.5, 2.0
+    changes = {
+        "coupling__stiffness_Nm_rad": 0.2,
+        "coupling__force_scale": scale,
+        "coupling__motion_scale": motion_factor,
+    }
     motion = held(device="six-dof", motion__axis=[np.sin(tilt), 0, np.cos(tilt)], **changes)
     motion.device = RecordedDevice(np.array([0.0, 0.5, 1.5]), np.array([[0, 0, 20e-3], [0, 0, 7e-3], [0, 0, 7e-3]]))
     tool, response, wall = ToolMotion(), Response.empty(1), WallModel(1e4, radius_m=5e-3)
@@ -270,8 +274,10 @@ def test_torque_turns_the_tool_until_the_spring_balances_it_and_is_played():
         motion.play(response)
     theta = np.array(logarithm(motion.tool.quaternion))
     assert abs(response.wrench[4]) > 5e-3
-    np.testing.assert_allclose(0.2 * theta, scale / ways * response.wrench[3:], rtol=1e-3, atol=1e-9)
-    np.testing.assert_allclose(motion.measures[10:13], scale / ways * response.wrench[3:], rtol=1e-2, atol=1e-9)
+    np.testing.assert_allclose(0.2 * theta, scale / motion_factor * response.wrench[3:], rtol=1e-3, atol=1e-9)
+    np.testing.assert_allclose(
+        motion.measures[10:13], scale / motion_factor * response.wrench[3:], rtol=1e-2, atol=1e-9
+    )
     np.testing.assert_allclose(motion.measures[7:10], scale * response.wrench[:3], rtol=1e-3, atol=1e-9)
 
 

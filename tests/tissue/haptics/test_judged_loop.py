@@ -125,8 +125,8 @@ def test_prediction_is_part_of_what_is_judged():
     soft = late | {"coupling__stiffness_N_m": 200.0}
     held = run_of("wall", prediction="hold", **soft).trace["margin"][0]
     for gain, hurts in ((1.0, False), (2.0, True)):
-        ahead = run_of("wall", prediction="koopman", coupling__prediction_gain=gain, **soft).trace["margin"][0]
-        assert (ahead < held - 0.1) == hurts
+        margin = run_of("wall", prediction="koopman", coupling__prediction_gain=gain, **soft).trace["margin"][0]
+        assert (margin < held - 0.1) == hurts
 
 
 def test_the_coupling_names_what_stops_a_ringing():

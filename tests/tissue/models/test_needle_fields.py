@@ -75,15 +75,15 @@ def test_the_track_moves_with_the_organ_and_no_farther(driven):
     fields, _, states = driven
     frames = fields.series.frames
     assert len(frames) == len(states)
-    ahead = 0
+    held_nodes = 0
     for frame, (deflection, inserted) in zip(frames, states, strict=True):
         moved, depths = along(frame, fields), -fields.series.nodes_m[fields.nodes, 2] / fields.track.outward[2]
         held = depths <= inserted + 1e-9
         np.testing.assert_allclose(moved[held], deflection, rtol=SINGLE, atol=1e-12)
         if deflection != 0.0:
             assert (np.abs(moved[~held]) < 0.8 * abs(deflection)).all()
-            ahead += held.sum() > 3
-    assert ahead > 5
+            held_nodes += held.sum() > 3
+    assert held_nodes > 5
     assert min(deflection for deflection, _ in states) < -1e-3  # drawn out, the organ follows outwards
 
 

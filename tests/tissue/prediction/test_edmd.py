@@ -108,9 +108,9 @@ def test_the_fit_is_least_squares_whatever_the_blocks(name, ridge):
     wanted = (after - after.mean(axis=0)) / scale[:count]
     weights = np.linalg.solve(known.T @ known + ridge * len(known) * np.eye(len(scale)), known.T @ wanted).T
     assert found.A / found.scale[:, None] * found.scale == pytest.approx(weights[:, :count], abs=1e-7)
-    ahead = found.advance(before[:, :count], before[:, count:])
-    assert ahead.mean(axis=0) == pytest.approx(after.mean(axis=0), abs=1e-10)
-    assert found.statistics.residual_rms == pytest.approx(np.sqrt(((ahead - after) ** 2).mean(axis=0)), rel=1e-6)
+    predicted = found.advance(before[:, :count], before[:, count:])
+    assert predicted.mean(axis=0) == pytest.approx(after.mean(axis=0), abs=1e-10)
+    assert found.statistics.residual_rms == pytest.approx(np.sqrt(((predicted - after) ** 2).mean(axis=0)), rel=1e-6)
     assert found.statistics.samples == 10 * 119 and found.statistics.episodes == 10
 
 
@@ -144,9 +144,9 @@ def test_units_and_offsets_do_not_matter(shift):
     one, other = Edmd(Identity()).fit(episodes), Edmd(Identity()).fit(moved)
     assert other.eigenvalues == pytest.approx(one.eigenvalues, abs=1e-9)
     start, push = episodes[0].states[3], episodes[0].inputs[3:23]
-    ahead = (other.predict(start * scales + shift, 7.0 * push, 20) - shift) / scales
+    predicted = (other.predict(start * scales + shift, 7.0 * push, 20) - shift) / scales
     # 1000 beside 0.01 leaves eleven digits of it.
-    assert ahead == pytest.approx(one.predict(start, push, 20), abs=1e-8)
+    assert predicted == pytest.approx(one.predict(start, push, 20), abs=1e-8)
 
 
 def test_episodes_are_not_glued_together():
@@ -164,8 +164,8 @@ def test_predictions_of_one_start_are_those_of_many():
         states, inputs = episodes[0].states, episodes[0].inputs
         missed = []
         for start in range(lags, 120 - 5):
-            ahead = operator.predict(states[start - lags : start + 1], inputs[start : start + 5], 5)
-            missed.append(ahead - states[start + 1 : start + 6])
+            predicted = operator.predict(states[start - lags : start + 1], inputs[start : start + 5], 5)
+            missed.append(predicted - states[start + 1 : start + 6])
         found = horizon_errors(operator, episodes[:1], 5)
         assert found.starts == len(missed)
         assert found.rms == pytest.approx(np.sqrt((np.array(missed) ** 2).mean(axis=0)), rel=1e-9)

@@ -41,8 +41,8 @@ def test_what_is_written_comes_back(tmp_path):
         assert np.array_equal(read.training.whitening, operator.training.whitening)
         assert read.statistics.samples == operator.statistics.samples
         assert np.array_equal(read.statistics.residual_rms, operator.statistics.residual_rms)
-    ahead = found.operators["free"].predict(EPISODES[0].states[:3], EPISODES[0].inputs[2:8], 6)
-    assert np.array_equal(ahead, FREE.predict(EPISODES[0].states[:3], EPISODES[0].inputs[2:8], 6))
+    predicted = found.operators["free"].predict(EPISODES[0].states[:3], EPISODES[0].inputs[2:8], 6)
+    assert np.array_equal(predicted, FREE.predict(EPISODES[0].states[:3], EPISODES[0].inputs[2:8], 6))
     assert [each.name for each in tmp_path.iterdir()] == ["wall.npz"]
 
 

@@ -122,8 +122,8 @@ class Third:
 
 def test_a_predictor_from_outside_predicts_and_is_charted(added, tmp_path):
     added(PREDICTORS, "third", PredictorEntry(lambda trained, force_limit_N: Third(), colour="0.2", marker="h"))
-    ahead, held = run_of(prediction="third"), run_of(prediction="hold")
-    assert force_N(ahead).max() < 0.8 * force_N(held).max()
+    third, held = run_of(prediction="third"), run_of(prediction="hold")
+    assert force_N(third).max() < 0.8 * force_N(held).max()
     with pytest.raises(
         InputError, match=r"prediction must be one of none, hold, .*, koopman, third, got thirt \(did you"
     ):

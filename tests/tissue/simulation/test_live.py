@@ -86,7 +86,7 @@ def test_a_run_that_cannot_keep_up_skips_on_the_wall_and_counts_it(cost_s):
     assert late.max() < 0.01 + cost_s and (late[skipped > 0.0] > 0.01).all()
 
 
-def test_a_write_that_is_under_way_is_never_read(tmp_path):
+def test_an_unfinished_write_is_never_read(tmp_path):
     """Another process writes rows of one number each; whoever reads a mixed one has read a torn one."""
     layout = {"row": ("float64", (2000,)), "row_turn": ("int64", (1,)), "end": ("int64", (1,))}
     ours = SharedArrays(tmp_path, layout)

@@ -21,7 +21,7 @@ ITERATIONS = 400
 """After so many the fit counts as not converged."""
 LEAST = 1e-6
 """Share of the variance that must be left over for the likelihood to be bounded."""
-APART = 0.02
+LARGEST_DIFFERENCE = 0.02
 """Share of the variance by which a fit may miss the closed form."""
 
 
@@ -150,7 +150,7 @@ def _convergence(reported_convergence: bool, found: Components, closed: Componen
         return Assumption(name, False, "restricted likelihood has no maximum: nothing varies beside users and trials")
     if closed is not None:
         off = max(abs(vars(found)[part] - value) for part, value in vars(closed).items()) / total
-        if off > APART:
+        if off > LARGEST_DIFFERENCE:
             return Assumption(name, False, f"variances lie {100.0 * off:.0f} % of the total from the closed form")
     return Assumption(name, True, "restricted likelihood at its maximum")
 

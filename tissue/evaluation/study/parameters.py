@@ -22,7 +22,7 @@ TISSUES = {
 
 def parameters_section(plan: Plan) -> Section:
     """Every parameter, those of the scenes apart, which the overview lists."""
-    rows = [*_own(), *_methods(plan)]
+    rows = [*_study_parameters(), *_methods(plan)]
     tables = [("devices", "touch"), ("hands", "any"), *(("hands", group) for group in plan.groups)]
     tables += [("perception", "force"), *(("observers", group) for group in plan.groups)]
     tables += [each for task in plan.tasks for each in TISSUES.get(task, ())]
@@ -41,7 +41,7 @@ def parameters_section(plan: Plan) -> Section:
     return Section("parameters", "Parameters", sentences, header, tuple(rows))
 
 
-def _own() -> Iterator[Row]:
+def _study_parameters() -> Iterator[Row]:
     """The study's own."""
     yield "study", "latency ms", f"{LATENCY_MS}", "2 to 8, see the sensitivity", "M", "near the paper's mean of 4.3 ms"
     yield "study", "people a group", f"{USERS}", "", "", "trials go round among them"
