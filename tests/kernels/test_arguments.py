@@ -87,3 +87,8 @@ def test_what_a_kernel_writes_ends_in_out(key):
     outputs = {name for name in names(functions()[key]) if name.endswith("_out")}
     assert written()[key] == outputs
     assert outputs
+
+
+@pytest.mark.parametrize("module", sorted(path.stem for path in FOLDER.glob("[!_]*.py")))
+def test_every_module_of_kernels_has_tests_of_its_own(module):
+    assert (Path(__file__).parent / f"test_{module}.py").is_file()

@@ -19,13 +19,14 @@ def put(values, dtype):
 
 
 def surface(random, cells=10, edge_m=0.02):
-    """Nodes and triangles of a rough sheet, outward up."""
+    """Nodes and triangles of two rough sheets, one 0.8 mm above the other, outward up, in random order."""
     at = np.linspace(-0.5 * edge_m, 0.5 * edge_m, cells + 1)
-    nodes = np.stack(np.meshgrid(at, at, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
-    nodes[:, 2] = random.normal(size=len(nodes)) * 4e-4
-    number = np.arange(len(nodes)).reshape(cells + 1, cells + 1)
-    a, b, c, d = (n.ravel() for n in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
-    return nodes, np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    nodes = np.stack(np.meshgrid([0.0, -8e-4], at, at, indexing="ij"), axis=-1).reshape(-1, 3)[:, [1, 2, 0]]
+    nodes[:, 2] += random.normal(size=len(nodes)) * 4e-4
+    number = np.arange(len(nodes)).reshape(2, cells + 1, cells + 1)
+    a, b, c, d = (n.ravel() for n in (number[:, :-1, :-1], number[:, 1:, :-1], number[:, 1:, 1:], number[:, :-1, 1:]))
+    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    return nodes, random.permutation(faces)
 
 
 def expected(place, direction, corners, near, limit):
@@ -43,7 +44,7 @@ def expected(place, direction, corners, near, limit):
     away = np.where(there, np.abs(t), np.inf)
     found = np.where(there.any(axis=1), away.argmin(axis=1), -1)
     row = np.arange(len(place))
-    weight = np.column_stack([1.0 - v - w, v, w]) if v.ndim == 1 else np.stack([1.0 - v - w, v, w], axis=-1)[row, found]
+    weight = np.stack([1.0 - v - w, v, w], axis=-1)[row, found]
     return found, np.where(found[:, None] >= 0, weight, 0.0)
 
 

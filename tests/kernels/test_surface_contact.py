@@ -1,134 +1,67 @@
-"""One contact's force against its laws, tool distances against NumPy, and shells against brute force."""
+"""A solved contact against the laws that all its points must obey together, with displacements from NumPy."""
 
 import numpy as np
 import pytest
-import warp as wp
-from scipy.spatial.transform import Rotation
 
-from kernels.contact_state import pose_of
-from kernels.friction_cone import coulomb_force, safe_inverse
-from kernels.probe_distance import axis_distance
-from tissue.models.organ.probe import CylinderProbe, SphereProbe
+from tissue.models.organ.contact import SurfaceContact
+from tissue.models.organ.contact_result import ContactOutcome
+from tissue.models.organ.probe import SphereProbe
 
-ROUNDING = 1e-9
-"""Newton on the cone stops at 1e-13; systems of condition up to 1e3 lie between that and the laws."""
+TOLERANCE = 1e-9
+"""Step of the last sweep over the largest displacement."""
+LEFT = 1e-6
+"""What sweeps that converge by a tenth each leave of gaps and slips, over the largest displacement, with a margin."""
+RADIUS_M = 6e-3
 
 
-@wp.kernel
-def solve_each(
-    compliance: wp.array(dtype=wp.mat33d),
-    old: wp.array(dtype=wp.vec3d),
-    gap: wp.array(dtype=wp.float64),
-    normal: wp.array(dtype=wp.vec3d),
-    slip: wp.array(dtype=wp.vec3d),
-    friction: wp.float64,
-    force_out: wp.array(dtype=wp.vec3d),
-):
-    i = wp.tid()
-    force_out[i] = coulomb_force(
-        compliance[i], safe_inverse(compliance[i]), old[i], gap[i], normal[i], slip[i], friction
+def sheet(cells=20, edge_m=0.02):
+    """A flat surface and a compliance that falls with distance, positive and with full blocks."""
+    at = np.linspace(-0.5 * edge_m, 0.5 * edge_m, cells + 1)
+    nodes = np.stack(np.meshgrid(at, at, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
+    number = np.arange(len(nodes)).reshape(cells + 1, cells + 1)
+    a, b, c, d = (n.ravel() for n in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
+    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    falling = 0.03 / np.sqrt(np.sum((nodes[:, None] - nodes) ** 2, axis=2) + 2e-6)
+    return nodes, faces, np.kron(falling, np.array([[1.0, 0.2, 0.1], [0.2, 1.1, 0.0], [0.1, 0.0, 0.9]]))
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.1, 0.4])
+def test_all_points_obey_signorini_and_coulomb_together(friction):
+    """u = W H^T f; no gap is negative, no force pulls, one of them is zero, and friction is at most mu times normal."""
+    nodes, faces, compliance = sheet()
+    contact = SurfaceContact(
+        nodes, faces, compliance, SphereProbe(RADIUS_M), friction=friction, tolerance=TOLERANCE, sweeps=2000
     )
-
-
-@wp.kernel
-def distance_each(
-    kind: int,
-    size: wp.vec2d,
-    rows: wp.array2d(dtype=wp.float64),
-    point: wp.array(dtype=wp.vec3d),
-    distance_out: wp.array(dtype=wp.float64),
-    direction_out: wp.array(dtype=wp.vec3d),
-):
-    i = wp.tid()
-    distance, direction = axis_distance(kind, size, pose_of(rows), point[i])
-    distance_out[i] = distance
-    direction_out[i] = direction
-
-
-def random_contacts(seed, count=4000):
-    """Compliances of condition up to about 1e3, forces, gaps, normals and slips of one size."""
-    rng = np.random.default_rng(seed)
-    turns = Rotation.random(count, random_state=seed).as_matrix()
-    spread = rng.uniform(-1.5, 1.5, (count, 3)) * rng.uniform(size=(count, 1))
-    compliance = np.einsum("nij,nj,nkj->nik", turns, 10.0**spread, turns)
-    normal = rng.normal(size=(count, 3))
-    normal /= np.linalg.norm(normal, axis=1)[:, None]
-    small = 10.0 ** rng.uniform(-3.0, 0.0, (2, count, 1))
-    old, slip = small * rng.normal(size=(2, count, 3))
-    return compliance, old, rng.normal(size=count), normal, slip
-
-
-def forces(compliance, old, gap, normal, slip, friction):
-    given = [
-        wp.array(value, dtype=dtype, device="cpu")
-        for value, dtype in zip(
-            (compliance, old, gap, normal, slip), (wp.mat33d, wp.vec3d, wp.float64, wp.vec3d, wp.vec3d), strict=True
-        )
-    ]
-    out = wp.zeros(len(gap), dtype=wp.vec3d, device="cpu")
-    wp.launch(solve_each, dim=len(gap), inputs=[*given, friction], outputs=[out], device="cpu")
-    return out.numpy()
-
-
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("friction", [0.0, 0.05, 0.3, 1.0])
-def test_a_contact_obeys_signorini_and_coulomb(seed, friction):
-    compliance, old, gap, normal, slip = random_contacts(seed)
-    force = forces(compliance, old, gap, normal, slip, friction)
-    change = np.einsum("nij,nj->ni", compliance, force - old)
-    left = gap + np.einsum("ni,ni->n", normal, change)
-    moved = slip + change
-    sideways = moved - np.einsum("ni,ni->n", moved, normal)[:, None] * normal
-    press = np.einsum("ni,ni->n", force, normal)
-    tangential = force - press[:, None] * normal
-    size, direction = np.linalg.norm(tangential, axis=1), np.linalg.norm(sideways, axis=1)
-    scale = 1.0 + np.abs(change).max(axis=1) + np.abs(slip).max(axis=1)
-    assert press.min() >= -ROUNDING
-    assert (left / scale).min() >= -ROUNDING
-    assert np.abs(press * left / (scale * (1.0 + press))).max() < ROUNDING
-    assert ((size - friction * press) / (1.0 + press)).max() <= ROUNDING
-    sticking = (press > 0.0) & (size < friction * press * (1.0 - 1e-9))
-    slipping = (press > 0.0) & ~sticking
-    assert (direction[sticking] / scale[sticking] < ROUNDING).all()
-    opposed = np.einsum("ni,ni->n", tangential, sideways)[slipping]
-    assert np.abs(opposed + size[slipping] * direction[slipping]).max() < ROUNDING * ((1.0 + size) * scale).max()
-    assert (press == 0.0).sum() > 100 and slipping.sum() > 100
-    assert friction == 0.0 or sticking.sum() > 10
-
-
-def test_a_point_that_cannot_move_sideways_is_still_pushed():
-    """On a plane of symmetry one direction has no compliance: the limit of a small one."""
-    compliance = np.diag([0.0, 2.0, 1.0])[None]
-    almost = compliance + np.diag([1e-7, 0.0, 0.0])
-    given = (np.zeros((1, 3)), np.array([-1.0]), np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.3, 0.0]]), 0.2)
-    np.testing.assert_allclose(forces(compliance, *given), forces(almost, *given), atol=1e-6)
-
-
-@pytest.mark.parametrize("probe", [SphereProbe(0.004), CylinderProbe(0.004, 0.0005)], ids=["sphere", "cylinder"])
-def test_distances_agree_with_numpy_and_their_gradients_with_differences(probe):
-    rng = np.random.default_rng(3)
-    rotation, tip = Rotation.random(random_state=1).as_matrix(), np.array([0.01, -0.02, 0.03])
-    local = rng.uniform([-0.006, -0.006, -0.003], [0.006, 0.006, 0.009], (3000, 3))
-    rows = np.vstack([tip, rotation, tip, rotation])
-
-    def kernel(points):
-        out = wp.zeros(len(points), dtype=wp.float64, device="cpu"), wp.zeros(len(points), dtype=wp.vec3d, device="cpu")
-        inputs = [
-            probe.kind,
-            wp.vec2d(*probe.size_m),
-            wp.array(rows, dtype=wp.float64, device="cpu"),
-            wp.array(tip + points @ rotation.T, dtype=wp.vec3d, device="cpu"),
-        ]
-        wp.launch(distance_each, dim=len(points), inputs=inputs, outputs=list(out), device="cpu")
-        return out[0].numpy(), out[1].numpy() @ rotation
-
-    distance, direction = kernel(local)
-    expected, expected_direction = probe.distance(local)
-    np.testing.assert_allclose(distance, expected, atol=1e-15)
-    np.testing.assert_allclose(direction, expected_direction, atol=1e-10)
-    step = 1e-7
-    slopes = np.column_stack([(kernel(local + e)[0] - kernel(local - e)[0]) / (2 * step) for e in step * np.eye(3)])
-    # Within a step of an edge between face and side the difference straddles both.
-    smooth = np.abs(np.linalg.norm(slopes, axis=1) - 1.0) < 1e-3
-    assert smooth.mean() > 0.99
-    np.testing.assert_allclose(direction[smooth], slopes[smooth], atol=2e-3)
+    contact.place(np.array([0.0, 0.0, 1e-4]), np.eye(3))
+    tip = np.array([0.0, 0.0, -2e-3])
+    for step in range(3):
+        tip = tip + np.array([2e-4, 1e-4 * step, -1e-4])
+        result = contact.solve(tip, np.eye(3))
+        assert result.outcome is ContactOutcome.CONVERGED
+        points = contact._points
+        first, following, weight = (getattr(points, name).numpy() for name in ("first", "following", "weight"))
+        triangle = np.full(len(weight), -1)
+        for face, point in enumerate(first):
+            while point >= 0:
+                triangle[point] = face
+                point = following[point]
+        force = contact.point_forces_N()
+        nodal = np.zeros_like(nodes)
+        np.add.at(nodal, faces[triangle], weight[:, :, None] * force[:, None])
+        moved = (compliance @ nodal.ravel()).reshape(-1, 3)
+        from_tip = np.einsum("pa,pax->px", weight, (nodes + moved)[faces[triangle]]) - tip
+        arm = from_tip - np.array([0.0, 0.0, RADIUS_M])
+        gap = np.linalg.norm(arm, axis=1) - RADIUS_M
+        normal = arm / np.linalg.norm(arm, axis=1)[:, None]
+        press = np.einsum("px,px->p", force, normal)
+        across = np.linalg.norm(force - press[:, None] * normal, axis=1)
+        size, largest = np.linalg.norm(moved, axis=1).max(), press.max()
+        assert gap.min() >= -LEFT * size
+        assert press.min() >= -LEFT * largest
+        assert np.abs(gap[press > 0.0]).max() <= LEFT * size
+        assert (across - friction * press).max() <= LEFT * largest
+        assert result.force_N == pytest.approx(-force.sum(axis=0), abs=1e-12 * largest)
+        torque = -np.cross(from_tip, force).sum(axis=0)
+        assert result.torque_Nm == pytest.approx(torque, abs=LEFT * RADIUS_M * largest)
+        assert (press > 0.0).sum() == result.contacts > 5
+        assert friction == 0.0 or across.max() > 0.01 * largest
