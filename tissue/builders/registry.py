@@ -1,19 +1,19 @@
 """Turn a scene's names into parts: the registry of tools, motions and tissues."""
 
-from math import pi, radians
+from math import pi
 from pathlib import Path
 
 import numpy as np
 
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress
-from tissue import cutters
 from tissue.builders.parts import Parts
 from tissue.cutters.cutter import Cutter
 from tissue.models.wall import WallModel
 from tissue.motion.motion import FollowPath, Motion, PushAlongAxis
 from tissue.motion.replay import read_poses
 from tissue.scene.coupling import WallAnatomy
+from tissue.scene.registry import CUTTERS, loaded
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Needle, PathMotion, Probe, ReplayMotion, ThrustMotion, Tool
 
@@ -64,24 +64,7 @@ def _tissue(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores:
 
 def cutter_of(tool: Tool) -> Cutter:
     """The cutter that a scene's tool describes."""
-    d, peg = tool.diameter_mm * 1e-3, (tool.peg_diameter_mm * 1e-3, tool.peg_length_mm * 1e-3)
-    match tool.kind:
-        case "ball-burr":
-            profile = cutters.ball_burr(diameter_m=d)
-        case "pear-bur":
-            profile = cutters.pear_bur(diameter_m=d, length_m=tool.length_mm * 1e-3)
-        case "cylinder":
-            profile = cutters.cylinder(diameter_m=d, length_m=tool.length_mm * 1e-3)
-        case "twist-drill":
-            angle = radians(tool.point_angle_deg)
-            profile = cutters.twist_drill(diameter_m=d, length_m=tool.length_mm * 1e-3, point_angle_rad=angle)
-        case "hemispherical-reamer":
-            profile = cutters.hemispherical_reamer(diameter_m=d, peg_diameter_m=peg[0], peg_length_m=peg[1])
-        case "flat-reamer":
-            thickness = tool.length_mm * 1e-3
-            profile = cutters.flat_reamer(
-                diameter_m=d, thickness_m=thickness, peg_diameter_m=peg[0], peg_length_m=peg[1]
-            )
+    profile = loaded(CUTTERS[tool.kind].profile)(tool)
     return Cutter(profile, tool.flutes, tool.spin_rpm * 2.0 * pi / 60.0)
 
 

@@ -8,7 +8,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from meshes.base.errors import InputError
-from tissue.scene.registry import OneOf, nearest, unknown_name
+from tissue.scene.registry import OneOf, kinds_of, nearest, unknown_name
 from tissue.scene.scene import Scene
 from tissue.scene.unused_keys import given_keys, refused_keys
 
@@ -153,14 +153,9 @@ def _model_at(names: tuple[str, ...], table: Table) -> type[BaseModel]:
     model: type[BaseModel] = Scene
     for name in names:
         parts, table = _parts(model.model_fields[name]), _inner(table, name)
-        kinds = {kind: p for p in parts if "kind" in p.model_fields for kind in _kinds(p)}
+        kinds = {kind: p for p in parts if "kind" in p.model_fields for kind in kinds_of(p)}
         model = kinds.get(str(table.get("kind")), parts[0])
     return model
-
-
-def _kinds(part: type[BaseModel]) -> tuple[str, ...]:
-    """Names of the kinds that a part describes."""
-    return get_args(part.model_fields["kind"].annotation)
 
 
 def _parts(field: FieldInfo) -> list[type[BaseModel]]:

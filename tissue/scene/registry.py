@@ -9,21 +9,25 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_args
 
 from meshes.base.errors import InputError
 from tissue.materials.constants import constants, listed
 
 if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+    from tissue.cutters.profile import Profile
     from tissue.haptics.loop.sampled_loop import WallLoop
     from tissue.haptics.renderer import Renderer
     from tissue.perception.perception import PerceptionMaker
     from tissue.prediction.predictor import Predictor
     from tissue.prediction.trained import Trained
+    from tissue.scene.tool import Tool
 
 __all__ = [
-    "DEVICES", "GROUPS", "HANDS", "PERCEPTIONS", "PREDICTORS", "RENDERERS", "OneOf", "PredictorEntry", "Registry",
-    "loaded", "nearest", "unknown_name",
+    "CUTTERS", "DEVICES", "GROUPS", "HANDS", "PERCEPTIONS", "PREDICTORS", "RENDERERS", "ByKind", "CutterEntry", "OneOf",
+    "PredictorEntry", "Registry", "kinds_of", "loaded", "nearest", "unknown_name",
 ]  # fmt: skip
 
 T = TypeVar("T")
@@ -65,6 +69,8 @@ class Registry(Generic[T]):
     def __init__(self, key: str, parts: Mapping[str, T | str]) -> None:
         self.key = key
         self._parts = dict(parts)
+        self.on_change: list[Callable[[], object]] = []
+        """Called after a part is added or removed."""
 
     def __iter__(self) -> Iterator[str]:
         return iter(tuple(self._parts))
@@ -114,11 +120,17 @@ class Registry(Generic[T]):
                 f"name must be none of {', '.join(self)}, got {name}: choose another name for this {self.key}"
             )
         self._parts[name] = part
+        self._changed()
 
     def remove(self, name: str) -> None:
         """Forget a part that was added, so that its name is free again."""
         self[name]
         del self._parts[name]
+        self._changed()
+
+    def _changed(self) -> None:
+        for call in self.on_change:
+            call()
 
 
 @dataclass(frozen=True)
@@ -153,6 +165,58 @@ class OneOf:
             return {"enum": list(self.names), "type": "string"}
         patterns = (re.sub(":.*", ":.+", re.escape(name)) for name in self.names)
         return {"pattern": f"^({'|'.join(patterns)})$", "type": "string"}
+
+
+def kinds_of(part: "type[BaseModel]") -> tuple[str, ...]:
+    """The kinds that a part of a scene describes."""
+    field = part.model_fields["kind"]
+    return next((each.names for each in field.metadata if isinstance(each, OneOf)), get_args(field.annotation))
+
+
+@dataclass(frozen=True)
+class ByKind:
+    """Marks a union of parts of a scene, of which the key ``kind`` chooses one."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        from pydantic_core import core_schema
+
+        parts = get_args(source)
+        choices = {kind: handler.generate_schema(part) for part in parts for kind in kinds_of(part)}
+        return core_schema.tagged_union_schema(choices, discriminator="kind")
+
+
+@dataclass(frozen=True)
+class CutterEntry:
+    """What a table holds of a cutter.
+
+    Attributes
+    ----------
+    profile
+        The half section of a scene's tool.
+    keys
+        Those of the tool's keys that shape this cutter beside its diameter.
+    """
+
+    profile: "Callable[[Tool], Profile] | str"
+    keys: tuple[str, ...] = ()
+
+
+CUTTERS: Registry[CutterEntry] = Registry(
+    "tool.kind",
+    {
+        "ball-burr": CutterEntry("tissue.builders.cutters:ball_burr"),
+        "pear-bur": CutterEntry("tissue.builders.cutters:pear_bur", ("length_mm",)),
+        "cylinder": CutterEntry("tissue.builders.cutters:cylinder", ("length_mm",)),
+        "twist-drill": CutterEntry("tissue.builders.cutters:twist_drill", ("length_mm", "point_angle_deg")),
+        "hemispherical-reamer": CutterEntry(
+            "tissue.builders.cutters:hemispherical_reamer", ("peg_diameter_mm", "peg_length_mm")
+        ),
+        "flat-reamer": CutterEntry(
+            "tissue.builders.cutters:flat_reamer", ("length_mm", "peg_diameter_mm", "peg_length_mm")
+        ),
+    },
+)
+"""Rotating cutters, by their shape."""
 
 
 def _numbers(table: str, *names: str) -> dict[str, float]:

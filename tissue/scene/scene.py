@@ -5,8 +5,9 @@ finite is refused with one sentence that names the key, the value, the requireme
 """
 
 import math
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -24,6 +25,7 @@ from tissue.scene.coupling import (
     perception_at,
 )
 from tissue.scene.organ import LayersAnatomy, LiverAnatomy, Organ, SlabAnatomy
+from tissue.scene.registry import CUTTERS, ByKind, kinds_of
 from tissue.scene.tool import Needle, PathMotion, Probe, ReplayMotion, ThrustMotion, Tool
 from tissue.scene.unused_keys import unused_keys
 
@@ -82,7 +84,7 @@ AnyAnatomy = Annotated[
     GlenoidAnatomy | BlockAnatomy | MolarAnatomy | LiverAnatomy | SlabAnatomy | LayersAnatomy | WallAnatomy,
     Field(discriminator="kind"),
 ]
-AnyTool = Annotated[Tool | Probe | Needle, Field(discriminator="kind")]
+AnyTool = Annotated[Tool | Probe | Needle, ByKind()]
 AnyMotion = Annotated[PathMotion | ThrustMotion | ReplayMotion, Field(discriminator="kind")]
 
 
@@ -157,7 +159,7 @@ class Scene(Part):
     def _parts_fit(self) -> "Scene":
         kind, wanted = self.anatomy.kind, TOOLS[self.anatomy.kind]
         if not isinstance(self.tool, wanted):
-            names = ", ".join(get_args(wanted.model_fields["kind"].annotation))
+            names = ", ".join(kinds_of(wanted))
             got = self.tool.kind
             raise InputError(f"tool.kind must be one of {names} for a {kind}, got {got}: choose one of these")
         if kind == "wall" and self.tool.kind != "sphere-probe":
@@ -220,3 +222,6 @@ class Scene(Part):
                 absolute = {name: str((folder / file).resolve()) for name, file in files.items()}
                 changes[part] = value.model_copy(update=absolute)
         return self.model_copy(update=changes)
+
+
+CUTTERS.on_change.append(partial(Scene.model_rebuild, force=True))

@@ -7,6 +7,7 @@ from pydantic import Field, Strict, model_validator
 
 from meshes.base.errors import InputError
 from tissue.scene.anatomy import Part, Vector
+from tissue.scene.registry import CUTTERS, OneOf
 
 __all__ = ["Needle", "PathMotion", "Probe", "ReplayMotion", "ThrustMotion", "Tool"]
 
@@ -14,9 +15,7 @@ __all__ = ["Needle", "PathMotion", "Probe", "ReplayMotion", "ThrustMotion", "Too
 class Tool(Part):
     """A rotating cutter: a surface of revolution with flutes."""
 
-    kind: Literal["ball-burr", "pear-bur", "cylinder", "twist-drill", "hemispherical-reamer", "flat-reamer"] = Field(
-        examples=["ball-burr"]
-    )
+    kind: Annotated[str, OneOf(CUTTERS)] = Field(examples=["ball-burr"])
     """Shape of the cutter."""
     diameter_mm: float = Field(gt=0.1, le=100, examples=[6.0])
     """Greatest diameter."""
@@ -39,7 +38,7 @@ class Tool(Part):
     @property
     def can_have_peg(self) -> bool:
         """Whether it is a reamer."""
-        return self.kind in ("hemispherical-reamer", "flat-reamer")
+        return "peg_diameter_mm" in CUTTERS[self.kind].keys
 
     @model_validator(mode="after")
     def _spins_and_peg_fits(self) -> "Tool":

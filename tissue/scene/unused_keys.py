@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from tissue.scene.anatomy import AnatomyFile, BlockAnatomy, GlenoidAnatomy, MolarAnatomy, Part
 from tissue.scene.coupling import WallAnatomy
 from tissue.scene.organ import LiverAnatomy, SlabAnatomy
-from tissue.scene.registry import DEVICES, PREDICTORS
+from tissue.scene.registry import CUTTERS, DEVICES, PREDICTORS
 from tissue.scene.tool import Needle, Probe, ReplayMotion, ThrustMotion, Tool
 
 if TYPE_CHECKING:
@@ -111,9 +111,9 @@ def _tool(scene: "Scene") -> Iterator[Rule]:
     tool = scene.tool
     if isinstance(tool, Tool):
         kind = tool.kind
-        where, ball = f"for a {kind}", kind in ("ball-burr", "hemispherical-reamer")
-        yield "tool.length_mm", ball, where, "set tool.diameter_mm"
-        yield "tool.point_angle_deg", kind != "twist-drill", where, "set tool.kind = twist-drill"
+        where, keys = f"for a {kind}", CUTTERS[kind].keys
+        yield "tool.length_mm", "length_mm" not in keys, where, "set tool.diameter_mm"
+        yield "tool.point_angle_deg", "point_angle_deg" not in keys, where, "set tool.kind = twist-drill"
         yield "tool.peg_diameter_mm tool.peg_length_mm", not tool.can_have_peg, where, "set tool.kind = flat-reamer"
         yield "tool.peg_length_mm", tool.peg_diameter_mm == 0.0, "without a peg", "set tool.peg_diameter_mm"
         yield "tool.peg_diameter_mm", tool.peg_length_mm == 0.0, "without its length", "set tool.peg_length_mm"

@@ -4,10 +4,21 @@ import numpy as np
 import pytest
 
 from tissue import InputError, Scene, load_scene, simulate
+from tissue.cutters import cylinder
 from tissue.evaluation.charts.prediction import Comparison, Interval, comparison_lines
 from tissue.evaluation.charts.prediction_picture import draw_tasks
 from tissue.evaluation.training.evaluation import HORIZONS
-from tissue.scene.registry import DEVICES, HANDS, PERCEPTIONS, PREDICTORS, RENDERERS, PredictorEntry, Registry
+from tissue.scene.registry import (
+    CUTTERS,
+    DEVICES,
+    HANDS,
+    PERCEPTIONS,
+    PREDICTORS,
+    RENDERERS,
+    CutterEntry,
+    PredictorEntry,
+    Registry,
+)
 
 
 @pytest.fixture
@@ -167,6 +178,27 @@ def test_a_perceptual_map_from_outside_scales(added):
             load_scene("wall", {"perception": refused})
     pattern = Scene.model_json_schema()["properties"]["perception"]["pattern"]
     assert pattern == "^(none|population|observer:.+|share:.+)$"
+
+
+def test_a_cutter_from_outside_cuts(added):
+    """A cylinder by another name, half as wide: it removes less than its namesake and reads a length."""
+    half = lambda tool: cylinder(diameter_m=0.5e-3 * tool.diameter_mm, length_m=1e-3 * tool.length_mm)  # noqa: E731
+    added(CUTTERS, "half-cylinder", CutterEntry(half, ("length_mm",)))
+    changes = {"voxels.spacing_mm": 0.5, "duration_s": 1.0, "tool.length_mm": 5.0}
+    changes |= {"tool.diameter_mm": 6.0, "tool.spin_rpm": 500.0}
+    thin, thick = (
+        simulate(load_scene("milling", changes | {"tool.kind": kind})) for kind in ("half-cylinder", "cylinder")
+    )
+    assert 0.0 < thin.trace["removed_mm3"][-1] < 0.7 * thick.trace["removed_mm3"][-1]
+    assert Scene.model_validate(thin.scene.model_dump()).tool.kind == "half-cylinder"
+    with pytest.raises(
+        InputError, match=r"tool.kind must be one of ball-burr, .*, half-cylinder, .*, got half-cylindr \(did"
+    ):
+        load_scene("milling", {"tool.kind": "half-cylindr"})
+    with pytest.raises(InputError, match=r"tool.point_angle_deg must be left out for a half-cylinder, got 90"):
+        load_scene("milling", changes | {"tool.kind": "half-cylinder", "tool.point_angle_deg": 90.0})
+    with pytest.raises(InputError, match=r"^tool.length_mm must be greater than 0 and at most 200, got -1"):
+        load_scene("milling", changes | {"tool.kind": "half-cylinder", "tool.length_mm": -1.0})
 
 
 def test_a_part_that_was_removed_is_refused():
