@@ -23,12 +23,12 @@ from tissue.haptics.renderer import ProxyRenderer, renderer
 TICK = 1e-3
 
 
-def amplitude(time_constant_s, frequency_hz):
+def amplitude(time_constant_s, frequency_Hz):
     """Steady amplitude of the low-pass for a sine of amplitude 1, by running it at 2000 steps a period."""
-    step = 5e-4 / frequency_hz
+    step = 5e-4 / frequency_Hz
     low_pass = LowPass(time_constant_s, step_s=step, size=1)
     times = step * np.arange(round(8.0 * time_constant_s / step) + 2000)
-    found = [low_pass.step(np.array([np.sin(2 * pi * frequency_hz * t)]))[0] for t in times]
+    found = [low_pass.step(np.array([np.sin(2 * pi * frequency_Hz * t)]))[0] for t in times]
     return np.abs(found[-2000:]).max()
 
 

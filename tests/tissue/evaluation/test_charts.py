@@ -123,12 +123,12 @@ def test_the_error_of_the_linear_law_in_a_column_that_cannot_widen():
         assert [depth for *_, depth in found] == pytest.approx(strains * height, rel=1e-9)
         force[law] = np.array([solution.tool_force_N[2] for solution, *_ in found])
     s = 1.0 - strains
-    linear_pa = (first_Pa + 2.0 * shear_Pa) * strains
-    neo_pa = shear_Pa * (1.0 / s - s) - first_Pa * np.log(s) / s
-    np.testing.assert_allclose(force[Law.LINEAR], side**2 * linear_pa, rtol=0.02)
-    np.testing.assert_allclose(force[Law.NEO_HOOKEAN], side**2 * neo_pa, rtol=0.02)
+    linear_Pa = (first_Pa + 2.0 * shear_Pa) * strains
+    neo_Pa = shear_Pa * (1.0 / s - s) - first_Pa * np.log(s) / s
+    np.testing.assert_allclose(force[Law.LINEAR], side**2 * linear_Pa, rtol=0.02)
+    np.testing.assert_allclose(force[Law.NEO_HOOKEAN], side**2 * neo_Pa, rtol=0.02)
     error = force[Law.LINEAR] / force[Law.NEO_HOOKEAN] - 1.0
-    np.testing.assert_allclose(error, linear_pa / neo_pa - 1.0, atol=5e-3)
+    np.testing.assert_allclose(error, linear_Pa / neo_Pa - 1.0, atol=5e-3)
     assert error[1] / error[0] == pytest.approx(2.0, rel=0.05) and (np.diff(error) < 0.0).all()
 
 

@@ -32,7 +32,7 @@ def bar() -> tuple[Space, np.ndarray]:
     return space, np.repeat(ends[:, None], 3, axis=1)
 
 
-def false_stress_pa(law: Law, angles: np.ndarray) -> np.ndarray:
+def false_stress_Pa(law: Law, angles: np.ndarray) -> np.ndarray:
     """Pull on an end over its area [Pa], with both ends turned together; NaN where a solve does not converge."""
     space, held = bar()
     solver, moved, found = NewtonSolver(NonlinearBody(space, lame(YOUNG_PA, 0.0), law=law), held), None, []
@@ -55,7 +55,7 @@ def measure(quick: bool) -> Data:
     return {
         "turn": {
             "angle_deg": angles,
-            **{f"{law.name.lower()}_pa": false_stress_pa(law, angles) for law in Law},
+            **{f"{law.name.lower()}_pa": false_stress_Pa(law, angles) for law in Law},
             "theory_pa": YOUNG_PA * (1.0 - np.cos(np.deg2rad(angles))),
         }
     }

@@ -22,12 +22,12 @@ STEPS = 200
 """Steps of a step response: an explicit one that runs away has done so by then."""
 
 
-def amplitude(frequency_hz: float) -> float:
+def amplitude(frequency_Hz: float) -> float:
     """Steady amplitude for a sine of amplitude 1, by running the filter at 400 steps a period."""
-    step = 1.0 / (400.0 * frequency_hz)
+    step = 1.0 / (400.0 * frequency_Hz)
     low_pass = LowPass(CONSTANT_S, step_s=step, size=1)
     steps_run = round(6.0 * CONSTANT_S / step) + 400
-    wave = np.sin(2.0 * pi * frequency_hz * step * np.arange(steps_run))
+    wave = np.sin(2.0 * pi * frequency_Hz * step * np.arange(steps_run))
     found = np.array([low_pass.step(value)[0] for value in wave[:, None]])
     return float(np.abs(found[-400:]).max())
 
