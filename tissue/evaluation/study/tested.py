@@ -159,7 +159,7 @@ def _pairs(found: list[Comparison]) -> Section:
         + ". Simulated people differ less than real ones, which makes a difference of one size look larger in standard "
         "deviations; the differences in percent above do not depend on that.",
     )
-    header = ("task", "pair", "figures", "size", "alternative")
+    header = ("task", "pair", "figures", "size", "beside it")
     return Section("pairs", "Pairs and sizes of effects", sentences, header, tuple(rows), _sizes_picture(sizes))
 
 
