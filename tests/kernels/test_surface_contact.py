@@ -32,6 +32,8 @@ def test_all_points_obey_signorini_and_coulomb_together(friction):
     contact = SurfaceContact(
         nodes, faces, compliance, SphereProbe(RADIUS_M), friction=friction, tolerance=TOLERANCE, sweeps=2000
     )
+    weights = np.random.default_rng(0).dirichlet([4.0, 4.0, 4.0], len(contact._points.weight))
+    contact._points.weight.assign(weights)  # off the triangles' middles, where the three nodes would be alike
     contact.place(np.array([0.0, 0.0, 1e-4]), np.eye(3))
     tip = np.array([0.0, 0.0, -2e-3])
     for step in range(3):
