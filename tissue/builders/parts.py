@@ -1,16 +1,18 @@
 """What a run is made of."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 from meshes.base.placement import Placement
+from meshes.base.progress import Progress
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.fem.fields import FieldSeries
 from tissue.models.tissue_model import HasFields, TissueModel
 from tissue.motion.motion import Motion
+from tissue.scene.scene import Scene
 
-__all__ = ["Parts"]
+__all__ = ["Parts", "TissueBuilder"]
 
 
 @dataclass
@@ -45,3 +47,13 @@ class Parts:
     def placement_record(self) -> dict[str, Any]:
         """The placement as an entry of a run's summary; nothing where there is none."""
         return {} if self.placement is None else {"placement": self.placement.to_record()}
+
+
+class TissueBuilder(Protocol):
+    """Makes the parts of a run from a scene whose anatomy is of one kind."""
+
+    def __call__(
+        self, scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress
+    ) -> Parts:
+        """Parts of a scene in which a motion moves the tool, ticks of `step_s` [s] long, computed on a device."""
+        ...

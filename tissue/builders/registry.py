@@ -1,4 +1,4 @@
-"""Turn a scene's names into parts: the registry of tools, motions and tissues."""
+"""Build what a scene names: its motion, and its tissue by the table of anatomies."""
 
 from math import pi
 from pathlib import Path
@@ -13,11 +13,12 @@ from tissue.models.wall import WallModel
 from tissue.motion.motion import FollowPath, Motion, PushAlongAxis
 from tissue.motion.replay import read_poses
 from tissue.scene.coupling import WallAnatomy
-from tissue.scene.registry import CUTTERS, loaded
+from tissue.scene.named_parts import loaded
+from tissue.scene.registry import ANATOMIES, CUTTERS
 from tissue.scene.scene import Scene
-from tissue.scene.tool import Needle, PathMotion, Probe, ReplayMotion, ThrustMotion, Tool
+from tissue.scene.tool import PathMotion, Probe, ReplayMotion, ThrustMotion, Tool
 
-__all__ = ["build", "cutter_of", "motion_of"]
+__all__ = ["build", "cutter_of", "milled", "motion_of", "pierced", "pressed", "wall"]
 
 
 def build(
@@ -33,33 +34,44 @@ def build(
     """
     _require_device(compute)
     motion = motion_of(scene, step_s=step_s)
+    tissue = loaded(ANATOMIES[scene.anatomy.kind].build)
     if scene.device == "none":
-        return _tissue(scene, motion, step_s=step_s, compute=compute, cores=cores, report=report)
+        return tissue(scene, motion, step_s=step_s, compute=compute, cores=cores, report=report)
     from tissue.builders.hand import hand_motion
 
     held, note = hand_motion(scene, motion, step_s=step_s, allow_unstable=allow_unstable)
-    parts = _tissue(scene, held, step_s=step_s, compute=compute, cores=cores, report=report)
+    parts = tissue(scene, held, step_s=step_s, compute=compute, cores=cores, report=report)
     parts.notes["coupling"] = note
     return parts
 
 
-def _tissue(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
-    """Parts of a scene in which a motion moves the tool."""
-    match scene.tool:
-        case Tool() as tool:
-            from tissue.builders.cutting import cut
+def milled(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
+    """Parts of a scene in which a cutter mills bone or a tooth."""
+    from tissue.builders.cutting import cut
 
-            return cut(scene, cutter_of(tool), motion, compute=compute, cores=cores, report=report)
-        case Probe() as probe if isinstance(scene.anatomy, WallAnatomy):
-            return Parts(motion, WallModel(1e3 * scene.anatomy.stiffness_kN_m, radius_m=0.5e-3 * probe.diameter_mm))
-        case Probe():
-            from tissue.builders.organ_scene import press
+    assert isinstance(scene.tool, Tool)
+    return cut(scene, cutter_of(scene.tool), motion, compute=compute, cores=cores, report=report)
 
-            return press(scene, motion, step_s=step_s, compute=compute, cores=cores, report=report)
-        case Needle():
-            from tissue.builders.organ_scene import pierce
 
-            return pierce(scene, motion, report=report)
+def pressed(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
+    """Parts of a scene in which a probe presses an organ."""
+    from tissue.builders.organ_scene import press
+
+    return press(scene, motion, step_s=step_s, compute=compute, cores=cores, report=report)
+
+
+def pierced(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
+    """Parts of a scene in which a needle pierces layers."""
+    from tissue.builders.organ_scene import pierce
+
+    return pierce(scene, motion, report=report)
+
+
+def wall(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
+    """Parts of a scene in which a ball is pushed against a wall."""
+    assert isinstance(scene.anatomy, WallAnatomy) and isinstance(scene.tool, Probe)
+    radius_m = 0.5e-3 * scene.tool.diameter_mm
+    return Parts(motion, WallModel(1e3 * scene.anatomy.stiffness_kN_m, radius_m=radius_m))
 
 
 def cutter_of(tool: Tool) -> Cutter:

@@ -27,7 +27,7 @@ def completion_command(app: App) -> Callable[..., None]:
         from cyclopts.completion.detect import ShellDetectionError, detect_shell
 
         from meshes.base.errors import InputError
-        from tissue.scene.registry import nearest
+        from tissue.scene.named_parts import nearest
 
         if (chosen := shell) is None:
             try:

@@ -105,7 +105,7 @@ def _refuse(sentence: str, *, code: int = BAD_INPUT) -> NoReturn:
 
 def _usage(error: CycloptsError) -> str:
     """One sentence for a command line that cannot be read."""
-    from tissue.scene.registry import nearest
+    from tissue.scene.named_parts import nearest
 
     command = " ".join(["tissue", *(error.command_chain or ())])
     match error:

@@ -7,7 +7,8 @@ from pydantic import Field, model_validator
 
 from meshes.base.errors import InputError
 from tissue.scene.anatomy import Part
-from tissue.scene.registry import DEVICES, HANDS, PERCEPTIONS, PREDICTORS, RENDERERS, OneOf
+from tissue.scene.named_parts import OneOf
+from tissue.scene.registry import DEVICES, HANDS, PERCEPTIONS, PREDICTORS, RENDERERS
 
 __all__ = [
     "Coupling", "DeviceName", "Fidelity", "HandName", "PerceptionName", "PredictionName", "RendererName", "WallAnatomy",

@@ -13,7 +13,7 @@ from meshes.base.errors import InputError
 from meshes.base.file_version import package_version, require_version
 from tissue.scene.coupling import perception_at
 from tissue.scene.messages import require_used, sentence
-from tissue.scene.registry import nearest
+from tissue.scene.named_parts import nearest
 from tissue.scene.scene import Scene
 from tissue.scene.unused_keys import refused_keys
 

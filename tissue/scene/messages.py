@@ -8,7 +8,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from meshes.base.errors import InputError
-from tissue.scene.registry import OneOf, kinds_of, nearest, unknown_name
+from tissue.scene.named_parts import ByKind, OneOf, kinds_of, nearest, unknown_name
 from tissue.scene.scene import Scene
 from tissue.scene.unused_keys import given_keys, refused_keys
 
@@ -160,6 +160,9 @@ def _model_at(names: tuple[str, ...], table: Table) -> type[BaseModel]:
 
 def _parts(field: FieldInfo) -> list[type[BaseModel]]:
     """The parts that a field may hold; none for a value."""
+    marked = next((each for each in field.metadata if isinstance(each, ByKind)), None)
+    if marked is not None:
+        return list(marked.parts(field.annotation))
     return [p for p in _alternatives(field.annotation) if isinstance(p, type) and issubclass(p, BaseModel)]
 
 

@@ -24,8 +24,9 @@ from tissue.scene.coupling import (
     WallAnatomy,
     perception_at,
 )
+from tissue.scene.named_parts import ByKind, kinds_of, loaded
 from tissue.scene.organ import LayersAnatomy, LiverAnatomy, Organ, SlabAnatomy
-from tissue.scene.registry import CUTTERS, ByKind, kinds_of
+from tissue.scene.registry import ANATOMIES, CUTTERS
 from tissue.scene.tool import Needle, PathMotion, Probe, ReplayMotion, ThrustMotion, Tool
 from tissue.scene.unused_keys import unused_keys
 
@@ -82,20 +83,10 @@ class Stress(Part):
 
 AnyAnatomy = Annotated[
     GlenoidAnatomy | BlockAnatomy | MolarAnatomy | LiverAnatomy | SlabAnatomy | LayersAnatomy | WallAnatomy,
-    Field(discriminator="kind"),
+    ByKind(ANATOMIES),
 ]
 AnyTool = Annotated[Tool | Probe | Needle, ByKind()]
 AnyMotion = Annotated[PathMotion | ThrustMotion | ReplayMotion, Field(discriminator="kind")]
-
-
-TOOLS: dict[str, type[Part]] = {
-    **dict.fromkeys(("glenoid", "block", "molar"), Tool),
-    **dict.fromkeys(("liver", "slab", "wall"), Probe),
-    "layers": Needle,
-}
-"""What meets each kind of anatomy."""
-FORCE_SCALES = {"glenoid": 0.03, "block": 0.03, "molar": 0.1}
-"""Newtons at the device for each one at the tool where a scene states nothing: what keeps cutting within its range."""
 
 
 class Scene(Part):
@@ -153,11 +144,11 @@ class Scene(Part):
     def force_scale(self) -> float:
         """Newtons at the device for each newton at the tool."""
         given = self.coupling.force_scale
-        return FORCE_SCALES.get(self.anatomy.kind, 1.0) if given is None else given
+        return ANATOMIES[self.anatomy.kind].force_scale if given is None else given
 
     @model_validator(mode="after")
     def _parts_fit(self) -> "Scene":
-        kind, wanted = self.anatomy.kind, TOOLS[self.anatomy.kind]
+        kind, wanted = self.anatomy.kind, loaded(ANATOMIES[self.anatomy.kind].tool)
         if not isinstance(self.tool, wanted):
             names = ", ".join(kinds_of(wanted))
             got = self.tool.kind
@@ -224,4 +215,5 @@ class Scene(Part):
         return self.model_copy(update=changes)
 
 
-CUTTERS.on_change.append(partial(Scene.model_rebuild, force=True))
+for table in (ANATOMIES, CUTTERS):
+    table.on_change.append(partial(Scene.model_rebuild, force=True))

@@ -7,7 +7,8 @@ from pydantic import Field, Strict, model_validator
 
 from meshes.base.errors import InputError
 from tissue.scene.anatomy import Part, Vector
-from tissue.scene.registry import CUTTERS, OneOf
+from tissue.scene.named_parts import OneOf
+from tissue.scene.registry import CUTTERS
 
 __all__ = ["Needle", "PathMotion", "Probe", "ReplayMotion", "ThrustMotion", "Tool"]
 

@@ -1,24 +1,33 @@
 """Every table of parts takes one from outside the package: a scene names it, runs with it, and messages list it."""
 
+from typing import Literal
+
 import numpy as np
 import pytest
+from pydantic import Field
 
 from tissue import InputError, Scene, load_scene, simulate
+from tissue.builders.parts import Parts
 from tissue.cutters import cylinder
 from tissue.evaluation.charts.prediction import Comparison, Interval, comparison_lines
 from tissue.evaluation.charts.prediction_picture import draw_tasks
 from tissue.evaluation.training.evaluation import HORIZONS
+from tissue.models.wall import WallModel
+from tissue.scene.anatomy import Part
+from tissue.scene.named_parts import Registry
 from tissue.scene.registry import (
+    ANATOMIES,
     CUTTERS,
     DEVICES,
     HANDS,
     PERCEPTIONS,
     PREDICTORS,
     RENDERERS,
+    AnatomyEntry,
     CutterEntry,
     PredictorEntry,
-    Registry,
 )
+from tissue.scene.tool import Probe
 
 
 @pytest.fixture
@@ -199,6 +208,41 @@ def test_a_cutter_from_outside_cuts(added):
         load_scene("milling", changes | {"tool.kind": "half-cylinder", "tool.point_angle_deg": 90.0})
     with pytest.raises(InputError, match=r"^tool.length_mm must be greater than 0 and at most 200, got -1"):
         load_scene("milling", changes | {"tool.kind": "half-cylinder", "tool.length_mm": -1.0})
+
+
+class Jelly(Part):
+    """A soft plane."""
+
+    kind: Literal["jelly"] = "jelly"
+    stiffness_N_m: float = Field(200.0, ge=1.0, le=1e4)
+
+
+def jelly(scene, motion, *, step_s, compute, cores, report):
+    """Parts of a scene in which a ball is pushed into it."""
+    model = WallModel(scene.anatomy.stiffness_N_m, radius_m=0.5e-3 * scene.tool.diameter_mm)
+    return Parts(motion, model, notes={"jelly": "it is soft"})
+
+
+def test_a_tissue_from_outside_is_met(added):
+    added(ANATOMIES, "jelly", AnatomyEntry(Jelly, Probe, jelly, force_scale=0.5))
+    changes = {"anatomy.kind": "jelly", "anatomy.stiffness_N_m": 100.0, "device": "none", "duration_s": 0.25}
+    run = simulate(load_scene("palpation", changes | {"motion.points_mm": [[0, 0, 5], [0, 0, -5]], "organ": None}))
+    force, depth = run.trace["model_force_z_N"], run.trace["depth_mm"]
+    np.testing.assert_allclose(force, 0.1 * depth, atol=1e-12)
+    assert depth[-1] > 1.0 and run.scene.force_scale == 0.5 and run.parts.notes["jelly"] == "it is soft"
+    assert Scene.model_validate(run.scene.model_dump()) == run.scene
+    for key, value, refusal in (
+        (
+            "anatomy.kind",
+            "jely",
+            r"^anatomy.kind must be one of glenoid, .*, wall, jelly, got jely \(did you mean jelly",
+        ),
+        ("anatomy.stiffness_N_m", 0.5, r"^anatomy.stiffness_N_m must be at least 1 and at most 10000, got 0.5"),
+        ("anatomy.stiff", 2.0, r"^anatomy.stiff must be one of kind, stiffness_N_m, got stiff"),
+        ("tool.kind", "needle", r"^tool.kind must be one of sphere-probe, .*, shell-probe for a jelly, got needle"),
+    ):
+        with pytest.raises(InputError, match=refusal):
+            load_scene("palpation", changes | {"organ": None, key: value})
 
 
 def test_a_part_that_was_removed_is_refused():
