@@ -1,5 +1,6 @@
 """Every table of parts takes one from outside the package: a scene names it, runs with it, and messages list it."""
 
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -8,6 +9,8 @@ from pydantic import Field
 
 from tissue import InputError, Scene, load_scene, simulate
 from tissue.builders.parts import Parts
+from tissue.cli.calibrate import calibrate
+from tissue.cli.study import run
 from tissue.cutters import cylinder
 from tissue.evaluation.charts.prediction import Comparison, Interval, comparison_lines
 from tissue.evaluation.charts.prediction_picture import draw_tasks
@@ -19,6 +22,7 @@ from tissue.scene.registry import (
     ANATOMIES,
     CUTTERS,
     DEVICES,
+    GROUPS,
     HANDS,
     PERCEPTIONS,
     PREDICTORS,
@@ -248,3 +252,14 @@ def test_a_tissue_from_outside_is_met(added):
 def test_a_part_that_was_removed_is_refused():
     with pytest.raises(InputError, match="renderer must be one of penalty, passivity, proxy, got half: choose one of"):
         load_scene("wall", {"device": "touch", "renderer": "half"})
+
+
+def test_the_page_and_the_help_texts_list_every_name():
+    page = (Path(__file__).parents[3] / "docs" / "commands.md").read_text("utf-8")
+    for table in (ANATOMIES, CUTTERS, DEVICES, HANDS, PERCEPTIONS, PREDICTORS, RENDERERS):
+        row = f"| `{table.key}` | {', '.join(f'`{name}`' for name in table)} |"
+        assert row in page
+    for name in (*DEVICES, *GROUPS):
+        assert name in calibrate.__doc__
+    for name in GROUPS:
+        assert name in run.__doc__
