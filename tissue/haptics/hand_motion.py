@@ -10,6 +10,24 @@ from tissue.haptics.device.device import Device, DeviceParameters, Sample
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.haptics.device.sample_guard import SampleGuard
 from tissue.haptics.device.supervision import run_held
+from tissue.haptics.hand_measures import (
+    ENERGY,
+    FILTERED_FORCE,
+    MARGIN,
+    MEASURES,
+    PERCEIVED,
+    PERCEPTION,
+    PLAYED_FORCE,
+    PLAYED_TORQUE,
+    POSITION,
+    PREDICTED,
+    PREDICTED_BY,
+    PREDICTED_FORCE,
+    QUATERNION,
+    RAW_FORCE,
+    RESIDUAL,
+    SATURATED,
+)
 from tissue.haptics.loop.filters import DelayLine, ForceRange, LowPass
 from tissue.haptics.loop.passivity import PassivityObserver
 from tissue.haptics.loop.sampled_loop import WallLoop
@@ -22,28 +40,9 @@ from tissue.motion.rotation import matrix_of
 from tissue.perception.perception import Perception
 from tissue.prediction.predictor import Predictor
 
-__all__ = ["MEASURES", "PERCEIVED", "PREDICTED", "HandMotion"]
+__all__ = ["HandMotion"]
 
 Array = NDArray[np.float64]
-MEASURES = (
-    *(f"device_{c}_mm" for c in "xyz"),
-    *(f"device_q{c}" for c in "xyzw"),
-    *(f"device_force_{c}_N" for c in "xyz"),
-    *(f"device_torque_{c}_Nm" for c in "xyz"),
-    *(f"filtered_force_{c}_N" for c in "xyz"),
-    "saturated",
-    "passivity_J",
-    "margin",
-    *(f"raw_force_{c}_N" for c in "xyz"),
-)
-"""Columns of a device: its pose, what it played, the filtered force before it was brought into the device's
-range [N at the device], whether that compressed it or the torque, the energy taken from the device, the share of the
-critical stiffness that is left, and the force of the renderer, before prediction, filter and delay."""
-PREDICTED = (*(f"predicted_force_{c}_N" for c in "xyz"), "prediction_residual_N", "predicted_by")
-"""Columns of a prediction: force, size of the last one-tick error, and whose it is: 1 the predictor's, 0 what it falls
-back on."""
-PERCEIVED = ("estimated_force_N", "perceived", "perceived_spread", "above_threshold")
-"""Columns of a perception: see `tissue.perception.Perception`."""
 SMOOTH_S = 0.01
 """Time over which the speed of a tool that goes with its device is estimated: encoders step [s]."""
 
@@ -161,7 +160,7 @@ class HandMotion(Motion):
         if perception is not None:
             self.measure_names += PERCEIVED
         self.measures = np.zeros(len(self.measure_names))
-        self.measures[3:7], self.measures[18] = (0.0, 0.0, 0.0, 1.0), margin
+        self.measures[QUATERNION], self.measures[MARGIN] = (0.0, 0.0, 0.0, 1.0), margin
 
     @property
     def device(self) -> Device:
@@ -192,7 +191,7 @@ class HandMotion(Motion):
     def begin(self, motion: ToolMotion) -> None:
         """Begin where the scripted motion starts."""
         self._scripted.begin(motion)
-        self.measures[:3] = 1e3 * motion.tip_m
+        self.measures[POSITION] = 1e3 * motion.tip_m
 
     def happened(self) -> list[tuple[float, str]]:
         """Every change between good samples and bad, and how the device kept up."""
@@ -251,27 +250,29 @@ class HandMotion(Motion):
                 if self._turning_law is not None:
                     turned, spin, still = self.tool.quaternion, np.array(sample.spin_rad_s), np.zeros(3)
                     self._torque = self._turning_law.render(sample.quaternion, spin, turned, still, self._step)
-            row[19:22] = force = self._raw
+            row[RAW_FORCE] = force = self._raw
             if self.predictor is not None:
                 self.predictor.observe(at, speed, force if self._fresh else None)
                 predicted = self.predictor.predict(self.lead_ticks)
-                row[22:25], row[25], row[26] = predicted, self.predictor.residual_N, self.predictor.is_primary
+                row[PREDICTED_FORCE], row[RESIDUAL] = predicted, self.predictor.residual_N
+                row[PREDICTED_BY] = self.predictor.is_primary
                 force = force + self._gain * (predicted - force) if self._gain != 1.0 else predicted
                 if self._control is not None:
                     force = self._control.step(force, at, speed, self._tick)
             filtered = scaled = self._delay.step(self._low_pass.step(force))
             if (person := self.perception) is not None:
                 scaled = person.step(filtered)
-                row[-4:] = person.estimated_N, person.perceived, person.perceived_spread, person.above
+                row[PERCEPTION] = person.estimated_N, person.perceived, person.perceived_spread, person.above
             wanted, compressed = self._range.play(scaled)
             if self._turning_law is not None:
                 torque, squeezed = self._torques.play(self._turning_delay.step(self._turning.step(self._torque)))
                 compressed = compressed or squeezed
             self.observer.observe(at)
-            row[:3], row[3:7], row[13:16] = 1e3 * at, sample.quaternion, filtered
+            row[POSITION], row[QUATERNION], row[FILTERED_FORCE] = 1e3 * at, sample.quaternion, filtered
         played, turning = self.held.play(*self.guard.limit_force(wanted, torque))
         self.observer.hold(played)
-        row[7:10], row[10:13], row[16], row[17] = played, turning, compressed, self.observer.energy_J
+        row[PLAYED_FORCE], row[PLAYED_TORQUE] = played, turning
+        row[SATURATED], row[ENERGY] = compressed, self.observer.energy_J
 
     def _pause(self) -> None:
         """Nothing is known of the device in this tick."""

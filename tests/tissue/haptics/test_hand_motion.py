@@ -11,13 +11,15 @@ from tissue import InputError, load_scene, simulate
 from tissue.builders.hand import hand_motion
 from tissue.builders.loop import judged_loop
 from tissue.builders.registry import build, motion_of
+from tissue.haptics import hand_measures as at
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.faulty import Fault, FaultyDevice
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import Hand, hand_parameters
 from tissue.haptics.hand.minimum_jerk import waypoints
-from tissue.haptics.hand_motion import MEASURES, HandMotion
+from tissue.haptics.hand_measures import MEASURES, PERCEIVED, PREDICTED
+from tissue.haptics.hand_motion import HandMotion
 from tissue.haptics.loop.critical_stiffness import judge
 from tissue.haptics.proxy.held_tool import PressingTool
 from tissue.haptics.renderer import renderer
@@ -361,3 +363,21 @@ def test_a_device_that_plays_torque_is_given_that_of_its_spring(name, changes):
     np.testing.assert_allclose(played, tissue, atol=0.1 * np.linalg.norm(tissue))
     turned = trace["device_qz"] - trace["tool_qz"] if name == "glenoid" else trace["device_qy"] - trace["tool_qy"]
     assert np.abs(turned[late]).max() > 1e-4
+
+
+def test_every_measure_lies_at_its_place():
+    columns = MEASURES + PREDICTED + PERCEIVED
+    for place, start in (
+        (at.POSITION, "device_x_mm"), (at.QUATERNION, "device_qx"), (at.PLAYED_FORCE, "device_force_x_N"),
+        (at.PLAYED_TORQUE, "device_torque_x_Nm"), (at.FILTERED_FORCE, "filtered_force_x_N"), (at.RAW_FORCE, "raw_force_x_N"),
+        (at.PREDICTED_FORCE, "predicted_force_x_N"),
+    ):  # fmt: skip
+        assert columns[place][0] == start and len({name.split("_")[0] for name in columns[place]}) == 1
+    single = {
+        at.SATURATED: "saturated",
+        at.ENERGY: "passivity_J",
+        at.MARGIN: "margin",
+        at.RESIDUAL: PREDICTED[3],
+        at.PREDICTED_BY: PREDICTED[4],
+    }
+    assert all(columns[place] == name for place, name in single.items()) and columns[at.PERCEPTION] == PERCEIVED
