@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from tissue import load_scene, simulate
-from tissue.builders.prediction import PREDICTORS, trained_predictor
+from tissue.builders.prediction import trained_predictor
 from tissue.evaluation.training import fitting
 from tissue.evaluation.training.recording import trial
 from tissue.prediction.edmd.lifted import Operator
 from tissue.prediction.trained import Trained, shipped_file
+from tissue.scene.registry import PREDICTORS
 
 LIMIT_N = 3.3
 SCENES = ("caries", "glenoid", "liver-press", "milling", "molar", "needle", "palpation", "wall")
