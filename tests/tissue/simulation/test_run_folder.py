@@ -235,7 +235,7 @@ def test_an_interrupted_run_keeps_its_trace_and_prints_one_line(tmp_path, start)
     process = start("run", "milling", *COARSE, "--duration-s", "600", "--out", str(out))
     wait_for_rows(out / "trace.csv", process, 100)
     process.send_signal(signal.SIGINT)
-    _, message = process.communicate(timeout=30)
+    _, message = process.communicate(timeout=120)
     assert process.returncode == 130
     assert message == "stopped: what was written so far is kept, see `tissue view`\n"
     saved = SavedRun(out)
