@@ -191,7 +191,7 @@ class ParticleBody:
         held = self.supports.displacement_m
         lost = (load_N != 0.0) & ~self.carrying[:, None] & ~self.supports.fixed
         if not self.cells.live.any() or lost.any():
-            return ParticleSolution(held.copy(), SolverOutcome.UNSUPPORTED, 0, np.inf, 1.0)
+            return ParticleSolution(held.copy(), SolverOutcome.UNSUPPORTED, 0, residual=1.0, error=np.inf)
         load = (load_N - self.product(held) if held.any() else load_N) * self._free
         guess = held if cold else self.displacement_m if start_m is None else start_m
         if self._iterations_fresh == 0:
@@ -206,7 +206,7 @@ class ParticleBody:
         moved = found.displacement_m + held
         if found.converged:
             self.displacement_m = moved
-        return ParticleSolution(moved, found.outcome, found.iterations, found.error, found.residual)
+        return ParticleSolution(moved, found.outcome, found.iterations, residual=found.residual, error=found.error)
 
     def _precondition(self, residual: Array) -> Array:
         return self._hierarchy(residual) * self._free

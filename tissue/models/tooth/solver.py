@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue.fem.outcome import SolverOutcome
+from tissue.fem.solvers.solution import Solution
 
 __all__ = ["ParticleSolution", "conjugate_gradients"]
 
@@ -19,33 +20,16 @@ tooth of 1e5 nodes in a ligament a million times softer has 1e-8."""
 
 
 @dataclass(frozen=True, eq=False)
-class ParticleSolution:
-    """Displacement and how it was reached.
+class ParticleSolution(Solution):
+    """Displacement and how it was reached, with an estimate of its error.
 
     Attributes
     ----------
-    displacement_m
-        Nodal displacements [m], shape (n, 3); the last iterate where the outcome is not CONVERGED.
-    outcome
-        How the solve ended.
-    iterations
-        Conjugate gradient iterations.
     error
         Estimated error in the energy norm, relative to the energy norm of the displacement.
-    residual
-        Norm of what is left of the load, relative to the load.
     """
 
-    displacement_m: Array
-    outcome: SolverOutcome
-    iterations: int
     error: float
-    residual: float
-
-    @property
-    def converged(self) -> bool:
-        """Whether the displacement may be used."""
-        return self.outcome is SolverOutcome.CONVERGED
 
 
 def conjugate_gradients(
@@ -87,7 +71,7 @@ def conjugate_gradients(
     residual = load_N - product(displacement) if displacement.any() else load_N.copy()
     load_norm = np.sqrt(dot(load_N, load_N))
     if load_norm == 0.0:
-        return ParticleSolution(np.zeros_like(load_N), SolverOutcome.CONVERGED, 0, 0.0, 0.0)
+        return ParticleSolution(np.zeros_like(load_N), SolverOutcome.CONVERGED, 0, residual=0.0, error=0.0)
     by_diagonal = np.divide(1.0 / 24.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0.0)
     before, step, last_slope, outcome, error = residual, np.zeros_like(load_N), 1.0, SolverOutcome.NOT_CONVERGED, np.inf
     iteration = 0
@@ -118,7 +102,7 @@ def conjugate_gradients(
         before, last_slope = residual, slope
         residual = residual - length * along
         iteration += 1
-    return ParticleSolution(displacement, outcome, iteration, float(error), float(left))
+    return ParticleSolution(displacement, outcome, iteration, residual=float(left), error=float(error))
 
 
 def dot(a: Array, b: Array) -> float:
