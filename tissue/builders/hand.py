@@ -15,7 +15,7 @@ from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import Hand, HandParameters, hand_parameters
 from tissue.haptics.hand.minimum_jerk import Path, waypoints
 from tissue.haptics.hand_motion import HandMotion
-from tissue.haptics.proxy.guidance import Lead, Thrust
+from tissue.haptics.proxy.guidance import CompensatedPath, Thrust
 from tissue.haptics.proxy.held_tool import CuttingTool, HeldTool, PressingTool
 from tissue.haptics.proxy.held_turn import HeldTurn
 from tissue.haptics.proxy.probing_tool import ProbingTool
@@ -143,7 +143,7 @@ def _aims(
     path = waypoints(*_timed(scripted, recorded=isinstance(scene.motion, ReplayMotion), step_s=step_s))
     if isinstance(scene.anatomy, WallAnatomy) or isinstance(tool, ProbingTool):
         return path, None  # no force brings a tool to where a wall or a bone is
-    return Lead(path, tool, person.submovement_s - 0.5 * person.correction_s, furthest), None
+    return CompensatedPath(path, tool, person.submovement_s - 0.5 * person.correction_s, furthest), None
 
 
 def _turn(scripted: Motion, *, step_s: float) -> Callable[[float], Array]:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissue.haptics.proxy.guidance import Lead, Thrust
+from tissue.haptics.proxy.guidance import CompensatedPath, Thrust
 from tissue.haptics.proxy.held_tool import CuttingTool, PressingTool
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.models.wall import WallModel
@@ -49,7 +49,7 @@ def test_a_pressing_tool_finds_the_balance_of_a_spring_it_does_not_know(tissue_N
 
 def test_a_led_hand_goes_farther_until_the_tool_is_there():
     tool = PressingTool(1.0, np.zeros(3))
-    lead = Lead(lambda time_s: 1e-3 * DOWN, tool, lead_s=0.2, furthest_m=5e-3)
+    lead = CompensatedPath(lambda time_s: 1e-3 * DOWN, tool, lead_s=0.2, furthest_m=5e-3)
     assert lead(0.0)[2] == -1e-3
     goals = [lead(1.0 + n)[2] for n in range(40)]
     assert (np.diff(goals) <= 0.0).all() and goals[-1] == pytest.approx(-6e-3)

@@ -5,7 +5,7 @@ import pytest
 from koopman_systems import duffing, record
 
 from tissue import InputError
-from tissue.prediction.edmd.dictionary import Delays, Identity, Together
+from tissue.prediction.edmd.dictionary import Delays, DictionarySum, Identity
 from tissue.prediction.edmd.dictionary_file import from_plain
 from tissue.prediction.edmd.edmd import Edmd
 from tissue.prediction.edmd.episodes import Episode
@@ -120,7 +120,7 @@ OTHER_BAD = {
     "lags": (lambda: Delays(-1), "lags must be a whole number of at least 0"),
     "delays of delays": (lambda: Delays(1, Delays(2)), "inner must have no delays, got 2 lags"),
     "delays in a sum": (
-        lambda: Together((Delays(2),)),
+        lambda: DictionarySum((Delays(2),)),
         "parts must have no delays, got 2 lags: put Delays around the sum",
     ),
     "centres": (lambda: Gaussians(()), "centres must be a finite table"),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from fake_fields import PARTS, block_series, depth_at, pressed_run, pressed_series
-from seen_plotter import Seen
+from recording_plotter import RecordingPlotter
 
 from tissue import InputError
 from tissue.fem.fields import FieldSeries, Frame
@@ -100,7 +100,7 @@ def test_a_point_is_read_by_the_cells_own_shape_functions(tmp_path):
     random = np.random.default_rng(3)
     gradient = 0.1 * random.normal(size=(3, 3))
     fields, frame = _affine(tmp_path, gradient)
-    shown = FieldsShown(Seen(), fields, scale=2.0)
+    shown = FieldsShown(RecordingPlotter(), fields, scale=2.0)
     shown.show("von_mises_kPa")
     shown.at(1.0)
     for place in random.uniform((-19.0, -19.0, -19.0), (19.0, 19.0, -1.0), (20, 3)):
@@ -118,7 +118,7 @@ def test_a_point_is_read_by_the_cells_own_shape_functions(tmp_path):
 def test_deformed_cut_and_without_a_part(tmp_path):
     gradient = np.diag((0.0, 0.5, 0.0))
     fields, _ = _affine(tmp_path, gradient)
-    plotter = Seen()
+    plotter = RecordingPlotter()
     shown = FieldsShown(plotter, fields)
     shown.show("displacement_mm")
     shown.at(1.0)

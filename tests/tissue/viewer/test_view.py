@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fake_fields import block_series
-from seen_plotter import Seen
+from recording_plotter import RecordingPlotter
 
 from tissue import InputError, load_scene, simulate
 from tissue.motion.pose_log import write_poses
@@ -155,7 +155,7 @@ def test_damaged_files_of_the_bone_are_refused(layered, tmp_path, damage):
 
 def test_keys_switch_layers_and_colours(layered):
     pytest.importorskip("pyvista")
-    plotter = Seen()
+    plotter = RecordingPlotter()
     bone = BoneShown(plotter, carved_bone(layered))
     cells = lambda: sum(mesh.n_cells for mesh, _, _ in plotter.meshes.values())  # noqa: E731
     keys = LayerKeys(plotter, bone.layers, targets=[bone.hide])
@@ -178,7 +178,7 @@ def test_keys_switch_layers_and_colours(layered):
 
 
 def test_stress_follows_the_time(layered):
-    plotter = Seen()
+    plotter = RecordingPlotter()
     fields = FieldsShown(plotter, SavedFields(layered), clip=((0.0, -1.0, 0.0), (0.0, 0.5, 0.0)))
     fields.at(0.2)
     assert not plotter.meshes

@@ -12,7 +12,7 @@ from meshes.base.errors import InputError, require_positive, require_range
 from tissue.haptics.loop.filters import low_pass_gain
 from tissue.haptics.loop.forecast import Forecast
 
-__all__ = ["Seen", "WallLoop", "loop_matrix", "plant_step", "spectral_radius"]
+__all__ = ["ForecastMemory", "WallLoop", "loop_matrix", "plant_step", "spectral_radius"]
 
 Array = NDArray[np.float64]
 MOST_TICKS = 400
@@ -123,7 +123,7 @@ def loop_matrix(loop: WallLoop) -> Array:
     size = 5 + queued + places + ages
     state = np.eye(size)
     plant, before, filtered, queue = state[:3], state[3], state[4], list(state[5 : 5 + queued])
-    seen = Seen(loop, list(state[5 + queued : size - ages]), list(state[size - ages :]))
+    seen = ForecastMemory(loop, list(state[5 + queued : size - ages]), list(state[size - ages :]))
     gain = low_pass_gain(loop.filter_s, loop.tick_s)
     model = np.zeros(size)
     for tick in range(loop.model_ticks):
@@ -139,7 +139,7 @@ def loop_matrix(loop: WallLoop) -> Array:
     return np.vstack([plant, before, filtered, *queue, *seen.positions, *seen.forces])
 
 
-class Seen:
+class ForecastMemory:
     """What a loop's forecast has seen, newest first: one value, or one row or column of them, a tick.
 
     Parameters

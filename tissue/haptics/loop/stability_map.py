@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError
 from tissue.haptics.loop.critical_stiffness import Verdict, critical_stiffness_N_m, judge
 from tissue.haptics.loop.filters import low_pass_gain
-from tissue.haptics.loop.sampled_loop import Seen, WallLoop, plant_step, spectral_radius
+from tissue.haptics.loop.sampled_loop import ForecastMemory, WallLoop, plant_step, spectral_radius
 from tissue.haptics.loop.stability_bounds import delay_bound_N_m, pade_bound_N_m, passive_bound_N_m
 
 __all__ = ["StabilityChart", "StabilityMap", "growth_while_running", "measured_critical_N_m", "stability_map"]
@@ -89,7 +89,7 @@ def growth_while_running(loops: Sequence[WallLoop], stiffnesses_N_m: Array, *, t
     damping = np.array([each.wall_damping_N_s_m for each in loops])
     gain = np.array([low_pass_gain(each.filter_s, tick) for each in loops])
     places, ages = (0, 0) if first.forecast is None else first.forecast.memory
-    seen = Seen(first, [np.zeros(count)] * places, [np.zeros(count)] * ages)
+    seen = ForecastMemory(first, [np.zeros(count)] * places, [np.zeros(count)] * ages)
     plant = np.zeros((4, count))
     plant[1] = 1e-3
     before, force, filtered = np.zeros(count), np.zeros(count), np.zeros(count)

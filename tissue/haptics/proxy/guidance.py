@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from tissue.haptics.hand.minimum_jerk import Path
 from tissue.haptics.proxy.held_tool import HeldTool
 
-__all__ = ["Lead", "Thrust"]
+__all__ = ["CompensatedPath", "Thrust"]
 
 Array = NDArray[np.float64]
 SHARE = 0.5
@@ -20,7 +20,7 @@ nearly finished (0.2 mm are missing instead of 0.5) before milling overshoots.""
 
 
 @dataclass
-class Lead:
+class CompensatedPath:
     """A path on which the tool, not the hand, is brought to where it shall be.
 
     A hand that only went where the tool shall be would stop where spring and resistance balance. At every correction

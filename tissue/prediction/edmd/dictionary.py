@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 
-__all__ = ["Delays", "Dictionary", "Identity", "Together", "require_columns"]
+__all__ = ["Delays", "Dictionary", "DictionarySum", "Identity", "require_columns"]
 
 Array = NDArray[np.float64]
 
@@ -48,11 +48,11 @@ class Dictionary(ABC):
         """Time derivatives of the observables, ∇φ · dx/dt, shape (..., D)."""
         return np.concatenate((rates, self.extra_rates(states, rates)), axis=-1)
 
-    def __add__(self, other: "Dictionary") -> "Together":
+    def __add__(self, other: "Dictionary") -> "DictionarySum":
         """The observables of both; the state leads once."""
-        parts = [*(self.parts if isinstance(self, Together) else (self,))]
-        parts += other.parts if isinstance(other, Together) else (other,)
-        return Together(tuple(parts))
+        parts = [*(self.parts if isinstance(self, DictionarySum) else (self,))]
+        parts += other.parts if isinstance(other, DictionarySum) else (other,)
+        return DictionarySum(tuple(parts))
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Identity(Dictionary):
 
 
 @dataclass(frozen=True)
-class Together(Dictionary):
+class DictionarySum(Dictionary):
     """The state, then what each part adds to it, in order.
 
     Raises

@@ -5,7 +5,7 @@ from dataclasses import fields
 from typing import Any
 
 from meshes.base.errors import InputError
-from tissue.prediction.edmd.dictionary import Delays, Dictionary, Identity, Together
+from tissue.prediction.edmd.dictionary import Delays, Dictionary, DictionarySum, Identity
 from tissue.prediction.edmd.gap_products import GapProducts
 from tissue.prediction.edmd.overlaps import Overlaps
 from tissue.prediction.edmd.polynomials import Polynomials
@@ -35,7 +35,7 @@ def from_plain(plain: Mapping[str, Any]) -> Dictionary:
     InputError
         If the kind or one of its fields is unknown, or a value cannot be used.
     """
-    known = (Identity, Polynomials, Gaussians, ThinPlates, GapProducts, Overlaps, Together, Delays)
+    known = (Identity, Polynomials, Gaussians, ThinPlates, GapProducts, Overlaps, DictionarySum, Delays)
     kinds: dict[Any, Callable[..., Dictionary]] = {kind.__name__: kind for kind in known}
     given = dict(plain)
     kind = given.pop("kind", None)
