@@ -15,7 +15,7 @@ import meshes.base.isolated_parser
 from meshes.base.errors import InputError
 from meshes.base.isolated_parser import parse_isolated
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 PARSERS = """
 import ctypes, time
 import numpy as np
