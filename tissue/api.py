@@ -6,8 +6,8 @@ from typing import Concatenate, ParamSpec
 
 from meshes.base.progress import silent
 from tissue.figures.report import draw_pictures
-from tissue.scene.messages import require_used
 from tissue.scene.scene import Scene
+from tissue.scene.unused_keys import require_used
 from tissue.simulation import simulate as engine
 from tissue.simulation.run import Run
 

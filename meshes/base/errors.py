@@ -1,8 +1,16 @@
 """The error a person sees when an input cannot be used, and the checks that raise it."""
 
 import math
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 
-__all__ = ["DamagedFileError", "InputError", "counted", "require_positive", "require_range"]
+__all__ = [
+    "DamagedFileError", "InputError", "counted", "in_callers_words", "names_of_caller", "require_positive",
+    "require_range",
+]  # fmt: skip
+
+NUMBER = r"(?<![\w.+-])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.])"
 
 
 class InputError(ValueError):
@@ -63,3 +71,35 @@ def _as_number(name: str, value: object, remedy: str) -> float:
         return float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError) as problem:
         raise InputError(f"{name} must be a number, got {value!r}: {remedy}") from problem
+
+
+@contextmanager
+def names_of_caller(names: Mapping[str, str]) -> Iterator[None]:
+    """Let a refusal name what the caller has: ``names`` holds it by the words with which a refusal begins."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(in_callers_words(str(error), names)) from error
+
+
+def in_callers_words(message: str, names: Mapping[str, str]) -> str:
+    """A refusal with the caller's name, such as a key of a scene, and in millimetres where it has metres.
+
+    A refusal of an argument in metres has all of its lengths in them; elsewhere a length is a number before " m".
+    """
+    for words, key in sorted(names.items(), key=lambda item: -len(item[0])):
+        if not re.match(rf"{re.escape(words)}(?![\w.])", message):
+            continue
+        argument = words.split(" ", 1)[0]
+        if argument.endswith("_m") and " mm" not in message:
+            message = re.sub(rf"{NUMBER}(?! times)( m\b)?", _millimetres, message)
+        message = key + message.removeprefix(words)
+        if "_" not in argument:
+            return message  # a plain word, which may have its plain meaning further on
+        return re.sub(rf"(?<![\w.]){re.escape(argument)}(?!\w)", key.split(" ", 1)[0], message)
+    return message
+
+
+def _millimetres(found: re.Match[str]) -> str:
+    """A length in metres as one in millimetres, with its unit where it had one."""
+    return f"{1e3 * float(found[0].removesuffix(' m')):.4g}" + (" mm" if found[1] else "")

@@ -7,12 +7,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from meshes.base.errors import in_callers_words
 from meshes.tets.structured import box
 from tissue import InputError, load_scene, scene_names, scene_text, simulate
 from tissue.builders.organ import elasticity_of
-from tissue.scene.key_names import in_scene_words
-from tissue.scene.messages import require_used
 from tissue.scene.organ import LiverAnatomy, Organ
+from tissue.scene.unused_keys import require_used
 
 
 @pytest.fixture
@@ -143,17 +143,19 @@ def test_a_part_of_a_file_is_named_as_the_nodule():
 
 
 def test_refusals_of_functions_below_come_in_keys_and_millimetres():
-    message = in_scene_words("edge_m must be in [0.001, 0.05], got 0.2: use about 0.01", {"edge_m": "anatomy.edge_mm"})
+    message = in_callers_words(
+        "edge_m must be in [0.001, 0.05], got 0.2: use about 0.01", {"edge_m": "anatomy.edge_mm"}
+    )
     assert message == "anatomy.edge_mm must be in [1, 50], got 200: use about 10"
     names = {"nodes_m must lie closer to each other": "anatomy.touch_edge_mm must give shorter edges"}
     assert (
-        in_scene_words(
+        in_callers_words(
             "nodes_m must lie closer to each other under this tool, got an edge of 0.035 m, more than 16 times 0.002 m: mesh",
             names,
         )
         == "anatomy.touch_edge_mm must give shorter edges under this tool, got an edge of 35 mm, more than 16 times 2 mm: mesh"
     )
-    assert in_scene_words("file must exist, got file.stl: check", {"file": "anatomy.file"}) == (
+    assert in_callers_words("file must exist, got file.stl: check", {"file": "anatomy.file"}) == (
         "anatomy.file must exist, got file.stl: check"
     )
-    assert in_scene_words("filed must exist", {"file": "anatomy.file"}) == "filed must exist"
+    assert in_callers_words("filed must exist", {"file": "anatomy.file"}) == "filed must exist"

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, names_of_caller
 from meshes.base.placement import Placement
 from meshes.base.progress import Progress
 from meshes.organs.liver import Nodule, liver, liver_region, slab, slab_base
@@ -16,10 +16,10 @@ from meshes.tets.bisection import bisected
 from meshes.tets.files import read_tets
 from meshes.tets.regions import nodes_behind_plane, nodes_facing, nodes_of_part
 from meshes.tets.tetrahedra import TetMesh
+from tissue.builders.parts import FILE_WORDS
 from tissue.materials.constants import constants
 from tissue.materials.elasticity import lame, rotated, transversely_isotropic
 from tissue.motion.motion import frame_along
-from tissue.scene.key_names import FILE_WORDS, scene_keys
 from tissue.scene.organ import LiverAnatomy, Organ, SlabAnatomy
 from tissue.scene.unused_keys import is_given
 
@@ -95,7 +95,7 @@ def held_mesh(
     def fine(mesh: TetMesh) -> TetMesh:
         return bisected(mesh, lambda points: touch_edge_m + GROWTH * _away(points, path_m))
 
-    with scene_keys(KEYS):
+    with names_of_caller(KEYS):
         if isinstance(anatomy, SlabAnatomy):
             size = tuple(1e-3 * side for side in anatomy.size_mm)
             block = slab(size_m=(size[0], size[1], size[2]), spacing_m=1e-3 * anatomy.edge_mm, nodule=_nodule(anatomy))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, names_of_caller
 from meshes.base.progress import Progress, silent
 from tissue.builders.organ import elasticity_of, held_mesh
 from tissue.builders.parts import Parts
@@ -14,7 +14,6 @@ from tissue.builders.probe import probe_of, shell_note
 from tissue.builders.touchable import require_outside, touchable_surface
 from tissue.materials.constants import constants
 from tissue.motion.motion import Motion
-from tissue.scene.key_names import scene_keys
 from tissue.scene.organ import LayersAnatomy, LiverAnatomy, Organ, SlabAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Needle
@@ -105,7 +104,7 @@ def press(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: i
     load, rest = _weight(space, organ, body, solver, notes)
     report("condensing the compliance to the surface that can be touched", 0.0)
     compliance, lazy = _compliance(body, touchable, organ, solver, report)
-    with scene_keys({"nodes_m must lie closer to each other": "anatomy.touch_edge_mm must give shorter edges"}):
+    with names_of_caller({"nodes_m must lie closer to each other": "anatomy.touch_edge_mm must give shorter edges"}):
         contact = SurfaceContact(
             space.nodes_m[touchable] + rest[touchable],
             faces,

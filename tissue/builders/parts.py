@@ -12,7 +12,10 @@ from tissue.models.tissue_model import HasFields, TissueModel
 from tissue.motion.motion import Motion
 from tissue.scene.scene import Scene
 
-__all__ = ["Parts", "TissueBuilder"]
+__all__ = ["FILE_WORDS", "Parts", "TissueBuilder"]
+
+FILE_WORDS = ("file", "surface", "vertices", "faces", "triangles", "cells", "nodes", "labels")
+"""What functions that read a file of anatomy or of a tool call it or what it holds."""
 
 
 @dataclass

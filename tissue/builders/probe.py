@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from meshes.base.errors import InputError
-from tissue.scene.key_names import FILE_WORDS, scene_keys
+from meshes.base.errors import InputError, names_of_caller
+from tissue.builders.parts import FILE_WORDS
 from tissue.scene.tool import Probe as ProbeTable
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def probe_of(tool: ProbeTable) -> "Probe":
     if not file.is_file():
         raise InputError(f"tool.file must exist, got {file}: check the path")
     try:
-        with scene_keys(dict.fromkeys(("mesh", *FILE_WORDS), "tool.file")):
+        with names_of_caller(dict.fromkeys(("mesh", *FILE_WORDS), "tool.file")):
             return ShellProbe.from_mesh(file, scale=1e-3 * tool.scale_mm)
     except InputError:
         raise

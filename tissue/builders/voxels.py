@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, names_of_caller
 from meshes.base.progress import Progress, silent
 from meshes.shapes import sdf
 from meshes.shapes.anatomy import Anatomy, cortical_block
@@ -19,11 +19,11 @@ from meshes.tooth.molar import molar
 from meshes.voxels.volume import VoxelVolume
 from meshes.voxels.voxelise import voxelise
 from tissue.builders.bone_from_file import bone_from_file, require_whole, threshold_of
+from tissue.builders.parts import FILE_WORDS
 from tissue.cutters.cutter import Cutter
 from tissue.motion.motion import Motion
 from tissue.motion.reach import box_text, reach
 from tissue.scene.anatomy import AnatomyFile, BlockAnatomy, GlenoidAnatomy, MolarAnatomy
-from tissue.scene.key_names import FILE_WORDS, scene_keys
 from tissue.scene.scene import Scene
 
 __all__ = ["volume_of", "whole_tooth"]
@@ -123,7 +123,7 @@ def _named(parameters: AnatomyFile) -> AbstractContextManager[None]:
         missing = "dentin" if "enamel" in layers else "enamel"
         names["paths_by_layer must give enamel and dentin"] = f"anatomy.{missing}_file must be given"
         names |= {"layers": "anatomy.enamel_file and anatomy.dentin_file", "pulp": "anatomy.pulp_file"}
-    return scene_keys(names | {"resample_mm": "voxels.spacing_mm"})
+    return names_of_caller(names | {"resample_mm": "voxels.spacing_mm"})
 
 
 def _image(scene: Scene, *, notes: dict[str, str]) -> VoxelVolume:

@@ -1,6 +1,5 @@
 """What a scene states of the device in a person's hand, and of the wall that shows what the device can do."""
 
-from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
@@ -12,7 +11,6 @@ from tissue.scene.registry import DEVICES, HANDS, PERCEPTIONS, PREDICTORS, RENDE
 
 __all__ = [
     "Coupling", "DeviceName", "Fidelity", "HandName", "PerceptionName", "PredictionName", "RendererName", "WallAnatomy",
-    "perception_at",
 ]  # fmt: skip
 
 DeviceName = Annotated[str, OneOf(DEVICES, ("none",))]
@@ -69,12 +67,3 @@ class WallAnatomy(Part):
     """A wall."""
     stiffness_kN_m: float = Field(10.0, ge=1, le=40)
     """Stiffness of the wall, without friction or damping."""
-
-
-def perception_at(perception: str, folder: Path) -> str:
-    """A scene's perception with the file that it names made absolute, a relative one taken from ``folder``."""
-    for name in PERCEPTIONS:
-        head = name.removesuffix("FILE")
-        if head.endswith(":") and perception.startswith(head) and perception != head:
-            return f"{head}{(folder / perception.removeprefix(head)).resolve()}"
-    return perception

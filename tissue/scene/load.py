@@ -11,11 +11,11 @@ from pydantic import BaseModel, ValidationError
 
 from meshes.base.errors import InputError
 from meshes.base.file_version import package_version, require_version
-from tissue.scene.coupling import perception_at
-from tissue.scene.messages import require_used, sentence
+from tissue.scene.messages import sentence
 from tissue.scene.named_parts import nearest
+from tissue.scene.registry import PERCEPTIONS
 from tissue.scene.scene import Scene
-from tissue.scene.unused_keys import refused_keys
+from tissue.scene.unused_keys import refused_keys, require_used
 
 __all__ = ["changed", "load_scene", "parse_override", "saved_text", "scene_names", "scene_text"]
 
@@ -86,7 +86,7 @@ def load_scene(source: str | Path, overrides: Mapping[str, Any] | None = None, *
         if isinstance(inner, dict) and isinstance(inner.get(name), str) and inner[name]:
             inner[name] = str((folder / inner[name]).resolve())
     if isinstance(person := table.get("perception"), str):
-        table["perception"] = perception_at(person, folder)
+        table["perception"] = PERCEPTIONS.with_file_at(person, folder)
     scene = _replaced(table, overrides or {})
     require_used(scene.model_copy(update={"device": "touch"}) if live and scene.device == "none" else scene)
     return scene.with_files_at(Path.cwd())

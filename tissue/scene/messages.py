@@ -7,16 +7,12 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from meshes.base.errors import InputError
-from tissue.scene.named_parts import ByKind, OneOf, kinds_of, nearest, unknown_name
+from tissue.scene.named_parts import ByKind, OneOf, kinds_of, nearest, shown, unknown_name
 from tissue.scene.scene import Scene
-from tissue.scene.unused_keys import given_keys, refused_keys
 
-__all__ = ["choices_of", "require_used", "sentence"]
+__all__ = ["choices_of", "sentence"]
 
 BOUNDS = (("gt", "greater than"), ("ge", "at least"), ("lt", "below"), ("le", "at most"))
-LONGEST = 120
-"""Characters of a value that a sentence repeats."""
 SEE = "see `tissue scenes NAME`"
 Table = Mapping[str, Any]
 
@@ -48,44 +44,6 @@ def sentence(fault: Mapping[str, Any], table: Table) -> str:
     if choices:
         return unknown_name(key, choices, shown(got))
     return f"{key} must be {_requirement(field, kind, len(path) > len(names))}, got {_shown(got)}: {_remedy(field)}"
-
-
-def require_used(scene: Scene) -> None:
-    """Refuse a scene with a key that has no effect in it.
-
-    Raises
-    ------
-    InputError
-        Names the key, or all that have none for the same reason, and what has an effect instead.
-    """
-    refused = refused_keys(scene)
-    if not refused:
-        return
-    values, why = dict(given_keys(scene)), next(iter(refused.values()))
-    keys = [key for key, each in refused.items() if each == why]
-    got = _got(values[keys[0]]) if len(keys) == 1 else ", ".join(f"{key} = {_got(values[key])}" for key in keys)
-    raise InputError(
-        f"{' and '.join(keys)} must be left out {why.where}, got {got}: {why.remedy}, or remove "
-        + ("it" if len(keys) == 1 else "them")
-    )
-
-
-def _got(value: Any) -> str:
-    return "a table" if isinstance(value, BaseModel) else shown(value)
-
-
-def shown(value: Any) -> str:
-    """A value as a person would write it."""
-    if isinstance(value, float):
-        return f"{value:g}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(shown(item) for item in value) + "]"
-    if isinstance(value, Mapping):
-        return "a table"
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    text = "".join(each if each.isprintable() else repr(each)[1:-1] for each in str(value))
-    return text if len(text) <= LONGEST else f"{text[:LONGEST]}... ({len(text)} characters)"
 
 
 def _shown(value: Any) -> str:

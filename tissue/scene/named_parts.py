@@ -5,6 +5,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_args
 
 from meshes.base.errors import InputError
@@ -12,9 +13,11 @@ from meshes.base.errors import InputError
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-__all__ = ["ByKind", "OneOf", "Registry", "kinds_of", "loaded", "nearest", "unknown_name"]
+__all__ = ["ByKind", "OneOf", "Registry", "kinds_of", "loaded", "nearest", "shown", "unknown_name"]
 
 T = TypeVar("T")
+LONGEST = 120
+"""Characters of a value that a sentence repeats."""
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
@@ -27,6 +30,20 @@ def unknown_name(key: str, known: Iterable[str], got: str) -> str:
     """The sentence that refuses a name which is not one of those known."""
     known = list(known)
     return f"{key} must be one of {', '.join(known)}, got {got}{nearest(got, known)}: choose one of these"
+
+
+def shown(value: Any) -> str:
+    """A value as a person would write it."""
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(shown(item) for item in value) + "]"
+    if isinstance(value, Mapping):
+        return "a table"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    text = "".join(each if each.isprintable() else repr(each)[1:-1] for each in str(value))
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}... ({len(text)} characters)"
 
 
 def loaded(part: T | str) -> T:
@@ -90,6 +107,14 @@ class Registry(Generic[T]):
             if colon and text.startswith(head + colon) and len(text) > len(head + colon):
                 return name, text.removeprefix(head + colon)
         raise InputError(unknown_name(self.key, (*others, *self), text))
+
+    def with_file_at(self, text: str, folder: Path) -> str:
+        """A text such as observer:a.json with its file made absolute, a relative one taken from ``folder``."""
+        for name in self:
+            head = name.removesuffix("FILE")
+            if head.endswith(":") and text.startswith(head) and text != head:
+                return f"{head}{(folder / text.removeprefix(head)).resolve()}"
+        return text
 
     def add(self, name: str, part: T | str) -> None:
         """Make a part known by a name that no other has.

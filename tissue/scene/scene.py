@@ -22,11 +22,10 @@ from tissue.scene.coupling import (
     PredictionName,
     RendererName,
     WallAnatomy,
-    perception_at,
 )
 from tissue.scene.named_parts import ByKind, kinds_of, loaded
 from tissue.scene.organ import LayersAnatomy, LiverAnatomy, Organ, SlabAnatomy
-from tissue.scene.registry import ANATOMIES, CUTTERS
+from tissue.scene.registry import ANATOMIES, CUTTERS, PERCEPTIONS
 from tissue.scene.tool import Needle, PathMotion, Probe, ReplayMotion, ThrustMotion, Tool
 from tissue.scene.unused_keys import unused_keys
 
@@ -203,7 +202,7 @@ class Scene(Part):
     def with_files_at(self, folder: Path) -> "Scene":
         """The same scene with the paths of its files made absolute, relative ones taken from ``folder``."""
         changes: dict[str, Any] = {}
-        if (perception := perception_at(self.perception, folder)) != self.perception:
+        if (perception := PERCEPTIONS.with_file_at(self.perception, folder)) != self.perception:
             changes["perception"] = perception
         for part in ("anatomy", "motion", "tool", "coupling"):
             value: Part = getattr(self, part)

@@ -5,12 +5,13 @@ if it had been given what it was not. What only a file's contents decide is refu
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
+from meshes.base.errors import InputError
 from tissue.scene.anatomy import AnatomyFile, BlockAnatomy, GlenoidAnatomy, MolarAnatomy, Part
 from tissue.scene.coupling import WallAnatomy
+from tissue.scene.named_parts import shown
 from tissue.scene.organ import LiverAnatomy, SlabAnatomy
 from tissue.scene.registry import CUTTERS, DEVICES, PREDICTORS
 from tissue.scene.tool import Needle, Probe, ReplayMotion, ThrustMotion, Tool
@@ -18,7 +19,7 @@ from tissue.scene.tool import Needle, Probe, ReplayMotion, ThrustMotion, Tool
 if TYPE_CHECKING:
     from tissue.scene.scene import Scene
 
-__all__ = ["Unused", "given_keys", "is_given", "refused_keys", "unused_keys"]
+__all__ = ["Unused", "is_given", "is_whole_image", "refused_keys", "require_used", "unused_keys"]
 
 PROCEDURAL_GLENOID = "anatomy.width_mm anatomy.height_mm anatomy.curvature_radius_mm anatomy.subchondral_thickness_mm"
 PROCEDURAL_MOLAR = (
@@ -30,8 +31,7 @@ SITE = "anatomy.centre_mm anatomy.normal anatomy.along"
 HOLE = "anatomy.guide_hole_diameter_mm anatomy.guide_hole_depth_mm"
 
 
-@dataclass(frozen=True)
-class Unused:
+class Unused(NamedTuple):
     """Why a key has no effect, as ``with anatomy.file``, and what has, as ``set anatomy.scale_mm``."""
 
     where: str
@@ -45,15 +45,14 @@ Rule = tuple[str, bool, str, str]
 def unused_keys(scene: "Scene") -> dict[str, Unused]:
     """Keys, or whole parts, that have no effect in a scene, and why."""
     found: dict[str, Unused] = {}
-    for rules in (_device, _tool, _motion, _cutting, _bone, _hole, _tooth, _organ, _soft, _chosen):
+    for rules in (_device, _tool, _motion, _cutting, _bone, _hole, _tooth, _organ, _chosen):
         for keys, unused, where, remedy in rules(scene):
             if unused:
-                for key in keys.split():
-                    found.setdefault(key, Unused(where, remedy))
+                found = dict.fromkeys(keys.split(), Unused(where, remedy)) | found
     return found
 
 
-def given_keys(scene: "Scene") -> Iterator[tuple[str, Any]]:
+def given_keys(scene: "Scene") -> Iterator[tuple[str, object]]:
     """Dotted keys that were set in a scene, and their values; kinds and defaults are none."""
     for name in sorted(scene.model_fields_set):
         value = getattr(scene, name)
@@ -63,7 +62,7 @@ def given_keys(scene: "Scene") -> Iterator[tuple[str, Any]]:
         inner = value.model_fields_set - {"kind"}
         yield from ((f"{name}.{each}", getattr(value, each)) for each in sorted(inner))
         if not inner and type(scene).model_fields[name].default is None:
-            yield name, value  # a table that is there at all asks for something
+            yield name, {}  # a table that is there at all asks for something
 
 
 def is_given(part: Part, name: str) -> bool:
@@ -74,195 +73,222 @@ def is_given(part: Part, name: str) -> bool:
 def refused_keys(scene: "Scene") -> dict[str, Unused]:
     """Keys that were set in a scene and have no effect in it; one that asks for nothing, such as 0, is allowed."""
     unused = unused_keys(scene)
-    found = {}
-    for key, value in given_keys(scene):
-        why = unused.get(key) or unused.get(key.split(".")[0])
-        if why is not None and not _asks_for_nothing(scene, key, value):
-            found[key] = why
-    return found
+    found = {key: unused.get(key) or unused.get(key.split(".")[0]) for key, _ in given_keys(scene)}
+    return {key: why for key, why in found.items() if why is not None and not _asks_for_nothing(scene, key)}
 
 
-def _asks_for_nothing(scene: "Scene", key: str, value: Any) -> bool:
+def require_used(scene: "Scene") -> None:
+    """Refuse a scene with a key that has no effect in it.
+
+    Raises
+    ------
+    InputError
+        Names the key, or all that have none for the same reason, and what has an effect instead.
+    """
+    refused = refused_keys(scene)
+    if not refused:
+        return
+    values, why = dict(given_keys(scene)), next(iter(refused.values()))
+    keys = [key for key, each in refused.items() if each == why]
+    got, them = shown(values[keys[0]]), "it"
+    if len(keys) > 1:
+        got, them = ", ".join(f"{key} = {shown(values[key])}" for key in keys), "them"
+    raise InputError(f"{' and '.join(keys)} must be left out {why.where}, got {got}: {why.remedy}, or remove {them}")
+
+
+def _asks_for_nothing(scene: "Scene", key: str) -> bool:
     """Whether a value is a default that states that something is not there."""
     *parts, name = key.split(".")
     model: Part = getattr(scene, parts[0]) if parts else scene
+    value = getattr(model, name)
     return (value is None or value in (0, "", "none")) and bool(value == type(model).model_fields[name].default)
 
 
-def _device(scene: "Scene") -> Iterator[Rule]:
-    alone = scene.device == "none"
-    yield "hand renderer prediction perception coupling", alone, "without a device", "set device = touch"
-    yield "seed", alone, "without a device, for nothing is drawn at random then", "set device = touch"
-    if alone:
-        return
+def _device(scene: "Scene") -> list[Rule]:
+    if scene.device == "none":
+        nothing = "without a device, for nothing is drawn at random then"
+        return [
+            ("hand renderer prediction perception coupling", True, "without a device", "set device = touch"),
+            ("seed", True, nothing, "set device = touch"),
+        ]
     torque = scene.device in DEVICES and DEVICES[scene.device].get("torque_limit_Nm", 0.0) > 0.0
-    yield "coupling.stiffness_Nm_rad", not torque, "with a device that plays no torque", "set device = six-dof"
-    yield "coupling.prediction_gain", scene.prediction == "none", "without a prediction", "set prediction = koopman"
-    kept = scene.prediction == "hold"
-    yield "coupling.prediction_gain", kept, "with prediction = hold, the present force", "set prediction = koopman"
     trained = scene.prediction in PREDICTORS and PREDICTORS[scene.prediction].trained
-    yield "coupling.predictor_file", not trained, "unless a trained prediction is used", "set prediction = koopman"
+    koopman, points = "set prediction = koopman", "set motion.points_mm"
     wall = isinstance(scene.anatomy, WallAnatomy)
-    yield "coupling.roam_mm", wall, "for a wall, which goes on for ever", "set motion.points_mm"
-    yield "coupling.roam_mm", isinstance(scene.tool, Needle), "for a needle", "set motion.points_mm"
+    return [
+        ("coupling.stiffness_Nm_rad", not torque, "with a device that plays no torque", "set device = six-dof"),
+        ("coupling.prediction_gain", scene.prediction == "none", "without a prediction", koopman),
+        ("coupling.prediction_gain", scene.prediction == "hold", "with prediction = hold, the present force", koopman),
+        ("coupling.predictor_file", not trained, "unless a trained prediction is used", koopman),
+        ("coupling.roam_mm", wall, "for a wall, which goes on for ever", points),
+        ("coupling.roam_mm", isinstance(scene.tool, Needle), "for a needle", points),
+    ]
 
 
-def _tool(scene: "Scene") -> Iterator[Rule]:
+def _tool(scene: "Scene") -> list[Rule]:
     tool = scene.tool
+    where = f"for a {tool.kind}"
     if isinstance(tool, Tool):
-        kind = tool.kind
-        where, keys = f"for a {kind}", CUTTERS[kind].keys
-        yield "tool.length_mm", "length_mm" not in keys, where, "set tool.diameter_mm"
-        yield "tool.point_angle_deg", "point_angle_deg" not in keys, where, "set tool.kind = twist-drill"
-        yield "tool.peg_diameter_mm tool.peg_length_mm", not tool.can_have_peg, where, "set tool.kind = flat-reamer"
-        yield "tool.peg_length_mm", tool.peg_diameter_mm == 0.0, "without a peg", "set tool.peg_diameter_mm"
-        yield "tool.peg_diameter_mm", tool.peg_length_mm == 0.0, "without its length", "set tool.peg_length_mm"
-        still = tool.spin_rpm == 0.0
-        yield "tool.flutes tool.shell_spacing_mm", still, "for a tool that does not turn", "set tool.spin_rpm"
-    elif isinstance(tool, Probe):
-        where = f"for a {tool.kind}"
-        yield "tool.length_mm", tool.kind != "cylinder-probe", where, "set tool.kind = cylinder-probe"
-        shell = tool.kind == "shell-probe"
-        yield "tool.diameter_mm", shell, f"{where}, whose size its file gives", "set tool.scale_mm"
-        yield "tool.scale_mm", not shell, where, "set tool.diameter_mm"
-        yield "tool.file", not shell, where, "set tool.kind = shell-probe"
+        keys, still = CUTTERS[tool.kind].keys, tool.spin_rpm == 0.0
+        return [
+            ("tool.length_mm", "length_mm" not in keys, where, "set tool.diameter_mm"),
+            ("tool.point_angle_deg", "point_angle_deg" not in keys, where, "set tool.kind = twist-drill"),
+            ("tool.peg_diameter_mm tool.peg_length_mm", not tool.can_have_peg, where, "set tool.kind = flat-reamer"),
+            ("tool.peg_length_mm", tool.peg_diameter_mm == 0.0, "without a peg", "set tool.peg_diameter_mm"),
+            ("tool.peg_diameter_mm", tool.peg_length_mm == 0.0, "without its length", "set tool.peg_length_mm"),
+            ("tool.flutes tool.shell_spacing_mm", still, "for a tool that does not turn", "set tool.spin_rpm"),
+        ]
+    if not isinstance(tool, Probe):
+        return []
+    shell = tool.kind == "shell-probe"
+    return [
+        ("tool.length_mm", tool.kind != "cylinder-probe", where, "set tool.kind = cylinder-probe"),
+        ("tool.diameter_mm", shell, f"{where}, whose size its file gives", "set tool.scale_mm"),
+        ("tool.scale_mm", not shell, where, "set tool.diameter_mm"),
+        ("tool.file", not shell, where, "set tool.kind = shell-probe"),
+    ]
 
 
-def _motion(scene: "Scene") -> Iterator[Rule]:
-    motion, held = scene.motion, scene.device != "none"
-    replayed = isinstance(motion, ReplayMotion)
-    yield "motion.axis", replayed, "for a replay, whose file holds the turns", "set motion.file"
-    if isinstance(motion, ThrustMotion) and held:
-        yield "motion.mass_kg", True, "by a hand on a device, whose masses count", "set device or hand"
-        lasts = scene.duration_s is not None
-        yield "motion.max_feed_mm_s", lasts, "by a hand with duration_s", "set motion.thrust_N or duration_s"
+def _motion(scene: "Scene") -> list[Rule]:
+    by_hand = isinstance(scene.motion, ThrustMotion) and scene.device != "none"
+    lasts, replayed = by_hand and scene.duration_s is not None, isinstance(scene.motion, ReplayMotion)
+    return [
+        ("motion.axis", replayed, "for a replay, whose file holds the turns", "set motion.file"),
+        ("motion.mass_kg", by_hand, "by a hand on a device, whose masses count", "set device or hand"),
+        ("motion.max_feed_mm_s", lasts, "by a hand with duration_s", "set motion.thrust_N or duration_s"),
+    ]
 
 
-def _cutting(scene: "Scene") -> Iterator[Rule]:
+def _cutting(scene: "Scene") -> list[Rule]:
     kind, tool = scene.anatomy.kind, scene.tool
     if not isinstance(tool, Tool):
-        yield "voxels cutting stress heat", True, f"for a {kind}, which is not cut", "set anatomy.kind = block"
-        yield "output.vibration_share", True, f"for a {tool.kind}, which has no teeth", "set tool.kind = ball-burr"
-        return
-    still, remedy = tool.spin_rpm == 0.0, "set tool.spin_rpm"
-    where = "for a tool that does not turn and so cuts nothing"
-    yield "cutting voxels.removal stress heat output.vibration_share", still, where, remedy
+        toothless = f"for a {tool.kind}, which has no teeth"
+        return [
+            ("voxels cutting stress heat", True, f"for a {kind}, which is not cut", "set anatomy.kind = block"),
+            ("output.vibration_share", True, toothless, "set tool.kind = ball-burr"),
+        ]
+    still, where = tool.spin_rpm == 0.0, "for a tool that does not turn and so cuts nothing"
     tooth = isinstance(scene.anatomy, MolarAnatomy)
-    yield "stress heat", not tooth, f"for a {kind}", "set anatomy.kind = molar"
+    return [
+        ("cutting voxels.removal stress heat output.vibration_share", still, where, "set tool.spin_rpm"),
+        ("stress heat", not tooth, f"for a {kind}", "set anatomy.kind = molar"),
+    ]
 
 
-def _bone(scene: "Scene") -> Iterator[Rule]:
+def _bone(scene: "Scene") -> list[Rule]:
     anatomy = scene.anatomy
     if not isinstance(anatomy, AnatomyFile):
-        return
-    file, image = anatomy.file, anatomy.is_image
+        return []
     tooth = isinstance(anatomy, MolarAnatomy)
-    layered = isinstance(anatomy, MolarAnatomy) and bool(anatomy.layer_files)
-    as_it_is = _is_as_it_is(anatomy)
-    if file is None:
+    if anatomy.file is None:
+        layered = isinstance(anatomy, MolarAnatomy) and bool(anatomy.layer_files)
         where, remedy = f"for a procedural {anatomy.kind}", "set anatomy.file"
-        yield "anatomy.scale_mm", not layered, where, remedy
-        yield SITE, not tooth, f"{where}, whose face has its place", remedy
-        yield "anatomy.spacing_mm anatomy.threshold anatomy.cortical_thickness_mm", True, where, remedy
-        return
-    name = f"with anatomy.file = {Path(file).name}"
-    shape = f"{name}, which gives the shape"
-    yield PROCEDURAL_GLENOID, isinstance(anatomy, GlenoidAnatomy), shape, "remove anatomy.file"
-    yield "anatomy.size_mm", isinstance(anatomy, BlockAnatomy), shape, "set anatomy.scale_mm"
-    yield "anatomy.scale_mm", image, f"{name}, an image", "set anatomy.spacing_mm"
-    yield "anatomy.spacing_mm anatomy.threshold", not image, f"{name}, a surface", "set anatomy.scale_mm"
-    whole = f"{name}, an image as it is"
-    yield "anatomy.cortical_thickness_mm", as_it_is, whole, "set anatomy.threshold"
-    yield "anatomy.along voxels.margin_mm", as_it_is, whole, "set anatomy.centre_mm"
+        return [
+            ("anatomy.scale_mm", not layered, where, remedy),
+            (SITE, not tooth, f"{where}, whose face has its place", remedy),
+            ("anatomy.spacing_mm anatomy.threshold anatomy.cortical_thickness_mm", True, where, remedy),
+        ]
+    name, image, whole = f"with anatomy.file = {Path(anatomy.file).name}", anatomy.is_image, is_whole_image(anatomy)
+    shape, as_it_is = f"{name}, which gives the shape", f"{name}, an image as it is"
     loose = not tooth and anatomy.centre_mm is None
-    yield "anatomy.normal", loose, f"{name} without anatomy.centre_mm", "set anatomy.centre_mm"
+    return [
+        (PROCEDURAL_GLENOID, isinstance(anatomy, GlenoidAnatomy), shape, "remove anatomy.file"),
+        ("anatomy.size_mm", isinstance(anatomy, BlockAnatomy), shape, "set anatomy.scale_mm"),
+        ("anatomy.scale_mm", image, f"{name}, an image", "set anatomy.spacing_mm"),
+        ("anatomy.spacing_mm anatomy.threshold", not image, f"{name}, a surface", "set anatomy.scale_mm"),
+        ("anatomy.cortical_thickness_mm", whole, as_it_is, "set anatomy.threshold"),
+        ("anatomy.along voxels.margin_mm", whole, as_it_is, "set anatomy.centre_mm"),
+        ("anatomy.normal", loose, f"{name} without anatomy.centre_mm", "set anatomy.centre_mm"),
+    ]
 
 
-def _hole(scene: "Scene") -> Iterator[Rule]:
+def _hole(scene: "Scene") -> list[Rule]:
     anatomy = scene.anatomy
     if not isinstance(anatomy, AnatomyFile):
-        return
-    name = f"with anatomy.file = {Path(anatomy.file or '').name}"
-    yield HOLE, _is_as_it_is(anatomy), f"{name}, an image as it is", "set anatomy.centre_mm"
-    labels = isinstance(anatomy, MolarAnatomy) and anatomy.file is not None
-    yield HOLE, labels, f"{name}, a label volume", "give a surface a layer, such as anatomy.enamel_file"
+        return []
+    name, labels = f"with anatomy.file = {Path(anatomy.file or '').name}", isinstance(anatomy, MolarAnatomy)
     bare, flat = anatomy.guide_hole_diameter_mm == 0.0, anatomy.guide_hole_depth_mm == 0.0
-    yield "anatomy.guide_hole_depth_mm", bare, "without a hole", "set anatomy.guide_hole_diameter_mm"
-    yield "anatomy.guide_hole_diameter_mm", flat, "without a depth", "set anatomy.guide_hole_depth_mm"
+    layer = "give a surface a layer, such as anatomy.enamel_file"
+    return [
+        (HOLE, is_whole_image(anatomy), f"{name}, an image as it is", "set anatomy.centre_mm"),
+        (HOLE, labels and anatomy.file is not None, f"{name}, a label volume", layer),
+        ("anatomy.guide_hole_depth_mm", bare, "without a hole", "set anatomy.guide_hole_diameter_mm"),
+        ("anatomy.guide_hole_diameter_mm", flat, "without a depth", "set anatomy.guide_hole_depth_mm"),
+    ]
 
 
-def _is_as_it_is(anatomy: AnatomyFile) -> bool:
+def is_whole_image(anatomy: AnatomyFile) -> bool:
     """Whether the bone is the whole block of an image, which no site turns or moves."""
-    return isinstance(anatomy, BlockAnatomy) and anatomy.is_image and anatomy.centre_mm is None
+    return (
+        isinstance(anatomy, BlockAnatomy)
+        and anatomy.file is not None
+        and anatomy.is_image
+        and anatomy.centre_mm is None
+    )
 
 
-def _tooth(scene: "Scene") -> Iterator[Rule]:
+def _tooth(scene: "Scene") -> list[Rule]:
     anatomy = scene.anatomy
     if not isinstance(anatomy, MolarAnatomy):
-        return
-    sound = anatomy.caries_depth_mm == 0.0
-    labels, layers = anatomy.file is not None, anatomy.layer_files
-    procedural = not labels and not layers
-    if procedural:
-        where = "for a procedural molar"
-        yield "anatomy.caries_diameter_mm", sound, "without a lesion", "set anatomy.caries_depth_mm"
-        yield f"{SITE} anatomy.site anatomy.socket_mm", True, where, "set anatomy.enamel_file and anatomy.dentin_file"
-        return
+        return []
+    labels = anatomy.file is not None
+    if not labels and not anatomy.layer_files:
+        sound, remedy = anatomy.caries_depth_mm == 0.0, "set anatomy.enamel_file and anatomy.dentin_file"
+        return [
+            ("anatomy.caries_diameter_mm", sound, "without a lesion", "set anatomy.caries_depth_mm"),
+            (f"{SITE} anatomy.site anatomy.socket_mm", True, "for a procedural molar", remedy),
+        ]
     what = f"with anatomy.file = {Path(anatomy.file).name}" if anatomy.file else "for a tooth from surfaces"
-    reason = f"{what}, which gives the shape"
-    yield PROCEDURAL_MOLAR, True, reason, "remove the file"
-    yield "anatomy.ligament_thickness_mm", scene.stress is None, f"{reason}, without stress", "add [stress]"
-    yield SITE, True, f"{what}, which is placed by its enamel", "set motion.points_mm and motion.axis"
-    if labels:
-        yield f"{LAYER_FILES} anatomy.socket_mm", True, what, "remove anatomy.file"
-        volume = f"{what}, a label volume"
-        yield "anatomy.threshold anatomy.cortical_thickness_mm", True, volume, "set anatomy.spacing_mm"
+    reason, volume = f"{what}, which gives the shape", f"{what}, a label volume"
+    placed = f"{what}, which is placed by its enamel"
+    return [
+        (PROCEDURAL_MOLAR, True, reason, "remove the file"),
+        ("anatomy.ligament_thickness_mm", scene.stress is None, f"{reason}, without stress", "add [stress]"),
+        (SITE, True, placed, "set motion.points_mm and motion.axis"),
+        (f"{LAYER_FILES} anatomy.socket_mm", labels, what, "remove anatomy.file"),
+        ("anatomy.threshold anatomy.cortical_thickness_mm", labels, volume, "set anatomy.spacing_mm"),
+    ]
 
 
-def _organ(scene: "Scene") -> Iterator[Rule]:
+def _organ(scene: "Scene") -> list[Rule]:
     anatomy, organ = scene.anatomy, scene.organ
     if not isinstance(anatomy, LiverAnatomy | SlabAnatomy):
-        yield "organ", True, f"for a {anatomy.kind}", "set anatomy.kind = liver"
-        return
-    yield "organ.grading_exponent", organ.young_end_kPa is None, "without a gradient", "set organ.young_end_kPa"
+        return [("organ", True, f"for a {anatomy.kind}", "set anatomy.kind = liver")]
     from_file = isinstance(anatomy, LiverAnatomy) and bool(anatomy.file)
     bare = anatomy.nodule_diameter_mm == 0.0 and not from_file
-    yield "organ.nodule_kPa", bare, "without a nodule", "set anatomy.nodule_diameter_mm"
-    yield "organ.nodule_part", not from_file, f"for a procedural {anatomy.kind}", "set anatomy.nodule_diameter_mm"
-    yield "organ.fibre_modulus_ratio", organ.fibre_direction is None, "without fibres", "set organ.fibre_direction"
-    even = organ.fibre_modulus_ratio == 1.0
-    yield "organ.fibre_direction", even, "with a ratio of 1", "set organ.fibre_modulus_ratio"
-    reduced = organ.path == "reduced"
-    yield "organ.basis_size", not reduced, f"with organ.path = {organ.path}", "set organ.path = reduced"
-    given = organ.young_kPa is not None and organ.poisson_ratio is not None
-    cited = organ.capsule or organ.gravity or organ.viscous
+    ball, ratio = "set anatomy.nodule_diameter_mm", "set organ.fibre_modulus_ratio"
     both = "with both organ.young_kPa and organ.poisson_ratio"
-    yield "organ.material", given and not cited, both, "remove one of them"
-
-
-def _soft(scene: "Scene") -> Iterator[Rule]:
-    anatomy = scene.anatomy
-    if isinstance(anatomy, LiverAnatomy | SlabAnatomy):
-        bare = anatomy.nodule_diameter_mm == 0.0
-        yield "anatomy.nodule_centre_mm", bare, "without a nodule", "set anatomy.nodule_diameter_mm"
+    given = organ.young_kPa is not None and organ.poisson_ratio is not None
+    cited, path = organ.capsule or organ.gravity or organ.viscous, f"with organ.path = {organ.path}"
+    rules = [
+        ("organ.grading_exponent", organ.young_end_kPa is None, "without a gradient", "set organ.young_end_kPa"),
+        ("organ.nodule_kPa", bare, "without a nodule", ball),
+        ("organ.nodule_part", not from_file, f"for a procedural {anatomy.kind}", ball),
+        ("organ.fibre_modulus_ratio", organ.fibre_direction is None, "without fibres", "set organ.fibre_direction"),
+        ("organ.fibre_direction", organ.fibre_modulus_ratio == 1.0, "with a ratio of 1", ratio),
+        ("organ.basis_size", organ.path != "reduced", path, "set organ.path = reduced"),
+        ("organ.material", given and not cited, both, "remove one of them"),
+        ("anatomy.nodule_centre_mm", anatomy.nodule_diameter_mm == 0.0, "without a nodule", ball),
+    ]
     if isinstance(anatomy, LiverAnatomy):
-        procedural = anatomy.file is None
-        name = f"with anatomy.file = {Path(anatomy.file or '').name}"
-        ball = "anatomy.nodule_diameter_mm anatomy.nodule_centre_mm"
-        yield ball, not procedural, name, "set organ.nodule_part to the part of the file that is the nodule"
-        yield f"anatomy.scale_mm {SITE}", procedural, "for a procedural liver", "set anatomy.file"
-        held = f"with anatomy.held = {anatomy.held}"
-        yield "anatomy.held_below_mm", anatomy.held != "plane", held, "set anatomy.held = plane"
-        yield "anatomy.held_part", anatomy.held != "part", held, "set anatomy.held = part"
+        held, name = f"with anatomy.held = {anatomy.held}", f"with anatomy.file = {Path(anatomy.file or '').name}"
+        nodule, part = "anatomy.nodule_diameter_mm anatomy.nodule_centre_mm", "the part of the file that is the nodule"
+        rules += [
+            (nodule, from_file, name, f"set organ.nodule_part to {part}"),
+            (f"anatomy.scale_mm {SITE}", not from_file, "for a procedural liver", "set anatomy.file"),
+            ("anatomy.held_below_mm", anatomy.held != "plane", held, "set anatomy.held = plane"),
+            ("anatomy.held_part", anatomy.held != "part", held, "set anatomy.held = part"),
+        ]
+    return rules
 
 
-def _chosen(scene: "Scene") -> Iterator[Rule]:
+def _chosen(scene: "Scene") -> list[Rule]:
     """What a demand on fidelity chooses by itself."""
     if scene.fidelity is None:
-        return
-    where, remedy = "with fidelity, which chooses it", "leave fidelity out"
-    if scene.device != "none":
-        yield "prediction", True, where, remedy
-    else:
-        yield "voxels.removal", isinstance(scene.tool, Tool), where, remedy
-        yield "organ.order", isinstance(scene.tool, Probe), where, remedy
+        return []
+    held, where, remedy = scene.device != "none", "with fidelity, which chooses it", "leave fidelity out"
+    return [
+        ("prediction", held, where, remedy),
+        ("voxels.removal", not held and isinstance(scene.tool, Tool), where, remedy),
+        ("organ.order", not held and isinstance(scene.tool, Probe), where, remedy),
+    ]

@@ -19,8 +19,8 @@ from tissue.haptics.device.safe_device import SafeDevice
 from tissue.models.tissue_model import TICK_S, Finishes, HasNotices, WaitsForBackground
 from tissue.motion.motion import LONGEST_S, Motion
 from tissue.prediction.predictor import Predictor
-from tissue.scene.messages import require_used
 from tissue.scene.scene import Scene
+from tissue.scene.unused_keys import require_used
 from tissue.simulation.run import Run
 from tissue.simulation.run_folder import RunFolder
 from tissue.simulation.shortfalls import shortfalls, unfinished_path
