@@ -1,16 +1,17 @@
 """What the statistics of a study cost: populations a second, one fit, one regression beside its chains.
 
-Run from the repository: python tests/bench/bench_statistics.py
+Run from the repository: PYTHONPATH=tests/fixtures python tests/bench/bench_statistics.py
 """
 
 import numpy as np
 from harness import cost_of, machine, table
+from simulated_cells import simulated_cells, simulated_power
 
 from tissue.evaluation.statistics.comparison import compare
 from tissue.evaluation.statistics.components import Components, balanced_components, balanced_values
 from tissue.evaluation.statistics.hpi import composite_index
 from tissue.evaluation.statistics.mixed import mixed_model
-from tissue.evaluation.statistics.power import power, redrawn_power, simulated_cells
+from tissue.evaluation.statistics.power import redrawn_power
 from tissue.evaluation.statistics.regression import trial_regression
 from tissue.evaluation.statistics.strata import strata
 from tissue.evaluation.statistics.trials import TrialTable
@@ -44,7 +45,7 @@ def main() -> None:
     values, groups = simulated_cells(WORLD, MEANS, populations=10_000, rng=rng, **size)
     cases = {
         "test of methods, 10,000 populations": (lambda _: strata(values, groups, (4,), (0,), between=False), 10),
-        "error rates of three tests, 10,000 simulated": (lambda _: power(WORLD, MEANS, rng=rng, **size), 5),
+        "error rates of three tests, 10,000 simulated": (lambda _: simulated_power(WORLD, MEANS, rng=rng, **size), 5),
         "error rates of three tests, 10,000 redrawn": (lambda _: redrawn_power(cells, rng=rng), 5),
         "mixed model, 1,200 rows, by statsmodels": (lambda _: mixed_model(trials, "force_error"), 5),
         "the same variances in closed form": (

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from fuzz_files import Reading, damaged
 
-QUICK = {"surface": 5, "tets": 16, "poses": 8, "scene": 8, "predictor": 6, "observer": 10, "trials": 10, "table": 8}
+QUICK = {"surface": 5, "tets": 16, "poses": 8, "scene": 8, "predictor": 6, "observer": 10, "trials": 10}
 QUICK |= {"study": 4, "assess": 5, "surface apart": 0, "tets apart": 0, "run apart": 0, "image": 2, "image apart": 0}
 """Damaged files from each whole one, by reader; one that parses in a process of its own takes most of a second, and goes
 to the slow set."""

@@ -15,7 +15,6 @@ from tissue.simulation.run_folder import SavedRun
 OBJ = fuzz_sources.obj_text()
 MSH = fuzz_sources.msh_text()
 POSES = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,tool_qx,tool_qy,tool_qz,tool_qw\n0,0,0,1,0,0,0,1\n1,0,0,0,0,0,0,1\n"
-TABLE = "task,group,user,trial,method,seed,failure,force_error\nT2,novice,00,1,penalty,7,,0.1\n"
 BAD_TEXT = [
     ("surface", "zero.obj", OBJ.replace("f 1 3 2", "f 0 3 2"), "vertex numbers from 1"),
     ("surface", "beyond.obj", OBJ.replace("f 1 3 2", "f 99 3 2"), "must name vertices 1 to 8"),
@@ -44,8 +43,6 @@ BAD_TEXT = [
     ("poses", "text.csv", POSES.replace("1,0,0,0,", "1,0,up,0,"), "finite numbers"),
     ("poses", "short.csv", POSES.replace("1,0,0,0,0,0,0,1", "1,0,0"), "finite numbers"),
     ("poses", "back.csv", POSES.replace("\n1,", "\n-1,"), "increasing time_s"),
-    ("table", "seed.csv", TABLE.replace(",7,", ",x,"), "whole numbers"),
-    ("table", "short.csv", TABLE.replace(",0.1\n", "\n"), "whole lines"),
     ("observer", "list.json", "[]", "file of an observer"),
     ("observer", "cut.json", '{"format": "tissue obs', "must be a JSON file"),
     ("trials", "list.jsonl", "[]\n", "file of trials"),

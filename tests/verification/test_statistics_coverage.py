@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 from scipy import stats
+from simulated_cells import simulated_cells
 
 from tissue.evaluation.statistics.components import Components, balanced_components
 from tissue.evaluation.statistics.effects import cohens_d, partial_eta_squared
 from tissue.evaluation.statistics.mixed import mixed_model
-from tissue.evaluation.statistics.power import simulated_cells
-from tissue.evaluation.statistics.regression import Prior, regression
-from tissue.evaluation.statistics.resampling import bootstrap
+from tissue.evaluation.statistics.regression import regression
 from tissue.evaluation.statistics.strata import strata
 from tissue.evaluation.statistics.trials import TrialTable
 
@@ -44,21 +43,6 @@ def test_interval_of_partial_eta_squared_covers():
     found = strata((rng.normal(size=(500, 36)) + shift)[:, :, None], groups, (1,), between=True)
     effects = [partial_eta_squared(float(each), 2, 33) for each in found.F]
     assert np.mean([each.low <= truth <= each.high for each in effects]) == COVERAGE
-
-
-@pytest.mark.slow
-def test_bootstrap_covers_a_skew_mean_difference():
-    """Users with skewed errors. Three standard errors of 600 are 2.7 %."""
-    rng = np.random.default_rng(4)
-    groups = np.repeat([0, 1, 2], 10)
-    held = 0
-    for _ in range(600):
-        values = rng.exponential(size=(30, 2)) + np.array([0.0, 0.5])
-        found = bootstrap(
-            values, groups, lambda each: (each[..., 1] - each[..., 0]).mean(axis=-1), name="gap", rng=rng, count=800
-        )
-        held += found.low <= 0.5 <= found.high
-    assert 0.923 < held / 600 < 0.977
 
 
 def test_intervals_of_the_mixed_model_cover():
@@ -171,7 +155,7 @@ def test_the_regression_does_not_know_units():
 def test_with_a_wide_prior_it_is_least_squares_within_users():
     """Far more variance between users than within: slopes are those of the columns with users' means taken out."""
     values, columns, person = trials_of(np.random.default_rng(9), between=50.0)
-    found = regression(values, columns, person, response="error", prior=Prior(slope_spread=1e4))
+    found = regression(values, columns, person, response="error", slope_spread=1e4)
     out = lambda each: each - (np.bincount(person, each) / np.bincount(person))[person]  # noqa: E731
     least, *_ = np.linalg.lstsq(np.column_stack([out(each) for each in columns.values()]), out(values), rcond=None)
     assert [each.value for each in found.slopes] == pytest.approx(least, rel=2e-3)

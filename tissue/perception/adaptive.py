@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.perception.psychometric import two_interval
 
 __all__ = ["EDGE_MASS", "AdaptiveThreshold", "ThresholdPrior", "comparisons"]
 
-Array = NDArray[np.float64]
 EDGE_MASS = 0.05
 """Posterior mass in the outermost cells of the Weber fraction's grid from which on the prior, not the data, decides."""
 STEPS = (0.005, 1.5)

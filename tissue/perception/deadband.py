@@ -3,14 +3,13 @@
 from math import inf, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.perception.weber import Weber
 
 __all__ = ["Deadband", "held_back"]
 
-Array = NDArray[np.float64]
 REST_SHARE = 0.5
 """Share of the smallest force that can be felt at all, below which zero is played."""
 

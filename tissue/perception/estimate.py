@@ -1,14 +1,14 @@
 """The most probable force behind one noisy look at it: log-normal prior, Gaussian noise."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 from tissue.materials.constants import constants
 
 __all__ = ["log_posterior", "map_force_N", "require_prior_fits"]
 
-Array = NDArray[np.float64]
 MOST_STEPS = 200
 """Steps after which a bracket has shrunk to rounding by bisection alone."""
 FAR = 6.0

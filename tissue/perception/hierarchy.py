@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_range
 from tissue.perception.psychometric import D_PRIME_75
 
 __all__ = ["HYPER", "PopulationFit", "PopulationTrials", "fit_hierarchy"]
 
-Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 HYPER = (
     "log_alpha",

@@ -3,15 +3,15 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import digamma, polygamma
 from scipy.stats import t
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 
 __all__ = ["MAGNITUDE_FORCES_N", "MagnitudePosterior", "fit_magnitudes"]
 
-Array = NDArray[np.float64]
 MAGNITUDE_FORCES_N = (0.3, 0.5, 0.8, 1.3, 2.0, 3.2)
 """Forces that are given numbers [N]: equal ratios over what a desktop device plays."""
 PRIOR_MEAN = (0.0, 1.4)

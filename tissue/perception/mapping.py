@@ -3,14 +3,14 @@
 from math import exp, log
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 from tissue.perception.stevens import Intensity
 
 __all__ = ["ForceMap", "LogTable"]
 
-Array = NDArray[np.float64]
 NODES = 4097
 """Nodes of a table: over five decades the error of log-linear interpolation is below 1e-6 for every observer whose
 exponent is known to 0.5."""

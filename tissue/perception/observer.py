@@ -7,9 +7,9 @@ from math import exp, log
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit, logit, ndtri
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_range
 from meshes.base.file_version import package_version, require_version
 from meshes.base.whole_file import whole_file
@@ -17,7 +17,6 @@ from tissue.system.outputs import require_new_file
 
 __all__ = ["PARAMETERS", "Observer", "read_observer", "write_observer"]
 
-Array = NDArray[np.float64]
 PARAMETERS = ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma")
 """Stevens' factor and exponent, Weber's fraction and low-force term [N], share of lapses, and relative scatter of a
 reported intensity: S = alpha (F / 1 N)^beta (1 + sigma e), with e of unit variance; a change of kappa (F + offset) is

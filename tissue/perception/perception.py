@@ -3,11 +3,10 @@
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+
+from meshes.base.arrays import Array
 
 __all__ = ["Perception", "PerceptionMaker"]
-
-Array = NDArray[np.float64]
 
 
 class Perception(Protocol):

@@ -3,16 +3,14 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import digamma, expit, logit, polygamma
 
+from meshes.base.arrays import Array
 from meshes.base.errors import require_positive, require_range
 from tissue.materials.constants import constants
 from tissue.perception.observer import PARAMETERS, Observer
 
 __all__ = ["Population", "population", "population_observer", "reference_observer"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

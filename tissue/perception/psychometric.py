@@ -1,9 +1,10 @@
 """Psychometric functions: how often an answer is right, over the strength of what is felt."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import ndtr, ndtri
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_range
 
 __all__ = [
@@ -17,7 +18,6 @@ __all__ = [
     "with_lapse",
 ]
 
-Array = NDArray[np.float64]
 D_PRIME_75 = 0.9538725524089894
 """Distance d' of two intervals at which 75 % of the answers are right: sqrt(2) Phi^-1(0.75)."""
 

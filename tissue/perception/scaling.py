@@ -2,17 +2,13 @@
 
 from math import inf, sqrt
 
-import numpy as np
-from numpy.typing import NDArray
-
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.perception.deadband import Deadband
 from tissue.perception.mapping import ForceMap
 from tissue.perception.recursive import Sense
 
 __all__ = ["PerceivedForce"]
-
-Array = NDArray[np.float64]
 
 
 class PerceivedForce:

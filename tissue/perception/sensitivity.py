@@ -3,14 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from tissue.perception.estimate import map_force_N
 from tissue.perception.recursive import LocalLevel
 
 __all__ = ["AssumptionResult", "map_estimate_errors", "recursive_estimate_errors"]
 
-Array = NDArray[np.float64]
 MEDIAN_N, LOG_SPREAD, NOISE_N = 1.0, 1.0, 0.3
 """What single looks are tried on: forces as the prior of ``perception.toml``, a look that scatters as at 4 N."""
 WANDER, NOISE, TICKS = 1e-4, 1.0, 2000

@@ -3,11 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import require_positive, require_range
 
 __all__ = ["Staircase"]
-
-Array = NDArray[np.float64]
 
 
 class Staircase:

@@ -4,16 +4,16 @@ from dataclasses import dataclass
 from math import exp
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_range
 from tissue.materials.constants import constants
 from tissue.perception.observer import Observer
 
 __all__ = ["QUANTITIES", "Weber", "weber", "weber_of"]
 
-Array = NDArray[np.float64]
 QUANTITIES = {"force": "offset_N", "torque": "offset_Nm", "stiffness": "offset_N_m"}
 """What thresholds are known of, and the name and unit of its low-level term."""
 

@@ -5,14 +5,13 @@ from functools import lru_cache
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 from tissue.prediction.edmd.lifted import Operator
 
 __all__ = ["Kalman", "Linear", "LinearControl", "kalman_gains"]
 
-Array = NDArray[np.float64]
 WINDOW = 10
 """Ticks over which a slope is taken: of 3 to 30 the best on the recorded wall at 4 to 8 ms but for 8, and better on the
 slower scenes than that; a shorter one takes an encoder's step for a slope."""

@@ -5,14 +5,13 @@ from math import isfinite, sqrt
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import require_positive
 from tissue.prediction.predictor import Predictor
 
 __all__ = ["Guarded", "Judged"]
 
-Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
 BLEND = 10
 """Ticks over which one predictor's force goes over into the other's."""

@@ -4,14 +4,13 @@ from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.prediction.edmd.lifted import Operator
 
 __all__ = ["WIDTH", "Koopman", "LoopTerms"]
 
-Array = NDArray[np.float64]
 WIDTH = 6
 """Entries of a state: position of the device [m] and force on it [N]. Its speed is in the delays."""
 RELEASED = 3

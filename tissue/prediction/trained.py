@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from tissue.prediction.edmd.lifted import Operator
@@ -14,8 +13,6 @@ from tissue.prediction.koopman import LoopTerms
 from tissue.system.outputs import require_new_file
 
 __all__ = ["Trained", "shipped_file"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ import pytest
 from scipy.integrate import quad
 
 from meshes.base.errors import InputError
-from tissue.evaluation.statistics.discrimination import classification_accuracy, discrimination_threshold
 from tissue.evaluation.statistics.metrics import (
     acceleration_change_m_s2,
     completion_time_s,
@@ -149,46 +148,6 @@ def test_position_overshoot_and_time():
     assert completion_time_s(time, [True] * 5 + [False]) == np.inf
 
 
-def test_accuracy_with_wilsons_interval():
-    """Nine of ten: 0.596 to 0.982 (Newcombe 1998 gives the formula; figures by it)."""
-    share = classification_accuracy(["caries"] * 9 + ["healthy"], ["caries"] * 10)
-    assert (share.value, share.count) == (0.9, 10)
-    assert share.low == pytest.approx(0.5958, abs=1e-4) and share.high == pytest.approx(0.9821, abs=1e-4)
-    assert classification_accuracy([1] * 5, [1] * 5).high == 1.0
-
-
-def test_wilsons_interval_covers():
-    rng = np.random.default_rng(4)
-    right = rng.random((2000, 60)) < 0.85
-    shares = [classification_accuracy(each, np.ones(60, dtype=bool)) for each in right]
-    # Wilson's coverage swings by two points about 95 % with the share (Brown et al. 2001).
-    assert 0.93 < np.mean([each.low <= 0.85 <= each.high for each in shares]) < 0.98
-
-
-def test_threshold_of_an_observer_is_recovered():
-    """d' = 0.954 at 75 % (reference): an observer of spread 0.1 N notices 0.0954 N."""
-    rng = np.random.default_rng(5)
-    shown = rng.choice(np.linspace(0.02, 0.3, 8), 20000)
-    feels = rng.normal(shown, 0.1) > rng.normal(0.0, 0.1, len(shown))
-    lapses = rng.random(len(shown)) < 0.02 * 2.0
-    found = discrimination_threshold(shown, np.where(lapses, rng.random(len(shown)) < 0.5, feels), lapse=0.02)
-    assert found.low < 0.0954 < found.high
-    assert found.value == pytest.approx(0.0954, rel=0.05)  # three standard errors of 20,000 answers
-    in_grams = discrimination_threshold(shown * 102.0, feels, lapse=0.02)
-    assert in_grams.value == pytest.approx(102.0 * discrimination_threshold(shown, feels, lapse=0.02).value, rel=1e-5)
-
-
-@pytest.mark.slow
-def test_threshold_interval_covers():
-    rng = np.random.default_rng(6)
-    held = 0
-    for _ in range(300):
-        shown = rng.choice([0.04, 0.08, 0.12, 0.2], 200)
-        found = discrimination_threshold(shown, rng.normal(shown, 0.1 * 2**0.5) > 0.0, lapse=0.0)
-        held += found.low < 0.09538 < found.high
-    assert 0.91 < held / 300 < 0.99  # 0.95 by three standard errors
-
-
 FORCE = np.ones((200, 3))
 REFUSED = {
     "zero ideal": (lambda: force_error(FORCE, 0.0 * FORCE), "ideal_N must not be zero throughout"),
@@ -206,10 +165,6 @@ REFUSED = {
     "signed speed": (lambda: spectral_arc_length(-np.ones(100), tick_s=TICK_S), "speed_mm_s must be non-negative"),
     "target": (lambda: overshoot_mm([1.0], target_mm=np.nan), "target_mm must be finite"),
     "done": (lambda: completion_time_s([0.0, 1.0], [True]), "done must have one entry a tick"),
-    "labels": (lambda: classification_accuracy([], []), "answers and truth must hold one label a trial"),
-    "all right": (lambda: discrimination_threshold([0.1] * 9, [True] * 9), "right must hold some errors"),
-    "guessing": (lambda: discrimination_threshold([0.1] * 4, [True, False] * 2), "right must hold some errors"),
-    "equal pair": (lambda: discrimination_threshold([0.0, 0.1, 0.2], [True, True, False]), "difference must be positive"),
 }  # fmt: skip
 
 

@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.evaluation.calibration.simulated_observer import SimulatedObservers
 from tissue.haptics.loop.filters import ForceRange
@@ -28,7 +28,6 @@ from tissue.simulation.trace import Table
 
 __all__ = ["Command", "Gain", "Stimulus", "calibrated_commands", "gain_of", "share_right", "stimulus_of"]
 
-Array = NDArray[np.float64]
 Command = Callable[[Array], Array]
 """Force at the device [N] for the one that shall be felt [N], any shape."""
 

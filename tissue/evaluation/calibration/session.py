@@ -3,7 +3,6 @@
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logit
 from scipy.stats import binom
 
@@ -15,7 +14,6 @@ from tissue.perception.psychometric import two_interval
 
 __all__ = ["Comparison", "Magnitude", "Plan", "Session"]
 
-Array = NDArray[np.float64]
 REPORTED_N = 2.0
 """Force at which a threshold is reported with the Weber fraction [N]."""
 ODD = 0.01

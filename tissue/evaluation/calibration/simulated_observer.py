@@ -6,6 +6,7 @@ from math import sqrt
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_range
 from tissue.materials.constants import constants
 from tissue.perception.population import population
@@ -13,8 +14,6 @@ from tissue.perception.psychometric import D_PRIME_75
 from tissue.scene.registry import GROUPS
 
 __all__ = ["SimulatedObservers", "draw_observers"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

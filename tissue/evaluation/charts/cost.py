@@ -4,15 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.evaluation.charts.measure import Measured
 
 __all__ = ["CostModel"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

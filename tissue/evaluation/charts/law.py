@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.cache import cached_arrays
 from meshes.base.progress import Progress, silent
 from meshes.shapes.polyline import arc_length, points_along
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
 
 __all__ = ["LawError", "law_error"]
 
-Array = NDArray[np.float64]
 Instants = list[tuple[Array, Array, Array]]
 INSTANTS = 4
 """Instants of the contact that are solved, in the middle of as many equal parts of it."""
@@ -70,7 +70,7 @@ class LawError:
     neo_N: Array
     coarse_N: Array
     solve_us: Array
-    cells: NDArray[np.int64]
+    cells: Ints
     took_s: Array
 
     @property

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.cache import cached_arrays
 from meshes.base.errors import InputError
 from meshes.shapes.polyline import arc_length, points_along
@@ -38,7 +39,6 @@ __all__ = [
     "setting_key",
 ]
 
-Array = NDArray[np.float64]
 EXCERPT_S = {True: 1.2, False: 3.0}
 """Time that is run beyond the first contact [s], quick or not."""
 LATE_S = 0.3

@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tissue.builders.perception import CAUTION, perception_for
 from tissue.figures.figure import figure, save
@@ -24,7 +23,6 @@ from tissue.system.outputs import require_free_folder
 
 __all__ = ["perception_charts"]
 
-Array = NDArray[np.float64]
 PEOPLE, PERSON, WANTED, GREY = "#0072B2", "#D55E00", "0.25", "0.6"
 DEVICE, SCENE = "touch", "wall"
 

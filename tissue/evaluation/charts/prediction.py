@@ -8,6 +8,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from tissue.builders.prediction import trained_predictor
@@ -26,7 +27,6 @@ from tissue.system.outputs import require_free_folder
 
 __all__ = ["Comparison", "Interval", "SlowModel", "chart_prediction", "compare", "comparison_lines", "interval"]
 
-Array = NDArray[np.float64]
 FIRST_SEED = 10_000
 """Seeds of unseen runs begin here; training uses those from 0 on."""
 SHARES = (0.7, 1.3)

@@ -1,18 +1,17 @@
 """Two paths aligned by place: which moment of one corresponds to which of the other, and how far they lie apart."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 
 __all__ = ["aligned_rows", "deviation_mm"]
 
-Array = NDArray[np.float64]
 POINTS = 800
 """Samples of either path that the alignment goes over; distances are refined between them."""
 
 
-def aligned_rows(path: Array, model: Array) -> NDArray[np.int64]:
+def aligned_rows(path: Array, model: Array) -> Ints:
     """Row of the model that each row of a path corresponds to, never falling (Sakoe and Chiba 1978).
 
     The sum of distances over pairs is least among all orders of passing through both paths without going back.
@@ -60,7 +59,7 @@ def aligned_rows(path: Array, model: Array) -> NDArray[np.int64]:
     return np.interp(np.arange(len(path)), ours, at / met).round().astype(np.int64)
 
 
-def deviation_mm(path: Array, model: Array, rows: NDArray[np.int64]) -> Array:
+def deviation_mm(path: Array, model: Array, rows: Ints) -> Array:
     """Distance of each point from the model's path near its aligned row [mm], shape (n,).
 
     Parameters

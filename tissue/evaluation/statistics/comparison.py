@@ -1,24 +1,32 @@
 """One metric of one study compared: every test in order, its assumptions checked, with the tests that rest on less."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import levene
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from tissue.evaluation.statistics.effects import cohens_d, partial_eta_squared
+from tissue.evaluation.statistics.hypothesis_test import (
+    ALPHA,
+    Assumption,
+    Effect,
+    HypothesisTest,
+    format_p,
+    require_statsmodels,
+)
 from tissue.evaluation.statistics.mixed import MixedModel, mixed_model
 from tissue.evaluation.statistics.normality import normal_residuals
-from tissue.evaluation.statistics.outcome import ALPHA, Assumption, Effect, Outcome, format_p
 from tissue.evaluation.statistics.robust import friedman, hotelling, kruskal_wallis, permutation, welch
-from tissue.evaluation.statistics.strata import mauchly, scores_of, strata
+from tissue.evaluation.statistics.strata import group_means, mauchly, scores_of, strata
 from tissue.evaluation.statistics.trials import Cells, TrialTable
 from tissue.evaluation.statistics.tukey import tukey_groups, tukey_levels
 
-__all__ = ["Comparison", "across_tasks", "compare", "stratum_test"]
+__all__ = ["MetricComparison", "across_tasks", "compare", "stratum_test"]
 
-Array = NDArray[np.float64]
 SINGULAR = 1e-9
 """Share of all variation below which a direction has none but rounding."""
 ROUNDING = 1e-12
@@ -26,7 +34,7 @@ ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
-class Comparison:
+class MetricComparison:
     """All that is asked of one metric.
 
     Attributes
@@ -49,12 +57,12 @@ class Comparison:
     task: str
     cells: Cells
     mixed: MixedModel
-    tests: tuple[Outcome, ...]
-    pairs: tuple[Outcome, ...]
+    tests: tuple[HypothesisTest, ...]
+    pairs: tuple[HypothesisTest, ...]
     sizes: tuple[Effect, ...]
 
 
-def compare(table: TrialTable, metric: str, *, task: str, rng: np.random.Generator) -> Comparison:
+def compare(table: TrialTable, metric: str, *, task: str, rng: np.random.Generator) -> MetricComparison:
     """Compare methods and groups by one metric on one task.
 
     Parameters
@@ -73,6 +81,7 @@ def compare(table: TrialTable, metric: str, *, task: str, rng: np.random.Generat
     InputError
         If there is nothing to compare, or too little to compare: one user a group, or a constant metric.
     """
+    require_statsmodels()
     chosen = table.where(task=task)
     cells = chosen.cells(metric)
     level_count, group_count = cells.values.shape[1], len(cells.group_names)
@@ -84,23 +93,17 @@ def compare(table: TrialTable, metric: str, *, task: str, rng: np.random.Generat
     mixed = mixed_model(chosen, metric)
     others = {each.question: each for each in tests}
     mixed = replace(mixed, tests=tuple(_with_exact(each, others) for each in mixed.tests))
-    pairs: tuple[Outcome, ...] = ()
-    sizes: list[Effect] = []
+    pairs: tuple[HypothesisTest, ...] = ()
+    sizes: tuple[Effect, ...] = ()
     if level_count > 1:
         names = cells.factors[0][1]
         pairs += tukey_levels(cells.values, names, cells.groups, metric=metric)
-        for a in range(level_count):
-            for b in range(a + 1, level_count):
-                size = cohens_d(cells.values[:, b], cells.values[:, a], paired=True)
-                sizes.append(replace(size, name=f"{size.name}, {names[b]} minus {names[a]}"))
+        sizes += _sizes(cells.values.T, names, paired=True)
     if group_count > 1:
         samples = [cells.values[cells.groups == group].mean(axis=1) for group in range(group_count)]
         pairs += tukey_groups(samples, cells.group_names, metric=metric)
-        for a in range(group_count):
-            for b in range(a + 1, group_count):
-                size = cohens_d(samples[b], samples[a])
-                sizes.append(replace(size, name=f"{size.name}, {cells.group_names[b]} minus {cells.group_names[a]}"))
-    return Comparison(metric, task, cells, mixed, tests, pairs, tuple(sizes))
+        sizes += _sizes(samples, cells.group_names, paired=False)
+    return MetricComparison(metric, task, cells, mixed, tests, pairs, sizes)
 
 
 def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) -> MixedModel:
@@ -111,7 +114,7 @@ def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) ->
     mixed = mixed_model(table, metric)
     within = [name for name in ("task", "method") if len(np.unique(getattr(table, name))) > 1]
     cells = table.cells(metric, within=within or ["method"])
-    others: dict[str, Outcome] = {}
+    others: dict[str, HypothesisTest] = {}
     for each in mixed.tests:
         asked = each.question.removeprefix(f"{metric}: ").split(" x ")
         chosen = tuple(index for index, (name, _) in enumerate(cells.factors) if name in asked)
@@ -124,7 +127,7 @@ def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) ->
     )
 
 
-def stratum_test(cells: Cells, within: tuple[int, ...], *, between: bool, rng: np.random.Generator) -> Outcome:
+def stratum_test(cells: Cells, within: tuple[int, ...], *, between: bool, rng: np.random.Generator) -> HypothesisTest:
     """The exact test of one effect with its checks, and the tests that rest on less.
 
     Parameters
@@ -148,8 +151,7 @@ def stratum_test(cells: Cells, within: tuple[int, ...], *, between: bool, rng: n
             f"{cells.metric} must vary among users to be tested, got no variation beside {name}: "
             "print its values, which need no test"
         )
-    means = np.stack([scores[groups == group].mean(axis=0) for group in range(groups.max() + 1)])
-    residuals = scores - means[groups]
+    residuals = scores - group_means(scores, groups)[groups]
     assumptions: list[Assumption] = []
     if residuals.size >= 8:
         assumptions.append(normal_residuals(residuals))
@@ -158,7 +160,9 @@ def stratum_test(cells: Cells, within: tuple[int, ...], *, between: bool, rng: n
     if count > 1:
         assumptions.append(_sphericity(scores, groups, float(found.epsilon)))
         degrees = tuple(float(found.epsilon) * each for each in found.degrees)
-        others.append(Outcome("Greenhouse-Geisser", question, "F", float(found.F), degrees, float(found.corrected_p)))
+        others.append(
+            HypothesisTest("Greenhouse-Geisser", question, "F", float(found.F), degrees, float(found.corrected_p))
+        )
     if between and min(np.bincount(groups)) > 2:
         assumptions.append(_equal_variances(scores, groups))
     if between and not within:
@@ -169,37 +173,43 @@ def stratum_test(cells: Cells, within: tuple[int, ...], *, between: bool, rng: n
     elif not between:
         # Levels that repeat one another on some task leave no spread to invert.
         whole = np.linalg.matrix_rank(residuals, tol=SINGULAR * np.linalg.norm(residuals)) == count
-        if len(values) - len(means) >= count and whole:
+        if len(values) - len(cells.group_names) >= count and whole:
             others.append(hotelling(scores, groups, question=question))
         if len(sizes) == 1 and sizes[0] > 2:
             others.append(friedman(values, question=question))
-    dropped = f"{len(cells.dropped)} users without a whole set of trials are left out." if cells.dropped else ""
-    uneven = np.ptp(cells.counts) > 0
-    note = " ".join([dropped] * bool(dropped) + ["Means of users rest on unequal numbers of trials."] * bool(uneven))
+    notes = [f"{len(cells.dropped)} users without a whole set of trials are left out."] if cells.dropped else []
+    notes += ["Means of users rest on unequal numbers of trials."] if np.ptp(cells.counts) > 0 else []
     effect = partial_eta_squared(float(found.F), *found.degrees)
-    return Outcome(
+    return HypothesisTest(
         "analysis of strata", question, "F", float(found.F), found.degrees, float(found.p), effect,
-        tuple(assumptions), tuple(others), note,
+        tuple(assumptions), tuple(others), " ".join(notes),
     )  # fmt: skip
 
 
-def _with_exact(test: Outcome, others: dict[str, Outcome]) -> Outcome:
+def _sizes(samples: Sequence[Array] | Array, names: Sequence[str], *, paired: bool) -> tuple[Effect, ...]:
+    """Cohen's d of every pair of samples."""
+    found = []
+    for (before, first), (after, second) in combinations(zip(names, samples, strict=True), 2):
+        size = cohens_d(second, first, paired=paired)
+        found.append(replace(size, name=f"{size.name}, {after} minus {before}"))
+    return tuple(found)
+
+
+def _with_exact(test: HypothesisTest, others: dict[str, HypothesisTest]) -> HypothesisTest:
     """A test of the mixed model with the exact one of the same question, and that one's alternatives."""
     exact = others[test.question]
     return replace(test, alternatives=(replace(exact, assumptions=(), alternatives=()), *exact.alternatives))
 
 
-def _sphericity(scores: Array, groups: NDArray[np.int64], epsilon: float) -> Assumption:
+def _sphericity(scores: Array, groups: Ints, epsilon: float) -> Assumption:
     """Mauchly's test, with Greenhouse and Geisser's epsilon."""
     p = mauchly(scores, groups)
     # NaN, where users are too few for the test, counts as not shown.
     return Assumption("sphericity", bool(p >= ALPHA), f"Mauchly {format_p(p)}, epsilon {epsilon:.2f}")
 
 
-def _equal_variances(scores: Array, groups: NDArray[np.int64]) -> Assumption:
+def _equal_variances(scores: Array, groups: Ints) -> Assumption:
     """Levene's test about medians (Brown and Forsythe 1974), the least p of the columns, by Bonferroni."""
-    found = [
-        float(levene(*(column[groups == group] for group in range(groups.max() + 1))).pvalue) for column in scores.T
-    ]
-    p = min(1.0, len(found) * min(found))
+    found = levene(*(scores[groups == group] for group in range(groups.max() + 1)), axis=0).pvalue
+    p = min(1.0, len(found) * float(found.min()))
     return Assumption("equal variances of groups", p >= ALPHA, f"Brown-Forsythe {format_p(p)}")

@@ -3,15 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.errors import InputError
+from meshes.base.arrays import Array, Ints
 from tissue.evaluation.statistics.trials import TrialTable
 
 __all__ = ["Components", "balanced_components", "balanced_values"]
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -39,33 +35,23 @@ class Components:
     user_task: float = 0.0
 
 
-def balanced_values(table: TrialTable, metric: str) -> tuple[Array, Ints]:
+def balanced_values(table: TrialTable, metric: str) -> tuple[Array, Ints] | None:
     """A complete table of one task as an array of shape (users, methods, trials), and the group of every user.
 
-    Raises
-    ------
-    InputError
-        If a trial failed or is missing.
+    None where a trial failed or is missing, or there is one method or one trial a method alone.
     """
-    values = table.values(metric)
     people, person = np.unique(table.people(), return_inverse=True)
     methods, method = np.unique(table.method, return_inverse=True)
-    count, rest = divmod(len(table), len(people) * len(methods))
-    if len(np.unique(table.task)) > 1:
-        raise InputError("table must hold one task, got several: choose one by where(task=...)")
+    shape = (len(people), len(methods), len(table) // (len(people) * len(methods)))
+    counts = np.bincount(person * len(methods) + method, minlength=len(people) * len(methods))
+    if len(np.unique(table.task)) > 1 or table.failed or min(shape) < 2 or (counts != shape[2]).any():
+        return None
     order = np.lexsort([table.trial, method, person])
-    full = not rest and bool((np.bincount(person * len(methods) + method, minlength=1) == count).all())
-    if not full or table.failed or not np.isfinite(values).all():
-        raise InputError(
-            f"table must be complete for a closed form, got {len(table)} rows of {len(people)} users and "
-            f"{len(methods)} methods, {table.failed} failed: use mixed_model"
-        )
-    shaped = (len(people), len(methods), count)
-    numbers = table.trial[order].reshape(shaped)
+    numbers = table.trial[order].reshape(shape)
     if (numbers != numbers[:, :1]).any():
-        raise InputError("trials must be the same under every method, got different numbers: use mixed_model")
+        return None
     group_of = np.unique(table.group, return_inverse=True)[1]
-    return values[order].reshape(shaped), group_of[order].reshape(shaped)[:, 0, 0].astype(np.int64)
+    return table.values(metric)[order].reshape(shape), group_of[order].reshape(shape)[:, 0, 0].astype(np.int64)
 
 
 def balanced_components(values: Array, groups: Ints) -> Components:
@@ -77,19 +63,15 @@ def balanced_components(values: Array, groups: Ints) -> Components:
     Parameters
     ----------
     values
-        Shape (users, methods, trials), two or more of each; trials are paired over methods.
+        Shape (users, methods, trials), two or more of each and users in each group; trials are paired over methods.
     groups
         Group of every user, shape (users,); means of groups and methods are free.
     """
-    if values.ndim != 3 or min(values.shape) < 2:
-        raise InputError(f"values must have two or more users, methods and trials, got {values.shape}: add some")
     users, methods, trials = values.shape
     counts = np.bincount(groups)
     cell_means = np.stack([values[groups == group].mean(axis=(0, 2)) for group in range(len(counts))])
     within = values - cell_means[groups][:, :, None]
     free = users - len(counts)
-    if free < 1:
-        raise InputError(f"users must outnumber groups, got {users} in {len(counts)}: use two or more a group")
     user = within.mean(axis=(1, 2))
     taste = within.mean(axis=2) - user[:, None]
     trial = within.mean(axis=1) - user[:, None]

@@ -4,16 +4,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
-from tissue.evaluation.statistics.outcome import LEVEL, Assumption, Effect
+from tissue.evaluation.statistics.hypothesis_test import LEVEL, Assumption, Effect
 from tissue.evaluation.statistics.resampling import drawn_users
 from tissue.evaluation.statistics.trials import TrialTable
 
 __all__ = ["Index", "composite_index", "weights_of"]
 
-Array = NDArray[np.float64]
 SMALLEST_GAP = 1.25
 """Ratio of the first two variances below which the first direction is little more than chance (by convention)."""
 
@@ -28,8 +27,6 @@ class Index:
         Metrics and their weights with intervals over resampled users; weights sum to one.
     loadings
         Of the oriented metrics on the first component, its sign chosen so that they sum to a positive number.
-    explained
-        Share of the variance along the first component.
     values
         Index of every row of the table in standard deviations, NaN where a trial failed; higher is better.
     means
@@ -41,7 +38,6 @@ class Index:
     metrics: tuple[str, ...]
     weights: tuple[Effect, ...]
     loadings: tuple[float, ...]
-    explained: float
     values: Array
     means: tuple[Effect, ...]
     assumptions: tuple[Assumption, ...]
@@ -133,20 +129,16 @@ def composite_index(
         names,
         _effects(names, weights, spread),
         tuple(loadings.tolist()),
-        float(variances[0] / variances.sum()),
         values,
         _effects(methods.tolist(), chosen, reach),
         _checks(loadings, variances, spread),
     )
 
 
-def _resampled(
-    scaled: Array, person: NDArray[np.int64], method: NDArray[np.int64], times: Array, method_count: int
-) -> tuple[Array, Array]:
+def _resampled(scaled: Array, person: Ints, method: Ints, times: Array, method_count: int) -> tuple[Array, Array]:
     """Weights and means of each method's metrics in populations where user u is drawn times[b, u] times."""
     people, width = times.shape[1], scaled.shape[1]
-    columns = [np.bincount(person, scaled[:, a] * scaled[:, b]) for a in range(width) for b in range(width)]
-    squares = np.stack(columns, axis=1)
+    squares = np.stack([np.bincount(person, a * b) for a in scaled.T for b in scaled.T], axis=1)
     total = times @ np.bincount(person)
     middle = times @ np.stack([np.bincount(person, column) for column in scaled.T], axis=1) / total[:, None]
     spread = (times @ squares / total[:, None]).reshape(-1, width, width) - middle[:, :, None] * middle[:, None, :]

@@ -1,27 +1,27 @@
 """Several metrics at once: multivariate analysis of variance on users, between groups and within users."""
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import f
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
+from tissue.evaluation.statistics.hypothesis_test import Assumption, HypothesisTest, format_p, require_statsmodels
 from tissue.evaluation.statistics.normality import mardia
-from tissue.evaluation.statistics.outcome import Assumption, Outcome, format_p, studied
-from tissue.evaluation.statistics.strata import scores_of
+from tissue.evaluation.statistics.strata import group_means, scores_of
 from tissue.evaluation.statistics.trials import TrialTable
 
 __all__ = ["STATISTICS", "manova", "multivariate", "pillai"]
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 STATISTICS = ("Pillai's trace", "Wilks' lambda", "Hotelling-Lawley trace", "Roy's greatest root")
 
 
 def manova(
-    table: TrialTable, metrics: Sequence[str], *, factor: str, rng: np.random.Generator, permutations: int = 1999
-) -> Outcome:
+    table: TrialTable, metrics: Sequence[str], *, factor: Literal["group", "method"], rng: np.random.Generator
+) -> HypothesisTest:
     """Compare groups or methods on several metrics at once.
 
     The unit is the user: groups are compared by users' means over their trials, methods by users' differences between
@@ -34,7 +34,7 @@ def manova(
     metrics
         Two metrics or more.
     factor
-        "group" or "method".
+        What is compared.
     rng
         Shuffles labels for the permutation test beside it.
 
@@ -43,17 +43,11 @@ def manova(
     InputError
         If the users are too few for the metrics, or one metric is another's multiple.
     """
-    if factor not in ("group", "method"):
-        raise InputError(f"factor must be group or method, got {factor}: choose one of those")
-    if len(metrics) < 2:
-        raise InputError(f"metrics must be at least two, got {len(metrics)}: compare a single one by its own test")
     cells = [table.cells(metric) for metric in metrics]
     chosen = (0,) if factor == "method" else ()
     scores = np.concatenate([scores_of(each.values, each.sizes, chosen) for each in cells], axis=-1)
     question = f"{', '.join(metrics)}: {factor}"
-    return multivariate(
-        scores, cells[0].groups, between=factor == "group", question=question, rng=rng, permutations=permutations
-    )
+    return multivariate(scores, cells[0].groups, between=factor == "group", question=question, rng=rng)
 
 
 def multivariate(
@@ -64,7 +58,7 @@ def multivariate(
     question: str,
     rng: np.random.Generator,
     permutations: int = 1999,
-) -> Outcome:
+) -> HypothesisTest:
     """Multivariate analysis of variance by statsmodels, with its checks and its permutation test.
 
     Parameters
@@ -80,7 +74,7 @@ def multivariate(
 
     Returns
     -------
-    Outcome
+    HypothesisTest
         Pillai's trace, the most robust of the four (Olson 1974), with the other three and a permutation test beside it.
     """
     counts = np.bincount(groups)
@@ -92,11 +86,11 @@ def multivariate(
         )
     if between and len(counts) < 2:
         raise InputError("groups must be at least two to be compared, got one: leave the group's test out")
-    studied()
+    require_statsmodels()
     from statsmodels.multivariate.manova import MANOVA
 
     scaled = scores / scores.std(axis=0)
-    residuals = scaled - np.stack([scaled[groups == group].mean(axis=0) for group in range(len(counts))])[groups]
+    residuals = scaled - group_means(scaled, groups)[groups]
     if np.linalg.matrix_rank(residuals, tol=1e-8 * len(scores)) < width:
         raise InputError(
             f"columns must not be multiples of one another, got {question}: drop a metric that repeats another"
@@ -104,33 +98,16 @@ def multivariate(
     member = np.equal.outer(groups, np.arange(len(counts))).astype(float)
     hypothesis = np.eye(len(counts))[:-1] - np.eye(len(counts))[1:] if between else np.full((1, len(counts)), 1.0)
     frame = MANOVA(scaled, member).mv_test([("effect", hypothesis)])["effect"]["stat"]
-    outcomes = []
-    for name in STATISTICS:
-        row = frame.loc[name].astype(float)
-        figures = (row["Num DF"], row["Den DF"])
-        outcomes.append(
-            Outcome(
-                f"MANOVA, {name} {row['Value']:.4g}",
-                question,
-                "F",
-                float(row["F Value"]),
-                tuple(float(each) for each in figures),
-                float(row["Pr > F"]),
-            )
+    first, *others = (
+        HypothesisTest(
+            f"MANOVA, {name} {row['Value']:.4g}", question, "F", row["F Value"], (row["Num DF"], row["Den DF"]),
+            row["Pr > F"],
         )
-    first, *others = outcomes
+        for name, row in zip(STATISTICS, frame.loc[list(STATISTICS)].astype(float).to_dict("records"), strict=True)
+    )  # fmt: skip
     shuffled = _permuted(scaled, groups, between=between, question=question, rng=rng, count=permutations)
     assumptions = (mardia(residuals), *([_equal_covariances(scaled, groups)] if len(counts) > 1 else []))
-    return Outcome(
-        first.test,
-        question,
-        first.statistic_name,
-        first.statistic,
-        first.degrees,
-        first.p,
-        assumptions=assumptions,
-        alternatives=(shuffled, *others),
-    )
+    return replace(first, assumptions=assumptions, alternatives=(shuffled, *others))
 
 
 def pillai(scores: Array, groups: Ints, *, between: bool) -> tuple[Array, Array]:
@@ -145,10 +122,9 @@ def pillai(scores: Array, groups: Ints, *, between: bool) -> tuple[Array, Array]
     between
         As for :func:`multivariate`.
     """
-    member = np.equal.outer(np.arange(groups.max() + 1), groups).astype(float)
-    counts = member.sum(axis=1)
-    means = (member / counts[:, None]) @ scores
-    residuals = scores - member.T @ means
+    counts = np.bincount(groups)
+    means = group_means(scores, groups)
+    residuals = scores - means[..., groups, :]
     error = np.swapaxes(residuals, -1, -2) @ residuals
     if between:
         apart = (means - (counts @ means / counts.sum())[..., None, :]) * np.sqrt(counts)[:, None]
@@ -168,7 +144,7 @@ def pillai(scores: Array, groups: Ints, *, between: bool) -> tuple[Array, Array]
 
 def _permuted(
     scores: Array, groups: Ints, *, between: bool, question: str, rng: np.random.Generator, count: int
-) -> Outcome:
+) -> HypothesisTest:
     """Pillai's trace against shuffled groups, or against users whose differences have their signs turned."""
     measured = float(pillai(scores, groups, between=between)[0])
     if between:
@@ -177,7 +153,7 @@ def _permuted(
         shuffled = scores * rng.choice([-1.0, 1.0], (count, len(groups), 1))
     others, _ = pillai(shuffled, groups, between=between)
     p = (1 + int((others >= measured * (1.0 - 1e-12)).sum())) / (count + 1)
-    return Outcome("permutation of Pillai's trace", question, "V", measured, (), p)
+    return HypothesisTest("permutation of Pillai's trace", question, "V", measured, (), p)
 
 
 def _equal_covariances(scores: Array, groups: Ints) -> Assumption:

@@ -1,8 +1,9 @@
 """Metrics of one trial: force error, latency, smoothness of the motion, distance from the aim."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 
 __all__ = [
@@ -17,7 +18,6 @@ __all__ = [
     "spectral_arc_length",
 ]
 
-Array = NDArray[np.float64]
 SPARC_CUTOFF_HZ = 10.0
 """Highest frequency of a hand's movement that counts (Balasubramanian et al. 2015; 5 to 20 Hz in use)."""
 SPARC_AMPLITUDE = 0.05
@@ -118,18 +118,12 @@ def acceleration_change_m_s2(velocity_mm_s: ArrayLike, *, tick_s: float) -> floa
     return float(np.linalg.norm(second, axis=1).mean()) * 1e-3
 
 
-def spectral_arc_length(
-    speed_mm_s: ArrayLike,
-    *,
-    tick_s: float,
-    cutoff_Hz: float = SPARC_CUTOFF_HZ,
-    amplitude: float = SPARC_AMPLITUDE,
-) -> float:
+def spectral_arc_length(speed_mm_s: ArrayLike, *, tick_s: float) -> float:
     """Spectral arc length of a movement (SPARC, Balasubramanian et al. 2012, 2015); nearer to zero is smoother.
 
     Minus the length of the normalised magnitude spectrum of the speed, from its first to its last frequency at or above
-    `amplitude`, up to `cutoff_Hz`. It has no unit and depends neither on the movement's size nor, below the cutoff, on
-    its duration.
+    :data:`SPARC_AMPLITUDE`, up to :data:`SPARC_CUTOFF_HZ`. It has no unit and depends neither on the movement's size
+    nor, below the cutoff, on its duration.
 
     Parameters
     ----------
@@ -148,12 +142,13 @@ def spectral_arc_length(
     frequencies = np.fft.rfftfreq(count, require_positive("tick_s", tick_s, "use 0.001"))
     spectrum = np.abs(np.fft.rfft(speed, count))
     spectrum /= spectrum.max()
-    kept = frequencies <= require_positive("cutoff_Hz", cutoff_Hz, "use 10")
-    loud = np.flatnonzero(kept & (spectrum >= amplitude))
+    loud = np.flatnonzero((frequencies <= SPARC_CUTOFF_HZ) & (spectrum >= SPARC_AMPLITUDE))
     chosen = slice(loud[0], loud[-1] + 1)
     span = frequencies[chosen][-1] - frequencies[chosen][0]
     if span == 0.0:
-        raise InputError(f"speed_mm_s must hold a movement, got one frequency below {cutoff_Hz:g} Hz: use a longer one")
+        raise InputError(
+            f"speed_mm_s must hold a movement, got one frequency below {SPARC_CUTOFF_HZ:g} Hz: use a longer one"
+        )
     steps = np.hypot(np.diff(frequencies[chosen]) / span, np.diff(spectrum[chosen]))
     return -float(steps.sum())
 

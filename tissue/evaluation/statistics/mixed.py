@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.stats import f, t
@@ -11,9 +11,12 @@ from scipy.stats import f, t
 from meshes.base.errors import InputError
 from tissue.evaluation.statistics.components import Components, balanced_components, balanced_values
 from tissue.evaluation.statistics.effects import partial_eta_squared
+from tissue.evaluation.statistics.hypothesis_test import LEVEL, Assumption, Effect, HypothesisTest, require_statsmodels
 from tissue.evaluation.statistics.normality import normal_residuals
-from tissue.evaluation.statistics.outcome import LEVEL, Assumption, Effect, Outcome, studied
 from tissue.evaluation.statistics.trials import TrialTable
+
+if TYPE_CHECKING:
+    from statsmodels.regression.mixed_linear_model import MixedLMResults
 
 __all__ = ["MixedModel", "mixed_model"]
 
@@ -45,7 +48,7 @@ class MixedModel:
     metric: str
     components: Components
     coefficients: tuple[Effect, ...]
-    tests: tuple[Outcome, ...]
+    tests: tuple[HypothesisTest, ...]
 
     @property
     def sentence(self) -> str:
@@ -77,7 +80,7 @@ def mixed_model(table: TrialTable, metric: str) -> MixedModel:
     group_count, user_count = len(cells.group_names), len(cells.users)
     if not within and group_count < 2:
         raise InputError("table must hold two groups, tasks or methods, got one of each: there is nothing to compare")
-    studied()
+    require_statsmodels()
     import pandas as pd
     from statsmodels.formula.api import mixedlm
 
@@ -119,7 +122,7 @@ def mixed_model(table: TrialTable, metric: str) -> MixedModel:
     )
     components = Components(*(scale**2 * float(each) for each in variances))
     assumptions = (
-        _convergence(bool(fitted.converged), components, _closed(table, metric), _warned(caught)),
+        _convergence(bool(fitted.converged), components, _closed(table, metric), caught),
         normal_residuals(fitted.resid),
         *_normal_users(fitted),
     )
@@ -134,17 +137,18 @@ def mixed_model(table: TrialTable, metric: str) -> MixedModel:
 
 def _closed(table: TrialTable, metric: str) -> Components | None:
     """The closed form's variances where the table is complete and none of them is zero."""
-    try:
-        found = balanced_components(*balanced_values(table, metric))
-    except InputError:
-        return None
-    return found if min(found.user, found.user_method, found.trial) > 0.0 else None
+    whole = balanced_values(table, metric)
+    found = balanced_components(*whole) if whole else None
+    return found if found and min(found.user, found.user_method, found.trial) > 0.0 else None
 
 
-def _convergence(reported_convergence: bool, found: Components, closed: Components | None, warned: str) -> Assumption:
+def _convergence(
+    reported_convergence: bool, found: Components, closed: Components | None, caught: list[warnings.WarningMessage]
+) -> Assumption:
     """Whether the optimiser is at the maximum, which it has been seen to claim wrongly."""
     name, total = "convergence", sum(vars(found).values())
     if not reported_convergence:
+        warned = str(caught[-1].message).split("\n")[0] if caught else "no reason given"
         return Assumption(name, False, f"restricted likelihood not at its maximum in {ITERATIONS} steps: {warned}")
     if found.residual < LEAST * total:
         return Assumption(name, False, "restricted likelihood has no maximum: nothing varies beside users and trials")
@@ -155,7 +159,7 @@ def _convergence(reported_convergence: bool, found: Components, closed: Componen
     return Assumption(name, True, "restricted likelihood at its maximum")
 
 
-def _freedom(fitted: Any, name: str, free: int) -> int:
+def _freedom(fitted: "MixedLMResults", name: str, free: int) -> int:
     """Degrees of freedom of the stratum of a term or coefficient: users times what changes within them."""
     levels = fitted.model.data.frame.nunique()
     for factor in ("task", "method"):
@@ -163,7 +167,7 @@ def _freedom(fitted: Any, name: str, free: int) -> int:
     return free
 
 
-def _coefficients(fitted: Any, scale: float, free: int) -> tuple[Effect, ...]:
+def _coefficients(fitted: "MixedLMResults", scale: float, free: int) -> tuple[Effect, ...]:
     """Fixed effects in the metric's unit."""
     found = []
     for name, value, error in zip(fitted.fe_params.index, fitted.fe_params, fitted.bse_fe, strict=True):
@@ -172,7 +176,9 @@ def _coefficients(fitted: Any, scale: float, free: int) -> tuple[Effect, ...]:
     return tuple(found)
 
 
-def _tests(fitted: Any, metric: str, free: int, assumptions: tuple[Assumption, ...]) -> list[Outcome]:
+def _tests(
+    fitted: "MixedLMResults", metric: str, free: int, assumptions: tuple[Assumption, ...]
+) -> list[HypothesisTest]:
     """Wald's F of every effect, in its stratum."""
     found = []
     for term, row in fitted.wald_test_terms(scalar=True).table.iterrows():
@@ -181,7 +187,7 @@ def _tests(fitted: Any, metric: str, free: int, assumptions: tuple[Assumption, .
         above, below = int(row["df_constraint"]), _freedom(fitted, term, free)
         statistic = float(row["statistic"]) / above
         found.append(
-            Outcome(
+            HypothesisTest(
                 "mixed model",
                 f"{metric}: {_plain(term)}",
                 "F",
@@ -195,7 +201,7 @@ def _tests(fitted: Any, metric: str, free: int, assumptions: tuple[Assumption, .
     return found
 
 
-def _normal_users(fitted: Any) -> list[Assumption]:
+def _normal_users(fitted: "MixedLMResults") -> list[Assumption]:
     """Normality of the estimated effects of users, where there are enough and they are not all zero."""
     users = np.array([float(each.iloc[0]) for each in fitted.random_effects.values()])
     return [normal_residuals(users, name="normal users")] if len(users) >= 8 and np.ptp(users) > 1e-9 else []
@@ -204,7 +210,3 @@ def _normal_users(fitted: Any) -> list[Assumption]:
 def _plain(name: str) -> str:
     """A term of the formula as a person reads it."""
     return name.replace("C(", "").replace(", Sum)", "").replace("[S.", " ").replace("]", "").replace(":", " x ")
-
-
-def _warned(caught: list[warnings.WarningMessage]) -> str:
-    return str(caught[-1].message).split("\n")[0] if caught else "no reason given"

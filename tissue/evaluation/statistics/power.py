@@ -3,20 +3,17 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
+from scipy.stats import binomtest
 
-from meshes.base.errors import InputError
-from tissue.evaluation.statistics.components import Components
-from tissue.evaluation.statistics.discrimination import Share, classification_accuracy
-from tissue.evaluation.statistics.outcome import ALPHA
+from meshes.base.arrays import Array, Ints
+from tissue.evaluation.statistics.hypothesis_test import ALPHA, LEVEL, Effect
 from tissue.evaluation.statistics.resampling import drawn_users
-from tissue.evaluation.statistics.strata import strata
+from tissue.evaluation.statistics.strata import group_means, strata
 from tissue.evaluation.statistics.trials import Cells
 
-__all__ = ["POPULATIONS", "Power", "power", "redrawn_power", "simulated_cells"]
+__all__ = ["Power", "redrawn_power", "rejection_rates"]
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 POPULATIONS = 10_000
 """Enough for an error rate of 5 % to be known to 0.4 %."""
 TESTS = {"method": ((0,), False), "group": ((), True), "group x method": ((0,), True)}
@@ -41,8 +38,8 @@ class Power:
     test: str
     users_per_group: int
     populations: int
-    false_alarms: Share
-    hits: Share
+    false_alarms: Effect
+    hits: Effect
 
     @property
     def sentence(self) -> str:
@@ -53,107 +50,59 @@ class Power:
         )
 
 
-def simulated_cells(
-    components: Components,
-    means: ArrayLike,
-    *,
-    users_per_group: int,
-    trials: int,
-    populations: int,
-    rng: np.random.Generator,
-) -> tuple[Array, Ints]:
-    """Cell means of populations drawn from a model with normal users, users by method, trials and rest.
-
-    Means over trials are drawn at once from their own distribution, which is the same.
-
-    Parameters
-    ----------
-    components
-        Variances.
-    means
-        Mean of each group under each method, shape (groups, methods).
-    users_per_group, trials
-        Users in each group, and trials of each user under each method.
-
-    Returns
-    -------
-    values, groups
-        Shapes (populations, users, methods) and (users,).
-    """
-    expected = np.atleast_2d(np.asarray(means, dtype=float))
-    if expected.ndim != 2 or not np.isfinite(expected).all():
-        raise InputError(f"means must be finite, of shape (groups, methods), got {expected.shape}: one row a group")
-    for name, number in (("users_per_group", users_per_group), ("trials", trials), ("populations", populations)):
-        if number < 1:
-            raise InputError(f"{name} must be at least 1, got {number}: use 10")
-    groups = np.repeat(np.arange(len(expected)), users_per_group)
-    shape = (populations, len(groups), expected.shape[1])
-    shared = np.sqrt(components.user + components.trial / trials)
-    per_method = np.sqrt(components.user_method + components.residual / trials)
-    values = shared * rng.standard_normal((*shape[:2], 1)) + per_method * rng.standard_normal(shape)
-    return values + expected[groups], groups
-
-
-def power(
-    components: Components,
-    means: ArrayLike,
-    *,
-    users_per_group: int,
-    trials: int,
-    rng: np.random.Generator,
-    populations: int = POPULATIONS,
-) -> tuple[Power, ...]:
-    """Error rates of the tests of methods, groups and both in a study of a given size.
-
-    Parameters
-    ----------
-    components
-        Variances, from :func:`tissue.evaluation.statistics.mixed.mixed_model` or assumed.
-    means
-        Mean of each group under each method that the study should find, shape (groups, methods).
-    users_per_group, trials
-        Size of the study.
-    """
-    size = {"users_per_group": users_per_group, "trials": trials, "populations": populations}
-    values, groups = simulated_cells(components, means, rng=rng, **size)
-    expected = np.atleast_2d(np.asarray(means, dtype=float))[groups]
-    return _rates(values - expected, values, groups, users_per_group)
-
-
-def redrawn_power(
-    cells: Cells, *, rng: np.random.Generator, users_per_group: int | None = None, populations: int = POPULATIONS
-) -> tuple[Power, ...]:
+def redrawn_power(cells: Cells, *, rng: np.random.Generator, populations: int = POPULATIONS) -> tuple[Power, ...]:
     """Error rates with users drawn again from a study, whatever their distribution.
 
     The null hypothesis is made true by taking the means of each group and method out; what is left of n users is
     stretched by sqrt(n / (n - 1)), since redrawn users vary by that much less than new ones. Power is that of finding
     an effect as large as the one measured, which holds the error of the measurement; where the true effect is zero or
-    small it is too high. Assumed effects in :func:`power` do not have that fault.
+    small it is too high.
+
+    Parameters
+    ----------
+    cells
+        Means of a metric by one factor within users.
+    rng
+        Draws the users.
+    populations
+        How often.
     """
-    if len(cells.factors) != 1:
-        raise InputError("cells must have one factor within users, got several: use cells(metric) of one task")
     order = np.argsort(cells.groups, kind="stable")
     values, groups = cells.values[order], cells.groups[order]
-    means = np.stack([values[groups == group].mean(axis=0) for group in range(len(cells.group_names))])[groups]
+    means = group_means(values, groups)[groups]
     counts = np.bincount(groups)[groups][:, None]
     null = (values - means) * np.sqrt(counts / (counts - 1.0))
-    drawn = drawn_users(groups, populations, rng, per_group=users_per_group)
-    return _rates(null[drawn], (means + null)[drawn], groups[drawn[0]], users_per_group or int(counts.min()))
+    drawn = drawn_users(groups, populations, rng)
+    return rejection_rates(null[drawn], (means + null)[drawn], groups)
 
 
-def _rates(null: Array, planted: Array, groups: Ints, users_per_group: int) -> tuple[Power, ...]:
-    """Shares of populations in which each test rejects."""
+def rejection_rates(null: Array, planted: Array, groups: Ints) -> tuple[Power, ...]:
+    """Shares of populations in which each test rejects.
+
+    Parameters
+    ----------
+    null, planted
+        Populations without and with an effect, each of shape (populations, users, methods).
+    groups
+        Group of every user, shape (users,).
+    """
     found = []
     for name, (chosen, between) in TESTS.items():
         if (between and groups.max() == 0) or (chosen and null.shape[-1] < 2):
             continue
-        shares = []
-        for values in (null, planted):
-            rejects = strata(values, groups, (values.shape[-1],), chosen, between=between).p < ALPHA
-            shares.append(classification_accuracy(rejects, np.ones(len(rejects), dtype=bool)))
-        found.append(Power(name, users_per_group, len(null), shares[0], shares[1]))
+        false_alarms, hits = (
+            _share(strata(values, groups, (values.shape[-1],), chosen, between=between).p < ALPHA)
+            for values in (null, planted)
+        )
+        found.append(Power(name, int(np.bincount(groups).min()), len(null), false_alarms, hits))
     return tuple(found)
 
 
-def _percent(share: Share) -> str:
+def _share(rejects: NDArray[np.bool_]) -> Effect:
+    """Share of populations with Wilson's interval (Wilson 1927)."""
+    found = binomtest(int(rejects.sum()), len(rejects))
+    return Effect("share", found.statistic, *map(float, found.proportion_ci(LEVEL, "wilson")))
+
+
+def _percent(share: Effect) -> str:
     return f"{100.0 * share.value:.1f} % [{100.0 * share.low:.1f}, {100.0 * share.high:.1f}]"

@@ -4,40 +4,26 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.special import gammaln, stdtr
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
-from tissue.evaluation.statistics.outcome import LEVEL, Effect
+from tissue.evaluation.statistics.hypothesis_test import LEVEL, Effect
 from tissue.evaluation.statistics.trials import TrialTable
 
-__all__ = ["PRIOR", "Posterior", "Prior", "regression", "trial_regression"]
+__all__ = ["Posterior", "regression", "trial_regression"]
 
-Array = NDArray[np.float64]
 NODES = 96
 """Nodes over the intraclass correlation; 48 give the same intervals to four digits."""
 
 
-@dataclass(frozen=True)
-class Prior:
-    """What is held likely before the data, in standard deviations of every column.
-
-    Attributes
-    ----------
-    slope_spread
-        Standard deviation of slopes and intercept over that of the rest: 10 is almost no information.
-    shape, scale
-        Of the inverse gamma distribution of the variance of the rest; 0.01 each is almost no information (Gelman 2006
-        warns of it for variances between groups; those have a uniform correlation here instead).
-    """
-
-    slope_spread: float = 10.0
-    shape: float = 0.01
-    scale: float = 0.01
-
-
-PRIOR = Prior()
+SLOPE_SPREAD = 10.0
+"""Standard deviation of slopes and intercept in the prior, over that of the rest: almost no information."""
+SHAPE = SCALE = 0.01
+"""Of the inverse gamma prior of the variance of the rest, almost no information (Gelman 2006 warns of it for variances
+between groups; those have a uniform correlation here instead)."""
 
 
 @dataclass(frozen=True)
@@ -62,15 +48,13 @@ class Posterior:
     sentence: str
 
 
-def trial_regression(
-    table: TrialTable, response: str, predictors: Sequence[str], *, prior: Prior = PRIOR, level: float = LEVEL
-) -> Posterior:
+def trial_regression(table: TrialTable, response: str, predictors: Sequence[str]) -> Posterior:
     """Regress one metric of the trials that did not fail on others, users random; see :func:`regression`."""
     kept = table.complete()
     if not len(kept):
         raise InputError(f"table must hold trials that did not fail, got {len(table)} failures: mend the study first")
     columns = {name: kept.values(name) for name in predictors}
-    return regression(kept.values(response), columns, kept.people(), response=response, prior=prior, level=level)
+    return regression(kept.values(response), columns, kept.people(), response=response)
 
 
 def regression(
@@ -79,8 +63,7 @@ def regression(
     users: ArrayLike,
     *,
     response: str,
-    prior: Prior = PRIOR,
-    level: float = LEVEL,
+    slope_spread: float = SLOPE_SPREAD,
 ) -> Posterior:
     """Posterior of y = b0 + X b + u(user) + e with e ~ N(0, s^2), u ~ N(0, s^2 r / (1 - r)).
 
@@ -92,33 +75,25 @@ def regression(
     Parameters
     ----------
     values
-        Response, shape (rows,).
+        Response, finite, shape (rows,).
     predictors
-        Columns by name, each of shape (rows,).
+        Columns by name, finite, each of shape (rows,).
     users
         Who each row belongs to, shape (rows,). Without random users their rows would count as independent.
     response
         Name of the response.
-    prior
-        In standardised columns.
-    level
-        Coverage of the credible interval, equal tails.
+    slope_spread
+        Standard deviation of slopes and intercept in the prior, over that of the rest, in standardised columns.
 
     Raises
     ------
     InputError
-        If a column is constant, not finite, or repeats another, or there are fewer than two users.
+        If a column is constant or repeats another, or there are fewer than two users.
     """
-    if not predictors:
-        raise InputError("predictors must be at least one, got none: name metrics of the table")
     columns = np.column_stack([np.asarray(each, dtype=float) for each in predictors.values()])
     answers = np.asarray(values, dtype=float)
     names, person = np.unique(np.asarray(users), return_inverse=True)
     for name, column in zip((response, *predictors), (answers, *columns.T), strict=True):
-        if not np.isfinite(column).all():
-            raise InputError(
-                f"{name} must be finite, got {(~np.isfinite(column)).sum()} values that are not: leave out"
-            )
         if np.ptp(column) == 0.0:
             raise InputError(f"{name} must vary, got {column[0]:g} throughout: leave it out of the regression")
     if len(names) < 2:
@@ -130,10 +105,10 @@ def regression(
     standard = (answers - answers.mean()) / size
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     shares = 0.5 * (nodes + 1.0)
-    middles, spreads, evidence = _conjugate(standard, design, person, shares / (1.0 - shares), prior)
+    middles, spreads, evidence = _conjugate(standard, design, person, shares / (1.0 - shares), slope_spread)
     mass = weights * np.exp(evidence - evidence.max())
     mass /= mass.sum()
-    degrees = 2.0 * prior.shape + len(answers)
+    degrees = 2.0 * SHAPE + len(answers)
     unit = size / spread
     slopes, chances = [], []
     for index, name in enumerate(predictors):
@@ -143,10 +118,9 @@ def regression(
             return float(mass @ stdtr(degrees, (x - centre) / width))
 
         ends = float((centre - 40.0 * width).min()), float((centre + 40.0 * width).max())
-        tail = 0.5 * (1.0 - level)
         median, low, high = (
             float(brentq(lambda x, wanted=wanted: below(x) - wanted, *ends)) * unit[index]
-            for wanted in (0.5, tail, 1.0 - tail)
+            for wanted in (0.5, 0.5 * (1.0 - LEVEL), 0.5 * (1.0 + LEVEL))
         )
         slopes.append(Effect(f"{response} per {name}", median, low, high))
         chances.append(1.0 - below(0.0))
@@ -163,7 +137,7 @@ def regression(
 
 
 def _conjugate(
-    values: Array, design: Array, person: NDArray[np.int64], ratios: Array, prior: Prior
+    values: Array, design: Array, person: Ints, ratios: Array, slope_spread: float
 ) -> tuple[Array, Array, Array]:
     """Centre and width of every coefficient's t distribution, and the log evidence, at each ratio of variances.
 
@@ -176,10 +150,10 @@ def _conjugate(
     shrink = ratios[:, None] / (1.0 + counts * ratios[:, None])
     products = both.T @ both - np.einsum("ru,ui,uj->rij", shrink, sums, sums)
     width = design.shape[1]
-    precision = products[:, :width, :width] + np.eye(width) / prior.slope_spread**2
+    precision = products[:, :width, :width] + np.eye(width) / slope_spread**2
     middle = np.linalg.solve(precision, products[:, :width, width, None])[..., 0]
-    shape = prior.shape + 0.5 * len(values)
-    scale = prior.scale + 0.5 * (products[:, width, width] - (middle * products[:, :width, width]).sum(axis=1))
+    shape = SHAPE + 0.5 * len(values)
+    scale = SCALE + 0.5 * (products[:, width, width] - (middle * products[:, :width, width]).sum(axis=1))
     spread = np.sqrt(scale[:, None] / shape * np.diagonal(np.linalg.inv(precision), axis1=1, axis2=2))
     log_size = np.linalg.slogdet(precision)[1] + np.log1p(counts * ratios[:, None]).sum(axis=1)
     return middle, spread, gammaln(shape) - shape * np.log(scale) - 0.5 * log_size

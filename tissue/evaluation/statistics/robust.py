@@ -1,20 +1,17 @@
 """Tests that rest on less: no equal variances, no normality, no sphericity."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import f, friedmanchisquare, kruskal
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
-from tissue.evaluation.statistics.outcome import Outcome
-from tissue.evaluation.statistics.strata import scores_of, strata
+from tissue.evaluation.statistics.hypothesis_test import HypothesisTest
+from tissue.evaluation.statistics.strata import group_means, scores_of, strata
 
 __all__ = ["friedman", "hotelling", "kruskal_wallis", "permutation", "welch"]
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
-
-def welch(values: Array, groups: Ints, *, question: str) -> Outcome:
+def welch(values: Array, groups: Ints, *, question: str) -> HypothesisTest:
     """Compare means of groups of unequal variance (Welch 1951).
 
     Parameters
@@ -26,62 +23,51 @@ def welch(values: Array, groups: Ints, *, question: str) -> Outcome:
     question
         What is asked, for the sentence.
     """
+    from statsmodels.stats.oneway import anova_oneway
+
     samples = _samples(values, groups)
-    count = len(samples)
-    sizes = np.array([len(each) for each in samples])
-    spreads = np.array([each.var(ddof=1) for each in samples])
-    if spreads.min() == 0.0:
+    if min(np.ptp(each) for each in samples) == 0.0:
         raise InputError("values must vary in every group, got one that is constant: leave that group out")
-    weights = sizes / spreads
-    means = np.array([each.mean() for each in samples])
-    middle = (weights * means).sum() / weights.sum()
-    uneven = ((1.0 - weights / weights.sum()) ** 2 / (sizes - 1)).sum()
-    above = (weights * (means - middle) ** 2).sum() / (count - 1)
-    statistic = float(above / (1.0 + 2.0 * (count - 2) / (count**2 - 1) * uneven))
-    below = float((count**2 - 1) / (3.0 * uneven))
-    return Outcome("Welch", question, "F", statistic, (count - 1, below), float(f.sf(statistic, count - 1, below)))
+    found = anova_oneway(samples, use_var="unequal", welch_correction=True)
+    degrees = (int(found.df_num), float(found.df_denom))
+    return HypothesisTest("Welch", question, "F", float(found.statistic), degrees, float(found.pvalue))
 
 
-def kruskal_wallis(values: Array, groups: Ints, *, question: str) -> Outcome:
+def kruskal_wallis(values: Array, groups: Ints, *, question: str) -> HypothesisTest:
     """Compare groups by ranks (Kruskal and Wallis 1952); arguments as for :func:`welch`."""
     samples = _samples(values, groups)
-    found = kruskal(*samples)
-    return Outcome("Kruskal-Wallis", question, "H", float(found.statistic), (len(samples) - 1,), float(found.pvalue))
+    statistic, p = map(float, kruskal(*samples))
+    return HypothesisTest("Kruskal-Wallis", question, "H", statistic, (len(samples) - 1,), p)
 
 
-def friedman(values: Array, *, question: str) -> Outcome:
+def friedman(values: Array, *, question: str) -> HypothesisTest:
     """Compare three levels or more within users by ranks (Friedman 1937); `values` has shape (users, levels)."""
-    if values.ndim != 2 or values.shape[1] < 3:
-        raise InputError(f"levels must be at least three, got {values.shape}: use the permutation test for two")
-    found = friedmanchisquare(*values.T)
-    degrees = (values.shape[1] - 1,)
-    return Outcome("Friedman", question, "chi2", float(found.statistic), degrees, float(found.pvalue))
+    statistic, p = map(float, friedmanchisquare(*values.T))
+    return HypothesisTest("Friedman", question, "chi2", statistic, (values.shape[1] - 1,), p)
 
 
-def hotelling(scores: Array, groups: Ints, *, question: str) -> Outcome:
+def hotelling(scores: Array, groups: Ints, *, question: str) -> HypothesisTest:
     """Test mean scores against zero with no sphericity assumed (Hotelling 1931), groups of equal weight.
 
     Parameters
     ----------
     scores
-        Scores of users on contrasts, shape (users, contrasts), from `tissue.evaluation.statistics.strata.scores_of`.
+        Scores of users on contrasts, shape (users, contrasts), from `tissue.evaluation.statistics.strata.scores_of`;
+        users outnumber groups and contrasts.
     groups
         Group of every user, shape (users,).
     """
-    member = np.equal.outer(np.arange(groups.max() + 1), groups).astype(float)
-    counts = member.sum(axis=1)
-    means = member @ scores / counts[:, None]
-    residuals = scores - member.T @ means
+    counts = np.bincount(groups)
+    means = group_means(scores, groups)
+    residuals = scores - means[groups]
     degrees, width = len(scores) - len(counts), scores.shape[1]
-    if degrees < width:
-        raise InputError(f"users must outnumber groups and contrasts, got {len(scores)}: add users")
     spread = residuals.T @ residuals / degrees
     middle = means.mean(axis=0)
     weight = len(counts) ** 2 / (1.0 / counts).sum()
     squared = weight * float(middle @ np.linalg.solve(spread, middle))
     below = degrees - width + 1
     statistic = squared * below / (degrees * width)
-    return Outcome("Hotelling", question, "F", statistic, (width, below), float(f.sf(statistic, width, below)))
+    return HypothesisTest("Hotelling", question, "F", statistic, (width, below), float(f.sf(statistic, width, below)))
 
 
 def permutation(
@@ -94,7 +80,7 @@ def permutation(
     question: str,
     rng: np.random.Generator,
     count: int = 4999,
-) -> Outcome:
+) -> HypothesisTest:
     """Compare the F of :func:`tissue.evaluation.statistics.strata.strata` with that of shuffled labels.
 
     An effect of groups shuffles users over groups; an effect within users shuffles the levels of the chosen factors
@@ -119,12 +105,9 @@ def permutation(
         shuffled = shuffled.reshape(count, *values.shape)
     others = strata(shuffled, groups, sizes, chosen, between=between).F
     p = (1 + int((others >= measured * (1.0 - 1e-12)).sum())) / (count + 1)
-    return Outcome("permutation", question, "F", measured, (), p)
+    return HypothesisTest("permutation", question, "F", measured, (), p)
 
 
 def _samples(values: Array, groups: Ints) -> list[Array]:
-    """Values of each group, two or more."""
-    samples = [values[groups == group] for group in range(groups.max() + 1)]
-    if len(samples) < 2 or min(len(each) for each in samples) < 2:
-        raise InputError("groups must be at least two of two users each, got fewer: add users")
-    return samples
+    """Values of each group."""
+    return [values[groups == group] for group in range(groups.max() + 1)]

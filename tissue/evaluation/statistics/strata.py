@@ -4,16 +4,12 @@ from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import helmert
 from scipy.stats import chi2, f
 
-from meshes.base.errors import InputError
+from meshes.base.arrays import Array, Ints
 
-__all__ = ["Strata", "mauchly", "scores_of", "strata"]
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
+__all__ = ["Strata", "group_means", "mauchly", "scores_of", "strata"]
 
 
 @dataclass(frozen=True)
@@ -24,8 +20,8 @@ class Strata:
     ----------
     F, p
         Statistic and its chance where there is no effect, shape of the populations.
-    between_square, error_square
-        Mean squares above and below the bar.
+    error_square
+        Mean square below the bar.
     degrees
         Degrees of freedom of both.
     epsilon, corrected_p
@@ -34,11 +30,16 @@ class Strata:
 
     F: Array
     p: Array
-    between_square: Array
     error_square: Array
     degrees: tuple[int, int]
     epsilon: Array
     corrected_p: Array
+
+
+def group_means(values: Array, groups: Ints) -> Array:
+    """Mean of each group over its users, shape (..., groups, columns), of values of shape (..., users, columns)."""
+    member = np.equal.outer(np.arange(groups.max() + 1), groups).astype(float)
+    return (member / member.sum(axis=1, keepdims=True)) @ values
 
 
 def scores_of(values: Array, sizes: tuple[int, ...], chosen: tuple[int, ...]) -> Array:
@@ -75,28 +76,21 @@ def strata(
     values
         Cell means, shape (..., users, levels).
     groups
-        Group of every user, 0 to G - 1, shape (users,).
+        Group of every user, 0 to G - 1, shape (users,); users outnumber groups.
     sizes
         Levels of each factor within users.
     chosen
-        Factors within users that are in the effect.
+        Factors within users that are in the effect; at least one unless `between`.
     between
         Whether the effect involves the group: alone where `chosen` is empty, else how the effect differs with it. If
         not, the mean of the effect over groups of equal weight is tested against zero.
     """
-    if not between and not chosen:
-        raise InputError("chosen must name a factor unless between, got none: pass (0,) for the first factor")
     scores = scores_of(values, sizes, chosen)
     contrasts = scores.shape[-1]
-    member = np.equal.outer(np.arange(groups.max() + 1), groups).astype(float)
-    group_count, user_count = member.shape
-    counts = member.sum(axis=1)
-    if group_count < 2 and between:
-        raise InputError("groups must be at least two to be compared, got one: leave the group's test out")
-    if counts.min() < 1 or user_count <= group_count:
-        raise InputError(f"users must outnumber groups, got {user_count} in {group_count}: use two or more a group")
-    means = (member / counts[:, None]) @ scores
-    residuals = scores - member.T @ means
+    counts = np.bincount(groups)
+    group_count, user_count = len(counts), len(groups)
+    means = group_means(scores, groups)
+    residuals = scores - means[..., groups, :]
     products = np.swapaxes(residuals, -1, -2) @ residuals / (user_count - group_count)
     error = np.trace(products, axis1=-2, axis2=-1) / contrasts
     if between:
@@ -113,7 +107,6 @@ def strata(
     return Strata(
         np.asarray(statistic),
         np.asarray(f.sf(statistic, above, below)),
-        np.asarray(squares / above),
         np.asarray(error),
         (above, below),
         np.asarray(epsilon),
@@ -134,9 +127,8 @@ def mauchly(scores: Array, groups: Ints) -> float:
     count = scores.shape[-1]
     if count == 1:
         return 1.0
-    means = np.stack([scores[groups == group].mean(axis=0) for group in range(groups.max() + 1)])
-    residuals = scores - means[groups]
-    degrees = len(scores) - len(means)
+    residuals = scores - group_means(scores, groups)[groups]
+    degrees = len(scores) - groups.max() - 1
     if degrees <= count:
         return float("nan")
     spread = residuals.T @ residuals / degrees

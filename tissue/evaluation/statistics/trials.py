@@ -7,19 +7,17 @@ from functools import cached_property
 from itertools import pairwise, product
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from meshes.base.whole_file import whole_file
 
 __all__ = ["FACTORS", "Cells", "TrialTable"]
 
-Array = NDArray[np.float64]
 Text = NDArray[np.str_]
-Ints = NDArray[np.int64]
 FACTORS = ("task", "group", "method")
 """What trials are compared by."""
 KEY = ("task", "group", "user", "trial", "method")
@@ -94,7 +92,7 @@ class TrialTable:
     metrics: Mapping[str, Array]
 
     def __post_init__(self) -> None:
-        columns: dict[str, NDArray[Any]] = {name: np.asarray(getattr(self, name)) for name in KEYS}
+        columns: dict[str, NDArray[np.generic]] = {name: np.asarray(getattr(self, name)) for name in KEYS}
         columns |= {name: np.asarray(values, dtype=float) for name, values in self.metrics.items()}
         count = len(columns["task"])
         for name, values in columns.items():
@@ -120,7 +118,7 @@ class TrialTable:
                 )
 
     @classmethod
-    def from_rows(cls, rows: Iterable[Mapping[str, Any]]) -> "TrialTable":
+    def from_rows(cls, rows: Iterable[Mapping[str, object]]) -> "TrialTable":
         """A table of rows that hold the keys and metrics by name; `failure` may be left out, and metrics of a failure.
 
         Raises
@@ -137,57 +135,18 @@ class TrialTable:
         names = list(dict.fromkeys(name for row in listed for name in row if name not in KEYS))
         labels = {name: np.array([str(row.get(name, "")) for row in listed]) for name in KEYS}
         return cls(
-            labels["task"],
-            labels["group"],
-            labels["user"],
-            labels["trial"].astype(np.int64),
-            labels["method"],
-            labels["seed"].astype(np.int64),
-            labels["failure"],
-            {name: np.array([float(row.get(name, np.nan)) for row in listed]) for name in names},
+            **labels,  # whole numbers are read from their text
+            metrics={name: np.array([row.get(name, np.nan) for row in listed], dtype=float) for name in names},
         )
 
     def write_csv(self, path: Path) -> None:
-        """Write the table; the same trials give the same bytes, and reading them back the same bits."""
+        """Write the table; the same trials give the same bytes, from which their bits can be read again."""
         columns = [getattr(self, name).tolist() for name in KEYS]
         columns += [[repr(value) for value in values.tolist()] for values in self.metrics.values()]
         with whole_file(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow([*KEYS, *self.metrics])
             writer.writerows(zip(*columns, strict=True))
-
-    @classmethod
-    def read_csv(cls, path: Path) -> "TrialTable":
-        """Read a table that :meth:`write_csv` wrote.
-
-        Raises
-        ------
-        InputError
-            If the file is not such a table, or a line of it is cut short.
-        """
-        try:
-            with path.open(encoding="utf-8", newline="") as file:
-                rows = list(csv.reader(file, strict=True))
-        except OSError as problem:
-            raise InputError(
-                f"table must be a file that can be read, got {path} ({problem.strerror}): give a study's trials.csv"
-            ) from None
-        except (UnicodeDecodeError, csv.Error) as problem:
-            raise InputError(f"table must be CSV, got other data in {path}: give a study's trials.csv") from problem
-        if not rows or tuple(rows[0][: len(KEYS)]) != KEYS:
-            raise InputError(f"table must begin with {','.join(KEYS)}, got {path}: give a study's trials.csv")
-        for line, row in enumerate(rows[1:], start=2):
-            if len(row) != len(rows[0]):
-                raise InputError(f"table must hold whole lines, got line {line} of {path} cut short: run the study on")
-        try:
-            return cls.from_rows(dict(zip(rows[0], row, strict=True)) for row in rows[1:])
-        except InputError:
-            raise
-        except (ValueError, OverflowError) as problem:
-            raise InputError(
-                f"table must hold whole numbers for trial and seed and numbers for metrics, got others in {path}: run "
-                "the study on"
-            ) from problem
 
     def __len__(self) -> int:
         return len(self.task)
@@ -203,12 +162,10 @@ class TrialTable:
         Raises
         ------
         InputError
-            If a column or a label is not in the table.
+            If a label is not in the table.
         """
         kept = np.ones(len(self), dtype=bool)
         for name, wanted in chosen.items():
-            if name not in ("task", "group", "user", "method"):
-                raise InputError(f"column must be one of task, group, user, method, got {name}: choose by one of those")
             column = getattr(self, name)
             labels = [wanted] if isinstance(wanted, str) else list(wanted)
             for label in labels:
@@ -241,9 +198,6 @@ class TrialTable:
             If a group keeps fewer than two users, or the metric is constant.
         """
         values = self.values(metric)
-        for name in within:
-            if name not in ("task", "method"):
-                raise InputError(f"within must be of task and method, got {name}: users do not change their group")
         kept = self.failure == ""
         factors = tuple((name, tuple(np.unique(getattr(self, name)).tolist())) for name in within)
         labels = list(product(*(levels for _, levels in factors)))

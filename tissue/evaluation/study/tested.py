@@ -5,10 +5,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from meshes.base.errors import InputError
-from tissue.evaluation.statistics.comparison import Comparison, across_tasks, compare
+from tissue.evaluation.statistics.comparison import MetricComparison, across_tasks, compare
 from tissue.evaluation.statistics.hpi import composite_index
+from tissue.evaluation.statistics.hypothesis_test import ALPHA, Effect, HypothesisTest, format_p
 from tissue.evaluation.statistics.manova import manova
-from tissue.evaluation.statistics.outcome import ALPHA, Effect, Outcome, format_p
 from tissue.evaluation.statistics.power import redrawn_power
 from tissue.evaluation.statistics.regression import trial_regression
 from tissue.evaluation.statistics.trials import TrialTable
@@ -37,8 +37,8 @@ LOOSE = 0.06
 
 def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]:
     """Every metric on every task, then metrics together; sizes of effects with their picture."""
-    found: list[Comparison] = []
-    outcomes: list[tuple[str, Outcome]] = []
+    found: list[MetricComparison] = []
+    outcomes: list[tuple[str, HypothesisTest]] = []
     same: dict[str, list[str]] = {}
     refused: dict[str, list[str]] = {}
     for task in (each for each in TASKS if each in table.task):
@@ -95,7 +95,7 @@ def _equal(table: TrialTable, metric: str, one: str, other: str) -> bool:
     return bool((np.abs(first - second)[both] <= 1e-3 * first[both].std()).all())
 
 
-def _outcomes(outcomes: list[tuple[str, Outcome]], remarks: list[str]) -> Section:
+def _outcomes(outcomes: list[tuple[str, HypothesisTest]], remarks: list[str]) -> Section:
     """All tests, their p corrected over the family."""
     whole = corrected([each.p for _, each in outcomes], "bonferroni")
     rows = []
@@ -131,7 +131,7 @@ def _outcomes(outcomes: list[tuple[str, Outcome]], remarks: list[str]) -> Sectio
     return Section("tests", "Tests", tuple(sentences), header, tuple(rows))
 
 
-def _pairs(found: list[Comparison]) -> Section:
+def _pairs(found: list[MetricComparison]) -> Section:
     """All pairs of methods and groups by Tukey, and sizes of effects."""
     rows = [
         (
@@ -180,7 +180,7 @@ def _sizes_picture(sizes: list[tuple[str, Effect]]) -> bytes:
     return image(figure)
 
 
-def _assumptions(outcomes: list[tuple[str, Outcome]]) -> Section:
+def _assumptions(outcomes: list[tuple[str, HypothesisTest]]) -> Section:
     """What every test rests on."""
     rows = tuple(
         (task, each.question, check.name, "yes" if check.holds else "no", check.finding)

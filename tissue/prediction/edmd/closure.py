@@ -5,14 +5,12 @@ from dataclasses import dataclass
 from math import nan
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.prediction.edmd.lifted import Generator
 
 __all__ = ["StepErrors", "closure_defects", "step_errors"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 
 __all__ = ["Delays", "Dictionary", "DictionarySum", "Identity", "require_columns"]
-
-Array = NDArray[np.float64]
 
 
 class Dictionary(ABC):

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.prediction.edmd.dictionary import Dictionary
 from tissue.prediction.edmd.episodes import Episode, blocks, check_episodes
@@ -15,8 +15,6 @@ from tissue.prediction.edmd.regression import regress
 from tissue.prediction.edmd.training_range import TrainingRange
 
 __all__ = ["Edmd"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,12 @@ from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 
 __all__ = ["Episode", "blocks", "check_episodes", "window"]
 
-Array = NDArray[np.float64]
 SAME_STEP = 1e-6
 """Relative difference of two steps that still counts as one sample rate: rounding of printed times."""
 BLOCK = 2048

@@ -6,12 +6,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.prediction.edmd.dictionary import Dictionary, require_columns
 
 __all__ = ["GapProducts"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,13 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 from tissue.prediction.edmd.dictionary import Dictionary
 from tissue.prediction.edmd.spectrum import cap_spectrum
 from tissue.prediction.edmd.training_range import TrainingRange
 
 __all__ = ["FitStatistics", "Generator", "LiftedMap", "Operator"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

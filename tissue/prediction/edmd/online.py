@@ -4,14 +4,12 @@ from dataclasses import replace
 from math import isfinite, nan
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import require_positive, require_range
 from tissue.prediction.edmd.lifted import Operator
 
 __all__ = ["Online"]
-
-Array = NDArray[np.float64]
 
 
 class Online:

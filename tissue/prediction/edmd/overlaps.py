@@ -4,14 +4,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.prediction.edmd.dictionary import Dictionary
 
 __all__ = ["Overlaps"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,12 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.prediction.edmd.dictionary import Dictionary, require_columns
 
 __all__ = ["Polynomials"]
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 

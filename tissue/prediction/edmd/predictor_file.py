@@ -8,8 +8,8 @@ from typing import Any
 from zipfile import is_zipfile
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import DamagedFileError, InputError
 from meshes.base.file_version import package_version, require_version
 from meshes.base.whole_file import whole_file
@@ -19,7 +19,6 @@ from tissue.prediction.edmd.training_range import TrainingRange
 
 __all__ = ["VERSION", "StoredPredictor", "read_predictor", "write_predictor"]
 
-Array = NDArray[np.float64]
 FORMAT, VERSION = "tissue predictor", 1
 ARRAYS = ("A", "B", "offset", "middle", "scale", "input_middle", "input_scale", "moments")
 RANGE = ("lowest", "highest", "middle", "whitening", "input_lowest", "input_highest")

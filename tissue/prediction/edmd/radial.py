@@ -8,12 +8,12 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 from tissue.prediction.edmd.dictionary import Dictionary, require_columns
 
 __all__ = ["Gaussians", "ThinPlates", "spread_centres"]
 
-Array = NDArray[np.float64]
 MEANS_ROUNDS = 25
 """Rounds of Lloyd's algorithm: centres only have to spread over the data, not to converge."""
 MEANS_ROWS = 5000

@@ -4,13 +4,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 
 __all__ = ["Regression", "regress"]
 
-Array = NDArray[np.float64]
 DEPENDENT = 1e-13
 """Singular values below this share of the largest are rounding of the factor: their columns depend on the others."""
 

@@ -1,13 +1,11 @@
 """Eigenvalues of an operator, and the cap that keeps its powers from growing."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 
 __all__ = ["cap_spectrum", "spectral_radius"]
-
-Array = NDArray[np.float64]
 
 
 def spectral_radius(matrix: Array) -> float:

@@ -4,11 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from meshes.base.arrays import Array
 
 __all__ = ["TrainingRange"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -4,16 +4,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.prediction.edmd.edmd import Edmd
 from tissue.prediction.edmd.episodes import BLOCK, Episode, check_episodes, window
 from tissue.prediction.edmd.lifted import Operator
 
 __all__ = ["Choice", "HorizonErrors", "choose", "horizon_errors"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,12 @@
-"""Outcome of a test: its figure, what it rests on, and the alternatives where that fails."""
+"""The result of a test: its figure, what it rests on, and the alternatives where that fails."""
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from meshes.base.errors import InputError
 
-__all__ = ["ALPHA", "LEVEL", "Assumption", "Effect", "Outcome", "format_p", "studied"]
+__all__ = ["ALPHA", "LEVEL", "Assumption", "Effect", "HypothesisTest", "format_p", "require_statsmodels"]
 
 ALPHA = 0.05
 """Share of false alarms that a test allows itself."""
@@ -48,7 +47,7 @@ class Effect:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class HypothesisTest:
     """The result of one test.
 
     Attributes
@@ -79,7 +78,7 @@ class Outcome:
     p: float
     effect: Effect | None = None
     assumptions: tuple[Assumption, ...] = ()
-    alternatives: tuple["Outcome", ...] = ()
+    alternatives: tuple["HypothesisTest", ...] = ()
     note: str = ""
 
     @property
@@ -113,17 +112,13 @@ class Outcome:
                 text += " They do not all agree with it."
         return f"{text} {self.note}".strip()
 
-    def as_dict(self) -> dict[str, Any]:
-        """The result as plain data for a JSON file, with its sentence."""
-        return asdict(self) | {"sentence": self.sentence, "sound": self.sound}
-
 
 def format_p(p: float) -> str:
     """A p value as a reader expects it."""
     return "p < 0.0001" if p < 1e-4 else f"p = {p:.4f}" if np.isfinite(p) else "p unknown"
 
 
-def studied() -> None:
+def require_statsmodels() -> None:
     """Refuse to go on where the extra that holds statsmodels is not installed."""
     try:
         import statsmodels  # noqa: F401
