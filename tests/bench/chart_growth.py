@@ -19,7 +19,7 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads that wait for each other on a busy machine are no growth
 import numpy as np
 import warp as wp
-from harness import cost_of, machine, table
+from harness import cost_of, machine, memory_bytes, table
 from peers.works import bricks_in_tetrahedra
 
 ABOVE = 1.2
@@ -144,8 +144,8 @@ def tetrahedra(quick: bool) -> Series:
     from meshes.tets.tetrahedra import TetMesh
     from tissue.fem.assembly import assemble
     from tissue.fem.solvers.direct import DirectSolver
+    from tissue.fem.solvers.held_body import HeldBody, Supports
     from tissue.fem.solvers.multigrid import MultigridSolver
-    from tissue.fem.solvers.solution import HeldBody, Supports
     from tissue.fem.space import Space
     from tissue.materials.elasticity import lame
 
@@ -173,13 +173,13 @@ def tetrahedra(quick: bool) -> Series:
                 made["factor"] = DirectSolver(body)
 
             time_us = median_us(factorised, count=1, warm_up=1 if cells < 12 else 0)
-            yield "tetrahedra, factorise", Point(size, time_us, made["factor"].memory_bytes)
+            yield "tetrahedra, factorise", Point(size, time_us, memory_bytes(made["factor"]))
 
         def solved(_: int, body: Any = body, made: dict[str, Any] = made, load: Any = load) -> None:
             made["grids"] = MultigridSolver(body)
             made["grids"].solve(load)
 
-        yield "tetrahedra, multigrid", Point(size, median_us(solved, count=1), made["grids"].memory_bytes)
+        yield "tetrahedra, multigrid", Point(size, median_us(solved, count=1), memory_bytes(made["grids"]))
 
 
 def touched(edge_m: float, cells: int) -> Point:

@@ -21,6 +21,7 @@ from time import perf_counter
 
 import numpy as np
 from harness import cost_of, machine, table
+from linear_limits import LinearLimits, linear_limits, press
 from liver_picture import SHARES, Point, draw, frontier
 
 from meshes.organs.liver import liver, liver_region
@@ -31,13 +32,12 @@ from meshes.tets.structured import grid
 from meshes.tets.tetrahedralise import tetrahedralise
 from tissue.fem.assembly import assemble
 from tissue.fem.hyperelastic import Law, NonlinearBody
-from tissue.fem.linear_limits import LinearLimits, linear_limits, press
 from tissue.fem.newton import NewtonSolver
-from tissue.fem.solvers.condensed import surface_compliance
+from tissue.fem.solvers.condensed import surface_compliance_m_N
 from tissue.fem.solvers.direct import DirectSolver
+from tissue.fem.solvers.held_body import HeldBody, Supports
 from tissue.fem.solvers.multigrid import MultigridSolver
 from tissue.fem.solvers.reduced import ReducedSolver
-from tissue.fem.solvers.solution import HeldBody, Supports
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 from tissue.models.organ.contact import SurfaceContact
@@ -87,7 +87,7 @@ def ticks(space: Space, held: np.ndarray) -> tuple[float, float]:
     faces = faces[near[faces].all(axis=1)]
     nodes, corners = np.unique(faces, return_inverse=True)
     body = HeldBody(assemble(space, LIVER), space.nodes_m, Supports(held))
-    compliance = surface_compliance(body, nodes).matrix_m_N
+    compliance = surface_compliance_m_N(body, nodes)
     contact = SurfaceContact(
         space.nodes_m[nodes], corners.reshape(-1, 3), compliance, SphereProbe(RADIUS_M), friction=0.0
     )
@@ -151,7 +151,7 @@ def paths(quick: bool) -> list[Point]:
     for tolerance in (1e-1, 1e-2, 1e-4, 1e-6, 1e-8):
         multigrid = MultigridSolver(body, tolerance=tolerance)
         points.append(point("multigrid", f"{tolerance:g}", lambda m=multigrid: m.solve(load).displacement_m[touchable]))
-    compliance = surface_compliance(body, touchable).matrix_m_N
+    compliance = surface_compliance_m_N(body, touchable)
     flat = load[touchable].ravel()
     points.append(point("condensed", "condensed", lambda: (compliance @ flat).reshape(-1, 3)))
     rows = (3 * touchable[:, None] + np.arange(3)).ravel()

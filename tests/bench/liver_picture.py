@@ -3,9 +3,9 @@
 from pathlib import Path
 
 import numpy as np
+from linear_limits import LinearLimits
 
 from tissue.fem.hyperelastic import Law
-from tissue.fem.linear_limits import LinearLimits
 
 __all__ = ["SHARES", "Point", "draw", "frontier"]
 

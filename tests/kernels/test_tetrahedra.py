@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 import warp as wp
 from tet_bodies import distorted
+from tet_fields import isotropic, node_stress
 
 from kernels.tetrahedra import pair_stiffness_isotropic
 from tissue.fem.assembly import assemble, pair_tables
 from tissue.fem.shapes import EDGES
 from tissue.fem.space import Space
-from tissue.fem.stress import cell_stress, node_stress
-from tissue.materials.elasticity import isotropic, lame, orthotropic, rotated
+from tissue.fem.stress import cell_stress
+from tissue.materials.elasticity import lame, orthotropic, rotated
 
 ROUNDING = 1e-13
 """Relative to the largest entry: sums of a few hundred terms in double precision."""

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from tet_bodies import faces_where, planes, solve
+from tet_fields import node_stress
 
 from meshes.tets.structured import box
 from tissue.fem.assembly import assemble
 from tissue.fem.loads import gravity, traction
 from tissue.fem.space import Space
-from tissue.fem.stress import node_stress
 from tissue.materials.elasticity import lame
 
 LENGTH, YOUNG = 10.0, 1000.0

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from linear_limits import LinearLimits, linear_limits, press
 from scipy.spatial.transform import Rotation
 
 from meshes.base.errors import InputError
@@ -13,7 +14,6 @@ from meshes.tets.structured import box, graded, grid
 from meshes.tets.tetrahedra import TetMesh
 from meshes.tets.tetrahedralise import tetrahedralise
 from tissue.fem.hyperelastic import Law, NonlinearBody
-from tissue.fem.linear_limits import LinearLimits, linear_limits, press
 from tissue.fem.newton import NewtonSolver
 from tissue.fem.obstacle import RigidSphere
 from tissue.fem.outcome import SolverOutcome

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 from tet_bodies import distorted, planes, solve
+from tet_fields import isotropic
 
 from meshes.tets.tetrahedra import TetMesh
 from tissue.fem.assembly import assemble
 from tissue.fem.capsule import capsule_stiffness
 from tissue.fem.space import Space
 from tissue.fem.stress import cell_stress
-from tissue.materials.elasticity import isotropic, lame, orthotropic, rotated, transversely_isotropic
+from tissue.materials.elasticity import lame, orthotropic, rotated, transversely_isotropic
 
 FIELD = np.array([[1.0, 0.3, -0.2], [0.1, -0.7, 0.4], [-0.5, 0.2, 0.6]]) * 1e-3
 EXACT = 1e-12

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from tet_bodies import faces_where, planes, slab, solve
+from tet_fields import node_stress, pressure
 
 from meshes.tets.structured import mapped
 from tissue.fem.assembly import assemble
-from tissue.fem.loads import pressure, traction
+from tissue.fem.loads import traction
 from tissue.fem.space import Space
-from tissue.fem.stress import node_stress
 from tissue.materials.elasticity import lame
 
 

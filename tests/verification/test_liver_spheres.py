@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 from tet_bodies import faces_where, planes, slope, solve_iteratively
+from tet_fields import node_stress, pressure
 
 from meshes.tets.structured import sphere_shell
 from tissue.fem.assembly import assemble
 from tissue.fem.capsule import capsule_stiffness
-from tissue.fem.loads import pressure
 from tissue.fem.space import Space
-from tissue.fem.stress import node_stress
 from tissue.materials.elasticity import lame
 
 YOUNG, RATIO = 1000.0, 0.3

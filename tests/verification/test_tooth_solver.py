@@ -8,7 +8,7 @@ from tissue.fem.outcome import SolverOutcome
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.grid import HexGrid
 from tissue.models.tooth.particles import ParticleSet
-from tissue.models.tooth.solver import conjugate_gradients
+from tissue.models.tooth.solver import solve_cells
 from tissue.models.tooth.stress import particle_stress
 from tissue.models.tooth.supports import NodeSupports
 
@@ -95,7 +95,7 @@ def test_too_few_iterations_are_reported():
 
 def test_an_indefinite_matrix_is_reported():
     load = np.ones((4, 3))
-    found = conjugate_gradients(
+    found = solve_cells(
         lambda u: -u, load, diagonal=load, precondition=lambda r: r, start_m=0.0 * load, tolerance=1e-6, limit=9
     )
     assert found.outcome is SolverOutcome.INDEFINITE

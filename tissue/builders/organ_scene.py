@@ -20,7 +20,7 @@ from tissue.scene.tool import Needle
 from tissue.scene.tool import Probe as ProbeTable
 
 if TYPE_CHECKING:
-    from tissue.fem.solvers.solution import HeldBody
+    from tissue.fem.solvers.held_body import HeldBody
     from tissue.fem.space import Space
     from tissue.materials.prony import Prony
 
@@ -182,7 +182,7 @@ def _body(
     from meshes.tets.regions import faces_of
     from tissue.fem.assembly import assemble
     from tissue.fem.capsule import capsule_stiffness
-    from tissue.fem.solvers.solution import HeldBody, Supports
+    from tissue.fem.solvers.held_body import HeldBody, Supports
 
     stiffness = assemble(space, elasticity)
     if organ.capsule:
@@ -223,16 +223,15 @@ def _compliance(
     body: "HeldBody", touchable: NDArray[np.int64], organ: Organ, solver: _Factor, report: Progress
 ) -> tuple[NDArray[np.float64], Any]:
     """Compliance of the touchable nodes [m/N], shape (3t, 3t), and what fills it while the tool moves."""
-    from tissue.fem.solvers.condensed import surface_compliance
+    from tissue.fem.solvers.condensed import surface_compliance_m_N
     from tissue.fem.solvers.lazy_compliance import LazyCompliance
     from tissue.fem.solvers.reduced import ReducedSolver
 
     if organ.path == "condensed":
         doing = "condensing the compliance to the surface that can be touched"
-        found = surface_compliance(
+        return surface_compliance_m_N(
             body, touchable, solver=lambda: solver.solver, progress=lambda share: report(doing, share)
-        )
-        return found.matrix_m_N, None
+        ), None
     if organ.path == "reduced":
         size = min(organ.basis_size, 3 * len(touchable))
         return ReducedSolver(solver.solver, touchable, size=size).compliance_m_N(), None

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FieldSeries", "Frame", "Stress"]
+__all__ = ["FieldSeries", "Frame", "StressState"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class FieldSeries:
 
 
 @dataclass(frozen=True, eq=False)
-class Stress:
+class StressState:
     """Strain and stress at places.
 
     Attributes

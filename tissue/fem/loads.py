@@ -1,13 +1,13 @@
-"""Loads on nodes that do the same work as gravity, pressure, traction and point forces do on the displacement."""
+"""Loads on nodes that do the same work as gravity and traction do on the displacement."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from meshes.base.errors import InputError
-from tissue.fem.shapes import mean_shape, shape_values
+from tissue.fem.shapes import mean_shape
 from tissue.fem.space import Space
 
-__all__ = ["STANDARD_GRAVITY_M_S2", "gravity", "point_force", "pressure", "traction"]
+__all__ = ["STANDARD_GRAVITY_M_S2", "gravity", "traction"]
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -64,57 +64,10 @@ def traction(space: Space, traction_Pa: ArrayLike, *, faces: Integers | None = N
         If the traction is not finite or has another shape.
     """
     nodes = space.faces if faces is None else faces
-    force = np.linalg.norm(_area_vectors(space, nodes), axis=1)[:, None] * _vectors(
-        "traction_Pa", traction_Pa, len(nodes)
-    )
+    a, b, c = (space.nodes_m[nodes[:, i]] for i in range(3))
+    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    force = area[:, None] * _vectors("traction_Pa", traction_Pa, len(nodes))
     return _spread(space, nodes, force, mean_shape(3, space.order))
-
-
-def pressure(space: Space, pressure_Pa: ArrayLike, *, faces: Integers | None = None) -> Array:
-    """Pressure [Pa], one or one a face, that pushes faces of the surface inwards, as forces on nodes [N], shape (n, 3).
-
-    Raises
-    ------
-    InputError
-        If the pressure is not finite.
-    """
-    nodes = space.faces if faces is None else faces
-    value = np.asarray(pressure_Pa, dtype=np.float64)
-    if not np.isfinite(value).all():
-        raise InputError("pressure_Pa must be finite, got NaN or infinity: leave such faces out")
-    force = -np.broadcast_to(value, len(nodes))[:, None] * _area_vectors(space, nodes)
-    return _spread(space, nodes, force, mean_shape(3, space.order))
-
-
-def point_force(space: Space, position_m: ArrayLike, force_N: ArrayLike) -> Array:
-    """Force on the point of the surface nearest to a position, as forces on nodes [N], shape (n, 3).
-
-    Parameters
-    ----------
-    space
-        Nodes and cells.
-    position_m, force_N
-        Position [m] and force [N], shapes (3,).
-
-    Raises
-    ------
-    InputError
-        If either is not finite.
-    """
-    at, force = _vectors("position_m", position_m, 1)[0], _vectors("force_N", force_N, 1)
-    triangles = space.nodes_m[space.faces[:, :3]]
-    from trimesh.triangles import closest_point, points_to_barycentric
-
-    near = closest_point(triangles, np.broadcast_to(at, (len(triangles), 3)))
-    face = int(np.linalg.norm(near - at, axis=1).argmin())
-    share = shape_values(points_to_barycentric(triangles[face][None], near[face][None])[0], space.order)
-    return _spread(space, space.faces[face][None], force, share)
-
-
-def _area_vectors(space: Space, faces: Integers) -> Array:
-    """Outward normals as long as the faces are large [m2], shape (f, 3)."""
-    a, b, c = (space.nodes_m[faces[:, i]] for i in range(3))
-    return np.asarray(0.5 * np.cross(b - a, c - a))
 
 
 def _spread(space: Space, nodes: Integers, force: Array, share: Array) -> Array:

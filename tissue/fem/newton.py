@@ -15,9 +15,10 @@ from scipy.sparse import bsr_array, csc_array, csr_array
 from scipy.sparse.linalg import splu
 
 from meshes.base.errors import InputError, require_positive
+from tissue.fem.conjugate_gradients import conjugate_gradients
 from tissue.fem.hyperelastic import NonlinearBody
 from tissue.fem.obstacle import RigidSphere
-from tissue.fem.outcome import SolverOutcome
+from tissue.fem.outcome import Solution, SolverOutcome
 
 __all__ = ["NewtonSolution", "NewtonSolver"]
 
@@ -33,37 +34,21 @@ LINEAR_LIMIT = 500
 
 
 @dataclass(frozen=True, eq=False)
-class NewtonSolution:
-    """Displacement and how it was reached.
+class NewtonSolution(Solution):
+    """Displacement and how it was reached, in how many steps of Newton's method.
+
+    The residual is the largest force that nothing balances, over the largest that something does.
 
     Attributes
     ----------
-    displacement_m
-        Nodal displacements [m], shape (n, 3); the last iterate where the outcome is not CONVERGED.
     force_N
         Derivative of the elastic energy [N], shape (n, 3): what the supports and the sphere push with.
     tool_force_N
         Force that the body pushes the sphere with [N], shape (3,); zero without one.
-    outcome
-        How the solve ended.
-    newton_steps, linear_iterations
-        Work done: Newton steps, and conjugate gradient iterations in all of them.
-    residual
-        Largest force that nothing balances, over the largest that something does.
     """
 
-    displacement_m: Array
     force_N: Array
     tool_force_N: Array
-    outcome: SolverOutcome
-    newton_steps: int
-    linear_iterations: int
-    residual: float
-
-    @property
-    def converged(self) -> bool:
-        """Whether the displacement may be used."""
-        return self.outcome is SolverOutcome.CONVERGED
 
 
 class NewtonSolver:
@@ -141,44 +126,39 @@ class NewtonSolver:
         now = np.zeros(self.held.shape) if start_m is None else np.array(start_m, dtype=np.float64)
         goal = np.zeros(self.held.shape) if held_m is None else held_m
         move = np.where(self.held, goal - now, 0.0)
-        newton = linear = 0
+        steps = 0
         if move.any():
-            now, linear = self._moved_on(now, move)
-        outcome, residual = SolverOutcome.NOT_CONVERGED, np.inf
+            now = self._moved_on(now, move)
         for _ in range(CORRECTIONS):
-            now, outcome, residual, more, used = self._minimum(now, sphere)
-            newton, linear = newton + more, linear + used
+            now, outcome, residual, more = self._minimum(now, sphere)
+            steps += more
             if outcome is not SolverOutcome.CONVERGED or sphere is None or sphere.settled(self.body.nodes_m + now):
                 break
             outcome = SolverOutcome.NOT_CONVERGED
         _, force = self.body.energy_and_force(now)
         push = sphere.force_N(self.body.nodes_m + now) if sphere is not None else np.zeros(3)
-        return NewtonSolution(now, force, push, outcome, newton, linear, residual)
+        return NewtonSolution(now, outcome, steps, residual, force, push)
 
-    def _moved_on(self, start: Array, move: Array) -> tuple[Array, int]:
+    def _moved_on(self, start: Array, move: Array) -> Array:
         """The start with held components moved and the free ones following to first order, if no cell turns over."""
         tangent = self.body.stiffness(start)
-        step, used = self._direction(tangent, -(tangent @ move.ravel()), 1e-3)
-        following = start + move + step
-        fits = np.isfinite(self.body.energy_and_force(following)[0])
-        return (following if fits else start + move), used
+        following = start + move + self._direction(tangent, -(tangent @ move.ravel()), 1e-3)
+        return following if np.isfinite(self.body.energy_and_force(following)[0]) else start + move
 
-    def _minimum(self, now: Array, sphere: RigidSphere | None) -> tuple[Array, SolverOutcome, float, int, int]:
-        """Newton's method from here with the sphere's multipliers kept: place, outcome, residual and work."""
+    def _minimum(self, now: Array, sphere: RigidSphere | None) -> tuple[Array, SolverOutcome, float, int]:
+        """Newton's method from here with the sphere's multipliers kept: place, outcome, residual and steps."""
         energy, size, slope = self._state(now, sphere)
-        residual, linear = np.inf, 0
         if not np.isfinite(energy):
-            return now, SolverOutcome.INVERTED, residual, 0, 0
+            return now, SolverOutcome.INVERTED, np.inf, 0
         for step_count in range(self._step_limit + 1):
             left = float(np.abs(slope).max())
             residual = left / size if size > 0.0 else float(left > 0.0)
             if residual <= self._tolerance or left <= self._rounding_N:
-                return now, SolverOutcome.CONVERGED, residual, step_count, linear
+                return now, SolverOutcome.CONVERGED, residual, step_count
             if step_count == self._step_limit:
                 break
             accuracy = max(min(0.1, residual), 0.1 * self._tolerance / residual)
-            step, used = self._direction(self._whole(now, sphere), -slope.ravel(), accuracy)
-            linear += used
+            step = self._direction(self._whole(now, sphere), -slope.ravel(), accuracy)
             downhill = float(np.sum(slope * step))
             share = 1.0
             for _ in range(HALVINGS):
@@ -192,9 +172,9 @@ class NewtonSolver:
                     break
                 share *= 0.5
             else:
-                return now, SolverOutcome.STALLED, residual, step_count, linear
+                return now, SolverOutcome.STALLED, residual, step_count
             now, (energy, size, slope) = trial, there
-        return now, SolverOutcome.NOT_CONVERGED, residual, self._step_limit, linear
+        return now, SolverOutcome.NOT_CONVERGED, residual, self._step_limit
 
     def _state(self, displacement: Array, sphere: RigidSphere | None) -> tuple[float, float, Array]:
         """Energy [J], largest force in the body [N], and the energy's derivative, zero where held [N]."""
@@ -216,37 +196,24 @@ class NewtonSolver:
             tangent.data[diagonal[sphere.nodes]] += sphere.blocks(self.body.nodes_m + displacement)
         return tangent
 
-    def _direction(self, whole: bsr_array, load: Array, accuracy: float) -> tuple[Array, int]:
-        """Conjugate gradients for the free components, ended early at negative curvature; and their iterations."""
+    def _direction(self, whole: bsr_array, load: Array, accuracy: float) -> Array:
+        """Conjugate gradients for the free components, ended early at negative curvature."""
         free, full = self._free, np.zeros(self.held.size)
-        step, residual = np.zeros(len(free)), load[free].copy()
-        corrected = self.precondition(residual)
-        direction, size = corrected, dot(residual, corrected)
-        goal = accuracy**2 * size
-        for iteration in range(LINEAR_LIMIT):
-            if size <= goal:
-                break
-            full[free] = direction
-            along = (whole @ full)[free]
-            curvature = dot(direction, along)
-            if curvature <= 0.0:
-                step = direction if iteration == 0 else step
-                break
-            step = step + (size / curvature) * direction
-            residual = residual - (size / curvature) * along
-            corrected = self.precondition(residual)
-            size, before = dot(residual, corrected), size
-            direction = corrected + (size / before) * direction
-        full[free] = step
-        return full.reshape(self.held.shape), iteration
+
+        def product(step: Array) -> Array:
+            full[free] = step
+            return np.asarray((whole @ full)[free])
+
+        found = conjugate_gradients(
+            product, load[free], precondition=self.precondition, tolerance=accuracy, limit=LINEAR_LIMIT,
+            error=lambda now: float(np.sqrt(now.slopes[-1] / now.slopes[0])),
+        )  # fmt: skip
+        bent = found.outcome is SolverOutcome.INDEFINITE and found.iterations == 0
+        full[free] = self.precondition(load[free]) if bent else found.displacement_m
+        return full.reshape(self.held.shape)
 
 
 def factorised(matrix: csc_array) -> Callable[[Array], Array]:
     """Exact solves with a symmetric positive definite matrix, which needs no pivots."""
     options = {"SymmetricMode": True}
     return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).solve
-
-
-def dot(a: Array, b: Array) -> float:
-    """Scalar product on one core: cores that wait for each other cost more than they add."""
-    return float(np.einsum("i,i->", a, b))

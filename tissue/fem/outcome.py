@@ -1,8 +1,14 @@
-"""How a solve ended, with cause and remedy."""
+"""How a solve ended, with cause and remedy, and what it found."""
 
+from dataclasses import dataclass
 from enum import Enum
 
-__all__ = ["SolverOutcome"]
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Solution", "SolverOutcome"]
+
+Array = NDArray[np.float64]
 
 
 class SolverOutcome(Enum):
@@ -16,3 +22,31 @@ class SolverOutcome(Enum):
     INVERTED = "the held nodes turn cells over: move them in smaller steps"
     STALLED = "no step lowers the energy, cells are about to turn over: press less deep, or use the neo-Hookean law"
     UNSUPPORTED = "nothing holds the body: fix nodes that carry load, or give them springs"
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Displacement and how it was reached.
+
+    Attributes
+    ----------
+    displacement_m
+        Nodal displacements [m], shape (n, 3); the last iterate where the outcome is not CONVERGED.
+    outcome
+        How the solve ended.
+    iterations
+        Iterations; 0 where the path does not iterate.
+    residual
+        Norm of ``f - K u`` over the free components, relative to that of f. For a reduced basis the relative error in
+        the energy norm instead: what it leaves out moves little and weighs much in f.
+    """
+
+    displacement_m: Array
+    outcome: SolverOutcome
+    iterations: int
+    residual: float
+
+    @property
+    def converged(self) -> bool:
+        """Whether the displacement may be used."""
+        return self.outcome is SolverOutcome.CONVERGED

@@ -9,7 +9,7 @@ function A is ``sum_c sum_i slope[A, c, i] l_i g_c``: g_A (linear) or ``(4 l_A -
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["EDGES", "TRIANGLE_EDGES", "gradient_products", "gradient_slopes", "mean_shape", "shape_values"]
+__all__ = ["EDGES", "TRIANGLE_EDGES", "gradient_products", "gradient_slopes", "mean_shape"]
 
 Array = NDArray[np.float64]
 
@@ -37,15 +37,6 @@ def gradient_products(corners: int, order: int) -> Array:
     slope = gradient_slopes(corners, order)
     mean = (1.0 + np.eye(corners)) / (corners * (corners + 1))
     return np.asarray(np.einsum("aci,bdj,ij->abcd", slope, slope, mean))
-
-
-def shape_values(barycentric: Array, order: int) -> Array:
-    """Shape functions at points, shape (..., nodes), of barycentric coordinates, shape (..., corners)."""
-    if order == 1:
-        return barycentric
-    i, j = _edges(barycentric.shape[-1], order).T
-    at_corners = barycentric * (2.0 * barycentric - 1.0)
-    return np.concatenate([at_corners, 4.0 * barycentric[..., i] * barycentric[..., j]], axis=-1)
 
 
 def mean_shape(corners: int, order: int) -> Array:

@@ -1,24 +1,23 @@
-"""Strain and stress of a displacement: in the middle of cells, and smoothed to nodes for pictures."""
+"""Strain and stress of a displacement: in the middle of cells."""
 
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
+from kernels import tet_stress
 from kernels.launcher import SplitLaunch
-from kernels.tet_stress import group_stress
 from meshes.base.errors import InputError
-from tissue.fem.fields import Stress
-from tissue.fem.pattern import grouped
-from tissue.fem.shapes import EDGES, gradient_slopes
+from tissue.fem.fields import StressState
+from tissue.fem.shapes import gradient_slopes
 from tissue.fem.space import Space
 from tissue.materials.elasticity import elasticity_rows, stiffness_of_lame
 
-__all__ = ["Stress", "cell_stress", "node_stress"]
+__all__ = ["cell_stress", "group_stress"]
 
 Array = NDArray[np.float64]
 
 
-def cell_stress(space: Space, displacement_m: Array, elasticity: ArrayLike) -> Stress:
+def cell_stress(space: Space, displacement_m: Array, elasticity: ArrayLike) -> StressState:
     """Stress in the middle of each cell, which is its mean over the cell.
 
     Parameters
@@ -36,31 +35,21 @@ def cell_stress(space: Space, displacement_m: Array, elasticity: ArrayLike) -> S
         If the displacement has another shape or is not finite, or the elasticity is refused.
     """
     start = np.arange(space.cell_count + 1, dtype=np.int32)
-    return _evaluate(space, displacement_m, elasticity, start, start[:-1], np.full((1, 4), 0.25))
+    return group_stress(space, displacement_m, elasticity, start, start[:-1], np.full((1, 4), 0.25))
 
 
-def node_stress(space: Space, displacement_m: Array, elasticity: ArrayLike) -> Stress:
-    """Stress at each node: the mean of what the cells around it have there, weighted by their volumes.
-
-    Smooth where the true stress is; across a jump of the material it shows the mean of both sides. Von Mises and
-    principal stresses are those of the mean. Parameters and errors as of `cell_stress`.
-    """
-    nodes = space.cell_nodes.astype(np.int32)
-    order, _ = grouped(nodes.ravel(), np.zeros(nodes.size, dtype=np.int32), space.node_count)
-    start = np.concatenate([[0], np.cumsum(np.bincount(nodes.ravel(), minlength=space.node_count))]).astype(np.int32)
-    corners = np.eye(4)
-    places = np.concatenate([corners, corners[EDGES[: nodes.shape[1] - 4]].mean(axis=1).reshape(-1, 4)])
-    return _evaluate(space, displacement_m, elasticity, start, order, places)
-
-
-def _evaluate(
+def group_stress(
     space: Space,
     displacement_m: Array,
     elasticity: ArrayLike,
     start: NDArray[np.int32],
     member: NDArray[np.int32],
     places: Array,
-) -> Stress:
+) -> StressState:
+    """Mean stress of groups of cells at places in them, by the cells' volumes.
+
+    Parameters as of `kernels.tet_stress.group_stress`, errors as of `cell_stress`.
+    """
     moved = np.ascontiguousarray(displacement_m, dtype=np.float64)
     if moved.shape != (space.node_count, 3) or not np.isfinite(moved).all():
         raise InputError(
@@ -85,5 +74,7 @@ def _evaluate(
     von_mises = wp.empty(count, dtype=wp.float64, device=device)
     principal = wp.empty(count, dtype=wp.vec3d, device=device)
     outputs = [strain, stress, von_mises, principal]
-    SplitLaunch(group_stress, dim=count, inputs=inputs, outputs=outputs, offset_index=len(inputs) - 1, device=device)()
-    return Stress(strain.numpy(), stress.numpy(), von_mises.numpy(), principal.numpy())
+    SplitLaunch(
+        tet_stress.group_stress, dim=count, inputs=inputs, outputs=outputs, offset_index=len(inputs) - 1, device=device
+    )()
+    return StressState(strain.numpy(), stress.numpy(), von_mises.numpy(), principal.numpy())

@@ -13,7 +13,6 @@ __all__ = [
     "Array",
     "checked_stiffness",
     "elasticity_rows",
-    "isotropic",
     "lame",
     "orthotropic",
     "rotated",
@@ -57,11 +56,6 @@ def stiffness_of_lame(lame_Pa: ArrayLike) -> Array:
     place = np.arange(6)
     matrix[..., place, place] += pair[..., 1, None] * np.array([2.0, 2.0, 2.0, 1.0, 1.0, 1.0])
     return matrix
-
-
-def isotropic(young_Pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
-    """Stiffness matrix [Pa], shape (..., 6, 6); errors as of `lame`."""
-    return stiffness_of_lame(lame(young_Pa, poisson_ratio))
 
 
 def orthotropic(*, young_Pa: ArrayLike, shear_Pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:

@@ -40,7 +40,7 @@ def stiffness() -> None:
     from meshes.tets.tetrahedra import TetMesh
     from tissue.fem.assembly import assemble
     from tissue.fem.solvers.direct import DirectSolver
-    from tissue.fem.solvers.solution import HeldBody, Supports
+    from tissue.fem.solvers.held_body import HeldBody, Supports
     from tissue.fem.space import Space
     from tissue.materials.elasticity import lame
 
@@ -74,8 +74,8 @@ def soft() -> None:
     """Beside MuJoCo and Newton: contact with friction, quasi-static, on the compliance of the slab's top."""
     from meshes.tets.tetrahedra import TetMesh
     from tissue.fem.assembly import assemble
-    from tissue.fem.solvers.condensed import surface_compliance
-    from tissue.fem.solvers.solution import HeldBody, Supports
+    from tissue.fem.solvers.condensed import surface_compliance_m_N
+    from tissue.fem.solvers.held_body import HeldBody, Supports
     from tissue.fem.space import Space
     from tissue.materials.elasticity import lame
     from tissue.models.organ.contact import SurfaceContact
@@ -88,7 +88,7 @@ def soft() -> None:
             assemble(space, lame(YOUNG_PA, POISSON)), space.nodes_m, Supports.of_nodes(space.nodes_m[:, 2] < 1e-9)
         )
         touchable = np.flatnonzero(space.nodes_m[:, 2] > SLAB_M[2] - 1e-9)
-        compliance = surface_compliance(body, touchable).matrix_m_N
+        compliance = surface_compliance_m_N(body, touchable)
         number = np.full(len(space.nodes_m), -1)
         number[touchable] = np.arange(len(touchable))
         faces = number[mesh.surface]

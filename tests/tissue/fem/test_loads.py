@@ -3,15 +3,16 @@
 import numpy as np
 import pytest
 from tet_bodies import distorted, faces_where
+from tet_fields import isotropic, pressure
 
 from meshes.base.errors import InputError
 from meshes.tets.tetrahedra import TetMesh
 from tissue.fem.assembly import assemble
 from tissue.fem.capsule import capsule_stiffness
-from tissue.fem.loads import gravity, point_force, pressure, traction
+from tissue.fem.loads import gravity, traction
 from tissue.fem.space import Space
 from tissue.fem.stress import cell_stress
-from tissue.materials.elasticity import isotropic, lame
+from tissue.materials.elasticity import lame
 
 ORDERS = pytest.mark.parametrize("order", [1, 2])
 FIELD = np.array([[0.3, -0.2, 0.5], [0.1, 0.7, -0.4], [-0.6, 0.2, 0.9]])
@@ -62,14 +63,6 @@ def test_density_by_cell(order):
     assert force == pytest.approx([0.0, 0.0, -9.80665 * density @ space.mesh.volumes_m3])
 
 
-@ORDERS
-def test_point_force_acts_where_the_surface_is_nearest(order):
-    space, force = Space(distorted(3), order), np.array([0.2, -0.1, -1.0])
-    load = point_force(space, (0.37, 0.61, 1.4), force)
-    assert load.sum(axis=0) == pytest.approx(force)
-    assert moment(space, load) == pytest.approx(np.cross([0.37, 0.61, 1.0], force))
-
-
 def refusals():
     space = Space(distorted(2))
     nothing = np.zeros((space.node_count, 3))
@@ -78,8 +71,6 @@ def refusals():
         "density_kg_m3 must be finite": lambda: gravity(space, density_kg_m3=-1.0),
         "acceleration_m_s2 must be finite": lambda: gravity(space, density_kg_m3=1.0, acceleration_m_s2=(0, np.nan, 0)),
         "traction_Pa must be finite": lambda: traction(space, (0.0, 1.0)),
-        "pressure_Pa must be finite": lambda: pressure(space, np.nan),
-        "force_N must be finite": lambda: point_force(space, (0, 0, 0), (0, 0, np.inf)),
         "thickness_m must be positive": lambda: capsule_stiffness(
             space, thickness_m=0.0, young_Pa=1e6, poisson_ratio=0.4
         ),

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from tet_fields import isotropic
 
 from meshes.base.errors import InputError
 from tissue.materials.elasticity import (
     checked_stiffness,
     elasticity_rows,
-    isotropic,
     lame,
     orthotropic,
     rotated,

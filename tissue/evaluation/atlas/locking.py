@@ -12,7 +12,7 @@ from tissue.fem.assembly import assemble
 from tissue.fem.loads import traction
 from tissue.fem.outcome import SolverOutcome
 from tissue.fem.solvers.direct import DirectSolver
-from tissue.fem.solvers.solution import HeldBody, Supports
+from tissue.fem.solvers.held_body import HeldBody, Supports
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 from tissue.scene.organ import Organ, SlabAnatomy

@@ -7,14 +7,15 @@ time on a liver of pytetwild, twice the time on a lattice liver of the same 19,0
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.linalg import splu
+from scipy.sparse import csc_array
+from scipy.sparse.linalg import SuperLU, splu
 
 from meshes.base.errors import InputError
-from tissue.fem.outcome import SolverOutcome
+from tissue.fem.outcome import Solution, SolverOutcome
 from tissue.fem.solvers.dissection import dissection
-from tissue.fem.solvers.solution import HeldBody, Solution, pointwise_graph
+from tissue.fem.solvers.held_body import HeldBody, pointwise_graph
 
-__all__ = ["DirectSolver"]
+__all__ = ["DirectSolver", "factorised"]
 
 Array = NDArray[np.float64]
 TOGETHER = 4
@@ -40,30 +41,9 @@ class DirectSolver:
     def __init__(self, body: HeldBody) -> None:
         self.body = body
         order = dissection(body.nodes_m, pointwise_graph(body.stiffness))
-        unknowns = (3 * order[:, None] + np.arange(3)).ravel()
-        is_free = np.zeros(len(unknowns), dtype=np.bool_)
-        is_free[body.free] = True
-        self._order = unknowns[is_free[unknowns]]
-        rows = body.sprung.tocsr()
-        self._matrix = rows[self._order][:, self._order].tocsc()
-        self._matrix.sort_indices()
-        try:
-            self._factor = splu(
-                self._matrix, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-            )
-        except RuntimeError as problem:
-            raise InputError(
-                f"stiffness must be positive definite, got one without a factor ({problem}): check moduli and "
-                "sliver cells"
-            ) from problem
-        position = np.empty(3 * len(body.nodes_m), dtype=np.int64)
-        position[self._order] = np.arange(len(self._order))
-        self._from_free = position[body.free]
-
-    @property
-    def memory_bytes(self) -> int:
-        """Memory of the factor, 12 bytes an entry."""
-        return 12 * int(self._factor.nnz)
+        self._order, self._matrix, self._factor = factorised(body, order)
+        self._position = np.full(3 * len(body.nodes_m), -1)
+        self._position[self._order] = np.arange(len(self._order))
 
     def solve(self, load_N: Array, *, start_m: Array | None = None) -> Solution:
         """Displacement under nodal forces [N], shape (n, 3); ``start_m`` is ignored."""
@@ -71,8 +51,9 @@ class DirectSolver:
         norm = float(np.linalg.norm(right))
         if norm == 0.0:
             return Solution(self.body.whole(right), SolverOutcome.CONVERGED, 0, 0.0)
+        place = self._position[self.body.free]
         ordered = np.empty_like(right)
-        ordered[self._from_free] = right
+        ordered[place] = right
         found = self._factor.solve(ordered)
         left = float(np.linalg.norm(ordered - self._matrix @ found)) / norm
         # The energy is positive for any load where K is positive definite.
@@ -80,7 +61,7 @@ class DirectSolver:
         good = bool(np.isfinite(left)) and energy > 0.0
         outcome = SolverOutcome.CONVERGED if left <= self.tolerance else SolverOutcome.INACCURATE
         outcome = outcome if good else SolverOutcome.INDEFINITE
-        return Solution(self.body.whole(found[self._from_free]), outcome, 0, left)
+        return Solution(self.body.whole(found[place]), outcome, 0, left)
 
     def columns(self, unknowns: NDArray[np.int64]) -> Array:
         """Displacements of all unknowns [m/N] for unit forces on some, shape (3n, k); zero for held ones.
@@ -91,14 +72,32 @@ class DirectSolver:
             If the supports are displaced: the answer to a force alone is asked for.
         """
         self.body.require_rest()
-        total = 3 * len(self.body.nodes_m)
-        position = np.full(total, -1)
-        position[self._order] = np.arange(len(self._order))
-        answers = np.zeros((total, len(unknowns)))
+        answers = np.zeros((len(self._position), len(unknowns)))
         for start in range(0, len(unknowns), TOGETHER):
-            at = position[unknowns[start : start + TOGETHER]]
+            at = self._position[unknowns[start : start + TOGETHER]]
             right = np.zeros((len(self._order), len(at)), order="F")
             pushed = np.flatnonzero(at >= 0)
             right[at[pushed], pushed] = 1.0
             answers[self._order, start : start + len(at)] = self._factor.solve(right)
         return answers
+
+
+def factorised(body: HeldBody, order: NDArray[np.int64]) -> tuple[NDArray[np.int64], csc_array, SuperLU]:
+    """The free unknowns of nodes in an order of elimination, the matrix between them, springs included, and its factor.
+
+    Raises
+    ------
+    InputError
+        If the matrix cannot be factorised.
+    """
+    unknowns = (3 * order[:, None] + np.arange(3)).ravel()
+    kept = unknowns[np.isin(unknowns, body.free)]
+    matrix = body.sprung.tocsr()[kept][:, kept].tocsc()
+    matrix.sort_indices()
+    try:
+        factor = splu(matrix, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    except RuntimeError as problem:
+        raise InputError(
+            f"stiffness must be positive definite, got one without a factor ({problem}): check moduli and sliver cells"
+        ) from problem
+    return kept, matrix, factor

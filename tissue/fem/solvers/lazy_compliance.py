@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
-from tissue.fem.solvers.solution import ColumnSolver
+from tissue.fem.solvers.held_body import ColumnSolver
 
 __all__ = ["LazyCompliance"]
 
@@ -20,7 +20,7 @@ class LazyCompliance:
 
     Nodes are named by their place among the touchable ones. ``want`` names the nodes near the tool; ``fill`` finds
     their columns in the caller's thread, before the ticks, and ``start`` has a thread do so in parallel. Nothing but
-    copying happens in ``block`` and ``pour``. The node wanted longest ago is dropped first.
+    copying happens in ``pour``. The node wanted longest ago is dropped first.
 
     Parameters
     ----------
@@ -82,47 +82,6 @@ class LazyCompliance:
             if self._waiting:
                 self._changed.notify_all()
 
-    def ready(self, nodes: Nodes) -> bool:
-        """Whether the columns of all these nodes are there.
-
-        Raises
-        ------
-        RuntimeError
-            If the background thread failed.
-        """
-        if self._problem is not None:
-            raise RuntimeError("the compliance could not be found") from self._problem
-        return bool((self._slot[nodes] >= 0).all())
-
-    def block(self, nodes: Nodes, out: Array | None = None) -> Array:
-        """W between nodes that are ready [m/N], symmetric bitwise, shape (3k, 3k), into ``out`` if it is given.
-
-        Raises
-        ------
-        InputError
-            If one is not ready.
-        """
-        size = 3 * len(nodes)
-        with self._changed:
-            slots = self._ready_slots(nodes)
-            found = self._columns[slots[:, None], nodes[None, :]].transpose(0, 2, 1, 3).reshape(size, size)
-        target = np.empty((size, size)) if out is None else out[:size, :size]
-        np.add(found, found.T, out=target)
-        target *= 0.5
-        return target
-
-    def displacement_m(self, nodes: Nodes, force_N: Array) -> Array:
-        """Displacement of all touchable nodes [m], shape (t, 3), for forces [N], shape (k, 3), on nodes that are ready.
-
-        Raises
-        ------
-        InputError
-            If one is not ready.
-        """
-        with self._changed:
-            columns = self._columns[self._ready_slots(nodes)]
-        return np.asarray(np.einsum("ktij,ki->tj", columns, force_N))
-
     def pour(self, matrix_m_N: Array) -> int:
         """Write one node that is newly there into a matrix of all touchable nodes, shape (3t, 3t).
 
@@ -138,7 +97,11 @@ class LazyCompliance:
         ------
         InputError
             If the matrix has another shape or is not contiguous.
+        RuntimeError
+            If the background thread failed.
         """
+        if self._problem is not None:
+            raise RuntimeError("the compliance could not be found") from self._problem
         if matrix_m_N.shape != (len(self._rows), len(self._rows)) or not matrix_m_N.flags.c_contiguous:
             raise InputError(
                 f"matrix_m_N must be contiguous of shape {(len(self._rows),) * 2}, got shape {matrix_m_N.shape}: "
@@ -215,9 +178,3 @@ class LazyCompliance:
             self._slot[node] = slot
             self._used[node] = None
             self._arrived.append(node)
-
-    def _ready_slots(self, nodes: Nodes) -> NDArray[np.int64]:
-        slots = self._slot[nodes]
-        if (slots < 0).any():
-            raise InputError(f"nodes must be ready, got {int((slots < 0).sum())} that are not: want them earlier")
-        return slots

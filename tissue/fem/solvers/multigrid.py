@@ -6,7 +6,7 @@ Brezina 1996, Computing 56:179).
 """
 
 import warnings
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,9 @@ from scipy.linalg import eigvalsh_tridiagonal
 from scipy.sparse import bsr_matrix
 
 from meshes.base.errors import InputError, require_range
+from tissue.fem.conjugate_gradients import LEAST_SHARE, Iterate, IterativeSolution, conjugate_gradients, dot
 from tissue.fem.free_modes import rigid_modes
-from tissue.fem.outcome import SolverOutcome
-from tissue.fem.solvers.solution import HeldBody, Solution
+from tissue.fem.solvers.held_body import HeldBody
 
 __all__ = ["MultigridSolver"]
 
@@ -25,8 +25,6 @@ COARSEST_NODES = 50
 """Levels of at most so many aggregates are solved directly."""
 WEAK = 0.05
 """Couplings below this share of their nodes' own do not join an aggregate: a third fewer iterations than with all."""
-LEAST_SHARE = 1e-13
-"""Residuals below this share of the load are rounding."""
 
 
 class MultigridSolver:
@@ -72,7 +70,7 @@ class MultigridSolver:
         self._cycle = self._hierarchy.aspreconditioner(cycle="V")
         self._least = 1.0
 
-    def _scaled(self) -> Any:
+    def _scaled(self) -> bsr_matrix:
         """D^-1/2 K D^-1/2 with held components cut out to the identity, indices of 32 bits as pyamg wants."""
         rows = self.body.sprung.tobsr((3, 3))
         count = len(self.body.nodes_m)
@@ -88,14 +86,7 @@ class MultigridSolver:
         indices, starts = rows.indices.astype(np.int32), rows.indptr.astype(np.int32)
         return bsr_matrix((data, indices, starts), shape=rows.shape)
 
-    @property
-    def memory_bytes(self) -> int:
-        """Memory of the matrices of all levels."""
-        matrices = [part for level in self._hierarchy.levels for part in (level.A, getattr(level, "P", None),
-                    getattr(level, "R", None)) if part is not None]  # fmt: skip
-        return sum(m.data.nbytes + m.indices.nbytes + m.indptr.nbytes for m in matrices)
-
-    def solve(self, load_N: Array, *, start_m: Array | None = None) -> Solution:
+    def solve(self, load_N: Array, *, start_m: Array | None = None) -> IterativeSolution:
         """Displacement under nodal forces [N], shape (n, 3), from a guess [m], shape (n, 3).
 
         Raises
@@ -107,13 +98,14 @@ class MultigridSolver:
         right = np.zeros(len(self._scale))
         right[body.free] = body.right_side(load_N)
         right *= self._scale
-        found = np.zeros_like(right)
+        start = None
         if start_m is not None:
             if np.shape(start_m) != body.nodes_m.shape or not np.isfinite(start_m).all():
                 raise InputError(f"start_m must be finite and of shape {body.nodes_m.shape}: leave it out")
-            found[self._free] = np.asarray(start_m).ravel()[self._free] / self._scale[self._free]
-        found, outcome, iterations, residual = self._iterate(right, found)
-        return Solution(body.whole((found * self._scale)[body.free]), outcome, iterations, residual)
+            start = np.zeros_like(right)
+            start[self._free] = np.asarray(start_m).ravel()[self._free] / self._scale[self._free]
+        found = self._iterate(right, start)
+        return replace(found, displacement_m=body.whole((found.displacement_m * self._scale)[body.free]))
 
     def columns(self, unknowns: NDArray[np.int64]) -> Array:
         """Displacements of all unknowns [m/N] for unit forces on some, shape (3n, k); zero for held ones.
@@ -128,46 +120,28 @@ class MultigridSolver:
         for column, unknown in enumerate(unknowns):
             right = np.zeros_like(self._scale)
             right[unknown] = self._scale[unknown]
-            found, outcome, _, _ = self._iterate(right, np.zeros_like(right))
-            if outcome is not SolverOutcome.CONVERGED:
-                raise InputError(f"stiffness must have columns by multigrid, got {outcome.name}: {outcome.value}")
-            answers[:, column] = found * self._scale
+            found = self._iterate(right)
+            if not found.converged:
+                name, remedy = found.outcome.name, found.outcome.value
+                raise InputError(f"stiffness must have columns by multigrid, got {name}: {remedy}")
+            answers[:, column] = found.displacement_m * self._scale
         return answers
 
-    def _iterate(self, right: Array, found: Array) -> tuple[Array, SolverOutcome, int, float]:
-        """Conjugate gradients; Polak and Ribiere's factor forgives a cycle that is not quite symmetric."""
-        size = float(np.linalg.norm(right))
-        if size == 0.0:
-            return np.zeros_like(right), SolverOutcome.CONVERGED, 0, 0.0
-        residual = right - self._matrix @ found
-        step, before, last, length = np.zeros_like(right), residual, 1.0, 1.0
-        diagonal: list[float] = []
-        off_diagonal: list[float] = []
-        for iteration in range(self._limit + 1):
-            corrected = self._cycle @ residual
-            slope = float(residual @ corrected)
-            left = float(np.linalg.norm(residual)) / size
-            if not np.isfinite(slope) or slope < 0.0:
-                return found, SolverOutcome.INDEFINITE, iteration, left
-            energy = float(found @ (right - residual))  # of the present iterate
-            within = self.tolerance**2 * energy
-            if diagonal and slope <= within:
-                ritz = eigvalsh_tridiagonal(diagonal, off_diagonal[1:])
-                self._least = min(self._least, max(float(ritz[0]), LEAST_SHARE))
-            if left <= LEAST_SHARE or (energy > 0.0 and slope <= self._least * within):
-                return found, SolverOutcome.CONVERGED, iteration, left
-            if iteration == self._limit:
-                break
-            factor = 0.0 if iteration == 0 else max(0.0, float(corrected @ (residual - before)) / last)
-            step = corrected + factor * step
-            along = self._matrix @ step
-            curvature = float(step @ along)
-            if not curvature > 0.0:
-                return found, SolverOutcome.INDEFINITE, iteration, left
-            earlier, length = length, float(residual @ step) / curvature
-            diagonal.append(1.0 / length + (factor / earlier if iteration else 0.0))
-            off_diagonal.append(np.sqrt(factor) / earlier)
-            found = found + length * step
-            before, last = residual, slope
-            residual = residual - length * along
-        return found, SolverOutcome.NOT_CONVERGED, self._limit, left
+    def _iterate(self, right: Array, start: Array | None = None) -> IterativeSolution:
+        """Conjugate gradients on the scaled matrix."""
+        return conjugate_gradients(
+            lambda u: self._matrix @ u, right, precondition=lambda r: self._cycle @ r,
+            error=lambda now: self._error(now, right), tolerance=self.tolerance, limit=self._limit, start=start,
+        )  # fmt: skip
+
+    def _error(self, now: Iterate, right: Array) -> float:
+        """Estimated relative error in the energy norm; where it might be the last one, eigenvalues are met anew."""
+        energy, slope = dot(now.found, right - now.residual), now.slopes[-1]
+        if energy <= 0.0:
+            return np.inf
+        if now.lengths and slope <= self.tolerance**2 * energy:
+            factor, length = np.array(now.factors), np.array(now.lengths)
+            earlier = np.append(1.0, length[:-1])
+            ritz = eigvalsh_tridiagonal(1.0 / length + factor / earlier, (np.sqrt(factor) / earlier)[1:])
+            self._least = min(self._least, max(float(ritz[0]), LEAST_SHARE))
+        return float(np.sqrt(slope / (self._least * energy)))

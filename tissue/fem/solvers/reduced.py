@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
-from tissue.fem.outcome import SolverOutcome
-from tissue.fem.solvers.solution import ColumnSolver, HeldBody, Solution
+from tissue.fem.outcome import Solution, SolverOutcome
+from tissue.fem.solvers.held_body import ColumnSolver, HeldBody
 
 __all__ = ["BasisError", "ReducedSolver"]
 

@@ -17,7 +17,7 @@ from meshes.tets.tetrahedra import TetMesh
 from tissue.fem.assembly import assemble
 from tissue.fem.fields import FieldSeries
 from tissue.fem.solvers.direct import DirectSolver
-from tissue.fem.solvers.solution import HeldBody, Supports
+from tissue.fem.solvers.held_body import HeldBody, Supports
 from tissue.fem.space import Space
 from tissue.materials.constants import constants
 from tissue.materials.elasticity import lame

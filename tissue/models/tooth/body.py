@@ -1,18 +1,19 @@
 """An elastic body of particles on a grid: supports, removal, islands, and solves that start from the last state."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import bsr_matrix
 from scipy.spatial import cKDTree
 
+from tissue.fem.conjugate_gradients import IterativeSolution
 from tissue.fem.outcome import SolverOutcome
 from tissue.models.tooth.grid import HexGrid, shape_values
 from tissue.models.tooth.islands import supported_cells
 from tissue.models.tooth.multigrid import GridHierarchy
 from tissue.models.tooth.particles import ParticleSet
-from tissue.models.tooth.solver import ParticleSolution, conjugate_gradients
+from tissue.models.tooth.solver import solve_cells
 from tissue.models.tooth.stiffness import CellStiffness
 from tissue.models.tooth.supports import NodeSupports
 
@@ -172,7 +173,7 @@ class ParticleBody:
     def solve(
         self, load_N: Array, *, tolerance: float = TOLERANCE, limit: int = 200, cold: bool = False,
         start_m: Array | None = None,
-    ) -> ParticleSolution:  # fmt: skip
+    ) -> IterativeSolution:  # fmt: skip
         """Displacement under nodal forces [N], shape (n, 3).
 
         Parameters
@@ -191,12 +192,12 @@ class ParticleBody:
         held = self.supports.displacement_m
         lost = (load_N != 0.0) & ~self.carrying[:, None] & ~self.supports.fixed
         if not self.cells.live.any() or lost.any():
-            return ParticleSolution(held.copy(), SolverOutcome.UNSUPPORTED, 0, residual=1.0, error=np.inf)
+            return IterativeSolution(held.copy(), SolverOutcome.UNSUPPORTED, 0, residual=1.0, error=np.inf)
         load = (load_N - self.product(held) if held.any() else load_N) * self._free
         guess = held if cold else self.displacement_m if start_m is None else start_m
         if self._iterations_fresh == 0:
             self._hierarchy.refresh()
-        found = conjugate_gradients(
+        found = solve_cells(
             lambda u: self.product(u) * self._free, load, diagonal=self._diagonal, precondition=self._precondition,
             start_m=(guess - held) * self._free, tolerance=tolerance, limit=limit,
         )  # fmt: skip
@@ -206,7 +207,7 @@ class ParticleBody:
         moved = found.displacement_m + held
         if found.converged:
             self.displacement_m = moved
-        return ParticleSolution(moved, found.outcome, found.iterations, residual=found.residual, error=found.error)
+        return replace(found, displacement_m=moved)
 
     def _precondition(self, residual: Array) -> Array:
         return self._hierarchy(residual) * self._free

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue.fem.conjugate_gradients import IterativeSolution
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.solver import ParticleSolution
 
 __all__ = ["SupportCompliance", "rigid_motions", "support_compliance"]
 
@@ -32,7 +32,7 @@ class SupportCompliance:
 
     matrix: Array
     reference_m: Array
-    solutions: tuple[ParticleSolution, ...]
+    solutions: tuple[IterativeSolution, ...]
     asymmetry: float
 
     @property

@@ -7,18 +7,18 @@ import warp as wp
 from numpy.typing import NDArray
 
 from kernels.particle_stress import point_stress
-from tissue.fem.fields import Stress
+from tissue.fem.fields import StressState
 from tissue.models.tooth.grid import HexGrid
 from tissue.models.tooth.stiffness import CellStiffness
 
-__all__ = ["Stress", "cell_stress", "node_average", "particle_stress"]
+__all__ = ["cell_stress", "node_average", "particle_stress"]
 
 Array = NDArray[np.float64]
 
 
 def particle_stress(
     cells: CellStiffness, displacement_m: Array, *, particles: NDArray[np.integer] | None = None
-) -> Stress:
+) -> StressState:
     """Stress in the material of particles, by the caller's index; default all.
 
     Where a cell holds two materials its strain is shared by both, which is first order in the cell's edge.
@@ -28,7 +28,7 @@ def particle_stress(
     return _evaluate(cells, displacement_m, chosen, arrays)
 
 
-def cell_stress(cells: CellStiffness, displacement_m: Array) -> Stress:
+def cell_stress(cells: CellStiffness, displacement_m: Array) -> StressState:
     """Stress at the centres of cells, in the mean material of their particles; zero where a cell carries nothing."""
     count = cells.grid.cell_count
     weight = cells.volume.numpy() * cells.remaining
@@ -60,7 +60,7 @@ def node_average(grid: HexGrid, cell_values: Array, weights: Array) -> Array:
     return np.asarray(values / np.where(total > 0.0, total, 1.0)[:, None])
 
 
-def _evaluate(cells: CellStiffness, displacement_m: Array, rows: NDArray[np.integer], arrays: list[Any]) -> Stress:
+def _evaluate(cells: CellStiffness, displacement_m: Array, rows: NDArray[np.integer], arrays: list[Any]) -> StressState:
     count, device = len(rows), cells.device
     point: Any = wp.array(rows.astype(np.int32), dtype=wp.int32, device=device)
     cells.displacement.assign(displacement_m)
@@ -70,4 +70,4 @@ def _evaluate(cells: CellStiffness, displacement_m: Array, rows: NDArray[np.inte
     principal = wp.empty(count, dtype=wp.vec3d, device=device)
     outputs = [strain, stress, von_mises, principal]
     cells.run(point_stress, count, inputs, outputs)
-    return Stress(strain.numpy(), stress.numpy(), von_mises.numpy(), principal.numpy())
+    return StressState(strain.numpy(), stress.numpy(), von_mises.numpy(), principal.numpy())

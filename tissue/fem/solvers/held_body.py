@@ -1,8 +1,8 @@
-"""The contract of the paths to ``K u = f``: what holds the body, how a solve ended, and what every path offers."""
+"""What holds the body of ``K u = f``, and what finds columns of its inverse."""
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,39 +11,10 @@ from scipy.sparse.csgraph import connected_components
 
 from meshes.base.errors import InputError
 from tissue.fem.free_modes import free_modes
-from tissue.fem.outcome import SolverOutcome
 
-__all__ = ["ColumnSolver", "HeldBody", "Solution", "Solver", "Supports", "pointwise_graph"]
+__all__ = ["ColumnSolver", "HeldBody", "Supports", "pointwise_graph"]
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """Displacement and how it was reached.
-
-    Attributes
-    ----------
-    displacement_m
-        Nodal displacements [m], shape (n, 3); the last iterate where the outcome is not CONVERGED.
-    outcome
-        How the solve ended.
-    iterations
-        Iterations; 0 where the path does not iterate.
-    residual
-        Norm of ``f - K u`` over the free components, relative to that of f. For a reduced basis the relative error in
-        the energy norm instead: what it leaves out moves little and weighs much in f.
-    """
-
-    displacement_m: Array
-    outcome: SolverOutcome
-    iterations: int
-    residual: float
-
-    @property
-    def converged(self) -> bool:
-        """Whether the displacement may be used."""
-        return self.outcome is SolverOutcome.CONVERGED
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +46,7 @@ class Supports:
             raise InputError(f"fixed must be booleans of shape (n, 3), got {self.fixed.dtype} of shape {shape}: "
                              "use Supports.of_nodes")  # fmt: skip
         for name in ("displacement_m", "spring_N_m"):
-            values = getattr(self, name)
-            if values is None:
+            if (values := getattr(self, name)) is None:
                 continue
             if np.shape(values) != shape:
                 raise InputError(f"{name} must have the shape of fixed, {shape}, got {np.shape(values)}: name all")
@@ -90,26 +60,6 @@ class Supports:
     def of_nodes(cls, held: NDArray[np.bool_]) -> "Supports":
         """Hold whole nodes, shape (n,), at rest."""
         return cls(np.repeat(np.asarray(held, dtype=np.bool_)[:, None], 3, axis=1))
-
-
-class Solver(Protocol):
-    """A path to ``K u = f``.
-
-    Attributes
-    ----------
-    tolerance
-        Relative error in the energy norm that a converged solution holds to.
-    """
-
-    tolerance: float
-
-    def solve(self, load_N: Array, *, start_m: Array | None = None) -> Solution:
-        """Displacement of all nodes under nodal forces [N], shape (n, 3).
-
-        ``start_m`` is a guess [m], shape (n, 3); paths that do not iterate ignore it. Forces on held components go
-        into the support. An ``InputError`` refuses a load that is not finite or has another shape.
-        """
-        ...
 
 
 class ColumnSolver(Protocol):
@@ -128,7 +78,6 @@ class ColumnSolver(Protocol):
 
         An ``InputError`` refuses displaced supports: the answer to a force alone is asked for.
         """
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +160,7 @@ class HeldBody:
         return np.flatnonzero((~self.supports.fixed & self.carrying[:, None]).ravel())
 
     @cached_property
-    def sprung(self) -> Any:
+    def sprung(self) -> bsr_array:
         """K with the springs on its diagonal."""
         springs = self.supports.spring_N_m
         if springs is None or not springs.any():

@@ -1,0 +1,121 @@
+"""Preconditioned conjugate gradients that return how they ended; when to stop is the caller's."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue.fem.outcome import Solution, SolverOutcome
+
+__all__ = ["Iterate", "IterativeSolution", "conjugate_gradients", "dot"]
+
+Array = NDArray[np.float64]
+LEAST_SHARE = 1e-13
+"""Residuals below this share of the load are rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class IterativeSolution(Solution):
+    """Displacement and how it was reached, with an estimate of its error.
+
+    Attributes
+    ----------
+    error
+        Estimated error in the energy norm, relative to the energy norm of the displacement.
+    """
+
+    error: float
+
+
+@dataclass(eq=False)
+class Iterate:
+    """Where the iterations are.
+
+    Attributes
+    ----------
+    found, residual
+        Displacement, and load less stiffness times it.
+    slopes
+        ``r . B r`` of this and of all residuals before.
+    factors, lengths
+        Share of the last direction in the next one, and steps along the directions so far.
+    """
+
+    found: Array
+    residual: Array
+    slopes: list[float] = field(default_factory=list)
+    factors: list[float] = field(default_factory=list)
+    lengths: list[float] = field(default_factory=list)
+
+
+def conjugate_gradients(
+    product: Callable[[Array], Array],
+    load: Array,
+    *,
+    precondition: Callable[[Array], Array],
+    error: Callable[[Iterate], float],
+    tolerance: float,
+    limit: int,
+    start: Array | None = None,
+    least_curvature: Callable[[Array], float] = lambda direction: 0.0,
+) -> IterativeSolution:
+    """Solve ``K u = f`` for a symmetric positive definite K, on arrays of any shape.
+
+    The direction's factor is Polak and Ribiere's, which forgives a preconditioner that is not quite symmetric, or is in
+    single precision (Golub and Ye 1999, SIAM J. Sci. Comput. 21:1305).
+
+    Parameters
+    ----------
+    product
+        K times displacements.
+    load
+        Forces, zero where nodes are held.
+    precondition
+        B times forces, close to K's inverse.
+    error
+        Estimated relative error of an iterate; at most ``tolerance`` ends the iterations.
+    limit
+        Iterations allowed.
+    start
+        First guess; zero without it.
+    least_curvature
+        Below this ``p . K p`` of a direction p is rounding, and K not positive definite.
+    """
+    norm = np.sqrt(dot(load, load))
+    if norm == 0.0:
+        return IterativeSolution(np.zeros_like(load), SolverOutcome.CONVERGED, 0, residual=0.0, error=0.0)
+    found = np.zeros_like(load) if start is None else start
+    now = Iterate(found, load - product(found) if found.any() else load)
+    before, direction, estimate = now.residual, np.zeros_like(load), np.inf
+    while True:
+        corrected = precondition(now.residual)
+        slope, left = dot(now.residual, corrected), float(np.sqrt(dot(now.residual, now.residual)) / norm)
+        outcome = SolverOutcome.INDEFINITE
+        if not np.isfinite(slope) or slope < 0.0:
+            break
+        now.slopes.append(slope)
+        estimate = float(error(now))
+        if estimate <= tolerance or left <= LEAST_SHARE:
+            outcome = SolverOutcome.CONVERGED
+            break
+        if len(now.lengths) == limit:
+            outcome = SolverOutcome.NOT_CONVERGED
+            break
+        factor = max(0.0, (slope - dot(before, corrected)) / now.slopes[-2]) if now.lengths else 0.0
+        direction = corrected + factor * direction
+        along = product(direction)
+        curvature = dot(direction, along)
+        if not curvature > least_curvature(direction):
+            break
+        length = dot(now.residual, direction) / curvature
+        now.factors.append(factor)
+        now.lengths.append(length)
+        now.found = now.found + length * direction
+        before, now.residual = now.residual, now.residual - length * along
+    return IterativeSolution(now.found, outcome, len(now.lengths), residual=left, error=estimate)
+
+
+def dot(a: Array, b: Array) -> float:
+    """Scalar product, summed in the same order on any number of cores."""
+    return float(np.einsum("i,i->", a.ravel(), b.ravel()))
