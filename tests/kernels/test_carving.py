@@ -18,7 +18,7 @@ PROFILES = {
     "twist drill": twist_drill(diameter_m=2.5e-3, length_m=4e-3, point_angle_rad=2.06),
     "hemispherical reamer": hemispherical_reamer(diameter_m=5e-3, peg_diameter_m=1e-3, peg_length_m=1e-3),
     "pear bur": pear_bur(diameter_m=2.4e-3, length_m=3e-3),
-    "flat reamer": flat_reamer(diameter_m=4e-3, thickness_m=1e-3, peg_diameter_m=1e-3, peg_length_m=8e-4),
+    "flat reamer": flat_reamer(diameter_m=4e-3, length_m=1e-3, peg_diameter_m=1e-3, peg_length_m=8e-4),
 }
 
 

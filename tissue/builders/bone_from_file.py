@@ -1,6 +1,7 @@
-"""The bone in a surface or image file: placed at its site, refused where its scan ends within the tool's reach."""
+"""The bone in a file: a surface placed at its site, an image as it is, a tooth in a label volume."""
 
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,15 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
+from meshes.base.progress import Progress
 from meshes.shapes.anatomy import Anatomy
-from tissue.motion.reach import Corners, box_text
-from tissue.scene.anatomy import AnatomyFile, BlockAnatomy, GlenoidAnatomy
+from meshes.tooth import label_volume
+from meshes.tooth.layers import TOOTH_LAYERS
+from meshes.voxels.volume import VoxelVolume
+from tissue.scene.anatomy import AnatomyFile, BlockAnatomy, GlenoidAnatomy, MolarAnatomy
+from tissue.scene.scene import Scene
 
 if TYPE_CHECKING:
     from meshes.surfaces.site import Site
     from meshes.surfaces.surface import Surface
 
-__all__ = ["bone_from_file", "require_whole", "threshold_of"]
+__all__ = ["Corners", "bone_from_file", "box_text", "labelled_tooth", "whole_image"]
+
+Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Lowest and highest corner of a box [m]."""
 
 
 def bone_from_file(parameters: AnatomyFile, notes: dict[str, str]) -> Anatomy:
@@ -29,7 +37,7 @@ def bone_from_file(parameters: AnatomyFile, notes: dict[str, str]) -> Anatomy:
     assert parameters.file is not None
     cuts: tuple[NDArray[np.float64], ...] = ()
     if parameters.is_image:
-        image, threshold = read_image(parameters.file, spacing_mm=parameters.spacing_mm), threshold_of(parameters)
+        image, threshold = read_image(parameters.file, spacing_mm=parameters.spacing_mm), _threshold(parameters)
         triangles, source = image_triangles(image, threshold=threshold), image.source
         cuts = image_cuts(image, threshold=threshold)
         places = f"{len(cuts)} places" if len(cuts) > 1 else "one place"
@@ -49,32 +57,55 @@ def bone_from_file(parameters: AnatomyFile, notes: dict[str, str]) -> Anatomy:
     )
 
 
-def require_whole(anatomy: Anatomy, region: Corners, *, is_image: bool) -> None:
-    """Refuse bone that the edge of its scan cuts off where the tool goes."""
-    how, remedy = (
-        ("with a hole", "close it in a mesh editor")
-        if not is_image
-        else (
-            "cut off by the edge of the image",
-            "take an image that holds more of the bone",
-        )
+def whole_image(scene: Scene, *, notes: dict[str, str]) -> VoxelVolume:
+    """Bone from an image volume as it is, the top of its block at z = 0."""
+    from meshes.images.bone_image import read_volume
+
+    parameters = scene.bone
+    remarks: list[str] = []
+    volume = read_volume(
+        parameters.file or "",
+        threshold=_threshold(parameters),
+        spacing_mm=parameters.spacing_mm,
+        density_kg_m3=parameters.density_kg_m3 if isinstance(parameters, BlockAnatomy) else 1800.0,
+        resample_mm=scene.voxels.spacing_mm,
+        remark=remarks.append,
     )
-    for points in anatomy.caps_m:
-        low, high = points.min(axis=0), points.max(axis=0)
-        if (low <= region[1]).all() and (high >= region[0]).all() and not _outside(points, region):
-            raise InputError(
-                f"anatomy.file must enclose a solid where the tool goes, got {anatomy.name} {how} "
-                f"{box_text((low, high), between=True)} within the tool's reach {box_text(region)}: {remedy}, or move "
-                "the site away from it"
-            )
+    notes["image"] = " ".join(remarks) or f"{parameters.file}: {volume.shape} voxels"
+    return volume
 
 
-def _outside(points: NDArray[np.float64], region: Corners) -> bool:
-    """Whether a box lies all on one side of a cap, whose own box is wide where a cut is oblique."""
-    normal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]
-    corners = np.array(np.meshgrid(*np.array(region).T)).reshape(3, -1).T
-    cap, box = points @ normal, corners @ normal
-    return bool(box.max() < cap.min() or box.min() > cap.max())
+def labelled_tooth(
+    scene: Scene,
+    *,
+    spacing_m: float,
+    region: Corners | None = None,
+    notes: dict[str, str],
+    report: Progress,
+) -> VoxelVolume:
+    """A tooth from a label volume, or the part of it in a box of the site's frame [m]."""
+    remarks: list[str] = []
+    file = Path(scene.bone.file or "")
+    stamp = file.stat() if file.is_file() else None
+    report("reading the label volume", 0.0)
+    over_lesion = isinstance(scene.bone, MolarAnatomy) and scene.bone.site == "caries"
+    tooth = _read_tooth(file, scene.bone.spacing_mm, over_lesion, stamp and (stamp.st_mtime_ns, stamp.st_size))
+    volume = tooth.volume(
+        resample_mm=1e3 * spacing_m,
+        region_m=region,
+        remark=remarks.append,
+        progress=lambda share: report("voxelising the tooth", share),
+    )
+    notes["labels"] = " ".join(remarks)
+    if (found := _lesion(tooth)) is not None:
+        notes["lesion"] = found
+    return volume
+
+
+def box_text(corners: Corners, *, between: bool = False) -> str:
+    """A box in words: where it reaches from and to, or what lies between its corners [mm]."""
+    low, high = ("(" + ", ".join(f"{1e3 * value:.4g}" for value in corner) + ")" for corner in corners)
+    return f"between {low} and {high} mm" if between else f"{low} to {high} mm"
 
 
 def _site(parameters: AnatomyFile, surface: "Surface") -> "Site":
@@ -93,7 +124,7 @@ def _site(parameters: AnatomyFile, surface: "Surface") -> "Site":
     return place_site(surface, centre_mm=centre, normal=normal, along=along)
 
 
-def threshold_of(parameters: AnatomyFile) -> float:
+def _threshold(parameters: AnatomyFile) -> float:
     """Grey value of an image above which a voxel is bone."""
     if parameters.threshold is None:
         raise InputError(
@@ -101,3 +132,25 @@ def threshold_of(parameters: AnatomyFile) -> float:
             "set the grey value above which a voxel is bone"
         )
     return parameters.threshold
+
+
+@lru_cache(maxsize=1)
+def _read_tooth(
+    file: Path, spacing_mm: float | None, over_lesion: bool, stamp: tuple[int, int] | None
+) -> label_volume.LabelledTooth:
+    """The tooth of a label volume, kept for the next who asks: for the tool and for the stress the same is read."""
+    from meshes.images.reading import read_image
+
+    tooth = label_volume.labelled_tooth(read_image(file, spacing_mm=spacing_mm, labels=True))
+    return tooth.at_lesion() if over_lesion else tooth
+
+
+def _lesion(tooth: label_volume.LabelledTooth) -> str | None:
+    """Where the caries of a whole tooth lies in the frame of its site, so that a motion can be aimed at it."""
+    placed = tooth.placed
+    at = np.argwhere(placed.layer == TOOTH_LAYERS.index("caries"))
+    if len(at) == 0:
+        return None
+    points = 1e3 * ((at * placed.spacing - placed.origin) @ placed.rotation)
+    low, high = (", ".join(f"{value:.3g}" for value in corner) for corner in (points.min(axis=0), points.max(axis=0)))
+    return f"caries between ({low}) and ({high}) mm of the site"

@@ -1,5 +1,6 @@
 """Build what a cutter meets: bone or a tooth, as voxels."""
 
+from math import pi, radians
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -8,13 +9,14 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress
 from meshes.voxels.volume import VoxelVolume
 from tissue.builders.parts import Parts
-from tissue.builders.voxels import volume_of, whole_tooth
+from tissue.builders.voxels import require_outside, require_touch, volume_of, whole_tooth
 from tissue.cutters.cutter import Cutter
 from tissue.materials.cutting import cutting_coefficients, cutting_constants
 from tissue.models.tissue_model import TissueModel
 from tissue.motion.motion import Motion
-from tissue.motion.reach import require_outside, require_touch
 from tissue.scene.anatomy import MolarAnatomy
+from tissue.scene.named_parts import loaded
+from tissue.scene.registry import CUTTERS
 from tissue.scene.scene import Scene, Stress
 from tissue.scene.tool import ReplayMotion, Tool
 from tissue.scene.unused_keys import is_given
@@ -22,13 +24,15 @@ from tissue.scene.unused_keys import is_given
 if TYPE_CHECKING:
     from tissue.models.bone.model import BoneModel
 
-__all__ = ["cut"]
+__all__ = ["cutter_of", "milled"]
 
+SI = {"mm": ("m", 1e-3), "deg": ("rad", radians(1.0))}
+"""Units of a scene's tool: their SI unit and its share."""
 CUT_AS = {"enamel": "enamel", "dentin": "dentin", "caries": "dentin", "pulp": "soft", "ligament": "soft"}
 """Material whose cutting coefficients a layer has; all others are bone."""
 
 
-def cut(scene: Scene, cutter: Cutter, motion: Motion, *, compute: str, cores: int | None, report: Progress) -> Parts:
+def milled(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
     """Parts of a scene in which a cutter meets voxels.
 
     Raises
@@ -37,7 +41,8 @@ def cut(scene: Scene, cutter: Cutter, motion: Motion, *, compute: str, cores: in
         If a file cannot be used, the voxels would not fit memory, the tool never touches, or it neither turns nor is
         held by a hand.
     """
-    notes: dict[str, str] = {}
+    assert isinstance(scene.tool, Tool)
+    cutter, notes = cutter_of(scene.tool), dict[str, str]()
     report("building the anatomy", 0.0)
     volume = volume_of(scene, cutter, motion, notes=notes, report=report)
     require_touch(volume, cutter, motion)
@@ -49,6 +54,16 @@ def cut(scene: Scene, cutter: Cutter, motion: Motion, *, compute: str, cores: in
     notes["specific cutting energy"] = _energy_note(volume)
     tissue = _bone(scene, volume, cutter, compute=compute, cores=cores, report=report)
     return Parts(motion, tissue, cutter=cutter, volume=volume, placement=volume.placement, notes=notes)
+
+
+def cutter_of(tool: Tool) -> Cutter:
+    """The cutter that a scene's tool describes, its sizes in SI."""
+    sizes, entry = {}, CUTTERS[tool.kind]
+    for key in ("diameter_mm", *entry.keys):
+        name, _, unit = key.rpartition("_")
+        si, factor = SI[unit]
+        sizes[f"{name}_{si}"] = factor * getattr(tool, key)
+    return Cutter(loaded(entry.profile)(**sizes), tool.flutes, tool.spin_rpm * 2.0 * pi / 60.0)
 
 
 def _require_effect(scene: Scene, volume: VoxelVolume) -> None:

@@ -1,4 +1,4 @@
-"""Build what a probe presses or a needle pierces: soft organs."""
+"""Build what a probe presses or a needle pierces: soft organs, and a stiff wall."""
 
 from math import inf
 from typing import TYPE_CHECKING, Any
@@ -7,24 +7,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, names_of_caller
-from meshes.base.progress import Progress, silent
+from meshes.base.progress import Progress
 from tissue.builders.organ import elasticity_of, held_mesh
 from tissue.builders.parts import Parts
-from tissue.builders.probe import probe_of, shell_note
-from tissue.builders.touchable import require_outside, touchable_surface
+from tissue.builders.probe import require_outside, shell_note, touchable_surface
 from tissue.materials.constants import constants
+from tissue.models.organ.probe import ShellProbe, SphereProbe
+from tissue.models.wall import WallModel
 from tissue.motion.motion import Motion
+from tissue.scene.coupling import WallAnatomy
+from tissue.scene.named_parts import loaded
 from tissue.scene.organ import LayersAnatomy, LiverAnatomy, Organ, SlabAnatomy
+from tissue.scene.registry import NEEDLES, PROBES
 from tissue.scene.scene import Scene
-from tissue.scene.tool import Needle
-from tissue.scene.tool import Probe as ProbeTable
+from tissue.scene.tool import Needle, Probe
 
 if TYPE_CHECKING:
     from tissue.fem.solvers.held_body import HeldBody
     from tissue.fem.space import Space
     from tissue.materials.prony import Prony
 
-__all__ = ["pierce", "press"]
+__all__ = ["pierced", "pressed", "wall"]
 
 HAND_M = 0.01
 """How far from the planned track a hand's entry is still shown on it [m]: an eighth of its block."""
@@ -32,7 +35,7 @@ FACTOR_UNKNOWNS = 200_000
 """Above this, frames are solved by multigrid: a factor would take gigabytes."""
 
 
-def pierce(scene: Scene, motion: Motion, *, report: Progress = silent) -> Parts:
+def pierced(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
     """Parts of a scene in which a needle meets layers of tissue.
 
     Raises
@@ -42,11 +45,10 @@ def pierce(scene: Scene, motion: Motion, *, report: Progress = silent) -> Parts:
     """
     from tissue.models.needle.fields import NeedleFields, Track
     from tissue.models.needle.model import NeedleModel
-    from tissue.models.needle.parameters import needle_tissue
 
     assert isinstance(scene.anatomy, LayersAnatomy) and isinstance(scene.tool, Needle)
     depth_mm, diameter = scene.anatomy.vessel_wall_depth_mm, 1e-3 * scene.tool.diameter_mm
-    tissue = needle_tissue(vessel_wall_depth_m=None if depth_mm is None else 1e-3 * depth_mm)
+    tissue = NEEDLES[scene.tool.kind](vessel_wall_depth_m=None if depth_mm is None else 1e-3 * depth_mm)
     notes = {
         "needle": "bovine liver of Okamura 2004, fitted to one needle in one organ; the vessel wall's numbers have no "
         "source; forces across the needle's axis are not modelled"
@@ -62,7 +64,7 @@ def pierce(scene: Scene, motion: Motion, *, report: Progress = silent) -> Parts:
     return Parts(motion, NeedleModel(tissue, diameter_m=diameter, fields=fields), notes=notes)
 
 
-def press(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
+def pressed(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
     """Parts of a scene in which a probe presses a meshed organ.
 
     Raises
@@ -71,16 +73,14 @@ def press(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: i
         If the organ cannot be meshed or held, the probe never touches it, or starts inside.
     """
     anatomy, organ = scene.anatomy, scene.organ
-    assert isinstance(anatomy, LiverAnatomy | SlabAnatomy) and isinstance(scene.tool, ProbeTable)
+    assert isinstance(anatomy, LiverAnatomy | SlabAnatomy) and isinstance(scene.tool, Probe)
     notes: dict[str, str] = {}
     prony = _prony(organ, notes)
     report("meshing the organ", 0.0)
     edge_mm = anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
     found = held_mesh(anatomy, path_m=motion.sweep_m(), touch_edge_m=1e-3 * edge_mm, report=report)
     elasticity, note = elasticity_of(found.mesh, anatomy, organ)
-    from tissue.models.organ.probe import ShellProbe
-
-    probe = probe_of(scene.tool)
+    probe = loaded(PROBES[scene.tool.kind].make)(scene.tool)
     notes |= found.notes | {"modulus": note}
     if isinstance(probe, ShellProbe):
         notes["tool"] = shell_note(scene.tool, probe)
@@ -136,10 +136,17 @@ def press(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: i
         fields=fields,
         prony=prony,
         lazy=lazy,
-        ball_radius_m=0.5e-3 * scene.tool.diameter_mm if scene.tool.kind == "sphere-probe" else None,
+        ball_radius_m=probe.radius_m if isinstance(probe, SphereProbe) else None,
         step_s=step_s,
     )
     return Parts(motion, model, placement=found.placement, notes=notes)
+
+
+def wall(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
+    """Parts of a scene in which a ball is pushed against a wall."""
+    assert isinstance(scene.anatomy, WallAnatomy) and isinstance(scene.tool, Probe)
+    radius_m = 0.5e-3 * scene.tool.diameter_mm
+    return Parts(motion, WallModel(1e3 * scene.anatomy.stiffness_kN_m, radius_m=radius_m))
 
 
 class _Factor:

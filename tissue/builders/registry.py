@@ -1,6 +1,5 @@
-"""Build what a scene names: its motion, and its tissue by the table of anatomies."""
+"""Build what a scene names: its motion and its tissue, by the tables of `tissue.scene.registry`."""
 
-from math import pi
 from pathlib import Path
 
 import numpy as np
@@ -8,17 +7,14 @@ import numpy as np
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress
 from tissue.builders.parts import Parts
-from tissue.cutters.cutter import Cutter
-from tissue.models.wall import WallModel
 from tissue.motion.motion import FollowPath, Motion, PushAlongAxis
-from tissue.motion.replay import read_poses
-from tissue.scene.coupling import WallAnatomy
+from tissue.motion.replay import ReplayPoses, read_poses
 from tissue.scene.named_parts import loaded
-from tissue.scene.registry import ANATOMIES, CUTTERS
+from tissue.scene.registry import ANATOMIES, MOTIONS
 from tissue.scene.scene import Scene
-from tissue.scene.tool import PathMotion, Probe, ReplayMotion, ThrustMotion, Tool
+from tissue.scene.tool import PathMotion, ReplayMotion, ThrustMotion
 
-__all__ = ["build", "cutter_of", "milled", "motion_of", "pierced", "pressed", "wall"]
+__all__ = ["build", "motion_of", "path", "replay", "thrust"]
 
 
 def build(
@@ -45,57 +41,31 @@ def build(
     return parts
 
 
-def milled(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
-    """Parts of a scene in which a cutter mills bone or a tooth."""
-    from tissue.builders.cutting import cut
-
-    assert isinstance(scene.tool, Tool)
-    return cut(scene, cutter_of(scene.tool), motion, compute=compute, cores=cores, report=report)
-
-
-def pressed(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
-    """Parts of a scene in which a probe presses an organ."""
-    from tissue.builders.organ_scene import press
-
-    return press(scene, motion, step_s=step_s, compute=compute, cores=cores, report=report)
-
-
-def pierced(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
-    """Parts of a scene in which a needle pierces layers."""
-    from tissue.builders.organ_scene import pierce
-
-    return pierce(scene, motion, report=report)
-
-
-def wall(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
-    """Parts of a scene in which a ball is pushed against a wall."""
-    assert isinstance(scene.anatomy, WallAnatomy) and isinstance(scene.tool, Probe)
-    radius_m = 0.5e-3 * scene.tool.diameter_mm
-    return Parts(motion, WallModel(1e3 * scene.anatomy.stiffness_kN_m, radius_m=radius_m))
-
-
-def cutter_of(tool: Tool) -> Cutter:
-    """The cutter that a scene's tool describes."""
-    profile = loaded(CUTTERS[tool.kind].profile)(tool)
-    return Cutter(profile, tool.flutes, tool.spin_rpm * 2.0 * pi / 60.0)
-
-
 def motion_of(scene: Scene, *, step_s: float) -> Motion:
     """The motion that a scene describes."""
-    match scene.motion:
-        case PathMotion() as path:
-            return FollowPath(np.array(path.points_mm) * 1e-3, feed_m_s=path.feed_mm_s * 1e-3, axis=path.axis)
-        case ThrustMotion() as push:
-            return PushAlongAxis(
-                np.array(push.start_mm) * 1e-3,
-                axis=push.axis,
-                thrust_N=push.thrust_N,
-                mass_kg=push.mass_kg,
-                max_feed_m_s=push.max_feed_mm_s * 1e-3,
-                depth_m=push.depth_mm * 1e-3,
-            )
-        case ReplayMotion() as replay:
-            return read_poses(Path(replay.file), step_s=step_s)
+    return loaded(MOTIONS[scene.motion.kind].make)(scene.motion, step_s)
+
+
+def path(motion: PathMotion, step_s: float) -> FollowPath:
+    """Straight lines at a given feed."""
+    return FollowPath(np.array(motion.points_mm) * 1e-3, feed_m_s=motion.feed_mm_s * 1e-3, axis=motion.axis)
+
+
+def thrust(motion: ThrustMotion, step_s: float) -> PushAlongAxis:
+    """A push down the axis."""
+    return PushAlongAxis(
+        np.array(motion.start_mm) * 1e-3,
+        axis=motion.axis,
+        thrust_N=motion.thrust_N,
+        mass_kg=motion.mass_kg,
+        max_feed_m_s=motion.max_feed_mm_s * 1e-3,
+        depth_m=motion.depth_mm * 1e-3,
+    )
+
+
+def replay(motion: ReplayMotion, step_s: float) -> ReplayPoses:
+    """Recorded poses."""
+    return read_poses(Path(motion.file), step_s=step_s)
 
 
 def _require_device(compute: str) -> None:

@@ -1,8 +1,6 @@
-"""The bone a scene asks for, as voxels: procedural, or read from a file and placed at its site."""
+"""The voxels that a tool can reach of the bone that a scene asks for, and whether it meets them on its path."""
 
 from contextlib import AbstractContextManager
-from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,23 +9,24 @@ from meshes.base.errors import InputError, names_of_caller
 from meshes.base.progress import Progress, silent
 from meshes.shapes import sdf
 from meshes.shapes.anatomy import Anatomy, cortical_block
+from meshes.shapes.polyline import arc_length, points_along
 from meshes.surfaces.glenoid import glenoid
-from meshes.tooth.label_volume import LabelledTooth, labelled_tooth
 from meshes.tooth.layered_surfaces import layered_surfaces
-from meshes.tooth.layers import TOOTH_LAYERS
 from meshes.tooth.molar import molar
 from meshes.voxels.volume import VoxelVolume
 from meshes.voxels.voxelise import voxelise
-from tissue.builders.bone_from_file import bone_from_file, require_whole, threshold_of
+from tissue.builders.bone_from_file import Corners, bone_from_file, box_text, labelled_tooth, whole_image
 from tissue.builders.parts import FILE_WORDS
 from tissue.cutters.cutter import Cutter
 from tissue.motion.motion import Motion
-from tissue.motion.reach import box_text, reach
 from tissue.scene.anatomy import AnatomyFile, BlockAnatomy, GlenoidAnatomy, MolarAnatomy
 from tissue.scene.scene import Scene
+from tissue.scene.unused_keys import is_whole_image
 
-__all__ = ["volume_of", "whole_tooth"]
+__all__ = ["reach", "require_outside", "require_touch", "require_whole", "volume_of", "whole_tooth"]
 
+POSES_TRIED = 300
+"""Poses along a motion at which contact is looked for."""
 DENSE_BYTES_PER_VOXEL = 16
 """Peak memory of a voxel of the region while bricks are made and results written, measured on the glenoid."""
 BRICK = 8
@@ -39,7 +38,7 @@ def whole_tooth(scene: Scene, *, spacing_m: float, report: Progress = silent) ->
     """The whole tooth that a scene describes, in coarser voxels, undrilled."""
     with _named(scene.bone):
         if scene.bone.file is not None:
-            return _labelled(scene, spacing_m=spacing_m, notes={}, report=report)
+            return labelled_tooth(scene, spacing_m=spacing_m, notes={}, report=report)
         return voxelise(_anatomy(scene, {}), spacing_m=spacing_m)
 
 
@@ -48,13 +47,11 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
     spacing = scene.voxels.spacing_mm * 1e-3
     parameters = scene.bone
     region = reach(cutter, motion, scene.voxels.margin_mm * 1e-3)
-    if parameters.is_image and isinstance(parameters, BlockAnatomy) and parameters.centre_mm is None:
-        with _named(parameters):
-            return _image(scene, notes=notes)
-    if isinstance(parameters, MolarAnatomy) and parameters.file is not None:
-        with _named(parameters):
-            return _labelled(scene, spacing_m=spacing, region=region, notes=notes, report=report)
     with _named(parameters):
+        if is_whole_image(parameters):
+            return whole_image(scene, notes=notes)
+        if isinstance(parameters, MolarAnatomy) and parameters.file is not None:
+            return labelled_tooth(scene, spacing_m=spacing, region=region, notes=notes, report=report)
         anatomy = _anatomy(scene, notes)
     require_whole(anatomy, region, is_image=parameters.is_image)
     bone = np.array(anatomy.shape.lower_m), np.array(anatomy.shape.upper_m)
@@ -126,71 +123,74 @@ def _named(parameters: AnatomyFile) -> AbstractContextManager[None]:
     return names_of_caller(names | {"resample_mm": "voxels.spacing_mm"})
 
 
-def _image(scene: Scene, *, notes: dict[str, str]) -> VoxelVolume:
-    """Bone from an image volume as it is, the top of its block at z = 0."""
-    from meshes.images.bone_image import read_volume
+def reach(cutter: Cutter, motion: Motion, margin: float) -> Corners:
+    """Box around all that the cutting surface can reach, and a margin [m]."""
+    shell = cutter.shell(spacing_m=cutter.profile.radius_m / 8.0).points_m
+    tips, rotations = motion.sweep_m(), motion.rotations()
+    starts = np.arange(0, len(tips), max(len(tips) // 500, 1))
+    turned = [shell @ turn.T for turn in rotations[starts]]
+    low = np.minimum.reduceat(tips, starts) + [points.min(axis=0) for points in turned]
+    high = np.maximum.reduceat(tips, starts) + [points.max(axis=0) for points in turned]
+    return low.min(axis=0) - margin, high.max(axis=0) + margin
 
-    parameters = scene.bone
-    remarks: list[str] = []
-    volume = read_volume(
-        parameters.file or "",
-        threshold=threshold_of(parameters),
-        spacing_mm=parameters.spacing_mm,
-        density_kg_m3=parameters.density_kg_m3 if isinstance(parameters, BlockAnatomy) else 1800.0,
-        resample_mm=scene.voxels.spacing_mm,
-        remark=remarks.append,
+
+def require_touch(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
+    """Refuse a motion that never brings the cutting surface into bone."""
+    shell = cutter.shell(spacing_m=max(cutter.profile.radius_m / 24.0, volume.spacing_m)).points_m
+    corners, rotations = motion.sweep_m(), motion.rotations()
+    along = arc_length(corners)
+    between, corners_on = np.linspace(0.0, along[-1], POSES_TRIED), along[:: len(along) // POSES_TRIED + 1]
+    wanted = np.unique(np.concatenate([between, corners_on]))
+    tips = points_along(corners, wanted)
+    turns = rotations[np.searchsorted(along, wanted)]
+    limits = np.array(volume.shape)
+    for tip, turn in zip(tips[::-1], turns[::-1], strict=True):
+        at = np.floor((tip + shell @ turn.T - volume.origin_m) / volume.spacing_m).astype(int)
+        at = at[((at >= 0) & (at < limits)).all(axis=1)]
+        if volume.fraction[at[:, 0], at[:, 1], at[:, 2]].any():
+            return
+    raise InputError(
+        "motion must bring the tool to the bone, got a tool that never touches it: move it to the bone "
+        f"{box_text(volume.bounds_m, between=True)}"
     )
-    notes["image"] = " ".join(remarks) or f"{parameters.file}: {volume.shape} voxels"
-    return volume
 
 
-def _labelled(
-    scene: Scene,
-    *,
-    spacing_m: float,
-    region: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
-    notes: dict[str, str],
-    report: Progress,
-) -> VoxelVolume:
-    """A tooth from a label volume, or the part of it in a box of the site's frame [m]."""
-    remarks: list[str] = []
-    file = Path(scene.bone.file or "")
-    stamp = file.stat() if file.is_file() else None
-    report("reading the label volume", 0.0)
-    over_lesion = isinstance(scene.bone, MolarAnatomy) and scene.bone.site == "caries"
-    tooth = _read_tooth(file, scene.bone.spacing_mm, over_lesion, stamp and (stamp.st_mtime_ns, stamp.st_size))
-    volume = tooth.volume(
-        resample_mm=1e3 * spacing_m,
-        region_m=region,
-        remark=remarks.append,
-        progress=lambda share: report("voxelising the tooth", share),
-    )
-    notes["labels"] = " ".join(remarks)
-    if (found := _lesion(tooth)) is not None:
-        notes["lesion"] = found
-    return volume
+def require_outside(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
+    """Refuse a motion that starts with the cutting surface inside the tooth."""
+    shell = cutter.shell(spacing_m=max(cutter.profile.radius_m / 24.0, volume.spacing_m)).points_m
+    points = motion.sweep_m()[0] + shell @ motion.rotations()[0].T
+    at = np.floor((points - volume.origin_m) / volume.spacing_m).astype(int)
+    at = at[((at >= 0) & (at < np.array(volume.shape))).all(axis=1)]
+    inside = int((volume.fraction[at[:, 0], at[:, 1], at[:, 2]] == 255).sum())
+    if inside:
+        start = ", ".join(f"{1e3 * value:.4g}" for value in motion.sweep_m()[0])
+        raise InputError(
+            f"motion must start outside the tooth, got a bur at ({start}) mm with {inside / len(points):.0%} of its "
+            "surface inside: start higher"
+        )
 
 
-@lru_cache(maxsize=1)
-def _read_tooth(
-    file: Path, spacing_mm: float | None, over_lesion: bool, stamp: tuple[int, int] | None
-) -> LabelledTooth:
-    """The tooth of a label volume, kept for the next who asks: for the tool and for the stress the same is read."""
-    from meshes.images.reading import read_image
+def require_whole(anatomy: Anatomy, region: Corners, *, is_image: bool) -> None:
+    """Refuse bone that the edge of its scan cuts off where the tool goes."""
+    how, remedy = ("with a hole", "close it in a mesh editor")
+    if is_image:
+        how, remedy = "cut off by the edge of the image", "take an image that holds more of the bone"
+    for points in anatomy.caps_m:
+        low, high = points.min(axis=0), points.max(axis=0)
+        if (low <= region[1]).all() and (high >= region[0]).all() and not _on_one_side(points, region):
+            raise InputError(
+                f"anatomy.file must enclose a solid where the tool goes, got {anatomy.name} {how} "
+                f"{box_text((low, high), between=True)} within the tool's reach {box_text(region)}: {remedy}, or move "
+                "the site away from it"
+            )
 
-    tooth = labelled_tooth(read_image(file, spacing_mm=spacing_mm, labels=True))
-    return tooth.at_lesion() if over_lesion else tooth
 
-
-def _lesion(tooth: LabelledTooth) -> str | None:
-    """Where the caries of a whole tooth lies in the frame of its site, so that a motion can be aimed at it."""
-    placed = tooth.placed
-    at = np.argwhere(placed.layer == TOOTH_LAYERS.index("caries"))
-    if len(at) == 0:
-        return None
-    points = 1e3 * ((at * placed.spacing - placed.origin) @ placed.rotation)
-    low, high = (", ".join(f"{value:.3g}" for value in corner) for corner in (points.min(axis=0), points.max(axis=0)))
-    return f"caries between ({low}) and ({high}) mm of the site"
+def _on_one_side(points: NDArray[np.float64], region: Corners) -> bool:
+    """Whether a box lies all on one side of a cap, whose own box is wide where a cut is oblique."""
+    normal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]
+    corners = np.array(np.meshgrid(*np.array(region).T)).reshape(3, -1).T
+    cap, box = points @ normal, corners @ normal
+    return bool(box.max() < cap.min() or box.min() > cap.max())
 
 
 def _guide_hole(scene: Scene, motion: Motion) -> sdf.Shape | None:

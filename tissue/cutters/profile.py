@@ -219,14 +219,14 @@ def hemispherical_reamer(*, diameter_m: float, peg_diameter_m: float = 0.0, peg_
 
 
 def flat_reamer(
-    *, diameter_m: float, thickness_m: float, peg_diameter_m: float = 0.0, peg_length_m: float = 0.0
+    *, diameter_m: float, length_m: float, peg_diameter_m: float = 0.0, peg_length_m: float = 0.0
 ) -> Profile:
-    """Disc that cuts with its flat face and rim, with a central guide peg where its diameter is not 0."""
+    """Disc ``length_m`` thick that cuts with face and rim, with a central guide peg where its diameter is not 0."""
     r, q = 0.5 * diameter_m, 0.5 * peg_diameter_m
     pieces: Sequence[Piece] = [] if q == 0.0 else _peg(q, peg_length_m, 0.0)
     face = Line((q, 0.0), (r, 0.0))
-    rim = Line((r, 0.0), (r, thickness_m))
-    return Profile((*pieces, face, rim, Line((r, thickness_m), (0.0, thickness_m), False)), convex=q == 0.0)
+    rim = Line((r, 0.0), (r, length_m))
+    return Profile((*pieces, face, rim, Line((r, length_m), (0.0, length_m), False)), convex=q == 0.0)
 
 
 def pear_bur(*, diameter_m: float, length_m: float) -> Profile:

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue.builders.voxels import reach
 from tissue.figures.figure import DPI, figure, save
 from tissue.figures.rendering import Camera, Coloured, render
 from tissue.figures.style import BONE, axis_names, depth_colours, depth_limit, layer_colours
-from tissue.motion.reach import reach
 from tissue.simulation.bone_surface import bone_surface, cut_out, smooth_normals, with_depth, with_layers
 from tissue.simulation.depth_map import HALF, DepthMap
 from tissue.simulation.run import Run

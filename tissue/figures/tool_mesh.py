@@ -30,7 +30,7 @@ def tool_surface(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None
 
     match tool:
         case Tool():
-            from tissue.builders.registry import cutter_of
+            from tissue.builders.cutting import cutter_of
 
             outline = 1e3 * cutter_of(tool).profile.outline
             return _turned(np.column_stack([outline[:, 0], np.zeros(len(outline)), outline[:, 1]]))

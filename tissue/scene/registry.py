@@ -16,15 +16,18 @@ if TYPE_CHECKING:
     from tissue.cutters.profile import Profile
     from tissue.haptics.loop.sampled_loop import WallLoop
     from tissue.haptics.renderer import Renderer
+    from tissue.models.needle.parameters import NeedleTissue
+    from tissue.models.organ.probe import Probe
+    from tissue.motion.motion import Motion
     from tissue.perception.perception import PerceptionMaker
     from tissue.prediction.predictor import Predictor
     from tissue.prediction.trained import Trained
     from tissue.scene.anatomy import Part
-    from tissue.scene.tool import Tool
+    from tissue.scene.tool import Probe as ProbeTool
 
 __all__ = [
-    "ANATOMIES", "CUTTERS", "DEVICES", "GROUPS", "HANDS", "PERCEPTIONS", "PREDICTORS", "RENDERERS", "AnatomyEntry",
-    "CutterEntry", "PredictorEntry",
+    "ANATOMIES", "CUTTERS", "DEVICES", "GROUPS", "HANDS", "MOTIONS", "NEEDLES", "PERCEPTIONS", "PREDICTORS", "PROBES",
+    "RENDERERS", "AnatomyEntry", "CutterEntry", "MotionEntry", "PredictorEntry", "ProbeEntry",
 ]  # fmt: skip
 
 
@@ -55,25 +58,25 @@ ANATOMIES: Registry[AnatomyEntry] = Registry(
     "anatomy.kind",
     {
         "glenoid": AnatomyEntry(
-            "tissue.scene.anatomy:GlenoidAnatomy", "tissue.scene.tool:Tool", "tissue.builders.registry:milled", 0.03
+            "tissue.scene.anatomy:GlenoidAnatomy", "tissue.scene.tool:Tool", "tissue.builders.cutting:milled", 0.03
         ),
         "block": AnatomyEntry(
-            "tissue.scene.anatomy:BlockAnatomy", "tissue.scene.tool:Tool", "tissue.builders.registry:milled", 0.03
+            "tissue.scene.anatomy:BlockAnatomy", "tissue.scene.tool:Tool", "tissue.builders.cutting:milled", 0.03
         ),
         "molar": AnatomyEntry(
-            "tissue.scene.anatomy:MolarAnatomy", "tissue.scene.tool:Tool", "tissue.builders.registry:milled", 0.1
+            "tissue.scene.anatomy:MolarAnatomy", "tissue.scene.tool:Tool", "tissue.builders.cutting:milled", 0.1
         ),
         "liver": AnatomyEntry(
-            "tissue.scene.organ:LiverAnatomy", "tissue.scene.tool:Probe", "tissue.builders.registry:pressed"
+            "tissue.scene.organ:LiverAnatomy", "tissue.scene.tool:Probe", "tissue.builders.organ_scene:pressed"
         ),
         "slab": AnatomyEntry(
-            "tissue.scene.organ:SlabAnatomy", "tissue.scene.tool:Probe", "tissue.builders.registry:pressed"
+            "tissue.scene.organ:SlabAnatomy", "tissue.scene.tool:Probe", "tissue.builders.organ_scene:pressed"
         ),
         "layers": AnatomyEntry(
-            "tissue.scene.organ:LayersAnatomy", "tissue.scene.tool:Needle", "tissue.builders.registry:pierced"
+            "tissue.scene.organ:LayersAnatomy", "tissue.scene.tool:Needle", "tissue.builders.organ_scene:pierced"
         ),
         "wall": AnatomyEntry(
-            "tissue.scene.coupling:WallAnatomy", "tissue.scene.tool:Probe", "tissue.builders.registry:wall"
+            "tissue.scene.coupling:WallAnatomy", "tissue.scene.tool:Probe", "tissue.builders.organ_scene:wall"
         ),
     },
 )
@@ -87,31 +90,87 @@ class CutterEntry:
     Attributes
     ----------
     profile
-        The half section of a scene's tool.
+        Its half section from ``diameter_m`` and what else shapes it: ``length_m`` of ``length_mm``, ``point_angle_rad``
+        of ``point_angle_deg``.
     keys
         Those of the tool's keys that shape this cutter beside its diameter.
     """
 
-    profile: "Callable[[Tool], Profile] | str"
+    profile: "Callable[..., Profile] | str"
     keys: tuple[str, ...] = ()
 
 
+PEG = ("peg_diameter_mm", "peg_length_mm")
 CUTTERS: Registry[CutterEntry] = Registry(
     "tool.kind",
     {
-        "ball-burr": CutterEntry("tissue.builders.cutters:ball_burr"),
-        "pear-bur": CutterEntry("tissue.builders.cutters:pear_bur", ("length_mm",)),
-        "cylinder": CutterEntry("tissue.builders.cutters:cylinder", ("length_mm",)),
-        "twist-drill": CutterEntry("tissue.builders.cutters:twist_drill", ("length_mm", "point_angle_deg")),
-        "hemispherical-reamer": CutterEntry(
-            "tissue.builders.cutters:hemispherical_reamer", ("peg_diameter_mm", "peg_length_mm")
-        ),
-        "flat-reamer": CutterEntry(
-            "tissue.builders.cutters:flat_reamer", ("length_mm", "peg_diameter_mm", "peg_length_mm")
-        ),
+        "ball-burr": CutterEntry("tissue.cutters.profile:ball_burr"),
+        "pear-bur": CutterEntry("tissue.cutters.profile:pear_bur", ("length_mm",)),
+        "cylinder": CutterEntry("tissue.cutters.profile:cylinder", ("length_mm",)),
+        "twist-drill": CutterEntry("tissue.cutters.profile:twist_drill", ("length_mm", "point_angle_deg")),
+        "hemispherical-reamer": CutterEntry("tissue.cutters.profile:hemispherical_reamer", PEG),
+        "flat-reamer": CutterEntry("tissue.cutters.profile:flat_reamer", ("length_mm", *PEG)),
     },
 )
 """Rotating cutters, by their shape."""
+
+
+@dataclass(frozen=True)
+class ProbeEntry:
+    """What a table holds of a probe.
+
+    Attributes
+    ----------
+    make
+        Makes one of what a scene states of it.
+    keys
+        Those of the tool's keys that shape this probe.
+    """
+
+    make: "Callable[[ProbeTool], Probe] | str"
+    keys: tuple[str, ...]
+
+
+PROBES: Registry[ProbeEntry] = Registry(
+    "tool.kind",
+    {
+        "sphere-probe": ProbeEntry("tissue.builders.probe:sphere", ("diameter_mm",)),
+        "cylinder-probe": ProbeEntry("tissue.builders.probe:cylinder", ("diameter_mm", "length_mm")),
+        "shell-probe": ProbeEntry("tissue.builders.probe:shell", ("file", "scale_mm")),
+    },
+)
+"""Smooth tools that press, by their shape."""
+NEEDLES: "Registry[Callable[..., NeedleTissue]]" = Registry(
+    "tool.kind", {"needle": "tissue.models.needle.parameters:needle_tissue"}
+)
+"""Needles: what each meets in tissue, from ``vessel_wall_depth_m`` [m], None where there is no vessel."""
+
+
+@dataclass(frozen=True)
+class MotionEntry:
+    """What a table holds of a motion.
+
+    Attributes
+    ----------
+    parameters
+        What a scene states of it: a part whose ``kind`` is the entry's name.
+    make
+        Makes one of that, for ticks of so many seconds.
+    """
+
+    parameters: "type[Part] | str"
+    make: "Callable[..., Motion] | str"
+
+
+MOTIONS: Registry[MotionEntry] = Registry(
+    "motion.kind",
+    {
+        "path": MotionEntry("tissue.scene.tool:PathMotion", "tissue.builders.registry:path"),
+        "thrust": MotionEntry("tissue.scene.tool:ThrustMotion", "tissue.builders.registry:thrust"),
+        "replay": MotionEntry("tissue.scene.tool:ReplayMotion", "tissue.builders.registry:replay"),
+    },
+)
+"""What moves the tool."""
 
 
 def _numbers(table: str, *names: str) -> dict[str, float]:

@@ -25,7 +25,7 @@ from tissue.scene.coupling import (
 )
 from tissue.scene.named_parts import ByKind, kinds_of, loaded
 from tissue.scene.organ import LayersAnatomy, LiverAnatomy, Organ, SlabAnatomy
-from tissue.scene.registry import ANATOMIES, CUTTERS, PERCEPTIONS
+from tissue.scene.registry import ANATOMIES, CUTTERS, MOTIONS, NEEDLES, PERCEPTIONS, PROBES
 from tissue.scene.tool import Needle, PathMotion, Probe, ReplayMotion, ThrustMotion, Tool
 from tissue.scene.unused_keys import unused_keys
 
@@ -85,7 +85,7 @@ AnyAnatomy = Annotated[
     ByKind(ANATOMIES),
 ]
 AnyTool = Annotated[Tool | Probe | Needle, ByKind()]
-AnyMotion = Annotated[PathMotion | ThrustMotion | ReplayMotion, Field(discriminator="kind")]
+AnyMotion = Annotated[PathMotion | ThrustMotion | ReplayMotion, ByKind(MOTIONS)]
 
 
 class Scene(Part):
@@ -214,5 +214,5 @@ class Scene(Part):
         return self.model_copy(update=changes)
 
 
-for table in (ANATOMIES, CUTTERS):
+for table in (ANATOMIES, CUTTERS, PROBES, NEEDLES, MOTIONS):
     table.on_change.append(partial(Scene.model_rebuild, force=True))

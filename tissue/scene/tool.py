@@ -8,7 +8,7 @@ from pydantic import Field, Strict, model_validator
 from meshes.base.errors import InputError
 from tissue.scene.anatomy import Part, Vector
 from tissue.scene.named_parts import OneOf
-from tissue.scene.registry import CUTTERS
+from tissue.scene.registry import CUTTERS, NEEDLES, PROBES
 
 __all__ = ["Needle", "PathMotion", "Probe", "ReplayMotion", "ThrustMotion", "Tool"]
 
@@ -59,7 +59,7 @@ class Tool(Part):
 class Probe(Part):
     """A smooth tool that presses: a ball, the flat end of a cylinder, or any closed surface."""
 
-    kind: Literal["sphere-probe", "cylinder-probe", "shell-probe"] = Field(examples=["sphere-probe"])
+    kind: Annotated[str, OneOf(PROBES)] = Field(examples=["sphere-probe"])
     """Shape of the probe."""
     diameter_mm: float = Field(20.0, ge=0.5, le=100)
     """Diameter of the ball or cylinder."""
@@ -71,16 +71,16 @@ class Probe(Part):
     """Millimetres per unit of that file."""
 
     @model_validator(mode="after")
-    def _shell_has_file(self) -> "Probe":
-        if self.kind == "shell-probe" and self.file is None:
-            raise InputError("tool.file must be given for a shell-probe, got nothing: add the surface's file")
+    def _has_its_file(self) -> "Probe":
+        if "file" in PROBES[self.kind].keys and self.file is None:
+            raise InputError(f"tool.file must be given for a {self.kind}, got nothing: add the surface's file")
         return self
 
 
 class Needle(Part):
     """A needle that pierces; its friction and cutting force are those of the tissue's table."""
 
-    kind: Literal["needle"] = "needle"
+    kind: Annotated[str, OneOf(NEEDLES)] = "needle"
     """A needle."""
     diameter_mm: float = Field(1.27, ge=0.2, le=5)
     """Outer diameter, 1.27 mm for 18 gauge; it scales nothing but the crack's width."""

@@ -13,7 +13,7 @@ from tissue.scene.anatomy import AnatomyFile, BlockAnatomy, GlenoidAnatomy, Mola
 from tissue.scene.coupling import WallAnatomy
 from tissue.scene.named_parts import shown
 from tissue.scene.organ import LiverAnatomy, SlabAnatomy
-from tissue.scene.registry import CUTTERS, DEVICES, PREDICTORS
+from tissue.scene.registry import CUTTERS, DEVICES, PREDICTORS, PROBES
 from tissue.scene.tool import Needle, Probe, ReplayMotion, ThrustMotion, Tool
 
 if TYPE_CHECKING:
@@ -140,12 +140,12 @@ def _tool(scene: "Scene") -> list[Rule]:
         ]
     if not isinstance(tool, Probe):
         return []
-    shell = tool.kind == "shell-probe"
+    keys = PROBES[tool.kind].keys
     return [
-        ("tool.length_mm", tool.kind != "cylinder-probe", where, "set tool.kind = cylinder-probe"),
-        ("tool.diameter_mm", shell, f"{where}, whose size its file gives", "set tool.scale_mm"),
-        ("tool.scale_mm", not shell, where, "set tool.diameter_mm"),
-        ("tool.file", not shell, where, "set tool.kind = shell-probe"),
+        ("tool.length_mm", "length_mm" not in keys, where, "set tool.kind = cylinder-probe"),
+        ("tool.diameter_mm", "diameter_mm" not in keys, f"{where}, whose size its file gives", "set tool.scale_mm"),
+        ("tool.scale_mm", "scale_mm" not in keys, where, "set tool.diameter_mm"),
+        ("tool.file", "file" not in keys, where, "set tool.kind = shell-probe"),
     ]
 
 

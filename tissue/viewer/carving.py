@@ -140,7 +140,7 @@ def _over_time(
     compute: str = "cpu",
 ) -> BoneOverTime:
     """The bone along poses, or else along those of the trace, which is right within 20 µm."""
-    from tissue.builders.registry import cutter_of
+    from tissue.builders.cutting import cutter_of
 
     uncut = end is not None and np.array_equal(end, volume.fraction)
     if not isinstance(scene.tool, Tool) or scene.tool.spin_rpm == 0.0 or uncut or not len(trace.rows):
@@ -172,7 +172,8 @@ def _coarse(scene: Scene) -> VoxelVolume | None:
         return None
     if anatomy.file is not None:
         return None
-    from tissue.builders.registry import cutter_of, motion_of
+    from tissue.builders.cutting import cutter_of
+    from tissue.builders.registry import motion_of
     from tissue.builders.voxels import volume_of
 
     spacing = max(COARSE_MM, scene.voxels.spacing_mm)

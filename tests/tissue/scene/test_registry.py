@@ -1,5 +1,6 @@
 """Every table of parts takes one from outside the package: a scene names it, runs with it, and messages list it."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -15,7 +16,10 @@ from tissue.cutters import cylinder
 from tissue.evaluation.charts.prediction import Comparison, Interval, comparison_lines
 from tissue.evaluation.charts.prediction_picture import draw_tasks
 from tissue.evaluation.training.evaluation import HORIZONS
+from tissue.models.needle.parameters import needle_tissue
+from tissue.models.organ.probe import SphereProbe
 from tissue.models.wall import WallModel
+from tissue.motion.motion import Motion
 from tissue.scene.anatomy import Part
 from tissue.scene.named_parts import Registry
 from tissue.scene.registry import (
@@ -24,12 +28,17 @@ from tissue.scene.registry import (
     DEVICES,
     GROUPS,
     HANDS,
+    MOTIONS,
+    NEEDLES,
     PERCEPTIONS,
     PREDICTORS,
+    PROBES,
     RENDERERS,
     AnatomyEntry,
     CutterEntry,
+    MotionEntry,
     PredictorEntry,
+    ProbeEntry,
 )
 from tissue.scene.tool import Probe
 
@@ -195,7 +204,7 @@ def test_a_perceptual_map_from_outside_scales(added):
 
 def test_a_cutter_from_outside_cuts(added):
     """A cylinder by another name, half as wide: it removes less than its namesake and reads a length."""
-    half = lambda tool: cylinder(diameter_m=0.5e-3 * tool.diameter_mm, length_m=1e-3 * tool.length_mm)  # noqa: E731
+    half = lambda diameter_m, length_m: cylinder(diameter_m=0.5 * diameter_m, length_m=length_m)  # noqa: E731
     added(CUTTERS, "half-cylinder", CutterEntry(half, ("length_mm",)))
     changes = {"voxels.spacing_mm": 0.5, "duration_s": 1.0, "tool.length_mm": 5.0}
     changes |= {"tool.diameter_mm": 6.0, "tool.spin_rpm": 500.0}
@@ -212,6 +221,97 @@ def test_a_cutter_from_outside_cuts(added):
         load_scene("milling", changes | {"tool.kind": "half-cylinder", "tool.point_angle_deg": 90.0})
     with pytest.raises(InputError, match=r"^tool.length_mm must be greater than 0 and at most 200, got -1"):
         load_scene("milling", changes | {"tool.kind": "half-cylinder", "tool.length_mm": -1.0})
+
+
+SLAB = {
+    "anatomy.kind": "slab",
+    "anatomy.size_mm": [60.0, 60.0, 20.0],
+    "anatomy.edge_mm": 10.0,
+    "anatomy.nodule_diameter_mm": 0.0,
+    "organ.order": 1,
+    "organ.interval_ms": 0.0,
+    "device": "none",
+    "motion.points_mm": [[0, 0, 1], [0, 0, -2]],
+    "duration_s": 0.15,
+    "tool.diameter_mm": 20.0,
+}
+
+
+def test_a_probe_from_outside_presses(added):
+    """A ball of twice the stated diameter is the ball of that diameter."""
+    added(PROBES, "wide-ball", ProbeEntry(lambda tool: SphereProbe(1e-3 * tool.diameter_mm), ("diameter_mm",)))
+    touch = {"anatomy.touch_edge_mm": 5.0, "motion.feed_mm_s": 20.0}
+    wide, same, half = (
+        simulate(load_scene("palpation", SLAB | touch | {"tool.kind": kind, "tool.diameter_mm": diameter_mm}))
+        for kind, diameter_mm in (("wide-ball", 20.0), ("sphere-probe", 40.0), ("sphere-probe", 20.0))
+    )
+    assert wide.trace["model_force_z_N"].max() > 1.1 * half.trace["model_force_z_N"].max() > 0.01
+    np.testing.assert_array_equal(wide.trace["model_force_z_N"], same.trace["model_force_z_N"])
+    for changes, refusal in (
+        (
+            {"tool.kind": "wide-bal"},
+            r"^tool.kind must be one of ball-burr, .*, wide-ball, needle, got wide-bal \(did",
+        ),
+        ({"tool.kind": "wide-ball", "tool.length_mm": 5.0}, r"^tool.length_mm must be left out for a wide-ball, got 5"),
+        ({"tool.kind": "wide-ball", "tool.file": "a.stl"}, r"^tool.file must be left out for a wide-ball, got"),
+    ):
+        with pytest.raises(InputError, match=refusal):
+            load_scene("palpation", SLAB | {"tool.diameter_mm": 20.0} | changes)
+
+
+def test_a_needle_from_outside_pierces(added):
+    """One that cuts twice as hard is held back more once it is in."""
+    added(NEEDLES, "blunt", lambda vessel_wall_depth_m: replace(needle_tissue(), cutting_N=5.0))
+    blunt, sharp = (
+        simulate(load_scene("needle", {"tool.kind": kind, "anatomy.interval_ms": 0.0, "device": "none"}))
+        for kind in ("blunt", "needle")
+    )
+    assert blunt.trace["model_force_z_N"].max() > 1.5 * sharp.trace["model_force_z_N"].max() > 0.5
+    with pytest.raises(InputError, match=r"^tool.kind must be one of needle, blunt for a layers, got sphere-probe"):
+        load_scene("needle", {"tool.kind": "sphere-probe"})
+
+
+class Dip(Part):
+    """Straight down at a speed, from 1 mm above."""
+
+    kind: Literal["dip"] = "dip"
+    speed_mm_s: float = Field(10.0, gt=0.0, le=100.0)
+
+
+class Dipping(Motion):
+    """A dip of 0.2 s."""
+
+    duration_s = 0.2
+
+    def __init__(self, dip, step_s):
+        self.speed_m_s = 1e-3 * dip.speed_mm_s
+
+    def sweep_m(self):
+        return np.array([[0.0, 0.0, 1e-3], [0.0, 0.0, 1e-3 - self.duration_s * self.speed_m_s]])
+
+    def rotations(self):
+        return np.stack([np.eye(3)] * 2)
+
+    def begin(self, motion):
+        motion.tip_m[:], motion.rotation[:], motion.heading[0] = self.sweep_m()[0], np.eye(3), (0.0, 0.0, -1.0)
+
+    def advance(self, time_s, step_s, response, motion):
+        motion.tip_m[2], motion.speed_m_s = 1e-3 - self.speed_m_s * time_s, self.speed_m_s
+
+
+def test_a_motion_from_outside_moves(added):
+    added(MOTIONS, "dip", MotionEntry(Dip, Dipping))
+    changes = {"device": "none", "motion.kind": "dip", "motion.speed_mm_s": 20.0, "duration_s": None}
+    run = simulate(load_scene("wall", changes))
+    assert len(run.trace["time_s"]) == 200 and Scene.model_validate(run.scene.model_dump()) == run.scene
+    np.testing.assert_allclose(run.trace["tool_z_mm"], 1.0 - 20.0 * run.trace["time_s"], atol=1e-12)
+    for key, value, refusal in (
+        ("motion.kind", "dipp", r"^motion.kind must be one of path, thrust, replay, dip, got dipp \(did you mean dip"),
+        ("motion.speed_mm_s", 0.0, r"^motion.speed_mm_s must be greater than 0 and at most 100, got 0"),
+        ("motion.feed_mm_s", 1.0, r"^motion.feed_mm_s must be one of kind, speed_mm_s, got feed_mm_s"),
+    ):
+        with pytest.raises(InputError, match=refusal):
+            load_scene("wall", changes | {key: value})
 
 
 class Jelly(Part):
@@ -256,7 +356,7 @@ def test_a_part_that_was_removed_is_refused():
 
 def test_the_page_and_the_help_texts_list_every_name():
     page = (Path(__file__).parents[3] / "docs" / "commands.md").read_text("utf-8")
-    for table in (ANATOMIES, CUTTERS, DEVICES, HANDS, PERCEPTIONS, PREDICTORS, RENDERERS):
+    for table in (ANATOMIES, CUTTERS, PROBES, NEEDLES, MOTIONS, DEVICES, HANDS, PERCEPTIONS, PREDICTORS, RENDERERS):
         row = f"| `{table.key}` | {', '.join(f'`{name}`' for name in table)} |"
         assert row in page
     for name in (*DEVICES, *GROUPS):

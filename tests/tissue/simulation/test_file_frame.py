@@ -15,7 +15,7 @@ from meshes.shapes import sdf
 from meshes.shapes.anatomy import Anatomy, cortical_block
 from meshes.voxels.voxelise import voxelise
 from tissue import load_scene, simulate
-from tissue.builders.bone_from_file import require_whole
+from tissue.builders.voxels import require_whole
 from tissue.simulation.run_folder import saved_placement
 from tissue.viewer.carving import read_voxels
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from tissue.builders.registry import cutter_of
+from tissue.builders.cutting import cutter_of
 from tissue.scene.load import changed
 from tissue.scene.organ import LayersAnatomy, LiverAnatomy, SlabAnatomy
 from tissue.scene.registry import PREDICTORS, RENDERERS
