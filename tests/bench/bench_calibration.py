@@ -13,23 +13,38 @@ from time import perf_counter
 
 import numpy as np
 from harness import cost_of, machine, table
+from scipy.special import ndtri
 
 from tissue.evaluation.calibration.force_discrimination import (
     Stimulus,
     calibrated_commands,
     gain_of,
     share_right,
-    stimulus_of,
 )
 from tissue.evaluation.calibration.simulated_observer import SimulatedObservers, draw_observers
 from tissue.haptics.loop.filters import ForceRange
+from tissue.materials.constants import constants
 from tissue.perception.adaptive import AdaptiveThreshold, ThresholdPrior, comparisons
-from tissue.perception.psychometric import D_PRIME_75, d_prime_of_correct, two_interval
+from tissue.perception.psychometric import D_PRIME_75, two_interval
 from tissue.perception.staircase import Staircase
 from tissue.perception.weber import weber
 from tissue.scene.registry import GROUPS
+from tissue.simulation.trace import Table
 
 PEOPLE = 100
+
+
+def stimulus_of(trace: Table, start_s: float, end_s: float, *, scale: float = 1.0) -> Stimulus:
+    """The force on the tool between two times of a run [s], as it is at the device: mean and deviation of windows.
+
+    A window is as long as a person averages, a tenth of a second; slow changes of the force count as scatter.
+    """
+    window_s = constants("perception", "force")["integration_s"].value
+    times, sizes = trace["time_s"], np.linalg.norm(trace.vectors("model_force", "N"), axis=1)
+    edges = start_s + window_s * np.arange(int((end_s - start_s) / window_s + 1e-9) + 1)
+    which = np.digitize(times, edges) - 1
+    means = [scale * sizes[which == index].mean() for index in range(len(edges) - 1) if (which == index).any()]
+    return Stimulus(float(np.mean(means)), float(np.std(means)))
 
 
 def equal_people(count: int, **given: float) -> SimulatedObservers:
@@ -104,7 +119,7 @@ def staircase() -> None:
         errors["adaptive"].append(np.abs(np.log(found.threshold_N(2.0)[0] / truth)))
         for name, each in stairs.items():
             each.answer(people.correct(2.0, each.level, rng))
-            result = each.threshold() * D_PRIME_75 / d_prime_of_correct(each.target)
+            result = each.threshold() * D_PRIME_75 / (2.0**0.5 * ndtri(each.target))
             errors[name].append(np.abs(np.log(result / truth)))
     needed = {}
     for name, each in errors.items():

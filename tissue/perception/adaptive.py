@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import beta
+from scipy.stats import beta, norm
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
@@ -14,6 +14,9 @@ __all__ = ["EDGE_MASS", "AdaptiveThreshold", "ThresholdPrior", "comparisons"]
 
 EDGE_MASS = 0.05
 """Posterior mass in the outermost cells of the Weber fraction's grid from which on the prior, not the data, decides."""
+BASES_N = (0.3, 0.8, 2.0)
+STEP_COUNT = 25
+"""Smaller forces of the pairs that are asked [N], and steps at each of them."""
 STEPS = (0.005, 1.5)
 """Least and greatest step that is asked, as shares of the base force plus `LOW_FORCE_N`."""
 LOW_FORCE_N = 0.2
@@ -69,52 +72,34 @@ class ThresholdPrior:
         edges = self.weber_edges
         return np.sqrt(edges[1:] * edges[:-1])
 
-    @property
-    def offsets_N(self) -> Array:
-        """Low-force terms [N], shape (offset_cells,)."""
-        return np.geomspace(0.05, 0.8, self.offset_cells) if self.offset_cells > 1 else np.array([LOW_FORCE_N])
-
-    @property
-    def lapses(self) -> Array:
-        """Middles of the cells of the lapse, shape (lapse_cells,)."""
-        edges = np.linspace(0.0, 0.2, self.lapse_cells + 1)
-        return 0.5 * (edges[1:] + edges[:-1])
-
     def parameters(self) -> tuple[Array, Array, Array, Array]:
         """Weber fractions, low-force terms [N], lapses and prior masses of the grid's points, each of shape (n,)."""
-        place = (np.log(self.webers) - np.log(self.weber)) / self.weber_log_spread
-        offsets = np.log(self.offsets_N / LOW_FORCE_N) / 0.5
+        offsets = np.geomspace(0.05, 0.8, self.offset_cells) if self.offset_cells > 1 else np.array([LOW_FORCE_N])
         lapse_edges = np.linspace(0.0, 0.2, self.lapse_cells + 1)
-        masses = np.einsum(
-            "i,j,k->ijk", np.exp(-0.5 * place**2), np.exp(-0.5 * offsets**2), np.diff(beta.cdf(lapse_edges, 1.0, 10.0))
+        lapses = 0.5 * (lapse_edges[1:] + lapse_edges[:-1])
+        masses = (
+            norm.pdf(np.log(self.webers / self.weber), scale=self.weber_log_spread)[:, None, None]
+            * norm.pdf(np.log(offsets / LOW_FORCE_N), scale=0.5)[:, None]
+            * np.diff(beta.cdf(lapse_edges, 1.0, 10.0))
         )
-        grid = np.meshgrid(self.webers, self.offsets_N, self.lapses, indexing="ij")
+        grid = np.meshgrid(self.webers, offsets, lapses, indexing="ij")
         weber, offset, lapse = (values.ravel() for values in grid)
         return weber, offset, lapse, (masses / masses.sum()).ravel()
 
 
-def comparisons(
-    bases_N: tuple[float, ...] = (0.3, 0.8, 2.0), *, force_limit_N: float = 3.3, count: int = 25
-) -> tuple[Array, Array]:
+def comparisons(bases_N: tuple[float, ...] = BASES_N, *, force_limit_N: float = 3.3) -> tuple[Array, Array]:
     """Base forces and steps [N] that can be asked, each of shape (n,): steps of equal ratio at every base force.
 
     Parameters
     ----------
     bases_N
-        Smaller force of the pair [N].
+        Smaller forces of the pairs [N].
     force_limit_N
         Greatest force of the device; no pair goes above it [N].
-    count
-        Steps at each base force.
     """
-    require_range("count", count, 2, 1000, "use 25")
-    for each in bases_N:
-        require_positive("bases_N", each, "use forces the device can play, such as 0.3, 0.8 and 2 N")
-    bases = np.repeat(bases_N, count)
-    steps = np.tile(np.geomspace(*STEPS, count), len(bases_N)) * (bases + LOW_FORCE_N)
+    bases = np.repeat(bases_N, STEP_COUNT)
+    steps = np.tile(np.geomspace(*STEPS, STEP_COUNT), len(bases_N)) * (bases + LOW_FORCE_N)
     fits = bases + steps <= force_limit_N
-    if not fits.any():
-        raise InputError(f"bases_N must lie below force_limit_N, got {bases_N} with {force_limit_N}: use smaller ones")
     return bases[fits], steps[fits]
 
 
@@ -178,26 +163,23 @@ class AdaptiveThreshold:
         """Posterior of the Weber fraction alone, shape (cells, observers)."""
         return self.posterior.reshape(self.prior.cells, -1, self.posterior.shape[1]).sum(axis=1)
 
-    def offset_masses(self) -> Array:
-        """Posterior of the low-force term alone, shape (offset_cells, observers)."""
-        shape = (self.prior.cells, self.prior.offset_cells, -1, self.posterior.shape[1])
-        return self.posterior.reshape(shape).sum(axis=(0, 2))
-
     def threshold_N(self, base_N: float) -> tuple[Array, Array]:
         """Mean threshold at a base force [N] and standard deviation of its logarithm, each of shape (observers,)."""
-        logs = np.log(self._weber * (base_N + self._offset))
-        mean = logs @ self.posterior
-        return np.exp(mean), np.sqrt(np.maximum(logs**2 @ self.posterior - mean**2, 0.0))
+        return self._log_moments(self._weber * (base_N + self._offset))
 
     def weber(self) -> tuple[Array, Array]:
         """Geometric mean of the Weber fraction and standard deviation of its logarithm, each of shape (observers,)."""
-        logs, masses = np.log(self.prior.webers), self.weber_masses()
-        mean = logs @ masses
-        return np.exp(mean), np.sqrt(np.maximum(logs**2 @ masses - mean**2, 0.0))
+        return self._log_moments(self._weber)
 
     def offset_N(self) -> Array:
         """Geometric mean of the low-force term [N], shape (observers,)."""
-        return np.exp(np.log(self.prior.offsets_N) @ self.offset_masses())
+        return self._log_moments(self._offset)[0]
+
+    def _log_moments(self, values: Array) -> tuple[Array, Array]:
+        """Geometric mean of a positive figure of the grid's points, and standard deviation of its logarithm."""
+        logs = np.log(values)
+        mean = logs @ self.posterior
+        return np.exp(mean), np.sqrt(np.maximum(logs**2 @ self.posterior - mean**2, 0.0))
 
     def lapse(self) -> Array:
         """Mean of the lapse, shape (observers,)."""

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,10 @@ from numpy.typing import NDArray
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_range
 from tissue.perception.psychometric import D_PRIME_75
+
+if TYPE_CHECKING:
+    from jax import Array as JaxArray
+    from numpyro.distributions import Distribution
 
 __all__ = ["HYPER", "PopulationFit", "PopulationTrials", "fit_hierarchy"]
 
@@ -89,7 +93,8 @@ class PopulationFit:
     def problems(self) -> list[str]:
         """Why the fit should not be trusted, in sentences; empty where it can be."""
         found = []
-        worst, least = max(self.r_hat, key=self._r_hat), min(self.ess, key=lambda name: self.ess[name])
+        worst = max(self.r_hat, key=lambda name: np.nan_to_num(self.r_hat[name], nan=np.inf))
+        least = min(self.ess, key=lambda name: self.ess[name])
         if not self.r_hat[worst] <= R_HAT:
             found.append(f"R-hat of {worst} is {self.r_hat[worst]:.3f}, above {R_HAT}: the chains have not mixed")
         if not self.ess[least] >= ESS:
@@ -98,13 +103,10 @@ class PopulationFit:
             found.append(f"{self.divergences} transitions diverged: the tails may be missed")
         return found
 
-    def _r_hat(self, name: str) -> float:
-        return np.nan_to_num(self.r_hat[name], nan=np.inf)
-
-    def interval(self, name: str, share: float = 0.95) -> tuple[float, float, float]:
-        """Lower end, median and upper end of the central interval of a population's parameter."""
-        low, middle, high = np.quantile(self.draws[name], [0.5 - share / 2.0, 0.5, 0.5 + share / 2.0])
-        return float(low), float(middle), float(high)
+    def interval(self, name: str) -> tuple[float, float, float]:
+        """Lower end, median and upper end of the central 95 % interval of a population's parameter."""
+        low, middle, high = np.quantile(self.draws[name], [0.025, 0.5, 0.975]).tolist()
+        return low, middle, high
 
 
 def fit_hierarchy(
@@ -160,20 +162,19 @@ def fit_hierarchy(
         chain_method="sequential",
         progress_bar=progress,
     )
-    run.run(random.PRNGKey(seed), *_data(trials), extra_fields=("diverging",))
+    ratings = (trials.who_rated, np.log(trials.force_N), np.log(trials.number))
+    run.run(random.PRNGKey(seed), ratings, trials.counts(), extra_fields=("diverging",))
     drawn = {name: np.asarray(values, dtype=float) for name, values in run.get_samples(group_by_chain=True).items()}
     people = ("alpha", "beta_person", "kappa", "offset_N", "lapse", "sigma")
-    r_hat = {name: float(split_gelman_rubin(drawn[name])) for name in HYPER}
-    ess = {name: float(effective_sample_size(drawn[name])) for name in HYPER}
-    r_hat["people"] = max(float(np.max(split_gelman_rubin(drawn[name]))) for name in people)
-    ess["people"] = min(float(np.min(effective_sample_size(drawn[name]))) for name in people)
+    judged = {name: (name,) for name in HYPER} | {"people": people}
+    r_hat = {
+        key: max(float(np.max(split_gelman_rubin(drawn[name]))) for name in names) for key, names in judged.items()
+    }
+    ess = {
+        key: min(float(np.min(effective_sample_size(drawn[name]))) for name in names) for key, names in judged.items()
+    }
     kept = {name: drawn[name] for name in (*HYPER, *people)}
     return PopulationFit(kept, r_hat, ess, int(np.sum(run.get_extra_fields()["diverging"])))
-
-
-def _data(trials: PopulationTrials) -> tuple[tuple[Index, Array, Array], tuple[Index, Array, Array, Index, Index]]:
-    """Trials as the model takes them: person, ln force and ln number; and the counts of comparisons."""
-    return (trials.who_rated, np.log(trials.force_N), np.log(trials.number)), trials.counts()
 
 
 def _model(
@@ -185,7 +186,7 @@ def _model(
     from jax.scipy.special import ndtr
     from numpyro import distributions as law
 
-    def person(name: str, mean: Any, spread: Any, *, is_well_known: bool) -> Any:
+    def person(name: str, mean: "Distribution", spread: "Distribution", *, is_well_known: bool) -> "JaxArray":
         """A normal parameter of each person around the population's; an offset from it where trials are few."""
         centre = numpyro.sample(name, mean)
         width = numpyro.sample(f"{name}_spread", spread)

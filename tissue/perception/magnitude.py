@@ -8,7 +8,6 @@ from scipy.special import digamma, polygamma
 from scipy.stats import t
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
 
 __all__ = ["MAGNITUDE_FORCES_N", "MagnitudePosterior", "fit_magnitudes"]
 
@@ -52,14 +51,8 @@ class MagnitudePosterior:
 
     def exponent_at(self, shares: ArrayLike) -> Array:
         """Quantiles of the exponent beta."""
-        return self.mean[1] + self._exponent_width() * t.ppf(shares, 2.0 * self.shape)
-
-    def exponent_below(self, exponent: float) -> float:
-        """Probability that beta lies below a value."""
-        return float(t.cdf((exponent - self.mean[1]) / self._exponent_width(), 2.0 * self.shape))
-
-    def _exponent_width(self) -> float:
-        return float(np.sqrt(self.scale / self.shape * np.linalg.inv(self.precision)[1, 1]))
+        width = np.sqrt(self.scale / self.shape * np.linalg.inv(self.precision)[1, 1])
+        return self.mean[1] + width * t.ppf(shares, 2.0 * self.shape)
 
 
 def fit_magnitudes(forces_N: ArrayLike, numbers: ArrayLike) -> MagnitudePosterior:
@@ -73,22 +66,12 @@ def fit_magnitudes(forces_N: ArrayLike, numbers: ArrayLike) -> MagnitudePosterio
         Forces [N], positive, shape (n,).
     numbers
         Numbers that were given to them, positive, shape (n,).
-
-    Raises
-    ------
-    InputError
-        If a force or number is not positive and finite, or they differ in count.
     """
-    forces, given = np.asarray(forces_N, dtype=float), np.asarray(numbers, dtype=float)
-    if forces.shape != given.shape or forces.ndim != 1:
-        raise InputError(f"numbers must be one for each force, got {given.shape} for {forces.shape}: mend the list")
-    for name, values in (("forces_N", forces), ("numbers", given)):
-        if not (np.isfinite(values) & (values > 0.0)).all():
-            raise InputError(f"{name} must be positive and finite, got {values}: an intensity is a number above 0")
-    design = np.column_stack([np.ones(len(forces)), np.log(forces)])
-    logarithms, prior = np.log(given), PRIOR_WEIGHT * np.eye(2)
+    log_forces, logarithms = np.log(forces_N), np.log(numbers)
+    design = np.column_stack([np.ones(len(log_forces)), log_forces])
+    prior = PRIOR_WEIGHT * np.eye(2)
     precision = prior + design.T @ design
     start = np.array(PRIOR_MEAN)
     mean = np.linalg.solve(precision, prior @ start + design.T @ logarithms)
     scale = PRIOR_SCALE + 0.5 * float(logarithms @ logarithms + start @ prior @ start - mean @ precision @ mean)
-    return MagnitudePosterior(mean, precision, PRIOR_SHAPE + 0.5 * len(forces), scale)
+    return MagnitudePosterior(mean, precision, PRIOR_SHAPE + 0.5 * len(design), scale)

@@ -7,7 +7,7 @@ from math import exp, log
 from pathlib import Path
 
 import numpy as np
-from scipy.special import expit, logit, ndtri
+from scipy.special import expit, logit
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_range
@@ -32,6 +32,7 @@ BOUNDS = {
 """Plausible medians of a person; what lies outside is an error of units or of a fit."""
 FORMAT, VERSION = "tissue observer", 1
 COORDINATES = ("ln alpha", "beta", "ln kappa", "ln offset_N", "logit lapse", "ln sigma")
+TO_COORDINATE = dict.fromkeys(PARAMETERS, np.log) | {"beta": np.asarray, "lapse": logit}
 WIDEST = 10.0
 """Greatest standard deviation of a coordinate: beyond it nothing is known, and it is an error of a fit."""
 
@@ -108,27 +109,13 @@ class Observer:
             require_range(parameter, value, *BOUNDS[parameter], "see perception.toml for what is usual")
         spreads = [require_range(f"spread of {each}", (spread or {}).get(each, 0.0), 0.0, WIDEST, "use 0.2")
                    for each in PARAMETERS]  # fmt: skip
-        mean = np.array([_to(parameter, np.float64(value)) for parameter, value in given.items()])
+        mean = np.array([TO_COORDINATE[parameter](value) for parameter, value in given.items()])
         return cls(name=name, mean=mean, covariance=np.diag(np.square(spreads)), trials=trials)
 
     @classmethod
     def from_draws(cls, name: str, draws: Mapping[str, Array], *, trials: int) -> "Observer":
-        """The normal posterior with the mean and covariance of draws, each of shape (n,), by parameter's name.
-
-        Raises
-        ------
-        InputError
-            If a parameter is missing, a draw is impossible (a negative fraction), or there are fewer than 20.
-        """
-        if missing := [parameter for parameter in PARAMETERS if parameter not in draws]:
-            raise InputError(f"draws must name {', '.join(PARAMETERS)}, got none of {missing[0]}: add it")
-        with np.errstate(invalid="ignore", divide="ignore"):
-            rows = np.array([_to(parameter, np.asarray(draws[parameter], dtype=float)) for parameter in PARAMETERS])
-        if rows.shape[1] < 20:
-            raise InputError(f"draws must be 20 or more, got {rows.shape[1]}: draw some hundred")
-        for parameter, row in zip(PARAMETERS, rows, strict=True):
-            if not np.isfinite(row).all():
-                raise InputError(f"draws of {parameter} must be possible values, got one that is not: keep it positive")
+        """The normal posterior with the mean and covariance of draws, each of shape (n,), by parameter's name."""
+        rows = np.array([TO_COORDINATE[parameter](draws[parameter]) for parameter in PARAMETERS])
         return cls(name=name, mean=rows.mean(axis=1), covariance=np.cov(rows), trials=trials)
 
     @property
@@ -160,15 +147,6 @@ class Observer:
     def sigma(self) -> float:
         """Median relative scatter of a reported intensity."""
         return exp(self.mean[5])
-
-    def interval(self, parameter: str, *, share: float = 0.95) -> tuple[float, float]:
-        """Ends of the central interval that holds a parameter with a probability."""
-        if parameter not in PARAMETERS:
-            raise InputError(f"parameter must be one of {', '.join(PARAMETERS)}, got {parameter}: choose one of these")
-        require_range("share", share, 0.0, 1.0 - 1e-12, "use 0.95")
-        index = PARAMETERS.index(parameter)
-        half = float(ndtri(0.5 + 0.5 * share)) * float(np.sqrt(max(self.covariance[index, index], 0.0)))
-        return float(_from(parameter, self.mean[index] - half)), float(_from(parameter, self.mean[index] + half))
 
     def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
         """Possible values of every parameter, each of shape (count,), drawn together."""
@@ -238,11 +216,6 @@ def read_observer(path: Path) -> Observer:
         return Observer(name=name, mean=mean, covariance=covariance, trials=trials)
     except InputError as problem:
         raise InputError(f"observer {path}: {problem}") from problem
-
-
-def _to(parameter: str, value: Array | np.float64) -> Array:
-    """The coordinate of a value."""
-    return np.asarray(value if parameter == "beta" else logit(value) if parameter == "lapse" else np.log(value))
 
 
 def _from(parameter: str, coordinate: Array | np.float64) -> Array:

@@ -6,7 +6,6 @@ import numpy as np
 from scipy.special import digamma, expit, logit, polygamma
 
 from meshes.base.arrays import Array
-from meshes.base.errors import require_positive, require_range
 from tissue.materials.constants import constants
 from tissue.perception.observer import PARAMETERS, Observer
 
@@ -43,14 +42,6 @@ class Population:
     offset_log_spread: float
     lapse_logit_spread: float
     sigma_shape: float
-
-    def __post_init__(self) -> None:
-        for name in ("beta", "kappa", "offset_N", "sigma"):
-            require_positive(name, getattr(self, name), "see perception.toml for what is usual")
-        require_range("lapse", self.lapse, 1e-6, 0.4, "use 0.02")
-        require_range("sigma_shape", self.sigma_shape, 2.1, 1e6, "use 10")
-        for name in ("alpha_log_spread", "beta_spread", "kappa_log_spread", "offset_log_spread", "lapse_logit_spread"):
-            require_range(name, getattr(self, name), 0.0, 3.0, "see perception.toml for what is usual")
 
     def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
         """Parameters of so many people, each of shape (count,), by the names of an observer's parameters."""

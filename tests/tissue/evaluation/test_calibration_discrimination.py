@@ -1,4 +1,4 @@
-"""People who discriminate stimuli: null data, what a mapping can and cannot do, and stimuli from runs."""
+"""People who discriminate stimuli: null data, and what a mapping can and cannot do."""
 
 from dataclasses import replace
 
@@ -11,14 +11,12 @@ from tissue.evaluation.calibration.force_discrimination import (
     calibrated_commands,
     gain_of,
     share_right,
-    stimulus_of,
 )
 from tissue.evaluation.calibration.simulated_observer import SimulatedObservers, draw_observers
 from tissue.haptics.loop.filters import ForceRange
 from tissue.perception.population import reference_observer
 from tissue.perception.psychometric import D_PRIME_75, correct_of_d_prime
 from tissue.scene.registry import GROUPS
-from tissue.simulation.trace import Table
 
 
 def people(count, **given):
@@ -54,7 +52,7 @@ def test_no_false_gain_on_null_data():
     for seed in range(100):
         before = share_right(crowd, same, same, seed=2 * seed, trials=20)
         after = share_right(crowd, same, same, seed=2 * seed + 1, trials=20, commands=commands)
-        gain = gain_of(before, after, rng, resamples=400)
+        gain = gain_of(before, after, rng)
         above, below = above + (gain.low > 0.0), below + (gain.high < 0.0)
     assert above <= 9 and below <= 9
 
@@ -112,27 +110,11 @@ def test_texture_is_a_second_cue():
     assert share_right(crowd, same, same, seed=1, texture_share=0.1).mean() == pytest.approx(0.5, abs=0.02)
 
 
-def test_a_stimulus_is_read_from_a_run():
-    times = np.arange(0.0, 1.0, 1e-3)
-    columns = ("time_s", *(f"model_force_{c}_N" for c in "xyz"))
-    rows = np.column_stack([times, 0.0 * times, 3.0 + 0.0 * times, np.where(times < 0.5, 4.0, 0.0)])
-    trace = Table(columns, rows)
-    assert stimulus_of(trace, 0.1, 0.4) == Stimulus(5.0, 0.0)
-    half = stimulus_of(trace, 0.4, 0.6, scale=0.1)
-    assert half.level_N == pytest.approx(0.4) and half.scatter_N == pytest.approx(0.1)
-    with pytest.raises(InputError, match="end_s must be"):
-        stimulus_of(trace, 0.5, 0.55)
-    with pytest.raises(InputError, match="end_s must be"):
-        stimulus_of(trace, 2.0, 3.0)
-
-
 def test_what_makes_no_sense_is_refused():
     with pytest.raises(InputError, match="level_N must be in"):
         Stimulus(-1.0)
     with pytest.raises(InputError, match="level_N must be in"):
         Stimulus(float("nan"))
-    with pytest.raises(InputError, match="after must be paired"):
-        gain_of(np.ones(3), np.ones(4), np.random.default_rng(0))
 
 
 def test_a_wrong_noise_model_changes_shares_not_signs():

@@ -14,20 +14,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, require_positive, require_range
+from meshes.base.errors import require_range
 from tissue.evaluation.calibration.simulated_observer import SimulatedObservers
 from tissue.haptics.loop.filters import ForceRange
 from tissue.materials.constants import constants
 from tissue.perception.magnitude import MAGNITUDE_FORCES_N, fit_magnitudes
 from tissue.perception.mapping import ForceMap
-from tissue.perception.observer import Observer
 from tissue.perception.population import reference_observer
 from tissue.perception.psychometric import D_PRIME_75
 from tissue.perception.stevens import Intensity, intensity_of
-from tissue.simulation.trace import Table
 
-__all__ = ["Command", "Gain", "Stimulus", "calibrated_commands", "gain_of", "share_right", "stimulus_of"]
+__all__ = ["Command", "Gain", "Stimulus", "calibrated_commands", "gain_of", "share_right"]
 
+RESAMPLES = 2000
+"""Groups of people drawn again for an interval."""
 Command = Callable[[Array], Array]
 """Force at the device [N] for the one that shall be felt [N], any shape."""
 
@@ -44,46 +44,12 @@ class Stimulus:
             require_range(name, getattr(self, name), 0.0, 1e4, "forces are sizes")
 
 
-def stimulus_of(trace: Table, start_s: float, end_s: float, *, scale: float = 1.0) -> Stimulus:
-    """The force on the tool between two times of a run [s], as it is at the device.
-
-    The size of the force is averaged over windows of a tenth of a second, as long as a person averages; their mean is
-    the level and their standard deviation the scatter, slow changes of the force among it.
-
-    Parameters
-    ----------
-    trace
-        Trace of a run.
-    start_s, end_s
-        Part of it [s].
-    scale
-        Newtons at the device for each one at the tool.
-
-    Raises
-    ------
-    InputError
-        If the run holds no whole window between these times.
-    """
-    require_positive("scale", scale, "use the scene's coupling.force_scale")
-    window_s = constants("perception", "force")["integration_s"].value
-    times, sizes = trace["time_s"], np.linalg.norm(trace.vectors("model_force", "N"), axis=1)
-    edges = start_s + window_s * np.arange(int((end_s - start_s) / window_s + 1e-9) + 1)
-    which = np.digitize(times, edges) - 1
-    means = [scale * sizes[which == index].mean() for index in range(len(edges) - 1) if (which == index).any()]
-    if not means:
-        raise InputError(
-            f"end_s must be {window_s:g} s or more after start_s within the run, got {start_s:g} to {end_s:g}"
-        )
-    return Stimulus(float(np.mean(means)), float(np.std(means)))
-
-
 def calibrated_commands(
     people: SimulatedObservers,
     rng: np.random.Generator,
     *,
     numbers: int = 24,
     limits: ForceRange | None = None,
-    reference: Observer | None = None,
 ) -> list[Command]:
     """The force to command for each person after a calibration by numbers: each is brought to the reference (E5).
 
@@ -97,12 +63,10 @@ def calibrated_commands(
         Numbers a person gives; 0 takes each person's true exponent and factor instead.
     limits
         Range of the device, default 3.3 N.
-    reference
-        Whose intensity is wanted, default that of the population's medians.
     """
     device = limits or ForceRange(limit_N=3.3)
     knee_N = device.knee_share * device.limit_N
-    wanted = intensity_of(reference or reference_observer())
+    wanted = intensity_of(reference_observer())
     forces = np.resize(MAGNITUDE_FORCES_N, numbers)
     given = np.array([people.number(force, rng) for force in forces])
     commands: list[Command] = []
@@ -152,7 +116,6 @@ def share_right(
         is a second cue with a noise of its own: distances of cues add up as squares. Its threshold is assumed, see
         observers.toml.
     """
-    require_range("trials", trials, 1, 1e6, "use 100")
     if first.level_N > second.level_N:
         first, second = second, first
     device = limits or ForceRange(limit_N=3.3)
@@ -168,10 +131,8 @@ def share_right(
     threshold = people.kappa * (np.minimum(less, more) + people.offset_N)
     distance = D_PRIME_75 * (more - less) / threshold
     if texture_share > 0.0:
-        vibration = constants("observers", "texture")
-        texture_noise = vibration["kappa"].value * (
-            texture_share * np.minimum(less, more) + vibration["offset_N"].value
-        )
+        vibration = {name: entry.value for name, entry in constants("observers", "texture").items()}
+        texture_noise = vibration["kappa"] * (texture_share * np.minimum(less, more) + vibration["offset_N"])
         distance = np.sign(distance) * np.hypot(distance, D_PRIME_75 * texture_share * (more - less) / texture_noise)
     return np.mean([people.discriminate(distance[trial], noise) for trial in range(trials)], axis=0)
 
@@ -193,8 +154,8 @@ class Gain:
         Mean share of right answers.
     percent, low, high
         Change of the mean share in percent of what it was, and its interval by resampling people.
-    better, worse
-        Share of people who answered more, and less, rightly than before.
+    better
+        Share of people who answered more rightly than before.
     """
 
     before: float
@@ -203,14 +164,11 @@ class Gain:
     low: float
     high: float
     better: float
-    worse: float
 
 
-def gain_of(before: Array, after: Array, rng: np.random.Generator, *, resamples: int = 2000) -> Gain:
+def gain_of(before: Array, after: Array, rng: np.random.Generator) -> Gain:
     """Compare paired shares of right answers, each of shape (n,)."""
-    if before.shape != after.shape or len(before) < 2:
-        raise InputError(f"after must be paired with before, got shapes {before.shape} and {after.shape}: same people")
-    drawn = rng.integers(len(before), size=(resamples, len(before)))
+    drawn = rng.integers(len(before), size=(RESAMPLES, len(before)))
     changes = 100.0 * (after[drawn].mean(axis=1) / before[drawn].mean(axis=1) - 1.0)
     low, high = np.quantile(changes, [0.025, 0.975])
     return Gain(
@@ -220,5 +178,4 @@ def gain_of(before: Array, after: Array, rng: np.random.Generator, *, resamples:
         low=float(low),
         high=float(high),
         better=float((after > before).mean()),
-        worse=float((after < before).mean()),
     )

@@ -7,7 +7,7 @@ import numpy as np
 
 from tissue.evaluation.calibration.session import Session
 from tissue.figures.figure import figure, save
-from tissue.perception.psychometric import D_PRIME_75, correct_of_d_prime
+from tissue.perception.psychometric import D_PRIME_75, correct_of_d_prime, with_lapse
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -76,7 +76,7 @@ def _answers(session: Session, axes: "Axes") -> None:
                 steps[bin_].mean(), 100.0 * right[bin_].mean(), "o", color=ORANGE, ms=3.0 + np.sqrt(len(bin_))
             )
     at = np.geomspace(0.1, max(steps.max(initial=5.0), 5.0), 200)
-    share = 0.5 + (0.5 - lapse) * (2.0 * correct_of_d_prime(D_PRIME_75 * at) - 1.0)
+    share = with_lapse(2.0 * correct_of_d_prime(D_PRIME_75 * at) - 1.0, lapse)
     axes.semilogx(at, 100.0 * share, color=BLUE)
     _ticks(axes, [0.1, 0.3, 1, 3, 10])
     axes.axhline(75.0, color=GREY, lw=1.0, ls=":")
