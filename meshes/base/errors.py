@@ -2,13 +2,28 @@
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 __all__ = [
-    "DamagedFileError", "InputError", "counted", "in_callers_words", "names_of_caller", "require_positive",
+    "DamagedFileError",
+    "InputError",
+    "by",
+    "counted",
+    "in_brackets",
+    "in_callers_words",
+    "names_of_caller",
+    "require_direction",
+    "require_file",
+    "require_positive",
     "require_range",
-]  # fmt: skip
+    "require_ranges",
+    "require_vector",
+]
 
 NUMBER = r"(?<![\w.+-])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.])"
 
@@ -24,6 +39,16 @@ class DamagedFileError(Exception):
 def counted(count: int, noun: str) -> str:
     """A number of things with their noun, in the plural where there are other than one."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def by(numbers: Iterable[float], form: str = "g") -> str:
+    """Sizes along the axes, such as 3 x 4 x 5."""
+    return " x ".join(format(number, form) for number in numbers)
+
+
+def in_brackets(numbers: Iterable[float], form: str = "g") -> str:
+    """Coordinates, such as (1, 2, 3)."""
+    return f"({', '.join(format(number, form) for number in numbers)})"
 
 
 def require_positive(name: str, value: float, remedy: str) -> float:
@@ -61,6 +86,59 @@ def require_range(name: str, value: float, lowest: float, highest: float, remedy
     if not lowest <= number <= highest:
         raise InputError(f"{name} must be in [{lowest:g}, {highest:g}], got {value}: {remedy}")
     return number
+
+
+def require_ranges(*rows: tuple[str, float, float, float, str]) -> list[float]:
+    """Values that lie in their closed intervals, each row the arguments of `require_range`, which see."""
+    return [require_range(*row) for row in rows]
+
+
+def require_vector(name: str, value: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return `value` as three floats.
+
+    Raises
+    ------
+    InputError
+        If the value is not three finite numbers.
+    """
+    try:
+        vector = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        vector = np.empty(0)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise InputError(f"{name} must be three finite numbers, got {value}: use for example (0, 0, 1)")
+    return vector
+
+
+def require_direction(
+    name: str, value: Sequence[float] | NDArray[np.float64], remedy: str = "use for example (0, 0, 1)"
+) -> NDArray[np.float64]:
+    """Return the unit vector along `value`, shape (3,).
+
+    Raises
+    ------
+    InputError
+        If the value is not three finite numbers, or zero.
+    """
+    vector = require_vector(name, value)
+    length = float(np.linalg.norm(vector))
+    if length == 0.0:
+        raise InputError(f"{name} must not be zero, got (0, 0, 0): {remedy}")
+    return vector / length
+
+
+def require_file(file: Path, content: str) -> None:
+    """Refuse a file that is missing or empty, where it should hold `content`, such as "a surface".
+
+    Raises
+    ------
+    InputError
+        If it is.
+    """
+    if not file.exists():
+        raise InputError(f"file must exist, got {file}: check the path, which is taken from the working directory")
+    if file.is_file() and file.stat().st_size == 0:
+        raise InputError(f"file must hold {content}, got the empty file {file.name}: export it again")
 
 
 def _as_number(name: str, value: object, remedy: str) -> float:

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
+from meshes.tets.checks import EDGES
 from meshes.tets.tetrahedra import TetMesh
 
 __all__ = ["bisected"]
 
-_EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 _MOST_CELLS = 5_000_000
 
 
@@ -36,7 +36,7 @@ def bisected(mesh: TetMesh, size_m: Callable[[NDArray[np.float64]], NDArray[np.f
     """
     nodes, cells, part = mesh.nodes_m, mesh.cells, mesh.part
     while True:
-        ends = np.sort(cells[:, _EDGES], axis=2)
+        ends = np.sort(cells[:, EDGES], axis=2)
         keys, edge = np.unique(ends.reshape(-1, 2) @ np.array([len(nodes), 1]), return_inverse=True)
         a, b = keys // len(nodes), keys % len(nodes)
         middle, length = 0.5 * (nodes[a] + nodes[b]), np.linalg.norm(nodes[a] - nodes[b], axis=1)
@@ -67,10 +67,7 @@ def bisected(mesh: TetMesh, size_m: Callable[[NDArray[np.float64]], NDArray[np.f
             )
         number = len(nodes) + np.cumsum(split) - 1
         nodes = np.concatenate([nodes, middle[split]])
-        first, second = cells[halved].copy(), cells[halved].copy()
-        rows, new = np.arange(len(halved)), number[longest[halved]]
-        first[rows, _EDGES[place[halved], 1]] = new
-        second[rows, _EDGES[place[halved], 0]] = new
-        cells = cells.copy()
-        cells[halved] = first
-        cells, part = np.concatenate([cells, second]), np.concatenate([part, part[halved]])
+        cells, part = np.concatenate([cells, cells[halved]]), np.concatenate([part, part[halved]])
+        first, second = EDGES[place[halved]].T
+        copies = np.arange(len(cells) - len(halved), len(cells))
+        cells[halved, second] = cells[copies, first] = number[longest[halved]]

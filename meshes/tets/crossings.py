@@ -1,25 +1,23 @@
 """Where a triangle surface passes through itself."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
+
+from meshes.base.simplices import directed_edges
 
 __all__ = ["crossing_triangles"]
 
 _AT_ONCE = 20_000
 
 
-def crossing_triangles(vertices: NDArray[Any], faces: NDArray[Any]) -> NDArray[np.int64]:
+def crossing_triangles(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.int64]:
     """Triangles that an edge without a vertex in common passes through, in rising order.
 
     Edges that only touch a triangle, and triangles that overlap in one plane, do not count.
     """
     from scipy.spatial import cKDTree
 
-    edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1), axis=0)
+    edges = np.unique(np.sort(directed_edges(faces), axis=1), axis=0)
     corners, ends = vertices[faces], vertices[edges]
     centres = corners.mean(axis=1)
     reach = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
@@ -36,10 +34,12 @@ def crossing_triangles(vertices: NDArray[Any], faces: NDArray[Any]) -> NDArray[n
             triangle = np.repeat(block, [len(n) for n in near])
             edge = members[np.concatenate([np.asarray(n, dtype=np.int64) for n in near])]
             crossed.append(triangle[_pass_through(vertices, faces[triangle], edges[edge])])
-    return np.unique(np.concatenate(crossed)).astype(np.int64)
+    return np.unique(np.concatenate(crossed))
 
 
-def _pass_through(vertices: NDArray[Any], triangles: NDArray[Any], edges: NDArray[Any]) -> NDArray[np.bool_]:
+def _pass_through(
+    vertices: NDArray[np.float64], triangles: NDArray[np.int64], edges: NDArray[np.int64]
+) -> NDArray[np.bool_]:
     """Whether the edge passes through the triangle, pair by pair."""
     apart = (triangles[:, :, None] != edges[:, None, :]).all(axis=(1, 2))
     a, b, c = (vertices[triangles[:, k]] for k in range(3))

@@ -1,18 +1,16 @@
 """A soft organ from a file: tetrahedra as stored, or a surface filled with them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, require_positive
+from meshes.base.errors import InputError, by, require_file, require_positive
 from meshes.base.isolated_parser import parse_isolated
 from meshes.base.progress import Progress, silent
 from meshes.surfaces.surface import surface_from_triangles
-from meshes.tets.msh import read_msh
+from meshes.tets.msh import StoredMesh, read_msh
 from meshes.tets.quality import repair_tets
 from meshes.tets.tetrahedra import TetMesh
 from meshes.tets.tetrahedralise import tetrahedralise
@@ -48,18 +46,6 @@ class TetFile:
     filled: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class _Stored:
-    """What a file holds, in its units: tetrahedra and their parts, or else triangles."""
-
-    points: NDArray[np.float64]
-    tets: NDArray[np.int64]
-    triangles: NDArray[np.int64]
-    part: NDArray[np.int64]
-    names: dict[int, str]
-    notes: tuple[str, ...] = ()
-
-
 def read_tets(
     path: str | Path, *, unit_mm: float | None = None, edge_m: float | None = None, report: Progress = silent
 ) -> TetFile:
@@ -87,11 +73,8 @@ def read_tets(
         If the file is missing, empty or not readable, holds no solid, or is not of an organ's size in any plain unit.
     """
     file = Path(path)
-    if not file.is_file():
-        raise InputError(f"file must exist, got {file}: check the path, which is taken from the working directory")
-    if file.stat().st_size == 0:
-        raise InputError(f"file must hold a mesh, got the empty file {file.name}: export it again")
-    stored = _from_msh(file) if file.suffix.lower() == ".msh" else _from_vtk(file)
+    require_file(file, "a mesh")
+    stored = read_msh(file) if file.suffix.lower() == ".msh" else _from_vtk(file)
     used = stored.points[np.unique(stored.tets if len(stored.tets) else stored.triangles)]
     bad = int((~np.isfinite(used).all(axis=1)).sum())
     if bad:
@@ -110,45 +93,32 @@ def read_tets(
 def _unit(size: NDArray[np.float64], unit_mm: float | None, name: str) -> tuple[float, str]:
     """Millimetres per file unit and a sentence on how they were found, for a box in file units."""
     longest = float(size.max())
-    box = " x ".join(f"{s:.3g}" for s in size)
-    if unit_mm is not None:
-        scale = require_positive("anatomy.scale_mm", unit_mm, "use 1 for millimetres, 1000 for metres")
-        sides = " x ".join(f"{scale * s:.3g}" for s in size)
-        note = f"{name} was read at {scale:g} mm per unit, as given: {sides} mm."
-        if not _ORGAN_MM[0] <= longest * scale <= _ORGAN_MM[1]:
-            note = note[:-1] + f", which is not the size of an organ ({_ORGAN_MM[0]:g} to {_ORGAN_MM[1]:g} mm)."
-        return scale, note
-    for scale, unit in _UNITS:
-        if _ORGAN_MM[0] <= longest * scale <= _ORGAN_MM[1]:
-            sides = " x ".join(f"{scale * s:.3g}" for s in size)
-            return scale, f"{name} names no unit and was taken to be in {unit}: {sides} mm."
-    raise InputError(
-        f"anatomy.scale_mm must be given where the unit is not plain, got none for {name}, whose box of {box} is an "
-        f"organ neither in millimetres nor in metres: give millimetres per unit, {_TYPICAL_MM / longest:.2g} would "
-        f"make it {_TYPICAL_MM:g} mm long"
-    )
+    if unit_mm is None:
+        for scale, unit in _UNITS:
+            if _ORGAN_MM[0] <= longest * scale <= _ORGAN_MM[1]:
+                sides = by(scale * size, ".3g")
+                return scale, f"{name} names no unit and was taken to be in {unit}: {sides} mm."
+        raise InputError(
+            f"anatomy.scale_mm must be given where the unit is not plain, got none for {name}, whose box of "
+            f"{by(size, '.3g')} is an organ neither in millimetres nor in metres: give millimetres per unit, "
+            f"{_TYPICAL_MM / longest:.2g} would make it {_TYPICAL_MM:g} mm long"
+        )
+    scale = require_positive("anatomy.scale_mm", unit_mm, "use 1 for millimetres, 1000 for metres")
+    note = f"{name} was read at {scale:g} mm per unit, as given: {by(scale * size, '.3g')} mm"
+    if not _ORGAN_MM[0] <= longest * scale <= _ORGAN_MM[1]:
+        note += f", which is not the size of an organ ({_ORGAN_MM[0]:g} to {_ORGAN_MM[1]:g} mm)"
+    return scale, f"{note}."
 
 
-def _from_msh(file: Path) -> _Stored:
-    stored = read_msh(file)
-    if len(stored.tets) == 0 and len(stored.triangles) == 0:
-        raise InputError(f"file must hold tetrahedra or triangles, got none in {file.name}: mesh it in Gmsh first")
-    left = stored.others + (len(stored.triangles) if len(stored.tets) else 0)
-    notes = (f"Left out {left} elements that are not tetrahedra.",) if left and len(stored.tets) else ()
-    return _Stored(stored.points, stored.tets, stored.triangles, stored.physical, stored.names, notes)
-
-
-def _from_vtk(file: Path) -> _Stored:
+def _from_vtk(file: Path) -> StoredMesh:
     """A file as pyvista reads it."""
     remedy = "export it as .vtu, .vtk, .msh or .stl"
     parsed = parse_isolated("meshes.surfaces.vtk_reading:vtk_mesh", file, what="mesh", remedy=remedy)
-    points, none = parsed.arrays["points"].astype(np.float64), np.zeros((0, 3), dtype=np.int64)
-    if "tets" not in parsed.arrays:
-        triangles = parsed.arrays["triangles"]
-        if len(triangles) == 0:
-            raise InputError(f"file must hold tetrahedra or triangles, got none in {file.name}: export it again")
-        return _Stored(points, np.zeros((0, 4), dtype=np.int64), triangles, np.zeros(0, dtype=np.int64), {})
-    tets, names = parsed.arrays["tets"], parsed.facts["names"]
+    none = np.zeros((0, 4), dtype=np.int64)
+    points, triangles = parsed.arrays["points"].astype(np.float64), parsed.arrays.get("triangles", none[:, :3])
+    tets, names = parsed.arrays.get("tets", none), parsed.facts.get("names", [])
+    if len(tets) == 0 and len(triangles) == 0:
+        raise InputError(f"file must hold tetrahedra or triangles, got none in {file.name}: export it again")
     part, notes = np.zeros(len(tets), dtype=np.int64), []
     for name in _PART_ARRAYS:
         values = parsed.arrays[f"cells {names.index(name)}"] if name in names else np.zeros(0)
@@ -156,8 +126,8 @@ def _from_vtk(file: Path) -> _Stored:
         if whole and (values == np.round(values)).all() and len(np.unique(values)) <= _MOST_PARTS:
             part = values.astype(np.int64)
             break
-    if parsed.facts["others"]:
+    if parsed.facts.get("others"):
         notes.append(f"Left out {parsed.facts['others']} cells that are not tetrahedra.")
-    if parsed.facts["quadratic"]:
+    if parsed.facts.get("quadratic"):
         notes.append("Took the corners of quadratic tetrahedra: their edges became straight.")
-    return _Stored(points, tets, none, part, {}, tuple(notes))
+    return StoredMesh(points, tets, triangles, part, {}, tuple(notes))

@@ -1,7 +1,5 @@
 """Gmsh files of versions 1 and 2 in text, which the libraries at hand read not at all or only with a further one."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +9,7 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError
 from meshes.base.visible_text import visible
 
-__all__ = ["MshMesh", "read_msh"]
+__all__ = ["StoredMesh", "read_msh"]
 
 _TRIANGLE, _TETRAHEDRON = 2, 4
 _LONGEST_NAME = 60
@@ -19,8 +17,8 @@ _OPENINGS = {"$NOD": 1, "$MeshFormat": 2}
 
 
 @dataclass(frozen=True, eq=False)
-class MshMesh:
-    """What a Gmsh file holds, in its units.
+class StoredMesh:
+    """What a file holds, in its units.
 
     Attributes
     ----------
@@ -28,29 +26,29 @@ class MshMesh:
         Nodes, shape (n, 3).
     tets, triangles
         Nodes of the tetrahedra and triangles, shapes (m, 4) and (k, 3).
-    physical
-        Physical group of each tetrahedron, 0 for none, shape (m,).
+    part
+        Part of each tetrahedron, 0 for none, shape (m,).
     names
-        Names of the physical groups that have one.
-    others
-        Elements of other kinds, left out.
+        Names of the parts that have one.
+    notes
+        What was left out, a sentence each.
     """
 
     points: NDArray[np.float64]
     tets: NDArray[np.int64]
     triangles: NDArray[np.int64]
-    physical: NDArray[np.int64]
+    part: NDArray[np.int64]
     names: dict[int, str]
-    others: int
+    notes: tuple[str, ...] = ()
 
 
-def read_msh(file: Path) -> MshMesh:
+def read_msh(file: Path) -> StoredMesh:
     """Read a Gmsh text file of version 1 (``$NOD``) or 2 (``$MeshFormat`` 2.x).
 
     Raises
     ------
     InputError
-        If the file is of another version, binary, cut short, or names nodes it does not hold.
+        If the file is of another version, binary, cut short, names nodes it does not hold, or holds no solid.
     """
     content = file.read_bytes()
     try:
@@ -58,7 +56,7 @@ def read_msh(file: Path) -> MshMesh:
     except UnicodeDecodeError:
         text = content.decode("latin-1")
     lines = [line.rstrip("\r") for line in text.split("\n")]
-    version = next((_OPENINGS[line.strip()] for line in lines[:1] if line.strip() in _OPENINGS), 0)
+    version = _OPENINGS.get(lines[0].strip(), 0)
     if version == 2:
         form = lines[1].split() if len(lines) > 1 else []
         if len(form) < 2 or not form[0].startswith("2") or form[1] != "0":
@@ -73,8 +71,8 @@ def read_msh(file: Path) -> MshMesh:
         elements = [[int(x) for x in line.split()] for line in _section(lines, "$ELM" if version == 1 else "$Elements")]
         # Version 1: number kind physical elementary count nodes; version 2: number kind count-of-tags tags nodes.
         begins = [5 if version == 1 else 3 + element[2] for element in elements]
-        physical = [element[2] if version == 1 else (element[3] if element[2] else 0) for element in elements]
-        kinds = np.array([element[1] for element in elements])
+        in_tets = [element for element in elements if element[1] == _TETRAHEDRON]
+        part = [element[2] if version == 1 else (element[3] if element[2] else 0) for element in in_tets]
         names = _names(_section(lines, "$PhysicalNames"), file) if "$PhysicalNames" in lines else {}
         tets = _of_kind(elements, begins, _TETRAHEDRON, 4)
         triangles = _of_kind(elements, begins, _TRIANGLE, 3)
@@ -85,17 +83,18 @@ def read_msh(file: Path) -> MshMesh:
             f"file must hold whole sections of nodes and elements, got a broken one in {file.name}: export it again"
         ) from problem
     order = np.argsort(numbers)
-    both = []
+    places = []
     for wanted in (tets, triangles):
-        where = np.minimum(np.searchsorted(numbers, wanted, sorter=order), len(numbers) - 1)
-        found = order[where]
+        found = order[np.minimum(np.searchsorted(numbers, wanted, sorter=order), len(numbers) - 1)]
         if (numbers[found] != wanted).any():
             unknown = int(wanted[numbers[found] != wanted][0])
             raise InputError(f"elements must name nodes of the file, got {unknown} in {file.name}: export it again")
-        both.append(found.astype(np.int64))
-    is_tet = kinds == _TETRAHEDRON
-    others = int((~is_tet & (kinds != _TRIANGLE)).sum())
-    return MshMesh(points, both[0], both[1], np.array(physical, dtype=np.int64)[is_tet], names, others)
+        places.append(found)
+    if len(tets) == 0 and len(triangles) == 0:
+        raise InputError(f"file must hold tetrahedra or triangles, got none in {file.name}: mesh it in Gmsh first")
+    left = len(elements) - len(tets)
+    notes = (f"Left out {left} elements that are not tetrahedra.",) if left and len(tets) else ()
+    return StoredMesh(points, places[0], places[1], np.array(part, dtype=np.int64), names, notes)
 
 
 def _section(lines: list[str], opening: str) -> list[str]:

@@ -14,14 +14,11 @@ pinched edges   surface edges of more than two triangles               kept and 
 ==============  =====================================================  ================================================
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
+from meshes.base.simplices import compact, windings
 from meshes.tets.checks import cell_faces, flatness, mean_ratio, pieces, pinched_edges, signed_volumes
 from meshes.tets.report import FLAT, SLIVER, TetReport, millimetres, place
 from meshes.tets.smoothing import smooth
@@ -34,9 +31,9 @@ _COINCIDENT = 1e-9
 
 
 def repair_tets(
-    nodes_m: NDArray[Any],
-    cells: NDArray[Any],
-    part: NDArray[Any] | None = None,
+    nodes_m: NDArray[np.generic],
+    cells: NDArray[np.generic],
+    part: NDArray[np.integer] | None = None,
     part_names: tuple[str, ...] = ("body",),
 ) -> tuple[TetMesh, TetReport]:
     """Mesh of positive tetrahedra in one piece, and what was done, by the rules above.
@@ -55,40 +52,30 @@ def repair_tets(
     InputError
         If nodes are not finite, cells name none or overlap, or flat tetrahedra cannot be repaired.
     """
-    nodes, cells = np.asarray(nodes_m, dtype=np.float64), np.asarray(cells, dtype=np.int64)
-    parts = np.zeros(len(cells), dtype=np.uint8) if part is None else np.asarray(part, dtype=np.uint8)
-    _require_numbers(nodes, cells)
-    before = len(nodes)
-    nodes, cells = _joined(nodes, cells)
-    joined = before - len(nodes)
-    count = len(cells)
-    keep = np.sort(np.unique(np.sort(cells, axis=1), axis=0, return_index=True)[1])
-    cells, parts = cells[keep], parts[keep]
-    repeated = count - len(cells)
-    flat = flatness(nodes, cells) < FLAT
-    inverted = (signed_volumes(nodes, cells) < 0.0) & ~flat
-    inverted_at = millimetres(nodes[cells[int(inverted.argmax())]]) if inverted.any() else None
-    cells = np.where(inverted[:, None], cells[:, [0, 2, 1, 3]], cells)
-    cells, parts, dropped = _without_flat(nodes, cells, parts)
-    cells = _flat_turned(nodes, cells)
-    _require_no_overlap(nodes, cells)
-    cells, parts, debris = _without_debris(nodes, cells, parts)
-    quality = mean_ratio(nodes, cells)
-    sliver_count = int((quality < SLIVER).sum())
-    sliver_at = millimetres(nodes[cells[int(quality.argmin())]]) if sliver_count else None
-    flat_inside = int((flatness(nodes, cells) < FLAT).sum())
-    nodes, moved = smooth(nodes, cells, _movable(len(nodes), cells, parts), SLIVER) if sliver_count else (nodes, 0)
-    _require_volume(nodes, cells)
-    used, where = np.unique(cells, return_inverse=True)
-    mesh = TetMesh(nodes[used], where.reshape(cells.shape).astype(np.int64), parts, part_names)
-    quality = mean_ratio(mesh.nodes_m, mesh.cells)
-    pinched = pinched_edges(mesh.surface)
-    size = np.ptp(mesh.nodes_m, axis=0) * 1e3
-    report = TetReport(
-        node_count=len(mesh.nodes_m),
-        cell_count=len(mesh.cells),
-        volume_mm3=float(mesh.volumes_m3.sum()) * 1e9,
-        size_mm=(float(size[0]), float(size[1]), float(size[2])),
+    nodes, tets = np.asarray(nodes_m, dtype=np.float64), np.asarray(cells, dtype=np.int64)
+    parts = np.zeros(len(tets), dtype=np.uint8) if part is None else np.asarray(part, dtype=np.uint8)
+    _require_numbers(nodes, tets)
+    given = nodes.shape[0], tets.shape[0]
+    nodes, tets = _joined(nodes, tets)
+    keep = np.sort(np.unique(np.sort(tets, axis=1), axis=0, return_index=True)[1])
+    joined, repeated = given[0] - len(nodes), given[1] - len(keep)
+    tets, parts = tets[keep], parts[keep]
+    inverted = (signed_volumes(nodes, tets) < 0.0) & (flatness(nodes, tets) >= FLAT)
+    inverted_at = _centre_mm(nodes, tets, inverted.argmax()) if inverted.any() else ()
+    tets = np.where(inverted[:, None], tets[:, [0, 2, 1, 3]], tets)
+    tets, parts, dropped = _without_flat(nodes, tets, parts)
+    tets = _flat_turned(nodes, tets)
+    _require_no_overlap(nodes, tets)
+    tets, parts, debris = _without_debris(nodes, tets, parts)
+    quality = mean_ratio(nodes, tets)
+    slivers = int((quality < SLIVER).sum())
+    sliver_at = _centre_mm(nodes, tets, quality.argmin()) if slivers else ()
+    flat_inside = int((flatness(nodes, tets) < FLAT).sum())
+    nodes, moved = smooth(nodes, tets, _movable(len(nodes), tets, parts), SLIVER) if slivers else (nodes, 0)
+    _require_volume(nodes, tets)
+    mesh = TetMesh(*compact(nodes, tets), parts, part_names)
+    return mesh, TetReport(
+        mesh=mesh,
         joined_nodes=joined,
         repeated_cells=repeated,
         inverted=int(inverted.sum()),
@@ -96,31 +83,22 @@ def repair_tets(
         flat_dropped=dropped,
         flat_moved=flat_inside,
         debris_mm3=tuple(1e9 * v for v in debris),
-        bodies=int(pieces(mesh.cells).max()) + 1,
-        slivers=sliver_count,
-        slivers_left=int((quality < SLIVER).sum()),
+        slivers=slivers,
         sliver_at_mm=sliver_at,
         nodes_moved=moved,
-        smallest_share=float(mesh.volumes_m3.min() / mesh.volumes_m3.max()),
-        smallest_at_mm=millimetres(mesh.nodes_m[mesh.cells[int(mesh.volumes_m3.argmin())]]),
-        worst_quality=float(quality.min()),
-        worst_at_mm=millimetres(mesh.nodes_m[mesh.cells[int(quality.argmin())]]),
-        pinched=len(pinched),
-        pinched_at_mm=millimetres(mesh.nodes_m[pinched[0]]) if len(pinched) else None,
     )
-    return mesh, report
+
+
+def _centre_mm(nodes: NDArray[np.float64], cells: NDArray[np.int64], number: np.intp) -> tuple[float, float, float]:
+    return millimetres(nodes[cells[number]])
 
 
 def _joined(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Nodes that no cell uses dropped, nodes on one point joined."""
-    used, where = np.unique(cells, return_inverse=True)
-    points = nodes[used]
+    points, cells = compact(nodes, cells)
     keys = np.round((points - points.min(axis=0)) / (_COINCIDENT * float(np.ptp(points, axis=0).max()) + 1e-300))
     _, first, label = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    return points[first[order]], rank[label.reshape(-1)][where].reshape(cells.shape).astype(np.int64)
+    return compact(points, first[label][cells])
 
 
 def _without_flat(
@@ -148,24 +126,18 @@ def _flat_turned(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> NDArra
     if not flat.any():
         return cells
     triangles, where, _ = cell_faces(cells)
-    winding = _winding(triangles)
+    winding = windings(triangles)
     of_solid = np.bincount(where, weights=winding * np.repeat(~flat, 4))[where]
     wrong = (winding * of_solid).reshape(-1, 4).sum(axis=1) > 0
     return np.where((flat & wrong)[:, None], cells[:, [0, 2, 1, 3]], cells)
 
 
-def _winding(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
-    """1 or -1 for the two windings of a triangle, shape (k,)."""
-    a, b, c = triangles.T
-    return np.sign(b - a) * np.sign(c - b) * np.sign(a - c)
-
-
 def _whole(cells: NDArray[np.int64], keep: NDArray[np.bool_]) -> bool:
     """Whether dropping cells leaves as many pieces and no further pinched edge."""
-    before, after = cells, cells[keep]
-    if pieces(after).max() > pieces(before).max():
-        return False
-    return len(pinched_edges(_surface(after))) <= len(pinched_edges(_surface(before)))
+    left = cells[keep]
+    return pieces(left).max() <= pieces(cells).max() and (
+        len(pinched_edges(_surface(left))) <= len(pinched_edges(_surface(cells)))
+    )
 
 
 def _surface(cells: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -188,9 +160,9 @@ def _movable(count: int, cells: NDArray[np.int64], parts: NDArray[np.uint8]) -> 
     """Nodes inside, away from the surface and from where parts meet, shape (n,)."""
     inner = np.ones(count, dtype=bool)
     inner[_surface(cells)] = False
-    lowest, highest = np.full(count, 255), np.zeros(count, dtype=np.int64)
-    np.minimum.at(lowest, cells, parts[:, None].astype(np.int64))
-    np.maximum.at(highest, cells, parts[:, None].astype(np.int64))
+    lowest, highest = np.full(count, 255, dtype=np.uint8), np.zeros(count, dtype=np.uint8)
+    np.minimum.at(lowest, cells, parts[:, None])
+    np.maximum.at(highest, cells, parts[:, None])
     return inner & (lowest == highest)
 
 
@@ -211,15 +183,15 @@ def _require_no_overlap(nodes: NDArray[np.float64], cells: NDArray[np.int64]) ->
     triangles, where, shared = cell_faces(cells)
     crowded = np.flatnonzero(shared > 2)
     if len(crowded):
-        at = place(millimetres(nodes[triangles[crowded[0]]]))
+        at = place(_centre_mm(nodes, triangles, crowded[0]))
         raise InputError(
             f"cells must meet two at a face, got {len(np.unique(where[crowded]))} faces of more, the first at {at} mm: "
             "mesh the surface again"
         )
-    agree = np.bincount(where, weights=_winding(triangles))
+    agree = np.bincount(where, weights=windings(triangles))
     folded = np.flatnonzero((shared == 2) & (np.abs(agree[where]) == 2))
     if len(folded):
-        at = place(millimetres(nodes[triangles[folded[0]]]))
+        at = place(_centre_mm(nodes, triangles, folded[0]))
         raise InputError(
             f"cells must not overlap, got {len(folded) // 2} faces with both cells on one side, the first at {at} mm: "
             "the mesh folds over itself, mesh the surface again"
@@ -230,7 +202,7 @@ def _require_volume(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> Non
     """Refuse what is still flat or inverted."""
     bad = np.flatnonzero((flatness(nodes, cells) < FLAT) | (signed_volumes(nodes, cells) <= 0.0))
     if len(bad):
-        at = place(millimetres(nodes[cells[bad[0]]]))
+        at = place(_centre_mm(nodes, cells, bad[0]))
         raise InputError(
             f"cells must have volume, got {len(bad)} flat tetrahedra of {len(cells)} that neither dropping nor moving "
             f"nodes repairs, the first at {at} mm: mesh the surface again"

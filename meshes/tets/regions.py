@@ -1,21 +1,18 @@
 """Nodes of a tetrahedral mesh chosen by place, by direction or by part: where a body is held or loaded."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, require_positive, require_range
+from meshes.base.errors import InputError, in_brackets, require_direction, require_range, require_vector
+from meshes.base.simplices import cross_products
 from meshes.tets.tetrahedra import TetMesh
 
 __all__ = [
     "faces_of",
     "nodes_behind_plane",
     "nodes_facing",
-    "nodes_in_box",
-    "nodes_in_sphere",
     "nodes_of_part",
     "surface_normals",
 ]
@@ -31,25 +28,18 @@ def nodes_behind_plane(mesh: TetMesh, *, point_m: Sequence[float], normal: Seque
     InputError
         If none is, naming how far the nearest is.
     """
-    point, axis = _three("point_m", point_m), _direction("normal", normal)
-    return _chosen(mesh, (mesh.nodes_m[mesh.surface_nodes] - point) @ axis, f"the plane through {_mm(point)}")
-
-
-def nodes_in_box(mesh: TetMesh, *, lower_m: Sequence[float], upper_m: Sequence[float]) -> Nodes:
-    """Surface nodes in the box between two corners [m], its faces included; raises as `nodes_behind_plane`."""
-    lower, upper = _three("lower_m", lower_m), _three("upper_m", upper_m)
-    if not (upper >= lower).all():
-        raise InputError(f"upper_m must not lie below lower_m {lower.tolist()}, got {upper.tolist()}: swap them")
+    point, axis = require_vector("point_m", point_m), require_direction("normal", normal)
     points = mesh.nodes_m[mesh.surface_nodes]
-    outside = np.maximum(np.maximum(lower - points, points - upper), 0.0)
-    return _chosen(mesh, np.linalg.norm(outside, axis=1), f"the box from {_mm(lower)} to {_mm(upper)}")
-
-
-def nodes_in_sphere(mesh: TetMesh, *, centre_m: Sequence[float], radius_m: float) -> Nodes:
-    """Surface nodes within `radius_m` [m] of `centre_m` [m]; raises as `nodes_behind_plane`."""
-    centre, radius = _three("centre_m", centre_m), require_positive("radius_m", radius_m, "use about 0.02")
-    away = np.linalg.norm(mesh.nodes_m[mesh.surface_nodes] - centre, axis=1) - radius
-    return _chosen(mesh, away, f"the sphere of {1e3 * radius:.3g} mm about {_mm(centre)}")
+    away = (points - point) @ axis
+    chosen = mesh.surface_nodes[away <= 1e-9 * float(np.ptp(mesh.nodes_m, axis=0).max())]  # a margin for rounding
+    if not len(chosen):
+        nearest = int(away.argmin())
+        at, found = (in_brackets(1e3 * each, ".3g") for each in (point, points[nearest]))
+        raise InputError(
+            f"support must touch the body, got the plane through {at} mm with no surface node inside: the nearest, at "
+            f"{found} mm, is {1e3 * away[nearest]:.3g} mm away"
+        )
+    return chosen
 
 
 def nodes_facing(mesh: TetMesh, *, direction: Sequence[float], within_deg: float = 60.0) -> Nodes:
@@ -60,7 +50,7 @@ def nodes_facing(mesh: TetMesh, *, direction: Sequence[float], within_deg: float
     InputError
         If no triangle faces that direction, naming how far the nearest turns away.
     """
-    axis = _direction("direction", direction)
+    axis = require_direction("direction", direction)
     within = require_range("within_deg", within_deg, 1.0, 180.0, "use 60")
     angle = np.degrees(np.arccos(np.clip(surface_normals(mesh) @ axis, -1.0, 1.0)))
     faces = mesh.surface[angle <= within]
@@ -90,46 +80,10 @@ def nodes_of_part(mesh: TetMesh, name: str) -> Nodes:
 
 def faces_of(mesh: TetMesh, nodes: Nodes) -> NDArray[np.int64]:
     """Surface triangles with all three corners among the nodes, shape (k, 3)."""
-    chosen = np.zeros(len(mesh.nodes_m), dtype=bool)
-    chosen[nodes] = True
-    return mesh.surface[chosen[mesh.surface].all(axis=1)]
+    return mesh.surface[np.isin(mesh.surface, nodes).all(axis=1)]
 
 
 def surface_normals(mesh: TetMesh) -> NDArray[np.float64]:
     """Outward unit normal of each surface triangle, shape (f, 3)."""
-    a, b, c = (mesh.nodes_m[mesh.surface[:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
+    normal = cross_products(mesh.nodes_m, mesh.surface)
     return normal / np.linalg.norm(normal, axis=1, keepdims=True)
-
-
-def _chosen(mesh: TetMesh, away_m: NDArray[np.float64], region: str) -> Nodes:
-    """Surface nodes at a distance not above zero, with a margin for rounding."""
-    slack = 1e-9 * float(np.ptp(mesh.nodes_m, axis=0).max())
-    chosen = mesh.surface_nodes[away_m <= slack]
-    if not len(chosen):
-        nearest = int(away_m.argmin())
-        at = mesh.nodes_m[mesh.surface_nodes[nearest]]
-        raise InputError(
-            f"support must touch the body, got {region} with no surface node inside: the nearest, at {_mm(at)}, is "
-            f"{1e3 * away_m[nearest]:.3g} mm away"
-        )
-    return chosen
-
-
-def _mm(point_m: NDArray[np.float64]) -> str:
-    return "(" + ", ".join(f"{1e3 * x:.3g}" for x in point_m) + ") mm"
-
-
-def _three(name: str, value: Sequence[float]) -> NDArray[np.float64]:
-    vector = np.asarray(value, dtype=np.float64)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise InputError(f"{name} must be three finite numbers, got {value}: use for example (0, 0, 0)")
-    return vector
-
-
-def _direction(name: str, value: Sequence[float]) -> NDArray[np.float64]:
-    vector = _three(name, value)
-    length = float(np.linalg.norm(vector))
-    if length == 0.0:
-        raise InputError(f"{name} must not be zero, got {tuple(value)}: use for example (0, 0, 1)")
-    return vector / length

@@ -1,11 +1,13 @@
 """What was found in a tetrahedral mesh and done to it, in sentences."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from meshes.base.errors import by, in_brackets
+from meshes.tets.checks import mean_ratio, pieces, pinched_edges
+from meshes.tets.tetrahedra import TetMesh
 
 __all__ = ["FLAT", "SLIVER", "TetReport", "millimetres", "place"]
 
@@ -16,93 +18,82 @@ SLIVER = 0.1
 _UNEVEN = 1e-3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TetReport:
-    """What was found in a tetrahedral mesh and done to it; places in mm in the frame of the mesh.
+    """What was found in a tetrahedral mesh and done to it; places in mm in the frame of the mesh, empty if nowhere.
 
     Attributes
     ----------
-    node_count, cell_count, volume_mm3, size_mm
-        Of the mesh returned.
+    mesh
+        The mesh returned.
     joined_nodes, repeated_cells
         Coincident nodes joined, cells dropped because another has the same nodes.
     inverted, inverted_at_mm, flat_dropped, flat_moved
         Cells turned and where the first was, flat cells dropped, flat cells given volume.
     debris_mm3
         Volume of each piece dropped.
-    bodies
-        Pieces left.
-    slivers, slivers_left, sliver_at_mm, nodes_moved
-        Slivers found, slivers left, where the worst was, inner nodes moved.
-    smallest_share, smallest_at_mm
-        Volume of the smallest cell relative to the largest, and its centre.
-    worst_quality, worst_at_mm
-        Lowest mean ratio left and the centre of that cell.
-    pinched, pinched_at_mm
-        Surface edges of more than two triangles, and the middle of the first.
+    slivers, sliver_at_mm, nodes_moved
+        Slivers found, where the worst was, inner nodes moved.
     """
 
-    node_count: int
-    cell_count: int
-    volume_mm3: float
-    size_mm: tuple[float, float, float]
+    mesh: TetMesh
     joined_nodes: int
     repeated_cells: int
     inverted: int
-    inverted_at_mm: tuple[float, float, float] | None
+    inverted_at_mm: tuple[float, ...]
     flat_dropped: int
     flat_moved: int
     debris_mm3: tuple[float, ...]
-    bodies: int
     slivers: int
-    slivers_left: int
-    sliver_at_mm: tuple[float, float, float] | None
+    sliver_at_mm: tuple[float, ...]
     nodes_moved: int
-    smallest_share: float
-    smallest_at_mm: tuple[float, float, float]
-    worst_quality: float
-    worst_at_mm: tuple[float, float, float]
-    pinched: int
-    pinched_at_mm: tuple[float, float, float] | None
+
+    @property
+    def slivers_left(self) -> int:
+        """Slivers in the mesh returned."""
+        return int((mean_ratio(self.mesh.nodes_m, self.mesh.cells) < SLIVER).sum())
 
     def sentences(self) -> tuple[str, ...]:
         """What was found and done, a sentence each; the first describes the mesh itself."""
-        notes = [
-            f"{self.cell_count} tetrahedra on {self.node_count} nodes, {self.volume_mm3 * 1e-3:.4g} ml, "
-            f"{' x '.join(f'{s:.3g}' for s in self.size_mm)} mm, lowest mean ratio {self.worst_quality:.2g} "
-            f"at {place(self.worst_at_mm)} mm."
-        ]
-        if self.smallest_share < _UNEVEN:
-            notes.append(
-                f"The smallest tetrahedron, at {place(self.smallest_at_mm)} mm, has 1/{1.0 / self.smallest_share:.0f} "
-                "of the volume of the largest."
-            )
-        if self.inverted_at_mm is not None:
-            notes.append(f"Turned {self.inverted} inverted tetrahedra, the first at {place(self.inverted_at_mm)} mm.")
-        if self.joined_nodes:
-            notes.append(f"Joined or dropped {self.joined_nodes} nodes that coincide or are unused.")
-        if self.repeated_cells:
-            notes.append(f"Dropped {self.repeated_cells} tetrahedra that repeat another.")
-        if self.flat_dropped:
-            notes.append(f"Dropped {self.flat_dropped} flat tetrahedra at the surface.")
-        if self.flat_moved:
-            notes.append(f"Gave volume to {self.flat_moved} flat tetrahedra inside by moving their nodes.")
-        if self.debris_mm3:
-            notes.append(
+        nodes, cells, volumes = self.mesh.nodes_m, self.mesh.cells, self.mesh.volumes_m3
+        quality, pinched, bodies = mean_ratio(nodes, cells), pinched_edges(self.mesh.surface), pieces(cells).max() + 1
+        worst, smallest = (place(millimetres(nodes[cells[each.argmin()]])) for each in (quality, volumes))
+        share = float(volumes.min() / volumes.max())
+        found = [
+            (
+                True,
+                f"{len(cells)} tetrahedra on {len(nodes)} nodes, {1e6 * volumes.sum():.4g} ml, "
+                f"{by(1e3 * np.ptp(nodes, axis=0), '.3g')} mm, lowest mean ratio {quality.min():.2g} at {worst} mm.",
+            ),
+            (
+                share < _UNEVEN,
+                f"The smallest tetrahedron, at {smallest} mm, has 1/{1.0 / share:.0f} of the volume of the largest.",
+            ),
+            (
+                self.inverted,
+                f"Turned {self.inverted} inverted tetrahedra, the first at {place(self.inverted_at_mm)} mm.",
+            ),
+            (self.joined_nodes, f"Joined or dropped {self.joined_nodes} nodes that coincide or are unused."),
+            (self.repeated_cells, f"Dropped {self.repeated_cells} tetrahedra that repeat another."),
+            (self.flat_dropped, f"Dropped {self.flat_dropped} flat tetrahedra at the surface."),
+            (self.flat_moved, f"Gave volume to {self.flat_moved} flat tetrahedra inside by moving their nodes."),
+            (
+                self.debris_mm3,
                 f"Dropped {len(self.debris_mm3)} loose pieces of {sum(self.debris_mm3):.3g} mm3 together, the largest "
-                f"{max(self.debris_mm3):.3g} mm3."
-            )
-        if self.bodies > 1:
-            notes.append(f"The mesh is {self.bodies} bodies not linked by faces: each needs its own support.")
-        if self.sliver_at_mm is not None:
-            notes.append(
+                f"{max(self.debris_mm3, default=0.0):.3g} mm3.",
+            ),
+            (bodies > 1, f"The mesh is {bodies} bodies not linked by faces: each needs its own support."),
+            (
+                self.slivers,
                 f"Found {self.slivers} slivers (mean ratio below {SLIVER:g}), the worst at "
-                f"{place(self.sliver_at_mm)} mm; moving {self.nodes_moved} inner nodes left {self.slivers_left}."
-            )
-        if self.pinched_at_mm is not None:
+                f"{place(self.sliver_at_mm)} mm; moving {self.nodes_moved} inner nodes left {self.slivers_left}.",
+            ),
+        ]
+        notes = [sentence for is_so, sentence in found if is_so]
+        if len(pinched):
             notes.append(
-                f"Kept {self.pinched} surface edges of more than two triangles (pinched, as at "
-                f"{place(self.pinched_at_mm)} mm): stresses there mean little."
+                f"Kept {len(pinched)} surface edges of more than two triangles (pinched, as at "
+                f"{place(millimetres(nodes[pinched[0]]))} mm): stresses there mean little."
             )
         return tuple(notes)
 
@@ -113,6 +104,6 @@ def millimetres(points_m: NDArray[np.float64]) -> tuple[float, float, float]:
     return float(x), float(y), float(z)
 
 
-def place(at_mm: tuple[float, float, float]) -> str:
+def place(at_mm: tuple[float, ...]) -> str:
     """Place [mm] as a person reads it."""
-    return "(" + ", ".join(f"{x:.3g}" for x in at_mm) + ")"
+    return in_brackets(at_mm, ".3g")

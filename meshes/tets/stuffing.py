@@ -6,29 +6,26 @@ The four-sided faces left between pieces are cut from their lowest node (Dompier
 and the pieces on both sides of a surface can be kept: that is how a part inside gets a surface of its own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, require_positive
+from meshes.base.simplices import compact
 from meshes.shapes.sdf import Shape
-from meshes.tets.checks import mean_ratio, signed_volumes
+from meshes.tets.checks import EDGES, mean_ratio, signed_volumes
 from meshes.tets.tetrahedra import TetMesh
 
 __all__ = ["cut_by", "stuffed", "with_part"]
 
-Distance = Callable[[NDArray[Any]], NDArray[Any]]
+Distance = Callable[[NDArray[np.float64]], NDArray[np.floating]]
 Cells = NDArray[np.int64]
 Points = NDArray[np.float64]
 
 _SNAP = 0.3
 _LEAST_QUALITY = 0.15
 _STEPS = 6
-_EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 _MOST_CELLS = 20_000_000
 
 
@@ -57,12 +54,11 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
         )
     nodes, cells = _lattice(lower - 1.01 * spacing, upper + spacing, spacing)
     near = shape.distance(nodes) < 1.5 * spacing
-    nodes, cells = _compact(nodes, cells[near[cells].all(axis=1)])
+    nodes, cells = compact(nodes, cells[near[cells].all(axis=1)])
     nodes, cells, within, _ = cut_by(nodes, cells, shape.distance)
     if not within.any():
         raise InputError(f"spacing_m must be below the size of the shape, got {spacing:g}: use {spacing / 4:g} or less")
-    nodes, cells = _compact(nodes, cells[within])
-    return TetMesh(nodes, cells)
+    return TetMesh(*compact(nodes, cells[within]))
 
 
 def with_part(mesh: TetMesh, shape: Shape, name: str) -> TetMesh:
@@ -92,39 +88,40 @@ def cut_by(nodes: Points, cells: Cells, distance: Distance) -> tuple[Points, Cel
     value = np.asarray(distance(nodes), dtype=np.float64)
     nodes, value = _snapped(nodes, cells, value, distance)
     side = np.sign(value).astype(np.int64)
-    crossed = (side[cells].min(axis=1) < 0) & (side[cells].max(axis=1) > 0)
+    crossed, pairs = _crossed_edges(cells, side)
     whole = cells[~crossed]
-    came = np.flatnonzero(~crossed)
-    pairs = np.sort(cells[crossed][:, _EDGES].reshape(-1, 2), axis=1)
-    pairs = np.unique(pairs[side[pairs[:, 0]] * side[pairs[:, 1]] < 0], axis=0)
-    points = _crossings(nodes, value, pairs, distance)
     number = {(int(a), int(b)): len(nodes) + k for k, (a, b) in enumerate(pairs)}
-    made, sides, origin = [], [], []
-    for cell_number in np.flatnonzero(crossed):
-        corners = cells[cell_number]
-        for sign in (-1, 1):
-            for tet in _filled(corners, side[corners] * sign, number):
-                made.append(tet)
-                sides.append(sign < 0)
-                origin.append(cell_number)
-    all_nodes = np.concatenate([nodes, points])
-    new = np.array(made, dtype=np.int64).reshape(-1, 4)
-    new = np.where((signed_volumes(all_nodes, new) < 0.0)[:, None], new[:, [0, 2, 1, 3]], new)
+    pieces = [
+        [*tet, sign, k]
+        for k in np.flatnonzero(crossed)
+        for sign in (-1, 1)
+        for tet in _filled(cells[k], side[cells[k]] * sign, number)
+    ]
+    made = np.array(pieces, dtype=np.int64).reshape(-1, 6)
+    all_nodes = np.concatenate([nodes, _crossings(nodes, value, pairs, distance)])
     # A cell with all corners on the surface has no sign of its own: its centre decides.
-    level = side[whole].sum(axis=1)
-    centre = level == 0
-    level = level.astype(np.float64)
-    level[centre] = distance(nodes[whole[centre]].mean(axis=1))
-    within = np.concatenate([level < 0.0, np.array(sides, dtype=bool)])
-    result = np.concatenate([whole, new])
-    return all_nodes, result, within, np.concatenate([came, np.array(origin, dtype=np.int64)])
+    level = side[whole].sum(axis=1).astype(np.float64)
+    level[level == 0.0] = distance(nodes[whole[level == 0.0]].mean(axis=1))
+    within = np.concatenate([level < 0.0, made[:, 4] < 0])
+    came = np.concatenate([np.flatnonzero(~crossed), made[:, 5]])
+    return all_nodes, np.concatenate([whole, _turned(all_nodes, made[:, :4])]), within, came
+
+
+def _crossed_edges(cells: Cells, side: Cells) -> tuple[NDArray[np.bool_], Cells]:
+    """Which cells have nodes on both sides, and the edges of these that do, each once, shape (k, 2)."""
+    crossed = (side[cells].min(axis=1) < 0) & (side[cells].max(axis=1) > 0)
+    pairs = np.unique(np.sort(cells[crossed][:, EDGES].reshape(-1, 2), axis=1), axis=0)
+    return crossed, pairs[side[pairs].prod(axis=1) < 0]
+
+
+def _turned(nodes: Points, cells: Cells) -> Cells:
+    """Cells with those of negative volume turned over."""
+    return np.where((signed_volumes(nodes, cells) < 0.0)[:, None], cells[:, [0, 2, 1, 3]], cells)
 
 
 def _filled(corners: Cells, side: Cells, number: dict[tuple[int, int], int]) -> list[list[int]]:
     """Tetrahedra of the part of a cell where `side` is not negative, some corner of which is positive."""
-    plus = [int(n) for n, s in zip(corners, side, strict=True) if s > 0]
-    zero = [int(n) for n, s in zip(corners, side, strict=True) if s == 0]
-    minus = [int(n) for n, s in zip(corners, side, strict=True) if s < 0]
+    plus, zero, minus = (corners[side == sign].tolist() for sign in (1, 0, -1))
 
     def at(a: int, b: int) -> int:
         return number[(a, b) if a < b else (b, a)]
@@ -159,30 +156,20 @@ def _prism(bottom: list[int], top: list[int]) -> list[list[int]]:
 
 def _snapped(
     nodes: Points, cells: Cells, value: NDArray[np.float64], distance: Distance
-) -> tuple[Points, NDArray[Any]]:
+) -> tuple[Points, NDArray[np.float64]]:
     """Nodes within a share of a crossed edge of the surface moved onto the nearest crossing, where no cell suffers."""
-    crossed = (value[cells].min(axis=1) < 0.0) & (value[cells].max(axis=1) > 0.0)
-    pairs = np.unique(np.sort(cells[crossed][:, _EDGES].reshape(-1, 2), axis=1), axis=0)
-    pairs = pairs[value[pairs[:, 0]] * value[pairs[:, 1]] < 0.0]
-    points = _crossings(nodes, value, pairs, distance)
-    from_node = np.concatenate([pairs[:, 0], pairs[:, 1]])
-    to_point = np.tile(np.arange(len(pairs)), 2)
+    _, pairs = _crossed_edges(cells, np.sign(value).astype(np.int64))
+    node, point = pairs.T.ravel(), np.tile(_crossings(nodes, value, pairs, distance), (2, 1))
     length = np.tile(np.linalg.norm(nodes[pairs[:, 1]] - nodes[pairs[:, 0]], axis=1), 2)
-    away = np.linalg.norm(points[to_point] - nodes[from_node], axis=1)
-    close = away < _SNAP * length
-    order = np.argsort(away[close], kind="stable")
-    chosen, first = np.unique(from_node[close][order], return_index=True)
+    away = np.linalg.norm(point - nodes[node], axis=1)
+    nearest = np.argsort(away, kind="stable")
+    nearest = nearest[(away < _SNAP * length)[nearest]]
+    chosen, first = np.unique(node[nearest], return_index=True)
     moved, value = nodes.copy(), value.copy()
-    moved[chosen] = points[to_point[close][order][first]]
+    moved[chosen] = point[nearest[first]]
     # Moves that together spoil a cell are taken back, with all that share the cell.
-    is_moved = np.zeros(len(nodes), dtype=bool)
-    is_moved[chosen] = True
-    touched = cells[is_moved[cells].any(axis=1)]
-    while True:
-        bad = touched[mean_ratio(moved, touched) < _LEAST_QUALITY]
-        back = np.intersect1d(bad, chosen)
-        if not len(back):
-            break
+    touched = cells[np.isin(cells, chosen).any(axis=1)]
+    while len(back := np.intersect1d(touched[mean_ratio(moved, touched) < _LEAST_QUALITY], chosen)):
         moved[back] = nodes[back]
         chosen = np.setdiff1d(chosen, back)
     value[chosen] = 0.0
@@ -218,19 +205,9 @@ def _lattice(lower: Points, upper: Points, spacing: float) -> tuple[Points, Cell
     middles = corners.size + np.arange(middle[..., 0].size).reshape(middle.shape[:3])
     tets = []
     for axis in range(3):
-        c = np.moveaxis(corners, axis, 0)
-        m = np.moveaxis(middles, axis, 0)
-        first, second = m[:-1], m[1:]
-        face = c[1:-1]
+        face, middle = np.moveaxis(corners, axis, 0)[1:-1], np.moveaxis(middles, axis, 0)
         ring = [face[:, :-1, :-1], face[:, 1:, :-1], face[:, 1:, 1:], face[:, :-1, 1:]]
-        for k in range(4):
-            tets.append(np.stack([first, second, ring[k], ring[(k + 1) % 4]], axis=-1).reshape(-1, 4))
-    cells = np.concatenate(tets).astype(np.int64)
+        for edge in zip(ring, [*ring[1:], ring[0]], strict=True):
+            tets.append(np.stack([middle[:-1], middle[1:], *edge], axis=-1).reshape(-1, 4))
     nodes = lower + spacing * nodes
-    return nodes, np.where((signed_volumes(nodes, cells) < 0.0)[:, None], cells[:, [0, 2, 1, 3]], cells)
-
-
-def _compact(nodes: Points, cells: Cells) -> tuple[Points, Cells]:
-    """Nodes that no cell uses dropped."""
-    used, where = np.unique(cells, return_inverse=True)
-    return nodes[used], where.reshape(cells.shape).astype(np.int64)
+    return nodes, _turned(nodes, np.concatenate(tets))

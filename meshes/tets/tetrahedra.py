@@ -7,11 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
+from meshes.tets.checks import cell_faces, signed_volumes
 
-__all__ = ["FACES", "TetMesh"]
-
-FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
-"""Corners of the face opposite each corner, counter-clockwise seen from outside."""
+__all__ = ["TetMesh"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,15 +60,13 @@ class TetMesh:
     @cached_property
     def volumes_m3(self) -> NDArray[np.float64]:
         """Volume of each tetrahedron [m3], shape (m,)."""
-        a, b, c, d = (self.nodes_m[self.cells[:, i]] for i in range(4))
-        return np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a)) / 6.0
+        return signed_volumes(self.nodes_m, self.cells)
 
     @cached_property
     def surface(self) -> NDArray[np.int64]:
         """Triangles that bound the mesh, counter-clockwise seen from outside, shape (f, 3)."""
-        triangles = self.cells[:, FACES].reshape(-1, 3)
-        _, first, count = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True, return_counts=True)
-        return triangles[np.sort(first[count == 1])]
+        triangles, _, shared = cell_faces(self.cells)
+        return triangles[shared == 1]
 
     @cached_property
     def surface_nodes(self) -> NDArray[np.int64]:

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from round_bodies import mapped
 from tet_bodies import faces_where, planes, slab, solve
 from tet_fields import node_stress, pressure
 
-from meshes.tets.structured import mapped
 from tissue.fem.assembly import assemble
 from tissue.fem.loads import traction
 from tissue.fem.space import Space

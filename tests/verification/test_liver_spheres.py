@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from round_bodies import sphere_shell
 from tet_bodies import faces_where, planes, slope, solve_iteratively
 from tet_fields import node_stress, pressure
 
-from meshes.tets.structured import sphere_shell
 from tissue.fem.assembly import assemble
 from tissue.fem.capsule import capsule_stiffness
 from tissue.fem.space import Space

@@ -5,8 +5,9 @@ import pytest
 
 from meshes.base.errors import InputError
 from meshes.tets.bisection import bisected
+from meshes.tets.checks import FACES
 from meshes.tets.structured import box
-from meshes.tets.tetrahedra import FACES, TetMesh
+from meshes.tets.tetrahedra import TetMesh
 
 
 def longest_over_height(mesh: TetMesh) -> float:

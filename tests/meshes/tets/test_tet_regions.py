@@ -1,19 +1,18 @@
-"""Where a body is held: planes, boxes, spheres, directions, parts, and regions that touch nothing."""
+"""Where a body is held: planes, directions, parts, and regions that touch nothing."""
 
 import numpy as np
 import pytest
+from round_bodies import sphere_shell
 
 from meshes.base.errors import InputError
 from meshes.tets.regions import (
     faces_of,
     nodes_behind_plane,
     nodes_facing,
-    nodes_in_box,
-    nodes_in_sphere,
     nodes_of_part,
     surface_normals,
 )
-from meshes.tets.structured import box, sphere_shell
+from meshes.tets.structured import box
 from meshes.tets.tetrahedra import TetMesh
 
 MESH = box((0.1, 0.1, 0.1), (5, 5, 5))
@@ -33,13 +32,6 @@ def test_faces_of_a_flat_bottom_cover_it() -> None:
     a, b, c = (MESH.nodes_m[faces[:, k]] for k in range(3))
     normal = 0.5 * np.cross(b - a, c - a)
     assert normal.sum(axis=0) == pytest.approx((0.0, 0.0, -0.01), abs=1e-15)
-
-
-def test_boxes_and_spheres_choose_surface_nodes_only() -> None:
-    assert nodes_in_box(MESH, lower_m=(0.0, 0.0, 0.1), upper_m=(0.04, 0.04, 0.1)).size == 9
-    assert set(nodes_in_box(MESH, lower_m=(-1, -1, -1), upper_m=(1, 1, 1))) == set(MESH.surface_nodes)
-    # A corner and its three neighbours along the edges.
-    assert nodes_in_sphere(MESH, centre_m=(0.0, 0.0, 0.0), radius_m=0.021).size == 4
 
 
 def test_a_direction_chooses_the_side_that_faces_it() -> None:
@@ -66,10 +58,6 @@ def test_a_part_chooses_all_its_nodes() -> None:
 def test_a_support_that_touches_nothing_reports_the_nearest_node() -> None:
     with pytest.raises(InputError, match=r"nearest, at \(0, 0, 0\) mm, is 5 mm away"):
         nodes_behind_plane(MESH, point_m=(0.0, 0.0, -0.005), normal=(0.0, 0.0, 1.0))
-    with pytest.raises(InputError, match=r"nearest, at \(100, 100, 100\) mm, is 173 mm away"):
-        nodes_in_box(MESH, lower_m=(0.2, 0.2, 0.2), upper_m=(0.3, 0.3, 0.3))
-    with pytest.raises(InputError, match=r"sphere of 10 mm .* is 40 mm away"):
-        nodes_in_sphere(MESH, centre_m=(-0.05, 0.0, 0.0), radius_m=0.01)
     with pytest.raises(InputError, match=r"within 20 degrees .* nearest is 45 degrees away"):
         nodes_facing(MESH, direction=(1.0, 1.0, 0.0), within_deg=20.0)
 
@@ -82,8 +70,6 @@ def test_a_support_that_touches_nothing_reports_the_nearest_node() -> None:
             "point_m must be three finite",
         ),
         (lambda: nodes_behind_plane(MESH, point_m=(0, 0, 0), normal=(0, 0, 0)), "normal must not be zero"),
-        (lambda: nodes_in_box(MESH, lower_m=(1, 0, 0), upper_m=(0, 1, 1)), "upper_m must not lie below"),
-        (lambda: nodes_in_sphere(MESH, centre_m=(0, 0, 0), radius_m=0.0), "radius_m must be positive"),
         (lambda: nodes_facing(MESH, direction=(0, 0, 1), within_deg=0.0), "within_deg must be in"),
     ],
 )

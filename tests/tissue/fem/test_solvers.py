@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 from held_cube import BOTTOM, MESH, SURFACE, body_of, energy_error, load_on
+from round_bodies import joined
 from scipy.sparse import bsr_array, eye_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from meshes.base.errors import InputError
-from meshes.tets.structured import box, joined
+from meshes.tets.structured import box
 from meshes.tets.tetrahedra import TetMesh
 from tissue.fem.free_modes import free_modes, rigid_modes
 from tissue.fem.outcome import SolverOutcome
