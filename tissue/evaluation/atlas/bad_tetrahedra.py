@@ -1,8 +1,7 @@
 """Inverted and sliver tetrahedra: what they do to a stiffness matrix, and what is done about them."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.linalg import eigvalsh
 
@@ -10,18 +9,14 @@ from meshes.tets.checks import mean_ratio, signed_volumes
 from meshes.tets.quality import SLIVER, repair_tets
 from meshes.tets.structured import box
 from meshes.tets.tetrahedra import TetMesh
-from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, finish, region
-from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
+from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, panel
+from tissue.evaluation.atlas.page import Answer, Array, Conduct, Data, Page, Verdict, log_slope, refused, shown, sweep
 from tissue.fem.assembly import assemble
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 __all__ = ["BAD_TETRAHEDRA"]
 
-Array = NDArray[np.float64]
 SIZE_M = 0.1
 
 
@@ -44,32 +39,29 @@ def condition(nodes_m: Array, cells: NDArray[np.int64]) -> float:
     return float(values[-1] / values[0])
 
 
+def at_height(height: float) -> dict[str, float]:
+    """Quality and condition with so much of the height left, as it is and repaired."""
+    nodes, cells = squashed(height)
+    mesh, report = repair_tets(nodes, cells)
+    return {
+        "quality": mean_ratio(nodes, cells).min(),
+        "condition": condition(nodes, cells),
+        "repaired_quality": mean_ratio(mesh.nodes_m, mesh.cells).min(),
+        "repaired_condition": condition(mesh.nodes_m, mesh.cells),
+        "slivers_left": report.slivers_left,
+    }
+
+
 def measure(quick: bool) -> Data:
-    """Quality and condition over the height that is left, as it is and repaired."""
-    heights = np.geomspace(1.0, 1e-5, 4 if quick else 11)
-    rows = []
-    for height in heights.tolist():
-        nodes, cells = squashed(height)
-        mesh, report = repair_tets(nodes, cells)
-        rows.append(
-            (
-                float(mean_ratio(nodes, cells).min()),
-                condition(nodes, cells),
-                float(mean_ratio(mesh.nodes_m, mesh.cells).min()),
-                condition(mesh.nodes_m, mesh.cells),
-                float(report.slivers_left),
-            )
-        )
-    found = np.array(rows)
-    names = ("quality", "condition", "repaired_quality", "repaired_condition", "slivers_left")
-    return {"sliver": {"height": heights, **{name: found[:, column] for column, name in enumerate(names)}}}
+    """Quality and condition over the height that is left."""
+    return {"sliver": sweep("height", np.geomspace(1.0, 1e-5, 4 if quick else 11), at_height)}
 
 
 def judge(data: Data) -> Verdict:
     """Growth of the condition number with one over the height; what repair leaves of it."""
     table = data["sliver"]
     flat = table["height"] < 0.03
-    slope = float(np.polyfit(np.log(table["height"][flat]), np.log(table["condition"][flat]), 1)[0])
+    slope = log_slope(table["height"][flat], table["condition"][flat])
     worst, quality = float(table["repaired_condition"].max()), float(table["repaired_quality"].min())
     return Verdict(
         -1.15 < slope < -0.85 and table["condition"].max() > 100.0 * table["condition"][0],
@@ -102,25 +94,23 @@ def ask() -> list[Answer]:
     ]  # fmt: skip
 
 
-def draw(data: Data, chart: "Figure") -> None:
+def draw(data: Data, chart: Figure) -> None:
     """Condition and quality over the height."""
     left, right = chart.subplots(1, 2)
     table = data["sliver"]
-    height = table["height"]
+    height, label = table["height"], "height left of a cell / its own"
     bad = height[table["quality"] < SLIVER].max()
-    for axes in (left, right):
-        region(axes, Conduct.HOLDS, bad, height[0])
-        region(axes, Conduct.FALLS_BACK, height[-1], bad)
-    left.loglog(height, table["condition"][-1] * height[-1] / height, color=GREY, label="theory: one over the height")
-    left.loglog(height, table["condition"], "s", color=RED, label="as it is")
-    left.loglog(height, table["repaired_condition"], "o", color=BLUE, label="repaired (ours)")
-    low = 0.3 * table["repaired_condition"].min()
-    finish(left, "height left of a cell / its own", "condition number of the stiffness", xlim=height[[-1, 0]],
-           ylim=(low, 5.0 * table["condition"].max()))  # fmt: skip
-    right.loglog(height, table["quality"], "s", color=RED, label="as it is")
-    right.loglog(height, table["repaired_quality"], "o", color=BLUE, label="repaired (ours)")
-    right.axhline(SLIVER, color=GREY, linestyle=":", label="sliver: mean ratio below 0.1")
-    finish(right, "height left of a cell / its own", "worst mean ratio", xlim=height[[-1, 0]])
+    conduct = [(Conduct.HOLDS, bad, height[0]), (Conduct.FALLS_BACK, height[-1], bad)]
+    panel(left, height, label, "condition number of the stiffness", [
+        ("theory: one over the height", table["condition"][-1] * height[-1] / height, "-", GREY),
+        ("as it is", table["condition"], "s", RED),
+        ("repaired (ours)", table["repaired_condition"], "o", BLUE),
+    ], conduct=conduct, ylim=(0.3 * table["repaired_condition"].min(), 5.0 * table["condition"].max()))  # fmt: skip
+    panel(right, height, label, "worst mean ratio", [
+        ("as it is", table["quality"], "s", RED),
+        ("repaired (ours)", table["repaired_quality"], "o", BLUE),
+        ("sliver: mean ratio below 0.1", SLIVER, ":", GREY),
+    ], conduct=conduct)  # fmt: skip
 
 
 BAD_TETRAHEDRA = Page(

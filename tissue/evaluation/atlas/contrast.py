@@ -1,26 +1,20 @@
 """Modulus contrast: plain conjugate gradients follow it, the multigrid does not."""
 
-from typing import TYPE_CHECKING, Any
-
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.figure import Figure
 from scipy.sparse import csr_array, diags_array
 from scipy.sparse.linalg import cg
 
-from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, finish, region
-from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, shown
+from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, panel
+from tissue.evaluation.atlas.page import Answer, Array, Conduct, Data, Page, Verdict, shown
 from tissue.fem.outcome import SolverOutcome
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.grid import HexGrid
 from tissue.models.tooth.particles import ParticleSet
 from tissue.models.tooth.supports import NodeSupports
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 __all__ = ["CONTRAST"]
 
-Array = NDArray[np.float64]
 EDGE_M, TOLERANCE = 8e-3, 1e-6
 REAL = 42e3
 """Enamel of 84 GPa over pulp of 2 MPa."""
@@ -57,24 +51,17 @@ def plain_iterations(body: ParticleBody, *, scaled: bool) -> float:
     class _Near(Exception):  # noqa: N818 - it is no error
         """The goal is reached."""
 
-    def keep(found: Any) -> None:
+    def keep(found: Array) -> None:
         """Stop where every fifth iterate is near enough."""
         nonlocal count
         count += 1
-        if count % 5 == 0:
-            left = found - exact
-            if float(left @ (inner @ left)) <= goal:
-                raise _Near
+        left = found - exact
+        if count % 5 == 0 and float(left @ (inner @ left)) <= goal:
+            raise _Near
 
     try:
-        cg(
-            inner,
-            load,
-            rtol=0.0,
-            maxiter=MOST,
-            M=diags_array(1.0 / inner.diagonal()) if scaled else None,
-            callback=keep,
-        )
+        scale = diags_array(1.0 / inner.diagonal()) if scaled else None
+        cg(inner, load, rtol=0.0, maxiter=MOST, M=scale, callback=keep)
     except _Near:
         return float(count)
     return float(MOST)
@@ -83,21 +70,19 @@ def plain_iterations(body: ParticleBody, *, scaled: bool) -> float:
 def measure(quick: bool) -> Data:
     """Iterations over contrast, and ours over refinement."""
     contrasts = np.array([1.0, 1e2, REAL] if quick else [1.0, 10.0, 1e2, 1e3, 4200.0, REAL, 1e6])
-    cells = [8] if quick else [8, 12]
-    bodies = [soft_middle(cells[0], c) for c in contrasts.tolist()]
+    bodies = {n: [soft_middle(n, c) for c in contrasts.tolist()] for n in ([8] if quick else [8, 12])}
     ours = {
         f"multigrid_{n}": np.array(
-            [float(b.solve(pushed(b), tolerance=TOLERANCE, cold=True).iterations)
-             for b in (bodies if n == cells[0] else [soft_middle(n, c) for c in contrasts.tolist()])]
+            [float(b.solve(pushed(b), tolerance=TOLERANCE, cold=True).iterations) for b in refined]
         )
-        for n in cells
-    }  # fmt: skip
+        for n, refined in bodies.items()
+    }
     return {
         "contrast": {
             "contrast": contrasts,
             **ours,
-            "diagonal": np.array([plain_iterations(b, scaled=True) for b in bodies]),
-            "plain": np.array([plain_iterations(b, scaled=False) for b in bodies]),
+            "diagonal": np.array([plain_iterations(b, scaled=True) for b in bodies[8]]),
+            "plain": np.array([plain_iterations(b, scaled=False) for b in bodies[8]]),
         }
     }
 
@@ -133,23 +118,19 @@ def ask() -> list[Answer]:
     ]  # fmt: skip
 
 
-def draw(data: Data, chart: "Figure") -> None:
+def draw(data: Data, chart: Figure) -> None:
     """Iterations over contrast."""
     axes, table = chart.subplots(), data["contrast"]
     contrast = table["contrast"]
-    region(axes, Conduct.HOLDS, contrast[0], contrast[-1])
-    axes.loglog(
-        contrast,
-        table["plain"][0] * np.sqrt(contrast),
-        color=GREY,
-        label="theory: bound by the condition number, √contrast",
-    )
-    axes.loglog(contrast, table["plain"], "s", color=RED, label="plain")
-    axes.loglog(contrast, table["diagonal"], "^", color=ORANGE, label="scaled by the diagonal")
-    for name, marker in zip([each for each in table if each.startswith("multigrid")], "oD", strict=False):
-        axes.loglog(contrast, table[name], marker, color=BLUE, label=f"multigrid (ours), {name[10:]}³ cells")
     axes.axvline(REAL, color=GREY, linestyle=":", label="enamel to pulp")
-    finish(axes, "contrast of moduli", "iterations to 1e-6 in energy", ylim=(1.0, 3e5), xlim=contrast[[0, -1]])
+    ours = [name for name in table if name.startswith("multigrid")]
+    panel(axes, contrast, "contrast of moduli", "iterations to 1e-6 in energy", [
+        ("theory: bound by the condition number, √contrast", table["plain"][0] * np.sqrt(contrast), "-", GREY),
+        ("plain", table["plain"], "s", RED),
+        ("scaled by the diagonal", table["diagonal"], "^", ORANGE),
+        *((f"multigrid (ours), {name[10:]}³ cells", table[name], marker, BLUE)
+          for name, marker in zip(ours, "oD", strict=False)),
+    ], ylim=(1.0, 3e5))  # fmt: skip
 
 
 CONTRAST = Page(

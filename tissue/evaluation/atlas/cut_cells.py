@@ -1,24 +1,18 @@
 """Cut cells: with few particles in a cell its stiffness is singular; a tenth of inner stiffness closes it."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.figure import Figure
 
-from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, finish, region
-from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, shown
+from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, panel
+from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, log_slope, shown, sweep
 from tissue.fem.outcome import SolverOutcome
 from tissue.models.tooth.body import INNER_STRENGTH, LEAST_FILL, ParticleBody
 from tissue.models.tooth.grid import HexGrid
 from tissue.models.tooth.particles import ParticleSet
 from tissue.models.tooth.supports import NodeSupports
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 __all__ = ["CUT_CELLS"]
 
-Array = NDArray[np.float64]
 EDGE_M, CELLS = 1e-3, 3
 SINGULAR = 1e14
 """Condition number from which on a double can no longer distinguish a matrix from a singular one."""
@@ -57,18 +51,22 @@ def give_m_N(body: ParticleBody, fill: float) -> float:
     return float((load * body.solve(load, tolerance=1e-10).displacement_m).sum())
 
 
+def at_fill(fill: float) -> dict[str, float]:
+    """Condition numbers and give at a fill of the cut cells, without and with inner stiffness."""
+    bare, faint, ours = (cut_block(fill, strength) for strength in (0.0, 1e-3, INNER_STRENGTH))
+    condition, scaled = conditions(ours)
+    return {
+        "bare_scaled": conditions(bare)[1],
+        "condition": condition,
+        "scaled": scaled,
+        "carried": ours.cells.live.sum() == ours.grid.cell_count,
+        "cost": abs(give_m_N(ours, fill) / give_m_N(faint, fill) - 1.0),
+    }
+
+
 def measure(quick: bool) -> Data:
-    """Condition numbers and give over the fill of the cut cells, without and with inner stiffness."""
-    fills = np.geomspace(1.0, 2e-4, 5 if quick else 13)
-    rows = []
-    for fill in fills.tolist():
-        bare, faint, ours = (cut_block(fill, strength) for strength in (0.0, 1e-3, INNER_STRENGTH))
-        carried = float(ours.cells.live.sum() == ours.grid.cell_count)
-        cost = abs(give_m_N(ours, fill) / give_m_N(faint, fill) - 1.0)
-        rows.append((conditions(bare)[1], *conditions(ours), carried, cost))
-    found = np.array(rows)
-    names = ("bare_scaled", "condition", "scaled", "carried", "cost")
-    return {"fill": {"fill": fills, **{name: found[:, column] for column, name in enumerate(names)}}}
+    """Condition numbers and give over the fill."""
+    return {"fill": sweep("fill", np.geomspace(1.0, 2e-4, 5 if quick else 13), at_fill)}
 
 
 def judge(data: Data) -> Verdict:
@@ -76,7 +74,7 @@ def judge(data: Data) -> Verdict:
     table = data["fill"]
     carried = table["carried"] > 0.0
     worst, cost = float(table["scaled"].max()), float(table["cost"].max())
-    slope = float(np.polyfit(np.log(table["fill"][carried]), np.log(table["condition"][carried]), 1)[0])
+    slope = log_slope(table["fill"][carried], table["condition"][carried])
     dropped = table["fill"][~carried].max() if not carried.all() else np.nan
     return Verdict(
         bool((table["bare_scaled"][carried] > SINGULAR).all() and -1.2 < slope < -0.7),
@@ -107,30 +105,21 @@ def ask() -> list[Answer]:
     ]  # fmt: skip
 
 
-def draw(data: Data, chart: "Figure") -> None:
+def draw(data: Data, chart: Figure) -> None:
     """Condition and cost over the fill."""
     left, right = chart.subplots(1, 2)
     table = data["fill"]
-    fill, carried = table["fill"], table["carried"] > 0.0
-    for axes in (left, right):
-        region(axes, Conduct.HOLDS, LEAST_FILL, 1.0)
-        region(axes, Conduct.FALLS_BACK, fill.min(), LEAST_FILL)
-    left.loglog(fill[carried], table["bare_scaled"][carried], "s", color=RED, label="none: singular")
-    left.loglog(
-        fill[carried], table["condition"][carried][0] / fill[carried], color=GREY, label="theory: one over the fill"
-    )
-    left.loglog(fill[carried], table["condition"][carried], "^", color=ORANGE, label="0.1 inner stiffness")
-    left.loglog(fill, table["scaled"], "o", color=BLUE, label="the same, scaled (ours)")
-    finish(
-        left,
-        "fill of the cut cells",
-        "condition number",
-        xlim=(fill.min(), 1.0),
-        ylim=(10.0, 1e19),
-        legend="center right",
-    )
-    right.semilogx(fill, 100.0 * table["cost"], "o", color=BLUE, label="against 0.001 of inner stiffness")
-    finish(right, "fill of the cut cells", "give that the stabilisation costs / %", xlim=(fill.min(), 1.0))
+    fill, carried = table["fill"], np.where(table["carried"] > 0.0, 1.0, np.nan)
+    conduct = [(Conduct.HOLDS, LEAST_FILL, 1.0), (Conduct.FALLS_BACK, fill.min(), LEAST_FILL)]
+    panel(left, fill, "fill of the cut cells", "condition number", [
+        ("none: singular", carried * table["bare_scaled"], "s", RED),
+        ("theory: one over the fill", carried * table["condition"][0] / fill, "-", GREY),
+        ("0.1 inner stiffness", carried * table["condition"], "^", ORANGE),
+        ("the same, scaled (ours)", table["scaled"], "o", BLUE),
+    ], conduct=conduct, ylim=(10.0, 1e19), legend="center right")  # fmt: skip
+    panel(right, fill, "fill of the cut cells", "give that the stabilisation costs / %", [
+        ("against 0.001 of inner stiffness", 100.0 * table["cost"], "o", BLUE),
+    ], conduct=conduct, log="x")  # fmt: skip
 
 
 CUT_CELLS = Page(

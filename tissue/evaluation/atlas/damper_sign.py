@@ -1,22 +1,17 @@
 """E9: a damper +b v on the device feeds it; one on the relative velocity can only take."""
 
 from math import pi
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.figure import Figure
 
-from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, finish, region
-from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
+from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, panel
+from tissue.evaluation.atlas.page import Answer, Array, Data, Page, Verdict, refused, shown
 from tissue.haptics.proxy.virtual_coupling import VirtualCoupling
 from tissue.haptics.renderer import ProxyRenderer
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 __all__ = ["DAMPER_SIGN"]
 
-Array = NDArray[np.float64]
 STIFFNESS_N_M, MASS_KG, STEP_S = 500.0, 0.05, 1e-4
 RADIUS_M, TURN_HZ = 1e-3, 1.0
 STILL = np.zeros(3)
@@ -103,21 +98,20 @@ def ask() -> list[Answer]:
     ]
 
 
-def draw(data: Data, chart: "Figure") -> None:
+def draw(data: Data, chart: Figure) -> None:
     """Energy over the damper; swing over time."""
     left, right = chart.subplots(1, 2)
     cycle, swing = data["cycle"], data["swing"]
-    damping = cycle["damping_N_s_m"]
-    region(left, Conduct.HOLDS, 0.0, damping[-1])
-    left.plot(damping, 1e6 * cycle["theory_J"], color=GREY, label="theory: ±b∮v²dt")
-    left.plot(damping, -1e6 * cycle["theory_J"], color=GREY)
-    left.plot(damping, 1e6 * cycle["printed_J"], "s", color=RED, label="printed: k(p_p − p) + bv")
-    left.plot(damping, 1e6 * cycle["ours_J"], "o", color=BLUE, label="ours: k(p_p − p) + b(v_p − v)")
-    finish(left, "damping b / (N s/m)", "energy given to the device / µJ a cycle", xlim=(0.0, damping[-1]))
-    region(right, Conduct.HOLDS, 0.0, 1e3 * swing["time_s"][-1])
-    right.semilogy(1e3 * swing["time_s"], 1e3 * swing["printed_m"], "--", color=RED, label="printed, b = 2 N s/m")
-    right.semilogy(1e3 * swing["time_s"], 1e3 * swing["ours_m"], color=BLUE, label="ours, b = 2 N s/m")
-    finish(right, "time / ms", "swing of 50 g in the contact / mm", xlim=(0.0, 1e3 * swing["time_s"][-1]))
+    panel(left, cycle["damping_N_s_m"], "damping b / (N s/m)", "energy given to the device / µJ a cycle", [
+        ("theory: ±b∮v²dt", 1e6 * cycle["theory_J"], "-", GREY),
+        ("_", -1e6 * cycle["theory_J"], "-", GREY),
+        ("printed: k(p_p − p) + bv", 1e6 * cycle["printed_J"], "s", RED),
+        ("ours: k(p_p − p) + b(v_p − v)", 1e6 * cycle["ours_J"], "o", BLUE),
+    ], log="")  # fmt: skip
+    panel(right, 1e3 * swing["time_s"], "time / ms", "swing of 50 g in the contact / mm", [
+        ("printed, b = 2 N s/m", 1e3 * swing["printed_m"], "--", RED),
+        ("ours, b = 2 N s/m", 1e3 * swing["ours_m"], "-", BLUE),
+    ], log="y")  # fmt: skip
 
 
 DAMPER_SIGN = Page(

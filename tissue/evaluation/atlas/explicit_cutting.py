@@ -1,24 +1,21 @@
 """The cutting force damps so hard that an explicit step of the feed runs away; the implicit one does not."""
 
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from meshes.shapes.anatomy import cortical_block
 from meshes.voxels.voxelise import voxelise
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr, cylinder
-from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, finish, region
-from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
+from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, panel
+from tissue.evaluation.atlas.page import Answer, Data, Page, Verdict, boundary, error_of, refused, shown, sweep
 from tissue.materials.cutting import cutting_coefficients
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import ToolMotion
 from tissue.motion.motion import PushAlongAxis, implicit_speed
 from tissue.scene.load import load_scene
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["EXPLICIT_CUTTING"]
 
@@ -56,47 +53,35 @@ def left_over(step_s: float, mass_kg: float, *, implicit: bool) -> float:
     return abs(speed / settled - 1.0)
 
 
-def boundary_s(mass_kg: float) -> float:
-    """Step above which the explicit feed grows, by bisection over runs [s]."""
-    low, high = 1e-8, 1.0
-    for _ in range(30):
-        middle = np.sqrt(low * high)
-        low, high = (low, middle) if left_over(middle, mass_kg, implicit=False) > 1.0 else (middle, high)
-    return float(np.sqrt(low * high))
-
-
 def measure(quick: bool) -> Data:
     """The boundary over mass; what is left over the step for one mass."""
     masses = np.geomspace(0.01, 5.0, 3 if quick else 9)
-    limit = 2.0 * 0.05 / drag_N_s_m()
-    steps = limit * np.geomspace(0.05, 200.0, 8 if quick else 24)
-    return {
-        "mass": {
-            "mass_kg": masses,
-            "explicit_s": np.array([boundary_s(mass) for mass in masses.tolist()]),
-            "theory_s": 2.0 * masses / drag_N_s_m(),
-        },
-        "step": {
-            "step_s": steps,
-            "explicit": np.array([left_over(step, 0.05, implicit=False) for step in steps.tolist()]),
-            "implicit": np.array([left_over(step, 0.05, implicit=True) for step in steps.tolist()]),
-        },
-    }
+    steps = 2.0 * 0.05 / drag_N_s_m() * np.geomspace(0.05, 200.0, 8 if quick else 24)
+
+    def limit_s(mass: float) -> dict[str, float]:
+        """Step above which the explicit feed grows, and theory's."""
+        runs_away = boundary(lambda step: left_over(step, mass, implicit=False) > 1.0, 1e-8, 1.0, steps=30)
+        return {"explicit_s": runs_away, "theory_s": 2.0 * mass / drag_N_s_m()}
+
+    def left(step: float) -> dict[str, float]:
+        """What is left of both after a step so long."""
+        return {kind: left_over(step, 0.05, implicit=kind == "implicit") for kind in ("explicit", "implicit")}
+
+    return {"mass": sweep("mass_kg", masses, limit_s), "step": sweep("step_s", steps, left)}
 
 
 def judge(data: Data) -> Verdict:
     """The measured limit against 2 m / c, and the implicit step beyond it."""
     mass, step = data["mass"], data["step"]
-    off = float(np.abs(mass["explicit_s"] / mass["theory_s"] - 1.0).max())
+    off = error_of(mass["explicit_s"], mass["theory_s"])
     beyond = step["step_s"] > 2.1 * 0.05 / drag_N_s_m()
     worst = float(step["implicit"][beyond].max())
-    needed = 0.5e-3 * drag_N_s_m()
     return Verdict(
         bool(off < 0.01 and (step["explicit"][beyond] > 1e3).all()),
         worst < 1e-6,
         f"The burr resists with {drag_N_s_m():.0f} N s/m, so that an explicit step must stay below 2m/c (met to "
-        f"{100 * off:.2f} %): at 1 ms a tool under {needed:.1f} kg runs away. The implicit step is within {worst:.0e} "
-        f"of the settled feed up to {1e3 * step['step_s'].max():.0f} ms.",
+        f"{100 * off:.2f} %): at 1 ms a tool under {0.5e-3 * drag_N_s_m():.1f} kg runs away. The implicit step is "
+        f"within {worst:.0e} of the settled feed up to {1e3 * step['step_s'].max():.0f} ms.",
     )
 
 
@@ -136,21 +121,20 @@ def ask() -> list[Answer]:
     ]
 
 
-def draw(data: Data, chart: "Figure") -> None:
+def draw(data: Data, chart: Figure) -> None:
     """Longest step over mass; what is left over the step."""
     left, right = chart.subplots(1, 2)
     mass, step = data["mass"], data["step"]
-    region(left, Conduct.HOLDS, mass["mass_kg"][0], mass["mass_kg"][-1])
-    left.loglog(mass["mass_kg"], 1e3 * mass["theory_s"], color=GREY, label="theory: 2m/c")
-    left.loglog(mass["mass_kg"], 1e3 * mass["explicit_s"], "s", color=RED, label="explicit step runs away above")
-    left.axhline(1.0, color=BLUE, linestyle="--", label="the engine's tick (implicit)")
-    finish(left, "moving mass / kg", "longest step / ms", xlim=mass["mass_kg"][[0, -1]])
-    across = 1e3 * step["step_s"]
-    region(right, Conduct.HOLDS, across[0], across[-1])
-    right.loglog(across, np.clip(step["explicit"], 1e-16, 1e12), "s", color=RED, label="explicit")
-    right.loglog(across, np.clip(step["implicit"], 1e-16, 1e12), "o", color=BLUE, label="implicit (ours)")
+    panel(left, mass["mass_kg"], "moving mass / kg", "longest step / ms", [
+        ("theory: 2m/c", 1e3 * mass["theory_s"], "-", GREY),
+        ("explicit step runs away above", 1e3 * mass["explicit_s"], "s", RED),
+        ("the engine's tick (implicit)", 1.0, "--", BLUE),
+    ])  # fmt: skip
     right.axvline(2e3 * 0.05 / drag_N_s_m(), color=GREY, label="theory: 2m/c")
-    finish(right, "step / ms", "feed off after 400 steps / settled feed", title="50 g", xlim=across[[0, -1]])
+    panel(right, 1e3 * step["step_s"], "step / ms", "feed off after 400 steps / settled feed", [
+        ("explicit", np.clip(step["explicit"], 1e-16, 1e12), "s", RED),
+        ("implicit (ours)", np.clip(step["implicit"], 1e-16, 1e12), "o", BLUE),
+    ], title="50 g")  # fmt: skip
 
 
 EXPLICIT_CUTTING = Page(

@@ -1,21 +1,17 @@
 """E5: an expected intensity is no force; the command must be the force that evokes the wanted intensity."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from matplotlib.figure import Figure
 
 from tissue.builders.perception import perception
-from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, finish, region
-from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
+from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, Curve, panel
+from tissue.evaluation.atlas.page import Answer, Array, Conduct, Data, Page, Verdict, refused, shown
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.loop.filters import ForceRange
 from tissue.perception.mapping import ForceMap
 from tissue.perception.observer import Observer
 from tissue.perception.population import population_observer, reference_observer
 from tissue.perception.stevens import Intensity, intensity_of
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["FORCE_COMMAND"]
 
@@ -42,21 +38,20 @@ def measure(quick: bool) -> Data:
         ours = np.array([law.table.at(force) for force in forces.tolist()])
         printed = person.expected(forces)
         # An intensity has no unit of force: given in tenths of the unit, the printed command is ten times as large.
-        tenths = Intensity(log_alpha=float(np.log(10.0 * alpha)), beta=beta).expected(forces)
-        wanted = reference.expected(law.gain * forces)
+        tenths = Intensity(log_alpha=float(np.log(10.0 * alpha)), beta=beta)
         data[name] = {
             "force_N": forces,
             "ours_N": ours,
             "printed_N": printed,
-            "printed_in_tenths_N": tenths,
-            "felt_ours": person.expected(ours) / wanted,
+            "printed_in_tenths_N": tenths.expected(forces),
+            "felt_ours": person.expected(ours) / reference.expected(law.gain * forces),
             "felt_printed": person.expected(printed) / reference.expected(forces),
             "theory_N": (law.gain**1.7 * forces**1.7 / alpha) ** (1.0 / beta),
         }
     return data
 
 
-def within(table: dict[str, np.ndarray]) -> np.ndarray:
+def within(table: dict[str, Array]) -> Array:
     """Forces between the straight line at the low end and the knee of the device."""
     return np.asarray((table["force_N"] >= LOWEST_N) & (table["force_N"] <= KNEE_N))
 
@@ -98,24 +93,27 @@ def ask() -> list[Answer]:
     ]  # fmt: skip
 
 
-def draw(data: Data, chart: "Figure") -> None:
+def draw(data: Data, chart: Figure) -> None:
     """Command and what is felt over force."""
     left, right = chart.subplots(1, 2)
-    for axes in (left, right):
-        region(axes, Conduct.FALLS_BACK, 0.02, LOWEST_N)
-        region(axes, Conduct.HOLDS, LOWEST_N, KNEE_N)
-        region(axes, Conduct.FALLS_BACK, KNEE_N, LIMIT_N)
+    conduct = [
+        (Conduct.FALLS_BACK, 0.02, LOWEST_N),
+        (Conduct.HOLDS, LOWEST_N, KNEE_N),
+        (Conduct.FALLS_BACK, KNEE_N, LIMIT_N),
+    ]
+    commands: list[Curve] = []
+    felt: list[Curve] = [("theory: as wanted", 1.0, "-", GREY)]
     for (name, table), marker, colour in zip(data.items(), "os", (BLUE, ORANGE), strict=True):
-        alpha, beta = PEOPLE[name]
-        force = table["force_N"]
-        left.loglog(force, table["theory_N"], color=GREY, label="theory: (F^1.7/α)^(1/β)" if marker == "o" else None)
-        left.loglog(force, table["ours_N"], marker, color=colour, label=f"ours, α = {alpha}, β = {beta}")
-        left.loglog(force, table["printed_N"], "--", color=RED, label="printed: E[S]" if marker == "o" else None)
-        right.loglog(force, table["felt_ours"], marker, color=colour, label=f"ours, α = {alpha}, β = {beta}")
-        right.loglog(force, table["felt_printed"], "--", color=RED, label="printed" if marker == "o" else None)
-    right.axhline(1.0, color=GREY, label="theory: as wanted")
-    finish(left, "force to be felt / N", "command / N", xlim=(0.02, LIMIT_N), legend="upper left")
-    finish(right, "force to be felt / N", "intensity felt / wanted", xlim=(0.02, LIMIT_N))
+        ours, once = "ours, α = {}, β = {}".format(*PEOPLE[name]), "" if marker == "o" else "_"
+        commands += [
+            (f"{once}theory: (F^1.7/α)^(1/β)", table["theory_N"], "-", GREY),
+            (ours, table["ours_N"], marker, colour),
+            (f"{once}printed: E[S]", table["printed_N"], "--", RED),
+        ]
+        felt += [(ours, table["felt_ours"], marker, colour), (f"{once}printed", table["felt_printed"], "--", RED)]
+    force = data["dull"]["force_N"]
+    panel(left, force, "force to be felt / N", "command / N", commands, conduct=conduct, legend="upper left")
+    panel(right, force, "force to be felt / N", "intensity felt / wanted", felt, conduct=conduct)
 
 
 FORCE_COMMAND = Page(

@@ -1,19 +1,15 @@
 """How far ahead a force can be predicted: every predictor against holding the last force, over the horizon."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from matplotlib.figure import Figure
 
-from tissue.evaluation.atlas.drawing import GREEN, GREY, finish, region
+from tissue.evaluation.atlas.drawing import GREEN, GREY, panel
 from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
 from tissue.evaluation.atlas.tapping import LIMIT_N, TICK_S, koopman, predicted, relative_error, tapped, trained
 from tissue.prediction.baselines import Kalman, Linear
 from tissue.prediction.guard import Guarded
 from tissue.prediction.predictor import Hold, Predictor
 from tissue.scene.registry import PREDICTORS
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["HORIZON"]
 
@@ -58,10 +54,8 @@ def judge(data: Data) -> Verdict:
     """Where each predictor stops to be better than hold, and whether ours is worse anywhere."""
     table = data["horizon"]
     horizon, hold = table["ahead_ms"], table["hold"]
-    ends = {}
-    for name in ("linear", "kalman", "koopman"):
-        worse = table[name] > hold
-        ends[name] = f"beyond {horizon[worse].min():.0f} ms" if worse.any() else "nowhere"
+    worse = {name: horizon[table[name] > hold] for name in ("linear", "kalman", "koopman")}
+    ends = {name: f"beyond {those.min():.0f} ms" if len(those) else "nowhere" for name, those in worse.items()}
     within = horizon <= LEADS_MS
     gain = float((table["koopman"] / hold)[within].max())
     best = float(np.min([table[name] / hold for name in ("linear", "kalman")], axis=0)[within].max())
@@ -101,17 +95,15 @@ def ask() -> list[Answer]:
     ]  # fmt: skip
 
 
-def draw(data: Data, chart: "Figure") -> None:
+def draw(data: Data, chart: Figure) -> None:
     """Error over the horizon."""
-    axes, table = chart.subplots(), data["horizon"]
-    horizon = table["ahead_ms"]
-    region(axes, Conduct.HOLDS, horizon[0], LEADS_MS)
-    for name in LABELS:
-        colour, marker = PREDICTORS[name].colour, PREDICTORS[name].marker
-        axes.loglog(horizon, 100.0 * table[name], marker, color=colour, label=LABELS[name])
-    axes.loglog(horizon, 100.0 * table["theory_hold"], color=GREY, label="theory of hold: rate × horizon")
-    axes.axhline(100.0, color=GREEN, linestyle=":", label="as far off as no force at all")
-    finish(axes, "horizon / ms", "force error / %", xlim=horizon[[0, -1]], ylim=(0.5, 400.0), legend="upper left")
+    table = data["horizon"]
+    panel(chart.subplots(), table["ahead_ms"], "horizon / ms", "force error / %", [
+        *((label, 100.0 * table[name], PREDICTORS[name].marker, PREDICTORS[name].colour)
+          for name, label in LABELS.items()),
+        ("theory of hold: rate × horizon", 100.0 * table["theory_hold"], "-", GREY),
+        ("as far off as no force at all", 100.0, ":", GREEN),
+    ], conduct=[(Conduct.HOLDS, table["ahead_ms"][0], LEADS_MS)], ylim=(0.5, 400.0), legend="upper left")  # fmt: skip
 
 
 HORIZON = Page(

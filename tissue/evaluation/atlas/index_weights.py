@@ -1,21 +1,15 @@
 """E14: weights of a composite index from raw metrics follow their units and signs; squared loadings do not."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.figure import Figure
 
-from tissue.evaluation.atlas.drawing import BLUE, GREEN, GREY, ORANGE, PINK, RED, finish, region
-from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
+from tissue.evaluation.atlas.drawing import BLUE, GREEN, GREY, ORANGE, PINK, RED, panel
+from tissue.evaluation.atlas.page import Answer, Array, Conduct, Data, Page, Verdict, refused, shown, sweep
 from tissue.evaluation.statistics.hpi import composite_index
 from tissue.evaluation.statistics.trials import TrialTable
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 __all__ = ["INDEX_WEIGHTS"]
 
-Array = NDArray[np.float64]
 METRICS = {"accuracy": 1, "force_error": -1, "position_error": -1, "time_s": -1}
 """What an index is made of, and whether higher is better."""
 USERS, TRIALS = 24, 4
@@ -52,18 +46,18 @@ def printed_weights(study: TrialTable) -> Array:
     return np.asarray(first / np.abs(first).sum())
 
 
+def weights(scale: float) -> dict[str, float]:
+    """Weights of all metrics with one in another unit, raw and by squared loadings."""
+    study = table(scale)
+    index = composite_index(study, METRICS, rng=np.random.default_rng(0), count=50)
+    printed = {f"printed_{name}": value for name, value in zip(METRICS, printed_weights(study), strict=True)}
+    return printed | {f"ours_{name}": each.value for name, each in zip(METRICS, index.weights, strict=True)}
+
+
 def measure(quick: bool) -> Data:
-    """Weights of all metrics over the unit of one, raw and by squared loadings."""
+    """Weights over the unit of one metric."""
     scales = np.array([1e-3, 1.0, 1e3]) if quick else 10.0 ** np.arange(-3.0, 3.5, 1.0)
-    printed, ours = [], []
-    for scale in scales.tolist():
-        study = table(scale)
-        printed.append(printed_weights(study))
-        index = composite_index(study, METRICS, rng=np.random.default_rng(0), count=50)
-        ours.append([each.value for each in index.weights])
-    columns = {f"printed_{name}": np.array(printed)[:, i] for i, name in enumerate(METRICS)}
-    columns |= {f"ours_{name}": np.array(ours)[:, i] for i, name in enumerate(METRICS)}
-    return {"unit": {"units_per_mm": scales, **columns}}
+    return {"unit": sweep("units_per_mm", scales, weights)}
 
 
 def judge(data: Data) -> Verdict:
@@ -100,22 +94,19 @@ def ask() -> list[Answer]:
     ]  # fmt: skip
 
 
-def draw(data: Data, chart: "Figure") -> None:
+def draw(data: Data, chart: Figure) -> None:
     """Weights over the unit, raw and ours."""
     left, right = chart.subplots(1, 2, sharey=True)
-    unit = data["unit"]
-    scales = unit["units_per_mm"]
-    region(right, Conduct.HOLDS, scales[0], scales[-1])
-    for name, colour, marker in zip(METRICS, (BLUE, ORANGE, RED, GREEN), "o^sD", strict=True):
-        for axes, kind in ((left, "printed"), (right, "ours")):
-            axes.semilogx(scales, unit[f"{kind}_{name}"], marker, color=colour, linestyle="-", linewidth=1.0,
-                          label=name.replace("_", " ").removesuffix(" s"))  # fmt: skip
-    right.axhline(0.25, color=GREY, linestyle=":", label="theory of equally good metrics: ¼")
-    left.axhline(0.0, color=PINK, linewidth=1.0)
-    finish(left, "units of position error per mm", "weight in the index", title="raw (printed)", ylim=(-1.1, 1.1),
-           xlim=scales[[0, -1]])  # fmt: skip
-    finish(right, "units of position error per mm", "", title="oriented, standardised, squared (ours)",
-           xlim=scales[[0, -1]])  # fmt: skip
+    unit, label = data["unit"], "units of position error per mm"
+    looks = dict(zip(METRICS, (("o-", BLUE), ("^-", ORANGE), ("s-", RED), ("D-", GREEN)), strict=True))
+    printed, ours = (
+        [(name.replace("_", " ").removesuffix(" s"), unit[f"{kind}_{name}"], *look) for name, look in looks.items()]
+        for kind in ("printed", "ours")
+    )
+    panel(left, unit["units_per_mm"], label, "weight in the index", [*printed, ("_", 0.0, "-", PINK)], log="x",
+          conduct=(), title="raw (printed)", ylim=(-1.1, 1.1))  # fmt: skip
+    panel(right, unit["units_per_mm"], label, "", [*ours, ("theory of equally good metrics: ¼", 0.25, ":", GREY)],
+          log="x", title="oriented, standardised, squared (ours)")  # fmt: skip
 
 
 INDEX_WEIGHTS = Page(

@@ -1,12 +1,11 @@
 """Poisson's ratio towards 0.5: linear tetrahedra lock, quadratic ones do not."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from matplotlib.figure import Figure
 
 from meshes.tets.structured import box
 from tissue.builders.organ import elasticity_of
-from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, finish, region
+from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, Curve, panel
 from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
 from tissue.fem.assembly import assemble
 from tissue.fem.loads import traction
@@ -16,9 +15,6 @@ from tissue.fem.solvers.held_body import HeldBody, Supports
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 from tissue.scene.organ import Organ, SlabAnatomy
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["LOCKING"]
 
@@ -88,25 +84,21 @@ def ask() -> list[Answer]:
     ]  # fmt: skip
 
 
-def draw(data: Data, chart: "Figure") -> None:
+def draw(data: Data, chart: Figure) -> None:
     """Deflection over the beam's, over 1 - 2 nu."""
-    axes, bar = chart.subplots(), data["bar"]
+    bar = data["bar"]
     gap = 1.0 - 2.0 * bar["poisson_ratio"]
-    trusted = bar["quadratic_vouched"] > 0.0
-    limit = gap[trusted].min()
-    region(axes, Conduct.HOLDS, limit, gap[0])
-    if not trusted.all():
-        region(axes, Conduct.REFUSES, gap[-1], limit)
-    axes.axhline(1.0, color=GREY, label="theory: Timoshenko beam")
-    styles = {"quadratic": (BLUE, "o"), "linear_fine": (ORANGE, "^"), "linear_coarse": (RED, "s")}
-    for name, (colour, marker) in styles.items():
+    limit = gap[bar["quadratic_vouched"] > 0.0].min()
+    curves: list[Curve] = [("theory: Timoshenko beam", 1.0, "-", GREY)]
+    looks = {"quadratic": ("o", BLUE), "linear_fine": ("^", ORANGE), "linear_coarse": ("s", RED)}
+    for name, look in looks.items():
         if f"{name}_m" in bar:
             order, (a, b, c) = MESHES[name]
             kind = "quadratic (ours)" if order == 2 else "linear"
-            share = bar[f"{name}_m"] / bar["timoshenko_m"]
-            axes.semilogx(gap, share, marker, color=colour, label=f"{kind}, {a} × {b} × {c} bricks of 6")
-    finish(axes, "1 − 2ν  (0: incompressible)", "deflection / that of the beam", xlim=gap[[0, -1]], ylim=(0.0, 1.15),
-           legend="center right")  # fmt: skip
+            curves.append((f"{kind}, {a} × {b} × {c} bricks of 6", bar[f"{name}_m"] / bar["timoshenko_m"], *look))
+    conduct = [(Conduct.HOLDS, limit, gap[0])] + [(Conduct.REFUSES, gap[-1], limit)] * bool(limit > gap[-1])
+    panel(chart.subplots(), gap, "1 − 2ν  (0: incompressible)", "deflection / that of the beam", curves, log="x",
+          conduct=conduct, xlim=gap[[0, -1]], ylim=(0.0, 1.15), legend="center right")  # fmt: skip
 
 
 LOCKING = Page(

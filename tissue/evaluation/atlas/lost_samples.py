@@ -1,22 +1,18 @@
 """Dropped, late and repeated samples: without a guard a stale force stays, with it the force fades and comes back."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from matplotlib.figure import Figure
 
-from tissue.evaluation.atlas.drawing import BLUE, GREEN, GREY, ORANGE, RED, finish, region
+from tissue.evaluation.atlas.drawing import BLUE, GREEN, GREY, ORANGE, RED, panel
 from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
 from tissue.evaluation.atlas.pressing import FAULT_S, TICK_S, pressed
 from tissue.haptics.device.faulty import Fault, FaultKind
 from tissue.haptics.device.sample_guard import GuardLimits
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 __all__ = ["LOST_SAMPLES"]
 
 KINDS: tuple[FaultKind, ...] = ("dropped", "late", "duplicated")
-STYLES = {"dropped": (BLUE, "o"), "late": (ORANGE, "s"), "duplicated": (GREEN, "^")}
+STYLES = {"dropped": ("o", BLUE), "late": ("s", ORANGE), "duplicated": ("^", GREEN)}
 LIMITS = GuardLimits()
 AFTER_S = 0.08
 
@@ -85,24 +81,22 @@ def ask() -> list[Answer]:
     return [*answers, refused("a guard that never fades", lambda: GuardLimits(fade_s=0.0))]
 
 
-def draw(data: Data, chart: "Figure") -> None:
+def draw(data: Data, chart: Figure) -> None:
     """Share of the force at the end of the gap, with and without the guard."""
     left, right = chart.subplots(1, 2, sharey=True)
-    longest = 1e3 * max(float(t["gap_s"].max()) for t in data.values())
-    region(left, Conduct.FALLS_BACK, 0.0, longest)
+    gap = 1e3 * data["late"]["gap_s"]
+    longest, label = gap.max(), "length of the gap / ms"
     fine = np.linspace(0.0, 1e-3 * longest, 200)
     left.plot(1e3 * fine, np.clip(1.0 - fine / LIMITS.fade_s, 0.0, 1.0), color=GREY, label="theory: gone in 20 ms")
-    for kind, table in data.items():
-        colour, marker = STYLES[kind]
-        left.plot(1e3 * table["gap_s"], table["guarded_at_end"], marker, color=colour, label=kind)
-        right.plot(1e3 * table["gap_s"], table["bare_at_end"], marker, color=colour, label=kind)
-    right.axhline(0.0, color=GREY, linestyle=":")
-    right.text(0.5 * longest, 0.5, "a repeated or late sample\nkeeps its force", color=RED, ha="center")
-    finish(left, "length of the gap / ms", "force at its end / force before", title="with the sample guard (ours)",
-           xlim=(0.0, longest), ylim=(-0.05, 1.25))  # fmt: skip
-    finish(
-        right, "length of the gap / ms", "", title="every sample accepted", legend="center left", xlim=(0.0, longest)
+    guarded, bare = (
+        [(kind, table[f"{what}_at_end"], *STYLES[kind]) for kind, table in data.items()] for what in ("guarded", "bare")
     )
+    right.text(0.5 * longest, 0.5, "a repeated or late sample\nkeeps its force", color=RED, ha="center")
+    panel(left, gap, label, "force at its end / force before", guarded, log="", xlim=(0.0, longest),
+          conduct=[(Conduct.FALLS_BACK, 0.0, longest)], title="with the sample guard (ours)",
+          ylim=(-0.05, 1.25))  # fmt: skip
+    panel(right, gap, label, "", [*bare, ("_", 0.0, ":", GREY)], log="", xlim=(0.0, longest), conduct=(),
+          title="every sample accepted", legend="center left")  # fmt: skip
 
 
 LOST_SAMPLES = Page(

@@ -1,22 +1,16 @@
 """E12: a proxy that is the nearest free point pops through a thin wall; one that descends locally stays."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.figure import Figure
 
-from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, finish, region
-from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
+from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, panel
+from tissue.evaluation.atlas.page import Answer, Array, Data, Page, Verdict, refused, shown, sweep
 from tissue.haptics.proxy.proxy import Proxy
 from tissue.haptics.proxy.tool_shell import ToolShell
 from tissue.haptics.proxy.voxmap import Box, ContactField
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 __all__ = ["NEAREST_POINT", "nearest_free", "point_proxy"]
 
-Array = NDArray[np.float64]
 SHOWN_M = 1e-3
 """Thickness of the wall whose passage is drawn."""
 EDGE_M = 0.1
@@ -36,30 +30,35 @@ def nearest_free(height_m: float, thickness_m: float) -> float:
     return height_m if abs(height_m) >= half else float(np.copysign(half, height_m))
 
 
+def followed(proxy: Proxy, heights: Array) -> Array:
+    """Heights of a proxy whose device goes through those given, one after the other [m]."""
+    return np.array([proxy.advance(np.array([0.0, 0.0, z])).position_m[2] for z in heights.tolist()])
+
+
+def sides(thickness: float) -> dict[str, float]:
+    """Depths of the device at which either proxy changes sides of a wall, the end of its path where it never does."""
+    walk = 0.5 * thickness - np.linspace(-0.1, 3.0, 311) * thickness
+    naive = np.array([nearest_free(z, thickness) for z in walk.tolist()])
+    through = followed(point_proxy(thickness, start_m=walk[0]), walk) < 0.0
+    held = walk[np.argmax(through)] if through.any() else walk[-1]
+    return {
+        "nearest_pops_at_m": 0.5 * thickness - walk[np.argmax(naive < 0.0)],
+        "ours_held_to_m": 0.5 * thickness - held,
+    }
+
+
 def measure(quick: bool) -> Data:
     """Both proxies over the device's path through one wall; where they change sides, over thickness."""
     depth = np.linspace(-0.5, 2.0, 26 if quick else 101) * SHOWN_M
     height = 0.5 * SHOWN_M - depth
-    proxy = point_proxy(SHOWN_M, start_m=height[0])
-    ours = np.array([proxy.advance(np.array([0.0, 0.0, z])).position_m[2] for z in height.tolist()])
-    thickness = np.geomspace(1e-5, 1e-2, 4 if quick else 13)
-    popped, held = np.zeros(len(thickness)), np.zeros(len(thickness))
-    for number, thick in enumerate(thickness.tolist()):
-        walk = 0.5 * thick - np.linspace(-0.1, 3.0, 311) * thick
-        follower = point_proxy(thick, start_m=walk[0])
-        naive = np.array([nearest_free(z, thick) for z in walk.tolist()])
-        kept = np.array([follower.advance(np.array([0.0, 0.0, z])).position_m[2] for z in walk.tolist()])
-        popped[number] = 0.5 * thick - walk[np.argmax(naive < 0.0)]
-        through = kept < 0.0
-        held[number] = 0.5 * thick - (walk[np.argmax(through)] if through.any() else walk[-1])
     return {
         "way": {
             "depth_m": depth,
-            "ours_m": ours,
+            "ours_m": followed(point_proxy(SHOWN_M, start_m=height[0]), height),
             "nearest_m": np.array([nearest_free(z, SHOWN_M) for z in height.tolist()]),
             "theory_m": np.maximum(height, 0.5 * SHOWN_M),
         },
-        "thickness": {"thickness_m": thickness, "nearest_pops_at_m": popped, "ours_held_to_m": held},
+        "thickness": sweep("thickness_m", np.geomspace(1e-5, 1e-2, 4 if quick else 13), sides),
     }
 
 
@@ -94,23 +93,22 @@ def ask() -> list[Answer]:
     ]
 
 
-def draw(data: Data, chart: "Figure") -> None:
+def draw(data: Data, chart: Figure) -> None:
     """Heights over depth; depth of the change over thickness."""
     left, right = chart.subplots(1, 2)
     descent, wall = data["way"], data["thickness"]
-    depth = 1e3 * descent["depth_m"]
-    region(left, Conduct.HOLDS, depth[0], depth[-1])
     left.axhspan(-500.0 * SHOWN_M, 500.0 * SHOWN_M, color="0.75", zorder=1, label="wall")
-    left.plot(depth, 1e3 * descent["theory_m"], color=GREY, zorder=3, label="theory: stays outside")
-    left.plot(depth, 1e3 * descent["nearest_m"], "--", color=RED, zorder=3, label="nearest free point (printed)")
-    left.plot(depth[::4], 1e3 * descent["ours_m"][::4], "o", color=BLUE, zorder=4, label="local descent (ours)")
-    finish(left, "depth of the device under the face / mm", "height of the proxy / mm", xlim=depth[[0, -1]])
-    thickness = 1e3 * wall["thickness_m"]
-    region(right, Conduct.HOLDS, thickness[0], thickness[-1])
-    right.loglog(thickness, 0.5 * thickness, color=GREY, label="theory: half the thickness")
-    right.loglog(thickness, 1e3 * wall["nearest_pops_at_m"], "s", color=RED, label="nearest point changes sides")
-    right.loglog(thickness, 1e3 * wall["ours_held_to_m"], "^", color=BLUE, label="ours: still held (end of the path)")
-    finish(right, "thickness of the wall / mm", "depth of the device / mm", xlim=thickness[[0, -1]])
+    some = np.where(np.arange(len(descent["depth_m"])) % 4 == 0, 1e3, np.nan)
+    panel(left, 1e3 * descent["depth_m"], "depth of the device under the face / mm", "height of the proxy / mm", [
+        ("theory: stays outside", 1e3 * descent["theory_m"], "-", GREY),
+        ("nearest free point (printed)", 1e3 * descent["nearest_m"], "--", RED),
+        ("local descent (ours)", some * descent["ours_m"], "o", BLUE),
+    ], log="")  # fmt: skip
+    panel(right, 1e3 * wall["thickness_m"], "thickness of the wall / mm", "depth of the device / mm", [
+        ("theory: half the thickness", 0.5e3 * wall["thickness_m"], "-", GREY),
+        ("nearest point changes sides", 1e3 * wall["nearest_pops_at_m"], "s", RED),
+        ("ours: still held (end of the path)", 1e3 * wall["ours_held_to_m"], "^", BLUE),
+    ])  # fmt: skip
 
 
 NEAREST_POINT = Page(

@@ -1,12 +1,10 @@
 """E1: the one-step error of a lifted generator is of second order only where its dictionary is closed."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.figure import Figure
 
-from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, finish, region
-from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
+from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, Curve, panel
+from tissue.evaluation.atlas.page import Answer, Array, Data, Page, Table, Verdict, error_of, log_slope, refused, shown
 from tissue.prediction.edmd.closure import step_errors
 from tissue.prediction.edmd.dictionary import Delays, Dictionary, Identity
 from tissue.prediction.edmd.edmd import Edmd
@@ -14,12 +12,8 @@ from tissue.prediction.edmd.episodes import Episode
 from tissue.prediction.edmd.lifted import Generator
 from tissue.prediction.edmd.polynomials import Polynomials
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 __all__ = ["ONE_STEP_ORDER", "slow_manifold", "slow_rates"]
 
-Array = NDArray[np.float64]
 SLOW, FAST = -0.05, -1.0
 """dx1/dt = slow x1, dx2/dt = fast (x2 - x1^2) (Brunton et al. 2016): closed by x1^2, and by no other square."""
 DICTIONARIES: dict[str, Dictionary] = {
@@ -50,40 +44,31 @@ def fitted(name: str) -> tuple[Generator, Array]:
     return Edmd(DICTIONARIES[name]).fit_generator([Episode(states, None, 0.1, slow_rates(states))]), states
 
 
+def errors(name: str, steps: Array) -> Table:
+    """One-step errors of a dictionary over the step, by Euler's step as printed and by the exact exponential."""
+    generator, states = fitted(name)
+    found = step_errors(generator, states, slow_rates(states), lambda step: slow_manifold(states, step), steps.tolist())
+    return {
+        "step_s": steps,
+        "printed": found.euler,
+        "exact": found.exact,
+        "theory": steps * found.defect,
+        "quadratic": found.euler[-1] * (steps / steps[-1]) ** 2,
+    }
+
+
 def measure(quick: bool) -> Data:
-    """One-step errors over the step for three dictionaries, by Euler's step as printed and by the exact exponential."""
+    """One-step errors of three dictionaries."""
     steps = np.geomspace(1e-4, 1e-1, 4 if quick else 10)
-    data: Data = {}
-    for name in DICTIONARIES:
-        generator, states = fitted(name)
-
-        def flow(step: float, states: Array = states) -> Array:
-            return slow_manifold(states, step)
-
-        found = step_errors(generator, states, slow_rates(states), flow, steps.tolist())
-        data[name] = {
-            "step_s": steps,
-            "printed": found.euler,
-            "exact": found.exact,
-            "theory": steps * found.defect,
-            "quadratic": found.euler[-1] * (steps / steps[-1]) ** 2,
-        }
-    return data
-
-
-def slope(table: dict[str, Array], name: str) -> float:
-    """Order of an error."""
-    return float(np.polyfit(np.log(table["step_s"]), np.log(np.maximum(table[name], 1e-300)), 1)[0])
+    return {name: errors(name, steps) for name in DICTIONARIES}
 
 
 def judge(data: Data) -> Verdict:
     """Orders of all dictionaries, and the closed one's exact step."""
-    orders = {name: slope(table, "printed") for name, table in data.items()}
+    orders = {name: log_slope(table["step_s"], np.maximum(table["printed"], 1e-300)) for name, table in data.items()}
     exact = float(data["closed"]["exact"].max())
     small = data["linear"]["step_s"] < 2e-3
-    off = max(
-        float(np.abs(data[name]["printed"] / data[name]["theory"] - 1.0)[small].max()) for name in ("open", "linear")
-    )
+    off = max(error_of(data[name]["printed"][small], data[name]["theory"][small]) for name in ("open", "linear"))
     return Verdict(
         abs(orders["open"] - 1.0) < 0.15 and abs(orders["linear"] - 1.0) < 0.15 and off < 0.05,
         abs(orders["closed"] - 2.0) < 0.1 and exact < 1e-12,
@@ -118,21 +103,23 @@ def ask() -> list[Answer]:
     ]  # fmt: skip
 
 
-def draw(data: Data, chart: "Figure") -> None:
+def draw(data: Data, chart: Figure) -> None:
     """Errors over the step."""
     left, right = chart.subplots(1, 2, sharey=True)
-    for axes, kind in ((left, "printed"), (right, "exact")):
-        steps = data["closed"]["step_s"]
-        region(axes, Conduct.HOLDS, steps[0], steps[-1]) if kind == "exact" else None
-        for (name, table), colour, marker in zip(data.items(), (BLUE, RED, ORANGE), "os^", strict=True):
-            axes.loglog(steps, np.maximum(table[kind], 1e-17), marker, color=colour, label=LABELS[name])
-            if name != "closed":
-                axes.loglog(steps, table["theory"], color=GREY,
-                            label="theory: step × |Lφ − Kφ|" if name == "open" else None)  # fmt: skip
-            elif kind == "printed":
-                axes.loglog(steps, table["quadratic"], "--", color=GREY, label="slope 2")
-    finish(left, "step / s", "one-step error / deviations", title="printed: φ + ΔtKφ", ylim=(1e-18, 1.0))
-    finish(right, "step / s", "", title="exact exponential (ours)", legend="center left")
+    steps, looks = data["closed"]["step_s"], {"closed": ("o", BLUE), "open": ("s", RED), "linear": ("^", ORANGE)}
+    printed, exact = (
+        [(LABELS[name], np.maximum(table[kind], 1e-17), *looks[name]) for name, table in data.items()]
+        for kind in ("printed", "exact")
+    )
+    theory: list[Curve] = [
+        ("theory: step × |Lφ − Kφ|", data["open"]["theory"], "-", GREY),
+        ("_", data["linear"]["theory"], "-", GREY),
+    ]
+    slope = ("slope 2", data["closed"]["quadratic"], "--", GREY)
+    panel(left, steps, "step / s", "one-step error / deviations", [*printed, *theory, slope], conduct=(),
+          title="printed: φ + ΔtKφ", ylim=(1e-18, 1.0))  # fmt: skip
+    panel(right, steps, "step / s", "", [*exact, *theory], title="exact exponential (ours)", legend="center left",
+          ylim=(1e-18, 1.0))  # fmt: skip
 
 
 ONE_STEP_ORDER = Page(

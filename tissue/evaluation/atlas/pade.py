@@ -2,19 +2,16 @@
 
 from dataclasses import replace
 from math import sqrt
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, divided, finish
-from tissue.evaluation.atlas.page import Answer, Data, Page, Verdict, refused, shown
+from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, divided, panel
+from tissue.evaluation.atlas.page import Answer, Data, Page, Verdict, error_of, refused, shown
 from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, judge, require_stable
 from tissue.haptics.loop.sampled_loop import WallLoop
 from tissue.haptics.loop.stability_bounds import pade_bound_N_m
 from tissue.haptics.loop.stability_map import growth_while_running, measured_critical_N_m
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["PADE"]
 
@@ -45,17 +42,17 @@ def measure(quick: bool) -> Data:
 
 def judge_pade(data: Data) -> Verdict:
     """How far the Padé line promises too much, and how far eigenvalues are from what runs."""
-    excess = {name: float((table["pade_N_m"] / table["measured_N_m"]).max()) - 1.0 for name, table in data.items()}
-    name = max(excess, key=lambda key: excess[key])
-    worst = data[name]
-    at = int(np.argmax(worst["pade_N_m"] / worst["measured_N_m"]))
-    turn = sqrt(worst["pade_N_m"][at] / LOOPS[name].mass_kg) * worst["delay_s"][at]
-    short = min(abs(table["pade_N_m"][0] / table["measured_N_m"][0] - 1.0) for table in data.values())
-    off = max(float(np.abs(table["exact_N_m"] / table["measured_N_m"] - 1.0).max()) for table in data.values())
+    promised = {name: table["pade_N_m"] / table["measured_N_m"] for name, table in data.items()}
+    name = max(promised, key=lambda key: float(promised[key].max()))
+    at = int(np.argmax(promised[name]))
+    excess = float(promised[name][at]) - 1.0
+    turn = sqrt(data[name]["pade_N_m"][at] / LOOPS[name].mass_kg) * data[name]["delay_s"][at]
+    short = min(abs(ratio[0] - 1.0) for ratio in promised.values())
+    off = max(error_of(table["exact_N_m"], table["measured_N_m"]) for table in data.values())
     return Verdict(
-        excess[name] > 0.05,
+        excess > 0.05,
         off < 0.01,
-        f"The Padé delay promises up to {100 * excess[name]:.0f} % more stiffness than runs without growing (there "
+        f"The Padé delay promises up to {100 * excess:.0f} % more stiffness than runs without growing (there "
         f"ωt = {turn:.1f}); with the shortest delay it is {100 * short:.1f} % off. The eigenvalues with the exact "
         f"delay are within {100 * off:.2f} % of what was measured everywhere.",
     )
@@ -77,17 +74,18 @@ def ask() -> list[Answer]:
     ]
 
 
-def draw(data: Data, chart: "Figure") -> None:
+def draw(data: Data, chart: Figure) -> None:
     """Stiffness over delay."""
     for axes, (name, table) in zip(chart.subplots(1, len(data), squeeze=False)[0], data.items(), strict=True):
         delay, exact = 1e3 * table["delay_s"], table["exact_N_m"]
         low, high = 0.5 * exact.min(), 2.0 * exact.max()
         divided(axes, delay, exact, low, high)
-        axes.semilogy(delay, table["pade_without_hold_N_m"], ":", color=ORANGE, label="Padé, hold left out")
-        axes.semilogy(delay, table["pade_N_m"], "--", color=RED, label="Padé (printed)")
-        axes.semilogy(delay, exact, color=GREY, label="eigenvalues, exact delay")
-        axes.semilogy(delay, table["measured_N_m"], "o", color=BLUE, label="measured")
-        finish(axes, "delay added to the hold / ms", "critical stiffness / (N/m)", title=TITLES[name], ylim=(low, high))
+        panel(axes, delay, "delay added to the hold / ms", "critical stiffness / (N/m)", [
+            ("Padé, hold left out", table["pade_without_hold_N_m"], ":", ORANGE),
+            ("Padé (printed)", table["pade_N_m"], "--", RED),
+            ("eigenvalues, exact delay", exact, "-", GREY),
+            ("measured", table["measured_N_m"], "o", BLUE),
+        ], log="y", conduct=(), title=TITLES[name], ylim=(low, high))  # fmt: skip
 
 
 PADE = Page(

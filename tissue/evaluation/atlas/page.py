@@ -1,23 +1,26 @@
 """What a page of the atlas is: a question, a sweep past where a method fails, a verdict, and the engine's answers."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING
+from math import sqrt
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-__all__ = ["Answer", "Conduct", "Data", "Page", "Verdict", "refused", "shown"]
+__all__ = [
+    "Answer", "Array", "Conduct", "Data", "Page", "Table", "Verdict", "boundary", "error_of", "log_slope", "refused",
+    "shown", "sweep",
+]  # fmt: skip
 
 Array = NDArray[np.float64]
-Data = dict[str, dict[str, Array]]
-"""Tables of a sweep by name; a table is columns of equal length by name, with the unit in the name."""
+Table = dict[str, Array]
+"""Columns of equal length by name, with the unit in the name."""
+Data = dict[str, Table]
+"""Tables of a sweep by name."""
 
 
 class Conduct(Enum):
@@ -96,7 +99,7 @@ class Page:
     measure: Callable[[bool], Data]
     judge: Callable[[Data], Verdict]
     ask: Callable[[], list[Answer]]
-    draw: "Callable[[Data, Figure], None]"
+    draw: Callable[[Data, Figure], None]
 
 
 def refused(asked: str, call: Callable[[], object]) -> Answer:
@@ -111,3 +114,27 @@ def refused(asked: str, call: Callable[[], object]) -> Answer:
 def shown(asked: str, right: bool, result: str, *, conduct: Conduct = Conduct.HOLDS) -> Answer:
     """An answer whose figures were checked by the caller: silently wrong if they are not right."""
     return Answer(asked, conduct if right else Conduct.SILENT, result)
+
+
+def sweep(name: str, values: Array, run: Callable[[float], Mapping[str, float]]) -> Table:
+    """Table of a sweep: its values, and a column of each number that a run at every one of them gives."""
+    rows = [run(value) for value in values.tolist()]
+    return {name: values} | {column: np.array([row[column] for row in rows], dtype=float) for column in rows[0]}
+
+
+def boundary(fails: Callable[[float], bool], low: float, high: float, *, steps: int) -> float:
+    """Value above which runs fail, by bisection of the logarithm between two positive ones."""
+    for _ in range(steps):
+        middle = sqrt(low * high)
+        low, high = (low, middle) if fails(middle) else (middle, high)
+    return sqrt(low * high)
+
+
+def log_slope(x: Array, y: Array) -> float:
+    """Power of x with which y grows."""
+    return float(np.polyfit(np.log(x), np.log(y), 1)[0])
+
+
+def error_of(found: Array, expected: Array) -> float:
+    """Largest error of some figures relative to those expected."""
+    return float(np.abs(found / expected - 1.0).max())

@@ -1,12 +1,11 @@
 """E2: powers of a fitted operator blow up once its spectral radius passes 1; a cap stops that."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.figure import Figure
+from scipy.integrate import solve_ivp
 
-from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, finish, region
-from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
+from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, panel
+from tissue.evaluation.atlas.page import Answer, Array, Conduct, Data, Page, Verdict, refused, shown
 from tissue.prediction.edmd.edmd import Edmd
 from tissue.prediction.edmd.episodes import Episode
 from tissue.prediction.edmd.lifted import Operator
@@ -14,31 +13,20 @@ from tissue.prediction.edmd.polynomials import Polynomials
 from tissue.prediction.edmd.spectrum import cap_spectrum, spectral_radius
 from tissue.prediction.edmd.validation import horizon_errors
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 __all__ = ["POWERS"]
 
-Array = NDArray[np.float64]
 STEP_S, ORDER, HORIZON = 0.02, 3, 1000
 
 
 def van_der_pol(start: Array, count: int) -> Array:
-    """A path of Van der Pol's oscillator, by Runge and Kutta's rule in steps of 20 ms, shape (count, 2)."""
+    """A path of Van der Pol's oscillator in steps of 20 ms, shape (count, 2)."""
 
-    def rate(state: Array) -> Array:
+    def rate(_: float, state: Array) -> Array:
         return np.array([state[1], (1.0 - state[0] ** 2) * state[1] - state[0]])
 
-    path = np.empty((count, 2))
-    path[0] = start
-    for tick in range(count - 1):
-        now = path[tick]
-        one = rate(now)
-        two = rate(now + 0.5 * STEP_S * one)
-        three = rate(now + 0.5 * STEP_S * two)
-        four = rate(now + STEP_S * three)
-        path[tick + 1] = now + STEP_S / 6.0 * (one + 2.0 * two + 2.0 * three + four)
-    return path
+    times = STEP_S * np.arange(count)
+    found = solve_ivp(rate, times[[0, -1]], start, method="DOP853", t_eval=times, rtol=1e-9, atol=1e-9)
+    return np.asarray(found.y.T)
 
 
 def operators() -> dict[str, Operator]:
@@ -52,13 +40,13 @@ def operators() -> dict[str, Operator]:
 
 def measure(quick: bool) -> Data:
     """Errors over the horizon of both, and of staying where one is, on paths that were not learnt from."""
-    horizon = HORIZON
     rng = np.random.default_rng(12)
-    tests = [van_der_pol(rng.uniform(-1.5, 1.5, 2), horizon + (6 if quick else 30)) for _ in range(2 if quick else 4)]
-    steps = np.unique(np.geomspace(1, horizon, 12 if quick else 40).astype(int))
+    tests = [van_der_pol(rng.uniform(-1.5, 1.5, 2), HORIZON + (6 if quick else 30)) for _ in range(2 if quick else 4)]
+    steps = np.unique(np.geomspace(1, HORIZON, 12 if quick else 40).astype(int))
     episodes = [Episode(path, None, STEP_S) for path in tests]
-    found = {name: horizon_errors(each, episodes, horizon) for name, each in operators().items()}
-    radius = spectral_radius(operators()["free"].A / operators()["free"].scale[:, None] * operators()["free"].scale)
+    fits = operators()
+    found = {name: horizon_errors(each, episodes, HORIZON) for name, each in fits.items()}
+    radius = spectral_radius(fits["free"].A / fits["free"].scale[:, None] * fits["free"].scale)
     starts = found["free"].starts // len(tests)
     stay = [
         np.sqrt(np.mean([((path[n : n + starts] - path[:starts]) ** 2).sum(axis=1).mean() for path in tests]))
@@ -69,8 +57,7 @@ def measure(quick: bool) -> Data:
     return {
         "horizon": {
             "steps": steps.astype(float),
-            "free": errors["free"],
-            "capped": errors["capped"],
+            **errors,
             "stay": np.array(stay),
             "theory": np.exp(np.log(last) + (steps - steps[-1]) * np.log(radius)),
             "radius": np.full(len(steps), radius),
@@ -82,13 +69,10 @@ def judge(data: Data) -> Verdict:
     """Growth of the free powers against the spectral radius, and the bound of the capped ones."""
     table = data["horizon"]
     radius, steps, free = float(table["radius"][0]), table["steps"], table["free"]
-    late = steps > 0.5 * steps[-1]
-    finite = late & np.isfinite(free)
+    finite = (steps > 0.5 * steps[-1]) & np.isfinite(free)
     rate = float(np.exp(np.polyfit(steps[finite], np.log(free[finite]), 1)[0])) if finite.sum() > 1 else np.inf
-    worst = float(table["capped"].max())
-    size = float(table["stay"].max())
-    near = steps <= 10
-    better = float((table["capped"] / table["stay"])[near].max())
+    worst, size = float(table["capped"].max()), float(table["stay"].max())
+    better = float((table["capped"] / table["stay"])[steps <= 10].max())
     return Verdict(
         radius > 1.0 and free[-1] > 100.0 * size and abs(np.log(rate) / np.log(radius) - 1.0) < 0.1,
         worst < 3.0 * size and better < 1.0,
@@ -117,21 +101,17 @@ def ask() -> list[Answer]:
     ]  # fmt: skip
 
 
-def draw(data: Data, chart: "Figure") -> None:
+def draw(data: Data, chart: Figure) -> None:
     """Error over the horizon."""
-    axes, table = chart.subplots(), data["horizon"]
-    steps = table["steps"]
-    region(axes, Conduct.FALLS_BACK, steps[0], steps[-1])
-    high = 1e12
-    axes.loglog(
-        steps, np.minimum(table["theory"], high), color=GREY, label=f"theory: ρⁿ with ρ = {table['radius'][0]:.4f}"
-    )
-    axes.loglog(steps, np.minimum(table["free"], high), "s", color=RED, label="powers as fitted (printed)")
-    axes.loglog(steps, table["capped"], "o", color=BLUE, label="eigenvalues capped at 1 (ours)")
-    axes.loglog(steps, table["stay"], "^", color=ORANGE, label="staying where one is")
-    top = min(10.0 * float(np.nanmax(np.minimum(table["free"], high))), high)
-    finish(axes, f"steps of {1e3 * STEP_S:.0f} ms ahead", "root mean square error of the state", xlim=steps[[0, -1]],
-           ylim=(1e-3, top))  # fmt: skip
+    table, high = data["horizon"], 1e12
+    free = np.minimum(table["free"], high)
+    x_label = f"steps of {1e3 * STEP_S:.0f} ms ahead"
+    panel(chart.subplots(), table["steps"], x_label, "root mean square error of the state", [
+        (f"theory: ρⁿ with ρ = {table['radius'][0]:.4f}", np.minimum(table["theory"], high), "-", GREY),
+        ("powers as fitted (printed)", free, "s", RED),
+        ("eigenvalues capped at 1 (ours)", table["capped"], "o", BLUE),
+        ("staying where one is", table["stay"], "^", ORANGE),
+    ], conduct=[(Conduct.FALLS_BACK, 1.0, HORIZON)], ylim=(1e-3, min(10.0 * np.nanmax(free), high)))  # fmt: skip
 
 
 POWERS = Page(

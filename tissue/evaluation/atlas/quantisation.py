@@ -1,12 +1,12 @@
 """Encoder steps: friction must pay what a quantised wall creates, or the wall keeps buzzing."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from tissue.evaluation.atlas.drawing import BLUE, GREEN, GREY, ORANGE, RED, TINTS, finish
-from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
+from tissue.evaluation.atlas.drawing import BLUE, GREEN, GREY, ORANGE, RED, TINTS, panel
+from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown, sweep
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import HandAction, hand_parameters
@@ -15,9 +15,6 @@ from tissue.haptics.loop.stability_bounds import quantised_bound_N_m
 from tissue.haptics.renderable_stiffness import knock
 from tissue.scene.load import load_scene
 from tissue.simulation.simulate import simulate
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["QUANTISATION"]
 
@@ -63,19 +60,22 @@ def measure(quick: bool) -> Data:
     ladder = np.geomspace(40.0, 1950.0, 5 if quick else 9)
     swings = np.array([[swing_steps(k, f) for k in ladder.tolist()] for f in frictions.tolist()])
     loop = DEVICE.loop(1.0)
-    buzzes = swings > BUZZ_STEPS
-    first = np.where(buzzes.any(axis=1), ladder[np.argmax(buzzes, axis=1)], critical_stiffness_N_m(loop))
-    last = np.array([ladder[:at][-1] if at else 0.0 for at in np.argmax(buzzes, axis=1)])
+    critical = critical_stiffness_N_m(loop)
+
+    def buzzing(friction: float) -> dict[str, float]:
+        """Rungs of the ladder from which on it buzzes and up to which it is quiet, with both bounds."""
+        buzzes = swings[frictions == friction][0] > BUZZ_STEPS
+        first = int(np.argmax(buzzes)) if buzzes.any() else len(ladder)
+        rungs = [0.0, *ladder.tolist(), critical]
+        return {
+            "buzzes_from_N_m": rungs[first + 1],
+            "quiet_to_N_m": rungs[first] if buzzes.any() else critical,
+            "bound_N_m": quantised_bound_N_m(loop, friction_N=friction, encoder_m=ENCODER_M),
+            "critical_N_m": critical,
+        }
+
     return {
-        "friction": {
-            "friction_N": frictions,
-            "buzzes_from_N_m": first,
-            "quiet_to_N_m": np.where(buzzes.any(axis=1), last, first),
-            "bound_N_m": np.array(
-                [quantised_bound_N_m(loop, friction_N=f, encoder_m=ENCODER_M) for f in frictions.tolist()]
-            ),
-            "critical_N_m": np.full(len(frictions), critical_stiffness_N_m(loop)),
-        },
+        "friction": sweep("friction_N", frictions, buzzing),
         "swing": {
             "stiffness_N_m": np.tile(ladder, len(frictions)),
             "friction_N": np.repeat(frictions, len(ladder)),
@@ -101,68 +101,54 @@ def judge(data: Data) -> Verdict:
     )
 
 
+def answers_of(name: str) -> list[Answer]:
+    """What the engine does with a device where friction no longer pays for its encoder, and at its vendor's limit."""
+    device = device_parameters(name)
+    allowed = 2.0 * device.friction_N / device.encoder_step_m
+    run, _ = knock(device, hand_parameters("expert"), "proxy", device.stiffness_limit_N_m)
+    ripple = run.ripple_N(0.2)
+    beyond = {"device": name, "coupling.stiffness_N_m": allowed, "duration_s": 0.3}
+    return [
+        refused(f"the scene wall on {name} at {allowed:.0f} N/m, where friction no longer pays for the encoder",
+                lambda: simulate(load_scene("wall", beyond))),
+        shown(f"{name} at its vendor's limit of {device.stiffness_limit_N_m:g} N/m",
+              device.stiffness_limit_N_m < allowed and ripple < 0.05,
+              f"after a knock the force ripples by {ripple:.3f} N"),
+    ]  # fmt: skip
+
+
 def ask() -> list[Answer]:
     """The devices of the engine: what friction allows, what is chosen, and how that runs."""
-    answers = []
-    for name in ("touch", "omni", "six-dof"):
-        device = device_parameters(name)
-        allowed = 2.0 * device.friction_N / device.encoder_step_m
-        run, _ = knock(device, hand_parameters("expert"), "proxy", device.stiffness_limit_N_m)
-        ripple = run.ripple_N(0.2)
-        beyond = {"device": name, "coupling.stiffness_N_m": allowed, "duration_s": 0.3}
-        answers.append(
-            refused(
-                f"the scene wall on {name} at {allowed:.0f} N/m, where friction no longer pays for the encoder",
-                lambda beyond=beyond: simulate(load_scene("wall", beyond)),  # type: ignore[misc]
-            )
-        )
-        answers.append(
-            shown(
-                f"{name} at its vendor's limit of {device.stiffness_limit_N_m:g} N/m",
-                device.stiffness_limit_N_m < allowed and ripple < 0.05,
-                f"after a knock the force ripples by {ripple:.3f} N",
-            )
-        )
     return [
-        *answers,
+        *(answer for name in ("touch", "omni", "six-dof") for answer in answers_of(name)),
         refused("a bound for encoders without a step",
                 lambda: quantised_bound_N_m(DEVICE.loop(1.0), friction_N=0.1, encoder_m=0.0)),
     ]  # fmt: skip
 
 
-def draw(data: Data, chart: "Figure") -> None:
+def draw(data: Data, chart: Figure) -> None:
     """Stiffness over friction; swing over stiffness."""
     left, right = chart.subplots(1, 2)
     table, swing = data["friction"], data["swing"]
-    friction, top = table["friction_N"], 6e3
-    left.fill_between(friction, 20.0, table["bound_N_m"], color=TINTS[Conduct.HOLDS], zorder=0, label="engine holds")
-    left.fill_between(
-        friction, table["critical_N_m"], top, color=TINTS[Conduct.REFUSES], zorder=0, label="engine refuses"
-    )
-    left.fill_between(
-        friction, table["bound_N_m"], table["critical_N_m"], facecolor="none", edgecolor="0.75", hatch="//",
-        linewidth=0.0, zorder=0, label="may buzz: none of the engine's devices",
-    )  # fmt: skip
-    left.loglog(friction, table["critical_N_m"], color=GREY, label="eigenvalues: no encoder")
-    left.loglog(friction, table["bound_N_m"], "--", color=GREEN, label="min(2b/T, 2f_c/Δ)")
-    left.loglog(friction, table["quiet_to_N_m"], "o", color=BLUE, label="measured: quiet to")
-    left.loglog(friction, table["buzzes_from_N_m"], "s", color=RED, label="measured: buzzes from")
-    finish(
-        left,
-        "Coulomb friction / N",
-        "stiffness / (N/m)",
-        legend="lower right",
-        ylim=(20.0, top),
-        xlim=friction[[0, -1]],
-    )
-    known = np.unique(swing["friction_N"])
-    shown_at = known[:: max(len(known) // 3, 1)]
-    for value, colour, marker in zip(shown_at.tolist(), (RED, ORANGE, GREEN, BLUE), "s^Do", strict=False):
-        here = swing["friction_N"] == value
-        right.loglog(swing["stiffness_N_m"][here], np.maximum(swing["swing_steps"][here], 1e-3), marker, color=colour,
-                     label=f"friction {1e3 * value:g} mN: bound {2.0 * value / ENCODER_M:g} N/m")  # fmt: skip
-    right.axhline(BUZZ_STEPS, color=GREY, linestyle=":", label="counts as buzzing")
-    finish(right, "stiffness / (N/m)", "swing that stays / encoder steps", legend="upper left", ylim=(5e-4, 3e3))
+    friction, bound, critical, top = table["friction_N"], table["bound_N_m"], table["critical_N_m"], 6e3
+    tint = {"zorder": 0, "linewidth": 0.0}
+    left.fill_between(friction, 20.0, bound, color=TINTS[Conduct.HOLDS], label="engine holds", **tint)
+    left.fill_between(friction, critical, top, color=TINTS[Conduct.REFUSES], label="engine refuses", **tint)
+    left.fill_between(friction, bound, critical, facecolor="none", edgecolor="0.75", hatch="//",
+                      label="may buzz: none of the engine's devices", **tint)  # fmt: skip
+    panel(left, friction, "Coulomb friction / N", "stiffness / (N/m)", [
+        ("eigenvalues: no encoder", critical, "-", GREY),
+        ("min(2b/T, 2f_c/Δ)", bound, "--", GREEN),
+        ("measured: quiet to", table["quiet_to_N_m"], "o", BLUE),
+        ("measured: buzzes from", table["buzzes_from_N_m"], "s", RED),
+    ], conduct=(), legend="lower right", ylim=(20.0, top))  # fmt: skip
+    swings = np.maximum(swing["swing_steps"], 1e-3).reshape(len(friction), -1)
+    drawn = range(0, len(friction), max(len(friction) // 3, 1))
+    panel(right, np.unique(swing["stiffness_N_m"]), "stiffness / (N/m)", "swing that stays / encoder steps", [
+        *((f"friction {1e3 * friction[row]:g} mN: bound {2.0 * friction[row] / ENCODER_M:g} N/m", swings[row], *look)
+          for row, look in zip(drawn, (("s", RED), ("^", ORANGE), ("D", GREEN), ("o", BLUE)), strict=False)),
+        ("counts as buzzing", BUZZ_STEPS, ":", GREY),
+    ], conduct=(), legend="upper left", ylim=(5e-4, 3e3))  # fmt: skip
 
 
 QUANTISATION = Page(

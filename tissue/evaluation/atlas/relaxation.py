@@ -1,68 +1,46 @@
 """E11: relaxation of a force towards a wanted one settles up to 2 without delay, and less with every sample of it."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.figure import Figure
 
-from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, TINTS, finish
-from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
+from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, TINTS, panel
+from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, error_of, refused, shown, sweep
 from tissue.haptics.loop.filters import DelayLine, LowPass, low_pass_gain, relaxation_bound
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["RELAXATION"]
 
-Array = NDArray[np.float64]
-BISECTIONS = 12
-"""Of the interval 0 to 3: 7e-4."""
 
-
-def grows(gains: Array, delay: int, ticks: int) -> NDArray[np.bool_]:
-    """Whether F <- F + a (1 - F delayed) leaves 1 for each gain a, all at once; shape (k,)."""
+def measured_bound(delay: int) -> float:
+    """Least gain a of many, run all at once, at which F <- F + a (1 - F delayed) leaves 1."""
+    gains, ticks = np.linspace(0.0, 3.0, 4097)[1:], 400 * (delay + 2)
     line, force = DelayLine(delay, size=len(gains)), np.zeros(len(gains))
     early = late = np.zeros(len(gains))
     with np.errstate(over="ignore", invalid="ignore"):
         for tick in range(ticks):
             force = force + gains * (1.0 - line.step(force))
-            error = np.abs(force - 1.0)
-            if ticks // 2 <= tick < 3 * ticks // 4:
-                early = np.maximum(early, error)
-            elif tick >= 3 * ticks // 4:
-                late = np.maximum(late, error)
-        return ~(late < np.maximum(early, 1e-12))
-
-
-def measured_bound(delay: int) -> float:
-    """Gain at which the iteration starts to grow, by bisection over runs."""
-    low, high, ticks = 0.0, 3.0, 400 * (delay + 2)
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (low + high)
-        if grows(np.array([middle]), delay, ticks)[0]:
-            high = middle
-        else:
-            low = middle
-    return 0.5 * (low + high)
+            if tick >= 3 * ticks // 4:
+                late = np.maximum(late, np.abs(force - 1.0))
+            elif tick >= ticks // 2:
+                early = np.maximum(early, np.abs(force - 1.0))
+        return float(gains[np.argmin(late < np.maximum(early, 1e-12))])
 
 
 def measure(quick: bool) -> Data:
     """The bound over delays."""
-    delays = np.array([0, 1, 2, 5] if quick else [0, 1, 2, 3, 4, 5, 6, 8, 10])
+    delays = np.array([0.0, 1.0, 2.0, 5.0] if quick else [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0])
     return {
-        "bound": {
-            "delay_samples": delays.astype(float),
-            "measured": np.array([measured_bound(int(d)) for d in delays]),
-            "theory": np.array([relaxation_bound(int(d)) for d in delays]),
-        }
+        "bound": sweep(
+            "delay_samples",
+            delays,
+            lambda d: {"measured": measured_bound(int(d)), "theory": relaxation_bound(int(d))},
+        )
     }
 
 
 def judge(data: Data) -> Verdict:
     """Measured against 2 sin(pi / (2 (2 d + 1))), and both against the printed 1."""
     found = data["bound"]
-    off = float(np.abs(found["measured"] / found["theory"] - 1.0).max())
-    last = found["measured"][-1]
+    off, last = error_of(found["measured"], found["theory"]), found["measured"][-1]
     return Verdict(
         bool(found["measured"][0] > 1.5 and last < 0.9),
         off < 0.02,
@@ -87,20 +65,19 @@ def ask() -> list[Answer]:
     ]
 
 
-def draw(data: Data, chart: "Figure") -> None:
+def draw(data: Data, chart: Figure) -> None:
     """Bound over delay."""
     axes, found = chart.subplots(), data["bound"]
-    delay = found["delay_samples"]
-    axes.fill_between(
-        [-0.25, 0.25], 0.0, 1.0, color=TINTS[Conduct.HOLDS], zorder=0, label="engine holds: no delay, a ≤ 1"
-    )
+    delay, tint, label = found["delay_samples"], TINTS[Conduct.HOLDS], "engine holds: no delay, a ≤ 1"
+    axes.fill_between([-0.25, 0.25], 0.0, 1.0, color=tint, zorder=0, label=label)
     fine = np.arange(0.0, delay[-1] + 0.05, 0.05)
     axes.plot(fine, 2.0 * np.sin(np.pi / (2.0 * (2.0 * fine + 1.0))), color=GREY, label="theory: 2 sin(π/(2(2d+1)))")
-    axes.axhline(1.0, color=RED, linestyle="--", label="printed: 1, whatever the delay")
-    axes.plot(delay, found["measured"], "o", color=BLUE, label="measured")
     axes.annotate("runs away", (0.62 * delay[-1], 1.5), color=GREY)
     axes.annotate("settles", (1.0, 0.15), color=GREY)
-    finish(axes, "delay d / samples", "gain a", ylim=(0.0, 2.2))
+    panel(axes, delay, "delay d / samples", "gain a", [
+        ("printed: 1, whatever the delay", 1.0, "--", RED),
+        ("measured", found["measured"], "o", BLUE),
+    ], log="", conduct=(), xlim=(-0.25, delay[-1] + 0.25), ylim=(0.0, 2.2))  # fmt: skip
 
 
 RELAXATION = Page(

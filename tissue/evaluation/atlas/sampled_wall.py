@@ -2,20 +2,17 @@
 
 from dataclasses import replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from tissue.evaluation.atlas.drawing import BLUE, GREEN, GREY, ORANGE, RED, divided, finish, region
-from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
+from tissue.evaluation.atlas.drawing import BLUE, GREEN, GREY, ORANGE, RED, divided, panel
+from tissue.evaluation.atlas.page import Answer, Data, Page, Verdict, error_of, refused, shown
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands, judge, require_stable
 from tissue.haptics.loop.passivity import PassivityControl, PassivityObserver
 from tissue.haptics.loop.stability_bounds import passive_bound_N_m
 from tissue.haptics.loop.stability_map import measured_critical_N_m
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["SAMPLED_WALL"]
 
@@ -69,14 +66,12 @@ def judge_wall(data: Data) -> Verdict:
     """Walls of positive gains at 1 kHz and more that grow; the leak; and the passive bound in every hand."""
     rate, leak = data["rate"], data["leak"]
     fast = rate["rate_hz"] >= 1000.0
-    at = int(np.flatnonzero(fast)[0])
-    leak_off = float(np.abs(leak["hold_J"] / leak["theory_J"] - 1.0).max())
-    off = float(np.abs(rate["measured_N_m"] / rate["exact_N_m"] - 1.0).max())
-    paid = float(leak["watched_J"].max())
+    at = int(np.argmax(fast))
+    leak_off, off = error_of(leak["hold_J"], leak["theory_J"]), error_of(rate["measured_N_m"], rate["exact_N_m"])
     safe = bool((rate["passive_N_m"] <= rate["worst_hand_N_m"] * (1.0 + 1e-6)).all())
     return Verdict(
         bool(np.isfinite(rate["measured_N_m"][fast]).all() and leak_off < 1e-6),
-        bool(off < 0.01 and safe and paid < 1e-12),
+        bool(off < 0.01 and safe and leak["watched_J"].max() < 1e-12),
         f"At {rate['rate_hz'][at]:g} Hz a wall of k, b > 0 grows from {rate['measured_N_m'][at]:.0f} N/m on "
         f"(eigenvalues {rate['exact_N_m'][at]:.0f}, {100 * off:.2f} % off at most). The hold leaks ½K(vT)² a sample, "
         f"in and out, to {leak_off:.0e}; the passivity controller pays all of it, at "
@@ -110,25 +105,25 @@ def ask() -> list[Answer]:
     ]
 
 
-def draw(data: Data, chart: "Figure") -> None:
+def draw(data: Data, chart: Figure) -> None:
     """Stiffness over rate; energy over stiffness."""
     left, right = chart.subplots(1, 2)
     rate, leak = data["rate"], data["leak"]
     hertz, exact = rate["rate_hz"], rate["exact_N_m"]
-    divided(left, hertz, exact, 0.3 * exact.min(), 5.0 * exact.max())
-    left.loglog(hertz, exact, color=GREY, label="eigenvalues, nobody holds it")
-    left.loglog(hertz, rate["passive_N_m"], "--", color=GREEN, label="passive: 2b/T (Colgate)")
-    left.loglog(hertz, rate["measured_N_m"], "o", color=BLUE, label="measured")
+    low, high = 0.3 * exact.min(), 5.0 * exact.max()
+    divided(left, hertz, exact, low, high)
     left.axvline(1000.0, color=RED, linestyle=":", label="printed: passive from 1 kHz on")
-    finish(left, "rate / Hz", "critical stiffness / (N/m)", ylim=(0.3 * exact.min(), 5.0 * exact.max()),
-           xlim=hertz[[0, -1]], legend="upper left")  # fmt: skip
-    stiffness = leak["stiffness_N_m"]
-    region(right, Conduct.HOLDS, stiffness[0], stiffness[-1])
-    right.semilogx(stiffness, 1e3 * leak["theory_J"], color=GREY, label="theory: nK(vT)²")
-    right.semilogx(stiffness, 1e3 * leak["hold_J"], "s", color=ORANGE, label="held spring, measured")
-    right.semilogx(stiffness, 1e3 * leak["watched_J"], "o", color=BLUE, label="with passivity controller")
+    panel(left, hertz, "rate / Hz", "critical stiffness / (N/m)", [
+        ("eigenvalues, nobody holds it", exact, "-", GREY),
+        ("passive: 2b/T (Colgate)", rate["passive_N_m"], "--", GREEN),
+        ("measured", rate["measured_N_m"], "o", BLUE),
+    ], conduct=(), ylim=(low, high), legend="upper left")  # fmt: skip
+    panel(right, leak["stiffness_N_m"], "stiffness / (N/m)", "energy given, in and out at 0.1 m/s / mJ", [
+        ("theory: nK(vT)²", 1e3 * leak["theory_J"], "-", GREY),
+        ("held spring, measured", 1e3 * leak["hold_J"], "s", ORANGE),
+        ("with passivity controller", 1e3 * leak["watched_J"], "o", BLUE),
+    ], log="x", ylim=(-0.01, 2e3 * leak["theory_J"].max()))  # fmt: skip
     right.set_yscale("symlog", linthresh=0.1)
-    finish(right, "stiffness / (N/m)", "energy given, in and out at 0.1 m/s / mJ", xlim=stiffness[[0, -1]])
 
 
 SAMPLED_WALL = Page(

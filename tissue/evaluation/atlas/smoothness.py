@@ -1,20 +1,14 @@
 """E13: the printed smoothness index falls with smoothness and grows with the tick; spectral arc length does neither."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.figure import Figure
 
-from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, finish, region
-from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
+from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, panel
+from tissue.evaluation.atlas.page import Answer, Array, Data, Page, Verdict, error_of, log_slope, refused, shown, sweep
 from tissue.evaluation.statistics.metrics import acceleration_change_m_s2, spectral_arc_length
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["SMOOTHNESS"]
 
-Array = NDArray[np.float64]
 LENGTH_MM, DURATION_S, TREMOR_HZ, TICK_S = 100.0, 1.0, 8.0, 1e-3
 
 
@@ -25,41 +19,37 @@ def speed_mm_s(tremor: float, tick_s: float) -> Array:
     return np.asarray(bell * (1.0 + tremor * np.sin(2.0 * np.pi * TREMOR_HZ * DURATION_S * share)))
 
 
+def measured(tremor: float, tick_s: float) -> dict[str, float]:
+    """Both metrics of a reach."""
+    speed = speed_mm_s(tremor, tick_s)
+    return {
+        "printed_m_s2": acceleration_change_m_s2(speed, tick_s=tick_s),
+        "arc_length": spectral_arc_length(speed, tick_s=tick_s),
+    }
+
+
 def measure(quick: bool) -> Data:
     """Both metrics over the tremor, and over the tick of a smooth reach."""
     tremors = np.array([0.0, 0.2, 0.6]) if quick else np.linspace(0.0, 0.9, 10)
     ticks = np.array([5e-4, 4e-3]) if quick else np.array([2.5e-4, 5e-4, 1e-3, 2e-3, 4e-3, 8e-3])
-    rough = [speed_mm_s(tremor, TICK_S) for tremor in tremors.tolist()]
     # The acceleration of the reach swings from 0 to its peak, to minus it and back: 4 times 10/sqrt(3) L / D^2.
     swing = 40.0 / np.sqrt(3.0) * 1e-3 * LENGTH_MM / DURATION_S**2
     return {
-        "tremor": {
-            "tremor_share": tremors,
-            "printed_m_s2": np.array([acceleration_change_m_s2(each, tick_s=TICK_S) for each in rough]),
-            "arc_length": np.array([spectral_arc_length(each, tick_s=TICK_S) for each in rough]),
-        },
-        "tick": {
-            "tick_s": ticks,
-            "printed_m_s2": np.array([acceleration_change_m_s2(speed_mm_s(0.0, t), tick_s=t) for t in ticks.tolist()]),
-            "theory_m_s2": swing * ticks / DURATION_S,
-            "arc_length": np.array([spectral_arc_length(speed_mm_s(0.0, t), tick_s=t) for t in ticks.tolist()]),
-        },
+        "tremor": sweep("tremor_share", tremors, lambda tremor: measured(tremor, TICK_S)),
+        "tick": sweep("tick_s", ticks, lambda tick: measured(0.0, tick)) | {"theory_m_s2": swing * ticks / DURATION_S},
     }
 
 
 def judge(data: Data) -> Verdict:
     """How either changes with the tremor, and what the tick does to it."""
     tremor, tick = data["tremor"], data["tick"]
-    rises = bool((np.diff(tremor["printed_m_s2"]) > 0.0).all())
     # A tremor below a twentieth of the spectrum's peak counts as noise and leaves the arc length as it is.
     steps = np.diff(tremor["arc_length"])
-    falls = bool((steps < 1e-3).all() and steps.sum() < -0.3)
-    slope = float(np.polyfit(np.log(tick["tick_s"]), np.log(tick["printed_m_s2"]), 1)[0])
-    off = float(np.abs(tick["printed_m_s2"] / tick["theory_m_s2"] - 1.0).max())
+    slope, off = log_slope(tick["tick_s"], tick["printed_m_s2"]), error_of(tick["printed_m_s2"], tick["theory_m_s2"])
     drift = float(np.ptp(tick["arc_length"]) / np.abs(tick["arc_length"]).mean())
     return Verdict(
-        rises and abs(slope - 1.0) < 0.05 and off < 0.02,
-        falls and drift < 0.02,
+        bool((np.diff(tremor["printed_m_s2"]) > 0.0).all()) and abs(slope - 1.0) < 0.05 and off < 0.02,
+        bool((steps < 1e-3).all() and steps.sum() < -0.3) and drift < 0.02,
         f"The printed formula rises from {tremor['printed_m_s2'][0]:.3f} to {tremor['printed_m_s2'][-1]:.3f} m/s² with "
         f"the tremor, so higher is rougher, against its table; and it grows as the tick to the power {slope:.2f} (jerk "
         f"times tick, to {100 * off:.1f} %). The spectral arc length falls from {tremor['arc_length'][0]:.2f} to "
@@ -80,25 +70,24 @@ def ask() -> list[Answer]:
     ]  # fmt: skip
 
 
-def draw(data: Data, chart: "Figure") -> None:
+def draw(data: Data, chart: Figure) -> None:
     """Both metrics over tremor and tick."""
-    for axes, (name, scale, label) in zip(
-        chart.subplots(1, 2), (("tremor", 1.0, "tremor of 8 Hz / peak speed"), ("tick", 1e3, "tick / ms")), strict=True
-    ):
-        table = data[name]
-        across = scale * next(iter(table.values()))
-        region(axes, Conduct.HOLDS, across[0], across[-1])
-        if name == "tick":
-            axes.plot(across, table["theory_m_s2"], color=GREY, label="theory: mean jerk × tick")
-        axes.plot(across, table["printed_m_s2"], "s", color=RED, label="printed formula (left)")
+    left, right = chart.subplots(1, 2)
+    tremor, tick, arc = data["tremor"], data["tick"], "spectral arc length (right)"
+    for axes, across, table in ((left, tremor["tremor_share"], tremor), (right, 1e3 * tick["tick_s"], tick)):
         other = axes.twinx()
-        other.plot(across, table["arc_length"], "o", color=BLUE, label="spectral arc length (right)")
+        other.plot(across, table["arc_length"], "o", color=BLUE)
         other.set_ylim(-6.0, 0.0)
-        axes.plot([], [], "o", color=BLUE, label="spectral arc length (right)")
-        if name == "tick":
-            other.set_ylabel("spectral arc length (0: smoothest)", color=BLUE)
-        finish(axes, label, "mean change of acceleration / (m/s²)" if name == "tremor" else "", xlim=across[[0, -1]],
-               legend="lower right")  # fmt: skip
+    other.set_ylabel("spectral arc length (0: smoothest)", color=BLUE)
+    hidden = ((arc, np.nan, "o", BLUE),)
+    panel(left, tremor["tremor_share"], "tremor of 8 Hz / peak speed", "mean change of acceleration / (m/s²)",
+          [("printed formula (left)", tremor["printed_m_s2"], "s", RED), *hidden],
+          log="", legend="lower right")  # fmt: skip
+    panel(right, 1e3 * tick["tick_s"], "tick / ms", "", [
+        ("theory: mean jerk × tick", tick["theory_m_s2"], "-", GREY),
+        ("printed formula (left)", tick["printed_m_s2"], "s", RED),
+        *hidden,
+    ], log="", legend="lower right")  # fmt: skip
 
 
 SMOOTHNESS = Page(

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissue.evaluation.atlas.page import Array
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import Hand, hand_parameters
@@ -21,7 +21,6 @@ from tissue.prediction.predictor import Predictor
 
 __all__ = ["LIMIT_N", "TICK_S", "koopman", "predicted", "relative_error", "tapped", "trained"]
 
-Array = NDArray[np.float64]
 DEVICE = device_parameters("six-dof")
 LIMIT_N, TICK_S, LAGS, LONGEST_HORIZON = DEVICE.force_limit_N, 1e-3, 6, 64
 TURN = np.array([[2.0, -2.0, 1.0], [1.0, 2.0, 2.0], [-2.0, -1.0, 2.0]]) / 3.0

@@ -1,14 +1,15 @@
 """Thin walls and fast tools: a penalty wall is crossed by whoever is quick enough, the god-object's is not."""
 
+from itertools import product
 from math import sqrt
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from meshes.voxels.volume import VoxelVolume
-from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, finish, region
+from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, panel
 from tissue.evaluation.atlas.nearest_point import nearest_free, point_proxy
-from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, shown
+from tissue.evaluation.atlas.page import Answer, Data, Page, Verdict, boundary, shown, sweep
 from tissue.haptics.device.device import DeviceParameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.proxy.proxy import Proxy
@@ -16,16 +17,12 @@ from tissue.haptics.proxy.tool_shell import ToolShell
 from tissue.haptics.proxy.voxmap import ContactField
 from tissue.models.bone.bricks import BrickStore
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 __all__ = ["THIN_WALLS"]
 
 STIFFNESS_N_M, MASS_KG, TICK_S = 1000.0, 0.05, 2.5e-4
 """A wall and a device whose contact lasts 22 ms; the tick leaks little over that."""
 TICKS = 400
 VOXEL_M = 2e-4
-TITLE = "who is thrown back? device of 50 g, wall of 1 kN/m"
 
 
 def end_m(speed_m_s: float, thickness_m: float, proxy: Proxy | None) -> float:
@@ -40,45 +37,32 @@ def end_m(speed_m_s: float, thickness_m: float, proxy: Proxy | None) -> float:
     for tick in range(TICKS):
         sample = device.read(tick * TICK_S)
         height = sample.position_m[2] if sample is not None else height
-        if proxy is None:
-            foot = nearest_free(height, thickness_m)
-        else:
-            foot = float(proxy.advance(np.array([0.0, 0.0, height])).position_m[2])
+        at = np.array([0.0, 0.0, height])
+        foot = nearest_free(height, thickness_m) if proxy is None else float(proxy.advance(at).position_m[2])
         if abs(foot) > 0.5 * thickness_m + 1e-9 and abs(height) > 0.1:
             break
         device.command(np.array([0.0, 0.0, STIFFNESS_N_M * (foot - height)]), np.zeros(3))
     return height
 
 
-def boundary_m_s(thickness_m: float, *, steps: int) -> float:
-    """Speed from which on the penalty wall is crossed, by bisection over runs [m/s]."""
-    low, high = 1e-3, 20.0
-    for _ in range(steps):
-        middle = sqrt(low * high)
-        low, high = (low, middle) if end_m(middle, thickness_m, None) < 0.0 else (middle, high)
-    return sqrt(low * high)
-
-
 def measure(quick: bool) -> Data:
     """The penalty's boundary over thickness; where devices end that the proxy answers, over thickness and speed."""
-    thickness = np.geomspace(1e-4, 2e-2, 3 if quick else 8)
-    speeds = np.array([0.1, 2.0] if quick else [0.05, 0.2, 1.0, 5.0])
-    pairs = [(thick, speed) for thick in thickness.tolist() for speed in speeds.tolist()]
-    ends = [end_m(speed, thick, point_proxy(thick, start_m=thick)) for thick, speed in pairs]
+    thickness, speeds = np.geomspace(1e-4, 2e-2, 3 if quick else 8), [0.1, 2.0] if quick else [0.05, 0.2, 1.0, 5.0]
+
+    def penalty(thick: float) -> dict[str, float]:
+        """Speeds from which on the wall is crossed: measured, by energy, and by sampling alone."""
+        crossed = boundary(lambda speed: end_m(speed, thick, None) < 0.0, 1e-3, 20.0, steps=9 if quick else 11)
+        return {
+            "crossed_from_m_s": crossed,
+            "theory_m_s": 0.5 * thick * sqrt(STIFFNESS_N_M / MASS_KG),
+            "sampling_m_s": thick / TICK_S,
+        }
+
+    pairs = np.array(list(product(thickness.tolist(), speeds)))
+    ends = [end_m(speed, thick, point_proxy(thick, start_m=thick)) for thick, speed in pairs.tolist()]
     return {
-        "penalty": {
-            "thickness_m": thickness,
-            "crossed_from_m_s": np.array(
-                [boundary_m_s(thick, steps=9 if quick else 11) for thick in thickness.tolist()]
-            ),
-            "theory_m_s": 0.5 * thickness * sqrt(STIFFNESS_N_M / MASS_KG),
-            "sampling_m_s": thickness / TICK_S,
-        },
-        "proxy": {
-            "thickness_m": np.array([thick for thick, _ in pairs]),
-            "speed_m_s": np.array([speed for _, speed in pairs]),
-            "end_m": np.array(ends),
-        },
+        "penalty": sweep("thickness_m", thickness, penalty),
+        "proxy": {"thickness_m": pairs[:, 0], "speed_m_s": pairs[:, 1], "end_m": np.array(ends)},
     }
 
 
@@ -140,25 +124,18 @@ def ask() -> list[Answer]:
     ]
 
 
-def draw(data: Data, chart: "Figure") -> None:
+def draw(data: Data, chart: Figure) -> None:
     """Speed over thickness."""
     axes, penalty, ours = chart.subplots(), data["penalty"], data["proxy"]
-    thickness = 1e3 * penalty["thickness_m"]
-    low, high = 0.5e-3, 20.0
-    region(axes, Conduct.HOLDS, thickness[0], thickness[-1])
-    axes.loglog(thickness, penalty["theory_m_s"], color=GREY, label="theory: (h/2)√(K/m)")
-    axes.loglog(thickness, penalty["crossed_from_m_s"], "s", color=RED, label="penalty wall is crossed from here up")
-    axes.loglog(thickness, penalty["sampling_m_s"], ":", color=ORANGE, label="one tick is longer than the wall")
-    back = ours["end_m"] > 0.0
-    axes.loglog(
-        1e3 * ours["thickness_m"][back], ours["speed_m_s"][back], "o", color=BLUE, label="god-object: thrown back"
-    )
-    if not back.all():
-        axes.loglog(
-            1e3 * ours["thickness_m"][~back], ours["speed_m_s"][~back], "x", color=BLUE, label="god-object: crossed"
-        )
-    finish(axes, "thickness of the wall / mm", "speed of the device / (m/s)", title=TITLE, ylim=(low, high),
-           xlim=thickness[[0, -1]])  # fmt: skip
+    for back, style, what in ((ours["end_m"] > 0.0, "o", "thrown back"), (ours["end_m"] <= 0.0, "x", "crossed")):
+        if back.any():
+            across, up = 1e3 * ours["thickness_m"][back], ours["speed_m_s"][back]
+            axes.plot(across, up, style, color=BLUE, label=f"god-object: {what}")
+    panel(axes, 1e3 * penalty["thickness_m"], "thickness of the wall / mm", "speed of the device / (m/s)", [
+        ("theory: (h/2)√(K/m)", penalty["theory_m_s"], "-", GREY),
+        ("penalty wall is crossed from here up", penalty["crossed_from_m_s"], "s", RED),
+        ("one tick is longer than the wall", penalty["sampling_m_s"], ":", ORANGE),
+    ], title="who is thrown back? device of 50 g, wall of 1 kN/m", ylim=(0.5e-3, 20.0))  # fmt: skip
 
 
 THIN_WALLS = Page(

@@ -1,21 +1,19 @@
 """An operator that was trained on one wall and is used on another: what it predicts, and what the guard makes of it."""
 
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from tissue.builders.prediction import predictor
-from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, finish, region
-from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
+from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, panel
+from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, error_of, refused, shown, sweep
 from tissue.evaluation.atlas.tapping import LIMIT_N, TICK_S, koopman, predicted, relative_error, tapped, trained
 from tissue.prediction.edmd.predictor_file import read_predictor, write_predictor
 from tissue.prediction.guard import Guarded
-from tissue.prediction.predictor import Hold
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from tissue.prediction.predictor import Hold, Predictor
 
 __all__ = ["TRAINED_ELSEWHERE"]
 
@@ -27,22 +25,24 @@ def measure(quick: bool) -> Data:
     """Errors of hold, the bare operator and the guarded one over the stiffness of the wall they are used on."""
     operator = trained([tapped(HOME_N_M, seed=seed, seconds=3.0) for seed in (1, 2)])
     stiffnesses = np.array(
-        [100.0, 400.0, 800.0, 2400.0] if quick else [100, 150, 200, 300, 400, 600, 800, 1100, 1600, 2400]
+        [100.0, 400.0, 800.0, 2400.0] if quick else [100, 150, 200, 300, 400, 600, 800, 1100, 1600, 2400], dtype=float
     )
-    rows = []
-    for stiffness in stiffnesses.tolist():
+
+    def errors(stiffness: float) -> dict[str, float]:
+        """Errors on one wall, and how often the guarded operator is trusted."""
         recording = tapped(stiffness, seed=9, seconds=1.2 if quick else 2.0)
-        errors, is_primary = [], 0.0
-        for each in (Hold(), koopman(operator), Guarded(koopman(operator), Hold(), reach_N=LIMIT_N)):
-            predictions, whose = predicted(each, recording, [HORIZON_TICKS])
-            errors.append(relative_error(predictions[0], recording[1], HORIZON_TICKS))
-            is_primary = float(whose.mean())
-        rows.append((*errors, is_primary))
-    found = np.array(rows)
-    table = dict(zip(("hold", "bare", "guarded", "own_share"), found.T, strict=True))
+        guarded = Guarded(koopman(operator), Hold(), reach_N=LIMIT_N)
+        predictors: dict[str, Predictor] = {"hold": Hold(), "bare": koopman(operator), "guarded": guarded}
+        found = {}
+        for name, each in predictors.items():
+            predictions, is_primary = predicted(each, recording, [HORIZON_TICKS])
+            found[name] = relative_error(predictions[0], recording[1], HORIZON_TICKS)
+        return found | {"own_share": is_primary.mean()}
+
+    table = sweep("stiffness_N_m", stiffnesses, errors)
     # The operator moves the force towards that of its own wall; by how much in five ticks is read off the softest.
     share = table["bare"][0] / abs(HOME_N_M / stiffnesses[0] - 1.0)
-    return {"wall": {"stiffness_N_m": stiffnesses, **table, "theory": share * np.abs(HOME_N_M / stiffnesses - 1.0)}}
+    return {"wall": table | {"theory": share * np.abs(HOME_N_M / stiffnesses - 1.0)}}
 
 
 def judge(data: Data) -> Verdict:
@@ -52,9 +52,8 @@ def judge(data: Data) -> Verdict:
     home = int(np.argmin(np.abs(table["stiffness_N_m"] - HOME_N_M)))
     far = np.abs(np.log2(table["stiffness_N_m"] / HOME_N_M)) > 0.9
     worst = float((table["bare"] / table["hold"]).max())
-    off = np.abs(table["bare"][far] / table["theory"][far] - 1.0).max()
     return Verdict(
-        worst > 5.0 and float(off) < 0.6,
+        worst > 5.0 and error_of(table["bare"][far], table["theory"][far]) < 0.6,
         bool((ratio < 1.5).all() and ratio[home] < 0.8 and table["own_share"][home] > 0.8),
         f"Five ticks ahead the operator is off by {100 * table['bare'][home]:.1f} % on its own wall, where hold is by "
         f"{100 * table['hold'][home]:.1f} %, and up to {worst:.0f} times as much as hold on others, as |K₀/K − 1| "
@@ -73,46 +72,41 @@ def ask() -> list[Answer]:
             "the Koopman predictor of another scene",
             lambda: predictor("koopman", scene_name="molar", file=str(path), force_limit_N=LIMIT_N, tick_s=TICK_S),
         )
-        answers = [_without_folder(other, folder)]
         path.write_bytes(path.read_bytes()[:200])
-        answers.append(_without_folder(refused("a file that was cut off", lambda: read_predictor(path)), folder))
+        files = [other, refused("a file that was cut off", lambda: read_predictor(path))]
     guarded = Guarded(koopman(operator), Hold(), reach_N=LIMIT_N)
     recording = tapped(4.0 * HOME_N_M, seed=9, seconds=1.0)
     forces, is_primary = predicted(guarded, recording, [HORIZON_TICKS])
     steps = np.abs(np.diff(np.linalg.norm(forces[0], axis=1))).max()
     return [
-        *answers,
+        *(replace(each, result=each.result.replace(f"{folder}/", "")) for each in files),
         shown("a wall four times as stiff", bool(np.isfinite(forces).all()) and float(is_primary[200:].min()) == 0.0,
               f"hands over to hold; no tick changes the force by more than {steps:.2f} N", conduct=Conduct.FALLS_BACK),
     ]  # fmt: skip
 
 
-def _without_folder(answer: Answer, folder: str) -> Answer:
-    """The answer without the folder it was tried in."""
-    return Answer(answer.asked, answer.conduct, answer.result.replace(f"{folder}/", ""))
-
-
-def draw(data: Data, chart: "Figure") -> None:
+def draw(data: Data, chart: Figure) -> None:
     """Error, and share of own predictions, over the stiffness of the other wall."""
     left, right = chart.subplots(1, 2)
-    table = data["wall"]
+    table, label = data["wall"], "stiffness of the wall it is used on / (N/m)"
     stiffness = table["stiffness_N_m"]
     trusted = stiffness[table["own_share"] > 0.75]
-    low, high = (trusted.min(), trusted.max()) if len(trusted) else (HOME_N_M, HOME_N_M)
-    for axes in (left, right):
-        region(axes, Conduct.FALLS_BACK, stiffness[0], 0.8 * low)
-        region(axes, Conduct.HOLDS, 0.8 * low, 1.25 * high)
-        region(axes, Conduct.FALLS_BACK, 1.25 * high, stiffness[-1])
-    left.loglog(stiffness, np.maximum(100.0 * table["theory"], 0.1), color=GREY, label="theory: ∝ |K₀/K − 1|")
-    left.loglog(stiffness, 100.0 * table["bare"], "s", color=RED, label="operator, not guarded")
-    left.loglog(stiffness, 100.0 * table["hold"], "^", color=ORANGE, label="hold")
-    left.loglog(stiffness, 100.0 * table["guarded"], "o", color=BLUE, label="guarded (ours)")
-    finish(left, "stiffness of the wall it is used on / (N/m)", "force error 5 ms ahead / %", xlim=stiffness[[0, -1]],
-           ylim=(1.0, 500.0))  # fmt: skip
-    right.semilogx(stiffness, 100.0 * table["own_share"], "o", color=BLUE, label="guarded: its own prediction")
+    low, high = 0.8 * trusted.min(initial=HOME_N_M), 1.25 * trusted.max(initial=HOME_N_M)
+    conduct = [
+        (Conduct.FALLS_BACK, stiffness[0], low),
+        (Conduct.HOLDS, low, high),
+        (Conduct.FALLS_BACK, high, stiffness[-1]),
+    ]
+    panel(left, stiffness, label, "force error 5 ms ahead / %", [
+        ("theory: ∝ |K₀/K − 1|", np.maximum(100.0 * table["theory"], 0.1), "-", GREY),
+        ("operator, not guarded", 100.0 * table["bare"], "s", RED),
+        ("hold", 100.0 * table["hold"], "^", ORANGE),
+        ("guarded (ours)", 100.0 * table["guarded"], "o", BLUE),
+    ], conduct=conduct, ylim=(1.0, 500.0))  # fmt: skip
     right.axvline(HOME_N_M, color=GREY, linestyle=":", label="trained here")
-    finish(right, "stiffness of the wall it is used on / (N/m)", "share of ticks / %", xlim=stiffness[[0, -1]],
-           ylim=(0.0, 105.0), legend="lower center")  # fmt: skip
+    panel(right, stiffness, label, "share of ticks / %", [
+        ("guarded: its own prediction", 100.0 * table["own_share"], "o", BLUE),
+    ], log="x", conduct=conduct, ylim=(0.0, 105.0), legend="lower center")  # fmt: skip
 
 
 TRAINED_ELSEWHERE = Page(

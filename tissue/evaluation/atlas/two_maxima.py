@@ -1,20 +1,14 @@
 """E7: the posterior of a force can have two maxima, and Newton's method from an observation of zero or less breaks."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.figure import Figure
 
-from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, finish, region
-from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
+from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, panel
+from tissue.evaluation.atlas.page import Answer, Array, Data, Page, Verdict, error_of, refused, shown, sweep
 from tissue.perception.estimate import log_posterior, map_force_N, require_prior_fits
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["TWO_MAXIMA"]
 
-Array = NDArray[np.float64]
 MEDIAN_N, SPREAD, NOISE_N = 0.1, 0.3, 0.3
 GRID = np.linspace(np.log(1e-4), np.log(20.0), 20_001)
 """Logarithms of forces among which the greatest density is looked for by brute force."""
@@ -22,8 +16,8 @@ GRID = np.linspace(np.log(1e-4), np.log(20.0), 20_001)
 
 def density(seen: float) -> Array:
     """Logarithm of the posterior density on the grid."""
-    one = np.array
-    return np.asarray(log_posterior(GRID, one(seen), one(NOISE_N), one(np.log(MEDIAN_N)), one(SPREAD)))
+    given = np.array([seen, NOISE_N, np.log(MEDIAN_N), SPREAD])
+    return np.asarray(log_posterior(GRID, *given[:, None]))
 
 
 def newton_N(seen: float) -> float:
@@ -49,42 +43,38 @@ def bimodal(seen: float) -> bool:
     return bool(slopes[0] < 0.0 < slopes[1])
 
 
+def estimates(seen: float) -> dict[str, float]:
+    """Estimate by brute force and by Newton's method, and maxima that there are and that theory has."""
+    found = density(seen)
+    inner = (found[1:-1] > found[:-2]) & (found[1:-1] > found[2:])
+    return {
+        "brute_force_N": np.exp(GRID[np.argmax(found)]),
+        "maxima": inner.sum(),
+        "theory_maxima": 1.0 + bimodal(seen),
+        "newton_N": newton_N(seen),
+    }
+
+
 def measure(quick: bool) -> Data:
     """Estimates over the observation: brute force, Newton from the observation, and ours."""
     seen = np.linspace(-1.0, 5.0, 25 if quick else 73)
-    exact, maxima, newton = [], [], []
-    for value in seen.tolist():
-        found = density(value)
-        inner = (found[1:-1] > found[:-2]) & (found[1:-1] > found[2:])
-        exact.append(float(np.exp(GRID[np.argmax(found)])))
-        maxima.append(float(inner.sum()))
-        newton.append(newton_N(value))
-    return {
-        "seen": {
-            "seen_N": seen,
-            "brute_force_N": np.array(exact),
-            "maxima": np.array(maxima),
-            "theory_maxima": np.array([1.0 + bimodal(value) for value in seen.tolist()]),
-            "newton_N": np.array(newton),
-            "ours_N": map_force_N(seen, NOISE_N, median_N=MEDIAN_N, log_spread=SPREAD),
-        }
-    }
+    ours = map_force_N(seen, NOISE_N, median_N=MEDIAN_N, log_spread=SPREAD)
+    return {"seen": sweep("seen_N", seen, estimates) | {"ours_N": ours}}
 
 
 def judge(data: Data) -> Verdict:
     """Where Newton's method breaks or keeps the lower maximum, and how far ours is from brute force."""
     table = data["seen"]
     broken = ~np.isfinite(table["newton_N"])
-    wrong = np.abs(table["newton_N"] / table["brute_force_N"] - 1.0) > 0.05
-    wrong &= ~broken
-    off = float(np.abs(table["ours_N"] / table["brute_force_N"] - 1.0).max())
-    two = table["maxima"] == 2.0
+    wrong = ~broken & (np.abs(table["newton_N"] / table["brute_force_N"] - 1.0) > 0.05)
+    off = error_of(table["ours_N"], table["brute_force_N"])
+    between = table["seen_N"][table["maxima"] == 2.0]
     agree = bool((table["maxima"] == table["theory_maxima"]).all())
-    between = table["seen_N"][two] if two.any() else np.array([np.nan])
+    low, high = between.min(initial=np.inf), between.max(initial=-np.inf)
     return Verdict(
-        bool(broken[table["seen_N"] <= 0.0].all() and two.any() and wrong.any() and agree),
+        bool(broken[table["seen_N"] <= 0.0].all() and len(between) and wrong.any() and agree),
         off < 1e-3,  # the grid's spacing is 6e-4 of a force
-        f"Between {between.min():.2f} and {between.max():.2f} N the posterior has two maxima, as in theory. "
+        f"Between {low:.2f} and {high:.2f} N the posterior has two maxima, as in theory. "
         f"Newton's method from the observation gives no force in {int(broken.sum())} of {len(broken)} cases, among "
         f"them all at or below zero, and the lesser maximum in {int(wrong.sum())}; ours is the global one to {off:.0e} "
         "in all.",
@@ -106,28 +96,25 @@ def ask() -> list[Answer]:
     ]  # fmt: skip
 
 
-def draw(data: Data, chart: "Figure") -> None:
+def draw(data: Data, chart: Figure) -> None:
     """Estimate over observation; the posterior where it has two maxima."""
     left, right = chart.subplots(1, 2)
     table = data["seen"]
-    seen = table["seen_N"]
-    region(left, Conduct.HOLDS, seen[0], seen[-1])
-    two = seen[table["maxima"] == 2.0]
-    if len(two):
-        left.axvspan(
-            two.min(), two.max(), facecolor="none", edgecolor="0.55", hatch="//", linewidth=0.0, label="two maxima"
-        )
-    left.plot(seen, table["brute_force_N"], color=GREY, label="brute force: greatest density")
-    left.plot(seen, table["newton_N"], "s", color=RED, markersize=5, label="Newton from the observation")
-    left.plot(seen[::2], table["ours_N"][::2], "o", color=BLUE, markersize=4, label="ours")
-    left.plot(seen[~np.isfinite(table["newton_N"])], 0.0 * seen[~np.isfinite(table["newton_N"])], "x", color=RED,
-              label="Newton: no force")  # fmt: skip
-    finish(left, "observed force / N", "most probable force / N", xlim=seen[[0, -1]], legend="upper left")
-    for share, colour in zip((0.25, 0.5, 0.75), (BLUE, RED, ORANGE), strict=True):
-        value = float(two.min() + share * np.ptp(two)) if len(two) else 3.0
-        log_density = density(value)
-        right.plot(np.exp(GRID), log_density - log_density.max(), color=colour, label=f"observed {value:.2f} N")
-    finish(right, "force / N", "log density, less its maximum", xlim=(0.0, 5.0), ylim=(-8.0, 0.5))
+    seen, two = table["seen_N"], table["seen_N"][table["maxima"] == 2.0]
+    left.axvspan(two.min(), two.max(), facecolor="none", edgecolor="0.55", hatch="//", linewidth=0.0,
+                 label="two maxima")  # fmt: skip
+    panel(left, seen, "observed force / N", "most probable force / N", [
+        ("brute force: greatest density", table["brute_force_N"], "-", GREY),
+        ("Newton from the observation", table["newton_N"], "s", RED),
+        ("ours", np.where(np.arange(len(seen)) % 2 == 0, table["ours_N"], np.nan), "o", BLUE),
+        ("Newton: no force", np.where(np.isfinite(table["newton_N"]), np.nan, 0.0), "x", RED),
+    ], log="", legend="upper left")  # fmt: skip
+    observed = two.min() + np.array([0.25, 0.5, 0.75]) * np.ptp(two)
+    curves = [(f"observed {value:.2f} N", density(value), "-", colour)
+              for value, colour in zip(observed.tolist(), (BLUE, RED, ORANGE), strict=True)]  # fmt: skip
+    panel(right, np.exp(GRID), "force / N", "log density, less its maximum",
+          [(label, log_density - log_density.max(), style, colour) for label, log_density, style, colour in curves],
+          log="", conduct=(), xlim=(0.0, 5.0), ylim=(-8.0, 0.5))  # fmt: skip
 
 
 TWO_MAXIMA = Page(

@@ -1,12 +1,12 @@
 """Stiffness against damping, delay and rate: where a wall on a device rings, measured and by eigenvalues."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from tissue.evaluation.atlas.drawing import BLUE, GREEN, GREY, ORANGE, PINK, divided, finish
-from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
+from tissue.evaluation.atlas.drawing import BLUE, GREEN, GREY, ORANGE, PINK, divided, panel
+from tissue.evaluation.atlas.page import Answer, Array, Conduct, Data, Page, Verdict, error_of, refused, shown
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
@@ -17,43 +17,36 @@ from tissue.haptics.loop.stability_map import measured_critical_N_m
 from tissue.scene.load import load_scene
 from tissue.simulation.simulate import simulate
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 __all__ = ["WALL_MAP"]
 
 LOOP = in_hands(device_parameters("six-dof").loop(1.0), [hand_parameters("expert").grip[:3]])[0]
 """The device of six degrees of freedom in an expert's hand."""
 AXES = {
-    "damping": ("virtual damping / (N s/m)", 1.0),
-    "delay": ("delay added to the hold / ms", 1e3),
-    "rate": ("rate / Hz", 1.0),
+    "damping": ("virtual damping / (N s/m)", 1.0, np.linspace(0.0, 60.0, 7)),
+    "delay": ("delay added to the hold / ms", 1e3, np.linspace(0.0, 8e-3, 7)),
+    "rate": ("rate / Hz", 1.0, np.geomspace(250.0, 8000.0, 5)),
 }
 
 
-def loops(along: str, quick: bool) -> tuple[np.ndarray, list[WallLoop]]:
-    """Values of what is varied, and the loops."""
-    count = 3 if quick else 7
-    if along == "damping":
-        values = np.linspace(0.0, 60.0, count)
-        return values, [replace(LOOP, wall_damping_N_s_m=value) for value in values.tolist()]
-    if along == "delay":
-        values = np.linspace(0.0, 8e-3, count)
-        return values, [replace(LOOP, delay_s=value) for value in values.tolist()]
-    values = np.array([250.0, 1000.0, 4000.0]) if quick else np.geomspace(250.0, 8000.0, 5)
-    return values, [replace(LOOP, tick_s=1.0 / value) for value in values.tolist()]
+def loops(along: str, values: Array) -> list[WallLoop]:
+    """The loop with one of its parameters at each of these values."""
+    if along == "rate":
+        return [replace(LOOP, tick_s=1.0 / value) for value in values.tolist()]
+    name = {"damping": "wall_damping_N_s_m", "delay": "delay_s"}[along]
+    return [replace(LOOP, **{name: value}) for value in values.tolist()]
 
 
 def measure(quick: bool) -> Data:
     """Boundaries over damping, delay and rate."""
     data: Data = {}
-    ticks = 800 if quick else 1600
     for along in ("delay",) if quick else AXES:
-        values, swept = loops(along, quick)
+        values = AXES[along][2][:: 3 if quick else 1]
+        swept = loops(along, values)
         together = [swept] if along != "rate" else [[each] for each in swept]  # loops that run at once share a tick
+        measured = [measured_critical_N_m(group, ticks=800 if quick else 1600) for group in together]
         data[along] = {
             along: values,
-            "measured_N_m": np.concatenate([measured_critical_N_m(group, ticks=ticks) for group in together]),
+            "measured_N_m": np.concatenate(measured),
             "exact_N_m": np.array([critical_stiffness_N_m(each) for each in swept]),
             "passive_N_m": np.array([passive_bound_N_m(each) for each in swept]),
             "first_order_N_m": np.array([delay_bound_N_m(each) for each in swept]),
@@ -64,20 +57,16 @@ def measure(quick: bool) -> Data:
 
 def judge(data: Data) -> Verdict:
     """How far each line is from what was measured."""
-    off = max(float(np.abs(t["exact_N_m"] / t["measured_N_m"] - 1.0).max()) for t in data.values())
-    passive = all(bool((t["passive_N_m"] <= 1.001 * t["measured_N_m"]).all()) for t in data.values())
-    unsafe = {
-        name: max(float((t[f"{name}_N_m"] / t["measured_N_m"]).max()) for t in data.values())
-        for name in ("first_order", "pade")
-    }
-    low = min(float(t["measured_N_m"].min()) for t in data.values())
-    high = max(float(t["measured_N_m"].max()) for t in data.values())
+    names = ("measured_N_m", "exact_N_m", "passive_N_m", "first_order_N_m", "pade_N_m")
+    measured, exact, *bounds = (np.concatenate([table[name] for table in data.values()]) for name in names)
+    off = error_of(exact, measured)
+    passive, first_order, pade = (float((bound / measured).max()) for bound in bounds)
     return Verdict(
-        max(unsafe.values()) > 1.05 and high > 2.0 * low,
-        off < 0.01 and passive,
-        f"The wall rings from {low:.0f} to {high:.0f} N/m on, and eigenvalues predict where to {100 * off:.2f} %. The "
-        f"passive bound is never passed; K = (b+B)/(T/2+t) promises up to {unsafe['first_order']:.1f} times, Padé up "
-        f"to {unsafe['pade']:.1f} times what holds.",
+        max(first_order, pade) > 1.05 and measured.max() > 2.0 * measured.min(),
+        off < 0.01 and passive <= 1.001,
+        f"The wall rings from {measured.min():.0f} to {measured.max():.0f} N/m on, and eigenvalues predict where to "
+        f"{100 * off:.2f} %. The passive bound is never passed; K = (b+B)/(T/2+t) promises up to {first_order:.1f} "
+        f"times, Padé up to {pade:.1f} times what holds.",
     )
 
 
@@ -109,24 +98,23 @@ def ask() -> list[Answer]:
     ]
 
 
-def draw(data: Data, chart: "Figure") -> None:
+def draw(data: Data, chart: Figure) -> None:
     """One panel for each of damping, delay and rate."""
     panels = chart.subplots(1, len(data), squeeze=False, sharey=True)[0]
     low = 0.3 * min(t["passive_N_m"][t["passive_N_m"] > 0.0].min() for t in data.values())
     high = 3.0 * max(t["exact_N_m"].max() for t in data.values())
     for axes, (along, table) in zip(panels, data.items(), strict=True):
-        label, scale = AXES[along]
-        across = scale * table[along]
+        label, scale, _ = AXES[along]
+        across, is_first = scale * table[along], axes is panels[0]
         divided(axes, across, table["exact_N_m"], low, high)
-        axes.semilogy(across, table["exact_N_m"], color=GREY, label="eigenvalues")
-        axes.semilogy(across, np.where(table["passive_N_m"] > 0.0, table["passive_N_m"], np.nan), "--", color=GREEN,
-                      label="passive")  # fmt: skip
-        axes.semilogy(across, table["first_order_N_m"], "-.", color=ORANGE, label="first order in delay")
-        axes.semilogy(across, table["pade_N_m"], ":", color=PINK, label="Padé")
-        axes.semilogy(across, table["measured_N_m"], "o", color=BLUE, label="measured")
-        first = axes is panels[0]
-        finish(axes, label, "stiffness / (N/m)" if axes is panels[0] else "", legend="lower right" if first else "",
-               ylim=(low, high), xscale="log" if along == "rate" else "linear")  # fmt: skip
+        panel(axes, across, label, "stiffness / (N/m)" if is_first else "", [
+            ("eigenvalues", table["exact_N_m"], "-", GREY),
+            ("passive", np.where(table["passive_N_m"] > 0.0, table["passive_N_m"], np.nan), "--", GREEN),
+            ("first order in delay", table["first_order_N_m"], "-.", ORANGE),
+            ("Padé", table["pade_N_m"], ":", PINK),
+            ("measured", table["measured_N_m"], "o", BLUE),
+        ], log="xy" if along == "rate" else "y", conduct=(), legend="lower right" if is_first else "",
+           ylim=(low, high))  # fmt: skip
 
 
 WALL_MAP = Page(

@@ -1,18 +1,14 @@
 """E6: a Gaussian Weber fraction gives negative thresholds, and none at zero force; ours are positive everywhere."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from matplotlib.figure import Figure
 from scipy.special import ndtr
 
-from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, finish, region
-from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
+from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, panel
+from tissue.evaluation.atlas.page import Answer, Data, Page, Verdict, refused, shown
 from tissue.perception.deadband import held_back
 from tissue.perception.observer import Observer
 from tissue.perception.weber import Weber, weber
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["WEBER_LAW"]
 
@@ -53,19 +49,18 @@ def measure(quick: bool) -> Data:
 def judge(data: Data) -> Verdict:
     """Negative draws against the normal law; thresholds at low force against the published range."""
     negative, threshold = data["negative"], data["threshold"]
-    force = threshold["force_N"]
-    low = (force > 0.1) & (force < LOW_N)
-    inside = threshold["ours_share"][low]
+    force, theory = threshold["force_N"], negative["theory_share"]
+    inside = threshold["ours_share"][(force > 0.1) & (force < LOW_N)]
     # Three standard errors of a share of 20,000 draws.
-    error = 3.0 * np.sqrt(negative["theory_share"] / DRAWS) + 1e-4
-    expected = bool((np.abs(negative["printed_share"] - negative["theory_share"]) < error).all())
+    error = 3.0 * np.sqrt(theory / DRAWS) + 1e-4
+    expected = bool((np.abs(negative["printed_share"] - theory) < error).all())
     held = bool((negative["ours_share"] == 0.0).all() and inside.min() >= LOW_SHARES[0] - 0.01 and inside.max() < 0.3)
     return Verdict(
         expected and negative["printed_share"].max() > 0.05 and LOW_SHARES[0] > KAPPA,
         held,
         f"With people scattering by {negative['scatter_over_kappa'].max():g} of κ, "
         f"{100 * negative['printed_share'].max():.0f} % of the printed thresholds are negative (normal law "
-        f"{100 * negative['theory_share'].max():.0f} %), of ours none. Between 0.1 and 0.5 N ours are "
+        f"{100 * theory.max():.0f} %), of ours none. Between 0.1 and 0.5 N ours are "
         f"{100 * inside.min():.0f} to {100 * inside.max():.0f} % where 10 to 28 % were measured and κF predicts "
         f"{100 * KAPPA:.0f} %.",
     )
@@ -85,24 +80,22 @@ def ask() -> list[Answer]:
     ]  # fmt: skip
 
 
-def draw(data: Data, chart: "Figure") -> None:
+def draw(data: Data, chart: Figure) -> None:
     """Share of negative thresholds; threshold over force."""
     left, right = chart.subplots(1, 2)
     negative, threshold = data["negative"], data["threshold"]
-    scatter = negative["scatter_over_kappa"]
-    region(left, Conduct.HOLDS, scatter[0], scatter[-1])
-    left.plot(scatter, 100.0 * negative["theory_share"], color=GREY, label="theory: Φ(−κ/τ)")
-    left.plot(scatter, 100.0 * negative["printed_share"], "s", color=RED, label="printed: N(κ, τ²), drawn")
-    left.plot(scatter, 100.0 * negative["ours_share"], "o", color=BLUE, label="ours: log-normal, drawn")
-    finish(left, "scatter of people τ / κ", "thresholds that are negative / %", xlim=scatter[[0, -1]])
-    force = threshold["force_N"]
-    region(right, Conduct.HOLDS, force[0], force[-1])
+    panel(left, negative["scatter_over_kappa"], "scatter of people τ / κ", "thresholds that are negative / %", [
+        ("theory: Φ(−κ/τ)", 100.0 * negative["theory_share"], "-", GREY),
+        ("printed: N(κ, τ²), drawn", 100.0 * negative["printed_share"], "s", RED),
+        ("ours: log-normal, drawn", 100.0 * negative["ours_share"], "o", BLUE),
+    ], log="")  # fmt: skip
     right.fill_between([0.1, LOW_N], *(100.0 * share for share in LOW_SHARES), color=ORANGE, alpha=0.4, zorder=1,
                        label="published: 10–28 % below 0.5 N")  # fmt: skip
-    right.loglog(force, 100.0 * threshold["theory_share"], color=GREY, label="theory: κ(1 + F0/F)")
-    right.loglog(force, 100.0 * threshold["printed_share"], "--", color=RED, label="printed: κ")
-    right.loglog(force, 100.0 * threshold["ours_share"], "o", color=BLUE, label="ours")
-    finish(right, "force / N", "threshold / force / %", xlim=force[[0, -1]])
+    panel(right, threshold["force_N"], "force / N", "threshold / force / %", [
+        ("theory: κ(1 + F0/F)", 100.0 * threshold["theory_share"], "-", GREY),
+        ("printed: κ", 100.0 * threshold["printed_share"], "--", RED),
+        ("ours", 100.0 * threshold["ours_share"], "o", BLUE),
+    ])  # fmt: skip
 
 
 WEBER_LAW = Page(

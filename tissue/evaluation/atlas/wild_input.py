@@ -1,19 +1,16 @@
 """NaN and wild device input: what a sample that no hand could have made commands, with and without a guard."""
 
 from math import inf, nan
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, finish, region
-from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
+from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, panel
+from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, error_of, refused, shown
 from tissue.evaluation.atlas.pressing import DEVICE, FAULT_S, STIFFNESS_N_M, TICK_S, pressed
 from tissue.haptics.device.device import Sample
 from tissue.haptics.device.sample_guard import GuardLimits, SampleGuard
 from tissue.haptics.loop.filters import ForceRange
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["WILD_INPUT"]
 
@@ -57,13 +54,11 @@ def judge(data: Data) -> Verdict:
     """What one sample commands without a guard; the bound with it, and where it stops accepting."""
     table = data["jump"]
     beyond = table["jump_m"] > VALID_M
-    off = float(np.abs(table["bare_N"] / table["theory_N"] - 1.0).max())
-    doubted = bool((table["not_believed"][beyond] == 1.0).all() and (table["not_believed"][~beyond] == 0.0).all())
-    worst = float(table["guarded_N"].max())
+    off, worst = error_of(table["bare_N"], table["theory_N"]), float(table["guarded_N"].max())
     bridged = float(np.abs(table["guarded_N"][beyond] / table["before_N"][beyond] - 0.95).max())
     return Verdict(
         bool(table["bare_N"].max() > 1e6 and off < 0.01),
-        doubted and worst <= DEVICE.force_limit_N * (1.0 + 1e-12) and bridged < 1e-6,
+        (table["not_believed"] == beyond).all() and worst <= DEVICE.force_limit_N * (1.0 + 1e-12) and bridged < 1e-6,
         f"Accepted as it comes, one sample commands k·jump, up to {table['bare_N'].max():.1e} N. The guard accepts "
         f"jumps below {1e3 * VALID_M:.1f} mm (5 m/s over a tick and the age allowed) and none above; it never "
         f"commands more than {worst:.2f} N, and a rejected sample takes off 5 % of the force.",
@@ -93,18 +88,17 @@ def ask() -> list[Answer]:
     ]  # fmt: skip
 
 
-def draw(data: Data, chart: "Figure") -> None:
+def draw(data: Data, chart: Figure) -> None:
     """Force over the jump."""
-    axes, table = chart.subplots(), data["jump"]
+    order = np.argsort(data["jump"]["jump_m"])
+    table = {name: values[order] for name, values in data["jump"].items()}
     jump = table["jump_m"]
-    region(axes, Conduct.HOLDS, jump[0], VALID_M)
-    region(axes, Conduct.FALLS_BACK, VALID_M, jump[-1])
-    order = np.argsort(jump)
-    axes.loglog(jump[order], table["theory_N"][order], color=GREY, label="theory: force before + k·jump")
-    axes.loglog(jump, table["bare_N"], "s", color=RED, label="every sample accepted")
-    axes.loglog(jump, table["guarded_N"], "o", color=BLUE, label="with the sample guard (ours)")
-    axes.axhline(DEVICE.force_limit_N, color=GREY, linestyle=":", label="the device's limit")
-    finish(axes, "jump of one sample into the wall / m", "commanded force / N", xlim=jump[order][[0, -1]])
+    panel(chart.subplots(), jump, "jump of one sample into the wall / m", "commanded force / N", [
+        ("theory: force before + k·jump", table["theory_N"], "-", GREY),
+        ("every sample accepted", table["bare_N"], "s", RED),
+        ("with the sample guard (ours)", table["guarded_N"], "o", BLUE),
+        ("the device's limit", DEVICE.force_limit_N, ":", GREY),
+    ], conduct=[(Conduct.HOLDS, jump[0], VALID_M), (Conduct.FALLS_BACK, VALID_M, jump[-1])])  # fmt: skip
 
 
 WILD_INPUT = Page(
