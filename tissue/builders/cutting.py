@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from meshes.base.errors import InputError
-from meshes.base.progress import Progress
+from meshes.base.progress import Progress, silent
 from meshes.voxels.volume import VoxelVolume
 from tissue.builders.parts import Parts
+from tissue.builders.registry import motion_of
 from tissue.builders.voxels import require_outside, require_touch, volume_of, whole_tooth
 from tissue.cutters.cutter import Cutter
 from tissue.materials.cutting import cutting_coefficients, cutting_constants
-from tissue.models.tissue_model import TissueModel
+from tissue.models.tissue_model import TICK_S, TissueModel
 from tissue.motion.motion import Motion
 from tissue.scene.anatomy import MolarAnatomy
 from tissue.scene.named_parts import loaded
@@ -24,7 +25,7 @@ from tissue.scene.unused_keys import is_given
 if TYPE_CHECKING:
     from tissue.models.bone.model import BoneModel
 
-__all__ = ["cutter_of", "milled"]
+__all__ = ["cutter_of", "milled", "milled_voxels"]
 
 SI = {"mm": ("m", 1e-3), "deg": ("rad", radians(1.0))}
 """Units of a scene's tool: their SI unit and its share."""
@@ -54,6 +55,12 @@ def milled(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: 
     notes["specific cutting energy"] = _energy_note(volume)
     tissue = _bone(scene, volume, cutter, compute=compute, cores=cores, report=report)
     return Parts(motion, tissue, cutter=cutter, volume=volume, placement=volume.placement, notes=notes)
+
+
+def milled_voxels(scene: Scene) -> VoxelVolume:
+    """The voxels of such a scene before the first cut; raises as `milled`."""
+    assert isinstance(scene.tool, Tool)
+    return volume_of(scene, cutter_of(scene.tool), motion_of(scene, step_s=TICK_S), notes={}, report=silent)
 
 
 def cutter_of(tool: Tool) -> Cutter:

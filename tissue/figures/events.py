@@ -1,8 +1,12 @@
 """Events of a run, marked in charts over time."""
 
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 __all__ = ["EVENT_IN", "event_lines", "mark_events"]
 
@@ -18,7 +22,7 @@ def event_lines(events: list[tuple[float, str]]) -> list[str]:
     return [*lines, f"and {left} more"] if left > 0 else lines
 
 
-def mark_events(panels: Any, events: list[tuple[float, str]]) -> None:
+def mark_events(panels: "Sequence[Axes]", events: list[tuple[float, str]]) -> None:
     """A line through all panels at every event, its number on top, lower where it would cover the one before."""
     low, high = panels[0].get_xlim()
     place, lowered = -np.inf, 0
@@ -28,5 +32,13 @@ def mark_events(panels: Any, events: list[tuple[float, str]]) -> None:
         lowered = (lowered + 1) % 3 if time - place < 0.02 * (high - low) else 0
         place = time
         box = {"boxstyle": "circle,pad=0.15", "facecolor": "white", "edgecolor": "0.15", "linewidth": 0.7}
-        where = {"xy": (time, 0.93 - 0.1 * lowered), "xycoords": ("data", "axes fraction")}
-        panels[0].annotate(str(number), **where, ha="center", va="center", size=7.5, bbox=box, zorder=4)
+        panels[0].annotate(
+            str(number),
+            (time, 0.93 - 0.1 * lowered),
+            xycoords=("data", "axes fraction"),
+            ha="center",
+            va="center",
+            size=7.5,
+            bbox=box,
+            zorder=4,
+        )

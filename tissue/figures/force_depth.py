@@ -1,21 +1,19 @@
 """Force over depth as the tool goes down through the layers for the first time."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue.figures.figure import STYLE, figure, save
+from tissue.figures.figure import figure, plain, save, styled
 from tissue.figures.style import COMPONENTS, layer_colours, spells
 from tissue.simulation.depth_map import HALF, tool_axes
 from tissue.simulation.run import Run
+from tissue.simulation.saved_fields import field_label
 from tissue.simulation.trace import NO_LAYER
 
 __all__ = ["draw_force_depth", "first_descent", "layers_passed"]
 
-UNITS = {"um": "µm", "degC": "°C", "mm2": "mm²", "mm3": "mm³"}
-"""Units of the trace's columns as they are printed; all others as they are."""
 MEANT = {"µm": "displacement"}
 """Quantity of a unit."""
 RISE_MM = 0.2
@@ -43,7 +41,7 @@ def first_descent(coordinate_mm: NDArray[np.float64], contact: NDArray[np.bool_]
     return slice(before, last + 1)
 
 
-def layers_passed(run: Run, tips_mm: NDArray[np.float64]) -> NDArray[Any]:
+def layers_passed(run: Run, tips_mm: NDArray[np.float64]) -> NDArray[np.str_]:
     """Layer that lay at the tip before the run, by name, shape (tips,)."""
     volume = run.volume
     place = np.floor((tips_mm * 1e-3 - volume.origin_m) / volume.spacing_m).astype(int)
@@ -53,6 +51,7 @@ def layers_passed(run: Run, tips_mm: NDArray[np.float64]) -> NDArray[Any]:
     return np.where(inside, np.array(volume.layer_names)[volume.layer[x, y, z]], NO_LAYER)
 
 
+@styled
 def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | None:
     """Draw force, and what else the tissue reports, over the depth of the first descent.
 
@@ -69,29 +68,21 @@ def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | 
     -------
     None, or why it could not be drawn.
     """
-    import matplotlib
-
-    tips = run.trace.vectors("tool", "mm")
-    rows = first_descent(outward * tips[:, axis], run.trace["contact_mm2"] > 0.0)
+    trace = run.trace
+    tips = trace.vectors("tool", "mm")
+    rows = first_descent(outward * tips[:, axis], trace["contact_mm2"] > 0.0)
     if len(tips[rows]) < 2:
         return "the tool did not go down into the tissue"
-    with matplotlib.rc_context(STYLE):
-        _draw(run, path, rows, outward * tips[rows, axis])
-    return None
-
-
-def _draw(run: Run, path: Path, rows: slice, coordinate_mm: NDArray[np.float64]) -> None:
-    trace = run.trace
-    passed = layers_passed(run, trace.vectors("tool", "mm")[rows])
+    coordinate_mm, passed = outward * tips[rows, axis], layers_passed(run, tips[rows])
     entered = int((passed != NO_LAYER).argmax()) if (passed != NO_LAYER).any() else 0
     depth = coordinate_mm[entered] - coordinate_mm
-    measures = _by_unit(run.parts.tissue.measure_names)
+    measures: dict[str, list[str]] = {}
+    for name in run.parts.tissue.measure_names:
+        measures.setdefault(field_label(name)[1], []).append(name)
     full = 3.4 + 1.3 * len(measures)
     chart = figure(8.0, full)
-    panels = chart.subplots(
-        1 + len(measures), 1, sharex=True, squeeze=False, height_ratios=[2.2, *([1.0] * len(measures))]
-    )
-    panels = panels[:, 0]
+    heights = [2.2, *([1.0] * len(measures))]
+    panels = chart.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     chart.subplots_adjust(left=0.115, right=0.98, top=1.0 - 0.62 / full, bottom=0.5 / full, hspace=0.12)
     force, model = trace.vectors("force", "N")[rows], trace.vectors("model_force", "N")[rows]
     turns = tool_axes(np.column_stack([trace[f"tool_q{c}"][rows] for c in "xyzw"]))
@@ -107,16 +98,15 @@ def _draw(run: Run, path: Path, rows: slice, coordinate_mm: NDArray[np.float64])
     panels[0].set_ylabel("force / N")
     for axes, (unit, names) in zip(panels[1:], measures.items(), strict=True):
         for name, colour in zip(names, ("0.1", *COMPONENTS, "#CC79A7"), strict=False):
-            axes.plot(depth, trace[name][rows], color=colour, label=_spoken(name))
-        axes.set_ylabel(f"{_shared(names)}\n{MEANT.get(unit, '')} / {unit}".strip("\n/ "))
+            axes.plot(depth, trace[name][rows], color=colour, label=field_label(name)[0])
+        words = [field_label(name)[0].split() for name in names]
+        shared = " ".join(first for first, *others in zip(*words, strict=False) if set(others) <= {first})
+        axes.set_ylabel(f"{shared}\n{MEANT.get(unit, '')} / {unit}".strip("\n/ "))
         if len(names) > 1:
             axes.legend(frameon=False, ncols=len(names), loc="best", handlelength=1.4)
     _shade(run, panels, depth, passed, np.linalg.norm(model, axis=1))
-    for axes in panels:
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.grid(axis="y", color="0.92", linewidth=0.6)
-        axes.set_axisbelow(True)
-        axes.set_xlim(depth[0], depth[-1])
+    plain(panels)
+    panels[-1].set_xlim(depth[0], depth[-1])
     panels[-1].set_xlabel("depth of the tool's tip below the surface / mm")
     chart.align_ylabels(panels)
     chart.text(
@@ -130,9 +120,16 @@ def _draw(run: Run, path: Path, rows: slice, coordinate_mm: NDArray[np.float64])
         loc="lower left", bbox_to_anchor=(-0.01, 0.99), ncols=3, frameon=False, handlelength=1.8, columnspacing=1.2
     )
     save(chart, path)
+    return None
 
 
-def _shade(run: Run, panels: Any, depth: NDArray[np.float64], passed: NDArray[Any], force: NDArray[np.float64]) -> None:
+def _shade(
+    run: Run,
+    panels: "NDArray[np.object_]",
+    depth: NDArray[np.float64],
+    passed: NDArray[np.str_],
+    force: NDArray[np.float64],
+) -> None:
     """A band for each layer, with its name and the mean force in it."""
     colours = layer_colours(run.volume.layer_names)
     for first, last, name in spells(passed):
@@ -157,24 +154,3 @@ def _shade(run: Run, panels: Any, depth: NDArray[np.float64], passed: NDArray[An
             )
     low, high = panels[0].get_ylim()
     panels[0].set_ylim(min(low, 0.0), high + 0.2 * (high - low))
-
-
-def _by_unit(names: tuple[str, ...]) -> dict[str, list[str]]:
-    """Columns that share a unit, their name's last word."""
-    groups: dict[str, list[str]] = {}
-    for name in names:
-        unit = name.rpartition("_")[2]
-        groups.setdefault(UNITS.get(unit, unit), []).append(name)
-    return groups
-
-
-def _spoken(name: str) -> str:
-    """A column's name in words, without its unit."""
-    return name.rpartition("_")[0].replace("_", " ")
-
-
-def _shared(names: list[str]) -> str:
-    """The words that names begin with alike."""
-    words = [_spoken(name).split() for name in names]
-    alike = [same[0] for same in zip(*words, strict=False) if len(set(same)) == 1]
-    return " ".join(alike)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tissue.figures.figure import figure, save
+from tissue.figures.figure import figure, plain, save
 from tissue.simulation.run import Run
 
 __all__ = ["draw_insertion"]
@@ -41,11 +41,10 @@ def draw_insertion(run: Run, path: Path) -> None:
             over_time.axvline(when, color="0.6", linestyle=":", linewidth=1.0)
     over_depth.set(xlabel="depth of the tip below the resting surface / mm", ylabel="axial force / N")
     over_time.set(xlabel="time / s", ylabel="share of it / N")
+    plain((over_depth, over_time))
     for axes in (over_depth, over_time):
         axes.axhline(0.0, color="0.7", linewidth=0.6, zorder=0)
-        axes.grid(axis="y", color="0.92", linewidth=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.margins(x=0.0, y=0.12)
+        axes.margins(y=0.12)
         axes.legend(frameon=False, loc="best")
     chart.text(0.1, 0.96, f"{run.scene.name}: axial force on the needle", va="center", size=10.5)
     save(chart, path)

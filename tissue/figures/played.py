@@ -1,22 +1,30 @@
 """A picture of what a device played and what the tissue did: force over time, its steepest moment, and the path."""
 
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue.figures.figure import figure, save
+from tissue.figures.figure import figure, plain, save
+from tissue.figures.style import spells
 from tissue.haptics.device.device import device_parameters
 from tissue.simulation.run import Run
 from tissue.simulation.trace import Table
 
 __all__ = ["draw_played"]
 
+
+class _Look(TypedDict, total=False):
+    color: str
+    linewidth: float
+    linestyle: str | tuple[int, tuple[int, int]]
+
+
 Array = NDArray[np.float64]
 MOMENT_S = 0.06
 """Length of the steepest moment [s]."""
-LINES: tuple[tuple[str, str, dict[str, Any]], ...] = (
+LINES: tuple[tuple[str, str, _Look], ...] = (
     ("model", "tissue's force, scaled", {"color": "0.6", "linewidth": 3.0}),
     ("raw_force", "renderer's", {"color": "#0072B2", "linewidth": 1.6}),
     ("predicted_force", "predicted", {"color": "#CC79A7", "linewidth": 1.3, "linestyle": (0, (1, 1))}),
@@ -42,11 +50,20 @@ def draw_played(run: Run, path: Path) -> None:
     for axes, span, width in ((panels[0], slice(None), 0.8), (panels[1], moment, 1.2)):
         for name, label, look in LINES:
             if name in sizes:
-                axes.plot(
-                    time[span], sizes[name][span], label=label, **{**look, "linewidth": width * look["linewidth"]}
-                )
+                (line,) = axes.plot(time[span], sizes[name][span], label=label, **look)
+                line.set_linewidth(width * look["linewidth"])
         axes.set(ylabel="force at the\ndevice / N")
-    _shade(panels[0], time, trace["saturated"] > 0.0, "device's range compresses it")
+    compressed = [(start, end) for start, end, is_so in spells(trace["saturated"] > 0.0) if is_so == "True"]
+    for index, (start, end) in enumerate(compressed):
+        panels[0].axvspan(
+            time[start],
+            time[min(end, len(time) - 1)],
+            color=SATURATED,
+            alpha=0.6,
+            linewidth=0.0,
+            zorder=0,
+            label="" if index else "device's range compresses it",
+        )
     if sizes["device_force"].max() > 0.5 * limits.force_limit_N:
         panels[0].axhline(limits.force_limit_N, color="0.2", linewidth=1.0, linestyle=(0, (6, 3)))
         panels[0].annotate(f"greatest force of the {scene.device}, {limits.force_limit_N:g} N",
@@ -65,11 +82,7 @@ def draw_played(run: Run, path: Path) -> None:
         panels[3].set(ylabel="torque played\n/ mN·m")
         panels[3].legend(loc="best", frameon=False, ncols=3)
     panels[-1].set_xlabel("time / s")
-    for axes in panels:
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.margins(x=0.0)
-        axes.grid(axis="y", color="0.92", linewidth=0.6)
-        axes.set_axisbelow(True)
+    plain(panels)
     chart.align_ylabels(panels)
     handles, labels = panels[0].get_legend_handles_labels()
     chart.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.11, 0.95), ncols=3, frameon=False)
@@ -80,14 +93,6 @@ def draw_played(run: Run, path: Path) -> None:
 
 def _sizes(trace: Table, force_scale: float) -> dict[str, Array]:
     """Sizes of the forces at the device [N], by the names of `LINES`."""
-    there = {name: name for name, _, _ in LINES[1:] if f"{name}_x_N" in trace.columns}
-    sizes = {name: np.linalg.norm(trace.vectors(name, "N"), axis=1) for name in there}
-    return {"model": force_scale * np.linalg.norm(trace.vectors("model_force", "N"), axis=1), **sizes}
-
-
-def _shade(axes: Any, time: Array, where: NDArray[np.bool_], label: str) -> None:
-    """Shade the spans in which something holds."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], where, [False]]).astype(int)))
-    for index, (start, end) in enumerate(edges.reshape(-1, 2)):
-        axes.axvspan(time[start], time[min(end, len(time) - 1)], color=SATURATED, alpha=0.6, linewidth=0.0, zorder=0,
-                     label=label if index == 0 else None)  # fmt: skip
+    sizes = {"model": force_scale * np.linalg.norm(trace.vectors("model_force", "N"), axis=1)}
+    there = (name for name, _, _ in LINES if f"{name}_x_N" in trace.columns)
+    return sizes | {name: np.linalg.norm(trace.vectors(name, "N"), axis=1) for name in there}

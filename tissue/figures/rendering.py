@@ -1,19 +1,28 @@
-"""Shaded pictures of coloured surfaces, drawn by ``python -m tissue.figures.rendering JOB PICTURES`` in a process."""
+"""Shaded pictures of coloured surfaces, drawn by ``python -m tissue.figures.rendering FOLDER`` in a process."""
 
+import json
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from tissue.figures.figure import DPI, figure
 from tissue.system.offscreen import draw_apart
 
-__all__ = ["Camera", "Coloured", "render"]
+if TYPE_CHECKING:
+    import pyvista
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
+__all__ = ["Camera", "paint", "render", "side_by_side"]
+
+PANEL_PX = 780
+GAP_PX = 40
 OVERSAMPLING = 2
 """Pixels drawn for a pixel shown, along each edge: smooth outlines where the graphics card smooths none."""
 LIGHTS = (((-0.6, 0.7, 0.9), 0.74), ((0.9, 0.1, 0.7), 0.26), ((0.1, -0.9, 0.55), 0.34))
@@ -36,104 +45,110 @@ class Camera:
         Width and height [pixel].
     """
 
-    towards_eye: tuple[float, float, float]
-    up: tuple[float, float, float]
-    centre_mm: tuple[float, float, float]
+    towards_eye: tuple[float, ...]
+    up: tuple[float, ...]
+    centre_mm: tuple[float, ...]
     height_mm: float
     size: tuple[int, int]
 
-
-@dataclass(frozen=True)
-class Coloured:
-    """A surface with a colour for every point or every triangle.
-
-    Attributes
-    ----------
-    points_mm, normals
-        Points [mm] and unit normals, shape (n, 3).
-    triangles
-        Indices of points, shape (m, 3).
-    colours
-        Red, green and blue, uint8, shape (n, 3) or (m, 3).
-    """
-
-    points_mm: NDArray[np.float32]
-    normals: NDArray[np.float32]
-    triangles: NDArray[np.int64]
-    colours: NDArray[np.uint8]
+    @classmethod
+    def seeing(cls, points_mm: ArrayLike, towards_eye: ArrayLike, up: ArrayLike) -> "Camera":
+        """A camera that sees all points from a direction, upright as near as can be."""
+        towards = np.array(towards_eye) / np.linalg.norm(towards_eye)
+        upright = np.asarray(up) - (np.asarray(up) @ towards) * towards
+        upright /= np.linalg.norm(upright)
+        axes = np.stack([np.cross(upright, towards), upright, towards])
+        seen = np.asarray(points_mm) @ axes.T
+        first, last = seen.min(axis=0), seen.max(axis=0)
+        width, height = 1.06 * (last - first)[:2]
+        tall = int(np.clip(PANEL_PX * height / width, 0.45 * PANEL_PX, 1.15 * PANEL_PX)) // 2 * 2
+        height = max(height, width * tall / PANEL_PX)
+        centre = 0.5 * (first + last) @ axes
+        return cls(tuple(towards), tuple(upright), tuple(centre), height_mm=float(height), size=(PANEL_PX, tall))
 
 
-def render(make: Callable[[], tuple[list[Coloured], Camera]]) -> list[NDArray[np.uint8]] | str:
+def paint(surface: "pyvista.PolyData", colours: NDArray[np.float64]) -> "pyvista.PolyData":
+    """Give every point or every triangle a colour: red, green and blue from 0 to 1, shape (n, 3)."""
+    data = surface.point_data if len(colours) == surface.n_points else surface.cell_data
+    data["colours"] = np.rint(255.0 * colours).astype(np.uint8)
+    return surface
+
+
+def render(make: "Callable[[], list[tuple[pyvista.PolyData, Camera]]]") -> list[NDArray[np.uint8]] | str:
     """Draw each surface for itself on white.
 
     Parameters
     ----------
     make
-        Called once, while the drawing process starts, for the surfaces and the camera.
+        Called once, while the drawing process starts, for the surfaces, which `paint` has given colours and whose
+        points have normals, and what sees each of them.
 
     Returns
     -------
     Pictures of shape (height, width, 3), or why they could not be drawn.
     """
-    with TemporaryDirectory(prefix="tissue-") as folder:
-        job, pictures = Path(folder) / "job.npz", Path(folder) / "pictures.npz"
+    with TemporaryDirectory(prefix="tissue-") as name:
+        folder = Path(name)
 
         def prepare() -> None:
-            surfaces, camera = make()
-            arrays = {f"{name}_{i}": value for i, one in enumerate(surfaces) for name, value in vars(one).items()}
-            np.savez(job, allow_pickle=False, **arrays, **{k: np.array(v) for k, v in asdict(camera).items()})
+            surfaces, cameras = zip(*make(), strict=True)
+            for index, surface in enumerate(surfaces):
+                surface.save(folder / f"{index}.vtk")
+            (folder / "cameras.json").write_text(json.dumps([asdict(one) for one in cameras]), "utf-8")
 
-        problem = draw_apart("tissue.figures.rendering", str(job), str(pictures), prepare=prepare)
+        problem = draw_apart("tissue.figures.rendering", name, prepare=prepare)
         if problem is not None:
             return problem
-        with np.load(pictures) as drawn:
-            return [drawn[f"picture_{i}"] for i in range(len(drawn.files))]
+        with np.load(folder / "pictures.npz") as drawn:
+            return list(drawn.values())
 
 
-def _main(job: str, pictures: str) -> None:
-    """Draw the surfaces of a job as soon as a line on the standard input announces it."""
-    _warm_up()
-    sys.stdin.readline()
-    with np.load(job) as file:
-        arrays: dict[str, Any] = dict(file)
-    width, height = (OVERSAMPLING * int(n) for n in arrays["size"])
-    drawn = {}
-    for index in range(sum(name.startswith("colours_") for name in arrays)):
-        surface = {name: arrays[f"{name}_{index}"] for name in Coloured.__dataclass_fields__}
-        large = _draw(surface, arrays, width, height)
-        blocks = large.reshape(height // OVERSAMPLING, OVERSAMPLING, width // OVERSAMPLING, OVERSAMPLING, 3)
-        drawn[f"picture_{index}"] = blocks.mean(axis=(1, 3)).round().astype(np.uint8)
-    np.savez(pictures, allow_pickle=False, **drawn)
+def side_by_side(
+    pictures: list[NDArray[np.uint8]], *, head_px: int, foot_px: int
+) -> "tuple[Figure, list[Axes], tuple[int, int]]":
+    """A figure of pictures beside each other between a head and a foot, its panels, and its size [pixel]."""
+    tall, wide = max(len(picture) for picture in pictures), pictures[0].shape[1]
+    size = len(pictures) * (wide + GAP_PX) - GAP_PX, tall + head_px + foot_px
+    chart = figure(size[0] / DPI, size[1] / DPI)
+    panels = []
+    for index, picture in enumerate(pictures):
+        left, low, high = index * (wide + GAP_PX), foot_px + tall - len(picture), len(picture)
+        panels.append(chart.add_axes((left / size[0], low / size[1], wide / size[0], high / size[1])))
+        panels[-1].imshow(picture, interpolation="nearest")
+        panels[-1].set_axis_off()
+    return chart, panels, size
 
 
-def _warm_up() -> None:
-    """Load the libraries and start OpenGL while the job is still being made."""
+def _main(name: str) -> None:
+    """Draw the surfaces in a folder as soon as a line on the standard input announces them."""
     import pyvista
 
-    plotter = pyvista.Plotter(off_screen=True, window_size=[8, 8])
-    plotter.add_mesh(pyvista.Triangle())
-    plotter.screenshot(None, return_img=True)
-    plotter.close()
+    warm = pyvista.Plotter(off_screen=True, window_size=[8, 8])  # loads OpenGL while the surfaces are still being made
+    warm.add_mesh(pyvista.Triangle())
+    warm.screenshot(None, return_img=True)
+    warm.close()
+    sys.stdin.readline()
+    folder = Path(name)
+    cameras = [Camera(**one) for one in json.loads((folder / "cameras.json").read_text("utf-8"))]
+    drawn = [_draw(pyvista.PolyData(folder / f"{index}.vtk"), camera) for index, camera in enumerate(cameras)]
+    np.savez(folder / "pictures.npz", *drawn, allow_pickle=False)
 
 
-def _draw(surface: dict[str, Any], camera: dict[str, Any], width: int, height: int) -> NDArray[np.uint8]:
+def _draw(mesh: "pyvista.PolyData", camera: Camera) -> NDArray[np.uint8]:
     """One surface, seen by the camera."""
     import pyvista
 
-    plotter: Any = pyvista.Plotter(off_screen=True, window_size=[width, height], lighting="none")
+    width, height = camera.size
+    window = [OVERSAMPLING * width, OVERSAMPLING * height]
+    plotter = pyvista.Plotter(off_screen=True, window_size=window, lighting="none")
     plotter.disable_anti_aliasing()
-    plotter.render_window.SetMultiSamples(0)
-    plotter.set_background("white")
-    mesh = pyvista.PolyData.from_regular_faces(surface["points_mm"], surface["triangles"])
-    mesh.point_data["Normals"] = surface["normals"]
+    plotter.background_color = pyvista.Color("white")
     mesh.point_data.active_normals_name = "Normals"
-    where = "point" if len(surface["colours"]) == mesh.n_points else "cell"
-    (mesh.point_data if where == "point" else mesh.cell_data)["colours"] = surface["colours"]
     plotter.add_mesh(
         mesh,
         scalars="colours",
         rgb=True,
-        preference=where,
+        preference="point" if "colours" in mesh.point_data else "cell",
         smooth_shading=False,
         interpolation="Phong",
         ambient=0.2,
@@ -142,26 +157,23 @@ def _draw(surface: dict[str, Any], camera: dict[str, Any], width: int, height: i
         specular_power=12.0,
         show_scalar_bar=False,
     )
-    towards, up, centre = camera["towards_eye"], camera["up"], camera["centre_mm"]
-    right = np.cross(up, towards)
-    for (a, b, c), strength in LIGHTS:
+    towards, up, centre = map(np.array, (camera.towards_eye, camera.up, camera.centre_mm))
+    axes = np.stack([np.cross(up, towards), up, towards])
+    for direction, strength in LIGHTS:
+        place = centre + 1e3 * np.array(direction) @ axes
         plotter.add_light(
-            pyvista.Light(
-                position=centre + 1e3 * (a * right + b * up + c * towards),
-                focal_point=centre,
-                light_type="scene light",
-                intensity=strength,
-            )
+            pyvista.Light(position=place, focal_point=centre, light_type="scene light", intensity=strength)
         )
     plotter.camera.position = centre + 1e3 * towards
     plotter.camera.focal_point = centre
     plotter.camera.up = up
     plotter.camera.parallel_projection = True
-    plotter.camera.parallel_scale = 0.5 * float(camera["height_mm"])
+    plotter.camera.parallel_scale = 0.5 * camera.height_mm
     plotter.camera.clipping_range = (1.0, 2e3)
-    picture: NDArray[np.uint8] = plotter.screenshot(None, return_img=True)
+    large = np.asarray(plotter.screenshot(None, return_img=True))[..., :3]
     plotter.close()
-    return picture[..., :3]
+    blocks = large.reshape(height, OVERSAMPLING, width, OVERSAMPLING, 3)
+    return blocks.mean(axis=(1, 3)).round().astype(np.uint8)
 
 
 if __name__ == "__main__":

@@ -2,26 +2,31 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.voxels.volume import FULL
 from tissue.fem.fields import FieldSeries, Frame
-from tissue.figures.figure import STYLE, figure, save
-from tissue.figures.style import axis_names, layer_colours
+from tissue.figures.figure import figure, save, styled
+from tissue.figures.style import EDGE, axis_names, draw_outline, layer_colours
 from tissue.simulation.depth_map import HALF, tool_axes
 from tissue.simulation.run import Run
 from tissue.simulation.series import frame_mesh
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.collections import PolyCollection
 
 __all__ = ["Section", "draw_section", "loaded_frame", "moment_of", "section_of"]
 
 STRESS = "von_mises_MPa"
 REMOVED_TINT = 0.28
 """How much of its layer's colour removed tissue keeps."""
-PATH_STYLE: dict[str, Any] = {"color": "#CC79A7", "linewidth": 1.0}
-"""Line of the tip's path."""
+PATH = "#CC79A7"
+"""Colour of the tip's path."""
 DECADES = 3.0
 """Widest span of a logarithmic scale."""
 
@@ -82,7 +87,9 @@ def section_of(run: Run, *, axis: int, outward: int, row: int) -> Section:
     spacing, origin = 1e3 * volume.spacing_m, 1e3 * volume.origin_m
     place = float(tips[deepest, normal])
     index = int(np.clip(np.floor((place - origin[normal]) / spacing), 0, volume.shape[normal] - 1))
-    cut = lambda array: _upright(np.take(array, index, axis=normal), across < axis)  # noqa: E731
+    left = run.remaining if run.poses is None else run.replay().at(row)
+    planes = (np.take(array, index, axis=normal) for array in (volume.fraction, left, volume.layer))
+    start, left, layer = (plane if across < axis else plane.T for plane in planes)
     ends = [(float(origin[a]), float(origin[a] + spacing * volume.shape[a])) for a in (across, axis)]
     return Section(
         across=across,
@@ -91,28 +98,18 @@ def section_of(run: Run, *, axis: int, outward: int, row: int) -> Section:
         place_mm=place,
         row=row,
         extent_mm=(*ends[0], *ends[1]),
-        start=cut(volume.fraction) / FULL,
-        left=cut(run.remaining if run.poses is None else run.replay().at(row)) / FULL,
-        layer=cut(volume.layer),
+        start=start / FULL,
+        left=left / FULL,
+        layer=layer,
     )
-
-
-def _upright(plane: NDArray[Any], in_order: bool) -> NDArray[Any]:
-    """The plane with the tool's axis as its second index."""
-    return plane if in_order else plane.T
 
 
 def loaded_frame(series: FieldSeries) -> Frame | None:
     """The last frame under load: stress of at least a tenth of the run's peak; None where there is no stress at all."""
-    peaks = [
-        float(np.nanmax(frame.cells[STRESS], initial=0.0)) if STRESS in frame.cells else 0.0 for frame in series.frames
-    ]
-    greatest = max(peaks, default=0.0)
-    if greatest <= 0.0:
+    peaks = [float(np.nanmax(frame.cells.get(STRESS, np.zeros(1)), initial=0.0)) for frame in series.frames]
+    if not any(peaks):
         return None
-    return next(
-        frame for frame, peak in zip(reversed(series.frames), reversed(peaks), strict=True) if peak >= 0.1 * greatest
-    )
+    return next(f for f, peak in zip(reversed(series.frames), reversed(peaks), strict=True) if peak >= 0.1 * max(peaks))
 
 
 def moment_of(run: Run) -> tuple[int, Frame | None]:
@@ -125,38 +122,45 @@ def moment_of(run: Run) -> tuple[int, Frame | None]:
     return int(np.clip(np.searchsorted(times, frame.time_s - 1e-9), 0, len(times) - 1)), frame
 
 
+@styled
 def draw_section(run: Run, path: Path, *, axis: int, outward: int) -> None:
     """Draw layers with what was removed and, where fields were computed, the stress in the same section and moment."""
-    import matplotlib
-
-    row, frame = moment_of(run)
-    with matplotlib.rc_context(STYLE):
-        _draw_section(run, path, section_of(run, axis=axis, outward=outward, row=row), frame)
-
-
-def _draw_section(run: Run, path: Path, section: Section, frame: Frame | None) -> None:
     series = run.parts.fields
+    row, frame = moment_of(run)
+    section = section_of(run, axis=axis, outward=outward, row=row)
     u0, u1, v0, v1 = section.extent_mm
     wide = 3.05 if frame is not None else min(5.2, 5.2 * (u1 - u0) / (v1 - v0))
     tall = wide * (v1 - v0) / (u1 - u0)
     full = tall + 1.75
     chart = figure(8.0, full)
     left = 0.62 if frame is not None else 0.5 * (8.0 - wide)
+    names = axis_names(run)
     panel = chart.add_axes((left / 8.0, 1.15 / full, wide / 8.0, tall / full))
     _draw_layers(panel, run, section)
     _draw_tool(panel, run, section)
-    _label(panel, run, section, "layers and what was removed")
-    _legend(chart, run, section, 0.5, 0.3 / full, borders=frame is not None)
+    panel.set(xlabel=f"{names[section.across]} / mm", ylabel=f"{names[section.axis]} / mm")
+    panel.set_title("layers and what was removed", size=9.5)
+    chart.legend(
+        handles=_handles(run, section, borders=frame is not None),
+        loc="center",
+        bbox_to_anchor=(0.5, 0.3 / full),
+        ncols=4,
+        frameon=False,
+        handlelength=1.4,
+        columnspacing=1.2,
+    )
     if series is not None and frame is not None:
         panel = chart.add_axes(((left + wide + 0.28) / 8.0, 1.15 / full, wide / 8.0, tall / full))
         drawn = _draw_stress(panel, series, frame, section)
-        _draw_borders(panel, section)
+        # Edges of the layers that are left, as thin lines.
+        there = section.left >= HALF / FULL
+        for index in np.unique(section.layer[there]):
+            draw_outline(panel, there & (section.layer == index), section.extent_mm, color="0.55", linewidth=0.7)
         _draw_tool(panel, run, section)
-        _label(panel, run, section, "stress")
-        panel.set(ylabel="", yticklabels=[])
+        panel.set(xlabel=f"{names[section.across]} / mm", yticklabels=[])
+        panel.set_title("stress", size=9.5)
         bar = chart.add_axes(((left + 2.0 * wide + 0.4) / 8.0, 1.15 / full, 0.14 / 8.0, tall / full))
         chart.colorbar(drawn, cax=bar, extend="both", label="von Mises stress / MPa")
-    names = axis_names(run)
     title = (
         f"{run.scene.name} at {run.trace['time_s'][section.row]:.3f} s: section at {names[section.normal]} = "
         f"{section.place_mm:.2f} mm, through the deepest point"
@@ -165,7 +169,7 @@ def _draw_section(run: Run, path: Path, section: Section, frame: Frame | None) -
     save(chart, path)
 
 
-def _draw_layers(axes: Any, run: Run, section: Section) -> None:
+def _draw_layers(axes: "Axes", run: Run, section: Section) -> None:
     """Every voxel in its layer's colour, pale as far as it was removed."""
     colours = np.array(list(layer_colours(run.volume.layer_names).values()))[section.layer]
     pale = 1.0 - REMOVED_TINT * (1.0 - colours)
@@ -175,28 +179,10 @@ def _draw_layers(axes: Any, run: Run, section: Section) -> None:
         np.clip(paint, 0.0, 1.0).swapaxes(0, 1), origin="lower", extent=section.extent_mm, interpolation="nearest"
     )
     gone = np.where(section.start >= HALF / FULL, section.start - section.left, 0.0)
-    _contour(axes, section, gone, color="black", linewidth=1.1)
+    draw_outline(axes, gone, section.extent_mm, color="black", linewidth=1.1)
 
 
-def _draw_borders(axes: Any, section: Section) -> None:
-    """Edges of the layers that are left, as thin lines."""
-    there = section.left >= HALF / FULL
-    for index in np.unique(section.layer[there]):
-        _contour(axes, section, (there & (section.layer == index)).astype(float), color="0.55", linewidth=0.7)
-
-
-def _contour(axes: Any, section: Section, values: NDArray[np.float64], **line: Any) -> None:
-    """The line at half, closed at the edge of the section."""
-    if values.max(initial=0.0) < 0.5:
-        return
-    u0, u1, v0, v1 = section.extent_mm
-    steps = ((u1 - u0) / values.shape[0], (v1 - v0) / values.shape[1])
-    u = u0 + steps[0] * (np.arange(-1, values.shape[0] + 1) + 0.5)
-    v = v0 + steps[1] * (np.arange(-1, values.shape[1] + 1) + 0.5)
-    axes.contour(u, v, np.pad(values, 1).T, levels=[0.5], **{f"{name}s": [value] for name, value in line.items()})
-
-
-def _draw_tool(axes: Any, run: Run, section: Section) -> None:
+def _draw_tool(axes: "Axes", run: Run, section: Section) -> None:
     """Outline of the tool at one moment, and the path of its tip so far."""
     from matplotlib.patheffects import withStroke
 
@@ -211,11 +197,11 @@ def _draw_tool(axes: Any, run: Run, section: Section) -> None:
         points = tips[row, [section.across, section.axis]] + outline @ np.stack([sign * side, along])
         halo = [withStroke(linewidth=2.2, foreground="white")]  # for what lies on dark colours
         axes.plot(*points.T, color="0.1", linewidth=1.0, linestyle=(0, (3, 1.5)), path_effects=halo)
-    axes.plot(*tips[: row + 1, [section.across, section.axis]].T, **PATH_STYLE)
+    axes.plot(*tips[: row + 1, [section.across, section.axis]].T, color=PATH, linewidth=1.0)
     axes.set(xlim=section.extent_mm[:2], ylim=section.extent_mm[2:], aspect="equal")
 
 
-def _draw_stress(axes: Any, series: FieldSeries, frame: Frame, section: Section) -> Any:
+def _draw_stress(axes: "Axes", series: FieldSeries, frame: Frame, section: Section) -> "PolyCollection":
     """The cells that the plane cuts, by their von Mises stress on a logarithmic scale."""
     from matplotlib.collections import PolyCollection
     from matplotlib.colors import LogNorm
@@ -223,54 +209,37 @@ def _draw_stress(axes: Any, series: FieldSeries, frame: Frame, section: Section)
     # Off the faces of a grid that the plane may run along, where it would cut either or both of the cells beside it.
     origin, normal = np.zeros(3), np.eye(3)[section.normal]
     origin[section.normal] = section.place_mm + 1e-4
-    cut: Any = frame_mesh(series, frame).slice(normal=normal, origin=origin, generate_triangles=True)
+    cut = frame_mesh(series, frame).slice(normal=normal, origin=origin, generate_triangles=True)
     corners = np.asarray(cut.points)[:, [section.across, section.axis]][cut.regular_faces]
     stress = np.asarray(cut.cell_data[STRESS], dtype=np.float64)
-    peak = float(np.percentile(stress, 99.8)) if stress.size else 1.0
-    low = float(np.percentile(stress, 2.0)) if stress.size else 1.0
-    peak = max(peak, 1e-9)
+    low, peak = np.percentile(stress, (2.0, 99.8)) if stress.size else (1.0, 1.0)
+    peak = max(float(peak), 1e-9)
     scale = LogNorm(float(np.clip(low, peak * 10.0**-DECADES, 0.1 * peak)), peak)
     shown = PolyCollection(
         list(corners), array=np.maximum(stress, 1e-12), cmap="inferno", norm=scale, antialiased=False
     )
     shown.set_edgecolor("face")
     shown.set_linewidth(0.2)
-    drawn = axes.add_collection(shown)
+    axes.add_collection(shown)
     # A cell that was cut through is shown by what is left of it.
     void = np.ones((*section.left.T.shape, 4))
     void[..., 3] = section.left.T < HALF / FULL
     axes.imshow(void, origin="lower", extent=section.extent_mm, interpolation="nearest", zorder=1.5)
-    return drawn
+    return shown
 
 
-def _label(axes: Any, run: Run, section: Section, title: str) -> None:
-    names = axis_names(run)
-    axes.set_xlabel(f"{names[section.across]} / mm")
-    axes.set_ylabel(f"{names[section.axis]} / mm")
-    axes.set_title(title, size=9.5)
-
-
-def _legend(chart: Any, run: Run, section: Section, x: float, y: float, *, borders: bool) -> None:
-    """The layers that the section shows, and the marks in it."""
+def _handles(run: Run, section: Section, *, borders: bool) -> "list[Artist]":
+    """Entries of a legend: the layers that the section shows, and the marks in it."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     names = run.volume.layer_names
     seen = np.unique(section.layer[section.start >= HALF / FULL])
     colours = layer_colours(names)
-    edge: dict[str, Any] = {"edgecolor": "0.3", "linewidth": 0.5}
-    handles: list[Any] = [Patch(facecolor=colours[names[i]], label=names[i], **edge) for i in seen]
-    handles.append(Patch(facecolor="0.9", edgecolor="black", linewidth=1.1, label="removed"))
-    handles.append(Line2D([], [], color="0.1", linewidth=1.0, linestyle=(0, (3, 1.5)), label="tool"))
-    handles.append(Line2D([], [], **PATH_STYLE, label="path of its tip"))
-    if borders:
-        handles.append(Line2D([], [], color="0.55", linewidth=0.7, label="edges of the layers that are left"))
-    chart.legend(
-        handles=handles,
-        loc="center",
-        bbox_to_anchor=(x, y),
-        ncols=4,
-        frameon=False,
-        handlelength=1.4,
-        columnspacing=1.2,
-    )
+    return [
+        *(Patch(facecolor=colours[names[i]], label=names[i], **EDGE) for i in seen),
+        Patch(facecolor="0.9", edgecolor="black", linewidth=1.1, label="removed"),
+        Line2D([], [], color="0.1", linewidth=1.0, linestyle=(0, (3, 1.5)), label="tool"),
+        Line2D([], [], color=PATH, linewidth=1.0, label="path of its tip"),
+        *([Line2D([], [], color="0.55", linewidth=0.7, label="edges of the layers that are left")] if borders else []),
+    ]

@@ -1,31 +1,44 @@
 """Pictures of a run in the plane: removed depth, forces and torques."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissue.figures.events import EVENT_IN, event_lines, mark_events
-from tissue.figures.figure import STYLE, figure, save
+from tissue.figures.figure import figure, plain, save, styled
 from tissue.simulation.depth_map import DepthMap, tool_axes
 from tissue.simulation.run import Run
 from tissue.simulation.trace import NO_LAYER
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
     from matplotlib.colors import Colormap
+    from matplotlib.typing import LineStyleType
 
 __all__ = [
     "BONE",
+    "EDGE",
     "axis_names",
     "depth_colours",
     "depth_limit",
     "draw_force_torque",
+    "draw_outline",
     "draw_removed_depth",
     "layer_colours",
     "spells",
 ]
 
+
+class _Edge(TypedDict):
+    edgecolor: str
+    linewidth: float
+
+
+EDGE: _Edge = {"edgecolor": "0.3", "linewidth": 0.5}
+"""Edge of a patch in a legend."""
 BONE = (0.93, 0.89, 0.81)
 """Colour of bone that was not cut."""
 LAYERS = {
@@ -48,7 +61,7 @@ COMPONENTS = ("#0072B2", "#D55E00", "#009E73")
 MAGNITUDE = "0.88"
 COMMANDED = 0.35
 """Opacity of what is commanded, below the model's line."""
-EXPOSED: tuple[Any, ...] = ("--", ":", "-.")
+EXPOSED: "tuple[LineStyleType, ...]" = ("--", ":", "-.")
 """Lines around the layers that a run laid bare."""
 SMALL_NM = 0.02
 """Torque below which a picture shows thousandths [N m]."""
@@ -91,15 +104,9 @@ def depth_limit(depth: DepthMap) -> float:
     return float(max(cut.max(), 1e-3)) if cut.size else 1.0
 
 
+@styled
 def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
     """Draw the map of removed depth on the face that the tool meets."""
-    import matplotlib
-
-    with matplotlib.rc_context(STYLE):
-        _draw_removed_depth(run, depth, path)
-
-
-def _draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -125,18 +132,16 @@ def _draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
         vmax=depth_limit(depth),
         interpolation="nearest",
     )
-    handles: list[Any] = [Patch(facecolor=BONE, edgecolor="0.3", linewidth=0.5, label="not cut")]
-    _outline(axes, depth.bone, depth.extent_mm, color="0.15", linewidth=1.0)
+    handles: list[Artist] = [Patch(facecolor=BONE, label="not cut", **EDGE)]
+    draw_outline(axes, depth.bone, depth.extent_mm, color="0.15", linewidth=1.0)
     handles.append(Line2D([], [], color="0.15", linewidth=1.0, label="bone in the simulated region"))
     for name, mask in depth.exposed.items():
         dashes = EXPOSED[len(handles) % len(EXPOSED)]
-        _outline(axes, mask, depth.extent_mm, color="white", linewidth=2.6)
-        _outline(axes, mask, depth.extent_mm, color="black", linewidth=1.3, linestyle=dashes)
+        draw_outline(axes, mask, depth.extent_mm, color="white", linewidth=2.6)
+        draw_outline(axes, mask, depth.extent_mm, color="black", linewidth=1.3, linestyle=dashes)
         handles.append(Line2D([], [], color="black", linewidth=1.3, linestyle=dashes, label=f"{name} laid bare"))
-    names = axis_names(run)
-    axes.set_xlabel(f"{names[depth.across[0]]} / mm")
-    axes.set_ylabel(f"{names[depth.across[1]]} / mm")
-    axes.set_aspect("equal")
+    x, y = (f"{axis_names(run)[axis]} / mm" for axis in depth.across)
+    axes.set(xlabel=x, ylabel=y, aspect="equal")
     bar = chart.add_axes(((left + wide + 0.15) / 8.0, 0.6 / full, 0.16 / 8.0, tall / full))
     chart.colorbar(image, cax=bar, label="removed depth / mm")
     cut = depth.depth_mm[depth.depth_mm >= least]
@@ -155,14 +160,22 @@ def _draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
     save(chart, path)
 
 
-def _outline(axes: Any, mask: NDArray[np.bool_], extent: tuple[float, float, float, float], **line: Any) -> None:
-    """Draw the edge of a set of columns, closed where it meets the edge of the map."""
-    u0, u1, v0, v1 = extent
-    step_u, step_v = (u1 - u0) / mask.shape[0], (v1 - v0) / mask.shape[1]
-    u = u0 + step_u * (np.arange(-1, mask.shape[0] + 1) + 0.5)
-    v = v0 + step_v * (np.arange(-1, mask.shape[1] + 1) + 0.5)
-    plural = {f"{name}s": [value] for name, value in line.items()}
-    axes.contour(u, v, np.pad(mask, 1).T.astype(float), levels=[0.5], **plural)
+def draw_outline(
+    axes: "Axes",
+    values: NDArray[np.float64] | NDArray[np.bool_],
+    extent: tuple[float, float, float, float],
+    *,
+    color: str,
+    linewidth: float,
+    linestyle: "LineStyleType" = "-",
+) -> None:
+    """Draw the line at a half of columns between 0 and 1, closed where it meets the edge of the map."""
+    if values.max(initial=0) < 0.5:
+        return
+    ends = zip(extent[::2], extent[1::2], values.shape, strict=True)
+    u, v = (low + (high - low) / count * (np.arange(-1, count + 1) + 0.5) for low, high, count in ends)
+    padded = np.pad(values, 1).T.astype(float)
+    axes.contour(u, v, padded, levels=[0.5], colors=[color], linewidths=[linewidth], linestyles=[linestyle])
 
 
 def _hillshade(height_mm: NDArray[np.float64], spacing_mm: float) -> NDArray[np.float64]:
@@ -170,23 +183,16 @@ def _hillshade(height_mm: NDArray[np.float64], spacing_mm: float) -> NDArray[np.
     from scipy.ndimage import gaussian_filter
 
     there = np.isfinite(height_mm)
-    filled = gaussian_filter(np.where(there, height_mm, 0.0), 2.0) / np.maximum(
-        gaussian_filter(there.astype(np.float64), 2.0), 1e-6
-    )
+    weight = np.maximum(gaussian_filter(there.astype(np.float64), 2.0), 1e-6)
+    filled = gaussian_filter(np.where(there, height_mm, 0.0), 2.0) / weight
     slope_u, slope_v = np.gradient(filled, spacing_mm)
     lit = (0.35 * slope_u - 0.35 * slope_v + 0.87) / np.sqrt(1.0 + slope_u**2 + slope_v**2)
     return np.asarray(np.clip(0.62 + 0.45 * lit, 0.35, 1.05))
 
 
+@styled
 def draw_force_torque(run: Run, path: Path) -> None:
     """Draw force, torque, removal rate (or contact area, where nothing goes) and the tool's path through layers."""
-    import matplotlib
-
-    with matplotlib.rc_context(STYLE):
-        _draw_force_torque(run, path)
-
-
-def _draw_force_torque(run: Run, path: Path) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -255,11 +261,7 @@ def _draw_force_torque(run: Run, path: Path) -> None:
             handlelength=1.2,
             borderpad=0.2,
         )
-    for axes in panels:
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.margins(x=0.0)
-        axes.grid(axis="y", color="0.92", linewidth=0.6)
-        axes.set_axisbelow(True)
+    plain(panels)
     chart.align_ylabels(panels)
     mark_events(panels, run.events)
     for line, sentence in enumerate(event_texts):
@@ -272,7 +274,7 @@ def _literal(text: str) -> str:
     return text.replace("$", r"\$")
 
 
-def spells(names: NDArray[Any]) -> list[tuple[int, int, str]]:
+def spells(names: NDArray[np.generic]) -> list[tuple[int, int, str]]:
     """Runs of equal entries: first index, index behind the last, entry."""
     if not len(names):
         return []

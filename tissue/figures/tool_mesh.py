@@ -1,10 +1,11 @@
 """The surface of a scene's tool, to be shown."""
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from meshes.base.errors import InputError
 from meshes.surfaces.surface import read_triangles
@@ -13,7 +14,7 @@ from tissue.scene.tool import Needle, Probe, Tool
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["tool_surface"]
+__all__ = ["pose", "tool_surface"]
 
 NEEDLE_MM = 80.0
 POINT = 2.0
@@ -38,12 +39,23 @@ def tool_surface(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None
             radius = 0.5 * tool.diameter_mm
             return pyvista.Sphere(radius=radius, center=(0.0, 0.0, radius), theta_resolution=SIDES, phi_resolution=36)
         case Probe(file=str(file)):
-            return _shell(file, tool.scale_mm)
+            with suppress(InputError):
+                vertices, faces = read_triangles(Path(file))
+                return pyvista.PolyData.from_regular_faces(tool.scale_mm * np.asarray(vertices), faces)
         case Probe():
             return _rod(0.5 * tool.diameter_mm, tool.length_mm)
         case Needle():
             return _rod(0.5 * tool.diameter_mm, NEEDLE_MM, point_mm=POINT * tool.diameter_mm)
     return None
+
+
+def pose(tip_mm: ArrayLike, quaternion: ArrayLike) -> NDArray[np.float64]:
+    """From a tool's own frame to the world [mm] by its tip and its turn (x, y, z, w), shape (4, 4)."""
+    from scipy.spatial.transform import Rotation
+
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = Rotation.from_quat(quaternion).as_matrix(), tip_mm
+    return matrix
 
 
 def _rod(radius_mm: float, length_mm: float, *, point_mm: float = 0.0) -> "pyvista.PolyData":
@@ -55,16 +67,4 @@ def _turned(line_mm: NDArray[np.float64]) -> "pyvista.PolyData":
     """A line in the half plane y = 0, turned around z."""
     import pyvista
 
-    turned: pyvista.PolyData = pyvista.lines_from_points(line_mm).extrude_rotate(resolution=SIDES, capping=False)
-    return turned
-
-
-def _shell(file: str, unit_mm: float) -> "pyvista.PolyData | None":
-    import pyvista
-
-    try:
-        vertices, faces = read_triangles(Path(file))
-    except InputError:
-        return None
-    shell = pyvista.PolyData.from_regular_faces(unit_mm * np.asarray(vertices, dtype=np.float64), faces)
-    return shell
+    return pyvista.lines_from_points(line_mm).extrude_rotate(resolution=SIDES, capping=False)

@@ -1,7 +1,6 @@
 """A ball on a stiff wall, from the side: where the device went, where the ball stayed, and the force between."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -46,7 +45,7 @@ def draw_wall(run: Run, path: Path) -> None:
     lowest = min(tips[:, 2].min(), 0.0 if device is None else device[:, 2].min())
     low, high = min(1.3 * lowest, -1.0), max(tips[:, 2].max(), 2.2 * radius)
     if force[row] > 0.0:
-        arrow: dict[str, Any] = {"arrowstyle": "-|>", "color": FORCE, "linewidth": 2.0, "shrinkA": 0, "shrinkB": 0}
+        arrow = {"arrowstyle": "-|>", "color": FORCE, "linewidth": 2.0, "shrinkA": 0, "shrinkB": 0}
         end = tips[row, 2] + LONGEST * (high - low)
         side.annotate("", (at, end), (at, tips[row, 2]), arrowprops=arrow)
         side.annotate(

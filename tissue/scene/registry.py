@@ -5,13 +5,18 @@ above this one is named as ``module:name`` and imported when it is asked for.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from tissue.materials.constants import constants, listed
 from tissue.scene.named_parts import Registry, loaded
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    import pyvista
+
+    from meshes.voxels.volume import VoxelVolume
     from tissue.builders.parts import TissueBuilder
     from tissue.cutters.profile import Profile
     from tissue.haptics.loop.sampled_loop import WallLoop
@@ -23,7 +28,9 @@ if TYPE_CHECKING:
     from tissue.prediction.predictor import Predictor
     from tissue.prediction.trained import Trained
     from tissue.scene.anatomy import Part
+    from tissue.scene.scene import Scene
     from tissue.scene.tool import Probe as ProbeTool
+    from tissue.simulation.run import Run
 
 __all__ = [
     "ANATOMIES", "CUTTERS", "DEVICES", "GROUPS", "HANDS", "MOTIONS", "NEEDLES", "PERCEPTIONS", "PREDICTORS", "PROBES",
@@ -46,25 +53,46 @@ class AnatomyEntry:
     force_scale
         Newtons at the device for each one at the tool where a scene states nothing; 0.03 and 0.1 keep cutting within a
         device's range.
+    pictures
+        Draw what only this tissue has into a file each of a run's pictures, by the file's name.
+    faces
+        The faces that a window shows of a tissue that is neither voxels nor a mesh.
+    voxels
+        The voxels that a tool mills, as a scene describes them.
     """
 
     parameters: "type[Part] | str"
     tool: "type[Part] | str"
     build: "TissueBuilder | str"
     force_scale: float = 1.0
+    pictures: "Mapping[str, Callable[[Run, Path], None] | str]" = field(default_factory=dict)
+    faces: "Callable[[Scene], dict[str, pyvista.PolyData]] | str | None" = None
+    voxels: "Callable[[Scene], VoxelVolume] | str | None" = None
 
 
 ANATOMIES: Registry[AnatomyEntry] = Registry(
     "anatomy.kind",
     {
         "glenoid": AnatomyEntry(
-            "tissue.scene.anatomy:GlenoidAnatomy", "tissue.scene.tool:Tool", "tissue.builders.cutting:milled", 0.03
+            "tissue.scene.anatomy:GlenoidAnatomy",
+            "tissue.scene.tool:Tool",
+            "tissue.builders.cutting:milled",
+            force_scale=0.03,
+            voxels="tissue.builders.cutting:milled_voxels",
         ),
         "block": AnatomyEntry(
-            "tissue.scene.anatomy:BlockAnatomy", "tissue.scene.tool:Tool", "tissue.builders.cutting:milled", 0.03
+            "tissue.scene.anatomy:BlockAnatomy",
+            "tissue.scene.tool:Tool",
+            "tissue.builders.cutting:milled",
+            force_scale=0.03,
+            voxels="tissue.builders.cutting:milled_voxels",
         ),
         "molar": AnatomyEntry(
-            "tissue.scene.anatomy:MolarAnatomy", "tissue.scene.tool:Tool", "tissue.builders.cutting:milled", 0.1
+            "tissue.scene.anatomy:MolarAnatomy",
+            "tissue.scene.tool:Tool",
+            "tissue.builders.cutting:milled",
+            force_scale=0.1,
+            voxels="tissue.builders.cutting:milled_voxels",
         ),
         "liver": AnatomyEntry(
             "tissue.scene.organ:LiverAnatomy", "tissue.scene.tool:Probe", "tissue.builders.organ_scene:pressed"
@@ -73,10 +101,18 @@ ANATOMIES: Registry[AnatomyEntry] = Registry(
             "tissue.scene.organ:SlabAnatomy", "tissue.scene.tool:Probe", "tissue.builders.organ_scene:pressed"
         ),
         "layers": AnatomyEntry(
-            "tissue.scene.organ:LayersAnatomy", "tissue.scene.tool:Needle", "tissue.builders.organ_scene:pierced"
+            "tissue.scene.organ:LayersAnatomy",
+            "tissue.scene.tool:Needle",
+            "tissue.builders.organ_scene:pierced",
+            pictures={"insertion.png": "tissue.figures.insertion:draw_insertion"},
+            faces="tissue.viewer.run:layer_faces",
         ),
         "wall": AnatomyEntry(
-            "tissue.scene.coupling:WallAnatomy", "tissue.scene.tool:Probe", "tissue.builders.organ_scene:wall"
+            "tissue.scene.coupling:WallAnatomy",
+            "tissue.scene.tool:Probe",
+            "tissue.builders.organ_scene:wall",
+            pictures={"wall.png": "tissue.figures.wall:draw_wall"},
+            faces="tissue.viewer.run:wall_face",
         ),
     },
 )

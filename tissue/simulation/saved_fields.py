@@ -24,8 +24,10 @@ SPAN = 1e-3
 FAINT = 5.0
 """Percentile of the greatest stress at one time that may begin the scale."""
 UNITS = {
-    **{unit: unit for unit in ("mm", "m", "Pa", "kPa", "MPa", "mN", "N", "J", "mJ")},
+    **{unit: unit for unit in ("mm", "m", "Pa", "kPa", "MPa", "mN", "N", "J", "mJ", "K")},
     "um": "µm",
+    "mm2": "mm²",
+    "mm3": "mm³",
     "percent": "%",
     "C": "°C",
     "degC": "°C",

@@ -1,6 +1,7 @@
 """The bone of a saved run at any moment, as surfaces: carved again along the tool's poses."""
 
 from collections.abc import Collection
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,10 +10,10 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from meshes.base.placement import Placement
-from meshes.base.progress import silent
 from meshes.voxels.volume import VoxelVolume
 from tissue.motion.pose_log import poses_of_trace, read_poses
-from tissue.scene.anatomy import BlockAnatomy, GlenoidAnatomy, MolarAnatomy
+from tissue.scene.named_parts import loaded
+from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.bone_surface import smooth_normals
@@ -166,22 +167,16 @@ def _over_time(
 
 
 def _coarse(scene: Scene) -> VoxelVolume | None:
-    """The bone that a scene starts from, in coarse voxels; None of one that comes from a file."""
-    anatomy = scene.anatomy
-    if not isinstance(scene.tool, Tool) or not isinstance(anatomy, GlenoidAnatomy | BlockAnatomy | MolarAnatomy):
+    """The bone that a scene starts from, in coarse voxels; None of one that comes from a file, or of none."""
+    make = ANATOMIES[scene.anatomy.kind].voxels
+    if make is None or getattr(scene.anatomy, "file", None) is not None:
         return None
-    if anatomy.file is not None:
-        return None
-    from tissue.builders.cutting import cutter_of
-    from tissue.builders.registry import motion_of
-    from tissue.builders.voxels import volume_of
-
     spacing = max(COARSE_MM, scene.voxels.spacing_mm)
-    coarse = scene.model_copy(update={"voxels": scene.voxels.model_copy(update={"spacing_mm": spacing})})
-    try:
-        return volume_of(coarse, cutter_of(scene.tool), motion_of(scene, step_s=1e-3), notes={}, report=silent)
-    except InputError:
-        return None
+    with suppress(InputError):
+        return loaded(make)(
+            scene.model_copy(update={"voxels": scene.voxels.model_copy(update={"spacing_mm": spacing})})
+        )
+    return None
 
 
 def read_voxels(file: Path, placement: Placement | None = None) -> tuple[VoxelVolume, NDArray[np.uint8]]:

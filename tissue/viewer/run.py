@@ -3,8 +3,11 @@
 from typing import TYPE_CHECKING
 
 from meshes.base.isolated_parser import parse_isolated
-from tissue.scene.coupling import WallAnatomy
+from tissue.builders.registry import motion_of
+from tissue.models.tissue_model import TICK_S
+from tissue.scene.named_parts import loaded
 from tissue.scene.organ import LayersAnatomy
+from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.saved_fields import frames_of
@@ -12,7 +15,7 @@ from tissue.simulation.saved_fields import frames_of
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["faces_of", "require_whole"]
+__all__ = ["faces_of", "layer_faces", "require_whole", "wall_face"]
 
 FACE_MM = 30.0
 """Edge of a drawn piece of a face that goes on, and how far a wall goes beyond the path on it."""
@@ -28,9 +31,7 @@ def require_whole(saved: SavedRun) -> None:
     InputError
         If a file is damaged or lacks what it should hold; the message names it.
     """
-    wanted: dict[str, list[str]] = {}
-    if saved.complete:
-        wanted = {"bone.vti": ["remaining", "layer", "density_kg_m3"]}
+    wanted = {"bone.vti": ["remaining", "layer", "density_kg_m3"]} if saved.complete else {}
     if (saved.path / "fields.pvd").is_file():
         wanted |= {name: [] for _, name in frames_of(saved.path)}
     there = {name: arrays for name, arrays in wanted.items() if (saved.path / name).is_file()}
@@ -45,32 +46,36 @@ def require_whole(saved: SavedRun) -> None:
 
 
 def faces_of(scene: Scene | None) -> "dict[str, pyvista.PolyData]":
-    """Pieces of the faces that a needle goes through or a ball presses [mm], by layer; none of an organ that is meshed.
+    """Pieces of the faces that a tool goes through or presses [mm], by name; none of voxels or a mesh."""
+    make = None if scene is None else ANATOMIES[scene.anatomy.kind].faces
+    return {} if scene is None or make is None else loaded(make)(scene)
 
-    A wall is drawn under all of the path that the tool can go.
-    """
+
+def wall_face(scene: Scene) -> "dict[str, pyvista.PolyData]":
+    """A wall under all of the path that the tool can go."""
     import pyvista
 
-    anatomy = scene.anatomy if scene is not None else None
-    if scene is not None and isinstance(anatomy, WallAnatomy):
-        from tissue.builders.registry import motion_of
+    path_mm = 1e3 * motion_of(scene, step_s=TICK_S).sweep_m()[:, :2]
+    low, high = path_mm.min(axis=0), path_mm.max(axis=0)
+    middle, (wide, deep) = 0.5 * (low + high), high - low + max(FACE_MM, 2.0 * (scene.coupling.roam_mm or 0.0))
+    return {
+        "wall": pyvista.Plane(
+            center=(*middle, 0.0),
+            direction=(0.0, 0.0, 1.0),
+            i_size=wide,
+            j_size=deep,
+            i_resolution=max(round(wide / WALL_MESH_MM), 1),
+            j_resolution=max(round(deep / WALL_MESH_MM), 1),
+        )
+    }
 
-        path_mm = 1e3 * motion_of(scene, step_s=1e-3).sweep_m()[:, :2]
-        low, high = path_mm.min(axis=0), path_mm.max(axis=0)
-        middle, (wide, deep) = 0.5 * (low + high), high - low + max(FACE_MM, 2.0 * (scene.coupling.roam_mm or 0.0))
-        return {
-            "wall": pyvista.Plane(
-                center=(*middle, 0.0),
-                direction=(0.0, 0.0, 1.0),
-                i_size=wide,
-                j_size=deep,
-                i_resolution=max(round(wide / WALL_MESH_MM), 1),
-                j_resolution=max(round(deep / WALL_MESH_MM), 1),
-            )
-        }
-    if not isinstance(anatomy, LayersAnatomy):
-        return {}
-    depths = {"capsule": 0.0, "vessel wall": anatomy.vessel_wall_depth_mm}
+
+def layer_faces(scene: Scene) -> "dict[str, pyvista.PolyData]":
+    """Pieces of the faces that a needle goes through, by layer."""
+    import pyvista
+
+    assert isinstance(scene.anatomy, LayersAnatomy)
+    depths = {"capsule": 0.0, "vessel wall": scene.anatomy.vessel_wall_depth_mm}
     return {
         name: pyvista.Plane(center=(0.0, 0.0, -depth), direction=(0.0, 0.0, 1.0), i_size=FACE_MM, j_size=FACE_MM)
         for name, depth in depths.items()
