@@ -175,8 +175,7 @@ def test_a_bad_summary_is_refused(tmp_path, change, sentence):
 )
 def test_a_bad_trace_is_refused_and_a_whole_one_read(tmp_path, old, new, sentence):
     """The layer's name holds a comma, so that the column named after it has to be quoted."""
-    from tissue.simulation.trace import Table, TraceWriter
-    from tissue.simulation.trace_layout import TraceLayout
+    from tissue.simulation.trace import Table, TraceLayout, TraceWriter
 
     layers = ("bone, hard",)
     columns = TraceLayout.of(layers).columns

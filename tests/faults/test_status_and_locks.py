@@ -13,8 +13,7 @@ import pytest
 
 from tissue import InputError, SavedRun, load_scene, simulate
 from tissue.simulation.run_folder import RunFolder
-from tissue.system.output_lock import OutputLock, output_locked
-from tissue.system.process_identity import identity, is_alive
+from tissue.system.output_lock import OutputLock, identity, is_alive, output_locked
 from tissue.system.stopping import Terminated, terminated_as_exception
 from tissue.viewer.view import _about
 

@@ -14,7 +14,7 @@ from tissue.haptics.proxy.proxy import Proxy, ProxyOutcome
 from tissue.haptics.proxy.tool_shell import ToolShell
 from tissue.haptics.proxy.virtual_coupling import VirtualCoupling, series_stiffness_N_m
 from tissue.haptics.proxy.voxmap import Ball, Box, ContactField, HalfSpace
-from tissue.motion.rotation import turn_between
+from tissue.motion.quaternion import turn_between
 
 EXACT = 1e-9
 STIFFNESS = 1000.0

@@ -20,8 +20,7 @@ from tissue.haptics.proxy.held_tool import CuttingTool, HeldTool, PressingTool
 from tissue.haptics.proxy.held_turn import HeldTurn
 from tissue.haptics.proxy.probing_tool import ProbingTool
 from tissue.haptics.renderer import TurningRenderer, renderer
-from tissue.motion.motion import Motion
-from tissue.motion.rotation import quaternion_of
+from tissue.motion.motion import Motion, quaternion_of
 from tissue.scene.coupling import WallAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import ReplayMotion, ThrustMotion, Tool

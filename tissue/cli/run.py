@@ -62,11 +62,12 @@ def run(
         Run a device whose coupling is unstable, too.
     """
     from tissue.scene.load import load_scene, parse_override
-    from tissue.simulation.formats import check_formats
     from tissue.simulation.run_folder import RunFolder
+    from tissue.simulation.trace_files import check_format
     from tissue.system.offscreen import await_display
 
-    check_formats(format_)
+    for kind in format_:
+        check_format(kind)
     overrides = dict(parse_override(text) for text in set_)
     for text in fidelity:
         key, value = parse_override(text, option="--fidelity", example="force_error=0.03")

@@ -7,6 +7,7 @@ from typing import Any
 from cyclopts import CoercionError
 from rich.console import Console
 
+from meshes.base.progress import Progress, silent
 from meshes.base.visible_text import visible
 
 __all__ = ["console", "left_out", "problems", "progress", "whole"]
@@ -49,14 +50,15 @@ def left_out(where: str, remedy: str, **flags: Any) -> None:
 
 
 @contextmanager
-def progress() -> Iterator[Any]:
+def progress() -> Iterator[Progress]:
     """A progress bar that names what is being done; called with what and with the share that is done."""
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+    from rich import progress as bars
 
     if not problems.is_terminal:  # older versions of rich end even a disabled bar with an empty line
-        yield lambda doing, share: None
+        yield silent
         return
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=problems, transient=True) as bar:
+    text = bars.TextColumn("{task.description}", markup=False)
+    columns = (text, bars.BarColumn(), bars.TaskProgressColumn(), bars.TimeElapsedColumn())
+    with bars.Progress(*columns, console=problems, transient=True) as bar:
         task = bar.add_task("starting", total=1.0)
         yield lambda doing, share: bar.update(task, description=visible(doing), completed=share)

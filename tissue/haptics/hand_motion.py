@@ -1,6 +1,5 @@
 """A hand on a device as what moves a tool: samples in, forces out, once a tick."""
 
-from collections.abc import Callable
 from math import pi, sqrt
 
 import numpy as np
@@ -9,7 +8,6 @@ from numpy.typing import NDArray
 from tissue.haptics.device.device import Device, DeviceParameters, Sample
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.haptics.device.sample_guard import SampleGuard
-from tissue.haptics.device.supervision import run_held
 from tissue.haptics.hand_measures import (
     ENERGY,
     FILTERED_FORCE,
@@ -34,9 +32,8 @@ from tissue.haptics.loop.sampled_loop import WallLoop
 from tissue.haptics.proxy.held_tool import HeldTool
 from tissue.haptics.renderer import PassivityRenderer, Renderer, TurningRenderer
 from tissue.models.tissue_model import Response, ToolMotion
-from tissue.motion.motion import Motion
+from tissue.motion.motion import Motion, matrix_of
 from tissue.motion.quaternion import Quaternion
-from tissue.motion.rotation import matrix_of
 from tissue.perception.perception import Perception
 from tissue.prediction.predictor import Predictor
 
@@ -170,10 +167,6 @@ class HandMotion(Motion):
     @device.setter
     def device(self, device: Device | SafeDevice) -> None:
         self.held = SafeDevice(device, limits=self._limits, tick_s=self._tick)
-
-    def around(self, ticks: Callable[[], None]) -> None:
-        """Hold the device while the ticks run, and leave it without force."""
-        run_held(ticks, self.held)
 
     def sweep_m(self) -> Array:
         """Positions of the scripted motion [m], and the same a stray to every side."""

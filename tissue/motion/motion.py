@@ -1,6 +1,6 @@
-"""What moves the tool: given feed or given thrust."""
+"""What moves the tool: given feed or given thrust; rotations of a tool, matrices, as quaternions (x, y, z, w)."""
 
-from collections.abc import Callable
+from math import sqrt
 from typing import Protocol
 
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError
 from tissue.models.tissue_model import Response, ToolMotion
 
-__all__ = ["LONGEST_S", "FollowPath", "Motion", "PushAlongAxis", "frame_along"]
+__all__ = ["LONGEST_S", "FollowPath", "Motion", "PushAlongAxis", "frame_along", "matrix_of", "quaternion_of"]
 
 Array = NDArray[np.float64]
 LONGEST_S = 3600.0
@@ -29,10 +29,6 @@ class Motion(Protocol):
     """Their values at the present tick."""
     model_ticks: int = 1
     """Ticks for which one answer of the tissue holds."""
-
-    def around(self, ticks: Callable[[], None]) -> None:
-        """Run all ticks; what the motion holds is taken before them and left after them, whatever ends them."""
-        ticks()
 
     def sweep_m(self) -> Array:
         """Tip positions that outline where the tool can go [m], shape (n, 3)."""
@@ -70,6 +66,37 @@ def frame_along(axis: tuple[float, float, float]) -> Array:
     x = helper - z * (helper @ z)
     x /= np.linalg.norm(x)
     return np.column_stack([x, np.cross(z, x), z])
+
+
+def matrix_of(quaternion: Array) -> Array:
+    """Rotation matrix of a unit quaternion, shape (3, 3)."""
+    x, y, z, w = quaternion.tolist()
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion_of(rotation: Array) -> Array:
+    """Unit quaternion with w >= 0 of a rotation matrix, shape (3, 3).
+
+    From the largest of its four components, so that no small number is divided by (Shepperd 1978, J. Guid. Control
+    1:223).
+    """
+    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
+    squares = (1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i, 1.0 + a + e + i)
+    largest = squares.index(max(squares))
+    rows = (
+        (squares[0], b + d, c + g, h - f),
+        (b + d, squares[1], f + h, c - g),
+        (c + g, f + h, squares[2], d - b),
+        (h - f, c - g, d - b, squares[3]),
+    )
+    quaternion = np.array(rows[largest]) / (2.0 * sqrt(squares[largest]))
+    return quaternion if quaternion[3] >= 0.0 else -quaternion
 
 
 class FollowPath(Motion):

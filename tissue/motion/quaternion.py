@@ -2,7 +2,10 @@
 
 from math import atan2, cos, inf, sin, sqrt
 
-__all__ = ["Quaternion", "Triple", "conjugate", "exponential", "logarithm", "product", "unit"]
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Quaternion", "Triple", "conjugate", "exponential", "logarithm", "product", "turn_between", "unit"]
 
 Quaternion = tuple[float, float, float, float]
 Triple = tuple[float, float, float]
@@ -50,3 +53,12 @@ def logarithm(rotation: Quaternion) -> Triple:
     size = sqrt(x * x + y * y + z * z)
     share = 2.0 * atan2(size, w) / size if size > 1e-12 else 2.0
     return share * x, share * y, share * z
+
+
+def turn_between(start: NDArray[np.float64], goal: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotation vector [rad] of the shortest turn that brings quaternion ``start`` to ``goal``, shape (3,).
+
+    The logarithm of ``goal start^-1``, in the world's axes; at half a turn one of two equal ones is returned.
+    """
+    (a, b, c, d), (x, y, z, w) = goal.tolist(), start.tolist()
+    return np.array(logarithm(product((a, b, c, d), conjugate((x, y, z, w)))))

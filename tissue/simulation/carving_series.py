@@ -11,7 +11,7 @@ from meshes.base.placement import Placement
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
 from tissue.models.tissue_model import TICK_S
-from tissue.motion.pose_log import write_poses
+from tissue.motion.pose_file import write_poses
 from tissue.simulation.carved_surface import CarvedSurface, block_means, changed_box, coarse_volume
 from tissue.simulation.depth_map import facing
 from tissue.simulation.file_frame import mesh_in_file

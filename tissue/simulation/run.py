@@ -44,7 +44,7 @@ class Run:
     events
         What happened in the run: time [s] and a sentence each.
     poses
-        Poses of a tool that cuts, see `tissue.motion.pose_log.PoseLog`; None of one that does not.
+        Poses of a tool that cuts, see `tissue.simulation.tick.PoseLog`; None of one that does not.
     draw
         Draws the run's pictures into a folder and returns a sentence for each that could not be drawn; the engine by
         itself draws nothing, `tissue.simulate` sets it.
@@ -208,12 +208,13 @@ class Run:
         """
         from tissue.simulation.bone_files import write_bone
         from tissue.simulation.carving_series import write_carving
-        from tissue.simulation.formats import check_formats, write_trace
         from tissue.simulation.series import write_fields
+        from tissue.simulation.trace_files import check_format, write_trace
 
         report = progress or silent
         formats = tuple(formats)
-        check_formats(formats)
+        for kind in formats:
+            check_format(kind)
         out = Path(out)
         folder, self._folder = self._folder, None  # what is saved once is another's to replace
         begun = folder is not None and folder.path == out

@@ -15,11 +15,10 @@ from meshes.base.whole_file import whole_file
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.load import load_scene, saved_text
 from tissue.scene.scene import Scene
-from tissue.simulation.formats import FORMATS
 from tissue.simulation.run_summary import FORMAT, read_summary, summary_of
-from tissue.simulation.trace import Table, TraceWriter, read_trace
-from tissue.system.output_lock import OutputLock
-from tissue.system.process_identity import identity, is_alive
+from tissue.simulation.trace import Table, TraceWriter
+from tissue.simulation.trace_files import FORMATS, read_trace
+from tissue.system.output_lock import OutputLock, identity, is_alive
 from tissue.system.stopping import Terminated
 
 __all__ = ["FORMAT", "RunFolder", "SavedRun", "saved_placement"]

@@ -3,14 +3,14 @@
 import numpy as np
 
 from tissue.builders.parts import Parts
-from tissue.motion.motion import Motion, frame_along
+from tissue.motion.motion import frame_along
 from tissue.scene.anatomy import MolarAnatomy
 from tissue.scene.organ import LayersAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import ThrustMotion
 from tissue.simulation.trace import Table
 
-__all__ = ["shortfalls", "unfinished_path"]
+__all__ = ["shortfalls"]
 
 MOSTLY = 0.5
 """A tooth's caries within reach is missed where a run removes less than this share of it."""
@@ -18,20 +18,12 @@ TOLERANCE_MM = 0.05
 """How far short of its depth a thrust may stay unsaid [mm]."""
 
 
-def unfinished_path(scene: Scene, motion: Motion, *, lasts_s: float) -> dict[str, str]:
-    """A note on a motion that goes on after its run has ended; none where it does not."""
-    wanted_s = motion.duration_s - motion.after_s
-    if isinstance(scene.motion, ThrustMotion) or wanted_s < lasts_s + 5e-4:
-        return {}
-    return {
-        "path": f"not finished: the run ends at {lasts_s:g} s, the motion at {wanted_s:.6g} s; set duration_s = "
-        f"{wanted_s:.6g} or leave it out to see all of it"
-    }
+def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> dict[str, str]:
+    """Notes on what a finished run did not reach or remove, by what they are about.
 
-
-def shortfalls(scene: Scene, parts: Parts, trace: Table) -> dict[str, str]:
-    """Notes on what a finished run did not reach or remove, by what they are about."""
-    found = {}
+    A run of ``path_s`` [s] as asked for that is shorter than its scripted motion is reported so.
+    """
+    found, wanted_s = {}, parts.motion.duration_s - parts.motion.after_s
     if isinstance(scene.motion, ThrustMotion):
         heading, wanted = -frame_along(scene.motion.axis)[:, 2], scene.motion.depth_mm
         came = float((trace.vectors("tool", "mm") @ heading).max())
@@ -40,6 +32,11 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table) -> dict[str, str]:
                 f"not finished: the tool came to {came:.3g} of motion.depth_mm = {wanted:g}; raise motion.thrust_N or "
                 "duration_s"
             )
+    elif wanted_s >= path_s + 5e-4:
+        found["path"] = (
+            f"not finished: the run ends at {path_s:g} s, the motion at {wanted_s:.6g} s; set duration_s = "
+            f"{wanted_s:.6g} or leave it out to see all of it"
+        )
     wall_mm = scene.anatomy.vessel_wall_depth_mm if isinstance(scene.anatomy, LayersAnatomy) else None
     if wall_mm is not None and trace["insertion_mm"].max() < wall_mm:
         found["vessel"] = (

@@ -3,6 +3,7 @@
 import gc
 import sys
 from contextlib import nullcontext, suppress
+from math import inf
 from pathlib import Path
 from time import perf_counter
 from typing import Protocol, runtime_checkable
@@ -16,6 +17,7 @@ from tissue.builders.parts import Parts
 from tissue.builders.registry import build
 from tissue.haptics.device.device import Device
 from tissue.haptics.device.safe_device import SafeDevice
+from tissue.haptics.device.supervision import run_held
 from tissue.models.tissue_model import TICK_S, Finishes, HasNotices, WaitsForBackground
 from tissue.motion.motion import LONGEST_S, Motion
 from tissue.prediction.predictor import Predictor
@@ -23,10 +25,9 @@ from tissue.scene.scene import Scene
 from tissue.scene.unused_keys import require_used
 from tissue.simulation.run import Run
 from tissue.simulation.run_folder import RunFolder
-from tissue.simulation.shortfalls import shortfalls, unfinished_path
+from tissue.simulation.shortfalls import shortfalls
 from tissue.simulation.tick import Tick
-from tissue.simulation.trace import TIMING_COLUMNS, Table
-from tissue.simulation.trace_layout import TraceLayout
+from tissue.simulation.trace import TIMING_COLUMNS, Table, TraceLayout
 
 __all__ = ["TICK_S", "RunObserver", "simulate"]
 
@@ -62,6 +63,8 @@ class MovedByDevice(Protocol):
     """A motion whose tool is moved by a device, which feels a force that may be predicted."""
 
     device: Device | SafeDevice
+    held: SafeDevice
+    """The device as the run holds it while the ticks run, and leaves it without force."""
     after_s: float
     """How much later than the motion's path it ends [s]."""
     predictor: Predictor | None
@@ -131,11 +134,11 @@ def simulate(
                 raise InputError("scene must name the device that is given, got none: set device, such as touch")
             parts.motion.device, parts.motion.after_s = device, 0.0
         ticks = _tick_count(scene, parts.motion)
-        if device is None:
-            parts.notes |= unfinished_path(scene, parts.motion, lasts_s=ticks * TICK_S)
         if folder is not None:
             folder.begin(scene, parts.placement)
-        return _loop(scene, parts, ticks, compute=compute, folder=folder, report=report, observer=observer)
+        run = _loop(scene, parts, ticks, compute=compute, folder=folder, report=report, observer=observer)
+        run.parts.notes |= shortfalls(scene, parts, run.trace, path_s=ticks * TICK_S if device is None else inf)
+    return run
 
 
 def _loop(
@@ -192,7 +195,10 @@ def _loop(
     switching = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_S)
     try:
-        motion.around(go_through)
+        if isinstance(motion, MovedByDevice):
+            run_held(go_through, motion.held)
+        else:
+            go_through()
     except BaseException:
         if folder is not None:
             with suppress(OSError):
@@ -212,7 +218,6 @@ def _loop(
         folder.flush(index + 1, force=True)
     if isinstance(motion, MovedByDevice) and motion.predictor is not None and (note := _foreseen(trace, motion)):
         parts.notes["prediction"] = note
-    parts.notes |= shortfalls(scene, parts, trace)
     events = sorted(events + motion.happened(), key=lambda event: event[0])
     return Run(scene, parts, trace, timing, events=events, compute=compute, folder=folder, poses=tick.poses)
 

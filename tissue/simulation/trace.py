@@ -1,7 +1,8 @@
-"""The trace: one row a tick, append-only, flushed to disk while the run goes on."""
+"""The trace: its columns, one row a tick, append-only, flushed to disk while the run goes on."""
 
 import csv
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
 from time import perf_counter
@@ -10,17 +11,7 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError
-from tissue.simulation.trace_layout import TraceLayout
-
-__all__ = [
-    "LEAST_LOAD",
-    "TIMING_COLUMNS",
-    "Table",
-    "TraceWriter",
-    "read_table",
-    "read_trace",
-]
+__all__ = ["LEAST_LOAD", "NO_LAYER", "TIMING_COLUMNS", "Table", "TraceLayout", "TraceWriter", "load_columns"]
 
 FLUSH_EVERY_S = 0.1
 """A killed run loses at most this much wall time, plus a tick."""
@@ -124,75 +115,66 @@ class TraceWriter:
         self._file.close()
 
 
-def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
-    """Read a CSV written by :class:`TraceWriter`; a last line cut short by a killed run is left out.
+@dataclass(frozen=True)
+class TraceLayout:
+    """Where each quantity lies in a row of the trace; the fields are in the order of the columns.
 
-    Raises
-    ------
-    InputError
-        If the file is no such table, naming the line.
+    Attributes
+    ----------
+    columns
+        Names of all columns; each carries its unit.
+    time, removal_rate, removed, contact, layer
+        Place of one column.
+    tip, quaternion, velocity, spin
+        Pose of the tool and its rates.
+    commanded, wrench
+        Force, then torque, as played and as the model gave them.
+    removed_by_layer, measures
+        One column a layer, and what the tissue and the motion measure.
     """
-    again = "mend that line or run the scene again"
-    try:
-        content = path.read_bytes()
-        text = content[: content.rfind(b"\n") + 1].decode("utf-8")
-        whole = list(csv.reader(StringIO(text, newline=""), strict=True))
-    except OSError as problem:
-        raise InputError(
-            f"{path.name} must be a file that can be read, got {path} ({problem.strerror}): check it"
-        ) from None
-    except (UnicodeDecodeError, csv.Error) as problem:
-        raise InputError(f"{path.name} must be a CSV table, got other data in {path}: run the scene again") from problem
-    columns = tuple(whole[0]) if whole else ()
-    index = {name: float(i) for i, name in enumerate(layer_names)} | {NO_LAYER: -1.0}
-    rows = np.empty((max(len(whole) - 1, 0), len(columns)))
-    for number, line in enumerate(whole[1:]):
-        where = f"in line {number + 2} of {path}: {again}"
-        if len(line) != len(columns):
-            raise InputError(f"{path.name} must hold {len(columns)} values a line, got {len(line)} {where}")
-        for place, (name, cell) in enumerate(zip(columns, line, strict=True)):
-            try:
-                rows[number, place] = index[cell] if name == "layer" else float(cell)
-            except KeyError:
-                known = ", ".join(index)
-                raise InputError(
-                    f"{path.name} must name a layer of the run ({known}), got {cell[:40]!r} {where}"
-                ) from None
-            except ValueError:
-                raise InputError(f"{path.name} must hold numbers, got {cell[:40]!r} for {name} {where}") from None
-    return Table(columns, rows, layer_names)
+
+    columns: tuple[str, ...]
+    time: int
+    tip: slice
+    quaternion: slice
+    velocity: slice
+    spin: slice
+    commanded: slice
+    wrench: slice
+    removal_rate: int
+    removed: int
+    removed_by_layer: slice
+    contact: int
+    measures: slice
+    layer: int
+
+    @classmethod
+    def of(cls, layer_names: tuple[str, ...], measure_names: tuple[str, ...] = ()) -> "TraceLayout":
+        """Layout for these layers and measures."""
+        groups: dict[str, str | tuple[str, ...]] = {
+            "time": "time_s",
+            "tip": tuple(f"tool_{c}_mm" for c in "xyz"),
+            "quaternion": tuple(f"tool_q{c}" for c in "xyzw"),
+            "velocity": tuple(f"velocity_{c}_mm_s" for c in "xyz"),
+            "spin": tuple(f"angular_velocity_{c}_rad_s" for c in "xyz"),
+            "commanded": (*(f"force_{c}_N" for c in "xyz"), *(f"torque_{c}_Nm" for c in "xyz")),
+            "wrench": (*(f"model_force_{c}_N" for c in "xyz"), *(f"model_torque_{c}_Nm" for c in "xyz")),
+            "removal_rate": "removal_rate_mm3_s",
+            "removed": "removed_mm3",
+            "removed_by_layer": tuple(f"removed_{name}_mm3" for name in layer_names),
+            "contact": "contact_mm2",
+            "measures": measure_names,
+            "layer": "layer",
+        }
+        columns: list[str] = []
+        places: dict[str, Any] = {}
+        for field, names in groups.items():
+            start = len(columns)
+            columns += [names] if isinstance(names, str) else names
+            places[field] = start if isinstance(names, str) else slice(start, len(columns))
+        return cls(tuple(columns), **places)
 
 
-def read_trace(path: Path, layer_names: tuple[str, ...]) -> Table:
-    """Read the trace of a run, with all the columns that every run has and finite numbers in them.
-
-    Raises
-    ------
-    InputError
-        As `read_table`, or if a column is missing, a number not finite, or the time does not increase.
-    """
-    table = read_table(path, layer_names)
-    if not table.columns:
-        return table
-    wanted = TraceLayout.of(layer_names).columns
-    for name in wanted:
-        if table.columns.count(name) != 1:
-            raise InputError(
-                f"{path.name} must have the column {name} once, got {path} with {table.columns.count(name)} of it: run "
-                "the scene again"
-            )
-    places = [table.columns.index(name) for name in wanted]
-    bad = np.argwhere(~np.isfinite(table.rows[:, places]))
-    if len(bad):
-        line, place = bad[0]
-        raise InputError(
-            f"{path.name} must hold finite numbers, got {table.rows[line, places[place]]} for {wanted[place]} in line "
-            f"{line + 2} of {path}: mend that line or run the scene again"
-        )
-    early = np.flatnonzero(np.diff(table["time_s"]) <= 0.0)
-    if len(early):
-        raise InputError(
-            f"{path.name} must have increasing time_s, got line {early[0] + 3} of {path} no later than the one before: "
-            "mend that line or run the scene again"
-        )
-    return table
+def load_columns(columns: tuple[str, ...]) -> NDArray[np.intp]:
+    """Places of the forces and torques among the columns of a trace."""
+    return np.array([place for place, name in enumerate(columns) if name.endswith(("_N", "_Nm"))], dtype=np.intp)

@@ -1,7 +1,8 @@
-"""One process at a time writes an output: a lock that ends with its process and names the process that has it."""
+"""One process at a time writes an output: a lock that ends with its process, and which process that is."""
 
 import errno
 import os
+import platform
 import sys
 import weakref
 from collections.abc import Iterator
@@ -16,12 +17,14 @@ if sys.platform == "win32":
 else:
     import fcntl
 
-__all__ = ["LOCK", "OutputLock", "output_locked"]
+__all__ = ["LOCK", "OutputLock", "identity", "is_alive", "output_locked"]
 
 LOCK = ".lock"
 """Name of the lock in a folder; of a file's, the end of the hidden name next to it."""
 FAR = 1 << 30
 """Byte that is locked where locked bytes cannot be read (Windows): far beyond the process id."""
+SAME_S = 5.0
+"""Most by which the start of one process may differ between two looks [s]: the clock behind it may be set."""
 HELD = (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
 """The system's error for a lock that another has; anything else means that the file system has no locks."""
 
@@ -112,3 +115,28 @@ def _let_go(file: TextIO, path: Path, made: list[Path]) -> None:
     for each in made:
         with suppress(OSError):
             each.rmdir()
+
+
+def identity() -> dict[str, int | float | str]:
+    """Number and start [s since 1970] of this process, and the machine it runs on."""
+    import psutil
+
+    return {"id": os.getpid(), "started_s": psutil.Process().create_time(), "machine": platform.node()}
+
+
+def is_alive(process: object) -> bool:
+    """Whether a process of that `identity` still runs; one of another machine cannot be looked up, so counts."""
+    import psutil
+
+    if not isinstance(process, dict) or "id" not in process:
+        return False
+    if process.get("machine") != platform.node():
+        return True
+    try:
+        found = psutil.Process(int(process["id"]))
+        same = abs(found.create_time() - float(process["started_s"])) < SAME_S
+        return same and found.status() != psutil.STATUS_ZOMBIE
+    except (psutil.NoSuchProcess, KeyError, TypeError, ValueError):
+        return False
+    except psutil.AccessDenied:
+        return True

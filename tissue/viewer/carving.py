@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError
 from meshes.base.placement import Placement
 from meshes.voxels.volume import VoxelVolume
-from tissue.motion.pose_log import poses_of_trace, read_poses
+from tissue.motion.pose_file import poses_of_trace, read_poses
 from tissue.scene.named_parts import loaded
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene

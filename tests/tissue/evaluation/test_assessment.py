@@ -11,8 +11,7 @@ from tissue.evaluation.assessment import assess, assessment_lines
 from tissue.evaluation.assessment_files import write_assessment
 from tissue.evaluation.statistics.alignment import aligned_rows, deviation_mm
 from tissue.simulation.run_folder import SavedRun
-from tissue.simulation.trace import Table, TraceWriter
-from tissue.simulation.trace_layout import TraceLayout
+from tissue.simulation.trace import Table, TraceLayout, TraceWriter
 
 COLUMNS = TraceLayout.of(()).columns
 TICK_S = 1e-3

@@ -18,7 +18,8 @@ from tissue.haptics.proxy.tool_shell import ToolShell
 from tissue.haptics.proxy.virtual_coupling import VirtualCoupling
 from tissue.haptics.proxy.voxmap import Ball, Box, ContactField, HalfSpace
 from tissue.models.bone.bricks import BrickStore
-from tissue.motion.rotation import matrix_of, turn_between
+from tissue.motion.motion import matrix_of
+from tissue.motion.quaternion import turn_between
 
 SPACING = 2e-4
 SOLID_TOLERANCE_M = 2.5e-5

@@ -6,7 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from meshes.base.errors import InputError
 from tissue.haptics.proxy.virtual_coupling import VirtualCoupling
-from tissue.motion.rotation import matrix_of, quaternion_of, turn_between
+from tissue.motion.motion import matrix_of, quaternion_of
+from tissue.motion.quaternion import turn_between
 
 STILL = np.zeros(3)
 

@@ -12,7 +12,8 @@ import pytest
 
 from tissue import InputError, SavedRun, load_scene, simulate
 from tissue.simulation.run_folder import RunFolder
-from tissue.simulation.trace import FLUSH_EVERY_S, read_table
+from tissue.simulation.trace import FLUSH_EVERY_S
+from tissue.simulation.trace_files import read_table
 
 COARSE = ("--set", "voxels.spacing_mm=0.4", "--no-pictures")
 MAIN = [sys.executable, "-c", "from tissue.cli.main import main; main()"]

@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from tissue.simulation.trace import TIMING_COLUMNS, Table, TraceWriter, read_table
-from tissue.simulation.trace_layout import TraceLayout
+from tissue.simulation.trace import TIMING_COLUMNS, Table, TraceLayout, TraceWriter
+from tissue.simulation.trace_files import read_table
 
 LAYERS = ("plate", "vault")
 UNIT = re.compile(r"_(s|us|mm|mm2|mm3|mm_s|mm3_s|rad_s|N|Nm)$")

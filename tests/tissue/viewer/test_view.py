@@ -12,7 +12,7 @@ from fake_fields import block_series
 from recording_plotter import RecordingPlotter
 
 from tissue import InputError, load_scene, simulate
-from tissue.motion.pose_log import write_poses
+from tissue.motion.pose_file import write_poses
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.saved_fields import SavedFields
 from tissue.simulation.series import write_fields

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, require_positive, require_range
-from tissue.motion.rotation import turn_between
+from tissue.motion.quaternion import turn_between
 
 __all__ = ["VirtualCoupling", "series_stiffness_N_m"]
 

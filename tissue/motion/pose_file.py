@@ -1,4 +1,4 @@
-"""Poses that a cutter was brought to, tick by tick: with the bone before the first cut, all that a cavity needs."""
+"""Files of poses that a cutter was brought to: with the bone before the first cut, all that a cavity needs."""
 
 from pathlib import Path
 
@@ -8,42 +8,13 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError
 from meshes.base.whole_file import whole_file
 from meshes.voxels.volume import VoxelVolume
-from tissue.models.tissue_model import ToolMotion
 
-__all__ = ["PoseLog", "poses_of_trace", "read_poses", "write_poses"]
+__all__ = ["COLUMNS", "poses_of_trace", "read_poses", "write_poses"]
 
 COLUMNS = 13
 """Of a pose: tick, tip [m], axis, heading of tip and pose."""
 FORMAT = 1
 """Version of the file of poses."""
-
-
-class PoseLog:
-    """Poses that a tool was brought to, in memory that is allocated before the first tick.
-
-    Parameters
-    ----------
-    ticks
-        Ticks of the run; each may bring the tool to two poses.
-    """
-
-    def __init__(self, ticks: int) -> None:
-        self._rows = np.zeros((2 * ticks + 1, COLUMNS))
-        self._count = 0
-
-    def add(self, tick: int, motion: ToolMotion) -> None:
-        """Append the pose of a tick; -1 is the pose at which the tool was placed."""
-        row = self._rows[self._count]
-        row[0] = tick
-        row[1:4] = motion.tip_m
-        row[4:7] = motion.rotation[:, 2]
-        row[7:].reshape(2, 3)[:] = motion.heading
-        self._count += 1
-
-    @property
-    def poses(self) -> NDArray[np.float64]:
-        """Poses so far, shape (n, 13): tick, tip [m], axis, heading of the tip and of the pose."""
-        return self._rows[: self._count]
 
 
 def write_poses(path: Path, poses: NDArray[np.float64], volume: VoxelVolume) -> None:

@@ -1,0 +1,154 @@
+"""The trace as files: written in further formats, each by an existing writer, and read back from CSV."""
+
+import csv
+from collections.abc import Callable
+from importlib.util import find_spec
+from io import BytesIO, StringIO
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from meshes.base.whole_file import whole_file
+from tissue.simulation.trace import NO_LAYER, Table, TraceLayout
+
+__all__ = ["FORMATS", "check_format", "read_table", "read_trace", "write_trace"]
+
+Columns = dict[str, NDArray[np.generic]]
+
+
+def check_format(kind: str) -> None:
+    """Refuse an unknown format, or one whose writer is not installed, before anything is run.
+
+    Raises
+    ------
+    InputError
+        Names the known formats, or the extra to install.
+    """
+    if kind not in FORMATS:
+        raise InputError(f"format must be one of {', '.join(FORMATS)}, got {kind}: csv is always written")
+    writer = {"parquet": "pyarrow", "h5": "h5py"}.get(kind)
+    if writer is not None and find_spec(writer) is None:
+        raise InputError(
+            f"format {kind} must have its writer installed, got no {writer}: pip install 'tissue-sim[{kind}]'"
+        )
+
+
+def write_trace(trace: Table, folder: Path, kind: str) -> Path:
+    """Write ``folder/trace.kind`` and return its path."""
+    path = folder / f"trace.{kind}"
+    with whole_file(path) as temporary:
+        FORMATS[kind]({name: trace[name] for name in trace}, temporary)
+    return path
+
+
+def _npz(columns: Columns, path: Path) -> None:
+    np.savez_compressed(path, **columns)  # type: ignore[arg-type]
+
+
+def _mat(columns: Columns, path: Path) -> None:
+    from scipy.io import savemat
+
+    text = {name: values.astype(object) if values.dtype.kind == "U" else values for name, values in columns.items()}
+    savemat(path, {"trace": text}, do_compression=True, oned_as="column", long_field_names=True)
+
+
+def _parquet(columns: Columns, path: Path) -> None:
+    import pyarrow
+    import pyarrow.parquet
+
+    pyarrow.parquet.write_table(pyarrow.table(columns), path)
+
+
+def _h5(columns: Columns, path: Path) -> None:
+    import h5py
+
+    # Made in memory: HDF5 ends the process where its file cannot grow on a full disk.
+    image = BytesIO()
+    with h5py.File(image, "w") as file:
+        for name, values in columns.items():
+            file.create_dataset(name, data=values.astype("S") if values.dtype.kind == "U" else values)
+    path.write_bytes(image.getbuffer())
+
+
+FORMATS: dict[str, Callable[[Columns, Path], None]] = {
+    "parquet": _parquet,
+    "npz": _npz,
+    "mat": _mat,
+    "h5": _h5,
+}
+
+
+def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
+    """Read a CSV written by :class:`TraceWriter`; a last line cut short by a killed run is left out.
+
+    Raises
+    ------
+    InputError
+        If the file is no such table, naming the line.
+    """
+    again = "mend that line or run the scene again"
+    try:
+        content = path.read_bytes()
+        text = content[: content.rfind(b"\n") + 1].decode("utf-8")
+        whole = list(csv.reader(StringIO(text, newline=""), strict=True))
+    except OSError as problem:
+        raise InputError(
+            f"{path.name} must be a file that can be read, got {path} ({problem.strerror}): check it"
+        ) from None
+    except (UnicodeDecodeError, csv.Error) as problem:
+        raise InputError(f"{path.name} must be a CSV table, got other data in {path}: run the scene again") from problem
+    columns = tuple(whole[0]) if whole else ()
+    index = {name: float(i) for i, name in enumerate(layer_names)} | {NO_LAYER: -1.0}
+    rows = np.empty((max(len(whole) - 1, 0), len(columns)))
+    for number, line in enumerate(whole[1:]):
+        where = f"in line {number + 2} of {path}: {again}"
+        if len(line) != len(columns):
+            raise InputError(f"{path.name} must hold {len(columns)} values a line, got {len(line)} {where}")
+        for place, (name, cell) in enumerate(zip(columns, line, strict=True)):
+            try:
+                rows[number, place] = index[cell] if name == "layer" else float(cell)
+            except KeyError:
+                known = ", ".join(index)
+                raise InputError(
+                    f"{path.name} must name a layer of the run ({known}), got {cell[:40]!r} {where}"
+                ) from None
+            except ValueError:
+                raise InputError(f"{path.name} must hold numbers, got {cell[:40]!r} for {name} {where}") from None
+    return Table(columns, rows, layer_names)
+
+
+def read_trace(path: Path, layer_names: tuple[str, ...]) -> Table:
+    """Read the trace of a run, with all the columns that every run has and finite numbers in them.
+
+    Raises
+    ------
+    InputError
+        As `read_table`, or if a column is missing, a number not finite, or the time does not increase.
+    """
+    table = read_table(path, layer_names)
+    if not table.columns:
+        return table
+    wanted = TraceLayout.of(layer_names).columns
+    for name in wanted:
+        if table.columns.count(name) != 1:
+            raise InputError(
+                f"{path.name} must have the column {name} once, got {path} with {table.columns.count(name)} of it: run "
+                "the scene again"
+            )
+    places = [table.columns.index(name) for name in wanted]
+    bad = np.argwhere(~np.isfinite(table.rows[:, places]))
+    if len(bad):
+        line, place = bad[0]
+        raise InputError(
+            f"{path.name} must hold finite numbers, got {table.rows[line, places[place]]} for {wanted[place]} in line "
+            f"{line + 2} of {path}: mend that line or run the scene again"
+        )
+    early = np.flatnonzero(np.diff(table["time_s"]) <= 0.0)
+    if len(early):
+        raise InputError(
+            f"{path.name} must have increasing time_s, got line {early[0] + 3} of {path} no later than the one before: "
+            "mend that line or run the scene again"
+        )
+    return table
