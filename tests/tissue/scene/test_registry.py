@@ -6,19 +6,20 @@ from typing import Literal
 
 import numpy as np
 import pytest
+from outside_tissue import CHANGES, ENTRY
 from pydantic import Field
 
 from tissue import InputError, Scene, load_scene, simulate
-from tissue.builders.parts import Parts
 from tissue.cli.calibrate import calibrate
 from tissue.cli.study import run
 from tissue.cutters import cylinder
+from tissue.evaluation.charts.frontier import frontier_of
+from tissue.evaluation.charts.picture import draw_frontiers
 from tissue.evaluation.charts.prediction import Comparison, Interval, comparison_lines
 from tissue.evaluation.charts.prediction_picture import draw_tasks
 from tissue.evaluation.training.evaluation import HORIZONS
 from tissue.models.needle.parameters import needle_tissue
 from tissue.models.organ.probe import SphereProbe
-from tissue.models.wall import WallModel
 from tissue.motion.motion import Motion
 from tissue.scene.anatomy import Part
 from tissue.scene.named_parts import Registry
@@ -34,13 +35,14 @@ from tissue.scene.registry import (
     PREDICTORS,
     PROBES,
     RENDERERS,
-    AnatomyEntry,
     CutterEntry,
     MotionEntry,
     PredictorEntry,
     ProbeEntry,
 )
-from tissue.scene.tool import Probe
+from tissue.simulation.run_folder import SavedRun
+from tissue.system.offscreen import draw_apart
+from tissue.viewer.run import faces_of
 
 
 @pytest.fixture
@@ -314,23 +316,10 @@ def test_a_motion_from_outside_moves(added):
             load_scene("wall", changes | {key: value})
 
 
-class Jelly(Part):
-    """A soft plane."""
-
-    kind: Literal["jelly"] = "jelly"
-    stiffness_N_m: float = Field(200.0, ge=1.0, le=1e4)
-
-
-def jelly(scene, motion, *, step_s, compute, cores, report):
-    """Parts of a scene in which a ball is pushed into it."""
-    model = WallModel(scene.anatomy.stiffness_N_m, radius_m=0.5e-3 * scene.tool.diameter_mm)
-    return Parts(motion, model, notes={"jelly": "it is soft"})
-
-
 def test_a_tissue_from_outside_is_met(added):
-    added(ANATOMIES, "jelly", AnatomyEntry(Jelly, Probe, jelly, force_scale=0.5))
-    changes = {"anatomy.kind": "jelly", "anatomy.stiffness_N_m": 100.0, "device": "none", "duration_s": 0.25}
-    run = simulate(load_scene("palpation", changes | {"motion.points_mm": [[0, 0, 5], [0, 0, -5]], "organ": None}))
+    added(ANATOMIES, "jelly", ENTRY)
+    changes = CHANGES
+    run = simulate(load_scene("palpation", changes))
     force, depth = run.trace["model_force_z_N"], run.trace["depth_mm"]
     np.testing.assert_allclose(force, 0.1 * depth, atol=1e-12)
     assert depth[-1] > 1.0 and run.scene.force_scale == 0.5 and run.parts.notes["jelly"] == "it is soft"
@@ -346,7 +335,29 @@ def test_a_tissue_from_outside_is_met(added):
         ("tool.kind", "needle", r"^tool.kind must be one of sphere-probe, .*, shell-probe for a jelly, got needle"),
     ):
         with pytest.raises(InputError, match=refusal):
-            load_scene("palpation", changes | {"organ": None, key: value})
+            load_scene("palpation", changes | {key: value})
+
+
+def test_a_tissue_from_outside_is_saved_drawn_viewed_and_charted(added, tmp_path, monkeypatch):
+    from PIL import Image
+
+    added(ANATOMIES, "jelly", ENTRY)
+    scene = load_scene("palpation", CHANGES)
+    run = simulate(scene)
+    out = run.save(tmp_path / "run")
+    if "pictures" in run.parts.notes:
+        pytest.skip(run.parts.notes["pictures"])  # without OpenGL only the flat ones are there
+    drawn = {path.name for path in (out / "pictures").iterdir()}
+    assert drawn == {"force_torque.png", "press.png", "held.png", "jelly.png"}
+    assert SavedRun(out).scene == scene and list(faces_of(scene)) == ["jelly"]
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2] / "fixtures"), prepend=":")
+    assert draw_apart("outside_tissue", str(out), str(tmp_path / "view.png")) is None
+    frontier = frontier_of(scene, quick=True)
+    assert [point.setting for point in frontier.points] == ["as it is"] and frontier.points[0].force_error == 0.0
+    draw_frontiers([frontier], tmp_path / "chart.png")
+    for path in (tmp_path / "view.png", tmp_path / "chart.png", *(out / "pictures").iterdir()):
+        with Image.open(path) as picture:
+            assert len(np.unique(np.asarray(picture.convert("RGB")).reshape(-1, 3)[::37], axis=0)) > 20, path
 
 
 def test_a_part_that_was_removed_is_refused():
