@@ -24,7 +24,7 @@ from tissue.builders.registry import motion_of
 from tissue.evaluation.charts.error_bounds import bound_row
 from tissue.evaluation.charts.measure import Measured, machine, plain
 from tissue.evaluation.statistics.metrics import force_error
-from tissue.scene.organ import LiverAnatomy, SlabAnatomy
+from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, Probe
 from tissue.simulation.simulate import TICK_S
@@ -131,7 +131,7 @@ def law_error(scene: Scene, *, report: Progress = silent) -> LawError | None:
     They can for a ball on a path into an organ that is isotropic, weightless and without a capsule.
     """
     anatomy, organ, tool = scene.anatomy, scene.organ, scene.tool
-    if not isinstance(anatomy, LiverAnatomy | SlabAnatomy) or not isinstance(scene.motion, PathMotion):
+    if not isinstance(anatomy, SoftAnatomy) or not isinstance(scene.motion, PathMotion):
         return None
     if not isinstance(tool, Probe) or tool.kind != "sphere-probe":
         return None
@@ -172,7 +172,7 @@ def _solvers(scene: Scene, coarser: float, laws: "Sequence[Law]") -> "list[Newto
     from tissue.fem.newton import NewtonSolver
     from tissue.fem.space import Space
 
-    assert isinstance(scene.anatomy, LiverAnatomy | SlabAnatomy) and isinstance(scene.tool, Probe)
+    assert isinstance(scene.anatomy, SoftAnatomy) and isinstance(scene.tool, Probe)
     # A nodule asks for cells as short as the scene's.
     edge_mm = scene.anatomy.edge_mm * (1.0 if scene.anatomy.nodule_diameter_mm else coarser)
     coarse = dict(scene.anatomy) | {"edge_mm": edge_mm}

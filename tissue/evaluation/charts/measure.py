@@ -18,7 +18,7 @@ from tissue.evaluation.charts.places import placed
 from tissue.evaluation.charts.settings import Changes, Setting, finest, nearly_finest
 from tissue.evaluation.statistics.metrics import force_error
 from tissue.scene.load import changed
-from tissue.scene.organ import LiverAnatomy, SlabAnatomy
+from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, Probe, Tool
 from tissue.simulation.reference_force import ideal_force_N, played_force_N
@@ -286,7 +286,7 @@ def counts(run: Run, counted: NDArray[np.intp]) -> tuple[int, float, float]:
         milling: Any = tissue.milling if isinstance(tissue, ToothModel) else tissue
         step = scene.voxels.spacing_mm
         return len(milling.shell.areas_m2), float(trace["contact_mm2"][counted].mean()) / step**2, step
-    if isinstance(scene.anatomy, LiverAnatomy | SlabAnatomy) and isinstance(scene.tool, Probe):
+    if isinstance(scene.anatomy, SoftAnatomy) and isinstance(scene.tool, Probe):
         contacts, sweeps = trace["contact_points"][counted], trace["sweeps"][counted]
         visits, pairs = float(np.median(contacts * sweeps)), float(np.median(contacts**2 * sweeps))
         return round(visits), pairs, scene.anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm

@@ -6,7 +6,7 @@ tetrahedra under a probe are split otherwise a millimetre aside; what was measur
 
 import numpy as np
 
-from tissue.scene.organ import LiverAnatomy, SlabAnatomy
+from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, Tool
 
@@ -27,7 +27,7 @@ def placed(scene: Scene) -> list[Scene]:
     if isinstance(scene.tool, Tool):
         # A peg in its hole leaves the tool no more than this.
         step = scene.voxels.spacing_mm * (0.5 if scene.tool.peg_diameter_mm else COARSEST)
-    elif isinstance(scene.anatomy, LiverAnatomy | SlabAnatomy):
+    elif isinstance(scene.anatomy, SoftAnatomy):
         step = scene.anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
     else:
         return [scene]

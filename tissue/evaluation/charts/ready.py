@@ -14,7 +14,7 @@ from tissue.evaluation.charts.measure import of_model, reference_force_N, settin
 from tissue.evaluation.charts.places import placed
 from tissue.evaluation.charts.settings import finest, nearly_finest, settings_of
 from tissue.scene.load import changed
-from tissue.scene.organ import LiverAnatomy, SlabAnatomy
+from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.simulation.reference_force import ideal_scene
 from tissue.simulation.simulate import TICK_S, simulate
@@ -54,7 +54,7 @@ def pieces(scene: Scene, *, quick: bool) -> list[Piece]:
             (model, nearly_finest(model, quick=quick)),
         ]
         found = [Piece(changed(each, changes), mesh=False) for each, changes in at if changes]
-    if isinstance(scene.anatomy, LiverAnatomy | SlabAnatomy):
+    if isinstance(scene.anatomy, SoftAnatomy):
         wanted = _unknown(scene, quick=quick)
         if scene.device == "none":
             meshes = [changed(place, changes) for changes in wanted for place in placed(short)]

@@ -14,7 +14,7 @@ from tissue.evaluation.charts.picture import draw_frontiers
 from tissue.evaluation.charts.ready import make_ready
 from tissue.evaluation.charts.settings import by_hand
 from tissue.scene.load import load_scene, scene_names
-from tissue.scene.organ import LiverAnatomy, SlabAnatomy
+from tissue.scene.organ import SoftAnatomy
 from tissue.system.outputs import require_free_folder
 
 __all__ = ["chart_lines", "chart_scenes"]
@@ -78,7 +78,7 @@ def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
             lines.append(f"{each.scene.name} {how}; the reference is known to {100.0 * each.gap:.2g} %")
             if not isnan(each.rounding):
                 lines.append(f"  float32: a path moved by a last place, 1 nm, moves the force by {each.rounding:.1e}")
-            if each.scene.device == "none" and isinstance(each.scene.anatomy, LiverAnatomy | SlabAnatomy):
+            if each.scene.device == "none" and isinstance(each.scene.anatomy, SoftAnatomy):
                 law = each.law.line() if each.law else "all by the linear law, not compared with a neo-Hookean one"
                 lines += [
                     f"  {law}",

@@ -6,7 +6,7 @@ from typing import Any
 
 from tissue.builders.cutting import cutter_of
 from tissue.scene.load import changed
-from tissue.scene.organ import LayersAnatomy, LiverAnatomy, SlabAnatomy
+from tissue.scene.organ import LayersAnatomy, SoftAnatomy
 from tissue.scene.registry import PREDICTORS, RENDERERS
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
@@ -64,7 +64,7 @@ def settings_of(scene: Scene, *, quick: bool) -> list[Setting]:
         return list(_loops(scene, quick=quick))
     if isinstance(scene.tool, Tool):
         return list(_voxels(scene, scene.tool, quick=quick))
-    if isinstance(scene.anatomy, LiverAnatomy | SlabAnatomy):
+    if isinstance(scene.anatomy, SoftAnatomy):
         return list(_elements(scene, scene.anatomy, quick=quick))
     plain = _force_only(scene)
     return [Setting("force alone" if plain else "as it is", "model", plain, LOST if plain else "")]
@@ -79,7 +79,7 @@ def finest(scene: Scene, *, quick: bool) -> Changes:
             "voxels.removal": "subvoxel",
             "tool.shell_spacing_mm": 0.6 * _shell_mm(scene.tool, spacing),
         }
-    if isinstance(scene.anatomy, LiverAnatomy | SlabAnatomy):
+    if isinstance(scene.anatomy, SoftAnatomy):
         edge = (0.85 if quick else 0.6) * _edge_mm(scene, scene.anatomy)
         return _force_only(scene) | {"organ.order": 2, "organ.path": "condensed", "anatomy.touch_edge_mm": edge}
     return {}
@@ -98,7 +98,7 @@ def nearly_finest(scene: Scene, *, quick: bool) -> Changes:
 
 def _force_only(scene: Scene) -> dict[str, Any]:
     """What leaves out all that no force depends on."""
-    if isinstance(scene.anatomy, LiverAnatomy | SlabAnatomy):
+    if isinstance(scene.anatomy, SoftAnatomy):
         return {"organ.interval_ms": 0.0} if scene.organ.interval_ms else {}
     if isinstance(scene.anatomy, LayersAnatomy):
         return {"anatomy.interval_ms": 0.0} if scene.anatomy.interval_ms else {}
@@ -112,7 +112,7 @@ def _shell_mm(tool: Tool, spacing_mm: float) -> float:
     return max(2.0 * spacing_mm, 1e3 * float((cutter_of(tool).cutting_area_m2 / SHELL_ELEMENTS) ** 0.5))
 
 
-def _edge_mm(scene: Scene, anatomy: LiverAnatomy | SlabAnatomy) -> float:
+def _edge_mm(scene: Scene, anatomy: SoftAnatomy) -> float:
     """Edge of a tetrahedron under the tool where a scene sets none."""
     assert not isinstance(scene.tool, Tool)
     return anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
@@ -143,7 +143,7 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
             yield Setting(f"{base:g} mm, stress {edge:g} mm", "stress", {"stress.cell_mm": edge})
 
 
-def _elements(scene: Scene, anatomy: LiverAnatomy | SlabAnatomy, *, quick: bool) -> Iterator[Setting]:
+def _elements(scene: Scene, anatomy: SoftAnatomy, *, quick: bool) -> Iterator[Setting]:
     """Order and edge of tetrahedra, compliance method, cores."""
     base, plain = _edge_mm(scene, anatomy), _force_only(scene)
     lost = LOST if plain else ""
