@@ -51,9 +51,8 @@ def test_a_closed_dictionary_keeps_the_claim_and_has_no_error_with_the_exponenti
 def test_other_dictionaries_are_of_first_order_whatever_the_theorem_states(field, spread, lifted):
     rng = np.random.default_rng(5)
     episodes, states = states_of(field, rng, spread=spread)
-    scales = tuple(spread)
     dictionary = {
-        "polynomials": Polynomials(3, middle=(0.0, 0.0), scales=scales),
+        "polynomials": Polynomials(3),
         "gaussians": Gaussians.from_states(states, 20, rng),
     }[lifted]
     generator = Edmd(dictionary).fit_generator(episodes)

@@ -94,8 +94,8 @@ class Koopman:
         self._window = self._lifted[: (self._lags + 1) * WIDTH]
         self._inverse = 1.0 / operator.scale / sqrt(len(operator.scale))
         self._middle = operator.middle * self._inverse
-        margin = terms.slack * (operator.training.highest - operator.training.lowest)
-        low, high = operator.training.lowest - margin, operator.training.highest + margin
+        margin = terms.slack * (operator.highest - operator.lowest)
+        low, high = operator.lowest - margin, operator.highest + margin
         self._box = list(zip(low.tolist(), high.tolist(), strict=True))
         self._powers = operator.predicted_states(len(terms.gains))
         self._force, self._correction = np.zeros(3), np.zeros(3)

@@ -10,7 +10,6 @@ from meshes.base.errors import InputError
 from tissue.prediction.edmd.lifted import Operator
 from tissue.prediction.edmd.predictor_file import read_predictor, write_predictor
 from tissue.prediction.koopman import LoopTerms
-from tissue.system.outputs import require_new_file
 
 __all__ = ["Trained", "shipped_file"]
 
@@ -47,13 +46,12 @@ class Trained:
         InputError
             If the file exists and may not be written over, or its folder is missing.
         """
-        require_new_file(path, overwrite=overwrite)
         terms = asdict(self.terms)
         following = terms.pop("following")
         operators = {"lifted": _rounded(self.operator), "control": _rounded(self.control)}
         header = {"terms": terms, "told": self.facts}
         arrays = {"following": following}
-        return write_predictor(path, operators, scene=self.scene, header=header, arrays=arrays, replace=overwrite)
+        return write_predictor(path, operators, scene=self.scene, header=header, arrays=arrays, overwrite=overwrite)
 
     @classmethod
     def read(cls, path: Path, *, scene: str | None = None) -> "Trained":

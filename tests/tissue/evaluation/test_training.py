@@ -27,7 +27,7 @@ def test_a_shipped_predictor_is_sound(scene):
     assert checked["errors"]["koopman"][at] < checked["errors"]["hold"][at]
     predictor = trained_predictor("koopman", trained, force_limit_N=LIMIT_N)
     for _ in range(60):
-        predictor.observe(trained.operator.training.middle[:3], np.zeros(3), np.zeros(3))
+        predictor.observe(trained.operator.middle[:3], np.zeros(3), np.zeros(3))
     assert np.linalg.norm(predictor.predict(6)) <= trained.terms.reach_N
 
 

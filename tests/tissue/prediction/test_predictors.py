@@ -300,8 +300,6 @@ def test_overlaps_are_those_of_a_steady_speed():
     difference = (seen.extra(states + 1e-7 * rates) - seen.extra(states - 1e-7 * rates)) / 2e-7
     np.testing.assert_allclose(seen.extra_rates(states, rates), difference, atol=1e-6)
     assert from_plain(to_plain(seen)) == seen
-    with pytest.raises(InputError, match="span must be at most the delays"):
-        seen.extra_size(4 * WIDTH)
 
 
 def test_a_file_gives_the_same_predictor(trained, tmp_path):

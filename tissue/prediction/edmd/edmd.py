@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -10,9 +9,8 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.prediction.edmd.dictionary import Dictionary
 from tissue.prediction.edmd.episodes import Episode, blocks, check_episodes
-from tissue.prediction.edmd.lifted import FitStatistics, Generator, Operator
+from tissue.prediction.edmd.lifted import FitStatistics, Generator, LiftedMap, Operator
 from tissue.prediction.edmd.regression import regress
-from tissue.prediction.edmd.training_range import TrainingRange
 
 __all__ = ["Edmd"]
 
@@ -45,8 +43,6 @@ class Edmd:
     offset: bool = True
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.ridge < np.inf:
-            raise InputError(f"ridge must be at least 0 and finite, got {self.ridge}: use 0 or 1e-8")
         if self.cap is not None and not 0.0 < self.cap < np.inf:
             raise InputError(f"cap must be positive and finite, got {self.cap}: use 1, or None for no cap")
 
@@ -60,8 +56,7 @@ class Edmd:
             and neither ridge nor rank is set.
         """
         ready = check_episodes(episodes, self.dictionary.lags)
-        parts = self._fit(ready, rates=False)
-        operator = Operator(**parts, step_s=ready[0].step_s)
+        operator = Operator(**vars(self._fit(ready, rates=False)), step_s=ready[0].step_s)
         return operator if self.cap is None else operator.capped(self.cap)
 
     def fit_generator(self, episodes: Sequence[Episode]) -> Generator:
@@ -70,12 +65,12 @@ class Edmd:
         Raises
         ------
         InputError
-            As `fit`; also if an episode has no rates.
+            As `fit`.
         """
-        return Generator(**self._fit(check_episodes(episodes, self.dictionary.lags, rates=True), rates=True))
+        return Generator(**vars(self._fit(check_episodes(episodes, self.dictionary.lags), rates=True)))
 
-    def _fit(self, episodes: list[Episode], *, rates: bool) -> dict[str, Any]:
-        """Fields of the map, in the units of the observables."""
+    def _fit(self, episodes: list[Episode], *, rates: bool) -> LiftedMap:
+        """The map, in the units of the observables."""
         state_size = episodes[0].states.shape[1]
         count = self.dictionary.size(state_size)
         middle, scale = _mean_and_scale(_pairs(episodes, self.dictionary, rates), self.offset)
@@ -95,19 +90,19 @@ class Edmd:
         constant = weights[:, size] * scale[kept] if self.offset else np.zeros(count)
         constant = constant - A @ middle[kept] - B @ middle[count:] + (0.0 if rates else middle[kept])
         values = np.linalg.eigvals(weights[:, :count])
-        inputs = [np.zeros((1, 0)) if each.inputs is None else each.inputs for each in episodes]
-        return {
-            "dictionary": self.dictionary,
-            "A": A,
-            "B": B,
-            "offset": constant,
-            "middle": middle[kept],
-            "scale": scale[kept],
-            "input_middle": middle[count:],
-            "input_scale": scale[count:],
-            "moments": found.moments,
-            "training": TrainingRange.of([each.states for each in episodes], inputs),
-            "statistics": FitStatistics(
+        return LiftedMap(
+            dictionary=self.dictionary,
+            A=A,
+            B=B,
+            offset=constant,
+            middle=middle[kept],
+            scale=scale[kept],
+            input_middle=middle[count:],
+            input_scale=scale[count:],
+            moments=found.moments,
+            lowest=np.min([each.states.min(axis=0) for each in episodes], axis=0),
+            highest=np.max([each.states.max(axis=0) for each in episodes], axis=0),
+            statistics=FitStatistics(
                 samples=found.samples,
                 episodes=len(episodes),
                 rank=found.rank,
@@ -115,7 +110,7 @@ class Edmd:
                 residual_rms=found.residual_rms * scale[kept],
                 radius_before=float(values.real.max() if rates else np.abs(values).max()),
             ),
-        }
+        )
 
 
 def _pairs(episodes: list[Episode], dictionary: Dictionary, rates: bool) -> Iterator[tuple[Array, Array, Array]]:
@@ -139,11 +134,10 @@ def _pairs(episodes: list[Episode], dictionary: Dictionary, rates: bool) -> Iter
 
 def _mean_and_scale(parts: Iterator[tuple[Array, Array, Array]], centred: bool) -> tuple[Array, Array]:
     """Means and deviations of observables and inputs, shape (D + m,); where a column is still, 1."""
-    seen, about, total, squares = 0, np.zeros(0), np.zeros(0), np.zeros(0)
+    seen, about, total, squares = 0, np.zeros(0), np.zeros(()), np.zeros(())
     for lifted, inputs, _ in parts:
         both = np.hstack((lifted, inputs))
-        if seen == 0:
-            about, total, squares = both[0], np.zeros(both.shape[1]), np.zeros(both.shape[1])
+        about = about if seen else both[0]
         # Sums are taken about the first row, so that a large offset does not cost digits.
         both = both - about
         seen, total, squares = seen + len(both), total + both.sum(axis=0), squares + (both**2).sum(axis=0)

@@ -1,18 +1,15 @@
 """Recorded episodes to learn from: what they hold, what is refused, and windows of them."""
 
 from collections.abc import Iterator, Sequence
-from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, require_positive
+from meshes.base.errors import InputError
 
 __all__ = ["Episode", "blocks", "check_episodes", "window"]
 
-SAME_STEP = 1e-6
-"""Relative difference of two steps that still counts as one sample rate: rounding of printed times."""
 BLOCK = 2048
 """Rows lifted and factored at a time: they and their factor stay in the cache, whatever the length of a trace."""
 STILL = 1e-12
@@ -40,37 +37,41 @@ class Episode(NamedTuple):
     rates: Array | None = None
 
 
-def check_episodes(
-    episodes: Sequence[Episode], lags: int, *, rates: bool = False, varying: bool = True
-) -> list[Episode]:
-    """The episodes as float64, if a fit with so many delays can learn from them, or, not `varying`, be tried on them.
+def check_episodes(episodes: Sequence[Episode], lags: int, *, varying: bool = True) -> list[Episode]:
+    """The episodes, if a fit with so many delays can learn from them, or, not `varying`, be tried on them.
+
+    Parameters
+    ----------
+    episodes
+        One or more, of the same columns and step.
+    lags
+        Earlier states in a window.
+    varying
+        Whether a column that never varies is refused.
 
     Raises
     ------
     InputError
-        If there is none, a number is not finite, shapes or steps differ between episodes, an episode is too short for
-        the delays, or a column never varies; names the episode, the column and the remedy.
+        If a number is not finite, an episode is too short for the delays, or a column never varies; names the episode,
+        the column and the remedy.
     """
-    if not len(episodes):
-        raise InputError("episodes must hold at least one episode, got none: record one")
-    ready = [_checked(index, Episode(*each), lags, rates) for index, each in enumerate(episodes)]
-    first = ready[0]
+    ready = [Episode(*each) for each in episodes]
     for index, each in enumerate(ready):
-        if abs(each.step_s - first.step_s) > SAME_STEP * first.step_s:
+        for name, table in (("states", each.states), ("inputs", each.inputs), ("rates", each.rates)):
+            if table is not None and not np.isfinite(table).all():
+                row, column = np.argwhere(~np.isfinite(table))[0]
+                raise InputError(
+                    f"{name} of episode {index} must be finite, got {table[row, column]} in row {row}, column "
+                    f"{column}: cut the episode there"
+                )
+        if len(each.states) < lags + 2:
             raise InputError(
-                f"step_s must be the same in all episodes, got {first.step_s:g} in 0 and {each.step_s:g} in {index}: "
-                "resample them to one rate"
+                f"episode {index} must have at least {lags + 2} rows for {lags} delays, got {len(each.states)}: leave "
+                "it out or take fewer delays"
             )
-        widths = [(e.states.shape[1], 0 if e.inputs is None else e.inputs.shape[1]) for e in (first, each)]
-        if widths[0] != widths[1]:
-            raise InputError(
-                f"episodes must have the same columns of states and inputs, got {widths[0]} in 0 and {widths[1]} in "
-                f"{index}: give all the same"
-            )
-    if not varying:
-        return ready
-    _refuse_constant("states", [each.states for each in ready])
-    _refuse_constant("inputs", [each.inputs[:-1] for each in ready if each.inputs is not None])
+    if varying:
+        _refuse_constant("states", [each.states for each in ready])
+        _refuse_constant("inputs", [each.inputs[:-1] for each in ready if each.inputs is not None])
     return ready
 
 
@@ -94,57 +95,8 @@ def blocks(episode: Episode, lags: int) -> Iterator[tuple[Array, Array]]:
         yield windows[start : stop + 1], inputs[lags + start : lags + stop]
 
 
-def _checked(index: int, episode: Episode, lags: int, rates: bool) -> Episode:
-    """One episode as float64, or an error that names it."""
-    states = _table(f"states of episode {index}", episode.states)
-    inputs = None if episode.inputs is None else _table(f"inputs of episode {index}", episode.inputs)
-    slopes = None if episode.rates is None else _table(f"rates of episode {index}", episode.rates)
-    for name, each in (("inputs", inputs), ("rates", slopes)):
-        if each is not None and len(each) != len(states):
-            raise InputError(
-                f"{name} of episode {index} must have one row for each of {len(states)} states, got {len(each)}: "
-                "repeat the last row or cut the states"
-            )
-    if inputs is not None and inputs.shape[1] == 0:
-        inputs = None
-    if rates and (slopes is None or slopes.shape != states.shape):
-        got = "none" if slopes is None else f"shape {slopes.shape}"
-        raise InputError(
-            f"rates of episode {index} must have the shape of its states {states.shape}, got {got}: give the time "
-            "derivatives, or fit Edmd and take its generator()"
-        )
-    if len(states) < lags + 2:
-        raise InputError(
-            f"episode {index} must have at least {lags + 2} rows for {lags} delays, got {len(states)}: leave it out or "
-            "take fewer delays"
-        )
-    step = require_positive(f"step_s of episode {index}", episode.step_s, "use the time between samples, such as 0.001")
-    return Episode(states, inputs, step, slopes)
-
-
-def _table(name: str, values: object) -> Array:
-    """A finite table of numbers."""
-    try:
-        table = np.ascontiguousarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"{name} must be a table of numbers, got {type(values).__name__}: use an array") from None
-    if table.ndim != 2:
-        raise InputError(f"{name} must have shape (rows, columns), got {table.shape}: one row a sample")
-    if not isfinite(table.sum()):
-        row, column = np.argwhere(~np.isfinite(table))[0] if not np.isfinite(table).all() else (0, 0)
-        raise InputError(
-            f"{name} must be finite, got {table[row, column]} in row {row}, column {column}: cut the episode there"
-        )
-    return table
-
-
 def _refuse_constant(name: str, tables: list[Array]) -> None:
     """Refuse a column that never varies: it cannot be separated from the constant."""
-    if not tables:
-        return
-    lowest = np.min([each.min(axis=0) for each in tables], axis=0)
-    highest = np.max([each.max(axis=0) for each in tables], axis=0)
-    still = highest - lowest <= STILL * np.maximum(np.abs(lowest), np.abs(highest))
-    if still.any():
-        column = int(np.argmax(still))
-        raise InputError(f"column {column} of {name} must vary, got {lowest[column]:g} throughout: leave it out")
+    for index, column in enumerate(np.concatenate(tables).T if tables else ()):
+        if np.ptp(column) <= STILL * np.abs(column).max():
+            raise InputError(f"column {index} of {name} must vary, got {column[0]:g} throughout: leave it out")

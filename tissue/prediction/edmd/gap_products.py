@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
-from tissue.prediction.edmd.dictionary import Dictionary, require_columns
+from tissue.prediction.edmd.dictionary import Dictionary
 
 __all__ = ["GapProducts"]
 
@@ -28,25 +27,14 @@ class GapProducts(Dictionary):
         Gap at the state zero, in the gap's unit.
     columns
         Entries of the state to multiply, the gap's own entry not among them: that would repeat the overlap.
-
-    Raises
-    ------
-    InputError
-        If the normal is zero or a number is not finite.
     """
 
     normal: tuple[float, ...]
     distance: float = 0.0
     columns: tuple[int, ...] = ()
 
-    def __post_init__(self) -> None:
-        numbers = np.array([*self.normal, self.distance], dtype=np.float64)
-        if not np.isfinite(numbers).all() or not numbers[:-1].any():
-            raise InputError(f"normal must be finite and not zero, got {self.normal}: weigh the position, as (1.0,)")
-
     def extra_size(self, state_size: int) -> int:
         """Two, and two for each column."""
-        require_columns((len(self.normal) - 1, *self.columns), state_size)
         return 2 + 2 * len(self.columns)
 
     def extra(self, states: Array) -> Array:

@@ -1,7 +1,7 @@
 """A fitted linear map of observables: discrete in time, or a rate."""
 
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,6 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 from tissue.prediction.edmd.dictionary import Dictionary
 from tissue.prediction.edmd.spectrum import cap_spectrum
-from tissue.prediction.edmd.training_range import TrainingRange
 
 __all__ = ["FitStatistics", "Generator", "LiftedMap", "Operator"]
 
@@ -61,8 +60,8 @@ class LiftedMap:
         The same of the inputs, shape (m,).
     moments
         Mean outer product of the scaled regressors [φ, u, 1] (without the 1 if there is no offset), shape (p, p).
-    training
-        Range of the training states.
+    lowest, highest
+        Corners of the box of the training states, without their delays, shape (d,).
     statistics
         How the fit went.
     """
@@ -76,13 +75,14 @@ class LiftedMap:
     input_middle: Array
     input_scale: Array
     moments: Array
-    training: TrainingRange
+    lowest: Array
+    highest: Array
     statistics: FitStatistics
 
     @property
     def state_size(self) -> int:
         """Number of entries of a state, without delays."""
-        return len(self.training.lowest)
+        return len(self.lowest)
 
     @property
     def C(self) -> Array:
@@ -96,18 +96,8 @@ class LiftedMap:
         return values[np.argsort(-np.abs(values), kind="stable")]
 
     def lift(self, states: Array) -> Array:
-        """Observables, shape (D,), of a state, or of a state and those before it as rows, oldest first.
-
-        Raises
-        ------
-        InputError
-            If the number of rows or columns is not what the dictionary takes.
-        """
-        rows = np.atleast_2d(np.asarray(states, dtype=np.float64))
-        wanted = (self.dictionary.lags + 1, self.state_size)
-        if rows.shape != wanted:
-            raise InputError(f"state must have shape {wanted}, oldest row first, got {rows.shape}: give the last rows")
-        return self.dictionary.lift(rows[::-1].ravel())
+        """Observables, shape (D,), of a state, or of a state and those before it as rows, oldest first."""
+        return self.dictionary.lift(np.atleast_2d(states)[::-1].ravel())
 
 
 @dataclass(frozen=True)
@@ -136,18 +126,12 @@ class Operator(LiftedMap):
         Raises
         ------
         InputError
-            If a shape does not fit, or the horizon is below 1.
+            If the horizon is below 1.
         """
         if horizon < 1:
             raise InputError(f"horizon must be at least 1 step, got {horizon}: use 1")
         lifted = self.lift(state)
-        size = self.B.shape[1]
-        if (inputs is None) != (size == 0):
-            raise InputError(f"inputs must have {size} columns, got {None if inputs is None else np.shape(inputs)}")
-        acting = np.zeros((horizon, 0)) if inputs is None else np.asarray(inputs, dtype=np.float64)
-        if acting.shape not in ((size,), (horizon, size)):
-            raise InputError(f"inputs must have shape ({horizon}, {size}) or ({size},), got {acting.shape}: one a step")
-        acting = np.broadcast_to(acting, (horizon, size))
+        acting = np.broadcast_to(np.zeros(0) if inputs is None else inputs, (horizon, self.B.shape[1]))
         states = np.empty((horizon, self.state_size))
         with np.errstate(over="ignore", invalid="ignore"):  # an operator left uncapped may well diverge
             for step in range(horizon):
@@ -198,7 +182,7 @@ class Operator(LiftedMap):
             )
         whole = np.eye(len(self.offset) + self.B.shape[1] + 1)
         whole[: len(self.offset)] = _scaled(self)
-        return Generator(**_parts(self, np.real(logm(whole)) / self.step_s))
+        return Generator(**vars(_unscaled(self, np.real(logm(whole)) / self.step_s)))
 
 
 @dataclass(frozen=True)
@@ -212,7 +196,7 @@ class Generator(LiftedMap):
         require_positive("step_s", step_s, "use the time between samples, such as 0.001")
         whole = np.zeros((len(self.offset) + self.B.shape[1] + 1,) * 2)
         whole[: len(self.offset)] = _scaled(self)
-        return Operator(**_parts(self, expm(step_s * whole)), step_s=step_s)
+        return Operator(**vars(_unscaled(self, expm(step_s * whole))), step_s=step_s)
 
 
 def _scaled(lifted: LiftedMap) -> Array:
@@ -223,12 +207,13 @@ def _scaled(lifted: LiftedMap) -> Array:
     )
 
 
-def _parts(lifted: LiftedMap, whole: Array) -> dict[str, Any]:
-    """Fields of a map that takes scaled [φ u 1] to `whole` times it."""
+def _unscaled(lifted: LiftedMap, whole: Array) -> LiftedMap:
+    """The map that takes scaled [φ u 1] to `whole` times it."""
     count = len(lifted.offset)
-    kept = {name: getattr(lifted, name) for name in LiftedMap.__dataclass_fields__}
-    return kept | {
-        "A": whole[:count, :count] * lifted.scale[:, None] / lifted.scale,
-        "B": whole[:count, count:-1] * lifted.scale[:, None] / lifted.input_scale,
-        "offset": whole[:count, -1] * lifted.scale,
-    }
+    kept = LiftedMap(**{name: getattr(lifted, name) for name in LiftedMap.__dataclass_fields__})
+    return replace(
+        kept,
+        A=whole[:count, :count] * lifted.scale[:, None] / lifted.scale,
+        B=whole[:count, count:-1] * lifted.scale[:, None] / lifted.input_scale,
+        offset=whole[:count, -1] * lifted.scale,
+    )

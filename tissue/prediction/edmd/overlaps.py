@@ -6,7 +6,6 @@ from functools import cached_property
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
 from tissue.prediction.edmd.dictionary import Dictionary
 
 __all__ = ["Overlaps"]
@@ -30,11 +29,6 @@ class Overlaps(Dictionary):
         Steps ahead.
     span, width
         Steps over which the speed is taken, at most the delays; entries of a state without its delays.
-
-    Raises
-    ------
-    InputError
-        If the normal is zero or not finite, or span or width cannot be used.
     """
 
     normal: tuple[float, ...]
@@ -43,26 +37,8 @@ class Overlaps(Dictionary):
     span: int
     width: int
 
-    def __post_init__(self) -> None:
-        numbers = np.array([*self.normal, self.distance, *self.leads], dtype=np.float64)
-        if not np.isfinite(numbers).all() or not any(self.normal):
-            raise InputError(f"normal must be finite and not zero, got {self.normal}: weigh the position, as (0, 0, 1)")
-        if not (self.span >= 1 and self.width >= len(self.normal)):
-            raise InputError(
-                f"span and width must be at least 1 and {len(self.normal)}, got {self.span} and {self.width}: use the "
-                "number of delays and of entries of a state"
-            )
-
     def extra_size(self, state_size: int) -> int:
-        """Number of leads.
-
-        Raises
-        ------
-        InputError
-            If the window is shorter than the span.
-        """
-        if state_size < (self.span + 1) * self.width:
-            raise InputError(f"span must be at most the delays, got {self.span}: take more delays or a shorter span")
+        """Number of leads."""
         return len(self.leads)
 
     def extra(self, states: Array) -> Array:

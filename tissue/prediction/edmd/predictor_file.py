@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from zipfile import is_zipfile
@@ -15,14 +15,14 @@ from meshes.base.file_version import package_version, require_version
 from meshes.base.whole_file import whole_file
 from tissue.prediction.edmd.dictionary_file import from_plain, to_plain
 from tissue.prediction.edmd.lifted import FitStatistics, Operator
-from tissue.prediction.edmd.training_range import TrainingRange
+from tissue.system.outputs import require_new_file
 
 __all__ = ["VERSION", "StoredPredictor", "read_predictor", "write_predictor"]
 
 FORMAT, VERSION = "tissue predictor", 1
 ARRAYS = ("A", "B", "offset", "middle", "scale", "input_middle", "input_scale", "moments")
-RANGE = ("lowest", "highest", "middle", "whitening", "input_lowest", "input_highest")
-"""Arrays of an operator and of its training range."""
+BOX = ("lowest", "highest")
+"""Arrays of an operator, and those that a file keeps as of its training."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def write_predictor(
     scene: str,
     header: Mapping[str, Any],
     arrays: Mapping[str, Array] | None = None,
-    replace: bool = False,
+    overwrite: bool = False,
 ) -> Path:
     """Write operators, and what else belongs to them, to one file; it appears whole or not at all.
 
@@ -67,43 +67,36 @@ def write_predictor(
     scene
         Name of the scene that they were trained on.
     header
-        Whatever JSON can hold: horizons, gains, validation errors.
+        What JSON can hold: horizons, gains, validation errors.
     arrays
         Further arrays of numbers by name.
-    replace
-        Whether a file that is there may be written over.
+    overwrite
+        Whether a file that is there may be replaced.
 
     Raises
     ------
     InputError
-        If the file is there and may not be replaced, its folder is missing, or the header is not JSON.
+        If the file is there and may not be replaced, or its folder is missing.
     """
     path = Path(path)
-    if path.exists() and not replace:
-        raise InputError(f"file must not exist yet, got {path}: choose another name, or replace it knowingly")
+    require_new_file(path, overwrite=overwrite)
     if not path.parent.is_dir():
         raise InputError(f"file must lie in a folder that exists, got {path}: create {path.parent}")
     stored: dict[str, Array] = {f"further.{name}": np.asarray(each, float) for name, each in (arrays or {}).items()}
     described = {}
     for name, operator in operators.items():
-        plain = {field.name: getattr(operator.statistics, field.name) for field in fields(FitStatistics)}
-        plain["residual_rms"] = plain["residual_rms"].tolist()
         described[name] = {
             "dictionary": to_plain(operator.dictionary),
             "step_s": operator.step_s,
-            "farthest": operator.training.farthest,
-            "statistics": plain,
+            "statistics": vars(operator.statistics) | {"residual_rms": operator.statistics.residual_rms.tolist()},
         }
         stored |= {f"{name}.{each}": getattr(operator, each) for each in ARRAYS}
-        stored |= {f"{name}.training.{each}": getattr(operator.training, each) for each in RANGE}
+        stored |= {f"{name}.training.{each}": getattr(operator, each) for each in BOX}
     whole = {"format": FORMAT, "version": VERSION, "tissue": package_version(), "scene": scene}
     whole |= {"operators": described, "header": dict(header)}
-    try:
-        line = json.dumps(whole, allow_nan=False)
-    except (TypeError, ValueError) as problem:
-        raise InputError(f"header must hold what JSON can, got {problem}: use numbers, names and lists") from None
+    line = np.array(json.dumps(whole, allow_nan=False))
     with whole_file(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, json=np.array(line), **stored)
+        np.savez_compressed(file, allow_pickle=False, json=line, **stored)
     return path
 
 
@@ -147,20 +140,14 @@ def _operator(name: str, plain: Mapping[str, Any], arrays: Mapping[str, Array]) 
             raise DamagedFileError(f"{key} is not finite")
     given = {key: arrays[f"{name}.{key}"] for key in ARRAYS}
     dictionary = from_plain(plain["dictionary"])
-    edges = {key: arrays[f"{name}.training.{key}"] for key in RANGE}
-    state, inputs = len(edges["lowest"]), len(edges["input_lowest"])
-    count = dictionary.size(state)
+    given |= {key: arrays[f"{name}.training.{key}"] for key in BOX}
+    count, inputs = dictionary.size(len(given["lowest"])), len(given["input_scale"])
     shapes = {"A": (count, count), "B": (count, inputs), "offset": (count,), "middle": (count,), "scale": (count,)}
-    shapes |= {"input_middle": (inputs,), "input_scale": (inputs,)}
+    shapes |= {"input_middle": (inputs,), "highest": given["lowest"].shape}
     for key, shape in shapes.items():
         if given[key].shape != shape:
             raise DamagedFileError(f"{name}.{key} has shape {given[key].shape} instead of {shape}")
-    statistics = dict(plain["statistics"])
-    statistics["residual_rms"] = np.array(statistics["residual_rms"])
+    statistics = plain["statistics"] | {"residual_rms": np.array(plain["statistics"]["residual_rms"])}
     return Operator(
-        dictionary=dictionary,
-        **given,
-        training=TrainingRange(**edges, farthest=float(plain["farthest"])),
-        statistics=FitStatistics(**statistics),
-        step_s=float(plain["step_s"]),
+        dictionary=dictionary, **given, statistics=FitStatistics(**statistics), step_s=float(plain["step_s"])
     )

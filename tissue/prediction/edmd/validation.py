@@ -62,6 +62,8 @@ def horizon_errors(
 
     Parameters
     ----------
+    horizon
+        Steps ahead, at least 1.
     columns
         State entries that `relative` looks at; empty for all.
 
@@ -70,16 +72,8 @@ def horizon_errors(
     InputError
         If an episode cannot be used, or none is long enough for the horizon.
     """
-    if horizon < 1:
-        raise InputError(f"horizon must be at least 1 step, got {horizon}: use 1")
     lags, size = operator.dictionary.lags, operator.state_size
     ready = check_episodes(episodes, lags, varying=False)
-    columns_of = (ready[0].states.shape[1], 0 if ready[0].inputs is None else ready[0].inputs.shape[1])
-    if columns_of != (size, operator.B.shape[1]):
-        raise InputError(
-            f"episodes must have {size} columns of states and {operator.B.shape[1]} of inputs, as the operator, got "
-            f"{columns_of[0]} and {columns_of[1]}: record the same"
-        )
     squares, starts = np.zeros((horizon, size)), 0
     with np.errstate(over="ignore", invalid="ignore"):
         for episode in ready:
@@ -121,12 +115,8 @@ def choose(
     Raises
     ------
     InputError
-        If there is no candidate, there are fewer episodes than folds or two, or every candidate is refused.
+        If every candidate is refused.
     """
-    if not candidates:
-        raise InputError("candidates must hold at least one Edmd, got none: name one")
-    if not 2 <= folds <= len(episodes):
-        raise InputError(f"folds must be in [2, {len(episodes)}], the number of episodes, got {folds}: record more")
     scores, refused = {}, {}
     for name, candidate in candidates.items():
         found = np.full(folds, np.inf)
