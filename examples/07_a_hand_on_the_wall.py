@@ -17,8 +17,7 @@ import numpy as np
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.loop.critical_stiffness import judge
-from tissue.haptics.renderable_stiffness import knock
-from tissue.haptics.rigid_wall import WallRun
+from tissue.haptics.rigid_wall import WallRun, knock
 from tissue.scene.registry import RENDERERS
 
 STIFFNESS_N_M = 2000.0

@@ -14,10 +14,10 @@ from pathlib import Path
 from time import perf_counter
 
 from harness import machine, table
+from wall_limits import HIGHEST_N_M, WallLimit, wall_limits
 
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.hand.hand import hand_parameters
-from tissue.haptics.renderable_stiffness import HIGHEST_N_M, WallLimit, wall_limits
 from tissue.scene.registry import DEVICES
 
 COLOURS = {"penalty": "#0072B2", "passivity": "#E69F00", "proxy": "#009E73"}

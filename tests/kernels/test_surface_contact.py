@@ -47,7 +47,7 @@ def test_all_points_obey_signorini_and_coulomb_together(friction):
             while point >= 0:
                 triangle[point] = face
                 point = following[point]
-        force = contact.point_forces_N()
+        force = contact._points.force.numpy()
         nodal = np.zeros_like(nodes)
         np.add.at(nodal, faces[triangle], weight[:, :, None] * force[:, None])
         moved = (compliance @ nodal.ravel()).reshape(-1, 3)

@@ -187,7 +187,7 @@ def let_go(name, stiffness_N_m, *, two_sided, kind="proxy", aim_m=5e-3):
     found = []
     for tick in range(2500):
         sample = device.read(tick * TICK)
-        at, speed, _, _ = sample.arrays()
+        at, speed = np.array(sample.position_m), np.array(sample.velocity_m_s)
         free = not two_sided and at[2] >= 0.0
         proxy = at if free else np.zeros(3)
         force = low_pass.step(law.render(at, speed, proxy, speed if free else np.zeros(3), TICK))

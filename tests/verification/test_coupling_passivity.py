@@ -5,16 +5,15 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from wall_limits import wall_limits
 
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import Hand, hand_parameters
 from tissue.haptics.hand.minimum_jerk import waypoints
 from tissue.haptics.loop.passivity import PassivityControl, PassivityObserver
-from tissue.haptics.proxy.virtual_coupling import series_stiffness_N_m
-from tissue.haptics.renderable_stiffness import knock, wall_limits
 from tissue.haptics.renderer import renderer
-from tissue.haptics.rigid_wall import press_wall
+from tissue.haptics.rigid_wall import knock, press_wall
 
 STIFFNESS, SPEED, TICK, SAMPLES = 1000.0, 0.1, 1e-3, 100
 LEAK_J = SAMPLES * STIFFNESS * (SPEED * TICK) ** 2
@@ -58,10 +57,6 @@ def test_the_controller_pays_the_leak_back():
     taken, lowest = through_the_wall(lambda force, position, velocity: control.step(force, position, velocity, TICK))
     assert taken >= -1e-15 and lowest >= -1e-15
     assert control.dissipated_J == pytest.approx(LEAK_J, rel=1e-9)
-
-
-def test_the_published_series_of_coupling_and_wall():
-    assert series_stiffness_N_m(1200.0, 1e4) == pytest.approx(1071.43, rel=1e-5)
 
 
 @pytest.mark.parametrize("delay_ticks", [0.0, 0.4, 1.0, 2.7])

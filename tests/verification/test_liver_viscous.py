@@ -4,16 +4,15 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from prony_series import compliance_of, modulus_of, relaxation_of
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import nnls
 
-from meshes.base.errors import InputError
 from meshes.tets.structured import box
 from tissue.fem.assembly import assemble
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 from tissue.materials.prony import HereditaryIntegral, Prony
-from tissue.models.organ.viscous import CreepState
 
 SERIES = Prony(g=(0.3, 0.3), tau_s=(0.5, 10.0))
 STEP_S = 1e-2
@@ -38,13 +37,13 @@ def test_step_of_force_creeps(surface):
     """A force that jumps and stays: the creep compliance at every node, exactly."""
     nodes, compliance = surface
     elastic = (compliance @ np.random.default_rng(0).normal(size=3 * len(nodes))).reshape(-1, 3)
-    creep = CreepState(len(nodes), SERIES, step_s=STEP_S)
+    creep = HereditaryIntegral(SERIES.retardation, (len(nodes), 3), step_s=STEP_S)
     creep.restart(elastic)
     for tick in range(1, 2001):
-        now = creep.displacement_m(elastic)
+        now = creep.instant_factor * elastic + creep.history
         creep.advance(elastic)
         if tick in (1, 10, 100, 2000):
-            np.testing.assert_allclose(now, SERIES.compliance(tick * STEP_S) * elastic, rtol=1e-11)
+            np.testing.assert_allclose(now, compliance_of(SERIES, tick * STEP_S) * elastic, rtol=1e-11)
 
 
 def patch(surface):
@@ -58,12 +57,12 @@ def pressed(surface, depths, *, elastic_start=None, step_s=STEP_S):
     """Force [N] on a bonded punch that follows ``depths`` [m], solved tick by tick on the compliance."""
     near, columns = patch(surface)
     mutual = columns[3 * near + 2]
-    creep = CreepState(len(surface[0]), SERIES, step_s=step_s)
+    creep = HereditaryIntegral(SERIES.retardation, (len(surface[0]), 3), step_s=step_s)
     if elastic_start is not None:
         creep.restart((columns @ np.linalg.solve(mutual, np.full(len(near), elastic_start))).reshape(-1, 3))
     force = []
     for depth in depths:
-        nodal = np.linalg.solve(creep.instant_factor * mutual, depth - creep.offset_m[near, 2])
+        nodal = np.linalg.solve(creep.instant_factor * mutual, depth - creep.history[near, 2])
         creep.advance((columns @ nodal).reshape(-1, 3))
         force.append(nodal.sum())
     return np.array(force) / np.linalg.solve(mutual, np.ones(len(near))).sum()
@@ -73,7 +72,7 @@ def test_step_of_displacement_relaxes(surface):
     """A punch that jumps in and stays: the relaxation modulus. The force is not linear in a tick: 1e-4, as asked."""
     ticks = np.array([10, 100, 1000])
     force = pressed(surface, np.ones(1000), elastic_start=1.0)
-    np.testing.assert_allclose(force[ticks - 1], SERIES.modulus(ticks * STEP_S), rtol=1e-4)
+    np.testing.assert_allclose(force[ticks - 1], modulus_of(SERIES, ticks * STEP_S), rtol=1e-4)
 
 
 def test_ramp_and_hold(surface):
@@ -102,9 +101,9 @@ def test_against_the_hereditary_integral(seed):
     compliance = spread @ spread.T
     forces = random.normal(size=(60, 12)) * (random.random((60, 12)) < 0.3)
     elastic = forces @ compliance
-    creep, found = CreepState(4, series, step_s=STEP_S), []
+    creep, found = HereditaryIntegral(series.retardation, (4, 3), step_s=STEP_S), []
     for value in elastic.reshape(-1, 4, 3):
-        found.append(creep.displacement_m(value).ravel())
+        found.append((creep.instant_factor * value + creep.history).ravel())
         creep.advance(value)
     spectrum = series.retardation
     edge = STEP_S * np.arange(61)[:, None]
@@ -124,7 +123,7 @@ def sphere_forces(surface, depths):
     up = compliance[2::3, 2::3]
     factor = cholesky(up)
     rise = np.sum((nodes[:, :2] - SIDE_M / 2) ** 2, axis=1) / 0.04
-    creep, found = CreepState(len(nodes), SERIES, step_s=STEP_S), []
+    creep, found = HereditaryIntegral(SERIES.retardation, (len(nodes), 3), step_s=STEP_S), []
 
     def nodal(clearance, scale):
         """Non-negative pushes f down that leave no node in the sphere: scale W f >= clearance, where f > 0 equal."""
@@ -132,7 +131,7 @@ def sphere_forces(surface, depths):
 
     for depth in depths:
         elastic = nodal(depth - rise, 1.0)
-        push = nodal(depth - rise + creep.offset_m[:, 2], creep.instant_factor)
+        push = nodal(depth - rise + creep.history[:, 2], creep.instant_factor)
         creep.advance(-(compliance[:, 2::3] @ push).reshape(-1, 3))
         found.append((elastic.sum(), push.sum(), np.count_nonzero(push > 0.0)))
     return np.array(found)
@@ -144,7 +143,7 @@ def test_growing_contact_is_lee_and_radok(surface):
     depths = 4e-3 * np.concatenate([ticks / 100.0, 1.0 - ticks / 100.0])
     forces = sphere_forces(surface, depths)
     assert forces[99, 2] > 4 * forces[19, 2] > 0
-    relaxed, shortcut = HereditaryIntegral(SERIES.relaxation, (1,), step_s=STEP_S), []
+    relaxed, shortcut = HereditaryIntegral(relaxation_of(SERIES), (1,), step_s=STEP_S), []
     for elastic in forces[:, 0]:
         shortcut.append(relaxed.instant_factor * elastic + relaxed.history[0])
         relaxed.advance(elastic)
@@ -160,8 +159,8 @@ def test_growing_contact_is_lee_and_radok(surface):
 
 def test_a_tick_allocates_nothing():
     """A thousand ticks on 2,000 nodes leave memory as it was; the offset stays in place."""
-    creep, value = CreepState(2000, SERIES, step_s=1e-3), np.ones((2000, 3))
-    place = creep.offset_m
+    creep, value = HereditaryIntegral(SERIES.retardation, (2000, 3), step_s=1e-3), np.ones((2000, 3))
+    place = creep.history
     creep.advance(value)
     tracemalloc.start()
     for _ in range(1000):
@@ -169,12 +168,4 @@ def test_a_tick_allocates_nothing():
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < value.nbytes / 4
-    assert creep.offset_m is place
-
-
-def test_bad_input():
-    """A surface has nodes, a tick a length."""
-    with pytest.raises(InputError, match="node_count must be at least 1"):
-        CreepState(0, SERIES, step_s=1e-3)
-    with pytest.raises(InputError, match="step_s must be positive"):
-        CreepState(3, SERIES, step_s=-1.0)
+    assert creep.history is place

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from tissue.haptics.proxy.proxy import Proxy, ProxyOutcome
 from tissue.haptics.proxy.tool_shell import ToolShell
-from tissue.haptics.proxy.virtual_coupling import VirtualCoupling, series_stiffness_N_m
 from tissue.haptics.proxy.voxmap import Ball, Box, ContactField, HalfSpace
+from tissue.haptics.renderer import ProxyRenderer
 from tissue.motion.quaternion import turn_between
 
 EXACT = 1e-9
@@ -48,11 +48,10 @@ def test_plane_pushes_back_with_stiffness_times_depth():
     """F = K d (case 23), along the normal, for a plane that lies askew."""
     normal = at(1.0, 2.0, 3.0) / np.sqrt(14.0)
     proxy = point_on(HalfSpace((0.01, 0.0, 0.0), normal), start=at(0.01, 0.0, 0.0) + 0.002 * normal)
-    coupling = VirtualCoupling(stiffness_N_m=STIFFNESS)
     for depth in (1e-5, 1e-3, 7e-3):
         device = at(0.01, 0.0, 0.0) - depth * normal + np.cross(normal, at(1e-3, 2e-3, 0.0))
         result = proxy.advance(device)
-        force = coupling.force_N(result.position_m, device, STILL, STILL)
+        force = STIFFNESS * (result.position_m - device)
         assert force == pytest.approx(STIFFNESS * depth * normal, abs=STIFFNESS * EXACT)
         assert STIFFNESS * result.push_m == pytest.approx(force, abs=STIFFNESS * EXACT)
         assert result.outcome is ProxyOutcome.CONTACT
@@ -237,9 +236,7 @@ def test_tilted_device_of_a_box_that_lies_flat():
     result, pose = box_on_plane(at(0.0, 0.0, HALF[2] - 4e-3), (0.0, tilt, 0.0))
     assert turn_between(result.quaternion, at(0.0, 0.0, 0.0, 1.0)) == pytest.approx(STILL, abs=EXACT)
     assert result.position_m[2] == pytest.approx(HALF[2], abs=EXACT)
-    torque = VirtualCoupling(stiffness_N_m=STIFFNESS, rotational_stiffness_Nm_rad=STIFFNESS * LEVER**2).torque_Nm(
-        result.quaternion, pose, STILL, STILL
-    )
+    torque = STIFFNESS * LEVER**2 * turn_between(pose, result.quaternion)
     assert torque == pytest.approx(at(0.0, -STIFFNESS * LEVER**2 * tilt, 0.0), abs=STIFFNESS * EXACT)
     assert STIFFNESS * result.push_moment_m2 == pytest.approx(torque, abs=1e-9)
 
@@ -273,10 +270,10 @@ def test_one_ball_rolls_off_another():
 
 def test_coupling_and_wall_in_series():
     """Case 22: 1200 N/m against 1e4 N/m feels like 1071 N/m; two springs in a row share the force."""
-    felt = series_stiffness_N_m(1200.0, 1e4)
+    felt, push = 1.0 / (1.0 / 1200.0 + 1.0 / 1e4), 2e-3
     assert felt == pytest.approx(1071.4, abs=0.1)
-    coupling, push = VirtualCoupling(stiffness_N_m=1200.0), 2e-3
     wall_gives = push - push * felt / 1200.0
-    force = coupling.force_N(at(0.0, 0.0, -wall_gives), at(0.0, 0.0, -push), STILL, STILL)
+    moved = at(0.0, 0.0, -wall_gives), at(0.0, 0.0, -push)
+    force = ProxyRenderer(1200.0).render(moved[1], STILL, moved[0], STILL, 1e-3)
     assert force[2] == pytest.approx(1e4 * wall_gives, rel=1e-12)
     assert force[2] == pytest.approx(felt * push, rel=1e-12)

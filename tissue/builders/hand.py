@@ -51,13 +51,8 @@ def hand_motion(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable
     start, touches = scripted.sweep_m()[0], isinstance(scene.tool, Tool) and scene.tool.spin_rpm == 0.0
     spring = judged.loop.stiffness_N_m / (scale * scene.force_scale)
     turning_spring = turning.loop.stiffness_N_m * scale / scene.force_scale if turning else inf
-    tool: HeldTool
-    if touches:
-        tool = ProbingTool(spring, start, stiffness_Nm_rad=turning_spring)
-    elif isinstance(scene.tool, Tool):
-        tool = CuttingTool(spring, start, HeldTurn(turning_spring))
-    else:
-        tool = PressingTool(spring, start, HeldTurn(turning_spring))
+    kind = ProbingTool if touches else CuttingTool if isinstance(scene.tool, Tool) else PressingTool
+    tool = kind(spring, start, HeldTurn(turning_spring))
     path, push = _aims(scene, scripted, tool, limits, person, judged.loop.stiffness_N_m, step_s=step_s)
     rng, feeling = np.random.default_rng(scene.seed).spawn(2)
     turn = _turn(scripted, step_s=step_s) if isinstance(scene.motion, ReplayMotion) else None

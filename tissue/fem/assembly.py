@@ -10,6 +10,7 @@ from scipy.sparse import bsr_array
 
 from kernels.launcher import SplitLaunch
 from kernels.tetrahedra import pair_stiffness, pair_stiffness_isotropic
+from meshes.base.arrays import Array
 from tissue.fem.pattern import local_pairs
 from tissue.fem.shapes import EDGES, gradient_products
 from tissue.fem.space import Space
@@ -64,7 +65,7 @@ def assemble(space: Space, elasticity: ArrayLike) -> bsr_array:
 
 
 @cache
-def pair_tables(order: int) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+def pair_tables(order: int) -> tuple[NDArray[np.int32], Array]:
     """Two corners of each shape function of each pair in a cell, and weights of their products, shapes (p, 4).
 
     The corners of A are i, j and those of B k, n; weights belong to the products ik, in, jk, jn of the gradients.

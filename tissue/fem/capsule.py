@@ -12,9 +12,10 @@ What a capsule adds by bending, as around a needle, is not in it.
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import bsr_array
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_positive
 from tissue.fem.pattern import Pattern, local_pairs
 from tissue.fem.shapes import gradient_products
@@ -30,7 +31,7 @@ def capsule_stiffness(
     thickness_m: ArrayLike,
     young_Pa: float,
     poisson_ratio: float,
-    faces: NDArray[np.int64] | None = None,
+    faces: Ints | None = None,
 ) -> bsr_array:
     """Stiffness matrix [N/m] of a membrane on faces of the surface, to be added to that of the cells.
 
@@ -76,7 +77,7 @@ def capsule_stiffness(
     return _summed(shares.reshape(-1, 3, 3), Pattern.of(nodes, space.node_count), space.unknown_count)
 
 
-def _summed(shares: NDArray[np.float64], pattern: Pattern, unknown_count: int) -> bsr_array:
+def _summed(shares: Array, pattern: Pattern, unknown_count: int) -> bsr_array:
     """Blocks summed over faces in their order, then mirrored."""
     turned = pattern.contribution < 0
     ordered = shares[np.where(turned, ~pattern.contribution, pattern.contribution)]

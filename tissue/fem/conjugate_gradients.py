@@ -4,13 +4,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from tissue.fem.outcome import Solution, SolverOutcome
 
 __all__ = ["Iterate", "IterativeSolution", "conjugate_gradients", "dot"]
 
-Array = NDArray[np.float64]
 LEAST_SHARE = 1e-13
 """Residuals below this share of the load are rounding."""
 

@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Ints
+
 __all__ = ["FieldSeries", "Frame", "StressState"]
 
 
@@ -47,12 +49,12 @@ class FieldSeries:
         Nodes by what they are: ``held``, ``touchable``.
     """
 
-    nodes_m: NDArray[np.float64]
-    cells: NDArray[np.int64]
+    nodes_m: Array
+    cells: Ints
     layer: NDArray[np.uint8]
     layer_names: tuple[str, ...]
     frames: list[Frame] = field(default_factory=list)
-    node_sets: dict[str, NDArray[np.int64]] = field(default_factory=dict)
+    node_sets: dict[str, Ints] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +73,7 @@ class StressState:
         Principal stresses [Pa], largest first, shape (n, 3).
     """
 
-    strain: NDArray[np.float64]
-    stress_Pa: NDArray[np.float64]
-    von_mises_Pa: NDArray[np.float64]
-    principal_Pa: NDArray[np.float64]
+    strain: Array
+    stress_Pa: Array
+    von_mises_Pa: Array
+    principal_Pa: Array

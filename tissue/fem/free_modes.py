@@ -3,9 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
+
 __all__ = ["free_modes", "rigid_modes"]
 
-Array = NDArray[np.float64]
 LEAST_HOLD = 1e-6
 """A motion that moves the held components by less than this share of the body's own motion is free."""
 STRAIGHT = 1e-4

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import bsr_array
 
 from kernels import tet_nonlinear as kernels
 from kernels.launcher import SplitLaunch
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.fem.pattern import local_pairs
 from tissue.fem.shapes import gradient_slopes
@@ -22,7 +23,6 @@ from tissue.materials.elasticity import elasticity_rows
 
 __all__ = ["Law", "NonlinearBody"]
 
-Array = NDArray[np.float64]
 GAUSS = 0.13819660112501052
 """Barycentric coordinate of the four Gauss points that integrate quadratics: (5 - sqrt 5) / 20."""
 

@@ -5,15 +5,14 @@ one there is, and it judges; the corotational shows how much of the difference i
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 from tissue.fem.newton import NewtonSolution, NewtonSolver
 from tissue.fem.obstacle import RigidSphere
 
 __all__ = ["LONGEST", "NODES", "press_at", "resting_sphere"]
 
-Array = NDArray[np.float64]
 STIFFER = 10.0
 """Penalty of a surface node over its own stiffness."""
 NODES = 1e-5

@@ -1,16 +1,15 @@
 """Loads on nodes that do the same work as gravity and traction do on the displacement."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from tissue.fem.shapes import mean_shape
 from tissue.fem.space import Space
 
 __all__ = ["STANDARD_GRAVITY_M_S2", "gravity", "traction"]
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 """Standard acceleration of free fall [m/s2]."""
@@ -46,7 +45,7 @@ def gravity(
     return _spread(space, space.cell_nodes, force, mean_shape(4, space.order))
 
 
-def traction(space: Space, traction_Pa: ArrayLike, *, faces: Integers | None = None) -> Array:
+def traction(space: Space, traction_Pa: ArrayLike, *, faces: Ints | None = None) -> Array:
     """Traction on faces of the surface as forces on nodes [N], shape (n, 3).
 
     Parameters
@@ -70,7 +69,7 @@ def traction(space: Space, traction_Pa: ArrayLike, *, faces: Integers | None = N
     return _spread(space, nodes, force, mean_shape(3, space.order))
 
 
-def _spread(space: Space, nodes: Integers, force: Array, share: Array) -> Array:
+def _spread(space: Space, nodes: Ints, force: Array, share: Array) -> Array:
     """Sum of each row's force, shape (r, 3), times the share of each of its nodes, shape (k,)."""
     each = (force[:, None, :] * share[:, None]).reshape(-1, 3)
     rows = nodes.ravel()

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import bsr_array, csc_array, csr_array
 from scipy.sparse.linalg import splu
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 from tissue.fem.conjugate_gradients import conjugate_gradients
 from tissue.fem.hyperelastic import NonlinearBody
@@ -22,7 +23,6 @@ from tissue.fem.outcome import Solution, SolverOutcome
 
 __all__ = ["NewtonSolution", "NewtonSolver"]
 
-Array = NDArray[np.float64]
 HALVINGS = 30
 ARMIJO = 1e-4
 ROUNDING = 1e-12

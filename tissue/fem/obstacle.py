@@ -6,13 +6,12 @@ equilibrium ``p <- max(0, p + k g)``. At the end g <= 0 where p = 0 and g = 0 wh
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_positive
 
 __all__ = ["RigidSphere"]
-
-Array = NDArray[np.float64]
 
 
 class RigidSphere:
@@ -38,7 +37,7 @@ class RigidSphere:
     """
 
     def __init__(
-        self, nodes: NDArray[np.int64], penalty_N_m: Array, *, radius_m: float, centre_m: ArrayLike,
+        self, nodes: Ints, penalty_N_m: Array, *, radius_m: float, centre_m: ArrayLike,
         tolerance: float = 1e-6,
     ) -> None:  # fmt: skip
         if len(nodes) == 0 or penalty_N_m.shape != nodes.shape or not (penalty_N_m > 0.0).all():

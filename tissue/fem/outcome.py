@@ -3,12 +3,9 @@
 from dataclasses import dataclass
 from enum import Enum
 
-import numpy as np
-from numpy.typing import NDArray
+from meshes.base.arrays import Array
 
 __all__ = ["Solution", "SolverOutcome"]
-
-Array = NDArray[np.float64]
 
 
 class SolverOutcome(Enum):

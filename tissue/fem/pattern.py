@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from meshes.base.arrays import Ints
+
 __all__ = ["Pattern", "grouped", "local_pairs"]
 
 Integers = NDArray[np.int32]
@@ -44,7 +46,7 @@ class Pattern:
     mirror: Integers
 
     @classmethod
-    def of(cls, cell_nodes: NDArray[np.int64], node_count: int) -> "Pattern":
+    def of(cls, cell_nodes: Ints, node_count: int) -> "Pattern":
         """Pattern of cells with the nodes `cell_nodes`, shape (m, k)."""
         a, b = local_pairs(cell_nodes.shape[1]).T
         nodes = cell_nodes.astype(np.int32)
@@ -68,12 +70,12 @@ class Pattern:
         return cls(*(part.astype(np.int32) for part in (row_start, column, start, contribution, place, mirror)))
 
 
-def local_pairs(nodes_a_cell: int) -> NDArray[np.int64]:
+def local_pairs(nodes_a_cell: int) -> Ints:
     """Pairs a <= b of a cell's nodes, row by row, shape (k (k + 1) / 2, 2)."""
     return np.stack(np.triu_indices(nodes_a_cell), axis=1)
 
 
-def grouped(first: Integers, second: Integers, count: int) -> tuple[Integers, NDArray[np.int64]]:
+def grouped(first: Integers, second: Integers, count: int) -> tuple[Integers, Ints]:
     """Order that sorts pairs of numbers below `count` stably, and where each new pair starts in it, shape (p + 1,)."""
     every = np.arange(len(first), dtype=np.int32)
     order = _sorted_by(first, _sorted_by(second, every, count), count)

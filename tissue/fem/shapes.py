@@ -7,11 +7,11 @@ function A is ``sum_c sum_i slope[A, c, i] l_i g_c``: g_A (linear) or ``(4 l_A -
 """
 
 import numpy as np
-from numpy.typing import NDArray
+
+from meshes.base.arrays import Array, Ints
 
 __all__ = ["EDGES", "TRIANGLE_EDGES", "gradient_products", "gradient_slopes", "mean_shape"]
 
-Array = NDArray[np.float64]
 
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
 """Corners of the edges of a tetrahedron in the order of their middle nodes, VTK's order."""
@@ -48,7 +48,7 @@ def mean_shape(corners: int, order: int) -> Array:
     return np.concatenate([np.full(corners, at_corner), np.full(len(_edges(corners, order)), middle)])
 
 
-def _edges(corners: int, order: int) -> NDArray[np.int64]:
+def _edges(corners: int, order: int) -> Ints:
     if order == 1:
         return EDGES[:0]
     return EDGES if corners == 4 else TRIANGLE_EDGES

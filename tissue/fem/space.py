@@ -6,19 +6,16 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from kernels.launcher import SplitLaunch
 from kernels.tetrahedra import cell_gradients
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from meshes.tets.tetrahedra import TetMesh
 from tissue.fem.pattern import Pattern, grouped
 from tissue.fem.shapes import EDGES, TRIANGLE_EDGES
 
 __all__ = ["Space"]
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,18 +70,18 @@ class Space:
         return np.concatenate([corners, 0.5 * (corners[a] + corners[b])])
 
     @cached_property
-    def cell_nodes(self) -> Integers:
+    def cell_nodes(self) -> Ints:
         """Nodes of each cell, shape (m, 4) or (m, 10): corners, then the middles of `EDGES` in VTK's order."""
         if self.order == 1:
             return self.mesh.cells
         return np.concatenate([self.mesh.cells, len(self.mesh.nodes_m) + self._edges[1]], axis=1)
 
     @cached_property
-    def faces(self) -> Integers:
+    def faces(self) -> Ints:
         """Nodes of each face of the surface, shape (f, 3) or (f, 6): corners as in the mesh, then middles."""
         return self.with_middles(self.mesh.surface)
 
-    def with_middles(self, triangles: Integers) -> Integers:
+    def with_middles(self, triangles: Ints) -> Ints:
         """Triangles that are faces of cells, shape (f, 3), with their middle nodes where the space is quadratic.
 
         Raises
@@ -130,7 +127,7 @@ class Space:
         return np.asarray(self.gradients[1].numpy())
 
     @cached_property
-    def _edges(self) -> tuple[Integers, Integers]:
+    def _edges(self) -> tuple[Ints, Ints]:
         """Corners of each edge in rising order, shape (e, 2), and the edges of each cell, shape (m, 6)."""
         ends = np.sort(self.mesh.cells[:, EDGES].reshape(-1, 2), axis=1).astype(np.int32)
         order, start = grouped(ends[:, 0], ends[:, 1], len(self.mesh.nodes_m))

@@ -6,6 +6,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from kernels import tet_stress
 from kernels.launcher import SplitLaunch
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.fem.fields import StressState
 from tissue.fem.shapes import gradient_slopes
@@ -13,8 +14,6 @@ from tissue.fem.space import Space
 from tissue.materials.elasticity import elasticity_rows, stiffness_of_lame
 
 __all__ = ["cell_stress", "group_stress"]
-
-Array = NDArray[np.float64]
 
 
 def cell_stress(space: Space, displacement_m: Array, elasticity: ArrayLike) -> StressState:

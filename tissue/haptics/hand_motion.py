@@ -3,8 +3,8 @@
 from math import pi, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from tissue.haptics.device.device import Device, DeviceParameters, Sample
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.haptics.device.sample_guard import SampleGuard
@@ -39,7 +39,6 @@ from tissue.prediction.predictor import Predictor
 
 __all__ = ["HandMotion"]
 
-Array = NDArray[np.float64]
 SMOOTH_S = 0.01
 """Time over which the speed of a tool that goes with its device is estimated: encoders step [s]."""
 

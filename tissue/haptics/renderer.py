@@ -4,12 +4,11 @@ from math import inf, pi
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import require_positive, require_range
 from tissue.haptics.loop.passivity import RELEASE_RAD_S, PassivityControl
 from tissue.haptics.loop.sampled_loop import WallLoop
-from tissue.haptics.proxy.virtual_coupling import VirtualCoupling
 from tissue.motion.quaternion import Quaternion, conjugate, logarithm, product
 from tissue.scene.registry import RENDERERS
 
@@ -17,8 +16,6 @@ __all__ = [
     "PassivityRenderer", "PenaltyRenderer", "ProxyRenderer", "Renderer", "TurningRenderer", "passivity", "penalty",
     "proxy", "renderer",
 ]  # fmt: skip
-
-Array = NDArray[np.float64]
 
 
 class Renderer(Protocol):
@@ -62,20 +59,22 @@ class PenaltyRenderer:
 
 
 class ProxyRenderer:
-    """Spring and damper between device and god-object: F = k (p_proxy - p) + b (v_proxy - v).
+    """Spring and damper between device and god-object: F = k (p_proxy - p) + b (v_proxy - v) (Colgate et al. 1995).
 
-    The damper acts on the relative velocity, so the pair can only lose energy (a damper +b v would feed it), and it is
-    off where the device is free.
+    The damper acts on the relative velocity, so the pair can only lose energy: a published form with ``+ b v_device``
+    alone creates the energy b v^2 every second (E9 of the project's list of errors). It is off where the device is
+    free.
     """
 
     def __init__(self, stiffness_N_m: float, damping_N_s_m: float = 0.0) -> None:
-        self._coupling = VirtualCoupling(stiffness_N_m=stiffness_N_m, damping_N_s_m=damping_N_s_m)
+        self._stiffness = require_positive("stiffness_N_m", stiffness_N_m, "use what the device can hold, about 500")
+        self._damping = require_range("damping_N_s_m", damping_N_s_m, 0.0, 1e12, "use 0 for none")
 
     def render(self, device: Array, device_velocity: Array, proxy: Array, proxy_velocity: Array, dt: float) -> Array:
         """Force on the device [N]."""
         if not any((proxy - device).tolist()):
             return np.zeros(3)
-        return self._coupling.force_N(proxy, device, proxy_velocity, device_velocity)
+        return self._stiffness * (proxy - device) + self._damping * (proxy_velocity - device_velocity)
 
     def pause(self) -> None:
         """Nothing is kept from tick to tick."""

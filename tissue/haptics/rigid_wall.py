@@ -1,21 +1,25 @@
 """A hand presses a device onto a rigid wall, tick by tick: what a loop does where nothing but the wall is simulated."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import require_positive
-from tissue.haptics.device.device import Device
+from tissue.haptics.device.device import Device, DeviceParameters
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.haptics.device.sample_guard import SampleGuard
+from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.device.supervision import run_held
+from tissue.haptics.hand.hand import Hand, HandParameters
+from tissue.haptics.hand.minimum_jerk import waypoints
 from tissue.haptics.loop.filters import LowPass
-from tissue.haptics.renderer import Renderer
+from tissue.haptics.renderer import Renderer, renderer
+from tissue.models.tissue_model import TICK_S
 
-__all__ = ["WallRun", "press_wall"]
+__all__ = ["WallRun", "knock", "press_wall"]
 
-Array = NDArray[np.float64]
+DEPTH_M, JERK_N, JERK_S, LASTS_S = 5e-3, 2.0, (0.8, 0.82), 1.3
 
 
 @dataclass(frozen=True)
@@ -48,10 +52,10 @@ class WallRun:
 
 def press_wall(
     device: Device,
-    renderer: Renderer,
+    law: Renderer,
     *,
     duration_s: float,
-    tick_s: float = 1e-3,
+    tick_s: float = TICK_S,
     filter_s: float = 0.0,
     guard: SampleGuard | None = None,
 ) -> WallRun:
@@ -64,7 +68,7 @@ def press_wall(
     require_positive("duration_s", duration_s, "use 1")
     require_positive("tick_s", tick_s, "use 1e-3 for 1 kHz")
     ticks = round(duration_s / tick_s)
-    position, velocity, force = np.zeros((ticks, 3)), np.zeros((ticks, 3)), np.zeros((ticks, 3))
+    position, velocity, force = np.zeros((3, ticks, 3))
     low_pass = LowPass(filter_s, step_s=tick_s)
     nothing = np.zeros(3)
     held = SafeDevice(device, tick_s=tick_s)
@@ -81,10 +85,10 @@ def press_wall(
                 foot, slide = position[tick].copy(), velocity[tick].copy()
                 if foot[2] < 0.0:
                     foot[2] = slide[2] = 0.0
-                raw = renderer.render(position[tick], velocity[tick], foot, slide, tick_s)
+                raw = law.render(position[tick], velocity[tick], foot, slide, tick_s)
                 wanted = low_pass.step(raw)
             else:
-                renderer.pause()
+                law.pause()
                 position[tick] = position[tick - 1]
             played = nothing if wanted is None else wanted
             if guard is not None:
@@ -98,3 +102,25 @@ def press_wall(
     taken = np.zeros(ticks)
     taken[1:] = -np.cumsum(np.einsum("ij,ij->i", force[:-1], moved))
     return WallRun(np.arange(ticks, dtype=np.float64) * tick_s, position, velocity, force, taken)
+
+
+def knock(
+    device: DeviceParameters, hand: HandParameters, kind: str, stiffness_N_m: float, *, damping_N_s_m: float = 0.0
+) -> tuple[WallRun, SimulatedDevice]:
+    """Move onto a wall, hold 5 mm into it, and be jerked off it after 0.8 s (2 N for 20 ms).
+
+    The hand is without noise and tremor, so that what moves after the jerk is the loop's own.
+    """
+    quiet = replace(hand, endpoint_noise=0.0, force_noise=0.0, tremor_m=0.0)
+    path = waypoints(np.array([0.0, 1e-3]), np.array([[0.0, 0.0, DEPTH_M], [0.0, 0.0, -DEPTH_M]]))
+    jerk = np.array([0.0, 0.0, JERK_N])
+    holding = Hand(
+        quiet,
+        path,
+        rng=np.random.default_rng(0),
+        step_s=1.0 / device.rate_Hz,
+        push=lambda time_s: jerk if JERK_S[0] <= time_s < JERK_S[1] else 0.0 * jerk,
+    )
+    simulated = SimulatedDevice(device, holding, position_m=(0.0, 0.0, DEPTH_M))
+    law = renderer(kind, device.loop(stiffness_N_m, wall_damping_N_s_m=damping_N_s_m))
+    return press_wall(simulated, law, duration_s=LASTS_S, tick_s=1.0 / device.rate_Hz), simulated

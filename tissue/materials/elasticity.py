@@ -5,12 +5,12 @@ axes are 1, 2, 3 = x, y, z until they are turned; the fibre of a transversely is
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 
 __all__ = [
-    "Array",
     "checked_stiffness",
     "elasticity_rows",
     "lame",
@@ -20,7 +20,6 @@ __all__ = [
     "transversely_isotropic",
 ]
 
-Array = NDArray[np.float64]
 
 VOIGT = np.array([[0, 0], [1, 1], [2, 2], [1, 2], [0, 2], [0, 1]])
 """Row and column of the tensor component at each Voigt place."""

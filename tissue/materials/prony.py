@@ -16,13 +16,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 
 __all__ = ["HereditaryIntegral", "Prony", "Spectrum"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +38,6 @@ class Spectrum:
 
     amplitude: Array
     time_s: Array
-
-    def step_response(self, time_s: ArrayLike) -> Array:
-        """Response at times [s] after a unit step."""
-        terms = -np.expm1(-np.asarray(time_s, dtype=np.float64)[..., None] / self.time_s)
-        return 1.0 + terms @ self.amplitude
 
 
 @dataclass(frozen=True)
@@ -79,16 +73,6 @@ class Prony:
         if total > 1.0 - 1e-9:
             raise InputError(f"g must sum to less than 1, got {total:g}: a solid keeps a share g_inf, lower a share")
 
-    @property
-    def g_inf(self) -> float:
-        """Share that is left after relaxation."""
-        return 1.0 - math.fsum(self.g)
-
-    @cached_property
-    def relaxation(self) -> Spectrum:
-        """Spectrum of the relaxing modulus: amplitudes -g, times tau."""
-        return Spectrum(-np.array(self.g, dtype=np.float64), np.array(self.tau_s, dtype=np.float64))
-
     @cached_property
     def retardation(self) -> Spectrum:
         """Spectrum of the creeping compliance: amplitudes that sum to 1 / g_inf - 1, retardation times."""
@@ -96,20 +80,6 @@ class Prony:
         drive = np.sqrt(np.array(self.g) * rate)
         rates, modes = np.linalg.eigh(np.diag(rate) - np.outer(drive, drive))
         return Spectrum((drive @ modes) ** 2 / rates, 1.0 / rates)
-
-    def modulus(self, time_s: ArrayLike) -> Array:
-        """Relaxation modulus over the instantaneous one, at times [s] after a step of strain."""
-        return self.relaxation.step_response(time_s)
-
-    def compliance(self, time_s: ArrayLike) -> Array:
-        """Creep compliance times the instantaneous modulus, at times [s] after a step of stress."""
-        return self.retardation.step_response(time_s)
-
-    def storage_loss(self, omega_rad_s: ArrayLike) -> tuple[Array, Array]:
-        """Storage and loss modulus over the instantaneous one, at angular frequencies [rad/s]."""
-        turned = np.asarray(omega_rad_s, dtype=np.float64)[..., None] * np.array(self.tau_s)
-        share = np.array(self.g) / (1.0 + turned**2)
-        return self.g_inf + (share * turned**2).sum(axis=-1), (share * turned).sum(axis=-1)
 
 
 class HereditaryIntegral:

@@ -6,6 +6,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from tissue.fem.fields import FieldSeries
 
 __all__ = [
@@ -22,7 +23,6 @@ __all__ = [
     "WaitsForBackground",
 ]
 
-Array = NDArray[np.float64]
 TICK_S = 1e-3
 """Length of a tick [s]."""
 

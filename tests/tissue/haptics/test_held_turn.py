@@ -119,7 +119,7 @@ def test_a_stopped_burr_on_bone_pushes_with_stiffness_times_stretch(depth_m):
 
 def test_a_stopped_tool_sticks_inside_the_cone_and_slides_beyond_it():
     """The device goes aside by s at depth d: the contact holds while s < mu d, then pulls with mu times the normal."""
-    held, bone, motion = probe(ball_burr(diameter_m=6e-3), start=(0, 0, 1e-3), friction=0.3)
+    held, bone, motion = probe(ball_burr(diameter_m=6e-3), start=(0, 0, 1e-3))
     press(held, bone, motion, down((0, 0, 1e-3), (0, 0, -2e-3)))
     at = motion.tip_m.copy()
     press(held, bone, motion, down((0, 0, -2e-3), (0.4e-3, 0, -2e-3)))
@@ -135,7 +135,7 @@ def test_a_stopped_tool_sticks_inside_the_cone_and_slides_beyond_it():
 def test_a_flat_tool_that_is_tilted_on_bone_is_turned_back_by_its_spring(spring_Nm_rad, turned_rad):
     """8 N on the rim of a cylinder 6 mm wide turn it by F r / k_r, until it lies flat, by the whole tilt of 0.1."""
     held, bone, motion = probe(
-        cylinder(diameter_m=6e-3, length_m=4e-3), start=(0, 0, 1.5e-3), stiffness_Nm_rad=spring_Nm_rad, friction=0.0
+        cylinder(diameter_m=6e-3, length_m=4e-3), start=(0, 0, 1.5e-3), turn=HeldTurn(spring_Nm_rad), friction=0.0
     )
     device = exponential((0.1, 0.0, 0.0))
     for share in np.linspace(0.0, 1.0, 60):

@@ -170,7 +170,7 @@ def test_friction_cone_and_complementarity_hold_on_random_scenes(slab, seed):
         place = np.einsum("pa,paj->pj", weights, moved[slab.faces[face]])
         gap, normal = probe.distance((place - tip) @ rotation)
         normal = normal @ rotation.T
-        force = contact.point_forces_N()
+        force = contact._points.force.numpy()
         press = np.einsum("pj,pj->p", force, normal)
         side = force - press[:, None] * normal
         slip = place - anchor

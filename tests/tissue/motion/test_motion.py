@@ -6,7 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from tissue import InputError
 from tissue.models.tissue_model import Response, ToolMotion
-from tissue.motion.motion import FollowPath, PushAlongAxis, frame_along
+from tissue.motion.motion import FollowPath, PushAlongAxis, frame_along, matrix_of, quaternion_of
+from tissue.motion.quaternion import turn_between
 from tissue.motion.replay import ReplayPoses, read_poses
 
 STEP_S = 1e-3
@@ -158,3 +159,13 @@ def test_a_table_reads_in_its_units_whatever_the_order_of_columns_and_the_first_
 def test_a_path_of_one_point_is_refused():
     with pytest.raises(InputError, match="must hold two different points, got only one"):
         FollowPath(np.zeros((3, 3)), feed_m_s=1.0, axis=Z)
+
+
+def test_matrices_and_quaternions_agree_with_scipy():
+    for rotation in [*Rotation.random(50, random_state=1), *(Rotation.from_rotvec(v) for v in np.pi * np.eye(3))]:
+        quaternion = quaternion_of(rotation.as_matrix())
+        assert matrix_of(quaternion) == pytest.approx(rotation.as_matrix(), abs=1e-14)
+        assert quaternion[3] >= 0.0
+        other = Rotation.random(random_state=2)
+        expected = (other * rotation.inv()).as_rotvec()
+        assert turn_between(quaternion, other.as_quat()) == pytest.approx(expected, abs=1e-12)

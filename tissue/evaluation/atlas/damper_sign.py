@@ -7,7 +7,6 @@ from matplotlib.figure import Figure
 
 from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, panel
 from tissue.evaluation.atlas.page import Answer, Array, Data, Page, Verdict, refused, shown
-from tissue.haptics.proxy.virtual_coupling import VirtualCoupling
 from tissue.haptics.renderer import ProxyRenderer
 
 __all__ = ["DAMPER_SIGN"]
@@ -89,7 +88,6 @@ def ask() -> list[Answer]:
     )
     return [
         refused("a damper of −2 N s/m", lambda: ProxyRenderer(STIFFNESS_N_M, -2.0)),
-        refused("the same in the coupling", lambda: VirtualCoupling(stiffness_N_m=500.0, damping_N_s_m=-2.0)),
         shown(
             "device and proxy that slide together",
             bool(abs(together[0]) < 1e-15 and abs(together[2] - 0.5) < 1e-12),

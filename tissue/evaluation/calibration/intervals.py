@@ -9,6 +9,7 @@ import numpy as np
 from meshes.base.errors import InputError
 from tissue.evaluation.calibration.session import Comparison, Magnitude
 from tissue.haptics.device.device import Device
+from tissue.models.tissue_model import TICK_S
 
 __all__ = ["Person", "StoppedError", "play"]
 
@@ -27,7 +28,7 @@ def play(
     force_N: float,
     *,
     length_s: float = LENGTH_S,
-    tick_s: float = 1e-3,
+    tick_s: float = TICK_S,
     clock: Callable[[], float],
     wait: Callable[[float], None] = sleep,
 ) -> None:

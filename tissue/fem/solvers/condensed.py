@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernels.launcher import core_count
+from meshes.base.arrays import Array, Ints
 from meshes.base.cache import cached_arrays
 from meshes.base.errors import InputError
 from tissue.fem.solvers.direct import DirectSolver
@@ -19,8 +20,6 @@ from tissue.fem.solvers.schur import schur_compliance_m_N
 
 __all__ = ["LIMIT_BYTES", "compliance_bytes", "surface_compliance_m_N"]
 
-Array = NDArray[np.float64]
-Nodes = NDArray[np.int64]
 LIMIT_BYTES = 2_000_000_000
 """Dense matrices above this are refused; columns are then found where the tool is, by ``LazyCompliance``."""
 SCHUR_UNKNOWNS = 60_000
@@ -36,7 +35,7 @@ def compliance_bytes(touchable_count: int) -> int:
 
 def surface_compliance_m_N(
     body: HeldBody,
-    touchable: Nodes,
+    touchable: Ints,
     *,
     limit_bytes: int = LIMIT_BYTES,
     solver: Callable[[], ColumnSolver] | None = None,
@@ -82,7 +81,7 @@ def surface_compliance_m_N(
     return cached_arrays("compliance", key, make)["matrix"].astype(np.float64, copy=False)
 
 
-def _found(solver: ColumnSolver, touchable: Nodes, progress: Callable[[float], None] | None) -> Array:
+def _found(solver: ColumnSolver, touchable: Ints, progress: Callable[[float], None] | None) -> Array:
     rows = (3 * touchable[:, None] + np.arange(3)).ravel()
     matrix = np.empty((len(rows), len(rows)))
 
@@ -99,7 +98,7 @@ def _found(solver: ColumnSolver, touchable: Nodes, progress: Callable[[float], N
     return 0.5 * (matrix + matrix.T)
 
 
-def _require_nodes(nodes: Nodes, body: HeldBody) -> None:
+def _require_nodes(nodes: Ints, body: HeldBody) -> None:
     count, unique = len(body.nodes_m), len(np.unique(nodes))
     if len(nodes) == 0:
         raise InputError("touchable must name at least one node, got none: give nodes of the surface")

@@ -6,10 +6,10 @@ time on a liver of pytetwild, twice the time on a lattice liver of the same 19,0
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import SuperLU, splu
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from tissue.fem.outcome import Solution, SolverOutcome
 from tissue.fem.solvers.dissection import dissection
@@ -17,7 +17,6 @@ from tissue.fem.solvers.held_body import HeldBody, pointwise_graph
 
 __all__ = ["DirectSolver", "factorised"]
 
-Array = NDArray[np.float64]
 TOGETHER = 4
 """Right sides in one back-substitution: more would call threaded BLAS on small blocks, which is slower."""
 
@@ -63,7 +62,7 @@ class DirectSolver:
         outcome = outcome if good else SolverOutcome.INDEFINITE
         return Solution(self.body.whole(found[place]), outcome, 0, left)
 
-    def columns(self, unknowns: NDArray[np.int64]) -> Array:
+    def columns(self, unknowns: Ints) -> Array:
         """Displacements of all unknowns [m/N] for unit forces on some, shape (3n, k); zero for held ones.
 
         Raises
@@ -82,7 +81,7 @@ class DirectSolver:
         return answers
 
 
-def factorised(body: HeldBody, order: NDArray[np.int64]) -> tuple[NDArray[np.int64], csc_array, SuperLU]:
+def factorised(body: HeldBody, order: Ints) -> tuple[Ints, csc_array, SuperLU]:
     """The free unknowns of nodes in an order of elimination, the matrix between them, springs included, and its factor.
 
     Raises

@@ -5,13 +5,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from meshes.base.arrays import Array, Ints
+
 __all__ = ["dissection"]
 
 LEAF = 16
 """Sets of at most this many nodes are not cut further."""
 
 
-def dissection(nodes_m: NDArray[np.float64], graph: csr_array) -> NDArray[np.int64]:
+def dissection(nodes_m: Array, graph: csr_array) -> Ints:
     """Nodes in order of elimination, shape (n,).
 
     A set is cut at the median of its longest extent; the nodes of one side that touch the other come last.
@@ -24,7 +26,7 @@ def dissection(nodes_m: NDArray[np.float64], graph: csr_array) -> NDArray[np.int
         Nodes that share a cell, shape (n, n).
     """
     side = np.zeros(len(nodes_m), dtype=np.int8)
-    last_first: list[NDArray[np.int64]] = []
+    last_first: list[Ints] = []
     waiting = [np.arange(len(nodes_m))]
     while waiting:
         nodes = waiting.pop()
@@ -47,7 +49,7 @@ def dissection(nodes_m: NDArray[np.float64], graph: csr_array) -> NDArray[np.int
     return np.concatenate(last_first[::-1])
 
 
-def _touches(graph: csr_array, nodes: NDArray[np.int64], marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _touches(graph: csr_array, nodes: Ints, marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Which of the nodes have a marked neighbour."""
     rows = graph[nodes]
     return np.asarray(rows @ marked.astype(np.int32) > 0)

@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 from scipy.sparse import bsr_array, csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from tissue.fem.free_modes import free_modes
 
 __all__ = ["ColumnSolver", "HeldBody", "Supports", "pointwise_graph"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +72,7 @@ class ColumnSolver(Protocol):
 
     body: "HeldBody"
 
-    def columns(self, unknowns: NDArray[np.int64]) -> Array:
+    def columns(self, unknowns: Ints) -> Array:
         """Displacements of all unknowns [m/N] for unit forces on some, shape (3n, k); zero for held ones.
 
         An ``InputError`` refuses displaced supports: the answer to a force alone is asked for.
@@ -155,7 +154,7 @@ class HeldBody:
         return np.asarray(self.stiffness.diagonal().reshape(-1, 3).any(axis=1))
 
     @cached_property
-    def free(self) -> NDArray[np.int64]:
+    def free(self) -> Ints:
         """Unknowns that are solved for."""
         return np.flatnonzero((~self.supports.fixed & self.carrying[:, None]).ravel())
 

@@ -4,15 +4,12 @@ from collections import OrderedDict, deque
 from threading import Condition, Thread
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from tissue.fem.solvers.held_body import ColumnSolver
 
 __all__ = ["LazyCompliance"]
-
-Array = NDArray[np.float64]
-Nodes = NDArray[np.int64]
 
 
 class LazyCompliance:
@@ -37,7 +34,7 @@ class LazyCompliance:
         If the buffer does not hold a single node, or supports are displaced.
     """
 
-    def __init__(self, solver: ColumnSolver, touchable: Nodes, *, capacity_bytes: int = 500_000_000) -> None:
+    def __init__(self, solver: ColumnSolver, touchable: Ints, *, capacity_bytes: int = 500_000_000) -> None:
         self._solver, self._touchable = solver, np.asarray(touchable, dtype=np.int64)
         self._rows = (3 * self._touchable[:, None] + np.arange(3)).ravel()
         each = 3 * 8 * len(self._rows)
@@ -58,7 +55,7 @@ class LazyCompliance:
         self._problem: BaseException | None = None
         self._ended = False
 
-    def want(self, nodes: Nodes) -> None:
+    def want(self, nodes: Ints) -> None:
         """Ask for nodes, most urgent first; what was asked for before and is not found yet is dropped.
 
         Raises

@@ -9,10 +9,10 @@ import warnings
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigvalsh_tridiagonal
 from scipy.sparse import bsr_matrix
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_range
 from tissue.fem.conjugate_gradients import LEAST_SHARE, Iterate, IterativeSolution, conjugate_gradients, dot
 from tissue.fem.free_modes import rigid_modes
@@ -20,7 +20,6 @@ from tissue.fem.solvers.held_body import HeldBody
 
 __all__ = ["MultigridSolver"]
 
-Array = NDArray[np.float64]
 COARSEST_NODES = 50
 """Levels of at most so many aggregates are solved directly."""
 WEAK = 0.05
@@ -107,7 +106,7 @@ class MultigridSolver:
         found = self._iterate(right, start)
         return replace(found, displacement_m=body.whole((found.displacement_m * self._scale)[body.free]))
 
-    def columns(self, unknowns: NDArray[np.int64]) -> Array:
+    def columns(self, unknowns: Ints) -> Array:
         """Displacements of all unknowns [m/N] for unit forces on some, shape (3n, k); zero for held ones.
 
         Raises

@@ -11,16 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from tissue.fem.outcome import Solution, SolverOutcome
 from tissue.fem.solvers.held_body import ColumnSolver, HeldBody
 
 __all__ = ["BasisError", "ReducedSolver"]
 
-Array = NDArray[np.float64]
-Nodes = NDArray[np.int64]
 CHUNK = 96
 """Columns found at a time."""
 
@@ -69,7 +67,7 @@ class ReducedSolver:
         If the size is not in [1, 3t], the tolerance not in (0, 1), or supports are displaced.
     """
 
-    def __init__(self, solver: ColumnSolver, touchable: Nodes, *, size: int, tolerance: float = 0.1) -> None:
+    def __init__(self, solver: ColumnSolver, touchable: Ints, *, size: int, tolerance: float = 0.1) -> None:
         self.body: HeldBody = solver.body
         self.touchable = np.asarray(touchable, dtype=np.int64)
         rows = (3 * self.touchable[:, None] + np.arange(3)).ravel()

@@ -6,19 +6,17 @@ touchable, those took twenty times as long.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from meshes.base.arrays import Array, Ints
 from tissue.fem.solvers.direct import factorised
 from tissue.fem.solvers.dissection import dissection
 from tissue.fem.solvers.held_body import HeldBody, pointwise_graph
 
 __all__ = ["schur_compliance_m_N"]
 
-Array = NDArray[np.float64]
 
-
-def schur_compliance_m_N(body: HeldBody, touchable: NDArray[np.int64]) -> Array:
+def schur_compliance_m_N(body: HeldBody, touchable: Ints) -> Array:
     """Compliance of some nodes [m/N], shape (3t, 3t), x, y, z node by node; zero for held components.
 
     Raises

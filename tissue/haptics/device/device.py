@@ -6,16 +6,14 @@ from types import TracebackType
 from typing import NamedTuple, Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.haptics.loop.sampled_loop import WallLoop
 from tissue.motion.quaternion import Quaternion, Triple
 from tissue.scene.registry import DEVICES
 
 __all__ = ["ComputedDevice", "Device", "DeviceError", "DeviceParameters", "Sample", "device_parameters"]
-
-Array = NDArray[np.float64]
 
 
 class Sample(NamedTuple):
@@ -26,15 +24,6 @@ class Sample(NamedTuple):
     velocity_m_s: Triple = (0.0, 0.0, 0.0)
     quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)
     spin_rad_s: Triple = (0.0, 0.0, 0.0)
-
-    def arrays(self) -> tuple[Array, Array, Array, Array]:
-        """Position, velocity, quaternion and spin as arrays."""
-        return (
-            np.array(self.position_m),
-            np.array(self.velocity_m_s),
-            np.array(self.quaternion),
-            np.array(self.spin_rad_s),
-        )
 
 
 class DeviceError(InputError):
@@ -168,14 +157,11 @@ class DeviceParameters:
         self,
         stiffness_Nm_rad: float,
         *,
-        wall_damping_Nm_s_rad: float = 0.0,
         filter_s: float = 0.0,
         model_ticks: int = 1,
     ) -> WallLoop:
         """The same for a rotation, in its units."""
-        loop = self.loop(
-            stiffness_Nm_rad, wall_damping_N_s_m=wall_damping_Nm_s_rad, filter_s=filter_s, model_ticks=model_ticks
-        )
+        loop = self.loop(stiffness_Nm_rad, filter_s=filter_s, model_ticks=model_ticks)
         return replace(loop, mass_kg=self.inertia_kg_m2, damping_N_s_m=self.damping_Nm_s_rad)
 
 

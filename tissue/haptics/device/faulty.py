@@ -8,15 +8,12 @@ from math import nan
 from types import TracebackType
 from typing import Literal, Self, get_args
 
-import numpy as np
-from numpy.typing import NDArray
-
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_range
 from tissue.haptics.device.device import Device, Sample
 
 __all__ = ["Fault", "FaultKind", "FaultyDevice"]
 
-Array = NDArray[np.float64]
 FaultKind = Literal["dropped", "late", "duplicated", "non-finite", "wild"]
 WILD_M = 1e9
 LATE_READS = 5

@@ -3,16 +3,14 @@
 from math import exp
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 from tissue.haptics.device.device import ComputedDevice, Sample
 from tissue.motion.quaternion import Quaternion, Triple, conjugate, logarithm, product
 
 __all__ = ["MouseDevice", "RecordedDevice"]
-
-Array = NDArray[np.float64]
 
 
 class RecordedDevice(ComputedDevice):

@@ -1,23 +1,23 @@
 """A device as a loop holds it: entered, timed, limited in how fast its force changes, and never left pushing."""
 
 import threading
-from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack, suppress
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from math import inf
 from time import perf_counter, sleep
 from types import TracebackType
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.haptics.device.device import Device, DeviceError, DeviceParameters, Sample
 from tissue.haptics.loop.filters import SlewLimit
+from tissue.models.tissue_model import TICK_S
 
 __all__ = ["GIVE_UP_S", "RAMP_S", "STALL_S", "SafeDevice"]
 
-Array = NDArray[np.float64]
 RAMP_S = 0.03
 """Time in which the last force is taken off a device whose loop still runs [s]."""
 STALL_S = 0.05
@@ -64,7 +64,7 @@ class SafeDevice:
     """
 
     def __init__(
-        self, device: "Device | SafeDevice", *, limits: DeviceParameters | None = None, tick_s: float = 1e-3
+        self, device: "Device | SafeDevice", *, limits: DeviceParameters | None = None, tick_s: float = TICK_S
     ) -> None:
         self._holder = device if isinstance(device, SafeDevice) else None
         self.device: Device = device.device if isinstance(device, SafeDevice) else device
@@ -97,13 +97,8 @@ class SafeDevice:
     def __enter__(self) -> Self:
         held = self._holder is not None and self._holder.entered
         if isinstance(self.device, AbstractContextManager) and not held:
-            self._call = ("__enter__", perf_counter())
-            try:
+            with self._calling("__enter__"):
                 self._stack.enter_context(self.device)
-            except Exception as error:
-                raise self._failed("__enter__", error) from error
-            finally:
-                self._call = IDLE
         self.entered = True
         return self
 
@@ -119,14 +114,12 @@ class SafeDevice:
             problem = raised
         finally:
             problem = self._zero() or problem
-        self._call = ("__exit__", perf_counter())
         try:
-            if not self._closed:
-                self._stack.__exit__(kind, error, trace)
-        except Exception as raised:
-            problem = problem or self._failed("__exit__", raised)
-        finally:
-            self._call = IDLE
+            with self._calling("__exit__"):
+                if not self._closed:
+                    self._stack.__exit__(kind, error, trace)
+        except DeviceError as raised:
+            problem = problem or raised
         if problem is not None and error is None:
             raise problem
 
@@ -143,19 +136,11 @@ class SafeDevice:
         self._time_s = time_s
         if self._stop is not None:
             raise self._stop
-        if self.in_process:
-            try:
-                return self.device.read(time_s)
-            except Exception as error:
-                raise self._failed("read", error) from error
         start = perf_counter()
-        self._call = ("read", start)
-        try:
+        with self._calling("read"):
             sample = self.device.read(time_s)
-        except Exception as error:
-            raise self._failed("read", error) from error
-        finally:
-            self._call = IDLE
+        if self.in_process:
+            return sample
         if self._lost is not None:
             raise self._lost
         took = perf_counter() - start
@@ -219,13 +204,18 @@ class SafeDevice:
     def _command(self, force: Array, torque: Array) -> None:
         """One command, timed."""
         if not self.in_process:
-            now = perf_counter()
-            self._played = now if any(force.tolist()) or any(torque.tolist()) else inf
-            self._call = ("command", now)
-        try:
+            self._played = perf_counter() if any(force.tolist()) or any(torque.tolist()) else inf
+        with self._calling("command"):
             self.device.command(force, torque)
+
+    @contextmanager
+    def _calling(self, name: str) -> Iterator[None]:
+        """A call of the device, timed; what it raises becomes one sentence."""
+        self._call = (name, perf_counter())
+        try:
+            yield
         except Exception as error:
-            raise self._failed("command", error) from error
+            raise self._failed(name, error) from error
         finally:
             self._call = IDLE
 

@@ -1,11 +1,11 @@
 """Samples that a loop accepts: those that a hand could have made; without them the force fades to nothing."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from math import dist, isfinite, nan, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import require_positive
 from tissue.haptics.device.device import DeviceError, Sample
 from tissue.haptics.device.roughness import Roughness
@@ -13,7 +13,6 @@ from tissue.motion.quaternion import Quaternion, conjugate, logarithm, product, 
 
 __all__ = ["GuardLimits", "SampleGuard"]
 
-Array = NDArray[np.float64]
 NO_TORQUE = np.zeros(3)
 MOST_EVENTS = 200
 """Changes between good samples and bad that are kept one by one."""
@@ -51,12 +50,8 @@ class GuardLimits:
     fade_s: float = 0.02
 
     def __post_init__(self) -> None:
-        require_positive("fastest_m_s", self.fastest_m_s, "use 5")
-        require_positive("fastest_rad_s", self.fastest_rad_s, "use 60")
-        require_positive("oldest_s", self.oldest_s, "use two and a half ticks")
-        require_positive("roughest_m_s2", self.roughest_m_s2, "use 2000")
-        require_positive("roughest_rad_s2", self.roughest_rad_s2, "use 40000")
-        require_positive("fade_s", self.fade_s, "use 0.02")
+        for entry in fields(self):
+            require_positive(entry.name, getattr(self, entry.name), f"use {entry.default:g}")
 
 
 class SampleGuard:

@@ -4,8 +4,8 @@ from collections import deque
 from math import ceil, isfinite, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import require_range
 from tissue.haptics.device.device import ComputedDevice, DeviceParameters, Sample
 from tissue.haptics.hand.hand import Grip, HandAction, HoldingHand
@@ -14,7 +14,6 @@ from tissue.motion.quaternion import Quaternion, Triple, conjugate, exponential,
 
 __all__ = ["SimulatedDevice"]
 
-Array = NDArray[np.float64]
 NOTHING: Triple = (0.0, 0.0, 0.0)
 
 

@@ -7,16 +7,16 @@ from math import exp, inf, pi, sqrt
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import require_positive, require_range
 from tissue.haptics.hand.minimum_jerk import Aim, Path
+from tissue.models.tissue_model import TICK_S
 from tissue.motion.quaternion import Quaternion, Triple
 from tissue.scene.registry import HANDS
 
 __all__ = ["Grip", "Hand", "HandAction", "HandParameters", "HoldingHand", "hand_parameters"]
 
-Array = NDArray[np.float64]
 
 BLOCK = 500
 """Ticks whose random numbers are drawn at once."""
@@ -153,7 +153,7 @@ class Hand:
         path: Path,
         *,
         rng: np.random.Generator,
-        step_s: float = 1e-3,
+        step_s: float = TICK_S,
         push: Callable[[float], Array] | None = None,
         turn: Callable[[float], Array] | None = None,
         let_go_s: float = inf,

@@ -4,14 +4,13 @@ from collections.abc import Callable
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.motion.quaternion import Triple
 
 __all__ = ["Aim", "Path", "minimum_jerk", "waypoints"]
 
-Array = NDArray[np.float64]
 Path = Callable[[float], Array]
 """Position [m], shape (3,), over time [s]."""
 

@@ -5,13 +5,11 @@ from dataclasses import dataclass
 from math import exp, expm1, inf, pi, sin, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
 
 __all__ = ["DelayLine", "ForceRange", "LowPass", "SlewLimit", "cutoff_Hz", "low_pass_gain", "relaxation_bound"]
-
-Array = NDArray[np.float64]
 
 
 def low_pass_gain(time_constant_s: float, step_s: float) -> float:
@@ -109,7 +107,7 @@ class ForceRange:
         F'                                                              F' <= knee
         knee + (limit - knee) (1 - exp(-(F' - knee) / (limit - knee)))  otherwise
 
-    The law is smooth to its first derivative and can be inverted (`physical_N`) for every force it gives out.
+    The law is smooth to its first derivative and can be inverted for every force it gives out.
 
     Attributes
     ----------
@@ -148,11 +146,3 @@ class ForceRange:
         above = self.limit_N - knee
         played = knee + above * (1.0 - exp(-(size - knee) / above))
         return force * (self.scale * played / size), True
-
-    def physical_N(self, played_N: float) -> float:
-        """Size of the force [N] that is played as ``played_N``."""
-        knee = self.knee_share * self.limit_N
-        require_range("played_N", played_N, 0.0, np.nextafter(self.limit_N, 0.0), "give a force below the limit")
-        above = self.limit_N - knee
-        size = played_N if played_N <= knee else knee - above * float(np.log1p(-(played_N - knee) / above))
-        return size / self.scale

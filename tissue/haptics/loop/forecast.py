@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
 
 if TYPE_CHECKING:
@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Forecast", "forecast_of"]
 
-Array = NDArray[np.float64]
 PROBES = (1e-5, 1e-3, 1e-3)
 """Changes by which a predictor is probed: position [m], velocity [m/s], force [N]."""
 LONGEST = 512

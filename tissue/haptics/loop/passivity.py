@@ -4,13 +4,12 @@ from collections import deque
 from math import copysign, inf, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
 
 __all__ = ["RELEASE_RAD_S", "PassivityControl", "PassivityObserver"]
 
-Array = NDArray[np.float64]
 SPEED_TICKS = 3
 """Ticks over which the speed is taken."""
 RELEASE_M_S, RELEASE_RAD_S = (0.03, 0.1), (1.2, 4.0)

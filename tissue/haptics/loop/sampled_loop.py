@@ -5,16 +5,16 @@ from functools import lru_cache
 from math import ceil, inf, pi
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.haptics.loop.filters import low_pass_gain
 from tissue.haptics.loop.forecast import Forecast
+from tissue.models.tissue_model import TICK_S
 
 __all__ = ["ForecastMemory", "WallLoop", "loop_matrix", "plant_step", "spectral_radius"]
 
-Array = NDArray[np.float64]
 MOST_TICKS = 400
 """Longest delay and longest model step that are judged [ticks]: the map has one state for every tick of delay."""
 
@@ -50,7 +50,7 @@ class WallLoop:
     damping_N_s_m: float
     stiffness_N_m: float
     wall_damping_N_s_m: float = 0.0
-    tick_s: float = 1e-3
+    tick_s: float = TICK_S
     delay_s: float = 0.0
     model_ticks: int = 1
     filter_s: float = 0.0

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from math import inf
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.haptics.loop.critical_stiffness import Verdict, critical_stiffness_N_m, judge
 from tissue.haptics.loop.filters import low_pass_gain
@@ -15,7 +15,6 @@ from tissue.haptics.loop.stability_bounds import delay_bound_N_m, pade_bound_N_m
 
 __all__ = ["StabilityChart", "StabilityMap", "growth_while_running", "measured_critical_N_m", "stability_map"]
 
-Array = NDArray[np.float64]
 SOFTEST_N_M, STIFFEST_N_M = 0.1, 1e6
 BISECTIONS = 15
 """Seven decades halved fifteen times: 0.05 %."""

@@ -4,14 +4,13 @@ from dataclasses import dataclass, field
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from tissue.haptics.hand.minimum_jerk import Path
 from tissue.haptics.proxy.held_tool import HeldTool
 
 __all__ = ["CompensatedPath", "Thrust"]
 
-Array = NDArray[np.float64]
 SHARE = 0.5
 """Share of what is seen missing that is added in every correction, where the tool goes as far as the hand; assumed."""
 LEAST_YIELD = 0.6

@@ -1,12 +1,12 @@
 """Where a tool is that hangs on a device by a spring: in balance with what it cuts, or with what pushes it back."""
 
+from abc import ABC, abstractmethod
 from math import sqrt
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dgesv
 
+from meshes.base.arrays import Array
 from meshes.base.errors import require_positive
 from tissue.haptics.proxy.held_turn import HeldTurn
 from tissue.models.tissue_model import Response
@@ -14,7 +14,6 @@ from tissue.motion.quaternion import Quaternion
 
 __all__ = ["CuttingTool", "HeldTool", "PressingTool"]
 
-Array = NDArray[np.float64]
 FADE = 0.8
 """Share of a resistance that is still reckoned with a tick after it is gone."""
 LEAST_N, LEAST_N_s_m = 1e-3, 1.0
@@ -27,34 +26,51 @@ ROUNDING = 1e-9
 """Share of a stretch that counts as none."""
 
 
-class HeldTool(Protocol):
+class HeldTool(ABC):
     """A law for the pose of a tool; the spring's pull is the stiffness times the distance to the device.
 
     The device is where it would have the tool: its position in the tool's metres, its turn from its first orientation.
+
+    Parameters
+    ----------
+    stiffness_N_m
+        Of the spring, in the tissue's newtons [N/m].
+    tip_m
+        Where the tip starts [m], shape (3,).
+    turn
+        Spring of rotation; without it the tool turns as its device does.
+
+    Attributes
+    ----------
+    tip_m
+        Where the tip is [m], shape (3,).
+    pressed
+        Share of the force that would make a resting tool cut, see `ToolMotion`.
+    driven
+        Whether its last motion was made against resistance, and so at a speed of its own.
     """
 
-    tip_m: Array
-    """Where the tip is [m], shape (3,)."""
-    pressed: float
-    """Share of the force that would make a resting tool cut, see `ToolMotion`."""
-    driven: bool
-    """Whether its last motion was made against resistance, and so at a speed of its own."""
+    def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
+        self._turn = turn or HeldTurn()
+        self.stiffness_N_m = require_positive("stiffness_N_m", stiffness_N_m, "use 1e3 on an organ, 1e4 on bone")
+        self.tip_m = np.array(tip_m, dtype=float)
+        self.pressed, self.driven = 0.0, False
 
     @property
     def quaternion(self) -> Quaternion:
         """The tool's turn from its first orientation."""
-        ...
+        return self._turn.quaternion
 
+    @abstractmethod
     def follow(self, device_m: Array, device: Quaternion, response: Response, heading: Array, step_s: float) -> Array:
         """Go a step towards the device [m], given the last response and the unit heading it was given for; the tip."""
-        ...
 
+    @abstractmethod
     def lands(self, response: Response, heading: Array) -> bool:
         """Whether this answer to its new place shows that it has met more than it knew of, so that it follows anew."""
-        ...
 
 
-class CuttingTool:
+class CuttingTool(HeldTool):
     """A tool in a tissue that yields only by being cut, such as bone.
 
     The tip moves along the pull, by a length s in the step T that balances spring, cutting resistance and edge force at
@@ -66,29 +82,12 @@ class CuttingTool:
     is known for the last heading only: at an angle a to it (1 + cos a) / 2 of it counts, all straight on and nothing
     straight back, and it fades over some ticks once it is gone, lest a device whose encoder steps should jump between
     air and bone. Forces across the pull do not bend the spring.
-
-    Parameters
-    ----------
-    stiffness_N_m
-        Of the spring, in the tissue's newtons [N/m].
-    tip_m
-        Where the tip starts [m], shape (3,).
-    turn
-        Spring of rotation; without it the tool turns as its device does.
     """
 
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
-        self._turn = turn or HeldTurn()
-        self._stiffness = require_positive("stiffness_N_m", stiffness_N_m, "use 1e4")
-        self.tip_m = np.array(tip_m, dtype=float)
-        self.pressed, self.driven = 0.0, False
+        super().__init__(stiffness_N_m, tip_m, turn)
         self._drag = self._edge = self._pull_N = 0.0
         self._heading = np.zeros(3)
-
-    @property
-    def quaternion(self) -> Quaternion:
-        """The tool's turn from its first orientation."""
-        return self._turn.quaternion
 
     def follow(self, device_m: Array, device: Quaternion, response: Response, heading: Array, step_s: float) -> Array:
         """Solve the balance along the pull and move."""
@@ -107,13 +106,13 @@ class CuttingTool:
         stretch = device_m - self.tip_m
         length = sqrt(stretch.dot(stretch))
         along = 0.5 * (1.0 + float(self._heading.dot(stretch)) / length) if length > 0.0 else 1.0
-        pull, held = self._stiffness * length, along * self._edge
-        moved = max(pull - held, 0.0) / (self._stiffness + along * self._drag / step_s)
+        pull, held = self.stiffness_N_m * length, along * self._edge
+        moved = max(pull - held, 0.0) / (self.stiffness_N_m + along * self._drag / step_s)
         if moved < length * (1.0 - ROUNDING):
             self.tip_m += stretch * (moved / length)
         else:
             self.tip_m[:] = device_m
-        self._pull_N = max(pull - self._stiffness * moved, 0.0)
+        self._pull_N = max(pull - self.stiffness_N_m * moved, 0.0)
         if moved == 0.0 and held > 0.0:
             self.pressed = min(pull / held, 1.0)
         return self.tip_m
@@ -123,7 +122,7 @@ class CuttingTool:
         return -float(response.wrench[:3].dot(heading)) > TOO_MUCH * self._pull_N + LEAST_N
 
 
-class PressingTool:
+class PressingTool(HeldTool):
     """A tool on a tissue that pushes it back, such as an organ or a wall.
 
     The tip is where spring and tissue balance, k (x_device - x) + F(x) = 0, by one Newton step a tick from the force F
@@ -131,35 +130,18 @@ class PressingTool:
     taken as alike in all directions, as stiff as its force has changed along the tip's last motions; a greater value
     counts at once, a smaller one gradually. A balance in which the tissue would pull where it has pushed is none: the
     tip is where the device is, and so it is where nothing touches.
-
-    Parameters
-    ----------
-    stiffness_N_m
-        Of the spring, in the tissue's newtons [N/m].
-    tip_m
-        Where the tip starts [m], shape (3,).
-    turn
-        Spring of rotation; without it the tool turns as its device does.
     """
 
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
-        self._turn = turn or HeldTurn()
-        self._stiffness = require_positive("stiffness_N_m", stiffness_N_m, "use 1e3")
-        self.tip_m = np.array(tip_m, dtype=float)
-        self.pressed, self.driven = 0.0, False
-        self._spring = self._stiffness * np.eye(3)
+        super().__init__(stiffness_N_m, tip_m, turn)
+        self._spring = self.stiffness_N_m * np.eye(3)
         self._learnt, self._free = 0.0, True
         self._before_m, self._before_N = self.tip_m.copy(), np.zeros(3)
-
-    @property
-    def quaternion(self) -> Quaternion:
-        """The tool's turn from its first orientation."""
-        return self._turn.quaternion
 
     def follow(self, device_m: Array, device: Quaternion, response: Response, heading: Array, step_s: float) -> Array:
         """Make a Newton step of the balance."""
         self._turn.follow(device, response.wrench[3:])
-        force, tip, spring = response.wrench[:3], self.tip_m, self._stiffness
+        force, tip, spring = response.wrench[:3], self.tip_m, self.stiffness_N_m
         if response.stiffness_N_m is None:
             self._learn(force)
         in_balance, self._free = False, not any(force.tolist())

@@ -3,14 +3,13 @@
 from math import inf, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import require_positive
 from tissue.motion.quaternion import Quaternion, conjugate, exponential, logarithm, product
 
 __all__ = ["UPRIGHT", "HeldTurn"]
 
-Array = NDArray[np.float64]
 UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
 FADE = 0.8
 """Share of a stiffness that is still reckoned with a tick after it is gone."""

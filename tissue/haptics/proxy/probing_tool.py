@@ -3,11 +3,13 @@
 from math import inf, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kernels.bricks import FULL
-from meshes.base.errors import InputError, require_positive
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
 from meshes.voxels.volume import VoxelVolume
+from tissue.haptics.proxy.held_tool import HeldTool
+from tissue.haptics.proxy.held_turn import HeldTurn
 from tissue.haptics.proxy.proxy import Proxy, ProxyOutcome
 from tissue.haptics.proxy.tool_shell import ToolShell
 from tissue.haptics.proxy.voxmap import ContactField
@@ -17,42 +19,27 @@ from tissue.motion.quaternion import Quaternion
 
 __all__ = ["ProbedBone", "ProbingTool"]
 
-Array = NDArray[np.float64]
 FRICTION = 0.3
 """Coulomb's coefficient of smooth metal on bone, 0.2 to 0.6 (Shirazi-Adl et al., 1993, from memory: confidence L)."""
 RIGID_LEVER_M = 10.0
 """Lever of the spring of rotation for a device that imposes its turn [m]: a hundred times what any tool has."""
 
 
-class ProbingTool:
+class ProbingTool(HeldTool):
     """The god-object of a tool of any shape: where it would be if nothing could be pushed into.
 
     Contacts of the shell's points with the bone balance the springs of translation and rotation, see
     :class:`tissue.haptics.proxy.proxy.Proxy`; the bone is read in place, in voxels that others may carve.
-
-    Parameters
-    ----------
-    stiffness_N_m
-        Of the spring, in the tissue's newtons [N/m].
-    tip_m
-        Where the tip starts [m], shape (3,).
-    stiffness_Nm_rad
-        Of the spring of rotation, in the tissue's newton metres [N m/rad]; infinite for a tool that turns as its device
-        does.
-    friction
-        Coulomb's coefficient.
     """
 
-    pressed, driven = 0.0, False
-
     def __init__(
-        self, stiffness_N_m: float, tip_m: Array, *, stiffness_Nm_rad: float = inf, friction: float = FRICTION
+        self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None, *, friction: float = FRICTION
     ) -> None:
-        self.stiffness_N_m = require_positive("stiffness_N_m", stiffness_N_m, "use 1e4")
+        super().__init__(stiffness_N_m, tip_m, turn)
+        self.friction = friction
+        stiffness_Nm_rad = self._turn.stiffness_Nm_rad
         self.lever_m = RIGID_LEVER_M if stiffness_Nm_rad == inf else sqrt(stiffness_Nm_rad / stiffness_N_m)
-        self.friction, self.proxy = friction, None  # type: float, Proxy | None
-        self.tip_m = np.array(tip_m, dtype=float)
-        self.quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)
+        self.proxy: Proxy | None = None
 
     def meet(self, shell: ToolShell, field: ContactField) -> Proxy:
         """Begin where the tool starts, before what it may touch; the shell is in the world's axes there.
@@ -72,7 +59,7 @@ class ProbingTool:
         result = self.proxy.advance(device_m, np.array(device))
         self.tip_m[:] = result.position_m
         x, y, z, w = result.quaternion.tolist()
-        self.quaternion = x, y, z, w
+        self._turn.quaternion = x, y, z, w
         return self.tip_m
 
     def lands(self, response: Response, heading: Array) -> bool:

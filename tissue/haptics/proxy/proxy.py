@@ -1,7 +1,7 @@
 """The god-object: where a tool would be if nothing could be pushed into, in three or six degrees of freedom.
 
 The device goes where the hand moves it, through walls if it must; the proxy follows as far as it can and stays outside.
-What holds them together, see `tissue.haptics.proxy.virtual_coupling`, is the force that the hand feels. The proxy is
+What holds them together, see `tissue.haptics.renderer.ProxyRenderer`, is the force that the hand feels. The proxy is
 the tool's static equilibrium between the coupling's springs and the contacts, reached by local descent from the last
 proxy: a search for the nearest free point would come out on the far side of a thin wall.
 """
@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from kernels.mirror import Mirror
 from kernels.proxy import (
@@ -34,13 +33,13 @@ from kernels.proxy import (
 from kernels.proxy_contacts import VOXEL_PLANES, Contacts, Shell
 from kernels.proxy_descent import DescentSettings
 from kernels.proxy_forces import MEMBERS
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.haptics.proxy.tool_shell import ToolShell
 from tissue.haptics.proxy.voxmap import ContactField
 
 __all__ = ["Proxy", "ProxyOutcome", "ProxyResult"]
 
-Array = NDArray[np.float64]
 STEP_M = 2.5e-4
 """Longest step near solids [m]."""
 STEP_VOXELS = 0.5

@@ -3,14 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.cutters.cutter import Cutter
 
 __all__ = ["ToolShell"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from kernels.voxmap import BALL, BOX, CELL, HALF_SPACE, SURFACE, Field, field_distance
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 from tissue.models.bone.bricks import BrickStore
 
 __all__ = ["Ball", "Box", "ContactField", "HalfSpace", "Solid"]
 
-Array = NDArray[np.float64]
 FELT_VOXELS = 0.5 * sqrt(3.0)
 """How far from a voxel its fraction is felt at most, trilinear between centres [voxel]."""
 NOWHERE_M = 1e30

@@ -9,8 +9,9 @@ needle's axis, by whatever forces that takes. The force on the needle never come
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from meshes.base.arrays import Array, Ints
 from meshes.organs.liver import slab, slab_base
 from meshes.tets.bisection import bisected
 from meshes.tets.tetrahedra import TetMesh
@@ -27,7 +28,6 @@ from tissue.models.organ.fields import OrganFields
 
 __all__ = ["NeedleFields", "Track", "needle_block"]
 
-Array = NDArray[np.float64]
 SIDE_M = 0.08
 """Side of the block across the needle [m]."""
 BELOW_M = 0.03
@@ -77,7 +77,7 @@ class Track:
         return cls(entries[0], outward[inside[0]], float(travel[inside][same].max()))
 
 
-def needle_block(track: Track) -> tuple[TetMesh, NDArray[np.int64], Array]:
+def needle_block(track: Track) -> tuple[TetMesh, Ints, Array]:
     """Block of tissue around a track, its nodes on it from the surface down, shape (k,), and their depths [m], (k,).
 
     A slab sheared so that its middle line is the needle's axis; depths count along the axis. Top face at z = 0.

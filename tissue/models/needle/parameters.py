@@ -7,7 +7,7 @@ from math import sqrt
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.materials.constants import constants
 
-__all__ = ["Membrane", "NeedleTissue", "ShaftFriction", "cutting_force_N", "needle_tissue"]
+__all__ = ["Membrane", "NeedleTissue", "ShaftFriction", "needle_tissue"]
 
 GREATEST_N = 1e4
 """Greatest force that a parameter may name [N]; a greater one is a mistaken unit."""
@@ -142,30 +142,10 @@ class NeedleTissue:
         """Deflection at which the organ pulls with a force that is not negative [m]."""
         return positive_root(self.quadratic_N_m2, self.linear_N_m, pull_N)
 
-    def stored_J(self, deflection_m: float) -> float:
-        """Elastic energy of the deflected organ [J]."""
-        size = abs(deflection_m)
-        return (0.5 * self.linear_N_m + self.quadratic_N_m2 * size / 3.0) * size * size
-
 
 def positive_root(a: float, b: float, c: float) -> float:
     """The x >= 0 with a x² + b x = c for a >= 0 and b > 0; 0 where c is negative."""
     return 2.0 * c / (b + sqrt(b * b + 4.0 * a * c)) if c > 0.0 else 0.0
-
-
-def cutting_force_N(*, toughness_J_m2: float, crack_width_m: float) -> float:
-    """Force that opens a crack in a tissue of a given toughness: work = force x length = J x width x length.
-
-    Bovine liver's 164 J/m2 (Gokgol 2012) and a crack as wide as an 18 gauge needle give 0.21 N; the 0.94 N of Okamura
-    (2004) hold more than the work of fracture.
-
-    Raises
-    ------
-    InputError
-        If either is not positive.
-    """
-    toughness = require_positive("toughness_J_m2", toughness_J_m2, "liver has about 164 J/m2")
-    return toughness * require_positive("crack_width_m", crack_width_m, "use the needle's diameter")
 
 
 def needle_tissue(*, vessel_wall_depth_m: float | None = None) -> NeedleTissue:

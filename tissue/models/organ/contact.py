@@ -27,6 +27,7 @@ from kernels.mirror import Mirror
 from kernels.near_compliance import gather_all_again, new_patch
 from kernels.shell_projection import link_points, project_shell
 from kernels.surface_contact import solve_contact
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.models.organ.contact_points import contact_points
 from tissue.models.organ.contact_result import ContactOutcome, ContactResult
@@ -34,7 +35,6 @@ from tissue.models.organ.probe import Probe, ShellProbe
 
 __all__ = ["SurfaceContact"]
 
-Array = NDArray[np.float64]
 OUTCOMES = tuple(ContactOutcome)
 """In the order of the kernel's states."""
 START_M = 1e-6
@@ -83,7 +83,7 @@ class SurfaceContact:
     def __init__(
         self,
         nodes_m: Array,
-        faces: NDArray[np.int64],
+        faces: Ints,
         compliance_m_N: Array,
         probe: Probe,
         *,
@@ -231,11 +231,7 @@ class SurfaceContact:
         self._results.push()
         self._shifted = True
 
-    def point_forces_N(self) -> Array:
-        """Forces on the organ at the contact points [N], shape (p, 3), as `contact_points` or the shell has them."""
-        return np.array(self._points.force.numpy())
-
-    def nodes_in_reach(self, tip_m: Array, rotation: Array, margin_m: float) -> NDArray[np.int64]:
+    def nodes_in_reach(self, tip_m: Array, rotation: Array, margin_m: float) -> Ints:
         """Touchable nodes whose triangles come within a margin [m] of the tool at rest: fill their compliance first."""
         distance, _ = self.probe.distance((self._centres - tip_m) @ rotation)
         return np.unique(self.faces[distance < self._radii + margin_m])

@@ -3,18 +3,16 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 
 __all__ = ["contact_points"]
 
-Array = NDArray[np.float64]
 MOST_DIVISIONS = 16
 """Contact points along the edge of a triangle."""
 
 
-def contact_points(
-    nodes_m: Array, faces: NDArray[np.int64], spacing_m: float
-) -> tuple[NDArray[np.int32], Array, Array]:
+def contact_points(nodes_m: Array, faces: Ints, spacing_m: float) -> tuple[NDArray[np.int32], Array, Array]:
     """Contact points on triangles: their corners, and inside those with longer edges a lattice.
 
     A triangle whose longest edge spans n spacings, n > 1, has the centres of its n^2 equal parts.

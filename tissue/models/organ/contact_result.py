@@ -4,11 +4,10 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
+
+from meshes.base.arrays import Array
 
 __all__ = ["ContactOutcome", "ContactResult"]
-
-Array = NDArray[np.float64]
 
 
 class ContactOutcome(Enum):

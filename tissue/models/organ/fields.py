@@ -4,8 +4,9 @@ from collections.abc import Callable
 from math import inf
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from meshes.base.arrays import Array, Ints
 from tissue.fem.fields import FieldSeries, Frame
 from tissue.fem.shapes import EDGES
 from tissue.fem.space import Space
@@ -13,7 +14,6 @@ from tissue.fem.stress import cell_stress
 
 __all__ = ["OrganFields", "equivalent_strain"]
 
-Array = NDArray[np.float64]
 Solve = Callable[[Array], Array]
 """Displacements [m] of all nodes under several loads [N], shape (loads, n, 3) both."""
 BATCH = 16
@@ -52,10 +52,10 @@ class OrganFields:
         *,
         solve: Solve,
         product: Callable[[Array], Array],
-        touchable: NDArray[np.int64],
+        touchable: Ints,
         rest_m: Array,
         rest_load_N: Array,
-        held: NDArray[np.int64],
+        held: Ints,
         interval_s: float,
     ) -> None:
         self._space, self._elasticity, self._solve, self._product = space, elasticity, solve, product
@@ -113,7 +113,7 @@ class OrganFields:
         )
 
 
-def _edge_ends(space: Space) -> NDArray[np.int64]:
+def _edge_ends(space: Space) -> Ints:
     """Corners at the ends of each edge that has a middle node, shape (edges, 2)."""
     corners = len(space.mesh.nodes_m)
     ends = np.zeros((space.node_count - corners, 2), dtype=np.int64)

@@ -1,8 +1,26 @@
-"""A soft organ under a probe: contact at every tick, displacement and stress of the whole where a frame is due."""
+"""A soft organ under a probe: contact at every tick, displacement and stress of the whole where a frame is due.
+
+Where every modulus of the body relaxes by one Prony series, Poisson's ratio is constant and the supports are rigid, the
+elastic-viscoelastic correspondence gives the displacement of the surface under any history of nodal forces f::
+
+    u(t) = integral j(t - s) d(W f)(s),    W the instantaneous elastic compliance, j the creep function
+
+(Lee 1955, Q. Appl. Math. 13:183). One tick further, with the exact exponential step of each creep term::
+
+    u = instant_factor W f + offset,
+
+where the offset per surface node is known before the tick. A contact solver uses the scaled compliance, adds the offset
+to the free surface and needs nothing else: any unilateral condition, with or without friction, for a contact that
+grows, shrinks, moves or lifts off. The shortcut of relaxing the elastic force instead is right only while the contact
+grows (Lee and Radok 1960, J. Appl. Mech. 27:438; Ting 1966, J. Appl. Mech. 33:845): when the tool retreats, it pulls
+where the surface, slow to rise, has let go. Both hold for small strains without inertia. Neither holds where parts
+relax by different series, nor where the shear modulus relaxes alone, unless the bulk modulus is so large that it does
+not show (Poisson's ratio near 0.5).
+"""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Ints
 from tissue.fem.fields import FieldSeries
 from tissue.fem.solvers.lazy_compliance import LazyCompliance
 from tissue.fem.space import Space
@@ -10,12 +28,10 @@ from tissue.materials.prony import HereditaryIntegral, Prony
 from tissue.models.organ.contact import SurfaceContact
 from tissue.models.organ.contact_result import ContactOutcome
 from tissue.models.organ.fields import OrganFields
-from tissue.models.organ.viscous import CreepState
-from tissue.models.tissue_model import Response, ToolMotion
+from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 
 __all__ = ["LiverModel"]
 
-Array = NDArray[np.float64]
 LINEAR_ERROR = ((0.37, 0.05), (0.57, 0.1))
 """Depth over the ball's radius at which the linear force is off a neo-Hookean one by so much, on a block, a procedural
 and a scanned liver (0.36-0.39, 0.56-0.585): `python tests/bench/chart_liver.py`."""
@@ -53,12 +69,12 @@ class LiverModel:
         contact: SurfaceContact,
         *,
         space: Space,
-        touchable: NDArray[np.int64],
+        touchable: Ints,
         fields: OrganFields,
         prony: Prony | None = None,
         lazy: LazyCompliance | None = None,
         ball_radius_m: float | None = None,
-        step_s: float = 1e-3,
+        step_s: float = TICK_S,
     ) -> None:
         self.contact, self._fields, self._lazy = contact, fields, lazy
         self.layer_names = space.mesh.part_names
@@ -72,12 +88,12 @@ class LiverModel:
         self._touched_m = np.full(3, np.nan)
         self._unsettled, self._ticks = False, 0
         self._limits = [(depth * ball_radius_m, error) for depth, error in LINEAR_ERROR] if ball_radius_m else []
-        self._creep = CreepState(len(touchable), prony, step_s=step_s) if prony is not None else None
-        self._forces = (
-            HereditaryIntegral(prony.retardation, (len(touchable), 3), step_s=step_s) if prony is not None else None
-        )
         self._crept_N = np.zeros((len(touchable), 3))
-        if self._creep is not None:
+        self._creep: HereditaryIntegral | None = None
+        if prony is not None:
+            self._creep, self._forces = (
+                HereditaryIntegral(prony.retardation, self._crept_N.shape, step_s=step_s) for _ in range(2)
+            )
             contact.scale_compliance(self._creep.instant_factor)
 
     @property
@@ -103,9 +119,9 @@ class LiverModel:
                 self._search_contacts(motion)
         self._ticks += 1
         if self._creep is not None:
-            self.contact.shift(self._creep.offset_m)
+            self.contact.shift(self._creep.history)
         result = self.contact.solve(motion.tip_m, motion.rotation)
-        if self._creep is not None and self._forces is not None:
+        if self._creep is not None:
             np.multiply(result.nodal_forces_N, self._forces.instant_factor, out=self._crept_N)
             self._crept_N += self._forces.history
             self._forces.advance(result.nodal_forces_N)
@@ -150,7 +166,7 @@ class LiverModel:
     def displacement_m(self) -> Array:
         """Displacement of the touchable nodes in the last tick [m], shape (t, 3); NaN where it is not known."""
         moved = self.contact.result.displacement_m()
-        return moved if self._creep is None else moved + self._creep.offset_m
+        return moved if self._creep is None else moved + self._creep.history
 
     def _search_contacts(self, motion: ToolMotion) -> None:
         """Ask for the compliance of the nodes around the tool."""
@@ -158,7 +174,7 @@ class LiverModel:
         self._lazy.want(self.contact.nodes_in_reach(motion.tip_m, motion.rotation, LOOK_M))
 
 
-def _parts_at(space: Space, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
+def _parts_at(space: Space, nodes: Ints) -> Ints:
     """Part of a cell at each node, shape (t,)."""
     part = np.zeros(space.node_count, dtype=np.int64)
     part[space.cell_nodes] = space.mesh.part[:, None]

@@ -10,15 +10,14 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kernels.probe_distance import CYLINDER, SHELL, SPHERE
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_positive
 from meshes.surfaces.surface import read_triangles
 
 __all__ = ["CylinderProbe", "Probe", "ShellProbe", "SphereProbe"]
 
-Array = NDArray[np.float64]
 SPACINGS = 2.0
 """Contact points along the radius of a tool."""
 
@@ -228,7 +227,7 @@ class ShellProbe:
         return np.einsum("ij,ij->i", points_m - self.points_m[nearest], normal), normal
 
 
-def _thinned(centres: Array, normals: Array, areas: Array, side: float) -> tuple[NDArray[np.int64], Array]:
+def _thinned(centres: Array, normals: Array, areas: Array, side: float) -> tuple[Ints, Array]:
     """One point for each cube of a side and each side that its surface faces, shape (k,), and the areas of these."""
     normal = np.abs(normals).argmax(axis=1)
     faces = 2 * normal + (np.take_along_axis(normals, normal[:, None], axis=1)[:, 0] > 0.0)

@@ -3,13 +3,12 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from tissue.fem.conjugate_gradients import Iterate, IterativeSolution, conjugate_gradients, dot
 
 __all__ = ["solve_cells"]
 
-Array = NDArray[np.float64]
 LEAST_CURVATURE = 1e-12
 """Share of ``p . D p``, D the diagonal, below which ``p . K p`` is rounding: p is then a motion that nothing resists. A
 tooth of 1e5 nodes in a ligament a million times softer has 1e-8."""
