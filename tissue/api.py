@@ -11,12 +11,12 @@ from tissue.scene.unused_keys import require_used
 from tissue.simulation import simulate as engine
 from tissue.simulation.run import Run
 
-__all__ = ["public_call", "simulate"]
+__all__ = ["simulate"]
 
 P = ParamSpec("P")
 
 
-def public_call(run_scene: Callable[Concatenate[Scene, P], Run]) -> Callable[Concatenate[Scene, P], Run]:
+def _public(run_scene: Callable[Concatenate[Scene, P], Run]) -> Callable[Concatenate[Scene, P], Run]:
     """Choose the settings that a scene's demand on fidelity asks for, and give the run what draws its pictures."""
 
     @wraps(run_scene)
@@ -35,4 +35,4 @@ def public_call(run_scene: Callable[Concatenate[Scene, P], Run]) -> Callable[Con
     return called
 
 
-simulate = public_call(engine.simulate)
+simulate = _public(engine.simulate)

@@ -20,7 +20,7 @@ from tissue.cutters.profile import ball_burr
 from tissue.haptics.proxy.proxy import Proxy, ProxyOutcome
 from tissue.haptics.proxy.tool_shell import ToolShell
 from tissue.haptics.proxy.voxmap import ContactField
-from tissue.materials.cutting import cutting_coefficients
+from tissue.materials.constants import cutting_coefficients
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import ToolMotion
 

@@ -90,7 +90,7 @@ def burr_ticks(edge_mm: float, spacing_mm: float, shell_m: float | None = None) 
     from meshes.voxels.voxelise import voxelise
     from tissue.cutters.cutter import Cutter
     from tissue.cutters.profile import ball_burr
-    from tissue.materials.cutting import cutting_coefficients
+    from tissue.materials.constants import cutting_coefficients
     from tissue.models.bone.model import BoneModel
     from tissue.models.tissue_model import ToolMotion
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tissue
-from tissue.materials.cutting import cutting_constants
+from tissue.materials.constants import constants
 
 PUBLISHED_TORQUE_NM, PUBLISHED_THRUST_N = (0.2, 2.0), (20.0, 100.0)  # glenoid reaming, 300-1000 rpm, low confidence
 COARSE = {
@@ -43,7 +43,7 @@ def test_sensitivity_to_the_coefficients_is_printed():
     base = steady()
     print(f"\ncited values: thrust {base[0]:.1f} N, torque {base[1]:.3f} N m")
     torques = [base[1]]
-    for name, constant in cutting_constants("bone").items():
+    for name, constant in constants("cutting", "bone").items():
         if name == "reference_density_kg_m3" or constant.high == constant.low:
             continue
         ends = [steady(**{f"cutting.{name}": value}) for value in (constant.low, constant.high)]

@@ -8,7 +8,7 @@ import tissue
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr
-from tissue.materials.cutting import cutting_coefficients
+from tissue.materials.constants import cutting_coefficients
 from tissue.models.bone.bricks import voxels_of
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import ToolMotion

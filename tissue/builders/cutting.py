@@ -12,7 +12,7 @@ from tissue.builders.parts import Parts
 from tissue.builders.registry import motion_of
 from tissue.builders.voxels import require_outside, require_touch, volume_of, whole_tooth
 from tissue.cutters.cutter import Cutter
-from tissue.materials.cutting import cutting_coefficients, cutting_constants
+from tissue.materials.constants import constants, cutting_coefficients
 from tissue.models.tissue_model import TICK_S, TissueModel
 from tissue.motion.motion import Motion
 from tissue.scene.anatomy import MolarAnatomy
@@ -150,7 +150,7 @@ def _energy_note(volume: VoxelVolume) -> str:
     there = {CUT_AS.get(name, "bone") for i, name in enumerate(volume.layer_names) if (volume.layer == i).any()}
     remarks = []
     for material in sorted(there):
-        energy = cutting_constants(material)["tangential_chip_N_mm2"]
+        energy = constants("cutting", material)["tangential_chip_N_mm2"]
         remarks.append(
             f"{material} {1e-3 * energy.value:g} ({1e-3 * energy.low:g}-{1e-3 * energy.high:g}) J/mm3, "
             f"confidence {energy.confidence}"

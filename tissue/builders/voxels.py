@@ -53,7 +53,8 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
         if isinstance(parameters, MolarAnatomy) and parameters.file is not None:
             return labelled_tooth(scene, spacing_m=spacing, region=region, notes=notes, report=report)
         anatomy = _anatomy(scene, notes)
-    require_whole(anatomy, region, is_image=parameters.is_image)
+    if anatomy.caps_m:
+        require_whole(anatomy, region, is_image=parameters.is_image)
     bone = np.array(anatomy.shape.lower_m), np.array(anatomy.shape.upper_m)
     low = np.maximum(region[0], bone[0])
     high = np.minimum(region[1], bone[1])

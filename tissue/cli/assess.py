@@ -55,9 +55,8 @@ def assess(
         deviation_limit_mm=deviation_limit_mm,
         overshoot_limit_mm=overshoot_limit_mm,
     )
-    for line in assessment_lines(found):
-        console.print(line, soft_wrap=True, highlight=False)
+    console.print(*assessment_lines(found), sep="\n")
     if out is not None:
         with output_locked(out, folder=True):
             written = write_assessment(found, out, overwrite=overwrite)
-        console.print(f"files in {out}: {', '.join(path.name for path in written)}", soft_wrap=True, highlight=False)
+        console.print(f"files in {out}: {', '.join(path.name for path in written)}")

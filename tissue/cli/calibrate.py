@@ -74,8 +74,7 @@ def calibrate(
         target = out or Path("population.json")
         with output_locked(target, folder=False):
             lines = fit_population(population, target, seed=seed, overwrite=overwrite, progress=problems.is_terminal)
-        for line in lines:
-            console.print(line, soft_wrap=True, highlight=False)
+        console.print(*lines, sep="\n")
         return
     from tissue.evaluation.calibration.run_session import questioner
     from tissue.evaluation.calibration.session import Plan
@@ -97,24 +96,23 @@ def _session(target: Path, name: str, plan: "Plan", answer: "Answer", *, live: b
 
     log = begin(target, name, plan, overwrite=overwrite)
     if log.mended:
-        problems.print(f"{log.path} ended within a line: that trial is asked again", soft_wrap=True, highlight=False)
+        problems.print(f"{log.path} ended within a line: that trial is asked again")
     if log.session.trial:
-        problems.print(f"going on at trial {log.session.trial + 1} of {log.path}", soft_wrap=True, highlight=False)
+        problems.print(f"going on at trial {log.session.trial + 1} of {log.path}")
     _ask_all(log, answer, live=live)
     session = log.session
     draw_session(session, target.with_suffix(".png"))
     write_observer(session.observer(name), target, overwrite=overwrite)  # last, for where it lies the session is over
-    for line in session.lines():
-        console.print(line, soft_wrap=True, highlight=False)
+    console.print(*session.lines(), sep="\n")
     for note in session.notes():
-        problems.print("note:", note, soft_wrap=True, highlight=False)
+        problems.print("note:", note)
     files = ", ".join(str(each) for each in (target, log.path, target.with_suffix(".png")))
-    console.print(f"wrote {files}", soft_wrap=True, highlight=False)
+    console.print(f"wrote {files}")
 
 
 def _show(line: str) -> None:
     """Show a line to the person."""
-    console.print(line, soft_wrap=True, highlight=False)
+    console.print(line)
 
 
 def _ask_all(log: "TrialLog", answer: "Answer", *, live: bool) -> None:
@@ -139,9 +137,7 @@ def _ask_all(log: "TrialLog", answer: "Answer", *, live: bool) -> None:
     except (KeyboardInterrupt, StoppedError) as stopped:
         log.close()
         problems.print(
-            f"stopped after trial {read_log(log.path)[1].trial}: all are in {log.path}; the same command goes on there",
-            soft_wrap=True,
-            highlight=False,
+            f"stopped after trial {read_log(log.path)[1].trial}: all are in {log.path}; the same command goes on there"
         )
         sys.exit(stopped.exit_code if isinstance(stopped, Terminated) else 130)
     log.close()

@@ -75,9 +75,8 @@ def _scenes(names: list[str], folder: Path, *, quick: bool, overwrite: bool) -> 
     workers = min(os.cpu_count() or 1, MOST_WORKERS)
     with output_locked(folder, folder=True), progress() as report, worker_pool(workers) as pool:
         found = chart_scenes(names, folder, quick=quick, overwrite=overwrite, pool=pool, report=report)
-    for line in chart_lines(found):
-        console.print(line, soft_wrap=True, highlight=False)
-    console.print(f"pictures and tables in {folder}", soft_wrap=True, highlight=False)
+    console.print(*chart_lines(found), sep="\n")
+    console.print(f"pictures and tables in {folder}")
 
 
 def _prediction(scenes: list[str], folder: Path, *, trials: int, overwrite: bool) -> None:
@@ -88,9 +87,8 @@ def _prediction(scenes: list[str], folder: Path, *, trials: int, overwrite: bool
     loaded = [load_scene(name) for name in scenes]
     with output_locked(folder, folder=True), progress() as report:
         found = chart_prediction(loaded, folder, trials=trials, overwrite=overwrite, report=report)
-    for line in comparison_lines(found):
-        console.print(line, soft_wrap=True, highlight=False)
-    console.print(f"pictures and tables in {folder}", soft_wrap=True, highlight=False)
+    console.print(*comparison_lines(found), sep="\n")
+    console.print(f"pictures and tables in {folder}")
 
 
 def _perception(folder: Path, observer: Path | None, *, overwrite: bool) -> None:
@@ -100,4 +98,4 @@ def _perception(folder: Path, observer: Path | None, *, overwrite: bool) -> None
     with output_locked(folder, folder=True):
         drawn = perception_charts(folder, observer, overwrite=overwrite)
     for path in drawn:
-        console.print(f"{path}", soft_wrap=True, highlight=False)
+        console.print(f"{path}")

@@ -38,6 +38,6 @@ def completion_command(app: App) -> Callable[..., None]:
             close = nearest(chosen, list(SHELLS)) if shell else ""
             raise InputError(f"--shell must be one of {', '.join(SHELLS)}, got {chosen}{close}: choose one of these")
         path = app.install_completion(shell=SHELLS[chosen])
-        console.print(f"wrote {path}: open a new {chosen} to use it", soft_wrap=True)
+        console.print(f"wrote {path}: open a new {chosen} to use it")
 
     return install_completion

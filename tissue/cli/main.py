@@ -80,7 +80,7 @@ def main() -> NoReturn:
             or f"stopped: what was written so far is kept{seen}"
         )
         with suppress(OSError):  # such as a terminal that was closed
-            problems.print(sentence, highlight=False, soft_wrap=True)
+            problems.print(sentence)
         sys.exit(stopped.exit_code if isinstance(stopped, Terminated) else 130)
     sys.exit(0)
 
@@ -99,7 +99,7 @@ def _place(file: object) -> tuple[str, str]:
 
 
 def _refuse(sentence: str, *, code: int = BAD_INPUT) -> NoReturn:
-    problems.print(f"[red]error:[/red] {_escaped(sentence)}", soft_wrap=True, highlight=False, markup=True)
+    problems.print(f"[red]error:[/red] {_escaped(sentence)}", markup=True)
     sys.exit(code)
 
 

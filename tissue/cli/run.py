@@ -1,13 +1,14 @@
 """``tissue run``."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated, Any
+from typing import Annotated, TypedDict
 
 from cyclopts import Parameter
 
+from meshes.base.progress import silent
 from tissue.cli.terminal import console, left_out, progress, whole
 
 __all__ = ["run"]
@@ -85,36 +86,49 @@ def run(
     folder = out or Path("runs") / loaded.name
     RunFolder.check(folder, overwrite=overwrite)
     started = perf_counter()
-    settings: dict[str, Any] = {
-        "compute": compute,
-        "cores": cores,
-        "out": folder,
-        "overwrite": overwrite,
-        "allow_unstable": allow_unstable,
-    }
-    if live:
-        from tissue.api import public_call
-        from tissue.simulation.live.run import live as simulate_live
-        from tissue.simulation.live.run import moved_by
-
-        # No progress bar: what draws it takes the interpreter from the ticks.
-        console.print(f"live: {moved_by(loaded)[1]}; Ctrl-C ends it", soft_wrap=True, highlight=False)
-        with _naming_stop(folder):
-            finished = public_call(simulate_live)(loaded, duration_s=duration_s, **settings)
-        simulated = perf_counter()
-    with _naming_stop(folder), progress() as report:
-        if not live:
+    settings: _Settings = {
+        "compute": compute, "cores": cores, "out": folder, "overwrite": overwrite, "allow_unstable": allow_unstable,
+    }  # fmt: skip
+    chosen: dict[str, str] = {}
+    with _naming_stop(folder):
+        # Live no progress bar: what draws it takes the interpreter from the ticks.
+        with nullcontext(silent) if live else progress() as report:
             report("starting Warp", 0.0)
-            from tissue.api import simulate
+            from tissue.figures.report import draw_pictures
+            from tissue.simulation.simulate import simulate
 
-            finished = simulate(loaded, progress=report, **settings)
-            simulated = perf_counter()
-        finished.save(folder, formats=format_, pictures=pictures, progress=report)
+            if loaded.fidelity is not None:
+                from tissue.evaluation.charts.fidelity import with_fidelity
+
+                loaded, chosen["fidelity"] = with_fidelity(loaded, report=report)
+            if live:
+                from tissue.simulation.live.run import live as simulate_live
+                from tissue.simulation.live.run import moved_by
+
+                console.print(f"live: {moved_by(loaded)[1]}; Ctrl-C ends it")
+                finished = simulate_live(loaded, duration_s=duration_s, **settings)
+            else:
+                finished = simulate(loaded, progress=report, **settings)
+        simulated = perf_counter()
+        finished.parts.notes |= chosen
+        finished.draw = draw_pictures
+        with progress() as report:
+            finished.save(folder, formats=format_, pictures=pictures, progress=report)
     from tissue.cli.summary_table import print_summary
 
     print_summary(
         console, finished.summary(), folder, wall_s=perf_counter() - started, saving_s=perf_counter() - simulated
     )
+
+
+class _Settings(TypedDict):
+    """What every run is given, live or not."""
+
+    compute: str
+    cores: int | None
+    out: Path
+    overwrite: bool
+    allow_unstable: bool
 
 
 @contextmanager

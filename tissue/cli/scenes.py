@@ -22,4 +22,4 @@ def scenes(name: str | None = None, /) -> None:
         sys.stdout.write(scene_for_editors(name))
         return
     for each in scene_names():
-        console.print(f"[bold]{each:<12}[/bold] {load_scene(each).description}", soft_wrap=True, markup=True)
+        console.print(f"[bold]{each:<12}[/bold] {load_scene(each).description}", markup=True)

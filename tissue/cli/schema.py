@@ -35,4 +35,4 @@ def schema(*, out: Path | None = None, overwrite: Annotated[bool, Parameter(nega
         raise InputError(f"out must lie in a folder that exists, got {out}: create {out.parent}")
     with whole_file(out) as temporary:
         temporary.write_text(schema_text(), "utf-8")
-    console.print(f"wrote {out}", soft_wrap=True)
+    console.print(f"wrote {out}")

@@ -56,12 +56,11 @@ def stability(
     loaded = load_scene(scene, dict(parse_override(text) for text in set_))
     with problems.status("running the loop at many stiffnesses"):
         found = scene_stability(loaded)
-    for line in stability_lines(loaded, found):
-        console.print(line, soft_wrap=True, highlight=False)
+    console.print(*stability_lines(loaded, found), sep="\n")
     if out is not None:
         with output_locked(out, folder=True):
             written = write_stability_files(loaded, found, out, overwrite=overwrite)
-        console.print(f"files in {out}: {', '.join(path.name for path in written)}", soft_wrap=True, highlight=False)
+        console.print(f"files in {out}: {', '.join(path.name for path in written)}")
 
 
 def _atlas(folder: Path, only: tuple[str, ...], *, overwrite: bool) -> None:
@@ -74,12 +73,8 @@ def _atlas(folder: Path, only: tuple[str, ...], *, overwrite: bool) -> None:
         entries = write_atlas(folder, chosen_pages(PAGES, only), overwrite=overwrite, progress=report)
     for entry in entries:
         mark = "ok " if entry.shown else "OPEN"
-        console.print(
-            f"{mark:4} {entry.page.name:19} {entry.took_s:5.1f} s  {entry.page.title}", highlight=False, soft_wrap=True
-        )
+        console.print(f"{mark:4} {entry.page.name:19} {entry.took_s:5.1f} s  {entry.page.title}")
     good, seconds = sum(entry.shown for entry in entries), sum(entry.took_s for entry in entries)
     console.print(
         f"{good} of {len(entries)} pages show their boundary with the engine holding, falling back or refusing; "
-        f"{seconds:.0f} s; open {folder / 'index.html'}",
-        highlight=False, soft_wrap=True,
-    )  # fmt: skip
+        f"{seconds:.0f} s; open {folder / 'index.html'}")  # fmt: skip

@@ -73,15 +73,15 @@ def run(
         left_out("with --only, which runs one trial here and keeps nothing", "remove it",
                  workers=workers, scheduler=scheduler, out=out, retry=retry)  # fmt: skip
         trial = run_trial(plan, TrialKey.named(only))
-        console.print(f"{only}, seed {trial.seed}, {trial.took_s:.1f} s", highlight=False)
+        console.print(f"{only}, seed {trial.seed}, {trial.took_s:.1f} s")
         for row in trial.rows:
             line = ", ".join(f"{name} {each if isinstance(each, str) else f'{each:.6g}'}" for name, each in row.items())
-            console.print(line, soft_wrap=True, highlight=False)
+            console.print(line)
         return
     out = out or Path("studies/paper")
     wanted = list(plan.all_trials())
     if there := sum(map(StudyFolder(out).has, wanted)):
-        problems.print(f"{there} of {len(wanted)} trials are there, missing ones are run", highlight=False)
+        problems.print(f"{there} of {len(wanted)} trials are there, missing ones are run")
     with output_locked(out, folder=True), progress() as bar:
         spoke = 0.0
 
@@ -92,17 +92,17 @@ def run(
             going = " left" in doing
             if not going or (not problems.is_terminal and perf_counter() - spoke > QUIET_S):
                 spoke = perf_counter()
-                problems.print(doing, soft_wrap=True, highlight=False)
+                problems.print(doing)
 
         bar("starting workers", 0.0)
         folder = run_study(plan, out, workers=workers, scheduler=scheduler, retry=retry, report=report)
     kept = list(folder.trials(variant=None))
     failed = sum(any("failure" in row for row in held["rows"]) for _, held in kept)
-    console.print(f"{len(kept)} trials in {out}, {failed} with a failure", soft_wrap=True, highlight=False)
+    console.print(f"{len(kept)} trials in {out}, {failed} with a failure")
     for task in plan.tasks:
         took = sorted(held["took_s"] for key, held in kept if key.task == task and not key.variant)
-        console.print(f"{task}: {took[len(took) // 2]:.1f} s a trial of {len(plan.methods)} methods", highlight=False)
-    console.print(f"next: tissue study report {out}", soft_wrap=True, highlight=False)
+        console.print(f"{task}: {took[len(took) // 2]:.1f} s a trial of {len(plan.methods)} methods")
+    console.print(f"next: tissue study report {out}")
 
 
 @study.command
@@ -118,6 +118,5 @@ def report(folder: Path, /) -> None:
         from tissue.evaluation.study.report import write_report
 
         written, sentences = write_report(folder, report=report)
-    for sentence in sentences:
-        console.print(sentence, soft_wrap=True, highlight=False)
-    console.print(f"open {written}", soft_wrap=True, highlight=False)
+    console.print(*sentences, sep="\n")
+    console.print(f"open {written}")

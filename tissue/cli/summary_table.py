@@ -30,10 +30,10 @@ def print_summary(console: Console, summary: dict[str, Any], folder: Path, *, wa
     table.add_row("writing files and pictures", f"{saving_s:.1f} s")
     console.print(table)
     for event in summary["events"]:
-        console.print(f"at {event['time_s']:.3f} s: {event['what']}", soft_wrap=True, highlight=False)
+        console.print(f"at {event['time_s']:.3f} s: {event['what']}")
     for name, note in summary["notes"].items():
-        console.print(f"{name}: {note}", soft_wrap=True, highlight=False)
-    console.print(f"files in {folder}", soft_wrap=True, highlight=False)
+        console.print(f"{name}: {note}")
+    console.print(f"files in {folder}")
 
 
 def _pair(figures: dict[str, float], unit: str) -> str:

@@ -14,11 +14,14 @@ __all__ = ["console", "left_out", "problems", "progress", "whole"]
 
 
 class _Terminal(Console):
-    """Prints text as it is: brackets are no markup unless asked for, control characters are shown by their codes."""
+    """Prints text as it is: no markup unless asked for, no line broken, control characters by their codes."""
 
     def print(self, *objects: Any, **options: Any) -> None:
         """As `Console.print`."""
-        super().print(*(visible(each) if isinstance(each, str) else each for each in objects), **options)
+        if all(isinstance(each, str) for each in objects):
+            objects = tuple(map(visible, objects))
+            options = {"soft_wrap": True, "highlight": False} | options
+        super().print(*objects, **options)
 
 
 console = _Terminal(emoji=False, markup=False)

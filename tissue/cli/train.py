@@ -65,5 +65,4 @@ def train(
         ),
         f"written to {path}; use it with --set prediction=koopman --set coupling.predictor_file={path}",
     ]
-    for line in lines:
-        console.print(line, soft_wrap=True, highlight=False)
+    console.print(*lines, sep="\n")

@@ -46,4 +46,4 @@ def view(
     chosen: dict[str, Any] = {"hide": hide, "field": field, "scale": scale, "time_s": time_s}
     with nullcontext() if movie is None else progress() as report:
         shown = show(folder, screenshot=screenshot, movie=movie, progress=report, **chosen)
-    console.print(shown, soft_wrap=True, highlight=False)
+    console.print(shown)

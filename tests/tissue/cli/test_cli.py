@@ -198,10 +198,7 @@ def test_a_bad_command_line_is_refused_in_one_sentence(refused, here, arguments,
 
 @pytest.mark.parametrize(("kind", "writer"), [("parquet", "pyarrow"), ("h5", "h5py")])
 def test_a_format_without_its_extra_names_what_to_install(refused, here, monkeypatch, kind, writer):
-    def missing(name):
-        raise ImportError(name)
-
-    monkeypatch.setattr("tissue.simulation.formats.import_module", missing)
+    monkeypatch.setitem(sys.modules, writer, None)
     assert refused("run", "milling", "--format", kind) == (
         f"format {kind} must have its writer installed, got no {writer}: pip install 'tissue-sim[{kind}]'"
     )

@@ -14,7 +14,7 @@ from tissue import load_scene
 from tissue.builders.registry import build
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr
-from tissue.materials.cutting import cutting_coefficients
+from tissue.materials.constants import cutting_coefficients
 from tissue.models.bone.model import BoneModel
 from tissue.models.needle.model import NeedleModel
 from tissue.models.needle.parameters import needle_tissue

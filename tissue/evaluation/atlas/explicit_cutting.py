@@ -11,7 +11,7 @@ from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr, cylinder
 from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, panel
 from tissue.evaluation.atlas.page import Answer, Data, Page, Verdict, boundary, error_of, refused, shown, sweep
-from tissue.materials.cutting import cutting_coefficients
+from tissue.materials.constants import cutting_coefficients
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import ToolMotion
 from tissue.motion.motion import PushAlongAxis, implicit_speed
