@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cost_model import CostModel
 from harness import machine, table
 
 from meshes.base.errors import InputError
 from tissue.evaluation.charts import fidelity, places
-from tissue.evaluation.charts.cost import CostModel
-from tissue.evaluation.charts.frontier import read_measured, short_of, undominated, write_measured
+from tissue.evaluation.charts.frontier import measured_of, short_of, undominated, write_measured
 from tissue.evaluation.charts.measure import SETTLED, Measured, counts, excerpt, measure
 from tissue.evaluation.charts.settings import Setting, finest, settings_of
 from tissue.evaluation.statistics.metrics import force_error
@@ -97,7 +97,7 @@ def errors(name: str, seeds: int, out: Path) -> tuple[list[Measured], dict[str, 
     settings = settings_of(scene, quick=True)
     short = excerpt(scene, settings[0].changes, quick=True)
     path, ran = out / f"{name}.measured.csv", out / f"{name}.csv"
-    points = read_measured(path)
+    points = measured_of(path.read_text("utf-8")) if path.is_file() else []
     if [point.setting for point in points] != [setting.name for setting in settings]:
         points = [measure(short, setting, quick=True) for setting in settings]
         write_measured(path, points)

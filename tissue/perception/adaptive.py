@@ -126,8 +126,6 @@ class AdaptiveThreshold:
         The comparisons, each of shape (n,).
     posterior
         Masses of the grid's points, shape (points, observers).
-    trials
-        Answers taken.
     """
 
     def __init__(
@@ -144,7 +142,6 @@ class AdaptiveThreshold:
         self._right = two_interval(self.base_N[:, None], self.step_N[:, None], self._weber, self._offset, self._lapse)
         wrong = 1.0 - self._right
         self._entropy = -(self._right * np.log(self._right) + wrong * np.log(wrong))
-        self.trials = 0
 
     def propose(self) -> NDArray[np.intp]:
         """Index of the comparison with the least expected entropy of the posterior, shape (observers,)."""
@@ -157,7 +154,6 @@ class AdaptiveThreshold:
         likelihood = self._right[np.asarray(asked)].T
         self.posterior *= np.where(np.asarray(correct), likelihood, 1.0 - likelihood)
         self.posterior /= self.posterior.sum(axis=0)
-        self.trials += 1
 
     def weber_masses(self) -> Array:
         """Posterior of the Weber fraction alone, shape (cells, observers)."""

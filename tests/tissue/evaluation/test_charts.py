@@ -8,12 +8,11 @@ import pytest
 import tissue
 from meshes.base.errors import InputError
 from meshes.tets.structured import box
-from tissue.evaluation.charts.cost import CostModel
 from tissue.evaluation.charts.fidelity import SAFETY, _in_words, choose, with_fidelity
 from tissue.evaluation.charts.frontier import (
     Frontier,
     frontier_of,
-    read_measured,
+    measured_of,
     short_of,
     undominated,
     write_measured,
@@ -80,7 +79,7 @@ def test_a_row_without_settings_is_in_the_table_and_is_never_chosen(tmp_path):
     )
     found = Frontier(scene, (point("P2", error=0.05),), 0.01, settings, 3e-7, law)
     write_measured(tmp_path / "a.csv", (*found.points, *found.bounds))
-    setting, linear, hyperelastic, rounding = read_measured(tmp_path / "a.csv")
+    setting, linear, hyperelastic, rounding = measured_of((tmp_path / "a.csv").read_text("utf-8"))
     assert (linear.setting, linear.family) == ("linear law", "law") and np.isnan(linear.median_us)
     assert linear.force_error == pytest.approx(0.1, rel=1e-12)
     assert (
@@ -132,31 +131,15 @@ def test_the_error_of_the_linear_law_in_a_column_that_cannot_widen():
     assert error[1] / error[0] == pytest.approx(2.0, rel=0.05) and (np.diff(error) < 0.0).all()
 
 
-def test_a_tick_time_that_is_such_a_sum_is_found_again():
-    model = CostModel(20.0, 0.05, 0.01)
-    rng = np.random.default_rng(1)
-    points = []
-    for elements, area, step in zip(
-        rng.integers(50, 2000, 8), rng.uniform(1, 30, 8), rng.uniform(0.05, 0.4, 8), strict=True
-    ):
-        bare = point(elements=int(elements), area=float(area), step=float(step))
-        points.append(point(elements=int(elements), area=float(area), step=float(step), median=model.tick_us(bare)))
-    found = CostModel.fitted(points[:5])
-    for each in points[5:]:
-        assert found.tick_us(each) == pytest.approx(each.median_us, rel=1e-6)
-    with pytest.raises(InputError, match="at least 3"):
-        CostModel.fitted(points[:2])
-
-
 def test_a_table_of_measurements_reads_back_bit_for_bit(tmp_path):
     points = [point("a", error=0.1 + 1e-17), point("b", lost="displacement, and stress", median=1 / 3)]
     write_measured(tmp_path / "deep" / "a.csv", points)
-    assert read_measured(tmp_path / "deep" / "a.csv") == points
+    assert measured_of((tmp_path / "deep" / "a.csv").read_text("utf-8")) == points
     cut = (tmp_path / "deep" / "a.csv").read_text("utf-8").rstrip()[:-9].rsplit(",", 1)[0]
     (tmp_path / "cut.csv").write_text(cut, "utf-8")
-    assert read_measured(tmp_path / "cut.csv") == points[:1]
+    assert measured_of((tmp_path / "cut.csv").read_text("utf-8")) == points[:1]
     (tmp_path / "other.csv").write_text("a,b\n1,2\n", "utf-8")
-    assert read_measured(tmp_path / "other.csv") == []
+    assert measured_of((tmp_path / "other.csv").read_text("utf-8")) == []
 
 
 @pytest.mark.parametrize("name", scene_names())

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissue.evaluation.charts.prediction import Comparison, Interval, comparison_lines
+from tissue.evaluation.charts.prediction import Interval, PredictorComparison, comparison_lines
 from tissue.evaluation.training.evaluation import HORIZONS
 from tissue.scene.registry import PREDICTORS
 
@@ -14,7 +14,7 @@ def line_of(differences):
     errors = {kind: np.tile(runs[:, None], len(HORIZONS)) for kind in PREDICTORS}
     errors["koopman"] = errors["koopman"] + np.array(differences)[:, None]
     empty, nothing = np.array([], dtype=complex), Interval(0.0, 0.0, 0.0)
-    found = Comparison("wall", errors, dict.fromkeys(PREDICTORS, (1.0, 2.0)), empty, {1: nothing}, {})
+    found = PredictorComparison("wall", errors, dict.fromkeys(PREDICTORS, (1.0, 2.0)), empty, {1: nothing}, {})
     return comparison_lines([found])[-1]
 
 

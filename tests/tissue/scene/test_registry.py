@@ -15,7 +15,7 @@ from tissue.cli.study import run
 from tissue.cutters import cylinder
 from tissue.evaluation.charts.frontier import frontier_of
 from tissue.evaluation.charts.picture import draw_frontiers
-from tissue.evaluation.charts.prediction import Comparison, Interval, comparison_lines
+from tissue.evaluation.charts.prediction import Interval, PredictorComparison, comparison_lines
 from tissue.evaluation.charts.prediction_picture import draw_tasks
 from tissue.evaluation.training.evaluation import HORIZONS
 from tissue.models.needle.parameters import needle_tissue
@@ -169,7 +169,7 @@ def test_a_predictor_from_outside_predicts_and_is_charted(added, tmp_path):
         load_scene("wall", {"prediction": "third", "coupling.predictor_file": "mine.npz"})
     errors = {kind: np.linspace(0.1, 0.2, 8)[:, None] * np.ones(len(HORIZONS)) for kind in PREDICTORS}
     costs, nothing = dict.fromkeys(PREDICTORS, (1.0, 2.0)), Interval(0.0, 0.0, 0.0)
-    found = Comparison("wall", errors, costs, np.array([1.0 + 0j]), {1: nothing}, {})
+    found = PredictorComparison("wall", errors, costs, np.array([1.0 + 0j]), {1: nothing}, {})
     assert any("third" in line for line in comparison_lines([found]))
     draw_tasks([found], tmp_path / "tasks.png")
     assert (tmp_path / "tasks.png").stat().st_size > 1000

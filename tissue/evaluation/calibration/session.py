@@ -1,6 +1,6 @@
 """A calibration session: what is asked next, what the answers so far show, and what they cannot show."""
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.special import logit
@@ -51,10 +51,6 @@ class Plan:
         require_range("force_limit_N", self.force_limit_N, 0.5, 1000.0, "give the device's greatest force")
         if self.trials + self.numbers == 0:
             raise InputError("trials and numbers must not both be 0, got 0 and 0: use 120 and 24")
-
-    def as_dict(self) -> dict[str, object]:
-        """The plan as plain numbers, for a file."""
-        return asdict(self)
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@
 
 import json
 import os
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from meshes.base.errors import InputError
 from meshes.base.file_version import package_version, require_version
@@ -47,7 +47,7 @@ class TrialLog:
 
     def __init__(self, path: Path, observer: str, plan: Plan) -> None:
         about = {"format": FORMAT, "version": VERSION, "tissue": package_version(), "observer": observer}
-        head = json.dumps(about | {"plan": plan.as_dict()}) + "\n"
+        head = json.dumps(about | {"plan": asdict(plan)}) + "\n"
         self.path, self.mended = path, False
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -137,7 +137,7 @@ def read_log(path: Path) -> tuple[str, Session]:
 
 def _entry(line: str) -> tuple[Comparison | Magnitude, float, int]:
     """A line's trial, answer and number."""
-    entry: dict[str, Any] = json.loads(line)
+    entry = json.loads(line)
     if not isinstance(entry, dict):
         raise ValueError(f"{line[:40]}")
     trial, answer, what = entry.pop("trial"), entry.pop("answer"), entry.pop("ask")

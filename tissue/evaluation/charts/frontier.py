@@ -28,7 +28,7 @@ from tissue.evaluation.charts.rounding import float32_error
 from tissue.evaluation.charts.settings import Setting, settings_of
 from tissue.scene.scene import Scene
 
-__all__ = ["Frontier", "frontier_of", "measured_keys", "read_measured", "short_of", "undominated", "write_measured"]
+__all__ = ["Frontier", "frontier_of", "measured_keys", "measured_of", "short_of", "undominated", "write_measured"]
 
 COLUMNS = tuple(entry.name for entry in fields(Measured))
 
@@ -106,7 +106,7 @@ def frontier_of(scene: Scene, *, quick: bool = True, report: Progress = silent) 
         if key not in known:
             if short is None:
                 short = short_of(scene, quick)
-            known[key] = _under(key, measure(short, setting, quick=quick))
+            known[key] = replace(measure(short, setting, quick=quick), key=key)
             known = {point.key: point for point in _kept(path)} | known  # of another process that charts it
             write_entry(path, _table(list(known.values())))
         points.append(known[key])
@@ -131,28 +131,16 @@ def measured_keys(scene: Scene, *, quick: bool) -> set[str]:
 def _gap(scene: Scene, path: Path, *, quick: bool) -> float:
     """Distance of the finest setting to the next one, kept beside the measurements."""
     gap_file = path.with_suffix(".gap")
-    kept = read_entry(gap_file)
-    if kept is not None:
-        return float(kept)
-    gap = reference_gap(short_of(of_model(scene), quick), quick=quick)
-    write_entry(gap_file, repr(gap))
-    return gap
-
-
-def _under(key: str, point: Measured) -> Measured:
-    """A measurement of an excerpt under the key of its scene."""
-    return replace(point, key=key)
+    if (kept := read_entry(gap_file)) is None:
+        kept = repr(reference_gap(short_of(of_model(scene), quick), quick=quick))
+        write_entry(gap_file, kept)
+    return float(kept)
 
 
 def _store(scene: Scene, *, quick: bool) -> Path:
     """Where a scene's measurements are kept: with the computed arrays of this machine."""
     text = f"{plain(scene)}|{machine()}|{quick}|{PROTOCOL}"
     return cache_folder() / "frontiers" / f"{scene.name}-{blake2b(text.encode(), digest_size=8).hexdigest()}.csv"
-
-
-def read_measured(path: Path) -> list[Measured]:
-    """Measurements of a table; none where there is no such table or it has other columns."""
-    return _rows(path.read_text("utf-8")) if path.is_file() else []
 
 
 def write_measured(path: Path, points: Sequence[Measured]) -> None:
@@ -164,10 +152,11 @@ def write_measured(path: Path, points: Sequence[Measured]) -> None:
 
 def _kept(path: Path) -> list[Measured]:
     """Measurements of an entry of the cache."""
-    return _rows(read_entry(path) or "")
+    return measured_of(read_entry(path) or "")
 
 
-def _rows(text: str) -> list[Measured]:
+def measured_of(text: str) -> list[Measured]:
+    """Measurements of a table's text; none where it has other columns."""
     table = csv.DictReader(StringIO(text, newline=""))
     if tuple(table.fieldnames or ()) != COLUMNS:
         return []

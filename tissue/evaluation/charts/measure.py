@@ -5,7 +5,6 @@ import platform
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,9 +105,9 @@ class Measured:
     @classmethod
     def of_row(cls, row: dict[str, str]) -> "Measured":
         """From a table's row."""
-        kinds = {"missed": int, "elements": int}
-        numbers = {"force_error", "median_us", "p99_us", "far_us", "engaged_mm2", "step_mm", "met", "built_s"}
-        return cls(**{k: float(v) if k in numbers else kinds.get(k, str)(v) for k, v in row.items()})  # type: ignore[arg-type]
+        numbers = ("force_error", "median_us", "p99_us", "far_us", "engaged_mm2", "step_mm", "met", "built_s")
+        kinds = dict.fromkeys(numbers, float) | {"missed": int, "elements": int}
+        return cls(**{name: kinds.get(name, str)(value) for name, value in row.items()})  # type: ignore[arg-type]
 
 
 def machine() -> str:
@@ -150,24 +149,23 @@ def excerpt(scene: Scene, coarse: Changes, *, quick: bool) -> Scene:
 def _first_contact_s(scene: Scene, span_s: float) -> float:
     """When a script first touches [s], found on as little of it as will do and kept on disk."""
 
-    def found() -> dict[str, NDArray[Any]]:
+    def found() -> dict[str, NDArray[np.generic]]:
         """Time of the first contact, on twice as much of the scene until there is one."""
         whole, span = _length_s(scene), span_s
         while True:
-            last = span >= whole
             try:
-                run = simulate(scene if last else _until(scene, span), allow_unstable=True)
+                run = simulate(_until(scene, span) if span < whole else scene, allow_unstable=True)
                 touching = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
                 if touching.size:
                     return {"time_s": TICK_S * touching[:1].astype(float)}
+                if span >= whole:
+                    raise InputError(
+                        f"scene must touch to be charted, got no contact in {scene.name}: move its tool further"
+                    )
             except InputError:
                 # A tool that comes nowhere near is refused; further on it may.
-                if last:
+                if span >= whole:
                     raise
-            if last:
-                raise InputError(
-                    f"scene must touch to be charted, got no contact in {scene.name}: move its tool further"
-                )
             span *= 2.0
 
     key = (plain(scene), span_s, version("tissue-sim"))
@@ -185,7 +183,7 @@ def _until(scene: Scene, end_s: float) -> Scene:
     """The scene up to a time; a path ends there, since an organ is only made ready where the tool can go."""
     if 0.0 < _length_s(scene) <= end_s:
         return scene
-    changes: dict[str, Any] = {"duration_s": round(end_s, 3)}
+    changes: dict[str, object] = {"duration_s": round(end_s, 3)}
     if isinstance(scene.motion, PathMotion):
         points = np.array(scene.motion.points_mm)
         along = arc_length(points)
@@ -214,9 +212,8 @@ def measure(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
     run = min(runs, key=lambda each: float(np.median(each.timing["tick_us"])))
     trace, ticks = run.trace, run.timing["tick_us"]
     touching = trace["contact_mm2"] > 0.0
-    counted = np.flatnonzero(touching)[SETTLED:]
-    if counted.size == 0:
-        counted = np.flatnonzero(touching) if touching.any() else np.arange(len(ticks))
+    touched = np.flatnonzero(touching) if touching.any() else np.arange(len(ticks))
+    counted = touched[SETTLED:] if len(touched) > SETTLED else touched
     far = ticks[~touching]
     elements, met, step = counts(run, counted)
     return Measured(
@@ -281,9 +278,11 @@ def counts(run: Run, counted: NDArray[np.intp]) -> tuple[int, float, float]:
     """Elements or visits, what they meet, and the edge of a voxel or element [mm]."""
     tissue, scene, trace = run.parts.tissue, run.scene, run.trace
     if run.parts.cutter is not None:
+        from tissue.models.bone.model import BoneModel
         from tissue.models.tooth.model import ToothModel
 
-        milling: Any = tissue.milling if isinstance(tissue, ToothModel) else tissue
+        milling = tissue.milling if isinstance(tissue, ToothModel) else tissue
+        assert isinstance(milling, BoneModel)
         step = scene.voxels.spacing_mm
         return len(milling.shell.areas_m2), float(trace["contact_mm2"][counted].mean()) / step**2, step
     if isinstance(scene.anatomy, SoftAnatomy) and isinstance(scene.tool, Probe):

@@ -2,13 +2,16 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tissue.evaluation.charts.frontier import Frontier
-from tissue.evaluation.charts.picture import apart
+from tissue.evaluation.charts.picture import apart, plain_numbers
 from tissue.figures.figure import figure, save
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 __all__ = ["draw_overview"]
 
@@ -63,10 +66,8 @@ def draw_overview(found: Sequence[Sequence[Frontier]], path: Path) -> None:
         drawn.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
-def _draw(axes: Any, both: Sequence[Frontier]) -> None:
+def _draw(axes: "Axes", both: Sequence[Frontier]) -> None:
     """One scene."""
-    from matplotlib.ticker import LogLocator
-
     names = []
     for found in both:
         colour, mark, label = LOOKS["script" if found.scene.device == "none" else "hand"]
@@ -89,7 +90,5 @@ def _draw(axes: Any, both: Sequence[Frontier]) -> None:
     axes.set_title(both[0].scene.name, fontsize=11)
     axes.set_xticks([100.0, 1e3], ["100", "1000"])
     axes.xaxis.set_minor_formatter("")
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.yaxis.set_minor_formatter("")
+    plain_numbers(axes.yaxis)
     axes.grid(alpha=0.25)

@@ -1,7 +1,7 @@
 """What people feel as pictures: intensity and threshold, the command, the deadband on a trace, the estimate."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,10 +21,16 @@ from tissue.scene.load import load_scene
 from tissue.simulation.simulate import simulate
 from tissue.system.outputs import require_free_folder
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 __all__ = ["perception_charts"]
 
 PEOPLE, PERSON, WANTED, GREY = "#0072B2", "#D55E00", "0.25", "0.6"
 DEVICE, SCENE = "touch", "wall"
+EXAMPLE = Observer.known("example", alpha=0.7, beta=1.4, kappa=0.09, offset_N=0.25, lapse=0.02, sigma=0.2)
+"""Somebody to draw where no observer is given: force grows less on this person than on the reference."""
 
 
 def perception_charts(out: Path, observer: Path | None, *, overwrite: bool = False) -> list[Path]:
@@ -35,7 +41,7 @@ def perception_charts(out: Path, observer: Path | None, *, overwrite: bool = Fal
     InputError
         If the observer's file cannot be used, or the folder is a file or holds such pictures.
     """
-    someone = _example() if observer is None else read_observer(observer)
+    someone = EXAMPLE if observer is None else read_observer(observer)
     drawn = {"people": _people, "command": _command, "deadband": _deadband, "estimate": _estimate}
     pictures = {f"perception-{name}.png": draw for name, draw in drawn.items()}
     require_free_folder(out, pictures, "chart", overwrite=overwrite)
@@ -43,11 +49,6 @@ def perception_charts(out: Path, observer: Path | None, *, overwrite: bool = Fal
     for name, draw in pictures.items():
         draw(someone, out / name)
     return [out / name for name in pictures]
-
-
-def _example() -> Observer:
-    """Somebody to draw where no observer is given: force grows less on this person than on the reference."""
-    return Observer.known("example", alpha=0.7, beta=1.4, kappa=0.09, offset_N=0.25, lapse=0.02, sigma=0.2)
 
 
 def _people(someone: Observer, path: Path) -> None:
@@ -171,7 +172,7 @@ def _estimate(someone: Observer, path: Path) -> None:
     _finish(chart, (left, middle), path)
 
 
-def _two_maxima(axes: Any) -> None:
+def _two_maxima(axes: "Axes") -> None:
     """One look far above a narrow prior: the density has two maxima."""
     seen, spread, noise = 60.0, 0.3, 4.4
     force = np.geomspace(0.3, 100.0, 2000)
@@ -190,7 +191,7 @@ def _two_maxima(axes: Any) -> None:
     axes.set_title(f"look {seen:g} ± {noise:.2g} N, prior 1 N")
 
 
-def _finish(chart: Any, panels: tuple[Any, ...], path: Path) -> None:
+def _finish(chart: "Figure", panels: "tuple[Axes, ...]", path: Path) -> None:
     """Grids and legends, and the file."""
     for axes in panels:
         axes.grid(alpha=0.3, which="major")

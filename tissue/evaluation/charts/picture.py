@@ -2,7 +2,7 @@
 
 from math import isnan
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,7 +10,11 @@ from tissue.evaluation.charts.frontier import Frontier
 from tissue.evaluation.charts.measure import Measured
 from tissue.figures.figure import figure, save
 
-__all__ = ["apart", "draw_frontiers"]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+
+__all__ = ["apart", "draw_frontiers", "plain_numbers"]
 
 FAMILIES = {
     "voxels": ("#0072B2", "o", "voxels"),
@@ -25,6 +29,7 @@ FAMILIES = {
 }
 LEAST = 1e-6
 """Error that is drawn for none."""
+HIGH_IN = 4.4
 NAME_POINTS = 11.0
 """Height of a name [pt]."""
 
@@ -35,7 +40,7 @@ def draw_frontiers(found: list[Frontier], path: Path) -> None:
     Shaded is what the reference itself leaves open, lines across are errors that no setting goes below: of the linear
     law, dashed, and of float32, dotted.
     """
-    chart = figure(5.6 * len(found), 4.4)
+    chart = figure(5.6 * len(found), HIGH_IN)
     panels = chart.subplots(1, len(found), squeeze=False)[0]
     chart.subplots_adjust(left=0.14 / len(found), right=0.985, top=0.92, bottom=0.13, wspace=0.24)
     for panel, each in zip(panels, found, strict=True):
@@ -43,10 +48,8 @@ def draw_frontiers(found: list[Frontier], path: Path) -> None:
     save(chart, path)
 
 
-def _draw(axes: Any, found: Frontier) -> None:
+def _draw(axes: "Axes", found: Frontier) -> None:
     """One scene."""
-    from matplotlib.ticker import LogLocator
-
     points, device = found.points, found.scene.device
     shown = [100.0 * max(point.force_error, LEAST) for point in points]
     known = [100.0 * found.gap] if found.gap > 0.0 else []
@@ -63,7 +66,7 @@ def _draw(axes: Any, found: Frontier) -> None:
     best = found.best
     line = [100.0 * max(point.force_error, LEAST) for point in best]
     axes.step([p.median_us for p in best], line, where="post", color="0.15", linewidth=1.4, label="frontier")
-    height = axes.get_position().height * axes.figure.get_figheight() * 72.0
+    height = axes.get_position().height * HIGH_IN * 72.0
     places = np.log(np.array(line) / low)[::-1] / np.log(high / low) + 6.0 / height
     names = zip(best[::-1], line[::-1], places, apart(places, NAME_POINTS / height), strict=True)
     for point, error, place, moved in names:
@@ -82,14 +85,12 @@ def _draw(axes: Any, found: Frontier) -> None:
         ylabel="force error / %, to the converged reference",
         title=f"{found.scene.name}, " + ("by script" if device == "none" else f"by hand on {device}"),
     )
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.yaxis.set_minor_formatter("")
+    plain_numbers(axes.yaxis)
     axes.grid(alpha=0.3, which="both")
     axes.legend(loc="best", fontsize=8)
 
 
-def _draw_bound(axes: Any, row: Measured, low: float) -> None:
+def _draw_bound(axes: "Axes", row: Measured, low: float) -> None:
     """What is no setting: a line across where it has no tick, else a point; the picture ends at ``low`` [%]."""
     colour, mark, label = FAMILIES["law"]
     error = 100.0 * max(row.force_error, LEAST)
@@ -115,6 +116,15 @@ def _draw_bound(axes: Any, row: Measured, low: float) -> None:
             fontsize=8.5,
             color=colour,
         )
+
+
+def plain_numbers(axis: "Axis") -> None:
+    """Numbers instead of powers of ten on a logarithmic axis."""
+    from matplotlib.ticker import LogLocator
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter("")
 
 
 def apart(places: np.ndarray, row: float) -> np.ndarray:

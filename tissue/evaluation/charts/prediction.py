@@ -25,7 +25,14 @@ from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Scene
 from tissue.system.outputs import require_free_folder
 
-__all__ = ["Comparison", "Interval", "SlowModel", "chart_prediction", "compare", "comparison_lines", "interval"]
+__all__ = [
+    "Interval",
+    "PredictorComparison",
+    "chart_prediction",
+    "compare",
+    "comparison_lines",
+    "interval",
+]
 
 FIRST_SEED = 10_000
 """Seeds of unseen runs begin here; training uses those from 0 on."""
@@ -49,15 +56,7 @@ class Interval:
 
 
 @dataclass(frozen=True)
-class SlowModel:
-    """A tissue that answers at 100 Hz: error of the force of the present tick, and cost a tick [us]."""
-
-    error: Interval
-    cost_us: float
-
-
-@dataclass(frozen=True)
-class Comparison:
+class PredictorComparison:
     """What was measured on a scene.
 
     Attributes
@@ -73,7 +72,8 @@ class Comparison:
     sizes
         Runs trained on, and the error at 4 ms that followed.
     slow
-        A model at 100 Hz with a predictor between its answers, by predictor; with ``1 kHz`` the model in every tick.
+        Of a model at 100 Hz with a predictor between its answers, by predictor, the error of the force of the present
+        tick and the cost a tick [us]; with ``1 kHz`` those of the model in every tick.
     """
 
     scene: str
@@ -81,7 +81,7 @@ class Comparison:
     cost_us: dict[str, tuple[float, float]]
     eigenvalues: NDArray[np.complex128]
     sizes: dict[int, Interval]
-    slow: dict[str, SlowModel]
+    slow: dict[str, tuple[Interval, float]]
 
     def at(self, kind: str, horizon_ms: int) -> Interval:
         """Error of a predictor at a horizon."""
@@ -97,7 +97,7 @@ def interval(values: Array) -> Interval:
     return Interval(mean, mean - half, mean + half)
 
 
-def compare(scene: Scene, *, trials: int, report: Progress = silent) -> Comparison:
+def compare(scene: Scene, *, trials: int, report: Progress = silent) -> PredictorComparison:
     """Measure all predictors on unseen runs of a scene: other seeds, tissue 30 % softer and stiffer, 4 ms of latency.
 
     Raises
@@ -123,7 +123,7 @@ def compare(scene: Scene, *, trials: int, report: Progress = silent) -> Comparis
 
 def measured(
     trained: Trained, unseen: Sequence[Recording], seen: Sequence[Recording], *, force_limit_N: float
-) -> Comparison:
+) -> PredictorComparison:
     """Measure predictors on recorded runs; others train those for the training sizes."""
 
     def maker(kind: str, of: Trained = trained) -> Callable[[], Predictor]:
@@ -139,11 +139,11 @@ def measured(
         found = forecast_errors(maker("koopman", smaller), unseen[:SIZED_RUNS], horizons=(DELAY_MS,))
         sizes[size] = interval(found[:, 0])
     model_us = 1e6 * float(np.median([run.model_s for run in unseen]))
-    slow = {"1 kHz": SlowModel(Interval(0.0, 0.0, 0.0), model_us)}
+    slow = {"1 kHz": (Interval(0.0, 0.0, 0.0), model_us)}
     for kind in PREDICTORS:
         found = forecast_errors(maker(kind), unseen, horizons=(0,), model_ticks=SLOW_TICKS)
-        slow[kind] = SlowModel(interval(found[:, 0]), model_us / SLOW_TICKS + cost_us[kind][0])
-    return Comparison(trained.scene, errors, cost_us, trained.operator.eigenvalues, sizes, slow)
+        slow[kind] = (interval(found[:, 0]), model_us / SLOW_TICKS + cost_us[kind][0])
+    return PredictorComparison(trained.scene, errors, cost_us, trained.operator.eigenvalues, sizes, slow)
 
 
 def _cost_us(make: Callable[[], Predictor], run: Recording) -> tuple[float, float]:
@@ -160,7 +160,7 @@ def _cost_us(make: Callable[[], Predictor], run: Recording) -> tuple[float, floa
 
 def chart_prediction(
     scenes: Sequence[Scene], folder: Path, *, trials: int, overwrite: bool, report: Progress = silent
-) -> list[Comparison]:
+) -> list[PredictorComparison]:
     """Measure and draw some scenes: ``prediction_SCENE.png``, ``prediction_tasks.png`` and tables.
 
     Raises
@@ -183,7 +183,7 @@ def chart_prediction(
     return found
 
 
-def comparison_lines(found: Sequence[Comparison]) -> list[str]:
+def comparison_lines(found: Sequence[PredictorComparison]) -> list[str]:
     """What a person reads: errors at 4 ms, and how the lifted predictor compares to hold and to the best other.
 
     It is called better or worse only where the interval of the paired difference over runs excludes zero.

@@ -8,7 +8,7 @@ from meshes.base.whole_file import whole_file
 from tissue.evaluation.training.evaluation import HORIZONS
 
 if TYPE_CHECKING:
-    from tissue.evaluation.charts.prediction import Comparison
+    from tissue.evaluation.charts.prediction import PredictorComparison
 
 __all__ = ["FILES", "write_comparisons"]
 
@@ -22,7 +22,7 @@ HEADS = {
 }
 
 
-def write_comparisons(found: "Sequence[Comparison]", folder: Path) -> None:
+def write_comparisons(found: "Sequence[PredictorComparison]", folder: Path) -> None:
     """Write all tables; errors are shares of the force, low and high their 95 % interval."""
     rows: dict[str, list[str]] = {name: [head] for name, head in HEADS.items()}
     for each in found:
@@ -36,9 +36,8 @@ def write_comparisons(found: "Sequence[Comparison]", folder: Path) -> None:
             rows["spectrum.csv"].append(_line(each.scene, value.real, value.imag, abs(value)))
         for size, at in each.sizes.items():
             rows["training.csv"].append(_line(each.scene, size, at.mean, at.low, at.high))
-        for kind, slow in each.slow.items():
-            at = slow.error
-            rows["slow_model.csv"].append(_line(each.scene, kind, at.mean, at.low, at.high, slow.cost_us))
+        for kind, (at, cost_us) in each.slow.items():
+            rows["slow_model.csv"].append(_line(each.scene, kind, at.mean, at.low, at.high, cost_us))
     for name, lines in rows.items():
         with whole_file(folder / name) as temporary:
             temporary.write_text("\n".join(lines) + "\n", "utf-8")

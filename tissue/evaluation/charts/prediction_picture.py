@@ -2,16 +2,19 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tissue.evaluation.charts.picture import plain_numbers
 from tissue.evaluation.training.evaluation import HORIZONS
 from tissue.figures.figure import figure, save
 from tissue.scene.registry import PREDICTORS
 
 if TYPE_CHECKING:
-    from tissue.evaluation.charts.prediction import Comparison
+    from matplotlib.axes import Axes
+
+    from tissue.evaluation.charts.prediction import PredictorComparison
 
 __all__ = ["draw_scene", "draw_tasks"]
 
@@ -22,7 +25,7 @@ LIMIT_US = 20.0
 """Median cost of a prediction that is aimed at [us]."""
 
 
-def draw_scene(found: "Comparison", path: Path) -> None:
+def draw_scene(found: "PredictorComparison", path: Path) -> None:
     """Draw error over horizon, error over cost, the spectrum, training size, and a model at 100 Hz."""
     chart = figure(11.0, 7.0)
     axes = chart.subplots(2, 3)
@@ -30,16 +33,12 @@ def draw_scene(found: "Comparison", path: Path) -> None:
     runs = len(found.errors["hold"])
     title = f"{found.scene}: {runs} runs with other seeds, in tissue 30 % softer and stiffer; bars and bands are 95 %"
     chart.text(0.065, 0.96, title, size=11)
-    _over_horizon(axes[0, 0], found)
-    _over_cost(axes[0, 1], found)
-    _spectrum(axes[0, 2], found)
-    _sizes(axes[1, 0], found)
-    _slow(axes[1, 1], found)
-    _spread(axes[1, 2], found)
+    for panel, draw in zip(axes.flat, (_over_horizon, _over_cost, _spectrum, _sizes, _slow, _spread), strict=True):
+        draw(panel, found)
     save(chart, path)
 
 
-def draw_tasks(found: "Sequence[Comparison]", path: Path) -> None:
+def draw_tasks(found: "Sequence[PredictorComparison]", path: Path) -> None:
     """Draw the error of every predictor at 4 ms on every scene, beside what the paper prints."""
     chart = figure(max(1.9 * len(found) + 1.6, 6.0), 4.4)
     axes = chart.subplots()
@@ -47,10 +46,9 @@ def draw_tasks(found: "Sequence[Comparison]", path: Path) -> None:
     width = 0.8 / (len(PREDICTORS) + 2)
     for place, each in enumerate(found):
         for index, kind in enumerate(PREDICTORS):
-            colour = PREDICTORS[kind].colour
             at, x = each.at(kind, 4), place - 0.4 + (index + 0.5) * width
             label_text = kind if place == 0 else None
-            axes.bar(x, 100 * at.mean, width, color=colour, label=label_text)
+            axes.bar(x, 100 * at.mean, width, color=PREDICTORS[kind].colour, label=label_text)
             axes.plot([x, x], [100 * at.low, 100 * at.high], color="0.1", linewidth=1.0)
         if each.scene in PAPER:
             _, raw, adjusted = PAPER[each.scene]
@@ -64,7 +62,7 @@ def draw_tasks(found: "Sequence[Comparison]", path: Path) -> None:
     axes.set(
         xticks=range(len(found)), xticklabels=names, ylabel="force error 4 ms ahead / % of the force", yscale="log"
     )
-    _plain(axes.yaxis)
+    plain_numbers(axes.yaxis)
     axes.grid(axis="y", which="both", alpha=0.3)
     axes.set_axisbelow(True)
     columns = 7 if len(found) > 3 else 4
@@ -72,36 +70,35 @@ def draw_tasks(found: "Sequence[Comparison]", path: Path) -> None:
     save(chart, path)
 
 
-def _over_horizon(axes: Any, found: "Comparison") -> None:
+def _over_horizon(axes: "Axes", found: "PredictorComparison") -> None:
     for kind in PREDICTORS:
-        colour, mark = PREDICTORS[kind].colour, PREDICTORS[kind].marker
-        at = [found.at(kind, horizon) for horizon in HORIZONS]
+        looks = PREDICTORS[kind]
+        percent = [(100 * at.mean, 100 * at.low, 100 * at.high) for at in (found.at(kind, each) for each in HORIZONS)]
+        mean, low, high = zip(*percent, strict=True)
         strong = STRONG if kind == "koopman" else 1.1
-        axes.plot(
-            HORIZONS, [100 * a.mean for a in at], "-" + mark, color=colour, label=kind, markersize=4, linewidth=strong
-        )
-        axes.fill_between(HORIZONS, [100 * a.low for a in at], [100 * a.high for a in at], color=colour, alpha=0.15)
+        axes.plot(HORIZONS, mean, "-" + looks.marker, color=looks.colour, label=kind, markersize=4, linewidth=strong)
+        axes.fill_between(HORIZONS, low, high, color=looks.colour, alpha=0.15)
     axes.set(xlabel="horizon / ms", ylabel="force error / %", yscale="log")
-    _plain(axes.yaxis)
+    plain_numbers(axes.yaxis)
     axes.grid(alpha=0.3, which="both")
     axes.legend(frameon=False, loc="upper left", ncols=2, fontsize=8)
 
 
-def _over_cost(axes: Any, found: "Comparison") -> None:
+def _over_cost(axes: "Axes", found: "PredictorComparison") -> None:
     for kind in PREDICTORS:
-        colour, mark = PREDICTORS[kind].colour, PREDICTORS[kind].marker
+        looks = PREDICTORS[kind]
         at, (median, p99) = found.at(kind, 4), found.cost_us[kind]
-        axes.plot([median, p99], [100 * at.mean] * 2, color=colour, alpha=0.5)
-        axes.plot(median, 100 * at.mean, mark, color=colour, label=kind, markersize=6)
+        axes.plot([median, p99], [100 * at.mean] * 2, color=looks.colour, alpha=0.5)
+        axes.plot(median, 100 * at.mean, looks.marker, color=looks.colour, label=kind, markersize=6)
     axes.axvline(LIMIT_US, color="#D55E00", linestyle="--", linewidth=1.0)
     axes.set(
         xlabel="cost a tick / µs, median to 99 %", ylabel="force error 4 ms ahead / %", xscale="log", ylim=(0, None)
     )
-    _plain(axes.xaxis)
+    plain_numbers(axes.xaxis)
     axes.grid(alpha=0.3, which="both")
 
 
-def _spectrum(axes: Any, found: "Comparison") -> None:
+def _spectrum(axes: "Axes", found: "PredictorComparison") -> None:
     turn = np.linspace(0.0, 2.0 * np.pi, 200)
     axes.plot(np.cos(turn), np.sin(turn), color="0.6", linewidth=0.8)
     values = found.eigenvalues
@@ -112,7 +109,7 @@ def _spectrum(axes: Any, found: "Comparison") -> None:
     axes.grid(alpha=0.3)
 
 
-def _sizes(axes: Any, found: "Comparison") -> None:
+def _sizes(axes: "Axes", found: "PredictorComparison") -> None:
     sizes, at = list(found.sizes), list(found.sizes.values())
     bars = [[100 * (a.mean - a.low) for a in at], [100 * (a.high - a.mean) for a in at]]
     axes.errorbar(
@@ -122,26 +119,25 @@ def _sizes(axes: Any, found: "Comparison") -> None:
     axes.grid(alpha=0.3)
 
 
-def _slow(axes: Any, found: "Comparison") -> None:
+def _slow(axes: "Axes", found: "PredictorComparison") -> None:
     for kind in PREDICTORS:
-        colour, mark = PREDICTORS[kind].colour, PREDICTORS[kind].marker
-        slow = found.slow[kind]
-        bars = [[100 * (slow.error.mean - slow.error.low)], [100 * (slow.error.high - slow.error.mean)]]
-        axes.errorbar(slow.cost_us, 100 * slow.error.mean, bars, fmt=mark, color=colour, ms=6, label=f"100 Hz, {kind}")
-    axes.plot(found.slow["1 kHz"].cost_us, 0.0, "*", color="0.1", markersize=11, clip_on=False, label="1 kHz")
+        looks = PREDICTORS[kind]
+        at, cost_us = found.slow[kind]
+        bars = [[100 * (at.mean - at.low)], [100 * (at.high - at.mean)]]
+        axes.errorbar(cost_us, 100 * at.mean, bars, fmt=looks.marker, color=looks.colour, ms=6, label=f"100 Hz, {kind}")
+    axes.plot(found.slow["1 kHz"][1], 0.0, "*", color="0.1", markersize=11, clip_on=False, label="1 kHz")
     axes.set(xlabel="model and prediction / µs a tick", ylabel="force error now / %", xscale="log", ylim=(0, None))
-    _plain(axes.xaxis)
+    plain_numbers(axes.xaxis)
     axes.grid(alpha=0.3, which="both")
     axes.legend(frameon=False, fontsize=8)
 
 
-def _spread(axes: Any, found: "Comparison") -> None:
+def _spread(axes: "Axes", found: "PredictorComparison") -> None:
     column = HORIZONS.index(4)
     for place, kind in enumerate(PREDICTORS):
-        colour = PREDICTORS[kind].colour
         values = 100 * found.errors[kind][:, column]
         aside = np.linspace(-0.25, 0.25, len(values))
-        axes.plot(place + aside, np.sort(values), ".", color=colour, markersize=4)
+        axes.plot(place + aside, np.sort(values), ".", color=PREDICTORS[kind].colour, markersize=4)
         axes.plot([place - 0.3, place + 0.3], [np.median(values)] * 2, color="0.1", linewidth=1.2)
     axes.set(
         xticks=range(len(PREDICTORS)),
@@ -151,12 +147,3 @@ def _spread(axes: Any, found: "Comparison") -> None:
     )
     axes.tick_params(axis="x", labelsize=8)
     axes.grid(axis="y", alpha=0.3)
-
-
-def _plain(axis: Any) -> None:
-    """Numbers instead of powers of ten."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.set_major_formatter(FuncFormatter(lambda value, place: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())

@@ -3,9 +3,10 @@
 Nothing is handed back; it all goes to the cache on disk, where measuring finds it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor
-from typing import Any, NamedTuple
+from functools import partial
+from typing import NamedTuple
 
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress
@@ -34,9 +35,9 @@ def make_ready(kinds: Sequence[Scene], pool: Executor, *, quick: bool, report: P
     """Make ready what scenes by script and by hand need that were not measured on this machine yet."""
     waiting = [kind for kind in kinds if _unknown(kind, quick=quick)]
     try:
-        for name, done in _done(pool, [(kind.name, (short_of, kind, quick)) for kind in waiting], report):
+        for name, done in _done(pool, [(kind.name, partial(short_of, kind, quick)) for kind in waiting], report):
             report(f"{name}: first contact", 0.2 * done)
-        work = [(kind.name, (_make, each)) for kind in waiting for each in pieces(kind, quick=quick)]
+        work = [(kind.name, partial(_make, each)) for kind in waiting for each in pieces(kind, quick=quick)]
         for name, done in _done(pool, work, report):
             report(f"{name}: references and meshes", 0.2 + 0.8 * done)
     except BrokenExecutor:
@@ -85,9 +86,11 @@ def _make(piece: Piece) -> None:
         return
 
 
-def _done(pool: Executor, work: Sequence[tuple[str, tuple[Any, ...]]], report: Progress) -> Iterator[tuple[str, float]]:
+def _done(
+    pool: Executor, work: Sequence[tuple[str, Callable[[], object]]], report: Progress
+) -> Iterator[tuple[str, float]]:
     """Do some work; yield whose was done and what share that makes."""
-    names = {pool.submit(*call): name for name, call in work}
+    names = {pool.submit(call): name for name, call in work}
     count = len(names)
     while names:
         for future in first_done(pool, names, report):

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from tissue.builders.cutting import cutter_of
 from tissue.scene.load import changed
@@ -16,7 +15,7 @@ __all__ = ["LATENCY_MS", "Setting", "by_hand", "finest", "nearly_finest", "setti
 LATENCY_MS = 4
 """Latency at which loops are compared where a scene has none, the mean that the paper reports being 4.3 ms."""
 LOST = "displacement and stress"
-Changes = Mapping[str, Any]
+Changes = Mapping[str, object]
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,7 @@ class Setting:
 
 def by_hand(scene: Scene) -> Scene:
     """The scene on a device, with a latency to be hidden."""
-    changes: dict[str, Any] = {} if scene.device != "none" else {"device": "touch"}
+    changes: dict[str, object] = {} if scene.device != "none" else {"device": "touch"}
     if scene.coupling.delay_ms == 0:
         changes["coupling.delay_ms"] = LATENCY_MS
     return changed(scene, changes)
@@ -87,16 +86,15 @@ def finest(scene: Scene, *, quick: bool) -> Changes:
 
 def nearly_finest(scene: Scene, *, quick: bool) -> Changes:
     """One step coarser than the finest: what lies between both is what the reference leaves open."""
-    changes = dict(finest(scene, quick=quick))
-    if "voxels.spacing_mm" in changes:
-        changes["voxels.spacing_mm"] *= 4.0 / 3.0 if quick else 2.0
-        changes["tool.shell_spacing_mm"] *= 1.3
-    elif changes:
-        changes["anatomy.touch_edge_mm"] *= 1.2
-    return changes
+    longer = {"voxels.spacing_mm": 4.0 / 3.0 if quick else 2.0, "tool.shell_spacing_mm": 1.3}
+    longer["anatomy.touch_edge_mm"] = 1.2
+    return {
+        key: longer.get(key, 1.0) * value if isinstance(value, float) else value
+        for key, value in finest(scene, quick=quick).items()
+    }
 
 
-def _force_only(scene: Scene) -> dict[str, Any]:
+def _force_only(scene: Scene) -> dict[str, object]:
     """What leaves out all that no force depends on."""
     if isinstance(scene.anatomy, SoftAnatomy):
         return {"organ.interval_ms": 0.0} if scene.organ.interval_ms else {}
@@ -168,7 +166,7 @@ def _elements(scene: Scene, anatomy: SoftAnatomy, *, quick: bool) -> Iterator[Se
     yield from _accelerated(plain, lost)
 
 
-def _accelerated(plain: dict[str, Any], lost: str) -> Iterator[Setting]:
+def _accelerated(plain: Changes, lost: str) -> Iterator[Setting]:
     """The scene on every accelerator that there is."""
     import warp as wp
 

@@ -43,8 +43,6 @@ class MetricComparison:
         What was compared, and on which task.
     cells
         Means of every user under every method.
-    mixed
-        The mixed model; its tests carry the exact ones of the strata as alternatives.
     tests
         Exact tests of method, group and both, as far as the table holds them.
     pairs
@@ -56,7 +54,6 @@ class MetricComparison:
     metric: str
     task: str
     cells: Cells
-    mixed: MixedModel
     tests: tuple[HypothesisTest, ...]
     pairs: tuple[HypothesisTest, ...]
     sizes: tuple[Effect, ...]
@@ -82,17 +79,13 @@ def compare(table: TrialTable, metric: str, *, task: str, rng: np.random.Generat
         If there is nothing to compare, or too little to compare: one user a group, or a constant metric.
     """
     require_statsmodels()
-    chosen = table.where(task=task)
-    cells = chosen.cells(metric)
+    cells = table.where(task=task).cells(metric)
     level_count, group_count = cells.values.shape[1], len(cells.group_names)
     if level_count < 2 and group_count < 2:
         raise InputError("table must hold two methods or two groups, got one of each: there is nothing to compare")
     wanted = [((0,), False)] * (level_count > 1) + [((), True)] * (group_count > 1)
     wanted += [((0,), True)] * (level_count > 1 and group_count > 1)
     tests = tuple(stratum_test(cells, within, between=between, rng=rng) for within, between in wanted)
-    mixed = mixed_model(chosen, metric)
-    others = {each.question: each for each in tests}
-    mixed = replace(mixed, tests=tuple(_with_exact(each, others) for each in mixed.tests))
     pairs: tuple[HypothesisTest, ...] = ()
     sizes: tuple[Effect, ...] = ()
     if level_count > 1:
@@ -103,7 +96,7 @@ def compare(table: TrialTable, metric: str, *, task: str, rng: np.random.Generat
         samples = [cells.values[cells.groups == group].mean(axis=1) for group in range(group_count)]
         pairs += tukey_groups(samples, cells.group_names, metric=metric)
         sizes += _sizes(samples, cells.group_names, paired=False)
-    return MetricComparison(metric, task, cells, mixed, tests, pairs, sizes)
+    return MetricComparison(metric, task, cells, tests, pairs, sizes)
 
 
 def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) -> MixedModel:
@@ -114,17 +107,17 @@ def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) ->
     mixed = mixed_model(table, metric)
     within = [name for name in ("task", "method") if len(np.unique(getattr(table, name))) > 1]
     cells = table.cells(metric, within=within or ["method"])
-    others: dict[str, HypothesisTest] = {}
+    tests = []
     for each in mixed.tests:
         asked = each.question.removeprefix(f"{metric}: ").split(" x ")
         chosen = tuple(index for index, (name, _) in enumerate(cells.factors) if name in asked)
         try:
-            others[each.question] = stratum_test(cells, chosen, between="group" in asked, rng=rng)
+            exact = stratum_test(cells, chosen, between="group" in asked, rng=rng)
+            others = (replace(exact, assumptions=(), alternatives=()), *exact.alternatives)
         except InputError:
-            continue
-    return replace(
-        mixed, tests=tuple(_with_exact(each, others) if each.question in others else each for each in mixed.tests)
-    )
+            others = ()
+        tests.append(replace(each, alternatives=others))
+    return replace(mixed, tests=tuple(tests))
 
 
 def stratum_test(cells: Cells, within: tuple[int, ...], *, between: bool, rng: np.random.Generator) -> HypothesisTest:
@@ -193,12 +186,6 @@ def _sizes(samples: Sequence[Array] | Array, names: Sequence[str], *, paired: bo
         size = cohens_d(second, first, paired=paired)
         found.append(replace(size, name=f"{size.name}, {after} minus {before}"))
     return tuple(found)
-
-
-def _with_exact(test: HypothesisTest, others: dict[str, HypothesisTest]) -> HypothesisTest:
-    """A test of the mixed model with the exact one of the same question, and that one's alternatives."""
-    exact = others[test.question]
-    return replace(test, alternatives=(replace(exact, assumptions=(), alternatives=()), *exact.alternatives))
 
 
 def _sphericity(scores: Array, groups: Ints, epsilon: float) -> Assumption:

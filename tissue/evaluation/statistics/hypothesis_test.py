@@ -97,21 +97,6 @@ class HypothesisTest:
         degrees = f"({', '.join(f'{each:.4g}' for each in self.degrees)})" if self.degrees else ""
         return f"{self.statistic_name}{degrees} = {self.statistic:.4g}, {format_p(self.p)}"
 
-    @property
-    def sentence(self) -> str:
-        """The result in words, with the robust alternatives where an assumption fails."""
-        verdict = "an effect" if self.found else "no effect shown"
-        size = f"; {self.effect}" if self.effect else ""
-        text = f"{self.question}: {verdict} ({self.test}, {self.figures}{size})."
-        failed = [each for each in self.assumptions if not each.holds]
-        if failed:
-            text += f" Not given: {'; '.join(f'{each.name} ({each.finding})' for each in failed)}."
-            others = "; ".join(f"{each.test} {each.figures}" for each in self.alternatives)
-            text += f" Resting on less: {others}." if others else ""
-            if any(each.found != self.found for each in self.alternatives):
-                text += " They do not all agree with it."
-        return f"{text} {self.note}".strip()
-
 
 def format_p(p: float) -> str:
     """A p value as a reader expects it."""

@@ -1,7 +1,6 @@
 """Linear mixed models with random users, by statsmodels."""
 
 import warnings
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -49,16 +48,6 @@ class MixedModel:
     components: Components
     coefficients: tuple[Effect, ...]
     tests: tuple[HypothesisTest, ...]
-
-    @property
-    def sentence(self) -> str:
-        """The shares of variance in words."""
-        shares: Mapping[str, float] = vars(self.components)
-        total = sum(shares.values())
-        shares_text = ", ".join(
-            f"{name.replace('_', ' by ')} {100.0 * value / total:.0f} %" for name, value in shares.items()
-        )
-        return f"{self.metric}: variance by {shares_text}."
 
 
 def mixed_model(table: TrialTable, metric: str) -> MixedModel:

@@ -71,6 +71,7 @@ def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]
         else:
             outcomes += [("all", each) for each in whole.tests]
     remarks = [f"{task}: {'; '.join(equal)}." for task, equal in same.items() if equal]
+    remarks += list(dict.fromkeys(f"{task}: {each.note}" for task, each in outcomes if each.note))
     remarks += [f"{'; '.join(what)} {NOT_TESTED}{why}." for why, what in refused.items()]
     return [_outcomes(outcomes, remarks), _pairs(found), _assumptions(outcomes)]
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import nan
 
 import numpy as np
 
@@ -33,11 +32,6 @@ class StepErrors:
     euler: Array
     exact: Array
     defect: float
-
-    @property
-    def orders(self) -> tuple[float, float]:
-        """Slopes of the logarithms of both errors over that of the step; where one is rounding it means nothing."""
-        return _slope(self.steps_s, self.euler), _slope(self.steps_s, self.exact)
 
 
 def closure_defects(generator: Generator, states: Array, rates: Array, inputs: Array | None = None) -> Array:
@@ -99,10 +93,3 @@ def step_errors(
         exact.append(sizes[1])
     defect = float(closure_defects(generator, states, rates, inputs).mean())
     return StepErrors(np.asarray(steps_s, dtype=np.float64), np.array(euler), np.array(exact), defect)
-
-
-def _slope(steps: Array, errors: Array) -> float:
-    """Slope of log error over log step."""
-    if not (errors > 0.0).all():
-        return nan
-    return float(np.polyfit(np.log(steps), np.log(errors), 1)[0])
