@@ -49,8 +49,6 @@ def test_tired_people_and_heavy_tails():
     assert tired.correct(2.0, 0.231, rng, trial=100).mean() == pytest.approx(0.75, abs=0.01)
     heavy = people(40_000, freedom=3.0)
     assert heavy.correct(2.0, 0.154, rng).mean() > 0.77  # at equal variance most of the noise is smaller
-    with pytest.raises(InputError, match="freedom must be in"):
-        people(2, freedom=1.0)
 
 
 @pytest.mark.parametrize("group", GROUPS)
@@ -90,10 +88,6 @@ def test_a_staircase_settles_at_its_target(down, target):
 @pytest.mark.parametrize(
     ("call", "sentence"),
     [
-        (lambda: people(3, kappa=-0.1), "kappa of an observer must be positive"),
-        (lambda: people(3).correct(1.0, -0.1, np.random.default_rng(0)), "must not be negative"),
-        (lambda: people(3).number(-1.0, np.random.default_rng(0)), "force_N must be positive"),
-        (lambda: draw_observers("master", 3, np.random.default_rng(0)), "group must be one of novice"),
         (lambda: Staircase(-1.0, down=2), "start must be positive"),
     ],
 )

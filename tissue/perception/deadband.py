@@ -5,7 +5,6 @@ from math import inf, sqrt
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
 from tissue.perception.weber import Weber
 
 __all__ = ["Deadband", "held_back"]
@@ -31,7 +30,7 @@ class Deadband:
     law
         Threshold of the size.
     widest
-        What the distance never exceeds, in the unit of the vector, however great the threshold.
+        What the distance never exceeds, in the unit of the vector, however great the threshold; at least 0.
 
     Attributes
     ----------
@@ -42,8 +41,6 @@ class Deadband:
     """
 
     def __init__(self, law: Weber, *, widest: float = inf) -> None:
-        if not widest >= 0.0:
-            raise InputError(f"widest must be at least 0, got {widest}: use inf for no other bound than the threshold")
         self._widest = widest
         self._kappa, self._least = law.kappa, law.kappa * law.offset
         self._held, self._allowed = (0.0, 0.0, 0.0), min(self._least, widest)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, require_range
+from meshes.base.errors import InputError
 from tissue.perception.psychometric import D_PRIME_75
 
 if TYPE_CHECKING:
@@ -33,6 +33,8 @@ HYPER = (
 VARIANCE_SHAPE = 10.0
 """Shape of the inverse-gamma law of sigma squared over people: they differ by a third of it (assumed, see
 perception.toml)."""
+CHAINS = 2
+"""Chains of a fit: one cannot be compared with another."""
 R_HAT, ESS = 1.01, 400.0
 """Greatest R-hat and least effective sample size of a fit that counts as converged (Vehtari et al., 2021)."""
 
@@ -115,7 +117,6 @@ def fit_hierarchy(
     seed: int = 0,
     warm_up: int = 600,
     draws: int = 600,
-    chains: int = 2,
     progress: bool = False,
 ) -> PopulationFit:
     """Posterior of the population and of each person, by NUTS (Hoffman and Gelman, 2014) in NumPyro.
@@ -128,24 +129,19 @@ def fit_hierarchy(
     Parameters
     ----------
     trials
-        What was asked and answered.
+        What was asked of three people or more, and answered.
     seed
         Of the draws.
-    warm_up, draws, chains
-        Draws a chain that are spent on tuning, and that are kept; chains.
+    warm_up, draws
+        Draws a chain that are spent on tuning, and that are kept.
     progress
         Show a bar for each chain.
 
     Raises
     ------
     InputError
-        If NumPyro is not installed, or there are fewer than three people.
+        If NumPyro is not installed.
     """
-    require_range("warm_up", warm_up, 50, 1e5, "use 600")
-    require_range("draws", draws, 50, 1e5, "use 600")
-    require_range("chains", chains, 2, 16, "use 2: one chain cannot be compared with another")
-    if trials.observers < 3:
-        raise InputError(f"population must hold three observers or more, got {trials.observers}: calibrate more people")
     try:
         from jax import random
         from numpyro.diagnostics import effective_sample_size, split_gelman_rubin
@@ -158,7 +154,7 @@ def fit_hierarchy(
         NUTS(partial(_model, trials.observers), target_accept_prob=0.9),
         num_warmup=warm_up,
         num_samples=draws,
-        num_chains=chains,
+        num_chains=CHAINS,
         chain_method="sequential",
         progress_bar=progress,
     )

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, require_positive
+from meshes.base.errors import InputError
 from tissue.perception.stevens import Intensity
 
 __all__ = ["ForceMap", "LogTable"]
@@ -69,7 +69,8 @@ class ForceMap:
     reference, observer
         Whose intensity is wanted, and who feels.
     lowest_N, knee_N
-        Where the straight line ends [N], and the strongest force that the device plays uncompressed [N].
+        Where the straight line ends [N], above 0, and the strongest force that the device plays uncompressed [N], above
+        that.
 
     Attributes
     ----------
@@ -87,9 +88,6 @@ class ForceMap:
     """
 
     def __init__(self, reference: Intensity, observer: Intensity, *, lowest_N: float, knee_N: float) -> None:
-        require_positive("lowest_N", lowest_N, "use 0.2")
-        if not knee_N > lowest_N:
-            raise InputError(f"knee_N must be above {lowest_N:g}, got {knee_N}: use a stronger device")
         self._reference, self._observer = reference, observer
         need = float(observer.force_N(reference.expected(knee_N)))
         most = float(reference.force_N(observer.expected(knee_N)))

@@ -67,8 +67,6 @@ class Sense:
     """
 
     def __init__(self, law: Weber, *, integration_s: float, tick_s: float, rng: np.random.Generator) -> None:
-        require_positive("integration_s", integration_s, "use 0.1")
-        require_positive("tick_s", tick_s, "use 1e-3")
         self.gain = 1.0 - exp(-tick_s / integration_s)
         self._kappa, self._offset = law.kappa, law.offset
         self._noise_ratio = sqrt((2.0 - self.gain) / self.gain) / D_PRIME_75

@@ -74,6 +74,5 @@ def weber_of(observer: Observer, *, quantile: float = 0.5) -> Weber:
     A quantile below one half gives a threshold that is rather too small than too great: at 0.1 the person's own lies
     above it with a probability of 90 %.
     """
-    require_range("quantile", quantile, 1e-6, 1.0 - 1e-6, "use 0.5")
     spread = float(np.sqrt(max(observer.covariance[2, 2], 0.0)))
     return Weber(kappa=exp(observer.mean[2] + float(ndtri(quantile)) * spread), offset=observer.offset_N)

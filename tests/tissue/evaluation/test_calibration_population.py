@@ -82,15 +82,6 @@ def test_a_folder_that_holds_no_population_is_refused(tmp_path, held):
     assert not out.exists() or out.read_text() == "mine"
 
 
-def test_too_few_people_or_draws_are_refused():
-    none, empty = np.array([], dtype=int), np.array([])
-    trials = PopulationTrials(2, none, empty, empty, empty.astype(bool), none, empty, empty)
-    with pytest.raises(InputError, match="three observers or more"):
-        fit_hierarchy(trials)
-    with pytest.raises(InputError, match="chains must be in"):
-        fit_hierarchy(trials, chains=1)
-
-
 @pytest.mark.slow
 def test_a_population_is_recovered(tmp_path):
     """Eight people of 60 comparisons and 12 numbers: the truth lies in the 99.8 % intervals of the population's means."""

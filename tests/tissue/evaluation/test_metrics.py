@@ -163,8 +163,6 @@ REFUSED = {
     "tick": (lambda: acceleration_change_m_s2(FORCE, tick_s=0.0), "tick_s must be positive"),
     "at rest": (lambda: spectral_arc_length(np.zeros(100), tick_s=TICK_S), "speed_mm_s must be non-negative and not zero"),
     "signed speed": (lambda: spectral_arc_length(-np.ones(100), tick_s=TICK_S), "speed_mm_s must be non-negative"),
-    "target": (lambda: overshoot_mm([1.0], target_mm=np.nan), "target_mm must be finite"),
-    "done": (lambda: completion_time_s([0.0, 1.0], [True]), "done must have one entry a tick"),
 }  # fmt: skip
 
 

@@ -8,7 +8,7 @@ from tissue.builders.perception import perception, perception_for
 from tissue.haptics.loop.filters import ForceRange
 from tissue.perception.observer import Observer, write_observer
 from tissue.perception.perception import Perception
-from tissue.perception.population import population_observer, reference_observer
+from tissue.perception.population import reference_observer
 
 LIMIT_N, TICK = 3.3, 1e-3
 OBSERVERS = {
@@ -165,5 +165,3 @@ def test_observers_who_cannot_be_inverted_are_refused():
         perception_for(unsure, rng=np.random.default_rng(0), force_limit_N=LIMIT_N, tick_s=TICK)
     with pytest.raises(InputError, match=r"force_limit_N must be positive|limit_N must be positive"):
         perception_for(reference_observer(), rng=np.random.default_rng(0), force_limit_N=-1.0, tick_s=TICK)
-    with pytest.raises(InputError, match="tick_s must be positive"):
-        perception_for(population_observer(), rng=np.random.default_rng(0), force_limit_N=LIMIT_N, tick_s=0.0)

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import require_range
 from tissue.evaluation.calibration.simulated_observer import SimulatedObservers
 from tissue.haptics.loop.filters import ForceRange
 from tissue.materials.constants import constants
@@ -38,10 +37,6 @@ class Stimulus:
 
     level_N: float
     scatter_N: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name in ("level_N", "scatter_N"):
-            require_range(name, getattr(self, name), 0.0, 1e4, "forces are sizes")
 
 
 def calibrated_commands(

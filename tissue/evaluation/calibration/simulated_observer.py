@@ -7,11 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, require_range
 from tissue.materials.constants import constants
 from tissue.perception.population import population
 from tissue.perception.psychometric import D_PRIME_75
-from tissue.scene.registry import GROUPS
 
 __all__ = ["SimulatedObservers", "draw_observers"]
 
@@ -49,15 +47,6 @@ class SimulatedObservers:
     freedom: float = np.inf
     fatigue: float = 0.0
 
-    def __post_init__(self) -> None:
-        for name in ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma"):
-            values = np.atleast_1d(np.asarray(getattr(self, name), dtype=float))
-            if not (np.isfinite(values) & (values >= 0.0)).all() or (name != "lapse" and not values.all()):
-                raise InputError(f"{name} of an observer must be positive, got {values}: see observers.toml")
-            object.__setattr__(self, name, values)
-        require_range("freedom", self.freedom, 2.01, np.inf, "use 3 for heavy tails, inf for none")
-        require_range("fatigue", self.fatigue, -0.5, 10.0, "use 0.5 for thresholds 50 % higher after a hundred trials")
-
     def __len__(self) -> int:
         return len(self.kappa)
 
@@ -75,11 +64,9 @@ class SimulatedObservers:
         trial
             How many trials went before, by which people tire.
         """
-        base, step = np.asarray(base_N, dtype=float), np.asarray(step_N, dtype=float)
-        if not (np.isfinite(step) & (step >= 0.0) & (base >= 0.0)).all():
-            raise InputError(f"base_N and step_N must not be negative, got {base_N!r} and {step_N!r}: forces are sizes")
         tired = max(1.0 + self.fatigue * trial / 100.0, 0.1)
-        return self.discriminate(D_PRIME_75 * step / (tired * self.kappa * (base + self.offset_N)), rng)
+        threshold = tired * self.kappa * (np.asarray(base_N) + self.offset_N)
+        return self.discriminate(D_PRIME_75 * np.asarray(step_N) / threshold, rng)
 
     def discriminate(self, distance: ArrayLike, rng: np.random.Generator) -> NDArray[np.bool_]:
         """Whether each discriminates two intervals that lie a distance d' from each other, shape (n,)."""
@@ -89,10 +76,7 @@ class SimulatedObservers:
 
     def number(self, force_N: ArrayLike, rng: np.random.Generator) -> Array:
         """Number that each gives to a force [N], shape (n,)."""
-        force = np.asarray(force_N, dtype=float)
-        if not (np.isfinite(force) & (force > 0.0)).all():
-            raise InputError(f"force_N must be positive, got {force_N!r}: forces are sizes")
-        return self.alpha * force**self.beta * np.exp(self.sigma * self._noise(rng))
+        return self.alpha * np.asarray(force_N) ** self.beta * np.exp(self.sigma * self._noise(rng))
 
     def _noise(self, rng: np.random.Generator) -> Array:
         """Noise of unit variance, shape (n,)."""
@@ -104,15 +88,6 @@ class SimulatedObservers:
 def draw_observers(
     group: str, count: int, rng: np.random.Generator, *, freedom: float = np.inf, fatigue: float = 0.0
 ) -> SimulatedObservers:
-    """Observers of a group (novice, intermediate, expert), drawn from ``observers.toml`` and ``perception.toml``.
-
-    Raises
-    ------
-    InputError
-        If there is no such group.
-    """
-    if group not in GROUPS:
-        raise InputError(f"group must be one of {', '.join(GROUPS)}, got {group}: choose one of these")
-    require_range("count", count, 1, 1e6, "use 100")
+    """Observers of a group (novice, intermediate, expert), drawn from ``observers.toml`` and ``perception.toml``."""
     people = replace(population(), kappa=constants("observers", group)["kappa"].value)
     return SimulatedObservers(**people.draws(count, rng), freedom=freedom, fatigue=fatigue)

@@ -172,21 +172,15 @@ def completion_time_s(time_s: ArrayLike, done: ArrayLike) -> float:
     """
     times = _signal("time_s", time_s, at_least=1)[:, 0]
     holds = np.asarray(done, dtype=bool)
-    if holds.shape != times.shape:
-        raise InputError(f"done must have one entry a tick, got {holds.shape} for {len(times)}: pass both of one trial")
     if not holds[-1]:
         return float("inf")
-    open_ticks = np.flatnonzero(~holds)
-    first = int(open_ticks[-1]) + 1 if len(open_ticks) else 0
+    first = np.flatnonzero(~holds).max(initial=-1) + 1
     return float(times[first] - times[0])
 
 
 def overshoot_mm(depth_mm: ArrayLike, *, target_mm: float) -> float:
     """How far the tip went beyond its target depth [mm], zero if it did not; `depth_mm` has shape (ticks,)."""
-    depth = _signal("depth_mm", depth_mm, at_least=1)
-    if not np.isfinite(target_mm):
-        raise InputError(f"target_mm must be finite, got {target_mm}: give the depth that was aimed at")
-    return max(0.0, float(depth.max()) - float(target_mm))
+    return max(0.0, float(_signal("depth_mm", depth_mm, at_least=1).max()) - target_mm)
 
 
 def _correlation(force: Array, ideal: Array, shift: int) -> float:
