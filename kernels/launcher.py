@@ -13,7 +13,6 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from itertools import pairwise
 from time import perf_counter
-from typing import Any
 
 import warp as wp
 
@@ -58,11 +57,11 @@ class SplitLaunch:
 
     def __init__(
         self,
-        kernel: Any,
+        kernel: wp.Kernel,
         *,
         dim: int | tuple[int, ...],
-        inputs: Sequence[Any],
-        outputs: Sequence[Any],
+        inputs: Sequence[object],
+        outputs: Sequence[object],
         offset_index: int,
         device: str,
         cores: int | None = None,
@@ -70,7 +69,7 @@ class SplitLaunch:
         along, *across = (dim,) if isinstance(dim, int) else dim
         parts = 1 if device != "cpu" else min(cores or core_count(), along)
 
-        def record(first: int, last: int) -> Any:
+        def record(first: int, last: int) -> wp.Launch:
             """The launch of the threads from ``first`` up to ``last``."""
             arguments = list(inputs)
             arguments[offset_index] = first

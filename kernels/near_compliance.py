@@ -6,8 +6,6 @@ packs of numbers that follow each other in memory. Read from the compliance itse
 three other places. A tick gathers only what came near or began to work.
 """
 
-from typing import Any
-
 import numpy as np
 import warp as wp
 
@@ -168,7 +166,7 @@ def drop_idle(patch: Patch, tick: int):
         slot -= 1
 
 
-def new_patch(nodes: int, device: str) -> Any:
+def new_patch(nodes: int, device: str) -> Patch:
     """A patch with space for all of a body's nodes.
 
     Of zeros from NumPy to which nobody writes, no memory is taken: on a CPU it is that of the nodes near the tool.
@@ -187,7 +185,7 @@ def new_patch(nodes: int, device: str) -> Any:
     return patch
 
 
-def gather_all_again(patch: Any) -> None:
+def gather_all_again(patch: Patch) -> None:
     """Have all rows read anew in the next tick: the compliance was scaled."""
     count = patch.count.numpy()
     count[STALE] = 1

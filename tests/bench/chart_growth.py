@@ -144,7 +144,7 @@ def tetrahedra(quick: bool) -> Series:
     from meshes.tets.tetrahedra import TetMesh
     from tissue.fem.assembly import assemble
     from tissue.fem.solvers.direct import DirectSolver
-    from tissue.fem.solvers.held_body import HeldBody, Supports
+    from tissue.fem.solvers.held_body import HeldBody, held_nodes
     from tissue.fem.solvers.multigrid import MultigridSolver
     from tissue.fem.space import Space
     from tissue.materials.elasticity import lame
@@ -166,7 +166,7 @@ def tetrahedra(quick: bool) -> Series:
         space = made["space"]
         load = np.zeros(space.nodes_m.shape)
         load[space.nodes_m[:, 2] > 1.0 - 1e-9, 2] = -1.0
-        body = HeldBody(made["K"], space.nodes_m, Supports.of_nodes(space.nodes_m[:, 2] < 1e-9))
+        body = HeldBody(made["K"], space.nodes_m, held_nodes(space.nodes_m[:, 2] < 1e-9))
         if cells < 20:
 
             def factorised(_: int, body: Any = body, made: dict[str, Any] = made) -> None:

@@ -35,7 +35,7 @@ from tissue.fem.hyperelastic import Law, NonlinearBody
 from tissue.fem.newton import NewtonSolver
 from tissue.fem.solvers.condensed import surface_compliance_m_N
 from tissue.fem.solvers.direct import DirectSolver
-from tissue.fem.solvers.held_body import HeldBody, Supports
+from tissue.fem.solvers.held_body import HeldBody, held_nodes
 from tissue.fem.solvers.multigrid import MultigridSolver
 from tissue.fem.solvers.reduced import ReducedSolver
 from tissue.fem.space import Space
@@ -86,7 +86,7 @@ def ticks(space: Space, held: np.ndarray) -> tuple[float, float]:
     near = (space.nodes_m[:, 2] > -1e-12) & (np.linalg.norm(space.nodes_m, axis=1) < 1.5 * RADIUS_M)
     faces = faces[near[faces].all(axis=1)]
     nodes, corners = np.unique(faces, return_inverse=True)
-    body = HeldBody(assemble(space, LIVER), space.nodes_m, Supports(held))
+    body = HeldBody(assemble(space, LIVER), space.nodes_m, held)
     compliance = surface_compliance_m_N(body, nodes)
     contact = SurfaceContact(
         space.nodes_m[nodes], corners.reshape(-1, 3), compliance, SphereProbe(RADIUS_M), friction=0.0
@@ -123,7 +123,7 @@ def paths(quick: bool) -> list[Point]:
     mesh = bisected(liver(spacing_m=14e-3), lambda at: np.full(len(at), 16e-3 if quick else 13e-3))
     space = Space(mesh)
     held = np.isin(np.arange(space.node_count), liver_region(mesh, "below"))
-    body = HeldBody(assemble(space, LIVER), space.nodes_m, Supports.of_nodes(held))
+    body = HeldBody(assemble(space, LIVER), space.nodes_m, held_nodes(held))
     top = mesh.surface_nodes
     touchable = top[np.argsort(np.linalg.norm(space.nodes_m[top], axis=1))[: 100 if quick else 200]]
     load = np.zeros(space.nodes_m.shape)

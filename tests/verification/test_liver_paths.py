@@ -8,7 +8,7 @@ from meshes.tets.structured import box
 from tissue.fem.assembly import assemble
 from tissue.fem.solvers.condensed import surface_compliance_m_N
 from tissue.fem.solvers.direct import DirectSolver
-from tissue.fem.solvers.held_body import HeldBody, Supports
+from tissue.fem.solvers.held_body import HeldBody, held_nodes
 from tissue.fem.solvers.lazy_compliance import LazyCompliance
 from tissue.fem.solvers.multigrid import MultigridSolver
 from tissue.fem.solvers.reduced import ReducedSolver
@@ -28,12 +28,12 @@ def organ(mesh, ratio, order=1):
     space = Space(mesh, order=order)
     height = space.nodes_m[:, 2]
     held = height <= height.min() + np.ptp(height) / 6.0
-    return HeldBody(assemble(space, lame(5e3, ratio)), space.nodes_m, Supports.of_nodes(held))
+    return HeldBody(assemble(space, lame(5e3, ratio)), space.nodes_m, held_nodes(held))
 
 
 def energy_error(body, found, exact):
     off = (found - exact).ravel()
-    return np.sqrt(off @ (body.sprung @ off) / (exact.ravel() @ (body.sprung @ exact.ravel())))
+    return np.sqrt(off @ (body.stiffness @ off) / (exact.ravel() @ (body.stiffness @ exact.ravel())))
 
 
 def assert_paths_agree(body, touchable):

@@ -15,7 +15,7 @@ from meshes.tets.structured import box
 from meshes.tets.tetrahedra import TetMesh
 from tissue.fem.assembly import assemble
 from tissue.fem.solvers.direct import DirectSolver
-from tissue.fem.solvers.held_body import HeldBody, Supports
+from tissue.fem.solvers.held_body import HeldBody
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 from tissue.models.organ.contact import SurfaceContact
@@ -219,7 +219,7 @@ def test_bisected_cells_at_the_literal_numbers():
     nodes = space.nodes_m
     held = nodes < [1e-9, 1e-9, 1e-9 - size]
     held[nodes[:, 2] < 1e-9 - size] = True
-    factor = DirectSolver(HeldBody(assemble(space, lame(YOUNG_PA, 0.49)), nodes, Supports(held)))
+    factor = DirectSolver(HeldBody(assemble(space, lame(YOUNG_PA, 0.49)), nodes, held))
     top, faces = touchable(space, 6e-3)
     rows = (3 * top[:, None] + np.arange(3)).ravel()
     compliance = factor.columns(rows)[rows]

@@ -95,7 +95,7 @@ def pressed(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores:
     report("assembling the stiffness", 0.0)
     body = _body(space, elasticity, organ, found.held, notes)
     touchable, faces = touchable_surface(space, probe, motion)
-    if body.supports.fixed[touchable].all():
+    if body.fixed[touchable].all():
         raise InputError(
             "motion must bring the tool to tissue that can move, got a tool that touches only what is held: move it, "
             "or change what holds the organ"
@@ -189,7 +189,7 @@ def _body(
     from meshes.tets.regions import faces_of
     from tissue.fem.assembly import assemble
     from tissue.fem.capsule import capsule_stiffness
-    from tissue.fem.solvers.held_body import HeldBody, Supports
+    from tissue.fem.solvers.held_body import HeldBody, held_nodes
 
     stiffness = assemble(space, elasticity)
     if organ.capsule:
@@ -209,7 +209,7 @@ def _body(
     fixed = np.zeros(space.node_count, dtype=bool)
     fixed[held] = True
     fixed[space.with_middles(faces_of(space.mesh, held))] = True
-    return HeldBody(stiffness, space.nodes_m, Supports.of_nodes(fixed))
+    return HeldBody(stiffness, space.nodes_m, held_nodes(fixed))
 
 
 def _weight(

@@ -10,9 +10,9 @@ from meshes.base.errors import InputError, names_of_caller
 from meshes.shapes.polyline import arc_length, points_along
 from meshes.tets.tetrahedra import TetMesh
 from tissue.builders.parts import FILE_WORDS
-from tissue.models.organ.probe import CylinderProbe, Probe, ShellProbe, SphereProbe
+from tissue.models.organ.probe import CylinderProbe, ProbeShape, ShellProbe, SphereProbe
 from tissue.motion.motion import Motion
-from tissue.scene.tool import Probe as ProbeTool
+from tissue.scene.tool import Probe
 
 if TYPE_CHECKING:
     from tissue.fem.space import Space
@@ -25,18 +25,18 @@ MARGIN_EDGES = 0.25
 """Edges of the mesh beyond the tool's path within which the surface may be touched."""
 
 
-def sphere(tool: ProbeTool) -> SphereProbe:
+def sphere(tool: Probe) -> SphereProbe:
     """A ball."""
     return SphereProbe(0.5e-3 * tool.diameter_mm)
 
 
-def cylinder(tool: ProbeTool) -> CylinderProbe:
+def cylinder(tool: Probe) -> CylinderProbe:
     """The flat end of a cylinder, its edge rounded."""
     radius = 0.5e-3 * tool.diameter_mm
     return CylinderProbe(radius, min(0.1 * radius, 5e-4))
 
 
-def shell(tool: ProbeTool) -> ShellProbe:
+def shell(tool: Probe) -> ShellProbe:
     """A closed surface from a file.
 
     Raises
@@ -58,13 +58,13 @@ def shell(tool: ProbeTool) -> ShellProbe:
         ) from problem
 
 
-def shell_note(tool: ProbeTool, probe: ShellProbe) -> str:
+def shell_note(tool: Probe, probe: ShellProbe) -> str:
     """The unit in which a probe's file was taken, and the size that gives."""
     sides = " x ".join(f"{1e3 * side:.3g}" for side in np.ptp(probe.points_m, axis=0))
     return f"{Path(tool.file or '').name} taken at {tool.scale_mm:g} mm per unit: {sides} mm"
 
 
-def touchable_surface(space: "Space", probe: Probe, motion: Motion) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def touchable_surface(space: "Space", probe: ProbeShape, motion: Motion) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Surface nodes near the tool's path, shape (t,), and the triangles between them, shape (f, 3), by their places."""
     triangles = _linear_triangles(space.faces)
     centres = space.nodes_m[triangles].mean(axis=1)

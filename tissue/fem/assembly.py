@@ -1,7 +1,6 @@
 """Assembled stiffness of tetrahedra: 3x3 blocks, each pair of nodes summed once and mirrored."""
 
 from functools import cache
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -40,11 +39,11 @@ def assemble(space: Space, elasticity: ArrayLike) -> bsr_array:
     rows = elasticity_rows(elasticity, space.cell_count)
     device, pattern = space.device, space.pattern
 
-    def on(values: NDArray[Any], dtype: Any) -> Any:
+    def on(values: NDArray[np.generic], dtype: type) -> wp.array[object]:
         return wp.array(values, dtype=dtype, device=device, copy=False)
 
     corners, weights = pair_tables(space.order)
-    blocks: Any = wp.empty(len(pattern.column), dtype=wp.mat33d, device=device)
+    blocks = wp.empty(len(pattern.column), dtype=wp.mat33d, device=device)
     inputs = [
         *(on(part, wp.int32) for part in (pattern.pair_start, pattern.contribution, pattern.place, pattern.mirror)),
         on(corners, wp.int32),

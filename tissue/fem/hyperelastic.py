@@ -5,7 +5,6 @@ tetrahedra lock as Poisson's ratio nears 0.5; quadratic ones, with four Gauss po
 """
 
 from enum import Enum
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -68,13 +67,13 @@ class NonlinearBody:
         node_place = np.argsort(space.cell_nodes.ravel(), kind="stable")
         node_start = np.concatenate([[0], np.cumsum(np.bincount(space.cell_nodes.ravel(), minlength=space.node_count))])
 
-        def put(values: ArrayLike, dtype: Any = wp.int32) -> Any:
+        def put(values: ArrayLike, dtype: type = wp.int32) -> wp.array[object]:
             return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
 
-        def out(shape: int | tuple[int, int], dtype: Any) -> Any:
+        def out(shape: int | tuple[int, int], dtype: type) -> wp.array[object]:
             return wp.zeros(shape, dtype=dtype, device=device)
 
-        def launch(kernel: Any, dim: int, inputs: list[Any], outputs: list[Any]) -> SplitLaunch:
+        def launch(kernel: wp.Kernel, dim: int, inputs: list[object], outputs: list[wp.array[object]]) -> SplitLaunch:
             index = len(inputs)
             return SplitLaunch(kernel, dim=dim, inputs=[*inputs, 0], outputs=outputs, offset_index=index, device=device)
 

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -107,12 +106,12 @@ class Space:
         return Pattern.of(self.cell_nodes, self.node_count)
 
     @cached_property
-    def gradients(self) -> tuple[Any, Any]:
+    def gradients(self) -> tuple[wp.array[object], wp.array[object]]:
         """On the device: gradients of the barycentric coordinates [1/m], vectors (m, 4), and volumes [m3], (m,)."""
         count = self.cell_count
-        nodes: Any = wp.array(self.mesh.nodes_m, dtype=wp.vec3d, device=self.device)
-        cells: Any = wp.array(self.mesh.cells.astype(np.int32), dtype=wp.int32, device=self.device)
-        outputs: list[Any] = [
+        nodes: wp.array[object] = wp.array(self.mesh.nodes_m, dtype=wp.vec3d, device=self.device)
+        cells: wp.array[object] = wp.array(self.mesh.cells.astype(np.int32), dtype=wp.int32, device=self.device)
+        outputs = [
             wp.empty((count, 4), dtype=wp.vec3d, device=self.device),
             wp.empty(count, dtype=wp.float64, device=self.device),
         ]

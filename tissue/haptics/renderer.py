@@ -27,11 +27,9 @@ class Renderer(Protocol):
         Where the positions are the same the device is free and the force is zero. For a rotation the positions are
         rotation vectors [rad] and the force is a torque [N m].
         """
-        ...
 
     def pause(self) -> None:
         """No sample came, so that nothing is known of the motion until the next one."""
-        ...
 
 
 class PenaltyRenderer:

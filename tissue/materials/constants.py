@@ -4,7 +4,7 @@ import tomllib
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import Any, ClassVar
+from typing import ClassVar, TypedDict
 
 from meshes.base.errors import InputError
 
@@ -21,6 +21,15 @@ class Constant:
     value: float
     low: float
     high: float
+    source: str
+    confidence: str
+
+
+class Entry(TypedDict):
+    """A cited number as a file has it."""
+
+    value: float
+    range: list[float]
     source: str
     confidence: str
 
@@ -72,7 +81,7 @@ def listed(table: str) -> tuple[str, ...]:
 
 
 @cache
-def _table(table: str) -> dict[str, dict[str, Any]]:
+def _table(table: str) -> dict[str, dict[str, Entry]]:
     return tomllib.loads(files("tissue.materials").joinpath(f"{table}.toml").read_text("utf-8"))
 
 

@@ -87,9 +87,9 @@ class Response:
     stiffness_N_m: Array | None = None
 
     @classmethod
-    def empty(cls, layer_count: int) -> "Response":
+    def empty(cls, layer_count: int, measure_count: int = 0) -> "Response":
         """No contact."""
-        return cls(np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(layer_count))
+        return cls(np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(layer_count), measures=np.zeros(measure_count))
 
 
 class TissueModel(Protocol):
@@ -102,34 +102,27 @@ class TissueModel(Protocol):
     @property
     def layer_names(self) -> tuple[str, ...]:
         """Names of the tissue's layers."""
-        ...
 
     @property
     def measure_names(self) -> tuple[str, ...]:
         """Names, with units, of the tissue's own columns in the trace."""
-        ...
 
     @property
     def start_m3(self) -> Array:
         """Volume of each layer before the first cut [m3]."""
-        ...
 
     @property
     def removed_m3(self) -> Array:
         """Volume removed from each layer so far [m3]."""
-        ...
 
     def place(self, motion: ToolMotion) -> None:
         """Put the tool at its first pose, before the first tick."""
-        ...
 
     def advance(self, motion: ToolMotion) -> None:
         """Bring the tool to its new pose."""
-        ...
 
     def respond(self, motion: ToolMotion) -> Response:
         """Force and torque on the tool at its pose; the returned object is overwritten by the next call."""
-        ...
 
 
 @runtime_checkable
@@ -147,7 +140,6 @@ class HasFields(Protocol):
     @property
     def fields(self) -> FieldSeries | None:
         """Frames so far; None where the scene asks for none."""
-        ...
 
 
 @runtime_checkable
@@ -156,7 +148,6 @@ class HasVoxels(Protocol):
 
     def remaining(self) -> NDArray[np.uint8]:
         """Tissue left in every voxel, 255 = full, shape of the voxel volume."""
-        ...
 
 
 @runtime_checkable
@@ -165,7 +156,6 @@ class WaitsForBackground(Protocol):
 
     def wait_for_background(self, time_s: float) -> None:
         """Wait, before a tick and outside it, for work whose result is due at that time."""
-        ...
 
 
 @runtime_checkable
@@ -174,7 +164,6 @@ class StartsBackground(Protocol):
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
         """Do that work, or start it in the background; called at the end of every tick."""
-        ...
 
 
 @runtime_checkable
@@ -183,7 +172,6 @@ class Finishes(Protocol):
 
     def finish(self) -> None:
         """Complete it, after the last tick; once more changes nothing."""
-        ...
 
 
 class FreeSpace:

@@ -32,8 +32,7 @@ class WallModel:
         self._radius = require_positive("radius_m", radius_m, "use 5e-3")
         self.start_m3, self.removed_m3 = np.zeros(1), np.zeros(1)
         self._free, self._pressed = np.zeros((3, 3)), np.diag((0.0, 0.0, self.stiffness_N_m))
-        self._response = Response.empty(1)
-        self._response.measures = np.zeros(1)
+        self._response = Response.empty(1, 1)
 
     def place(self, motion: ToolMotion) -> None:
         """Put the ball where it starts.

@@ -22,14 +22,14 @@ if TYPE_CHECKING:
     from tissue.haptics.loop.sampled_loop import WallLoop
     from tissue.haptics.renderer import Renderer
     from tissue.models.needle.parameters import NeedleTissue
-    from tissue.models.organ.probe import Probe
+    from tissue.models.organ.probe import ProbeShape
     from tissue.motion.motion import Motion
     from tissue.perception.perception import PerceptionMaker
     from tissue.prediction.predictor import Predictor
     from tissue.prediction.trained import Trained
     from tissue.scene.anatomy import Part
     from tissue.scene.scene import Scene
-    from tissue.scene.tool import Probe as ProbeTool
+    from tissue.scene.tool import Probe
     from tissue.simulation.run import Run
 
 __all__ = [
@@ -163,7 +163,7 @@ class ProbeEntry:
         Those of the tool's keys that shape this probe.
     """
 
-    make: "Callable[[ProbeTool], Probe] | str"
+    make: "Callable[[Probe], ProbeShape] | str"
     keys: tuple[str, ...]
 
 

@@ -40,7 +40,7 @@ def stiffness() -> None:
     from meshes.tets.tetrahedra import TetMesh
     from tissue.fem.assembly import assemble
     from tissue.fem.solvers.direct import DirectSolver
-    from tissue.fem.solvers.held_body import HeldBody, Supports
+    from tissue.fem.solvers.held_body import HeldBody, held_nodes
     from tissue.fem.space import Space
     from tissue.materials.elasticity import lame
 
@@ -63,7 +63,7 @@ def stiffness() -> None:
     load[top, 2] = -1.0 / top.sum()
 
     def solve(_: int) -> None:
-        made["u"] = DirectSolver(HeldBody(matrix, space.nodes_m, Supports.of_nodes(held))).solve(load).displacement_m
+        made["u"] = DirectSolver(HeldBody(matrix, space.nodes_m, held_nodes(held))).solve(load).displacement_m
 
     times = timed(solve, count=3)
     print_result("tissue", "factorise and solve", f"{3 * len(held)} unknowns", times, PACKAGES,
@@ -75,7 +75,7 @@ def soft() -> None:
     from meshes.tets.tetrahedra import TetMesh
     from tissue.fem.assembly import assemble
     from tissue.fem.solvers.condensed import surface_compliance_m_N
-    from tissue.fem.solvers.held_body import HeldBody, Supports
+    from tissue.fem.solvers.held_body import HeldBody, held_nodes
     from tissue.fem.space import Space
     from tissue.materials.elasticity import lame
     from tissue.models.organ.contact import SurfaceContact
@@ -84,9 +84,7 @@ def soft() -> None:
     for cells in SLABS:
         mesh = TetMesh(*bricks_in_tetrahedra(SLAB_M, cells))
         space = Space(mesh, 1)
-        body = HeldBody(
-            assemble(space, lame(YOUNG_PA, POISSON)), space.nodes_m, Supports.of_nodes(space.nodes_m[:, 2] < 1e-9)
-        )
+        body = HeldBody(assemble(space, lame(YOUNG_PA, POISSON)), space.nodes_m, held_nodes(space.nodes_m[:, 2] < 1e-9))
         touchable = np.flatnonzero(space.nodes_m[:, 2] > SLAB_M[2] - 1e-9)
         compliance = surface_compliance_m_N(body, touchable)
         number = np.full(len(space.nodes_m), -1)

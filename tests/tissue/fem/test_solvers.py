@@ -13,11 +13,9 @@ from meshes.tets.structured import box
 from meshes.tets.tetrahedra import TetMesh
 from tissue.fem.free_modes import free_modes, rigid_modes
 from tissue.fem.outcome import SolverOutcome
-from tissue.fem.solvers.condensed import surface_compliance_m_N
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.dissection import dissection
-from tissue.fem.solvers.held_body import HeldBody, Supports, pointwise_graph
-from tissue.fem.solvers.lazy_compliance import LazyCompliance
+from tissue.fem.solvers.held_body import HeldBody, held_nodes, pointwise_graph
 from tissue.fem.solvers.multigrid import MultigridSolver
 from tissue.fem.solvers.reduced import ReducedSolver
 
@@ -35,31 +33,21 @@ def reduced_path(body):
 PATHS = {"direct": DirectSolver, "multigrid": MultigridSolver, "reduced": reduced_path}
 
 
-def springs():
-    """The bottom on springs, one node of it fixed."""
-    spring = np.zeros(MESH.nodes_m.shape)
-    spring[BOTTOM] = 30.0
-    fixed = np.zeros(MESH.nodes_m.shape, dtype=bool)
-    fixed[np.flatnonzero(BOTTOM)[0]] = True
-    return Supports(fixed, spring_N_m=spring)
-
-
 def sliding():
     """The bottom may slide but for three planes that keep it."""
     x = MESH.nodes_m
-    return Supports(np.abs(x) < 1e-9)
+    return np.abs(x) < 1e-9
 
 
-HELD = {"clamped": lambda: Supports.of_nodes(BOTTOM), "springs": springs, "sliding": sliding}
+HELD = {"clamped": lambda: held_nodes(BOTTOM), "sliding": sliding}
 
 
 def dense(body, load):
     """The answer by LAPACK."""
-    full = body.sprung.toarray()
-    fixed = body.supports.fixed.ravel()
-    answer = body.given_m.ravel().copy()
-    right = load.ravel() - full @ answer
-    answer[~fixed] = np.linalg.solve(full[np.ix_(~fixed, ~fixed)], right[~fixed])
+    full = body.stiffness.toarray()
+    fixed = body.fixed.ravel()
+    answer = np.zeros(len(full))
+    answer[~fixed] = np.linalg.solve(full[np.ix_(~fixed, ~fixed)], load.ravel()[~fixed])
     return answer.reshape(-1, 3)
 
 
@@ -70,13 +58,13 @@ def path(request):
 
 @pytest.mark.parametrize("held", HELD)
 def test_the_answer_is_lapacks_to_the_stated_tolerance(path, held):
-    body = body_of(supports=HELD[held]())
+    body = body_of(fixed=HELD[held]())
     solver = path(body)
     load = load_on(SURFACE)
     found = solver.solve(load)
     assert found.outcome is SolverOutcome.CONVERGED and found.converged
     assert energy_error(body, found.displacement_m, dense(body, load)) <= solver.tolerance
-    assert np.all(found.displacement_m[body.supports.fixed] == 0.0)
+    assert np.all(found.displacement_m[body.fixed] == 0.0)
 
 
 def test_a_solve_is_linear_reciprocal_and_stores_energy(path):
@@ -130,30 +118,6 @@ def test_direct_and_multigrid_agree_on_linear_and_quadratic_cells(order, ratio):
     assert found.converged and energy_error(body, found.displacement_m, exact.displacement_m) <= 1e-8
 
 
-@pytest.mark.parametrize("solver", [DirectSolver, MultigridSolver])
-def test_displaced_supports_pull_the_body_along(solver):
-    """Held along a linear field on the whole surface, the body takes that field: the patch test."""
-    outside = np.zeros(len(MESH.nodes_m), dtype=bool)
-    outside[SURFACE] = True
-    field = MESH.nodes_m @ np.array([[0.01, 0.02, 0.0], [-0.03, 0.01, 0.04], [0.0, 0.02, -0.02]])
-    body = body_of(supports=Supports(np.repeat(outside[:, None], 3, axis=1), displacement_m=field))
-    found = solver(body).solve(np.zeros_like(field))
-    assert found.converged and np.abs(found.displacement_m - field).max() < 1e-9
-
-
-def test_a_compliance_wants_supports_at_rest():
-    away = np.full(MESH.nodes_m.shape, 1e-3)
-    body = body_of(supports=Supports(np.repeat(BOTTOM[:, None], 3, axis=1), displacement_m=away))
-    solver = DirectSolver(body)
-    for make in (
-        lambda: surface_compliance_m_N(body, SURFACE),
-        lambda: LazyCompliance(solver, SURFACE),
-        lambda: ReducedSolver(solver, SURFACE, size=5),
-    ):
-        with pytest.raises(InputError, match="supports must be at rest for a compliance, got displaced ones"):
-            make()
-
-
 FREE = {
     "one node": ([0], "xyz", {"rotation about x through (0.5, 0, 0) m", "rotation about y through (0, 0.5, 0) m",
                               "rotation about z through (0, 0, 0.5) m"}),
@@ -173,7 +137,7 @@ def test_free_motions_are_named(case):
     regular = box((1.0, 1.0, 1.0), (4, 4, 4)).nodes_m
     assert set(free_modes(regular, fixed)) == expected
     with pytest.raises(InputError, match=r"supports must leave no rigid motion free, got the body \(125 nodes\)"):
-        body_of(supports=Supports(fixed))
+        body_of(fixed=(fixed))
 
 
 def test_a_motion_about_a_slanting_axis_is_named_by_its_direction():
@@ -202,12 +166,12 @@ def test_named_motions_are_those_without_energy():
 def test_supports_that_hold_nothing_are_refused():
     none = np.zeros(MESH.nodes_m.shape, dtype=bool)
     with pytest.raises(InputError, match="supports must hold something, got none: all six rigid motions are free"):
-        body_of(supports=Supports(none))
+        body_of(fixed=(none))
     loose = TetMesh(np.concatenate([MESH.nodes_m, [[2.0, 0.0, 0.0]]]), MESH.cells)
     fixed = np.zeros(len(loose.nodes_m), dtype=bool)
     fixed[-1] = True
     with pytest.raises(InputError, match="supports must touch the body, got 1 nodes that no cell uses"):
-        body_of(loose, Supports.of_nodes(fixed))
+        body_of(loose, held_nodes(fixed))
 
 
 def test_an_unconnected_part_that_floats_is_refused():
@@ -229,30 +193,14 @@ def test_nodes_of_no_cell_stay_where_they_are(solver):
         solver(body).solve(load)
 
 
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ({"fixed": np.zeros((5, 2), dtype=bool)}, "fixed must be booleans of shape"),
-        ({"fixed": np.zeros((5, 3))}, "fixed must be booleans of shape"),
-        ({"spring_N_m": np.full((5, 3), -1.0)}, "spring_N_m must not be negative, got -1"),
-        ({"spring_N_m": np.full((5, 3), np.nan)}, "spring_N_m must be finite"),
-        ({"displacement_m": np.full((5, 3), np.nan)}, "displacement_m must be finite"),
-        ({"displacement_m": np.zeros((4, 3))}, "displacement_m must have the shape of fixed"),
-    ],
-)
-def test_supports_that_make_no_sense_are_refused(values, message):
-    with pytest.raises(InputError, match=message):
-        Supports(**({"fixed": np.ones((5, 3), dtype=bool)} | values))
-
-
 def test_a_stiffness_that_is_not_finite_or_of_another_size_is_refused():
     stiffness = body_of().stiffness
     broken = stiffness.copy()
     broken.data[7, 1, 1] = np.nan
     with pytest.raises(InputError, match="stiffness must be finite"):
-        HeldBody(broken, MESH.nodes_m, Supports.of_nodes(BOTTOM))
-    with pytest.raises(InputError, match="stiffness and supports must be for the 124 nodes"):
-        HeldBody(stiffness, MESH.nodes_m[1:], Supports.of_nodes(BOTTOM))
+        HeldBody(broken, MESH.nodes_m, held_nodes(BOTTOM))
+    with pytest.raises(InputError, match="stiffness and fixed must be for the 124 nodes"):
+        HeldBody(stiffness, MESH.nodes_m[1:], held_nodes(BOTTOM))
 
 
 @pytest.mark.parametrize("solver", [DirectSolver, MultigridSolver])
@@ -264,7 +212,7 @@ def test_an_indefinite_stiffness_is_reported(solver):
     lowest = vectors[:, 0]
     shifted = bsr_array((body.stiffness - 1.5 * values[0] * eye_array(body.stiffness.shape[0])).tobsr((3, 3)))
     assert shifted.diagonal().min() > 0.0
-    found = solver(HeldBody(shifted, MESH.nodes_m, body.supports)).solve(body.whole(lowest))
+    found = solver(HeldBody(shifted, MESH.nodes_m, body.fixed)).solve(body.whole(lowest))
     assert found.outcome is SolverOutcome.INDEFINITE and not found.converged
 
 
@@ -273,7 +221,7 @@ def test_a_matrix_without_a_factor_is_refused():
     body = body_of()
     ones = bsr_array((np.ones_like(body.stiffness.data), body.stiffness.indices, body.stiffness.indptr))
     with pytest.raises(InputError, match="stiffness must be positive definite, got one without a factor"):
-        DirectSolver(HeldBody(ones, MESH.nodes_m, body.supports))
+        DirectSolver(HeldBody(ones, MESH.nodes_m, body.fixed))
 
 
 def test_multigrid_that_runs_out_of_iterations_is_reported():

@@ -11,7 +11,7 @@ from tissue.fem.assembly import assemble
 from tissue.fem.loads import traction
 from tissue.fem.outcome import SolverOutcome
 from tissue.fem.solvers.direct import DirectSolver
-from tissue.fem.solvers.held_body import HeldBody, Supports
+from tissue.fem.solvers.held_body import HeldBody
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 from tissue.scene.organ import Organ, SlabAnatomy
@@ -28,7 +28,7 @@ def deflection(order: int, cells: tuple[int, int, int], ratio: float) -> tuple[f
     space = Space(box((LENGTH, 1.0, 1.0), cells), order)
     held = np.repeat(space.nodes_m[:, :1] < 1e-9, 3, axis=1)
     faces = space.faces[(space.nodes_m[space.faces[:, :3], 0] > LENGTH - 1e-9).all(axis=1)]
-    body = HeldBody(assemble(space, lame(YOUNG, ratio)), space.nodes_m, Supports(held))
+    body = HeldBody(assemble(space, lame(YOUNG, ratio)), space.nodes_m, held)
     solution = DirectSolver(body).solve(traction(space, (0.0, 0.0, 1.0), faces=faces))
     tip = solution.displacement_m[space.nodes_m[:, 0] > LENGTH - 1e-9, 2].mean()
     return float(tip), float(solution.outcome is SolverOutcome.CONVERGED)

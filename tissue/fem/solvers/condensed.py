@@ -46,7 +46,7 @@ def surface_compliance_m_N(
     Parameters
     ----------
     body
-        The stiffness and what holds it, at rest.
+        The stiffness and what holds it.
     touchable
         Nodes that a tool may touch, each once, shape (t,).
     limit_bytes
@@ -60,7 +60,7 @@ def surface_compliance_m_N(
     ------
     InputError
         If there is nothing to touch, a node does not exist, is not in the body or is named twice, the memory exceeds
-        the limit, or supports are displaced.
+        the limit.
     """
     _require_nodes(touchable, body)
     needed = compliance_bytes(len(touchable))
@@ -69,9 +69,8 @@ def surface_compliance_m_N(
             f"touchable must fit in {limit_bytes / 1e9:.3g} GB, got {len(touchable)} nodes that need "
             f"{needed / 1e9:.3g} GB: name fewer, or find columns where the tool is (LazyCompliance)"
         )
-    body.require_rest()
-    blocks = body.sprung
-    key = [blocks.data, blocks.indices, blocks.indptr, body.supports.fixed, touchable]
+    blocks = body.stiffness
+    key = [blocks.data, blocks.indices, blocks.indptr, body.fixed, touchable]
 
     def make() -> dict[str, NDArray[np.generic]]:
         if len(body.free) <= SCHUR_UNKNOWNS:

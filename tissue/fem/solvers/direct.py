@@ -63,14 +63,7 @@ class DirectSolver:
         return Solution(self.body.whole(found[place]), outcome, 0, left)
 
     def columns(self, unknowns: Ints) -> Array:
-        """Displacements of all unknowns [m/N] for unit forces on some, shape (3n, k); zero for held ones.
-
-        Raises
-        ------
-        InputError
-            If the supports are displaced: the answer to a force alone is asked for.
-        """
-        self.body.require_rest()
+        """Displacements of all unknowns [m/N] for unit forces on some, shape (3n, k); zero for held ones."""
         answers = np.zeros((len(self._position), len(unknowns)))
         for start in range(0, len(unknowns), TOGETHER):
             at = self._position[unknowns[start : start + TOGETHER]]
@@ -82,7 +75,7 @@ class DirectSolver:
 
 
 def factorised(body: HeldBody, order: Ints) -> tuple[Ints, csc_array, SuperLU]:
-    """The free unknowns of nodes in an order of elimination, the matrix between them, springs included, and its factor.
+    """The free unknowns of nodes in an order of elimination, the matrix between them, and its factor.
 
     Raises
     ------
@@ -91,7 +84,7 @@ def factorised(body: HeldBody, order: Ints) -> tuple[Ints, csc_array, SuperLU]:
     """
     unknowns = (3 * order[:, None] + np.arange(3)).ravel()
     kept = unknowns[np.isin(unknowns, body.free)]
-    matrix = body.sprung.tocsr()[kept][:, kept].tocsc()
+    matrix = body.stiffness.tocsr()[kept][:, kept].tocsc()
     matrix.sort_indices()
     try:
         factor = splu(matrix, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})

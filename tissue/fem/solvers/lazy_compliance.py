@@ -31,7 +31,7 @@ class LazyCompliance:
     Raises
     ------
     InputError
-        If the buffer does not hold a single node, or supports are displaced.
+        If the buffer does not hold a single node.
     """
 
     def __init__(self, solver: ColumnSolver, touchable: Ints, *, capacity_bytes: int = 500_000_000) -> None:
@@ -42,7 +42,6 @@ class LazyCompliance:
         """Nodes that the buffer holds."""
         if self.capacity < 1:
             raise InputError(f"capacity_bytes must hold one node, {each} bytes, got {capacity_bytes}: allow more")
-        solver.body.require_rest()
         self._columns = np.empty((self.capacity, len(self._touchable), 3, 3))
         self._slot = np.full(len(self._touchable), -1)
         self._used: OrderedDict[int, None] = OrderedDict()

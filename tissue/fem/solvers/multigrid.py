@@ -52,7 +52,7 @@ class MultigridSolver:
         self.body, self._limit = body, limit
         self._free = np.zeros(3 * len(body.nodes_m), dtype=np.bool_)
         self._free[body.free] = True
-        diagonal = body.sprung.diagonal()
+        diagonal = body.stiffness.diagonal()
         if not (diagonal[self._free] > 0.0).all():
             raise InputError("stiffness must be positive definite, got a diagonal that is not: check the moduli")
         self._scale = np.where(self._free, 1.0 / np.sqrt(np.where(self._free, diagonal, 1.0)), 0.0)
@@ -71,7 +71,7 @@ class MultigridSolver:
 
     def _scaled(self) -> bsr_matrix:
         """D^-1/2 K D^-1/2 with held components cut out to the identity, indices of 32 bits as pyamg wants."""
-        rows = self.body.sprung.tobsr((3, 3))
+        rows = self.body.stiffness.tobsr((3, 3))
         count = len(self.body.nodes_m)
         scale = self._scale.reshape(-1, 3)
         row = np.repeat(np.arange(count), np.diff(rows.indptr))
@@ -112,9 +112,8 @@ class MultigridSolver:
         Raises
         ------
         InputError
-            If the supports are displaced, or a solve does not converge.
+            If a solve does not converge.
         """
-        self.body.require_rest()
         answers = np.zeros((len(self._scale), len(unknowns)))
         for column, unknown in enumerate(unknowns):
             right = np.zeros_like(self._scale)

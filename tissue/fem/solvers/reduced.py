@@ -7,9 +7,6 @@ Psychometrika 1:211). What is left out gives mostly where it is touched; its blo
 residual flexibility does for modes left out (MacNeal 1971, Comput. Struct. 1:581).
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
 
 from meshes.base.arrays import Array, Ints
@@ -17,34 +14,10 @@ from meshes.base.errors import InputError
 from tissue.fem.outcome import Solution, SolverOutcome
 from tissue.fem.solvers.held_body import ColumnSolver, HeldBody
 
-__all__ = ["BasisError", "ReducedSolver"]
+__all__ = ["ReducedSolver"]
 
 CHUNK = 96
 """Columns found at a time."""
-
-
-@dataclass(frozen=True)
-class BasisError:
-    """What a basis of some size leaves out.
-
-    Attributes
-    ----------
-    size
-        Number of modes.
-    energy
-        Root mean square over unit forces on touchable components of the error in the energy norm, relative to the same
-        mean of the answers.
-    point
-        Largest share of a touchable node's own compliance, along its softest direction, that the modes miss; a push
-        of that node alone to a depth feels too stiff by about as much. With residual blocks it is zero.
-    corrected
-        Largest singular value of ``W - W_reduced`` with residual blocks, relative to that of W.
-    """
-
-    size: int
-    energy: float
-    point: float
-    corrected: float
 
 
 class ReducedSolver:
@@ -64,7 +37,7 @@ class ReducedSolver:
     Raises
     ------
     InputError
-        If the size is not in [1, 3t], the tolerance not in (0, 1), or supports are displaced.
+        If the size is not in [1, 3t], or the tolerance not in (0, 1).
     """
 
     def __init__(self, solver: ColumnSolver, touchable: Ints, *, size: int, tolerance: float = 0.1) -> None:
@@ -97,7 +70,7 @@ class ReducedSolver:
     def solve(self, load_N: Array, *, start_m: Array | None = None) -> Solution:
         """Displacement under nodal forces [N], shape (n, 3); ``start_m`` is ignored.
 
-        For loads on touchable nodes the error in the energy norm is known, by W over the modes left out. Any
+        For loads on touchable nodes the error in the energy norm is known, by W over the modes left out. Every
         other load is answered OUTSIDE_BASIS, with a share of 1.
         """
         right = self.body.right_side(load_N)
@@ -121,24 +94,6 @@ class ReducedSolver:
         view[nodes, :, nodes, :] = self._whole.reshape(view.shape)[nodes, :, nodes, :]
         return 0.5 * (cut + cut.T)
 
-    def errors(self, sizes: Sequence[int]) -> list[BasisError]:
-        """What bases of these sizes leave out of W."""
-        return [self._error(size) for size in sizes]
-
     def _cut(self, size: int) -> Array:
         leading = self._vectors[:, :size]
         return (leading * self.values_m_N[:size]) @ leading.T
-
-    def _error(self, size: int) -> BasisError:
-        nodes = np.arange(len(self.touchable))
-        shape = (len(nodes), 3, len(nodes), 3)
-        rest = self._whole - self._cut(size)
-        total = np.linalg.norm(self._whole.reshape(shape)[nodes, :, nodes, :], ord=2, axis=(1, 2))
-        missed = np.linalg.norm(rest.reshape(shape)[nodes, :, nodes, :], ord=2, axis=(1, 2))
-        corrected = self._whole - self.compliance_m_N(size)
-        return BasisError(
-            size=size,
-            energy=float(np.sqrt(self.values_m_N[size:].sum() / self.values_m_N.sum())),
-            point=float(np.divide(missed, total, out=np.zeros_like(total), where=total > 0.0).max()),
-            corrected=float(np.abs(np.linalg.eigvalsh(corrected)).max() / self.values_m_N[0]),
-        )

@@ -22,9 +22,8 @@ def schur_compliance_m_N(body: HeldBody, touchable: Ints) -> Array:
     Raises
     ------
     InputError
-        If the matrix cannot be factorised, or the supports are displaced.
+        If the matrix cannot be factorised.
     """
-    body.require_rest()
     order = dissection(body.nodes_m, pointwise_graph(body.stiffness))
     order = np.concatenate([order[~np.isin(order, touchable)], touchable])
     last = np.isin((3 * touchable[:, None] + np.arange(3)).ravel(), body.free)

@@ -42,11 +42,9 @@ class Device(Protocol):
 
     def read(self, time_s: float) -> Sample | None:
         """The newest sample at a time; None where there is none."""
-        ...
 
     def command(self, force_N: Array, torque_Nm: Array) -> None:
         """Play a force and a torque, on the hand and in the world frame, until the next command."""
-        ...
 
 
 class ComputedDevice:

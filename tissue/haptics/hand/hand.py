@@ -50,7 +50,6 @@ class HoldingHand(Protocol):
 
     def act(self, time_s: float, position_m: Triple) -> HandAction:
         """What the hand does from this time on until asked again, the device being at ``position_m``."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -98,8 +98,7 @@ class ProbedBone(FreeSpace):
         self.store = BrickStore.from_volume(volume, device=device)
         self.start_m3, self.removed_m3 = np.zeros((2, len(self.layer_names)))
         self.start_m3[:] = self.store.steps_by_layer() * (volume.spacing_m**3 / FULL)
-        self._response = Response.empty(len(self.layer_names))
-        self._response.measures = np.zeros(2)
+        self._response = Response.empty(len(self.layer_names), 2)
         self._tool, self._shell, self._area = tool, shell, area_m2 / len(shell.points_m)
         self._field = ContactField(store=self.store)
 

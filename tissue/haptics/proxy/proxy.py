@@ -9,7 +9,6 @@ proxy: a search for the nearest free point would come out on the far side of a t
 from dataclasses import dataclass
 from enum import Enum
 from math import isfinite
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -140,19 +139,19 @@ class Proxy:
             step, tolerance = STEP_VOXELS * field.spacing_m, TOLERANCE_VOXELS * field.spacing_m
         device = field.device
         self._contacts = _contacts(len(shell.points_m), field, device=device)
-        tool: Any = Shell()
+        tool = Shell()
         tool.point = wp.array(shell.points_m - field.sink_m * shell.normals, dtype=wp.vec3d, device=device)
-        tool.radius, tool.reach = shell.radius_m, shell.reach_m
-        settings: Any = DescentSettings()
-        settings.compliance, settings.friction = compliance, friction
-        settings.step, settings.tolerance = step, tolerance
+        tool.radius, tool.reach = map(wp.float64, (shell.radius_m, shell.reach_m))
+        settings = DescentSettings()
+        numbers = map(wp.float64, (compliance, friction, step, tolerance))
+        settings.compliance, settings.friction, settings.step, settings.tolerance = numbers
         settings.step_limit, settings.solve_limit = step_limit, solve_limit
         self._goal = Mirror(TRAVEL, dtype=wp.float64, device=device)
         self._state = Mirror(STATE, dtype=wp.float64, device=device)
         self._report = Mirror(REPORT, dtype=wp.float64, device=device)
         self._goal.host[_ROTATION] = self._state.host[_ROTATION] = _IDENTITY
         self._field = field  # its arrays are read by the recorded launch
-        self._launch: Any = wp.launch(
+        self._launch = wp.launch(
             advance_proxy,
             dim=1,
             inputs=[field.arrays, tool, settings, self._goal.device],
@@ -233,7 +232,7 @@ class Proxy:
 def _contacts(points: int, field: ContactField, *, device: str) -> Contacts:
     """Memory for every contact that a shell of so many points can have."""
     slots = field.solid_count + (VOXEL_PLANES if field.spacing_m > 0.0 else 0)
-    contacts: Any = Contacts()
+    contacts = Contacts()
     contacts.slots = slots
     for name, count, kind in (
         ("press", points * slots, wp.float64),

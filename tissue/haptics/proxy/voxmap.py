@@ -7,7 +7,6 @@ the tool and is solved where the organ's compliance is known, so there the tool 
 
 from dataclasses import dataclass, field
 from math import ceil, sqrt
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -118,15 +117,15 @@ class ContactField:
         self.sink_m = (0.5 - SURFACE) * self.spacing_m
         """How far shell points are sunk into the tool [m]."""
         self.solid_count = len(solids)
-        arrays: Any = Field()
+        arrays = Field()
         kinds, centres, turns, sizes = zip(*map(_solid, solids), strict=True) if solids else ((), (), (), ())
         arrays.kind = wp.array(kinds, dtype=wp.int32, device=self.device)
         arrays.centre = wp.array(np.reshape(centres, (-1, 3)), dtype=wp.vec3d, device=self.device)
         arrays.turn = wp.array(np.reshape(turns, (-1, 3, 3)), dtype=wp.mat33d, device=self.device)
         arrays.size = wp.array(np.reshape(sizes, (-1, 3)), dtype=wp.vec3d, device=self.device)
-        arrays.spacing = self.spacing_m
+        arrays.spacing = wp.float64(self.spacing_m)
         if store is not None:
-            arrays.voxels_per_m = 1.0 / self.spacing_m
+            arrays.voxels_per_m = wp.float64(1.0 / self.spacing_m)
             arrays.brick_of, arrays.remaining = store.brick_of, store.remaining
             arrays.origin = wp.vec3d(*store.volume.origin_m.tolist())
             clearance = _clearance(store.fraction() > 0, self.spacing_m)
@@ -146,7 +145,7 @@ class ContactField:
             )
         distance = wp.zeros(len(points), dtype=wp.float64, device=self.device)
         normal = wp.zeros(len(points), dtype=wp.vec3d, device=self.device)
-        at: Any = wp.array(points, dtype=wp.vec3d, device=self.device)
+        at: wp.array[object] = wp.array(points, dtype=wp.vec3d, device=self.device)
         wp.launch(
             field_distance, dim=len(points), inputs=[at, self.arrays], outputs=[distance, normal], device=self.device
         )
@@ -180,7 +179,7 @@ def _clearance(holds: NDArray[np.bool_], spacing_m: float) -> NDArray[np.float32
     return np.maximum(spacing_m * (CELL * cells - FELT_VOXELS), 0.0).astype(np.float32)
 
 
-def _vector(name: str, value: Any) -> Array:
+def _vector(name: str, value: object) -> Array:
     vector = np.asarray(value, dtype=np.float64)
     if vector.shape != (3,) or not np.isfinite(vector).all():
         raise InputError(f"{name} must be three finite numbers, got {value}: use for example (0, 0, 1)")

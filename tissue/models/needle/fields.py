@@ -18,7 +18,7 @@ from meshes.tets.tetrahedra import TetMesh
 from tissue.fem.assembly import assemble
 from tissue.fem.fields import FieldSeries
 from tissue.fem.solvers.direct import DirectSolver
-from tissue.fem.solvers.held_body import HeldBody, Supports
+from tissue.fem.solvers.held_body import HeldBody, held_nodes
 from tissue.fem.space import Space
 from tissue.materials.constants import constants
 from tissue.materials.elasticity import lame
@@ -131,7 +131,7 @@ class NeedleFields:
         space = Space(mesh, 1, device="cpu")
         fixed = np.zeros(len(mesh.nodes_m), dtype=bool)
         fixed[held] = True
-        body = HeldBody(assemble(space, rows), space.nodes_m, Supports.of_nodes(fixed))
+        body = HeldBody(assemble(space, rows), space.nodes_m, held_nodes(fixed))
         self.track, self.nodes, self._inward = track, nodes, -track.outward
         self._near_m = near_m
         self._columns = self._axial_columns(DirectSolver(body))

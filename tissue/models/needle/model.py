@@ -1,6 +1,6 @@
 """A needle in an organ, as a tissue that a tool moves through."""
 
-from math import inf, isfinite, pi
+from math import isfinite, pi
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,7 +21,7 @@ LEAST_COSINE = 0.17
 
 
 class NeedleModel:
-    """An organ with a flat surface that a needle is pushed into and drawn out of, along the needle's axis.
+    """An organ under the plane z = 0 that a needle is pushed into and drawn out of, along the needle's axis.
 
     The force follows `tissue.models.needle.insertion.Insertion` and acts along the needle's axis; moving the needle
     sideways inside the organ, or turning it, costs nothing. Depths count along the axis, from where it meets the
@@ -39,15 +39,13 @@ class NeedleModel:
         What the needle meets.
     diameter_m
         Of the needle [m]. It sets the area of the tip, and how far from the last track a new one begins.
-    origin_m, normal
-        A point on the organ's undeformed surface [m] and its outward normal, in the world frame.
     fields
         What shows displacement and stress around the needle; the force does not depend on it. None shows nothing.
 
     Raises
     ------
     InputError
-        If the needle's diameter or the surface cannot be meant; later, if the needle starts inside the organ, lies
+        If the needle's diameter cannot be meant; later, if the needle starts inside the organ, lies
         almost flat on it, or is nowhere.
     """
 
@@ -58,20 +56,9 @@ class NeedleModel:
         tissue: NeedleTissue,
         *,
         diameter_m: float,
-        origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        normal: tuple[float, float, float] = (0.0, 0.0, 1.0),
         fields: "NeedleFields | None" = None,
     ) -> None:
         require_positive("diameter_m", diameter_m, "an 18 gauge needle has 1.27e-3 m")
-        self._origin, outward = np.asarray(origin_m, dtype=float), np.asarray(normal, dtype=float)
-        if self._origin.shape != (3,) or not np.isfinite(self._origin).all():
-            raise InputError(f"origin_m must be three finite numbers, got {origin_m}: give a point on the surface")
-        length = float(np.linalg.norm(outward))
-        if outward.shape != (3,) or not 0.0 < length < inf:
-            raise InputError(
-                f"normal must be three finite numbers, not all 0, got {normal}: give the outward direction"
-            )
-        self._normal = outward / length
         self.tissue, self.insertion, self._fields = tissue, Insertion(tissue), fields
         self._diameter_m, self._entry_m = diameter_m, np.full(3, np.nan)
         membranes = tuple(membrane.name for membrane in tissue.membranes)
@@ -80,8 +67,7 @@ class NeedleModel:
         self._parenchyma = surface
         self.start_m3, self.removed_m3 = np.zeros(len(self.layer_names)), np.zeros(len(self.layer_names))
         self.notices: list[str] = []
-        self._response = Response.empty(len(self.layer_names))
-        self._response.measures = np.zeros(len(self.measure_names))
+        self._response = Response.empty(len(self.layer_names), len(self.measure_names))
 
     @property
     def fields(self) -> FieldSeries | None:
@@ -152,8 +138,7 @@ class NeedleModel:
 
     def _travel_m(self, motion: ToolMotion) -> float:
         """How far the tip lies beyond the surface, along the needle's axis [m]; negative outside."""
-        below = float((self._origin - motion.tip_m).dot(self._normal))
-        cosine = float(motion.rotation[:, 2].dot(self._normal))
+        below, cosine = -float(motion.tip_m[2]), float(motion.rotation[2, 2])
         if not (isfinite(below) and isfinite(cosine)):
             raise InputError(f"the needle's pose must be finite, got its tip at {motion.tip_m}: mend the motion")
         if cosine >= LEAST_COSINE:

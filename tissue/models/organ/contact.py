@@ -1,7 +1,7 @@
 """Contact of a tool with an elastic organ on the compliance of the nodes that may be touched."""
 
+from collections.abc import Callable
 from math import isfinite
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -31,7 +31,7 @@ from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.models.organ.contact_points import contact_points
 from tissue.models.organ.contact_result import ContactOutcome, ContactResult
-from tissue.models.organ.probe import Probe, ShellProbe
+from tissue.models.organ.probe import ProbeShape, ShellProbe
 
 __all__ = ["SurfaceContact"]
 
@@ -85,7 +85,7 @@ class SurfaceContact:
         nodes_m: Array,
         faces: Ints,
         compliance_m_N: Array,
-        probe: Probe,
+        probe: ProbeShape,
         *,
         friction: float = 0.3,
         tolerance: float = 1e-3,
@@ -122,10 +122,10 @@ class SurfaceContact:
         first = np.full(len(faces), -1)
         first[face[::-1]] = np.arange(len(face))[::-1]
 
-        def new(shape: int | tuple[int, ...], dtype: Any) -> Any:
+        def new(shape: int | tuple[int, ...], dtype: type) -> wp.array[object]:
             return wp.zeros(shape, dtype=dtype, device=device)
 
-        def put(values: NDArray[Any], dtype: Any) -> Any:
+        def put(values: NDArray[np.generic], dtype: type) -> wp.array[object]:
             return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
 
         body, points, lists = Body(), Points(), Lists()
@@ -149,14 +149,12 @@ class SurfaceContact:
         pose, results = self._pose.device, self._results.device
         centres, radii = put(self._centres, wp.vec3d), put(self._radii, wp.float64)
 
-        def record(kernel: Any, inputs: list[Any]) -> Any:
+        def record(kernel: wp.Kernel, inputs: list[object]) -> Callable[[], None]:
             return wp.launch(kernel, dim=1, inputs=inputs, device=device, record_cmd=True).launch
 
-        def build() -> list[Any]:
+        def build() -> list[Callable[[], None]]:
             """Record the launches of a tick, in order."""
-            stages: list[Any] = [
-                record(find_near, [centres, radii, probe.kind, size, pose, REACH_M, results, body, lists, patch])
-            ]
+            stages = [record(find_near, [centres, radii, probe.kind, size, pose, REACH_M, results, body, lists, patch])]
             if isinstance(probe, ShellProbe):
                 home = new(len(weights), wp.int32)
                 shell = [put(probe.points_m, wp.vec3d), put(probe.normals, wp.vec3d), pose, float(self._radii.max()), 0]
@@ -172,12 +170,8 @@ class SurfaceContact:
         self._build = build
         self._stages = build()
         self._on_host = device == "cpu"
-        self._result = ContactResult(np.zeros(3), np.zeros(3), body.force.numpy(), compliance_m_N)
-
-    @property
-    def result(self) -> ContactResult:
+        self.result = ContactResult(np.zeros(3), np.zeros(3), body.force.numpy(), compliance_m_N)
         """The last solve's result, the object that every solve returns."""
-        return self._result
 
     def place(self, tip_m: Array, rotation: Array) -> None:
         """Put the tool where it starts, outside the organ: no force, nothing stuck.
@@ -201,7 +195,6 @@ class SurfaceContact:
                 f"{1e3 * deepest:.3g} mm: start farther away"
             )
         self._keep(tip_m, rotation)
-        self._placed = True
 
     def forget(self) -> None:
         """Drop all forces and the tool's path so far."""
@@ -211,14 +204,9 @@ class SurfaceContact:
         self._placed = False
         self._read(np.zeros(RESULTS))
 
-    @property
-    def compliance_m_N(self) -> Array:
-        """The compliance as it was given, before any scale [m/N]; on a CPU what is poured into it counts at once."""
-        return self._result.compliance_m_N
-
     def scale_compliance(self, factor: float) -> None:
         """Take the compliance times a factor, such as a viscous organ's share of it within a tick."""
-        self._result.compliance_scale = require_positive("factor", factor, "use 1 to leave it")
+        self.result.compliance_scale = require_positive("factor", factor, "use 1 to leave it")
         self._body.scale = wp.float64(factor)
         self._points.ready.zero_()
         gather_all_again(self._patch)
@@ -258,11 +246,9 @@ class SurfaceContact:
         """
         if not isfinite(tip_m.sum() + rotation.sum()):
             raise InputError(f"tip_m and rotation must be finite, got {tip_m}, {rotation.tolist()}: stop the tool")
-        rows = self._pose.host
         if not self._placed:
             self._keep(tip_m, rotation)
-            self._placed = True
-        rows[0], rows[1:4] = tip_m, rotation
+        self._pose.host[0], self._pose.host[1:4] = tip_m, rotation
         self._pose.push()
         for stage in self._stages:
             stage()
@@ -271,16 +257,16 @@ class SurfaceContact:
         self._keep(tip_m, rotation)
         self._results.pull()
         self._read(self._results.host)
-        return self._result
+        return self.result
 
     def _keep(self, tip_m: Array, rotation: Array) -> None:
         """The pose that the next solve's path starts from."""
-        rows = self._pose.host
-        rows[4], rows[5:8] = tip_m, rotation
+        self._placed = True
+        self._pose.host[4], self._pose.host[5:8] = tip_m, rotation
 
     def _read(self, values: Array) -> None:
         """Bring the kernel's results into the result."""
-        result = self._result
+        result = self.result
         result.force_N[:] = values[FORCE : FORCE + 3]
         result.torque_Nm[:] = values[TORQUE : TORQUE + 3]
         if not self._on_host:

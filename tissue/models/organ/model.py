@@ -82,8 +82,7 @@ class LiverModel:
         np.add.at(parts, space.mesh.part, space.mesh.volumes_m3)
         self.start_m3, self.removed_m3 = parts, np.zeros(len(parts))
         self.notices: list[str] = []
-        self._response = Response.empty(len(self.layer_names))
-        self._response.measures = np.zeros(len(self.measure_names))
+        self._response = Response.empty(len(self.layer_names), len(self.measure_names))
         self._layer = int(np.bincount(_parts_at(space, touchable)).argmax())
         self._touched_m = np.full(3, np.nan)
         self._unsettled, self._ticks = False, 0
@@ -107,14 +106,14 @@ class LiverModel:
         if self._lazy is not None:
             self._search_contacts(motion)
             self._lazy.fill()
-            while self._lazy.pour(self.contact.compliance_m_N):
+            while self._lazy.pour(self.contact.result.compliance_m_N):
                 pass
             self._lazy.start()
 
     def advance(self, motion: ToolMotion) -> None:
         """Press, slide or lift off."""
         if self._lazy is not None:
-            self._lazy.pour(self.contact.compliance_m_N)
+            self._lazy.pour(self.contact.result.compliance_m_N)
             if self._ticks % LOOK_EVERY == 0:
                 self._search_contacts(motion)
         self._ticks += 1

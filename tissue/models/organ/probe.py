@@ -5,9 +5,9 @@ distance the contact kernels take (`kind`, `size_m`), how far apart the organ's 
 does not slip between them (`spacing_m`), and the ball that bounds the part of it that may touch first.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -16,37 +16,35 @@ from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_positive
 from meshes.surfaces.surface import read_triangles
 
-__all__ = ["CylinderProbe", "Probe", "ShellProbe", "SphereProbe"]
+__all__ = ["CylinderProbe", "ProbeShape", "ShellProbe", "SphereProbe"]
 
 SPACINGS = 2.0
 """Contact points along the radius of a tool."""
 
 
-class Probe(Protocol):
+class ProbeShape(ABC):
     """What the contact asks of a tool."""
 
-    @property
-    def kind(self) -> int:
-        """Kind of distance, see `kernels.probe_distance`."""
-        ...
+    kind: int
+    """Kind of distance, see `kernels.probe_distance`."""
 
     @property
+    @abstractmethod
     def size_m(self) -> tuple[float, float]:
         """Two lengths [m]: radius and edge; of a shell, radius and height above the tip of the ball around it."""
-        ...
 
     @property
     def spacing_m(self) -> float:
-        """Widest spacing of the organ's contact points [m]."""
-        ...
+        """Widest spacing of the organ's contact points [m]: half the radius."""
+        return self.size_m[0] / SPACINGS
 
+    @abstractmethod
     def distance(self, points_m: Array) -> tuple[Array, Array]:
         """Signed distance [m], shape (n,), and its gradient, shape (n, 3), at points in the tool's frame [m]."""
-        ...
 
 
 @dataclass(frozen=True)
-class SphereProbe:
+class SphereProbe(ProbeShape):
     """A ball that touches the tip.
 
     Attributes
@@ -56,24 +54,15 @@ class SphereProbe:
     """
 
     radius_m: float
+    kind = SPHERE
 
     def __post_init__(self) -> None:
         require_positive("radius_m", self.radius_m, "give the ball's radius in metres")
 
     @property
-    def kind(self) -> int:
-        """Sphere."""
-        return SPHERE
-
-    @property
     def size_m(self) -> tuple[float, float]:
         """Radius, and 0 [m]."""
         return self.radius_m, 0.0
-
-    @property
-    def spacing_m(self) -> float:
-        """Half the radius [m]."""
-        return self.radius_m / SPACINGS
 
     def distance(self, points_m: Array) -> tuple[Array, Array]:
         """Distance to the ball [m] and the direction from its centre."""
@@ -86,7 +75,7 @@ class SphereProbe:
 
 
 @dataclass(frozen=True)
-class CylinderProbe:
+class CylinderProbe(ProbeShape):
     """A flat punch: a face through the tip, a rounded edge, and a side without an upper end.
 
     Attributes
@@ -99,6 +88,7 @@ class CylinderProbe:
 
     radius_m: float
     edge_m: float
+    kind = CYLINDER
 
     def __post_init__(self) -> None:
         require_positive("radius_m", self.radius_m, "give the cylinder's radius in metres")
@@ -109,19 +99,9 @@ class CylinderProbe:
             )
 
     @property
-    def kind(self) -> int:
-        """Cylinder."""
-        return CYLINDER
-
-    @property
     def size_m(self) -> tuple[float, float]:
         """Radii of the side and of the edge [m]."""
         return self.radius_m, self.edge_m
-
-    @property
-    def spacing_m(self) -> float:
-        """Half the radius [m]."""
-        return self.radius_m / SPACINGS
 
     def distance(self, points_m: Array) -> tuple[Array, Array]:
         """Distance to the rounded cylinder [m] and its gradient."""
@@ -138,8 +118,8 @@ class CylinderProbe:
 
 
 @dataclass(frozen=True, eq=False)
-class ShellProbe:
-    """Any shape, as points on its surface; lay them no farther apart than the organ's edges are long.
+class ShellProbe(ProbeShape):
+    """A tool of any shape, as points on its surface; lay them no farther apart than the organ's edges are long.
 
     Attributes
     ----------
@@ -154,6 +134,9 @@ class ShellProbe:
     points_m: Array
     normals: Array
     areas_m2: Array
+    kind = SHELL
+    spacing_m = np.inf
+    """The shell brings its own points: the organ's may lie at any distance [m]."""
 
     def __post_init__(self) -> None:
         count = len(self.points_m)
@@ -203,20 +186,10 @@ class ShellProbe:
         return cls(scale * centres[chosen], normals[chosen], scale**2 * areas)
 
     @property
-    def kind(self) -> int:
-        """Shell."""
-        return SHELL
-
-    @property
     def size_m(self) -> tuple[float, float]:
         """Radius of a ball that holds all points, and the height of its centre on the axis [m]."""
         height = 0.5 * float(self.points_m[:, 2].min() + self.points_m[:, 2].max())
         return float(np.linalg.norm(self.points_m - [0.0, 0.0, height], axis=1).max()), height
-
-    @property
-    def spacing_m(self) -> float:
-        """The shell brings its own points: the organ's may lie at any distance [m]."""
-        return np.inf
 
     def distance(self, points_m: Array) -> tuple[Array, Array]:
         """Distance to the plane of the nearest point [m] and that point's normal."""
