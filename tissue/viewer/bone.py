@@ -1,23 +1,37 @@
 """The bone in the window of `tissue view`: by layer or by removed depth, its layers switched on and off."""
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tissue.figures.style import BONE, layer_colours
 from tissue.viewer.carving import BoneOverTime
+from tissue.viewer.plotter import Plotter
 
-__all__ = ["BoneShown"]
+if TYPE_CHECKING:
+    import pyvista
+
+__all__ = ["BoneShown", "layer_look"]
 
 DEPTH, DEPTH_TITLE = "removed_depth_mm", "removed depth / mm"
-SHADING: dict[str, Any] = {
+SHADING = {
     "smooth_shading": False,
     "interpolation": "Phong",
     "ambient": 0.15,
     "specular": 0.1,
     "show_scalar_bar": False,
     "reset_camera": False,
+    "render": False,
 }
+
+
+def layer_look(names: tuple[str, ...]) -> dict[str, object]:
+    """How a plotter shows a surface by layer."""
+    from matplotlib.colors import ListedColormap
+
+    colours = ListedColormap(list(layer_colours(names).values()))
+    limits = (-0.5, len(names) - 0.5)
+    return {"scalars": "layer", "preference": "cell", "cmap": colours, "clim": limits, **SHADING}
 
 
 class BoneShown:
@@ -40,7 +54,7 @@ class BoneShown:
         Points of its surface when it was made [mm], shape (n, 3).
     """
 
-    def __init__(self, plotter: Any, bone: BoneOverTime) -> None:
+    def __init__(self, plotter: Plotter, bone: BoneOverTime) -> None:
         self._plotter, self._bone = plotter, bone
         names = bone.layer_names
         self._names, self._colours = names, layer_colours(names)
@@ -52,7 +66,8 @@ class BoneShown:
         self.help = "c: removed depth or layer" if self._by_depth else ""
         if self._by_depth:
             plotter.add_key_event("c", self.change)
-        self._take(rest=True)
+        self._parts: dict[str, pyvista.PolyData] = {}
+        self._take()
         self.points_mm = np.vstack([np.asarray(part.points) for part in self._parts.values()])
         self._draw()
 
@@ -63,13 +78,12 @@ class BoneShown:
             if self._visible:
                 self._draw_part("bone")
 
-    def _take(self, *, rest: bool) -> None:
+    def _take(self, *, rest: bool = True) -> None:
         """Take the surfaces of the layers that are shown anew, that of the rest only where it is asked for."""
         shown = [index for name, index in self._index.items() if name not in self._hidden]
+        self._parts["bone"] = self._bone.cut(shown)
         if rest:
-            self._parts = {"bone": self._bone.cut(shown), "bone beyond the cut": self._bone.rest(shown)}
-        else:
-            self._parts["bone"] = self._bone.cut(shown)
+            self._parts["bone beyond the cut"] = self._bone.rest(shown)
 
     def change(self) -> None:
         """Change between removed depth and layer."""
@@ -81,7 +95,7 @@ class BoneShown:
         """Leave out some layers, and colour the bone by layer."""
         self._hidden = hidden
         self._by_depth = False
-        self._take(rest=True)
+        self._take()
         self._draw()
 
     def show(self, visible: bool) -> None:
@@ -102,30 +116,20 @@ class BoneShown:
         elif self._visible and not self._by_depth:
             self._add_legend()
 
-    def _draw_part(self, name: str) -> Any:
+    def _draw_part(self, name: str) -> "pyvista.Actor | None":
         """Draw one of the surfaces anew; its actor, None where there is nothing to show."""
-        from matplotlib.colors import ListedColormap
-
         self._plotter.remove_actor(name, reset_camera=False, render=False)
         part = self._parts[name].copy(deep=False)
         if not self._visible or not part.n_cells:
             return None
-        look: dict[str, Any] = {
-            "scalars": "layer",
-            "preference": "cell",
-            "cmap": ListedColormap([self._colours[name] for name in self._names]),
-            "clim": (-0.5, len(self._names) - 0.5),
-        }
-        if self._by_depth:
-            look = {
-                "scalars": DEPTH,
-                "cmap": "viridis",
-                "clim": (0.02 * self._limit, self._limit),
-                "below_color": BONE,
-            }
-        return self._plotter.add_mesh(part, name=name, render=False, **look, **SHADING)
+        if not self._by_depth:
+            return self._plotter.add_mesh(part, name=name, **layer_look(self._names))
+        limits = (0.02 * self._limit, self._limit)
+        return self._plotter.add_mesh(
+            part, name=name, scalars=DEPTH, cmap="viridis", clim=limits, below_color=BONE, **SHADING
+        )
 
-    def _add_bar(self, actor: Any) -> None:
+    def _add_bar(self, actor: "pyvista.Actor") -> None:
         self._plotter.add_scalar_bar(
             DEPTH_TITLE,
             mapper=actor.mapper,

@@ -1,9 +1,9 @@
 """The camera of `tissue view`: from the front and above, with what is shown between the texts and the chart."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
+
+from tissue.viewer.plotter import Plotter
 
 __all__ = ["aim"]
 
@@ -13,7 +13,9 @@ MARGINS = (0.2, 0.86, 0.36, 0.88)
 MOST_POINTS = 20_000
 
 
-def aim(plotter: Any, points_mm: NDArray[np.float64], *, margins: tuple[float, float, float, float] = MARGINS) -> None:
+def aim(
+    plotter: Plotter, points_mm: NDArray[np.float64], *, margins: tuple[float, float, float, float] = MARGINS
+) -> None:
     """Look down from the front so that the points fill the area; without points so that all that there is does."""
     plotter.camera_position = [EYE, (0.0, 0.0, 0.0), UP]
     plotter.reset_camera()

@@ -3,7 +3,7 @@
 from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -190,7 +190,7 @@ def read_voxels(file: Path, placement: Placement | None = None) -> tuple[VoxelVo
     import pyvista
 
     try:
-        image: Any = image_in_scene(pyvista.read(file), placement)
+        image = image_in_scene(pyvista.read(file), placement)
         shape = tuple(np.array(image.dimensions) - 1)
         start, left, layer, density = (
             np.ascontiguousarray(image.cell_data[name].reshape(shape, order="F"))

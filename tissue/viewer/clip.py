@@ -1,10 +1,15 @@
 """The clip plane in the window of `tissue view`: switched and pushed by keys, turned and pushed by the mouse."""
 
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tissue.viewer.fields import FieldsShown, Plane
+from tissue.viewer.plotter import Plotter
+
+if TYPE_CHECKING:
+    from vtkmodules.vtkInteractionWidgets import vtkImplicitPlaneWidget
 
 __all__ = ["HELP", "ClipPlane"]
 
@@ -27,10 +32,10 @@ class ClipPlane:
         Where the plane lies when it is first switched on.
     """
 
-    def __init__(self, plotter: Any, fields: FieldsShown, *, start: Plane) -> None:
+    def __init__(self, plotter: Plotter, fields: FieldsShown, *, start: Plane) -> None:
         self._plotter, self._fields = plotter, fields
         self._plane = fields.clip or start
-        self._widget: Any = None
+        self._widget: vtkImplicitPlaneWidget | None = None
         self._on = fields.clip is not None
         plotter.add_key_event(KEY, self.switch)
         plotter.add_key_event(OUT, lambda: self.push(STEP))
@@ -44,17 +49,18 @@ class ClipPlane:
         self._fields.cut(self._plane if self._on else None)
         self._plotter.render()
 
-    def move(self, normal: Any, origin: Any) -> None:
+    def move(self, normal: Sequence[float], origin: Sequence[float]) -> None:
         """Bring the plane elsewhere."""
-        self._plane = tuple(map(float, normal)), tuple(map(float, origin))  # type: ignore[assignment]
+        (a, b, c), (x, y, z) = np.array((normal, origin)).tolist()
+        self._plane = (a, b, c), (x, y, z)
         if self._on:
             self._fields.cut(self._plane)
 
     def push(self, share: float) -> None:
         """Move the plane along its normal, by a share of the mesh's diagonal."""
-        normal, origin = map(np.array, self._plane)
+        normal, origin = self._plane
         size = np.linalg.norm(np.diff(np.reshape(self._fields.bounds_mm, (3, 2)), axis=1))
-        moved = origin + share * size * normal
+        moved = np.add(origin, share * size * np.array(normal)).tolist()
         if self._widget is not None:
             self._widget.SetOrigin(*moved)
         self.move(normal, moved)

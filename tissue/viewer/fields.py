@@ -2,12 +2,16 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissue.simulation.saved_fields import SavedFields, field_label, field_values
+from tissue.viewer.plotter import Plotter
+
+if TYPE_CHECKING:
+    import pyvista
 
 __all__ = ["REFERENCE", "FieldsShown", "Plane", "PointValues", "interpolated"]
 
@@ -34,7 +38,7 @@ class PointValues:
     """
 
     place_mm: NDArray[np.float64]
-    values: dict[str, Any]
+    values: dict[str, NDArray[np.float64]]
     layer: str
 
 
@@ -62,16 +66,16 @@ class FieldsShown:
         Called after every change of what is shown, with nothing; whoever makes a change renders it.
     """
 
-    def __init__(self, plotter: Any, fields: SavedFields, *, scale: float = 1.0, clip: Plane | None = None) -> None:
+    def __init__(self, plotter: Plotter, fields: SavedFields, *, scale: float = 1.0, clip: Plane | None = None) -> None:
         self._plotter, self._fields = plotter, fields
         self.scale, self.clip = scale, clip
         self._time_s = 0.0
         self._hidden: frozenset[str] = frozenset()
         self.name: str | None = None
-        self.actor: Any = None
+        self.actor: pyvista.Actor | None = None
         self.drawn: list[Callable[[], None]] = []
         self._title = ""
-        self._last: tuple[Any, ...] | None = None
+        self._last: tuple[object, ...] | None = None
 
     @property
     def bounds_mm(self) -> tuple[float, ...]:
@@ -108,15 +112,16 @@ class FieldsShown:
         mesh, _ = self._fields.at(self._time_s)
         if not mesh.n_cells:
             return None
-        found: Any = mesh.find_closest_cell(reference_mm, return_closest_point=True)
+        found: object = mesh.find_closest_cell(reference_mm, return_closest_point=True)
+        assert isinstance(found, tuple)
         index, closest = found
         if np.linalg.norm(closest - reference_mm) > 1e-3 * self._fields.size_mm:
             return None
         cell, layers = int(index), self._fields.layer_names
-        values: dict[str, Any] = {}
+        values: dict[str, NDArray[np.float64]] = {}
         for name in self._fields.names:
             if name in mesh.cell_data:
-                values[name] = mesh.cell_data[name][cell]
+                values[name] = np.asarray(mesh.cell_data[name][cell])
             elif name in mesh.point_data:
                 values[name] = interpolated(mesh, cell, closest, name)
         moved = self._fields.unit_mm * values.get(self._fields.displacement or "", np.zeros(3))
@@ -144,14 +149,14 @@ class FieldsShown:
             self._plotter.remove_scalar_bar(self._title, render=False)
         self.actor, self._last = None, None
 
-    def _part(self, mesh: Any) -> Any:
+    def _part(self, mesh: "pyvista.DataSet") -> "pyvista.DataSet":
         """What is left of a mesh without the hidden layers and in front of the clip plane, deformed."""
         import pyvista
 
         names = self._fields.layer_names
         keep = [index for index, name in enumerate(names) if name not in self._hidden]
         if len(keep) < len(names):
-            mesh = mesh.extract_cells(np.isin(mesh.cell_data["layer"], keep))
+            mesh = mesh.extract_cells(np.flatnonzero(np.isin(mesh.cell_data["layer"], keep)).tolist())
         if not mesh.n_cells:
             return mesh
         moved = mesh.copy(deep=False)
@@ -163,14 +168,14 @@ class FieldsShown:
             moved = moved.clip(normal=normal, origin=origin)
         return moved
 
-    def _add(self, mesh: Any, shown_s: float, name: str) -> None:
+    def _add(self, mesh: "pyvista.DataSet", shown_s: float, name: str) -> None:
         if field_values(mesh, name) is None:
             return
         part = self._part(mesh)
         if not part.n_cells:
             return
         in_cells = name in part.cell_data
-        (part.cell_data if in_cells else part.point_data)[SHOWN] = field_values(part, name)
+        (part.cell_data if in_cells else part.point_data)[SHOWN] = np.asarray(field_values(part, name))
         low, high = self._fields.limits(name)
         self.actor = self._plotter.add_mesh(
             part,
@@ -206,7 +211,7 @@ class FieldsShown:
         )
 
 
-def interpolated(mesh: Any, cell: int, place_mm: NDArray[np.float64], name: str) -> NDArray[np.float64]:
+def interpolated(mesh: "pyvista.DataSet", cell: int, place_mm: NDArray[np.float64], name: str) -> NDArray[np.float64]:
     """A point array at a place in one of a mesh's cells, by the cell's own shape functions."""
     from vtkmodules.vtkCommonCore import reference
 

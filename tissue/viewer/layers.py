@@ -1,7 +1,8 @@
 """Layers in the window of `tissue view`: the digits switch them on and off, on the bone and on the fields alike."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+
+from tissue.viewer.plotter import Plotter
 
 __all__ = ["LayerKeys"]
 
@@ -33,7 +34,7 @@ class LayerKeys:
 
     def __init__(
         self,
-        plotter: Any,
+        plotter: Plotter,
         names: Sequence[str],
         *,
         hidden: Sequence[str] = (),

@@ -1,7 +1,8 @@
 """A list of fields in the window of `tissue view`: a click on a name shows it."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+
+from tissue.viewer.plotter import Plotter
 
 __all__ = ["NameList"]
 
@@ -26,7 +27,12 @@ class NameList:
     """
 
     def __init__(
-        self, plotter: Any, title: str, names: Sequence[tuple[str | None, str]], *, choose: Callable[[str | None], None]
+        self,
+        plotter: Plotter,
+        title: str,
+        names: Sequence[tuple[str | None, str]],
+        *,
+        choose: Callable[[str | None], None],
     ) -> None:
         self._plotter, self._names, self._choose = plotter, list(names), choose
         self._words = [

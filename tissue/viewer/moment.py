@@ -1,13 +1,14 @@
 """The moment in the window of `tissue view`: the tool, its force as an arrow and in words, the cursor in the chart."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissue.figures.style import COMPONENTS
 from tissue.simulation.trace import Table
-from tissue.viewer.arrow import ForceArrow
+from tissue.viewer.plotter import Plotter
+from tissue.viewer.tool import ToolShown
 
 if TYPE_CHECKING:
     import pyvista
@@ -37,7 +38,7 @@ class MomentShown:
         Size of what the tool meets [mm]; the arrow is in proportion to it.
     """
 
-    def __init__(self, plotter: Any, trace: Table, tool: "pyvista.PolyData | None", *, size_mm: float) -> None:
+    def __init__(self, plotter: Plotter, trace: Table, tool: "pyvista.PolyData | None", *, size_mm: float) -> None:
         import pyvista
 
         self._trace = trace
@@ -48,10 +49,9 @@ class MomentShown:
         path = self._tips[every]
         if len(path) > 1 and np.ptp(path, axis=0).max() > 0.0:
             plotter.add_mesh(pyvista.lines_from_points(path), color="#D55E00", line_width=3, show_scalar_bar=False)
-        self._tool = None if tool is None else plotter.add_mesh(tool, color="gray", opacity=0.35, specular=0.4)
         self._greatest = float(np.linalg.norm(self._force, axis=1).max())
         self._longest = LONGEST * max(float(np.ptp(path, axis=0).max()), size_mm, tool.length if tool else 0.0, 1.0)
-        self._arrow = ForceArrow(plotter, longest_mm=self._longest)
+        self._tool = ToolShown(plotter, tool, longest_mm=self._longest, opacity=0.35)
         self._text = plotter.add_text("", position=(0.012, 0.932), viewport=True, font_size=11, color="black")
         self._chart, self._cursor = _chart(plotter, trace, every)
 
@@ -74,19 +74,9 @@ class MomentShown:
 
     def at(self, time_s: float) -> None:
         """Show the moment."""
-        from scipy.spatial.transform import Rotation
-
-        trace = self._trace
-        row = self.row(time_s)
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = Rotation.from_quat(self._turns[row]).as_matrix(), self._tips[row]
-        if self._tool is not None:
-            self._tool.user_matrix = pose
-        force = self._force[row]
-        size = float(np.linalg.norm(force))
-        self._arrow.show(self._tips[row], force, greatest_N=self._greatest)
-        parts = ", ".join(f"{one:.2f}" for one in force.round(2) + 0.0)
-        words = [f"{time_s:.3f} s: force {size:.2f} N ({parts})"]
+        trace, row = self._trace, self.row(time_s)
+        force = self._tool.show(self._tips[row], self._turns[row], self._force[row], greatest_N=self._greatest)
+        words = [f"{time_s:.3f} s: {force}"]
         if "layer" in trace:
             words.append(str(trace["layer"][row]))
         if "removed_mm3" in trace and trace["removed_mm3"][-1] > 0.0:
@@ -95,7 +85,9 @@ class MomentShown:
         self._cursor.update([time_s, time_s], self._chart.y_range)
 
 
-def _chart(plotter: Any, trace: Table, every: slice) -> tuple[Any, Any]:
+def _chart(
+    plotter: Plotter, trace: Table, every: slice
+) -> "tuple[pyvista.Chart2D, pyvista.plotting.charts.LinePlot2D]":
     """The force over time along the lower edge, with a cursor.
 
     What is commanded is pale and the model's force lies upon it: teeth that vibrate would make a band that hides it.

@@ -4,13 +4,16 @@ import subprocess
 from collections.abc import Iterable
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from meshes.base.whole_file import whole_file
+
+if TYPE_CHECKING:
+    from PIL.Image import Image as Picture
 
 __all__ = ["FRAMES_PER_S", "check_movie", "movie_times_s", "write_movie"]
 
@@ -79,7 +82,7 @@ def write_movie(path: Path, pictures: Iterable[NDArray[np.uint8]]) -> None:
 def _write_gif(path: Path, pictures: Iterable[NDArray[np.uint8]]) -> None:
     from PIL import Image
 
-    def small(picture: NDArray[np.uint8]) -> Any:
+    def small(picture: NDArray[np.uint8]) -> "Picture":
         return Image.fromarray(picture).reduce(2).quantize(256, dither=Image.Dither.NONE)
 
     each = iter(pictures)
@@ -95,9 +98,9 @@ def _write_gif(path: Path, pictures: Iterable[NDArray[np.uint8]]) -> None:
 
 def _write_mp4(path: Path, pictures: Iterable[NDArray[np.uint8]]) -> None:
     import imageio.v2
+    from imageio.core.format import Format
 
-    options: dict[str, Any] = {"fps": FRAMES_PER_S, "quality": 8, "macro_block_size": 2}
-    writer: Any
-    with imageio.v2.get_writer(path, **options) as writer:
+    with imageio.v2.get_writer(path, fps=FRAMES_PER_S, quality=8, macro_block_size=2) as writer:
+        assert isinstance(writer, Format.Writer)
         for picture in pictures:
             writer.append_data(picture)

@@ -1,12 +1,11 @@
 """Reading a point in the window of `tissue view`: a click marks it, and its values follow the time."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from tissue.simulation.saved_fields import field_label
 from tissue.viewer.fields import REFERENCE, FieldsShown, interpolated
+from tissue.viewer.plotter import Plotter
 
 __all__ = ["PointRead"]
 
@@ -35,7 +34,7 @@ class PointRead:
         Its description.
     """
 
-    def __init__(self, plotter: Any, fields: FieldsShown, *, size_mm: float) -> None:
+    def __init__(self, plotter: Plotter, fields: FieldsShown, *, size_mm: float) -> None:
         import pyvista
 
         self._plotter, self._fields = plotter, fields
@@ -86,10 +85,10 @@ class PointRead:
         self._words.input = self.text
 
 
-def _line(name: str, value: Any) -> str:
+def _line(name: str, value: NDArray[np.float64]) -> str:
     """A field's value in words."""
     words, unit = field_label(name)
-    if np.ndim(value) == 0:
+    if value.ndim == 0:
         return f"{words}: {value:.3g} {unit}".rstrip()
     size = float(np.linalg.norm(value))
     parts = ", ".join(f"{one if abs(one) > NEGLIGIBLE * size else 0.0:.3g}" for one in value)

@@ -2,7 +2,8 @@
 
 from collections.abc import Callable
 from time import perf_counter
-from typing import Any
+
+from tissue.viewer.plotter import Plotter
 
 __all__ = ["Playback"]
 
@@ -40,7 +41,7 @@ class Playback:
 
     def __init__(
         self,
-        plotter: Any,
+        plotter: Plotter,
         show: Callable[[float], None],
         *,
         span_s: tuple[float, float],
@@ -51,7 +52,7 @@ class Playback:
         self._plotter, self._show, self.span_s = plotter, show, span_s
         self._rate = min((span_s[1] - span_s[0]) / slowest_s, 1.0)
         self.time_s, self.playing, self._shown_s = begin_s, False, 0.0
-        self._button: Any = None
+        self._mark_button: Callable[[int], None] = lambda playing: None
         left, right, height = slider
         self._slider = plotter.add_slider_widget(
             self._drag,
@@ -70,9 +71,10 @@ class Playback:
     def start(self) -> None:
         """Bind the key, add the button and start the clock of a window that is about to open."""
         plotter = self._plotter
-        self._button = plotter.add_checkbox_button_widget(
+        button = plotter.add_checkbox_button_widget(
             self._press, position=(14.0, 282.0), size=28, border_size=3, color_on="#0072B2", color_off="#BBBBBB"
         )
+        self._mark_button = button.GetRepresentation().SetState
         plotter.add_text("play", position=(0.035, 0.298), viewport=True, font_size=9, color="black")
         plotter.add_key_event(KEY, self.switch)
         plotter.iren.add_observer("TimerEvent", lambda *_: self.tick(perf_counter()))
@@ -86,8 +88,7 @@ class Playback:
             self._shown_s = perf_counter()
             if self.time_s >= self.span_s[1]:
                 self.to(self.span_s[0])
-        if self._button is not None:
-            self._button.GetRepresentation().SetState(int(self.playing))
+        self._mark_button(int(self.playing))
         self._plotter.render()
 
     def tick(self, now_s: float) -> None:

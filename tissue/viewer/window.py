@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +18,17 @@ from tissue.viewer.carving import bone_of
 from tissue.viewer.clip import HELP as CLIP_HELP
 from tissue.viewer.clip import ClipPlane
 from tissue.viewer.fields import FieldsShown, Plane
-from tissue.viewer.input import free_keys, on_click
 from tissue.viewer.layers import LayerKeys
 from tissue.viewer.list import NameList
 from tissue.viewer.moment import CHART_SHARE, MomentShown
 from tissue.viewer.movie import movie_times_s
 from tissue.viewer.pick import PointRead
 from tissue.viewer.play import Playback
+from tissue.viewer.plotter import Plotter, add_names, free_keys, on_click
 from tissue.viewer.run import faces_of
+
+if TYPE_CHECKING:
+    import pyvista
 
 __all__ = ["Choice", "Window"]
 
@@ -83,12 +86,11 @@ class Window:
     def __init__(self, saved: SavedRun, title: str, choice: Choice, *, off_screen: bool) -> None:
         import pyvista
 
-        make: Any = pyvista.Plotter
         self._saved, self._off_screen = saved, off_screen
-        self.plotter: Any = make(
+        self.plotter: Plotter = pyvista.Plotter(
             off_screen=off_screen, window_size=list(SIZE), title=f"tissue: {saved.summary.get('scene', 'run')}"
         )
-        self.plotter.set_background("white")
+        self.plotter.background_color = pyvista.Color("white")
         scene = saved.scene
         bone = bone_of(saved, scene)
         self.bone = None if bone is None else BoneShown(self.plotter, bone)
@@ -180,12 +182,10 @@ class Window:
             targets.append(self._hide_faces)
         self.layers = LayerKeys(self.plotter, names, hidden=choice.hide, targets=targets)
 
-    def _add_faces(self) -> dict[str, Any]:
+    def _add_faces(self) -> "dict[str, pyvista.Actor]":
         """The faces that a needle goes through, with their names."""
         colours = layer_colours(tuple(self._faces))
-        for row, name in enumerate(self._faces):
-            place = (0.87, 0.93 - 0.035 * row)
-            self.plotter.add_text(name, position=place, viewport=True, font_size=11, color=colours[name])
+        add_names(self.plotter, colours)
         return {n: self.plotter.add_mesh(f, color=colours[n], opacity=0.5) for n, f in self._faces.items()}
 
     def _hide_faces(self, hidden: frozenset[str]) -> None:

@@ -6,7 +6,6 @@ import signal
 import sys
 from pathlib import Path
 from time import perf_counter, sleep
-from typing import Any
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from tissue.viewer.camera import aim
 from tissue.viewer.live.pointer import HELP, Pointer
 from tissue.viewer.live.tissue_shown import live_tissue
 from tissue.viewer.live.tool_shown import LiveTool
+from tissue.viewer.plotter import Plotter
 from tissue.viewer.run import faces_of
 
 __all__ = ["LiveWindow"]
@@ -54,12 +54,11 @@ class LiveWindow:
 
         self.arrays = SharedArrays(folder)
         with np.load(folder / "start.npz", allow_pickle=False) as file:
-            start: dict[str, Any] = dict(file)
+            start = dict(file)
         scene = Scene.model_validate_json((folder / "scene.json").read_text("utf-8"))
         columns = tuple(json.loads((folder / "columns.json").read_text("utf-8")))
-        plotter: Any = pyvista.Plotter
-        self.plotter: Any = plotter(window_size=list(SIZE), title=f"tissue: {scene.name}, live")
-        self.plotter.set_background("white")
+        self.plotter: Plotter = pyvista.Plotter(window_size=list(SIZE), title=f"tissue: {scene.name}, live")
+        self.plotter.background_color = pyvista.Color("white")
         self.tissue = live_tissue(self.plotter, start, self.arrays)
         faces = faces_of(scene)
         colours = layer_colours(tuple(faces))
@@ -121,7 +120,7 @@ class LiveWindow:
             sleep(max(FRAME_S - (perf_counter() - began), 0.002))
         self.plotter.close()
 
-    def _close(self, *_: Any) -> None:
+    def _close(self, *_: object) -> None:
         self.arrays["closed"][0] = 1
 
 

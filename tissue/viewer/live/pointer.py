@@ -1,9 +1,9 @@
 """Mouse and keyboard of a live window as a device: where the tool is wanted."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
+
+from tissue.viewer.plotter import Plotter
 
 __all__ = ["HELP", "Pointer"]
 
@@ -47,7 +47,7 @@ class Pointer:
         Whether the key to end was pressed.
     """
 
-    def __init__(self, plotter: Any, start_mm: Array, axis: Array, *, low_mm: Array, high_mm: Array) -> None:
+    def __init__(self, plotter: Plotter, start_mm: Array, axis: Array, *, low_mm: Array, high_mm: Array) -> None:
         self._plotter, self._axis, self._low, self._high = plotter, axis, low_mm, high_mm
         self.target_mm = np.array(start_mm, dtype=float)
         self.ended = False
@@ -85,17 +85,17 @@ class Pointer:
     def _go(self, travel_mm: Array) -> None:
         self.target_mm = np.clip(self.target_mm + travel_mm, self._low, self._high)
 
-    def _moved(self, *_: Any) -> None:
+    def _moved(self, *_: object) -> None:
         before, self._at = self._at, self._interactor.GetEventPosition()
         if before is None or self._style.GetState() != 0:
             return
         pixel = self.mm_per_pixel
         self.across(pixel * (self._at[0] - before[0]), pixel * (self._at[1] - before[1]))
 
-    def _left(self, *_: Any) -> None:
+    def _left(self, *_: object) -> None:
         self._at = None
 
-    def _pressed(self, *_: Any) -> None:
+    def _pressed(self, *_: object) -> None:
         key = self._interactor.GetKeySym()
         if key in ARROWS:
             right, up = ARROWS[key]

@@ -1,6 +1,7 @@
 """The tissue in a live window: bone as it is carved, an organ's surface as it moves."""
 
-from typing import Any, Protocol
+from collections.abc import Mapping
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,11 +11,13 @@ from meshes.voxels.volume import VoxelVolume
 from tissue.figures.style import layer_colours
 from tissue.simulation.bone_surface import bone_surface, smooth_normals, with_layers
 from tissue.simulation.live.shared import SharedArrays
-from tissue.viewer.bone import SHADING
+from tissue.viewer.bone import layer_look
+from tissue.viewer.plotter import Plotter, add_names
 
 __all__ = ["LiveBone", "LiveOrgan", "LiveTissue", "live_tissue"]
 
 Array = NDArray[np.float64]
+Start = Mapping[str, NDArray[np.generic]]
 PASSES = 4
 """Smoothing of normals: fewer than in a picture, for it is done again at every change."""
 FADES_MM = 20.0
@@ -35,7 +38,7 @@ class LiveTissue(Protocol):
         ...
 
 
-def live_tissue(plotter: Any, start: dict[str, NDArray[Any]], arrays: SharedArrays) -> LiveTissue | None:
+def live_tissue(plotter: Plotter, start: Start, arrays: SharedArrays) -> LiveTissue | None:
     """What is drawn of a tissue that `tissue.simulation.live` shares; None for one that its scene describes."""
     if "remaining" in arrays:
         return LiveBone(plotter, start, arrays)
@@ -55,32 +58,19 @@ class LiveBone:
         As `tissue.simulation.live.tissues.BoneShared` shares them.
     """
 
-    def __init__(self, plotter: Any, start: dict[str, NDArray[Any]], arrays: SharedArrays) -> None:
-        from matplotlib.colors import ListedColormap
-
+    def __init__(self, plotter: Plotter, start: Start, arrays: SharedArrays) -> None:
         self._plotter, self._remaining = plotter, arrays["remaining"]
-        self._places, self._block = start["places"], int(start["block"])
+        self._places, self._block = start["places"].astype(np.intp), int(start["block"])
         self._seen = self._remaining.copy()
-        layer, names = start["layer"], tuple(str(name) for name in start["layer_names"])
+        layer, names = start["layer"].astype(np.uint8), tuple(str(name) for name in start["layer_names"])
         spacing = self._block * float(start["spacing_m"])
         self._fraction = np.zeros(layer.shape, dtype=np.uint8)
         density = np.zeros(layer.shape, dtype=np.uint16)
-        self._volume = VoxelVolume(start["origin_m"], spacing, self._fraction, layer, density, names)
-        colours = layer_colours(names)
-        self._look: dict[str, Any] = {
-            "scalars": "layer",
-            "preference": "cell",
-            "cmap": ListedColormap([colours[name] for name in names]),
-            "clim": (-0.5, len(names) - 0.5),
-            "name": "bone",
-            "render": False,
-            **SHADING,
-        }
+        self._volume = VoxelVolume(start["origin_m"].astype(np.float64), spacing, self._fraction, layer, density, names)
+        colours, self._look = layer_colours(names), layer_look(names)
         self._fill(np.arange(len(self._places)))
         there = [names[i] for i in np.unique(layer[self._fraction > 0])]
-        for row, name in enumerate(there):
-            place = (0.87, 0.93 - 0.035 * row)
-            plotter.add_text(name, position=place, viewport=True, font_size=11, color=colours[name])
+        add_names(plotter, {name: colours[name] for name in there})
         self._draw()
         self.points_mm: Array = np.asarray(self._surface.points, dtype=np.float64)
 
@@ -106,13 +96,13 @@ class LiveBone:
         self._fraction[x[:, :, None, None], y[:, None, :, None], z[:, None, None, :]] = means
 
     def _draw(self) -> None:
-        self._surface: Any = bone_surface(self._volume, self._fraction)
+        self._surface = bone_surface(self._volume, self._fraction)
         if not self._surface.n_cells:
             self._plotter.remove_actor("bone", render=False)
             return
         with_layers(self._surface, self._volume)
         self._surface.point_data["Normals"] = smooth_normals(self._surface, passes=PASSES)
-        self._plotter.add_mesh(self._surface, **self._look)
+        self._plotter.add_mesh(self._surface, name="bone", **self._look)
 
 
 class LiveOrgan:
@@ -126,13 +116,13 @@ class LiveOrgan:
         As `tissue.simulation.live.tissues.OrganShared` shares them.
     """
 
-    def __init__(self, plotter: Any, start: dict[str, NDArray[Any]], arrays: SharedArrays) -> None:
+    def __init__(self, plotter: Plotter, start: Start, arrays: SharedArrays) -> None:
         import pyvista
 
         self._arrays, self._turn = arrays, 0
-        cells, nodes = start["cells"], 1e3 * start["nodes_m"]
+        cells, nodes = start["cells"], 1e3 * start["nodes_m"].astype(np.float64)
         grid = pyvista.UnstructuredGrid({pyvista.CellType.TETRA: cells[:, :4]}, nodes)
-        surface: Any = grid.extract_surface(algorithm="dataset_surface")
+        surface = grid.extract_surface(algorithm="dataset_surface")
         ids = np.asarray(surface.point_data["vtkOriginalPointIds"])
         place = np.full(len(nodes), -1)
         place[start["touchable"]] = np.arange(len(start["touchable"]))

@@ -1,11 +1,12 @@
 """The tool in a live window: where it is, where the device wants it, its force, and how the clock is kept."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue.viewer.arrow import ForceArrow
+from tissue.viewer.plotter import Plotter
+from tissue.viewer.tool import ToolShown
 
 if TYPE_CHECKING:
     import pyvista
@@ -33,42 +34,33 @@ class LiveTool:
     """
 
     def __init__(
-        self, plotter: Any, tool: "pyvista.PolyData | None", columns: tuple[str, ...], *, size_mm: float
+        self, plotter: Plotter, tool: "pyvista.PolyData | None", columns: tuple[str, ...], *, size_mm: float
     ) -> None:
         import pyvista
 
         self._at = {name: index for index, name in enumerate(columns)}
         look = {"reset_camera": False, "render": False}
-        self._tool = None if tool is None else plotter.add_mesh(tool, color="gray", opacity=0.5, specular=0.4, **look)
         mark = pyvista.Sphere(radius=0.008 * size_mm)
         self._mark = plotter.add_mesh(mark, color=DEVICE, **look)
         self._spring_mesh = pyvista.Line((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
         self._spring = plotter.add_mesh(self._spring_mesh, color=DEVICE, line_width=3, **look)
-        self._arrow = ForceArrow(plotter, longest_mm=0.25 * size_mm)
+        self._tool = ToolShown(plotter, tool, longest_mm=0.25 * size_mm, opacity=0.5)
         self._greatest = LEAST_N
         self._words = plotter.add_text("", position=(0.012, 0.93), viewport=True, font_size=11, color="black")
         self._clock = plotter.add_text("", position=(0.012, 0.895), viewport=True, font_size=9, color="black")
 
     def show(self, row: NDArray[np.float64], target_mm: NDArray[np.float64]) -> None:
         """Show a row, and where the pointer wants the tool [mm]."""
-        from scipy.spatial.transform import Rotation
-
         of = lambda *names: row[[self._at[name] for name in names]]  # noqa: E731
         tip, turn = of(*(f"tool_{c}_mm" for c in "xyz")), of(*(f"tool_q{c}" for c in "xyzw"))
         if not turn.any():
             return
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = Rotation.from_quat(turn).as_matrix(), tip
-        if self._tool is not None:
-            self._tool.user_matrix = pose
         self._mark.position = tuple(target_mm)
         self._spring_mesh.points = np.stack([tip, target_mm])
         force = of(*(f"model_force_{c}_N" for c in "xyz"))
-        size = float(np.linalg.norm(force))
-        self._greatest = max(self._greatest, size)
-        self._arrow.show(tip, force, greatest_N=self._greatest)
-        parts = ", ".join(f"{one:.2f}" for one in force.round(2) + 0.0)
-        words = [f"{of('time_s')[0]:.2f} s: force {size:.2f} N ({parts})"]
+        self._greatest = max(self._greatest, float(np.linalg.norm(force)))
+        shown = self._tool.show(tip, turn, force, greatest_N=self._greatest)
+        words = [f"{of('time_s')[0]:.2f} s: {shown}"]
         if "device_force_x_N" in self._at:
             played = float(np.linalg.norm(of(*(f"device_force_{c}_N" for c in "xyz"))))
             words.append(f"at the device {played:.2f} N")

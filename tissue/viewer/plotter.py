@@ -1,12 +1,14 @@
-"""Keys and clicks in the window of `tissue view` beside those that VTK has of its own."""
+"""What all parts of a window ask of PyVista's plotter, and keys and clicks beside those that VTK has of its own."""
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
 
 import numpy as np
 
-__all__ = ["free_keys", "on_click"]
+__all__ = ["Plotter", "add_names", "free_keys", "on_click"]
 
+Plotter: TypeAlias = Any
+"""A `pyvista.Plotter`: PyVista declares those of its methods that forward to a renderer without their arguments."""
 STILL_PX = 2
 """A mouse that moves less between press and release has clicked."""
 KEPT = tuple("eqrsw")
@@ -15,7 +17,13 @@ ROTATE = 1
 """VTK's number of the state in which the left button turns the camera."""
 
 
-def on_click(plotter: Any, click: Callable[[int, int], None]) -> None:
+def add_names(plotter: Plotter, colours: Mapping[str, tuple[float, float, float]]) -> None:
+    """Write names below each other at the right, each in its colour."""
+    for row, (name, colour) in enumerate(colours.items()):
+        plotter.add_text(name, position=(0.87, 0.93 - 0.035 * row), viewport=True, font_size=11, color=colour)
+
+
+def on_click(plotter: Plotter, click: Callable[[int, int], None]) -> None:
     """Call with the pixel, counted from the lower left, when the left button is pressed and released in one place.
 
     A style that turns the camera grabs the mouse between the two, so that it is the one to ask.
@@ -24,10 +32,10 @@ def on_click(plotter: Any, click: Callable[[int, int], None]) -> None:
     style = interactor.GetInteractorStyle()
     pressed: list[tuple[int, int]] = []
 
-    def down(*_: Any) -> None:
+    def down(*_: object) -> None:
         pressed[:] = [interactor.GetEventPosition()] if style.GetState() == ROTATE else []
 
-    def up(*_: Any) -> None:
+    def up(*_: object) -> None:
         place = interactor.GetEventPosition()
         if pressed and np.abs(np.subtract(place, pressed.pop())).max() <= STILL_PX:
             click(*place)
@@ -37,12 +45,8 @@ def on_click(plotter: Any, click: Callable[[int, int], None]) -> None:
     style.AddObserver("EndInteractionEvent", up)
 
 
-def free_keys(plotter: Any) -> None:
+def free_keys(plotter: Plotter) -> None:
     """Leave VTK only keys that are not taken: its 3 is a stereo picture, its m an animation that stops the mouse."""
-    style = plotter.iren.interactor.GetInteractorStyle()
-
-    def typed(caller: Any, event: str) -> None:
-        if plotter.iren.interactor.GetKeyCode() in KEPT:
-            style.OnChar()
-
-    style.AddObserver("CharEvent", typed)
+    interactor = plotter.iren.interactor
+    style = interactor.GetInteractorStyle()
+    style.AddObserver("CharEvent", lambda *_: style.OnChar() if interactor.GetKeyCode() in KEPT else None)
