@@ -20,8 +20,8 @@ from tissue.evaluation.charts.measure import (
     machine,
     measure,
     of_model,
-    plain,
     reference_gap,
+    scene_text,
     setting_key,
 )
 from tissue.evaluation.charts.rounding import float32_error
@@ -139,7 +139,7 @@ def _gap(scene: Scene, path: Path, *, quick: bool) -> float:
 
 def _store(scene: Scene, *, quick: bool) -> Path:
     """Where a scene's measurements are kept: with the computed arrays of this machine."""
-    text = f"{plain(scene)}|{machine()}|{quick}|{PROTOCOL}"
+    text = f"{scene_text(scene)}|{machine()}|{quick}|{PROTOCOL}"
     return cache_folder() / "frontiers" / f"{scene.name}-{blake2b(text.encode(), digest_size=8).hexdigest()}.csv"
 
 

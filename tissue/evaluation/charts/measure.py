@@ -32,9 +32,9 @@ __all__ = [
     "machine",
     "measure",
     "of_model",
-    "plain",
     "reference_force_N",
     "reference_gap",
+    "scene_text",
     "setting_key",
 ]
 
@@ -122,11 +122,12 @@ def machine() -> str:
 
 def setting_key(scene: Scene, setting: Setting, *, quick: bool) -> str:
     """Hash of a scene at a setting and of the machine."""
-    text = f"{plain(changed(scene, setting.changes))}|{setting.cores}|{setting.compute}|{quick}|{PROTOCOL}|{machine()}"
+    at = scene_text(changed(scene, setting.changes))
+    text = f"{at}|{setting.cores}|{setting.compute}|{quick}|{PROTOCOL}|{machine()}"
     return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
 
 
-def plain(scene: Scene) -> str:
+def scene_text(scene: Scene) -> str:
     """A scene without its words and its wishes, as text: what its numbers depend on."""
     return scene.model_copy(update={"description": "", "fidelity": None}).to_toml()
 
@@ -168,7 +169,7 @@ def _first_contact_s(scene: Scene, span_s: float) -> float:
                     raise
             span *= 2.0
 
-    key = (plain(scene), span_s, version("tissue-sim"))
+    key = (scene_text(scene), span_s, version("tissue-sim"))
     return float(np.asarray(cached_arrays("contact", key, found)["time_s"])[0])
 
 
@@ -268,7 +269,7 @@ def reference_force_N(scene: Scene, changes: Changes) -> Array:
     at = changed(of_model(scene), changes)
     forces = cached_arrays(
         "reference",
-        (plain(at), version("tissue-sim"), version("warp-lang")),
+        (scene_text(at), version("tissue-sim"), version("warp-lang")),
         lambda: {"force_N": simulate(at).trace.vectors("model_force", "N")},
     )
     return np.asarray(forces["force_N"], dtype=np.float64)

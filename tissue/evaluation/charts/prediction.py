@@ -132,7 +132,7 @@ def measured(
     errors = {kind: forecast_errors(maker(kind), unseen) for kind in PREDICTORS}
     cost_us = {kind: _cost_us(maker(kind), unseen[0]) for kind in PREDICTORS}
     sizes = {}
-    for size in SIZES[: sum(each <= len(seen) for each in SIZES)]:
+    for size in (each for each in SIZES if each <= len(seen)):
         episodes = [run.episode() for run in seen[:size]]
         operator = Edmd(trained.operator.dictionary).fit(episodes)
         smaller = replace(trained, operator=operator, terms=loop_terms(operator, episodes))

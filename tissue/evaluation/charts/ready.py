@@ -6,7 +6,6 @@ Nothing is handed back; it all goes to the cache on disk, where measuring finds 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor
 from functools import partial
-from typing import NamedTuple
 
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress
@@ -24,44 +23,37 @@ from tissue.system.workers import first_done
 __all__ = ["make_ready", "pieces"]
 
 
-class Piece(NamedTuple):
-    """A run that is not timed; of a mesh one tick is enough."""
-
-    scene: Scene
-    mesh: bool
-
-
 def make_ready(kinds: Sequence[Scene], pool: Executor, *, quick: bool, report: Progress) -> None:
     """Make ready what scenes by script and by hand need that were not measured on this machine yet."""
     waiting = [kind for kind in kinds if _unknown(kind, quick=quick)]
     try:
         for name, done in _done(pool, [(kind.name, partial(short_of, kind, quick)) for kind in waiting], report):
             report(f"{name}: first contact", 0.2 * done)
-        work = [(kind.name, partial(_make, each)) for kind in waiting for each in pieces(kind, quick=quick)]
+        work = [(kind.name, partial(_make, *each)) for kind in waiting for each in pieces(kind, quick=quick)]
         for name, done in _done(pool, work, report):
             report(f"{name}: references and meshes", 0.2 + 0.8 * done)
     except BrokenExecutor:
         report("the processes that make charts ready were lost: what is missing is made where it is measured", 1.0)
 
 
-def pieces(scene: Scene, *, quick: bool) -> list[Piece]:
-    """Runs whose results the measurements of a scene will find in the cache."""
+def pieces(scene: Scene, *, quick: bool) -> list[tuple[Scene, bool]]:
+    """Runs whose results the measurements of a scene will find in the cache, and whether only for their mesh."""
     short = short_of(scene, quick)
     model = short_of(of_model(scene), quick)
-    found = []
+    found: list[tuple[Scene, bool]] = []
     if scene.device == "none":
         at = [
             *((place, finest(model, quick=quick)) for place in placed(model)),
             (model, nearly_finest(model, quick=quick)),
         ]
-        found = [Piece(changed(each, changes), mesh=False) for each, changes in at if changes]
+        found = [(changed(each, changes), False) for each, changes in at if changes]
     if isinstance(scene.anatomy, SoftAnatomy):
         wanted = _unknown(scene, quick=quick)
         if scene.device == "none":
             meshes = [changed(place, changes) for changes in wanted for place in placed(short)]
         else:
             meshes = [short, ideal_scene(short, finest(scene, quick=quick))] if wanted else []
-        found += [Piece(changed(mesh, {"duration_s": TICK_S}), mesh=True) for mesh in meshes]
+        found += [(changed(mesh, {"duration_s": TICK_S}), True) for mesh in meshes]
     return found
 
 
@@ -75,13 +67,13 @@ def _unknown(scene: Scene, *, quick: bool) -> list[dict[str, object]]:
     ]
 
 
-def _make(piece: Piece) -> None:
-    """Run a piece. What is refused here is refused again, and reported, where it is measured."""
+def _make(scene: Scene, for_mesh: bool) -> None:
+    """Run a scene, for a mesh one tick. What is refused here is refused again, and reported, where it is measured."""
     try:
-        if piece.mesh:
-            simulate(piece.scene, allow_unstable=True)
+        if for_mesh:
+            simulate(scene, allow_unstable=True)
         else:
-            reference_force_N(piece.scene, {})
+            reference_force_N(scene, {})
     except InputError:
         return
 

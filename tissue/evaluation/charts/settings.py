@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import product
 
 from tissue.builders.cutting import cutter_of
 from tissue.scene.load import changed
@@ -65,22 +66,22 @@ def settings_of(scene: Scene, *, quick: bool) -> list[Setting]:
         return list(_voxels(scene, scene.tool, quick=quick))
     if isinstance(scene.anatomy, SoftAnatomy):
         return list(_elements(scene, scene.anatomy, quick=quick))
-    plain = _force_only(scene)
-    return [Setting("force alone" if plain else "as it is", "model", plain, LOST if plain else "")]
+    plain, lost = _force_only(scene)
+    return [Setting("force alone" if plain else "as it is", "model", plain, lost)]
 
 
 def finest(scene: Scene, *, quick: bool) -> Changes:
     """The setting that counts as converged."""
     if isinstance(scene.tool, Tool):
         spacing = (0.75 if quick else 0.5) * scene.voxels.spacing_mm
-        return _force_only(scene) | {
+        return _force_only(scene)[0] | {
             "voxels.spacing_mm": spacing,
             "voxels.removal": "subvoxel",
             "tool.shell_spacing_mm": 0.6 * _shell_mm(scene.tool, spacing),
         }
     if isinstance(scene.anatomy, SoftAnatomy):
         edge = (0.85 if quick else 0.6) * _edge_mm(scene, scene.anatomy)
-        return _force_only(scene) | {"organ.order": 2, "organ.path": "condensed", "anatomy.touch_edge_mm": edge}
+        return _force_only(scene)[0] | {"organ.order": 2, "organ.path": "condensed", "anatomy.touch_edge_mm": edge}
     return {}
 
 
@@ -94,13 +95,14 @@ def nearly_finest(scene: Scene, *, quick: bool) -> Changes:
     }
 
 
-def _force_only(scene: Scene) -> dict[str, object]:
-    """What leaves out all that no force depends on."""
+def _force_only(scene: Scene) -> tuple[dict[str, object], str]:
+    """What leaves out all that no force depends on, and what is lost by it, in words."""
+    changes: dict[str, object] = {"stress": None} if scene.stress is not None else {}
     if isinstance(scene.anatomy, SoftAnatomy):
-        return {"organ.interval_ms": 0.0} if scene.organ.interval_ms else {}
-    if isinstance(scene.anatomy, LayersAnatomy):
-        return {"anatomy.interval_ms": 0.0} if scene.anatomy.interval_ms else {}
-    return {"stress": None} if scene.stress is not None else {}
+        changes = {"organ.interval_ms": 0.0} if scene.organ.interval_ms else {}
+    elif isinstance(scene.anatomy, LayersAnatomy):
+        changes = {"anatomy.interval_ms": 0.0} if scene.anatomy.interval_ms else {}
+    return changes, LOST if changes else ""
 
 
 def _shell_mm(tool: Tool, spacing_mm: float) -> float:
@@ -118,8 +120,7 @@ def _edge_mm(scene: Scene, anatomy: SoftAnatomy) -> float:
 
 def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
     """Spacing, kind of removal, elements of the cutter, stress, cores."""
-    plain, base = _force_only(scene), scene.voxels.spacing_mm
-    lost = LOST if plain else ""
+    (plain, lost), base = _force_only(scene), scene.voxels.spacing_mm
     for factor in (4.0, 3.0, 2.0, 1.0) if quick else (5.0, 4.0, 3.0, 2.0, 1.5, 1.0):
         spacing = round(factor * base, 4)
         if spacing > 0.25 * tool.diameter_mm:
@@ -143,20 +144,12 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
 
 def _elements(scene: Scene, anatomy: SoftAnatomy, *, quick: bool) -> Iterator[Setting]:
     """Order and edge of tetrahedra, compliance method, cores."""
-    base, plain = _edge_mm(scene, anatomy), _force_only(scene)
-    lost = LOST if plain else ""
-    for order, factors in (
-        ((1, (1.0,)), (2, (2.0, 1.4, 1.0)))
-        if quick
-        else (
-            (1, (2.0, 1.4, 1.0, 0.8)),
-            (2, (2.0, 1.7, 1.4, 1.2, 1.0)),
-        )
-    ):
-        for factor in factors:
-            edge = round(factor * base, 3)
-            changes = plain | {"organ.order": order, "anatomy.touch_edge_mm": edge}
-            yield Setting(f"P{order} {edge:g} mm", "elements", changes, lost)
+    base, (plain, lost) = _edge_mm(scene, anatomy), _force_only(scene)
+    linear, quadratic = ((1.0,), (2.0, 1.4, 1.0)) if quick else ((2.0, 1.4, 1.0, 0.8), (2.0, 1.7, 1.4, 1.2, 1.0))
+    for order, factor in (*product((1,), linear), *product((2,), quadratic)):
+        edge = round(factor * base, 3)
+        changes = plain | {"organ.order": order, "anatomy.touch_edge_mm": edge}
+        yield Setting(f"P{order} {edge:g} mm", "elements", changes, lost)
     if quick:
         return
     for size in (100, 300, 1000):
@@ -178,8 +171,7 @@ def _accelerated(plain: Changes, lost: str) -> Iterator[Setting]:
 
 def _loops(scene: Scene, *, quick: bool) -> Iterator[Setting]:
     """Renderer, predictor and rate of the model."""
-    plain = _force_only(scene)
-    lost = LOST if plain else ""
+    plain, lost = _force_only(scene)
     for law in RENDERERS:
         if not quick or law == "proxy":
             yield Setting(law, "loop", plain | {"renderer": law, "prediction": "none"}, lost)
