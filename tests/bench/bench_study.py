@@ -103,7 +103,7 @@ def measured(plan: Plan, workers: int) -> Measured:
         found.wall_s = perf_counter() - start
         found.rows = (folder.path / "trials.csv").read_bytes()
         for task in plan.tasks:
-            took = [each["took_s"] for key, each in folder.trials() if key.task == task]
+            took = [each.took_s for each in folder.trials() if each.key.task == task]
             found.took_s[task] = float(np.median(took))
     return found
 

@@ -97,10 +97,10 @@ def run(
         bar("starting workers", 0.0)
         folder = run_study(plan, out, workers=workers, scheduler=scheduler, retry=retry, report=report)
     kept = list(folder.trials(variant=None))
-    failed = sum(any("failure" in row for row in held["rows"]) for _, held in kept)
+    failed = sum(trial.failed for trial in kept)
     console.print(f"{len(kept)} trials in {out}, {failed} with a failure")
     for task in plan.tasks:
-        took = sorted(held["took_s"] for key, held in kept if key.task == task and not key.variant)
+        took = sorted(trial.took_s for trial in kept if trial.key.task == task and not trial.key.variant)
         console.print(f"{task}: {took[len(took) // 2]:.1f} s a trial of {len(plan.methods)} methods")
     console.print(f"next: tissue study report {out}")
 

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 from tissue.evaluation.statistics.alignment import aligned_rows, deviation_mm
 from tissue.evaluation.statistics.metrics import (
@@ -21,7 +21,6 @@ from tissue.simulation.trace import Table
 
 __all__ = ["Assessment", "Breach", "assess", "assessment_lines"]
 
-Array = NDArray[np.float64]
 GAP_S = 0.15
 """Breaches closer than a period of slow tremor are one."""
 MOST_BREACHES = 8

@@ -11,11 +11,11 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.atlas.drawing import picture
-from tissue.evaluation.atlas.html import Entry, document
+from tissue.evaluation.atlas.entry import Entry, document
 from tissue.evaluation.atlas.page import Data, Page
 from tissue.system.outputs import require_free_folder, write_columns
 
-__all__ = ["chosen_pages", "make_page", "write_atlas"]
+__all__ = ["chosen_pages", "write_atlas"]
 
 INDEX = "index.html"
 
@@ -29,16 +29,15 @@ def chosen_pages(pages: Sequence[Page], only: Sequence[str]) -> tuple[Page, ...]
         If a name is not one of a page.
     """
     names = [page.name for page in pages]
-    for name in only:
-        if name not in names:
-            raise InputError(f"only must be one of {', '.join(names)}, got {name}: choose one of these")
+    if unknown := [name for name in only if name not in names]:
+        raise InputError(f"only must be one of {', '.join(names)}, got {unknown[0]}: choose one of these")
     return tuple(page for page in pages if not only or page.name in only)
 
 
-def make_page(page: Page, *, quick: bool = False) -> tuple[Entry, Data]:
-    """Run a page's sweep, judge it, ask the engine and draw; with ``quick`` the coarser sweep."""
+def _made(page: Page) -> tuple[Entry, Data]:
+    """Run a page's sweep, judge it, ask the engine and draw."""
     started = perf_counter()
-    data = page.measure(quick)
+    data = page.measure(False)
     verdict, answers, drawn = page.judge(data), page.ask(), picture(page, data)
     files = [f"{page.name}.png", *(f"{page.name}_{table}.csv" for table in data)]
     return Entry(page, verdict, answers, drawn, files, perf_counter() - started), data
@@ -59,7 +58,7 @@ def write_atlas(
     entries = []
     for number, page in enumerate(pages):
         progress(page.title, number / len(pages))
-        entry, data = make_page(page)
+        entry, data = _made(page)
         (folder / f"{page.name}.png").write_bytes(entry.picture)
         for table, columns in data.items():
             write_columns(folder / f"{page.name}_{table}.csv", columns)

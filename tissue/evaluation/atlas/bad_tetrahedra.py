@@ -2,15 +2,15 @@
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from scipy.linalg import eigvalsh
 
+from meshes.base.arrays import Array, Ints
 from meshes.tets.checks import mean_ratio, signed_volumes
 from meshes.tets.quality import SLIVER, repair_tets
 from meshes.tets.structured import box
 from meshes.tets.tetrahedra import TetMesh
 from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, panel
-from tissue.evaluation.atlas.page import Answer, Array, Conduct, Data, Page, Verdict, log_slope, refused, shown, sweep
+from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, log_slope, refused, shown, sweep
 from tissue.fem.assembly import assemble
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
@@ -20,7 +20,7 @@ __all__ = ["BAD_TETRAHEDRA"]
 SIZE_M = 0.1
 
 
-def squashed(height: float) -> tuple[Array, NDArray[np.int64]]:
+def squashed(height: float) -> tuple[Array, Ints]:
     """A cube of 4 x 4 x 4 bricks whose middle node lies so much of its old height over the face below it."""
     good = box((SIZE_M,) * 3, (4, 4, 4))
     nodes = good.nodes_m.copy()
@@ -31,7 +31,7 @@ def squashed(height: float) -> tuple[Array, NDArray[np.int64]]:
     return nodes, good.cells
 
 
-def condition(nodes_m: Array, cells: NDArray[np.int64]) -> float:
+def condition(nodes_m: Array, cells: Ints) -> float:
     """Condition number of the cube's stiffness with its base held."""
     space = Space(TetMesh(nodes_m, cells))
     free = np.repeat(nodes_m[:, 2] > 1e-9, 3)

@@ -5,8 +5,9 @@ from matplotlib.figure import Figure
 from scipy.sparse import csr_array, diags_array
 from scipy.sparse.linalg import cg
 
+from meshes.base.arrays import Array
 from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, panel
-from tissue.evaluation.atlas.page import Answer, Array, Conduct, Data, Page, Verdict, shown
+from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, shown
 from tissue.fem.outcome import SolverOutcome
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.grid import HexGrid

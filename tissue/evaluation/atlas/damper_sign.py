@@ -5,8 +5,9 @@ from math import pi
 import numpy as np
 from matplotlib.figure import Figure
 
+from meshes.base.arrays import Array
 from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, panel
-from tissue.evaluation.atlas.page import Answer, Array, Data, Page, Verdict, refused, shown
+from tissue.evaluation.atlas.page import Answer, Data, Page, Verdict, refused, shown
 from tissue.haptics.renderer import ProxyRenderer
 
 __all__ = ["DAMPER_SIGN"]

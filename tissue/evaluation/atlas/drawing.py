@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 from numpy.typing import ArrayLike
 
-from tissue.evaluation.atlas.page import Array, Conduct, Data, Page
+from meshes.base.arrays import Array
+from tissue.evaluation.atlas.page import Conduct, Data, Page
 
 __all__ = ["BLUE", "GREEN", "GREY", "ORANGE", "PINK", "RED", "TINTS", "Curve", "divided", "panel", "picture"]
 

@@ -3,9 +3,10 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from meshes.base.arrays import Array
 from tissue.builders.perception import perception
 from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, Curve, panel
-from tissue.evaluation.atlas.page import Answer, Array, Conduct, Data, Page, Verdict, refused, shown
+from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.loop.filters import ForceRange
 from tissue.perception.mapping import ForceMap

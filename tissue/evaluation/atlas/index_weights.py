@@ -3,8 +3,9 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from meshes.base.arrays import Array
 from tissue.evaluation.atlas.drawing import BLUE, GREEN, GREY, ORANGE, PINK, RED, panel
-from tissue.evaluation.atlas.page import Answer, Array, Conduct, Data, Page, Verdict, refused, shown, sweep
+from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown, sweep
 from tissue.evaluation.statistics.hpi import composite_index
 from tissue.evaluation.statistics.trials import TrialTable
 

@@ -5,9 +5,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from meshes.base.arrays import Array
 from meshes.tets.structured import box
 from tissue.evaluation.atlas.drawing import BLUE, GREEN, GREY, RED, panel
-from tissue.evaluation.atlas.page import Answer, Array, Conduct, Data, Page, Verdict, error_of, refused, shown
+from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, error_of, refused, shown
 from tissue.fem.hyperelastic import Law, NonlinearBody
 from tissue.fem.newton import NewtonSolver
 from tissue.fem.outcome import SolverOutcome

@@ -3,8 +3,9 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from meshes.base.arrays import Array
 from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, panel
-from tissue.evaluation.atlas.page import Answer, Array, Data, Page, Verdict, refused, shown, sweep
+from tissue.evaluation.atlas.page import Answer, Data, Page, Verdict, refused, shown, sweep
 from tissue.haptics.proxy.proxy import Proxy
 from tissue.haptics.proxy.tool_shell import ToolShell
 from tissue.haptics.proxy.voxmap import Box, ContactField

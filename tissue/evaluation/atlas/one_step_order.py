@@ -3,8 +3,9 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from meshes.base.arrays import Array
 from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, Curve, panel
-from tissue.evaluation.atlas.page import Answer, Array, Data, Page, Table, Verdict, error_of, log_slope, refused, shown
+from tissue.evaluation.atlas.page import Answer, Data, Page, Table, Verdict, error_of, log_slope, refused, shown
 from tissue.prediction.edmd.closure import step_errors
 from tissue.prediction.edmd.dictionary import Delays, Dictionary, Identity
 from tissue.prediction.edmd.edmd import Edmd

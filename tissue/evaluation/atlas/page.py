@@ -7,16 +7,15 @@ from math import sqrt
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 
 __all__ = [
-    "Answer", "Array", "Conduct", "Data", "Page", "Table", "Verdict", "boundary", "error_of", "log_slope", "refused",
+    "Answer", "Conduct", "Data", "Page", "Table", "Verdict", "boundary", "error_of", "log_slope", "refused",
     "shown", "sweep",
 ]  # fmt: skip
 
-Array = NDArray[np.float64]
 Table = dict[str, Array]
 """Columns of equal length by name, with the unit in the name."""
 Data = dict[str, Table]

@@ -1,6 +1,5 @@
 """The stability atlas: every method taken to where it fails and past it, a page each."""
 
-from tissue.evaluation.atlas.atlas import chosen_pages, make_page, write_atlas
 from tissue.evaluation.atlas.bad_tetrahedra import BAD_TETRAHEDRA
 from tissue.evaluation.atlas.contrast import CONTRAST
 from tissue.evaluation.atlas.cut_cells import CUT_CELLS
@@ -16,7 +15,7 @@ from tissue.evaluation.atlas.low_pass import LOW_PASS
 from tissue.evaluation.atlas.nearest_point import NEAREST_POINT
 from tissue.evaluation.atlas.one_step_order import ONE_STEP_ORDER
 from tissue.evaluation.atlas.pade import PADE
-from tissue.evaluation.atlas.page import Answer, Conduct, Page, Verdict
+from tissue.evaluation.atlas.page import Page
 from tissue.evaluation.atlas.powers import POWERS
 from tissue.evaluation.atlas.quantisation import QUANTISATION
 from tissue.evaluation.atlas.recursive_variance import RECURSIVE_VARIANCE
@@ -30,9 +29,9 @@ from tissue.evaluation.atlas.wall_map import WALL_MAP
 from tissue.evaluation.atlas.weber_law import WEBER_LAW
 from tissue.evaluation.atlas.wild_input import WILD_INPUT
 
-__all__ = ["PAGES", "Answer", "Conduct", "Page", "Verdict", "chosen_pages", "make_page", "write_atlas"]
+__all__ = ["PAGES"]
 
-PAGES = (
+PAGES: tuple[Page, ...] = (
     ONE_STEP_ORDER, POWERS, LOW_PASS, PADE, FORCE_COMMAND, WEBER_LAW, TWO_MAXIMA, RECURSIVE_VARIANCE, DAMPER_SIGN,
     SAMPLED_WALL, RELAXATION, NEAREST_POINT, SMOOTHNESS, INDEX_WEIGHTS,
     WALL_MAP, QUANTISATION, EXPLICIT_CUTTING, THIN_WALLS, LOCKING, LARGE_ROTATION, BAD_TETRAHEDRA, CUT_CELLS, CONTRAST,

@@ -4,8 +4,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.integrate import solve_ivp
 
+from meshes.base.arrays import Array
 from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, panel
-from tissue.evaluation.atlas.page import Answer, Array, Conduct, Data, Page, Verdict, refused, shown
+from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
 from tissue.prediction.edmd.edmd import Edmd
 from tissue.prediction.edmd.episodes import Episode
 from tissue.prediction.edmd.lifted import Operator

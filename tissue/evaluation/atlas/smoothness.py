@@ -3,8 +3,9 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from meshes.base.arrays import Array
 from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, panel
-from tissue.evaluation.atlas.page import Answer, Array, Data, Page, Verdict, error_of, log_slope, refused, shown, sweep
+from tissue.evaluation.atlas.page import Answer, Data, Page, Verdict, error_of, log_slope, refused, shown, sweep
 from tissue.evaluation.statistics.metrics import acceleration_change_m_s2, spectral_arc_length
 
 __all__ = ["SMOOTHNESS"]

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tissue.evaluation.atlas.page import Array
+from meshes.base.arrays import Array
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import Hand, hand_parameters

@@ -3,8 +3,9 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from meshes.base.arrays import Array
 from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, panel
-from tissue.evaluation.atlas.page import Answer, Array, Data, Page, Verdict, error_of, refused, shown, sweep
+from tissue.evaluation.atlas.page import Answer, Data, Page, Verdict, error_of, refused, shown, sweep
 from tissue.perception.estimate import log_posterior, map_force_N, require_prior_fits
 
 __all__ = ["TWO_MAXIMA"]

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 from matplotlib.figure import Figure
 
+from meshes.base.arrays import Array
 from tissue.evaluation.atlas.drawing import BLUE, GREEN, GREY, ORANGE, PINK, divided, panel
-from tissue.evaluation.atlas.page import Answer, Array, Conduct, Data, Page, Verdict, error_of, refused, shown
+from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, error_of, refused, shown
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands

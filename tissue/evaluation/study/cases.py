@@ -1,22 +1,23 @@
 """Sections of a report on discrimination, and on the case studies."""
 
-import numpy as np
-from numpy.typing import NDArray
+from dataclasses import replace
+from itertools import product
 
+import numpy as np
+
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.evaluation.calibration.force_discrimination import (
-    Command,
     Stimulus,
     calibrated_commands,
     gain_of,
     share_right,
 )
-from tissue.evaluation.calibration.simulated_observer import SimulatedObservers, draw_observers
+from tissue.evaluation.calibration.simulated_observer import draw_observers
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.folder import StudyFolder
 from tissue.evaluation.study.paper import CASES
-from tissue.evaluation.study.section import Section, agreement, drawing, image, legend, spread
-from tissue.evaluation.study.tasks import TASKS
+from tissue.evaluation.study.section import Section, against, drawing, image, legend, methods_of, spread, tasks_of
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.loop.filters import ForceRange
 from tissue.materials.constants import constants
@@ -24,7 +25,6 @@ from tissue.scene.registry import GROUPS
 
 __all__ = ["case_sections", "discrimination_section"]
 
-Array = NDArray[np.float64]
 Pair = tuple[Stimulus, Stimulus]
 PEOPLE = 200
 """Simulated people of each group who compare."""
@@ -33,28 +33,28 @@ TORQUE_STEP_NM = CASES["torque_step_Nm"].mean
 
 def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) -> Section:
     """Who discriminates what, with and without scaling for the person."""
-    pairs: dict[str, Pair | None] = {
-        f"{task}: softer or usual": _specimens(table, task) for task in TASKS if task in table.task
-    }
+    pairs = {f"{task}: softer or usual": _specimens(table, task) for task in tasks_of(table)}
     if (needle := _case(folder, "needle")) is not None:
         pairs["capsule or parenchyma"] = _sides(needle)
     if (drilling := _case(folder, "drilling")) is not None:
         pairs["carious or sound"] = _specimens(drilling, "drilling")
     rows, gains, shown = [], [], []
-    for what, pair in pairs.items():
+    limits = ForceRange(limit_N=device_parameters("touch").force_limit_N)
+    for what, group in product(pairs, GROUPS):
+        pair = pairs[what]
         if pair is None:
             continue
-        for group in GROUPS:
-            rng = np.random.default_rng([seed, GROUPS.index(group)])
-            people = draw_observers(group, PEOPLE, rng)
-            before, after = _shares(people, pair, seed, calibrated_commands(people, rng))
-            gain = gain_of(before, after, rng)
-            gains.append(gain.percent)
-            shown.append((f"{what}\n{group}", before, after))
-            less, more = sorted(pair, key=lambda each: each.level_N)
-            levels = [f"{each.level_N:.3f} ± {each.scatter_N:.3f}" for each in (less, more)]
-            change = f"{gain.percent:+.1f} [{gain.low:+.1f}, {gain.high:+.1f}]"
-            rows.append((what, group, *levels, f"{100 * gain.before:.1f}", f"{100 * gain.after:.1f}", change))
+        rng = np.random.default_rng([seed, GROUPS.index(group)])
+        people = draw_observers(group, PEOPLE, rng)
+        commands = calibrated_commands(people, rng)
+        before = share_right(people, *pair, seed=seed, limits=limits)
+        after = share_right(people, *pair, seed=seed, limits=limits, commands=commands)
+        gain = gain_of(before, after, rng)
+        gains.append(gain.percent)
+        shown.append((f"{what}\n{group}", before, after))
+        levels = [f"{each.level_N:.3f} ± {each.scatter_N:.3f}" for each in sorted(pair, key=lambda each: each.level_N)]
+        change = f"{gain.percent:+.1f} [{gain.low:+.1f}, {gain.high:+.1f}]"
+        rows.append((what, group, *levels, f"{100 * gain.before:.1f}", f"{100 * gain.after:.1f}", change))
     if not rows:
         return Section("discrimination", "Discrimination", ("No pair of specimens has two trials each yet.",))
     sentences = (
@@ -70,36 +70,20 @@ def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) ->
 
 def case_sections(folder: StudyFolder, seed: int) -> list[Section]:
     """The case studies that the folder holds."""
-    made = []
-    for task, section in (("needle", _needle), ("reaming", _reaming), ("drilling", _drilling)):
-        if (table := _case(folder, task)) is not None:
-            made.append(section(table, seed))
-    return made
+    makers = {"needle": _needle, "reaming": _reaming, "drilling": _drilling}
+    tables = {task: _case(folder, task) for task in makers}
+    return [makers[task](table, seed) for task, table in tables.items() if table is not None]
 
 
 def _needle(table: TrialTable, seed: int) -> Section:
     """Overshoot by group and method, capsule or parenchyma."""
     rows = []
     papers = {"penalty": CASES["overshoot_penalty_mm"], "koopman": CASES["overshoot_koopman_mm"]}
-    for method in (each for each in ("penalty", "energy", "koopman", "koopman-perception") if each in table.method):
-        for group in (each for each in GROUPS if each in table.group):
-            part = table.where(method=method, group=group).values("overshoot_mm")
-            paper = papers.get(method)
-            rows.append(
-                (
-                    group,
-                    method,
-                    spread(part),
-                    str(paper or ""),
-                    agreement(part, paper) if paper else "",
-                    str(len(part)),
-                )
-            )
+    for method, group in product(methods_of(table), (each for each in GROUPS if each in table.group)):
+        part = table.where(method=method, group=group).values("overshoot_mm")
+        rows.append((group, method, spread(part), *against(part, papers.get(method)), str(len(part))))
     pair = _sides(table)
-    wrong = {}
-    for group in GROUPS:
-        people = draw_observers(group, PEOPLE, np.random.default_rng([seed, GROUPS.index(group)]))
-        wrong[group] = 100.0 * (1.0 - float(share_right(people, *pair, seed=seed).mean()))
+    wrong = {group: 100.0 - share for group, share in _right_percent(pair, seed).items()}
     text = ", ".join(f"{group} {value:.1f} %" for group, value in wrong.items())
     means = {m: float(table.where(method=m).values("overshoot_mm").mean()) for m in papers if m in table.method}
     sentences = [
@@ -123,38 +107,29 @@ def _reaming(table: TrialTable, seed: int) -> Section:
     """Tracking error in newtons at the reamer, distance from its path, and steps of torque."""
     rows = []
     papers = {"tracking_rms_N": CASES["reaming_rms_N"], "position_error_mm": CASES["reaming_position_mm"]}
-    for method in (each for each in ("penalty", "energy", "koopman", "koopman-perception") if each in table.method):
+    for method in methods_of(table):
         row = [method]
         for metric, paper in papers.items():
             part = table.where(method=method).values(metric)
             row += [spread(part, 3), f"< {paper}", "agrees" if part.max() < paper.mean else "exceeds it"]
         rows.append((*row, str(len(table.where(method=method)))))
     level, scatter = (float(table.values(name).mean()) for name in ("torque_Nm", "torque_scatter_Nm"))
-    torque = constants("perception", "torque")
-    kappa, offset = torque["kappa"].value, torque["offset_Nm"].value
-    scale = 0.03
-    shares = {}
+    torque, scale = constants("perception", "torque"), 0.03
+    people = draw_observers("expert", PEOPLE, np.random.default_rng(seed))
+    kappa = torque["kappa"].value * people.kappa / np.median(people.kappa)
+    holders = replace(people, kappa=kappa, offset_N=np.full(PEOPLE, torque["offset_Nm"].value))
+    shares = []
     for where, factor in (("at the tool", 1.0), ("scaled into the device's range", scale)):
-        people = draw_observers("expert", PEOPLE, np.random.default_rng(seed))
-        spreads = people.kappa / np.median(people.kappa)
-        holders = SimulatedObservers(
-            alpha=people.alpha, beta=people.beta, kappa=kappa * spreads, offset_N=np.full(PEOPLE, offset),
-            lapse=people.lapse, sigma=people.sigma,
-        )  # fmt: skip
-        pair = (
-            Stimulus(factor * level, factor * scatter),
-            Stimulus(factor * (level + TORQUE_STEP_NM), factor * scatter),
-        )
-        wide = ForceRange(limit_N=1e3)
-        shares[where] = 100.0 * float(share_right(holders, *pair, seed=seed, limits=wide).mean())
-    text = ", ".join(f"{share:.0f} % {where}" for where, share in shares.items())
+        pair = [Stimulus(factor * each, factor * scatter) for each in (level, level + TORQUE_STEP_NM)]
+        share = share_right(holders, *pair, seed=seed, limits=ForceRange(limit_N=1e3)).mean()
+        shares.append(f"{100.0 * share:.0f} % {where}")
     sentences = (
         f"RMS of the force's tracking error over {rows[0][-1]} trials, in newtons at the reamer, of forces up to "
         f"{float(table.values('peak_force_N').max()) / scale:.0f} N; the paper prints less than "
         f"{papers['tracking_rms_N']} N. At a feed of half a millimetre a second the force changes slowly, so that this "
         "depends little on latency. Bone guides the reamer: its distance from the path depends little on hands.",
-        f"A step of {TORQUE_STEP_NM} N m on {level:.3f} ± {scatter:.3f} N m is discriminated in {text} of the answers, "
-        "75 % being the threshold; the paper states that it is felt.",
+        f"A step of {TORQUE_STEP_NM} N m on {level:.3f} ± {scatter:.3f} N m is discriminated in {', '.join(shares)} of "
+        "the answers, 75 % being the threshold; the paper states that it is felt.",
     )
     return Section("case-reaming", "Case: reaming of a glenoid", sentences,
                    ("method", "tracking RMS N", "paper N", "force against paper", "position error mm", "paper mm",
@@ -163,53 +138,43 @@ def _reaming(table: TrialTable, seed: int) -> Section:
 
 def _drilling(table: TrialTable, seed: int) -> Section:
     """Carious or sound, and latency at 400,000 rpm."""
-    rows = []
-    for method in (each for each in ("penalty", "energy", "koopman", "koopman-perception") if each in table.method):
-        part = table.where(method=method)
-        lag = part.values("latency_ms")
-        rows.append(
-            (method, spread(lag), f"< {CASES['drilling_latency_ms']}", spread(100.0 * part.values("force_error")))
-        )
+    paper = CASES["drilling_latency_ms"]
+    lags = {method: table.where(method=method).values("latency_ms") for method in methods_of(table)}
+    rows = tuple(
+        (method, spread(lag), f"< {paper}", spread(100.0 * table.where(method=method).values("force_error")))
+        for method, lag in lags.items()
+    )
     pair = _specimens(table, "drilling")
     text = "there are too few trials to discriminate carious from sound"
     if pair is not None:
-        shares = []
-        for group in GROUPS:
-            people = draw_observers(group, PEOPLE, np.random.default_rng([seed, GROUPS.index(group)]))
-            shares.append(100.0 * float(share_right(people, *pair, seed=seed).mean()))
+        shares = _right_percent(pair, seed).values()
         text = (
             f"carious ({pair[0].level_N:.3f} N at the device) and sound ({pair[1].level_N:.3f} N) are discriminated in "
             f"{min(shares):.0f} to {max(shares):.0f} % of answers; the paper prints {CASES['caries_right_percent']} %"
         )
-    late = [row[0] for row in rows if float(row[1].split()[0]) >= CASES["drilling_latency_ms"].mean]
+    late = [method for method, lag in lags.items() if round(float(lag.mean()), 2) >= paper.mean]
     sentences = (
-        f"At 400,000 rpm {text}. The latency is {'not ' if late else ''}below {CASES['drilling_latency_ms']} ms"
+        f"At 400,000 rpm {text}. The latency is {'not ' if late else ''}below {paper} ms"
         + (f" under {', '.join(late)}" if late else " under every method")
         + ": spin adds none, as the force is the mean over a revolution.",
     )
-    return Section("case-drilling", "Case: drilling of caries", sentences,
-                   ("method", "latency ms", "paper ms", "force error %"), tuple(rows))  # fmt: skip
+    header = ("method", "latency ms", "paper ms", "force error %")
+    return Section("case-drilling", "Case: drilling of caries", sentences, header, rows)
 
 
-def _shares(people: SimulatedObservers, pair: Pair, seed: int, commands: list[Command]) -> tuple[Array, Array]:
-    """Shares of right answers without and with scaling."""
-    limits = ForceRange(limit_N=device_parameters("touch").force_limit_N)
-    plain = share_right(people, *pair, seed=seed, limits=limits)
-    return plain, share_right(people, *pair, seed=seed, limits=limits, commands=commands)
+def _right_percent(pair: Pair, seed: int) -> dict[str, float]:
+    """Right answers of simulated people by group [%]."""
+    rngs = {group: np.random.default_rng([seed, index]) for index, group in enumerate(GROUPS)}
+    people = {group: draw_observers(group, PEOPLE, rng) for group, rng in rngs.items()}
+    return {group: 100.0 * float(share_right(each, *pair, seed=seed).mean()) for group, each in people.items()}
 
 
 def _specimens(table: TrialTable, task: str) -> Pair | None:
     """Force on the first two specimens of a task, or None where one has less than two trials."""
     part = table.where(task=task)
-    part = (
-        part.where(method=part.method[0]).complete()
-        if "penalty" not in part.method
-        else part.where(method="penalty").complete()
-    )
+    part = part.where(method="penalty" if "penalty" in part.method else part.method[0])
     levels = [part.values("level_N")[part.values("specimen") == index] for index in (0.0, 1.0)]
-    if min(len(each) for each in levels) < 2:
-        return None
-    return _level(levels[0]), _level(levels[1])
+    return (_level(levels[0]), _level(levels[1])) if min(map(len, levels)) >= 2 else None
 
 
 def _sides(needle: TrialTable) -> Pair:
@@ -234,18 +199,16 @@ def _case(folder: StudyFolder, task: str) -> TrialTable | None:
 def _bars(shown: list[tuple[str, Array, Array]]) -> bytes:
     """Right answers before and after scaling, with 95 % intervals over people."""
     figure, (axes,) = drawing(11.0, 4.4)
-    series = (
-        ("#999999", "as it is", [each[1] for each in shown]),
-        ("#009E73", "scaled for the person", [each[2] for each in shown]),
-    )
-    for shift, (colour, what, shares) in enumerate(series):
-        means = np.array([100.0 * each.mean() for each in shares])
-        half = np.array([196.0 * each.std(ddof=1) / len(each) ** 0.5 for each in shares])
-        at = np.arange(len(shown)) + 0.4 * (shift - 0.5)
+    names, before, after = zip(*shown, strict=True)
+    for shift, colour, what, shares in ((-0.2, "#999999", "as it is", before),
+                                        (0.2, "#009E73", "scaled for the person", after)):  # fmt: skip
+        means = 100.0 * np.mean(shares, axis=1)
+        half = 196.0 * np.std(shares, axis=1, ddof=1) / PEOPLE**0.5
+        at = np.arange(len(shown)) + shift
         axes.bar(at, means, 0.38, color=colour, label=what)
         axes.errorbar(at, means, half, fmt="none", ecolor="#333333", capsize=2, lw=1.0)
     axes.axhline(50.0, color="black", lw=0.8, ls=":")
-    axes.set_xticks(range(len(shown)), [name for name, _, _ in shown], rotation=60, ha="right", fontsize=8)
+    axes.set_xticks(range(len(shown)), names, rotation=60, ha="right", fontsize=8)
     axes.set_ylim(40.0, 100.0)
     axes.set_ylabel("right answers %")
     legend(figure, axes)

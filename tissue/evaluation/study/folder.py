@@ -1,10 +1,11 @@
 """The folder of a study: its plan, a file a trial, and the tables of what it holds."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+
+from pydantic import TypeAdapter
 
 from meshes.base.errors import InputError
 from meshes.base.file_version import package_version, require_version
@@ -12,7 +13,7 @@ from meshes.base.whole_file import whole_file
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.plan import Plan, TrialKey
 from tissue.evaluation.study.tasks import TASKS
-from tissue.evaluation.study.trial import Trial
+from tissue.evaluation.study.trial import Row, Trial
 from tissue.system.output_lock import LOCK
 
 __all__ = ["StudyFolder"]
@@ -20,7 +21,9 @@ __all__ = ["StudyFolder"]
 FORMAT = 1
 """Version of a study's folder."""
 PLAN = "study.json"
-KEYS = {"seed", "took_s", "rows"}
+
+
+READ_TRIAL = TypeAdapter(Trial)
 
 
 class StudyFolder:
@@ -49,8 +52,11 @@ class StudyFolder:
         if (self.path / PLAN).is_file():
             held = self.plan()
             if not plan.holds(held):
-                names = [name for name in asdict(plan) if getattr(held, name) != getattr(plan, name)]
-                other = ", ".join(f"{name} {_as_text(getattr(held, name))}" for name in names)
+                values = {name: value for name, value in asdict(held).items() if value != getattr(plan, name)}
+                other = ", ".join(
+                    f"{name} {', '.join(map(str, value)) if isinstance(value, tuple) else value}"
+                    for name, value in values.items()
+                )
                 raise InputError(
                     f"out must hold a part of the same study, got one with {other} in {self.path}: "
                     "choose another folder"
@@ -59,7 +65,7 @@ class StudyFolder:
             raise InputError(f"out must be empty or hold this study, got other files in {self.path}: choose another")
         (self.path / "trials").mkdir(parents=True, exist_ok=True)
         _write(self.path / PLAN, {"format": FORMAT, "tissue": package_version()} | asdict(plan))
-        broken = [key for key in plan.all_trials() if self._file(key).exists() and self.read(key) is None]
+        broken = [key for key in plan.all_trials() if self.has(key) and self.read(key) is None]
         for key in broken:
             self._file(key).unlink()
         return [f"trial {key.name} was cut short and is run again" for key in broken]
@@ -74,9 +80,7 @@ class StudyFolder:
         """
         path = self.path / PLAN
         try:
-            held: dict[str, Any] = json.loads(path.read_text("utf-8"))
-            if not isinstance(held, dict):
-                raise TypeError(held)
+            held = json.loads(path.read_text("utf-8"))
             require_version("study", held, FORMAT, where=path, remedy="run it in a new folder")
             del held["format"]
             made = held.pop("tissue", None) or held.pop("version", "unknown")  # as the first files call it
@@ -85,8 +89,9 @@ class StudyFolder:
                     f"study must be of tissue {package_version()}, got {str(made)[:40]} in {path}: run it in a new "
                     "folder, trials of two versions are not put together"
                 )
-            kept: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in held.items()}
-            return Plan(**kept)
+            for name in ("tasks", "groups", "methods"):
+                held[name] = tuple(held[name])
+            return Plan(**held)
         except InputError:
             raise
         except (OSError, ValueError, TypeError, KeyError, AttributeError):
@@ -98,31 +103,30 @@ class StudyFolder:
         """Whether a trial is there."""
         return self._file(key).is_file()
 
-    def read(self, key: TrialKey) -> dict[str, Any] | None:
+    def read(self, key: TrialKey) -> Trial | None:
         """A trial, or None where its file is missing or cut short."""
         try:
-            held = json.loads(self._file(key).read_text("utf-8"))
-        except (OSError, ValueError, RecursionError):
+            trial = READ_TRIAL.validate_python(json.loads(self._file(key).read_text("utf-8")) | {"key": key})
+        except (OSError, ValueError, TypeError, RecursionError):
             return None
-        return held if _is_trial(held) else None
+        return trial if all(map(_is_row, trial.rows)) else None
 
     def write(self, trial: Trial) -> None:
         """Keep a trial."""
-        content = {"seed": trial.seed, "took_s": round(trial.took_s, 3), "rows": list(trial.rows)}
+        content = {"seed": trial.seed, "took_s": round(trial.took_s, 3), "rows": trial.rows}
         _write(self._file(trial.key), content)
 
-    def forget_failures(self, plan: Plan) -> None:
-        """Take away the trials of a plan in which a method failed."""
-        for key in plan.all_trials():
-            held = self.read(key)
-            if held is not None and any("failure" in row for row in held["rows"]):
-                self._file(key).unlink()
+    def forget_failures(self) -> None:
+        """Take away the trials in which a method failed."""
+        for trial in self.trials(variant=None):
+            if trial.failed:
+                self._file(trial.key).unlink()
 
-    def trials(self, *, variant: str | None = "") -> Iterator[tuple[TrialKey, dict[str, Any]]]:
+    def trials(self, *, variant: str | None = "") -> Iterator[Trial]:
         """Trials that are there, in the plan's order: of the study itself, of one variant, or with None of all."""
         for key in self.plan().all_trials():
-            if variant in (None, key.variant) and (held := self.read(key)) is not None:
-                yield key, held
+            if variant in (None, key.variant) and (trial := self.read(key)) is not None:
+                yield trial
 
     def table(self, *tasks: str) -> TrialTable:
         """Table of the study's own trials of some tasks.
@@ -132,56 +136,38 @@ class StudyFolder:
         InputError
             If there is none.
         """
-        rows = []
-        for key, held in self.trials():
-            if key.task in tasks:
-                place = {"task": key.task, "group": key.group, "user": f"{key.user:02d}", "trial": key.trial}
-                rows += [place | {"seed": held["seed"]} | row for row in held["rows"]]
+        rows = [
+            {"task": key.task, "group": key.group, "user": f"{key.user:02d}", "trial": key.trial, "seed": trial.seed}
+            | row
+            for trial in self.trials()
+            for row in trial.rows
+            if (key := trial.key).task in tasks
+        ]
         if not rows:
             raise InputError(f"study must hold trials of {', '.join(tasks)}, got none in {self.path}: run it first")
         return TrialTable.from_rows(rows)
 
-    def write_tables(self) -> list[Path]:
+    def write_tables(self) -> None:
         """Write ``trials.csv`` with the tasks that are compared, and a file for each case study."""
         families: dict[str, list[str]] = {}
-        there = {key.task for key, _ in self.trials()}
+        there = {trial.key.task for trial in self.trials()}
         for task in (each for each in self.plan().tasks if each in there):
             families.setdefault(task if TASKS[task].case else "trials", []).append(task)
-        written = []
         for name, tasks in families.items():
-            path = self.path / f"{name}.csv"
-            self.table(*tasks).write_csv(path)
-            written.append(path)
-        return written
+            self.table(*tasks).write_csv(self.path / f"{name}.csv")
 
     def _file(self, key: TrialKey) -> Path:
         return self.path / "trials" / f"{key.name}.json"
 
 
-def _is_trial(held: Any) -> bool:
-    """Whether a file's content is a trial: a seed, and rows of a method and its numbers, or its failure."""
-    if not (
-        isinstance(held, dict) and held.keys() >= KEYS and _is_whole(held["seed"]) and isinstance(held["rows"], list)
-    ):
-        return False
-    return all(
-        isinstance(row, dict)
-        and "method" in row
-        and all(isinstance(value, str | int | float) for value in row.values())
-        and all(isinstance(value, str) == (name in ("method", "failure")) for name, value in row.items())
-        for row in held["rows"]
+def _is_row(row: Row) -> bool:
+    """Whether a row is of a method: its name, and numbers or the sentence of its failure."""
+    return "method" in row and all(
+        isinstance(value, str) == (name in ("method", "failure")) for name, value in row.items()
     )
 
 
-def _is_whole(value: object) -> bool:
-    return isinstance(value, int) and 0 <= value < 2**63
-
-
-def _as_text(value: object) -> str:
-    return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
-
-
-def _write(path: Path, content: dict[str, Any]) -> None:
+def _write(path: Path, content: Mapping[str, object]) -> None:
     """Write JSON so that a reader never sees half of it."""
     with whole_file(path) as temporary:
         temporary.write_text(json.dumps(content, indent=1), "utf-8")

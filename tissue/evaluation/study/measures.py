@@ -6,6 +6,7 @@ from math import isfinite
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.evaluation.statistics import metrics
 from tissue.perception.observer import Observer
@@ -17,7 +18,6 @@ from tissue.simulation.simulate import TICK_S
 
 __all__ = ["measured"]
 
-Array = NDArray[np.float64]
 ARRIVED_MM = 2.0
 """Distance from the path's end within which a task counts as done."""
 TOUCHES = 0.05

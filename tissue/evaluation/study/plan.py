@@ -108,6 +108,11 @@ class Plan:
                 got = strange[0] if strange else ",".join(chosen) or "nothing"
                 raise InputError(f"{name} must each be one of {', '.join(known)}, got {got}: choose among these, once")
 
+    @property
+    def compared(self) -> tuple[str, ...]:
+        """Its tasks but for the case studies."""
+        return tuple(task for task in self.tasks if not TASKS[task].case)
+
     def all_trials(self) -> Iterator[TrialKey]:
         """All trials, groups and tasks in turn, so that a study that is stopped is balanced."""
         for trial in range(self.trials):
@@ -119,9 +124,8 @@ class Plan:
             return
         for variant, most in {REFERENCE: REFERENCE_TRIALS, **dict.fromkeys(VARIANTS, SENSITIVITY_TRIALS)}.items():
             for trial in range(min(self.trials, most)):
-                for task in self.tasks:
-                    if not TASKS[task].case:
-                        yield TrialKey(task, MIDDLE, trial, variant)
+                for task in self.compared:
+                    yield TrialKey(task, MIDDLE, trial, variant)
 
     def holds(self, other: "Plan") -> bool:
         """Whether every trial of another plan is one of this, so that its folder can be gone on with."""

@@ -1,9 +1,8 @@
 """The report of a study: sections as one HTML file that needs no other, and as CSV."""
 
-from base64 import b64encode
+from collections import Counter
 from html import escape
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from meshes.base.errors import InputError
 from meshes.base.file_version import package_version
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
-from tissue.evaluation.atlas.html import STYLE
+from tissue.evaluation.html import html_page, html_picture
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.cases import case_sections, discrimination_section
 from tissue.evaluation.study.fidelity import force_section, latency_section, task_section
@@ -43,9 +42,10 @@ def write_report(path: Path, *, report: Progress = silent) -> tuple[Path, list[s
     page = out / "index.html"
     with output_locked(out, folder=True):
         sections = sections_of(folder, report=report)
-        files = [section.write_csv(out) for section in sections]
+        links = " · ".join(f'<a href="#{escape(each.name)}">{escape(each.title)}</a>' for each in sections)
+        body = "\n".join(_as_html(section, section.write_csv(out)) for section in sections)
         with whole_file(page) as temporary:
-            temporary.write_text(_document(sections, files), "utf-8")
+            temporary.write_text(html_page("Study", f'<p class="soft">{links}</p>\n{body}', style=WIDE), "utf-8")
     return page, [sentence for section in sections[:2] for sentence in section.sentences]
 
 
@@ -53,11 +53,9 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
     """All sections that a study's trials allow."""
     plan = folder.plan()
     folder.write_tables()
-    rng = np.random.default_rng(plan.seed)
     sections = [_overview(folder)]
-    tasks = [task for task in plan.tasks if not TASKS[task].case]
-    if tasks:
-        table = folder.table(*tasks)
+    if plan.compared:
+        table = folder.table(*plan.compared)
         whole = table.complete()
         if not len(whole):
             raise InputError(f"study must hold a trial that did not fail, got {table.failed} failures: see trials.csv")
@@ -66,7 +64,7 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
         report("discrimination", 0.2)
         sections.append(discrimination_section(folder, whole, plan.seed))
         report("tests", 0.4)
-        sections += _tested(table, rng)
+        sections += _tested(table, np.random.default_rng(plan.seed))
     report("case studies", 0.9)
     sections += case_sections(folder, plan.seed)
     sections += [each for each in (sensitivity_section(folder), reference_section(folder)) if each is not None]
@@ -76,43 +74,50 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
 def _tested(table: TrialTable, rng: np.random.Generator) -> list[Section]:
     """All that needs several people a group, or why there is none."""
     try:
-        tested = tests_sections(table, rng)
+        sections = tests_sections(table, rng)
     except InputError as error:
         return [Section("tests", "Tests", (f"Nothing could be tested: {error}.",))]
-    return [*tested, composite_section(table, rng), regression_section(table), power_section(table, rng)]
+    for name, title, make in (
+        ("index", "Composite index", composite_section),
+        ("regression", "Task error against force error and latency", regression_section),
+        ("power", "Power and error rates", power_section),
+    ):
+        try:
+            sections.append(Section(name, title, *make(table, rng)))
+        except InputError as error:
+            sections.append(Section(name, title, (f"This could not be tested: {error}.",)))
+    return sections
 
 
 def _overview(folder: StudyFolder) -> Section:
     """What was run, what is missing, what failed, and by which parameters."""
     plan = folder.plan()
     kept = list(folder.trials(variant=None))
+    counts = Counter((trial.key.task, trial.key.group) for trial in kept if not trial.key.variant)
     failures: dict[str, list[str]] = {}
-    for key, held in kept:
-        for row in held["rows"]:
+    for trial in kept:
+        for row in trial.rows:
             if "failure" in row:
-                failures.setdefault(f"{row['method']}: {row['failure']}", []).append(key.name)
-    rows = []
-    for task in plan.tasks:
-        keys = [key for key, _ in kept if key.task == task and not key.variant]
-        groups = ", ".join(f"{group} {sum(key.group == group for key in keys)}" for group in plan.groups)
-        rows.append((task, TASKS[task].title, _describe(task), groups))
-    empty = [group for group in plan.groups if not any(key.group == group and not key.variant for key, _ in kept)]
-    total = sum(1 for _ in plan.all_trials())
+                failures.setdefault(f"{row['method']}: {row['failure']}", []).append(trial.key.name)
+    rows = tuple(
+        (task, TASKS[task].title, _describe(task), ", ".join(f"{group} {counts[task, group]}" for group in plan.groups))
+        for task in plan.tasks
+    )
+    empty = [group for group in plan.groups if not any(counts[task, group] for task in plan.tasks)]
     sentences = [
-        f"{len(kept)} of {total} trials are there, seed {plan.seed}, version {package_version()}; methods "
-        f"{', '.join(plan.methods)}. Every trial has a latency of {LATENCY_MS} ms on the device touch.",
+        f"{len(kept)} of {sum(1 for _ in plan.all_trials())} trials are there, seed {plan.seed}, version "
+        f"{package_version()}; methods {', '.join(plan.methods)}. Every trial has a latency of {LATENCY_MS} ms on the "
+        "device touch.",
         f"{USERS} simulated people a group differ in pace, exponent and threshold, groups in hand and threshold. "
         "No person took part, and nothing here is a measure of physical fidelity: forces are held against the "
-        "engine's own ideal, as the paper's are against its own.",
+        "engine's counts ideal, as the paper's are against its counts.",
         f"Figures of the paper: {SOURCE}. Nothing was tuned to them.",
     ]
     if empty:
         sentences.append(f"No trial yet of {', '.join(empty)}: the figures are of the other groups.")
-    for what, names in failures.items():
-        sentences.append(f"{len(names)} failed, {what} ({names[0]}{', ...' if len(names) > 1 else ''}).")
-    return Section(
-        "overview", "What was run", tuple(sentences), ("task", "what", "scene and changes", "trials"), tuple(rows)
-    )
+    sentences += [f"{len(names)} failed, {what} ({names[0]}{', ...' * (len(names) > 1)})."
+                  for what, names in failures.items()]  # fmt: skip
+    return Section("overview", "What was run", tuple(sentences), ("task", "what", "scene and changes", "trials"), rows)
 
 
 def _describe(task: str) -> str:
@@ -124,31 +129,16 @@ def _describe(task: str) -> str:
     return f"{text}; specimens: {' or '.join(each or 'as it is' for each in specimens)}" if len(specimens) > 1 else text
 
 
-def _entry(item: tuple[str, Any]) -> str:
+def _entry(item: tuple[str, object]) -> str:
     """An entry of a scene in words."""
     name, value = item
     return f"{name} {'left out' if value is None else f'{value:g}' if isinstance(value, float) else value}"
 
 
-def _document(sections: list[Section], files: list[str]) -> str:
-    """The whole report."""
-    links = " · ".join(f'<a href="#{escape(each.name)}">{escape(each.title)}</a>' for each in sections)
-    body = "\n".join(_shown(section, file) for section, file in zip(sections, files, strict=True))
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>Study</title><style>{STYLE}{WIDE}</style></head><body>\n<h1>Study</h1>\n"
-        f'<p class="soft">{links}</p>\n{body}\n</body></html>\n'
-    )
-
-
-def _shown(section: Section, file: str) -> str:
-    """One section."""
+def _as_html(section: Section, file: str) -> str:
+    """One section, with the file that holds its table."""
     text = "".join(f'<p class="verdict">{escape(each)}</p>\n' for each in section.sentences)
-    picture = ""
-    if section.picture:
-        data = b64encode(section.picture).decode("ascii")
-        picture = f'<img alt="{escape(section.title)}" src="data:image/png;base64,{data}">\n'
+    picture = html_picture(section.title, section.picture) if section.picture else ""
     table = ""
     if section.rows:
         head = "".join(f"<th>{escape(each)}</th>" for each in section.header)

@@ -14,7 +14,7 @@ from meshes.base.progress import Progress, silent
 from tissue.evaluation.study.folder import StudyFolder
 from tissue.evaluation.study.plan import Plan, TrialKey
 from tissue.evaluation.study.pools import LOST, executor
-from tissue.evaluation.study.trial import Trial, run_trial, trial_seed
+from tissue.evaluation.study.trial import Row, Trial, error_sentence, run_trial, trial_seed
 from tissue.system.workers import first_done
 
 __all__ = ["run_study"]
@@ -70,7 +70,7 @@ def run_study(
     for sentence in folder.begin(plan):
         report(sentence, 0.0)
     if retry:
-        folder.forget_failures(plan)
+        folder.forget_failures()
     work = _Work(plan, folder, report)
     barren, connected = 0, False
     while work.waiting:
@@ -143,22 +143,21 @@ class _Work:
             if not self.running:
                 return
             for future in first_done(pool, self.running, lambda doing, _: self._report(doing, self.share)):
-                try:
-                    trial = future.result()
-                except LOST:
-                    raise
-                except Exception as error:  # whatever a worker met, such as a trial that ends it each time
-                    self.give_up(self.running.pop(future), f"{type(error).__name__}: {' '.join(str(error).split())}")
-                    continue
-                self._keep(trial)
-                self.done += 1
-                del self.running[future]
+                error = future.exception()
+                if isinstance(error, LOST):
+                    raise error
+                key = self.running.pop(future)
+                if isinstance(error, Exception):  # whatever a worker met, such as a trial that ends it each time
+                    self.give_up(key, error_sentence(error))
+                else:
+                    self._keep(future.result())
+                    self.done += 1
             self._report(f"trial {self.total - len(self.waiting)} of {self.total}, {self._left()}", self.share)
 
     def give_up(self, key: TrialKey, failure: str) -> None:
         """Keep a trial as failed."""
-        rows = tuple({"method": method, "failure": failure} for method in self.plan.methods)
-        self._keep(Trial(key, trial_seed(self.plan, key), rows, 0.0))
+        rows: list[Row] = [{"method": method, "failure": failure} for method in self.plan.methods]
+        self._keep(Trial(key, trial_seed(self.plan, key), tuple(rows), 0.0))
 
     def _keep(self, trial: Trial) -> None:
         """Write a trial that is still waited for; one that comes twice is the same."""

@@ -4,21 +4,31 @@ import csv
 import io
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Drawing
 
+from meshes.base.arrays import Array
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.paper import Figure
+from tissue.evaluation.study.tasks import METHODS, TASKS
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as Drawing
+__all__ = [
+    "COLOURS",
+    "Section",
+    "against",
+    "agreement",
+    "drawing",
+    "image",
+    "interval_by_users",
+    "legend",
+    "methods_of",
+    "spread",
+    "tasks_of",
+]  # fmt: skip
 
-__all__ = ["COLOURS", "Section", "agreement", "drawing", "image", "interval_by_users", "legend", "spread"]
-
-Array = NDArray[np.float64]
 ROUNDED = 0.05
 """Share by which a figure may be off that is published without its spread."""
 COLOURS = {"penalty": "#999999", "energy": "#E69F00", "koopman": "#0072B2", "koopman-perception": "#009E73"}
@@ -76,11 +86,26 @@ def agreement(ours: Array, paper: Figure) -> str:
     return f"{our_mean / paper.mean:.2f} of it" if paper.mean else "differs"
 
 
+def against(ours: Array, paper: Figure | None) -> tuple[str, str]:
+    """The paper's figure and how ours agrees with it, both empty where it has none."""
+    return (str(paper), agreement(ours, paper)) if paper else ("", "")
+
+
+def tasks_of(table: TrialTable) -> list[str]:
+    """Tasks that have trials, in their order."""
+    return [each for each in TASKS if each in table.task]
+
+
+def methods_of(table: TrialTable) -> list[str]:
+    """Methods that have trials, in their order."""
+    return [each for each in METHODS if each in table.method]
+
+
 def interval_by_users(table: TrialTable, metric: str, method: str) -> tuple[float, float, float]:
-    """Mean of users' means of a metric under a method, and its 95 % interval by t over users."""
+    """Mean of users' means of a metric, none failed, under a method, and its 95 % interval by t over users."""
     from scipy.stats import t
 
-    kept = table.where(method=method).complete()
+    kept = table.where(method=method)
     people, person = np.unique(kept.people(), return_inverse=True)
     means = np.bincount(person, kept.values(metric)) / np.bincount(person)
     centre = float(means.mean())
@@ -90,10 +115,8 @@ def interval_by_users(table: TrialTable, metric: str, method: str) -> tuple[floa
     return centre, centre - half, centre + half
 
 
-def drawing(width: float, height: float, columns: int = 1) -> "tuple[Drawing, list[Any]]":
+def drawing(width: float, height: float, columns: int = 1) -> tuple[Drawing, list[Axes]]:
     """An empty figure [inches] and its axes."""
-    from matplotlib.figure import Figure as Drawing
-
     figure = Drawing(figsize=(width, height), layout="constrained")
     axes = np.atleast_1d(figure.subplots(1, columns))
     for each in axes:
@@ -101,12 +124,12 @@ def drawing(width: float, height: float, columns: int = 1) -> "tuple[Drawing, li
     return figure, axes.tolist()
 
 
-def legend(figure: "Drawing", axes: Any) -> None:
+def legend(figure: Drawing, axes: Axes) -> None:
     """A legend of some axes above the figure, where it covers nothing."""
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=5, frameon=False, fontsize=9)
 
 
-def image(figure: "Drawing") -> bytes:
+def image(figure: Drawing) -> bytes:
     """PNG of a figure."""
     held = io.BytesIO()
     figure.savefig(held, format="png", dpi=120)

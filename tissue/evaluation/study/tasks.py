@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 __all__ = ["METHODS", "TASKS", "VARIANTS", "Task", "Variant"]
 
@@ -31,9 +30,9 @@ class Task:
 
     title: str
     scene: str
-    changes: Mapping[str, Any]
-    specimens: tuple[Mapping[str, Any], ...]
-    extremes: tuple[Mapping[str, Any], ...] = ()
+    changes: Mapping[str, object]
+    specimens: tuple[Mapping[str, object], ...]
+    extremes: tuple[Mapping[str, object], ...] = ()
     wanted_mm: tuple[tuple[float, float, float], ...] = ()
     most: int = 10_000
 
@@ -43,7 +42,7 @@ class Task:
         return not self.extremes
 
 
-def _scaled(nominal: Mapping[str, float], shares: Sequence[float]) -> tuple[Mapping[str, Any], ...]:
+def _scaled(nominal: Mapping[str, float], shares: Sequence[float]) -> tuple[Mapping[str, object], ...]:
     """Specimens with numbers scaled by shares."""
     return tuple({name: share * value for name, value in nominal.items()} for share in shares)
 
@@ -112,7 +111,7 @@ TASKS = {
 }
 """Tasks by name. Specimens differ by 30 % in stiffness, bone by 10 % in density. Reaming stops at 51 trials, the
 published number being 50."""
-METHODS: dict[str, Mapping[str, Any]] = {
+METHODS: dict[str, Mapping[str, object]] = {
     "penalty": {"renderer": "penalty"},
     "energy": {"renderer": "passivity"},
     "koopman": {"renderer": "proxy", "prediction": "koopman"},
@@ -125,21 +124,21 @@ METHODS: dict[str, Mapping[str, Any]] = {
 class Variant:
     """One parameter at another value; the rest is as in the study, seeds among it.
 
-        Attributes
-        ----------
+    Attributes
+    ----------
     parameter, value
-            What is varied, and the value in words.
-        changes
-            By dotted key.
-        pace
-            Factor on the hand's pace.
-        extreme
-            Which of the task's extremes replaces the specimen.
+        What is varied, and the value in words.
+    changes
+        By dotted key.
+    pace
+        Factor on the hand's pace.
+    extreme
+        Which of the task's extremes replaces the specimen.
     """
 
     parameter: str
     value: str
-    changes: Mapping[str, Any]
+    changes: Mapping[str, object]
     pace: float = 1.0
     extreme: int | None = None
 

@@ -1,6 +1,8 @@
 """Sections of a report on what the statistics of a study hold: tests, sizes of effects, index, regression, power."""
 
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -15,8 +17,7 @@ from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.statistics.tukey import corrected
 from tissue.evaluation.study.paper import COMPOSITE
 from tissue.evaluation.study.plan import USERS
-from tissue.evaluation.study.section import Section, drawing, image
-from tissue.evaluation.study.tasks import METHODS, TASKS
+from tissue.evaluation.study.section import Section, drawing, image, methods_of, tasks_of
 
 __all__ = ["DIRECTIONS", "composite_section", "power_section", "regression_section", "tests_sections"]
 
@@ -30,9 +31,11 @@ DIRECTIONS = {
     "time_s": -1,
 }
 """Metrics of the composite index and their directions."""
-NOT_TESTED = "could not be tested: "
 LOOSE = 0.06
 """False alarms of a test at 5 %, above which it is reported that it finds too much."""
+
+Content = tuple[tuple[str, ...], tuple[str, ...], tuple[tuple[str, ...], ...]]
+"""Sentences, header and rows of a section."""
 
 
 def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]:
@@ -41,38 +44,38 @@ def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]
     outcomes: list[tuple[str, HypothesisTest]] = []
     same: dict[str, list[str]] = {}
     refused: dict[str, list[str]] = {}
-    for task in (each for each in TASKS if each in table.task):
+
+    @contextmanager
+    def attempt(what: str) -> Iterator[None]:
+        """Note a test that its data refuse."""
+        try:
+            yield
+        except InputError as error:
+            refused.setdefault(str(error), []).append(what)
+
+    for task in tasks_of(table):
         for metric in COMPARED:
             chosen, equal = _distinct(table.where(task=task), (metric,))
             same.setdefault(task, []).extend(equal)
-            try:
+            with attempt(f"{task} {metric}"):
                 found.append(compare(chosen, metric, task=task, rng=rng))
-            except InputError as error:
-                refused.setdefault(str(error), []).append(f"{task} {metric}")
-                continue
-            outcomes += [(task, each) for each in found[-1].tests]
+                outcomes += [(task, each) for each in found[-1].tests]
         chosen, _ = _distinct(table.where(task=task), COMPARED)
         for factor in ("method", "group"):
-            try:
-                if factor == "method" and len(np.unique(chosen.method)) < 2:
+            with attempt(f"{task} all metrics by {factor}"):
+                if factor == "method" and len(methods_of(chosen)) < 2:
                     raise InputError(
                         "methods must differ in every metric, got none that do: compare metrics one by one"
                     )
                 outcomes.append((task, manova(chosen, COMPARED, factor=factor, rng=rng)))
-            except InputError as error:
-                refused.setdefault(str(error), []).append(f"{task} all metrics by {factor}")
     for metric in COMPARED:
         chosen, equal = _distinct(table, (metric,))
         same.setdefault("all", []).extend(equal)
-        try:
-            whole = across_tasks(chosen, metric, rng=rng)
-        except InputError as error:
-            refused.setdefault(str(error), []).append(f"{metric} over all tasks")
-        else:
-            outcomes += [("all", each) for each in whole.tests]
+        with attempt(f"{metric} over all tasks"):
+            outcomes += [("all", each) for each in across_tasks(chosen, metric, rng=rng).tests]
     remarks = [f"{task}: {'; '.join(equal)}." for task, equal in same.items() if equal]
     remarks += list(dict.fromkeys(f"{task}: {each.note}" for task, each in outcomes if each.note))
-    remarks += [f"{'; '.join(what)} {NOT_TESTED}{why}." for why, what in refused.items()]
+    remarks += [f"{'; '.join(what)} could not be tested: {why}." for why, what in refused.items()]
     return [_outcomes(outcomes, remarks), _pairs(found), _assumptions(outcomes)]
 
 
@@ -80,7 +83,7 @@ def _distinct(table: TrialTable, metrics: Sequence[str]) -> tuple[TrialTable, li
     """A task's trials without methods that give a metric of another's: there is no spread to test the two by."""
     kept: list[str] = []
     left_out = []
-    for method in (each for each in METHODS if each in table.method):
+    for method in methods_of(table):
         same = [(other, metric) for other in kept for metric in metrics if _equal(table, metric, method, other)]
         if same:
             left_out.append(f"{method} has the {same[0][1]} of {same[0][0]} in every trial and is left out")
@@ -98,38 +101,34 @@ def _equal(table: TrialTable, metric: str, one: str, other: str) -> bool:
 
 def _outcomes(outcomes: list[tuple[str, HypothesisTest]], remarks: list[str]) -> Section:
     """All tests, their p corrected over the family."""
-    whole = corrected([each.p for _, each in outcomes], "bonferroni")
-    rows = []
-    for (task, each), p in zip(outcomes, whole, strict=True):
-        robust = "; ".join(f"{other.test} {format_p(other.p)}" for other in each.alternatives)
-        rows.append(
-            (
-                task,
-                each.question,
-                each.test,
-                each.figures,
-                format_p(p),
-                "effect" if p < ALPHA else "none shown",
-                str(each.effect or ""),
-                "yes" if each.sound else "no",
-                robust,
-            )
+    rows = tuple(
+        (
+            task,
+            each.question,
+            each.test,
+            each.figures,
+            format_p(p),
+            "effect" if p < ALPHA else "none shown",
+            str(each.effect or ""),
+            "yes" if each.sound else "no",
+            "; ".join(f"{other.test} {format_p(other.p)}" for other in each.alternatives),
         )
-    kept = sum(row[5] == "effect" for row in rows)
-    unsound = sum(row[7] == "no" for row in rows)
+        for (task, each), p in zip(outcomes, corrected([each.p for _, each in outcomes], "bonferroni"), strict=True)
+    )
     differing = [
         f"{task} {each.question}" for task, each in outcomes if any(o.found != each.found for o in each.alternatives)
     ]
-    sentences = [
-        f"{kept} of {len(rows)} tests show an effect after Bonferroni's correction over all of them. The unit is the "
-        f"person, not the trial: a group has at most {USERS} people, who meet every method, so that many trials alone "
-        "do not make an effect.",
-        f"An assumption is refused in {unsound} of them; the tests in the last column rest on less."
+    sentences = (
+        f"{sum(row[5] == 'effect' for row in rows)} of {len(rows)} tests show an effect after Bonferroni's correction "
+        f"over all of them. The unit is the person, not the trial: a group has at most {USERS} people, who meet every "
+        "method, so that many trials alone do not make an effect.",
+        f"An assumption is refused in {sum(row[7] == 'no' for row in rows)} of them; the tests in the last column rest "
+        "on less."
         + (f" They do not all agree on {'; '.join(differing)}." if differing else " They all agree with the test."),
         *remarks,
-    ]
+    )
     header = ("task", "question", "test", "figures", "p, Bonferroni", "shows", "size", "assumptions hold", "on less")
-    return Section("tests", "Tests", tuple(sentences), header, tuple(rows))
+    return Section("tests", "Tests", sentences, header, rows)
 
 
 def _pairs(found: list[MetricComparison]) -> Section:
@@ -188,10 +187,8 @@ def _assumptions(outcomes: list[tuple[str, HypothesisTest]]) -> Section:
         for task, each in outcomes
         for check in each.assumptions
     )
-    failed: dict[str, int] = {}
-    for row in rows:
-        failed[row[2]] = failed.get(row[2], 0) + (row[3] == "no")
-    failures = ", ".join(f"{name} {count}" for name, count in failed.items())
+    failed = Counter(row[2] for row in rows if row[3] == "no")
+    failures = ", ".join(f"{name} {failed[name]}" for name in dict.fromkeys(row[2] for row in rows))
     return Section(
         "diagnostics",
         "Diagnostics",
@@ -201,90 +198,53 @@ def _assumptions(outcomes: list[tuple[str, HypothesisTest]]) -> Section:
     )
 
 
-def composite_section(table: TrialTable, rng: np.random.Generator) -> Section:
-    """The composite index."""
+def composite_section(table: TrialTable, rng: np.random.Generator) -> Content:
+    """The composite index of each method and its weights."""
+    index = composite_index(table, DIRECTIONS, rng=rng)
+    rows = tuple(
+        (what, each.name, f"{each.value:.3f}", f"{each.low:.3f}", f"{each.high:.3f}",
+         str(COMPOSITE.get(each.name, "")) if what == "mean" else "")
+        for what, effects in (("weight", index.weights), ("mean", index.means))
+        for each in effects
+    )  # fmt: skip
+    order = [each.name for each in sorted(index.means, key=lambda each: -each.value)]
+    sentences = (
+        index.sentence,
+        f"By this index the order is {', '.join(order)}. The paper's 0.91 and 0.72 lie on a scale that its formula "
+        "does not fix (metrics of mixed signs and units), so that only the order can be compared: there the "
+        "perceptual method is best. "
+        + ("So it is here." if order[0] == "koopman-perception" else f"Here it is {order[0]}."),
+    )
+    return sentences, ("what", "name", "value", "low", "high", "paper"), rows
 
-    def made() -> Section:
-        """The index of each method and its weights."""
-        index = composite_index(table, DIRECTIONS, rng=rng)
-        rows = [
-            ("weight", each.name, f"{each.value:.3f}", f"{each.low:.3f}", f"{each.high:.3f}", "")
-            for each in index.weights
-        ]
-        rows += [
-            (
-                "mean",
-                each.name,
-                f"{each.value:.3f}",
-                f"{each.low:.3f}",
-                f"{each.high:.3f}",
-                str(COMPOSITE.get(each.name, "")),
-            )
-            for each in index.means
-        ]
-        means = {each.name: each.value for each in index.means}
-        order = sorted(means, key=lambda name: -means[name])
-        sentences = (
-            index.sentence,
-            f"By this index the order is {', '.join(order)}. The paper's 0.91 and 0.72 lie on a scale that its formula "
-            "does not fix (metrics of mixed signs and units), so that only the order can be compared: there the "
-            "perceptual method is best. "
-            + ("So it is here." if order[0] == "koopman-perception" else f"Here it is {order[0]}."),
+
+def regression_section(table: TrialTable, rng: np.random.Generator) -> Content:
+    """Task error on force error and latency: slopes by task."""
+    rows, remarks = [], []
+    for task in tasks_of(table):
+        found = trial_regression(table.where(task=task), "position_error_mm", ("force_error", "latency_ms"))
+        remarks.append(f"{task}: {found.sentence}")
+        for slope, chance in zip(found.slopes, found.chances, strict=True):
+            figures = (f"{slope.value:.4g}", f"{slope.low:.4g}", f"{slope.high:.4g}", f"{chance:.3f}")
+            rows.append((task, slope.name, *figures))
+    return tuple(remarks), ("task", "slope", "median", "low", "high", "chance above zero"), tuple(rows)
+
+
+def power_section(table: TrialTable, rng: np.random.Generator) -> Content:
+    """Error rates of the tests with users drawn again 10,000 times, by task and test."""
+    rows, remarks, loose = [], [], []
+    for task in tasks_of(table):
+        chosen, _ = _distinct(table.where(task=task), ("force_error",))
+        for each in redrawn_power(chosen.cells("force_error"), rng=rng):
+            remarks.append(f"{task}, {each.sentence}")
+            if each.false_alarms.low > LOOSE:
+                loose.append(f"{task} {each.test}")
+            rates = (each.false_alarms.value, each.hits.value, 1.0 - each.hits.value)
+            rows.append((task, each.test, *(f"{100.0 * rate:.1f}" for rate in rates), str(each.populations)))
+    if loose:
+        remarks.append(
+            f"More false alarms than {100.0 * LOOSE:.0f} % for {', '.join(loose)}: where the spread differs "
+            "between groups or between pairs of methods, the usual F finds too much, and the tests that rest on "
+            "less, in the last column of Tests, are the ones to trust."
         )
-        header = ("what", "name", "value", "low", "high", "paper")
-        return Section("index", "Composite index", sentences, header, tuple(rows))
-
-    return _or_refusal("index", "Composite index", made)
-
-
-def regression_section(table: TrialTable) -> Section:
-    """Task error on force error and latency."""
-
-    def made() -> Section:
-        """Slopes by task."""
-        rows, remarks = [], []
-        for task in (each for each in TASKS if each in table.task):
-            found = trial_regression(table.where(task=task), "position_error_mm", ("force_error", "latency_ms"))
-            remarks.append(f"{task}: {found.sentence}")
-            for slope, chance in zip(found.slopes, found.chances, strict=True):
-                figures = (f"{slope.value:.4g}", f"{slope.low:.4g}", f"{slope.high:.4g}", f"{chance:.3f}")
-                rows.append((task, slope.name, *figures))
-        header = ("task", "slope", "median", "low", "high", "chance above zero")
-        return Section("regression", "Task error against force error and latency", tuple(remarks), header, tuple(rows))
-
-    return _or_refusal("regression", "Task error against force error and latency", made)
-
-
-def power_section(table: TrialTable, rng: np.random.Generator) -> Section:
-    """Error rates of the tests with users drawn again 10,000 times."""
-
-    def made() -> Section:
-        """Rates by task and test."""
-        rows, remarks, loose = [], [], []
-        for task in (each for each in TASKS if each in table.task):
-            for each in redrawn_power(
-                _distinct(table.where(task=task), ("force_error",))[0].cells("force_error"), rng=rng
-            ):
-                remarks.append(f"{task}, {each.sentence}")
-                if each.false_alarms.low > LOOSE:
-                    loose.append(f"{task} {each.test}")
-                shares = [f"{100.0 * value:.1f}" for value in (each.false_alarms.value, each.hits.value)]
-                rows.append((task, each.test, *shares, f"{100.0 * (1.0 - each.hits.value):.1f}", str(each.populations)))
-        if loose:
-            remarks.append(
-                f"More false alarms than {100.0 * LOOSE:.0f} % for {', '.join(loose)}: where the spread differs "
-                "between groups or between pairs of methods, the usual F finds too much, and the tests that rest on "
-                "less, in the last column of Tests, are the ones to trust."
-            )
-        header = ("task", "test", "type I %", "power %", "type II %", "populations")
-        return Section("power", "Power and error rates", tuple(remarks), header, tuple(rows))
-
-    return _or_refusal("power", "Power and error rates", made)
-
-
-def _or_refusal(name: str, title: str, made: Callable[[], Section]) -> Section:
-    """A section, or why there is none."""
-    try:
-        return made()
-    except InputError as error:
-        return Section(name, title, (f"This {NOT_TESTED}{error}.",))
+    return tuple(remarks), ("task", "test", "type I %", "power %", "type II %", "populations"), tuple(rows)

@@ -7,9 +7,10 @@ from functools import lru_cache
 from math import floor
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from tissue.builders.loop import judged_loop
 from tissue.evaluation.calibration.simulated_observer import draw_observers
@@ -26,7 +27,10 @@ from tissue.scene.tool import PathMotion
 from tissue.simulation.reference_force import ideal_force_N, stretch_force_N
 from tissue.simulation.simulate import TICK_S, simulate
 
-__all__ = ["Trial", "TrialScene", "run_trial", "trial_scene", "trial_seed"]
+__all__ = ["Row", "Trial", "TrialScene", "error_sentence", "run_trial", "trial_scene", "trial_seed"]
+
+Row = dict[str, str | float]
+"""A method's name and its metrics, or the sentence of its failure."""
 
 PACE_SPREAD, WITHIN_SPREAD = 0.15, 0.05
 """Spread of the logarithm of people's pace, and of one person's from trial to trial; assumed."""
@@ -52,9 +56,18 @@ class Trial:
     """
 
     key: TrialKey
-    seed: int
-    rows: tuple[dict[str, Any], ...]
+    seed: Annotated[int, Field(ge=0, lt=2**63)]
+    rows: tuple[Row, ...]
     took_s: float
+
+    @property
+    def failed(self) -> bool:
+        """Whether a method failed in it."""
+        return any("failure" in row for row in self.rows)
+
+    def values(self, metric: str) -> dict[str, float]:
+        """A metric by the methods that have it."""
+        return {str(row["method"]): float(row[metric]) for row in self.rows if metric in row}
 
 
 @dataclass(frozen=True)
@@ -83,25 +96,26 @@ def run_trial(plan: Plan, key: TrialKey) -> Trial:
     Alone it gives what it gives in its study: ``run_trial(Plan(seed=0), TrialKey.named("T1-novice-0007"))``.
     """
     started = perf_counter()
-    rows: list[dict[str, Any]] = []
+    rows: list[Row] = []
+    trial: TrialScene | None = None
     with tempfile.TemporaryDirectory() as folder:
-        try:
-            trial = trial_scene(plan, key, Path(folder) / "observer.json")
-        except Exception as error:  # as below
-            rows = [{"method": method, "failure": _as_sentence(error)} for method in _methods(plan, key)]
-        else:
-            for method in _methods(plan, key):
-                try:
-                    found: dict[str, Any] = dict(_metrics(trial, method, key))
-                except Exception as error:  # a trial that fails must not take the study with it, whatever the fault
-                    found = {"failure": _as_sentence(error)}
-                rows.append({"method": method} | found)
+        for method in _methods(plan, key):
+            try:
+                trial = trial or trial_scene(plan, key, Path(folder) / f"{method}.json")
+                rows.append({"method": method, **_metrics(trial, method, key)})
+            except Exception as error:  # a trial that fails must not take the study with it, whatever the fault
+                rows.append({"method": method, "failure": error_sentence(error)})
     return Trial(key, trial_seed(plan, key), tuple(rows), perf_counter() - started)
 
 
 def trial_seed(plan: Plan, key: TrialKey) -> int:
     """Seed of a trial's scenes."""
     return int(plan.rng(key).integers(2**62))
+
+
+def error_sentence(error: Exception) -> str:
+    """Kind and words of an error on one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
 def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
@@ -114,11 +128,11 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
     write_observer(known, observer)
     specimen = int(rng.integers(len(task.specimens)))
     met = task.specimens[specimen] if variant.extreme is None else task.extremes[variant.extreme]
-    scene = changed(load_scene(task.scene), dict(task.changes) | dict(met))
+    scene = changed(load_scene(task.scene), {**task.changes, **met})
     assert isinstance(scene.motion, PathMotion)
-    changes = {"device": "touch", "hand": key.group, "coupling.delay_ms": LATENCY_MS}
     per_trial = {"seed": seed, "motion.feed_mm_s": round(float(pace) * scene.motion.feed_mm_s, 3)}
-    scene = changed(scene, changes | dict(variant.changes))
+    by_hand = {"device": "touch", "hand": key.group, "coupling.delay_ms": LATENCY_MS, **variant.changes}
+    scene = changed(scene, by_hand)
     scenes = {name: changed(scene, method) for name, method in METHODS.items()}
     stiffness = [_stiffness_N_m(each) for each in scenes.values()]
     scenes["koopman-perception"] = changed(scenes["koopman-perception"], {"perception": f"observer:{observer}"})
@@ -137,8 +151,8 @@ def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Obse
     """A person, and what the map fitted to their numbers; thresholds are known as they are."""
     drawn = draw_observers(key.group, 1, rng)
     name = f"{key.group} {key.user}"
-    per_trial: dict[str, Any] = {each: float(getattr(drawn, each)[0]) for each in PARAMETERS}
-    truth = Observer.known(name, **per_trial)
+    alpha, beta, kappa, offset_N, lapse, sigma = (float(getattr(drawn, each)[0]) for each in PARAMETERS)
+    truth = Observer.known(name, alpha=alpha, beta=beta, kappa=kappa, offset_N=offset_N, lapse=lapse, sigma=sigma)
     forces = np.resize(MAGNITUDE_FORCES_N, NUMBERS)
     fit = fit_magnitudes(forces, np.array([drawn.number(force, rng)[0] for force in forces]))
     mean, covariance = truth.mean.copy(), truth.covariance.copy()
@@ -164,8 +178,3 @@ def _metrics(trial: TrialScene, method: str, key: TrialKey) -> dict[str, float]:
     assert isinstance(run.scene.motion, PathMotion)
     wanted = np.array(TASKS[key.task].wanted_mm or run.scene.motion.points_mm)
     return measured(run, key.task, trial.person, wanted_mm=wanted) | {"specimen": float(trial.specimen)}
-
-
-def _as_sentence(error: Exception) -> str:
-    """Kind and words of an error on one line."""
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"

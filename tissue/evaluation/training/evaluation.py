@@ -3,14 +3,13 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from tissue.evaluation.training.recording import Recording
 from tissue.prediction.predictor import Predictor
 
 __all__ = ["HORIZONS", "forecast", "forecast_errors"]
 
-Array = NDArray[np.float64]
 HORIZONS = (1, 2, 3, 4, 6, 8, 10)
 """Ticks ahead at which predictors are compared."""
 

@@ -6,6 +6,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.evaluation.training.recording import Recording
 from tissue.prediction.edmd.dictionary import Delays, Dictionary, Identity
@@ -21,7 +22,6 @@ from tissue.prediction.trained import Trained
 
 __all__ = ["CHOSEN_AT", "candidates", "contact_plane", "fit", "loop_terms"]
 
-Array = NDArray[np.float64]
 CHOSEN_AT = 4
 """Ticks ahead at which dictionaries are compared: the latency that is to be hidden."""
 FOLDS = 3

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import silent
 from tissue.builders.hand import hand_motion
@@ -23,7 +23,6 @@ from tissue.simulation.simulate import TICK_S
 
 __all__ = ["DELAYS_MS", "Recorder", "Recording", "trial"]
 
-Array = NDArray[np.float64]
 DELAYS_MS = (0, 4, 8)
 """Latencies of training runs, in turn: a late force makes a hand move otherwise."""
 DITHER_N = 1e-6
