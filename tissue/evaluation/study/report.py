@@ -110,7 +110,7 @@ def _overview(folder: StudyFolder) -> Section:
         "device touch.",
         f"{USERS} simulated people a group differ in pace, exponent and threshold, groups in hand and threshold. "
         "No person took part, and nothing here is a measure of physical fidelity: forces are held against the "
-        "engine's counts ideal, as the paper's are against its counts.",
+        "engine's own ideal, as the paper's are against its own.",
         f"Figures of the paper: {SOURCE}. Nothing was tuned to them.",
     ]
     if empty:
