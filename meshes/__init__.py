@@ -6,14 +6,15 @@ name differs. Modules that read files or search surfaces import pyvista, trimesh
 
 from meshes.base.errors import InputError
 from meshes.base.placement import Placement
-from meshes.images.bone_image import CT_DENSITY, DensityLaw, read_volume
+from meshes.images.bone_image import CT_DENSITY, DensityLaw, image_volume
+from meshes.images.reading import read_image
 from meshes.shapes.anatomy import Anatomy, cortical_block
 from meshes.shapes.sdf import Shape
 from meshes.surfaces.bone_surface import surface_anatomy
 from meshes.surfaces.glenoid import glenoid
 from meshes.surfaces.site import Site, find_glenoid, place_site
 from meshes.surfaces.surface import Surface, SurfaceReport, read_surface
-from meshes.tooth.label_volume import label_volume
+from meshes.tooth.label_volume import labelled_tooth
 from meshes.tooth.layered_surfaces import layered_surfaces
 from meshes.tooth.layers import TOOTH_LAYERS, caries_softness
 from meshes.tooth.molar import molar
@@ -36,12 +37,13 @@ __all__ = [
     "cortical_block",
     "find_glenoid",
     "glenoid",
-    "label_volume",
+    "image_volume",
+    "labelled_tooth",
     "layered_surfaces",
     "molar",
     "place_site",
+    "read_image",
     "read_surface",
-    "read_volume",
     "surface_anatomy",
     "voxelise",
 ]

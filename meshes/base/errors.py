@@ -135,9 +135,9 @@ def require_file(file: Path, content: str) -> None:
     InputError
         If it is.
     """
-    if not file.exists():
+    if not file.is_file():
         raise InputError(f"file must exist, got {file}: check the path, which is taken from the working directory")
-    if file.is_file() and file.stat().st_size == 0:
+    if file.stat().st_size == 0:
         raise InputError(f"file must hold {content}, got the empty file {file.name}: export it again")
 
 

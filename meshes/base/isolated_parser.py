@@ -24,7 +24,12 @@ from numpy.typing import NDArray
 from meshes.base.child_process import kill_with_parent, python_command, start_code
 from meshes.base.errors import DamagedFileError, InputError
 
-__all__ = ["Parsed", "parse_isolated"]
+__all__ = ["Answer", "Parsed", "parse_isolated"]
+
+Facts = dict[str, Any]
+"""What JSON can hold, by name."""
+Answer = tuple[Facts, dict[str, NDArray[np.number]]]
+"""What a parser returns: facts, and arrays by name."""
 
 _START = start_code("meshes.base.isolated_parser", "_serve")
 _LONGEST_S, _BYTES_A_SECOND = 60.0, 1_000_000
@@ -45,12 +50,12 @@ class Parsed:
         Arrays of numbers or truths, by name.
     """
 
-    facts: dict[str, Any]
-    arrays: dict[str, NDArray[Any]]
+    facts: Facts
+    arrays: dict[str, NDArray[np.number]]
 
 
 def parse_isolated(
-    parser: str, file: Path, *, what: str, remedy: str, longest_s: float | None = None, **options: Any
+    parser: str, file: Path, *, what: str, remedy: str, longest_s: float | None = None, **options: object
 ) -> Parsed:
     """Run a parser on a file in a process of its own.
 
@@ -137,9 +142,9 @@ class _Monitor:
         Thread(target=end_when_over, daemon=True).start()
 
 
-def _receive(answers: IO[bytes]) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def _receive(answers: IO[bytes]) -> Answer:
     """The child's answer; ValueError where it is cut short."""
-    answer: dict[str, Any] = json.loads(answers.readline() or b"{")
+    answer: Facts = json.loads(answers.readline() or b"{")
     arrays = {}
     for name, kind, shape in answer.get("arrays", ()):
         array = np.empty(shape, dtype=np.dtype(kind))
@@ -162,7 +167,7 @@ def _serve() -> None:
     os.dup2(2, 1)  # what the libraries print goes where nobody looks
     name, file, options = json.loads(request)
     module, function = name.split(":")
-    arrays: Mapping[str, NDArray[Any]] = {}
+    arrays: Mapping[str, NDArray[np.number]] = {}
     try:
         facts, arrays = getattr(import_module(module), function)(Path(file), **options)
         arrays = {key: np.ascontiguousarray(array) for key, array in arrays.items()}

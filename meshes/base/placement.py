@@ -44,11 +44,11 @@ class Placement:
         matrix[:3, 3] = -self.rotation.T @ self.origin_mm
         return matrix
 
-    def to_file(self, points_mm: NDArray[Any]) -> NDArray[np.float64]:
+    def to_file(self, points_mm: NDArray[np.floating]) -> NDArray[np.float64]:
         """Points of the scene [mm], shape (n, 3), in the file's frame and unit."""
         return (self.origin_mm + np.asarray(points_mm, dtype=np.float64) @ self.rotation.T) / self.unit_mm
 
-    def to_scene(self, points: NDArray[Any]) -> NDArray[np.float64]:
+    def to_scene(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
         """Points in the file's frame and unit, shape (n, 3), in the scene's frame [mm]."""
         return (np.asarray(points, dtype=np.float64) * self.unit_mm - self.origin_mm) @ self.rotation
 

@@ -1,18 +1,15 @@
 """The voxels of an image file: as many as its header states, and where compressed with a checksum that fits."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 
-__all__ = ["first_bytes", "is_gzip", "read_voxels", "require_size", "require_whole_stream", "scaled"]
+__all__ = ["first_bytes", "is_gzip", "read_voxels", "require_size", "scaled"]
 
 _GZIP = b"\x1f\x8b"
 _ZLIB_OR_GZIP = 47
@@ -32,8 +29,8 @@ def first_bytes(path: Path, count: int) -> bytes:
 
 
 def read_voxels(
-    path: Path, dtype: np.dtype[Any], shape: tuple[int, ...], *, start: int = 0, skip: int = 0, compressed: bool
-) -> NDArray[Any]:
+    path: Path, dtype: np.dtype[np.number], shape: tuple[int, ...], *, start: int = 0, skip: int = 0, compressed: bool
+) -> NDArray[np.number]:
     """Read a file to its end as an array, first index fastest.
 
     Parameters
@@ -51,47 +48,35 @@ def read_voxels(
     needed = dtype.itemsize * int(np.prod(shape, dtype=object))
     if needed > (_DENSEST if compressed else 1) * path.stat().st_size:
         raise InputError(_sizes_differ(path, needed, f"a file of {path.stat().st_size}"))
-    values = np.empty(needed // dtype.itemsize, dtype=dtype)
-    view, at = memoryview(cast(bytes, values.view(np.uint8))), -skip
+    stored, at = np.empty(needed, dtype=np.uint8), 0
     for piece in _plain(path, start, compressed):
-        if at < 0:
-            at, piece = at + len(piece), piece[-at:]
-            if at <= 0:
-                continue
-            at = 0
+        piece, skip = piece[skip:], max(skip - len(piece), 0)
         if at + len(piece) > needed:
             raise InputError(_sizes_differ(path, needed, "more"))
-        view[at : at + len(piece)] = piece
+        stored[at : at + len(piece)] = np.frombuffer(piece, dtype=np.uint8)
         at += len(piece)
     if at < needed:
-        raise InputError(_sizes_differ(path, needed, str(max(at, 0))))
-    return values.reshape(shape, order="F").astype(dtype.newbyteorder("="), copy=False)
+        raise InputError(_sizes_differ(path, needed, str(at)))
+    return stored.view(dtype).reshape(shape, order="F").astype(dtype.newbyteorder("="), copy=False)
 
 
-def require_size(path: Path, start: int, needed: int) -> None:
-    """Refuse a file that does not hold exactly `needed` bytes after byte `start`."""
-    found = path.stat().st_size - start
-    if found != needed:
-        raise InputError(_sizes_differ(path, needed, str(max(found, 0))))
-
-
-def require_whole_stream(path: Path, start: int, needed: int) -> None:
-    """Refuse zlib or gzip data from byte `start` of a file that are damaged or not `needed` bytes long."""
-    found = 0
-    for piece in _plain(path, start, True):
+def require_size(path: Path, start: int, needed: int, *, compressed: bool) -> None:
+    """Refuse a file whose data from byte `start`, zlib or gzip where `compressed`, are not `needed` bytes."""
+    found = 0 if compressed else max(path.stat().st_size - start, 0)
+    for piece in _plain(path, start, True) if compressed else ():
         found += len(piece)
         if found > needed:
             raise InputError(_sizes_differ(path, needed, "more"))
-    if found < needed:
+    if found != needed:
         raise InputError(_sizes_differ(path, needed, str(found)))
 
 
-def scaled(values: NDArray[Any], slope: float, intercept: float) -> NDArray[Any]:
+def scaled(values: NDArray[np.number], slope: float, intercept: float) -> NDArray[np.number]:
     """Values times slope plus intercept; as they are where that changes nothing, else float32 or float64."""
     if (slope, intercept) == (1.0, 0.0):
         return values
     kind = np.float32 if values.dtype.itemsize <= 2 or values.dtype == np.float32 else np.float64
-    found: Any = values.astype(kind)
+    found: NDArray[np.floating] = values.astype(kind)
     found *= kind(slope)
     found += kind(intercept)
     return found

@@ -5,8 +5,6 @@ a message counts files in the order of their names instead of naming them, becau
 identifiers into those. The folder's name is the user's.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -19,7 +17,7 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError
 from meshes.images.dicom_stack import Slice, stack_step
 from meshes.images.frame import StoredImage
-from meshes.images.itk import array_of, quiet_itk
+from meshes.images.itk import array_of, itk_reader
 
 __all__ = ["read_dicom"]
 
@@ -44,6 +42,9 @@ _READ = (
     "RescaleSlope",
     "PixelData",
 )
+Header = Mapping[str, Any]
+"""Elements of a file by name."""
+
 _MAGIC, _PREAMBLE = b"DICM", 128
 _UNDEFINED_LENGTH = 0xFFFFFFFF
 
@@ -91,7 +92,7 @@ def _may_be_slice(file: Path) -> bool:
     return file.is_file() and not known
 
 
-def _header(file: Path, place: str) -> dict[str, Any]:
+def _header(file: Path, place: str) -> Header:
     """The elements `_READ` of a file by name, but for the pixels, of which only the length is checked."""
     import pydicom
 
@@ -104,7 +105,7 @@ def _header(file: Path, place: str) -> dict[str, Any]:
             warnings.simplefilter("ignore")
             dataset = pydicom.dcmread(file, specific_tags=list(_READ))
             compressed = dataset.file_meta.TransferSyntaxUID.is_compressed
-            pixels: Any = dataset.get_item("PixelData")
+            pixels = dataset.get_item("PixelData")
             in_parts = getattr(pixels, "length", None) == _UNDEFINED_LENGTH or getattr(
                 pixels, "is_undefined_length", False
             )
@@ -129,7 +130,7 @@ def _damaged(place: str) -> str:
     return f"a DICOM slice must be whole and readable, got a damaged one, {place}: export the series again"
 
 
-def _require_one_series(headers: Sequence[Mapping[str, Any]], folder: Path) -> None:
+def _require_one_series(headers: Sequence[Header], folder: Path) -> None:
     """Refuse several series, distinguished by identifier and number but named by number and slices alone."""
     found = Counter((str(header["SeriesInstanceUID"]), _whole(header)) for header in headers)
     if len(found) > 1:
@@ -140,7 +141,7 @@ def _require_one_series(headers: Sequence[Mapping[str, Any]], folder: Path) -> N
         )
 
 
-def _whole(header: Mapping[str, Any]) -> str:
+def _whole(header: Header) -> str:
     """The number of a series; nothing but a short whole number may pass from a header into a message."""
     try:
         number = int(header["SeriesNumber"])
@@ -149,7 +150,7 @@ def _whole(header: Mapping[str, Any]) -> str:
     return str(number) if abs(number) < 1_000_000 else "?"
 
 
-def _slice(header: Mapping[str, Any], place: str) -> Slice:
+def _slice(header: Header, place: str) -> Slice:
     """Place and size of a slice."""
     if int(header["NumberOfFrames"] or 1) != 1:
         raise InputError(
@@ -161,19 +162,19 @@ def _slice(header: Mapping[str, Any], place: str) -> Slice:
             "grey values"
         )
     both = _numbers(header, "ImageOrientationPatient", 6, place)
-    spacing = _numbers(header, "PixelSpacing", 2, place)
+    down, along = _numbers(header, "PixelSpacing", 2, place).tolist()
     return Slice(
         position_mm=_numbers(header, "ImagePositionPatient", 3, place),
         row=both[:3],
         column=both[3:],
-        pixel_mm=(float(spacing[1]), float(spacing[0])),
+        pixel_mm=(along, down),
         size=(int(header["Columns"]), int(header["Rows"])),
         tilt_deg=_number(header, "GantryDetectorTilt", 0.0, place),
         place=place,
     )
 
 
-def _numbers(header: Mapping[str, Any], key: str, count: int, place: str) -> NDArray[np.float64]:
+def _numbers(header: Header, key: str, count: int, place: str) -> NDArray[np.float64]:
     """The finite numbers of an element."""
     try:
         with warnings.catch_warnings():
@@ -189,21 +190,15 @@ def _numbers(header: Mapping[str, Any], key: str, count: int, place: str) -> NDA
     return found
 
 
-def _number(header: Mapping[str, Any], key: str, absent: float, place: str) -> float:
+def _number(header: Header, key: str, absent: float, place: str) -> float:
     """One number of an element, or what stands for it where it is absent or empty."""
     return absent if header[key] in (None, "") else float(_numbers(header, key, 1, place)[0])
 
 
-def _pixels(file: Path, stated: Slice) -> NDArray[Any]:
+def _pixels(file: Path, stated: Slice) -> NDArray[np.number]:
     """Grey values of a slice, slope and intercept applied, shape (1, rows, columns)."""
-    import SimpleITK
-
-    quiet_itk()
-    reader = SimpleITK.ImageFileReader()
-    reader.SetFileName(str(file))
-    reader.SetImageIO("GDCMImageIO")
     try:
-        plane = array_of(reader.Execute())
+        plane = array_of(itk_reader(file, "GDCMImageIO").Execute())
     except (RuntimeError, MemoryError) as problem:
         raise InputError(_damaged(stated.place)) from problem
     if plane.shape != (*stated.size, 1):
@@ -211,7 +206,7 @@ def _pixels(file: Path, stated: Slice) -> NDArray[Any]:
     return plane.T
 
 
-def _replace_padding(plane: NDArray[Any], header: Mapping[str, Any], place: str) -> int:
+def _replace_padding(plane: NDArray[np.number], header: Header, place: str) -> int:
     """Give voxels of the padding value the lowest other value, in place, and count them."""
     if header["PixelPaddingValue"] in (None, ""):
         return 0

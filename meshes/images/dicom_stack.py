@@ -1,7 +1,5 @@
 """Slices of a DICOM series put in order: one even stack, sheared at most by the tilt of the gantry that they state."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -3,19 +3,19 @@
 LPS is the frame of DICOM and ITK: +x towards the patient's left, +y towards the back, +z towards the head, in mm.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import permutations
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, by, in_brackets
 
 __all__ = ["Image", "StoredImage", "along_lps"]
+
+Kind = TypeVar("Kind", bound=np.generic)
 
 _FARTHEST_VOXELS = 0.01
 _FLATTEST = 1e-3
@@ -46,7 +46,7 @@ class Image:
         Centre of voxel (0, 0, 0) [mm, LPS].
     """
 
-    values: NDArray[Any]
+    values: NDArray[np.number]
     spacing_mm: tuple[float, float, float]
     source: str
     notes: tuple[str, ...]
@@ -71,7 +71,7 @@ class StoredImage:
         What was assumed, a sentence each.
     """
 
-    values: NDArray[Any]
+    values: NDArray[np.number]
     spacing_mm: tuple[float, float, float]
     directions: NDArray[np.float64]
     origin_mm: NDArray[np.float64]
@@ -97,12 +97,9 @@ def along_lps(stored: StoredImage, source: str, *, labels: bool = False) -> Imag
     away = np.abs(turned - np.diag(np.diag(turned))) @ np.array(values.shape)
     if (away > _FARTHEST_VOXELS * np.abs(np.diag(turned))).any():
         return _resampled(stored, source, labels)
-    origin = stored.origin_mm.copy()
     steps = np.diag(turned)
-    for axis in range(3):
-        if steps[axis] < 0.0:
-            origin[axis] += steps[axis] * (values.shape[axis] - 1)
-            values = np.flip(values, axis)
+    origin = stored.origin_mm + np.where(steps < 0.0, steps * (np.array(values.shape) - 1), 0.0)
+    values = np.flip(values, tuple(np.flatnonzero(steps < 0.0).tolist()))
     return Image(values, _triple(np.abs(steps)), source, stored.notes, _triple(origin))
 
 
@@ -129,10 +126,8 @@ def _resampled(stored: StoredImage, source: str, labels: bool) -> Image:
     at = inverse * spacing, inverse @ (low - stored.origin_mm), tuple(count.tolist())
     values = _sampled(stored.values, *at, order=0) if labels else _interpolated(stored.values.astype(np.float32), *at)
     how = "to the nearest label" if labels else "by cubic splines"
-    note = (
-        f"The axes of {source} are oblique: resampled {how} along LPS, "
-        f"{count[0]} x {count[1]} x {count[2]} voxels of {spacing[0]:.4g} x {spacing[1]:.4g} x {spacing[2]:.4g} mm."
-    )
+    size = f"{by(count)} voxels of {by(spacing, '.4g')} mm"
+    note = f"The axes of {source} are oblique: resampled {how} along LPS, {size}."
     return Image(values, _triple(spacing), source, (*stored.notes, note), _triple(low))
 
 
@@ -156,18 +151,18 @@ def _interpolated(
 
 
 def _sampled(
-    values: NDArray[Any],
+    values: NDArray[Kind],
     matrix: NDArray[np.float64],
     offset: NDArray[np.float64],
     shape: tuple[int, ...],
     *,
     order: int,
     outside: float | None = 0.0,
-) -> NDArray[Any]:
+) -> NDArray[Kind]:
     """Values at the points `matrix @ index + offset`; outside the array a number, or (None) the nearest voxel's."""
     from scipy.ndimage import affine_transform
 
-    sampled: NDArray[Any] = affine_transform(
+    sampled: NDArray[Kind] = affine_transform(
         values,
         matrix,
         offset,
@@ -185,19 +180,17 @@ def _require_frame(stored: StoredImage, source: str) -> None:
     spacing = np.array(stored.spacing_mm)
     if not (np.isfinite(spacing).all() and (spacing >= _SMALLEST_MM).all() and (spacing <= _LARGEST_MM).all()):
         raise InputError(
-            f"spacing must be in [{_SMALLEST_MM:g}, {_LARGEST_MM:g}] mm, got {' x '.join(f'{s:g}' for s in spacing)} "
+            f"spacing must be in [{_SMALLEST_MM:g}, {_LARGEST_MM:g}] mm, got {by(spacing)} "
             f"in {source}: mend the header, or set anatomy.spacing_mm"
         )
     if not (np.isfinite(stored.origin_mm).all() and (np.abs(stored.origin_mm) <= _FARTHEST_ORIGIN_MM).all()):
         raise InputError(
             f"the origin must be finite and within {_FARTHEST_ORIGIN_MM:g} mm, got "
-            f"({', '.join(f'{x:g}' for x in stored.origin_mm)}) in {source}: mend the header"
+            f"{in_brackets(stored.origin_mm)} in {source}: mend the header"
         )
     lengths = np.linalg.norm(stored.directions, axis=0)
     if not np.allclose(lengths, 1.0, rtol=0.0, atol=_FLATTEST):
-        raise InputError(
-            f"directions must be of length 1, got {' x '.join(f'{n:g}' for n in lengths)} in {source}: mend the header"
-        )
+        raise InputError(f"directions must be of length 1, got {by(lengths)} in {source}: mend the header")
     if not abs(float(np.linalg.det(stored.directions))) >= _FLATTEST:
         raise InputError(f"the axes must span space, got directions in one plane in {source}: mend the header")
 

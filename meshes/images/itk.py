@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, by
 from meshes.images.frame import StoredImage
 
-__all__ = ["array_of", "header_lines", "length_unit_mm", "numbers", "quiet_itk", "read_by_itk", "require_volume"]
+if TYPE_CHECKING:
+    import SimpleITK
+
+__all__ = ["array_of", "header_lines", "itk_reader", "length_unit_mm", "numbers", "read_by_itk"]
 
 _LONGEST_HEADER = 1 << 20
 _UNITS_MM: Mapping[str, float] = {
@@ -90,13 +93,15 @@ def read_by_itk(path: Path, reader_name: str, *, unit_mm: float, notes: tuple[st
     """Read an image of one real number a voxel on three axes by a named reader of ITK, whose frame is LPS."""
     import SimpleITK
 
-    quiet_itk()
-    reader = SimpleITK.ImageFileReader()
-    reader.SetFileName(str(path))
-    reader.SetImageIO(reader_name)
+    reader = itk_reader(path, reader_name)
     try:
         reader.ReadImageInformation()
-        require_volume(reader, path.name)
+        size, kind = reader.GetSize(), SimpleITK.GetPixelIDValueAsString(reader.GetPixelID())
+        if len(size) != 3 or reader.GetNumberOfComponents() != 1 or "complex" in kind or 0 in size:
+            raise InputError(
+                f"file must hold one number per voxel on three axes, got {by(size)} of {kind} in {path.name}: export "
+                "one of its volumes"
+            )
         image = reader.Execute()
     except (RuntimeError, MemoryError, OverflowError, UnicodeError) as problem:
         raise InputError(
@@ -107,32 +112,23 @@ def read_by_itk(path: Path, reader_name: str, *, unit_mm: float, notes: tuple[st
     return StoredImage(array_of(image), (x, y, z), directions, unit_mm * np.array(image.GetOrigin()), notes)
 
 
-def require_volume(reader: Any, name: str) -> None:
-    """Refuse all but one real number a voxel on three axes."""
-    import SimpleITK
-
-    size = reader.GetSize()
-    kind = SimpleITK.GetPixelIDValueAsString(reader.GetPixelID())
-    if len(size) != 3 or reader.GetNumberOfComponents() != 1 or "complex" in kind or 0 in size:
-        raise InputError(
-            f"file must hold one number per voxel on three axes, got {' x '.join(map(str, size))} of {kind} in "
-            f"{name}: export one of its volumes"
-        )
-
-
-def array_of(image: Any) -> NDArray[Any]:
-    """Values of an ITK image, shape (ni, nj, nk), first index fastest."""
-    import SimpleITK
-
-    values: NDArray[Any] = SimpleITK.GetArrayFromImage(image)
-    return values.T
-
-
-def quiet_itk() -> None:
-    """Keep ITK's warnings, which may name what a header holds, off the terminal."""
+def itk_reader(path: Path, name: str) -> SimpleITK.ImageFileReader:
+    """A named reader of ITK for a file; its warnings, which may name what a header holds, stay off the terminal."""
     import SimpleITK
 
     SimpleITK.ProcessObject.SetGlobalWarningDisplay(False)
+    reader = SimpleITK.ImageFileReader()
+    reader.SetFileName(str(path))
+    reader.SetImageIO(name)
+    return reader
+
+
+def array_of(image: SimpleITK.Image) -> NDArray[np.number]:
+    """Values of an ITK image, shape (ni, nj, nk), first index fastest."""
+    import SimpleITK
+
+    values: NDArray[np.number] = SimpleITK.GetArrayFromImage(image)
+    return values.T
 
 
 def _short(text: str) -> str:

@@ -4,12 +4,9 @@ ITK hands out uninitialised memory where compressed voxels are damaged or their 
 slopes and units aside, takes numbers that are none for 0, and prints on the terminal.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,28 +57,25 @@ def read_metaimage(path: Path) -> StoredImage:
     directions = np.reshape(_stated(fields, _DIRECTIONS, np.eye(3).ravel(), path), (3, 3)).T
     x, y, z = (unit * s for s in _stated(fields, _SPACINGS, np.ones(3), path, positive=True))
     origin = unit * np.array(_stated(fields, _PLACES, np.zeros(3), path))
-    return StoredImage(scaled(values, *_slope_and_intercept(fields, path)), (x, y, z), directions, origin, tuple(notes))
+    slope = numbers(fields, "elementtointensityfunctionslope", path) or [1.0]
+    intercept = numbers(fields, "elementtointensityfunctionoffset", path) or [0.0]
+    return StoredImage(scaled(values, slope[0], intercept[0]), (x, y, z), directions, origin, tuple(notes))
 
 
 def _stated(
-    fields: dict[str, str], keys: Sequence[str], absent: NDArray[Any], path: Path, *, positive: bool = False
+    fields: dict[str, str], keys: Sequence[str], absent: NDArray[np.float64], path: Path, *, positive: bool = False
 ) -> list[float]:
     """The numbers that the first of several names for one thing states, as many as stand for it where it is absent."""
     key = next((key for key in keys if key in fields), None)
     found = None if key is None else numbers(fields, key, path, positive=positive)
     if found is None:
-        return [float(number) for number in absent]
+        return absent.tolist()
     if len(found) != len(absent):
         raise InputError(f"{key} must be {len(absent)} numbers, got {len(found)} in {path.name}: mend the header")
     return found
 
 
-def _slope_and_intercept(fields: dict[str, str], path: Path) -> tuple[float, float]:
-    slope = numbers(fields, "elementtointensityfunctionslope", path) or [1.0]
-    return slope[0], (numbers(fields, "elementtointensityfunctionoffset", path) or [0.0])[0]
-
-
-def _voxels(fields: dict[str, str], path: Path, start: int) -> NDArray[Any]:
+def _voxels(fields: dict[str, str], path: Path, start: int) -> NDArray[np.number]:
     """The voxels, from one file, as many as the header states, and where compressed with a checksum that fits."""
     name = fields["elementdatafile"]
     local = name.upper() == "LOCAL"

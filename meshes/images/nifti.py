@@ -1,18 +1,20 @@
 """NIfTI images: header by nibabel, every number of it that places or scales the voxels checked or honoured."""
 
-from __future__ import annotations
-
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, by
 from meshes.images.data import first_bytes, is_gzip, read_voxels, scaled
 from meshes.images.frame import StoredImage
 
 __all__ = ["read_nifti"]
+
+Header = Any
+"""A header of nibabel, a mapping of its fields."""
 
 _TO_LPS = np.array([-1.0, -1.0, 1.0])
 """NIfTI counts +x to the right and +y to the front."""
@@ -48,17 +50,15 @@ def read_nifti(path: Path) -> StoredImage:
         raise InputError(_header_fault(path, "xyzt_units must be 1 (m), 2 (mm) or 3 (µm)", unit))
     if unit == 0:
         notes.append(f"{path.name} states no unit of length: taken as mm.")
-    steps = affine[:3, :3] * _UNITS_MM[unit] * _TO_LPS[:, None]
-    spacing = np.linalg.norm(steps, axis=0)
+    affine = affine[:3] * _UNITS_MM[unit] * _TO_LPS[:, None]
+    spacing = np.linalg.norm(affine[:, :3], axis=0)
+    x, y, z = spacing.tolist()
     with np.errstate(divide="ignore", invalid="ignore"):
-        directions = steps / spacing
-    x, y, z = (float(s) for s in spacing)
-    return StoredImage(
-        _scaled(values, header, path), (x, y, z), directions, affine[:3, 3] * _UNITS_MM[unit] * _TO_LPS, tuple(notes)
-    )
+        directions = affine[:, :3] / spacing
+    return StoredImage(_scaled(values, header, path), (x, y, z), directions, affine[:, 3], tuple(notes))
 
 
-def _header(path: Path) -> Any:
+def _header(path: Path) -> Header:
     """The header, a mapping of its fields."""
     from io import BytesIO
 
@@ -66,43 +66,42 @@ def _header(path: Path) -> Any:
     from nibabel.spatialimages import HeaderDataError
     from nibabel.wrapstruct import WrapStructError
 
-    first = first_bytes(path, 540)
+    first, header = first_bytes(path, 540), None
     kind = Nifti2Header if first[:4] in (b"\x1c\x02\0\0", b"\0\0\x02\x1c") else Nifti1Header
-    try:
-        header: Any = kind.from_fileobj(BytesIO(first[: kind.sizeof_hdr]), check=False)
-        magic = bytes(header["magic"].item())[:3]
-    except (HeaderDataError, WrapStructError, ValueError) as problem:
-        raise InputError(_not_nifti(path)) from problem
-    if magic not in _SINGLE_FILE or int(header["sizeof_hdr"]) not in (348, 540):
-        raise InputError(_not_nifti(path))
+    with suppress(HeaderDataError, WrapStructError, ValueError):
+        header = kind.from_fileobj(BytesIO(first[: kind.sizeof_hdr]), check=False)
+    if (
+        header is None
+        or bytes(header["magic"].item())[:3] not in _SINGLE_FILE
+        or int(header["sizeof_hdr"]) not in (348, 540)
+    ):
+        raise InputError(
+            f"file must be a NIfTI image, got {path.name} which does not start as one does: export it again"
+        )
     return header
-
-
-def _not_nifti(path: Path) -> str:
-    return f"file must be a NIfTI image, got {path.name} which does not start as one does: export it again"
 
 
 def _header_fault(path: Path, requirement: str, found: object) -> str:
     return f"{requirement} in the header of a NIfTI image, got {found} in {path.name}: export it again"
 
 
-def _shape(header: Any, path: Path) -> tuple[int, int, int]:
+def _shape(header: Header, path: Path) -> tuple[int, int, int]:
     dim = [int(n) for n in header["dim"]]
     if not 3 <= dim[0] <= 7 or any(n < 1 for n in dim[1 : dim[0] + 1]):
         raise InputError(_header_fault(path, "dim must count three or more axes with no zero", dim))
     if any(n != 1 for n in dim[4 : dim[0] + 1]):
-        found = " x ".join(str(n) for n in dim[1 : dim[0] + 1])
         raise InputError(
-            f"file must hold one image of three axes, got {found} in {path.name}: export one of its volumes"
+            f"file must hold one image of three axes, got {by(dim[1 : dim[0] + 1])} in {path.name}: export one of its "
+            "volumes"
         )
     return dim[1], dim[2], dim[3]
 
 
-def _dtype(header: Any, path: Path) -> np.dtype[Any]:
+def _dtype(header: Header, path: Path) -> np.dtype[np.number]:
     from nibabel.spatialimages import HeaderDataError
 
     try:
-        dtype: np.dtype[Any] = np.dtype(header.get_data_dtype())
+        dtype: np.dtype[np.number] = np.dtype(header.get_data_dtype())
     except (HeaderDataError, KeyError) as problem:
         raise InputError(_header_fault(path, "datatype must be known", int(header["datatype"]))) from problem
     if dtype.kind not in "iuf" or dtype.itemsize > 8 or dtype.itemsize == 0:
@@ -112,13 +111,13 @@ def _dtype(header: Any, path: Path) -> np.dtype[Any]:
     return dtype
 
 
-def _affine(header: Any, path: Path, notes: list[str]) -> NDArray[np.float64]:
+def _affine(header: Header, path: Path, notes: list[str]) -> NDArray[np.float64]:
     """Voxel numbers to coordinates, in the header's unit and its own frame (RAS)."""
     from nibabel.spatialimages import HeaderDataError
 
     spacing = np.array(header["pixdim"][1:4], dtype=np.float64)
     if not (np.isfinite(spacing).all() and (spacing > 0.0).all()):
-        raise InputError(_header_fault(path, "pixdim must be positive", _by(spacing)))
+        raise InputError(_header_fault(path, "pixdim must be positive", by(spacing)))
     sform = header.get_sform() if int(header["sform_code"]) > 0 else None
     qform = None
     if int(header["qform_code"]) > 0:
@@ -134,7 +133,7 @@ def _affine(header: Any, path: Path, notes: list[str]) -> NDArray[np.float64]:
     stated = np.linalg.norm(sform[:3, :3], axis=0)
     if not np.allclose(stated, spacing, rtol=_AGREE, atol=0.0):
         raise InputError(
-            f"pixdim and sform must state the same spacing, got {_by(spacing)} and {_by(stated)} in {path.name}: "
+            f"pixdim and sform must state the same spacing, got {by(spacing)} and {by(stated)} in {path.name}: "
             "mend the header"
         )
     if qform is not None:
@@ -145,7 +144,7 @@ def _affine(header: Any, path: Path, notes: list[str]) -> NDArray[np.float64]:
     return np.asarray(sform, dtype=np.float64)
 
 
-def _scaled(values: NDArray[Any], header: Any, path: Path) -> NDArray[Any]:
+def _scaled(values: NDArray[np.number], header: Header, path: Path) -> NDArray[np.number]:
     """Values times slope plus intercept; a slope of 0 or NaN stands for none."""
     slope, intercept = float(header["scl_slope"]), float(header["scl_inter"])
     if slope == 0.0 or (np.isnan(slope) and (np.isnan(intercept) or intercept == 0.0)):
@@ -153,7 +152,3 @@ def _scaled(values: NDArray[Any], header: Any, path: Path) -> NDArray[Any]:
     if not (np.isfinite(slope) and np.isfinite(intercept)):
         raise InputError(_header_fault(path, "scl_slope and scl_inter must be finite", f"{slope:g} and {intercept:g}"))
     return scaled(values, slope, intercept)
-
-
-def _by(numbers: NDArray[np.float64]) -> str:
-    return " x ".join(f"{number:g}" for number in numbers)

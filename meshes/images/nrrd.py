@@ -1,11 +1,9 @@
 """NRRD images: read by ITK, after what it passes over in silence has been checked."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from meshes.base.errors import InputError
-from meshes.images.data import require_size, require_whole_stream
+from meshes.images.data import require_size
 from meshes.images.frame import StoredImage
 from meshes.images.itk import header_lines, length_unit_mm, numbers, read_by_itk
 
@@ -14,7 +12,7 @@ __all__ = ["read_nrrd"]
 _PATIENT = ("left-posterior-superior", "right-anterior-superior", "left-anterior-superior", "lps", "ras", "las")
 _NO_PATIENT = ("", "scanner-xyz", "3d-right-handed")
 _IN_SPACE = ("domain", "space", "none", "???")
-_RAW, _GZIP = ("raw",), ("gzip", "gz")
+_CHECKED = ("raw", "gzip", "gz")
 _SCALED = ("old min", "oldmin", "old max", "oldmax")
 
 
@@ -45,7 +43,8 @@ def read_nrrd(path: Path) -> StoredImage:
     for key in ("space directions", "space origin", "axis mins"):
         numbers(fields, key, path)
     numbers(fields, "spacings", path, positive=True)
-    stored = read_by_itk(path, "NrrdImageIO", unit_mm=_unit_mm(fields, path), notes=_notes(fields, path))
+    unit = length_unit_mm((fields.get("space units") or fields.get("units") or "").split(), path)
+    stored = read_by_itk(path, "NrrdImageIO", unit_mm=unit, notes=_notes(fields, path))
     _require_data(fields, path, start, stored.values.nbytes)
     return stored
 
@@ -62,11 +61,6 @@ def _notes(fields: dict[str, str], path: Path) -> tuple[str, ...]:
     return ()
 
 
-def _unit_mm(fields: dict[str, str], path: Path) -> float:
-    """Millimetres per unit of the header."""
-    return length_unit_mm((fields.get("space units") or fields.get("units") or "").split(), path)
-
-
 def _require_data(fields: dict[str, str], path: Path, start: int, needed: int) -> None:
     """Refuse a data file that holds more than the header states, or does not fit its checksum; ITK refuses less."""
     name = fields.get("data file", fields.get("datafile"))
@@ -77,7 +71,5 @@ def _require_data(fields: dict[str, str], path: Path, start: int, needed: int) -
         return
     data, first = (path, start) if name is None else (path.parent / name, 0)
     encoding = fields.get("encoding", "").lower()
-    if encoding in _RAW:
-        require_size(data, first, needed)
-    elif encoding in _GZIP:
-        require_whole_stream(data, first, needed)
+    if encoding in _CHECKED:
+        require_size(data, first, needed, compressed=encoding != "raw")

@@ -1,19 +1,17 @@
 """Image volumes from files: the reader of each format, and what is refused of all of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from meshes.base.errors import InputError, require_positive
+from meshes.base.errors import InputError, by, require_file, require_positive
 from meshes.images.dicom import read_dicom
 from meshes.images.frame import Image, StoredImage, along_lps
 from meshes.images.metaimage import read_metaimage
 from meshes.images.nifti import read_nifti
 from meshes.images.nrrd import read_nrrd
-from meshes.images.tiff_slices import TIFF_SUFFIXES, read_tiff_slices
+from meshes.images.tiff_slices import read_tiff_slices
 from meshes.images.vtk import read_vtk_image
 
 __all__ = ["Image", "read_image"]
@@ -25,13 +23,12 @@ _READERS = {
     ".nhdr": read_nrrd,
     ".mhd": read_metaimage,
     ".mha": read_metaimage,
+    ".vti": read_vtk_image,
 }
 _REMEDY = "use a .nii.gz, .nrrd, .mhd or .vti image, a DICOM folder, or a folder or pattern of TIFF slices"
 
 
-def read_image(
-    path: str | Path, *, spacing_mm: float | None = None, array: str | None = None, labels: bool = False
-) -> Image:
+def read_image(path: str | Path, *, spacing_mm: float | None = None, labels: bool = False) -> Image:
     """Read an image volume into LPS [mm], whatever the order and direction of the axes in its file.
 
     Origin, directions, units, slope and intercept are those of the file; where it states none, a note states what is
@@ -44,8 +41,6 @@ def read_image(
         count upward in z in the order of their names.
     spacing_mm
         Distance between neighbours [mm] in all directions; None: what the file states. TIFF files state none.
-    array
-        Name of the array, where the file holds several; None: the active one.
     labels
         Whether the values are labels, which are not interpolated.
 
@@ -55,26 +50,26 @@ def read_image(
         If the file is missing, empty, cut off, not readable, not an image of one number a voxel, or states what cannot
         be honoured.
     """
-    given = None
-    if spacing_mm is not None:
-        given = require_positive("anatomy.spacing_mm", spacing_mm, "use the scanner's value")
-    slices, source = _tiff_slices(Path(path)), Path(path).name
+    given = (
+        None if spacing_mm is None else require_positive("anatomy.spacing_mm", spacing_mm, "use the scanner's value")
+    )
+    path = Path(path)
+    slices, source = _tiff_slices(path), path.name
     if slices and given is None:
         raise InputError(
             f"anatomy.spacing_mm must be given for TIFF slices, which do not hold it, got none for "
             f"{source}: use the scanner's value, for example 0.0195"
         )
     if slices:
-        stored = StoredImage(read_tiff_slices(slices), (1.0, 1.0, 1.0), np.eye(3), np.zeros(3))
+        stored = StoredImage(read_tiff_slices(slices), (given or 1.0,) * 3, np.eye(3), np.zeros(3))
     else:
-        stored = _stored(Path(path), array)
+        stored = _stored(path)
     if given is None and stored.spacing_mm == (1.0, 1.0, 1.0):
         note = f"The spacing in {source} is exactly 1 mm, often a placeholder: set anatomy.spacing_mm to be sure."
         stored = replace(stored, notes=(*stored.notes, note))
-    if given is not None:
-        note = f"The spacing in {source} is {_by(stored.spacing_mm)} mm; {given:g} mm is used, as given."
-        notes = stored.notes if slices or stored.spacing_mm == (given,) * 3 else (*stored.notes, note)
-        stored = replace(stored, spacing_mm=(given,) * 3, notes=notes)
+    elif given is not None and stored.spacing_mm != (given,) * 3:
+        note = f"The spacing in {source} is {by(stored.spacing_mm)} mm; {given:g} mm is used, as given."
+        stored = replace(stored, spacing_mm=(given,) * 3, notes=(*stored.notes, note))
     values = stored.values
     if values.ndim != 3 or values.size == 0 or not np.issubdtype(values.dtype, np.number):
         raise InputError(
@@ -88,15 +83,12 @@ def read_image(
     return along_lps(stored, source, labels=labels)
 
 
-def _stored(path: Path, array: str | None) -> StoredImage:
+def _stored(path: Path) -> StoredImage:
     """The image of a file or DICOM folder, as stored."""
     if path.is_dir():
         return read_dicom(path)
-    name = path.name.lower()
-    if name.endswith(".vti"):
-        return read_vtk_image(path, array)
     for suffix, read in _READERS.items():
-        if name.endswith(suffix):
+        if path.name.lower().endswith(suffix):
             return read(path)
     raise InputError(f"file must be an image volume of a known format, got {path.name}: {_REMEDY}")
 
@@ -108,14 +100,7 @@ def _tiff_slices(path: Path) -> list[Path]:
         if not found:
             raise InputError(f"file must exist, got {path}, which matches nothing: check the folder and the pattern")
         return found
-    if path.is_dir():
-        return sorted(file for file in path.iterdir() if file.suffix.lower() in TIFF_SUFFIXES)
-    if not path.exists():
-        raise InputError(f"file must exist, got {path}: check the path, which is taken from the working directory")
-    if path.is_file() and path.stat().st_size == 0:
-        raise InputError(f"file must hold an image, got the empty file {path.name}: export it again")
-    return [path] if path.suffix.lower() in TIFF_SUFFIXES else []
-
-
-def _by(numbers: tuple[float, ...]) -> str:
-    return " x ".join(f"{number:g}" for number in numbers)
+    if not path.is_dir():
+        require_file(path, "an image")
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    return [file for file in files if file.suffix.lower() in (".tif", ".tiff")]

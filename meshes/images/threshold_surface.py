@@ -1,38 +1,12 @@
 """Bone surface of an image volume: where the grey value crosses a threshold."""
 
-from __future__ import annotations
-
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from meshes.images.frame import Image
-from meshes.surfaces.surface import Surface, surface_from_triangles
 
-__all__ = ["image_cuts", "image_surface", "image_triangles"]
-
-
-def image_surface(image: Image, *, threshold: float) -> Surface:
-    """Surface around what lies above a grey value, in the image's frame: LPS [mm], in m.
-
-    Bone cut off by the edge of the image is closed there, and the cuts are listed in `caps_m`.
-
-    Parameters
-    ----------
-    image
-        Grey values.
-    threshold
-        Bone is what lies above this grey value.
-
-    Raises
-    ------
-    InputError
-        If nothing lies above the threshold, or what does encloses no solid.
-    """
-    surface = surface_from_triangles(*image_triangles(image, threshold=threshold), source=image.source, scale_mm=1.0)
-    return replace(surface, caps_m=image_cuts(image, threshold=threshold))
+__all__ = ["image_cuts", "image_triangles"]
 
 
 def image_triangles(image: Image, *, threshold: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -1,22 +1,17 @@
 """Slices stored as TIFF files, one or several to a file."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, by
 
-__all__ = ["TIFF_SUFFIXES", "read_tiff_slices"]
-
-TIFF_SUFFIXES = (".tif", ".tiff")
+__all__ = ["read_tiff_slices"]
 
 
-def read_tiff_slices(files: Sequence[Path]) -> NDArray[Any]:
+def read_tiff_slices(files: Sequence[Path]) -> NDArray[np.number]:
     """Grey values of TIFF slices in the order given, shape (columns, rows, slices)."""
     from skimage.io import imread
 
@@ -30,11 +25,7 @@ def read_tiff_slices(files: Sequence[Path]) -> NDArray[Any]:
             ) from problem
         if planes[-1].shape[:2] != planes[0].shape[:2]:
             raise InputError(
-                f"slices must all have the same size, got {_by(planes[-1].shape[:2])} in {file.name} "
-                f"after {_by(planes[0].shape[:2])}: keep other images out of the folder"
+                f"slices must all have the same size, got {by(planes[-1].shape[:2])} in {file.name} "
+                f"after {by(planes[0].shape[:2])}: keep other images out of the folder"
             )
     return np.concatenate(planes, axis=2)
-
-
-def _by(numbers: Sequence[int]) -> str:
-    return " x ".join(str(number) for number in numbers)

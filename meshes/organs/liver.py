@@ -16,8 +16,6 @@ for stomach, kidney and gall bladder, a groove for the vena cava and spine, a no
 the capsule are not in the mesh.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, require_range
+from meshes.base.errors import by, require_range, require_vector
 from meshes.base.placement import Placement
 from meshes.shapes.sdf import Shape, box
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Anatomy", "Classify", "GridSampler", "cortical_block"]
 
-Classify = Callable[[NDArray[Any], NDArray[Any]], tuple[NDArray[np.uint8], NDArray[Any]]]
+Classify = Callable[[NDArray[np.floating], NDArray[np.floating]], tuple[NDArray[np.uint8], NDArray[np.floating]]]
 """Points [m], shape (n, 3), and their depth below the outer surface [m], shape (n,), to the layer index, uint8, shape
 (n,), and the apparent density [kg/m3], shape (n,). Within a layer the density must vary smoothly over a millimetre."""
 
@@ -82,19 +82,17 @@ def cortical_block(
     InputError
         If a parameter is not finite or out of range.
     """
-    try:
-        values = tuple(size_mm)
-    except TypeError:
-        values = ()
-    if len(values) != 3:
-        raise InputError(f"size_mm must be three lengths, got {size_mm}: use for example (20, 12, 8)")
-    lengths = [require_range(f"size_mm[{k}]", values[k], 0.1, 500.0, "use about (20, 12, 8)") for k in range(3)]
+    lengths = require_vector("size_mm", size_mm)
+    for k in range(3):
+        require_range(f"size_mm[{k}]", size_mm[k], 0.1, 500.0, "use about (20, 12, 8)")
     density = require_range("density_kg_m3", density_kg_m3, 100.0, 2500.0, "use 1800 for cortical bone")
-    size = np.array(lengths) * 1e-3
+    size = lengths * 1e-3
 
-    def classify(points: NDArray[Any], depth: NDArray[Any]) -> tuple[NDArray[np.uint8], NDArray[Any]]:
+    def classify(
+        points: NDArray[np.floating], depth: NDArray[np.floating]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
         return np.zeros(len(points), dtype=np.uint8), np.full(len(points), density, dtype=np.float32)
 
-    notes = {"size_mm": " x ".join(f"{x:g}" for x in lengths), "cortical density": f"{density:g} kg/m3, uniform"}
+    notes = {"size_mm": by(lengths), "cortical density": f"{density:g} kg/m3, uniform"}
     solid = box(size.tolist(), (0.0, 0.0, -0.5 * float(size[2])))
     return Anatomy("cortical block", solid, ("cortical",), classify, notes)

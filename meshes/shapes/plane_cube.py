@@ -1,9 +1,6 @@
 """The part of a cube that lies behind a plane: the sub-voxel fraction of a voxel that a smooth surface crosses."""
 
-from __future__ import annotations
-
 import itertools
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +10,7 @@ __all__ = ["cube_fraction"]
 _SMALLEST_COMPONENT = 1e-5
 
 
-def cube_fraction(distance: NDArray[Any], normal: NDArray[Any]) -> NDArray[np.float64]:
+def cube_fraction(distance: NDArray[np.floating], normal: NDArray[np.floating]) -> NDArray[np.float64]:
     """Volume of the unit cube about the origin where n·x <= -distance.
 
     With m = |n| / Σ|n| and a = 1/2 - distance / Σ|n| (the plane's height over the cube's lowest corner, in units of the

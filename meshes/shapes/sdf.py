@@ -8,16 +8,14 @@ intersection or difference exact inside, and both are bounds elsewhere. All shap
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, require_positive
+from meshes.base.errors import InputError, in_brackets, require_direction, require_positive, require_vector
 
 __all__ = [
     "Shape",
@@ -34,8 +32,8 @@ __all__ = [
     "union",
 ]
 
-Points = NDArray[Any]
-Distances = NDArray[Any]
+Points = NDArray[np.floating]
+Distances = NDArray[np.floating]
 Vector = Sequence[float]
 Bounds = tuple[tuple[float, ...], tuple[float, ...]]
 
@@ -69,23 +67,9 @@ class Shape:
 
     def translate(self, by_m: Vector) -> Shape:
         """Move by the vector `by_m` [m], shape (3,)."""
-        shift = _vector("by_m", by_m)
+        shift = require_vector("by_m", by_m)
         lower, upper = np.add(self.lower_m, shift), np.add(self.upper_m, shift)
         return Shape(lambda p: self.distance(p - shift.astype(p.dtype)), tuple(lower.tolist()), tuple(upper.tolist()))
-
-    def rotate(self, axis: Vector, angle_rad: float) -> Shape:
-        """Turn about `axis` through the origin by `angle_rad` [rad], right-handed."""
-        x, y, z = _unit("axis", axis)
-        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        matrix = np.eye(3) + math.sin(angle_rad) * cross + (1.0 - math.cos(angle_rad)) * cross @ cross
-        lower, upper = _rotated_bounds(self, matrix)
-        return Shape(lambda p: self.distance(p @ matrix.astype(p.dtype)), lower, upper)
-
-    def offset(self, by_m: float) -> Shape:
-        """Grow by `by_m` [m] in every direction (shrink where negative); edges come out rounded."""
-        by = float(by_m)
-        lower, upper = np.subtract(self.lower_m, by), np.add(self.upper_m, by)
-        return Shape(lambda p: self.distance(p) - by, tuple(lower.tolist()), tuple(upper.tolist()))
 
 
 def smooth_minimum(a: Distances, b: Distances, blend_m: float) -> Distances:
@@ -130,7 +114,10 @@ def difference(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
 
 def sphere(radius_m: float, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
     """Ball of `radius_m` [m] about `centre_m` [m]."""
-    radius, centre = require_positive("radius_m", radius_m, "use about 5e-3 (5 mm)"), _vector("centre_m", centre_m)
+    radius, centre = (
+        require_positive("radius_m", radius_m, "use about 5e-3 (5 mm)"),
+        require_vector("centre_m", centre_m),
+    )
     return Shape(lambda p: _norm(p - centre.astype(p.dtype)) - radius, *_around(centre, radius))
 
 
@@ -142,11 +129,7 @@ def box(size_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0), *, rounding_m: float
     InputError
         If a length is not positive or the rounding exceeds half the shortest edge.
     """
-    size, centre = _vector("size_m", size_m), _vector("centre_m", centre_m)
-    if not np.all(size > 0.0):
-        raise InputError(
-            f"size_m must be positive in every direction, got {_text(size)}: use about (0.02, 0.012, 0.008)"
-        )
+    size, centre = _extent("size_m", size_m, "(0.02, 0.012, 0.008)"), require_vector("centre_m", centre_m)
     if not 0.0 <= rounding_m <= 0.5 * float(size.min()):
         raise InputError(
             f"rounding_m must be in [0, half the shortest edge {0.5 * float(size.min()):g}], "
@@ -196,11 +179,7 @@ def ellipsoid(radii_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
 
     (|p/r| - 1)·min(r) is 1-Lipschitz and zero on the surface; along a long half axis it falls short by min(r)/r.
     """
-    radii, centre = _vector("radii_m", radii_m), _vector("centre_m", centre_m)
-    if not np.all(radii > 0.0):
-        raise InputError(
-            f"radii_m must be positive in every direction, got {_text(radii)}: use about (0.02, 0.01, 0.01)"
-        )
+    radii, centre = _extent("radii_m", radii_m, "(0.02, 0.01, 0.01)"), require_vector("centre_m", centre_m)
     shortest = float(radii.min())
     return Shape(
         lambda p: (_norm((p - centre.astype(p.dtype)) / radii.astype(p.dtype)) - 1.0) * shortest,
@@ -210,7 +189,7 @@ def ellipsoid(radii_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
 
 def half_space(normal: Vector, point_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
     """Everything behind the plane through `point_m` [m] with outward `normal`."""
-    unit, point = _unit("normal", normal), _vector("point_m", point_m)
+    unit, point = require_direction("normal", normal), require_vector("point_m", point_m)
     offset = float(unit @ point)
     lower, upper = np.full(3, -math.inf), np.full(3, math.inf)
     for k in range(3):
@@ -232,39 +211,19 @@ def _cylindrical(p: Points, start: NDArray[np.float64], axis: NDArray[np.float64
 
 
 def _segment(start_m: Vector, end_m: Vector) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    start, end = _vector("start_m", start_m), _vector("end_m", end_m)
+    start, end = require_vector("start_m", start_m), require_vector("end_m", end_m)
     length = float(np.linalg.norm(end - start))
     if length == 0.0:
-        raise InputError(f"end_m must differ from start_m, got {_text(end)} for both: use a sphere for a point")
+        raise InputError(f"end_m must differ from start_m, got {in_brackets(end)} for both: use a sphere for a point")
     return start, (end - start) / length, length
+
+
+def _extent(name: str, value: Vector, example: str) -> NDArray[np.float64]:
+    extent = require_vector(name, value)
+    if not np.all(extent > 0.0):
+        raise InputError(f"{name} must be positive in every direction, got {in_brackets(extent)}: use about {example}")
+    return extent
 
 
 def _around(centre: NDArray[np.float64], reach: float | NDArray[np.float64]) -> Bounds:
     return tuple((centre - reach).tolist()), tuple((centre + reach).tolist())
-
-
-def _rotated_bounds(shape: Shape, matrix: NDArray[np.float64]) -> Bounds:
-    corners = np.array(list(itertools.product(*zip(shape.lower_m, shape.upper_m, strict=True))))
-    if not np.isfinite(corners).all():
-        return _EVERYWHERE
-    turned = corners @ matrix.T
-    return tuple(turned.min(axis=0).tolist()), tuple(turned.max(axis=0).tolist())
-
-
-def _vector(name: str, value: Vector) -> NDArray[np.float64]:
-    vector = np.asarray(value, dtype=np.float64)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise InputError(f"{name} must be three finite numbers, got {value}: use for example (0, 0, 1)")
-    return vector
-
-
-def _unit(name: str, value: Vector) -> NDArray[np.float64]:
-    vector = _vector(name, value)
-    length = float(np.linalg.norm(vector))
-    if length == 0.0:
-        raise InputError(f"{name} must not be zero, got {_text(vector)}: use for example (0, 0, 1)")
-    return vector / length
-
-
-def _text(vector: NDArray[np.float64]) -> str:
-    return "(" + ", ".join(f"{x:g}" for x in vector) + ")"

@@ -1,13 +1,9 @@
 """A bone surface as an anatomy: a cortical shell of even thickness over trabecular bone."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import require_range
+from meshes.base.errors import require_ranges
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import Shape
 from meshes.surfaces.site import Site
@@ -45,16 +41,19 @@ def surface_anatomy(
     InputError
         If a parameter is not finite or out of range.
     """
-    shell = 1e-3 * require_range("cortical_thickness_mm", cortical_thickness_mm, 0.0, 10.0, "use 1.9")
-    dense = require_range("cortical_density_kg_m3", cortical_density_kg_m3, 50.0, 2500.0, "use 1800")
-    sparse = require_range("trabecular_density_kg_m3", trabecular_density_kg_m3, 50.0, 2500.0, "use 350")
-    vertices = site.to_site(surface.vertices_m)
-    faces = surface.faces
+    thickness, dense, sparse = require_ranges(
+        ("cortical_thickness_mm", cortical_thickness_mm, 0.0, 10.0, "use 1.9"),
+        ("cortical_density_kg_m3", cortical_density_kg_m3, 50.0, 2500.0, "use 1800"),
+        ("trabecular_density_kg_m3", trabecular_density_kg_m3, 50.0, 2500.0, "use 350"),
+    )
+    shell, vertices, faces = 1e-3 * thickness, site.to_site(surface.vertices_m), surface.faces
 
-    def distance(points: NDArray[Any]) -> NDArray[Any]:
+    def distance(points: NDArray[np.floating]) -> NDArray[np.floating]:
         return triangle_distance(vertices, faces, points).astype(points.dtype)
 
-    def classify(points: NDArray[Any], depth: NDArray[Any]) -> tuple[NDArray[np.uint8], NDArray[Any]]:
+    def classify(
+        points: NDArray[np.floating], depth: NDArray[np.floating]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
         layer = (depth >= shell).astype(np.uint8)
         return layer, np.where(layer == 0, np.float32(dense), np.float32(sparse))
 

@@ -17,17 +17,15 @@ density trabecular        450 to 300 kg/m3    L: falls below the plate over 5 mm
 ========================  ==================  =====================================================================
 """
 
-from __future__ import annotations
-
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, require_range
-from meshes.shapes.anatomy import Anatomy
+from meshes.base.errors import InputError, require_ranges
+from meshes.shapes.anatomy import Anatomy, Classify
 from meshes.shapes.sdf import Shape, half_space, intersection
 
 __all__ = ["GLENOID_LAYERS", "glenoid"]
@@ -58,7 +56,7 @@ class _Pear:
             return (self.lower_radius - (y - self.lower_y) * self.sine) / cosine
         return math.sqrt(max(self.upper_radius**2 - (y - self.upper_y) ** 2, 0.0))
 
-    def distance(self, x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
+    def distance(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.floating]:
         """Exact signed distance [m] to the outline (the hull of two circles), negative inside."""
         sine = self.sine
         cosine = math.sqrt(1.0 - sine**2)
@@ -100,7 +98,7 @@ class _Plate:
     half_width: float
     half_height: float
 
-    def thickness(self, x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
+    def thickness(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.floating]:
         """Thicker anterior and posterior, thinner superior and inferior, held within 1.2-2.9 mm."""
         pattern = np.clip((x / self.half_width) ** 2 - (y / self.half_height) ** 2, -1.0, 1.0)
         return np.clip(self.mean * (1.0 + self.variation * pattern), *_PLATE_RANGE_M)
@@ -154,26 +152,29 @@ def glenoid(
     InputError
         If a parameter is not finite or out of range.
     """
-    check = require_range
-    width = 1e-3 * check("width_mm", width_mm, 20.0, 34.0, "use 27.8 (men) or 23.6 (women)")
-    height = 1e-3 * check("height_mm", height_mm, 28.0, 45.0, "use 37.5 (men) or 32.6 (women)")
-    ratio = check("upper_width_ratio", upper_width_ratio, 0.65, 0.95, "use 0.8")
-    radius = 1e-3 * check("curvature_radius_mm", curvature_radius_mm, 22.0, 80.0, "use 35")
-    mean = 1e-3 * check("subchondral_thickness_mm", subchondral_thickness_mm, 1.2, 2.9, "use 1.9")
-    variation = check("subchondral_variation", subchondral_variation, 0.0, 0.5, "use 0.25")
-    depth = 1e-3 * check("vault_depth_mm", vault_depth_mm, 8.0, 40.0, "use 26")
-    taper = math.radians(check("vault_taper_deg", vault_taper_deg, 0.0, 25.0, "use 15"))
-    wall = 1e-3 * check("cortical_wall_mm", cortical_wall_mm, 0.5, 4.0, "use 1.5")
-    blend = 1e-3 * check("rim_blend_mm", rim_blend_mm, 0.0, 4.0, "use 1.5")
-    densities = tuple(
-        check(name, value, lowest, highest, f"use {usual}")
-        for name, value, lowest, highest, usual in (
-            ("subchondral_density_kg_m3", subchondral_density_kg_m3, 200.0, 2200.0, 1300),
-            ("cortical_density_kg_m3", cortical_density_kg_m3, 200.0, 2200.0, 1800),
-            ("trabecular_density_kg_m3", trabecular_density_kg_m3, 50.0, 1200.0, 300),
-            ("trabecular_density_below_plate_kg_m3", trabecular_density_below_plate_kg_m3, 50.0, 1200.0, 450),
+    width, height, radius, mean, depth, wall, blend = (
+        1e-3 * value
+        for value in require_ranges(
+            ("width_mm", width_mm, 20.0, 34.0, "use 27.8 (men) or 23.6 (women)"),
+            ("height_mm", height_mm, 28.0, 45.0, "use 37.5 (men) or 32.6 (women)"),
+            ("curvature_radius_mm", curvature_radius_mm, 22.0, 80.0, "use 35"),
+            ("subchondral_thickness_mm", subchondral_thickness_mm, 1.2, 2.9, "use 1.9"),
+            ("vault_depth_mm", vault_depth_mm, 8.0, 40.0, "use 26"),
+            ("cortical_wall_mm", cortical_wall_mm, 0.5, 4.0, "use 1.5"),
+            ("rim_blend_mm", rim_blend_mm, 0.0, 4.0, "use 1.5"),
         )
     )
+    below_plate = trabecular_density_below_plate_kg_m3
+    ratio, variation, taper_deg, *densities = require_ranges(
+        ("upper_width_ratio", upper_width_ratio, 0.65, 0.95, "use 0.8"),
+        ("subchondral_variation", subchondral_variation, 0.0, 0.5, "use 0.25"),
+        ("vault_taper_deg", vault_taper_deg, 0.0, 25.0, "use 15"),
+        ("subchondral_density_kg_m3", subchondral_density_kg_m3, 200.0, 2200.0, "use 1300"),
+        ("cortical_density_kg_m3", cortical_density_kg_m3, 200.0, 2200.0, "use 1800"),
+        ("trabecular_density_kg_m3", trabecular_density_kg_m3, 50.0, 1200.0, "use 300"),
+        ("trabecular_density_below_plate_kg_m3", below_plate, 50.0, 1200.0, "use 450"),
+    )
+    taper = math.radians(taper_deg)
     pear = _checked_pear(width, height, ratio, depth, taper, radius)
     plate = _Plate(mean, variation, 0.5 * width, 0.5 * height)
     notes = {
@@ -214,15 +215,14 @@ def _checked_pear(width: float, height: float, ratio: float, depth: float, taper
 def _bone(pear: _Pear, radius: float, depth: float, taper: float, blend: float) -> Shape:
     """Outer surface: the outline extruded, leaning inward below z = 0, dished by a sphere, cut off at the base."""
     sine, cosine = math.sin(taper), math.cos(taper)
-    half_width = pear.lower_radius
-    half_height = pear.lower_radius - pear.lower_y
+    half_width, half_height = pear.lower_radius, pear.lower_radius - pear.lower_y
     rim = radius - math.sqrt(radius**2 - half_height**2)
 
-    def wall_distance(p: NDArray[Any]) -> NDArray[Any]:
+    def wall_distance(p: NDArray[np.floating]) -> NDArray[np.floating]:
         outline = pear.distance(p[:, 0], p[:, 1])
         return np.maximum(outline, outline * cosine - p[:, 2] * sine)
 
-    def dish_distance(p: NDArray[Any]) -> NDArray[Any]:
+    def dish_distance(p: NDArray[np.floating]) -> NDArray[np.floating]:
         return radius - np.sqrt(p[:, 0] ** 2 + p[:, 1] ** 2 + (p[:, 2] - radius) ** 2)
 
     walls = Shape(wall_distance, (-half_width, -half_height, -depth), (half_width, half_height, rim))
@@ -231,12 +231,14 @@ def _bone(pear: _Pear, radius: float, depth: float, taper: float, blend: float) 
     return intersection(dished, half_space((0.0, 0.0, -1.0), (0.0, 0.0, -depth)), blend_m=_VAULT_BASE_BLEND_M)
 
 
-def _layers(plate: _Plate, radius: float, wall: float, densities: tuple[float, ...]) -> Any:
+def _layers(plate: _Plate, radius: float, wall: float, densities: Sequence[float]) -> Classify:
     """Classify by depth below the dished face, then by depth below the outer surface."""
     subchondral, cortical, deep, below_plate = densities
     decay = 5e-3
 
-    def classify(points: NDArray[Any], depth: NDArray[Any]) -> tuple[NDArray[np.uint8], NDArray[Any]]:
+    def classify(
+        points: NDArray[np.floating], depth: NDArray[np.floating]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
         """Layer and density [kg/m3], shape (n,), of points [m], shape (n, 3), at depths below the surface [m]."""
         x, y, z = points[:, 0], points[:, 1], points[:, 2]
         below = np.sqrt(x**2 + y**2 + (z - radius) ** 2) - radius - plate.thickness(x, y)

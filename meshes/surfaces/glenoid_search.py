@@ -6,8 +6,6 @@ bone behind is, and that the disc is not convex. The sizes follow the adult glen
 (24-30 x 33-38 mm, see `meshes.surfaces.glenoid`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,13 +1,12 @@
 """Closing the holes of a triangle surface by fans of triangles."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.surfaces.repair import Triangles, directed_edges, is_manifold, triangle_areas
+from meshes.base.simplices import directed_edges
+from meshes.surfaces.repair import Triangles, is_manifold, triangle_areas
 
 __all__ = ["Holes", "fill_holes"]
 
@@ -56,7 +55,7 @@ def _unmatched(vertex_count: int, faces: NDArray[np.int64]) -> NDArray[np.int64]
     edges = directed_edges(faces)
     low, high = np.sort(edges, axis=1).T
     keys, where = np.unique(low * vertex_count + high, return_inverse=True)
-    surplus = np.bincount(where.reshape(-1), weights=np.where(edges[:, 0] < edges[:, 1], 1, -1)).astype(np.int64)
+    surplus = np.bincount(where, weights=np.where(edges[:, 0] < edges[:, 1], 1, -1)).astype(np.int64)
     pairs = np.stack([keys // vertex_count, keys % vertex_count], axis=1)
     pairs = np.where(surplus[:, None] > 0, pairs, pairs[:, ::-1])
     return np.repeat(pairs, np.abs(surplus), axis=0)

@@ -1,7 +1,5 @@
 """The unit of length of a surface file, which most formats do not hold: given, or guessed from its size."""
 
-from __future__ import annotations
-
 from meshes.base.errors import InputError, require_positive
 
 __all__ = ["unit_of"]

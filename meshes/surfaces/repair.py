@@ -4,23 +4,21 @@ A surface is called closed when every directed edge is matched by its reverse as
 manifold (four triangles may meet in an edge) and exactly what a winding number needs.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.simplices import compact, directed_edges, windings
+
 __all__ = [
     "Triangles",
     "bodies",
-    "directed_edges",
     "drop_debris",
     "edge_counts",
     "is_manifold",
     "merge_vertices",
     "orient",
-    "signed_volume",
     "triangle_areas",
 ]
 
@@ -29,7 +27,7 @@ Triangles = tuple[NDArray[np.float64], NDArray[np.int64]]
 
 
 def merge_vertices(
-    vertices: NDArray[Any], faces: NDArray[np.int64], tolerance: float
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], tolerance: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], bool]:
     """Join vertices on one point of a lattice of pitch `tolerance`; drop triangles that collapse, repeat or cancel.
 
@@ -37,20 +35,21 @@ def merge_vertices(
     -------
     Vertices, triangles, and whether `is_manifold` holds for these.
     """
-    vertices, faces = _compact(vertices, faces)
+    vertices, faces = compact(vertices, faces)
     first, where = _numbered(_lattice_keys(vertices, tolerance))
     faces = where[faces]
     a, b, c = faces.T
-    faces = _chosen(faces, (a != b) & (b != c) & (c != a))
+    whole = (a != b) & (b != c) & (c != a)
+    faces = faces if whole.all() else faces[whole]
     manifold = is_manifold(faces)
     if not manifold:
         faces = faces[_distinct(faces)]
         manifold = is_manifold(faces)
-    vertices, faces = _compact(vertices[first].astype(np.float64), faces)
+    vertices, faces = compact(vertices[first], faces)
     return vertices, faces, manifold
 
 
-def _lattice_keys(vertices: NDArray[Any], tolerance: float) -> NDArray[np.int64]:
+def _lattice_keys(vertices: NDArray[np.float64], tolerance: float) -> NDArray[np.int64]:
     """One number for the point of a lattice that each vertex is nearest to, which sorts as its coordinates do."""
     keys = np.zeros(len(vertices), dtype=np.int64)
     for column in vertices.T:
@@ -109,7 +108,7 @@ def drop_debris(
     small = np.flatnonzero(areas < least_area * areas.max())
     sizes = [float(np.ptp(vertices[faces[body == k].ravel()], axis=0).max()) for k in small]
     left = ~np.isin(body, small)
-    return _compact(vertices, faces[left]), np.unique(body[left], return_inverse=True)[1].reshape(-1), sizes
+    return compact(vertices, faces[left]), np.unique(body[left], return_inverse=True)[1].reshape(-1), sizes
 
 
 def orient(
@@ -150,14 +149,11 @@ def orient(
         volumes, inside_out, faces = -volumes, count, faces[:, ::-1].copy()
     if count == 1:
         return faces, int(turned.sum()), inside_out, float(volumes.sum())
-    boxes = [_box(vertices, faces[body == k]) for k in range(count)]
+    corners = [vertices[faces[body == k].ravel()] for k in range(count)]
+    low, high = (np.array([function(each, axis=0) for each in corners]) for function in (np.min, np.max))
     faces = faces.copy()
     for k in np.flatnonzero(volumes < 0.0):
-        low, high = boxes[k]
-        within = any(
-            (boxes[j][0] <= low).all() and (boxes[j][1] >= high).all() for j in range(count) if volumes[j] > 0.0
-        )
-        if not within:
+        if not ((low <= low[k]) & (high >= high[k])).all(axis=1)[volumes > 0.0].any():
             faces[body == k] = faces[body == k][:, ::-1]
             volumes[k] = -volumes[k]
             inside_out += 1
@@ -172,17 +168,10 @@ def edge_counts(faces: NDArray[np.int64]) -> tuple[int, int]:
     return int((uses == 1).sum()), int((uses > 2).sum())
 
 
-def signed_volume(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> float:
-    """Volume by the divergence theorem, positive for outward winding, in cubed units of the vertices."""
-    return float(_volumes(vertices, faces).sum())
-
-
 def _distinct(faces: NDArray[np.int64]) -> NDArray[np.int64]:
     """Numbers of the triangles to keep: one of several alike, none of a pair with opposite winding."""
     _, first, where = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_inverse=True)
-    where = where.reshape(-1)
-    a, b, c = faces.T
-    winding = np.sign(b - a) * np.sign(c - b) * np.sign(a - c)
+    winding = windings(faces)
     net = np.bincount(where, weights=winding)
     wanted = np.sign(net)[where] == winding
     kept = np.full(len(first), len(faces))
@@ -198,23 +187,18 @@ def _disagreeing(faces: NDArray[np.int64]) -> NDArray[np.bool_]:
     count = len(faces)
     edges = directed_edges(faces)
     _, where, uses = np.unique(_edge_keys(edges), return_inverse=True, return_counts=True)
-    order = np.argsort(where.reshape(-1), kind="stable")
-    order = order[uses[where.reshape(-1)[order]] == 2].reshape(-1, 2)
+    order = np.argsort(where, kind="stable")
+    order = order[uses[where[order]] == 2].reshape(-1, 2)
     f, g = order.T % count
     crossed = np.where((edges[order[:, 0]] == edges[order[:, 1]]).all(axis=1), count, 0)
     rows = np.concatenate([f, f + count])
     columns = np.concatenate([g + crossed, g + count - crossed])
     graph = coo_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(2 * count, 2 * count))
     _, label = connected_components(graph, directed=False)
-    as_is, reverse = label[:count], label[count:]
+    as_is, reverse = np.split(label, 2)
     votes = np.bincount(as_is, minlength=label.max() + 1)
     tied = (votes[as_is] == votes[reverse]) & (as_is > reverse)
     return (as_is != reverse) & ((votes[as_is] < votes[reverse]) | tied)
-
-
-def directed_edges(faces: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Start and end of the edges of triangles, shape (3 m, 2): all first edges, all second, all third."""
-    return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
 
 
 def _edge_keys(edges: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -224,19 +208,10 @@ def _edge_keys(edges: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def bodies(vertex_count: int, faces: NDArray[np.int64]) -> NDArray[np.int64]:
     """Number of the connected body of each triangle, shape (m,)."""
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import connected_components
+    from trimesh.graph import connected_component_labels
 
-    rows = np.minimum(np.arange(vertex_count + len(faces) + 1), len(faces)).astype(np.int32) * 3
-    graph = csr_array(
-        (np.ones(faces.size, dtype=np.int8), (faces + len(faces)).ravel().astype(np.int32), rows),
-        shape=(vertex_count + len(faces),) * 2,
-    )
-    _, label = connected_components(graph, directed=False)
-    label = label[: len(faces)]
-    if not (label != label[0]).any():
-        return np.zeros(len(faces), dtype=np.int64)
-    return np.unique(label, return_inverse=True)[1].reshape(-1)
+    label = connected_component_labels(np.concatenate([faces[:, :2], faces[:, 1:]]), node_count=vertex_count)
+    return np.unique(label[faces[:, 0]], return_inverse=True)[1]
 
 
 def triangle_areas(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -260,21 +235,3 @@ def _crossed_edges(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> t
     corner = [column[a] for column in columns]
     u, v = ([column[k] - first for column, first in zip(columns, corner, strict=True)] for k in (b, c))
     return corner, [u[i - 2] * v[i - 1] - u[i - 1] * v[i - 2] for i in range(3)]
-
-
-def _box(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    points = vertices[faces.ravel()]
-    return points.min(axis=0), points.max(axis=0)
-
-
-def _compact(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Triangles:
-    """Drop vertices that no triangle uses."""
-    used = np.zeros(len(vertices), dtype=bool)
-    used[faces] = True
-    if used.all():
-        return vertices, faces
-    return vertices[used], (np.cumsum(used) - 1)[faces]
-
-
-def _chosen(faces: NDArray[np.int64], chosen: NDArray[np.bool_]) -> NDArray[np.int64]:
-    return faces if chosen.all() else faces[chosen]

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, in_brackets, require_direction, require_vector
 from meshes.base.placement import Placement
 from meshes.surfaces.glenoid_search import Face, SurfaceSamples, best_seed, grow_face, sample_surface
 from meshes.surfaces.surface import Surface
@@ -45,7 +44,7 @@ class Site:
     rotation: NDArray[np.float64]
     confidence: str
 
-    def to_site(self, points_m: NDArray[Any]) -> NDArray[np.float64]:
+    def to_site(self, points_m: NDArray[np.floating]) -> NDArray[np.float64]:
         """Points [m], shape (n, 3), from the surface's frame to the site frame."""
         return (np.asarray(points_m, dtype=np.float64) - self.centre_m) @ self.rotation
 
@@ -79,10 +78,13 @@ def find_glenoid(
     InputError
         If nothing on the surface looks like a glenoid, the centre is off the surface, or `along` is normal to the face.
     """
-    if centre_mm is not None:
-        return _face_at(surface, _three("anatomy.centre_mm", centre_mm) * 1e-3, along)
-    point, normal, score = best_seed(sample_surface(*surface.scanned, _SAMPLES))
     samples = sample_surface(*surface.scanned, _FACE_SAMPLES)
+    if centre_mm is not None:
+        centre = require_vector("anatomy.centre_mm", centre_mm) * 1e-3
+        near = int(np.argmin(np.linalg.norm(samples.points - centre, axis=1)))
+        normal = grow_face(samples, samples.points[near], samples.normals[near]).normal
+        return _site(surface, centre, normal, along, "centre as given, normal of the face around it")
+    point, normal, score = best_seed(sample_surface(*surface.scanned, _SAMPLES))
     face = grow_face(samples, point, normal)
     plausible = _WIDTH_M[0] <= face.width_m <= _WIDTH_M[1] and _LENGTH_M[0] <= face.length_m <= _LENGTH_M[1]
     if score < _LEAST_SCORE or not plausible:
@@ -92,15 +94,11 @@ def find_glenoid(
             f"{_size(face)}, score {score:.2f}): check anatomy.scale_mm, or give anatomy.centre_mm and "
             "anatomy.normal"
         )
-    if along is None:
-        rotation = _axes(face.normal, samples.points.mean(axis=0) - face.centre_m, face.long_axis)
-    else:
-        rotation = axes_along(face.normal, along)
     radius = face.curvature_radius_m
     bend = "concave" if radius > 0.0 else "convex"
     shape = "flat" if abs(radius) > _FLAT_M else f"{bend}, radius {1e3 * abs(radius):.0f} mm"
     note = f"found by search: face {_size(face)}, {shape}, score {score:.2f} of 1; check it in the picture"
-    return Site(_on_surface(surface, face.centre_m, rotation, _FARTHEST_M), rotation, note)
+    return _site(surface, face.centre_m, face.normal, along, note, face.long_axis)
 
 
 def place_site(
@@ -129,28 +127,30 @@ def place_site(
     InputError
         If the centre is off the surface, a direction is zero, or `along` is along the normal.
     """
-    centre = _three("anatomy.centre_mm", centre_mm) * 1e-3
+    centre, note = require_vector("anatomy.centre_mm", centre_mm) * 1e-3, "centre and normal as given"
     if normal is None:
         samples = sample_surface(*surface.scanned, _FACE_SAMPLES)
         axis, note = _normal_near(samples, centre), "centre as given, normal of the surface around it"
     else:
-        axis, note = _direction("anatomy.normal", normal, "the outward direction"), "centre and normal as given"
+        axis = require_direction("anatomy.normal", normal, "give the outward direction")
+    return _site(surface, centre, axis, along, note if along is None else f"{note}, x along the direction given")
+
+
+def _site(
+    surface: Surface,
+    centre: NDArray[np.float64],
+    normal: NDArray[np.float64],
+    along: Sequence[float] | None,
+    note: str,
+    long_axis: NDArray[np.float64] | None = None,
+) -> Site:
+    """Site where the normal through a point leaves the bone; x along a direction, or y away from the bone's middle."""
     if along is None:
-        samples = sample_surface(*surface.scanned, _FACE_SAMPLES)
-        rotation = _axes(axis, samples.points.mean(axis=0) - centre, None)
+        middle = sample_surface(*surface.scanned, _FACE_SAMPLES).points.mean(axis=0)
+        rotation = _axes(normal, middle - centre, long_axis)
     else:
-        rotation, note = axes_along(axis, along), note + ", x along the direction given"
-    return Site(_on_surface(surface, centre, rotation, _FARTHEST_M), rotation, note)
-
-
-def _face_at(surface: Surface, centre: NDArray[np.float64], along: Sequence[float] | None) -> Site:
-    """Site with the normal of the face around its centre."""
-    samples = sample_surface(*surface.scanned, _FACE_SAMPLES)
-    near = int(np.argmin(np.linalg.norm(samples.points - centre, axis=1)))
-    normal = grow_face(samples, samples.points[near], samples.normals[near]).normal
-    rotation = _axes(normal, samples.points.mean(axis=0) - centre, None) if along is None else axes_along(normal, along)
-    note = "centre as given, normal of the face around it"
-    return Site(_on_surface(surface, centre, rotation, _FARTHEST_M), rotation, note)
+        rotation = axes_along(normal, along)
+    return Site(_on_surface(surface, centre, rotation), rotation, note)
 
 
 def axes_along(normal: NDArray[np.float64], along: Sequence[float]) -> NDArray[np.float64]:
@@ -161,12 +161,12 @@ def axes_along(normal: NDArray[np.float64], along: Sequence[float]) -> NDArray[n
     InputError
         If `along` is zero or within a degree of the normal.
     """
-    direction = _direction("anatomy.along", along, "a direction across the normal")
+    direction = require_direction("anatomy.along", along, "give a direction across the normal")
     across = direction - (direction @ normal) * normal
     if np.linalg.norm(across) < _LEAST_ACROSS:
         raise InputError(
-            f"anatomy.along must lead across the normal {_text(normal)}, got {_text(direction)}: give a direction in "
-            "the plane of the site"
+            f"anatomy.along must lead across the normal {in_brackets(normal, '.4g')}, got "
+            f"{in_brackets(direction, '.4g')}: give a direction in the plane of the site"
         )
     x = across / np.linalg.norm(across)
     return np.column_stack([x, np.cross(normal, x), normal])
@@ -201,46 +201,22 @@ def _axes(
     return np.column_stack([np.cross(y, normal), y, normal])
 
 
-def _on_surface(
-    surface: Surface, centre: NDArray[np.float64], rotation: NDArray[np.float64], farthest: float
-) -> NDArray[np.float64]:
-    """Point where the axis through `centre` leaves the bone, the nearest such within `farthest` [m]."""
+def _on_surface(surface: Surface, centre: NDArray[np.float64], rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Point where the axis through `centre` leaves the bone, the nearest such within 10 mm."""
     points = (surface.vertices_m - centre) @ rotation
     found = column_crossings(points, surface.faces, np.array([1e-9]), np.array([1e-9]))
     leaving = found.height[found.entering < 0]
     nearest = float(leaving[np.argmin(np.abs(leaving))]) if len(leaving) else np.inf
-    if abs(nearest) > farthest:
-        points = surface.vertices_m
-        vertex = 1e3 * points[np.argmin(np.linalg.norm(points - centre, axis=1))]
+    if abs(nearest) > _FARTHEST_M:
+        vertex = surface.vertices_m[np.argmin(np.linalg.norm(surface.vertices_m - centre, axis=1))]
+        given, corner = (in_brackets(1e3 * point, ".4g") for point in (centre, vertex))
         raise InputError(
-            f"anatomy.centre_mm must lie within 10 mm of the surface along the normal, got {_text(1e3 * centre)} in "
+            f"anatomy.centre_mm must lie within 10 mm of the surface along the normal, got {given} in "
             f"{surface.report.source}: give a point on the face, in mm in the frame of the file; the nearest corner is "
-            f"{_text(vertex)}"
+            f"{corner}"
         )
     return centre + nearest * rotation[:, 2]
 
 
-def _three(name: str, value: Sequence[float]) -> NDArray[np.float64]:
-    try:
-        vector = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        vector = np.empty(0)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise InputError(f"{name} must be three finite numbers, got {value}: use for example (0, 0, 1)")
-    return vector
-
-
-def _direction(name: str, value: Sequence[float], remedy: str) -> NDArray[np.float64]:
-    """Unit vector along a direction that a person gave."""
-    vector = _three(name, value)
-    if not np.linalg.norm(vector) > 0.0:
-        raise InputError(f"{name} must not be zero, got (0, 0, 0): give {remedy}")
-    return np.asarray(vector / np.linalg.norm(vector))
-
-
 def _size(face: Face) -> str:
     return f"{1e3 * face.width_m:.1f} x {1e3 * face.length_m:.1f} mm"
-
-
-def _text(vector: NDArray[np.float64]) -> str:
-    return "(" + ", ".join(f"{x:.4g}" for x in vector) + ")"

@@ -1,26 +1,20 @@
 """A bone surface from a file: read, given a unit, repaired, and refused where it encloses no solid."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, counted
-from meshes.base.isolated_parser import parse_isolated
+from meshes.base.simplices import compact
 from meshes.surfaces.holes import fill_holes
 from meshes.surfaces.length_unit import unit_of
-from meshes.surfaces.obj import read_obj
-from meshes.surfaces.ply_header import require_whole_ply
 from meshes.surfaces.repair import Triangles, bodies, drop_debris, edge_counts, merge_vertices, orient
-from meshes.surfaces.stl import read_binary_stl
+from meshes.surfaces.triangle_files import read_triangles, require_triangles
 
-__all__ = ["SURFACE_SUFFIXES", "Surface", "SurfaceReport", "read_surface", "read_triangles", "surface_from_triangles"]
+__all__ = ["Surface", "SurfaceReport", "read_surface", "surface_from_triangles"]
 
-SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
 _MERGE_TOLERANCE = 1e-6
 _DEBRIS_AREA = 0.01
 _HOLE_AREA = 0.03
@@ -111,8 +105,8 @@ def read_surface(path: str | Path, *, scale_mm: float | None = None, cut_off: bo
 
 
 def surface_from_triangles(
-    vertices: NDArray[Any],
-    faces: NDArray[Any],
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int64],
     *,
     source: str = "triangles",
     scale_mm: float | None = None,
@@ -135,15 +129,13 @@ def surface_from_triangles(
         As in `read_surface`.
     """
     vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
-    _require_triangles(vertices, faces, source)
+    require_triangles(vertices, faces, source)
     if not -_FARTHEST < vertices.min() <= vertices.max() < _FARTHEST:
         bad = int((~(np.abs(vertices) < _FARTHEST).all(axis=1)).sum())
         raise InputError(
             f"vertices must be finite, got {bad} of {len(vertices)} that are not in {source}: export it again"
         )
-    named = np.zeros(len(vertices), dtype=bool)
-    named[faces] = True
-    used = vertices if named.all() else vertices[named]
+    used, _ = compact(vertices, faces)
     longest = max(_sides(used))
     _require_thickness(used, longest, source)
     scale, guess = unit_of(longest, scale_mm, source)
@@ -201,78 +193,9 @@ def _repaired(
     return vertices, faces, volume, repairs, turned + inside_out + outward, holes.caps, scanned
 
 
-def read_triangles(file: Path) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Read vertices, shape (n, 3), and triangles, shape (m, 3), as a file stores them, in its unit.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, empty, of unknown format or not readable, or a triangle names no vertex of it.
-    """
-    if file.suffix.lower() not in SURFACE_SUFFIXES:
-        raise InputError(
-            f"file must end in {', '.join(SURFACE_SUFFIXES)}, got {file.name}: convert it, or read a "
-            "volume with read_volume"
-        )
-    if not file.is_file():
-        raise InputError(f"file must exist, got {file}: check the path, which is taken from the working directory")
-    if file.stat().st_size == 0:
-        raise InputError(f"file must hold a surface, got the empty file {file.name}: export it again")
-    vertices, faces = _stored(file)
-    _require_triangles(vertices, faces, file.name)
-    return vertices, faces
-
-
-def _stored(file: Path) -> tuple[NDArray[Any], NDArray[Any]]:
-    kind = file.suffix.lower()[1:].upper()
-    if kind in ("VTK", "VTP"):
-        parsed = parse_isolated(
-            "meshes.surfaces.vtk_reading:vtk_triangles", file, what=f"{kind} surface", remedy="export it again"
-        )
-        return parsed.arrays["points"], parsed.arrays["triangles"]
-    if kind == "OBJ":
-        return read_obj(file)
-    if kind == "STL" and (binary := read_binary_stl(file)) is not None:
-        return binary
-    if kind == "PLY":
-        require_whole_ply(file)
-    try:
-        import trimesh
-
-        mesh: Any = trimesh.load(file, force="mesh", process=False)
-        return np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    except Exception as problem:  # the readers raise many kinds, none documented
-        raise InputError(
-            f"file must be a readable {kind} surface, got {file.name} (it is damaged or cut off): export it again"
-        ) from problem
-
-
-def _require_triangles(vertices: NDArray[Any], faces: NDArray[Any], source: str) -> None:
-    """Refuse triangles that are none, or that name vertices which are not there."""
-    if len(vertices) == 0 or len(faces) == 0:
-        raise InputError(
-            f"file must hold triangles, got {len(vertices)} vertices and {len(faces)} triangles in "
-            f"{source}: export the surface as triangles"
-        )
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
-        raise InputError(
-            f"file must hold triangles in space, got vertices of shape {vertices.shape} and faces of shape "
-            f"{faces.shape} in {source}: export it again"
-        )
-    count = len(vertices)
-    if faces.min() < 0 or faces.max() >= count:
-        face, corner = np.argwhere((faces < 0) | (faces >= count))[0]
-        raise InputError(
-            f"faces must name vertices 0 to {count - 1} of the file, got {faces[face, corner]} in face {face} of "
-            f"{source}, counted from 0: export it again"
-        )
-
-
 def _require_thickness(points: NDArray[np.float64], longest: float, source: str) -> None:
     """Refuse points that lie in a plane or on a line, in any direction."""
-    from_first = points - points[0]
-    middle = np.array([column.mean() for column in from_first.T])
-    covariance = from_first.T @ from_first / len(points) - np.outer(middle, middle)
+    covariance = np.cov(points.T, bias=True)
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0.0))
     if not longest > 0.0 or spread[0] < _FLATTEST * spread[2]:
         raise InputError(f"surface must have thickness, got a flat one in {source}: use a closed surface")

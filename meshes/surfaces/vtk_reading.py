@@ -4,8 +4,6 @@ The readers complain on VTK's output window and go on with arrays half filled, s
 Cells are checked before any filter sees them, which would copy what lies beyond the points.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any
@@ -14,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import DamagedFileError, InputError
+from meshes.base.isolated_parser import Answer
 
 __all__ = ["check_vtk", "read_vtk", "vtk_mesh", "vtk_triangles"]
 
-Answer = tuple[dict[str, Any], dict[str, NDArray[Any]]]
 _TETRAHEDRON, _QUADRATIC_TETRAHEDRON = 10, 24
 _CORNERS = {
     1: 1,
@@ -117,13 +115,13 @@ def vtk_mesh(file: Path) -> Answer:
     order = np.concatenate([np.flatnonzero(kinds == kind) for kind in present])
     tets = np.concatenate([np.asarray(by_kind[kind])[:, :4] for kind in present]).astype(np.int64)
     names = [name for name in data.cell_data if np.asarray(data.cell_data[name]).dtype.kind in "biuf"]
-    arrays = {"points": np.asarray(data.points), "tets": tets}
+    arrays: dict[str, NDArray[np.number]] = {"points": np.asarray(data.points), "tets": tets}
     arrays |= {f"cells {i}": np.asarray(data.cell_data[name])[order] for i, name in enumerate(names)}
     facts = {"others": len(kinds) - len(order), "quadratic": _QUADRATIC_TETRAHEDRON in present, "names": names}
     return facts, arrays
 
 
-def _triangles(data: Any) -> dict[str, NDArray[Any]]:
+def _triangles(data: Any) -> dict[str, NDArray[np.number]]:
     import pyvista
 
     if not isinstance(data, pyvista.PolyData):
@@ -135,7 +133,7 @@ def _triangles(data: Any) -> dict[str, NDArray[Any]]:
     }
 
 
-def _require_cells(cells: Any, file: Path, point_count: int, kinds: NDArray[Any] | None = None) -> None:
+def _require_cells(cells: Any, file: Path, point_count: int, kinds: NDArray[np.integer] | None = None) -> None:
     """Refuse cells that name points which are not there, or have another number of them than their type."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
 

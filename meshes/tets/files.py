@@ -130,4 +130,4 @@ def _from_vtk(file: Path) -> StoredMesh:
         notes.append(f"Left out {parsed.facts['others']} cells that are not tetrahedra.")
     if parsed.facts.get("quadratic"):
         notes.append("Took the corners of quadratic tetrahedra: their edges became straight.")
-    return StoredMesh(points, tets, triangles, part, {}, tuple(notes))
+    return StoredMesh(points, tets.astype(np.int64), triangles.astype(np.int64), part, {}, tuple(notes))

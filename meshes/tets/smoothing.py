@@ -1,7 +1,5 @@
 """Better tetrahedra by moving inner nodes, one at a time, to where their worst cell is best."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

@@ -5,8 +5,6 @@ crosses itself is filled as the union of what it encloses. Two runs give meshes 
 thread: a mesh is reproducible through the cache, which holds it by the content of the surface.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

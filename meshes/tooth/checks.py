@@ -1,8 +1,6 @@
 """Refusals of teeth that cannot be: layers unknown, missing, apart, of no tooth's size, or one outside another."""
 
-from __future__ import annotations
-
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,16 +11,11 @@ from meshes.tooth.layer_contact import inside_surface
 from meshes.tooth.layers import TOOTH_LAYERS
 
 __all__ = [
-    "DEFAULT_PRIORITY",
     "require_known",
-    "require_priority",
     "require_pulp_within",
     "require_tooth_size",
     "require_touching",
 ]
-
-DEFAULT_PRIORITY = ("caries", "pulp", "enamel", "dentin", "ligament", "bone")
-"""Of two layers that claim a place, the one named first has it."""
 
 _SMALLEST_MM, _LARGEST_MM, _TYPICAL_MM = 5.0, 40.0, 18.0
 _TOUCH_M = 0.5e-3
@@ -41,23 +34,6 @@ def require_known(names: Iterable[str], argument: str) -> None:
             raise InputError(
                 f"{argument} must give enamel and dentin, got {', '.join(given) or 'none'}: add the {name}"
             )
-
-
-def require_priority(priority: Sequence[str] | None, names: Iterable[str]) -> tuple[str, ...]:
-    """Order in which the layers have a place that two claim; refused where it leaves one out."""
-    if priority is None:
-        return tuple(DEFAULT_PRIORITY)
-    order = tuple(priority)
-    for name in order:
-        if name not in TOOTH_LAYERS:
-            raise InputError(f"priority must name layers of {', '.join(TOOTH_LAYERS)}, got {name}: rename it")
-    missing = [name for name in names if name not in order]
-    if missing or len(set(order)) != len(order):
-        raise InputError(
-            f"priority must name every layer once, got {', '.join(order)}: "
-            f"{'add ' + ', '.join(missing) if missing else 'drop the repeated one'}"
-        )
-    return order
 
 
 def require_tooth_size(size_mm: float, argument: str, given: str, per_unit: float) -> None:

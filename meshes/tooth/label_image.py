@@ -1,10 +1,7 @@
 """A label image of one tooth made ready: cropped, its labels checked and turned into layers, islands dropped."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +39,7 @@ class LayerImage:
     first: tuple[int, int, int]
 
 
-def layer_image(values: NDArray[Any], labels: Mapping[int, str], source: str) -> LayerImage:
+def layer_image(values: NDArray[np.number], labels: Mapping[int, str], source: str) -> LayerImage:
     """Crop a label image to its tooth, name its labels and drop what does not hang on the largest piece by faces.
 
     Parameters
@@ -57,11 +54,13 @@ def layer_image(values: NDArray[Any], labels: Mapping[int, str], source: str) ->
     InputError
         If there is nothing but 0, a value is not a whole number, or a label has no name.
     """
+    from scipy.ndimage import find_objects
+
     filled = values != 0
-    spans = [np.flatnonzero(filled.any(axis=tuple(k for k in range(3) if k != axis))) for axis in range(3)]
-    if len(spans[0]) == 0:
+    boxes = find_objects(filled.view(np.uint8))
+    if not boxes:
         raise InputError(f"labels must mark a tooth, got nothing but 0 in {source}: check the file")
-    crop = tuple(slice(int(span[0]), int(span[-1]) + 1) for span in spans)
+    crop = boxes[0]
     cropped, filled = values[crop], filled[crop]
     found = _label_counts(cropped, source)
     unknown = {label: count for label, count in found.items() if label not in labels}
@@ -89,7 +88,7 @@ def layer_image(values: NDArray[Any], labels: Mapping[int, str], source: str) ->
     )
 
 
-def _label_counts(values: NDArray[Any], source: str) -> dict[int, int]:
+def _label_counts(values: NDArray[np.number], source: str) -> dict[int, int]:
     """Voxels of each label but 0, slice by slice along the last axis to spare memory."""
     found: dict[int, int] = {}
     for k in range(values.shape[2]):
@@ -104,7 +103,7 @@ def _label_counts(values: NDArray[Any], source: str) -> dict[int, int]:
     return dict(sorted(found.items()))
 
 
-def _distinct(plane: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]:
+def _distinct(plane: NDArray[np.number]) -> tuple[NDArray[np.number], NDArray[np.int64]]:
     """Numbers in an array and how often each is there; without a sort where they are whole and few."""
     if plane.dtype.kind in "iu":
         lowest = int(plane.min())

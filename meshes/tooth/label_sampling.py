@@ -1,7 +1,5 @@
 """Labels of a tooth in a site's frame, and voxels made of them by sub-samples."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -14,7 +12,7 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError
 from meshes.base.placement import Placement
 from meshes.tooth.label_image import EMPTY
-from meshes.tooth.layers import LAYER_DENSITY_KG_M3, TOOTH_LAYERS
+from meshes.tooth.layers import LAYER_DENSITY_KG_M3, PRIORITY, TOOTH_LAYERS
 from meshes.voxels.grid import Grid
 from meshes.voxels.volume import FULL, VoxelVolume
 
@@ -80,7 +78,6 @@ def resampled(
     placed: PlacedLabels,
     corners: NDArray[np.float64],
     size: float,
-    order: Sequence[str],
     *,
     most_samples: int = MOST_SAMPLES,
     progress: Callable[[float], None] | None = None,
@@ -88,19 +85,21 @@ def resampled(
     """Voxels of edge `size` [m] on whole multiples of it between two corners [m], cropped to the tooth.
 
     Fractions and layers come from sub-samples no farther apart than the image's voxels, at most `most_samples` along an
-    axis: the fraction is the part of them in any layer, the layer the commonest, the first of `order` of equal ones.
+    axis: the fraction is the part of them in any layer, the layer the commonest, the first of `PRIORITY` of equal ones.
 
     Raises
     ------
     InputError
         If the tooth has nothing between the corners.
     """
+    from scipy.ndimage import find_objects
+
     first = np.floor(corners[0] / size).astype(int).tolist()
     count = (np.ceil(corners[1] / size).astype(int) - first).tolist()
     grid = Grid(size, (first[0], first[1], first[2]), (count[0], count[1], count[2]))
     parts = min(max(ceil(size / float(placed.spacing.min()) - 1e-6), 1), most_samples)
     fraction, layer = np.zeros(grid.shape, np.uint8), np.zeros(grid.shape, np.uint8)
-    preference = [TOOTH_LAYERS.index(name) for name in order if (placed.layer == TOOTH_LAYERS.index(name)).any()]
+    preference = [TOOTH_LAYERS.index(name) for name in PRIORITY if (placed.layer == TOOTH_LAYERS.index(name)).any()]
 
     def fill(start: int) -> None:
         stop = min(start + _SLAB, grid.shape[0])
@@ -117,8 +116,7 @@ def resampled(
         raise InputError(
             "region must meet the tooth, got one without any of it: move the tool to the tooth, or set anatomy.site"
         )
-    spans = [np.flatnonzero(fraction.any(axis=tuple(k for k in range(3) if k != axis))) for axis in range(3)]
-    crop = tuple(slice(int(span[0]), int(span[-1]) + 1) for span in spans)
+    (crop,) = find_objects((fraction > 0).view(np.uint8))
     origin = (np.array(grid.first) + [s.start for s in crop]) * size
     layer, fraction = np.ascontiguousarray(layer[crop]), np.ascontiguousarray(fraction[crop])
     density = _DENSITY[layer] * (fraction > 0)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +12,7 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError, require_positive
 from meshes.base.progress import Progress, silent
 from meshes.images.frame import Image
-from meshes.images.reading import read_image
-from meshes.tooth.checks import require_known, require_priority, require_tooth_size
+from meshes.tooth.checks import require_known, require_tooth_size
 from meshes.tooth.label_image import EMPTY, LayerImage, layer_image
 from meshes.tooth.label_sampling import PlacedLabels, resampled
 from meshes.tooth.layers import ENAMEL, TOOTH_LAYERS
@@ -23,7 +21,7 @@ from meshes.tooth.pulp_cavity import PulpCavity, with_pulp
 from meshes.tooth.site import tooth_axes
 from meshes.voxels.volume import VoxelVolume
 
-__all__ = ["CARIES_LABELS", "LabelledTooth", "label_volume", "labelled_tooth", "labelled_volume"]
+__all__ = ["CARIES_LABELS", "LabelledTooth", "labelled_tooth"]
 
 CARIES_LABELS: Mapping[int, str] = {1: "caries", 2: "enamel", 3: "dentin"}
 """Labels of segmentations of decay in extracted teeth."""
@@ -59,10 +57,7 @@ class LabelledTooth:
     @cached_property
     def cavity(self) -> PulpCavity | None:
         """The cavity of the whole tooth, found in voxels of 0.1 mm; None where there is none."""
-        order = require_priority(None, ())
-        return PulpCavity.of(
-            resampled(self.placed, self.placed.corners, _CAVITY_M, order, most_samples=_CAVITY_SAMPLES)
-        )
+        return PulpCavity.of(resampled(self.placed, self.placed.corners, _CAVITY_M, most_samples=_CAVITY_SAMPLES))
 
     def at_lesion(self) -> LabelledTooth:
         """The same tooth with its site over its lesion, see `meshes.tooth.lesion_site.lesion_site`."""
@@ -76,23 +71,33 @@ class LabelledTooth:
         self,
         *,
         resample_mm: float | None = None,
-        priority: Sequence[str] | None = None,
-        pulp_from_cavity: bool = True,
         region_m: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
         remark: Callable[[str], None] | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> VoxelVolume:
-        """Voxels of the tooth, see `labelled_volume`.
+        """Voxels of the tooth in its site frame, its layers those of `meshes.tooth.layers.TOOTH_LAYERS`.
+
+        Fractions and layers come from sub-samples no farther apart than the image's voxels: the fraction is the part of
+        them in any layer, the layer the commonest, of equal ones the first of `PRIORITY`. Where no label is the pulp,
+        the empty cavity in the dentin is taken as pulp.
 
         Parameters
         ----------
+        resample_mm
+            New voxel size [mm]; None: the image's, or 0.1 where that is finer.
         region_m
             Lowest and highest corner [m] in the site frame of what is wanted; None: the whole tooth. A voxel has the
             same content whatever region is asked for.
+        remark
+            Called with each sentence on what was assumed, found and dropped.
         progress
             Called with the part done, 0 to 1.
+
+        Raises
+        ------
+        InputError
+            If the voxels are too small or too large, or none lies in the tooth.
         """
-        order = require_priority(priority, ())
         finest = require_positive("resample_mm", resample_mm, "use 0.1") if resample_mm is not None else None
         size = 1e-3 * (finest or max(self.finest_mm, _FINEST_DEFAULT_MM))
         corners = self.placed.corners
@@ -102,68 +107,27 @@ class LabelledTooth:
             if (corners[0] >= corners[1]).any():
                 corners = self.placed.corners  # a refusal of a tool that misses names where the tooth lies
         _require_size(corners, size)
-        volume = resampled(self.placed, corners, size, order, progress=progress)
+        volume = resampled(self.placed, corners, size, progress=progress)
         notes = list(self.sentences)
-        if not self.has_pulp:
-            volume, sentence = self._with_pulp(volume, pulp_from_cavity)
-            notes.append(sentence)
+        if not self.has_pulp and self.cavity is None:
+            notes.append("No label for the pulp: its distance and exposure are unknown.")
+        elif not self.has_pulp and self.cavity is not None:
+            held = f"{1e9 * self.cavity.volume_m3:.3g} mm3"
+            notes.append(f"No label for the pulp: the empty cavity of {held} in the dentin is taken as pulp.")
+            volume = with_pulp(volume, self.cavity.voxels(volume))
         if remark is not None:
             for sentence in notes:
                 remark(sentence)
         return volume
 
-    def _with_pulp(self, volume: VoxelVolume, wanted: bool) -> tuple[VoxelVolume, str]:
-        """The volume with its cavity as pulp where wanted, and a sentence on it."""
-        cavity = self.cavity if wanted else None
-        if cavity is None:
-            return volume, "No label for the pulp: its distance and exposure are unknown."
-        note = f"the empty cavity of {1e9 * cavity.volume_m3:.3g} mm3 in the dentin is taken as pulp"
-        return with_pulp(volume, cavity.voxels(volume)), f"No label for the pulp: {note}."
 
+def labelled_tooth(
+    image: Image, *, labels: Mapping[int, str] = CARIES_LABELS, progress: Progress = silent
+) -> LabelledTooth:
+    """Check and place the labels of a tooth.
 
-def label_volume(
-    path: str | Path,
-    *,
-    spacing_mm: float | None = None,
-    labels: Mapping[int, str] = CARIES_LABELS,
-    resample_mm: float | None = None,
-    priority: Sequence[str] | None = None,
-    pulp_from_cavity: bool = True,
-    array: str | None = None,
-    remark: Callable[[str], None] | None = None,
-) -> VoxelVolume:
-    """Tooth from a label image file; files as in `meshes.images.reading.read_image`, the rest as in `labelled_volume`.
-
-    Parameters
-    ----------
-    spacing_mm
-        Voxel size [mm], instead of the file's, which segmentation tools often leave at a placeholder of 1.
-    """
-    require_known(labels.values(), "labels")
-    return labelled_volume(
-        read_image(path, spacing_mm=spacing_mm, array=array, labels=True),
-        labels=labels,
-        resample_mm=resample_mm,
-        priority=priority,
-        pulp_from_cavity=pulp_from_cavity,
-        remark=remark,
-    )
-
-
-def labelled_volume(
-    image: Image,
-    *,
-    labels: Mapping[int, str] = CARIES_LABELS,
-    resample_mm: float | None = None,
-    priority: Sequence[str] | None = None,
-    pulp_from_cavity: bool = True,
-    remark: Callable[[str], None] | None = None,
-) -> VoxelVolume:
-    """Voxels of a tooth in the site frame of teeth, its layers those of `meshes.tooth.layers.TOOTH_LAYERS`.
-
-    The origin is where the tooth's long axis through the middle of the enamel leaves the tooth: the enamel, or a lesion
-    open to the surface there. z points from the roots to the crown. Fractions and layers come from sub-samples no
-    farther apart than the image's voxels: the fraction is the part of them in any layer, the layer the commonest.
+    The site's origin is where the tooth's long axis through the middle of the enamel leaves the tooth: the enamel, or a
+    lesion open to the surface there. z points from the roots to the crown.
 
     Parameters
     ----------
@@ -171,39 +135,13 @@ def labelled_volume(
         Labels, 0 outside.
     labels
         Layer name by label.
-    resample_mm
-        New voxel size [mm]; None: the image's, or 0.1 where that is finer.
-    priority
-        Layer names: of two layers with equal parts in a voxel, the first named has it. None: caries, pulp, enamel,
-        dentin, ligament, bone.
-    pulp_from_cavity
-        Where no label is the pulp: whether the empty cavity in the dentin is taken as pulp.
-    remark
-        Called with each sentence on what was assumed, found and dropped.
+    progress
+        Called with what is being done and the share of it that is done (0 to 1).
 
     Raises
     ------
     InputError
-        If labels are unknown, enamel or dentin is missing, the size is no tooth's, or the option is out of range.
-    """
-    require_known(labels.values(), "labels")
-    require_priority(priority, labels.values())
-    if resample_mm is not None:
-        require_positive("resample_mm", resample_mm, "use 0.1")
-    return labelled_tooth(image, labels=labels).volume(
-        resample_mm=resample_mm, priority=priority, pulp_from_cavity=pulp_from_cavity, remark=remark
-    )
-
-
-def labelled_tooth(
-    image: Image, *, labels: Mapping[int, str] = CARIES_LABELS, progress: Progress = silent
-) -> LabelledTooth:
-    """Check and place the labels of a tooth, see `labelled_volume`.
-
-    Raises
-    ------
-    InputError
-        As in `labelled_volume`, but for the options of the resampling.
+        If labels are unknown, enamel or dentin is missing, or the size is no tooth's.
     """
     require_known(labels.values(), "labels")
     progress("naming the layers of the label volume", 0.0)

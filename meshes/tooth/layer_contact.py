@@ -5,11 +5,8 @@ A gap is a place in no layer that a line along x, y or z crosses between two lay
 as anatomy.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +44,9 @@ class LayerContact:
     gap_layer: NDArray[np.uint8]
 
 
-def inside_surface(vertices: NDArray[np.float64], faces: NDArray[np.int64], points: NDArray[Any]) -> NDArray[np.bool_]:
+def inside_surface(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], points: NDArray[np.floating]
+) -> NDArray[np.bool_]:
     """Whether points [m], shape (n, 3), lie within a closed surface, by the vertical line through each.
 
     Points of a grid share their lines, which is what makes this quick; scattered ones are taken few at a time.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,16 +31,16 @@ class Lattice:
 
     origin: NDArray[np.float64]
     pitch: float
-    values: NDArray[Any]
+    values: NDArray[np.number]
 
-    def __call__(self, points: NDArray[Any], *, beyond: float) -> NDArray[np.float32]:
+    def __call__(self, points: NDArray[np.floating], *, beyond: float) -> NDArray[np.float32]:
         """Interpolate linearly to points [m], shape (n, 3); `beyond` outside the lattice."""
         from scipy.ndimage import map_coordinates
 
         index = ((points - self.origin) / self.pitch).T
         return map_coordinates(self.values, index, output=np.float32, order=1, mode="constant", cval=beyond)
 
-    def nearest(self, points: NDArray[Any]) -> NDArray[Any]:
+    def nearest(self, points: NDArray[np.floating]) -> NDArray[np.number]:
         """Value at the nearest lattice point; 0 outside the lattice."""
         index = np.rint((points - self.origin) / self.pitch).astype(np.int64)
         held = ((index >= 0) & (index < self.values.shape)).all(axis=1)
@@ -92,7 +92,9 @@ class LayeredSolid:
         fraction[index] = filled
         return fraction, depth
 
-    def classify(self, points: NDArray[Any], depth: NDArray[Any]) -> tuple[NDArray[np.uint8], NDArray[Any]]:
+    def classify(
+        self, points: NDArray[np.floating], depth: NDArray[np.floating]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
         """Layer that holds the point, by priority; in none, the layer that takes the gap, or the nearest."""
         layer = np.full(len(points), len(TOOTH_LAYERS), dtype=np.uint8)
         left = np.arange(len(points))

@@ -1,16 +1,14 @@
 """A tooth from one closed surface per layer: placed, its overlaps and gaps measured and resolved, a socket added."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, require_range
 from meshes.base.placement import Placement
+from meshes.base.simplices import cross_products
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import Shape
 from meshes.surfaces.glenoid_search import sample_surface
@@ -19,14 +17,13 @@ from meshes.surfaces.site import Site
 from meshes.surfaces.surface import Surface, read_surface
 from meshes.tooth.checks import (
     require_known,
-    require_priority,
     require_pulp_within,
     require_tooth_size,
     require_touching,
 )
 from meshes.tooth.layer_contact import PITCH_M, LayerContact, inside_lattice, inside_surface, measure_contact
 from meshes.tooth.layered_solid import Lattice, LayeredSolid, joined, socket_lattice
-from meshes.tooth.layers import TOOTH_LAYERS
+from meshes.tooth.layers import PRIORITY, TOOTH_LAYERS
 from meshes.tooth.lesion_site import lesion_site
 from meshes.tooth.site import tooth_axes
 from meshes.voxels.column_crossings import column_crossings
@@ -44,7 +41,6 @@ def layered_surfaces(
     paths_by_layer: Mapping[str, str | Path],
     *,
     scale_mm: float | None = None,
-    priority: Sequence[str] | None = None,
     socket_mm: float = 0.0,
     at_lesion: bool = False,
 ) -> Anatomy:
@@ -56,7 +52,7 @@ def layered_surfaces(
         File by layer name; enamel and dentin at least.
     scale_mm
         Millimetres per unit of the files; None: guessed from the dentin, used for all.
-    priority, socket_mm, at_lesion
+    socket_mm, at_lesion
         As in `layered_anatomy`.
 
     Raises
@@ -68,7 +64,7 @@ def layered_surfaces(
     dentin = _read("dentin", paths_by_layer["dentin"], scale_mm)
     scale = dentin.report.scale_mm
     surfaces = {name: dentin if name == "dentin" else _read(name, path, scale) for name, path in paths_by_layer.items()}
-    return layered_anatomy(surfaces, priority=priority, socket_mm=socket_mm, at_lesion=at_lesion)
+    return layered_anatomy(surfaces, socket_mm=socket_mm, at_lesion=at_lesion)
 
 
 def _read(layer: str, path: str | Path, scale_mm: float | None) -> Surface:
@@ -83,7 +79,6 @@ def _read(layer: str, path: str | Path, scale_mm: float | None) -> Surface:
 def layered_anatomy(
     surfaces: Mapping[str, Surface],
     *,
-    priority: Sequence[str] | None = None,
     socket_mm: float = 0.0,
     at_lesion: bool = False,
     at: Site | None = None,
@@ -92,15 +87,13 @@ def layered_anatomy(
 
     The origin is where the tooth's long axis through the middle of the enamel leaves the enamel: where a thin bur that
     comes down that axis first touches. z points from the roots to the crown, x along the wider direction of the roots.
-    A voxel shared by layers belongs to the one that holds its centre, so it is full; the layers keep their volumes.
+    A voxel shared by layers belongs to the one that holds its centre, so it is full; the layers keep their volumes. Of
+    two layers the first of `meshes.tooth.layers.PRIORITY` has what both claim and the gap between them.
 
     Parameters
     ----------
     surfaces
         Surfaces by layer name; enamel and dentin at least. The dentin may be hollow or hold the pulp.
-    priority
-        Layer names: of two layers, the first named has what both claim and the gap between them. None:
-        caries, pulp, enamel, dentin, ligament, bone.
     socket_mm
         Thickness of bone added around the ligament [mm], 0 (none) to 10: the points nearer to the ligament than to the
         rest of the tooth.
@@ -117,7 +110,7 @@ def layered_anatomy(
         outside the dentin, or a socket is asked for without a ligament.
     """
     require_known(surfaces, "surfaces")
-    order = require_priority(priority, surfaces)
+    order = [name for name in PRIORITY if name in surfaces]
     margin = 1e-3 * require_range("socket_mm", socket_mm, 0.0, 10.0, "use 2.5, or 0 for none")
     if margin > 0.0 and ("ligament" not in surfaces or "bone" in surfaces):
         raise InputError(
@@ -131,10 +124,10 @@ def layered_anatomy(
     if "bone" not in surfaces:
         require_tooth_size(size_mm, "scale_mm", f"{scale:g}", size_mm / scale)
     if at_lesion:
-        upright = layered_anatomy(surfaces, priority=priority)
+        upright = layered_anatomy(surfaces)
         assert upright.placement is not None
         found = lesion_site(voxelise(upright, spacing_m=_LESION_M))
-        return layered_anatomy(surfaces, priority=priority, socket_mm=socket_mm, at=found.within(upright.placement))
+        return layered_anatomy(surfaces, socket_mm=socket_mm, at=found.within(upright.placement))
     centre, rotation, note = _site(surfaces, samples) if at is None else (at.centre_m, at.rotation, at.confidence)
     placed = {name: ((surfaces[name].vertices_m - centre) @ rotation, surfaces[name].faces) for name in surfaces}
     samples = {name: (points - centre) @ rotation for name, points in samples.items()}
@@ -147,9 +140,12 @@ def layered_anatomy(
     layer = np.concatenate([np.full(len(samples[name]), TOOTH_LAYERS.index(name), np.uint8) for name in samples])
     union = joined(list(placed.values()))
     gap = Lattice(origin, PITCH_M, contact.gap_layer) if contact.gap_mm3 else None
-    socket = _socket(samples, margin) if margin > 0.0 else None
+    socket = None
+    if margin > 0.0:
+        others = np.concatenate([points for name, points in samples.items() if name != "ligament"])
+        socket = socket_lattice(samples["ligament"], others, margin)
     layers = LayeredSolid(
-        {TOOTH_LAYERS.index(name): placed[name] for name in order if name in placed},
+        {TOOTH_LAYERS.index(name): placed[name] for name in order},
         union,
         cKDTree(points),
         layer,
@@ -157,7 +153,7 @@ def layered_anatomy(
         socket,
     )
 
-    def distance(at: NDArray[Any]) -> NDArray[Any]:
+    def distance(at: NDArray[np.floating]) -> NDArray[np.floating]:
         tooth = triangle_distance(*union, at)
         return (tooth if socket is None else np.minimum(tooth, socket(at, beyond=1.0))).astype(at.dtype)
 
@@ -173,8 +169,7 @@ def layered_anatomy(
 
 def _spread(surface: Surface) -> NDArray[np.float64]:
     """Points about 0.1 mm apart over a surface [m], shape (n, 3)."""
-    a, b, c = (surface.vertices_m[surface.faces[:, k]] for k in range(3))
-    area = 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+    area = 0.5 * float(np.linalg.norm(cross_products(surface.vertices_m, surface.faces), axis=1).sum())
     count = int(np.clip(area / _SAMPLE_PITCH_M**2, 1000, _MOST_SAMPLES))
     return sample_surface(surface.vertices_m, surface.faces, count).points
 
@@ -213,11 +208,6 @@ def _share_near(points: NDArray[np.float64], solid: Triangles, samples: NDArray[
     return 1.0 - float(np.count_nonzero(~inside_surface(*solid, far))) / len(tested)
 
 
-def _socket(samples: Mapping[str, NDArray[np.float64]], margin: float) -> Lattice:
-    others = np.concatenate([points for name, points in samples.items() if name != "ligament"])
-    return socket_lattice(samples["ligament"], others, margin)
-
-
 def _notes(
     surfaces: Mapping[str, Surface], note: str, contact: LayerContact, order: Sequence[str], socket_mm: float
 ) -> dict[str, str]:
@@ -226,7 +216,6 @@ def _notes(
     def listed(volumes: Mapping[tuple[str, str], float]) -> str:
         return ", ".join(f"{one} and {other} {volume:.3g} mm3" for (one, other), volume in volumes.items())
 
-    kept = [name for name in order if name in surfaces]
     notes = {
         "surfaces": ", ".join(f"{name} {surface.report.volume_mm3:.4g} mm3" for name, surface in surfaces.items()),
         "unit": surfaces["dentin"].report.unit_guess,
@@ -234,7 +223,7 @@ def _notes(
         "mesial and buccal": "not distinguished: x is the wider direction of the roots",
         "overlaps": listed(contact.overlap_mm3) or "none",
         "gaps": listed(contact.gap_mm3) or "none",
-        "priority": " > ".join(kept),
+        "priority": " > ".join(order),
         "densities": "by layer, assumed",
     }
     if contact.void_mm3 > 0.0:

@@ -12,10 +12,8 @@ bone       1800 kg/m3         M, H: alveolar bone taken as cortical throughout
 =========  =================  ==========================================================================
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +30,7 @@ __all__ = [
     "ENAMEL",
     "LAYER_DENSITY_KG_M3",
     "LIGAMENT",
+    "PRIORITY",
     "PULP",
     "TOOTH_LAYERS",
     "caries_density",
@@ -39,6 +38,8 @@ __all__ = [
     "every_voxel",
     "in_chunks",
 ]
+
+Kind = TypeVar("Kind", bound=np.generic)
 
 TOOTH_LAYERS = ("enamel", "dentin", "pulp", "caries", "ligament", "bone")
 ENAMEL, DENTIN, PULP, CARIES, LIGAMENT, BONE = range(6)
@@ -52,16 +53,19 @@ LAYER_DENSITY_KG_M3 = {
 }
 """Density of each layer [kg/m3]; that of `caries` stands for a lesion of unknown softness (one half)."""
 
+PRIORITY = ("caries", "pulp", "enamel", "dentin", "ligament", "bone")
+"""Of two layers that claim a place, the one named first has it."""
+
 _SOUND_KG_M3, _INFECTED_KG_M3 = 2100.0, 1300.0
 _POINTS_AT_ONCE = 1 << 17
 
 
-def caries_density(softness: NDArray[Any]) -> NDArray[Any]:
+def caries_density(softness: NDArray[np.floating]) -> NDArray[np.floating]:
     """Density [kg/m3] of a lesion's voxels of the given softness, 0 (sound dentin) to 1 (fully softened), linear."""
     return _SOUND_KG_M3 - (_SOUND_KG_M3 - _INFECTED_KG_M3) * softness
 
 
-def caries_softness(density_kg_m3: NDArray[Any]) -> NDArray[Any]:
+def caries_softness(density_kg_m3: NDArray[np.floating]) -> NDArray[np.floating]:
     """Softness of voxels of the layer `caries` from their density [kg/m3]: (2100 - density)/800, held within 0 to 1.
 
     0 is sound dentin, 1 fully softened, infected dentin. Only for voxels of that layer: sound tissues have densities of
@@ -90,7 +94,7 @@ def every_voxel(shape: Shape) -> GridSampler:
     return sample
 
 
-def in_chunks(function: Callable[[NDArray[Any]], NDArray[Any]], points: NDArray[Any]) -> NDArray[Any]:
+def in_chunks(function: Callable[[NDArray[np.floating]], NDArray[Kind]], points: NDArray[np.floating]) -> NDArray[Kind]:
     """Apply a function of points, shape (n, 3), to parts that fit the processor's cache."""
     if len(points) <= _POINTS_AT_ONCE:
         return function(points)

@@ -1,7 +1,5 @@
 """The site over a lesion of a tooth: straight in from the nearest point of the tooth's outer surface."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

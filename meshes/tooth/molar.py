@@ -19,14 +19,12 @@ cervical line to bone          1.5 mm         M, H: 1 to 2 in health
 =============================  =============  ======================================================================
 """
 
-from __future__ import annotations
-
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, require_range
+from meshes.base.errors import InputError, require_ranges
 from meshes.shapes.anatomy import Anatomy, Classify
 from meshes.shapes.sdf import Shape, box
 from meshes.tooth.layers import (
@@ -102,18 +100,22 @@ def molar(
     InputError
         If a parameter is not finite or out of range, or the chamber or the lesion does not fit.
     """
-    check = require_range
-    width = 0.5e-3 * check("crown_width_mm", crown_width_mm, 9.0, 13.0, "use 11")
-    length = 0.5e-3 * check("crown_length_mm", crown_length_mm, 8.5, 12.5, "use 10.5")
-    height = 1e-3 * check("crown_height_mm", crown_height_mm, 6.0, 9.5, "use 7.5")
-    root_length = 1e-3 * check("root_length_mm", root_length_mm, 8.0, 18.0, "use 14")
-    enamel = 1e-3 * check("enamel_thickness_mm", enamel_thickness_mm, 1.0, 3.0, "use 2.2")
-    cusp = 1e-3 * check("cusp_height_mm", cusp_height_mm, 0.8, 2.5, "use 1.8")
-    roof = 1e-3 * check("pulp_roof_mm", pulp_roof_mm, 3.5, 6.5, "use 5")
-    ligament = 1e-3 * check("ligament_thickness_mm", ligament_thickness_mm, 0.1, 0.5, "use 0.22")
-    socket = 1e-3 * check("socket_mm", socket_mm, 0.5, 10.0, "use 2.5")
-    depth = 1e-3 * check("caries_depth_mm", caries_depth_mm, 0.0, 6.2, "use 0 for none, or about 3")
-    diameter = 1e-3 * check("caries_diameter_mm", caries_diameter_mm, 0.5, 6.0, "use 3")
+    width, length, height, root_length, enamel, cusp, roof, ligament, socket, depth, diameter = (
+        1e-3 * value
+        for value in require_ranges(
+            ("crown_width_mm", crown_width_mm, 9.0, 13.0, "use 11"),
+            ("crown_length_mm", crown_length_mm, 8.5, 12.5, "use 10.5"),
+            ("crown_height_mm", crown_height_mm, 6.0, 9.5, "use 7.5"),
+            ("root_length_mm", root_length_mm, 8.0, 18.0, "use 14"),
+            ("enamel_thickness_mm", enamel_thickness_mm, 1.0, 3.0, "use 2.2"),
+            ("cusp_height_mm", cusp_height_mm, 0.8, 2.5, "use 1.8"),
+            ("pulp_roof_mm", pulp_roof_mm, 3.5, 6.5, "use 5"),
+            ("ligament_thickness_mm", ligament_thickness_mm, 0.1, 0.5, "use 0.22"),
+            ("socket_mm", socket_mm, 0.5, 10.0, "use 2.5"),
+            ("caries_depth_mm", caries_depth_mm, 0.0, 6.2, "use 0 for none, or about 3"),
+            ("caries_diameter_mm", caries_diameter_mm, 0.5, 6.0, "use 3"),
+        )
+    )
     if 0.0 < depth < _SHALLOWEST_LESION_M:
         raise InputError(
             f"caries_depth_mm must be 0 or at least {1e3 * _SHALLOWEST_LESION_M:g}, got {caries_depth_mm:g}: use 0 for "
@@ -129,7 +131,7 @@ def molar(
             f"pulp_roof_mm must lie above the root trunk, got {pulp_roof_mm} with a cervical line "
             f"{1e3 * (height - cusp):g} below the fossa: use at most {1e3 * (height - cusp) + 0.8:g}"
         )
-    crown = Crown(width, length, height, cusp, enamel)
+    crown = Crown(0.5 * width, 0.5 * length, height, cusp, enamel)
     roots = mandibular_roots(crown, root_length)
     tooth = outer_shape(crown, roots)
     block = _socket(crown, roots, ligament + socket)
@@ -161,17 +163,17 @@ def _layers(
     """Classify by the parts' distances: pulp within dentin within enamel, ligament and bone around the roots."""
     crest = crown.cervix - _CREST_M
 
-    def dentin_distance(points: NDArray[Any]) -> NDArray[Any]:
+    def dentin_distance(points: NDArray[np.floating]) -> NDArray[np.floating]:
         return tooth_distance(crown, roots, points, dentin=True)
 
-    def around(points: NDArray[Any], distance: NDArray[Any]) -> NDArray[np.uint8]:
+    def around(points: NDArray[np.floating], distance: NDArray[np.floating]) -> NDArray[np.uint8]:
         """Ligament or bone for points outside the roots."""
         layer = np.full(len(points), BONE, dtype=np.uint8)
         near = np.flatnonzero(distance < 2.0 * ligament)
         layer[near[_true_distance(dentin_distance, points[near], distance[near]) < ligament]] = LIGAMENT
         return layer
 
-    def layer_of(points: NDArray[Any]) -> NDArray[np.uint8]:
+    def layer_of(points: NDArray[np.floating]) -> NDArray[np.uint8]:
         """Layer, shape (n,), of points [m], shape (n, 3)."""
         distance = dentin_distance(points)
         layer = np.full(len(points), DENTIN, dtype=np.uint8)
@@ -185,7 +187,9 @@ def _layers(
         layer[inside[pulp.distance(points[inside]) < 0.0]] = PULP
         return layer
 
-    def classify(points: NDArray[Any], depth: NDArray[Any]) -> tuple[NDArray[np.uint8], NDArray[Any]]:
+    def classify(
+        points: NDArray[np.floating], depth: NDArray[np.floating]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
         """Layer and density [kg/m3], shape (n,), of points [m], shape (n, 3), at any depth."""
         layer = in_chunks(layer_of, points)
         density = _DENSITY[layer]
@@ -199,14 +203,18 @@ def _layers(
     return classify
 
 
-def _softness(points: NDArray[Any], diameter: float, depth: float) -> NDArray[Any]:
+def _softness(points: NDArray[np.floating], diameter: float, depth: float) -> NDArray[np.floating]:
     """Softness (1 - r²)², r relative to an ellipsoid that hangs from the fossa; 0 outside."""
     across = (points[:, 0] ** 2 + points[:, 1] ** 2) * (4.0 / diameter**2)
     along = (points[:, 2] + 0.5 * depth) ** 2 * (4.0 / depth**2)
     return np.maximum(1.0 - across - along, 0.0) ** 2
 
 
-def _true_distance(function: Any, points: NDArray[Any], value: NDArray[Any]) -> NDArray[Any]:
+def _true_distance(
+    function: Callable[[NDArray[np.floating]], NDArray[np.floating]],
+    points: NDArray[np.floating],
+    value: NDArray[np.floating],
+) -> NDArray[np.floating]:
     """First-order distance [m] near the surface: value over slope, by differences of 20 µm."""
     step = points.dtype.type(20e-6)
     slopes = []

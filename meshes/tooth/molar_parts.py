@@ -4,10 +4,7 @@ Lengths in metres. The crown is a side wall of superelliptic sections under an o
 that meet in the grooves; roots and canals are round cones about bent axes, flattened along x.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +13,7 @@ from meshes.shapes.sdf import Shape, box, capsule, smooth_maximum, smooth_minimu
 
 __all__ = ["Crown", "Root", "mandibular_roots", "outer_shape", "pulp_shape", "tooth_distance"]
 
-Numbers = NDArray[Any]
+Numbers = NDArray[np.floating]
 
 _CUSPS = (
     (0.44, 0.50, 0.90),  # mesiobuccal

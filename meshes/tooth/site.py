@@ -4,8 +4,6 @@ The long axis is the principal axis of all the tooth's points that leans least f
 dentin and enamel; where none comes within 25 degrees of that line (a crown without roots), the line itself.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,7 +140,9 @@ def shape_fraction(shape: Shape, grid: Grid) -> NDArray[np.float32]:
     return result
 
 
-def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[NDArray[np.bool_], tuple[NDArray[np.uint8], NDArray[Any]]]:
+def _uniform_blocks(
+    anatomy: Anatomy, grid: Grid
+) -> tuple[NDArray[np.bool_], tuple[NDArray[np.uint8], NDArray[np.floating]]]:
     """Blocks with one layer at all corners of their own and of their neighbours; layer and corner densities.
 
     Returns
@@ -151,28 +152,24 @@ def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[NDArray[np.bool_], tu
     """
     counts = [n // BLOCK for n in grid.shape]
     axes = [np.arange(f - BLOCK, e + BLOCK + 1, BLOCK) for f, e in zip(grid.first, grid.last, strict=True)]
+    size = [len(axis) for axis in axes]
     lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     points = _centres(lattice, grid.spacing_m, 0.0)
-    layer, density = (
-        values.reshape([len(a) for a in axes]) for values in anatomy.classify(points, -anatomy.shape.distance(points))
-    )
+    layer, density = anatomy.classify(points, -anatomy.shape.distance(points))
+    layer, density = layer.reshape(size), density.reshape(size)
     core = tuple(slice(1, 1 + n) for n in counts)
     same = _over_windows(np.maximum, layer) == _over_windows(np.minimum, layer)
-    if BLOCK * grid.spacing_m > _WIDEST_INTERPOLATION_M:
-        same = np.zeros_like(same)
+    same &= BLOCK * grid.spacing_m <= _WIDEST_INTERPOLATION_M
     return same.ravel(), (layer[core].ravel(), density[1:-1, 1:-1, 1:-1])
 
 
 def _over_windows(combine: np.ufunc, values: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Combine each window of 4 x 4 x 4 lattice points, the corners of a block and of its neighbours."""
-    for axis in range(3):
-        count = values.shape[axis] - 3
-        shifted = [np.take(values, np.arange(start, start + count), axis=axis) for start in range(4)]
-        values = combine.reduce(shifted)
-    return values
+    windows = np.lib.stride_tricks.sliding_window_view(values, (4, 4, 4))
+    return np.asarray(combine.reduce(windows, axis=(3, 4, 5)), dtype=np.uint8)
 
 
-def _interpolated(corners: NDArray[Any], grid: Grid, chosen: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _interpolated(corners: NDArray[np.floating], grid: Grid, chosen: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Trilinear interpolation to the voxel centres of the chosen blocks, shape (n, 8, 8, 8)."""
     bx, by, bz = np.unravel_index(np.flatnonzero(chosen), [n // BLOCK for n in grid.shape])
     values = np.empty((len(bx), 2, 2, 2), dtype=np.float32)
@@ -191,13 +188,13 @@ def _centres(index: NDArray[np.int64], spacing_m: float, shift: float) -> NDArra
     return (index.T.astype(np.float32) + np.float32(shift)).T * np.float32(spacing_m)
 
 
-def _by_blocks(array: NDArray[Any]) -> NDArray[Any]:
+def _by_blocks(array: NDArray[np.generic]) -> NDArray[np.generic]:
     """View of a blocked array with the shape (bx, by, bz, 8, 8, 8)."""
     nx, ny, nz = (n // BLOCK for n in array.shape)
     return array.reshape(nx, BLOCK, ny, BLOCK, nz, BLOCK).transpose(0, 2, 4, 1, 3, 5)
 
 
-def _index(flags: NDArray[np.bool_], blocks: NDArray[Any]) -> tuple[NDArray[np.intp], ...]:
+def _index(flags: NDArray[np.bool_], blocks: NDArray[np.generic]) -> tuple[NDArray[np.intp], ...]:
     return np.unravel_index(np.flatnonzero(flags), blocks.shape[:3])
 
 

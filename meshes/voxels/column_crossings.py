@@ -1,7 +1,5 @@
 """Where vertical lines cross the triangles of a solid's surface."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

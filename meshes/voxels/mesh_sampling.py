@@ -5,11 +5,8 @@ and the lengths with a positive winding number are the bone in it. Exact along z
 Depth: the distance to the surface on a lattice of 0.4 mm or a voxel, interpolated to the voxels.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,7 +113,7 @@ class TriangleSampler:
 
 
 def _beyond(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], points: NDArray[Any], threshold: float
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], points: NDArray[np.floating], threshold: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Which points, shape (n, 3), are surely farther from the triangles than a threshold [m], and which surely nearer.
 
@@ -154,7 +151,7 @@ def _used(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[NDAr
 
 
 def triangle_distance(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], points: NDArray[Any]
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], points: NDArray[np.floating]
 ) -> NDArray[np.float64]:
     """Signed distance [m] of points [m], shape (n, 3), from the surface, negative inside, shape (n,)."""
     import pyvista

@@ -1,7 +1,5 @@
 """An anatomy to voxels: sub-voxel bone fraction, layer and density over a region of the site frame."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor

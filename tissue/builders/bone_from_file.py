@@ -32,7 +32,8 @@ def bone_from_file(parameters: AnatomyFile, notes: dict[str, str]) -> Anatomy:
     from meshes.images.reading import read_image
     from meshes.images.threshold_surface import image_cuts, image_triangles
     from meshes.surfaces.bone_surface import surface_anatomy
-    from meshes.surfaces.surface import read_triangles, surface_from_triangles
+    from meshes.surfaces.surface import surface_from_triangles
+    from meshes.surfaces.triangle_files import read_triangles
 
     assert parameters.file is not None
     cuts: tuple[NDArray[np.float64], ...] = ()
@@ -59,14 +60,14 @@ def bone_from_file(parameters: AnatomyFile, notes: dict[str, str]) -> Anatomy:
 
 def whole_image(scene: Scene, *, notes: dict[str, str]) -> VoxelVolume:
     """Bone from an image volume as it is, the top of its block at z = 0."""
-    from meshes.images.bone_image import read_volume
+    from meshes.images.bone_image import image_volume
+    from meshes.images.reading import read_image
 
     parameters = scene.bone
     remarks: list[str] = []
-    volume = read_volume(
-        parameters.file or "",
+    volume = image_volume(
+        read_image(parameters.file or "", spacing_mm=parameters.spacing_mm),
         threshold=_threshold(parameters),
-        spacing_mm=parameters.spacing_mm,
         density_kg_m3=parameters.density_kg_m3 if isinstance(parameters, BlockAnatomy) else 1800.0,
         resample_mm=scene.voxels.spacing_mm,
         remark=remarks.append,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from meshes.base.errors import InputError
-from meshes.surfaces.surface import read_triangles
+from meshes.surfaces.triangle_files import read_triangles
 from tissue.scene.tool import Needle, Probe, Tool
 
 if TYPE_CHECKING:

@@ -8,11 +8,11 @@ import io
 import image_writers as write
 import numpy as np
 import pytest
+from image_surface import image_surface
 from scipy.ndimage import binary_opening
 from scipy.spatial import cKDTree
 
 from meshes.images.reading import read_image
-from meshes.images.threshold_surface import image_surface
 from meshes.voxels.mesh_sampling import triangle_distance
 
 BONE_HU = 300.0

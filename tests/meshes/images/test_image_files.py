@@ -1,4 +1,4 @@
-"""Volumes from images: TIFF slices, VTK images, DICOM; thresholds, ramps, resampling, and refusals."""
+"""Volumes from images: TIFF slices, VTK images, DICOM; thresholds, resampling, and refusals."""
 
 import math
 import struct
@@ -7,11 +7,8 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
-from meshes.images.bone_image import CT_DENSITY, DensityLaw, image_volume, read_volume
+from meshes.images.bone_image import CT_DENSITY, DensityLaw, image_volume
 from meshes.images.reading import Image, read_image
-from meshes.shapes import sdf
-from meshes.shapes.anatomy import cortical_block
-from meshes.voxels.voxelise import voxelise
 
 
 def image(values, spacing=(0.1, 0.1, 0.1)):
@@ -75,15 +72,15 @@ def test_point_images_keep_values_and_spacing(tmp_path, suffix):
     assert np.array_equal(found.values, values) and found.spacing_mm == pytest.approx((0.5, 0.5, 0.75))
 
 
-def test_round_trip_through_a_vtk_image(tmp_path):
-    solid = voxelise(cortical_block(size_mm=(4, 3, 2)), spacing_m=2e-4, minus=sdf.sphere(8e-4))
-    path = tmp_path / "bone.vti"
-    solid.to_image().save(path)
-    back = read_volume(path, array="fraction", threshold=0.5, full_value=1.0, layer_name="cortical")
-    assert np.array_equal(back.fraction, solid.fraction)
-    assert back.spacing_m == pytest.approx(solid.spacing_m) and back.layer_names == solid.layer_names
-    assert back.origin_m == pytest.approx(solid.origin_m, abs=1e-12)
-    assert (back.density_kg_m3[back.fraction > 0] == 1800).all()
+def test_an_image_of_cells_is_read_at_their_middles(tmp_path):
+    import pyvista
+
+    values = np.random.default_rng(4).integers(0, 255, (5, 4, 3), dtype=np.uint8)
+    grid = pyvista.ImageData(dimensions=(6, 5, 4), spacing=(0.2, 0.2, 0.2), origin=(1.0, 2.0, 3.0))
+    grid.cell_data["fraction"] = values.ravel(order="F")
+    grid.save(tmp_path / "bone.vti")
+    found = read_image(tmp_path / "bone.vti")
+    assert np.array_equal(found.values, values) and found.origin_mm == pytest.approx((1.1, 2.1, 3.1))
 
 
 def test_placeholder_spacing_is_reported(tmp_path):
@@ -93,21 +90,20 @@ def test_placeholder_spacing_is_reported(tmp_path):
     grid.point_data["v"] = np.arange(27.0)
     grid.save(tmp_path / "one.vti")
     remarks = []
-    read_volume(tmp_path / "one.vti", threshold=5, remark=remarks.append)
+    image_volume(read_image(tmp_path / "one.vti"), threshold=5, remark=remarks.append)
     assert remarks == [
         "The spacing in one.vti is exactly 1 mm, often a placeholder: set anatomy.spacing_mm to be sure."
     ]
     remarks.clear()
-    assert read_volume(tmp_path / "one.vti", threshold=5, spacing_mm=0.03, remark=remarks.append).spacing_m == 3e-5
+    given = read_image(tmp_path / "one.vti", spacing_mm=0.03)
+    assert image_volume(given, threshold=5, remark=remarks.append).spacing_m == 3e-5
     assert remarks == ["The spacing in one.vti is 1 x 1 x 1 mm; 0.03 mm is used, as given."]
 
 
-def test_threshold_and_ramp():
+def test_threshold():
     values = np.array([0, 50, 75, 100, 125, 150, 300], dtype=np.uint16).reshape(7, 1, 1)
     hard = image_volume(image(values), threshold=100)
     assert hard.fraction.ravel().tolist() == [0, 0, 0, 0, 255, 255, 255]
-    ramp = image_volume(image(values), threshold=100, full_value=150)
-    assert ramp.fraction.ravel().tolist() == [0, 0, 64, 128, 191, 255, 255]
 
 
 def test_density_law():
@@ -133,46 +129,26 @@ def test_finer_voxels_interpolate_grey_and_make_cubes():
     x = np.linspace(-1, 1, 21)
     ball = 100 * (0.8 - np.sqrt(x[:, None, None] ** 2 + x[None, :, None] ** 2 + x[None, None, ::2] ** 2))
     remarks = []
-    volume = image_volume(image(ball, (0.1, 0.1, 0.2)), threshold=0, full_value=5, remark=remarks.append)
+    volume = image_volume(image(ball, (0.1, 0.1, 0.2)), threshold=0, remark=remarks.append)
     assert volume.spacing_m == pytest.approx(1e-4) and volume.shape == (21, 21, 22)
     assert remarks == ["The voxels of test are not cubes; resampled to 0.1 mm."]
     assert volume.volume_m3() == pytest.approx(4 / 3 * math.pi * 0.8e-3**3, rel=0.02)
 
 
-def test_up_turns_without_mirroring_and_places_the_top_at_zero():
-    values = np.zeros((4, 6, 8))
-    values[0, 0, 0], values[3, 0, 0], values[0, 5, 0], values[0, 0, 7] = 1, 2, 3, 4  # a corner and its three axes
-    for up in ("+x", "-x", "+y", "-y", "+z", "-z"):
-        volume = image_volume(image(values), threshold=0.5, up=up, density_kg_m3=DensityLaw(100.0, 0.0))
-        nx, ny, _ = volume.shape
-        assert volume.bounds_m[1][2] == pytest.approx(0.0, abs=1e-15)
-        assert volume.origin_m[:2] == pytest.approx([-0.5e-4 * nx, -0.5e-4 * ny])
-        at = {int(volume.density_kg_m3[i]) // 100: np.array(i) for i in map(tuple, np.argwhere(volume.fraction))}
-        axes = [np.sign(at[k] - at[1]) for k in (2, 3, 4)]
-        assert np.linalg.det(axes) == pytest.approx(1.0)
-        assert axes["xyz".index(up[1])][2] == (1 if up[0] == "+" else -1)
-
-
-@pytest.mark.parametrize("up", ["+x", "-x", "+y", "-y", "+z", "-z"])
 @pytest.mark.parametrize("resample_mm", [None, 0.05, 0.3])
-def test_placement_leads_back_to_the_image(up, resample_mm):
-    """A ball of bone lies where its image has it, whichever axis is up, cropped and resampled."""
+def test_placement_leads_back_to_the_image(resample_mm):
+    """A ball of bone lies where its image has it, resampled or not, and the block's top at z = 0."""
     x, y, z = np.meshgrid(*[np.arange(n) for n in (30, 34, 38)], indexing="ij")
     centre, first = np.array([12.0, 17.0, 21.0]), np.array([-40.0, 7.0, 90.0])
     ball = 100.0 * (8.0 - np.linalg.norm(np.stack([x, y, z], axis=-1) - centre, axis=-1))
     whole = Image(ball, (0.1, 0.1, 0.1), "ball", (), tuple(first))
-    volume = image_volume(whole, threshold=0.0, up=up, resample_mm=resample_mm, crop=((1, 2, 3), (29, 33, 37)))
+    volume = image_volume(whole, threshold=0.0, resample_mm=resample_mm)
     filled = np.argwhere(volume.fraction > 0)
     weights = volume.fraction[tuple(filled.T)].astype(float)
     middle_m = volume.origin_m + volume.spacing_m * (np.average(filled, axis=0, weights=weights) + 0.5)
     assert volume.placement.to_file(1e3 * middle_m[None])[0] == pytest.approx(first + 0.1 * centre, abs=2e-3)
-    assert np.linalg.det(volume.placement.rotation) == pytest.approx(1.0)
-
-
-def test_crop():
-    values = np.arange(60.0).reshape(3, 4, 5)
-    volume = image_volume(image(values), threshold=-1, crop=((1, 1, 1), (3, 3, 5)))
-    assert volume.shape == (2, 2, 4)
+    assert np.array_equal(volume.placement.rotation, np.eye(3))
+    assert volume.bounds_m[1][2] == pytest.approx(0.0, abs=1e-15)
 
 
 def element(group, number, kind, value):
@@ -218,7 +194,7 @@ def test_dicom_folder(tmp_path):
     plane[1:5, 2:7] = 1524
     for z in range(5):
         write_dicom(tmp_path / f"slice{z}.dcm", plane, z)
-    volume = read_volume(tmp_path, threshold=200)
+    volume = image_volume(read_image(tmp_path), threshold=200)
     assert volume.shape == (8, 6, 5) and volume.spacing_m == pytest.approx(5e-4)
     assert volume.volume_m3() == pytest.approx(4 * 5 * 5 * 5e-4**3)
 
@@ -268,9 +244,6 @@ def test_values_that_are_not_numbers(tmp_path):
     assert refusal_of(lambda: read_image(tmp_path / "holes.vti")) == (
         "voxels must be finite, got 1 of 27 that are not in holes.vti: mask them first"
     )
-    assert refusal_of(lambda: read_image(tmp_path / "holes.vti", array="w")) == (
-        "anatomy.array must be one of v, got w: use one of these names"
-    )
 
 
 CUBE = np.arange(27.0).reshape(3, 3, 3)
@@ -283,23 +256,6 @@ CUBE = np.arange(27.0).reshape(3, 3, 3)
         (
             {"threshold": math.nan},
             "anatomy.threshold must be in [-1e+09, 1e+09], got nan: use 63 for 8-bit micro-CT, about 200 for CT",
-        ),
-        (
-            {"threshold": 5, "full_value": 5},
-            "full_value must exceed threshold (5), got 5: use the grey value of solid bone",
-        ),
-        (
-            {"threshold": 5, "smooth_voxels": 50},
-            "smooth_voxels must be in [0, 10], got 50: use 0 to leave the image as it is, or 1",
-        ),
-        (
-            {"threshold": 5, "up": "z"},
-            "up must be one of +x, -x, +y, -y, +z, -z, got z: use +z to keep the file's axes",
-        ),
-        (
-            {"threshold": 5, "crop": ((0, 0, 0), (4, 3, 3))},
-            "crop must be two corners within the image of (3, 3, 3) voxels, got ((0, 0, 0), (4, 3, 3)): use for example "
-            "((0, 0, 0), (3, 3, 3))",
         ),
         ({"threshold": 5, "resample_mm": 0.0}, "resample_mm must be positive and finite, got 0.0: use 0.1"),
         (
@@ -319,13 +275,15 @@ def test_refused_options(options, message):
 
 
 def test_microct_block(anatomy):
-    volume = read_volume(anatomy / "bone" / "microct", spacing_mm=0.0195, threshold=63)
+    image = read_image(anatomy / "bone" / "microct", spacing_mm=0.0195)
+    volume = image_volume(image, threshold=63)
     assert volume.shape == (200, 200, 200)
     assert volume.fraction.mean() / 255 == pytest.approx(0.2278, abs=1e-4)  # the data's README
-    coarse = read_volume(anatomy / "bone" / "microct", spacing_mm=0.0195, threshold=63, resample_mm=0.05)
+    coarse = image_volume(image, threshold=63, resample_mm=0.05)
     assert coarse.fraction.mean() / 255 == pytest.approx(0.2278, abs=2e-3)  # the last 0 to 50 µm are dropped
 
 
 def test_ct_from_nifti(anatomy):
-    volume = read_volume(anatomy / "ct" / "example_ct_sm.nii.gz", threshold=200, density_kg_m3=CT_DENSITY)
+    image = read_image(anatomy / "ct" / "example_ct_sm.nii.gz")
+    volume = image_volume(image, threshold=200, density_kg_m3=CT_DENSITY)
     assert volume.spacing_m == pytest.approx(3e-3) and volume.volume_m3() > 5e-5

@@ -8,10 +8,10 @@ from itertools import permutations, product
 import image_writers
 import numpy as np
 import pytest
+from image_surface import image_surface
 
 from meshes.base.errors import InputError
 from meshes.images.reading import read_image
-from meshes.images.threshold_surface import image_surface
 
 SHAPE, SPACING, ORIGIN = (5, 4, 3), np.array([0.5, 0.75, 2.0]), np.array([-30.0, 12.0, 101.0])
 VALUES = np.arange(60, dtype=np.int16).reshape(SHAPE) + 100

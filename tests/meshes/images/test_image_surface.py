@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from image_surface import image_surface
 
 from meshes.base.errors import InputError
 from meshes.images.reading import Image, read_image
-from meshes.images.threshold_surface import image_surface
 
 RADIUS_MM, SPACING_MM = 6.0, (0.5, 0.5, 0.8)
 

@@ -21,7 +21,7 @@ SHAPES = {
     "difference": sdf.box((6e-3, 6e-3, 6e-3)) - sdf.cylinder(1e-3, (0, 0, -1e-2), (0, 0, 1e-2)),
     "blended union": sdf.union(sdf.sphere(3e-3), sdf.box((8e-3, 2e-3, 2e-3)), blend_m=1e-3),
     "blended difference": sdf.difference(sdf.box((6e-3,) * 3), sdf.sphere(2e-3, (3e-3, 0, 0)), blend_m=1e-3),
-    "moved": sdf.box((8e-3, 6e-3, 4e-3)).rotate((1, 1, 0), 0.7).translate((1e-3, -2e-3, 0)).offset(5e-4),
+    "moved": sdf.box((8e-3, 6e-3, 4e-3)).translate((1e-3, -2e-3, 0)),
 }
 EXACT = ["sphere", "rounded box", "cylinder", "capsule", "half space"]
 points_in_cube = pytest.mark.parametrize("seed", [0, 1, 2])
@@ -82,10 +82,9 @@ def test_blend_adds_to_a_union_only_near_the_crease_and_at_most_a_quarter():
 
 
 def test_moving_the_shape_is_moving_the_points_back():
-    shape, p, angle = SHAPES["cylinder"], points(8), 0.4
-    turn = np.array([[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0], [0, 0, 1]])
-    moved = shape.rotate((0, 0, 3), angle).translate((1e-3, 2e-3, 3e-3))
-    assert np.allclose(moved.distance(p), shape.distance((p - [1e-3, 2e-3, 3e-3]) @ turn), atol=1e-15)
+    shape, p = SHAPES["cylinder"], points(8)
+    moved = shape.translate((1e-3, 2e-3, 3e-3))
+    assert np.allclose(moved.distance(p), shape.distance(p - [1e-3, 2e-3, 3e-3]), atol=1e-15)
 
 
 def test_known_distances():

@@ -120,8 +120,8 @@ def test_refusals(options, message):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"size_mm": (20, 12)}, "size_mm must be three lengths, got (20, 12): use for example (20, 12, 8)"),
-        ({"size_mm": 20}, "size_mm must be three lengths, got 20: use for example (20, 12, 8)"),
+        ({"size_mm": (20, 12)}, "size_mm must be three finite numbers, got (20, 12): use for example (0, 0, 1)"),
+        ({"size_mm": 20}, "size_mm must be three finite numbers, got 20: use for example (0, 0, 1)"),
         ({"size_mm": (20, -1, 8)}, "size_mm[1] must be in [0.1, 500], got -1: use about (20, 12, 8)"),
         ({"density_kg_m3": 1e6}, "density_kg_m3 must be in [100, 2500], got 1000000.0: use 1800 for cortical bone"),
     ],

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import trimesh
+from voxel_surface import voxel_surface
 
 from meshes.base.errors import InputError
 from meshes.base.placement import Placement
@@ -57,7 +58,7 @@ def test_overlapping_bodies_count_once():
 
 def test_mesh_agrees_with_the_shape_it_came_from():
     anatomy = glenoid()
-    vertices, faces = voxelise(anatomy, spacing_m=4e-4).surface()
+    vertices, faces = voxel_surface(voxelise(anatomy, spacing_m=4e-4))
     surface = surface_from_triangles(vertices * 1e3, faces, scale_mm=1)
     region = ((-8e-3, -8e-3, -5e-3), (8e-3, 8e-3, 3e-3))
     found = voxelise(surface_anatomy(surface, AT_ORIGIN), spacing_m=4e-4, region_m=region)
@@ -92,7 +93,9 @@ def synthetic_scapula():
     bone = sdf.union(glenoid(vault_depth_mm=30).shape, blade, blend_m=4e-3) | spike
     from meshes.shapes.anatomy import Anatomy, cortical_block
 
-    vertices, faces = voxelise(Anatomy("scapula", bone, ("bone",), cortical_block().classify), spacing_m=8e-4).surface()
+    vertices, faces = voxel_surface(
+        voxelise(Anatomy("scapula", bone, ("bone",), cortical_block().classify), spacing_m=8e-4)
+    )
     turn = trimesh.transformations.rotation_matrix(2.1, (1, -2, 0.5))[:3, :3]
     move = np.array([0.1, -0.05, 0.2])
     return surface_from_triangles((vertices @ turn.T + move) * 1e3, faces, scale_mm=1), turn, move

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
-from meshes.images.reading import Image
-from meshes.tooth.label_volume import label_volume, labelled_tooth, labelled_volume
+from meshes.images.reading import Image, read_image
+from meshes.tooth.label_volume import labelled_tooth
 from meshes.tooth.layers import ENAMEL, TOOTH_LAYERS
 
 SPACING_MM = 0.1
@@ -30,13 +30,16 @@ def image(values, spacing=(SPACING_MM,) * 3):
     return Image(np.asfortranarray(values), spacing, "test", ())
 
 
-EXACT_MM3 = {"enamel": 60.0 - 0.5, "dentin": 180.0 - 4.0 - 0.5, "caries": 1.0}
+EXACT_MM3 = {"enamel": 60.0 - 0.5, "dentin": 180.0 - 0.5, "caries": 1.0}
+"""Of the tooth with its cavity filled by dentin."""
 
 
 @pytest.mark.parametrize(("resample_mm", "rel"), [(0.1, 0.1), (0.2, 0.35)])
 def test_layers_keep_their_volumes(resample_mm, rel):
     """0.5 % of the whole and of the large layers; of a lesion five voxels wide, whether its faces are half voxels."""
-    volume = labelled_volume(image(tooth_labels()), resample_mm=resample_mm, pulp_from_cavity=False)
+    values = tooth_labels()
+    values[60:100, 30:40, 25:35] = 3
+    volume = labelled_tooth(image(values)).volume(resample_mm=resample_mm)
     assert volume.layer_names == TOOTH_LAYERS and volume.spacing_m == pytest.approx(1e-3 * resample_mm)
     assert 1e9 * volume.volume_m3() == pytest.approx(sum(EXACT_MM3.values()), rel=5e-3)
     for name, value in EXACT_MM3.items():
@@ -44,7 +47,7 @@ def test_layers_keep_their_volumes(resample_mm, rel):
 
 
 def test_crown_comes_up_and_the_origin_lies_on_it():
-    volume = labelled_volume(image(tooth_labels()), resample_mm=0.1)
+    volume = labelled_tooth(image(tooth_labels())).volume(resample_mm=0.1)
     filled = volume.fraction > 127
     layer = np.where(filled, volume.layer.astype(int), -1)
     height = np.broadcast_to(volume.centres_m(2), volume.shape)
@@ -60,26 +63,23 @@ def test_islands_are_dropped_and_reported():
     values, remarks = tooth_labels(), []
     values[2:4, 2:4, 2:4] = 3
     values[135, 65, 55] = 2
-    volume = labelled_volume(image(values), resample_mm=0.2, remark=remarks.append)
+    volume = labelled_tooth(image(values)).volume(resample_mm=0.2, remark=remarks.append)
     assert "Dropped 2 loose pieces of 9 voxels, 0.009 mm3 in all." in remarks
-    assert volume.volume_m3() == labelled_volume(image(tooth_labels()), resample_mm=0.2).volume_m3()
+    assert volume.volume_m3() == labelled_tooth(image(tooth_labels())).volume(resample_mm=0.2).volume_m3()
 
 
 def test_cavity_becomes_pulp_by_default():
     remarks = []
-    volume = labelled_volume(image(tooth_labels()), resample_mm=0.1, remark=remarks.append)
+    volume = labelled_tooth(image(tooth_labels())).volume(resample_mm=0.1, remark=remarks.append)
     assert 1e9 * volume.volume_m3("pulp") == pytest.approx(4.0, rel=0.1)
     assert any("in the dentin is taken as pulp" in sentence for sentence in remarks)
     assert 1e9 * volume.volume_m3() == pytest.approx(240.0, rel=5e-3)
-    remarks.clear()
-    empty = labelled_volume(image(tooth_labels()), resample_mm=0.1, pulp_from_cavity=False, remark=remarks.append)
-    assert empty.volume_m3("pulp") == 0.0 and any("are unknown" in sentence for sentence in remarks)
 
 
 def test_cavity_with_a_narrow_mouth_is_still_pulp():
     values = tooth_labels()
     values[100:140, 33:37, 28:32] = 0  # a canal of 0.4 mm to the root's end
-    volume = labelled_volume(image(values), resample_mm=0.1)
+    volume = labelled_tooth(image(values)).volume(resample_mm=0.1)
     assert 1e9 * volume.volume_m3("pulp") == pytest.approx(4.0 + 0.16 * 3.0, rel=0.15)
 
 
@@ -91,12 +91,13 @@ def test_image_file_with_a_placeholder_for_its_spacing(tmp_path):
     grid.point_data["labels"] = values.ravel(order="F")
     grid.save(tmp_path / "tooth.vti")
     with pytest.raises(InputError) as refusal:
-        label_volume(tmp_path / "tooth.vti")
+        labelled_tooth(read_image(tmp_path / "tooth.vti", labels=True))
     assert str(refusal.value) == (
         "spacing_mm must make the tooth 5 to 40 mm long, got 1, which makes it 120 mm: use the scanner's value, about "
         "0.1"
     )
-    volume = label_volume(tmp_path / "tooth.vti", spacing_mm=SPACING_MM, resample_mm=0.2)
+    found = read_image(tmp_path / "tooth.vti", spacing_mm=SPACING_MM, labels=True)
+    volume = labelled_tooth(found).volume(resample_mm=0.2)
     assert 1e9 * volume.volume_m3("enamel") == pytest.approx(EXACT_MM3["enamel"], rel=5e-3)
 
 
@@ -144,7 +145,8 @@ def edited(**values):
 )
 def test_refusals(make, options, message):
     with pytest.raises(InputError) as refusal:
-        labelled_volume(make(), **options)
+        labels = {"labels": options.pop("labels")} if "labels" in options else {}
+        labelled_tooth(make(), **labels).volume(**options)
     assert str(refusal.value).startswith(message)
 
 
@@ -159,7 +161,8 @@ def test_real_carious_teeth(anatomy, number, islands, counts):
     """Voxel counts and islands are those of the data's README; the islands hold less than 0.2 mm3."""
     remarks = []
     path = anatomy / "tooth" / f"caries_tooth_{number}.nii.gz"
-    volume = label_volume(path, spacing_mm=0.034, resample_mm=0.1, remark=remarks.append)
+    tooth = labelled_tooth(read_image(path, spacing_mm=0.034, labels=True))
+    volume = tooth.volume(resample_mm=0.1, remark=remarks.append)
     assert any(f"Dropped {islands - 1} loose pieces" in sentence for sentence in remarks)  # the tooth is one of them
     for name, count in counts.items():
         expected = count * 0.034**3

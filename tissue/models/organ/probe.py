@@ -14,7 +14,7 @@ import numpy as np
 from kernels.probe_distance import CYLINDER, SHELL, SPHERE
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_positive
-from meshes.surfaces.surface import read_triangles
+from meshes.surfaces.triangle_files import read_triangles
 
 __all__ = ["CylinderProbe", "ProbeShape", "ShellProbe", "SphereProbe"]
 
@@ -159,8 +159,8 @@ class ShellProbe(ProbeShape):
         Parameters
         ----------
         mesh
-            A surface file, see `meshes.surfaces.surface.read_triangles`, or a trimesh mesh; its origin is the tip, its
-            z axis runs to the shank.
+            A surface file, see `meshes.surfaces.triangle_files`, or a trimesh mesh; its origin is the tip, its z axis
+            runs to the shank.
         points
             About how many points; a tick projects every one.
         scale

@@ -1,0 +1,183 @@
+"""Triangles as the files of surfaces hold them: STL, OBJ, PLY and VTK."""
+
+import re
+from itertools import takewhile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, require_file
+from meshes.base.isolated_parser import parse_isolated
+from meshes.surfaces.repair import Triangles
+
+__all__ = ["SURFACE_SUFFIXES", "read_triangles", "require_triangles"]
+
+SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
+_HEADER, _RECORD = 84, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+"""Of binary STL: bytes before the triangles, and what each holds."""
+_IGNORED = frozenset(("vt", "vn", "vp", "p", "l", "g", "s", "mg", "o", "usemtl", "mtllib", "usemap", "maplib", "lod"))
+_IGNORED |= {"bevel", "c_interp", "d_interp", "shadow_obj", "trace_obj", "ctech", "stech", "call", "csh", "deg", "bmat"}
+_IGNORED |= {"step", "cstype", "curv", "curv2", "surf", "parm", "trim", "hole", "scrv", "sp", "end", "con"}
+"""Keywords of OBJ that do not concern vertices and polygons."""
+_FURTHER = re.compile(r"/\S*")
+
+
+def read_triangles(file: Path) -> Triangles:
+    """Read vertices, shape (n, 3), and triangles, shape (m, 3), as a file stores them, in its unit.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, empty, of unknown format or not readable, or a triangle names no vertex of it.
+    """
+    if file.suffix.lower() not in SURFACE_SUFFIXES:
+        raise InputError(
+            f"file must end in {', '.join(SURFACE_SUFFIXES)}, got {file.name}: convert it, or read a "
+            "volume with read_image"
+        )
+    require_file(file, "a surface")
+    vertices, faces = (np.asarray(array) for array in _stored(file))
+    require_triangles(vertices, faces, file.name)
+    return vertices.astype(np.float64, copy=False), faces.astype(np.int64, copy=False)
+
+
+def _stored(file: Path) -> tuple[NDArray[np.number], NDArray[np.number]]:
+    kind = file.suffix.lower()[1:].upper()
+    if kind in ("VTK", "VTP"):
+        parsed = parse_isolated(
+            "meshes.surfaces.vtk_reading:vtk_triangles", file, what=f"{kind} surface", remedy="export it again"
+        )
+        return parsed.arrays["points"], parsed.arrays["triangles"]
+    if kind == "OBJ":
+        return _read_obj(file)
+    if kind == "STL" and (binary := _read_binary_stl(file)) is not None:
+        return binary
+    if kind == "PLY":
+        _require_whole_ply(file)
+    try:
+        import trimesh
+
+        mesh: Any = trimesh.load(file, force="mesh", process=False)
+        return mesh.vertices, mesh.faces
+    except Exception as problem:  # the readers raise many kinds, none documented
+        raise InputError(
+            f"file must be a readable {kind} surface, got {file.name} (it is damaged or cut off): export it again"
+        ) from problem
+
+
+def require_triangles(vertices: NDArray[np.number], faces: NDArray[np.number], source: str) -> None:
+    """Refuse triangles that are none, or that name vertices which are not there."""
+    if len(vertices) == 0 or len(faces) == 0:
+        raise InputError(
+            f"file must hold triangles, got {len(vertices)} vertices and {len(faces)} triangles in "
+            f"{source}: export the surface as triangles"
+        )
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
+        raise InputError(
+            f"file must hold triangles in space, got vertices of shape {vertices.shape} and faces of shape "
+            f"{faces.shape} in {source}: export it again"
+        )
+    count = len(vertices)
+    if faces.min() < 0 or faces.max() >= count:
+        face, corner = np.argwhere((faces < 0) | (faces >= count))[0]
+        raise InputError(
+            f"faces must name vertices 0 to {count - 1} of the file, got {faces[face, corner]} in face {face} of "
+            f"{source}, counted from 0: export it again"
+        )
+
+
+def _read_binary_stl(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
+    """Corners, shape (3 m, 3), and triangles, shape (m, 3), of a file; None of one in text."""
+    size = file.stat().st_size
+    with file.open("rb") as stored:
+        head = stored.read(_HEADER)
+        count = int.from_bytes(head[80:], "little")
+        if count == 0 or size != _HEADER + count * _RECORD.itemsize:
+            if b"\0" not in head:  # text holds none; a count below 16 million does
+                return None
+            payload = max(size - _HEADER, 0) // _RECORD.itemsize
+            stated = f"{count} triangles in its header" if size >= _HEADER else "a part of its header"
+            raise InputError(
+                f"file must be a whole STL surface, got {stated} and {payload} of them in {file.name}: it is cut off "
+                "or damaged, export it again"
+            )
+        records = np.fromfile(stored, dtype=_RECORD, count=count)
+    return records["corners"].reshape(-1, 3).astype(np.float64), np.arange(3 * count).reshape(-1, 3)
+
+
+def _require_whole_ply(file: Path) -> None:
+    """Refuse a PLY file in text that is not as long as its header states; binary ones are checked as they are read."""
+    with file.open("rb") as stored:
+        head = [line.split() for line in takewhile(lambda line: line.strip() != b"end_header", stored)]
+        if not any(line[:2] == [b"format", b"ascii"] for line in head):
+            return
+        found = sum(bool(line.strip()) for line in stored)
+    counts = [line[2:3] for line in head if line[:1] == [b"element"]]
+    stated = sum(int(count[0]) if count and count[0].isdigit() else -(10**30) for count in counts)
+    if stated != found:
+        counted = f"{stated} lines" if stated >= 0 else "a count that is none"
+        raise InputError(
+            f"file must be a readable PLY surface, got {counted} in the header and {found} after it in {file.name}: "
+            "export it again"
+        )
+
+
+def _read_obj(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Vertices, shape (n, 3), and triangles, shape (m, 3), of OBJ; polygons become fans about their first corner."""
+    lines = file.read_bytes().decode("latin-1").replace("\\\r\n", " ").replace("\\\n", " ").splitlines()
+    vertices: list[list[float]] = []
+    polygons: list[list[int]] = []
+    for number, line in enumerate(lines, 1):
+        keyword, _, rest = line.strip().partition("#")[0].strip().partition(" ")
+        try:
+            if keyword == "v":
+                vertices.append(_vertex(rest))
+            elif keyword == "f":
+                polygons.append(_polygon(rest, len(vertices)))
+            elif keyword and keyword.partition("\t")[0] not in _IGNORED:
+                raise ValueError("begins with no keyword of the format")
+        except ValueError as problem:
+            raise InputError(
+                f"file must be a readable OBJ surface, got line {number} of {file.name}, which {problem}: export it "
+                "again"
+            ) from None
+    return _arrays(vertices, polygons, file.name)
+
+
+def _vertex(rest: str) -> list[float]:
+    try:
+        numbers = [float(each) for each in rest.split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (3, 4, 6, 7):  # with a weight, a colour, or both
+        raise ValueError(f"must hold the three numbers of a vertex, not {rest.strip()[:40]!r}")
+    return numbers[:3]
+
+
+def _polygon(rest: str, count: int) -> list[int]:
+    """Vertex numbers from 0 of a polygon after so many vertices."""
+    try:
+        numbers = [int(each) for each in _FURTHER.sub("", rest).split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) < 3 or 0 in numbers:
+        raise ValueError(f"must hold three or more vertex numbers from 1, not {rest.strip()[:40]!r}")
+    if min(numbers) < -count:
+        raise ValueError(f"names vertex {min(numbers)} after {count} vertices")
+    return [each - 1 if each > 0 else count + each for each in numbers]
+
+
+def _arrays(
+    vertices: list[list[float]], polygons: list[list[int]], name: str
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    most = max((max(polygon) for polygon in polygons), default=-1)
+    if most >= len(vertices):
+        first = next(number for number, polygon in enumerate(polygons, 1) if max(polygon) >= len(vertices))
+        raise InputError(
+            f"faces must name vertices 1 to {len(vertices)} of the file, got {max(polygons[first - 1]) + 1} in face "
+            f"{first} of {name}: export it again"
+        )
+    triangles = [(p[0], p[i], p[i + 1]) for p in polygons for i in range(1, len(p) - 1)]
+    return np.array(vertices, dtype=np.float64).reshape(-1, 3), np.array(triangles, dtype=np.int64).reshape(-1, 3)
