@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from round_bodies import mapped
 
-from meshes.tets.structured import mapped
 from tissue.fem.hyperelastic import Law, NonlinearBody
 from tissue.fem.newton import NewtonSolver
 from tissue.fem.space import Space

@@ -41,7 +41,7 @@ def tool_surface(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None
         case Probe(file=str(file)):
             with suppress(InputError):
                 vertices, faces = read_triangles(Path(file))
-                return pyvista.PolyData.from_regular_faces(tool.scale_mm * np.asarray(vertices), faces)
+                return pyvista.PolyData.from_regular_faces(tool.scale_mm * vertices, faces.astype(int))
         case Probe():
             return _rod(0.5 * tool.diameter_mm, tool.length_mm)
         case Needle():
