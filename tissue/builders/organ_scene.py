@@ -1,7 +1,8 @@
 """Build what a probe presses or a needle pierces: soft organs, and a stiff wall."""
 
+from functools import cached_property
 from math import inf
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,10 @@ from tissue.scene.scene import Scene
 from tissue.scene.tool import Needle, Probe
 
 if TYPE_CHECKING:
+    from tissue.fem.solvers.direct import DirectSolver
     from tissue.fem.solvers.held_body import HeldBody
+    from tissue.fem.solvers.lazy_compliance import LazyCompliance
+    from tissue.fem.solvers.multigrid import MultigridSolver
     from tissue.fem.space import Space
     from tissue.materials.prony import Prony
 
@@ -154,18 +158,14 @@ class _Factor:
 
     def __init__(self, body: "HeldBody") -> None:
         self._body = body
-        self._made: Any = None
 
-    @property
-    def solver(self) -> Any:
+    @cached_property
+    def solver(self) -> "DirectSolver | MultigridSolver":
         """The solver."""
         from tissue.fem.solvers.direct import DirectSolver
         from tissue.fem.solvers.multigrid import MultigridSolver
 
-        if self._made is None:
-            large = len(self._body.free) > FACTOR_UNKNOWNS
-            self._made = MultigridSolver(self._body) if large else DirectSolver(self._body)
-        return self._made
+        return (MultigridSolver if len(self._body.free) > FACTOR_UNKNOWNS else DirectSolver)(self._body)
 
     def solve_all(self, loads_N: NDArray[np.float64]) -> NDArray[np.float64]:
         """Displacements [m] under several loads [N], shape (loads, n, 3) both."""
@@ -228,7 +228,7 @@ def _weight(
 
 def _compliance(
     body: "HeldBody", touchable: NDArray[np.int64], organ: Organ, solver: _Factor, report: Progress
-) -> tuple[NDArray[np.float64], Any]:
+) -> tuple[NDArray[np.float64], "LazyCompliance | None"]:
     """Compliance of the touchable nodes [m/N], shape (3t, 3t), and what fills it while the tool moves."""
     from tissue.fem.solvers.condensed import surface_compliance_m_N
     from tissue.fem.solvers.lazy_compliance import LazyCompliance

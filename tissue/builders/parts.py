@@ -1,7 +1,7 @@
 """What a run is made of."""
 
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
 from meshes.base.placement import Placement
 from meshes.base.progress import Progress
@@ -47,7 +47,7 @@ class Parts:
         return self.tissue.fields if isinstance(self.tissue, HasFields) else None
 
     @property
-    def placement_record(self) -> dict[str, Any]:
+    def placement_record(self) -> dict[str, dict[str, list[float]]]:
         """The placement as an entry of a run's summary; nothing where there is none."""
         return {} if self.placement is None else {"placement": self.placement.to_record()}
 

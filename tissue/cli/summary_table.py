@@ -1,15 +1,18 @@
 """The table that a person reads after a run."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.table import Table
 
+if TYPE_CHECKING:
+    from tissue.simulation.run_summary import Summary
+
 __all__ = ["print_summary"]
 
 
-def print_summary(console: Console, summary: dict[str, Any], folder: Path, *, wall_s: float, saving_s: float) -> None:
+def print_summary(console: Console, summary: "Summary", folder: Path, *, wall_s: float, saving_s: float) -> None:
     """The table a person reads after a run."""
     table = Table(title=f"{summary['scene']}: {summary['simulated_s']:g} s simulated in {wall_s:.1f} s")
     table.add_column("quantity")

@@ -1,10 +1,10 @@
 """What every command shares: where it prints, its progress bar, and whole numbers."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from cyclopts import CoercionError
+from cyclopts import CoercionError, Token
 from rich.console import Console
 
 from meshes.base.progress import Progress, silent
@@ -28,7 +28,7 @@ console = _Terminal(emoji=False, markup=False)
 problems = _Terminal(stderr=True, emoji=False, markup=False)
 
 
-def whole(_: Any, tokens: Any) -> int:
+def whole(_: object, tokens: Sequence[Token]) -> int:
     """A whole number from the command line, which would otherwise be rounded to one."""
     try:
         return int(tokens[0].value)
@@ -36,7 +36,7 @@ def whole(_: Any, tokens: Any) -> int:
         raise CoercionError(token=tokens[0], target_type=int) from None
 
 
-def left_out(where: str, remedy: str, **flags: Any) -> None:
+def left_out(where: str, remedy: str, **flags: object) -> None:
     """Refuse options that were given and have no effect ``where`` that is so.
 
     Raises

@@ -2,7 +2,7 @@
 
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from cyclopts import Parameter
 
@@ -43,7 +43,9 @@ def view(
     """
     from tissue.viewer.view import view as show
 
-    chosen: dict[str, Any] = {"hide": hide, "field": field, "scale": scale, "time_s": time_s}
     with nullcontext() if movie is None else progress() as report:
-        shown = show(folder, screenshot=screenshot, movie=movie, progress=report, **chosen)
+        shown = show(
+            folder, screenshot=screenshot, movie=movie, hide=hide, field=field, scale=scale, time_s=time_s,
+            progress=report,
+        )  # fmt: skip
     console.print(shown)

@@ -1,7 +1,7 @@
 """What a scene states of the anatomy: procedural, or read from files."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, Strict, field_validator
 
@@ -51,7 +51,7 @@ class AnatomyFile(Part):
 
     @field_validator("file", mode="before")
     @classmethod
-    def _empty_is_none(cls, value: Any) -> Any:
+    def _empty_is_none(cls, value: object) -> object:
         return None if value == "" else value
 
 

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from copy import deepcopy
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
@@ -46,7 +45,7 @@ def scene_text(name: str) -> str:
     return files("tissue.scene.library").joinpath(f"{name}.toml").read_text("utf-8")
 
 
-def load_scene(source: str | Path, overrides: Mapping[str, Any] | None = None, *, live: bool = False) -> Scene:
+def load_scene(source: str | Path, overrides: Mapping[str, object] | None = None, *, live: bool = False) -> Scene:
     """Load and validate a scene.
 
     Parameters
@@ -97,7 +96,7 @@ def saved_text(scene: Scene) -> str:
     return f'format = {FORMAT}\ntissue = "{package_version()}"\n{scene.to_toml()}'
 
 
-def changed(scene: Scene, overrides: Mapping[str, Any]) -> Scene:
+def changed(scene: Scene, overrides: Mapping[str, object]) -> Scene:
     """A scene with other values by dotted key; None takes an entry back to its default.
 
     Raises
@@ -108,7 +107,7 @@ def changed(scene: Scene, overrides: Mapping[str, Any]) -> Scene:
     return _replaced(scene.model_dump(exclude_unset=True), overrides)
 
 
-def _replaced(table: dict[str, Any], overrides: Mapping[str, Any]) -> Scene:
+def _replaced(table: dict[str, object], overrides: Mapping[str, object]) -> Scene:
     """The scene of a table with other values by dotted key, without what only they make of no effect.
 
     A file's own key that has no effect even without them stays, and so does one of theirs: both are faults.
@@ -127,7 +126,7 @@ def _replaced(table: dict[str, Any], overrides: Mapping[str, Any]) -> Scene:
     return _validated(_without_nothing(placed))
 
 
-def _table_faults(table: Mapping[str, Any]) -> set[str] | None:
+def _table_faults(table: Mapping[str, object]) -> set[str] | None:
     """Keys of a table by itself that have no effect; None where it is no scene yet, so that nothing is known."""
     try:
         return set(refused_keys(_validated(_without_nothing(table))))
@@ -135,16 +134,17 @@ def _table_faults(table: Mapping[str, Any]) -> set[str] | None:
         return None
 
 
-def _drop(table: dict[str, Any], key: str) -> None:
+def _drop(table: dict[str, object], key: str) -> None:
     """Take a dotted key out of nested tables."""
     part, _, name = key.partition(".")
-    if name and isinstance(table.get(part), dict):
-        table[part].pop(name, None)
+    inner = table.get(part)
+    if name and isinstance(inner, dict):
+        inner.pop(name, None)
     else:
         table.pop(part, None)
 
 
-def _without_defaults(table: dict[str, Any]) -> dict[str, Any]:
+def _without_defaults(table: dict[str, object]) -> dict[str, object]:
     """A scene's table without entries at their defaults: a run keeps all, but nobody asked for those without effect."""
     try:
         scene = _validated(table)
@@ -153,19 +153,19 @@ def _without_defaults(table: dict[str, Any]) -> dict[str, Any]:
     return _chosen_entries(table, scene)
 
 
-def _chosen_entries(table: Mapping[str, Any], model: BaseModel) -> dict[str, Any]:
+def _chosen_entries(table: Mapping[str, object], model: BaseModel) -> dict[str, object]:
     """Entries of a part other than its defaults, and its kind."""
-    found = {}
+    found: dict[str, object] = {}
     for name, entry in table.items():
         value = getattr(model, name)
-        if isinstance(value, BaseModel):
+        if isinstance(value, BaseModel) and isinstance(entry, dict):
             found[name] = _chosen_entries(entry, value)
         elif name == "kind" or value != type(model).model_fields[name].default:
             found[name] = entry
     return found
 
 
-def _without_nothing(table: Mapping[str, Any]) -> dict[str, Any]:
+def _without_nothing(table: Mapping[str, object]) -> dict[str, object]:
     """A table without entries that are None."""
     inner = {k: _without_nothing(v) if isinstance(v, dict) else v for k, v in table.items()}
     return {k: v for k, v in inner.items() if v is not None}
@@ -184,7 +184,7 @@ def _read(path: Path) -> str:
         raise InputError(f"scene must be readable, got {message} at {path}: check who may read it") from None
 
 
-def parse_override(text: str, *, option: str = "--set", example: str = "voxels.spacing_mm=0.2") -> tuple[str, Any]:
+def parse_override(text: str, *, option: str = "--set", example: str = "voxels.spacing_mm=0.2") -> tuple[str, object]:
     """Key and value of ``key=value``, as an option is given it; the value is TOML, or a string where it is not.
 
     Raises
@@ -201,7 +201,7 @@ def parse_override(text: str, *, option: str = "--set", example: str = "voxels.s
         return key.strip(), value
 
 
-def _place(table: dict[str, Any], key: str, value: Any) -> None:
+def _place(table: dict[str, object], key: str, value: object) -> None:
     """Set a dotted key in nested tables; a new kind of a part starts that part afresh."""
     *parents, last = key.split(".")
     for parent in parents:
@@ -216,7 +216,7 @@ def _place(table: dict[str, Any], key: str, value: Any) -> None:
     table[last] = value
 
 
-def _validated(table: Mapping[str, Any]) -> Scene:
+def _validated(table: Mapping[str, object]) -> Scene:
     """The scene a table describes, or an InputError for its first fault."""
     try:
         return Scene.model_validate(table)

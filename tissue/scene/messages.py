@@ -1,11 +1,12 @@
 """Faults of a scene, each in one sentence: key, requirement, value and remedy."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from types import UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
 
 from tissue.scene.named_parts import ByKind, OneOf, kinds_of, nearest, shown, unknown_name
 from tissue.scene.scene import Scene
@@ -14,10 +15,10 @@ __all__ = ["choices_of", "sentence"]
 
 BOUNDS = (("gt", "greater than"), ("ge", "at least"), ("lt", "below"), ("le", "at most"))
 SEE = "see `tissue scenes NAME`"
-Table = Mapping[str, Any]
+Table = Mapping[str, object]
 
 
-def sentence(fault: Mapping[str, Any], table: Table) -> str:
+def sentence(fault: ErrorDetails, table: Table) -> str:
     """One sentence for a fault that pydantic found in a scene's table."""
     path = _without_tags(fault["loc"], table)
     names = tuple(str(step) for step in path[: next((i for i, s in enumerate(path) if isinstance(s, int)), len(path))])
@@ -46,7 +47,7 @@ def sentence(fault: Mapping[str, Any], table: Table) -> str:
     return f"{key} must be {_requirement(field, kind, len(path) > len(names))}, got {_shown(got)}: {_remedy(field)}"
 
 
-def _shown(value: Any) -> str:
+def _shown(value: object) -> str:
     """A value that was refused, with the point or the quotes that may be what is wrong."""
     if isinstance(value, float) and value.is_integer():
         return repr(value)
@@ -83,7 +84,7 @@ def _requirement(field: FieldInfo, kind: str, inside: bool) -> str:
     return f"a table with entries such as {', '.join(entries)}"
 
 
-def _bounds(metadata: Any) -> str:
+def _bounds(metadata: Iterable[object]) -> str:
     """Limits as words, from annotations."""
     flat = [inner for each in metadata for inner in (each.metadata if isinstance(each, FieldInfo) else [each])]
     words = [f"{word} {shown(getattr(m, name))}" for name, word in BOUNDS for m in flat if hasattr(m, name)]
@@ -124,7 +125,7 @@ def _parts(field: FieldInfo) -> list[type[BaseModel]]:
     return [p for p in _alternatives(field.annotation) if isinstance(p, type) and issubclass(p, BaseModel)]
 
 
-def _alternatives(annotation: Any) -> list[Any]:
+def _alternatives(annotation: object) -> list[object]:
     """Types that an annotation allows, besides None."""
     if get_origin(annotation) is Annotated:
         return _alternatives(get_args(annotation)[0])
@@ -138,13 +139,13 @@ def _inner(table: Table, name: str) -> Table:
     return inner if isinstance(inner, Mapping) else {}
 
 
-def _value_at(names: tuple[str, ...], table: Table) -> Any:
+def _value_at(names: tuple[str, ...], table: Table) -> object:
     for name in names[:-1]:
         table = _inner(table, name)
     return table.get(names[-1])
 
 
-def _without_tags(location: tuple[Any, ...], table: Table) -> list[Any]:
+def _without_tags(location: tuple[int | str, ...], table: Table) -> list[int | str]:
     """A fault's location without the name of the kind that pydantic adds after a part."""
     tagged = len(location) > 1 and _inner(table, str(location[0])).get("kind") == location[1]
     return [location[0], *location[2:]] if tagged else list(location)

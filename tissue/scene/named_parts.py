@@ -6,16 +6,29 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_args
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar, get_args
 
 from meshes.base.errors import InputError
 
 if TYPE_CHECKING:
-    from pydantic import BaseModel
+    from pydantic import BaseModel, GetCoreSchemaHandler
+    from pydantic_core import CoreSchema
 
 __all__ = ["ByKind", "OneOf", "Registry", "kinds_of", "loaded", "nearest", "shown", "unknown_name"]
 
 T = TypeVar("T")
+
+
+class OfKind(Protocol):
+    """An entry of a table of parts that a scene states, with the class of the part."""
+
+    @property
+    def parameters(self) -> "type[BaseModel] | str":
+        """The class, or where it lies."""
+        ...
+
+
+K = TypeVar("K", bound=OfKind)
 LONGEST = 120
 """Characters of a value that a sentence repeats."""
 
@@ -32,7 +45,7 @@ def unknown_name(key: str, known: Iterable[str], got: str) -> str:
     return f"{key} must be one of {', '.join(known)}, got {got}{nearest(got, known)}: choose one of these"
 
 
-def shown(value: Any) -> str:
+def shown(value: object) -> str:
     """A value as a person would write it."""
     if isinstance(value, float):
         return f"{value:g}"
@@ -143,10 +156,10 @@ class Registry(Generic[T]):
 
 
 @dataclass(frozen=True)
-class OneOf:
+class OneOf(Generic[T]):
     """Marks a scene's text as a name of a table, or one of some others; it is checked when the scene is."""
 
-    table: Registry[Any]
+    table: Registry[T]
     others: tuple[str, ...] = ()
 
     @property
@@ -164,12 +177,12 @@ class OneOf:
                 raise PydanticCustomError("unknown_name", "{sentence}", {"sentence": str(refusal)}) from None
         return name
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
+    def __get_pydantic_core_schema__(self, source: object, handler: "GetCoreSchemaHandler") -> "CoreSchema":
         from pydantic_core import core_schema
 
         return core_schema.no_info_after_validator_function(self._check, handler(source))
 
-    def __get_pydantic_json_schema__(self, schema: Any, handler: Callable[[Any], Any]) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, schema: "CoreSchema", handler: object) -> dict[str, object]:
         if not any(":" in name for name in self.names):
             return {"enum": list(self.names), "type": "string"}
         patterns = (re.sub(":.*", ":.+", re.escape(name)) for name in self.names)
@@ -183,21 +196,21 @@ def kinds_of(part: "type[BaseModel]") -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class ByKind:
+class ByKind(Generic[K]):
     """Marks a union of parts of a scene, of which the key ``kind`` chooses one; with a table, those of its entries.
 
     An entry of such a table has the class of the part as ``parameters``.
     """
 
-    table: Registry[Any] | None = None
+    table: Registry[K] | None = None
 
-    def parts(self, union: Any) -> "tuple[type[BaseModel], ...]":
+    def parts(self, union: object) -> "tuple[type[BaseModel], ...]":
         """The parts now."""
         if self.table is None:
             return get_args(union)
         return tuple(loaded(self.table[name].parameters) for name in self.table)
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+    def __get_pydantic_core_schema__(self, source: object, handler: "GetCoreSchemaHandler") -> "CoreSchema":
         from pydantic_core import core_schema
 
         choices = {kind: handler.generate_schema(part) for part in self.parts(source) for kind in kinds_of(part)}

@@ -7,7 +7,7 @@ finite is refused with one sentence that names the key, the value, the requireme
 import math
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -201,7 +201,7 @@ class Scene(Part):
 
     def with_files_at(self, folder: Path) -> "Scene":
         """The same scene with the paths of its files made absolute, relative ones taken from ``folder``."""
-        changes: dict[str, Any] = {}
+        changes: dict[str, object] = {}
         if (perception := PERCEPTIONS.with_file_at(self.perception, folder)) != self.perception:
             changes["perception"] = perception
         for part in ("anatomy", "motion", "tool", "coupling"):

@@ -1,9 +1,9 @@
 """The bone's surface, taken from its voxels, with what the tool did to it."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from meshes.voxels.volume import FULL, VoxelVolume
 
@@ -60,7 +60,7 @@ def with_layers(surface: "pyvista.PolyData", volume: VoxelVolume) -> "pyvista.Po
     return surface
 
 
-def triangle_means(values: Any, triangles: Any) -> NDArray[Any]:
+def triangle_means(values: ArrayLike, triangles: ArrayLike) -> NDArray[np.floating]:
     """Means over the three points of every triangle, shape (triangles, 3)."""
     first, second, third = np.asarray(triangles).T
     values = np.asarray(values)

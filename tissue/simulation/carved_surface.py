@@ -1,6 +1,6 @@
 """The surface of a bone that a tool carves: what never changes is taken once, what changes at every moment anew."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,7 +118,7 @@ def _chosen(surface: "pyvista.PolyData", chosen: NDArray[np.bool_]) -> "pyvista.
     """Some triangles of a surface with their points and arrays."""
     import pyvista
 
-    faces: NDArray[Any] = surface.regular_faces[chosen]
+    faces = surface.regular_faces[chosen]
     used = np.zeros(surface.n_points, dtype=bool)
     used[faces] = True
     place = np.cumsum(used) - 1

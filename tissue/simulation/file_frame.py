@@ -4,7 +4,7 @@ Coordinates take the file's unit; quantities with a unit in their name keep it. 
 vectors and turn along; arrays of cells are not (principal stresses are three numbers, and no vector).
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,20 +14,22 @@ from meshes.base.placement import Placement
 if TYPE_CHECKING:
     import pyvista
 
+Mesh = TypeVar("Mesh", bound="pyvista.PointSet")
+
 __all__ = ["image_in_file", "image_in_scene", "mesh_in_file", "mesh_in_scene"]
 
 
-def mesh_in_file(mesh: "pyvista.DataSet", placement: Placement | None) -> Any:
+def mesh_in_file(mesh: Mesh, placement: Placement | None) -> Mesh:
     """A mesh of the scene [mm] in the file's frame and unit; itself where there is no file."""
     return mesh if placement is None else _moved(mesh, placement.to_file(_points(mesh)), placement.rotation.T)
 
 
-def mesh_in_scene(mesh: "pyvista.DataSet", placement: Placement | None) -> Any:
+def mesh_in_scene(mesh: Any, placement: Placement | None) -> Any:
     """A mesh in the file's frame and unit as the scene has it [mm]; itself where there is no file."""
     return mesh if placement is None else _moved(mesh, placement.to_scene(_points(mesh)), placement.rotation)
 
 
-def image_in_file(image: Any, placement: Placement | None) -> "pyvista.ImageData":
+def image_in_file(image: "pyvista.ImageData", placement: Placement | None) -> "pyvista.ImageData":
     """Voxels of the scene [mm] in the file's frame and unit, with a direction matrix; themselves without a file."""
     if placement is None:
         return image
@@ -49,11 +51,11 @@ def image_in_scene(image: Any, placement: Placement | None) -> "pyvista.ImageDat
     return moved
 
 
-def _points(mesh: Any) -> NDArray[np.float64]:
+def _points(mesh: "pyvista.PointSet") -> NDArray[np.float64]:
     return np.asarray(mesh.points, dtype=np.float64)
 
 
-def _moved(mesh: Any, points: NDArray[np.float64], turn: NDArray[np.float64]) -> Any:
+def _moved(mesh: Mesh, points: NDArray[np.float64], turn: NDArray[np.float64]) -> Mesh:
     """A copy of a mesh at other points, its vectors turned (rows times `turn`)."""
     import pyvista
 

@@ -1,7 +1,6 @@
 """The force that a device would play if nothing were late, coarse or filtered: what runs by a hand are held against."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from tissue.simulation.trace import Table
 __all__ = ["ideal_force_N", "ideal_scene", "played_force_N", "stretch_force_N"]
 
 Array = NDArray[np.float64]
-PROMPT: dict[str, Any] = {
+PROMPT: dict[str, object] = {
     "renderer": "proxy",
     "prediction": "none",
     "perception": "none",
@@ -29,7 +28,7 @@ PROMPT: dict[str, Any] = {
 """What makes a loop prompt."""
 
 
-def ideal_scene(scene: Scene, finest: Mapping[str, Any] | None = None) -> Scene:
+def ideal_scene(scene: Scene, finest: Mapping[str, object] | None = None) -> Scene:
     """The same scene, prompt, with the same stiffness of the coupling and the finest model.
 
     Parameters
@@ -50,7 +49,7 @@ def ideal_scene(scene: Scene, finest: Mapping[str, Any] | None = None) -> Scene:
     return changed(scene, {**PROMPT, "coupling.stiffness_N_m": stiffness, **(finest or {})})
 
 
-def ideal_force_N(run: Run, finest: Mapping[str, Any] | None = None, *, cores: int | None = None) -> Array:
+def ideal_force_N(run: Run, finest: Mapping[str, object] | None = None, *, cores: int | None = None) -> Array:
     """Force on the device that a prompt loop with the finest model gives on the very motion of a run [N], shape (n, 3).
 
     The motion is that which the device has sampled, so that a hand's reaction to another force is no part of the

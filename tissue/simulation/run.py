@@ -4,7 +4,7 @@ import os
 import platform
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from tissue.cutters.cutter import Cutter
 from tissue.models.tissue_model import HasVoxels
 from tissue.scene.scene import Scene
 from tissue.simulation.run_folder import RunFolder
-from tissue.simulation.run_summary import FORMAT
+from tissue.simulation.run_summary import FORMAT, Summary
 from tissue.simulation.trace import Table
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ class Run:
         removal = self.scene.voxels.removal
         return CarvingReplay(self.volume, self.cutter, self.poses, removal=removal, device=self._compute)
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Summary:
         """Figures of the run: volumes per layer, forces, tick cost, deadlines, notes, machine."""
         trace, tissue = self.trace, self.parts.tissue
         contact = trace["contact_mm2"] > 0.0

@@ -6,7 +6,6 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 from meshes.base.errors import InputError
 from meshes.base.file_version import package_version
@@ -15,7 +14,7 @@ from meshes.base.whole_file import whole_file
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.load import load_scene, saved_text
 from tissue.scene.scene import Scene
-from tissue.simulation.run_summary import FORMAT, read_summary, summary_of
+from tissue.simulation.run_summary import FORMAT, Summary, read_summary, summary_of
 from tissue.simulation.trace import Table, TraceWriter
 from tissue.simulation.trace_files import FORMATS, read_trace
 from tissue.system.output_lock import OutputLock, identity, is_alive
@@ -65,7 +64,7 @@ class RunFolder:
         self.check(path, overwrite=overwrite)
         self.path, self._overwrite = path, overwrite
         self._writers: list[TraceWriter] = []
-        self._summary: dict[str, Any] = {}
+        self._summary: Summary = {}
         self._lock = OutputLock(path, folder=True)
 
     @staticmethod
@@ -146,12 +145,12 @@ class RunFolder:
             writer.close()
         self._writers = []
 
-    def complete(self, summary: dict[str, Any]) -> None:
+    def complete(self, summary: Summary) -> None:
         """Write the summary of a run whose files are all there, and let go of the folder."""
         self._write_summary(summary)
         self._lock.release()
 
-    def _write_summary(self, summary: dict[str, Any]) -> None:
+    def _write_summary(self, summary: Summary) -> None:
         """Write ``summary.json`` at once: it is either the old one or the new one."""
         self._summary = summary
         with whole_file(self.path / "summary.json") as temporary:
@@ -185,7 +184,7 @@ class SavedRun:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self.summary: dict[str, Any] = read_summary(self.path)
+        self.summary: Summary = read_summary(self.path)
         self.status = _status_of(self.summary)
         self.problem = str(self.summary.get("problem", ""))
         kept, table = self.path / "scene.toml", self.path / "trace.csv"
@@ -245,7 +244,7 @@ def _run_files(path: Path) -> list[str]:
     return sorted(entry.name for entry in path.iterdir() if entry.name in OWN_FILES)
 
 
-def _status_of(summary: dict[str, Any]) -> str:
+def _status_of(summary: Summary) -> str:
     """Status of a run: that of its summary, but one that goes on has to have its process."""
     status = str(summary.get("status", "interrupted"))
     return status if status != "running" or is_alive(summary.get("process")) else "interrupted"

@@ -9,20 +9,22 @@ from typing import Any
 from meshes.base.errors import InputError
 from meshes.base.file_version import require_version
 
-__all__ = ["FORMAT", "read_summary", "summary_of"]
+__all__ = ["FORMAT", "Summary", "read_summary", "summary_of"]
 
+Summary = dict[str, Any]
+"""What ``summary.json`` holds, see docs/files.md."""
 FORMAT = 1
 """Version of the run folder."""
 STATUS = ("running", "complete", "interrupted", "failed")
 AGAIN = "run the scene again"
 
 
-def summary_of(folder: Path) -> dict[str, Any]:
+def summary_of(folder: Path) -> Summary:
     """The summary of a folder as it is; empty where there is none or it is no table."""
     return _table_of(folder) or {}
 
 
-def read_summary(folder: Path) -> dict[str, Any]:
+def read_summary(folder: Path) -> Summary:
     """The summary of a run, its version and entries checked.
 
     Raises
@@ -58,7 +60,7 @@ def read_summary(folder: Path) -> dict[str, Any]:
     return held
 
 
-def _table_of(folder: Path) -> dict[str, Any] | None:
+def _table_of(folder: Path) -> Summary | None:
     """The summary of a folder as it is; None where there is none or it is no table."""
     try:
         held = json.loads((folder / "summary.json").read_text("utf-8"))

@@ -208,7 +208,7 @@ def field_limits(name: str, values: Sequence[NDArray[np.float32]]) -> tuple[floa
     return max(SPAN * peak, min(float(np.percentile(widest, FAINT)), 0.1 * peak)), peak
 
 
-def field_values(mesh: Any, name: str) -> NDArray[np.float32] | None:
+def field_values(mesh: "pyvista.DataSet", name: str) -> NDArray[np.float32] | None:
     """A field's numbers, of a vector its magnitude; None where the mesh has no such field."""
     data = mesh.cell_data if name in mesh.cell_data else mesh.point_data
     if name not in data:
@@ -217,11 +217,11 @@ def field_values(mesh: Any, name: str) -> NDArray[np.float32] | None:
     return values if values.ndim == 1 else np.linalg.norm(values, axis=1)
 
 
-def _shown(data: Any) -> list[str]:
+def _shown(data: "pyvista.DataSetAttributes") -> list[str]:
     return [n for n, values in data.items() if n != "layer" and (values.ndim == 1 or values.shape[1] == 3)]
 
 
-def _same_mesh(a: Any, b: Any) -> bool:
+def _same_mesh(a: "pyvista.UnstructuredGrid", b: "pyvista.UnstructuredGrid") -> bool:
     return (
         a.n_points == b.n_points
         and a.n_cells == b.n_cells

@@ -1,17 +1,19 @@
 """VTK files, written so that a full disk is an error."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from meshes.base.whole_file import whole_file
 
 if TYPE_CHECKING:
     import pyvista
+    from vtkmodules.vtkIOGeometry import vtkSTLWriter
+    from vtkmodules.vtkIOXML import vtkXMLWriter
 
 __all__ = ["write_vtk", "write_vtk_xml"]
 
 
-def write_vtk_xml(writer: Any, data: "pyvista.DataSet", path: Path) -> None:
+def write_vtk_xml(writer: "vtkXMLWriter", data: "pyvista.DataSet", path: Path) -> None:
     """Write a VTK XML file with compressed raw data."""
     writer.SetCompressorTypeToZLib()
     writer.SetCompressionLevel(1)
@@ -21,16 +23,16 @@ def write_vtk_xml(writer: Any, data: "pyvista.DataSet", path: Path) -> None:
     write_vtk(writer, data, path)
 
 
-def write_vtk(writer: Any, data: "pyvista.DataSet", path: Path) -> None:
+def write_vtk(writer: "vtkXMLWriter | vtkSTLWriter", data: "pyvista.DataSet", path: Path) -> None:
     """Let a VTK writer write, and turn its silent failure into the system's error."""
-    from vtkmodules.vtkCommonCore import vtkObject
+    from vtkmodules.vtkCommonCore import vtkCommand, vtkObject
 
     with whole_file(path) as temporary:
         temporary.open("wb").close()
         writer.SetFileName(str(temporary))
         writer.SetInputData(data)
         failures: list[int] = []
-        writer.AddObserver("ErrorEvent", lambda *_: failures.append(writer.GetErrorCode()))
+        writer.AddObserver(vtkCommand.ErrorEvent, lambda *_: failures.append(writer.GetErrorCode()))
         shown = vtkObject.GetGlobalWarningDisplay()
         vtkObject.SetGlobalWarningDisplay(0)  # VTK would print its own account of what is raised below
         try:

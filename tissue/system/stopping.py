@@ -7,7 +7,6 @@ from _thread import interrupt_main
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any
 
 __all__ = ["STOPS", "Terminated", "interrupt_is_free", "signals_handled", "terminated_as_exception"]
 
@@ -84,7 +83,7 @@ def signals_handled(numbers: tuple[int, ...], handler: Callable[[int, FrameType 
 
     A signal that is ignored stays so, as under ``nohup``; and so does one that is handled outside Python.
     """
-    before: dict[int, Any] = {}
+    before: dict[int, Callable[[int, FrameType | None], object] | int] = {}
     if threading.current_thread() is threading.main_thread():
         found = {number: signal.getsignal(number) for number in numbers}
         before = {number: old for number, old in found.items() if old not in (signal.SIG_IGN, None)}

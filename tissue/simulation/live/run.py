@@ -3,10 +3,10 @@
 import os
 import signal
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter, sleep
 from types import FrameType
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,7 +129,7 @@ class LiveObserver:
         self._window: WindowProcess | None = None
         self._stopped, self._missed, self._skipped_s = False, 0, 0.0
         self._events: list[tuple[float, str]] = []
-        self._handler: Any = None
+        self._handler: Callable[[int, FrameType | None], object] | int | None = None
         self._frames, self._drawn_s = -1, 0.0
         self._start, self._scale = np.array(_start_m(scene)), scene.coupling.motion_scale
 
@@ -216,5 +216,5 @@ def _box(scene: Scene, parts: Parts) -> tuple[NDArray[np.float64], NDArray[np.fl
     path = parts.motion.sweep_m()
     axis = parts.motion.rotations()[0][:, 2]
     below_m = 1e-3 * scene.voxels.margin_mm if isinstance(scene.tool, Tool) else BELOW_M
-    points: Any = np.concatenate([path + ABOVE_M * axis, path - below_m * axis])
+    points = np.concatenate([path + ABOVE_M * axis, path - below_m * axis])
     return points.min(axis=0), points.max(axis=0)

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MEMORY", "Layout", "SharedArrays"]
+__all__ = ["MEMORY", "AnyArray", "Layout", "SharedArrays"]
 
+AnyArray = NDArray[Any]
 Layout = dict[str, tuple[str, tuple[int, ...]]]
 """Type and shape of each array by its name."""
 MEMORY = Path("/dev/shm")
@@ -37,7 +38,7 @@ class SharedArrays:
     def __init__(self, folder: Path, layout: Layout | None = None) -> None:
         if layout is not None:
             (folder / "layout.json").write_text(json.dumps(layout), "utf-8")
-        table: dict[str, Any] = json.loads((folder / "layout.json").read_text("utf-8"))
+        table: Layout = json.loads((folder / "layout.json").read_text("utf-8"))
         places, end = {}, 0
         for name, (dtype, shape) in table.items():
             size = int(np.prod(shape)) * np.dtype(dtype).itemsize
@@ -49,7 +50,7 @@ class SharedArrays:
                 made.truncate(max(end, 1))
         with file.open("r+b") as opened:
             self._map = mmap.mmap(opened.fileno(), 0)
-        self._arrays: dict[str, NDArray[Any]] = {
+        self._arrays: dict[str, AnyArray] = {
             name: np.ndarray(shape, dtype, buffer=self._map, offset=first)
             for name, (first, dtype, shape) in places.items()
         }
@@ -57,11 +58,11 @@ class SharedArrays:
     def __contains__(self, name: str) -> bool:
         return name in self._arrays
 
-    def __getitem__(self, name: str) -> NDArray[Any]:
+    def __getitem__(self, name: str) -> AnyArray:
         """The array itself."""
         return self._arrays[name]
 
-    def write(self, name: str, values: NDArray[Any]) -> None:
+    def write(self, name: str, values: AnyArray) -> None:
         """Write an array whose name with ``_turn`` is its counter, odd while the write is running."""
         turn = self._arrays[f"{name}_turn"]
         turn[0] += 1

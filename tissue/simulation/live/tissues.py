@@ -9,7 +9,7 @@ from kernels.bricks import BRICK
 from meshes.voxels.volume import VoxelVolume
 from tissue.builders.parts import Parts
 from tissue.models.bone.model import BoneModel
-from tissue.simulation.live.shared import Layout, SharedArrays
+from tissue.simulation.live.shared import AnyArray, Layout, SharedArrays
 
 __all__ = ["BoneShared", "NothingShared", "OrganShared", "TissueShared", "shared_tissue"]
 
@@ -33,7 +33,7 @@ class TissueShared(Protocol):
     """
 
     layout: Layout
-    start: dict[str, NDArray[Any]]
+    start: dict[str, AnyArray]
 
     def publish(self, arrays: SharedArrays, index: int) -> None:
         """Bring the arrays up to date at the end of a tick, a part at a time."""
@@ -45,7 +45,7 @@ class NothingShared:
 
     def __init__(self) -> None:
         self.layout: Layout = {}
-        self.start: dict[str, NDArray[Any]] = {}
+        self.start: dict[str, AnyArray] = {}
 
     def publish(self, arrays: SharedArrays, index: int) -> None:
         """There is nothing to bring up to date."""
@@ -74,7 +74,7 @@ class BoneShared:
         some = volume.layer[block // 2 :: block, block // 2 :: block, block // 2 :: block]
         layer[tuple(slice(n) for n in some.shape)] = some
         self.layout: Layout = {"remaining": ("uint16", (count, BRICK**3))}
-        self.start: dict[str, NDArray[Any]] = {
+        self.start: dict[str, AnyArray] = {
             "places": store.places,
             "block": np.array(block),
             "layer": layer,
@@ -107,7 +107,7 @@ class OrganShared:
         self._organ, series = organ, organ.fields
         touchable = series.node_sets["touchable"]
         self.layout: Layout = {"moved": ("float32", (len(touchable), 3)), "moved_turn": ("int64", (1,))}
-        self.start: dict[str, NDArray[Any]] = {
+        self.start: dict[str, AnyArray] = {
             "nodes_m": series.nodes_m,
             "cells": series.cells,
             "part": series.layer,

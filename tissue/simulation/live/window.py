@@ -9,7 +9,6 @@ import threading
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from tempfile import gettempdir, mkdtemp
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError
 from tissue.builders.parts import Parts
 from tissue.scene.scene import Scene
-from tissue.simulation.live.shared import MEMORY, Layout, SharedArrays
+from tissue.simulation.live.shared import MEMORY, AnyArray, Layout, SharedArrays
 from tissue.simulation.live.tissues import shared_tissue
 from tissue.system.child import CHECK_S, HangDetector, child_command
 
@@ -90,7 +89,7 @@ class WindowProcess:
         (self._folder / "columns.json").write_text(json.dumps([*columns, *CLOCK]), "utf-8")
         turn = parts.motion.rotations()[0]
         box = {"low_m": low_m, "high_m": high_m, "start_m": parts.motion.sweep_m()[0], "axis": turn[:, 2]}
-        start: dict[str, Any] = {**box, **self._shared.start}
+        start: dict[str, AnyArray] = {**box, **self._shared.start}
         np.savez(self._folder / "start.npz", allow_pickle=False, **start)
         self._shared.publish(self.arrays, 0)
         with (self._folder / "output.txt").open("w+", encoding="utf-8", errors="replace") as output:
