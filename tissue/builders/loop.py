@@ -132,7 +132,10 @@ def judged_loop(scene: Scene, *, step_s: float) -> WallLoop:
     limits, chosen = device_parameters(scene.device), scene.coupling
     late = not (isinstance(scene.tool, Tool) or isinstance(scene.anatomy, WallAnatomy))
     loop = limits.loop(
-        1.0, wall_damping_N_s_m=chosen.damping_N_s_m, filter_s=_filter_s(scene), model_ticks=chosen.model_ms
+        1.0,
+        wall_damping_N_s_m=chosen.damping_N_s_m,
+        filter_s=1e-3 * scene.output.low_pass_ms,
+        model_ticks=chosen.model_ms,
     )
     hand = hand_parameters(scene.hand).grip[:3]
     loops = [replace(_delayed(scene, loop, step_s * late), forecast=each) for each in _forecasts(scene, limits)]
@@ -185,7 +188,7 @@ def _turning_loop(scene: Scene, *, step_s: float) -> WallLoop:
     """The same for turns: but for a tool that only touches, their balance is found a tick later."""
     limits, chosen = device_parameters(scene.device), scene.coupling
     touches = isinstance(scene.tool, Tool) and scene.tool.spin_rpm == 0.0
-    loop = limits.turning_loop(1.0, filter_s=_filter_s(scene), model_ticks=chosen.model_ms)
+    loop = limits.turning_loop(1.0, filter_s=1e-3 * scene.output.low_pass_ms, model_ticks=chosen.model_ms)
     hand = hand_parameters(scene.hand).grip[3:]
     late = 0.0 if touches else step_s
     return _chosen(_delayed(scene, loop, late), hand, chosen.stiffness_Nm_rad, limits.stiffness_limit_Nm_rad)
@@ -199,11 +202,6 @@ def _chosen(
         critical = critical_stiffness_N_m(in_hands(loop, [hand])[0])
         given = min(SHARE * critical / steepest, limit) or limit
     return loop.with_stiffness(given)
-
-
-def _filter_s(scene: Scene) -> float:
-    """Time constant of the scene's low-pass [s]."""
-    return 1e-3 * scene.output.low_pass_ms
 
 
 def _delayed(scene: Scene, loop: WallLoop, extra_s: float) -> WallLoop:

@@ -9,6 +9,7 @@ from tissue.prediction.guard import Guarded
 from tissue.prediction.koopman import Koopman
 from tissue.prediction.predictor import Hold, Predictor
 from tissue.prediction.trained import Trained, shipped_file
+from tissue.scene.named_parts import loaded
 from tissue.scene.registry import PREDICTORS
 
 __all__ = ["dmdc", "hold", "kalman", "koopman", "linear", "predictor", "trained_predictor"]
@@ -58,7 +59,7 @@ def trained_predictor(kind: str, trained: Trained | None, *, force_limit_N: floa
     entry = PREDICTORS[kind]
     if entry.trained and trained is None:
         raise InputError(f"trained must be given for {kind}, got nothing: pass Trained.read(FILE)")
-    return entry.predictor(trained, force_limit_N)
+    return loaded(entry.make)(trained, force_limit_N)
 
 
 def hold(trained: Trained | None, force_limit_N: float) -> Predictor:

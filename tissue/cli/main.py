@@ -99,7 +99,9 @@ def _place(file: object) -> tuple[str, str]:
 
 
 def _refuse(sentence: str, *, code: int = BAD_INPUT) -> NoReturn:
-    problems.print(f"[red]error:[/red] {_escaped(sentence)}", markup=True)
+    from rich.markup import escape
+
+    problems.print(f"[red]error:[/red] {escape(sentence)}", markup=True)
     sys.exit(code)
 
 
@@ -126,9 +128,3 @@ def _usage(error: CycloptsError) -> str:
             return f"{command} must be given nothing more, got {word}: see `{command} --help`"
         case _:
             return " ".join(str(error).split()).rstrip(".").replace(". ", "; ") + f": see `{command} --help`"
-
-
-def _escaped(text: str) -> str:
-    from rich.markup import escape
-
-    return escape(text)

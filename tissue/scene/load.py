@@ -117,19 +117,19 @@ def _replaced(table: dict[str, object], overrides: Mapping[str, object]) -> Scen
     # A new kind starts its part afresh, so kinds go first, in whatever order they were given.
     for key, value in sorted(overrides.items(), key=lambda item: not item[0].endswith(".kind")):
         _place(placed, key, value)
-    scene = _validated(_without_nothing(placed))
+    scene = _validated(placed)
     if faults is None:
         return scene
     for key in set(refused_keys(scene)) - faults:
         if not any(key == asked or key.startswith(f"{asked}.") for asked in overrides):
             _drop(placed, key)
-    return _validated(_without_nothing(placed))
+    return _validated(placed)
 
 
 def _table_faults(table: Mapping[str, object]) -> set[str] | None:
     """Keys of a table by itself that have no effect; None where it is no scene yet, so that nothing is known."""
     try:
-        return set(refused_keys(_validated(_without_nothing(table))))
+        return set(refused_keys(_validated(table)))
     except InputError:
         return None
 
@@ -218,6 +218,7 @@ def _place(table: dict[str, object], key: str, value: object) -> None:
 
 def _validated(table: Mapping[str, object]) -> Scene:
     """The scene a table describes, or an InputError for its first fault."""
+    table = _without_nothing(table)
     try:
         return Scene.model_validate(table)
     except ValidationError as error:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from tissue.materials.constants import constants, listed
-from tissue.scene.named_parts import Registry, loaded
+from tissue.scene.named_parts import Registry
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -254,10 +254,6 @@ class PredictorEntry:
     trained: bool = False
     colour: str = "#D55E00"
     marker: str = "*"
-
-    def predictor(self, trained: "Trained | None", force_limit_N: float) -> "Predictor":
-        """A new predictor."""
-        return loaded(self.make)(trained, force_limit_N)
 
 
 PREDICTORS: Registry[PredictorEntry] = Registry(

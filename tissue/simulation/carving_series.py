@@ -9,13 +9,12 @@ from numpy.typing import NDArray
 
 from meshes.base.placement import Placement
 from meshes.base.progress import Progress, silent
-from meshes.base.whole_file import whole_file
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.pose_file import write_poses
 from tissue.simulation.carved_surface import CarvedSurface, block_means, changed_box, coarse_volume
 from tissue.simulation.depth_map import facing
 from tissue.simulation.file_frame import mesh_in_file
-from tissue.simulation.vtk_files import write_vtk_xml
+from tissue.simulation.vtk_files import write_collection, write_vtk_xml
 
 if TYPE_CHECKING:
     import pyvista
@@ -72,24 +71,16 @@ def write_carving(run: "Run", out: Path, *, report: Progress = silent) -> None:
     _write(carved.rest(), folder / "rest.vtp", placement)
     replay, ticks = run.replay(), carving_ticks(run)
     seen: NDArray[np.uint8] | None = None
-    name, entries = "", []
+    name, entries = "", list[tuple[float, int, str]]()
     for index, tick in enumerate(ticks):
         report("writing the carving", index / len(ticks))
         left = block_means(replay.at(tick)[fine], block)
         if seen is None or not np.array_equal(left, seen):
             seen, name = left.copy(), f"carving/frame_{index:04d}.vtp"
             _write(carved.of(left), out / name, placement)
-        time = f'timestep="{float(run.trace["time_s"][tick])!r}"'
-        entries += [
-            f'    <DataSet {time} part="{part}" file="{file}"/>\n'
-            for part, file in enumerate((name, "carving/rest.vtp"))
-        ]
-    with whole_file(out / "carving.pvd") as temporary:
-        temporary.write_text(
-            '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n'
-            "  <Collection>\n" + "".join(entries) + "  </Collection>\n</VTKFile>\n",
-            "utf-8",
-        )
+        time_s = float(run.trace["time_s"][tick])
+        entries += [(time_s, 0, name), (time_s, 1, "carving/rest.vtp")]
+    write_collection(entries, out / "carving.pvd")
 
 
 def _write(surface: "pyvista.PolyData", path: Path, placement: Placement | None) -> None:

@@ -118,7 +118,10 @@ class Run:
         torque = np.linalg.norm(trace.vectors("model_torque", "Nm"), axis=1)
         mean = lambda values: float(values[contact].mean()) if contact.any() else 0.0  # noqa: E731
         ticks = self.timing["tick_us"]
-        late = self.timing["late_us"] if "late_us" in self.timing else np.zeros(len(ticks))
+        late, by_clock = np.zeros(len(ticks)), {}
+        if "late_us" in self.timing:
+            late = self.timing["late_us"]
+            by_clock = {"late_us": _spread(late), "skipped_ms": 1e-3 * float(self.timing["skipped_us"].sum())}
         return {
             "format": FORMAT,
             "tissue": package_version(),
@@ -133,11 +136,7 @@ class Run:
             "torque_Nm": {"peak": float(torque.max()), "mean_in_contact": mean(torque)},
             "tick_us": _spread(ticks),
             "missed_deadlines": int((ticks + late > DEADLINE_US).sum()),
-            **(
-                {"late_us": _spread(late), "skipped_ms": 1e-3 * float(self.timing["skipped_us"].sum())}
-                if "late_us" in self.timing
-                else {}
-            ),
+            **by_clock,
             "events": [{"time_s": time, "what": what} for time, what in self.events],
             "compute": self._compute,
             **self.parts.placement_record,

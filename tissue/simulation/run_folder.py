@@ -80,7 +80,7 @@ class RunFolder:
         taken = _run_files(path)
         if not taken:
             return
-        if not _holds_run(path):
+        if not summary_of(path).get("format"):
             raise InputError(
                 f"out must not hold files of other origin, got {path} with {taken[0]}: choose another --out"
             )
@@ -191,21 +191,16 @@ class SavedRun:
         self.scene = load_scene(kept) if kept.is_file() else None
         self.trace = read_trace(table, tuple(self.summary.get("layers", ()))) if table.is_file() else None
         if self.complete and self.trace is not None:
-            self._require_ticks(len(self.trace.rows))
+            stated, found = round(self.summary["simulated_s"] / TICK_S), len(self.trace.rows)
+            if found != stated:
+                raise InputError(
+                    f"trace.csv must hold {stated} ticks as in summary.json, got {found} in {table}: run the scene again"
+                )
 
     @property
     def complete(self) -> bool:
         """Whether the run came to its end."""
         return self.status == "complete"
-
-    def _require_ticks(self, found: int) -> None:
-        """Refuse a trace that is not as long as the summary of the complete run states."""
-        stated = round(self.summary["simulated_s"] / TICK_S)
-        if found != stated:
-            raise InputError(
-                f"trace.csv must hold {stated} ticks as in summary.json, got {found} in {self.path / 'trace.csv'}: run "
-                "the scene again"
-            )
 
 
 def saved_placement(path: Path) -> Placement | None:
@@ -248,8 +243,3 @@ def _status_of(summary: Summary) -> str:
     """Status of a run: that of its summary, but one that goes on has to have its process."""
     status = str(summary.get("status", "interrupted"))
     return status if status != "running" or is_alive(summary.get("process")) else "interrupted"
-
-
-def _holds_run(path: Path) -> bool:
-    """Whether a folder holds a run."""
-    return bool(summary_of(path).get("format"))

@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from meshes.base.placement import Placement
-from meshes.base.whole_file import whole_file
 from tissue.fem.fields import FieldSeries, Frame
 from tissue.simulation.file_frame import mesh_in_file
-from tissue.simulation.vtk_files import write_vtk_xml
+from tissue.simulation.vtk_files import write_collection, write_vtk_xml
 
 if TYPE_CHECKING:
     import pyvista
@@ -62,10 +61,5 @@ def write_fields(series: FieldSeries, folder: Path, placement: Placement | None 
         name = f"fields/frame_{index:04d}.vtu"
         mesh = mesh_in_file(frame_mesh(series, frame), placement)
         write_vtk_xml(vtkXMLUnstructuredGridWriter(), mesh, folder / name)
-        entries.append(f'    <DataSet timestep="{float(frame.time_s)!r}" part="0" file="{name}"/>\n')
-    with whole_file(folder / "fields.pvd") as temporary:
-        temporary.write_text(
-            '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n'
-            "  <Collection>\n" + "".join(entries) + "  </Collection>\n</VTKFile>\n",
-            "utf-8",
-        )
+        entries.append((float(frame.time_s), 0, name))
+    write_collection(entries, folder / "fields.pvd")

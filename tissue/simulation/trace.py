@@ -21,6 +21,7 @@ LEAST_LOAD = 1e-12
 TIMING_COLUMNS = ("tick_us", "motion_us", "remove_us", "force_us", "record_us", "catch_up_us")
 
 
+@dataclass(eq=False)
 class Table(Mapping[str, NDArray[Any]]):
     """Columns by name over rows that are only appended. The column ``layer`` holds names, all others numbers.
 
@@ -34,8 +35,9 @@ class Table(Mapping[str, NDArray[Any]]):
         Names of the layers.
     """
 
-    def __init__(self, columns: tuple[str, ...], rows: NDArray[np.float64], layer_names: tuple[str, ...] = ()) -> None:
-        self.columns, self.rows, self.layer_names = columns, rows, layer_names
+    columns: tuple[str, ...]
+    rows: NDArray[np.float64]
+    layer_names: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         """One column, shape (rows,)."""

@@ -1,5 +1,6 @@
 """VTK files, written so that a full disk is an error."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,7 @@ if TYPE_CHECKING:
     from vtkmodules.vtkIOGeometry import vtkSTLWriter
     from vtkmodules.vtkIOXML import vtkXMLWriter
 
-__all__ = ["write_vtk", "write_vtk_xml"]
+__all__ = ["write_collection", "write_vtk", "write_vtk_xml"]
 
 
 def write_vtk_xml(writer: "vtkXMLWriter", data: "pyvista.DataSet", path: Path) -> None:
@@ -45,3 +46,14 @@ def write_vtk(writer: "vtkXMLWriter | vtkSTLWriter", data: "pyvista.DataSet", pa
 
             # VTK reports a full disk as an error of its own; it is the only one left once the file could be opened.
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+
+def write_collection(entries: Iterable[tuple[float, int, str]], path: Path) -> None:
+    """Write a .pvd file, which ParaView plays: time [s], part and file of each mesh."""
+    lines = [f'    <DataSet timestep="{time!r}" part="{part}" file="{file}"/>\n' for time, part, file in entries]
+    with whole_file(path) as temporary:
+        temporary.write_text(
+            '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n'
+            "  <Collection>\n" + "".join(lines) + "  </Collection>\n</VTKFile>\n",
+            "utf-8",
+        )
