@@ -194,7 +194,8 @@ class SavedRun:
             stated, found = round(self.summary["simulated_s"] / TICK_S), len(self.trace.rows)
             if found != stated:
                 raise InputError(
-                    f"trace.csv must hold {stated} ticks as in summary.json, got {found} in {table}: run the scene again"
+                    f"trace.csv must hold {stated} ticks as in summary.json, got {found} in {table}: run the scene "
+                    "again"
                 )
 
     @property
