@@ -250,7 +250,7 @@ def scenes() -> None:
                 commands = calibrated_commands(people, rng)
                 scaled = share_right(people, one, two, seed=1, commands=commands, texture_share=texture)
                 gain = gain_of(right, scaled, rng)
-                result = (f"{100 * gain.after:.1f}", f"{gain.percent:+.1f} ({gain.low:+.1f} to {gain.high:+.1f})")
+                result = (f"{100 * scaled.mean():.1f}", f"{gain.value:+.1f} ({gain.low:+.1f} to {gain.high:+.1f})")
             error = 196.0 * right.std() / len(right) ** 0.5
             levels = f"{one.level_N:.3f}, {two.level_N:.3f}"
             rows.append((name, levels, group, f"{100 * right.mean():.1f} ± {error:.1f}", *result, paper))

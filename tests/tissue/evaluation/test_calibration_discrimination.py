@@ -63,7 +63,7 @@ def test_an_observer_like_the_reference_gains_nothing():
     plain = share_right(crowd, *stimuli, seed=1)
     assert (share_right(crowd, *stimuli, seed=1, commands=calibrated_commands(crowd, rng, numbers=0)) == plain).all()
     gain = gain_of(plain, share_right(crowd, *stimuli, seed=1, commands=calibrated_commands(crowd, rng)), rng)
-    assert gain.low < 0.0 < gain.high and abs(gain.percent) < 1.0
+    assert gain.low < 0.0 < gain.high and abs(gain.value) < 1.0
 
 
 def test_shares_follow_from_the_distance():
@@ -116,4 +116,4 @@ def test_a_wrong_noise_model_changes_shares_not_signs():
     stimuli = Stimulus(1.0), Stimulus(1.1)
     for each in (crowd, replace(crowd, freedom=3.0)):
         gain = gain_of(share_right(each, *stimuli, seed=1), share_right(each, *stimuli, seed=1, commands=commands), rng)
-        assert abs(gain.percent) < 3.0
+        assert abs(gain.value) < 3.0

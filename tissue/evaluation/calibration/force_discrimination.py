@@ -15,6 +15,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from tissue.evaluation.calibration.simulated_observer import SimulatedObservers
+from tissue.evaluation.statistics.hypothesis_test import Effect
 from tissue.haptics.loop.filters import ForceRange
 from tissue.materials.constants import constants
 from tissue.perception.magnitude import MAGNITUDE_FORCES_N, fit_magnitudes
@@ -23,7 +24,7 @@ from tissue.perception.population import reference_observer
 from tissue.perception.psychometric import D_PRIME_75
 from tissue.perception.stevens import Intensity, intensity_of
 
-__all__ = ["Command", "Gain", "Stimulus", "calibrated_commands", "gain_of", "share_right"]
+__all__ = ["Command", "Stimulus", "calibrated_commands", "gain_of", "share_right"]
 
 RESAMPLES = 2000
 """Groups of people drawn again for an interval."""
@@ -139,38 +140,12 @@ def _played(force_N: Array, device: ForceRange) -> Array:
     return np.where(force_N <= knee, force_N, knee - above * np.expm1(-np.maximum(force_N - knee, 0.0) / above))
 
 
-@dataclass(frozen=True)
-class Gain:
-    """What calibration changed for a group, with 95 % intervals over its people.
+def gain_of(before: Array, after: Array, rng: np.random.Generator) -> Effect:
+    """Change of the mean of paired shares of right answers, each of shape (n,), in percent of what it was.
 
-    Attributes
-    ----------
-    before, after
-        Mean share of right answers.
-    percent, low, high
-        Change of the mean share in percent of what it was, and its interval by resampling people.
-    better
-        Share of people who answered more rightly than before.
+    The interval of 95 % is by drawing people again.
     """
-
-    before: float
-    after: float
-    percent: float
-    low: float
-    high: float
-    better: float
-
-
-def gain_of(before: Array, after: Array, rng: np.random.Generator) -> Gain:
-    """Compare paired shares of right answers, each of shape (n,)."""
     drawn = rng.integers(len(before), size=(RESAMPLES, len(before)))
     changes = 100.0 * (after[drawn].mean(axis=1) / before[drawn].mean(axis=1) - 1.0)
-    low, high = np.quantile(changes, [0.025, 0.975])
-    return Gain(
-        before=float(before.mean()),
-        after=float(after.mean()),
-        percent=100.0 * float(after.mean() / before.mean() - 1.0),
-        low=float(low),
-        high=float(high),
-        better=float((after > before).mean()),
-    )
+    value = 100.0 * float(after.mean() / before.mean() - 1.0)
+    return Effect("change of right answers in percent", value, *np.quantile(changes, [0.025, 0.975]).tolist())

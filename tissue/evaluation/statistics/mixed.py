@@ -33,8 +33,6 @@ class MixedModel:
 
     Attributes
     ----------
-    metric
-        What was fitted, with its unit.
     components
         Variances of users, of users by method, of trials and of the rest.
     coefficients
@@ -44,7 +42,6 @@ class MixedModel:
         One of each fixed effect: F with the degrees of freedom of the stratum that it is tested in.
     """
 
-    metric: str
     components: Components
     coefficients: tuple[Effect, ...]
     tests: tuple[HypothesisTest, ...]
@@ -117,7 +114,6 @@ def mixed_model(table: TrialTable, metric: str) -> MixedModel:
     )
     free = user_count - group_count
     return MixedModel(
-        metric,
         components,
         _coefficients(fitted, scale, free),
         tuple(_tests(fitted, metric, free, assumptions)),

@@ -15,11 +15,9 @@ from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from meshes.base.whole_file import whole_file
 
-__all__ = ["FACTORS", "Cells", "TrialTable"]
+__all__ = ["Cells", "TrialTable"]
 
 Text = NDArray[np.str_]
-FACTORS = ("task", "group", "method")
-"""What trials are compared by."""
 KEY = ("task", "group", "user", "trial", "method")
 KEYS = (*KEY, "seed", "failure")
 

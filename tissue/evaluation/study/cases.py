@@ -50,11 +50,11 @@ def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) ->
         before = share_right(people, *pair, seed=seed, limits=limits)
         after = share_right(people, *pair, seed=seed, limits=limits, commands=commands)
         gain = gain_of(before, after, rng)
-        gains.append(gain.percent)
+        gains.append(gain.value)
         shown.append((f"{what}\n{group}", before, after))
         levels = [f"{each.level_N:.3f} ± {each.scatter_N:.3f}" for each in sorted(pair, key=lambda each: each.level_N)]
-        change = f"{gain.percent:+.1f} [{gain.low:+.1f}, {gain.high:+.1f}]"
-        rows.append((what, group, *levels, f"{100 * gain.before:.1f}", f"{100 * gain.after:.1f}", change))
+        change = f"{gain.value:+.1f} [{gain.low:+.1f}, {gain.high:+.1f}]"
+        rows.append((what, group, *levels, f"{100 * before.mean():.1f}", f"{100 * after.mean():.1f}", change))
     if not rows:
         return Section("discrimination", "Discrimination", ("No pair of specimens has two trials each yet.",))
     sentences = (

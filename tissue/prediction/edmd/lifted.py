@@ -85,11 +85,6 @@ class LiftedMap:
         return len(self.lowest)
 
     @property
-    def C(self) -> Array:
-        """Decoding matrix: the present state is C φ, shape (d, D)."""
-        return np.eye(self.state_size, len(self.offset))
-
-    @property
     def eigenvalues(self) -> NDArray[np.complex128]:
         """Eigenvalues of A, largest first."""
         values = np.linalg.eigvals(self.A / self.scale[:, None] * self.scale).astype(np.complex128)
