@@ -1,7 +1,8 @@
 """Assess a trainee's run against a reference run of the same scene, `tissue assess`."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from tissue.simulation.depth_map import tool_axes
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.trace import Table
 
-__all__ = ["Assessment", "Breach", "assess", "assessment_lines"]
+__all__ = ["Assessment", "Breach", "Quantity", "assess", "assessment_lines"]
 
 GAP_S = 0.15
 """Breaches closer than a period of slow tremor are one."""
@@ -27,6 +28,21 @@ MOST_BREACHES = 8
 """More are counted, and listed in the file alone."""
 FORCE_MARGIN = 1.25
 """A trainee may press this many times the reference's peak force where no limit is given: a convention, not a norm."""
+
+
+class Figures(TypedDict):
+    scene: object
+    time_in_contact_s: dict[str, float]
+    deviation_mm: dict[str, float]
+    peak_force_N: dict[str, float]
+    force_error: float
+    overshoot_mm: float
+    acceleration_change_m_s2: dict[str, float]
+    spectral_arc_length: dict[str, float]
+    complete: dict[str, bool]
+
+
+"""Figures of an assessment by name, with the unit in the name."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +67,39 @@ class Breach:
 
 
 @dataclass(frozen=True)
+class Quantity:
+    """What is assessed over the trainee's ticks.
+
+    Attributes
+    ----------
+    what, unit
+        Its name and unit.
+    values
+        Of the trainee, shape (ticks,).
+    limit
+        What it should not pass.
+    reference
+        Of the reference at the aligned place, shape (ticks,), if it has one.
+    """
+
+    what: str
+    unit: str
+    values: Array
+    limit: float
+    reference: Array | None = None
+
+    def breaches(self, time_s: Array) -> list[Breach]:
+        """Spans above the limit, those a short gap apart joined."""
+        above = np.flatnonzero(self.values > self.limit)
+        found = []
+        for span in np.split(above, np.flatnonzero(np.diff(time_s[above]) > GAP_S) + 1) if len(above) else []:
+            worst = span[self.values[span].argmax()]
+            start, end, at = (float(time_s[index]) for index in (span[0], span[-1], worst))
+            found.append(Breach(self.what, start, end, float(self.values[worst]), at, self.limit, self.unit))
+        return found
+
+
+@dataclass(frozen=True)
 class Assessment:
     """A trainee's run beside the reference.
 
@@ -62,27 +111,20 @@ class Assessment:
         Limits that were passed, in the order of time.
     events
         What happened to the trainee and not in the reference: time [s] and a sentence each.
-    time_s, deviation_mm, force_N, depth_mm
-        Over the trainee's ticks, shape (ticks,): distance from the reference's path at the aligned place, size of the
-        force, depth along the reference tool's axis from its first contact.
-    reference_force_N, reference_depth_mm
-        Of the reference at that place, shape (ticks,).
-    force_limit_N, deviation_limit_mm, depth_limit_mm
-        Limits; the last is that of the depth itself.
+    time_s
+        Of the trainee's ticks, shape (ticks,).
+    deviation, force, depth
+        Distance from the reference's path at the aligned place [mm], size of the force [N], and depth along the
+        reference tool's axis from its first contact [mm].
     """
 
-    figures: dict[str, Any]
+    figures: Figures
     breaches: tuple[Breach, ...]
     events: tuple[tuple[float, str], ...]
     time_s: Array
-    deviation_mm: Array
-    force_N: Array
-    depth_mm: Array
-    reference_force_N: Array
-    reference_depth_mm: Array
-    force_limit_N: float
-    deviation_limit_mm: float
-    depth_limit_mm: float
+    deviation: Quantity
+    force: Quantity
+    depth: Quantity
 
 
 def assess(
@@ -125,49 +167,32 @@ def assess(
     size, ideal_size = np.linalg.norm(force, axis=1), np.linalg.norm(ideal, axis=1)
     axis, start = _approach(theirs)
     depth, plan = (start - path) @ axis, (start - model) @ axis
-    time = mine["time_s"]
+    time, deepest = mine["time_s"], float(plan.max())
     limit = FORCE_MARGIN * float(ideal_size.max()) if force_limit_N is None else force_limit_N
     require_positive("force_limit_N", limit, "use a reference that touches the tissue, or give --force-limit-N")
     require_positive("deviation_limit_mm", deviation_limit_mm, "use 1")
     require_positive("overshoot_limit_mm", overshoot_limit_mm, "use 0.5")
-    deepest = float(plan.max())
-    breaches = [
-        *_breaches("force", size, limit, "N", time),
-        *_breaches("distance from the path", apart, deviation_limit_mm, "mm", time),
-        *_breaches("depth", depth, deepest + overshoot_limit_mm, "mm", time),
-    ]
+    quantities = (
+        Quantity("distance from the path", "mm", apart, deviation_limit_mm),
+        Quantity("force", "N", size, limit, ideal_size[rows]),
+        Quantity("depth", "mm", depth, deepest + overshoot_limit_mm, plan[rows]),
+    )
     worst = int(apart.argmax())
-    figures = {
+    figures: Figures = {
         "scene": scenes[0],
-        "time_in_contact_s": _both(_contact_s(mine), _contact_s(theirs)),
+        "time_in_contact_s": _both(_contact_s, mine, theirs),
         "deviation_mm": {"mean": float(apart.mean()), "worst": float(apart[worst]), "worst_at_s": float(time[worst])},
-        "peak_force_N": _both(float(size.max()), float(ideal_size.max())),
+        "peak_force_N": {"trainee": float(size.max()), "reference": float(ideal_size.max())},
         "force_error": force_error(force, ideal[rows]),
         "overshoot_mm": overshoot_mm(depth, target_mm=deepest),
-        "acceleration_change_m_s2": _both(
-            *(acceleration_change_m_s2(_velocity(t), tick_s=TICK_S) for t in (mine, theirs))
-        ),
-        "spectral_arc_length": _both(
-            *(spectral_arc_length(np.linalg.norm(_velocity(t), axis=1), tick_s=TICK_S) for t in (mine, theirs))
-        ),
-        "complete": _both(trainee.complete, reference.complete),
+        "acceleration_change_m_s2": _both(_acceleration_change_m_s2, mine, theirs),
+        "spectral_arc_length": _both(_arc_length, mine, theirs),
+        "complete": {"trainee": trainee.complete, "reference": reference.complete},
     }
     known = {each["what"] for each in reference.summary.get("events", ())}
     events = [(each["time_s"], each["what"]) for each in trainee.summary.get("events", ()) if each["what"] not in known]
-    return Assessment(
-        figures,
-        tuple(sorted(breaches, key=lambda each: each.start_s)),
-        tuple(events),
-        time,
-        apart,
-        size,
-        depth,
-        ideal_size[rows],
-        plan[rows],
-        limit,
-        deviation_limit_mm,
-        deepest + overshoot_limit_mm,
-    )
+    breaches = sorted((each for one in quantities for each in one.breaches(time)), key=lambda each: each.start_s)
+    return Assessment(figures, tuple(breaches), tuple(events), time, *quantities)
 
 
 def assessment_lines(found: Assessment) -> list[str]:
@@ -200,12 +225,17 @@ def _trace(run: SavedRun, name: str) -> Table:
     return run.trace
 
 
-def _velocity(trace: Table) -> Array:
-    return trace.vectors("velocity", "mm_s")
+def _both(of: Callable[[Table], float], mine: Table, theirs: Table) -> dict[str, float]:
+    """A figure of both runs."""
+    return {"trainee": of(mine), "reference": of(theirs)}
 
 
-def _both(trainee: Any, reference: Any) -> dict[str, Any]:
-    return {"trainee": trainee, "reference": reference}
+def _acceleration_change_m_s2(trace: Table) -> float:
+    return acceleration_change_m_s2(trace.vectors("velocity", "mm_s"), tick_s=TICK_S)
+
+
+def _arc_length(trace: Table) -> float:
+    return spectral_arc_length(np.linalg.norm(trace.vectors("velocity", "mm_s"), axis=1), tick_s=TICK_S)
 
 
 def _contact_s(trace: Table) -> float:
@@ -222,16 +252,3 @@ def _approach(trace: Table) -> tuple[Array, Array]:
     quaternions = np.column_stack([trace[f"tool_q{c}"][rows] for c in "xyzw"])
     axis = tool_axes(quaternions).mean(axis=0)
     return axis / np.linalg.norm(axis), trace.vectors("tool", "mm")[rows[0]]
-
-
-def _breaches(what: str, values: Array, limit: float, unit: str, time: Array) -> list[Breach]:
-    """Spans above a limit, those a short gap apart joined."""
-    above = np.flatnonzero(values > limit)
-    if not len(above):
-        return []
-    found = []
-    for span in np.split(above, np.flatnonzero(np.diff(time[above]) > GAP_S) + 1):
-        worst = span[values[span].argmax()]
-        ends = float(time[span[0]]), float(time[span[-1]])
-        found.append(Breach(what, *ends, float(values[worst]), float(time[worst]), float(limit), unit))
-    return found

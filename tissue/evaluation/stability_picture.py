@@ -1,16 +1,16 @@
-"""The stability map of a scene's loop as a picture and a table: stiffness against damping and against delay."""
+"""The stability map of a scene's loop as a picture: stiffness against damping and against delay."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from tissue.figures.figure import figure, save
 from tissue.haptics.loop.stability_map import StabilityChart, StabilityMap
-from tissue.system.outputs import write_columns
 
-__all__ = ["draw_stability", "write_stability"]
+__all__ = ["draw_stability"]
 
+DOTS = "#0072B2"
 LABELS = {
     "wall_damping_N_s_m": ("virtual damping / N s/m", 1.0),
     "delay_s": ("delay added to the hold / ms", 1e3),
@@ -29,35 +29,23 @@ def draw_stability(found: StabilityMap, path: Path, *, title: str) -> None:
     chart.subplots_adjust(left=0.09, right=0.98, top=0.84, bottom=0.25, wspace=0.24)
     for panel, data in zip(axes, (found.over_damping, found.over_delay), strict=True):
         _draw(panel, data, found)
-    handles, labels = axes[0].get_legend_handles_labels()
-    chart.legend(handles, labels, loc="lower center", ncols=3, frameon=False, fontsize=9)
+    chart.legend(*axes[0].get_legend_handles_labels(), loc="lower center", ncols=3, frameon=False, fontsize=9)
     chart.text(0.09, 0.95, title, va="center", size=11)
-    verdict_text = found.verdict.sentence(found.chosen.stiffness_N_m)
-    chart.text(0.09, 0.895, f"chosen: {verdict_text}", va="center", size=9, color="0.25")
+    chosen = f"chosen: {found.verdict.sentence(found.chosen.stiffness_N_m)}"
+    chart.text(0.09, 0.895, chosen, va="center", size=9, color="0.25")
     save(chart, path)
 
 
-def write_stability(found: StabilityMap, folder: Path) -> list[Path]:
-    """Write ``stability_damping.csv`` and ``stability_delay.csv``: boundaries in N/m over what is varied."""
-    written = []
-    for name, data in (("damping", found.over_damping), ("delay", found.over_delay)):
-        path = folder / f"stability_{name}.csv"
-        lines = {f"{line.replace(' ', '_')}_N_m": values for line, values in data.lines_N_m.items()}
-        columns = {data.along: data.values, "measured_N_m": data.measured_N_m, "exact_N_m": data.exact_N_m}
-        write_columns(path, columns | lines)
-        written.append(path)
-    return written
-
-
-def _draw(panel: Any, data: StabilityChart, found: StabilityMap) -> None:
+def _draw(panel: Axes, data: StabilityChart, found: StabilityMap) -> None:
     """One chart."""
     label, scale = LABELS[data.along]
     across, low, high = scale * data.values, data.stiffnesses_N_m[0], data.stiffnesses_N_m[-1]
     grows = np.where(data.growth >= 1.0, 1.0, np.nan)
     panel.pcolormesh(across, data.stiffnesses_N_m, grows, cmap="Greys", vmin=0.0, vmax=4.0, shading="nearest")
     panel.plot(across, data.exact_N_m, color="0.1", linewidth=2.0, label="eigenvalues, exact delay")
-    dots = {"color": "#0072B2", "markersize": 4.5, "label": "measured by running it"}
-    panel.plot(across[::2], data.measured_N_m[::2], "o", **dots)
+    panel.plot(
+        across[::2], data.measured_N_m[::2], "o", color="#0072B2", markersize=4.5, label="measured by running it"
+    )
     for name, values in data.lines_N_m.items():
         colour, line = LINES[name]
         shown = np.where((values > low) & (values < high), values, np.nan)

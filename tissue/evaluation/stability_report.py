@@ -4,14 +4,14 @@ from pathlib import Path
 
 from meshes.base.errors import InputError
 from tissue.builders.loop import judged_loop
-from tissue.evaluation.stability_picture import draw_stability, write_stability
+from tissue.evaluation.stability_picture import draw_stability
 from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.loop.critical_stiffness import in_hands
 from tissue.haptics.loop.stability_map import StabilityMap, stability_map
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.registry import DEVICES
 from tissue.scene.scene import Scene
-from tissue.system.outputs import require_free_folder
+from tissue.system.outputs import require_free_folder, write_columns
 
 __all__ = ["scene_stability", "stability_lines", "write_stability_files"]
 
@@ -37,22 +37,21 @@ def scene_stability(scene: Scene) -> StabilityMap:
 def stability_lines(scene: Scene, found: StabilityMap) -> list[str]:
     """What a person reads: the verdict, and the boundary over some delays, measured and exact [N/m]."""
     chosen = found.chosen
-    lines = [
+    data = found.over_delay
+    return [
         f"{scene.device} in the hand of a person of the group {scene.hand}, {1e-3 / chosen.tick_s:g} kHz, "
         f"{1e3 * chosen.delay_s:g} ms added to the hold, low-pass {1e3 * chosen.filter_s:g} ms",
         f"chosen: {found.verdict.sentence(chosen.stiffness_N_m)}",
-    ]
-    data = found.over_delay
-    for index in range(0, len(data.values), 6):
-        lines.append(
+        *(
             f"delay {1e3 * data.values[index]:4.1f} ms: stable below {data.exact_N_m[index]:8.0f} N/m by eigenvalues, "
             f"{data.measured_N_m[index]:8.0f} measured, {data.lines_N_m['passive'][index]:6.0f} passive"
-        )
-    return lines
+            for index in range(0, len(data.values), 6)
+        ),
+    ]
 
 
 def write_stability_files(scene: Scene, found: StabilityMap, folder: Path, *, overwrite: bool) -> list[Path]:
-    """Write the picture and the data of a map.
+    """Write the picture of a map, and boundaries in N/m over what is varied as ``stability_damping`` and ``_delay``.
 
     Raises
     ------
@@ -61,6 +60,9 @@ def write_stability_files(scene: Scene, found: StabilityMap, folder: Path, *, ov
     """
     require_free_folder(folder, FILES, "map", overwrite=overwrite)
     folder.mkdir(parents=True, exist_ok=True)
-    title = f"{scene.name}: {scene.device}, {scene.hand}"
-    draw_stability(found, folder / FILES[0], title=title)
-    return [folder / FILES[0], *write_stability(found, folder)]
+    draw_stability(found, folder / FILES[0], title=f"{scene.name}: {scene.device}, {scene.hand}")
+    for name, data in zip(FILES[1:], (found.over_damping, found.over_delay), strict=True):
+        lines = {f"{line.replace(' ', '_')}_N_m": values for line, values in data.lines_N_m.items()}
+        columns = {data.along: data.values, "measured_N_m": data.measured_N_m, "exact_N_m": data.exact_N_m}
+        write_columns(folder / name, columns | lines)
+    return [folder / name for name in FILES]

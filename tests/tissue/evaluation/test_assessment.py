@@ -107,7 +107,7 @@ def test_breaches_are_found_where_they_were_planted(tmp_path):
 def test_the_limit_of_force_follows_the_reference(tmp_path):
     reference = saved(tmp_path / "r", reach(2.0))
     found = assess(saved(tmp_path / "t", reach(2.0), force_scale=1.3), reference)
-    assert found.force_limit_N == pytest.approx(12.5)
+    assert found.force.limit == pytest.approx(12.5)
     assert [each.what for each in found.breaches] == ["force"]
     assert found.figures["force_error"] == pytest.approx(0.3, abs=0.01)
     assert found.figures["peak_force_N"] == {"trainee": pytest.approx(13.0), "reference": pytest.approx(10.0)}

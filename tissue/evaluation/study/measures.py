@@ -74,7 +74,7 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
         case "needle":
             found |= _pierced(run, wanted_mm)
         case "reaming":
-            found |= _reamed(run, touching)
+            found |= {"tracking_rms_N": found["force_rms_N"] / run.scene.force_scale} | _reamed(run, touching)
     return found
 
 
@@ -93,16 +93,10 @@ def _pierced(run: Run, wanted_mm: Array) -> dict[str, float]:
 
 
 def _reamed(run: Run, touching: NDArray[np.bool_]) -> dict[str, float]:
-    """Tracking error in newtons at the reamer, and its torque while it cuts."""
-    scale = run.scene.force_scale
+    """Torque of a reamer while it cuts."""
     torque = np.abs(run.trace["model_torque_z_Nm"][touching])
     windows = [part.mean() for part in np.array_split(torque, max(1, round(len(torque) * TICK_S / WINDOW_S)))]
-    played, ideal = played_force_N(run.trace), stretch_force_N(run)
-    return {
-        "tracking_rms_N": metrics.force_rms_N(played, ideal) / scale,
-        "torque_Nm": float(np.mean(windows)),
-        "torque_scatter_Nm": float(np.std(windows)),
-    }
+    return {"torque_Nm": float(np.mean(windows)), "torque_scatter_Nm": float(np.std(windows))}
 
 
 def _perceived_error(played_N: Array, ideal_N: Array, person: Observer) -> float:

@@ -18,11 +18,19 @@ TISSUES = {
     "drilling": (("cutting", "enamel"), ("cutting", "dentin")),
 }
 """Cited constants of tissues and senses that a task adds; T1 and T2 have their stiffness in the scene alone."""
+STUDY: tuple[Row, ...] = (
+    ("study", "latency ms", f"{LATENCY_MS}", "2 to 8, see the sensitivity", "M", "near the paper's mean of 4.3 ms"),
+    ("study", "people a group", f"{USERS}", "", "", "trials go round among them"),
+    ("study", "spread of the logarithm of pace, people", f"{PACE_SPREAD:g}", "", "L", "assumed"),
+    ("study", "spread of the logarithm of pace, trials", f"{WITHIN_SPREAD:g}", "", "L", "assumed"),
+    ("study", "numbers given to forces in a calibration", f"{NUMBERS}", "", "L", "assumed"),
+)
+"""The study's own parameters."""
 
 
 def parameters_section(plan: Plan) -> Section:
     """Every parameter, those of the scenes apart, which the overview lists."""
-    rows = [*_study_parameters(), *_methods(plan)]
+    rows = [*STUDY, *_methods(plan)]
     tables = [("devices", "touch"), ("hands", "any"), *(("hands", group) for group in plan.groups)]
     tables += [("perception", "force"), *(("observers", group) for group in plan.groups)]
     tables += [each for task in plan.tasks for each in TISSUES.get(task, ())]
@@ -39,15 +47,6 @@ def parameters_section(plan: Plan) -> Section:
     )
     header = ("of", "parameter", "value", "range", "confidence", "source")
     return Section("parameters", "Parameters", sentences, header, tuple(rows))
-
-
-def _study_parameters() -> Iterator[Row]:
-    """The study's own."""
-    yield "study", "latency ms", f"{LATENCY_MS}", "2 to 8, see the sensitivity", "M", "near the paper's mean of 4.3 ms"
-    yield "study", "people a group", f"{USERS}", "", "", "trials go round among them"
-    yield "study", "spread of the logarithm of pace, people", f"{PACE_SPREAD:g}", "", "L", "assumed"
-    yield "study", "spread of the logarithm of pace, trials", f"{WITHIN_SPREAD:g}", "", "L", "assumed"
-    yield "study", "numbers given to forces in a calibration", f"{NUMBERS}", "", "L", "assumed"
 
 
 def _methods(plan: Plan) -> Iterator[Row]:

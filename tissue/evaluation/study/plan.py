@@ -61,9 +61,7 @@ class TrialKey:
         InputError
             If there can be no such trial.
         """
-        task, _, rest = name.partition("-")
-        group, _, rest = rest.partition("-")
-        number, _, variant = rest.partition("-")
+        task, group, number, variant, *_ = *name.split("-", 3), "", "", ""
         known = task in TASKS and group in GROUPS and variant in ("", REFERENCE, *VARIANTS)
         if not (known and number.isdecimal()):
             raise InputError(f"trial must be named as its file is, got {name}: use for example T1-novice-0007")

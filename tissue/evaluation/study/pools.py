@@ -4,7 +4,7 @@ import asyncio
 import logging
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 
 from meshes.base.errors import InputError
 from meshes.base.file_version import package_version
@@ -16,8 +16,7 @@ LOST = (BrokenExecutor, CancelledError, ConnectionError, TimeoutError)
 """Errors that mean that workers are gone, and not that a trial is wrong."""
 
 
-@contextmanager
-def executor(workers: int, scheduler: str | None, *, patience_s: float) -> Iterator[Executor]:
+def executor(workers: int, scheduler: str | None, *, patience_s: float) -> AbstractContextManager[Executor]:
     """Own processes, or those of a Dask scheduler.
 
     Parameters
@@ -36,12 +35,7 @@ def executor(workers: int, scheduler: str | None, *, patience_s: float) -> Itera
     ConnectionError
         If no scheduler answers.
     """
-    if scheduler is None:
-        with worker_pool(workers) as pool:
-            yield pool
-    else:
-        with _dask(scheduler, patience_s) as pool:
-            yield pool
+    return worker_pool(workers) if scheduler is None else _dask(scheduler, patience_s)
 
 
 @contextmanager

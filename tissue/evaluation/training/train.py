@@ -1,6 +1,7 @@
 """Train a scene's predictors: run it, fit, and validate on runs held out."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -23,7 +24,7 @@ HELD_OUT = 4
 """One run in so many validates; the others train."""
 
 
-def train(scene: Scene, *, trials: int = TRIALS, cores: int | None = None, progress: Progress | None = None) -> Trained:
+def train(scene: Scene, *, trials: int = TRIALS, cores: int | None = None, progress: Progress = silent) -> Trained:
     """Predictors of a scene, trained on runs by hands of all groups and validated on runs held out.
 
     The scene's own seed is not used: trial i has seed i.
@@ -35,24 +36,20 @@ def train(scene: Scene, *, trials: int = TRIALS, cores: int | None = None, progr
     """
     if trials < LEAST_TRIALS:
         raise InputError(f"trials must be at least {LEAST_TRIALS}, got {trials}: use {TRIALS}")
-    report = progress or silent
     recorder, runs = Recorder(cores=cores), []
     for index in range(trials):
-        report(f"running trial {index + 1} of {trials}", index / (trials + 2))
+        progress(f"running trial {index + 1} of {trials}", index / (trials + 2))
         runs.append(recorder.record(trial(scene, index)))
-    report("fitting", trials / (trials + 2))
+    progress("fitting", trials / (trials + 2))
     kept = [run for index, run in enumerate(runs) if index % HELD_OUT != HELD_OUT - 1]
     trained = fit(scene.name, kept, rng=np.random.default_rng(0))
-    report("validating", (trials + 1) / (trials + 2))
-    device = trial(scene, 0).device
-    return validated(trained, runs[HELD_OUT - 1 :: HELD_OUT], device_parameters(device).force_limit_N)
+    progress("validating", (trials + 1) / (trials + 2))
+    return validated(trained, runs[HELD_OUT - 1 :: HELD_OUT], device_parameters(trial(scene, 0).device).force_limit_N)
 
 
 def validated(trained: Trained, held_out: list[Recording], force_limit_N: float) -> Trained:
     """With the mean errors of all predictors on runs that were held out."""
-    errors = {}
-    for kind in PREDICTORS:
-        make = lambda kind=kind: trained_predictor(kind, trained, force_limit_N=force_limit_N)  # noqa: E731
-        errors[kind] = forecast_errors(make, held_out).mean(axis=0).tolist()
+    makers = {kind: partial(trained_predictor, kind, trained, force_limit_N=force_limit_N) for kind in PREDICTORS}
+    errors = {kind: forecast_errors(make, held_out).mean(axis=0).tolist() for kind, make in makers.items()}
     validation = {"held_out": [run.seed for run in held_out], "horizons_ms": list(HORIZONS), "errors": errors}
     return replace(trained, facts=trained.facts | {"validation": validation})
