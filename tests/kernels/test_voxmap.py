@@ -6,7 +6,6 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
 from kernels.voxmap import SURFACE
-from meshes.base.errors import InputError
 from meshes.shapes import sdf
 from meshes.voxels.volume import VoxelVolume
 from tissue.haptics.proxy.voxmap import Ball, Box, ContactField, HalfSpace
@@ -116,20 +115,3 @@ def test_plane_surface_is_found_within_a_quarter_voxel():
         touching = height[np.argmax(field.distance(points)[0] >= 0.0)] - field.sink_m
         error = (touching - ORIGIN[2]) / SPACING - 16 - part
         assert -0.02 < error < 0.27  # a thousandth voxel of sampling, 1/255 of the fraction
-
-
-def test_things_that_cannot_be_used_are_refused():
-    with pytest.raises(InputError, match="solids"):
-        ContactField()
-    with pytest.raises(InputError, match="normal"):
-        HalfSpace((0, 0, 0), (0, 0, 0))
-    with pytest.raises(InputError, match="centre_m"):
-        Ball((0, np.nan, 0), 1e-3)
-    with pytest.raises(InputError, match="radius_m"):
-        Ball((0, 0, 0), -1e-3)
-    with pytest.raises(InputError, match="size_m"):
-        Box((0, 0, 0), (1.0, 0.0, 1.0))
-    with pytest.raises(InputError, match="rotation"):
-        Box((0, 0, 0), (1.0, 1.0, 1.0), 2.0 * np.eye(3))
-    with pytest.raises(InputError, match="points_m"):
-        ContactField(Ball((0, 0, 0), 1.0)).distance(np.array([[np.nan, 0, 0]]))

@@ -188,7 +188,5 @@ def test_unusable_loops_are_refused():
                               ("amplifier_Hz", nan, "amplifier_Hz")):  # fmt: skip
         with pytest.raises(InputError, match=f"{word} must be"):
             wall(**{name: value})
-    with pytest.raises(InputError, match="loops must share"):
-        measured_critical_N_m([wall(), wall(model_ticks=2)])
     with pytest.raises(InputError, match="times_s must increase"):
         waypoints([0.0, 0.0], np.zeros((2, 3)))

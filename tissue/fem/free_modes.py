@@ -34,11 +34,8 @@ def free_modes(nodes_m: Array, held: NDArray[np.bool_]) -> list[str]:
     centre = nodes_m.mean(axis=0)
     size = max(float(np.linalg.norm(nodes_m - centre, axis=1).max()), 1e-300)
     rows = rigid_modes((nodes_m - centre) / size, np.zeros(3))[held]
-    if len(rows) == 0:
-        free = np.eye(6)
-    else:
-        values, vectors = np.linalg.eigh(rows.T @ rows / len(rows))
-        free = vectors[:, values < LEAST_HOLD**2].T
+    values, vectors = np.linalg.eigh(rows.T @ rows / max(len(rows), 1))
+    free = vectors[:, values < LEAST_HOLD**2].T
     if len(free) == 0:
         return []
     return _named(_reduced(free[:, [3, 4, 5, 0, 1, 2]]), centre, size)

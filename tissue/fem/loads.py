@@ -35,12 +35,9 @@ def gravity(
     Raises
     ------
     InputError
-        If a density or the acceleration is not finite, or a density is negative.
+        If the acceleration is not finite.
     """
-    density = np.asarray(density_kg_m3, dtype=np.float64)
-    if not (np.isfinite(density) & (density >= 0.0)).all():
-        raise InputError(f"density_kg_m3 must be finite and not negative, got {density.min()}: use 1060 for liver")
-    mass = density * space.volumes_m3
+    mass = np.asarray(density_kg_m3, dtype=np.float64) * space.volumes_m3
     force = mass[:, None] * _vectors("acceleration_m_s2", acceleration_m_s2, 1)
     return _spread(space, space.cell_nodes, force, mean_shape(4, space.order))
 

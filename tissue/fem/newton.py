@@ -111,18 +111,7 @@ class NewtonSolver:
         """Equilibrium with held components at ``held_m`` [m], shape (n, 3), from ``start_m`` [m]; default: zero.
 
         With a sphere, its multipliers are corrected until it is settled.
-
-        Raises
-        ------
-        InputError
-            If a displacement has another shape or is not finite.
         """
-        for name, values in (("held_m", held_m), ("start_m", start_m)):
-            if values is not None and (values.shape != self.held.shape or not np.isfinite(values).all()):
-                raise InputError(
-                    f"{name} must be finite, of shape {self.held.shape}, got shape {values.shape} or NaN: "
-                    "name every node, 0 where it stays"
-                )
         now = np.zeros(self.held.shape) if start_m is None else np.array(start_m, dtype=np.float64)
         goal = np.zeros(self.held.shape) if held_m is None else held_m
         move = np.where(self.held, goal - now, 0.0)
@@ -179,13 +168,12 @@ class NewtonSolver:
     def _state(self, displacement: Array, sphere: RigidSphere | None) -> tuple[float, float, Array]:
         """Energy [J], largest force in the body [N], and the energy's derivative, zero where held [N]."""
         energy, force = self.body.energy_and_force(displacement)
-        slope = force
+        size, slope = np.abs(force).max(), force
         if sphere is not None and np.isfinite(energy):
             extra, push = sphere.energy_and_force(self.body.nodes_m + displacement)
-            energy, slope = energy + extra, force.copy()
+            energy, size, slope = energy + extra, max(size, np.abs(push).max()), force.copy()
             slope[sphere.nodes] += push
-            return energy, float(max(np.abs(force).max(), np.abs(push).max())), np.where(self.held, 0.0, slope)
-        return energy, float(np.abs(force).max()), np.where(self.held, 0.0, slope)
+        return energy, float(size), np.where(self.held, 0.0, slope)
 
     def _whole(self, displacement: Array, sphere: RigidSphere | None) -> bsr_array:
         """Second derivative of the energy."""

@@ -6,10 +6,9 @@ equilibrium ``p <- max(0, p + k g)``. At the end g <= 0 where p = 0 and g = 0 wh
 """
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array, Ints
-from meshes.base.errors import InputError, require_positive
+from meshes.base.errors import require_positive
 
 __all__ = ["RigidSphere"]
 
@@ -33,18 +32,13 @@ class RigidSphere:
     Raises
     ------
     InputError
-        If there is no node, a penalty or the radius is not positive, or the centre is not finite.
+        If the radius or the tolerance is not positive.
     """
 
     def __init__(
-        self, nodes: Ints, penalty_N_m: Array, *, radius_m: float, centre_m: ArrayLike,
+        self, nodes: Ints, penalty_N_m: Array, *, radius_m: float, centre_m: Array,
         tolerance: float = 1e-6,
     ) -> None:  # fmt: skip
-        if len(nodes) == 0 or penalty_N_m.shape != nodes.shape or not (penalty_N_m > 0.0).all():
-            raise InputError(
-                f"penalty_N_m must hold a positive number a node, got shape {penalty_N_m.shape} for {nodes.shape}: "
-                "take ten times the stiffness of the surface nodes"
-            )
         self.nodes = nodes
         self.radius_m = require_positive("radius_m", radius_m, "use 0.01")
         self._penalty = penalty_N_m
@@ -52,12 +46,9 @@ class RigidSphere:
         self._multiplier = np.zeros(len(nodes))
         self.move_to(centre_m)
 
-    def move_to(self, centre_m: ArrayLike) -> None:
+    def move_to(self, centre_m: Array) -> None:
         """Put the centre here [m], shape (3,); multipliers stay, as a first guess."""
-        centre = np.asarray(centre_m, dtype=np.float64)
-        if centre.shape != (3,) or not np.isfinite(centre).all():
-            raise InputError(f"centre_m must be three finite numbers, got {centre}: give x, y, z in metres")
-        self.centre_m = centre
+        self.centre_m = centre_m
 
     def energy_and_force(self, positions_m: Array) -> tuple[float, Array]:
         """Energy [J], and its derivative by the positions of ``nodes`` [N], shape (s, 3)."""

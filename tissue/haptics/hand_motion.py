@@ -194,7 +194,7 @@ class HandMotion(Motion):
         sample = self.guard.validate_sample(self.held.read(time_s), time_s)
         if self.held.released:
             self.held.released = False
-            self.guard.let_go()
+            self.guard.share = 0.0  # the force comes back from there
         self._fresh = self._ticks % self.model_ticks == 0
         self._ticks += 1
         self._sample = None
@@ -268,11 +268,7 @@ class HandMotion(Motion):
 
     def _pause(self) -> None:
         """Nothing is known of the device in this tick."""
-        self.law.pause()
-        if self._turning_law is not None:
-            self._turning_law.pause()
-        self.observer.pause()
-        for part in (self.predictor, self.perception):
+        for part in (self.law, self._turning_law, self.observer, self.predictor, self.perception):
             if part is not None:
                 part.pause()
         self._delay.step(self._low_pass.value)

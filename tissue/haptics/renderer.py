@@ -32,16 +32,23 @@ class Renderer(Protocol):
         """No sample came, so that nothing is known of the motion until the next one."""
 
 
-class PenaltyRenderer:
+class SpringDamper:
+    """The numbers of a spring and a damper between a device and its proxy; nothing is kept from tick to tick."""
+
+    def __init__(self, stiffness_N_m: float, damping_N_s_m: float = 0.0) -> None:
+        self.stiffness_N_m = require_positive("stiffness_N_m", stiffness_N_m, "use what the device can hold, about 500")
+        self.damping_N_s_m = require_range("damping_N_s_m", damping_N_s_m, 0.0, 1e6, "use 0 for none")
+
+    def pause(self) -> None:
+        """Nothing is kept from tick to tick."""
+
+
+class PenaltyRenderer(SpringDamper):
     """Spring and damper between the device and the nearest point of the surface: F = k d - b (v . n) n, n = d / |d|.
 
     The damper acts on the device's own velocity, along the penetration only, so it rubs on a surface that moves with
     the device. The force never pulls into the surface.
     """
-
-    def __init__(self, stiffness_N_m: float, damping_N_s_m: float = 0.0) -> None:
-        self.stiffness_N_m = require_positive("stiffness_N_m", stiffness_N_m, "use 500")
-        self.damping_N_s_m = require_range("damping_N_s_m", damping_N_s_m, 0.0, 1e6, "use 0 for none")
 
     def render(self, device: Array, device_velocity: Array, proxy: Array, proxy_velocity: Array, dt: float) -> Array:
         """Force on the device [N]."""
@@ -52,11 +59,8 @@ class PenaltyRenderer:
         along = self.stiffness_N_m - self.damping_N_s_m * float(gap.dot(device_velocity)) / square
         return gap * max(along, 0.0)
 
-    def pause(self) -> None:
-        """Nothing is kept from tick to tick."""
 
-
-class ProxyRenderer:
+class ProxyRenderer(SpringDamper):
     """Spring and damper between device and god-object: F = k (p_proxy - p) + b (v_proxy - v) (Colgate et al. 1995).
 
     The damper acts on the relative velocity, so the pair can only lose energy: a published form with ``+ b v_device``
@@ -64,18 +68,11 @@ class ProxyRenderer:
     free.
     """
 
-    def __init__(self, stiffness_N_m: float, damping_N_s_m: float = 0.0) -> None:
-        self._stiffness = require_positive("stiffness_N_m", stiffness_N_m, "use what the device can hold, about 500")
-        self._damping = require_range("damping_N_s_m", damping_N_s_m, 0.0, 1e12, "use 0 for none")
-
     def render(self, device: Array, device_velocity: Array, proxy: Array, proxy_velocity: Array, dt: float) -> Array:
         """Force on the device [N]."""
         if not any((proxy - device).tolist()):
             return np.zeros(3)
-        return self._stiffness * (proxy - device) + self._damping * (proxy_velocity - device_velocity)
-
-    def pause(self) -> None:
-        """Nothing is kept from tick to tick."""
+        return self.stiffness_N_m * (proxy - device) + self.damping_N_s_m * (proxy_velocity - device_velocity)
 
 
 class PassivityRenderer:

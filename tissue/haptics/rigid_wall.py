@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import require_positive
 from tissue.haptics.device.device import Device, DeviceParameters
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.haptics.device.sample_guard import SampleGuard
@@ -65,8 +64,6 @@ def press_wall(
     part along the plane. Without a guard every sample is valid and no sample means no force. Whatever ends the run,
     the device is left without force.
     """
-    require_positive("duration_s", duration_s, "use 1")
-    require_positive("tick_s", tick_s, "use 1e-3 for 1 kHz")
     ticks = round(duration_s / tick_s)
     position, velocity, force = np.zeros((3, ticks, 3))
     low_pass = LowPass(filter_s, step_s=tick_s)
@@ -91,10 +88,8 @@ def press_wall(
                 law.pause()
                 position[tick] = position[tick - 1]
             played = nothing if wanted is None else wanted
-            if guard is not None:
-                played, _ = guard.limit_force(wanted)
-            force[tick] = played
-            held.play(played, nothing)
+            force[tick] = played if guard is None else guard.limit_force(wanted)[0]
+            held.play(force[tick], nothing)
 
     with np.errstate(invalid="ignore", over="ignore"):
         run_held(press, held)

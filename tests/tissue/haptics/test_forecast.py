@@ -146,5 +146,3 @@ def test_what_cannot_be_judged_is_refused():
 
     with pytest.raises(InputError, match="predictor must forget a change within 512 ticks"):
         forecast_of(Sum(), lead_ticks=0, stiffness_N_m=400.0)
-    with pytest.raises(InputError, match="forecast must have a phase for each of model_ticks"):
-        replace(loop_with("linear")[0], model_ticks=3)

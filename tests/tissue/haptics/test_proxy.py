@@ -347,12 +347,6 @@ def test_unusable_numbers_are_refused(arguments, name):
         Proxy(ToolShell.ball(), ContactField(HalfSpace((0, 0, 0), (0, 0, 1))), **arguments)
 
 
-def test_unusable_shells_are_refused():
-    with pytest.raises(InputError, match="points_m"):
-        ToolShell(np.full((1, 3), np.nan), np.zeros((1, 3)))
-    with pytest.raises(InputError, match="normals"):
-        ToolShell(np.zeros((1, 3)), np.full((1, 3), 2.0))
-    with pytest.raises(InputError, match="normals"):
-        ToolShell(np.zeros((1, 3)), np.zeros((2, 3)))
+def test_a_shell_of_balls_on_voxels_is_refused():
     with pytest.raises(InputError, match="radius_m"):
         Proxy(ToolShell.ball(1e-3), ContactField(store=bumpy_store(0)))

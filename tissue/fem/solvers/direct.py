@@ -57,9 +57,9 @@ class DirectSolver:
         left = float(np.linalg.norm(ordered - self._matrix @ found)) / norm
         # The energy is positive for any load where K is positive definite.
         energy = float(found @ ordered)
-        good = bool(np.isfinite(left)) and energy > 0.0
         outcome = SolverOutcome.CONVERGED if left <= self.tolerance else SolverOutcome.INACCURATE
-        outcome = outcome if good else SolverOutcome.INDEFINITE
+        if not np.isfinite(left) or energy <= 0.0:
+            outcome = SolverOutcome.INDEFINITE
         return Solution(self.body.whole(found[place]), outcome, 0, left)
 
     def columns(self, unknowns: Ints) -> Array:

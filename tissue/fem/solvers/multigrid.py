@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import eigvalsh_tridiagonal
-from scipy.sparse import bsr_matrix
+from scipy.sparse import bsr_matrix, diags_array
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_range
@@ -71,19 +71,10 @@ class MultigridSolver:
 
     def _scaled(self) -> bsr_matrix:
         """D^-1/2 K D^-1/2 with held components cut out to the identity, indices of 32 bits as pyamg wants."""
-        rows = self.body.stiffness.tobsr((3, 3))
-        count = len(self.body.nodes_m)
-        scale = self._scale.reshape(-1, 3)
-        row = np.repeat(np.arange(count), np.diff(rows.indptr))
-        data = rows.data * scale[row][:, :, None] * scale[rows.indices][:, None, :]
-        diagonal = np.flatnonzero(row == rows.indices)
-        node, axis = np.nonzero(~self._free.reshape(-1, 3))
-        place = np.full(count, -1)
-        place[row[diagonal]] = diagonal
-        with_block = place[node] >= 0
-        data[place[node[with_block]], axis[with_block], axis[with_block]] = 1.0
-        indices, starts = rows.indices.astype(np.int32), rows.indptr.astype(np.int32)
-        return bsr_matrix((data, indices, starts), shape=rows.shape)
+        scale = diags_array(self._scale)
+        scaled = (scale @ self.body.stiffness @ scale + diags_array(1.0 - self._free)).tobsr((3, 3))
+        indices, starts = scaled.indices.astype(np.int32), scaled.indptr.astype(np.int32)
+        return bsr_matrix((scaled.data, indices, starts), shape=scaled.shape)
 
     def solve(self, load_N: Array, *, start_m: Array | None = None) -> IterativeSolution:
         """Displacement under nodal forces [N], shape (n, 3), from a guess [m], shape (n, 3).

@@ -37,7 +37,7 @@ class ReducedSolver:
     Raises
     ------
     InputError
-        If the size is not in [1, 3t], or the tolerance not in (0, 1).
+        If the size is not in [1, 3t].
     """
 
     def __init__(self, solver: ColumnSolver, touchable: Ints, *, size: int, tolerance: float = 0.1) -> None:
@@ -46,8 +46,6 @@ class ReducedSolver:
         rows = (3 * self.touchable[:, None] + np.arange(3)).ravel()
         if not 1 <= size <= len(rows):
             raise InputError(f"size must be in [1, {len(rows)}], got {size}: three modes a touchable node are all")
-        if not 0.0 < tolerance < 1.0:
-            raise InputError(f"tolerance must be in (0, 1), got {tolerance}: use 0.1")
         self.tolerance = tolerance
         parts = [solver.columns(rows[start : start + CHUNK]) for start in range(0, len(rows), CHUNK)]
         answers = np.concatenate(parts, axis=1)

@@ -135,10 +135,6 @@ class SampleGuard:
             self.share = max(self.share - change, 0.0)
         return self.share * self._wrench[0], self.share * self._wrench[1]
 
-    def let_go(self) -> None:
-        """The device was brought to zero by others: the force comes back from there."""
-        self.share = 0.0
-
     def _log(self, time_s: float, what: str) -> None:
         if len(self.events) < MOST_EVENTS:
             self.events.append((time_s, what))

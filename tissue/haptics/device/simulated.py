@@ -6,7 +6,6 @@ from math import ceil, isfinite, sqrt
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import require_range
 from tissue.haptics.device.device import ComputedDevice, DeviceParameters, Sample
 from tissue.haptics.hand.hand import Grip, HandAction, HoldingHand
 from tissue.haptics.loop.plant import Plant
@@ -56,7 +55,6 @@ class SimulatedDevice(ComputedDevice):
         position_m: Triple = NOTHING,
         substeps: int = 5,
     ) -> None:
-        require_range("substeps", substeps, 1, 1000, "use 5")
         self.parameters, self._hand = parameters, hand
         self.translation = Plant(
             mass_kg=parameters.mass_kg,

@@ -59,7 +59,8 @@ def _supervise(work: Callable[[], None], held: SafeDevice) -> None:
     def stop(number: int, frame: FrameType | None) -> None:
         held.stop(Terminated(number) if number in STOPS else KeyboardInterrupt())
 
-    with signals_handled(_taken(), stop):
+    taken = (*STOPS, signal.SIGINT) if interrupt_is_free() else STOPS  # Ctrl-C where nobody else takes it
+    with signals_handled(taken, stop):
         thread.start()
         while not done.wait(POLL_S):
             lost = held.stop_if_stuck()
@@ -67,8 +68,3 @@ def _supervise(work: Callable[[], None], held: SafeDevice) -> None:
                 raise lost
     if raised:
         raise raised[0]
-
-
-def _taken() -> tuple[int, ...]:
-    """Signals that stop the loop: what asks the process to end, and Ctrl-C where nobody else takes it."""
-    return (*STOPS, signal.SIGINT) if interrupt_is_free() else STOPS

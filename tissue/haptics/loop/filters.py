@@ -79,8 +79,6 @@ class SlewLimit:
     """
 
     def __init__(self, most: float) -> None:
-        if not most > 0.0:
-            raise InputError(f"most must be positive, got {most}: use inf for no limit")
         self._most = most
         self.value: Array = np.zeros(3)
         self.limited = 0

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, require_positive, require_range
+from meshes.base.errors import InputError
 
 if TYPE_CHECKING:
     from tissue.prediction.predictor import Predictor
@@ -39,13 +39,6 @@ class Forecast:
 
     taps: Array
     gain: float = 1.0
-
-    def __post_init__(self) -> None:
-        taps = np.asarray(self.taps, dtype=np.float64)
-        if taps.ndim != 3 or taps.shape[2] != 3 or not np.isfinite(taps).all():
-            raise InputError(f"taps must be finite, of shape (phases, ages, 3), got {taps.shape}: probe a predictor")
-        require_range("gain", self.gain, 0.0, 10.0, "use 1, or 0 for no prediction")
-        object.__setattr__(self, "taps", taps)
 
     @property
     def memory(self) -> tuple[int, int]:
@@ -86,7 +79,6 @@ def forecast_of(
     InputError
         If a change is not forgotten: the predictor is no stable filter there.
     """
-    require_positive("depth_m", depth_m, "use 1e-3")
     out = np.array([0.0, 0.0, 1.0]) if axis is None else np.asarray(axis, dtype=np.float64)
     still, rest, force = -depth_m * out, np.zeros(3), stiffness_N_m * depth_m * out
     settled = deepcopy(predictor)

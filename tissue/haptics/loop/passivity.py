@@ -6,7 +6,7 @@ from math import copysign, inf, sqrt
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, require_positive, require_range
+from meshes.base.errors import require_positive, require_range
 
 __all__ = ["RELEASE_RAD_S", "PassivityControl", "PassivityObserver"]
 
@@ -38,8 +38,6 @@ class PassivityObserver:
     ----------
     energy_J
         Taken so far [J]; below zero, the environment has created energy.
-    lowest_J
-        Lowest value so far [J].
     """
 
     def __init__(self, *, delay_ticks: float = 0.0) -> None:
@@ -47,7 +45,6 @@ class PassivityObserver:
         whole = int(delay_ticks + 1e-9)
         self._delay = max(delay_ticks - whole, 0.0)
         self.energy_J = 0.0
-        self.lowest_J = 0.0
         self._position: Array | None = None
         self._forces: deque[Array] = deque([np.zeros(3)] * (whole + 2), maxlen=whole + 2)
 
@@ -57,7 +54,6 @@ class PassivityObserver:
             moved = position_m - self._position
             self.energy_J -= (1.0 - self._delay) * float(self._forces[1].dot(moved))
             self.energy_J -= self._delay * float(self._forces[0].dot(moved))
-            self.lowest_J = min(self.lowest_J, self.energy_J)
         self._position = position_m.copy()
         return self.energy_J
 
@@ -114,8 +110,6 @@ class PassivityControl:
 
     def __init__(self, damping_limit_N_s_m: float, *, delay_ticks: float = 0.0, mass_kg: float = inf) -> None:
         self._limit = require_positive("damping_limit_N_s_m", damping_limit_N_s_m, "use a half of m / T")
-        if not mass_kg > 0.0:
-            raise InputError(f"mass_kg must be positive, got {mass_kg}: use inf for a prescribed motion")
         self._mass = mass_kg
         self.observer = PassivityObserver(delay_ticks=delay_ticks)
         self.damping_N_s_m = self.dissipated_J = 0.0

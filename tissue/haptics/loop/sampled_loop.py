@@ -69,11 +69,6 @@ class WallLoop:
         require_range("model_ticks", self.model_ticks, 1, MOST_TICKS, "use 1 for a model that answers every tick")
         require_range("delay_s", self.delay_s, 0.0, MOST_TICKS * self.tick_s, f"use at most {MOST_TICKS} ticks")
         low_pass_gain(self.filter_s, self.tick_s)
-        if self.forecast is not None and len(self.forecast.taps) != self.model_ticks:
-            raise InputError(
-                f"forecast must have a phase for each of model_ticks ({self.model_ticks}), got "
-                f"{len(self.forecast.taps)}: probe the predictor with model_ticks"
-            )
         if not self.amplifier_Hz > 0.0:
             raise InputError(
                 f"amplifier_Hz must be positive, got {self.amplifier_Hz}: use inf for an amplifier without lag"

@@ -7,7 +7,6 @@ from math import inf
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
 from tissue.haptics.loop.critical_stiffness import Verdict, critical_stiffness_N_m, judge
 from tissue.haptics.loop.filters import low_pass_gain
 from tissue.haptics.loop.sampled_loop import ForecastMemory, WallLoop, plant_step, spectral_radius
@@ -62,13 +61,11 @@ class StabilityMap:
 def growth_while_running(loops: Sequence[WallLoop], stiffnesses_N_m: Array, *, ticks: int = 4000) -> Array:
     """Growth of the amplitude between two windows of a run from a push, for several loops at once, shape (n,).
 
-    The loops run as they would on a device: sample, difference, force, filter, delay, hold. Amplitude is the root of
-    kinetic and stored energy, weighed by smooth windows around 45 and 85 % of the run. Infinite where it overflows.
+    The loops share tick, model ticks and forecast, and run as they would on a device: sample, difference, force,
+    filter, delay, hold. Amplitude is the root of kinetic and stored energy, weighed by windows around 45 and 85 %
+    of the run. Infinite where it overflows.
     """
     first = loops[0]
-    alike = (first.tick_s, first.model_ticks, first.forecast)
-    if any((each.tick_s, each.model_ticks, each.forecast) != alike for each in loops):
-        raise InputError("loops must share tick_s, model_ticks and forecast, got others: run them apart")
     tick, count = first.tick_s, len(loops)
     whole = [int(each.delay_s / tick + 1e-9) for each in loops]
     delay = [max(each.delay_s - n * tick, 0.0) for each, n in zip(loops, whole, strict=True)]
