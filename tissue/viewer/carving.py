@@ -2,6 +2,7 @@
 
 from collections.abc import Collection
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -98,10 +99,7 @@ class BoneOverTime:
             fraction = volume.fraction
             if not self._shown >= set(self.layers):
                 fraction = np.where(np.isin(volume.layer, list(shown)), fraction, np.uint8(0))
-            some = VoxelVolume(
-                volume.origin_m, volume.spacing_m, fraction, volume.layer, volume.density_kg_m3, volume.layer_names
-            )
-            self._carved = CarvedSurface(some, self._box, axis=self._axis)
+            self._carved = CarvedSurface(replace(volume, fraction=fraction), self._box, axis=self._axis)
         return self._carved
 
 
@@ -119,16 +117,13 @@ def bone_of(saved: SavedRun, scene: Scene | None) -> BoneOverTime | None:
             return _over_time(volume, saved.trace, scene, end=end)
         cut, origin_m, spacing_m = read_poses(poses)
         # Not as the image states them, rounded: the bits of the carving depend on them.
-        exact = VoxelVolume(
-            origin_m, spacing_m, volume.fraction, volume.layer, volume.density_kg_m3, volume.layer_names
-        )
+        exact = replace(volume, origin_m=origin_m, spacing_m=spacing_m)
         if not np.allclose(origin_m, volume.origin_m, atol=1e-3 * spacing_m):
             raise InputError(f"poses must be of the bone in {file}, got those of other voxels: run the scene again")
         return _over_time(exact, saved.trace, scene, end=end, poses=cut, compute=str(saved.summary.get("compute")))
-    volume_or_none = None if scene is None else _coarse(scene)
-    if scene is None or volume_or_none is None or saved.trace is None:
+    if scene is None or saved.trace is None or (coarse := _coarse(scene)) is None:
         return None
-    return _over_time(volume_or_none, saved.trace, scene)
+    return _over_time(coarse, saved.trace, scene)
 
 
 def _over_time(

@@ -23,7 +23,7 @@ def add_names(plotter: Plotter, colours: Mapping[str, tuple[float, float, float]
         plotter.add_text(name, position=(0.87, 0.93 - 0.035 * row), viewport=True, font_size=11, color=colour)
 
 
-def on_click(plotter: Plotter, click: Callable[[int, int], None]) -> None:
+def on_click(plotter: Plotter, click: Callable[[int, int], object]) -> None:
     """Call with the pixel, counted from the lower left, when the left button is pressed and released in one place.
 
     A style that turns the camera grabs the mouse between the two, so that it is the one to ask.

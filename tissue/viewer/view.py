@@ -4,25 +4,24 @@ import json
 import math
 import shutil
 import sys
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import numpy as np
-
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
+from tissue.builders.registry import motion_of
 from tissue.models.tissue_model import TICK_S
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.saved_fields import SavedFields, field_names
 from tissue.system.offscreen import LONGEST_S, display_problem, draw_apart
-from tissue.viewer.movie import check_movie
+from tissue.viewer.movie import check_movie, write_movie
 from tissue.viewer.run import require_whole
-from tissue.viewer.show import show
-from tissue.viewer.window import Choice
+from tissue.viewer.window import Choice, Window, times_of
 
-__all__ = ["view"]
+__all__ = ["show", "view"]
 
 LONGEST_MOVIE_S = 3600.0
 """How long a movie may take to draw [s]."""
@@ -75,8 +74,9 @@ def view(
     about = _about(saved)
     require_whole(saved)
     choice = Choice(hide=hide, field=field, scale=scale, time_s=time_s)
-    _check(saved, choice)
-    if movie is not None and len(_times(saved)) < 2:
+    series = SavedFields(saved.path) if field_names(saved.path) else None
+    _check(saved, choice, series)
+    if movie is not None and len(times_of(saved, series)) < 2:
         raise InputError(f"movie must be of a run that lasts, got {saved.path}: use --screenshot")
     if screenshot is None and movie is None:
         problem = display_problem()
@@ -130,17 +130,14 @@ def _check_files(screenshot: Path | None, movie: Path | None, time_s: float | No
             raise InputError(f"screenshot must lie in an existing folder, got {screenshot}: make the folder first")
 
 
-def _check(saved: SavedRun, choice: Choice) -> None:
+def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:
     """Refuse what the run does not have."""
-    fields = field_names(saved.path)
-    ticks = saved.trace is not None and len(saved.trace.rows) > 0
-    if saved.complete and not ticks and not fields and not (saved.path / "bone.vti").is_file():
+    times, fields = times_of(saved, series), [] if series is None else series.names
+    if saved.complete and not len(times) and not (saved.path / "bone.vti").is_file():
         raise InputError(
             f"run must hold a trace, bone or frames to be shown, got none of them in {saved.path}: run the scene again"
         )
-    layers = [*saved.summary.get("layers", [])]
-    if fields:
-        layers += [name for name in SavedFields(saved.path).layer_names if name not in layers]
+    layers = dict.fromkeys([*saved.summary.get("layers", []), *(() if series is None else series.layer_names)])
     for name in choice.hide:
         if name not in layers:
             raise InputError(f"hide must name a layer of the run, got {name}: use one of {', '.join(layers)}")
@@ -149,10 +146,9 @@ def _check(saved: SavedRun, choice: Choice) -> None:
         raise InputError(f"field must name a field of the run, got {choice.field}: {known}")
     if not (math.isfinite(choice.scale) and choice.scale >= 0.0):
         raise InputError(f"scale must be a number of at least 0, got {choice.scale:g}: use 1 for true size")
-    if choice.scale != 1.0 and (not fields or SavedFields(saved.path).displacement is None):
+    if choice.scale != 1.0 and (series is None or series.displacement is None):
         raise InputError(f"scale must be left out for a run without displacement, got {choice.scale:g}: leave it out")
     if choice.time_s is not None:
-        times = _times(saved)
         if not len(times):
             raise InputError(f"time_s must lie in the run, got {choice.time_s:g} for a run without ticks: leave it out")
         first, last = float(times[0]), float(times[-1])
@@ -161,13 +157,6 @@ def _check(saved: SavedRun, choice: Choice) -> None:
             raise InputError(
                 f"time_s must lie in the run, {first:g} to {last:g} s, got {choice.time_s:g}: use {nearest:g}"
             )
-
-
-def _times(saved: SavedRun) -> np.ndarray:
-    """Moments that can be shown [s]."""
-    if saved.trace is not None and len(saved.trace.rows):
-        return saved.trace["time_s"]
-    return SavedFields(saved.path).times_s if field_names(saved.path) else np.zeros(0)
 
 
 def _about(saved: SavedRun) -> str:
@@ -181,7 +170,10 @@ def _about(saved: SavedRun) -> str:
         where = "before its first tick was written"
     else:
         last = float(saved.trace["time_s"][-1])
-        planned = _planned_s(saved)
+        planned = None
+        if saved.scene is not None:
+            with suppress(InputError):
+                planned = saved.scene.duration_s or motion_of(saved.scene, step_s=TICK_S).duration_s
         where = f"at {last:.3f} s" + (f" of {planned:g} s" if planned else "")
         if planned and last > planned - 1.5 * TICK_S:
             where = "after its last tick, while its files were written"
@@ -190,17 +182,32 @@ def _about(saved: SavedRun) -> str:
     return f"run is incomplete: it {begun} {where}" + (f" ({saved.problem})" if saved.problem else "")
 
 
-def _planned_s(saved: SavedRun) -> float | None:
-    """How long a run was meant to last [s]."""
-    from tissue.builders.registry import motion_of
+def show(
+    saved: SavedRun, title: str, choice: Choice, *, screenshot: Path | None = None, movie: Path | None = None
+) -> None:
+    """Open the window, or draw it off screen into files.
 
-    scene = saved.scene
-    if scene is None:
-        return None
-    try:
-        return scene.duration_s or motion_of(scene, step_s=TICK_S).duration_s
-    except InputError:
-        return None
+    Parameters
+    ----------
+    saved
+        The run.
+    title
+        What is written above.
+    choice
+        What is shown at first.
+    screenshot
+        PNG file.
+    movie
+        MP4 or GIF file; how much of it is drawn is printed.
+    """
+    window = Window(saved, title, choice, off_screen=screenshot is not None or movie is not None)
+    if screenshot is not None:
+        window.plotter.screenshot(str(screenshot))
+    if movie is not None:
+        write_movie(movie, window.pictures())
+    if screenshot is None and movie is None:
+        window.open()
+    window.plotter.close()
 
 
 if __name__ == "__main__":

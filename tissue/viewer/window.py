@@ -2,12 +2,10 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError
 from tissue.figures.style import layer_colours
 from tissue.figures.tool_mesh import tool_surface
 from tissue.simulation.run_folder import SavedRun
@@ -27,10 +25,7 @@ from tissue.viewer.play import Playback
 from tissue.viewer.plotter import Plotter, add_names, free_keys, on_click
 from tissue.viewer.run import faces_of
 
-if TYPE_CHECKING:
-    import pyvista
-
-__all__ = ["Choice", "Window"]
+__all__ = ["Choice", "Window", "times_of"]
 
 SIZE = (1400, 950)
 SLIDERS = CHART_SHARE + 0.04
@@ -79,7 +74,7 @@ class Window:
     ----------
     plotter
         PyVista's plotter.
-    fields, point, names, playback, bone, layers, clip
+    fields, point, names, playback, bone, layers
         The parts of the window; None where the run, or a picture, has none.
     """
 
@@ -101,9 +96,7 @@ class Window:
             self.fields = FieldsShown(self.plotter, self._series, scale=choice.scale, clip=cut)
         self.names: NameList | None = None
         self.point: PointRead | None = None
-        self.clip: ClipPlane | None = None
         self._faces = faces_of(scene)
-        self._face_actors = self._add_faces()
         self._add_layers(choice)
         points = np.zeros((1, 3)) if self.bone is None else self.bone.points_mm
         size = max(float(np.linalg.norm(np.ptp(points, axis=0))), self._series.size_mm if self._series else 0.0)
@@ -148,18 +141,14 @@ class Window:
         if self.fields is not None:
             self.fields.at(time_s)
 
-    @property
-    def picture_count(self) -> int:
-        """How many pictures a movie has."""
-        return len(movie_times_s(*self.playback.span_s)) if self.playback is not None else 0
-
     def pictures(self) -> Iterator[NDArray[np.uint8]]:
-        """Pictures of a movie over the whole run."""
-        if self.playback is None:
-            raise InputError(f"movie must be of a run that lasts, got {self._saved.path}: use --screenshot")
-        for time_s in movie_times_s(*self.playback.span_s):
-            self.playback.to(float(time_s))
+        """Pictures of a movie over the whole run; how much of it is drawn is printed, 0 to 1, a line each."""
+        assert self.playback is not None
+        times_s = movie_times_s(*self.playback.span_s)
+        for index, time_s in enumerate(times_s.tolist(), 1):
+            self.playback.to(time_s)
             yield self.plotter.screenshot(None, return_img=True)[..., :3]
+            print(index / len(times_s), flush=True)
 
     def open(self) -> None:
         """Open the window; comes back when it was closed."""
@@ -169,39 +158,27 @@ class Window:
         self.plotter.show()
 
     def _add_layers(self, choice: Choice) -> None:
-        """The digits, for the bone's layers and those that only the fields have."""
-        names = list(self.bone.layers) if self.bone is not None else []
-        targets = []
-        if self.bone is not None:
-            targets.append(self.bone.hide)
-        if self.fields is not None and self._series is not None:
-            names += [name for name in self._series.layer_names if name not in names]
-            targets.append(self.fields.hide)
-        if self._faces:
-            names += self._faces
-            targets.append(self._hide_faces)
-        self.layers = LayerKeys(self.plotter, names, hidden=choice.hide, targets=targets)
-
-    def _add_faces(self) -> "dict[str, pyvista.Actor]":
-        """The faces that a needle goes through, with their names."""
+        """The faces, with their names, and the digits for layers of the bone, of the fields and for faces."""
         colours = layer_colours(tuple(self._faces))
         add_names(self.plotter, colours)
-        return {n: self.plotter.add_mesh(f, color=colours[n], opacity=0.5) for n, f in self._faces.items()}
+        actors = {n: self.plotter.add_mesh(f, color=colours[n], opacity=0.5) for n, f in self._faces.items()}
 
-    def _hide_faces(self, hidden: frozenset[str]) -> None:
-        for name, actor in self._face_actors.items():
-            actor.SetVisibility(name not in hidden)
+        def hide_faces(hidden: frozenset[str]) -> None:
+            for name, actor in actors.items():
+                actor.SetVisibility(name not in hidden)
+
+        of_bone = self.bone.layers if self.bone is not None else ()
+        of_fields = self._series.layer_names if self._series is not None else ()
+        names = list(dict.fromkeys([*of_bone, *of_fields, *self._faces]))
+        targets = [hide_faces, *(each.hide for each in (self.bone, self.fields) if each is not None)]
+        self.layers = LayerKeys(self.plotter, names, hidden=choice.hide, targets=targets)
 
     def _add_time(self, choice: Choice) -> None:
-        trace, series = self._saved.trace, self._series
-        times: NDArray[np.float64] = np.zeros(0) if series is None else series.times_s
-        if self.moment is not None and trace is not None:
-            times = trace["time_s"]
+        times = times_of(self._saved, self._series)
         if not len(times):
             return
-        begin = choice.time_s
-        if begin is None:
-            begin = self.moment.peak_s if self.moment is not None else float(times[-1])
+        peak_s = self.moment.peak_s if self.moment is not None else float(times[-1])
+        begin = peak_s if choice.time_s is None else choice.time_s
         self.at(begin)
         if len(times) > 1:
             right = 0.97 if self._series is None or self._off_screen else 0.66
@@ -221,10 +198,10 @@ class Window:
         plotter.add_key_event("m", self.next)
         labels = [(name, " / ".join(part for part in field_label(name) if part)) for name in series.names]
         bone = [(None, "bone")] if self.bone is not None else []
-        self.names = NameList(plotter, "shown (click, or m)", [*bone, *labels], choose=self.choose)
-        self.names.mark(fields.name)
-        self.point = PointRead(plotter, fields, size_mm=0.02 * size_mm)
-        self.clip = ClipPlane(plotter, fields, start=_plane(self._saved, series))
+        names = self.names = NameList(plotter, "shown (click, or m)", [*bone, *labels], choose=self.choose)
+        names.mark(fields.name)
+        point = self.point = PointRead(plotter, fields, size_mm=0.02 * size_mm)
+        ClipPlane(plotter, fields, start=_plane(self._saved, series))
         if series.displacement is not None and series.greatest_mm() > 0.0:
             top = max(_round_up(LARGEST * series.size_mm / series.greatest_mm()), fields.scale, 2.0)
             plotter.add_slider_widget(
@@ -240,7 +217,7 @@ class Window:
                 tube_width=0.003,
                 interaction_event="always",
             )
-        on_click(plotter, self._click)
+        on_click(plotter, lambda x, y: names.click(x, y) or point.click(x, y))
 
     def _extent(self, choice: Choice) -> Iterator[NDArray[np.float64]]:
         """Points that have to be seen [mm]; a field may reach far beyond the bone in whose place it is chosen."""
@@ -252,10 +229,6 @@ class Window:
         if self.moment is not None:
             yield self.moment.extent_mm
 
-    def _click(self, x: int, y: int) -> None:
-        if self.names is not None and self.point is not None and not self.names.click(x, y):
-            self.point.click(x, y)
-
     def _write(self, title: str) -> None:
         lines = [(title, 11, 0.965)]
         if not self._off_screen:
@@ -266,6 +239,13 @@ class Window:
                 lines.append(("    ".join(key for key in keys if key), 9, height))
         for words, size, height in lines:
             self.plotter.add_text(words, position=(0.012, height), viewport=True, font_size=size, color="black")
+
+
+def times_of(saved: SavedRun, series: SavedFields | None) -> NDArray[np.float64]:
+    """Moments that can be shown [s]."""
+    if saved.trace is not None and len(saved.trace.rows):
+        return saved.trace["time_s"]
+    return np.zeros(0) if series is None else series.times_s
 
 
 def _plane(saved: SavedRun, series: SavedFields) -> Plane:
