@@ -9,8 +9,7 @@ import numpy as np
 from meshes.base.whole_file import whole_file
 from tissue.simulation.bone_surface import bone_surface, with_depth, with_layers
 from tissue.simulation.depth_map import depth_map
-from tissue.simulation.file_frame import image_in_file, mesh_in_file
-from tissue.simulation.vtk_files import write_vtk, write_vtk_xml
+from tissue.simulation.vtk_files import image_in_file, mesh_in_file, write_vtk, write_vtk_xml
 
 if TYPE_CHECKING:
     import pyvista

@@ -13,8 +13,7 @@ from tissue.models.tissue_model import TICK_S
 from tissue.motion.pose_file import write_poses
 from tissue.simulation.carved_surface import CarvedSurface, block_means, changed_box, coarse_volume
 from tissue.simulation.depth_map import facing
-from tissue.simulation.file_frame import mesh_in_file
-from tissue.simulation.vtk_files import write_collection, write_vtk_xml
+from tissue.simulation.vtk_files import mesh_in_file, write_collection, write_vtk_xml
 
 if TYPE_CHECKING:
     import pyvista

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
-from tissue.simulation.file_frame import mesh_in_scene
 from tissue.simulation.run_folder import saved_placement
+from tissue.simulation.vtk_files import mesh_in_scene
 
 if TYPE_CHECKING:
     import pyvista

@@ -7,8 +7,7 @@ import numpy as np
 
 from meshes.base.placement import Placement
 from tissue.fem.fields import FieldSeries, Frame
-from tissue.simulation.file_frame import mesh_in_file
-from tissue.simulation.vtk_files import write_collection, write_vtk_xml
+from tissue.simulation.vtk_files import mesh_in_file, write_collection, write_vtk_xml
 
 if TYPE_CHECKING:
     import pyvista

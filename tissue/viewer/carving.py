@@ -20,9 +20,9 @@ from tissue.scene.tool import Tool
 from tissue.simulation.bone_surface import smooth_normals
 from tissue.simulation.carved_surface import Box, CarvedSurface, changed_box
 from tissue.simulation.depth_map import facing, tool_axes
-from tissue.simulation.file_frame import image_in_scene
 from tissue.simulation.run_folder import SavedRun, saved_placement
 from tissue.simulation.trace import Table
+from tissue.simulation.vtk_files import image_in_scene
 
 if TYPE_CHECKING:
     import pyvista
