@@ -11,7 +11,6 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from threading import Event, Thread
@@ -24,7 +23,7 @@ from numpy.typing import NDArray
 from meshes.base.child_process import kill_with_parent, python_command, start_code
 from meshes.base.errors import DamagedFileError, InputError
 
-__all__ = ["Answer", "Parsed", "parse_isolated"]
+__all__ = ["Answer", "parse_isolated"]
 
 Facts = dict[str, Any]
 """What JSON can hold, by name."""
@@ -38,25 +37,9 @@ _LEAST_BYTES, _BYTES_A_BYTE = 2 << 30, 64
 _LOOK_EVERY_S, _LAST_S = 0.05, 2.0
 
 
-@dataclass(frozen=True, eq=False)
-class Parsed:
-    """What a parser found.
-
-    Attributes
-    ----------
-    facts
-        What JSON can hold, by name.
-    arrays
-        Arrays of numbers or truths, by name.
-    """
-
-    facts: Facts
-    arrays: dict[str, NDArray[np.number]]
-
-
 def parse_isolated(
     parser: str, file: Path, *, what: str, remedy: str, longest_s: float | None = None, **options: object
-) -> Parsed:
+) -> Answer:
     """Run a parser on a file in a process of its own.
 
     Parameters
@@ -73,6 +56,10 @@ def parse_isolated(
         How long it may take [s]; None: 60 s and a second for each megabyte.
     options
         Further arguments of the function, what JSON can hold.
+
+    Returns
+    -------
+    What the function returns.
 
     Raises
     ------
@@ -112,7 +99,7 @@ def parse_isolated(
         raise InputError(answer["refused"])
     if "problem" in answer:
         raise InputError(f"file must be a readable {what}, got {file.name} ({answer['problem']}): {remedy}")
-    return Parsed(answer["facts"], arrays)
+    return answer["facts"], arrays
 
 
 class _Monitor:

@@ -1,5 +1,6 @@
 """Image volumes from files: the reader of each format, and what is refused of all of them."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,6 @@ from meshes.images.frame import Image, StoredImage, along_lps
 from meshes.images.metaimage import read_metaimage
 from meshes.images.nifti import read_nifti
 from meshes.images.nrrd import read_nrrd
-from meshes.images.tiff_slices import read_tiff_slices
 from meshes.images.vtk import read_vtk_image
 
 __all__ = ["Image", "read_image"]
@@ -60,10 +60,7 @@ def read_image(path: str | Path, *, spacing_mm: float | None = None, labels: boo
             f"anatomy.spacing_mm must be given for TIFF slices, which do not hold it, got none for "
             f"{source}: use the scanner's value, for example 0.0195"
         )
-    if slices:
-        stored = StoredImage(read_tiff_slices(slices), (given or 1.0,) * 3, np.eye(3), np.zeros(3))
-    else:
-        stored = _stored(path)
+    stored = _stacked(slices, given) if slices and given is not None else _stored(path)
     if given is None and stored.spacing_mm == (1.0, 1.0, 1.0):
         note = f"The spacing in {source} is exactly 1 mm, often a placeholder: set anatomy.spacing_mm to be sure."
         stored = replace(stored, notes=(*stored.notes, note))
@@ -104,3 +101,23 @@ def _tiff_slices(path: Path) -> list[Path]:
         require_file(path, "an image")
     files = sorted(path.iterdir()) if path.is_dir() else [path]
     return [file for file in files if file.suffix.lower() in (".tif", ".tiff")]
+
+
+def _stacked(files: Sequence[Path], spacing_mm: float) -> StoredImage:
+    """TIFF slices in the order given, the axes of the array along columns, rows and slices."""
+    from skimage.io import imread
+
+    planes = []
+    for file in files:
+        try:
+            planes.append(np.atleast_3d(imread(file).T))
+        except Exception as problem:  # the readers raise many kinds, none documented
+            raise InputError(
+                f"file must be a readable TIFF slice, got {file.name} (it is damaged or cut off): export it again"
+            ) from problem
+        if planes[-1].shape[:2] != planes[0].shape[:2]:
+            raise InputError(
+                f"slices must all have the same size, got {by(planes[-1].shape[:2])} in {file.name} "
+                f"after {by(planes[0].shape[:2])}: keep other images out of the folder"
+            )
+    return StoredImage(np.concatenate(planes, axis=2), (spacing_mm,) * 3, np.eye(3), np.zeros(3))

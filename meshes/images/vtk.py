@@ -13,10 +13,10 @@ __all__ = ["read_vtk_image", "vtk_voxels"]
 
 def read_vtk_image(path: Path) -> StoredImage:
     """Read the active array of a `.vti` image; VTK names no frame of a patient, so its axes are taken as LPS."""
-    parsed = parse_isolated("meshes.images.vtk:vtk_voxels", path, what="image volume", remedy="export it again")
-    values, frame = parsed.arrays["values"], parsed.arrays["frame"].astype(np.float64)
+    facts, arrays = parse_isolated("meshes.images.vtk:vtk_voxels", path, what="image volume", remedy="export it again")
+    values, frame = arrays["values"], arrays["frame"].astype(np.float64)
     x, y, z = frame[3].tolist()
-    return StoredImage(values.reshape(parsed.facts["shape"], order="F"), (x, y, z), frame[:3], frame[4])
+    return StoredImage(values.reshape(facts["shape"], order="F"), (x, y, z), frame[:3], frame[4])
 
 
 def vtk_voxels(file: Path) -> Answer:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from meshes.base.errors import InputError, require_positive
-from meshes.shapes.sdf import Shape, capsule, difference, ellipsoid, half_space, intersection, sphere, union
+from meshes.shapes.sdf import Shape, box, capsule, difference, ellipsoid, half_space, intersection, sphere, union
 from meshes.tets.regions import Nodes, nodes_behind_plane, nodes_facing
 from meshes.tets.structured import graded, grid
 from meshes.tets.stuffing import stuffed, with_part
@@ -30,12 +30,13 @@ from meshes.tets.tetrahedra import TetMesh
 
 __all__ = ["LIVER_REGIONS", "Nodule", "liver", "liver_region", "liver_shape", "slab", "slab_base"]
 
-LIVER_REGIONS = ("below", "back")
-"""Surfaces that hold a liver: the visceral side it rests on, and the bare area with spine and vena cava behind it."""
 _TOP_M = (-0.026, 0.0)
 _SIZE = 0.94
 _TRIES = 4
 _VISCERAL = (0.33, 0.10, -0.94)
+LIVER_REGIONS = {"below": (_VISCERAL, 55.0), "back": ((0.0, 1.0, 0.0), 45.0)}
+"""Surfaces that hold a liver, as a direction and the angle [degrees] within which they face it: the visceral side it
+rests on, and the bare area with spine and vena cava behind it."""
 
 
 @dataclass(frozen=True)
@@ -96,11 +97,10 @@ def liver_region(mesh: TetMesh, name: str) -> Nodes:
     InputError
         If the name is unknown.
     """
-    if name == "below":
-        return nodes_facing(mesh, direction=_VISCERAL, within_deg=55.0)
-    if name == "back":
-        return nodes_facing(mesh, direction=(0.0, 1.0, 0.0), within_deg=45.0)
-    raise InputError(f"region must be one of {', '.join(LIVER_REGIONS)}, got {name}: use below")
+    if name not in LIVER_REGIONS:
+        raise InputError(f"region must be one of {', '.join(LIVER_REGIONS)}, got {name}: use below")
+    direction, within_deg = LIVER_REGIONS[name]
+    return nodes_facing(mesh, direction=direction, within_deg=within_deg)
 
 
 def slab(
@@ -133,12 +133,7 @@ def slab(
     mesh = grid(along_x, along_y, graded(0.0, -z, 0.6 * spacing, 1.2)[::-1])
     if nodule is None:
         return mesh
-    block = intersection(half_space((0.0, 0.0, 1.0)), half_space((0.0, 0.0, -1.0), (0.0, 0.0, -z)))
-    for axis, side in ((0, x), (1, y)):
-        for sign in (1.0, -1.0):
-            normal = np.eye(3)[axis] * sign
-            block = intersection(block, half_space(normal.tolist(), (0.5 * side * normal).tolist()))
-    return _with_nodule(mesh, nodule, block, spacing)
+    return _with_nodule(mesh, nodule, box((x, y, z), (0.0, 0.0, -0.5 * z)), spacing)
 
 
 def slab_base(mesh: TetMesh) -> Nodes:

@@ -18,8 +18,9 @@ density trabecular        450 to 300 kg/m3    L: falls below the plate over 5 mm
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,9 @@ from meshes.shapes.anatomy import Anatomy, Classify
 from meshes.shapes.sdf import Shape, half_space, intersection
 
 __all__ = ["GLENOID_LAYERS", "glenoid"]
+
+Reals = NDArray[np.floating]
+Thickness = Callable[[Reals, Reals], Reals]
 
 GLENOID_LAYERS = ("subchondral", "cortical", "trabecular")
 _PLATE_RANGE_M = (1.2e-3, 2.9e-3)
@@ -89,19 +93,10 @@ def _pear(width: float, height: float, upper_width_ratio: float) -> _Pear:
     return outline(wide)
 
 
-@dataclass(frozen=True)
-class _Plate:
-    """Thickness of the subchondral plate over the face [m]."""
-
-    mean: float
-    variation: float
-    half_width: float
-    half_height: float
-
-    def thickness(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Thicker anterior and posterior, thinner superior and inferior, held within 1.2-2.9 mm."""
-        pattern = np.clip((x / self.half_width) ** 2 - (y / self.half_height) ** 2, -1.0, 1.0)
-        return np.clip(self.mean * (1.0 + self.variation * pattern), *_PLATE_RANGE_M)
+def _plate_thickness(mean: float, variation: float, half_width: float, half_height: float, x: Reals, y: Reals) -> Reals:
+    """Thickness of the subchondral plate [m]: more anterior and posterior, less superior and inferior, 1.2-2.9 mm."""
+    pattern = np.clip((x / half_width) ** 2 - (y / half_height) ** 2, -1.0, 1.0)
+    return np.clip(mean * (1.0 + variation * pattern), *_PLATE_RANGE_M)
 
 
 def glenoid(
@@ -176,7 +171,7 @@ def glenoid(
     )
     taper = math.radians(taper_deg)
     pear = _checked_pear(width, height, ratio, depth, taper, radius)
-    plate = _Plate(mean, variation, 0.5 * width, 0.5 * height)
+    plate = partial(_plate_thickness, mean, variation, 0.5 * width, 0.5 * height)
     notes = {
         "face": f"{width_mm:g} x {height_mm:g} mm, concave, radius {curvature_radius_mm:g} mm",
         "subchondral plate": f"{subchondral_thickness_mm:g} mm on average, swing {100 * variation:g} %",
@@ -231,7 +226,7 @@ def _bone(pear: _Pear, radius: float, depth: float, taper: float, blend: float) 
     return intersection(dished, half_space((0.0, 0.0, -1.0), (0.0, 0.0, -depth)), blend_m=_VAULT_BASE_BLEND_M)
 
 
-def _layers(plate: _Plate, radius: float, wall: float, densities: Sequence[float]) -> Classify:
+def _layers(plate: Thickness, radius: float, wall: float, densities: Sequence[float]) -> Classify:
     """Classify by depth below the dished face, then by depth below the outer surface."""
     subchondral, cortical, deep, below_plate = densities
     decay = 5e-3
@@ -241,7 +236,7 @@ def _layers(plate: _Plate, radius: float, wall: float, densities: Sequence[float
     ) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
         """Layer and density [kg/m3], shape (n,), of points [m], shape (n, 3), at depths below the surface [m]."""
         x, y, z = points[:, 0], points[:, 1], points[:, 2]
-        below = np.sqrt(x**2 + y**2 + (z - radius) ** 2) - radius - plate.thickness(x, y)
+        below = np.sqrt(x**2 + y**2 + (z - radius) ** 2) - radius - plate(x, y)
         layer = np.where(below < 0.0, 0, np.where(depth < wall, 1, 2)).astype(np.uint8)
         graded = deep + (below_plate - deep) * np.exp(-np.maximum(below, 0.0) / decay)
         density = np.where(layer == 0, subchondral, np.where(layer == 1, cortical, graded)).astype(points.dtype)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.simplices import cross_products
 from meshes.surfaces.repair import triangle_areas
 
 __all__ = ["Face", "SurfaceSamples", "best_seed", "grow_face", "sample_surface"]
@@ -73,7 +74,7 @@ def sample_surface(vertices: NDArray[np.float64], faces: NDArray[np.int64], coun
     u, v = np.where(u + v > 1.0, 1.0 - u, u), np.where(u + v > 1.0, 1.0 - v, v)
     a, b, c = (vertices[faces[chosen, k]] for k in range(3))
     points = a + u[:, None] * (b - a) + v[:, None] * (c - a)
-    cross = np.cross(b - a, c - a)
+    cross = cross_products(vertices, faces[chosen])
     return SurfaceSamples(points, cross / np.linalg.norm(cross, axis=1)[:, None], float(total[-1]) / count)
 
 
@@ -120,7 +121,9 @@ def grow_face(samples: SurfaceSamples, centre_m: NDArray[np.float64], normal: ND
         centre_m = middle + normal * float(height[np.argsort(across)[:8]].mean())
     sides = np.ptp(along, axis=0)
     inner = offset[face & (across < (0.4 * sides[1]) ** 2)]
-    return Face(centre_m, normal, axes[0], float(sides[1]), float(sides[0]), _curvature_radius(inner, normal))
+    curvature = _curvature(inner, normal)
+    radius = 1.0 / curvature if abs(curvature) > 1e-3 else np.inf
+    return Face(centre_m, normal, axes[0], float(sides[1]), float(sides[0]), radius)
 
 
 def _rim(samples: SurfaceSamples, centre_m: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -193,8 +196,3 @@ def _curvature(offset: NDArray[np.float64], normal: NDArray[np.float64]) -> floa
     across = offset - height[:, None] * normal
     terms = np.column_stack([np.ones(len(offset)), across, 0.5 * np.einsum("ij,ij->i", across, across)])
     return float(np.linalg.lstsq(terms, height, rcond=None)[0][4])
-
-
-def _curvature_radius(offset: NDArray[np.float64], normal: NDArray[np.float64]) -> float:
-    curvature = _curvature(offset, normal)
-    return 1.0 / curvature if abs(curvature) > 1e-3 else np.inf

@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, counted
+from meshes.base.errors import InputError, counted, require_positive
 from meshes.base.simplices import compact
 from meshes.surfaces.holes import fill_holes
-from meshes.surfaces.length_unit import unit_of
 from meshes.surfaces.repair import Triangles, bodies, drop_debris, edge_counts, merge_vertices, orient
 from meshes.surfaces.triangle_files import read_triangles, require_triangles
 
@@ -24,6 +23,10 @@ _FLATTEST = 1e-3
 _TURNED = "Turned the surface outward: it was wound inward."
 _FARTHEST = 1e100
 """Coordinates beyond it count as not finite: their squares overflow."""
+_SMALLEST_MM, _LARGEST_MM = 1.0, 1000.0
+_UNITS = (("millimetres", 1.0, 5.0, 700.0), ("metres", 1000.0, 0.005, 0.7))
+_CENTIMETRES = (6.0, 60.0)
+_TYPICAL_BONE_MM = 140.0
 
 
 @dataclass(frozen=True)
@@ -138,7 +141,7 @@ def surface_from_triangles(
     used, _ = compact(vertices, faces)
     longest = max(_sides(used))
     _require_thickness(used, longest, source)
-    scale, guess = unit_of(longest, scale_mm, source)
+    scale, guess = _unit(longest, scale_mm, source)
     vertices = vertices * (1e-3 * scale)
     longest *= 1e-3 * scale
     vertices, faces, volume, repairs, turned, caps, scanned = _repaired(vertices, faces, longest, source, cut_off)
@@ -204,3 +207,43 @@ def _require_thickness(points: NDArray[np.float64], longest: float, source: str)
 def _sides(points: NDArray[np.float64]) -> list[float]:
     """Sides of the bounding box; by column, where NumPy is slow along the rows of many points."""
     return [float(column.max() - column.min()) for column in points.T]
+
+
+def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, str]:
+    """Millimetres per file unit and how they were found, for a longest side in file units.
+
+    Raises
+    ------
+    InputError
+        If the scale given makes a bone of impossible size, or none is given where the size leaves the unit open.
+    """
+    plain = [scale for _, scale, lowest, highest in _UNITS if lowest <= longest <= highest]
+    suggestion = plain[0] if plain else float(f"{_TYPICAL_BONE_MM / longest:.2g}")
+    if scale_mm is not None:
+        scale = require_positive("anatomy.scale_mm", scale_mm, "use 1 for millimetres, 1000 for metres")
+        if not _SMALLEST_MM <= longest * scale <= _LARGEST_MM:
+            raise InputError(
+                f"anatomy.scale_mm must make the longest side 1 mm to 1 m, got {scale:g}, which makes "
+                f"{source} {_length(longest * scale)} long: use about {suggestion:g}"
+            )
+        return scale, f"{scale:g} mm per unit, as given: the longest side is {longest * scale:.4g} mm"
+    for name, scale, lowest, highest in _UNITS:
+        if lowest <= longest <= highest:
+            guess = f"{name}, since the longest side {longest:.3g} would be {longest * scale:.3g} mm"
+            if name == "millimetres" and _CENTIMETRES[0] <= longest <= _CENTIMETRES[1]:
+                guess += f" (in centimetres it would be {10 * longest:.3g} mm: set anatomy.scale_mm to be sure)"
+            return scale, guess
+    raise InputError(
+        f"anatomy.scale_mm must be given where the unit is not plain, got none for {source}, whose "
+        "longest side "
+        f"{longest:.3g} would be {_length(longest)} in millimetres and {_length(1e3 * longest)} in "
+        f"metres: use millimetres per unit, for example {suggestion:g}"
+    )
+
+
+def _length(millimetres: float) -> str:
+    """Length in the unit a person would use."""
+    for name, factor in (("km", 1e6), ("m", 1e3), ("mm", 1.0)):
+        if millimetres >= factor:
+            return f"{millimetres / factor:.3g} {name}"
+    return f"{millimetres * 1e3:.3g} µm"

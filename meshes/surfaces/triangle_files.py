@@ -46,10 +46,10 @@ def read_triangles(file: Path) -> Triangles:
 def _stored(file: Path) -> tuple[NDArray[np.number], NDArray[np.number]]:
     kind = file.suffix.lower()[1:].upper()
     if kind in ("VTK", "VTP"):
-        parsed = parse_isolated(
+        _, arrays = parse_isolated(
             "meshes.surfaces.vtk_reading:vtk_triangles", file, what=f"{kind} surface", remedy="export it again"
         )
-        return parsed.arrays["points"], parsed.arrays["triangles"]
+        return arrays["points"], arrays["triangles"]
     if kind == "OBJ":
         return _read_obj(file)
     if kind == "STL" and (binary := _read_binary_stl(file)) is not None:

@@ -113,21 +113,21 @@ def _unit(size: NDArray[np.float64], unit_mm: float | None, name: str) -> tuple[
 def _from_vtk(file: Path) -> StoredMesh:
     """A file as pyvista reads it."""
     remedy = "export it as .vtu, .vtk, .msh or .stl"
-    parsed = parse_isolated("meshes.surfaces.vtk_reading:vtk_mesh", file, what="mesh", remedy=remedy)
+    facts, arrays = parse_isolated("meshes.surfaces.vtk_reading:vtk_mesh", file, what="mesh", remedy=remedy)
     none = np.zeros((0, 4), dtype=np.int64)
-    points, triangles = parsed.arrays["points"].astype(np.float64), parsed.arrays.get("triangles", none[:, :3])
-    tets, names = parsed.arrays.get("tets", none), parsed.facts.get("names", [])
+    points, triangles = arrays["points"].astype(np.float64), arrays.get("triangles", none[:, :3])
+    tets, names = arrays.get("tets", none), facts.get("names", [])
     if len(tets) == 0 and len(triangles) == 0:
         raise InputError(f"file must hold tetrahedra or triangles, got none in {file.name}: export it again")
     part, notes = np.zeros(len(tets), dtype=np.int64), []
     for name in _PART_ARRAYS:
-        values = parsed.arrays[f"cells {names.index(name)}"] if name in names else np.zeros(0)
+        values = arrays[f"cells {names.index(name)}"] if name in names else np.zeros(0)
         whole = values.ndim == 1 and len(values) > 0 and bool(np.isfinite(values).all())
         if whole and (values == np.round(values)).all() and len(np.unique(values)) <= _MOST_PARTS:
             part = values.astype(np.int64)
             break
-    if parsed.facts.get("others"):
-        notes.append(f"Left out {parsed.facts['others']} cells that are not tetrahedra.")
-    if parsed.facts.get("quadratic"):
+    if facts.get("others"):
+        notes.append(f"Left out {facts['others']} cells that are not tetrahedra.")
+    if facts.get("quadratic"):
         notes.append("Took the corners of quadratic tetrahedra: their edges became straight.")
     return StoredMesh(points, tets.astype(np.int64), triangles.astype(np.int64), part, {}, tuple(notes))

@@ -1,5 +1,6 @@
 """A label image of one tooth made ready: cropped, its labels checked and turned into layers, islands dropped."""
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -55,6 +56,7 @@ def layer_image(values: NDArray[np.number], labels: Mapping[int, str], source: s
         If there is nothing but 0, a value is not a whole number, or a label has no name.
     """
     from scipy.ndimage import find_objects
+    from scipy.ndimage import label as label_pieces
 
     filled = values != 0
     boxes = find_objects(filled.view(np.uint8))
@@ -70,7 +72,11 @@ def layer_image(values: NDArray[np.number], labels: Mapping[int, str], source: s
             f"{', '.join(f'{label} ({count} voxels)' for label, count in unknown.items())}: add them, or set them to 0 "
             "in the file"
         )
-    pieces, main, sizes = _pieces(filled)
+    pieces = np.empty(filled.shape, dtype=np.int32, order="F" if filled.flags.f_contiguous else "C")
+    label_pieces(filled, output=pieces)  # those that hang together by faces; 0 is outside
+    sizes = np.bincount(pieces.ravel(order="K"))
+    sizes[0] = 0
+    main = int(np.argmax(sizes))
     lowest = min(0, *found)
     layer_of = np.full(max(found) - lowest + 1, EMPTY, dtype=np.uint8)
     for label in found:
@@ -90,16 +96,14 @@ def layer_image(values: NDArray[np.number], labels: Mapping[int, str], source: s
 
 def _label_counts(values: NDArray[np.number], source: str) -> dict[int, int]:
     """Voxels of each label but 0, slice by slice along the last axis to spare memory."""
-    found: dict[int, int] = {}
+    found = Counter[int]()
     for k in range(values.shape[2]):
-        plane = values[:, :, k]
-        numbers, counts = _distinct(plane)
-        for number, count in zip(numbers.tolist(), counts.tolist(), strict=True):
-            if number == 0:
-                continue
-            if number != int(number):
-                raise InputError(f"labels must be whole numbers, got {number:g} in {source}: use a label image")
-            found[int(number)] = found.get(int(number), 0) + count
+        numbers, counts = _distinct(values[:, :, k])
+        if (numbers != np.rint(numbers)).any():
+            part = numbers[numbers != np.rint(numbers)][0]
+            raise InputError(f"labels must be whole numbers, got {part:g} in {source}: use a label image")
+        found.update(dict(zip(numbers.astype(np.int64).tolist(), counts.tolist(), strict=True)))
+    del found[0]
     return dict(sorted(found.items()))
 
 
@@ -112,14 +116,3 @@ def _distinct(plane: NDArray[np.number]) -> tuple[NDArray[np.number], NDArray[np
             numbers = np.flatnonzero(counts)
             return numbers + lowest, counts[numbers]
     return np.unique(plane, return_counts=True)
-
-
-def _pieces(filled: NDArray[np.bool_]) -> tuple[NDArray[np.int32], int, NDArray[np.int64]]:
-    """Number of the piece each voxel hangs on by faces, the largest one's number, and the size of each (0: outside)."""
-    from scipy.ndimage import label
-
-    pieces = np.empty(filled.shape, dtype=np.int32, order="F" if filled.flags.f_contiguous else "C")
-    label(filled, output=pieces)
-    sizes = np.bincount(pieces.ravel(order="K"))
-    sizes[0] = 0
-    return pieces, int(np.argmax(sizes)), sizes

@@ -43,7 +43,7 @@ def column_crossings(
     x, y
         Positions of the lines [m], evenly spaced, ascending; line i·len(y) + j is at (x[i], y[j]).
     """
-    lines, heights, signs = [], [], []
+    found = []
     for axis, at in enumerate((x, y) if len(x) and len(y) else ()):
         faces = triangles_meeting(vertices, faces, axis, at[0], at[-1])
     corners = vertices[faces]
@@ -56,14 +56,12 @@ def column_crossings(
         begun = ends[start - 1] if start else 0
         stop = max(int(np.searchsorted(ends, begun + _PAIRS_AT_ONCE)), start + 1)
         chosen = kept[start:stop]
-        line, height, sign = _crossed(corners[chosen], faces[chosen], first[chosen], counts[chosen], x, y)
-        lines.append(line)
-        heights.append(height)
-        signs.append(sign)
+        found.append(_crossed(corners[chosen], faces[chosen], first[chosen], counts[chosen], x, y))
         start = stop
-    if not lines:
+    if not found:
         empty = np.empty(0, dtype=np.int64)
         return ColumnCrossings(empty, np.empty(0), empty)
+    lines, heights, signs = zip(*found, strict=True)
     return _turning(np.concatenate(lines), np.concatenate(heights), np.concatenate(signs))
 
 
@@ -142,7 +140,6 @@ def _turning(line: NDArray[np.int64], height: NDArray[np.float64], sign: NDArray
     after = running - base
     before = after - sign
     turns = (before > 0) != (after > 0)
-    ends = np.append(starts[1:], True)
-    unclosed = np.isin(line, line[ends & (after != 0)])
-    turns &= ~unclosed
+    unclosed = line[np.append(starts[1:], True) & (after != 0)]
+    turns &= ~np.isin(line, unclosed)
     return ColumnCrossings(line[turns], height[turns], np.where(after[turns] > 0, 1, -1))

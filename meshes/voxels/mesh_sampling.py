@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.simplices import compact
 from meshes.voxels.column_crossings import column_crossings, lowest_and_highest, triangles_meeting
 from meshes.voxels.grid import Grid
 
@@ -88,7 +89,7 @@ class TriangleSampler:
         vertices, faces, margin = self.vertices_m, self.faces, np.inf
         if np.isfinite(self.threshold_m):
             margin = self.threshold_m + _CELLS_BEYOND * max(_WIDEST_LATTICE_M, grid.spacing_m)
-            vertices, faces = _used(self.vertices_m, self._within(grid, margin, 3))
+            vertices, faces = compact(self.vertices_m, self._within(grid, margin, 3))
             needed = _corners_of(cells)
             points = (np.argwhere(needed) * step + grid.first) * grid.spacing_m
             deeper, shallower = np.ones((2, *needed.shape), dtype=bool)
@@ -141,13 +142,6 @@ def _corners_of(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _whole_cells(points: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Cells all of whose corners are among the lattice points."""
     return ~_corners_of(~points)[1:-1, 1:-1, 1:-1]
-
-
-def _used(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Triangles with the vertices that they use and no others."""
-    named = np.zeros(len(vertices), dtype=bool)
-    named[faces] = True
-    return vertices[named], (np.cumsum(named) - 1)[faces]
 
 
 def triangle_distance(

@@ -109,10 +109,7 @@ def _grid(anatomy: Anatomy, spacing: float, region_m: Region | None) -> Grid:
 
 
 def _corners(region_m: Region) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    try:
-        corners = np.asarray(region_m, dtype=np.float64)
-    except (TypeError, ValueError):
-        corners = np.empty(0)
+    corners = np.asarray(region_m, dtype=np.float64)
     if corners.shape != (2, 3) or not np.isfinite(corners).all() or not (corners[0] < corners[1]).all():
         raise InputError(
             f"region_m must be two finite corners, the first below the second in x, y and z, "

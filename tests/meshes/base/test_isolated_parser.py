@@ -70,11 +70,11 @@ def parse(tmp_path, monkeypatch):
 
 
 def test_what_a_parser_finds_comes_back(parse):
-    parsed = parse("well", offset=0.1)
-    assert parsed.facts == {"name": "bone.abc"}
-    np.testing.assert_array_equal(parsed.arrays["a"], np.arange(6.0).reshape(2, 3) + 0.1)
-    assert parsed.arrays["b"].shape == (0, 3) and parsed.arrays["b"].dtype == np.uint8
-    assert parsed.arrays["c"].tolist() == [True]
+    facts, arrays = parse("well", offset=0.1)
+    assert facts == {"name": "bone.abc"}
+    np.testing.assert_array_equal(arrays["a"], np.arange(6.0).reshape(2, 3) + 0.1)
+    assert arrays["b"].shape == (0, 3) and arrays["b"].dtype == np.uint8
+    assert arrays["c"].tolist() == [True]
 
 
 @pytest.mark.parametrize(
