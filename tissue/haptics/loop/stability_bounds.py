@@ -8,6 +8,7 @@ from math import ceil, inf, pi
 
 import numpy as np
 
+from meshes.base.errors import require_positive, require_range
 from tissue.haptics.loop.filters import low_pass_gain
 from tissue.haptics.loop.sampled_loop import WallLoop
 
@@ -49,6 +50,8 @@ def delay_bound_N_m(loop: WallLoop) -> float:
 
 def quantised_bound_N_m(loop: WallLoop, *, friction_N: float, encoder_m: float) -> float:
     """K = min(2 b / T, 2 f_c / D) (Abbott and Okamura, 2005) for Coulomb friction f_c and encoder step D [N/m]."""
+    require_range("friction_N", friction_N, 0.0, 1e3, "give the device's Coulomb friction, 0 for none")
+    require_positive("encoder_m", encoder_m, "give the device's encoder step, such as 5.5e-5")
     return min(2.0 * loop.damping_N_s_m / (loop.tick_s * loop.model_ticks), 2.0 * friction_N / encoder_m)
 
 
