@@ -200,7 +200,8 @@ def assessment_lines(found: Assessment) -> list[str]:
     figures = found.figures
     apart, time, peak = figures["deviation_mm"], figures["time_in_contact_s"], figures["peak_force_N"]
     rough, arc = figures["acceleration_change_m_s2"], figures["spectral_arc_length"]
-    lines = [
+    more = len(found.breaches) - MOST_BREACHES
+    return [
         f"path: {apart['mean']:.2f} mm off on average, {apart['worst']:.2f} at {apart['worst_at_s']:.3f} s",
         f"depth: {figures['overshoot_mm']:.2f} mm beyond the reference's deepest point",
         f"force: peak {peak['trainee']:.3g} N against {peak['reference']:.3g}, "
@@ -210,12 +211,10 @@ def assessment_lines(found: Assessment) -> list[str]:
         f"change of acceleration {rough['trainee']:.3g} m/s² against {rough['reference']:.3g}, lower is smoother",
         *(f"breach: {each.sentence}" for each in found.breaches[:MOST_BREACHES]),
         *(f"at {at:.3f} s, and not in the reference: {what}" for at, what in found.events),
+        *([f"and {more} more breaches"] if more > 0 else []),
+        *([] if found.breaches else ["no limit was passed"]),
+        *(f"the {who} was cut short" for who, whole in figures["complete"].items() if not whole),
     ]
-    if len(found.breaches) > MOST_BREACHES:
-        lines.append(f"and {len(found.breaches) - MOST_BREACHES} more breaches")
-    if not found.breaches:
-        lines.append("no limit was passed")
-    return lines + [f"the {who} was cut short" for who, whole in figures["complete"].items() if not whole]
 
 
 def _trace(run: SavedRun, name: str) -> Table:

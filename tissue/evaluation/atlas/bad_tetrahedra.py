@@ -15,7 +15,7 @@ from tissue.fem.assembly import assemble
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 
-__all__ = ["BAD_TETRAHEDRA"]
+__all__ = ["PAGE"]
 
 SIZE_M = 0.1
 
@@ -113,7 +113,7 @@ def draw(data: Data, chart: Figure) -> None:
     ], conduct=conduct)  # fmt: skip
 
 
-BAD_TETRAHEDRA = Page(
+PAGE = Page(
     "bad_tetrahedra",
     "Inverted and sliver tetrahedra",
     "One node of a good mesh is moved towards the face opposite it. What becomes of the stiffness matrix, and what is "

@@ -14,7 +14,7 @@ from tissue.models.tooth.grid import HexGrid
 from tissue.models.tooth.particles import ParticleSet
 from tissue.models.tooth.supports import NodeSupports
 
-__all__ = ["CONTRAST"]
+__all__ = ["PAGE"]
 
 EDGE_M, TOLERANCE = 8e-3, 1e-6
 REAL = 42e3
@@ -134,7 +134,7 @@ def draw(data: Data, chart: Figure) -> None:
     ], ylim=(1.0, 3e5))  # fmt: skip
 
 
-CONTRAST = Page(
+PAGE = Page(
     "contrast",
     "Modulus contrast: do iterations follow it?",
     "A block about a soft ball on a soft layer, as a tooth about its pulp in its ligament. How many iterations does a "

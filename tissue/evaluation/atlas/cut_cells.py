@@ -11,7 +11,7 @@ from tissue.models.tooth.grid import HexGrid
 from tissue.models.tooth.particles import ParticleSet
 from tissue.models.tooth.supports import NodeSupports
 
-__all__ = ["CUT_CELLS"]
+__all__ = ["PAGE"]
 
 EDGE_M, CELLS = 1e-3, 3
 SINGULAR = 1e14
@@ -122,7 +122,7 @@ def draw(data: Data, chart: Figure) -> None:
     ], conduct=conduct, log="x")  # fmt: skip
 
 
-CUT_CELLS = Page(
+PAGE = Page(
     "cut_cells",
     "Cut cells: how little may a cell hold?",
     "A block of particle finite elements ends in cells that hold one particle of ever less volume. What becomes of the "

@@ -10,7 +10,7 @@ from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, panel
 from tissue.evaluation.atlas.page import Answer, Data, Page, Verdict, refused, shown
 from tissue.haptics.renderer import ProxyRenderer
 
-__all__ = ["DAMPER_SIGN"]
+__all__ = ["PAGE"]
 
 STIFFNESS_N_M, MASS_KG, STEP_S = 500.0, 0.05, 1e-4
 RADIUS_M, TURN_HZ = 1e-3, 1.0
@@ -113,7 +113,7 @@ def draw(data: Data, chart: Figure) -> None:
     ], log="y")  # fmt: skip
 
 
-DAMPER_SIGN = Page(
+PAGE = Page(
     "damper_sign",
     "E9 · Does +b·v of the device damp a contact?",
     "The printed contact force is k(p_proxy − p_end) + b·v_end. In which direction does its damper move energy?",

@@ -17,7 +17,7 @@ from tissue.models.tissue_model import ToolMotion
 from tissue.motion.motion import PushAlongAxis, implicit_speed
 from tissue.scene.load import load_scene
 
-__all__ = ["EXPLICIT_CUTTING"]
+__all__ = ["PAGE"]
 
 BONE = cutting_coefficients("bone")
 THRUST_N, STEPS = 20.0, 400
@@ -137,7 +137,7 @@ def draw(data: Data, chart: Figure) -> None:
     ], title="50 g")  # fmt: skip
 
 
-EXPLICIT_CUTTING = Page(
+PAGE = Page(
     "explicit_cutting",
     "Explicit step of a cutting tool",
     "The cutting force grows with the feed so fast that it acts as a damper c. How long may a step of a tool be that "

@@ -14,7 +14,7 @@ from tissue.perception.observer import Observer
 from tissue.perception.population import population_observer, reference_observer
 from tissue.perception.stevens import Intensity, intensity_of
 
-__all__ = ["FORCE_COMMAND"]
+__all__ = ["PAGE"]
 
 LIMIT_N = device_parameters("touch").force_limit_N
 KNEE_N = ForceRange(limit_N=LIMIT_N).knee_share * LIMIT_N
@@ -117,7 +117,7 @@ def draw(data: Data, chart: Figure) -> None:
     panel(right, force, "force to be felt / N", "intensity felt / wanted", felt, conduct=conduct)
 
 
-FORCE_COMMAND = Page(
+PAGE = Page(
     "force_command",
     "E5 · Is the force to command the expected intensity E[S | F]?",
     "A published framework commands F_perc = E[S | F]. What does a person feel of it, beside what the reference "

@@ -11,7 +11,7 @@ from tissue.prediction.guard import Guarded
 from tissue.prediction.predictor import Hold, Predictor
 from tissue.scene.registry import PREDICTORS
 
-__all__ = ["HORIZON"]
+__all__ = ["PAGE"]
 
 STIFFNESS_N_M = 800.0
 LABELS = {
@@ -106,7 +106,7 @@ def draw(data: Data, chart: Figure) -> None:
     ], conduct=[(Conduct.HOLDS, table["ahead_ms"][0], LEADS_MS)], ylim=(0.5, 400.0), legend="upper left")  # fmt: skip
 
 
-HORIZON = Page(
+PAGE = Page(
     "horizon",
     "Prediction horizon: how far ahead can a force be predicted?",
     "A novice taps a wall of 800 N/m. How far off are forces that are predicted 1 to 64 ms ahead, and from where on is "

@@ -9,7 +9,7 @@ from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, r
 from tissue.evaluation.statistics.hpi import composite_index
 from tissue.evaluation.statistics.trials import TrialTable
 
-__all__ = ["INDEX_WEIGHTS"]
+__all__ = ["PAGE"]
 
 METRICS = {"accuracy": 1, "force_error": -1, "position_error": -1, "time_s": -1}
 """What an index is made of, and whether higher is better."""
@@ -110,7 +110,7 @@ def draw(data: Data, chart: Figure) -> None:
           log="x", title="oriented, standardised, squared (ours)")  # fmt: skip
 
 
-INDEX_WEIGHTS = Page(
+PAGE = Page(
     "index_weights",
     "E14 · What do weights from a principal component of raw metrics mean?",
     "A published index takes its weights from PCA on metrics with mixed signs and units. What becomes of them when one "

@@ -18,7 +18,7 @@ from tissue.scene.load import load_scene
 from tissue.simulation.run import Run
 from tissue.simulation.simulate import simulate
 
-__all__ = ["LARGE_ROTATION"]
+__all__ = ["PAGE"]
 
 YOUNG_PA, WIDTH_M, LENGTH_M = 5e3, 0.015, 0.06
 
@@ -114,7 +114,7 @@ def draw(data: Data, chart: Figure) -> None:
     ], ylim=(least, 10.0))  # fmt: skip
 
 
-LARGE_ROTATION = Page(
+PAGE = Page(
     "large_rotation",
     "Large rotation: linear against corotational",
     "A bar is turned as a whole, which strains nothing. What stress do the elastic laws find?",

@@ -16,7 +16,7 @@ from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 from tissue.scene.organ import Organ, SlabAnatomy
 
-__all__ = ["LOCKING"]
+__all__ = ["PAGE"]
 
 LENGTH, YOUNG = 10.0, 1000.0
 """A bar 10 m x 1 m x 1 m of 1 kPa under 1 N at its end, as the published cantilever; nothing depends on its size."""
@@ -101,7 +101,7 @@ def draw(data: Data, chart: Figure) -> None:
           conduct=conduct, xlim=gap[[0, -1]], ylim=(0.0, 1.15), legend="center right")  # fmt: skip
 
 
-LOCKING = Page(
+PAGE = Page(
     "locking",
     "ν → 0.5: do linear tetrahedra lock?",
     "A cantilever of a nearly incompressible material under a force at its end. How far does it bend with linear and "

@@ -3,13 +3,14 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from meshes.base.arrays import Array
 from tissue.evaluation.atlas.drawing import BLUE, GREEN, GREY, ORANGE, RED, panel
-from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
+from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Table, Verdict, refused, shown
 from tissue.evaluation.atlas.pressing import FAULT_S, TICK_S, pressed
 from tissue.haptics.device.faulty import Fault, FaultKind
 from tissue.haptics.device.sample_guard import GuardLimits
 
-__all__ = ["LOST_SAMPLES"]
+__all__ = ["PAGE"]
 
 KINDS: tuple[FaultKind, ...] = ("dropped", "late", "duplicated")
 STYLES = {"dropped": ("o", BLUE), "late": ("s", ORANGE), "duplicated": ("^", GREEN)}
@@ -27,29 +28,27 @@ def shares(kind: FaultKind, gap_s: float, *, guarded: bool) -> tuple[float, floa
     return float(size[last]) / before, float(size[last + 1 :].max()) / before, step / before
 
 
+def over_gap(kind: FaultKind, gaps: Array) -> Table:
+    """Shares of the force over the length of the gap, with the guard and without it."""
+    guarded, bare = (np.array([shares(kind, gap, guarded=guard) for gap in gaps.tolist()]) for guard in (True, False))
+    # Repeated samples age while they are young enough to be accepted, late ones are old; from then on 1/20 is lost
+    # every tick.
+    young_s = 2.0 * TICK_S if kind == "duplicated" else 0.0
+    return {
+        "gap_s": gaps,
+        "guarded_at_end": guarded[:, 0],
+        "guarded_after": guarded[:, 1],
+        "guarded_step": guarded[:, 2],
+        "bare_at_end": bare[:, 0],
+        "bare_step": bare[:, 2],
+        "theory_at_end": np.clip(1.0 - (gaps - young_s) / LIMITS.fade_s, 0.0, 1.0),
+    }
+
+
 def measure(quick: bool) -> Data:
-    """Shares of the force over the length of the gap, for every kind of fault."""
+    """Shares of the force for every kind of fault."""
     gaps = 1e-3 * np.array([5, 30] if quick else [1, 2, 5, 8, 12, 16, 20, 30, 60])
-    data: Data = {}
-    for kind in KINDS:
-        guarded = np.array([shares(kind, gap, guarded=True) for gap in gaps.tolist()])
-        bare = np.array([shares(kind, gap, guarded=False) for gap in gaps.tolist()])
-        data[kind] = {
-            "gap_s": gaps,
-            "guarded_at_end": guarded[:, 0],
-            "guarded_after": guarded[:, 1],
-            "guarded_step": guarded[:, 2],
-            "bare_at_end": bare[:, 0],
-            "bare_step": bare[:, 2],
-            # What is not yet too old is accepted; from then on 1/20 is lost every tick.
-            "theory_at_end": np.clip(1.0 - (gaps - _young(kind)) / LIMITS.fade_s, 0.0, 1.0),
-        }
-    return data
-
-
-def _young(kind: FaultKind) -> float:
-    """Time for which samples of a fault are young enough to be accepted [s]: repeated ones age, late ones are old."""
-    return 2.0 * TICK_S if kind == "duplicated" else 0.0
+    return {kind: over_gap(kind, gaps) for kind in KINDS}
 
 
 def judge(data: Data) -> Verdict:
@@ -99,7 +98,7 @@ def draw(data: Data, chart: Figure) -> None:
           title="every sample accepted", legend="center left")  # fmt: skip
 
 
-LOST_SAMPLES = Page(
+PAGE = Page(
     "lost_samples",
     "Dropped, late and repeated samples",
     "A hand presses a device onto a wall and its samples stop coming, come 5 ms late, or are repeated. What does the "

@@ -9,7 +9,7 @@ from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, panel
 from tissue.evaluation.atlas.page import Answer, Data, Page, Verdict, refused, shown, sweep
 from tissue.haptics.loop.filters import LowPass, cutoff_Hz, low_pass_gain
 
-__all__ = ["LOW_PASS"]
+__all__ = ["PAGE"]
 
 CONSTANT_S = 5e-3
 """The time constant of the sweep [s]."""
@@ -96,7 +96,7 @@ def draw(data: Data, chart: Figure) -> None:
     ], title="step response")  # fmt: skip
 
 
-LOW_PASS = Page(
+PAGE = Page(
     "low_pass",
     "E3 · Is α of 1/(1+αs) a cutoff frequency?",
     "A published framework calls α the cutoff frequency of its low-pass. Which frequency does the filter cut, and up "

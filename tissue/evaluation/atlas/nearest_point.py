@@ -10,7 +10,7 @@ from tissue.haptics.proxy.proxy import Proxy
 from tissue.haptics.proxy.tool_shell import ToolShell
 from tissue.haptics.proxy.voxmap import Box, ContactField
 
-__all__ = ["NEAREST_POINT", "nearest_free", "point_proxy"]
+__all__ = ["PAGE", "nearest_free", "point_proxy"]
 
 SHOWN_M = 1e-3
 """Thickness of the wall whose passage is drawn."""
@@ -112,7 +112,7 @@ def draw(data: Data, chart: Figure) -> None:
     ])  # fmt: skip
 
 
-NEAREST_POINT = Page(
+PAGE = Page(
     "nearest_point",
     "E12 · Is the proxy the nearest point of the organ?",
     "The printed proxy is an argmin over the organ's voxels. What does it do where an organ is thin?",

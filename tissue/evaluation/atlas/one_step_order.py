@@ -13,7 +13,7 @@ from tissue.prediction.edmd.episodes import Episode
 from tissue.prediction.edmd.lifted import Generator
 from tissue.prediction.edmd.polynomials import Polynomials
 
-__all__ = ["ONE_STEP_ORDER", "slow_manifold", "slow_rates"]
+__all__ = ["PAGE", "slow_manifold", "slow_rates"]
 
 SLOW, FAST = -0.05, -1.0
 """dx1/dt = slow x1, dx2/dt = fast (x2 - x1^2) (Brunton et al. 2016): closed by x1^2, and by no other square."""
@@ -123,7 +123,7 @@ def draw(data: Data, chart: Figure) -> None:
           ylim=(1e-18, 1.0))  # fmt: skip
 
 
-ONE_STEP_ORDER = Page(
+PAGE = Page(
     "one_step_order",
     "E1 · Is the one-step error of a lifted model O(Δt²)?",
     "A published theorem claims it for any dictionary. What order do dictionaries have that are closed under the "

@@ -13,7 +13,7 @@ from tissue.haptics.loop.sampled_loop import WallLoop
 from tissue.haptics.loop.stability_bounds import pade_bound_N_m
 from tissue.haptics.loop.stability_map import growth_while_running, measured_critical_N_m
 
-__all__ = ["PADE"]
+__all__ = ["PAGE"]
 
 LOOPS = {
     "free": WallLoop(mass_kg=0.05, damping_N_s_m=5.0, stiffness_N_m=1.0),
@@ -88,7 +88,7 @@ def draw(data: Data, chart: Figure) -> None:
         ], log="y", conduct=(), title=TITLES[name], ylim=(low, high))  # fmt: skip
 
 
-PADE = Page(
+PAGE = Page(
     "pade",
     "E4 · May a first-order Padé delay decide about stability?",
     "A published analysis replaces the delay by (1 − ts/2)/(1 + ts/2) and reads the stable stiffness from that. Does a "

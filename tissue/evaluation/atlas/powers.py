@@ -14,7 +14,7 @@ from tissue.prediction.edmd.polynomials import Polynomials
 from tissue.prediction.edmd.spectrum import cap_spectrum, spectral_radius
 from tissue.prediction.edmd.validation import horizon_errors
 
-__all__ = ["POWERS"]
+__all__ = ["PAGE"]
 
 STEP_S, ORDER, HORIZON = 0.02, 3, 1000
 
@@ -115,7 +115,7 @@ def draw(data: Data, chart: Figure) -> None:
     ], conduct=[(Conduct.FALLS_BACK, 1.0, HORIZON)], ylim=(1e-3, min(10.0 * np.nanmax(free), high)))  # fmt: skip
 
 
-POWERS = Page(
+PAGE = Page(
     "powers",
     "E2 · Is g(x after n steps) the n-th power of K on g(x)?",
     "A published theorem assumes what it proves. How does the error of a fitted operator grow with the horizon once "

@@ -16,7 +16,7 @@ from tissue.haptics.rigid_wall import knock
 from tissue.scene.load import load_scene
 from tissue.simulation.simulate import simulate
 
-__all__ = ["QUANTISATION"]
+__all__ = ["PAGE"]
 
 TICK_S, ENCODER_M = 1e-3, 1e-4
 DEVICE = DeviceParameters(mass_kg=0.05, damping_N_s_m=1.0, encoder_step_m=ENCODER_M)
@@ -151,7 +151,7 @@ def draw(data: Data, chart: Figure) -> None:
     ], conduct=(), legend="upper left", ylim=(5e-4, 3e3))  # fmt: skip
 
 
-QUANTISATION = Page(
+PAGE = Page(
     "quantisation",
     "Quantisation: encoder steps against friction",
     "A device with encoder steps of 0.1 mm is knocked onto a stiff wall. Does it come to rest, or does it buzz by some "

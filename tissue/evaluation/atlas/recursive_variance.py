@@ -7,7 +7,7 @@ from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, panel
 from tissue.evaluation.atlas.page import Answer, Data, Page, Verdict, error_of, refused, shown, sweep
 from tissue.perception.recursive import LocalLevel
 
-__all__ = ["RECURSIVE_VARIANCE"]
+__all__ = ["PAGE"]
 
 
 def measure(quick: bool) -> Data:
@@ -82,7 +82,7 @@ def draw(data: Data, chart: Figure) -> None:
     ])  # fmt: skip
 
 
-RECURSIVE_VARIANCE = Page(
+PAGE = Page(
     "recursive_variance",
     "E8 · Is σ² = q·r/(q + r) the variance of a recursive estimate?",
     "A published update forgets the variance of the step before. How far is its estimate from the error that it makes?",

@@ -7,7 +7,7 @@ from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, TINTS, panel
 from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, error_of, refused, shown, sweep
 from tissue.haptics.loop.filters import DelayLine, LowPass, low_pass_gain, relaxation_bound
 
-__all__ = ["RELAXATION"]
+__all__ = ["PAGE"]
 
 
 def measured_bound(delay: int) -> float:
@@ -80,7 +80,7 @@ def draw(data: Data, chart: Figure) -> None:
     ], log="", conduct=(), xlim=(-0.25, delay[-1] + 0.25), ylim=(0.0, 2.2))  # fmt: skip
 
 
-RELAXATION = Page(
+PAGE = Page(
     "relaxation",
     "E11 · Does F ← F + a(F_wanted − F) need 0 < a < 1?",
     "A published theorem asks for a gain between 0 and 1. Which gains settle, without and with samples of delay?",

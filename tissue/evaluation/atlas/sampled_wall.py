@@ -14,7 +14,7 @@ from tissue.haptics.loop.passivity import PassivityControl, PassivityObserver
 from tissue.haptics.loop.stability_bounds import passive_bound_N_m
 from tissue.haptics.loop.stability_map import measured_critical_N_m
 
-__all__ = ["SAMPLED_WALL"]
+__all__ = ["PAGE"]
 
 DEVICE = replace(device_parameters("omni"), friction_N=0.0, encoder_step_m=0.0, transport_delay_s=0.0,
                  amplifier_Hz=float("inf"))  # fmt: skip
@@ -126,7 +126,7 @@ def draw(data: Data, chart: Figure) -> None:
     right.set_yscale("symlog", linthresh=0.1)
 
 
-SAMPLED_WALL = Page(
+PAGE = Page(
     "sampled_wall",
     "E10 · Is a wall passive because k, b > 0 and the loop runs at 1 kHz?",
     "A published theorem claims it. How stiff may the wall be at a rate, and what does the hold leak?",

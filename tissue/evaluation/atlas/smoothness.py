@@ -8,7 +8,7 @@ from tissue.evaluation.atlas.drawing import BLUE, GREY, RED, panel
 from tissue.evaluation.atlas.page import Answer, Data, Page, Verdict, error_of, log_slope, refused, shown, sweep
 from tissue.evaluation.statistics.metrics import acceleration_change_m_s2, spectral_arc_length
 
-__all__ = ["SMOOTHNESS"]
+__all__ = ["PAGE"]
 
 LENGTH_MM, DURATION_S, TREMOR_HZ, TICK_S = 100.0, 1.0, 8.0, 1e-3
 
@@ -91,7 +91,7 @@ def draw(data: Data, chart: Figure) -> None:
     ], log="", legend="lower right")  # fmt: skip
 
 
-SMOOTHNESS = Page(
+PAGE = Page(
     "smoothness",
     "E13 · Is a higher smoothness index smoother?",
     "A published index is mean |Δa|, while its table reads as if higher were better. Where do the formula and the "

@@ -17,7 +17,7 @@ from tissue.haptics.proxy.tool_shell import ToolShell
 from tissue.haptics.proxy.voxmap import ContactField
 from tissue.models.bone.bricks import BrickStore
 
-__all__ = ["THIN_WALLS"]
+__all__ = ["PAGE"]
 
 STIFFNESS_N_M, MASS_KG, TICK_S = 1000.0, 0.05, 2.5e-4
 """A wall and a device whose contact lasts 22 ms; the tick leaks little over that."""
@@ -138,7 +138,7 @@ def draw(data: Data, chart: Figure) -> None:
     ], title="who is thrown back? device of 50 g, wall of 1 kN/m", ylim=(0.5e-3, 20.0))  # fmt: skip
 
 
-THIN_WALLS = Page(
+PAGE = Page(
     "thin_walls",
     "Thin walls and fast tools",
     "A device is thrown at a wall. From which speed on does a penalty that pushes to the nearest face let it through, "

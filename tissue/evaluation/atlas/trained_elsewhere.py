@@ -15,7 +15,7 @@ from tissue.prediction.edmd.predictor_file import read_predictor, write_predicto
 from tissue.prediction.guard import Guarded
 from tissue.prediction.predictor import Hold, Predictor
 
-__all__ = ["TRAINED_ELSEWHERE"]
+__all__ = ["PAGE"]
 
 HOME_N_M, HORIZON_TICKS = 800.0, 5
 """Stiffness of the wall that was learnt from, and ticks ahead."""
@@ -109,7 +109,7 @@ def draw(data: Data, chart: Figure) -> None:
     ], log="x", conduct=conduct, ylim=(0.0, 105.0), legend="lower center")  # fmt: skip
 
 
-TRAINED_ELSEWHERE = Page(
+PAGE = Page(
     "trained_elsewhere",
     "Operators trained elsewhere",
     "A predictor has learnt a wall of 800 N/m and is used on walls an eighth to three times as stiff. What force does "

@@ -8,7 +8,7 @@ from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, panel
 from tissue.evaluation.atlas.page import Answer, Data, Page, Verdict, error_of, refused, shown, sweep
 from tissue.perception.estimate import log_posterior, map_force_N, require_prior_fits
 
-__all__ = ["TWO_MAXIMA"]
+__all__ = ["PAGE"]
 
 MEDIAN_N, SPREAD, NOISE_N = 0.1, 0.3, 0.3
 GRID = np.linspace(np.log(1e-4), np.log(20.0), 20_001)
@@ -118,7 +118,7 @@ def draw(data: Data, chart: Figure) -> None:
           log="", conduct=(), xlim=(0.0, 5.0), ylim=(-8.0, 0.5))  # fmt: skip
 
 
-TWO_MAXIMA = Page(
+PAGE = Page(
     "two_maxima",
     "E7 · Has a log-normal prior times a Gaussian likelihood one maximum?",
     "A published estimate runs Newton's method on the posterior of a force. Where does that have two maxima, and what "

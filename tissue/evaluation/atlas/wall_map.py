@@ -18,7 +18,7 @@ from tissue.haptics.loop.stability_map import measured_critical_N_m
 from tissue.scene.load import load_scene
 from tissue.simulation.simulate import simulate
 
-__all__ = ["WALL_MAP"]
+__all__ = ["PAGE"]
 
 LOOP = in_hands(device_parameters("six-dof").loop(1.0), [hand_parameters("expert").grip[:3]])[0]
 """The device of six degrees of freedom in an expert's hand."""
@@ -118,7 +118,7 @@ def draw(data: Data, chart: Figure) -> None:
            ylim=(low, high))  # fmt: skip
 
 
-WALL_MAP = Page(
+PAGE = Page(
     "wall_map",
     "Stiffness × delay × damping × rate",
     "A device of six degrees of freedom in an expert's hand on a virtual wall: from which stiffness on does it ring, "

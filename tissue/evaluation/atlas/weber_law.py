@@ -10,7 +10,7 @@ from tissue.perception.deadband import held_back
 from tissue.perception.observer import Observer
 from tissue.perception.weber import Weber, weber
 
-__all__ = ["WEBER_LAW"]
+__all__ = ["PAGE"]
 
 KAPPA, DRAWS = 0.07, 20_000
 LOW_N, LOW_SHARES = 0.5, (0.10, 0.28)
@@ -98,7 +98,7 @@ def draw(data: Data, chart: Figure) -> None:
     ])  # fmt: skip
 
 
-WEBER_LAW = Page(
+PAGE = Page(
     "weber_law",
     "E6 · Is the threshold ΔF/F normal about κ?",
     "A published model draws Weber fractions from N(κ, τ²). How many thresholds are negative, and what does the law "

@@ -12,7 +12,7 @@ from tissue.haptics.device.device import Sample
 from tissue.haptics.device.sample_guard import GuardLimits, SampleGuard
 from tissue.haptics.loop.filters import ForceRange
 
-__all__ = ["WILD_INPUT"]
+__all__ = ["PAGE"]
 
 LIMITS = GuardLimits()
 VALID_M = LIMITS.fastest_m_s * (TICK_S + LIMITS.oldest_s)
@@ -101,7 +101,7 @@ def draw(data: Data, chart: Figure) -> None:
     ], conduct=[(Conduct.HOLDS, jump[0], VALID_M), (Conduct.FALLS_BACK, VALID_M, jump[-1])])  # fmt: skip
 
 
-WILD_INPUT = Page(
+PAGE = Page(
     "wild_input",
     "NaN and wild device input",
     "One sample of a device that is pressed onto a wall lies 0.1 mm to 1e9 m deeper than the last, or is no number. "

@@ -134,10 +134,8 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
     by_hand = {"device": "touch", "hand": key.group, "coupling.delay_ms": LATENCY_MS, **variant.changes}
     scene = changed(scene, by_hand)
     scenes = {name: changed(scene, method) for name, method in METHODS.items()}
-    stiffness = [_stiffness_N_m(each) for each in scenes.values()]
     scenes["koopman-perception"] = changed(scenes["koopman-perception"], {"perception": f"observer:{observer}"})
-    stiffness.append(judged_loop(scenes["koopman-perception"], step_s=TICK_S).stiffness_N_m)
-    per_trial["coupling.stiffness_N_m"] = floor(min(stiffness))
+    per_trial["coupling.stiffness_N_m"] = floor(min(map(_stiffness_N_m, scenes.values())))
     return TrialScene({name: changed(each, per_trial) for name, each in scenes.items()}, specimen, truth)
 
 

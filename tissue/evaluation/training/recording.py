@@ -80,12 +80,10 @@ def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float
         Force of the tissue at the same motion over that of the scene. In a tissue whose force is linear in its moduli
         or cutting coefficients this is the same as all of those changed by it.
     """
-    groups = len(GROUPS)
-    delay = DELAYS_MS[index // groups % len(DELAYS_MS)] if delay_ms is None else delay_ms
-    device = "touch" if scene.device == "none" else scene.device
+    delay = DELAYS_MS[index // len(GROUPS) % len(DELAYS_MS)] if delay_ms is None else delay_ms
     entries = {
-        "device": device,
-        "hand": GROUPS[index % groups],
+        "device": "touch" if scene.device == "none" else scene.device,
+        "hand": GROUPS[index % len(GROUPS)],
         "seed": index,
         "prediction": "none",
         "perception": "none",
@@ -119,10 +117,10 @@ class Recorder:
         motion.begin(tool)
         tissue.place(tool)
         ticks = round((scene.duration_s or motion.duration_s) / TICK_S)
-        rows = np.zeros((ticks, 9))
+        rows = np.zeros((ticks, 6))
         response = Response.empty(len(tissue.layer_names))
         raw = slice(motion.measure_names.index("raw_force_x_N"), motion.measure_names.index("raw_force_z_N") + 1)
-        before = 1e-3 * motion.measures[:3]
+        begin = 1e-3 * motion.measures[:3]
         took = np.zeros(ticks)
         for index, row in enumerate(rows):
             if isinstance(tissue, WaitsForBackground):
@@ -136,12 +134,11 @@ class Recorder:
                 response = tissue.respond(tool)
             took[index] = perf_counter() - start
             motion.play(response)
-            row[:3], row[6:] = 1e-3 * motion.measures[:3], motion.measures[raw]
-            row[3:6] = (row[:3] - before) / TICK_S
-            before = row[:3]
+            row[:3], row[3:] = 1e-3 * motion.measures[:3], motion.measures[raw]
         if not np.isfinite(rows).all():
             raise InputError(f"scene must give finite forces, got others with seed {scene.seed}: use another --trials")
-        return Recording(rows[:, :3], rows[:, 3:6], rows[:, 6:], scene.hand, scene.seed, float(np.median(took)))
+        velocity = np.diff(rows[:, :3], axis=0, prepend=begin[None]) / TICK_S
+        return Recording(rows[:, :3], velocity, rows[:, 3:], scene.hand, scene.seed, float(np.median(took)))
 
     def _parts(self, scene: Scene) -> tuple[HandMotion, TissueModel]:
         """The hand of a scene and what it meets."""
