@@ -146,16 +146,15 @@ def _drawn() -> Shape:
     """The liver about the middle of its visceral side: drawn a little large, then brought to size."""
     right = ellipsoid((0.082, 0.066, 0.084), (-0.030, 0.0, -0.009))
     left = ellipsoid((0.080, 0.045, 0.039), (0.046, -0.016, 0.024))
-    body = union(right, left, blend_m=0.042)
     visceral = half_space(_VISCERAL, (-0.030, 0.0, -0.034))
-    body = intersection(body, visceral, blend_m=0.015)
-    stomach = ellipsoid((0.052, 0.052, 0.044), (0.074, 0.009, -0.038))
-    kidney = ellipsoid((0.035, 0.032, 0.044), (-0.048, 0.050, -0.078))
-    body = difference(difference(body, stomach, blend_m=0.018), kidney, blend_m=0.018)
-    gall = capsule(0.013, (-0.006, -0.066, -0.040), (0.003, 0.0, -0.028))
-    spine = capsule(0.026, (0.016, 0.076, -0.09), (0.016, 0.071, 0.11))
-    ligament = capsule(0.008, (0.028, -0.075, -0.027), (0.028, -0.030, -0.014))
-    for hollow, blend in ((gall, 0.012), (spine, 0.018), (ligament, 0.010)):
+    body = intersection(union(right, left, blend_m=0.042), visceral, blend_m=0.015)
+    for hollow, blend in (
+        (ellipsoid((0.052, 0.052, 0.044), (0.074, 0.009, -0.038)), 0.018),  # stomach
+        (ellipsoid((0.035, 0.032, 0.044), (-0.048, 0.050, -0.078)), 0.018),  # kidney
+        (capsule(0.013, (-0.006, -0.066, -0.040), (0.003, 0.0, -0.028)), 0.012),  # gall bladder
+        (capsule(0.026, (0.016, 0.076, -0.09), (0.016, 0.071, 0.11)), 0.018),  # vena cava and spine
+        (capsule(0.008, (0.028, -0.075, -0.027), (0.028, -0.030, -0.014)), 0.010),  # round ligament
+    ):
         body = difference(body, hollow, blend_m=blend)
     lower, upper = (tuple(_SIZE * x for x in corner) for corner in (body.lower_m, body.upper_m))
     return Shape(lambda p: _SIZE * body.distance(p / _SIZE), lower, upper)

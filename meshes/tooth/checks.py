@@ -12,14 +12,12 @@ from meshes.tooth.layers import TOOTH_LAYERS
 
 __all__ = [
     "require_known",
-    "require_pulp_within",
     "require_tooth_size",
     "require_touching",
 ]
 
 _SMALLEST_MM, _LARGEST_MM, _TYPICAL_MM = 5.0, 40.0, 18.0
 _TOUCH_M = 0.5e-3
-_LEAST_WITHIN = 0.6
 _POINTS_TESTED = 4000
 
 
@@ -77,12 +75,3 @@ def require_touching(points_m: Mapping[str, NDArray[np.float64]], solids: Mappin
                 f"{name} surface must touch the others in one common frame and unit, got one "
                 f"{1e3 * apart[nearest]:.3g} mm from {nearest}, the nearest: check its unit and its origin"
             )
-
-
-def require_pulp_within(near_dentin: float) -> None:
-    """Refuse a pulp of which too small a part of the surface lies on or in the dentin."""
-    if near_dentin < _LEAST_WITHIN:
-        raise InputError(
-            f"pulp must lie within the dentin, got {100.0 * near_dentin:.0f} % of its surface there: check which layer "
-            "is which, and the frame of the pulp surface"
-        )

@@ -17,7 +17,6 @@ from meshes.surfaces.site import Site
 from meshes.surfaces.surface import Surface, read_surface
 from meshes.tooth.checks import (
     require_known,
-    require_pulp_within,
     require_tooth_size,
     require_touching,
 )
@@ -33,7 +32,7 @@ from meshes.voxels.voxelise import voxelise
 __all__ = ["layered_anatomy", "layered_surfaces"]
 
 _SAMPLE_PITCH_M, _MOST_SAMPLES = 0.1e-3, 300_000
-_NEAR_M = 0.2e-3
+_NEAR_M, _LEAST_WITHIN = 0.2e-3, 0.6
 _LESION_M = 0.15e-3
 
 
@@ -133,7 +132,12 @@ def layered_anatomy(
     samples = {name: (points - centre) @ rotation for name, points in samples.items()}
     origin, contact = _contact(placed, order)
     if "pulp" in surfaces:
-        require_pulp_within(_share_near(samples["pulp"], placed["dentin"], samples["dentin"]))
+        near_dentin = _share_near(samples["pulp"], placed["dentin"], samples["dentin"])
+        if near_dentin < _LEAST_WITHIN:
+            raise InputError(
+                f"pulp must lie within the dentin, got {100.0 * near_dentin:.0f} % of its surface there: check which "
+                "layer is which, and the frame of the pulp surface"
+            )
     from scipy.spatial import cKDTree
 
     points = np.concatenate(list(samples.values()))

@@ -18,7 +18,6 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.shapes.anatomy import GridSampler
 from meshes.shapes.sdf import Shape
 from meshes.voxels.block_sampling import shape_fraction
 from meshes.voxels.grid import Grid
@@ -75,23 +74,18 @@ def caries_softness(density_kg_m3: NDArray[np.floating]) -> NDArray[np.floating]
     return np.clip((_SOUND_KG_M3 - density) / (_SOUND_KG_M3 - _INFECTED_KG_M3), 0.0, 1.0)
 
 
-def every_voxel(shape: Shape) -> GridSampler:
-    """Sampler that has every voxel of a solid classified on its own.
+def every_voxel(shape: Shape, grid: Grid) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Fraction and depth [m] of each voxel of a solid, so that every one is classified on its own.
 
     Sampling by blocks takes the layer of a solid block from its corners, which would miss a root canal that passes
     between them.
     """
-
-    def sample(grid: Grid) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Share of each voxel inside the tooth, and its depth below the surface [m]."""
-        fraction = shape_fraction(shape, grid)
-        index = np.nonzero(fraction)
-        points = np.stack([(i + f + 0.5) * grid.spacing_m for i, f in zip(index, grid.first, strict=True)], axis=1)
-        depth = np.zeros(grid.shape, dtype=np.float32)
-        depth[index] = -in_chunks(shape.distance, points.astype(np.float32))
-        return fraction, depth
-
-    return sample
+    fraction = shape_fraction(shape, grid)
+    index = np.nonzero(fraction)
+    points = np.stack([(i + f + 0.5) * grid.spacing_m for i, f in zip(index, grid.first, strict=True)], axis=1)
+    depth = np.zeros(grid.shape, dtype=np.float32)
+    depth[index] = -in_chunks(shape.distance, points.astype(np.float32))
+    return fraction, depth
 
 
 def in_chunks(function: Callable[[NDArray[np.floating]], NDArray[Kind]], points: NDArray[np.floating]) -> NDArray[Kind]:

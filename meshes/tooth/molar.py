@@ -20,6 +20,7 @@ cervical line to bone          1.5 mm         M, H: 1 to 2 in health
 """
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -146,7 +147,7 @@ def molar(
     }
     classify = _layers(crown, roots, pulp_shape(crown, roots, roof), ligament, lesion)
     whole = tooth | block
-    return Anatomy("procedural molar", whole, TOOTH_LAYERS, classify, notes, every_voxel(whole))
+    return Anatomy("procedural molar", whole, TOOTH_LAYERS, classify, notes, partial(every_voxel, whole))
 
 
 def _socket(crown: Crown, roots: tuple[Root, Root], margin: float) -> Shape:
