@@ -9,7 +9,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import require_positive, require_range
 from tissue.haptics.loop.passivity import RELEASE_RAD_S, PassivityControl
 from tissue.haptics.loop.sampled_loop import WallLoop
-from tissue.motion.quaternion import Quaternion, conjugate, logarithm, product
+from tissue.motion.quaternion import Quaternion, turn_between
 from tissue.scene.registry import RENDERERS
 
 __all__ = [
@@ -115,9 +115,9 @@ class TurningRenderer:
     def render(self, device: Quaternion, device_spin: Array, proxy: Quaternion, proxy_spin: Array, dt: float) -> Array:
         """Torque on the device [N m] from unit quaternions (x, y, z, w) and spins [rad/s]."""
         if self._before is not None:
-            self._turned = self._turned + logarithm(product(device, conjugate(self._before)))
+            self._turned = self._turned + turn_between(self._before, device)
         self._before = device
-        gap = np.array(logarithm(product(proxy, conjugate(device))))
+        gap = np.array(turn_between(device, proxy))
         return self._inner.render(self._turned, device_spin, self._turned + gap, proxy_spin, dt)
 
     def pause(self) -> None:

@@ -2,9 +2,6 @@
 
 from math import atan2, cos, inf, sin, sqrt
 
-import numpy as np
-from numpy.typing import NDArray
-
 __all__ = ["Quaternion", "Triple", "conjugate", "exponential", "logarithm", "product", "turn_between", "unit"]
 
 Quaternion = tuple[float, float, float, float]
@@ -55,10 +52,9 @@ def logarithm(rotation: Quaternion) -> Triple:
     return share * x, share * y, share * z
 
 
-def turn_between(start: NDArray[np.float64], goal: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotation vector [rad] of the shortest turn that brings quaternion ``start`` to ``goal``, shape (3,).
+def turn_between(start: Quaternion, goal: Quaternion) -> Triple:
+    """Rotation vector [rad] of the shortest turn that brings quaternion ``start`` to ``goal``.
 
     The logarithm of ``goal start^-1``, in the world's axes; at half a turn one of two equal ones is returned.
     """
-    (a, b, c, d), (x, y, z, w) = goal.tolist(), start.tolist()
-    return np.array(logarithm(product((a, b, c, d), conjugate((x, y, z, w)))))
+    return logarithm(product(goal, conjugate(start)))

@@ -109,7 +109,7 @@ def test_never_inside_solids(seed, friction):
 
 def proxy_moment(result, device):
     """Rotational spring's moment over the stiffness, for a lever of 3 mm [m2]."""
-    return 9e-6 * turn_between(device, result.quaternion)
+    return 9e-6 * np.array(turn_between(device, result.quaternion))
 
 
 @pytest.mark.parametrize("lever", [None, 2e-3])

@@ -168,4 +168,4 @@ def test_matrices_and_quaternions_agree_with_scipy():
         assert quaternion[3] >= 0.0
         other = Rotation.random(random_state=2)
         expected = (other * rotation.inv()).as_rotvec()
-        assert turn_between(quaternion, other.as_quat()) == pytest.approx(expected, abs=1e-12)
+        assert np.array(turn_between(quaternion, other.as_quat())) == pytest.approx(expected, abs=1e-12)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 from tissue.haptics.device.device import ComputedDevice, Sample
-from tissue.motion.quaternion import Quaternion, Triple, conjugate, logarithm, product
+from tissue.motion.quaternion import Quaternion, Triple, turn_between
 
 __all__ = ["MouseDevice", "RecordedDevice"]
 
@@ -104,7 +104,7 @@ class MouseDevice(ComputedDevice):
             position.append(wanted + fade * (away + slope * step))
             velocity.append(fade * (slope - rate * (away + slope * step)))
         self._position, self._velocity = tuple(position), tuple(velocity)  # type: ignore[assignment]
-        turn = logarithm(product(self._turned, conjugate(self._sample.quaternion)))
+        turn = turn_between(self._sample.quaternion, self._turned)
         spin = tuple(angle / step for angle in turn)
         self._sample = Sample(time_s, self._position, self._velocity, self._turned, spin)  # type: ignore[arg-type]
         return self._sample

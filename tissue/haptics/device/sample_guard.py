@@ -9,7 +9,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import require_positive
 from tissue.haptics.device.device import DeviceError, Sample
 from tissue.haptics.device.roughness import Roughness
-from tissue.motion.quaternion import Quaternion, conjugate, logarithm, product, unit
+from tissue.motion.quaternion import Quaternion, turn_between, unit
 
 __all__ = ["GuardLimits", "SampleGuard"]
 
@@ -174,7 +174,7 @@ class SampleGuard:
         elapsed = max(sample.time_s - good.time_s, 0.0) + limits.oldest_s
         if dist(sample.position_m, good.position_m) > limits.fastest_m_s * elapsed:
             return "a jump that no hand makes"
-        turn = logarithm(product(turned, conjugate(good.quaternion)))
+        turn = turn_between(good.quaternion, turned)
         if sum(angle * angle for angle in turn) > (limits.fastest_rad_s * elapsed) ** 2:
             return "a turn that no hand makes"
         return ""

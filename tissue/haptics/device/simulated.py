@@ -9,7 +9,7 @@ from meshes.base.arrays import Array
 from tissue.haptics.device.device import ComputedDevice, DeviceParameters, Sample
 from tissue.haptics.hand.hand import Grip, HandAction, HoldingHand
 from tissue.haptics.loop.plant import Plant
-from tissue.motion.quaternion import Quaternion, Triple, conjugate, exponential, logarithm, product
+from tissue.motion.quaternion import Quaternion, Triple, exponential, logarithm, product, turn_between
 
 __all__ = ["SimulatedDevice"]
 
@@ -132,7 +132,7 @@ class SimulatedDevice(ComputedDevice):
         )
         turned = NOTHING
         if self.six_dof:
-            turned = logarithm(product(self.orientation, conjugate(action.aim_quaternion)))
+            turned = turn_between(action.aim_quaternion, self.orientation)
             self.rotation.position = turned
         time = at
         for length, back, fine in self._spans:
@@ -157,7 +157,7 @@ class SimulatedDevice(ComputedDevice):
         before, rate = self._sample, self.parameters.rate_Hz
         position, orientation = self._read_position(), self._read_orientation()
         still = orientation == before.quaternion
-        turn = NOTHING if still else logarithm(product(orientation, conjugate(before.quaternion)))
+        turn = NOTHING if still else turn_between(before.quaternion, orientation)
         self._sample = Sample(
             self._tick * self._step,
             position,

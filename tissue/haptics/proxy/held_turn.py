@@ -6,7 +6,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import require_positive
-from tissue.motion.quaternion import Quaternion, conjugate, exponential, logarithm, product
+from tissue.motion.quaternion import Quaternion, exponential, product, turn_between
 
 __all__ = ["UPRIGHT", "HeldTurn"]
 
@@ -48,7 +48,7 @@ class HeldTurn:
             self.quaternion = device
             return device
         self._learn(torque_Nm)
-        difference = np.array(logarithm(product(device, conjugate(self.quaternion))))
+        difference = np.array(turn_between(self.quaternion, device))
         turn = (spring * difference + torque_Nm) / (spring + self._learnt)
         if float((turn - difference).dot(torque_Nm)) <= 0.0:
             self.quaternion = device
@@ -61,7 +61,7 @@ class HeldTurn:
 
     def _learn(self, torque_Nm: Array) -> None:
         """Take the stiffness from what the last turn has changed."""
-        turned = np.array(logarithm(product(self.quaternion, conjugate(self._before))))
+        turned = np.array(turn_between(self._before, self.quaternion))
         square = float(turned.dot(turned))
         if square > LEAST_RAD**2:
             self._learnt = max(-float(turned.dot(torque_Nm - self._torque)) / square, FADE * self._learnt)
