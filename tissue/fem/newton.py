@@ -111,9 +111,16 @@ class NewtonSolver:
         """Equilibrium with held components at ``held_m`` [m], shape (n, 3), from ``start_m`` [m]; default: zero.
 
         With a sphere, its multipliers are corrected until it is settled.
+
+        Raises
+        ------
+        InputError
+            If a held displacement is not finite.
         """
         now = np.zeros(self.held.shape) if start_m is None else np.array(start_m, dtype=np.float64)
         goal = np.zeros(self.held.shape) if held_m is None else held_m
+        if not np.isfinite(goal).all():
+            raise InputError("held_m must be finite, got NaN or infinity: name every node, 0 where it stays")
         move = np.where(self.held, goal - now, 0.0)
         steps = 0
         if move.any():
