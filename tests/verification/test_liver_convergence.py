@@ -6,7 +6,7 @@ from tet_bodies import slope, solve_iteratively
 
 from meshes.tets.structured import box
 from tissue.fem.assembly import assemble
-from tissue.fem.shapes import gradient_slopes, shape_values
+from tissue.fem.shapes import EDGES, gradient_slopes
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 
@@ -22,6 +22,15 @@ def quadrature(points):
     w = np.einsum("i,j,k->ijk", weight * (1 - at) ** 2, weight * (1 - at), weight) * 6.0
     x, y, z = a, b * (1 - a), c * (1 - a) * (1 - b)
     return np.stack([1 - x - y - z, x, y, z], axis=-1).reshape(-1, 4), w.ravel()
+
+
+def shape_values(barycentric, order):
+    """Shape functions of the nodes at points, shape (..., nodes): l_A, or l_A (2 l_A - 1) and 4 l_i l_j on the edges."""
+    if order == 1:
+        return barycentric
+    i, j = np.array(EDGES).T
+    at_corners = barycentric * (2.0 * barycentric - 1.0)
+    return np.concatenate([at_corners, 4.0 * barycentric[..., i] * barycentric[..., j]], axis=-1)
 
 
 def displacement(x):
