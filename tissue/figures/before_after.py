@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from tissue.builders.voxels import reach
 from tissue.figures.figure import DRAWING, save
 from tissue.figures.rendering import Camera, paint, render, side_by_side
-from tissue.figures.style import BONE, EDGE, axis_names, depth_colours, depth_limit, layer_colours
+from tissue.figures.style import BONE, DEPTH_COLOURS, EDGE, axis_names, depth_limit, layer_colours
 from tissue.simulation.bone_surface import bone_surface, cut_out, smooth_normals, with_depth, with_layers
 from tissue.simulation.depth_map import HALF, DepthMap
 from tissue.simulation.run import Run
@@ -69,8 +69,10 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
 
 def _depth_paint(depth_mm: NDArray[np.float32], limit: float) -> NDArray[np.float64]:
     """Colours of points by removed depth, bone where nothing was removed; they blend over the first few hundredths."""
+    from matplotlib import colormaps
+
     share = np.clip((depth_mm / limit - 0.01) / 0.03, 0.0, 1.0)[:, None]
-    return share * depth_colours()(depth_mm / limit)[:, :3] + (1.0 - share) * np.array(BONE)
+    return share * colormaps[DEPTH_COLOURS](depth_mm / limit)[:, :3] + (1.0 - share) * np.array(BONE)
 
 
 def _seen(surface: "pyvista.PolyData", camera: Camera) -> "pyvista.PolyData":
@@ -121,7 +123,7 @@ def _compose(
         )
     _draw_triad(chart.add_axes((0.28, 0.0, 0.18, foot)), run, camera)
     bar = chart.add_axes((left + 0.45 * wide, 0.58 * foot, 0.48 * wide, 0.14 * foot))
-    mapped = ScalarMappable(Normalize(0.0, limit), depth_colours())
+    mapped = ScalarMappable(Normalize(0.0, limit), DEPTH_COLOURS)
     chart.colorbar(mapped, cax=bar, orientation="horizontal").set_label("removed depth / mm")
     save(chart, path)
 

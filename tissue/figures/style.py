@@ -15,14 +15,13 @@ from tissue.simulation.trace import NO_LAYER
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.colors import Colormap
     from matplotlib.typing import LineStyleType
 
 __all__ = [
     "BONE",
+    "DEPTH_COLOURS",
     "EDGE",
     "axis_names",
-    "depth_colours",
     "depth_limit",
     "draw_force_torque",
     "draw_outline",
@@ -55,6 +54,7 @@ LAYERS = {
     "parenchyma": "#E69F00",
     "vessel wall": "#D55E00",
 }
+DEPTH_COLOURS = "viridis"
 OTHER_LAYERS = ("#CC79A7", "#F0E442", "#0072B2", "#D55E00")
 COMPONENTS = ("#0072B2", "#D55E00", "#009E73")
 """Colours of layers and components after Okabe and Ito (2008), distinct for colour-blind readers."""
@@ -91,13 +91,6 @@ def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float
     return {name: to_rgb(colours[name]) for name in names}
 
 
-def depth_colours() -> "Colormap":
-    """Colours of removed depth."""
-    from matplotlib import colormaps
-
-    return colormaps["viridis"]
-
-
 def depth_limit(depth: DepthMap) -> float:
     """Upper end of the depth scale [mm]: the deepest column, peg holes and drilled channels left to saturate."""
     cut = depth.depth_mm[depth.depth_mm > 0.0]
@@ -127,7 +120,7 @@ def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
         np.ma.masked_less(depth.depth_mm, least).T,
         origin="lower",
         extent=depth.extent_mm,
-        cmap=depth_colours(),
+        cmap=DEPTH_COLOURS,
         vmin=0.0,
         vmax=depth_limit(depth),
         interpolation="nearest",
@@ -254,7 +247,9 @@ def draw_force_torque(run: Run, path: Path) -> None:
             panels[3].axvspan(time[first], end, color=colours[name], alpha=0.45, linewidth=0.0)
     if met:
         panels[3].legend(
-            handles=[Patch(facecolor=colours[name], alpha=0.45, label=_literal(f"in {name}")) for name in met],
+            handles=[
+                Patch(facecolor=colours[name], alpha=0.45, label=f"in {name}".replace("$", r"\$")) for name in met
+            ],
             loc="lower left",
             ncols=3,
             frameon=False,
@@ -265,13 +260,8 @@ def draw_force_torque(run: Run, path: Path) -> None:
     chart.align_ylabels(panels)
     mark_events(panels, run.events)
     for line, sentence in enumerate(event_texts):
-        chart.text(0.11, (foot - 0.6 - EVENT_IN * line) / full, _literal(sentence), va="center", size=8.5)
+        chart.text(0.11, (foot - 0.6 - EVENT_IN * line) / full, sentence, va="center", size=8.5, parse_math=False)
     save(chart, path)
-
-
-def _literal(text: str) -> str:
-    """Text that matplotlib draws as it is: dollars are no formula."""
-    return text.replace("$", r"\$")
 
 
 def spells(names: NDArray[np.generic]) -> list[tuple[int, int, str]]:

@@ -112,9 +112,31 @@ class BoneShown:
         actors = [self._draw_part(name) for name in self._parts]
         shown = [actor for actor in actors if actor is not None]
         if self._by_depth and shown:
-            self._add_bar(shown[0])
+            plotter.add_scalar_bar(
+                DEPTH_TITLE,
+                mapper=shown[0].mapper,
+                vertical=True,
+                position_x=0.87,
+                position_y=0.45,
+                height=0.42,
+                width=0.07,
+                color="black",
+                fmt="%.2f",
+                title_font_size=24,
+                label_font_size=24,
+                below_label="",
+                render=False,
+            )
         elif self._visible and not self._by_depth:
-            self._add_legend()
+            # Layers and their colours; one that is off is pale.
+            entries = [[name, "lightgray" if name in self._hidden else self._colours[name]] for name in self.layers]
+            plotter.add_legend(
+                entries,
+                bcolor=None,
+                face="rectangle",
+                size=(0.14, 0.03 * len(entries) + 0.01),
+                loc="upper right",
+            )
 
     def _draw_part(self, name: str) -> "pyvista.Actor | None":
         """Draw one of the surfaces anew; its actor, None where there is nothing to show."""
@@ -127,32 +149,4 @@ class BoneShown:
         limits = (0.02 * self._limit, self._limit)
         return self._plotter.add_mesh(
             part, name=name, scalars=DEPTH, cmap="viridis", clim=limits, below_color=BONE, **SHADING
-        )
-
-    def _add_bar(self, actor: "pyvista.Actor") -> None:
-        self._plotter.add_scalar_bar(
-            DEPTH_TITLE,
-            mapper=actor.mapper,
-            vertical=True,
-            position_x=0.87,
-            position_y=0.45,
-            height=0.42,
-            width=0.07,
-            color="black",
-            fmt="%.2f",
-            title_font_size=24,
-            label_font_size=24,
-            below_label="",
-            render=False,
-        )
-
-    def _add_legend(self) -> None:
-        """Layers and their colours; one that is off is pale."""
-        entries = [[name, "lightgray" if name in self._hidden else self._colours[name]] for name in self.layers]
-        self._plotter.add_legend(
-            entries,
-            bcolor=None,
-            face="rectangle",
-            size=(0.14, 0.03 * len(entries) + 0.01),
-            loc="upper right",
         )

@@ -42,11 +42,11 @@ class LayerKeys:
     ) -> None:
         self._plotter, self._targets = plotter, tuple(targets)
         self.hidden: frozenset[str] = frozenset()
-        self.help = ""
-        if len(names) > 1:
-            self.help = "  ".join(f"{n}: {name}" for n, name in enumerate(names[:MOST], 1)) + " on or off"
-            for number, name in enumerate(names[:MOST], 1):
-                plotter.add_key_event(str(number), lambda name=name: self.toggle(name))
+        keys = dict(enumerate(names[:MOST], 1)) if len(names) > 1 else {}
+        listed = "  ".join(f"{number}: {name}" for number, name in keys.items())
+        self.help = f"{listed} on or off" if keys else ""
+        for number, name in keys.items():
+            plotter.add_key_event(str(number), lambda name=name: self.toggle(name))
         if hidden:
             self.toggle(*hidden)
 

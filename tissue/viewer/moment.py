@@ -49,7 +49,8 @@ class MomentShown:
         path = self._tips[every]
         if len(path) > 1 and np.ptp(path, axis=0).max() > 0.0:
             plotter.add_mesh(pyvista.lines_from_points(path), color="#D55E00", line_width=3, show_scalar_bar=False)
-        self._greatest = float(np.linalg.norm(self._force, axis=1).max())
+        self._peak = int(np.linalg.norm(self._force, axis=1).argmax())
+        self._greatest = float(np.linalg.norm(self._force[self._peak]))
         self._longest = LONGEST * max(float(np.ptp(path, axis=0).max()), size_mm, tool.length if tool else 0.0, 1.0)
         self._tool = ToolShown(plotter, tool, longest_mm=self._longest, opacity=0.35)
         self._text = plotter.add_text("", position=(0.012, 0.932), viewport=True, font_size=11, color="black")
@@ -58,14 +59,13 @@ class MomentShown:
     @property
     def extent_mm(self) -> NDArray[np.float64]:
         """Both ends of the tool's path and of the longest arrow [mm], shape (4, 3)."""
-        row = np.linalg.norm(self._force, axis=1).argmax()
-        arrow = self._longest * self._force[row] / max(self._greatest, 1e-9)
-        return np.stack([self._tips[0], self._tips[-1], self._tips[row], self._tips[row] + arrow])
+        tip, arrow = self._tips[self._peak], self._longest * self._force[self._peak] / max(self._greatest, 1e-9)
+        return np.stack([self._tips[0], self._tips[-1], tip, tip + arrow])
 
     @property
     def peak_s(self) -> float:
         """When the force was greatest [s]."""
-        return float(self._trace["time_s"][np.linalg.norm(self._force, axis=1).argmax()])
+        return float(self._trace["time_s"][self._peak])
 
     def row(self, time_s: float) -> int:
         """Row of the trace at a moment."""

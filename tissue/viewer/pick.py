@@ -61,13 +61,10 @@ class PointRead:
         if not picker.Pick(float(x), float(y), 0.0, self._plotter.renderer) or picker.GetCellId() < 0:
             return False
         mesh = self._fields.actor.mapper.dataset
-        self.mark(interpolated(mesh, picker.GetCellId(), np.array(picker.GetPickPosition()), REFERENCE))
-        return True
-
-    def mark(self, reference_mm: NDArray[np.float64]) -> None:
-        """Mark a point of the material by where it lay before loading [mm]."""
-        self.reference_mm = np.asarray(reference_mm, dtype=np.float64)
+        place = np.array(picker.GetPickPosition())
+        self.reference_mm = interpolated(mesh, picker.GetCellId(), place, REFERENCE)
         self.update()
+        return True
 
     def update(self) -> None:
         """Bring the mark and the words to the moment."""

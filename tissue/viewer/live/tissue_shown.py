@@ -1,7 +1,6 @@
 """The tissue in a live window: bone as it is carved, an organ's surface as it moves."""
 
 from collections.abc import Mapping
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,7 @@ from tissue.simulation.live.shared import SharedArrays
 from tissue.viewer.bone import layer_look
 from tissue.viewer.plotter import Plotter, add_names
 
-__all__ = ["LiveBone", "LiveOrgan", "LiveTissue", "live_tissue"]
+__all__ = ["LiveBone", "LiveOrgan", "live_tissue"]
 
 Array = NDArray[np.float64]
 Start = Mapping[str, NDArray[np.generic]]
@@ -27,24 +26,10 @@ AROUND = 0.7
 ORGAN = "#CC8E7D"
 
 
-class LiveTissue(Protocol):
-    """What is drawn of a tissue."""
-
-    points_mm: Array
-    """Points that have to be seen [mm], shape (n, 3)."""
-
-    def update(self) -> bool:
-        """Draw what has changed; whether anything has."""
-        ...
-
-
-def live_tissue(plotter: Plotter, start: Start, arrays: SharedArrays) -> LiveTissue | None:
+def live_tissue(plotter: Plotter, start: Start, arrays: SharedArrays) -> "LiveBone | LiveOrgan | None":
     """What is drawn of a tissue that `tissue.simulation.live` shares; None for one that its scene describes."""
-    if "remaining" in arrays:
-        return LiveBone(plotter, start, arrays)
-    if "moved" in arrays:
-        return LiveOrgan(plotter, start, arrays)
-    return None
+    kind = LiveBone if "remaining" in arrays else LiveOrgan if "moved" in arrays else None
+    return None if kind is None else kind(plotter, start, arrays)
 
 
 class LiveBone:
@@ -56,6 +41,11 @@ class LiveBone:
         Where it is shown.
     start, arrays
         As `tissue.simulation.live.tissues.BoneShared` shares them.
+
+    Attributes
+    ----------
+    points_mm
+        Points that have to be seen [mm], shape (n, 3).
     """
 
     def __init__(self, plotter: Plotter, start: Start, arrays: SharedArrays) -> None:
@@ -114,6 +104,11 @@ class LiveOrgan:
         Where it is shown.
     start, arrays
         As `tissue.simulation.live.tissues.OrganShared` shares them.
+
+    Attributes
+    ----------
+    points_mm
+        Points that have to be seen [mm], shape (n, 3).
     """
 
     def __init__(self, plotter: Plotter, start: Start, arrays: SharedArrays) -> None:
