@@ -13,12 +13,12 @@ import pytest
 
 from tissue import InputError, SavedRun, load_scene, simulate
 from tissue.simulation.run_folder import RunFolder
-from tissue.system.output_lock import OutputLock, identity, is_alive, output_locked
+from tissue.system.outputs import OutputLock, identity, is_alive, output_locked
 from tissue.system.stopping import Terminated, terminated_as_exception
 from tissue.viewer.view import _about
 
 QUICK = {"voxels.spacing_mm": 0.8, "duration_s": 0.02}
-HOLD = "import sys; from pathlib import Path; from tissue.system.output_lock import OutputLock; \
+HOLD = "import sys; from pathlib import Path; from tissue.system.outputs import OutputLock; \
 held = OutputLock(Path(sys.argv[1]), folder=sys.argv[2] == 'folder'); print('held', flush=True); sys.stdin.read()"
 
 

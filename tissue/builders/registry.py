@@ -8,7 +8,7 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress
 from tissue.builders.parts import Parts
 from tissue.motion.motion import FollowPath, Motion, PushAlongAxis
-from tissue.motion.replay import ReplayPoses, read_poses
+from tissue.motion.replay import ReplayPoses, read_replay
 from tissue.scene.named_parts import loaded
 from tissue.scene.registry import ANATOMIES, MOTIONS
 from tissue.scene.scene import Scene
@@ -65,7 +65,7 @@ def thrust(motion: ThrustMotion, step_s: float) -> PushAlongAxis:
 
 def replay(motion: ReplayMotion, step_s: float) -> ReplayPoses:
     """Recorded poses."""
-    return read_poses(Path(motion.file), step_s=step_s)
+    return read_replay(Path(motion.file), step_s=step_s)
 
 
 def _require_device(compute: str) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from tissue.cli.terminal import console, left_out, problems, whole
-from tissue.system.output_lock import output_locked
+from tissue.system.outputs import output_locked
 from tissue.system.stopping import Terminated
 
 if TYPE_CHECKING:

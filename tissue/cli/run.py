@@ -4,12 +4,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated, TypedDict
+from typing import TYPE_CHECKING, Annotated, TypedDict
 
 from cyclopts import Parameter
 
 from meshes.base.progress import silent
 from tissue.cli.terminal import console, left_out, progress, whole
+
+if TYPE_CHECKING:
+    from tissue.simulation.run_summary import Summary
 
 __all__ = ["run"]
 
@@ -114,11 +117,7 @@ def run(
         finished.draw = draw_pictures
         with progress() as report:
             finished.save(folder, formats=format_, pictures=pictures, progress=report)
-    from tissue.cli.summary_table import print_summary
-
-    print_summary(
-        console, finished.summary(), folder, wall_s=perf_counter() - started, saving_s=perf_counter() - simulated
-    )
+    _print_summary(finished.summary(), folder, wall_s=perf_counter() - started, saving_s=perf_counter() - simulated)
 
 
 class _Settings(TypedDict):
@@ -150,3 +149,36 @@ def _written(folder: Path) -> tuple[int, int] | None:
     except OSError:
         return None
     return found.st_mtime_ns, found.st_ino
+
+
+def _print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: float) -> None:
+    """The table a person reads after a run."""
+    from rich.table import Table
+
+    table = Table(title=f"{summary['scene']}: {summary['simulated_s']:g} s simulated in {wall_s:.1f} s")
+    table.add_column("quantity")
+    table.add_column("value", justify="right")
+    for layer, removed in summary["removed_mm3"].items() if summary["cuts"] else ():
+        table.add_row(f"removed {layer}", f"{removed:.2f} of {summary['start_mm3'][layer]:.1f} mm³")
+    table.add_row("force, peak / mean in contact", _pair(summary["force_N"], "N"))
+    table.add_row("torque, peak / mean in contact", _pair(summary["torque_Nm"], "N·m"))
+    tick = summary["tick_us"]
+    table.add_row("tick, median / 99 % / max", f"{tick['median']:.0f} / {tick['p99']:.0f} / {tick['max']:.0f} µs")
+    table.add_row("missed 1 ms deadlines", f"{summary['missed_deadlines']} of {summary['simulated_s'] * 1e3:.0f}")
+    if "late_us" in summary:
+        late = summary["late_us"]
+        table.add_row(
+            "delay of ticks, median / 99 % / max", f"{late['median']:.0f} / {late['p99']:.0f} / {late['max']:.0f} µs"
+        )
+        table.add_row("wall clock skipped", f"{summary['skipped_ms']:.1f} ms")
+    table.add_row("writing files and pictures", f"{saving_s:.1f} s")
+    console.print(table)
+    for event in summary["events"]:
+        console.print(f"at {event['time_s']:.3f} s: {event['what']}")
+    for name, note in summary["notes"].items():
+        console.print(f"{name}: {note}")
+    console.print(f"files in {folder}")
+
+
+def _pair(figures: dict[str, float], unit: str) -> str:
+    return f"{figures['peak']:.3g} / {figures['mean_in_contact']:.3g} {unit}"

@@ -7,7 +7,7 @@ from typing import Annotated
 from cyclopts import App, Parameter
 
 from tissue.cli.terminal import console, left_out, problems, progress, whole
-from tissue.system.output_lock import output_locked
+from tissue.system.outputs import output_locked
 
 __all__ = ["study"]
 

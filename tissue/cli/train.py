@@ -6,7 +6,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from tissue.cli.terminal import console, progress, whole
-from tissue.system.output_lock import output_locked
+from tissue.system.outputs import output_locked
 
 __all__ = ["train"]
 

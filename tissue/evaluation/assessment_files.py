@@ -7,7 +7,7 @@ from pathlib import Path
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.assessment import Assessment
 from tissue.figures.figure import figure, save
-from tissue.system.outputs import require_free_folder
+from tissue.system.outputs import prepare_folder
 
 __all__ = ["write_assessment"]
 
@@ -25,8 +25,7 @@ def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> lis
     InputError
         If the folder is a file, or holds another assessment.
     """
-    require_free_folder(folder, FILES, "assessment", overwrite=overwrite)
-    folder.mkdir(parents=True, exist_ok=True)
+    prepare_folder(folder, FILES, "assessment", overwrite=overwrite)
     data = {
         **found.figures,
         "limits": {

@@ -2,20 +2,32 @@
 
 from pathlib import Path
 
+import numpy as np
+from matplotlib.axes import Axes
+
 from meshes.base.errors import InputError
 from tissue.builders.loop import judged_loop
-from tissue.evaluation.stability_picture import draw_stability
+from tissue.figures.figure import figure, save
 from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.loop.critical_stiffness import in_hands
-from tissue.haptics.loop.stability_map import StabilityMap, stability_map
+from tissue.haptics.loop.stability_map import StabilityChart, StabilityMap, stability_map
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.registry import DEVICES
 from tissue.scene.scene import Scene
-from tissue.system.outputs import require_free_folder, write_columns
+from tissue.system.outputs import prepare_folder, write_columns
 
 __all__ = ["scene_stability", "stability_lines", "write_stability_files"]
 
 FILES = ("stability.png", "stability_damping.csv", "stability_delay.csv")
+LABELS = {
+    "wall_damping_N_s_m": ("virtual damping / N s/m", 1.0),
+    "delay_s": ("delay added to the hold / ms", 1e3),
+}
+LINES = {
+    "passive": ("#009E73", "--"),
+    "first order in delay": ("#E69F00", "-."),
+    "Pade": ("#CC79A7", ":"),
+}
 
 
 def scene_stability(scene: Scene) -> StabilityMap:
@@ -58,11 +70,44 @@ def write_stability_files(scene: Scene, found: StabilityMap, folder: Path, *, ov
     InputError
         If the folder is a file, or holds another map.
     """
-    require_free_folder(folder, FILES, "map", overwrite=overwrite)
-    folder.mkdir(parents=True, exist_ok=True)
-    draw_stability(found, folder / FILES[0], title=f"{scene.name}: {scene.device}, {scene.hand}")
+    prepare_folder(folder, FILES, "map", overwrite=overwrite)
+    _draw_stability(found, folder / FILES[0], title=f"{scene.name}: {scene.device}, {scene.hand}")
     for name, data in zip(FILES[1:], (found.over_damping, found.over_delay), strict=True):
         lines = {f"{line.replace(' ', '_')}_N_m": values for line, values in data.lines_N_m.items()}
         columns = {data.along: data.values, "measured_N_m": data.measured_N_m, "exact_N_m": data.exact_N_m}
         write_columns(folder / name, columns | lines)
     return [folder / name for name in FILES]
+
+
+def _draw_stability(found: StabilityMap, path: Path, *, title: str) -> None:
+    """Draw both charts: growth by eigenvalues as shading, the measured boundary, lines of theory, the chosen point."""
+    chart = figure(9.0, 4.9)
+    axes = chart.subplots(1, 2)
+    chart.subplots_adjust(left=0.09, right=0.98, top=0.84, bottom=0.25, wspace=0.24)
+    for panel, data in zip(axes, (found.over_damping, found.over_delay), strict=True):
+        _draw(panel, data, found)
+    chart.legend(*axes[0].get_legend_handles_labels(), loc="lower center", ncols=3, frameon=False, fontsize=9)
+    chart.text(0.09, 0.95, title, va="center", size=11)
+    chosen = f"chosen: {found.verdict.sentence(found.chosen.stiffness_N_m)}"
+    chart.text(0.09, 0.895, chosen, va="center", size=9, color="0.25")
+    save(chart, path)
+
+
+def _draw(panel: Axes, data: StabilityChart, found: StabilityMap) -> None:
+    """One chart."""
+    label, scale = LABELS[data.along]
+    across, low, high = scale * data.values, data.stiffnesses_N_m[0], data.stiffnesses_N_m[-1]
+    grows = np.where(data.growth >= 1.0, 1.0, np.nan)
+    panel.pcolormesh(across, data.stiffnesses_N_m, grows, cmap="Greys", vmin=0.0, vmax=4.0, shading="nearest")
+    panel.plot(across, data.exact_N_m, color="0.1", linewidth=2.0, label="eigenvalues, exact delay")
+    panel.plot(
+        across[::2], data.measured_N_m[::2], "o", color="#0072B2", markersize=4.5, label="measured by running it"
+    )
+    for name, values in data.lines_N_m.items():
+        colour, line = LINES[name]
+        shown = np.where((values > low) & (values < high), values, np.nan)
+        panel.plot(across, shown, color=colour, linestyle=line, linewidth=1.6, label=name)
+    x = scale * float(getattr(found.chosen, data.along))
+    panel.plot([x], [found.chosen.stiffness_N_m], "*", color="#D55E00", markersize=14, label="chosen", zorder=5)
+    panel.set(xlabel=label, ylabel="stiffness / N/m", yscale="log", ylim=(low, high))
+    panel.grid(alpha=0.3, which="both")

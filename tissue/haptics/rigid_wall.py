@@ -12,7 +12,6 @@ from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.device.supervision import run_held
 from tissue.haptics.hand.hand import Hand, HandParameters
 from tissue.haptics.hand.minimum_jerk import waypoints
-from tissue.haptics.loop.filters import LowPass
 from tissue.haptics.renderer import Renderer, renderer
 from tissue.models.tissue_model import TICK_S
 
@@ -55,10 +54,9 @@ def press_wall(
     *,
     duration_s: float,
     tick_s: float = TICK_S,
-    filter_s: float = 0.0,
     guard: SampleGuard | None = None,
 ) -> WallRun:
-    """Run device, proxy on the plane, renderer, low-pass and guard for a time [s].
+    """Run device, proxy on the plane, renderer and guard for a time [s].
 
     The proxy of a plane is the device's point where it is free and its foot on the plane elsewhere; its velocity is the
     part along the plane. Without a guard every sample is valid and no sample means no force. Whatever ends the run,
@@ -66,7 +64,6 @@ def press_wall(
     """
     ticks = round(duration_s / tick_s)
     position, velocity, force = np.zeros((3, ticks, 3))
-    low_pass = LowPass(filter_s, step_s=tick_s)
     nothing = np.zeros(3)
     held = SafeDevice(device, tick_s=tick_s)
 
@@ -82,8 +79,7 @@ def press_wall(
                 foot, slide = position[tick].copy(), velocity[tick].copy()
                 if foot[2] < 0.0:
                     foot[2] = slide[2] = 0.0
-                raw = law.render(position[tick], velocity[tick], foot, slide, tick_s)
-                wanted = low_pass.step(raw)
+                wanted = law.render(position[tick], velocity[tick], foot, slide, tick_s)
             else:
                 law.pause()
                 position[tick] = position[tick - 1]

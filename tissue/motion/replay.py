@@ -12,7 +12,7 @@ from meshes.base.errors import InputError
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.motion.motion import LONGEST_S, Motion
 
-__all__ = ["ReplayPoses", "read_poses"]
+__all__ = ["ReplayPoses", "read_replay"]
 
 Array = NDArray[np.float64]
 POSE_COLUMNS = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "tool_qz", "tool_qw")
@@ -70,7 +70,7 @@ class ReplayPoses(Motion):
             motion.heading[:] = self._headings[tick]
 
 
-def read_poses(path: Path, *, step_s: float) -> ReplayPoses:
+def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
     """Read a pose table: CSV with ``time_s`` and the tool's pose in the columns of ``trace.csv``.
 
     Raises

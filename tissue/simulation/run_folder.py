@@ -17,7 +17,7 @@ from tissue.scene.scene import Scene
 from tissue.simulation.run_summary import FORMAT, Summary, read_summary, summary_of
 from tissue.simulation.trace import Table, TraceWriter
 from tissue.simulation.trace_files import FORMATS, read_trace
-from tissue.system.output_lock import OutputLock, identity, is_alive
+from tissue.system.outputs import OutputLock, identity, is_alive
 from tissue.system.stopping import Terminated
 
 __all__ = ["FORMAT", "RunFolder", "SavedRun", "saved_placement"]

@@ -17,10 +17,9 @@ from tissue.viewer.clip import HELP as CLIP_HELP
 from tissue.viewer.clip import ClipPlane
 from tissue.viewer.fields import FieldsShown, Plane
 from tissue.viewer.layers import LayerKeys
-from tissue.viewer.list import NameList
 from tissue.viewer.moment import CHART_SHARE, MomentShown
 from tissue.viewer.movie import movie_times_s
-from tissue.viewer.pick import PointRead
+from tissue.viewer.pick import NameList, PointRead
 from tissue.viewer.play import Playback
 from tissue.viewer.plotter import Plotter, add_names, free_keys, on_click
 from tissue.viewer.run import faces_of

@@ -21,8 +21,7 @@ from tissue.evaluation.charts.law import LawError
 from tissue.evaluation.charts.measure import Measured, excerpt, measure, reference_gap, setting_key
 from tissue.evaluation.charts.picture import draw_frontiers
 from tissue.evaluation.charts.places import placed
-from tissue.evaluation.charts.ready import make_ready
-from tissue.evaluation.charts.scenes import chart_lines, chart_scenes
+from tissue.evaluation.charts.scenes import chart_lines, chart_scenes, make_ready
 from tissue.evaluation.charts.settings import Setting, by_hand, finest, settings_of
 from tissue.fem.hyperelastic import Law, NonlinearBody
 from tissue.fem.linear_limits import press_at

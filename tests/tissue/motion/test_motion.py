@@ -8,7 +8,7 @@ from tissue import InputError
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.motion.motion import FollowPath, PushAlongAxis, frame_along, matrix_of, quaternion_of
 from tissue.motion.quaternion import turn_between
-from tissue.motion.replay import ReplayPoses, read_poses
+from tissue.motion.replay import ReplayPoses, read_replay
 
 STEP_S = 1e-3
 Z = (0.0, 0.0, 1.0)
@@ -150,7 +150,7 @@ def test_a_table_reads_in_its_units_whatever_the_order_of_columns_and_the_first_
         "tool_qw,note,tool_qx,tool_qy,tool_qz,tool_x_mm,tool_y_mm,tool_z_mm,time_s\n"
         "1,a,0,0,0,1,2,3,10.0\n1,b,0,0,0,2,2,3,10.5\n"
     )
-    motion = read_poses(tmp_path / "poses.csv", step_s=STEP_S)
+    motion = read_replay(tmp_path / "poses.csv", step_s=STEP_S)
     tips, _, _, speeds = ticks(motion, 501)
     np.testing.assert_allclose(tips[[0, 250, 500]], [[1e-3, 2e-3, 3e-3], [1.5e-3, 2e-3, 3e-3], [2e-3, 2e-3, 3e-3]])
     np.testing.assert_allclose(speeds[1:], 2e-3, rtol=1e-9)

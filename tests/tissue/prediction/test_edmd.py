@@ -7,11 +7,11 @@ import pytest
 from koopman_systems import duffing, record
 
 from tissue.prediction.edmd.dictionary import Delays, Identity
-from tissue.prediction.edmd.dictionary_file import from_plain, to_plain
 from tissue.prediction.edmd.edmd import Edmd
 from tissue.prediction.edmd.episodes import Episode
 from tissue.prediction.edmd.gap_products import GapProducts
 from tissue.prediction.edmd.polynomials import Polynomials
+from tissue.prediction.edmd.predictor_file import from_plain, to_plain
 from tissue.prediction.edmd.radial import Gaussians, ThinPlates
 from tissue.prediction.edmd.regression import regress
 from tissue.prediction.edmd.validation import choose, horizon_errors

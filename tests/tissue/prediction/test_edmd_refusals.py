@@ -6,10 +6,10 @@ from koopman_systems import duffing, record
 
 from tissue import InputError
 from tissue.prediction.edmd.dictionary import Delays, Identity
-from tissue.prediction.edmd.dictionary_file import from_plain
 from tissue.prediction.edmd.edmd import Edmd
 from tissue.prediction.edmd.episodes import Episode
 from tissue.prediction.edmd.polynomials import Polynomials
+from tissue.prediction.edmd.predictor_file import from_plain
 from tissue.prediction.edmd.radial import Gaussians
 from tissue.prediction.edmd.validation import horizon_errors
 

@@ -13,9 +13,9 @@ from tissue.evaluation.training.fitting import fit
 from tissue.evaluation.training.recording import Recording
 from tissue.prediction.baselines import Kalman, Linear, LinearControl, kalman_gains
 from tissue.prediction.edmd.dictionary import Identity
-from tissue.prediction.edmd.dictionary_file import from_plain, to_plain
 from tissue.prediction.edmd.edmd import Edmd
 from tissue.prediction.edmd.overlaps import Overlaps
+from tissue.prediction.edmd.predictor_file import from_plain, to_plain
 from tissue.prediction.guard import BLEND, PROBATION, Guarded
 from tissue.prediction.koopman import WIDTH, Koopman
 from tissue.prediction.predictor import Hold

@@ -11,7 +11,7 @@ from pathlib import Path
 from meshes.base.cache import cache_folder, read_entry, write_entry
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
-from tissue.evaluation.charts.error_bounds import bound_row
+from tissue.evaluation.charts.error_bounds import bound_row, float32_error
 from tissue.evaluation.charts.law import LawError, law_error
 from tissue.evaluation.charts.measure import (
     PROTOCOL,
@@ -24,7 +24,6 @@ from tissue.evaluation.charts.measure import (
     scene_text,
     setting_key,
 )
-from tissue.evaluation.charts.rounding import float32_error
 from tissue.evaluation.charts.settings import Setting, settings_of
 from tissue.scene.scene import Scene
 

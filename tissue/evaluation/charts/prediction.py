@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
+from meshes.base.whole_file import whole_file
 from tissue.builders.prediction import trained_predictor
-from tissue.evaluation.charts.prediction_files import FILES, write_comparisons
 from tissue.evaluation.charts.prediction_picture import draw_scene, draw_tasks
 from tissue.evaluation.training.evaluation import HORIZONS, forecast_errors
 from tissue.evaluation.training.fitting import loop_terms
@@ -23,16 +23,9 @@ from tissue.prediction.predictor import Predictor
 from tissue.prediction.trained import Trained, shipped_file
 from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Scene
-from tissue.system.outputs import require_free_folder
+from tissue.system.outputs import prepare_folder
 
-__all__ = [
-    "Interval",
-    "PredictorComparison",
-    "chart_prediction",
-    "compare",
-    "comparison_lines",
-    "interval",
-]
+__all__ = ["Interval", "PredictorComparison", "chart_prediction", "compare", "comparison_lines", "interval"]
 
 FIRST_SEED = 10_000
 """Seeds of unseen runs begin here; training uses those from 0 on."""
@@ -44,6 +37,14 @@ SIZES = (1, 2, 4, 8, 12)
 """Runs to train on."""
 SIZED_RUNS = 8
 """Unseen runs by which training sizes are compared."""
+FILES = ("prediction_tasks.png", "errors.csv", "cost.csv", "spectrum.csv", "training.csv", "slow_model.csv")
+HEADS = {
+    "errors.csv": "scene,predictor,horizon_ms,runs,error,low,high",
+    "cost.csv": "scene,predictor,median_us,p99_us",
+    "spectrum.csv": "scene,real,imaginary,size",
+    "training.csv": "scene,runs,error,low,high",
+    "slow_model.csv": "scene,predictor,error,low,high,cost_us",
+}
 
 
 @dataclass(frozen=True)
@@ -170,16 +171,15 @@ def chart_prediction(
     """
     if trials < 2:
         raise InputError(f"trials must be at least 2, got {trials}: use 30")
-    require_free_folder(folder, FILES, "chart", overwrite=overwrite)
+    prepare_folder(folder, FILES, "chart", overwrite=overwrite)
     found = []
     for index, scene in enumerate(scenes):
         onward = lambda doing, share, index=index: report(doing, (index + share) / len(scenes))  # noqa: E731
         found.append(compare(scene, trials=trials, report=onward))
-    folder.mkdir(parents=True, exist_ok=True)
     for each in found:
         draw_scene(each, folder / f"prediction_{each.scene}.png")
     draw_tasks(found, folder / "prediction_tasks.png")
-    write_comparisons(found, folder)
+    _write_comparisons(found, folder)
     return found
 
 
@@ -205,3 +205,28 @@ def comparison_lines(found: Sequence[PredictorComparison]) -> list[str]:
             f"{100 * apart.mean:+.2f} in pairs ({100 * apart.low:+.2f} to {100 * apart.high:+.2f})"
         )
     return lines
+
+
+def _write_comparisons(found: Sequence[PredictorComparison], folder: Path) -> None:
+    """Write all tables; errors are shares of the force, low and high their 95 % interval."""
+    rows: dict[str, list[str]] = {name: [head] for name, head in HEADS.items()}
+    for each in found:
+        for kind, errors in each.errors.items():
+            for horizon in HORIZONS:
+                at = each.at(kind, horizon)
+                rows["errors.csv"].append(_line(each.scene, kind, horizon, len(errors), at.mean, at.low, at.high))
+        for kind, (median, p99) in each.cost_us.items():
+            rows["cost.csv"].append(_line(each.scene, kind, median, p99))
+        for value in each.eigenvalues.tolist():
+            rows["spectrum.csv"].append(_line(each.scene, value.real, value.imag, abs(value)))
+        for size, at in each.sizes.items():
+            rows["training.csv"].append(_line(each.scene, size, at.mean, at.low, at.high))
+        for kind, (at, cost_us) in each.slow.items():
+            rows["slow_model.csv"].append(_line(each.scene, kind, at.mean, at.low, at.high, cost_us))
+    for name, lines in rows.items():
+        with whole_file(folder / name) as temporary:
+            temporary.write_text("\n".join(lines) + "\n", "utf-8")
+
+
+def _line(*cells: object) -> str:
+    return ",".join(cell if isinstance(cell, str) else repr(cell) for cell in cells)

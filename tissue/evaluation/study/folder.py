@@ -14,7 +14,7 @@ from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.plan import Plan, TrialKey
 from tissue.evaluation.study.tasks import TASKS
 from tissue.evaluation.study.trial import Row, Trial
-from tissue.system.output_lock import LOCK
+from tissue.system.outputs import LOCK
 
 __all__ = ["StudyFolder"]
 

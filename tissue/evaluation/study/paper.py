@@ -38,14 +38,12 @@ LATENCY = Figure(4.3)
 COMPOSITE = {"penalty": Figure(0.72, 0.05), "koopman-perception": Figure(0.91, 0.03)}
 """Composite index."""
 CASES = {
-    "discrimination_gain_percent": Figure(20.0, 2.0),
     "overshoot_penalty_mm": Figure(1.34, 0.21),
     "overshoot_koopman_mm": Figure(0.92, 0.15),
-    "capsule_error_percent": Figure(10.0),
     "reaming_rms_N": Figure(2.5),
     "reaming_position_mm": Figure(0.1),
     "torque_step_Nm": Figure(0.08),
     "caries_right_percent": Figure(92.0),
     "drilling_latency_ms": Figure(4.5),
 }
-"""Case studies; errors of capsule and reaming and the latency are upper bounds, the gain is printed as 18 to 22."""
+"""Case studies; errors of reaming and the latency are upper bounds."""

@@ -22,7 +22,7 @@ from tissue.evaluation.study.section import Section
 from tissue.evaluation.study.sensitivity import reference_section, sensitivity_section, speed_section
 from tissue.evaluation.study.tasks import TASKS
 from tissue.evaluation.study.tested import composite_section, power_section, regression_section, tests_sections
-from tissue.system.output_lock import output_locked
+from tissue.system.outputs import output_locked
 
 __all__ = ["sections_of", "write_report"]
 

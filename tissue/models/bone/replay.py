@@ -22,7 +22,7 @@ class CarvingReplay:
     cutter, removal
         The tool, and how it removes.
     poses
-        Poses of the run, see `tissue.motion.pose_log.PoseLog.poses`.
+        Poses of the run, see `tissue.simulation.tick.PoseLog`.
     device
         Warp device name; that of the run gives the same bits.
 

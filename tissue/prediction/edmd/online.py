@@ -88,11 +88,6 @@ class Online:
         self._turn = (self._turn + 1) % self._size
         return (size / self._count) ** 0.5
 
-    @property
-    def gain_bound(self) -> float:
-        """Largest gain that any next sample could have now: half the root of the covariance's largest eigenvalue."""
-        return 0.5 * float(np.sqrt(np.linalg.eigvalsh(self._covariance)[-1] / self._forgetting))
-
     def operator(self, cap: float | None = 1.0) -> Operator:
         """What has been learnt so far, its eigenvalues capped (None: left), in the units of the observables.
 

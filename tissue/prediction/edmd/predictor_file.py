@@ -1,8 +1,8 @@
 """Operators in a file: arrays and one line of JSON in an npz archive, nothing that could run."""
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 from zipfile import is_zipfile
@@ -13,16 +13,23 @@ from meshes.base.arrays import Array
 from meshes.base.errors import DamagedFileError, InputError
 from meshes.base.file_version import package_version, require_version
 from meshes.base.whole_file import whole_file
-from tissue.prediction.edmd.dictionary_file import from_plain, to_plain
+from tissue.prediction.edmd.dictionary import Delays, Dictionary, Identity
+from tissue.prediction.edmd.gap_products import GapProducts
 from tissue.prediction.edmd.lifted import FitStatistics, Operator
+from tissue.prediction.edmd.overlaps import Overlaps
+from tissue.prediction.edmd.polynomials import Polynomials
+from tissue.prediction.edmd.radial import Gaussians, ThinPlates
 from tissue.system.outputs import require_new_file
 
-__all__ = ["VERSION", "StoredPredictor", "read_predictor", "write_predictor"]
+__all__ = ["VERSION", "StoredPredictor", "from_plain", "read_predictor", "to_plain", "write_predictor"]
 
 FORMAT, VERSION = "tissue predictor", 1
 ARRAYS = ("A", "B", "offset", "middle", "scale", "input_middle", "input_scale", "moments")
 BOX = ("lowest", "highest")
 """Arrays of an operator, and those that a file keeps as of its training."""
+KINDS: dict[object, Callable[..., Dictionary]] = {
+    kind.__name__: kind for kind in (Identity, Polynomials, Gaussians, ThinPlates, GapProducts, Overlaps, Delays)
+}
 
 
 @dataclass(frozen=True)
@@ -151,3 +158,35 @@ def _operator(name: str, plain: Mapping[str, Any], arrays: Mapping[str, Array]) 
     return Operator(
         dictionary=dictionary, **given, statistics=FitStatistics(**statistics), step_s=float(plain["step_s"])
     )
+
+
+def to_plain(dictionary: Dictionary) -> dict[str, object]:
+    """The dictionary as names, numbers and lists, for a file."""
+    given = {field.name: getattr(dictionary, field.name) for field in fields(dictionary)}  # type: ignore[arg-type]
+    plain = {name: to_plain(value) if isinstance(value, Dictionary) else value for name, value in given.items()}
+    return {"kind": type(dictionary).__name__} | plain
+
+
+def from_plain(plain: Mapping[str, object]) -> Dictionary:
+    """The dictionary that `to_plain` described; empty lists are left at their defaults.
+
+    Raises
+    ------
+    InputError
+        If the kind or one of its fields is unknown, or a value cannot be used.
+    """
+    given = {name: _frozen(value) for name, value in plain.items() if value != []}
+    kind = given.pop("kind", None)
+    if kind not in KINDS:
+        raise InputError(f"kind must be one of {', '.join(map(str, KINDS))}, got {kind}: train the predictor again")
+    try:
+        return KINDS[kind](**given)
+    except TypeError as problem:
+        raise InputError(f"{kind} must have the fields of this version, got {problem}: train it again") from None
+
+
+def _frozen(value: object) -> object:
+    """Lists as tuples, descriptions as dictionaries of observables."""
+    if isinstance(value, Mapping):
+        return from_plain(value)
+    return tuple(_frozen(each) for each in value) if isinstance(value, list) else value
