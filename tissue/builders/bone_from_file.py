@@ -38,7 +38,7 @@ def bone_from_file(parameters: AnatomyFile, notes: dict[str, str]) -> Anatomy:
     assert parameters.file is not None
     cuts: tuple[NDArray[np.float64], ...] = ()
     if parameters.is_image:
-        image, threshold = read_image(parameters.file, spacing_mm=parameters.spacing_mm), _threshold(parameters)
+        threshold, image = _threshold(parameters), read_image(parameters.file, spacing_mm=parameters.spacing_mm)
         triangles, source = image_triangles(image, threshold=threshold), image.source
         cuts = image_cuts(image, threshold=threshold)
         places = f"{len(cuts)} places" if len(cuts) > 1 else "one place"
@@ -65,9 +65,10 @@ def whole_image(scene: Scene, *, notes: dict[str, str]) -> VoxelVolume:
 
     parameters = scene.bone
     remarks: list[str] = []
+    threshold = _threshold(parameters)
     volume = image_volume(
         read_image(parameters.file or "", spacing_mm=parameters.spacing_mm),
-        threshold=_threshold(parameters),
+        threshold=threshold,
         density_kg_m3=parameters.density_kg_m3 if isinstance(parameters, BlockAnatomy) else 1800.0,
         resample_mm=scene.voxels.spacing_mm,
         remark=remarks.append,
