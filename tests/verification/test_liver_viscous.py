@@ -4,7 +4,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from prony_series import compliance_of, modulus_of, relaxation_of
+from prony_series import compliance_of, modulus_of, relaxation_of, started
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import nnls
 
@@ -37,8 +37,7 @@ def test_step_of_force_creeps(surface):
     """A force that jumps and stays: the creep compliance at every node, exactly."""
     nodes, compliance = surface
     elastic = (compliance @ np.random.default_rng(0).normal(size=3 * len(nodes))).reshape(-1, 3)
-    creep = HereditaryIntegral(SERIES.retardation, (len(nodes), 3), step_s=STEP_S)
-    creep.restart(elastic)
+    creep = started(SERIES.retardation, elastic, step_s=STEP_S)
     for tick in range(1, 2001):
         now = creep.instant_factor * elastic + creep.history
         creep.advance(elastic)
@@ -53,13 +52,12 @@ def patch(surface):
     return near, compliance[:, 3 * near + 2]
 
 
-def pressed(surface, depths, *, elastic_start=None, step_s=STEP_S):
+def pressed(surface, depths, *, elastic_start=0.0, step_s=STEP_S):
     """Force [N] on a bonded punch that follows ``depths`` [m], solved tick by tick on the compliance."""
     near, columns = patch(surface)
     mutual = columns[3 * near + 2]
-    creep = HereditaryIntegral(SERIES.retardation, (len(surface[0]), 3), step_s=step_s)
-    if elastic_start is not None:
-        creep.restart((columns @ np.linalg.solve(mutual, np.full(len(near), elastic_start))).reshape(-1, 3))
+    before = (columns @ np.linalg.solve(mutual, np.full(len(near), elastic_start))).reshape(-1, 3)
+    creep = started(SERIES.retardation, before, step_s=step_s)
     force = []
     for depth in depths:
         nodal = np.linalg.solve(creep.instant_factor * mutual, depth - creep.history[near, 2])

@@ -112,7 +112,6 @@ class HereditaryIntegral:
         """Response at the end of a step to a unit of input reached there, 1 for a short step."""
         self._keep = 1.0 - fall
         self._gain = spectrum.amplitude * mean * fall
-        self._start = spectrum.amplitude * (mean - self._keep)
         self._terms = np.zeros((len(ratio), *shape))
         self._scaled = np.zeros(shape)
         self.history = np.zeros(shape)
@@ -124,10 +123,4 @@ class HereditaryIntegral:
             term *= keep
             np.multiply(value, gain, out=self._scaled)
             term += self._scaled
-        np.add.reduce(self._terms, axis=0, out=self.history)
-
-    def restart(self, value: ArrayLike = 0.0) -> None:
-        """Forget all; the input jumps to this value now."""
-        for term, start in zip(self._terms, self._start, strict=True):
-            np.multiply(value, start, out=term)
         np.add.reduce(self._terms, axis=0, out=self.history)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from prony_series import compliance_of, modulus_of, relaxation_of
+from prony_series import compliance_of, modulus_of, relaxation_of, started
 from scipy.integrate import quad
 
 from meshes.base.errors import InputError
@@ -89,13 +89,11 @@ def test_equal_times_merge():
     )
 
 
-def test_nothing_is_allocated_and_a_restart_forgets():
-    """The history stays in one array; after a restart with a jump the response is the step response."""
-    state = HereditaryIntegral(SERIES.retardation, (5, 3), step_s=1e-3)
-    place, value = state.history, np.ones((5, 3))
-    for _ in range(10):
-        state.advance(value)
-    state.restart(value)
+def test_the_history_stays_in_one_array():
+    """After a jump the response is the step response."""
+    value = np.ones((5, 3))
+    state = started(SERIES.retardation, value, step_s=1e-3)
+    place = state.history
     for _ in range(99):
         state.advance(value)
     assert state.history is place

@@ -5,7 +5,8 @@ from matplotlib.figure import Figure
 
 from tissue.evaluation.atlas.drawing import GREEN, GREY, panel
 from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
-from tissue.evaluation.atlas.tapping import LIMIT_N, TICK_S, koopman, predicted, relative_error, tapped, trained
+from tissue.evaluation.atlas.tapping import LIMIT_N, TICK_S, koopman, relative_error, tapped, trained
+from tissue.evaluation.training.evaluation import forecast
 from tissue.prediction.baselines import Kalman, Linear
 from tissue.prediction.guard import Guarded
 from tissue.prediction.predictor import Hold, Predictor
@@ -39,11 +40,11 @@ def measure(quick: bool) -> Data:
     """Relative errors over the horizon on a recording that nothing has learnt from."""
     horizons = [1, 4, 8, 64] if quick else [1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64]
     recording = tapped(STIFFNESS_N_M, seed=9, seconds=1.5 if quick else 4.0)
-    force = recording[1]
+    force = recording.force_N
     data = {"ahead_ms": 1e3 * TICK_S * np.array(horizons, dtype=float)}
     for name, each in predictors().items():
-        forces, _ = predicted(each, recording, horizons)
-        data[name] = np.array([relative_error(forces[row], force, horizon) for row, horizon in enumerate(horizons)])
+        forces, _ = forecast(each, recording, horizons)
+        data[name] = np.array([relative_error(forces[:, row], force, horizon) for row, horizon in enumerate(horizons)])
     # For a short time a held force is off by the rate of the force times that time.
     rate = (force[104:] - force[100:-4]) / 4.0  # over 4 ms: over one, encoder steps are most of it
     data["theory_hold"] = np.array(horizons) * np.linalg.norm(rate) / np.linalg.norm(force[100:])
@@ -75,7 +76,8 @@ def judge(data: Data) -> Verdict:
 def ask() -> list[Answer]:
     """Samples that are not finite, a pause, and predictors that cannot be."""
     guarded = predictors()["koopman"]
-    position, force = tapped(STIFFNESS_N_M, seed=9, seconds=2.0)
+    recording = tapped(STIFFNESS_N_M, seed=9, seconds=2.0)
+    position, force = recording.position_m, recording.force_N
     deep = int(np.argmax(np.linalg.norm(force, axis=1)))
     for tick in range(deep):
         guarded.observe(position[tick], np.zeros(3), force[tick])

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from meshes.base.arrays import Array
+from tissue.evaluation.training.recording import Recording
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import Hand, hand_parameters
@@ -17,9 +18,8 @@ from tissue.prediction.edmd.episodes import Episode
 from tissue.prediction.edmd.gap_products import GapProducts
 from tissue.prediction.edmd.lifted import Operator
 from tissue.prediction.koopman import Koopman, LoopTerms
-from tissue.prediction.predictor import Predictor
 
-__all__ = ["LIMIT_N", "TICK_S", "koopman", "predicted", "relative_error", "tapped", "trained"]
+__all__ = ["LIMIT_N", "TICK_S", "koopman", "relative_error", "tapped", "trained"]
 
 DEVICE = device_parameters("six-dof")
 LIMIT_N, TICK_S, LAGS, LONGEST_HORIZON = DEVICE.force_limit_N, 1e-3, 6, 64
@@ -27,8 +27,8 @@ TURN = np.array([[2.0, -2.0, 1.0], [1.0, 2.0, 2.0], [-2.0, -1.0, 2.0]]) / 3.0
 """The wall's frame in the world: askew, so that every component of position and force varies."""
 
 
-def tapped(stiffness_N_m: float, *, seed: int, seconds: float) -> tuple[Array, Array]:
-    """Positions [m] and forces [N] at the device, shapes (n, 3), of a novice who taps a wall and leans on it."""
+def tapped(stiffness_N_m: float, *, seed: int, seconds: float) -> Recording:
+    """Positions, velocities and forces at the device of a novice who taps a wall and leans on it."""
     rng = np.random.default_rng(seed)
     times = np.arange(0.0, seconds + 2.0, 0.35)
     depths = np.where(np.arange(len(times)) % 2, -rng.uniform(2e-3, 8e-3, len(times)), 4e-3)
@@ -36,14 +36,15 @@ def tapped(stiffness_N_m: float, *, seed: int, seconds: float) -> tuple[Array, A
     hand = Hand(hand_parameters("novice"), waypoints(times, points), rng=rng)
     simulated = SimulatedDevice(DEVICE, hand, position_m=(0.0, 0.0, 4e-3))
     run = press_wall(simulated, renderer("penalty", DEVICE.loop(stiffness_N_m)), duration_s=seconds)
-    return run.position_m @ TURN.T, run.force_N @ TURN.T
+    position = run.position_m @ TURN.T
+    return Recording(position, np.gradient(position, TICK_S, axis=0), run.force_N @ TURN.T, "novice", seed)
 
 
-def trained(recordings: Sequence[tuple[Array, Array]]) -> Operator:
+def trained(recordings: Sequence[Recording]) -> Operator:
     """An operator on windows of position and force with the wall's overlap among its observables, capped at 1."""
     nx, ny, nz = TURN[:, 2].tolist()
     dictionary = Delays(LAGS, GapProducts((nx, ny, nz)))
-    episodes = [Episode(np.hstack(recording), None, TICK_S) for recording in recordings]
+    episodes = [Episode(np.hstack((each.position_m, each.force_N)), None, TICK_S) for each in recordings]
     return Edmd(dictionary, ridge=1e-9, cap=1.0).fit(episodes)
 
 
@@ -55,20 +56,6 @@ def koopman(operator: Operator) -> Koopman:
         growth=25.0, following=np.zeros((3, 3)),
     )  # fmt: skip
     return Koopman(operator, terms)
-
-
-def predicted(predictor: Predictor, recording: tuple[Array, Array], horizons: Sequence[int]) -> tuple[Array, Array]:
-    """Forces predicted for each horizon at every tick, shape (h, n, 3), and whether they are the primary's, (n,)."""
-    position, force = recording
-    velocity = np.gradient(position, TICK_S, axis=0)
-    predictions, is_primary = np.zeros((len(horizons), len(force), 3)), np.zeros(len(force))
-    with np.errstate(over="ignore", invalid="ignore"):
-        for tick in range(len(force)):
-            predictor.observe(position[tick], velocity[tick], force[tick])
-            is_primary[tick] = float(predictor.is_primary)
-            for row, horizon in enumerate(horizons):
-                predictions[row, tick] = predictor.predict(horizon)
-    return predictions, is_primary
 
 
 def relative_error(predictions: Array, force: Array, horizon: int) -> float:

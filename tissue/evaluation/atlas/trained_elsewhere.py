@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from tissue.builders.prediction import predictor
 from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, panel
 from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, error_of, refused, shown, sweep
-from tissue.evaluation.atlas.tapping import LIMIT_N, TICK_S, koopman, predicted, relative_error, tapped, trained
+from tissue.evaluation.atlas.tapping import LIMIT_N, TICK_S, koopman, relative_error, tapped, trained
+from tissue.evaluation.training.evaluation import forecast
 from tissue.prediction.edmd.predictor_file import read_predictor, write_predictor
 from tissue.prediction.guard import Guarded
 from tissue.prediction.predictor import Hold, Predictor
@@ -35,8 +36,8 @@ def measure(quick: bool) -> Data:
         predictors: dict[str, Predictor] = {"hold": Hold(), "bare": koopman(operator), "guarded": guarded}
         found = {}
         for name, each in predictors.items():
-            predictions, is_primary = predicted(each, recording, [HORIZON_TICKS])
-            found[name] = relative_error(predictions[0], recording[1], HORIZON_TICKS)
+            predictions, is_primary = forecast(each, recording, [HORIZON_TICKS])
+            found[name] = relative_error(predictions[:, 0], recording.force_N, HORIZON_TICKS)
         return found | {"own_share": is_primary.mean()}
 
     table = sweep("stiffness_N_m", stiffnesses, errors)
@@ -76,8 +77,8 @@ def ask() -> list[Answer]:
         files = [other, refused("a file that was cut off", lambda: read_predictor(path))]
     guarded = Guarded(koopman(operator), Hold(), reach_N=LIMIT_N)
     recording = tapped(4.0 * HOME_N_M, seed=9, seconds=1.0)
-    forces, is_primary = predicted(guarded, recording, [HORIZON_TICKS])
-    steps = np.abs(np.diff(np.linalg.norm(forces[0], axis=1))).max()
+    forces, is_primary = forecast(guarded, recording, [HORIZON_TICKS])
+    steps = np.abs(np.diff(np.linalg.norm(forces[:, 0], axis=1))).max()
     return [
         *(replace(each, result=each.result.replace(f"{folder}/", "")) for each in files),
         shown("a wall four times as stiff", bool(np.isfinite(forces).all()) and float(is_primary[200:].min()) == 0.0,
