@@ -29,7 +29,7 @@ def free_modes(nodes_m: Array, held: NDArray[np.bool_]) -> list[str]:
     nodes_m
         Nodes of one connected body [m], shape (n, 3).
     held
-        Components that are fixed or on springs, shape (n, 3).
+        Components that are fixed, shape (n, 3).
     """
     centre = nodes_m.mean(axis=0)
     size = max(float(np.linalg.norm(nodes_m - centre, axis=1).max()), 1e-300)
