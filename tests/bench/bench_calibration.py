@@ -68,7 +68,7 @@ def calibrated(people: SimulatedObservers, trials: int, prior: ThresholdPrior | 
 def trial() -> None:
     """Cost of a trial on a grid of 50 stimuli and 2,400 parameters."""
     prior = ThresholdPrior(cells=60, offset_cells=8, lapse_cells=5)
-    ours = AdaptiveThreshold(prior, comparisons((1.0,), count=50, force_limit_N=10.0))
+    ours = AdaptiveThreshold(prior, (np.ones(50), 1.2 * np.geomspace(0.005, 1.5, 50)))
     rng = np.random.default_rng(0)
 
     def one(_: int) -> None:
@@ -87,7 +87,7 @@ def trial() -> None:
                 "threshold": np.log10(prior.webers * 1.2),
                 "slope": np.linspace(1.0, 5.0, 8),
                 "lower_asymptote": np.array([0.5]),
-                "lapse_rate": prior.lapses,
+                "lapse_rate": np.unique(prior.parameters()[2]),
             },
             outcome_domain={"response": ["Yes", "No"]},
             func="weibull",

@@ -119,7 +119,7 @@ def against_aggregation(cells: int) -> None:
     except ImportError:
         print("pyamg is not installed: pip install pyamg")
         return
-    free = np.flatnonzero((~body.fixed).ravel())
+    free = np.flatnonzero((~body.supports.fixed).ravel())
     matrix = body.matrix().tocsr()[free][:, free]
     scale = 1.0 / np.sqrt(matrix.diagonal())
     modes = rigid_motions(body.grid.node_position_m, body.grid.node_position_m.mean(axis=0)).reshape(-1, 6)[free]
