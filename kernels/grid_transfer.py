@@ -33,8 +33,6 @@ def coarse_stiffness(
     live: wp.array(dtype=wp.uint8),  # [cell]
     stiffness: wp.array2d(dtype=wp.mat33d),  # [cell, block]
     free: wp.array(dtype=wp.vec3d),  # [node]
-    spring: wp.array(dtype=wp.vec3d),  # [node]
-    spring_cell: wp.array(dtype=wp.int32),  # [node], the cell that brings the node's spring up
     # coarse
     children: wp.array2d(dtype=wp.int32),  # [coarse cell, child] or -1
     changed: wp.array(dtype=wp.int32),  # coarse cells to sum again
@@ -50,24 +48,15 @@ def coarse_stiffness(
     any_live = wp.uint8(0)
     for child in range(8):
         cell = children[coarse, child]
-        if cell >= 0:
+        here = cell >= 0
+        if here:
             here = live[cell] != wp.uint8(0)
-            if here:
-                any_live = wp.uint8(1)
+        if here:
+            any_live = wp.uint8(1)
             for a in range(8):
-                node_a = cell_nodes[cell, a]
-                free_a = free[node_a]
-                held = wp.vec3d()
-                if spring_cell[node_a] == cell:
-                    held = wp.cw_mul(free_a, spring[node_a])
-                    if wp.max(held) > wp.float64(0.0):
-                        any_live = wp.uint8(1)
+                free_a = free[cell_nodes[cell, a]]
                 for b in range(8):
-                    part = wp.mat33d()
-                    if here:
-                        part = wp.cw_mul(wp.outer(free_a, free[cell_nodes[cell, b]]), cell_block(stiffness, cell, a, b))
-                    if a == b:
-                        part += wp.diag(held)
+                    part = wp.cw_mul(wp.outer(free_a, free[cell_nodes[cell, b]]), cell_block(stiffness, cell, a, b))
                     for parent_a in range(8):
                         share_a = share(child, a, parent_a)
                         if share_a != wp.float64(0.0):

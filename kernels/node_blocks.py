@@ -23,7 +23,6 @@ def assemble_rows(
     node_cells: wp.array2d(dtype=wp.int32),  # [node, corner]
     neighbour_block: wp.array2d(dtype=wp.int32),  # [node, 27]: block of the neighbour at 9 (dx+1) + 3 (dy+1) + dz+1
     free: wp.array(dtype=wp.vec3d),  # [node], 1 where a component may move, 0 where it is held
-    spring: wp.array(dtype=wp.vec3d),  # [node] [N/m]
     # cells
     cell_nodes: wp.array2d(dtype=wp.int32),
     live: wp.array(dtype=wp.uint8),  # [cell]
@@ -33,7 +32,7 @@ def assemble_rows(
     block_out: wp.array(dtype=wp.mat33d),  # [block] [N/m]
     diagonal_out: wp.array(dtype=wp.mat33d),  # [node], a copy of the node's own block, 1 on held components
 ):
-    """Gather rows ``M K M`` plus springs, M the mask of what may move; held components get no stiffness."""
+    """Gather rows ``M K M``, M the mask of what may move; held components get no stiffness."""
     node = rows[wp.tid() + offset]
     for place in range(row_start[node], row_start[node + 1]):
         block_out[place] = wp.mat33d()
@@ -50,9 +49,9 @@ def assemble_rows(
                 place = neighbour_block[node, step]
                 block_out[place] = block_out[place] + wp.cw_mul(mask, cell_block(stiffness, cell, a, b))
     centre = neighbour_block[node, 13]
-    block = block_out[centre] + wp.diag(wp.cw_mul(free_here, spring[node]))
-    block_out[centre] = block
-    diagonal_out[node] = block + wp.diag(wp.vec3d(wp.float64(1.0), wp.float64(1.0), wp.float64(1.0)) - free_here)
+    diagonal_out[node] = block_out[centre] + wp.diag(
+        wp.vec3d(wp.float64(1.0), wp.float64(1.0), wp.float64(1.0)) - free_here
+    )
 
 
 @wp.kernel

@@ -14,6 +14,8 @@ modes alone (``inner``, which is zero for every linear field, so that the patch 
 The bracket is the share of the second moment of a full cell that the particles lack: 0 for Gauss points, 1 for a
 single particle in the middle. The idea is hourglass control (Flanagan and Belytschko 1981, Int. J. Numer. Methods Eng.
 17:679), scaled by what the particles miss.
+
+Springs to the ground at points x of the cell, of 3 x 3 stiffness S, add ``sum N_a(x) N_b(x) S``.
 """
 
 import warp as wp
@@ -40,6 +42,8 @@ def particle_stiffness(
     edge: wp.float64,  # [m]
     strength: wp.float64,
     inner: wp.array(dtype=wp.mat33d),  # [block] [m], full cell of unit Lame constants less its value at the centre
+    spring_row: wp.array(dtype=wp.int32),  # [cell], its row in the next array, or -1
+    spring: wp.array2d(dtype=wp.mat33d),  # [row, block] [N/m], what springs to the ground add
     offset: int,
     # out
     stiffness_out: wp.array2d(dtype=wp.mat33d),  # [cell, block] [N/m]
@@ -82,6 +86,10 @@ def particle_stiffness(
     missing = strength * wp.max(wp.float64(1.0) - seen, wp.float64(0.0)) * shear / volume_of_cell
     for block in range(36):
         stiffness_out[cell, block] = stiffness_out[cell, block] + missing * inner[block]
+    row = spring_row[cell]
+    if row >= 0:
+        for block in range(36):
+            stiffness_out[cell, block] = stiffness_out[cell, block] + spring[row, block]
     for a in range(8):
         diagonal = stiffness_out[cell, block_of(a, a)]
         diagonal[1, 0] = diagonal[0, 1]

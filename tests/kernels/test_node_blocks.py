@@ -28,7 +28,7 @@ def put(values, dtype):
 
 
 class Grid:
-    """A cube of cells of random positive stiffness, a few of them empty, some components held, some springs."""
+    """A cube of cells of random positive stiffness, a few of them empty, some components held."""
 
     def __init__(self, seed=0):
         random = np.random.default_rng(seed)
@@ -43,7 +43,6 @@ class Grid:
         half = random.normal(size=(len(lows), 24, 24)) + 8.0 * np.eye(24)
         self.cells = half @ half.transpose(0, 2, 1)
         self.free = (random.uniform(size=nodes.shape) > 0.2).astype(float)
-        self.spring = random.uniform(1.0, 9.0, nodes.shape) * (random.uniform(size=(len(nodes), 1)) > 0.5)
         self.load = random.normal(size=nodes.shape)
         self.colour = (nodes % 2) @ (4, 2, 1)
         around = np.stack([number[tuple((nodes + 1 + step).T)] for step in product((-1, 0, 1), repeat=3)], axis=1)
@@ -56,13 +55,13 @@ class Grid:
             self.start.append(len(self.column))
 
     def matrix(self):
-        """Sum of M K M over the live cells, and the springs of what may move."""
+        """Sum of M K M over the live cells, M the mask of what may move."""
         whole = np.zeros((self.free.size, self.free.size))
         for cell in np.flatnonzero(self.live):
             unknowns = (3 * self.cell_nodes[cell][:, None] + np.arange(3)).ravel()
             whole[np.ix_(unknowns, unknowns)] += self.cells[cell]
         mask = self.free.ravel()
-        return mask[:, None] * whole * mask + np.diag(mask * self.spring.ravel())
+        return mask[:, None] * whole * mask
 
     def carries(self):
         """Components with any stiffness, or held, which counts as one of 1; shape (nodes, 3)."""
@@ -82,7 +81,7 @@ class Grid:
         inverse = wp.zeros(count, dtype=wp.mat33f, device="cpu")
         inputs = [
             rows, start, put(self.node_cells, wp.int32), put(self.place, wp.int32), put(self.free, wp.vec3d),
-            put(self.spring, wp.vec3d), put(self.cell_nodes, wp.int32), put(self.live, wp.uint8), put(packed, wp.mat33d),
+            put(self.cell_nodes, wp.int32), put(self.live, wp.uint8), put(packed, wp.mat33d),
             0,
         ]  # fmt: skip
         wp.launch(assemble_rows, dim=count, inputs=inputs, outputs=made, device="cpu")

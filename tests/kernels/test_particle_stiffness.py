@@ -9,7 +9,7 @@ from tissue.models.tooth.compliance import rigid_motions
 from tissue.models.tooth.grid import HexGrid, shape_values
 from tissue.models.tooth.particles import ParticleSet
 from tissue.models.tooth.stiffness import CellStiffness, full_cell_stiffness, strain_matrix
-from tissue.models.tooth.supports import NodeSupports
+from tissue.models.tooth.supports import NodeSupports, PointSprings
 
 ROUNDING = 1e-13  # relative to the largest entry: sums of a few hundred terms in double precision
 
@@ -47,6 +47,13 @@ def scattered(cells):
         rows = (3 * nodes[:, None] + np.arange(3)).ravel()
         total[np.ix_(rows, rows)] += matrix
     return total
+
+
+def random_springs(position_m, count=30):
+    """Springs in any direction at some of these points, as stiff as the softer particles."""
+    random = np.random.default_rng(5)
+    half = 300.0 * random.normal(size=(count, 3, 3))
+    return PointSprings(position_m[:count], half @ half.transpose(0, 2, 1))
 
 
 def test_cells_against_numpy():
@@ -107,7 +114,7 @@ def test_inner_stiffness_vanishes_on_linear_fields():
 
 def test_product_and_rows_against_the_scattered_matrix():
     particles, grid = random_body(seed=1)
-    supports = NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0, spring_N_m=1e5)
+    supports = NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0)
     body = ParticleBody(particles, grid, supports, drop_islands=False)
     body.cells.set_live(np.ones(grid.cell_count, dtype=bool))
     wanted = scattered(body.cells)
@@ -117,16 +124,32 @@ def test_product_and_rows_against_the_scattered_matrix():
 
     body._hierarchy.update(np.arange(grid.cell_count, dtype=np.int32))
     free = ~supports.fixed.ravel()
-    wanted = (wanted + np.diag(supports.spring_N_m.ravel())) * np.outer(free, free)
+    wanted = wanted * np.outer(free, free)
     rows = body.matrix()
     assert np.abs(rows.toarray() - wanted).max() <= ROUNDING * np.abs(wanted).max()
+
+
+def test_springs_at_points_add_their_stiffness():
+    """sum N^T S N over the points, with N the shape functions at each; what they push back with is that product."""
+    particles, grid = random_body(seed=4)
+    springs = random_springs(particles.position_m)
+    bare, sprung = (CellStiffness(particles, grid, inner_strength=0.1, springs=s) for s in (None, springs))
+    cell, place = grid.locate(springs.position_m)
+    shape = np.zeros((len(cell), grid.node_count))
+    np.put_along_axis(shape, grid.cell_nodes[cell], shape_values(place), axis=1)
+    added = np.einsum("kp,kij,kq->piqj", shape, springs.stiffness_N_m, shape).reshape((3 * grid.node_count,) * 2)
+    found = scattered(sprung) - scattered(bare)
+    assert np.abs(found - added).max() <= 1e-12 * np.abs(scattered(sprung)).max()
+    moved = np.random.default_rng(2).normal(size=(grid.node_count, 3))
+    pushed = shape.T @ springs.force(grid, moved)
+    assert np.abs(pushed.ravel() + added @ moved.ravel()).max() <= 1e-12 * np.abs(pushed).max()
 
 
 def test_coarse_grid_is_the_galerkin_projection():
     """Coarse cells summed from their children against P^T A P of the assembled matrix."""
     particles, grid = block((6, 5, 7), 1e-3, modulus_Pa=lambda x: np.where(x[:, 0] < 2.5e-3, 2e6, 84e9))
-    supports = NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0, spring_N_m=3e4)
-    body = ParticleBody(particles, grid, supports)
+    supports = NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0)
+    body = ParticleBody(particles, grid, supports, springs=random_springs(particles.position_m))
     fine, coarse = body._hierarchy.levels[:2]
     places = grid.node_place / 2.0
     cell = np.minimum(np.floor(places), coarse.grid.cell_place.max(axis=0)).astype(int)

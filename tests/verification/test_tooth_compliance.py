@@ -6,26 +6,28 @@ from tooth_bodies import block
 
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.compliance import support_compliance
-from tissue.models.tooth.supports import NodeSupports
+from tissue.models.tooth.supports import NodeSupports, PointSprings
 
 EDGE = 1e-3
 STIFF = 1e15  # [Pa], a million times what the supports are: the block moves as a rigid one to 1e-6
 
 
 def test_stiff_block_on_springs():
-    """Springs k at the bottom nodes: K = sum k R^T R over them, about a point above, where the motions couple."""
+    """Springs S in any direction at random points: K = sum R^T S R over them, about a point above, where the motions
+    couple."""
     particles, grid = block((4, 4, 4), EDGE, modulus_Pa=STIFF)
-    bottom = grid.node_place[:, 2] == 0
-    stiffness = 1e5
-    spring = np.where(bottom[:, None], [stiffness, stiffness, 2.0 * stiffness], 0.0)
-    body = ParticleBody(particles, grid, NodeSupports.of(grid.node_count, spring_N_m=spring))
+    random = np.random.default_rng(3)
+    points = EDGE * random.uniform(0.0, 4.0, (25, 3)) * [1.0, 1.0, 0.3]
+    half = 100.0 * random.normal(size=(25, 3, 3))
+    springs = PointSprings(points, half @ half.transpose(0, 2, 1))
+    body = ParticleBody(particles, grid, NodeSupports.of(grid.node_count), springs=springs)
     reference = np.array([1e-3, 2e-3, 5e-3])
     found = support_compliance(body, weights=np.ones(grid.node_count), reference_m=reference, tolerance=1e-8)
     assert found.converged
     from tissue.models.tooth.compliance import rigid_motions
 
-    motions = rigid_motions(grid.node_position_m[bottom], reference)
-    wanted = np.linalg.inv(np.einsum("nik,ni,nil->kl", motions, spring[bottom], motions))
+    motions = rigid_motions(points, reference)
+    wanted = np.linalg.inv(np.einsum("nik,nij,njl->kl", motions, springs.stiffness_N_m, motions))
     size = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
     assert np.abs((found.matrix - wanted) / size).max() <= 1e-4
     assert np.array_equal(found.matrix, found.matrix.T)

@@ -1,8 +1,7 @@
-"""A drilled tooth: its bed of springs, what is booked as removed, stress after warm starts, dentin over the pulp."""
+"""A drilled tooth: what is booked as removed, stress after warm starts, dentin over the pulp."""
 
 import numpy as np
 import pytest
-from tooth_bodies import block
 
 import tissue
 from meshes.voxels.volume import VoxelVolume
@@ -13,18 +12,12 @@ from tissue.models.bone.bricks import voxels_of
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import ToolMotion
 from tissue.models.tooth import stress_process
-from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.compliance import support_compliance
 from tissue.models.tooth.field import TOOTH, StressField
-from tissue.models.tooth.grid import HexGrid
-from tissue.models.tooth.ligament import bed_springs, bed_stiffness
 from tissue.models.tooth.model import ToothModel
 from tissue.models.tooth.particles import FULL_STEPS
 from tissue.models.tooth.stress import cell_stress
-from tissue.models.tooth.supports import NodeSupports
 
 MM = 1e-3
-ACROSS, ALONG = 4e9, 1e9  # [N/m3]
 SPACING_M = 0.05 * MM
 RADIUS_M = 0.5 * MM
 DEEP = {
@@ -35,62 +28,6 @@ DEEP = {
     "duration_s": 4.1,
 }
 """Straight down through enamel, dentin and roof into the chamber, coarse."""
-
-
-def test_stiffness_of_a_bonded_layer():
-    """Confined modulus lambda + 2 mu across, mu along, over the thickness."""
-    modulus, ratio, thickness = 0.7e6, 0.45, 0.22 * MM
-    mu = modulus / (2.0 * (1.0 + ratio))
-    first = modulus * ratio / ((1.0 + ratio) * (1.0 - 2.0 * ratio))
-    assert bed_stiffness(modulus, ratio, thickness) == pytest.approx(
-        ((first + 2.0 * mu) / thickness, mu / thickness), rel=1e-12
-    )
-
-
-def springs_on(tooth, bed, *, edge_m, spacing_m):
-    places = np.argwhere(tooth)
-    grid = HexGrid.around((places + 0.5) * spacing_m, edge_m=edge_m, origin_m=np.zeros(3))
-    return bed_springs(
-        grid, tooth, bed, origin_m=np.zeros(3), spacing_m=spacing_m, across_N_m3=ACROSS, along_N_m3=ALONG
-    )
-
-
-def test_flat_plate_on_a_bed():
-    """The springs sum to area times stiffness; only rounding is left, since no face of the border leans."""
-    tooth, bed = np.zeros((2, 12, 8, 8), dtype=bool)
-    tooth[:, :, 2:], bed[:, :, :2] = True, True
-    springs, area = springs_on(tooth, bed, edge_m=1 * MM, spacing_m=0.5 * MM)
-    assert area == pytest.approx(6 * MM * 4 * MM, rel=1e-6)
-    assert springs.sum(axis=0) == pytest.approx(area * np.array([ALONG, ALONG, ACROSS]), rel=1e-5)
-
-
-def test_sphere_in_a_bed():
-    """Area of a voxel sphere within 1 %, where its staircase is half too large; each axis takes a third of the sum."""
-    count, radius = 32, 11.3
-    away = np.linalg.norm(np.indices((count,) * 3) + 0.5 - count / 2, axis=0)
-    springs, area = springs_on(away < radius, away >= radius, edge_m=0.4 * MM, spacing_m=0.1 * MM)
-    exact = 4.0 * np.pi * (radius * 0.1 * MM) ** 2
-    assert area == pytest.approx(exact, rel=0.01)
-    assert springs.sum() == pytest.approx(area * (ACROSS + 2.0 * ALONG), rel=1e-5)
-    assert springs.sum(axis=0) == pytest.approx(np.full(3, springs.sum() / 3.0), rel=1e-3)
-
-
-def test_rigid_block_on_a_bed():
-    """It gives by 1 / (k A) along each axis. The bed acts at the voxels' centres, half of one above the border."""
-    particles, grid = block((4, 4, 3), 1 * MM, modulus_Pa=1e16)
-    tooth, bed = np.zeros((2, 16, 16, 13), dtype=bool)
-    tooth[:, :, 1:], bed[:, :, :1] = True, True
-    spacing = 0.25 * MM
-    springs, area = bed_springs(
-        grid, tooth, bed, origin_m=np.array([0, 0, -spacing]), spacing_m=spacing, across_N_m3=ACROSS, along_N_m3=ALONG
-    )
-    body = ParticleBody(particles, grid, NodeSupports.of(grid.node_count, spring_N_m=springs))
-    found = support_compliance(
-        body, weights=np.ones(grid.node_count), reference_m=np.array([2, 2, 0.125]) * MM, tolerance=1e-8
-    )
-    assert found.converged and area == pytest.approx(16 * MM**2, rel=1e-6)
-    wanted = 1.0 / (16 * MM**2 * np.array([ALONG, ALONG, ACROSS]))
-    assert np.diag(found.matrix)[:3] == pytest.approx(wanted, rel=0.02)
 
 
 class Drilled:

@@ -15,7 +15,7 @@ __all__ = ["NodeBlocks"]
 
 
 class NodeBlocks:
-    """Rows of 3 x 3 blocks of ``M K M`` plus springs, M the mask of what may move.
+    """Rows of 3 x 3 blocks of ``M K M``, M the mask of what may move.
 
     Parameters
     ----------
@@ -59,13 +59,12 @@ class NodeBlocks:
         self.device = device
         self.row_start, self.column = on(starts, wp.int32), on(column, wp.int32)
         self.diagonal_block = on(place[:, 13], wp.int32)
-        self.free, self.spring = on(~supports.fixed, wp.vec3d), on(supports.spring_N_m, wp.vec3d)
+        self.free = on(~supports.fixed, wp.vec3d)
         self.block = wp.zeros(int(starts[-1]), dtype=wp.mat33d, device=device)
         self.single = wp.zeros(int(starts[-1]), dtype=wp.mat33f, device=device)
         self.diagonal = wp.zeros(grid.node_count, dtype=wp.mat33d, device=device)
         self.inverse = wp.zeros(grid.node_count, dtype=wp.mat33f, device=device)
-        self._gathered = [self.row_start, node_cells, on(place, wp.int32), self.free, self.spring, cell_nodes, live,
-                          stiffness]  # fmt: skip
+        self._gathered = [self.row_start, node_cells, on(place, wp.int32), self.free, cell_nodes, live, stiffness]
 
     def update(self, nodes: NDArray[np.int32]) -> None:
         """Gather the rows of these nodes again from their cells."""

@@ -15,7 +15,7 @@ from tissue.models.tooth.multigrid import GridHierarchy
 from tissue.models.tooth.particles import ParticleSet
 from tissue.models.tooth.solver import solve_cells
 from tissue.models.tooth.stiffness import CellStiffness
-from tissue.models.tooth.supports import NodeSupports
+from tissue.models.tooth.supports import NodeSupports, PointSprings
 
 __all__ = ["Change", "ParticleBody"]
 
@@ -54,8 +54,8 @@ class ParticleBody:
         The body.
     grid
         Cells that hold all particles, from :meth:`HexGrid.around`.
-    supports
-        What holds the grid's nodes.
+    supports, springs
+        What holds the grid's nodes, and springs to the ground at points of its cells, which go with their cells.
     inner_strength
         Stabilisation of cells with few particles, see :mod:`kernels.particle_stiffness`; 0 switches it off.
     drop_islands
@@ -72,8 +72,9 @@ class ParticleBody:
     """
 
     def __init__(
-        self, particles: ParticleSet, grid: HexGrid, supports: NodeSupports, *, inner_strength: float = INNER_STRENGTH,
-        drop_islands: bool = True, device: str = "cpu", cores: int | None = None,
+        self, particles: ParticleSet, grid: HexGrid, supports: NodeSupports, *, springs: PointSprings | None = None,
+        inner_strength: float = INNER_STRENGTH, drop_islands: bool = True, device: str = "cpu",
+        cores: int | None = None,
     ) -> None:  # fmt: skip
         if supports.fixed.shape != (grid.node_count, 3):
             raise ValueError(
@@ -81,7 +82,10 @@ class ParticleBody:
                 "use NodeSupports.of(grid.node_count, ...)"
             )
         self.particles, self.grid, self.supports = particles, grid, supports
-        self.cells = CellStiffness(particles, grid, inner_strength=inner_strength, device=device, cores=cores)
+        self.springs = springs or PointSprings.none()
+        self.cells = CellStiffness(
+            particles, grid, inner_strength=inner_strength, springs=self.springs, device=device, cores=cores
+        )
         self.displacement_m = supports.displacement_m.copy()
         self._drop_islands = drop_islands
         self._hierarchy = GridHierarchy(self.cells, supports)
@@ -99,8 +103,8 @@ class ParticleBody:
 
     @property
     def carrying(self) -> NDArray[np.bool_]:
-        """Nodes that a live cell or a spring gives stiffness, shape (n,)."""
-        nodes: NDArray[np.bool_] = np.asarray((self.supports.spring_N_m > 0.0).any(axis=1))
+        """Nodes that a live cell gives stiffness, shape (n,)."""
+        nodes = np.zeros(self.grid.node_count, dtype=np.bool_)
         nodes[self.grid.cell_nodes[self.cells.live > 0]] = True
         return nodes
 
@@ -123,7 +127,7 @@ class ParticleBody:
         before, was_debris = self.cells.live.copy(), self._is_debris
         filled = self.cells.fill >= LEAST_FILL
         if (filled != self._filled).any():
-            live = supported_cells(self.grid, filled, self.supports) if self._drop_islands else filled
+            live = supported_cells(self.grid, filled, self.supports, self.springs) if self._drop_islands else filled
             self._filled = filled
             self.cells.set_live(live)
             borders = np.zeros_like(live)
@@ -168,7 +172,7 @@ class ParticleBody:
 
     def product(self, displacement_m: Array) -> Array:
         """Nodal forces [N] for nodal displacements [m], springs included, supports not, shapes (n, 3)."""
-        return self.cells.product(displacement_m) + self.supports.spring_N_m * displacement_m
+        return self.cells.product(displacement_m)
 
     def solve(
         self, load_N: Array, *, tolerance: float = TOLERANCE, limit: int = 200, cold: bool = False,
@@ -220,7 +224,5 @@ class ParticleBody:
         return self._hierarchy.levels[0].blocks.matrix()
 
     def reactions(self, displacement_m: Array, load_N: Array) -> Array:
-        """Forces of the supports on the body [N], shape (n, 3)."""
-        inner = self.cells.product(displacement_m)
-        spring = -self.supports.spring_N_m * displacement_m
-        return np.asarray(np.where(self.supports.fixed, inner - load_N, spring))
+        """Forces of the held nodes on the body [N], shape (n, 3)."""
+        return np.asarray(np.where(self.supports.fixed, self.product(displacement_m) - load_N, 0.0))

@@ -17,7 +17,7 @@ from tissue.models.tooth.grid import HexGrid
 from tissue.models.tooth.ligament import bed_springs, bed_stiffness
 from tissue.models.tooth.particles import FULL_STEPS, ParticleSet
 from tissue.models.tooth.stress import cell_stress
-from tissue.models.tooth.supports import NodeSupports
+from tissue.models.tooth.supports import NodeSupports, PointSprings
 
 __all__ = ["SolveRecord", "StressField"]
 
@@ -90,9 +90,9 @@ class StressField:
         self._lost = np.zeros(len(places))
         origin = cell_m * np.floor(particles.position_m.min(axis=0) / cell_m)
         grid = HexGrid.around(particles.position_m, edge_m=cell_m, origin_m=origin)
-        springs = _ligament_springs(tooth, solid, grid, ligament_thickness_m)
+        springs = _ligament_springs(tooth, solid, ligament_thickness_m)
         self.body = ParticleBody(
-            particles, grid, NodeSupports.of(grid.node_count, spring_N_m=springs), device=device, cores=cores
+            particles, grid, NodeSupports.of(grid.node_count), springs=springs, device=device, cores=cores
         )
         weights = np.zeros(grid.node_count)
         np.add.at(weights, grid.cell_nodes, (self.body.cells.fill * cell_m**3 / 8.0)[:, None])
@@ -189,9 +189,7 @@ def _bed_layers(tooth: VoxelVolume) -> list[int]:
     return [i for i, name in enumerate(tooth.layer_names) if name in ("ligament", "bone")]
 
 
-def _ligament_springs(
-    tooth: VoxelVolume, solid: NDArray[np.bool_], grid: HexGrid, thickness_m: float
-) -> NDArray[np.float64]:
+def _ligament_springs(tooth: VoxelVolume, solid: NDArray[np.bool_], thickness_m: float) -> PointSprings:
     """Springs where the tooth borders on ligament or bone; on its lower third where the data hold neither."""
     table = constants("tooth", "ligament")
     across, along = bed_stiffness(1e9 * table["modulus_GPa"].value, table["poisson_ratio"].value, thickness_m)
@@ -202,7 +200,6 @@ def _ligament_springs(
         below = np.arange(solid.shape[2]) < depth[0] + (depth[-1] - depth[0]) // 3
         bed = ~solid & below[None, None, :]
     springs, area = bed_springs(
-        grid,
         solid,
         bed,
         origin_m=origin_m,

@@ -8,7 +8,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from tissue.models.tooth.grid import HexGrid
-from tissue.models.tooth.supports import NodeSupports
+from tissue.models.tooth.supports import NodeSupports, PointSprings
 
 __all__ = ["supported_cells"]
 
@@ -17,7 +17,9 @@ LEAST_RESTRAINT = 1e-9
 three corners of a cell 1e-2."""
 
 
-def supported_cells(grid: HexGrid, filled: NDArray[np.bool_], supports: NodeSupports) -> NDArray[np.bool_]:
+def supported_cells(
+    grid: HexGrid, filled: NDArray[np.bool_], supports: NodeSupports, springs: PointSprings
+) -> NDArray[np.bool_]:
     """Cells of ``filled``, shape (c,), that a support holds against all six rigid motions.
 
     Cells that share a face move together. A part made of such cells is carried if its supports, and the nodes it shares
@@ -30,7 +32,9 @@ def supported_cells(grid: HexGrid, filled: NDArray[np.bool_], supports: NodeSupp
     numbers, part = np.unique(part[filled], return_inverse=True)
     part_of = np.full(grid.cell_count, -1)
     part_of[filled] = part
-    held = supports.fixed | (supports.spring_N_m > 0.0)
+    held = supports.fixed.copy()
+    sprung = grid.locate(springs.position_m)[0]
+    own = [np.flatnonzero(part_of[sprung] == number) for number in range(len(numbers))] if len(sprung) else None
     supported = np.zeros(len(numbers), dtype=np.bool_)
     members = _members(grid, part_of, len(numbers))
     waiting = list(range(len(numbers)))
@@ -38,7 +42,8 @@ def supported_cells(grid: HexGrid, filled: NDArray[np.bool_], supports: NodeSupp
     while moved and waiting:
         moved = False
         for number in list(waiting):
-            if _restrained(grid, members[number], held):
+            bed = PointSprings.none() if own is None else _chosen(springs, own[number])
+            if _restrained(grid, members[number], held, bed):
                 supported[number] = moved = True
                 held[members[number]] = True
                 waiting.remove(number)
@@ -52,14 +57,21 @@ def _members(grid: HexGrid, part_of: NDArray[np.integer], count: int) -> list[ND
     return [np.unique(grid.cell_nodes[cells[a:b]]) for a, b in pairwise(starts)]
 
 
-def _restrained(grid: HexGrid, nodes: NDArray[np.int32], held: NDArray[np.bool_]) -> bool:
-    """Whether what holds these nodes leaves no rigid motion."""
+def _chosen(springs: PointSprings, rows: NDArray[np.integer]) -> PointSprings:
+    return PointSprings(springs.position_m[rows], springs.stiffness_N_m[rows])
+
+
+def _restrained(grid: HexGrid, nodes: NDArray[np.int32], held: NDArray[np.bool_], springs: PointSprings) -> bool:
+    """Whether what holds these nodes, and springs at points between them, leave no rigid motion."""
     some = nodes[held[nodes].any(axis=1)]
-    if len(some) == 0:
+    if len(some) + len(springs.position_m) == 0:
         return False
     place = grid.node_place[some].astype(np.float64)
-    place -= place.mean(axis=0)
-    restraint = np.zeros((6, 6))
+    sprung = (springs.position_m - grid.origin_m) / grid.edge_m
+    centre = np.concatenate([place, sprung]).mean(axis=0)
+    place -= centre
+    restraint = springs.restraint(grid.origin_m + grid.edge_m * centre, grid.edge_m)
+    restraint /= max(float(np.trace(restraint[:3, :3])), np.finfo(float).tiny)
     for axis in range(3):
         along = np.eye(3)[axis]
         here = place[held[some, axis]]

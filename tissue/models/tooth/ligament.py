@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from tissue.models.tooth.grid import HexGrid, shape_values
+from tissue.models.tooth.supports import PointSprings
 
 __all__ = ["bed_springs", "bed_stiffness"]
 
@@ -22,7 +22,6 @@ def bed_stiffness(modulus_Pa: float, poisson_ratio: float, thickness_m: float) -
 
 
 def bed_springs(
-    grid: HexGrid,
     tooth: NDArray[np.bool_],
     bed: NDArray[np.bool_],
     *,
@@ -30,16 +29,16 @@ def bed_springs(
     spacing_m: float,
     across_N_m3: float,
     along_N_m3: float,
-) -> tuple[Array, float]:
-    """Springs of a grid's nodes where a tooth's voxels border on the bed's.
+) -> tuple[PointSprings, float]:
+    """Springs where a tooth's voxels border on the bed's, at the centres of the tooth's voxels.
+
+    A face of area A and normal n has ``A (k_t I + (k_n - k_t) n n^T)``, k_n and k_t the stiffness across and along it.
 
     A border's faces form a staircase; each is weighed by the component along it of the smooth normal, so that the
     weights sum to the area of the surface and not of the staircase.
 
     Parameters
     ----------
-    grid
-        Grid of the tooth's cells.
     tooth, bed
         Voxels of the tooth and of what it rests in, shape (nx, ny, nz).
     origin_m, spacing_m
@@ -49,11 +48,11 @@ def bed_springs(
 
     Returns
     -------
-    Springs [N/m], shape (nodes, 3), and the area that the bed carries [m2].
+    The springs, and the area that the bed carries [m2].
     """
     smooth = gaussian_filter(tooth.astype(np.float32), 1.5)
     slope = np.stack(np.gradient(smooth), axis=-1)
-    springs = np.zeros((grid.node_count, 3))
+    positions, matrices = [np.zeros((0, 3))], [np.zeros((0, 3, 3))]
     total = 0.0
     for axis in range(3):
         low = tuple(slice(None, -1) if a == axis else slice(None) for a in range(3))
@@ -67,13 +66,9 @@ def bed_springs(
             normal = leans / np.maximum(np.linalg.norm(leans, axis=1, keepdims=True), 1e-9)
             area = spacing_m**2 * np.abs(normal[:, axis])
             total += float(area.sum())
-            stiffness = area[:, None] * (along_N_m3 + (across_N_m3 - along_N_m3) * normal**2)
+            across = np.einsum("ki,kj->kij", normal, normal)
+            matrices.append(area[:, None, None] * (along_N_m3 * np.eye(3) + (across_N_m3 - along_N_m3) * across))
             if inner is high:
                 faces[:, axis] += 1
-            cell, place = grid.locate(origin_m + spacing_m * (faces + 0.5))
-            kept = cell >= 0
-            share = shape_values(place[kept])
-            for corner in range(8):
-                nodes = grid.cell_nodes[cell[kept], corner]
-                np.add.at(springs, nodes, share[:, corner, None] * stiffness[kept])
-    return springs, total
+            positions.append(origin_m + spacing_m * (faces + 0.5))
+    return PointSprings(np.concatenate(positions), np.concatenate(matrices)), total

@@ -82,7 +82,6 @@ class GridLevel:
 
         children = np.full((coarse_grid.cell_count, 8), -1, dtype=np.int32)
         children[parent, (fine.cell_place & 1) @ (4, 2, 1)] = np.arange(fine.cell_count, dtype=np.int32)
-        spring_cell = np.where(self.supports.any, fine.node_cells.max(axis=1), -1)
         live = wp.zeros(coarse_grid.cell_count, dtype=wp.uint8, device=device)
         stiffness = wp.zeros((coarse_grid.cell_count, 36), dtype=wp.mat33d, device=device)
         coarse = GridLevel(
@@ -92,10 +91,9 @@ class GridLevel:
         )  # fmt: skip
         self.parent = parent
         self._project = (
-            [self.cell_nodes, self.live, self.stiffness, self.blocks.free, self.blocks.spring,
-             on(spring_cell, wp.int32), on(children, wp.int32)],
+            [self.cell_nodes, self.live, self.stiffness, self.blocks.free, on(children, wp.int32)],
             [stiffness, live],
-        )  # fmt: skip
+        )
         free = on(~self.supports.fixed, wp.vec3f)
         place, coarse_place = fine.node_place, coarse_grid.node_place
         fine_of = np.stack([fine.find_nodes(2 * coarse_place + step) for step in NEIGHBOURS], axis=1)

@@ -11,6 +11,7 @@ from kernels.launcher import SplitLaunch
 from kernels.particle_stiffness import particle_stiffness
 from tissue.models.tooth.grid import CORNERS, HexGrid
 from tissue.models.tooth.particles import ParticleSet
+from tissue.models.tooth.supports import PointSprings
 
 __all__ = ["CellStiffness", "full_cell_stiffness"]
 
@@ -27,6 +28,8 @@ class CellStiffness:
         The body, and a grid whose cells hold all of its particles.
     inner_strength
         Share of a full cell's inner stiffness that replaces what the particles of a cell miss.
+    springs
+        Springs to the ground at points of the cells; default none.
     cores
         Processor cores to split launches over; default all.
 
@@ -41,8 +44,8 @@ class CellStiffness:
     """
 
     def __init__(
-        self, particles: ParticleSet, grid: HexGrid, *, inner_strength: float, device: str = "cpu",
-        cores: int | None = None,
+        self, particles: ParticleSet, grid: HexGrid, *, inner_strength: float, springs: PointSprings | None = None,
+        device: str = "cpu", cores: int | None = None,
     ) -> None:  # fmt: skip
         self.grid, self.device, self.cores = grid, device, cores
         cell, place = grid.locate(particles.position_m)
@@ -71,6 +74,10 @@ class CellStiffness:
         self.live_on = wp.full(grid.cell_count, 1, dtype=wp.uint8, device=device)
         self._inner = on(_packed(_inner_stiffness(grid.edge_m)), wp.mat33d)
         self._strength = float(inner_strength)
+        sprung, blocks = (springs or PointSprings.none()).by_cell(grid)
+        row = np.full(grid.cell_count, -1)
+        row[sprung] = np.arange(len(sprung))
+        self._springs = [on(row, wp.int32), on(blocks, wp.mat33d)]
         self._corner_force = wp.zeros((grid.cell_count, 8), dtype=wp.vec3d, device=device)
         self.displacement = wp.zeros(grid.node_count, dtype=wp.vec3d, device=device)
         self.force = wp.zeros(grid.node_count, dtype=wp.vec3d, device=device)
@@ -114,7 +121,7 @@ class CellStiffness:
         changed: Any = wp.array(cells, dtype=wp.int32, device=self.device)
         inputs = [
             self.place, self.volume, self.lame, self.remaining_on, self.cell_start_on, changed, self.grid.edge_m,
-            self._strength, self._inner, 0,
+            self._strength, self._inner, *self._springs, 0,
         ]  # fmt: skip
         outputs = [self.stiffness, self.fill_on]
         self.run(particle_stiffness, len(cells), inputs, outputs)
