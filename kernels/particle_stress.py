@@ -8,7 +8,7 @@ import warp as wp
 
 from kernels.hexahedra import corner_gradients
 
-__all__ = ["point_stress"]
+__all__ = ["invariants", "point_stress"]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -44,12 +44,9 @@ def point_stress(
     edge: wp.float64,  # [m]
     offset: int,
     # out
-    strain_out: wp.array2d(dtype=wp.float64),  # [point, 6]: xx, yy, zz, yz, xz, xy, tensor components
-    stress_out: wp.array2d(dtype=wp.float64),  # [point, 6] [Pa]
-    von_mises_out: wp.array(dtype=wp.float64),  # [point] [Pa]
-    principal_out: wp.array(dtype=wp.vec3d),  # [point] [Pa], largest first
+    stress_out: wp.array2d(dtype=wp.float64),  # [point, 6] [Pa]: xx, yy, zz, yz, xz, xy
 ):
-    """Strain and stress at each point."""
+    """Stress at each point."""
     i = wp.tid() + offset
     row = point[i]
     cell = cell_of[row]
@@ -63,14 +60,26 @@ def point_stress(
     pressure = lame[row, 0] * wp.trace(strain)
     stress = wp.float64(2.0) * lame[row, 1] * strain + wp.diag(wp.vec3d(pressure, pressure, pressure))
     for k in range(3):
-        strain_out[i, k] = strain[k, k]
         stress_out[i, k] = stress[k, k]
-    strain_out[i, 3] = strain[1, 2]
-    strain_out[i, 4] = strain[0, 2]
-    strain_out[i, 5] = strain[0, 1]
     stress_out[i, 3] = stress[1, 2]
     stress_out[i, 4] = stress[0, 2]
     stress_out[i, 5] = stress[0, 1]
+
+
+@wp.kernel
+def invariants(
+    components: wp.array2d(dtype=wp.float64),  # [point, 6] [Pa]: xx, yy, zz, yz, xz, xy
+    offset: int,
+    # out
+    von_mises_out: wp.array(dtype=wp.float64),  # [point] [Pa]
+    principal_out: wp.array(dtype=wp.vec3d),  # [point] [Pa], largest first
+):
+    """Von Mises and principal stresses of each stress."""
+    i = wp.tid() + offset
+    yz = components[i, 3]
+    xz = components[i, 4]
+    xy = components[i, 5]
+    stress = wp.mat33d(components[i, 0], xy, xz, xy, components[i, 1], yz, xz, yz, components[i, 2])
     mean = wp.trace(stress) / wp.float64(3.0)
     deviator = stress - wp.diag(wp.vec3d(mean, mean, mean))
     von_mises_out[i] = wp.sqrt(wp.float64(1.5) * wp.ddot(deviator, deviator))

@@ -15,7 +15,6 @@ from tissue.models.tooth import stress_process
 from tissue.models.tooth.field import TOOTH, StressField
 from tissue.models.tooth.model import ToothModel
 from tissue.models.tooth.particles import FULL_STEPS
-from tissue.models.tooth.stress import cell_stress
 
 MM = 1e-3
 SPACING_M = 0.05 * MM
@@ -40,10 +39,10 @@ class Drilled:
         def solve(field, time_s, force_N, point_m):
             frame = warm(field, time_s, force_N, point_m)
             kept, body = field.body.displacement_m, field.body
-            cold = body.solve(body.spread(point_m, force_N), cold=True)
+            cold = body.solve(field.load(force_N, point_m), cold=True)
             body.displacement_m = kept
             if force_N.any():
-                exact = 1e-6 * cell_stress(body.cells, cold.displacement_m).von_mises_Pa
+                exact = 1e-6 * field.recover(cold.displacement_m)[0]
                 there = body.cells.live > 0
                 difference = frame.cells["von_mises_MPa"][there] - exact[there]
                 self.lead.append(np.linalg.norm(difference) / np.linalg.norm(exact[there]))

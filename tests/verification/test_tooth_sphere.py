@@ -1,38 +1,11 @@
-"""Hollow sphere under inner pressure (Lame, validation case 3) cut from a grid, beside body-fitted tetrahedra.
-
-Octant 1 < r < 2 of E = 1000, nu = 0.3 under unit pressure. Particles are 4^3 a cell, those the surfaces cut weigh what
-lies inside.
-"""
+"""Hollow sphere under inner pressure (Lame, validation case 3) cut from a grid, beside body-fitted tetrahedra."""
 
 import numpy as np
 import pytest
-from tooth_bodies import lattice, slope
+from hollow_sphere import ENERGY, INNER, MODULUS, OUTER, PRESSURE, RATIO, exact_stress, pressure_load, sphere
+from tooth_bodies import slope
 
-from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.grid import HexGrid
-from tissue.models.tooth.particles import ParticleSet
 from tissue.models.tooth.stress import particle_stress
-from tissue.models.tooth.supports import NodeSupports
-
-INNER, OUTER, PRESSURE, MODULUS, RATIO = 1.0, 2.0, 1.0, 1000.0, 0.3
-SCALE = PRESSURE * INNER**3 / (OUTER**3 - INNER**3)
-ENERGY = 0.5 * PRESSURE * 8e-4 * 4.0 * np.pi * INNER**2 / 8.0
-"""Strain energy of the octant: half the pressure's work over u(a) = 8e-4."""
-
-
-def exact_stress(position):
-    """Stress, shape (n, 3, 3): radial and hoop."""
-    radius = np.linalg.norm(position, axis=1)
-    out = position / radius[:, None]
-    radial, hoop = (SCALE * (1.0 + k * OUTER**3 / radius**3) for k in (-1.0, 0.5))
-    outward = np.einsum("ni,nj->nij", out, out)
-    return radial[:, None, None] * outward + hoop[:, None, None] * (np.eye(3) - outward)
-
-
-def exact_displacement(position):
-    radius = np.linalg.norm(position, axis=1)
-    size = SCALE / MODULUS * ((1.0 - 2.0 * RATIO) + 0.5 * (1.0 + RATIO) * OUTER**3 / radius**3)
-    return size[:, None] * position
 
 
 def energy_norm(stress, weights):
@@ -42,34 +15,6 @@ def energy_norm(stress, weights):
     return float(np.sqrt((weights * density).sum()))
 
 
-def sphere(cells, inner_strength=1.0, per_edge=4):
-    """Octant with ``cells`` cells along the outer radius, of per_edge^3 particles."""
-    edge = OUTER / cells
-    step = edge / per_edge
-    at = (np.arange(cells * per_edge) + 0.5) * step
-    position = np.stack(np.meshgrid(at, at, at, indexing="ij"), axis=-1).reshape(-1, 3)
-    near = np.abs(np.linalg.norm(position, axis=1) - 1.5) < 0.5 + step
-    position = position[near]
-    radius = np.linalg.norm(position[:, None] + (lattice(5) - 0.5) * step, axis=2)
-    inside = ((radius > INNER) & (radius < OUTER)).mean(axis=1)
-    position, inside = position[inside > 0], inside[inside > 0]
-    particles = ParticleSet.uniform(position, volume_m3=step**3, modulus_Pa=MODULUS, poisson_ratio=RATIO)
-    particles.remaining[:] = np.rint(65535 * inside)
-    grid = HexGrid.around(position, edge_m=edge, origin_m=np.zeros(3))
-    return ParticleBody(
-        particles, grid, NodeSupports.of(grid.node_count, held=grid.node_place == 0), inner_strength=inner_strength
-    )
-
-
-def pressure_load(body, count=60):
-    """Inner pressure, spread from midpoints of a polar net of the octant to the cells that hold them."""
-    theta, phi = np.meshgrid(*[(np.arange(count) + 0.5) * np.pi / 2.0 / count] * 2, indexing="ij")
-    out = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1).reshape(-1, 3)
-    area = np.sin(theta).ravel()
-    area *= 4.0 * np.pi / 8.0 / area.sum()
-    return body.spread(INNER * out, PRESSURE * area[:, None] * out)
-
-
 def particle_errors(cells, **options):
     """Relative error of the energy, and of the stress in the energy norm."""
     body = sphere(cells, **options)
@@ -77,7 +22,7 @@ def particle_errors(cells, **options):
     found = body.solve(load, tolerance=1e-7)
     assert found.converged
     chosen = np.flatnonzero(body.cells.live[body.cells.particle_cell[body.cells.rank]])
-    values = particle_stress(body.cells, found.displacement_m, particles=chosen).stress_Pa
+    values = particle_stress(body.cells, found.displacement_m, particles=chosen)
     stress = values[:, [[0, 5, 4], [5, 1, 3], [4, 3, 2]]]
     weights = (body.particles.volume_m3 * body.particles.remaining / 65535.0)[chosen]
     exact = exact_stress(body.particles.position_m[chosen])

@@ -178,6 +178,7 @@ def _tooth(scene: Scene, milling: "BoneModel", *, compute: str, report: Progress
             milling.store,
             cell_m=cell_m,
             ligament_thickness_m=anatomy.ligament_thickness_mm * 1e-3,
+            contact_m=milling.cutter.profile.radius_m,
             device=compute,
             cores=1,  # the ticks want a core of their own
         )

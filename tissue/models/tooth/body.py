@@ -12,7 +12,8 @@ from tissue.fem.outcome import SolverOutcome
 from tissue.models.tooth.grid import HexGrid, shape_values
 from tissue.models.tooth.islands import supported_cells
 from tissue.models.tooth.multigrid import GridHierarchy
-from tissue.models.tooth.particles import ParticleSet
+from tissue.models.tooth.particles import FULL_STEPS, ParticleSet
+from tissue.models.tooth.recovery import ball_weight
 from tissue.models.tooth.solver import solve_cells
 from tissue.models.tooth.stiffness import CellStiffness
 from tissue.models.tooth.supports import NodeSupports, PointSprings
@@ -89,6 +90,7 @@ class ParticleBody:
         self.displacement_m = supports.displacement_m.copy()
         self._drop_islands = drop_islands
         self._hierarchy = GridHierarchy(self.cells, supports)
+        self._tree = cKDTree(particles.position_m)
         self._touched = np.zeros(grid.cell_count, dtype=np.bool_)
         self._filled = np.zeros(grid.cell_count, dtype=np.bool_)
         self._is_debris = np.zeros(grid.cell_count, dtype=np.bool_)
@@ -169,6 +171,21 @@ class ParticleBody:
         count = self.grid.node_count
         load = [np.bincount(corner, weights=shares[:, :, axis].ravel(), minlength=count) for axis in range(3)]
         return np.stack(load, axis=1)
+
+    def spread_over(self, point_m: Array, force_N: Array, *, radius_m: float) -> Array:
+        """Nodal forces [N], shape (n, 3), of a force spread over the particles within a radius of a point.
+
+        Each takes a share by what is left of its volume and by `ball_weight`. A force on a fixed patch gives a stress
+        that converges with the cells beside it, where that of a point grows without bound. Where no particle is so
+        near, as in a grid much coarser than the patch, the force acts at the point.
+        """
+        near = np.array(self._tree.query_ball_point(point_m, radius_m), dtype=np.int64)
+        left = self.cells.remaining[self.cells.rank[near]] / FULL_STEPS
+        away = np.linalg.norm(self.particles.position_m[near] - point_m, axis=1)
+        weight = self.particles.volume_m3[near] * left * ball_weight(away, radius_m)
+        if not weight.sum() > 0.0:
+            return self.spread(point_m, force_N)
+        return self.spread(self.particles.position_m[near], (weight / weight.sum())[:, None] * force_N)
 
     def product(self, displacement_m: Array) -> Array:
         """Nodal forces [N] for nodal displacements [m], springs included, supports not, shapes (n, 3)."""

@@ -16,7 +16,8 @@ from tissue.models.tooth.compliance import SupportCompliance, support_compliance
 from tissue.models.tooth.grid import HexGrid
 from tissue.models.tooth.ligament import bed_springs, bed_stiffness
 from tissue.models.tooth.particles import FULL_STEPS, ParticleSet
-from tissue.models.tooth.stress import cell_stress
+from tissue.models.tooth.recovery import REACH_M, StressRecovery
+from tissue.models.tooth.stress import particle_stress, stress_invariants
 from tissue.models.tooth.supports import NodeSupports, PointSprings
 
 __all__ = ["SolveRecord", "StressField"]
@@ -54,6 +55,8 @@ class StressField:
         Edge of a cell [m].
     ligament_thickness_m
         Thickness of the ligament [m].
+    contact_m
+        Radius over which the cutter's force is spread [m]: the cutter's own.
     device, cores
         Warp device, and processor cores to use.
 
@@ -75,10 +78,11 @@ class StressField:
         *,
         cell_m: float,
         ligament_thickness_m: float,
+        contact_m: float = REACH_M,
         device: str = "cpu",
         cores: int | None = None,
     ) -> None:
-        self._volume = tooth
+        self._volume, self._contact_m = tooth, contact_m
         self.root_guessed = not ((tooth.fraction > 0) & np.isin(tooth.layer, _bed_layers(tooth))).any()
         index = [tooth.layer_names.index(name) for name in TOOTH if name in tooth.layer_names]
         solid = (tooth.fraction > 0) & np.isin(tooth.layer, index)
@@ -106,6 +110,8 @@ class StressField:
                 f"use {2e3 * cell_m:g}"
             )
         layer = _cell_layers(self.body)
+        self._reach_m = max(REACH_M, tooth.spacing_m)  # the nearest particles of a cell lie 0.87 of it from the centre
+        self._recovery = StressRecovery(particles, grid.cell_centre_m, layer, reach_m=self._reach_m)
         self.series = FieldSeries(
             grid.node_position_m, grid.cell_nodes[:, VTK_ORDER].astype(np.int64), layer, tooth.layer_names
         )
@@ -145,12 +151,12 @@ class StressField:
         """Displacement and stress under a force on the tooth at a point, warm-started; recorded and returned."""
         begun = perf_counter()
         change = self.body.update()
-        solution = self.body.solve(self.body.spread(point_m, force_N))
-        stress = cell_stress(self.body.cells, solution.displacement_m)
+        solution = self.body.solve(self.load(force_N, point_m))
+        von_mises, principal = self.recover(solution.displacement_m)
         gone = self.body.cells.live == 0
         cells = {
-            "von_mises_MPa": 1e-6 * stress.von_mises_Pa,
-            **{f"principal_{i + 1}_MPa": 1e-6 * stress.principal_Pa[:, i] for i in range(3)},
+            "von_mises_MPa": 1e-6 * von_mises,
+            **{f"principal_{i + 1}_MPa": 1e-6 * principal[:, i] for i in range(3)},
         }
         values = {name: np.where(gone, np.nan, value).astype(np.float32) for name, value in cells.items()}
         moved = np.where(self.body.carrying[:, None], 1e6 * solution.displacement_m, 0.0).astype(np.float32)
@@ -162,6 +168,29 @@ class StressField:
             SolveRecord(time_s, solution.iterations, solution.outcome.name, perf_counter() - begun, loose)
         )
         return frame
+
+    def load(self, force_N: NDArray[np.float64], point_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Nodal forces [N], shape (n, 3), of the cutter's force at a point."""
+        return self.body.spread_over(point_m, force_N, radius_m=self._contact_m)
+
+    def recover(self, displacement_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Von Mises and principal stress [Pa] recovered at the cells' centres, shapes (c,) and (c, 3)."""
+        mean = self._mean(self._recovery, displacement_m)
+        return stress_invariants(np.nan_to_num(mean), device=self.body.cells.device)
+
+    def stress_at(
+        self, displacement_m: NDArray[np.float64], place_m: NDArray[np.float64], layer: str
+    ) -> NDArray[np.float64]:
+        """Stress xx, yy, zz, yz, xz, xy [Pa] recovered at places of a layer, shapes (k, 3) to (k, 6)."""
+        at = np.full(len(place_m), self._volume.layer_names.index(layer))
+        recovery = StressRecovery(self.body.particles, place_m, at, reach_m=self._reach_m)
+        return self._mean(recovery, displacement_m)
+
+    def _mean(self, recovery: StressRecovery, displacement_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        cells = self.body.cells
+        left = cells.remaining[cells.rank] * self.body.particles.volume_m3
+        left *= cells.live[cells.particle_cell[cells.rank]] > 0
+        return recovery.mean(particle_stress(cells, displacement_m), left)
 
 
 def _particles(tooth: VoxelVolume, places: NDArray[np.int64]) -> ParticleSet:
