@@ -25,6 +25,8 @@ class SupportCompliance:
         The reference point [m], shape (3,).
     solutions
         The six solves; if any has not converged the matrix must not be used.
+    loads_N
+        Nodal forces of each [N], shape (n, 3).
     asymmetry
         Largest difference of the matrix from its transpose before it was made symmetric, relative to the geometric mean
         of the two diagonal entries.
@@ -33,6 +35,7 @@ class SupportCompliance:
     matrix: Array
     reference_m: Array
     solutions: tuple[IterativeSolution, ...]
+    loads_N: tuple[Array, ...]
     asymmetry: float
 
     @property
@@ -77,15 +80,16 @@ def support_compliance(
     weighted = used[:, None, None] * motions
     gram = np.einsum("nik,nil->kl", weighted, motions)
     spread = np.einsum("nik,kl->nil", weighted, np.linalg.inv(gram))
-    solutions = []
+    solutions: list[IterativeSolution] = []
+    loads = [spread[:, :, column].copy() for column in range(6)]
     matrix = np.zeros((6, 6))
     kept = body.displacement_m
     for column in range(6):
         guess = None if start is None else start.solutions[column].displacement_m
-        found = body.solve(spread[:, :, column].copy(), tolerance=tolerance, cold=start is None, start_m=guess)
+        found = body.solve(loads[column], tolerance=tolerance, cold=start is None, start_m=guess)
         matrix[:, column] = np.einsum("nik,ni->k", spread, found.displacement_m)
         solutions.append(found)
     body.displacement_m = kept
     size = np.sqrt(np.abs(np.outer(np.diag(matrix), np.diag(matrix))))
     asymmetry = float((np.abs(matrix - matrix.T) / np.where(size > 0.0, size, 1.0)).max())
-    return SupportCompliance(0.5 * (matrix + matrix.T), reference_m, tuple(solutions), asymmetry)
+    return SupportCompliance(0.5 * (matrix + matrix.T), reference_m, tuple(solutions), tuple(loads), asymmetry)
