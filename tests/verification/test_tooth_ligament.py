@@ -94,16 +94,16 @@ def test_tilted_plate(turn_deg):
 
 
 def test_a_turned_frame_gives_the_same_compliance_turned():
-    """A rigid root, an ellipsoid held below its middle, in its own frame and in one turned about all axes: the
+    """A rigid root, an ellipsoid held below its middle, in one frame and in another, turned about all axes: the
     matrices differ by the voxels' staircase alone, 3 % of the geometric means of the diagonal."""
     count, spacing = 60, 0.1 * MM
     origin = np.full(3, -0.5 * count * spacing)
     centres = origin + spacing * (np.stack(np.indices((count,) * 3), axis=-1) + 0.5)
 
     def compliance(turn):
-        own = centres @ turn
-        inside = np.linalg.norm(own / (MM * np.array([1.4, 1.0, 2.4])), axis=-1) < 1.0
-        held = ~inside & (own[..., 2] < 0.5 * MM)
+        turned = centres @ turn
+        inside = np.linalg.norm(turned / (MM * np.array([1.4, 1.0, 2.4])), axis=-1) < 1.0
+        held = ~inside & (turned[..., 2] < 0.5 * MM)
         return rigid(inside, held, edge_m=0.4 * MM, spacing_m=spacing, origin_m=origin)[0].matrix
 
     turn = Rotation.from_euler("xyz", [45.0, 30.0, 45.0], degrees=True).as_matrix()

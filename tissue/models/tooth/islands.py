@@ -34,7 +34,7 @@ def supported_cells(
     part_of[filled] = part
     held = supports.fixed.copy()
     sprung = grid.locate(springs.position_m)[0]
-    own = [np.flatnonzero(part_of[sprung] == number) for number in range(len(numbers))] if len(sprung) else None
+    on_part = np.where(sprung >= 0, part_of[sprung], -1)
     supported = np.zeros(len(numbers), dtype=np.bool_)
     members = _members(grid, part_of, len(numbers))
     waiting = list(range(len(numbers)))
@@ -42,8 +42,7 @@ def supported_cells(
     while moved and waiting:
         moved = False
         for number in list(waiting):
-            bed = PointSprings.none() if own is None else _chosen(springs, own[number])
-            if _restrained(grid, members[number], held, bed):
+            if _restrained(grid, members[number], held, springs.chosen(on_part == number)):
                 supported[number] = moved = True
                 held[members[number]] = True
                 waiting.remove(number)
@@ -55,10 +54,6 @@ def _members(grid: HexGrid, part_of: NDArray[np.integer], count: int) -> list[ND
     cells = np.argsort(part_of, kind="stable")
     starts = np.searchsorted(part_of[cells], np.arange(count + 1))
     return [np.unique(grid.cell_nodes[cells[a:b]]) for a, b in pairwise(starts)]
-
-
-def _chosen(springs: PointSprings, rows: NDArray[np.integer]) -> PointSprings:
-    return PointSprings(springs.position_m[rows], springs.stiffness_N_m[rows])
 
 
 def _restrained(grid: HexGrid, nodes: NDArray[np.int32], held: NDArray[np.bool_], springs: PointSprings) -> bool:

@@ -79,6 +79,10 @@ class PointSprings:
         """No springs."""
         return cls(np.zeros((0, 3)), np.zeros((0, 3, 3)))
 
+    def chosen(self, these: NDArray[np.bool_]) -> "PointSprings":
+        """Some of the springs, those where ``these``, shape (k,), is true."""
+        return PointSprings(self.position_m[these], self.stiffness_N_m[these])
+
     def force(self, grid: HexGrid, displacement_m: Array) -> Array:
         """What the springs push back with [N], shape (k, 3), at nodal displacements [m], shape (n, 3)."""
         cell, place = grid.locate(self.position_m)
