@@ -2,21 +2,23 @@
 
 A Warp launch on a CPU runs on one core but releases the interpreter lock, so the halves of a launch can run on two
 threads. Handing work to a thread costs about 50 us: a launch is split only while its last runs took longer than
-``SPLIT_ABOVE_S``; one run that another process interrupted is no large launch. A part that no thread has begun, because
-other processes keep its core, is taken back: waiting for it would cost milliseconds. Kernels are written so that the
-split does not change a bit of the result.
+``SPLIT_ABOVE_S``, where one run that another process interrupted is no large launch, and while splitting is measured to
+gain, see `kernels.split_choice`. A part that no thread has begun, because other processes keep its core, is taken back:
+waiting for it would cost milliseconds. Kernels are written so that the split does not change a bit of the result.
 """
 
-import os
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from time import perf_counter
 
 import warp as wp
 
-__all__ = ["SPLIT_ABOVE_S", "SplitLaunch", "core_count"]
+from kernels.cores import CoreThreads, core_count
+from kernels.split_choice import SplitChoice, calibrate, run_split
+
+__all__ = ["SPLIT_ABOVE_S", "LaunchCounts", "SplitLaunch", "launch_counts"]
 
 SPLIT_ABOVE_S = 2.5e-4
 GROWTH = 2.0
@@ -25,15 +27,32 @@ FIRST_S = 1e-5
 """What a launch is assumed to take before its first run [s]."""
 
 
-def core_count() -> int:
-    """Processor cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+@dataclass
+class LaunchCounts:
+    """Launches of this process that were large enough to be split, and those of them that were."""
+
+    large: int = 0
+    split: int = 0
+
+
+_counts = LaunchCounts()
+
+
+def launch_counts() -> LaunchCounts:
+    """Copy of what this process has counted so far."""
+    return LaunchCounts(_counts.large, _counts.split)
 
 
 @cache
-def _pool(threads: int) -> ThreadPoolExecutor:
+def _pool(threads: int) -> CoreThreads:
     """The threads that every launch of so many parts shares."""
-    return ThreadPoolExecutor(threads, thread_name_prefix="kernel")
+    return CoreThreads(threads)
+
+
+@cache
+def _gains(threads: int) -> tuple[float, ...]:
+    """What the threads gain on this machine, measured once; every launch goes on from there."""
+    return tuple(calibrate(_pool(threads), threads + 1))
 
 
 class SplitLaunch:
@@ -67,13 +86,13 @@ class SplitLaunch:
         cores: int | None = None,
     ) -> None:
         along, *across = (dim,) if isinstance(dim, int) else dim
-        parts = 1 if device != "cpu" else min(cores or core_count(), along)
+        parts = 1 if device != "cpu" else max(min(cores or core_count(), along // 2), 1)
 
-        def record(first: int, last: int) -> wp.Launch:
-            """The launch of the threads from ``first`` up to ``last``."""
+        def record(first: int, last: int) -> Callable[[], object]:
+            """Run the launch of the threads from ``first`` up to ``last``."""
             arguments = list(inputs)
             arguments[offset_index] = first
-            return wp.launch(
+            command: wp.Launch = wp.launch(
                 kernel,
                 dim=(last - first, *across),
                 inputs=arguments,
@@ -81,27 +100,43 @@ class SplitLaunch:
                 device=device,
                 record_cmd=True,
             )
+            return command.launch
 
-        cuts = [along * part // parts for part in range(parts + 1)]
+        def cut(pieces: int) -> list[Callable[[], object]]:
+            """The launch in so many pieces of equal size."""
+            return [record(a, b) for a, b in pairwise(along * piece // pieces for piece in range(pieces + 1))]
+
         self._whole = record(0, along)
-        self._parts = [record(a, b) for a, b in pairwise(cuts)] if parts > 1 else []
-        self._pool = _pool(parts - 1) if parts > 1 else None
-        for waiting in [self._pool.submit(perf_counter) for _ in self._parts[1:]] if self._pool is not None else []:
-            waiting.result()  # threads start now, not in the first large tick
         self._work_s = FIRST_S
+        self._pool = _pool(parts - 1) if parts > 1 else None
+        if self._pool is not None:
+            self._parts, pieces = cut(parts), cut(2 * parts)
+            self._halves = pieces[:parts], pieces[parts:]
+            self._choice = SplitChoice(_gains(parts - 1))  # calibrated now, not in the first large tick
 
     def __call__(self) -> None:
         """Run the launch and wait until it is done (on a GPU: until it is queued)."""
         start, parallel = perf_counter(), 1
-        if self._pool is not None and self._work_s > SPLIT_ABOVE_S:
-            waiting = [(self._pool.submit(part.launch), part) for part in self._parts[1:]]
-            self._parts[0].launch()
-            for begun, part in waiting:
-                if begun.cancel():
-                    part.launch()
-                else:
-                    begun.result()
-                    parallel += 1
+        if self._pool is None or self._work_s <= SPLIT_ABOVE_S:
+            self._whole()
         else:
-            self._whole.launch()
+            _counts.large += 1
+            if self._choice.trial_is_due():
+                self._try_out(self._pool)
+            elif self._choice.splits:
+                _counts.split += 1
+                parallel = run_split(self._pool, self._parts)
+            else:
+                self._whole()
         self._work_s = min((perf_counter() - start) * parallel, GROWTH * self._work_s)
+
+    def _try_out(self, pool: CoreThreads) -> None:
+        """Run one half of the launch as a whole and the other one split, in turn, and compare their times."""
+        whole, split = self._halves
+        self._halves = split, whole
+        start = perf_counter()
+        for piece in whole:
+            piece()
+        middle = perf_counter()
+        run_split(pool, split)
+        self._choice.add(middle - start, perf_counter() - middle)

@@ -23,7 +23,7 @@ BY_DATA = {
     "anatomy.site": "anatomy.site must not be caries for a tooth without a lesion, got caries: ",
 }
 """Refusals of keys that only the contents of files leave without effect, besides those with "must be left out"."""
-CLOCK = ("tick_us", "missed_deadlines", "events", "machine", "tissue")
+CLOCK = ("tick_us", "missed_deadlines", "events", "machine", "tissue", "scheduling", "machine_gaps")
 """Entries of a summary that a clock or a machine decides."""
 QUICK = ("wall",)
 """Kinds that the plain run walks through; the others take seconds each, and go to the slow set."""

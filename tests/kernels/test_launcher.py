@@ -8,7 +8,8 @@ import pytest
 import warp as wp
 
 import kernels.launcher as launcher
-from kernels.launcher import SplitLaunch
+from kernels.launcher import SplitLaunch, launch_counts
+from kernels.split_choice import FIRST_TRIAL, KEPT
 
 wp.set_module_options({"enable_backward": False})
 COUNT = 1000
@@ -26,11 +27,17 @@ def squares(
     squares_out[i] = squares_out[i] + i * i
 
 
-@pytest.fixture
-def split() -> tuple[SplitLaunch, np.ndarray]:
+def launch_of(gain, monkeypatch) -> tuple[SplitLaunch, np.ndarray]:
+    """A launch on a machine where splitting gains so much, and what it writes."""
+    monkeypatch.setattr(launcher, "_gains", lambda threads: (gain,) * KEPT)
     out = wp.zeros(COUNT, dtype=wp.int32, device="cpu")
     launch = SplitLaunch(squares, dim=COUNT, inputs=[0], outputs=[out], offset_index=0, device="cpu", cores=2)
     return launch, out.numpy()
+
+
+@pytest.fixture
+def split(monkeypatch) -> tuple[SplitLaunch, np.ndarray]:
+    return launch_of(1.8, monkeypatch)
 
 
 def test_a_part_that_no_thread_begins_is_taken_back(split, monkeypatch):
@@ -65,3 +72,34 @@ def test_one_slow_run_does_not_split_a_small_launch(split, monkeypatch):
     for _ in range(6):
         launch()
     assert handed, "a launch that stays large is not split"
+
+
+def test_a_launch_is_not_split_where_that_gains_nothing(monkeypatch):
+    """As on two processors that share one core, however large it is; trials leave the result as it is."""
+    launch, out = launch_of(0.6, monkeypatch)
+    monkeypatch.setattr(launcher, "SPLIT_ABOVE_S", 0.0)
+    monkeypatch.setattr(launch._choice, "add", lambda whole_s, split_s: None)
+    before = launch_counts()
+    for _ in range(FIRST_TRIAL):
+        launch()
+    after = launch_counts()
+    assert (after.large - before.large, after.split - before.split) == (FIRST_TRIAL, 0)
+    assert np.array_equal(out, FIRST_TRIAL * np.arange(COUNT) ** 2)
+
+
+def test_trials_while_it_runs_turn_the_choice_and_change_no_result(monkeypatch):
+    """The machine's gain comes from a clock: splitting gains nothing at first and then does, or the other way round."""
+    for before, after in ((0.6, 1.8), (1.8, 0.6)):
+        launch, out = launch_of(before, monkeypatch)
+        monkeypatch.setattr(launcher, "SPLIT_ABOVE_S", 0.0)
+        add = launch._choice.add
+        monkeypatch.setattr(launch._choice, "add", lambda whole_s, split_s, add=add, gain=after: add(gain, 1.0))
+        runs = 0
+        while launch._choice.splits == (before > 1.0):
+            launch()
+            runs += 1
+        assert runs < FIRST_TRIAL * 2**KEPT
+        for _ in range(2 * FIRST_TRIAL):
+            launch()
+        assert launch._choice.splits == (after > 1.0)
+        assert np.array_equal(out, (runs + 2 * FIRST_TRIAL) * np.arange(COUNT) ** 2)

@@ -165,6 +165,8 @@ def _print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s:
     tick = summary["tick_us"]
     table.add_row("tick, median / 99 % / max", f"{tick['median']:.0f} / {tick['p99']:.0f} / {tick['max']:.0f} µs")
     table.add_row("missed 1 ms deadlines", f"{summary['missed_deadlines']} of {summary['simulated_s'] * 1e3:.0f}")
+    for quantity, value in _scheduling_rows(summary):
+        table.add_row(quantity, value)
     if "late_us" in summary:
         late = summary["late_us"]
         table.add_row(
@@ -178,6 +180,19 @@ def _print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s:
     for name, note in summary["notes"].items():
         console.print(f"{name}: {note}")
     console.print(f"files in {folder}")
+
+
+def _scheduling_rows(summary: "Summary") -> Iterator[tuple[str, str]]:
+    """How late the machine itself was, and what was chosen for launches and background work."""
+    if (gaps := summary.get("machine_gaps")) is not None:
+        met = f"{gaps['count']} in {gaps['spun_s']:.2g} s, longest {1e-3 * gaps['longest_us']:.2g} ms"
+        over = f"gaps of the machine over {1e-3 * gaps['least_us']:g} ms, expected in these ticks"
+        yield over, f"{gaps['expected_in_ticks']:.1f} ({met})"
+    if (chosen := summary.get("scheduling")) is not None:
+        large = f"{chosen['split_launches']} of {chosen['large_launches']} large ones"
+        yield "launches split over cores", f"{large}, {chosen['cores']} cores"
+        if "background" in chosen:
+            yield "while the ticks go on", chosen["background"]
 
 
 def _pair(figures: dict[str, float], unit: str) -> str:

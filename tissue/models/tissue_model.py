@@ -17,6 +17,7 @@ __all__ = [
     "HasNotices",
     "HasVoxels",
     "Response",
+    "SchedulesBackground",
     "StartsBackground",
     "TissueModel",
     "ToolMotion",
@@ -123,6 +124,16 @@ class TissueModel(Protocol):
 
     def respond(self, motion: ToolMotion) -> Response:
         """Force and torque on the tool at its pose; the returned object is overwritten by the next call."""
+
+
+@runtime_checkable
+class SchedulesBackground(Protocol):
+    """A tissue that works beside the ticks."""
+
+    @property
+    def scheduling(self) -> str:
+        """With what priority and on which cores, in words; empty where nothing works beside them."""
+        ...
 
 
 @runtime_checkable

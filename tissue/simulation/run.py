@@ -15,10 +15,11 @@ from meshes.base.progress import Progress, silent
 from meshes.voxels.volume import VoxelVolume
 from tissue.builders.parts import Parts
 from tissue.cutters.cutter import Cutter
-from tissue.models.tissue_model import HasVoxels
+from tissue.models.tissue_model import TICK_S, HasVoxels
 from tissue.scene.scene import Scene
 from tissue.simulation.run_folder import RunFolder
 from tissue.simulation.run_summary import FORMAT, Summary
+from tissue.simulation.scheduling import Scheduling
 from tissue.simulation.trace import Table
 
 if TYPE_CHECKING:
@@ -45,6 +46,8 @@ class Run:
         What happened in the run: time [s] and a sentence each.
     poses
         Poses of a tool that cuts, see `tissue.simulation.tick.PoseLog`; None of one that does not.
+    scheduling
+        What was chosen for launches and background work, and how late the machine was; None where nobody recorded it.
     draw
         Draws the run's pictures into a folder and returns a sentence for each that could not be drawn; the engine by
         itself draws nothing, `tissue.simulate` sets it.
@@ -65,6 +68,7 @@ class Run:
         self.scene, self.parts, self.trace, self.timing, self.events = scene, parts, trace, timing, events
         self._compute, self._folder, self.poses = compute, folder, poses
         self._fraction: NDArray[np.uint8] | None = None
+        self.scheduling: Scheduling | None = None
         self.draw: Callable[[Run, Path], list[str]] | None = None
 
     @property
@@ -111,16 +115,16 @@ class Run:
         return CarvingReplay(self.volume, self.cutter, self.poses, removal=removal, device=self._compute)
 
     def summary(self) -> Summary:
-        """Figures of the run: volumes per layer, forces, tick cost, deadlines, notes, machine."""
+        """Figures of the run: volumes per layer, forces, tick cost, deadlines, scheduling, notes, machine."""
         trace, tissue = self.trace, self.parts.tissue
         contact = trace["contact_mm2"] > 0.0
         force = np.linalg.norm(trace.vectors("model_force", "N"), axis=1)
         torque = np.linalg.norm(trace.vectors("model_torque", "Nm"), axis=1)
         mean = lambda values: float(values[contact].mean()) if contact.any() else 0.0  # noqa: E731
         ticks = self.timing["tick_us"]
-        late, by_clock = np.zeros(len(ticks)), {}
+        late, by_clock, exposed_s = np.zeros(len(ticks)), {}, 1e-6 * float(ticks.sum())
         if "late_us" in self.timing:
-            late = self.timing["late_us"]
+            late, exposed_s = self.timing["late_us"], len(ticks) * TICK_S
             by_clock = {"late_us": _spread(late), "skipped_ms": 1e-3 * float(self.timing["skipped_us"].sum())}
         return {
             "format": FORMAT,
@@ -137,6 +141,7 @@ class Run:
             "tick_us": _spread(ticks),
             "missed_deadlines": int((ticks + late > DEADLINE_US).sum()),
             **by_clock,
+            **(self.scheduling.summary(ticks_s=exposed_s) if self.scheduling is not None else {}),
             "events": [{"time_s": time, "what": what} for time, what in self.events],
             "compute": self._compute,
             **self.parts.placement_record,

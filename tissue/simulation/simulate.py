@@ -25,6 +25,7 @@ from tissue.scene.scene import Scene
 from tissue.scene.unused_keys import require_used
 from tissue.simulation.run import Run
 from tissue.simulation.run_folder import RunFolder
+from tissue.simulation.scheduling import Scheduling, spin_time_s
 from tissue.simulation.shortfalls import shortfalls
 from tissue.simulation.tick import Tick
 from tissue.simulation.trace import TIMING_COLUMNS, Table, TraceLayout
@@ -136,7 +137,7 @@ def simulate(
         ticks = _tick_count(scene, parts.motion)
         if folder is not None:
             folder.begin(scene, parts.placement)
-        run = _loop(scene, parts, ticks, compute=compute, folder=folder, report=report, observer=observer)
+        run = _loop(scene, parts, ticks, compute=compute, cores=cores, folder=folder, report=report, observer=observer)
         run.parts.notes |= shortfalls(scene, parts, run.trace, path_s=ticks * TICK_S if device is None else inf)
     return run
 
@@ -147,6 +148,7 @@ def _loop(
     ticks: int,
     *,
     compute: str,
+    cores: int | None,
     folder: RunFolder | None,
     report: Progress,
     observer: RunObserver | None,
@@ -191,6 +193,8 @@ def _loop(
                 report("simulating", (index + 1) / ticks)
 
     gc.collect()
+    spin_s = spin_time_s(ticks * TICK_S) if folder is not None else 0.0
+    scheduling = Scheduling(tissue, cores=cores, spin_s=spin_s)
     gc.disable()
     switching = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_S)
@@ -209,9 +213,11 @@ def _loop(
         sys.setswitchinterval(switching)
         if observer is not None:
             events += observer.on_end()
+    scheduling.end()
     trace.rows, timing.rows = trace.rows[: index + 1], timing.rows[: index + 1]
     if isinstance(tissue, Finishes):
         tissue.finish()
+    scheduling.look_again()
     events += [((index + 1) * TICK_S, notice) for notice in notices]
     notices.clear()
     if folder is not None:
@@ -219,7 +225,9 @@ def _loop(
     if isinstance(motion, MovedByDevice) and motion.predictor is not None and (note := _foreseen(trace, motion)):
         parts.notes["prediction"] = note
     events = sorted(events + motion.happened(), key=lambda event: event[0])
-    return Run(scene, parts, trace, timing, events=events, compute=compute, folder=folder, poses=tick.poses)
+    run = Run(scene, parts, trace, timing, events=events, compute=compute, folder=folder, poses=tick.poses)
+    run.scheduling = scheduling
+    return run
 
 
 def _foreseen(trace: Table, motion: MovedByDevice) -> str:

@@ -9,9 +9,12 @@ from time import sleep
 
 from meshes.base.child_process import kill_with_parent, python_command, start_code
 
-__all__ = ["CHECK_S", "HangDetector", "HelperLostError", "child_command", "end_with"]
+__all__ = ["CHECK_S", "ONE_THREAD", "HangDetector", "HelperLostError", "child_command", "end_with"]
 
 START = start_code("tissue.system.child", "_main")
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""Environment of a process with one thread for linear algebra: sums are then the same on every machine, and processes
+do not block each other."""
 CHECK_S = 1.0
 """Time between two looks at a process that is waited for [s]."""
 IDLE_S = 30.0

@@ -1,5 +1,6 @@
 """A helper process that is sent messages and answers, and that is never waited for in vain."""
 
+import os
 import pickle
 import signal
 import subprocess
@@ -10,7 +11,8 @@ from contextlib import suppress
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from tissue.system.child import CHECK_S, HangDetector, HelperLostError, child_command
+from tissue.system.background_priority import BackgroundPriority
+from tissue.system.child import CHECK_S, ONE_THREAD, HangDetector, HelperLostError, child_command
 
 __all__ = ["Helper", "HelperLostError"]
 
@@ -22,8 +24,8 @@ Job = Callable[[], None]
 class Helper:
     """Another Python that takes pickled messages on its standard input and answers on its standard output.
 
-    It ends with this process. Sending never blocks: a thread does it, and the same thread reads while an answer is
-    awaited, so that nothing takes the interpreter from what runs in between.
+    It ends with this process and has one thread for linear algebra. Sending never blocks: a thread does it, and the
+    same thread reads while an answer is awaited, so that nothing takes the interpreter from what runs in between.
 
     Parameters
     ----------
@@ -31,13 +33,21 @@ class Helper:
         What it runs.
     does
         What it does, for sentences: "the process that DOES ...".
+
+    Attributes
+    ----------
+    priority
+        Keeps it out of the ticks' way, or lets it hurry.
     """
 
     def __init__(self, module: str, *, does: str) -> None:
         pipe = subprocess.PIPE
-        self._process = subprocess.Popen(  # in a session of its own Ctrl-C does not reach it
-            child_command(module), stdin=pipe, stdout=pipe, start_new_session=True
+        # In a group of its own Ctrl-C does not reach it; in a session of its own its priority would not count against
+        # this process, since Linux may share the processor among sessions first.
+        self._process = subprocess.Popen(
+            child_command(module), stdin=pipe, stdout=pipe, process_group=0, env=os.environ | ONE_THREAD
         )
+        self.priority = BackgroundPriority(self._process.pid)
         self._does = does
         self._answers: SimpleQueue[Any] = SimpleQueue()
         self._jobs: SimpleQueue[Job | None] = SimpleQueue()

@@ -10,21 +10,18 @@ from contextlib import contextmanager
 from typing import TypeVar
 
 from meshes.base.progress import Progress
-from tissue.system.child import CHECK_S, HangDetector, end_with
+from tissue.system.child import CHECK_S, ONE_THREAD, HangDetector, end_with
 
 __all__ = ["first_done", "worker_pool"]
 
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""A worker has one thread for linear algebra: sums are then the same on every machine, and workers do not
-block each other."""
 Result = TypeVar("Result")
 
 
 @contextmanager
 def worker_pool(workers: int) -> Iterator[Executor]:
     """Some worker processes, which end with this one, whatever ends it."""
-    kept = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, "1"))
+    kept = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)
     others = set(multiprocessing.active_children())
     strictly = threading.current_thread() is threading.main_thread()
     pool = ProcessPoolExecutor(

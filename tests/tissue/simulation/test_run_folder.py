@@ -12,6 +12,7 @@ import pytest
 
 from tissue import InputError, SavedRun, load_scene, simulate
 from tissue.simulation.run_folder import RunFolder
+from tissue.simulation.scheduling import spin_time_s
 from tissue.simulation.trace import FLUSH_EVERY_S
 from tissue.simulation.trace_files import read_table
 
@@ -47,13 +48,21 @@ def test_the_folder_holds_every_file(made):
     assert summary["status"] == "complete" and summary["scene"] == "glenoid"
     assert summary["simulated_s"] == pytest.approx(0.6)
     assert sum(summary["removed_mm3"].values()) > 100.0
+    assert summary["scheduling"]["cores"] == 1 and summary["scheduling"]["split_launches"] == 0
+    gaps = summary["machine_gaps"]
+    assert gaps["spun_s"] == pytest.approx(2 * spin_time_s(0.6), rel=0.5)  # before and after; a gap may end it later
+    assert gaps["count"] == 0 or gaps["longest_us"] >= gaps["least_us"]
     assert (made / "trace.csv").read_text().count("\n") == (made / "timing.csv").read_text().count("\n") == 601
 
 
 @pytest.mark.parametrize("cores", [1, 2])
 def test_a_run_is_made_again_bit_for_bit_on_any_number_of_cores(made, tmp_path, cores):
     """Threads are made to share every launch: of the coarse scene's, few are long enough by themselves."""
-    split = "import kernels.launcher as l; l.SPLIT_ABOVE_S = 0.0; " if cores > 1 else ""
+    split = (
+        "import kernels.launcher as l, kernels.split_choice as c; l.SPLIT_ABOVE_S = c.LEAST_GAIN = 0.0; "
+        if cores > 1
+        else ""
+    )
     again = [sys.executable, "-c", f"{split}from tissue.cli.main import main; main()"]
     arguments = ["run", str(made / "scene.toml"), "--no-pictures", "--out", str(tmp_path / "again")]
     subprocess.run([*again, *arguments, "--cores", str(cores)], check=True, capture_output=True)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from kernels.launcher import core_count
+from kernels.cores import core_count
 from meshes.base.arrays import Array, Ints
 from meshes.base.cache import cached_arrays
 from meshes.base.errors import InputError

@@ -137,6 +137,11 @@ class ToothModel:
         return response
 
     @property
+    def scheduling(self) -> str:
+        """How the stress is solved beside the ticks, in words; empty without stress."""
+        return f"stress: {self.stress.scheduling}" if self.stress is not None else ""
+
+    @property
     def fields(self) -> FieldSeries | None:
         """Displacement and stress of the frames so far."""
         return self.stress.series if self.stress is not None else None

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernels.bricks import BRICK_VOXELS
+from kernels.cores import limit_cores
 from meshes.base.errors import InputError
 from meshes.voxels.volume import VoxelVolume
 from tissue.fem.fields import FieldSeries
@@ -70,6 +71,11 @@ class StressSolver(Protocol):
     series: FieldSeries
     records: list[SolveRecord]
 
+    @property
+    def scheduling(self) -> str:
+        """Where, with what priority and on which cores it solves, in words."""
+        ...
+
     def begin(self, state: Drilled) -> None:
         """Begin a solve; the last one was awaited."""
         ...
@@ -115,6 +121,11 @@ class InlineStressSolver:
         here._start(whole, bricks, options)
         return here
 
+    @property
+    def scheduling(self) -> str:
+        """Where it solves, in words."""
+        return "between the ticks"
+
     def begin(self, state: Drilled) -> None:
         """Keep what is to be solved."""
         self._begun = state
@@ -137,7 +148,7 @@ class InlineStressSolver:
 
 
 class StressProcess:
-    """Solves in a process of its own; parameters as for `InlineStressSolver`.
+    """Solves in a process of its own, which gives way to the ticks; parameters as for `InlineStressSolver`.
 
     Raises
     ------
@@ -154,9 +165,15 @@ class StressProcess:
         self.records: list[SolveRecord] = []
         self._begun = self._finished = False
 
+    @property
+    def scheduling(self) -> str:
+        """With what priority and on which cores it solves, in words."""
+        return self._helper.priority.described
+
     def begin(self, state: Drilled) -> None:
         """Send what is to be solved; the other process waits for it."""
         arrays = (state.rows, state.left, state.force_N, state.point_m)
+        self._helper.priority.give_way()
         self._helper.send((state.time_s, *(array.tobytes() for array in arrays)))
         self._begun = True
 
@@ -165,6 +182,7 @@ class StressProcess:
         if not self._begun:
             return None
         self._begun = False
+        self._helper.priority.hurry()
         self.records.append(self._helper.receive(longest_s=SOLVE_S))
         return self.records[-1]
 
@@ -197,8 +215,7 @@ def _drilled(time_s: float, rows: bytes, left: bytes, force_N: bytes, point_m: b
 
 def _serve() -> None:
     """Solve what comes on the standard input until it ends; the standard output is for answers alone."""
-    if hasattr(os, "nice"):
-        os.nice(5)  # on a busy machine the ticks come first
+    limit_cores(1)  # the others are the ticks'
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
 

@@ -98,7 +98,7 @@ class WindowProcess:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=output,
-                start_new_session=True,
+                process_group=0,  # in this session its lower priority counts against the ticks, see `Helper`
                 text=True,
             )
         self._words = (self._folder / "output.txt").open(encoding="utf-8", errors="replace")

@@ -1,0 +1,42 @@
+"""Gaps of a spinning clock, by clocks whose gaps are known."""
+
+from itertools import accumulate, chain, repeat
+
+import pytest
+
+from tissue.system.machine_gaps import LEAST_GAP_S, MachineGaps, spin
+
+LOOK_S = 1e-5
+
+
+def clock(*steps):
+    """A clock that goes on by those steps [s], and by small ones after them."""
+    return accumulate(chain([0.0], steps, repeat(LOOK_S))).__next__
+
+
+def test_a_clock_that_goes_on_evenly_has_no_gaps():
+    gaps = spin(0.01, now=clock())
+    assert gaps.gaps_s == () and gaps.spun_s == pytest.approx(0.01, abs=2 * LOOK_S)
+    assert gaps.lost_share == gaps.longest_s == gaps.expected(1.0) == 0.0
+
+
+def test_gaps_are_those_above_the_least():
+    gaps = spin(0.01, now=clock(LOOK_S, 0.9 * LEAST_GAP_S, 1.1 * LEAST_GAP_S, LOOK_S, 4e-3))
+    assert gaps.gaps_s == pytest.approx((1.1 * LEAST_GAP_S, 4e-3))
+    assert gaps.longest_s == pytest.approx(4e-3)
+    assert gaps.lost_share == pytest.approx((1.1 * LEAST_GAP_S + 4e-3) / gaps.spun_s)
+
+
+def test_a_gap_longer_than_the_time_to_look_ends_it():
+    gaps = spin(0.01, now=clock(0.05))
+    assert gaps.spun_s == pytest.approx(0.05) and gaps.gaps_s == pytest.approx((0.05,))
+
+
+def test_two_looks_are_one_measurement_and_scale_with_the_work():
+    both = MachineGaps(0.2, (1e-3,)) + MachineGaps(0.3, (2e-3, 3e-3, 4e-3))
+    assert both.expected(5.0) == pytest.approx(4 / 0.5 * 5.0)
+    assert both.longest_s == 4e-3
+
+
+def test_nothing_is_expected_where_nobody_looked():
+    assert MachineGaps().expected(5.0) == MachineGaps().lost_share == 0.0

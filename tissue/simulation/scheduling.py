@@ -1,0 +1,75 @@
+"""What was chosen for a run's launches and background work, and how late the machine itself was around its ticks."""
+
+from typing import Any
+
+from kernels.cores import core_count
+from kernels.launcher import LaunchCounts, launch_counts
+from tissue.models.tissue_model import SchedulesBackground, TissueModel
+from tissue.system.machine_gaps import LEAST_GAP_S, MachineGaps, spin
+
+__all__ = ["Scheduling", "spin_time_s"]
+
+SPUN_S, SPUN_SHARE = 0.3, 0.1
+"""How long the clock is looked at before the ticks, and after them [s]; at most this share of what is simulated."""
+
+
+def spin_time_s(simulated_s: float) -> float:
+    """How long to look at the clock before and after the ticks of a run [s]."""
+    return min(SPUN_S, SPUN_SHARE * simulated_s)
+
+
+class Scheduling:
+    """The choices of one run, taken just before its ticks begin.
+
+    Parameters
+    ----------
+    tissue
+        What is simulated.
+    cores
+        Processor cores the run was given; None for all.
+    spin_s
+        How long to look at the clock now, and once more when the ticks have ended [s]; 0 not at all.
+    """
+
+    def __init__(self, tissue: TissueModel, *, cores: int | None, spin_s: float) -> None:
+        self._cores, self._spin_s = cores or core_count(), spin_s
+        self._background = tissue.scheduling if isinstance(tissue, SchedulesBackground) else ""
+        self.gaps = spin(spin_s) if spin_s > 0.0 else MachineGaps()
+        self._before = self._after = launch_counts()
+
+    def end(self) -> None:
+        """The ticks have ended."""
+        self._after = launch_counts()
+
+    def look_again(self) -> None:
+        """Look at the clock once more; what worked beside the ticks has ended."""
+        if self._spin_s > 0.0:
+            self.gaps += spin(self._spin_s)
+
+    @property
+    def launches(self) -> LaunchCounts:
+        """Large launches of the ticks, and how many were split."""
+        before, after = self._before, self._after
+        return LaunchCounts(after.large - before.large, after.split - before.split)
+
+    def summary(self, *, ticks_s: float) -> dict[str, Any]:
+        """Entries of the run's summary.
+
+        Parameters
+        ----------
+        ticks_s
+            Time in which a gap of the machine made a tick late [s].
+        """
+        launches = self.launches
+        chosen = {"cores": self._cores, "large_launches": launches.large, "split_launches": launches.split}
+        found: dict[str, Any] = {"scheduling": chosen | ({"background": self._background} if self._background else {})}
+        if self.gaps.spun_s > 0.0:
+            found["machine_gaps"] = {
+                "least_us": 1e6 * LEAST_GAP_S,
+                "spun_s": self.gaps.spun_s,
+                "count": len(self.gaps.gaps_s),
+                "longest_us": 1e6 * self.gaps.longest_s,
+                "lost_share": self.gaps.lost_share,
+                "expected_in_ticks": self.gaps.expected(ticks_s),
+            }
+        return found
