@@ -7,9 +7,9 @@ gain, see `kernels.split_choice`. A part that no thread has begun, because other
 waiting for it would cost milliseconds. Kernels are written so that the split does not change a bit of the result.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 from time import perf_counter
 
@@ -23,6 +23,8 @@ __all__ = ["SPLIT_ABOVE_S", "LaunchCounts", "SplitLaunch", "launch_counts"]
 SPLIT_ABOVE_S = 2.5e-4
 GROWTH = 2.0
 """Factor by which a launch is assumed to grow from one run to the next."""
+QUARTERS = 4
+"""Parts of a launch that measures what splitting gains: one is run as a whole, the others split."""
 FIRST_S = 1e-5
 """What a launch is assumed to take before its first run [s]."""
 
@@ -86,7 +88,7 @@ class SplitLaunch:
         cores: int | None = None,
     ) -> None:
         along, *across = (dim,) if isinstance(dim, int) else dim
-        parts = 1 if device != "cpu" else max(min(cores or core_count(), along // 2), 1)
+        parts = 1 if device != "cpu" else max(min(cores or core_count(), along // QUARTERS), 1)
 
         def record(first: int, last: int) -> Callable[[], object]:
             """Run the launch of the threads from ``first`` up to ``last``."""
@@ -110,8 +112,8 @@ class SplitLaunch:
         self._work_s = FIRST_S
         self._pool = _pool(parts - 1) if parts > 1 else None
         if self._pool is not None:
-            self._parts, pieces = cut(parts), cut(2 * parts)
-            self._halves = pieces[:parts], pieces[parts:]
+            self._parts, pieces = cut(parts), cut(QUARTERS * parts)
+            self._quarters = [pieces[quarter * parts : (quarter + 1) * parts] for quarter in range(QUARTERS)]
             self._choice = SplitChoice(_gains(parts - 1))  # calibrated now, not in the first large tick
 
     def __call__(self) -> None:
@@ -131,12 +133,20 @@ class SplitLaunch:
         self._work_s = min((perf_counter() - start) * parallel, GROWTH * self._work_s)
 
     def _try_out(self, pool: CoreThreads) -> None:
-        """Run one half of the launch as a whole and the other one split, in turn, and compare their times."""
-        whole, split = self._halves
-        self._halves = split, whole
+        """Run one quarter of the launch as a whole, the next time another one, and the rest split; compare their times.
+
+        Handing over work costs the same for much of it and for little: most of it is to be split, as in other runs.
+        """
+        whole, *rest = self._quarters
+        self._quarters = [*rest, whole]
         start = perf_counter()
-        for piece in whole:
-            piece()
+        _in_turn(whole)
         middle = perf_counter()
-        run_split(pool, split)
-        self._choice.add(middle - start, perf_counter() - middle)
+        run_split(pool, [partial(_in_turn, pieces) for pieces in zip(*rest, strict=True)])
+        self._choice.add((QUARTERS - 1) * (middle - start), perf_counter() - middle)
+
+
+def _in_turn(pieces: Iterable[Callable[[], object]]) -> None:
+    """Run pieces one after the other."""
+    for piece in pieces:
+        piece()

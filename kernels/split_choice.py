@@ -57,7 +57,7 @@ class SplitChoice:
         return self._due < 0
 
     def add(self, whole_s: float, split_s: float) -> None:
-        """Take a trial's measurement: time of one half of the work as a whole, and of the other half split [s]."""
+        """Take a trial's measurement: time of the same amount of work as a whole, and split [s]."""
         before = self.splits
         self._logs.append(_clipped_log(whole_s / split_s if split_s > 0.0 else 1.0))
         self._period = min(2 * self._period, LAST_TRIAL) if self.splits == before else FIRST_TRIAL

@@ -16,7 +16,7 @@ from unittest.mock import patch
 import numpy as np
 from harness import machine, table
 
-from kernels.cores import current_core
+from kernels.cores import CoreThreads, current_core
 from tissue.scene.load import load_scene, parse_override
 from tissue.scene.scene import Scene
 from tissue.simulation.run import DEADLINE_US, Run
@@ -71,11 +71,11 @@ def variants(scene: Scene) -> dict[str, Callable[[], Run]]:
             return simulate(scene, allow_unstable=True)
 
     def shared() -> Run:
-        with on_one_core():
+        with on_one_core(), patch.object(CoreThreads, "keep_off", lambda self, core: None):
             return simulate(scene, allow_unstable=True, cores=2)
 
-    def beside() -> Run:
-        with patch.object(BackgroundPriority, "give_way", lambda self: None):
+    def ordinary() -> Run:
+        with patch.object(BackgroundPriority, "step_back", lambda self: None):
             return simulate(scene, allow_unstable=True)
 
     found = {
@@ -85,7 +85,7 @@ def variants(scene: Scene) -> dict[str, Callable[[], Run]]:
         "as chosen, ticks pinned": lambda: simulate(scene, allow_unstable=True, observer=Pinned()),
         "as chosen, one core for two threads": shared,
     }
-    return found | ({"stress at ordinary priority": beside} if scene.stress is not None else {})
+    return found | ({"stress at ordinary priority": ordinary} if scene.stress is not None else {})
 
 
 def main() -> None:

@@ -88,7 +88,7 @@ def test_a_launch_is_not_split_where_that_gains_nothing(monkeypatch):
 
 
 def test_trials_while_it_runs_turn_the_choice_and_change_no_result(monkeypatch):
-    """The machine's gain comes from a clock: splitting gains nothing at first and then does, or the other way round."""
+    """The machine's gain comes from a clock: splitting gains nothing at first and then does, or the opposite."""
     for before, after in ((0.6, 1.8), (1.8, 0.6)):
         launch, out = launch_of(before, monkeypatch)
         monkeypatch.setattr(launcher, "SPLIT_ABOVE_S", 0.0)

@@ -67,7 +67,7 @@ def test_trials_become_seldom_and_often_again_when_the_choice_turns():
     assert runs_to_trial(choice) == FIRST_TRIAL + 1
 
 
-def test_times_that_a_clock_cannot_tell_apart_are_no_gain():
+def test_times_too_short_for_the_clock_are_no_gain():
     choice = SplitChoice()
     choice.add(0.0, 0.0)
     choice.add(0.0, 1e-3)

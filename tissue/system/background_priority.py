@@ -33,7 +33,7 @@ def may_return_from_idle() -> bool:
 
 
 class BackgroundPriority:
-    """Keeps the main thread of another process of ours out of the ticks' way, and lets it hurry when it is awaited.
+    """Puts the main thread of another process of ours behind the ticks, and lets it hurry when it is awaited.
 
     While the ticks go on it runs at idle priority, on the cores that the ticks do not run on. Where a thread may not
     leave the idle priority again it has the lowest of the ordinary ones instead: on a machine that others keep busy a
@@ -62,7 +62,7 @@ class BackgroundPriority:
         )
         return priority + (", off the ticks' core" if len(self._allowed) > 1 else "")
 
-    def give_way(self) -> None:
+    def step_back(self) -> None:
         """The ticks go on, on the core of the calling thread."""
         with suppress(OSError):
             if self._idles:

@@ -37,7 +37,7 @@ class Helper:
     Attributes
     ----------
     priority
-        Keeps it out of the ticks' way, or lets it hurry.
+        Puts it behind the ticks, or lets it hurry.
     """
 
     def __init__(self, module: str, *, does: str) -> None:

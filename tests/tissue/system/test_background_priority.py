@@ -1,4 +1,4 @@
-"""A process beside the ticks gives way to them, hurries when it is awaited, and does not fail where it cannot."""
+"""A process beside the ticks steps back, hurries when it is awaited, and does not fail where it cannot."""
 
 import os
 import subprocess
@@ -22,7 +22,7 @@ def child():
         process.kill()
 
 
-def test_it_gives_way_and_hurries(child, monkeypatch):
+def test_it_steps_back_and_hurries(child, monkeypatch):
     if not may_return_from_idle():
         pytest.skip("no thread may leave the idle priority here")
     allowed = allowed_cores()
@@ -30,7 +30,7 @@ def test_it_gives_way_and_hurries(child, monkeypatch):
     monkeypatch.setattr(background_priority, "current_core", lambda: core)
     priority = BackgroundPriority(child.pid)
     for _ in range(2):
-        priority.give_way()
+        priority.step_back()
         assert os.sched_getscheduler(child.pid) == os.SCHED_IDLE
         assert os.sched_getaffinity(child.pid) == cores_without(core, allowed)
         priority.hurry()
@@ -42,7 +42,7 @@ def test_it_gives_way_and_hurries(child, monkeypatch):
 def test_where_it_could_not_hurry_again_it_has_the_lowest_ordinary_priority(child):
     priority = BackgroundPriority(child.pid, returns=False)
     for _ in range(2):
-        priority.give_way()
+        priority.step_back()
         assert os.sched_getscheduler(child.pid) == os.SCHED_OTHER
         assert os.getpriority(os.PRIO_PROCESS, child.pid) == LOWEST
         priority.hurry()
@@ -54,7 +54,7 @@ def test_on_one_core_it_stays_there(child, monkeypatch):
     moved = []
     monkeypatch.setattr(os, "sched_setaffinity", lambda number, cores: moved.append(cores))
     priority = BackgroundPriority(child.pid)
-    priority.give_way()
+    priority.step_back()
     priority.hurry()
     assert not moved and "core" not in priority.described
 
@@ -63,7 +63,7 @@ def test_a_process_that_has_ended_is_no_failure(child):
     child.kill()
     child.wait()
     priority = BackgroundPriority(child.pid)
-    priority.give_way()
+    priority.step_back()
     priority.hurry()
 
 

@@ -148,7 +148,7 @@ class InlineStressSolver:
 
 
 class StressProcess:
-    """Solves in a process of its own, which gives way to the ticks; parameters as for `InlineStressSolver`.
+    """Solves in a process of its own, at a lower priority than the ticks; parameters as for `InlineStressSolver`.
 
     Raises
     ------
@@ -173,7 +173,7 @@ class StressProcess:
     def begin(self, state: Drilled) -> None:
         """Send what is to be solved; the other process waits for it."""
         arrays = (state.rows, state.left, state.force_N, state.point_m)
-        self._helper.priority.give_way()
+        self._helper.priority.step_back()
         self._helper.send((state.time_s, *(array.tobytes() for array in arrays)))
         self._begun = True
 
