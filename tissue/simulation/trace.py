@@ -100,8 +100,9 @@ class TraceWriter:
         """Bring the first ``row_count`` rows to disk if the last flush was a while ago."""
         now = perf_counter()
         if force or now - self._flushed_at > FLUSH_EVERY_S:
-            self._write(self._table.lines(self._written, row_count))
-            self._written, self._flushed_at = row_count, now
+            text = self._table.lines(self._written, row_count)
+            self._written, self._flushed_at = row_count, now  # first: Ctrl-C may come when the rows are on disk
+            self._write(text)
 
     def _write(self, text: str) -> None:
         """Bring text to disk; an error names the file, which the system's own does not."""

@@ -77,3 +77,21 @@ def test_a_line_cut_short_is_left_out(tmp_path, kept):
 def test_a_file_without_a_whole_row_has_none(tmp_path, text):
     (tmp_path / "trace.csv").write_text(text)
     assert len(read_table(tmp_path / "trace.csv", LAYERS).rows) == 0
+
+
+def test_ctrl_c_just_after_rows_came_to_disk_does_not_write_them_twice(tmp_path, monkeypatch):
+    table = filled(6)
+    writer = TraceWriter(tmp_path / "trace.csv", table)
+    write = writer._write
+
+    def interrupted(text):
+        write(text)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(writer, "_write", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        writer.flush(4, force=True)
+    monkeypatch.setattr(writer, "_write", write)
+    writer.flush(6, force=True)
+    writer.close()
+    assert np.array_equal(read_table(tmp_path / "trace.csv", LAYERS).rows, table.rows)
