@@ -7,9 +7,9 @@ gain, see `kernels.split_choice`. A part that no thread has begun, because other
 waiting for it would cost milliseconds. Kernels are written so that the split does not change a bit of the result.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from itertools import pairwise
 from time import perf_counter
 
@@ -23,8 +23,6 @@ __all__ = ["SPLIT_ABOVE_S", "LaunchCounts", "SplitLaunch", "launch_counts"]
 SPLIT_ABOVE_S = 2.5e-4
 GROWTH = 2.0
 """Factor by which a launch is assumed to grow from one run to the next."""
-QUARTERS = 4
-"""Parts of a launch that measures what splitting gains: one is run as a whole, the others split."""
 FIRST_S = 1e-5
 """What a launch is assumed to take before its first run [s]."""
 
@@ -52,9 +50,9 @@ def _pool(threads: int) -> CoreThreads:
 
 
 @cache
-def _gains(threads: int) -> tuple[float, ...]:
+def _gain(threads: int) -> float:
     """What the threads gain on this machine, measured once; every launch goes on from there."""
-    return tuple(calibrate(_pool(threads), threads + 1))
+    return calibrate(_pool(threads), threads + 1)
 
 
 class SplitLaunch:
@@ -88,7 +86,7 @@ class SplitLaunch:
         cores: int | None = None,
     ) -> None:
         along, *across = (dim,) if isinstance(dim, int) else dim
-        parts = 1 if device != "cpu" else max(min(cores or core_count(), along // QUARTERS), 1)
+        parts = 1 if device != "cpu" else min(cores or core_count(), along)
 
         def record(first: int, last: int) -> Callable[[], object]:
             """Run the launch of the threads from ``first`` up to ``last``."""
@@ -104,49 +102,24 @@ class SplitLaunch:
             )
             return command.launch
 
-        def cut(pieces: int) -> list[Callable[[], object]]:
-            """The launch in so many pieces of equal size."""
-            return [record(a, b) for a, b in pairwise(along * piece // pieces for piece in range(pieces + 1))]
-
         self._whole = record(0, along)
         self._work_s = FIRST_S
         self._pool = _pool(parts - 1) if parts > 1 else None
         if self._pool is not None:
-            self._parts, pieces = cut(parts), cut(QUARTERS * parts)
-            self._quarters = [pieces[quarter * parts : (quarter + 1) * parts] for quarter in range(QUARTERS)]
-            self._choice = SplitChoice(_gains(parts - 1))  # calibrated now, not in the first large tick
+            self._parts = [record(a, b) for a, b in pairwise(along * part // parts for part in range(parts + 1))]
+            self._choice = SplitChoice(_gain(parts - 1))  # calibrated now, not in the first large tick
 
     def __call__(self) -> None:
         """Run the launch and wait until it is done (on a GPU: until it is queued)."""
+        large = self._pool is not None and self._work_s > SPLIT_ABOVE_S
         start, parallel = perf_counter(), 1
-        if self._pool is None or self._work_s <= SPLIT_ABOVE_S:
-            self._whole()
+        if self._pool is not None and large and self._choice.next_run():
+            _counts.split += 1
+            parallel = run_split(self._pool, self._parts)
         else:
+            self._whole()
+        took_s = perf_counter() - start
+        if large:
             _counts.large += 1
-            if self._choice.trial_is_due():
-                self._try_out(self._pool)
-            elif self._choice.splits:
-                _counts.split += 1
-                parallel = run_split(self._pool, self._parts)
-            else:
-                self._whole()
-        self._work_s = min((perf_counter() - start) * parallel, GROWTH * self._work_s)
-
-    def _try_out(self, pool: CoreThreads) -> None:
-        """Run one quarter of the launch as a whole, the next time another one, and the rest split; compare their times.
-
-        Handing over work costs the same for much of it and for little: most of it is to be split, as in other runs.
-        """
-        whole, *rest = self._quarters
-        self._quarters = [*rest, whole]
-        start = perf_counter()
-        _in_turn(whole)
-        middle = perf_counter()
-        run_split(pool, [partial(_in_turn, pieces) for pieces in zip(*rest, strict=True)])
-        self._choice.add((QUARTERS - 1) * (middle - start), perf_counter() - middle)
-
-
-def _in_turn(pieces: Iterable[Callable[[], object]]) -> None:
-    """Run pieces one after the other."""
-    for piece in pieces:
-        piece()
+            self._choice.add(took_s)
+        self._work_s = min(took_s * parallel, GROWTH * self._work_s)

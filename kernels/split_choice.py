@@ -7,8 +7,8 @@ launches run, at first often and then ever more seldom.
 
 import hashlib
 from collections import deque
-from collections.abc import Callable, Iterable
-from math import exp, log
+from collections.abc import Callable
+from statistics import geometric_mean, median
 from time import perf_counter
 
 from kernels.cores import CoreThreads, current_core
@@ -17,12 +17,16 @@ __all__ = ["LEAST_GAIN", "SplitChoice", "calibrate", "run_split"]
 
 LEAST_GAIN = 1.1
 """Time of whole runs over that of split ones from which a launch is split."""
-KEPT = 8
-"""Measurements of the gain that count."""
+ORDER = tuple(number.bit_count() % 2 == 1 for number in range(16))
+"""Which runs of a trial are split: as often late as early, and in no rhythm that the work of the runs may have."""
 MOST_RATIO = 4.0
-"""A single measurement counts as at most this gain or loss: one interruption decides nothing, several do."""
-FIRST_TRIAL, LAST_TRIAL = 8, 512
+"""A run of a trial counts as at most so many times the median one: one interruption decides nothing, several do."""
+KEPT = 4
+"""Trials that count."""
+FIRST_TRIAL, LAST_TRIAL = 8, 2048
 """Large runs before the first trial; the number doubles with each trial that confirms the choice, up to the second."""
+SAMPLES = 8
+"""Pairs of whole and split work in the calibration."""
 CALIBRATION_S = 1.5e-4
 """Time of one part of the calibration's work [s]: a launch just large enough to be split has two of them."""
 SAMPLE_BYTES = 1 << 16
@@ -31,35 +35,51 @@ SAMPLE_BYTES = 1 << 16
 class SplitChoice:
     """Whether one launch is split.
 
+    The work of a launch changes from run to run, so a trial compares as many whole runs as split ones, mixed.
+
     Parameters
     ----------
-    gains
-        Ratios of whole to split time measured so far, such as those of `calibrate`; without any it is not split.
+    gain
+        Ratio of whole to split time measured so far, such as that of `calibrate`.
     """
 
-    def __init__(self, gains: Iterable[float] = ()) -> None:
-        self._logs = deque((_clipped_log(gain) for gain in gains), maxlen=KEPT)
+    def __init__(self, gain: float = 1.0) -> None:
+        self._gains = deque([gain], maxlen=KEPT)
         self._period = self._due = FIRST_TRIAL
+        self._trial: list[float] = []
 
     @property
     def gain(self) -> float:
-        """Geometric mean of the last measurements; 1 without any."""
-        return exp(sum(self._logs) / len(self._logs)) if self._logs else 1.0
+        """Geometric mean of the last measurements."""
+        return geometric_mean(self._gains)
 
     @property
     def splits(self) -> bool:
         """Whether splitting gains enough."""
         return self.gain >= LEAST_GAIN
 
-    def trial_is_due(self) -> bool:
-        """Count a large run; whether this one is to measure the gain."""
-        self._due -= 1
-        return self._due < 0
+    def next_run(self) -> bool:
+        """Whether to split the next large run."""
+        return self.splits if self._due > 0 else ORDER[len(self._trial)]
 
-    def add(self, whole_s: float, split_s: float) -> None:
-        """Take a trial's measurement: time of the same amount of work as a whole, and split [s]."""
-        before = self.splits
-        self._logs.append(_clipped_log(whole_s / split_s if split_s > 0.0 else 1.0))
+    def add(self, seconds: float) -> None:
+        """Take the time of the run that `next_run` was asked about [s]."""
+        if self._due > 0:
+            self._due -= 1
+            return
+        self._trial.append(seconds)
+        if len(self._trial) == len(ORDER):
+            self._judge()
+
+    def _judge(self) -> None:
+        """Compare the whole and the split runs of a trial, and set when the next one begins."""
+        most, before = MOST_RATIO * median(self._trial), self.splits
+        times = [min(each, most) for each in self._trial]
+        split = sum(each for each, was_split in zip(times, ORDER, strict=True) if was_split)
+        whole = sum(times) - split
+        self._trial.clear()
+        if whole > 0.0 and split > 0.0:
+            self._gains.append(whole / split)
         self._period = min(2 * self._period, LAST_TRIAL) if self.splits == before else FIRST_TRIAL
         self._due = self._period
 
@@ -84,8 +104,8 @@ def run_split(pool: CoreThreads, parts: list[Callable[[], object]]) -> int:
     return parallel
 
 
-def calibrate(pool: CoreThreads, parts: int, *, now: Callable[[], float] = perf_counter) -> list[float]:
-    """Ratios of whole to split time of work that needs only a core, in a few milliseconds.
+def calibrate(pool: CoreThreads, parts: int, *, now: Callable[[], float] = perf_counter) -> float:
+    """Ratio of whole to split time of work that needs only a core, measured in a few milliseconds.
 
     Parameters
     ----------
@@ -100,22 +120,18 @@ def calibrate(pool: CoreThreads, parts: int, *, now: Callable[[], float] = perf_
     work = bytes(SAMPLE_BYTES * max(1, round(CALIBRATION_S / one_s)) if one_s > 0.0 else SAMPLE_BYTES)
     jobs: list[Callable[[], object]] = [lambda: hashlib.sha256(work)] * parts  # hashing releases the interpreter lock
     run_split(pool, jobs)  # threads start now
-    gains = []
-    for _ in range(KEPT):
+    ratios = []
+    for _ in range(SAMPLES):
         start = now()
         for job in jobs:
             job()
         middle = now()
         run_split(pool, jobs)
-        gains.append((middle - start) / max(now() - middle, 1e-9))
-    return gains
+        ratios.append((middle - start) / max(now() - middle, 1e-9))
+    return median(ratios)
 
 
 def _hash_time(work: bytes, now: Callable[[], float]) -> float:
     start = now()
     hashlib.sha256(work)
     return now() - start
-
-
-def _clipped_log(gain: float) -> float:
-    return log(min(max(gain, 1.0 / MOST_RATIO), MOST_RATIO))

@@ -9,7 +9,7 @@ import warp as wp
 
 import kernels.launcher as launcher
 from kernels.launcher import SplitLaunch, launch_counts
-from kernels.split_choice import FIRST_TRIAL, KEPT
+from kernels.split_choice import FIRST_TRIAL, KEPT, ORDER
 
 wp.set_module_options({"enable_backward": False})
 COUNT = 1000
@@ -29,7 +29,7 @@ def squares(
 
 def launch_of(gain, monkeypatch) -> tuple[SplitLaunch, np.ndarray]:
     """A launch on a machine where splitting gains so much, and what it writes."""
-    monkeypatch.setattr(launcher, "_gains", lambda threads: (gain,) * KEPT)
+    monkeypatch.setattr(launcher, "_gain", lambda threads: gain)
     out = wp.zeros(COUNT, dtype=wp.int32, device="cpu")
     launch = SplitLaunch(squares, dim=COUNT, inputs=[0], outputs=[out], offset_index=0, device="cpu", cores=2)
     return launch, out.numpy()
@@ -75,10 +75,9 @@ def test_one_slow_run_does_not_split_a_small_launch(split, monkeypatch):
 
 
 def test_a_launch_is_not_split_where_that_gains_nothing(monkeypatch):
-    """As on two processors that share one core, however large it is; trials leave the result as it is."""
+    """As on two processors that share one core, however large it is."""
     launch, out = launch_of(0.6, monkeypatch)
     monkeypatch.setattr(launcher, "SPLIT_ABOVE_S", 0.0)
-    monkeypatch.setattr(launch._choice, "add", lambda whole_s, split_s: None)
     before = launch_counts()
     for _ in range(FIRST_TRIAL):
         launch()
@@ -87,19 +86,22 @@ def test_a_launch_is_not_split_where_that_gains_nothing(monkeypatch):
     assert np.array_equal(out, FIRST_TRIAL * np.arange(COUNT) ** 2)
 
 
-def test_trials_while_it_runs_turn_the_choice_and_change_no_result(monkeypatch):
-    """The machine's gain comes from a clock: splitting gains nothing at first and then does, or the opposite."""
-    for before, after in ((0.6, 1.8), (1.8, 0.6)):
-        launch, out = launch_of(before, monkeypatch)
-        monkeypatch.setattr(launcher, "SPLIT_ABOVE_S", 0.0)
-        add = launch._choice.add
-        monkeypatch.setattr(launch._choice, "add", lambda whole_s, split_s, add=add, gain=after: add(gain, 1.0))
-        runs = 0
-        while launch._choice.splits == (before > 1.0):
-            launch()
-            runs += 1
-        assert runs < FIRST_TRIAL * 2**KEPT
-        for _ in range(2 * FIRST_TRIAL):
-            launch()
-        assert launch._choice.splits == (after > 1.0)
-        assert np.array_equal(out, (runs + 2 * FIRST_TRIAL) * np.arange(COUNT) ** 2)
+@pytest.mark.parametrize(("before", "after"), [(0.6, 1.8), (1.8, 0.6)])
+def test_trials_while_it_runs_turn_the_choice_and_change_no_result(before, after, monkeypatch):
+    """A clock makes splitting gain nothing at first and then much, or the opposite."""
+    launch, out = launch_of(before, monkeypatch)
+    monkeypatch.setattr(launcher, "SPLIT_ABOVE_S", 0.0)
+    choice = launch._choice
+    add = choice.add
+
+    def timed(seconds):
+        add(1e-3 / after if choice.next_run() else 1e-3)
+
+    monkeypatch.setattr(choice, "add", timed)
+    runs = 0
+    most = sum(FIRST_TRIAL * 2**trial + len(ORDER) for trial in range(KEPT))
+    while choice.splits == (before > 1.0) and runs <= most:
+        launch()
+        runs += 1
+    assert FIRST_TRIAL + len(ORDER) <= runs <= most
+    assert np.array_equal(out, runs * np.arange(COUNT) ** 2)

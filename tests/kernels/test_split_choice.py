@@ -1,77 +1,125 @@
 """Whether a launch is split follows what splitting gains, at the start and while it runs."""
 
-from itertools import count, cycle
+from itertools import cycle
 
 import pytest
 
 from kernels.cores import CoreThreads
-from kernels.split_choice import FIRST_TRIAL, KEPT, LAST_TRIAL, LEAST_GAIN, MOST_RATIO, SplitChoice, calibrate
+from kernels.split_choice import (
+    FIRST_TRIAL,
+    KEPT,
+    LAST_TRIAL,
+    LEAST_GAIN,
+    ORDER,
+    SAMPLES,
+    SplitChoice,
+    calibrate,
+)
 
 TWO_CORES, ONE_CORE = 1.8, 0.6
 """What splitting gains on two cores, and on two processors that share one."""
+WHOLE_S, SLICE_S = 4e-4, 8e-3
+"""Time of a whole run, and of a time slice that another process takes."""
 
 
-def runs_to_trial(choice):
-    """Large runs until a trial is due, that one included."""
-    return next(number for number in count(1) if choice.trial_is_due())
+def run(choice, gain):
+    """One large run on a machine where splitting gains so much; whether it was split."""
+    was_split = choice.next_run()
+    choice.add(WHOLE_S / gain if was_split else WHOLE_S)
+    return was_split
+
+
+def run_to_trial(choice, gain):
+    """Run until a trial begins; how many runs that took."""
+    for count in range(2 * LAST_TRIAL):
+        if choice._due == 0:
+            return count
+        assert run(choice, gain) == choice.splits
+    raise AssertionError("no trial begins")
+
+
+def trial(choice, times):
+    """One trial with the given times of whole and split runs."""
+    for was_split in ORDER:
+        assert choice.next_run() == was_split
+        choice.add(next(times[was_split]))
+
+
+def even(gain):
+    """Times of whole and split runs of the same work."""
+    return {False: cycle([WHOLE_S]), True: cycle([WHOLE_S / gain])}
 
 
 @pytest.mark.parametrize(("gain", "splits"), [(TWO_CORES, True), (ONE_CORE, False), (1.0, False)])
 def test_a_choice_begins_with_the_machine(gain, splits):
-    choice = SplitChoice([gain] * KEPT)
+    choice = SplitChoice(gain)
     assert choice.gain == pytest.approx(gain)
-    assert choice.splits == splits
+    assert choice.next_run() == choice.splits == splits
 
 
 def test_a_choice_without_measurements_does_not_split():
-    assert not SplitChoice().splits
+    assert not SplitChoice().next_run()
 
 
 @pytest.mark.parametrize(("before", "after"), [(TWO_CORES, ONE_CORE), (ONE_CORE, TWO_CORES)])
 def test_a_choice_follows_the_machine_while_it_runs(before, after):
     """A core that others take, or give back, turns the choice within as many trials as count."""
-    choice = SplitChoice([before] * KEPT)
+    choice = SplitChoice(before)
     for _ in range(KEPT):
-        choice.add(after * 1e-3, 1e-3)
+        run_to_trial(choice, after)
+        trial(choice, even(after))
     assert choice.splits == (after >= LEAST_GAIN)
     assert choice.gain == pytest.approx(after)
 
 
-def test_one_interruption_decides_nothing():
-    """A split run that lost a time slice of 8 ms does not end the splitting, and a whole one does not begin it."""
-    choice = SplitChoice([TWO_CORES] * KEPT)
-    choice.add(2e-4, 8e-3)
-    assert choice.splits
-    choice = SplitChoice([ONE_CORE] * KEPT)
-    choice.add(8e-3, 2e-4)
-    assert not choice.splits
+def test_a_trial_has_as_many_whole_as_split_runs_as_late_as_early():
+    places = [[place for place, split in enumerate(ORDER) if split == kind] for kind in (False, True)]
+    for power in (0, 1, 2, 3):  # work that grows with the run's number to the third power makes no difference
+        assert sum(place**power for place in places[0]) == sum(place**power for place in places[1])
+
+
+@pytest.mark.parametrize("gain", [TWO_CORES, ONE_CORE])
+def test_one_interruption_decides_nothing(gain):
+    """Neither a split run that lost a time slice, nor a whole one."""
+    for interrupted in (False, True):
+        choice = SplitChoice(gain)
+        run_to_trial(choice, gain)
+        times = even(gain)
+        usual = next(times[interrupted])
+        times[interrupted] = iter([SLICE_S] + [usual] * 7)
+        trial(choice, times)
+        assert choice.splits == (gain >= LEAST_GAIN)
 
 
 def test_interruptions_that_come_again_end_the_splitting():
     """The mean counts, not the median: threads that often lose their core make late ticks."""
-    choice = SplitChoice([1.0 + 0.5 * (TWO_CORES - 1.0)] * KEPT)
-    for _ in range(3):
-        choice.add(1e-4, 1e-4 * 2.0 * MOST_RATIO)
+    choice = SplitChoice(TWO_CORES)
+    for _ in range(KEPT):
+        run_to_trial(choice, TWO_CORES)
+        times = even(TWO_CORES)
+        times[True] = iter([SLICE_S] * 3 + [WHOLE_S / TWO_CORES] * 5)
+        trial(choice, times)
     assert not choice.splits
 
 
 def test_trials_become_seldom_and_often_again_when_the_choice_turns():
-    choice = SplitChoice([TWO_CORES] * KEPT)
+    choice = SplitChoice(TWO_CORES)
     waited = []
     for _ in range(10):
-        waited.append(runs_to_trial(choice))
-        choice.add(TWO_CORES * 1e-3, 1e-3)
-    assert waited == [min(FIRST_TRIAL * 2**power, LAST_TRIAL) + 1 for power in range(10)]
+        waited.append(run_to_trial(choice, TWO_CORES))
+        trial(choice, even(TWO_CORES))
+    assert waited == [min(FIRST_TRIAL * 2**power, LAST_TRIAL) for power in range(10)]
     while choice.splits:
-        choice.add(ONE_CORE * 1e-3, 1e-3)
-    assert runs_to_trial(choice) == FIRST_TRIAL + 1
+        run_to_trial(choice, ONE_CORE)
+        trial(choice, even(ONE_CORE))
+    assert run_to_trial(choice, ONE_CORE) == FIRST_TRIAL
 
 
 def test_times_too_short_for_the_clock_are_no_gain():
     choice = SplitChoice()
-    choice.add(0.0, 0.0)
-    choice.add(0.0, 1e-3)
-    assert not choice.splits
+    run_to_trial(choice, 1.0)
+    trial(choice, {False: cycle([0.0]), True: cycle([0.0])})
+    assert choice.gain == 1.0
 
 
 @pytest.mark.parametrize(("whole_s", "split_s", "gain"), [(3e-4, 2e-4, 1.5), (3e-4, 3.6e-4, 1 / 1.2)])
@@ -81,12 +129,12 @@ def test_the_calibration_compares_whole_with_split_work(whole_s, split_s, gain):
     times, shown = cycle([whole_s, split_s]), [0.0]
     for step in steps:
         shown += [shown[-1] + step, shown[-1] + step]
-    for _ in range(KEPT):
+    for _ in range(SAMPLES):
         start = shown.pop()
         shown += [start, start + next(times)]
         shown.append(shown[-1] + next(times))
         shown.append(shown[-1])
     clock = iter(shown)
     with CoreThreads(1) as pool:
-        gains = calibrate(pool, 2, now=lambda: next(clock))
-    assert gains == pytest.approx([gain] * KEPT)
+        found = calibrate(pool, 2, now=lambda: next(clock))
+    assert found == pytest.approx(gain)

@@ -50,7 +50,7 @@ def test_the_folder_holds_every_file(made):
     assert sum(summary["removed_mm3"].values()) > 100.0
     assert summary["scheduling"]["cores"] == 1 and summary["scheduling"]["split_launches"] == 0
     gaps = summary["machine_gaps"]
-    assert gaps["spun_s"] == pytest.approx(2 * spin_time_s(0.6), rel=0.5)  # before and after; a gap may end it later
+    assert gaps["spun_s"] >= 2.0 * spin_time_s(0.6)  # before and after; a gap may end it later
     assert gaps["count"] == 0 or gaps["longest_us"] >= gaps["least_us"]
     assert (made / "trace.csv").read_text().count("\n") == (made / "timing.csv").read_text().count("\n") == 601
 
