@@ -23,7 +23,7 @@ MOST_RATIO = 4.0
 """A run of a trial counts as at most so many times the median one: one interruption decides nothing, several do."""
 KEPT = 4
 """Trials that count."""
-FIRST_TRIAL, LAST_TRIAL = 8, 2048
+FIRST_TRIAL, LAST_TRIAL = 32, 2048
 """Large runs before the first trial; the number doubles with each trial that confirms the choice, up to the second."""
 SAMPLES = 8
 """Pairs of whole and split work in the calibration."""
