@@ -68,6 +68,8 @@ class ParticleBody:
     ----------
     cells
         Stiffness of the cells.
+    carrying
+        Nodes that a live cell gives stiffness, bool, shape (n,).
     displacement_m
         Displacement of the last solve [m], shape (n, 3), from which the next one starts.
     """
@@ -95,6 +97,7 @@ class ParticleBody:
         self._filled = np.zeros(grid.cell_count, dtype=np.bool_)
         self._is_debris = np.zeros(grid.cell_count, dtype=np.bool_)
         self._iterations_fresh = 0
+        self.carrying = np.zeros(grid.node_count, dtype=np.bool_)
         self._apply(np.arange(grid.cell_count, dtype=np.int32))
 
     @property
@@ -102,13 +105,6 @@ class ParticleBody:
         """Particles, by the caller's index, that are there but hang on nothing."""
         there = self._is_debris[self.cells.particle_cell] & (self.cells.remaining > 0)
         return np.sort(self.cells.order[there])
-
-    @property
-    def carrying(self) -> NDArray[np.bool_]:
-        """Nodes that a live cell gives stiffness, shape (n,)."""
-        nodes = np.zeros(self.grid.node_count, dtype=np.bool_)
-        nodes[self.grid.cell_nodes[self.cells.live > 0]] = True
-        return nodes
 
     def set_remaining(self, particles: NDArray[np.integer], steps: NDArray[np.integer]) -> None:
         """Set what is left of particles, by the caller's index, in steps of 1/65535; `update` makes it count."""
@@ -142,6 +138,8 @@ class ParticleBody:
         cells = np.union1d(touched, np.flatnonzero(before != self.cells.live)).astype(np.int32)
         if len(cells):
             self._hierarchy.update(cells)
+            self.carrying = np.zeros(self.grid.node_count, dtype=np.bool_)
+            self.carrying[self.grid.cell_nodes[self.cells.live > 0]] = True
             self._free = (~self.supports.fixed & self.carrying[:, None]).astype(np.float64)
             self._diagonal = self._hierarchy.diagonal()
         fresh = (self._is_debris & ~was_debris)[self.cells.particle_cell] & (self.cells.remaining > 0)

@@ -123,7 +123,13 @@ class HexGrid:
 
     def find_cells(self, place: NDArray[np.integer]) -> Index:
         """Cells at places of the box, shape (n, 3), or -1."""
-        return _find_places(self.cell_place, place, self.cell_place.max(axis=0) + 1)
+        shape, keys = self._cell_keys
+        return _find_keys(keys, place, shape)
+
+    @cached_property
+    def _cell_keys(self) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+        shape = self.cell_place.max(axis=0) + 1
+        return shape, _keys(self.cell_place, shape)
 
     def find_nodes(self, place: NDArray[np.integer]) -> Index:
         """Nodes at places of the box, shape (n, 3), or -1."""
@@ -161,7 +167,10 @@ def _unique_places(place: NDArray[np.integer], shape: NDArray[np.integer]) -> In
 
 def _find_places(known: Index, place: NDArray[np.integer], shape: NDArray[np.integer]) -> Index:
     """Row of each place in the ordered places ``known``, or -1."""
-    keys = _keys(known, shape)
+    return _find_keys(_keys(known, shape), place, shape)
+
+
+def _find_keys(keys: NDArray[np.int64], place: NDArray[np.integer], shape: NDArray[np.integer]) -> Index:
     inside = ((place >= 0) & (place < shape)).all(axis=1)
     wanted = np.where(inside, _keys(place, shape), -1)
     row = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
