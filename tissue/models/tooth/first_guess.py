@@ -22,10 +22,11 @@ class FirstGuess:
     kept
         Solutions that are kept for good, shape (n, 3) each, and the load of each: the six of the support compliance.
     recent
-        How many of the last solutions are kept besides.
+        How many of the last solutions are kept besides: while a body is cut, two
+        leave 3 iterations and six leave 5, since the older ones are of a body that was fuller.
     """
 
-    def __init__(self, kept: list[tuple[Array, Array]], *, recent: int = 6) -> None:
+    def __init__(self, kept: list[tuple[Array, Array]], *, recent: int = 2) -> None:
         self._solutions = [moved.ravel() for moved, _ in kept]
         self._loads = [load.ravel() for _, load in kept]
         self._first, self._most = len(kept), len(kept) + recent
