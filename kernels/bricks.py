@@ -5,8 +5,7 @@ brick's grid position to its row in the stored arrays, -1 where nothing is store
 2 x 2 x 2 voxels follow each other, so that what a tool's surface touches lies close together in memory. Lengths are in
 voxels: a point at ``x`` metres lies at ``(x - origin) / spacing``.
 
-What a voxel is made of and how it meets the tool share one word: density [kg/m3] in the upper 16 bits, then 8 bits of
-layer, then 8 bits of fill, the share of the tool's surface in the voxel that meets material (255 = all).
+What a voxel was made of before any cut shares one word: density [kg/m3] in the upper 16 bits, layer in the lower.
 """
 
 import warp as wp
@@ -18,7 +17,6 @@ __all__ = [
     "Plane",
     "cube_behind_plane",
     "density_of",
-    "fill_of",
     "layer_of",
     "plane_of",
     "stored",
@@ -56,19 +54,13 @@ def voxel_column(ix: int, iy: int, iz: int):
 @wp.func
 def layer_of(word: wp.uint32):
     """Layer in a voxel's material word."""
-    return int((word >> wp.uint32(8)) & wp.uint32(255))
+    return int(word & wp.uint32(255))
 
 
 @wp.func
 def density_of(word: wp.uint32):
     """Density [kg/m3] in a voxel's material word."""
     return int(word >> wp.uint32(16))
-
-
-@wp.func
-def fill_of(word: wp.uint32):
-    """Fill in a voxel's material word, in [0, 1]."""
-    return float(word & wp.uint32(255)) * (1.0 / 255.0)
 
 
 @wp.func

@@ -15,7 +15,7 @@ import warp as wp
 from kernels.bricks import cube_behind_plane, layer_of, plane_of
 from kernels.revolution import EDGE_BEND, Nearest, Revolution, nearest_on, offset_from
 
-__all__ = ["BINARY", "COUNT", "EVERY_SIDE", "FIRST", "ORIGIN", "PHASES", "PLAN", "carve"]
+__all__ = ["BINARY", "COUNT", "EVERY_SIDE", "FIRST", "ORIGIN", "PHASES", "PLAN", "carve", "cut_before"]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -24,10 +24,8 @@ FIRST, COUNT, BINARY, EVERY_SIDE, ORIGIN, PLAN = 0, 1, 2, 3, 4, 5
 """Places in the plan: first group and how many; 1 for binary removal; 1 for every side; group of the first brick."""
 BLOCK_REACH = wp.constant(1.7320508)  # half diagonal of a block of 2 voxels [voxel]
 CELL = wp.constant(0.5)  # a cell of the distance table [voxel], by which a slope may be taken next to a kink
-SLACK = wp.constant(1024)  # stored steps by which two visits may differ in where they see the same surface
+SLACK = wp.constant(12)  # stored distance by which two poses may differ in where they see the same surface
 EDGE = wp.constant(float(EDGE_BEND))
-NO_FILL = wp.constant(wp.uint32(0xFFFFFF00))
-FULL_FILL = wp.constant(wp.uint32(0xFF))
 BRICK_REACH = wp.constant(6.9282032)  # half diagonal of a brick of 8 voxels [voxel]
 
 
@@ -37,14 +35,14 @@ def carve(
     tool: Revolution,
     pose: wp.array2d(dtype=wp.float64),  # row 0 now, row 1 + g last visit of group g: tip xyz [voxel], axis xyz
     plan: wp.array(dtype=wp.int32),  # see FIRST
-    lookahead: float,  # how far ahead of the surface the fill is foreseen [voxel]
     worker_offset: int,
     worker_count: int,
     # grid
     brick_of: wp.array3d(dtype=wp.int32),
+    material: wp.array2d(dtype=wp.uint32),
     # out
     remaining_out: wp.array2d(dtype=wp.uint16),
-    material_out: wp.array2d(dtype=wp.uint32),  # density, layer and fill; the fill is written
+    swept_out: wp.array2d(dtype=wp.uint16),  # distance to the solid that the tool has swept, see `swept_steps`
     alive_out: wp.array(dtype=wp.uint64),  # [brick], one bit a block of 2 x 2 x 2 voxels that may hold material
     touched_out: wp.array(dtype=wp.uint8),  # [brick], set to 1 where this launch removed something
     removed_out: wp.array2d(dtype=wp.int64),  # [worker, layer], stored steps removed by this launch
@@ -57,7 +55,7 @@ def carve(
     low = wp.vec3i(0, 0, 0)
     high = wp.vec3i(0, 0, 0)
     for c in range(3):
-        spread = tool.radius * wp.sqrt(wp.max(1.0 - axis[c] * axis[c], 0.0)) + lookahead + 1.0
+        spread = tool.radius * wp.sqrt(wp.max(1.0 - axis[c] * axis[c], 0.0)) + 1.0
         first = wp.min(tool.low * axis[c], tool.high * axis[c]) - spread
         last = wp.max(tool.low * axis[c], tool.high * axis[c]) + spread
         low[c] = wp.max(int(wp.floor((float(pose[0, c]) + first) / 8.0)), 0)
@@ -76,8 +74,8 @@ def carve(
                 row = int(brick_of[bx, by, bz])
                 if row >= 0:
                     carve_brick(
-                        tool, pose, axis, group, plan[BINARY], plan[EVERY_SIDE], lookahead, bx, by, bz, row, worker,
-                        remaining_out, material_out, alive_out, touched_out, removed_out,
+                        tool, pose, axis, group, plan[BINARY], plan[EVERY_SIDE], bx, by, bz, row, worker,
+                        material, remaining_out, swept_out, alive_out, touched_out, removed_out,
                     )  # fmt: skip
                 bz += 16
 
@@ -90,14 +88,14 @@ def carve_brick(
     group: int,
     binary: int,
     every_side: int,
-    lookahead: float,
     bx: int,
     by: int,
     bz: int,
     row: int,
     worker: int,
+    material: wp.array2d(dtype=wp.uint32),
     remaining_out: wp.array2d(dtype=wp.uint16),
-    material_out: wp.array2d(dtype=wp.uint32),
+    swept_out: wp.array2d(dtype=wp.uint16),  # distance to the solid that the tool has swept, see `swept_steps`
     alive_out: wp.array(dtype=wp.uint64),
     touched_out: wp.array(dtype=wp.uint8),
     removed_out: wp.array2d(dtype=wp.int64),
@@ -108,7 +106,7 @@ def carve_brick(
         return
     centre = offset_from(pose, 0, bx * 8 + 4, by * 8 + 4, bz * 8 + 4)
     far = nearest_on(tool, centre, axis)
-    if far.distance > BRICK_REACH + lookahead:
+    if far.distance > BRICK_REACH:
         return
     step = offset_from(pose, 1 + group, bx * 8 + 4, by * 8 + 4, bz * 8 + 4) - centre
     moved = wp.length(step)
@@ -125,23 +123,22 @@ def carve_brick(
             z = (block & 3) * 2
             shift = wp.vec3(float(x) - 3.0, float(y) - 3.0, float(z) - 3.0)
             # The distance to a convex tool lies above its tangent: three products exclude most outer blocks.
-            if tool.convex == 0 or far.distance + wp.dot(far.slope, shift) < BLOCK_REACH + lookahead + CELL:
+            if tool.convex == 0 or far.distance + wp.dot(far.slope, shift) < BLOCK_REACH + CELL:
                 near = nearest_on(tool, centre + shift, axis)
                 if near.distance < -BLOCK_REACH:
                     for v in range(8):
                         voxel = block * 8 + v
-                        word = material_out[row, voxel]
                         kept = int(remaining_out[row, voxel])
-                        removed_out[worker, layer_of(word)] += wp.int64(kept)
+                        removed_out[worker, layer_of(material[row, voxel])] += wp.int64(kept)
                         remaining_out[row, voxel] = wp.uint16(0)
-                        material_out[row, voxel] = word & NO_FILL
+                        swept_out[row, voxel] = wp.uint16(0)
                     alive = alive ^ bit
-                elif near.distance < BLOCK_REACH + lookahead:
+                elif near.distance < BLOCK_REACH:
                     advance = wp.dot(near.slope, step)
                     if advance >= -0.25 * moved or not skip_behind:
                         carve_block(
-                            tool, axis, centre + shift, near, advance, binary, lookahead, row, block * 8, worker,
-                            remaining_out, material_out, removed_out,
+                            tool, axis, centre + shift, near, binary, row, block * 8, worker,
+                            material, remaining_out, swept_out, removed_out,
                         )  # fmt: skip
     if alive != before:
         alive_out[row] = alive
@@ -164,52 +161,69 @@ def carve_block(
     axis: wp.vec3,
     middle: wp.vec3,
     near: Nearest,
-    advance: float,
     binary: int,
-    lookahead: float,
     row: int,
     first: int,
     worker: int,
+    material: wp.array2d(dtype=wp.uint32),
     remaining_out: wp.array2d(dtype=wp.uint16),
-    material_out: wp.array2d(dtype=wp.uint32),
+    swept_out: wp.array2d(dtype=wp.uint16),
     removed_out: wp.array2d(dtype=wp.int64),
 ):
-    """Carve eight voxels around ``near``, the tool surface seen from the ``middle`` of their block.
-
-    One tangent plane serves all eight where the surface is smooth; near an edge every voxel takes its own.
-
-    The fill of a voxel shows whether the surface meets material in it: all where this visit removed some, none where
-    an older cut already lies deeper, and what the voxel holds where the surface has yet to reach it.
-    """
+    """Carve eight voxels around ``near``, the tool surface seen from the ``middle`` of their block."""
     plane = plane_of(near.slope)
-    surface = near.distance + near.bend
     for v in range(8):
-        offset = wp.vec3(float(v >> 2) - 0.5, float((v >> 1) & 1) - 0.5, float(v & 1) - 0.5)
-        distance = surface + wp.dot(near.slope, offset)
+        offset = corner_offset(v)
+        distance = distance_at(near, offset)
+        facing = plane
         if near.bend >= EDGE:
             exact = nearest_on(tool, middle + offset, axis)
-            plane = plane_of(exact.slope)
+            facing = plane_of(exact.slope)
             distance = exact.distance
-        if distance * plane.scale < 0.5 + lookahead:
-            voxel = first + v
-            kept = int(remaining_out[row, voxel])
+        voxel = first + v
+        stored = swept_steps(distance)
+        if stored < int(swept_out[row, voxel]):
+            swept_out[row, voxel] = wp.uint16(stored)
             target = int(65535)
             if binary == 0:
-                target = int(65535.5 - 65535.0 * cube_behind_plane(plane, distance))
+                target = int(65535.5 - 65535.0 * cube_behind_plane(facing, distance + 0.25 * near.bend))
             elif distance < 0.0:
                 target = 0
-            word = material_out[row, voxel]
-            met = word
+            kept = int(remaining_out[row, voxel])
             if kept > target:
-                removed_out[worker, layer_of(word)] += wp.int64(kept - target)
+                removed_out[worker, layer_of(material[row, voxel])] += wp.int64(kept - target)
                 remaining_out[row, voxel] = wp.uint16(target)
-                met = word | FULL_FILL
-            elif kept == 0:
-                if binary == 0 or distance >= 0.0:
-                    met = word & NO_FILL
-            elif target == 65535:
-                met = (word & NO_FILL) | wp.uint32(kept >> 8)
-            elif kept < target - SLACK and advance > 0.0:
-                met = word & NO_FILL
-            if met != word:
-                material_out[row, voxel] = met
+
+
+@wp.func
+def corner_offset(corner: int):
+    """Vector [voxel] from the middle of a block of 2 x 2 x 2 voxels to the centre of one of them."""
+    return wp.vec3(float(corner >> 2) - 0.5, float((corner >> 1) & 1) - 0.5, float(corner & 1) - 0.5)
+
+
+@wp.func
+def distance_at(near: Nearest, offset: wp.vec3):
+    """Distance [voxel] to the tool at an offset from the middle of a block; a tangent sphere stands for the tool."""
+    along = wp.dot(near.slope, offset)
+    return near.distance + along + 1.5 * near.bend * (0.75 - along * along)
+
+
+@wp.func
+def swept_steps(distance: float):
+    """Stored distance to the swept solid of a distance [voxel]."""
+    return wp.clamp(int(32768.5 + 4096.0 * distance), 0, 65534)
+
+
+@wp.func
+def cut_before(
+    tool: Revolution, pose: wp.array2d(dtype=wp.float64), axis: wp.vec3, ix: int, iy: int, iz: int, swept: int
+):
+    """Whether an older cut lies deeper in voxel (ix, iy, iz) than the tool's surface does now."""
+    middle = offset_from(pose, 0, (ix & -2) + 1, (iy & -2) + 1, (iz & -2) + 1)
+    near = nearest_on(tool, middle, axis)
+    offset = corner_offset(((ix & 1) << 2) | ((iy & 1) << 1) | (iz & 1))
+    distance = distance_at(near, offset)
+    if near.bend >= EDGE:
+        exact = nearest_on(tool, middle + offset, axis)
+        distance = exact.distance
+    return swept < swept_steps(distance) - SLACK

@@ -10,7 +10,10 @@ with every K scaled by (density / reference density) ** exponent of the layer. E
 
 import warp as wp
 
-from kernels.bricks import density_of, fill_of, layer_of, voxel_column, voxel_row
+from kernels.bone_lookup import bone_at
+from kernels.bricks import voxel_column, voxel_row
+from kernels.carving import cut_before
+from kernels.revolution import Revolution
 
 __all__ = [
     "AREA",
@@ -33,6 +36,8 @@ CHUNK = 128
 CHIP_FORCE, CHIP_TORQUE, EDGE_FORCE, EDGE_TORQUE, RATE, AREA = 0, 3, 6, 9, 12, 13
 """Places in the sums. Three each per unit of speed: force [N s/m], torque about the tip [N s]; three each independent
 of speed: force [N] and torque [N m]; removal rate per unit of speed [m2]; engaged area of each layer [m2]."""
+NEVER = wp.constant(65535)  # stored where the tool has not come near
+WIDEST = wp.constant(3.5)  # across the surface, an element is taken as this wide at most [voxel]
 DENSITIES = 4096
 """Entries of the strength table: densities of 0 to 4095 kg/m3."""
 
@@ -46,6 +51,8 @@ class Elements:
     around: wp.array(dtype=wp.vec3)  # direction in which the spin moves the element, unit
     area: wp.array(dtype=wp.float32)  # [m2]
     edge_length: wp.array(dtype=wp.float32)  # N A / (2 pi r): mean length of cutting edge in the element [m]
+    chunk_ball: wp.array(dtype=wp.vec4)  # centre and radius of a ball around each chunk's points [m]
+    chunk_cone: wp.array(dtype=wp.vec4)  # axis of a cone around each chunk's normals, sine of its half angle, 2: none
 
 
 @wp.struct
@@ -64,6 +71,7 @@ class Coefficients:
 @wp.kernel
 def cutting_forces(
     # tool
+    tool: Revolution,
     elements: Elements,
     coefficients: Coefficients,
     motion: wp.array2d(dtype=wp.float64),  # rows: tip [voxel]; tool axes x, y, z; tip's and angular velocity, own frame
@@ -73,6 +81,9 @@ def cutting_forces(
     # grid
     brick_of: wp.array3d(dtype=wp.int32),
     material: wp.array2d(dtype=wp.uint32),
+    nearby: wp.array2d(dtype=wp.uint16),
+    swept: wp.array2d(dtype=wp.uint16),
+    alive: wp.array(dtype=wp.uint64),
     # out
     sums_out: wp.array2d(dtype=wp.float64),  # [chunk, AREA + layers], tool frame: see CHIP_FORCE
 ):
@@ -84,6 +95,7 @@ def cutting_forces(
     ex = wp.vec3(float(motion[1, 0]), float(motion[1, 1]), float(motion[1, 2])) / spacing
     ey = wp.vec3(float(motion[2, 0]), float(motion[2, 1]), float(motion[2, 2])) / spacing
     ez = wp.vec3(float(motion[3, 0]), float(motion[3, 1]), float(motion[3, 2])) / spacing
+    axis = ez * spacing
     velocity = wp.vec3(float(motion[4, 0]), float(motion[4, 1]), float(motion[4, 2]))
     turning = wp.vec3(float(motion[5, 0]), float(motion[5, 1]), float(motion[5, 2]))
     turns = wp.length(turning) > 0.0
@@ -93,7 +105,14 @@ def cutting_forces(
     edge_force = wp.vec3()
     edge_torque = wp.vec3()
     rate = float(0.0)
-    for e in range(chunk * CHUNK, wp.min(chunk * CHUNK + CHUNK, elements.point.shape[0])):
+    first = chunk * CHUNK
+    cone = elements.chunk_cone[chunk]
+    facing = wp.dot(velocity, wp.vec3(cone[0], cone[1], cone[2])) + wp.length(velocity) * cone[3]
+    ball = elements.chunk_ball[chunk]
+    middle = tip + ball[0] * ex + ball[1] * ey + ball[2] * ez
+    if (facing <= 0.0 and not turns) or not meets_bone(brick_of, alive, middle, ball[3] / spacing + 2.0):
+        first = elements.point.shape[0]
+    for e in range(first, wp.min(first + CHUNK, elements.point.shape[0])):
         normal = elements.normal[e]
         advance = wp.dot(velocity, normal)
         if turns:
@@ -105,12 +124,24 @@ def cutting_forces(
             iy = int(wp.floor(at[1]))
             iz = int(wp.floor(at[2]))
             row = voxel_row(brick_of, ix, iy, iz)
+            column = voxel_column(ix, iy, iz)
+            reached = int(0)
             if row >= 0:
-                word = material[row, voxel_column(ix, iy, iz)]
-                share = fill_of(word)
+                reached = int(swept[row, column])
+            if reached > 0:
+                bone = bone_at(brick_of, material, nearby, row, column, at)
+                share = float(1.0)
+                if bone.distance > -1.9:
+                    across = (normal[0] * ex + normal[1] * ey + normal[2] * ez) * spacing
+                    tangent = bone.slope - wp.dot(bone.slope, across) * across
+                    width = wp.min(wp.length(tangent) * wp.sqrt(elements.area[e]) / spacing, WIDEST)
+                    share = wp.clamp(0.5 - bone.distance / wp.max(width, 1.0e-3), 0.0, 1.0)
                 if share > 0.0:
-                    m = layer_of(word)
-                    strength = coefficients.strength[m, wp.min(density_of(word), 4095)]
+                    if reached < NEVER and cut_before(tool, motion, axis, ix, iy, iz, reached):
+                        share = 0.0
+                if share > 0.0:
+                    m = bone.layer
+                    strength = coefficients.strength[m, wp.min(int(bone.density + 0.5), 4095)]
                     length = elements.edge_length[e] * share * strength
                     chip = length * advance * chip_per_speed
                     around = elements.around[e]
@@ -133,3 +164,23 @@ def cutting_forces(
         sums_out[chunk, EDGE_FORCE + c] = wp.float64(edge_force[c])
         sums_out[chunk, EDGE_TORQUE + c] = wp.float64(edge_torque[c])
     sums_out[chunk, RATE] = wp.float64(rate)
+
+
+@wp.func
+def meets_bone(brick_of: wp.array3d(dtype=wp.int32), alive: wp.array(dtype=wp.uint64), middle: wp.vec3, radius: float):
+    """Whether a brick that still holds material meets the box around a ball [voxel]."""
+    low = wp.vec3i(0, 0, 0)
+    high = wp.vec3i(0, 0, 0)
+    for c in range(3):
+        low[c] = wp.max(int(wp.floor((middle[c] - radius) / 8.0)), 0)
+        high[c] = wp.min(int(wp.floor((middle[c] + radius) / 8.0)), brick_of.shape[c] - 1)
+    for bx in range(low[0], high[0] + 1):
+        for by in range(low[1], high[1] + 1):
+            for bz in range(low[2], high[2] + 1):
+                row = int(brick_of[bx, by, bz])
+                held = wp.uint64(0)
+                if row >= 0:
+                    held = alive[row]
+                if held != wp.uint64(0):
+                    return True
+    return False

@@ -13,6 +13,7 @@ class Revolution:
     """Signed distance to a body of revolution, tabulated over (radius, height above the tip)."""
 
     distance: wp.array2d(dtype=wp.float32)  # [radius index, height index], negative inside [voxel]
+    slope: wp.array2d(dtype=wp.vec2)  # gradient of the distance along (radius, height)
     bend: wp.array2d(dtype=wp.float32)  # a sixth of the sum of the principal curvatures, or EDGE_BEND [voxel]
     height_min: wp.float32  # height of index 0 above the tip [voxel]
     cells_per_voxel: wp.float32
@@ -52,12 +53,12 @@ def nearest_on(tool: Revolution, offset: wp.vec3, axis: wp.vec3):
     b = tool.distance[i + 1, j]
     c = tool.distance[i, j + 1]
     d = tool.distance[i + 1, j + 1]
-    slope_r = (b - a) * (1.0 - fv) + (d - c) * fv
-    slope_z = (c - a) * (1.0 - fu) + (d - b) * fu
+    slope = (tool.slope[i, j] * (1.0 - fu) + tool.slope[i + 1, j] * fu) * (1.0 - fv)
+    slope += (tool.slope[i, j + 1] * (1.0 - fu) + tool.slope[i + 1, j + 1] * fu) * fv
     found = Nearest()
     found.distance = (a * (1.0 - fu) + b * fu) * (1.0 - fv) + (c * (1.0 - fu) + d * fu) * fv
     found.bend = tool.bend[i, j]
-    found.slope = tool.cells_per_voxel * ((slope_r / wp.max(radius, 1.0e-6)) * outward + slope_z * axis)
+    found.slope = (slope[0] / wp.max(radius, 1.0e-6)) * outward + slope[1] * axis
     return found
 
 

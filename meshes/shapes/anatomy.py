@@ -53,6 +53,8 @@ class Anatomy:
         Where the site frame lies in that of the file that it came from; None where it came from none.
     caps_m
         Points [m], shape (k, 3), of each face at which the bone was cut off by the edge of its scan.
+    thin_layers
+        Whether layers may pass between the corners of a block of voxels (a root canal): every voxel is then classified.
     """
 
     name: str
@@ -63,6 +65,7 @@ class Anatomy:
     sample: GridSampler | None = None
     placement: Placement | None = None
     caps_m: tuple[NDArray[np.float64], ...] = ()
+    thin_layers: bool = False
 
 
 def cortical_block(

@@ -18,10 +18,6 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.shapes.sdf import Shape
-from meshes.voxels.block_sampling import shape_fraction
-from meshes.voxels.grid import Grid
-
 __all__ = [
     "BONE",
     "CARIES",
@@ -34,7 +30,6 @@ __all__ = [
     "TOOTH_LAYERS",
     "caries_density",
     "caries_softness",
-    "every_voxel",
     "in_chunks",
 ]
 
@@ -72,20 +67,6 @@ def caries_softness(density_kg_m3: NDArray[np.floating]) -> NDArray[np.floating]
     """
     density = np.asarray(density_kg_m3)
     return np.clip((_SOUND_KG_M3 - density) / (_SOUND_KG_M3 - _INFECTED_KG_M3), 0.0, 1.0)
-
-
-def every_voxel(shape: Shape, grid: Grid) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Fraction and depth [m] of each voxel of a solid, so that every one is classified on its own.
-
-    Sampling by blocks takes the layer of a solid block from its corners, which would miss a root canal that passes
-    between them.
-    """
-    fraction = shape_fraction(shape, grid)
-    index = np.nonzero(fraction)
-    points = np.stack([(i + f + 0.5) * grid.spacing_m for i, f in zip(index, grid.first, strict=True)], axis=1)
-    depth = np.zeros(grid.shape, dtype=np.float32)
-    depth[index] = -in_chunks(shape.distance, points.astype(np.float32))
-    return fraction, depth
 
 
 def in_chunks(function: Callable[[NDArray[np.floating]], NDArray[Kind]], points: NDArray[np.floating]) -> NDArray[Kind]:

@@ -20,7 +20,6 @@ cervical line to bone          1.5 mm         M, H: 1 to 2 in health
 """
 
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +37,6 @@ from meshes.tooth.layers import (
     PULP,
     TOOTH_LAYERS,
     caries_density,
-    every_voxel,
     in_chunks,
 )
 from meshes.tooth.molar_parts import Crown, Root, mandibular_roots, outer_shape, pulp_shape, tooth_distance
@@ -147,7 +145,7 @@ def molar(
     }
     classify = _layers(crown, roots, pulp_shape(crown, roots, roof), ligament, lesion)
     whole = tooth | block
-    return Anatomy("procedural molar", whole, TOOTH_LAYERS, classify, notes, partial(every_voxel, whole))
+    return Anatomy("procedural molar", whole, TOOTH_LAYERS, classify, notes, thin_layers=True)
 
 
 def _socket(crown: Crown, roots: tuple[Root, Root], margin: float) -> Shape:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.plane_cube import cube_fraction
 from meshes.shapes.sdf import Shape
+from meshes.voxels.distances import INSIDE, OUTSIDE, surface_steps
 from meshes.voxels.grid import BLOCK, Grid
 from meshes.voxels.volume import FULL
 
@@ -37,10 +38,18 @@ class VoxelArrays:
     fraction: NDArray[np.uint8]
     layer: NDArray[np.uint8]
     density: NDArray[np.uint16]
+    surface: NDArray[np.uint8]
+
+    @classmethod
+    def empty(cls, shape: tuple[int, ...]) -> VoxelArrays:
+        """Arrays without bone."""
+        bytes_, words = (np.zeros(shape, dtype) for dtype in (np.uint8, np.uint16))
+        return cls(bytes_, np.zeros_like(bytes_), words, np.full(shape, OUTSIDE, np.uint8))
 
     def slab(self, start: int, stop: int) -> VoxelArrays:
         """Views of the part with the x numbers `start` to `stop`."""
-        return VoxelArrays(self.fraction[start:stop], self.layer[start:stop], self.density[start:stop])
+        arrays = (self.fraction, self.layer, self.density, self.surface)
+        return VoxelArrays(*(array[start:stop] for array in arrays))
 
 
 def voxel_fraction(
@@ -105,11 +114,12 @@ def fill_from_shape(anatomy: Anatomy, grid: Grid, out: VoxelArrays) -> None:
     reach = np.float32(_HALF_DIAGONAL * BLOCK * grid.spacing_m)
     solid = distance <= -reach
     mixed = ~solid & (distance < reach)
-    blocks = [_by_blocks(array) for array in (out.fraction, out.layer, out.density)]
+    blocks = [_by_blocks(array) for array in (out.fraction, out.layer, out.density, out.surface)]
     if solid.any():
         plain, corners = _uniform_blocks(anatomy, grid)
-        plain &= solid
+        plain &= solid & (not anatomy.thin_layers)
         blocks[0][_index(solid, blocks[0])] = FULL
+        blocks[3][_index(solid, blocks[3])] = INSIDE
         blocks[1][_index(plain, blocks[1])] = corners[0][plain][:, None, None, None]
         blocks[2][_index(plain, blocks[2])] = np.rint(_interpolated(corners[1], grid, plain))
         mixed |= solid & ~plain
@@ -119,8 +129,9 @@ def fill_from_shape(anatomy: Anatomy, grid: Grid, out: VoxelArrays) -> None:
         fraction = voxel_fraction(anatomy.shape, points, depth, grid.spacing_m)
         layer, density = anatomy.classify(points, -depth)
         where = np.unravel_index(chosen, blocks[0].shape[:3])
-        present = fraction > 0.0
-        filled = np.rint(fraction * FULL), layer * present, np.rint(density) * present
+        surface = surface_steps(depth / np.float32(grid.spacing_m))
+        present = surface < OUTSIDE  # beyond the surface too: what lies between voxel centres is asked of both sides
+        filled = np.rint(fraction * FULL), layer * present, np.rint(density) * present, surface
         for block, values in zip(blocks, filled, strict=True):
             block[where] = values.reshape(-1, BLOCK, BLOCK, BLOCK)
 

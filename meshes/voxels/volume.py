@@ -34,6 +34,11 @@ class VoxelVolume:
         Name of each layer.
     placement
         Where the frame lies in that of the file that the bone came from; None where it came from none.
+    surface_distance
+        Signed distance of each voxel's centre to the bone's surface, see `meshes.voxels.distances`, uint8, shape
+        (nx, ny, nz); None: taken from the fractions when it is wanted.
+    layer_distance
+        Distance of each voxel's centre to the nearest change of layer, likewise; None: taken from the layers.
 
     Raises
     ------
@@ -48,6 +53,8 @@ class VoxelVolume:
     density_kg_m3: NDArray[np.uint16]
     layer_names: tuple[str, ...]
     placement: Placement | None = None
+    surface_distance: NDArray[np.uint8] | None = None
+    layer_distance: NDArray[np.uint8] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "origin_m", require_vector("origin_m", self.origin_m))

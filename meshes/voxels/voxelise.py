@@ -11,6 +11,14 @@ from meshes.base.errors import InputError, require_positive
 from meshes.shapes.anatomy import Anatomy, GridSampler
 from meshes.shapes.sdf import Shape
 from meshes.voxels.block_sampling import VoxelArrays, fill_from_shape, shape_fraction
+from meshes.voxels.distances import (
+    OUTSIDE,
+    LayerAt,
+    carried_beyond,
+    layer_boundary,
+    surface_of_fractions,
+    surface_steps,
+)
 from meshes.voxels.grid import BLOCK, Grid
 from meshes.voxels.volume import FULL, VoxelVolume
 
@@ -58,9 +66,8 @@ def voxelise(
     spacing = require_positive("spacing_m", spacing_m, "use about 1e-4 (0.1 mm)")
     grid = _grid(anatomy, spacing, region_m)
     blocked = grid.blocked()
-    arrays = VoxelArrays(
-        np.zeros(blocked.shape, np.uint8), np.zeros(blocked.shape, np.uint8), np.zeros(blocked.shape, np.uint16)
-    )
+    arrays = VoxelArrays.empty(blocked.shape)
+    depth = np.zeros(blocked.shape if anatomy.sample is not None else (0, 0, 0), dtype=np.float32)
     thickness = BLOCK if anatomy.sample is None else _SAMPLED_BLOCKS * BLOCK
     starts = range(0, blocked.shape[0], thickness)
 
@@ -71,24 +78,41 @@ def voxelise(
         if anatomy.sample is None:
             fill_from_shape(anatomy, slab, part)
         else:
-            _fill_from_samples(anatomy, anatomy.sample, slab, part)
+            depth[start:stop] = _fill_from_samples(anatomy, anatomy.sample, slab, part)
         if minus is not None:
-            _take_out(minus, slab, part.fraction)
+            _take_out(minus, slab, part)
 
     with ThreadPoolExecutor(min(_MAXIMUM_THREADS, os.cpu_count() or 1)) as pool:
         for done, _ in enumerate(pool.map(fill, starts), start=1):
             if progress is not None:
                 progress(done / len(starts))
     kept = tuple(slice(f - b, f - b + n) for f, b, n in zip(grid.first, blocked.first, grid.shape, strict=True))
-    return VoxelVolume(
-        grid.origin_m,
-        spacing,
-        np.ascontiguousarray(arrays.fraction[kept]),
-        np.ascontiguousarray(arrays.layer[kept]),
-        np.ascontiguousarray(arrays.density[kept]),
-        anatomy.layer_names,
-        anatomy.placement,
+    fraction, layer, density, surface = (
+        np.ascontiguousarray(array[kept]) for array in (arrays.fraction, arrays.layer, arrays.density, arrays.surface)
     )
+    known = surface < OUTSIDE
+    if anatomy.sample is not None:
+        surface = surface_of_fractions(fraction)
+        layer, density, known = carried_beyond(fraction, surface, layer, density)
+    boundary = layer_boundary(layer, known, _layer_at(anatomy, grid, depth[kept]))
+    names, placement = anatomy.layer_names, anatomy.placement
+    return VoxelVolume(grid.origin_m, spacing, fraction, layer, density, names, placement, surface, boundary)
+
+
+def _layer_at(anatomy: Anatomy, grid: Grid, depth: NDArray[np.float32]) -> LayerAt:
+    """The anatomy's layer at points in voxels of the grid, the depth interpolated where the anatomy samples it."""
+    first, spacing = np.array(grid.first, dtype=np.float32), np.float32(grid.spacing_m)
+
+    def layer_at(points: NDArray[np.float32]) -> NDArray[np.uint8]:
+        at = np.asfortranarray((points + first) * spacing)
+        if anatomy.sample is None:
+            return anatomy.classify(at, -anatomy.shape.distance(at))[0]
+        from scipy.ndimage import map_coordinates
+
+        between = map_coordinates(depth, points.T - np.float32(0.5), order=1, mode="nearest")
+        return anatomy.classify(at, between)[0]
+
+    return layer_at
 
 
 def _grid(anatomy: Anatomy, spacing: float, region_m: Region | None) -> Grid:
@@ -118,8 +142,8 @@ def _corners(region_m: Region) -> tuple[NDArray[np.float64], NDArray[np.float64]
     return corners[0], corners[1]
 
 
-def _fill_from_samples(anatomy: Anatomy, sample: GridSampler, grid: Grid, out: VoxelArrays) -> None:
-    """Fill `out` from an anatomy that gives fraction and depth for a whole grid."""
+def _fill_from_samples(anatomy: Anatomy, sample: GridSampler, grid: Grid, out: VoxelArrays) -> NDArray[np.float32]:
+    """Fill `out` from an anatomy that gives fraction and depth for a whole grid; returns the depth [m]."""
     fraction, depth = sample(grid)
     out.fraction[...] = np.rint(fraction * FULL)
     index = np.nonzero(out.fraction)
@@ -128,10 +152,11 @@ def _fill_from_samples(anatomy: Anatomy, sample: GridSampler, grid: Grid, out: V
     layer, density = anatomy.classify(points, depth[index])
     out.layer[index] = layer
     out.density[index] = np.rint(density)
+    return depth
 
 
-def _take_out(minus: Shape, grid: Grid, fraction: NDArray[np.uint8]) -> None:
-    """Reduce the stored fraction by the part of each voxel inside `minus`."""
+def _take_out(minus: Shape, grid: Grid, out: VoxelArrays) -> None:
+    """Take the part of each voxel inside `minus` out of the fraction and of the surface distance."""
     lower = np.floor(np.array(minus.lower_m) / grid.spacing_m) - np.array(grid.first)
     upper = np.ceil(np.array(minus.upper_m) / grid.spacing_m) - np.array(grid.first)
     if (lower >= grid.shape).any() or (upper <= 0).any():
@@ -142,4 +167,8 @@ def _take_out(minus: Shape, grid: Grid, fraction: NDArray[np.uint8]) -> None:
     first = (low + np.array(grid.first)).tolist()
     size = (high - low).tolist()
     taken = shape_fraction(minus, Grid(grid.spacing_m, (first[0], first[1], first[2]), (size[0], size[1], size[2])))
-    fraction[part] = np.rint(fraction[part] * (1.0 - taken))
+    out.fraction[part] = np.rint(out.fraction[part] * (1.0 - taken))
+    centres = np.stack(np.meshgrid(*[np.arange(n) + f + 0.5 for n, f in zip(size, first, strict=True)], indexing="ij"))
+    points = (centres.reshape(3, -1).T * grid.spacing_m).astype(np.float32)
+    beside = surface_steps(-minus.distance(points).reshape(size) / np.float32(grid.spacing_m))
+    out.surface[part] = np.maximum(out.surface[part], beside)

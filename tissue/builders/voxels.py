@@ -23,12 +23,14 @@ from tissue.scene.anatomy import AnatomyFile, BlockAnatomy, GlenoidAnatomy, Mola
 from tissue.scene.scene import Scene
 from tissue.scene.unused_keys import is_whole_image
 
-__all__ = ["reach", "require_outside", "require_touch", "require_whole", "volume_of", "whole_tooth"]
+__all__ = ["reach", "require_outside", "require_touch", "require_whole", "solid_of", "volume_of", "whole_tooth"]
 
 POSES_TRIED = 300
 """Poses along a motion at which contact is looked for."""
 DENSE_BYTES_PER_VOXEL = 16
 """Peak memory of a voxel of the region while bricks are made and results written, measured on the glenoid."""
+AROUND = 2
+"""Voxels kept around the bone, whose distance to its surface is known."""
 BRICK = 8
 """The region is cut at whole bricks of the world's lattice, so that a voxel lies at the same place in any region; where
 a tool only grazes voxels, float32 coordinates from another origin still decide otherwise in single ticks."""
@@ -63,6 +65,7 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
             "motion must bring the tool to the bone, got one that with the tool and a margin reaches from "
             f"{box_text(region)}: move it to the bone {box_text(bone, between=True)}"
         )
+    low, high = np.maximum(region[0], bone[0] - AROUND * spacing), np.minimum(region[1], bone[1] + AROUND * spacing)
     brick = BRICK * spacing
     low, high = brick * np.floor(low / brick + 1e-6), brick * np.ceil(high / brick - 1e-6)
     _require_memory(high - low, spacing)
@@ -73,6 +76,22 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
         minus=_guide_hole(scene, motion),
         progress=lambda share: report("voxelising", share),
     )
+
+
+def solid_of(scene: Scene, motion: Motion) -> tuple[Anatomy, sdf.Shape | None]:
+    """The anatomy that a scene cuts, and the guide hole drilled out of it before the run, as functions of position.
+
+    Raises
+    ------
+    InputError
+        If the anatomy comes from a file, where no such function is known.
+    """
+    parameters = scene.bone
+    if parameters.file is not None or (isinstance(parameters, MolarAnatomy) and parameters.layer_files):
+        raise InputError(
+            f"anatomy must be procedural to be known exactly, got a {parameters.kind} from a file: leave the file out"
+        )
+    return _anatomy(scene, {}), _guide_hole(scene, motion)
 
 
 def _anatomy(scene: Scene, notes: dict[str, str]) -> Anatomy:

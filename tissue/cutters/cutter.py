@@ -1,7 +1,7 @@
 """A cutter: a profile with flutes, as a distance table for carving and a point shell for forces."""
 
 from dataclasses import dataclass
-from math import ceil, pi
+from math import ceil, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +11,14 @@ from tissue.cutters.profile import Piece, Profile
 
 __all__ = ["Cutter", "DistanceTable", "PointShell"]
 
-CELLS_PER_VOXEL = 2.0
-"""Resolution of the distance table; its error, curvature x cell^2 / 8, is 1e-3 voxel for a radius of 30 voxels."""
+TABLE_ERROR_VOXELS = 2.0e-4
+"""Error of the distance table, curvature x cell^2 / 8, between these limits of its cells."""
+CELLS_PER_VOXEL = 2.0, 6.0
+"""Least and greatest resolution of the distance table."""
 EDGE_REACH_VOXELS = 3.0
 """Voxels this close to an edge of the profile are cut one by one: more than the half diagonal of a block."""
-SECTORS = 24
+PATCH = 128
+"""Elements that lie together on the surface: they face the same direction and meet the same voxels."""
 GOLDEN = 0.6180339887498949
 MARGIN_VOXELS = 10.0
 """The table reaches this far beyond the tool: more than the half diagonal of a brick."""
@@ -48,6 +51,7 @@ class DistanceTable:
     """Signed distance over (radius, height) [voxel]; see :class:`kernels.revolution.Revolution`."""
 
     distance: NDArray[np.float32]
+    slope: NDArray[np.float32]
     bend: NDArray[np.float32]
     height_min: float
     cells_per_voxel: float
@@ -98,9 +102,7 @@ class Cutter:
         """
         parts = [_spiral(piece, spacing_m=spacing_m) for piece in self.profile.pieces if piece.cutting]
         points, normals, areas = (np.concatenate(column) for column in zip(*parts, strict=True))
-        # Neighbours follow each other: they face the same direction and meet the same voxels.
-        sector = np.floor(np.arctan2(points[:, 1], points[:, 0]) * (SECTORS / (2.0 * pi)))
-        order = np.lexsort((points[:, 2], sector))
+        order = np.concatenate(_patches(points, np.arange(len(points))))
         points, normals, areas = points[order], normals[order], areas[order]
         return PointShell(points, normals, areas, np.hypot(points[:, 0], points[:, 1]))
 
@@ -108,21 +110,29 @@ class Cutter:
         """Distance table in voxels of ``spacing_m``."""
         low, high = (h / spacing_m for h in self.profile.height_range_m)
         reach = self.profile.radius_m / spacing_m
+        cells = float(np.clip(ceil(sqrt(1.0 / (8.0 * TABLE_ERROR_VOXELS * reach))), *CELLS_PER_VOXEL))
         height_min = low - MARGIN_VOXELS
-        r = np.arange(ceil((reach + MARGIN_VOXELS) * CELLS_PER_VOXEL) + 2) / CELLS_PER_VOXEL
-        z = np.arange(ceil((high - low + 2.0 * MARGIN_VOXELS) * CELLS_PER_VOXEL) + 2) / CELLS_PER_VOXEL + height_min
+        r = np.arange(ceil((reach + MARGIN_VOXELS) * cells) + 2) / cells
+        z = np.arange(ceil((high - low + 2.0 * MARGIN_VOXELS) * cells) + 2) / cells + height_min
         grid = np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1).reshape(-1, 2)
         distance, meridional = self.profile.distance(grid * spacing_m)
         distance = (distance / spacing_m).reshape(len(r), len(z))
-        slope = np.gradient(distance, 1.0 / CELLS_PER_VOXEL, axis=0)
-        azimuthal = slope / np.maximum(r, 0.5)[:, None]
+        slope = np.stack(np.gradient(distance, 1.0 / cells), axis=-1)
+        azimuthal = slope[..., 0] / np.maximum(r, 0.5)[:, None]
         bend = np.clip(meridional.reshape(distance.shape) * spacing_m, 0.0, 1.0) + np.clip(azimuthal, -1.0, 1.0)
         bend /= 6.0
         for corner in self.profile.edges:
             near = np.linalg.norm(grid - corner / spacing_m, axis=1) < EDGE_REACH_VOXELS
             bend[near.reshape(bend.shape)] = EDGE_BEND
         return DistanceTable(
-            distance.astype(np.float32), bend.astype(np.float32), height_min, CELLS_PER_VOXEL, reach, low, high
+            distance.astype(np.float32),
+            slope.astype(np.float32),
+            bend.astype(np.float32),
+            height_min,
+            cells,
+            reach,
+            low,
+            high,
         )
 
 
@@ -143,3 +153,13 @@ def _spiral(piece: Piece, *, spacing_m: float) -> tuple[NDArray[np.float64], NDA
     points = np.column_stack([profile[:, :1] * around, profile[:, 1]])
     normals = np.column_stack([direction[:, :1] * around, direction[:, 1]])
     return points, normals, areas
+
+
+def _patches(points: NDArray[np.float64], chosen: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+    """Indices of points in patches of `PATCH`, the last smaller, by halving along the longest side."""
+    if len(chosen) <= PATCH:
+        return [chosen]
+    side = int(np.argmax(np.ptp(points[chosen], axis=0)))
+    sorted_ = chosen[np.argsort(points[chosen, side], kind="stable")]
+    half = PATCH * max(round(len(chosen) / PATCH / 2), 1)
+    return _patches(points, sorted_[:half]) + _patches(points, sorted_[half:])

@@ -9,12 +9,15 @@ from numpy.typing import NDArray
 
 from kernels.bricks import BRICK, BRICK_VOXELS, FULL
 from kernels.sampling import sample
+from meshes.voxels.distances import OUTSIDE, near_the_surface
 from meshes.voxels.volume import VoxelVolume
 
 __all__ = ["BYTES_PER_VOXEL", "BrickStore", "voxels_of"]
 
-BYTES_PER_VOXEL = 6
-"""Stored per voxel of a brick: remaining 2, material 4."""
+BYTES_PER_VOXEL = 10
+"""Stored per voxel of a brick: remaining 2, swept 2, material 4, nearby 2."""
+NEVER_SWEPT = 65535
+"""Stored distance of a voxel that the tool has not come near."""
 STEPS = FULL // 255
 """Stored steps per step of the volume's 8-bit fraction."""
 
@@ -31,8 +34,12 @@ class BrickStore:
         Brick row at each grid position, int32, shape (bx, by, bz), -1 where empty.
     remaining
         Filled fraction of each voxel, uint16, 65535 = full, shape (bricks, 512).
+    swept
+        Distance of each voxel's centre to the solid that the tool has swept, uint16, shape (bricks, 512).
     material
-        Density, layer and fill in one word, uint32, shape (bricks, 512).
+        Density and layer before any cut in one word, uint32, shape (bricks, 512).
+    nearby
+        Distances to the original surface and to the nearest change of layer in one word, uint16, shape (bricks, 512).
     alive
         One bit for each block of 2 x 2 x 2 voxels that may hold bone, uint64, shape (bricks,).
     touched
@@ -44,7 +51,9 @@ class BrickStore:
     volume: VoxelVolume
     brick_of: Any
     remaining: Any
+    swept: Any
     material: Any
+    nearby: Any
     alive: Any
     touched: Any
     places: NDArray[np.int64]
@@ -54,7 +63,9 @@ class BrickStore:
         """Store the bricks of ``volume`` that hold bone on ``device``."""
         counts = tuple(-(-n // BRICK) for n in volume.shape)
         bricks = _blocked(volume.fraction, counts)
-        holds: NDArray[np.bool_] = np.asarray(bricks.any(axis=(1, 3, 5)))
+        surface, layer, density, boundary = near_the_surface(volume)
+        near = _blocked(OUTSIDE - surface, counts)
+        holds: NDArray[np.bool_] = np.asarray(bricks.any(axis=(1, 3, 5)) | near.any(axis=(1, 3, 5)))
         brick_of = np.full(counts, -1, dtype=np.int32)
         brick_of[holds] = np.arange(int(holds.sum()), dtype=np.int32)
         if not holds.any():
@@ -66,8 +77,9 @@ class BrickStore:
 
         fraction = stored(volume.fraction)
         blocks = fraction.reshape(-1, 64, 8).any(axis=2)
-        material = stored(volume.density_kg_m3).astype(np.uint32) << np.uint32(16)
-        material |= stored(volume.layer).astype(np.uint32) << np.uint32(8)
+        material = stored(density).astype(np.uint32) << np.uint32(16)
+        material |= stored(layer)
+        nearby = stored(boundary).astype(np.uint16) << np.uint16(8) | stored(surface)
         alive = np.packbits(blocks, axis=1, bitorder="little").view("<u8").reshape(-1)
 
         def on(array: NDArray[Any], dtype: Any) -> Any:
@@ -77,7 +89,9 @@ class BrickStore:
             volume,
             on(brick_of, wp.int32),
             on(fraction.astype(np.uint16) * np.uint16(STEPS), wp.uint16),
+            on(np.full(fraction.shape, NEVER_SWEPT, dtype=np.uint16), wp.uint16),
             on(material, wp.uint32),
+            on(nearby, wp.uint16),
             on(alive, wp.uint64),
             wp.zeros(len(alive), dtype=wp.uint8, device=device),
             np.argwhere(holds),
@@ -98,7 +112,7 @@ class BrickStore:
     def steps_by_layer(self) -> NDArray[np.int64]:
         """Stored steps that remain in each layer, shape (layers,)."""
         count = len(self.volume.layer_names)
-        remaining, layer = self.remaining.numpy(), (self.material.numpy() >> np.uint32(8)).astype(np.uint8)
+        remaining, layer = self.remaining.numpy(), self.material.numpy().astype(np.uint8)
         return np.array([remaining[layer == index].sum(dtype=np.int64) for index in range(count)])
 
     def sample(self, points_m: NDArray[np.float64]) -> NDArray[np.float32]:

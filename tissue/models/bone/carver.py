@@ -38,7 +38,7 @@ class CarverState:
 
     Attributes
     ----------
-    remaining, alive
+    remaining, swept, alive
         Device arrays of the brick store.
     poses
         Pose now and at the last visit of every group of bricks, shape (1 + groups, 6).
@@ -49,6 +49,7 @@ class CarverState:
     """
 
     remaining: Any
+    swept: Any
     alive: Any
     poses: NDArray[np.float64]
     heading: NDArray[np.float64]
@@ -73,6 +74,8 @@ class Carver:
 
     Attributes
     ----------
+    tool
+        The cutter's distance table on the device.
     removed_steps
         Stored steps removed so far, by layer, shape (layers,).
     """
@@ -87,6 +90,7 @@ class Carver:
         self._binary = int(removal == "binary")
         self._origin, self._spacing = volume.origin_m, spacing
         table = cutter.table(spacing_m=spacing)
+        self.tool = _revolution(table, cutter.profile, device=device)
         self._lag = min(CARVE_LAG_M / spacing, 0.25)
         self._lever = max(abs(table.low), abs(table.high))
         self._next_group = 0
@@ -104,16 +108,16 @@ class Carver:
             carve,
             dim=workers,
             inputs=[
-                _revolution(table, cutter.profile, device=device),
+                self.tool,
                 self._pose.device,
                 self._plan.device,
-                1.5 * self._lag,
                 0,
                 workers,
                 store.brick_of,
+                store.material,
             ],
-            outputs=[store.remaining, store.material, store.alive, store.touched, self._removed.device],
-            offset_index=4,
+            outputs=[store.remaining, store.swept, store.alive, store.touched, self._removed.device],
+            offset_index=3,
             device=device,
             cores=cores,
         )
@@ -170,6 +174,7 @@ class Carver:
         """Copy the state between two motions."""
         return CarverState(
             wp.clone(self.store.remaining),
+            wp.clone(self.store.swept),
             wp.clone(self.store.alive),
             self._pose.host.copy(),
             self._heading.copy(),
@@ -177,8 +182,9 @@ class Carver:
         )
 
     def restore(self, state: CarverState) -> None:
-        """Return to a copied state; the booked removal and each voxel's fill, which no carving reads, stay."""
+        """Return to a copied state; the booked removal stays."""
         wp.copy(self.store.remaining, state.remaining)
+        wp.copy(self.store.swept, state.swept)
         wp.copy(self.store.alive, state.alive)
         self._pose.host[:] = state.poses
         self._heading[:] = state.heading
@@ -209,6 +215,7 @@ def _revolution(table: DistanceTable, profile: Profile, *, device: str) -> Revol
     """The cutter's distance table on a device."""
     tool: Any = Revolution()
     tool.distance = wp.array(table.distance, dtype=wp.float32, device=device)
+    tool.slope = wp.array(table.slope, dtype=wp.vec2, device=device)
     tool.bend = wp.array(table.bend, dtype=wp.float32, device=device)
     tool.height_min, tool.cells_per_voxel = table.height_min, table.cells_per_voxel
     tool.radius, tool.low, tool.high = table.radius, table.low, table.high

@@ -10,6 +10,7 @@ from kernels.bricks import FULL
 from kernels.cutting import AREA, CHUNK, DENSITIES, RATE, Coefficients, Elements, cutting_forces
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror
+from meshes.base.arrays import Array
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter, PointShell
 from tissue.materials.cutting import CuttingCoefficients
@@ -80,6 +81,7 @@ class BoneModel:
             cutting_forces,
             dim=chunks,
             inputs=[
+                self.carver.tool,
                 self.elements,
                 _on_device(coefficients, device=device),
                 self._motion.device,
@@ -88,9 +90,12 @@ class BoneModel:
                 0,
                 store.brick_of,
                 store.material,
+                store.nearby,
+                store.swept,
+                store.alive,
             ],
             outputs=[self._sums.device],
-            offset_index=5,
+            offset_index=6,
             device=device,
             cores=cores,
         )
@@ -167,6 +172,9 @@ def _elements(shell: PointShell, cutter: Cutter, *, device: str) -> Elements:
     elements.area = wp.array(shell.areas_m2, dtype=wp.float32, device=device)
     edge_length = cutter.flute_count * shell.areas_m2 / (2.0 * np.pi * shell.radii_m)
     elements.edge_length = wp.array(edge_length, dtype=wp.float32, device=device)
+    balls, cones = _chunk_bounds(shell)
+    elements.chunk_ball = wp.array(balls, dtype=wp.vec4, device=device)
+    elements.chunk_cone = wp.array(cones, dtype=wp.vec4, device=device)
     return elements
 
 
@@ -180,3 +188,20 @@ def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) ->
     strength = [(density / layer.reference_density_kg_m3) ** layer.density_exponent for layer in coefficients]
     arrays.strength = wp.array(np.array(strength), dtype=wp.float32, device=device)
     return arrays
+
+
+def _chunk_bounds(shell: PointShell) -> tuple[Array, Array]:
+    """A ball around each chunk's points, centre and radius [m], and a cone around its normals; each shape (chunks, 4).
+
+    A cone is its axis and the sine of its half angle, 2 where it is wider than a half space.
+    """
+    balls, cones = [], []
+    for start in range(0, len(shell.areas_m2), CHUNK):
+        points, normals = shell.points_m[start : start + CHUNK], shell.normals[start : start + CHUNK]
+        middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        balls.append([*middle, np.linalg.norm(points - middle, axis=1).max()])
+        axis = normals.sum(axis=0)
+        axis /= max(float(np.linalg.norm(axis)), 1e-12)
+        cosine = float((normals @ axis).min())
+        cones.append([*axis, np.sqrt(max(1.0 - cosine**2, 0.0)) if cosine > 0.0 else 2.0])
+    return np.array(balls), np.array(cones)

@@ -1,0 +1,265 @@
+"""Distances of voxels to the bone's surface and to the nearest change of layer, in bytes.
+
+Between voxel centres they are interpolated, so that a surface or a change of layer lies where it is to second order in
+the spacing, and not where the nearest voxel says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.shapes.plane_cube import cube_fraction
+from meshes.voxels.volume import VoxelVolume
+
+__all__ = [
+    "FAR",
+    "INSIDE",
+    "OUTSIDE",
+    "SURFACE_ZERO",
+    "LayerAt",
+    "boundary_of_layers",
+    "carried_beyond",
+    "layer_boundary",
+    "near_the_surface",
+    "surface_of_fractions",
+    "surface_steps",
+]
+
+SURFACE_STEPS, BOUNDARY_STEPS = 63, 127
+"""Steps a voxel; both reach two voxels."""
+SURFACE_ZERO, INSIDE, OUTSIDE = 128, 2, 254
+"""Stored surface distance on the surface itself, and two voxels or more inside and outside it."""
+FAR = 254
+"""Stored boundary distance where no layer changes within two voxels."""
+_STRIDE, _HALVINGS = 0.5, 5
+_BISECTIONS = 14
+_WINDOW = 5
+_OFFSETS = np.array([o for o in np.ndindex(5, 5, 5) if 0 < sum((k - 2) ** 2 for k in o) <= 5]) - 2
+
+LayerAt = Callable[[NDArray[np.float32]], NDArray[np.uint8]]
+"""Points [voxel], shape (n, 3), to their layers, shape (n,)."""
+
+
+def surface_steps(distance: NDArray[Any]) -> NDArray[np.uint8]:
+    """Stored surface distance of signed distances [voxel], negative inside."""
+    return np.clip(np.rint(SURFACE_ZERO + SURFACE_STEPS * distance), INSIDE, OUTSIDE).astype(np.uint8)
+
+
+def layer_boundary(layer: NDArray[np.uint8], known: NDArray[np.bool_], layer_at: LayerAt) -> NDArray[np.uint8]:
+    """Stored distance of each voxel's centre to the nearest change of layer, shape (nx, ny, nz).
+
+    Near a change the voxels of other layers around a voxel give the direction; along it the change is bracketed in half
+    voxels, then halved.
+
+    Parameters
+    ----------
+    layer
+        Layer of each voxel, shape (nx, ny, nz).
+    known
+        Voxels whose layer has a meaning, shape (nx, ny, nz).
+    layer_at
+        Layer between the voxel centres; voxel (i, j, k) has its centre at (i + 0.5, j + 0.5, k + 0.5).
+    """
+    result = np.full(layer.shape, FAR, dtype=np.uint8)
+    chosen = np.argwhere(_near_change(layer, known))
+    for start in range(0, len(chosen), 1 << 16):
+        part = chosen[start : start + (1 << 16)]
+        own = layer[tuple(part.T)]
+        direction, changes = _toward_change(layer, known, part, own)
+        found = np.full(len(part), 2.0, dtype=np.float32)
+        found[changes] = _distance(part[changes], own[changes], direction[changes], layer_at)
+        result[tuple(part.T)] = np.rint(np.minimum(BOUNDARY_STEPS * found, FAR))
+    return result
+
+
+def _near_change(layer: NDArray[np.uint8], known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Known voxels within two voxels of one of another layer."""
+    near = np.zeros(layer.shape, dtype=bool)
+    for axis in range(3):
+        a, b = _halves(axis)
+        differ = (layer[a] != layer[b]) & known[a] & known[b]
+        near[a] |= differ
+        near[b] |= differ
+    return _grown(near) & known if near.any() else near
+
+
+def _toward_change(
+    layer: NDArray[np.uint8], known: NDArray[np.bool_], at: NDArray[np.int64], own: NDArray[np.uint8]
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Unit vector toward the voxels of other layers around each voxel, shape (n, 3), and where there are any."""
+    toward = np.zeros((len(at), 3), dtype=np.float32)
+    last = np.array(layer.shape) - 1
+    for offset in _OFFSETS:
+        there = tuple(np.clip(at + offset, 0, last).T)
+        differs = np.flatnonzero((layer[there] != own) & known[there])
+        toward[differs] += (offset / (offset @ offset)).astype(np.float32)
+    length = np.linalg.norm(toward, axis=1)
+    return toward / np.maximum(length, 1e-6)[:, None], length > 1e-3
+
+
+def _distance(
+    at: NDArray[np.int64], own: NDArray[np.uint8], direction: NDArray[np.float32], layer_at: LayerAt
+) -> NDArray[np.float32]:
+    """Distance [voxel] from voxel centres along a direction to where the layer changes, at most 2, shape (n,)."""
+    centre = at.astype(np.float32) + np.float32(0.5)
+    low, high = np.zeros((2, len(at)), dtype=np.float32)
+    open_ = np.arange(len(at))
+    for reach in np.arange(_STRIDE, 2.0 + _STRIDE, _STRIDE, dtype=np.float32):
+        changed = layer_at(centre[open_] + reach * direction[open_]) != own[open_]
+        high[open_[changed]] = reach
+        low[open_[changed]] = reach - _STRIDE
+        open_ = open_[~changed]
+    low[open_] = high[open_] = 2.0
+    found = np.flatnonzero(high > low)
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low[found] + high[found])
+        changed = layer_at(centre[found] + middle[:, None] * direction[found]) != own[found]
+        high[found[changed]] = middle[changed]
+        low[found[~changed]] = middle[~changed]
+    return 0.5 * (low + high)
+
+
+def near_the_surface(
+    volume: VoxelVolume,
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint16], NDArray[np.uint8]]:
+    """Surface distance, layer, density and boundary distance of a volume, each of its shape.
+
+    Layer and density go on beyond the surface, as far as its distance is known: a point between the last voxel centre
+    in the bone and the first one outside lies in a layer too.
+    """
+    surface = volume.surface_distance if volume.surface_distance is not None else surface_of_fractions(volume.fraction)
+    if volume.layer_distance is not None:
+        return surface, volume.layer, volume.density_kg_m3, volume.layer_distance
+    layer, density, known = carried_beyond(volume.fraction, surface, volume.layer, volume.density_kg_m3)
+    return surface, layer, density, boundary_of_layers(layer, known)
+
+
+def carried_beyond(
+    fraction: NDArray[np.uint8], surface: NDArray[np.uint8], layer: NDArray[np.uint8], density: NDArray[np.uint16]
+) -> tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.bool_]]:
+    """Layer and density with those of the outermost voxels carried on beyond the surface, and where they are known."""
+    layer, density, known = layer.copy(), density.copy(), fraction > 0
+    for _ in range(2):
+        wanted = (surface < OUTSIDE) & ~known
+        for axis in range(3):
+            for low, high in (_halves(axis), _halves(axis)[::-1]):
+                taken = wanted[low] & known[high]
+                layer[low][taken], density[low][taken] = layer[high][taken], density[high][taken]
+                known[low] |= taken
+                wanted[low] &= ~taken
+    return layer, density, known
+
+
+def surface_of_fractions(fraction: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Stored surface distance of voxels of which only the filled fraction is known, uint8, shape (nx, ny, nz).
+
+    In each voxel that the surface crosses, or beside which it passes, the plane that leaves the fraction behind it, its
+    direction the gradient of the fractions; near those, the mean over their planes. Beyond the array there is no bone.
+    """
+    padded = np.pad(fraction, 3)
+    result = np.where(padded > 127, INSIDE, OUTSIDE).astype(np.uint8)
+    crossed = ((padded > 0) & (padded < 255)) | _beside(padded == 255, padded == 0)
+    at = np.argwhere(crossed)
+    normal = _outward(padded, at)
+    share = padded[crossed] / 255.0
+    total = np.abs(normal).sum(axis=1)
+    distance = _plane_distance(share, normal)
+    known, planes = np.full(padded.shape, -1, dtype=np.int32), len(at)
+    known[crossed] = np.arange(planes, dtype=np.int32)
+    near = np.argwhere(_grown(_grown(crossed)))
+    summed, weights = np.zeros((2, len(near)))
+    # A full or an empty voxel beside the surface bounds its distance and does not give it.
+    trust = np.where((share > 0.0) & (share < 1.0), 1.0, np.where(total > 0.0, 1e-3, 0.0))
+    for offset in np.vstack([np.zeros((1, 3), dtype=int), _OFFSETS]):
+        there = tuple(np.clip(near + offset, 0, np.array(padded.shape) - 1).T)
+        plane = known[there]
+        held = np.flatnonzero(plane >= 0)
+        index = plane[held]
+        weight = trust[index] / (0.25 + float(offset @ offset)) ** 2
+        summed[held] += weight * (distance[index] - normal[index] @ offset)
+        weights[held] += weight
+    found = weights > 0.0
+    steps = surface_steps(summed[found] / weights[found])
+    result[tuple(near[found].T)] = steps
+    return np.ascontiguousarray(result[3:-3, 3:-3, 3:-3])
+
+
+def boundary_of_layers(layer: NDArray[np.uint8], known: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Stored distance to the nearest change of layer of voxels of which only the layer is known.
+
+    From the share of a voxel's own layer in the 5 x 5 x 5 voxels around it, as the plane that leaves this share behind
+    it: a flat boundary at any angle comes out flat, where it lies between voxel centres only on average.
+    """
+    result = np.full(layer.shape, FAR, dtype=np.uint8)
+    chosen = np.argwhere(_near_change(layer, known))
+    last = np.array(layer.shape) - 1
+    for start in range(0, len(chosen), 1 << 16):
+        part = chosen[start : start + (1 << 16)]
+        own = layer[tuple(part.T)]
+        same, counted, toward = np.zeros(len(part)), np.zeros(len(part)), np.zeros((len(part), 3))
+        for offset in np.array(list(np.ndindex(_WINDOW, _WINDOW, _WINDOW))) - _WINDOW // 2:
+            there = tuple(np.clip(part + offset, 0, last).T)
+            has, differs = known[there], layer[there] != own
+            counted += has
+            same += has & ~differs
+            toward[has & differs] += offset
+        length = np.linalg.norm(toward, axis=1)
+        normal = np.where(length[:, None] > 0.0, toward / np.maximum(length, 1e-9)[:, None], np.array([0.0, 0.0, 1.0]))
+        found = -_WINDOW * _plane_distance(same / counted, normal)
+        result[tuple(part.T)] = np.rint(np.clip(BOUNDARY_STEPS * found, 1, FAR))
+    return result
+
+
+def _plane_distance(share: NDArray[Any], normal: NDArray[Any]) -> NDArray[np.float64]:
+    """Signed distance of unit cubes' centres from the plane with a normal that leaves a share of them behind it."""
+    half = 0.5 * np.abs(normal).sum(axis=1)
+    low, high = -half, half.copy()
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        more = cube_fraction(middle, normal) > share
+        low, high = np.where(more, middle, low), np.where(more, high, middle)
+    return np.asarray(0.5 * (low + high))
+
+
+def _outward(fraction: NDArray[np.uint8], at: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Unit vector down the gradient of the fractions in 3 x 3 x 3 voxels, shape (n, 3); 0 where there is none."""
+    slope = np.zeros((len(at), 3))
+    for offset in np.array(list(np.ndindex(3, 3, 3))) - 1:
+        if offset.any():
+            weight = 2.0 ** (2 - np.abs(offset).sum())
+            slope -= weight * fraction[tuple((at + offset).T)].astype(np.float64)[:, None] * offset
+    length = np.linalg.norm(slope, axis=1)
+    return slope / np.maximum(length, 1e-9)[:, None]
+
+
+def _beside(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Voxels of either kind that share a face with one of the other kind."""
+    met = np.zeros(one.shape, dtype=bool)
+    for axis in range(3):
+        a, b = _halves(axis)
+        pairs = (one[a] & other[b]) | (other[a] & one[b])
+        met[a] |= pairs
+        met[b] |= pairs
+    return met
+
+
+def _grown(flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Flagged voxels and all that touch them."""
+    grown = flags.copy()
+    for axis in range(3):
+        a, b = _halves(axis)
+        before = grown.copy()
+        grown[a] |= before[b]
+        grown[b] |= before[a]
+    return grown
+
+
+def _halves(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
+    """All but the last and all but the first along an axis."""
+    low, high = ([slice(None)] * 3 for _ in range(2))
+    low[axis], high[axis] = slice(0, -1), slice(1, None)
+    return tuple(low), tuple(high)

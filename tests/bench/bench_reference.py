@@ -1,0 +1,82 @@
+"""Error of scenes' cutting force to the reference on exact geometry: `python tests/bench/bench_reference.py SCENE ...`.
+
+`python tests/bench/bench_reference.py glenoid caries voxels.spacing_mm=0.1 [--worst]` runs each scene with the changes
+and prints its error over ticks, over 50 ms and on average in %, the reference's own uncertainty, and the tick's cost.
+Stress is left out: the force does not depend on it. `--worst` adds the windows of 50 ms that are farthest off. The
+reference is computed once for each motion, anatomy and tool (a minute), then read from the cache.
+"""
+
+import argparse
+import sys
+from time import perf_counter
+
+import numpy as np
+from harness import machine, table
+
+import tissue
+from tissue.evaluation.reference.error import error_of_force
+from tissue.evaluation.reference.history import reference_force
+from tissue.scene.load import changed
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scenes", nargs="+", help="scenes, and changes such as voxels.spacing_mm=0.1")
+    parser.add_argument("--worst", action="store_true", help="show the windows that are farthest off")
+    arguments = parser.parse_args()
+    changes = dict(word.split("=", 1) for word in arguments.scenes if "=" in word)
+    changes = {key: _value(value) for key, value in changes.items()}
+    rows = []
+    for name in (word for word in arguments.scenes if "=" not in word):
+        scene = tissue.load_scene(name, changes)
+        scene = changed(scene, {"stress": None}) if scene.stress is not None else scene
+        run = tissue.simulate(scene, cores=1)
+        start = perf_counter()
+        reference = reference_force(scene, run.trace, progress=_progress)
+        seconds = perf_counter() - start
+        force = run.trace.vectors("model_force", "N")
+        error = error_of_force(force, reference)
+        ticks = run.timing["tick_us"]
+        percent = (error.over_ticks, error.over_50_ms, error.bias, error.reference_uncertainty)
+        rows.append(
+            (
+                name,
+                *(f"{100.0 * value:.2f}" for value in percent),
+                f"{np.linalg.norm(reference.force_N, axis=1).max():.3g}",
+                f"{reference.evaluations}",
+                f"{seconds:.1f}",
+                f"{np.median(ticks):.0f}",
+                f"{np.percentile(ticks, 99):.0f}",
+            )
+        )
+        if arguments.worst:
+            _show_worst(force, reference.force_N)
+    head = ("scene", "ticks %", "50 ms %", "bias %", "own %", "peak N", "evaluated", "s", "tick us", "99 %")
+    print(machine())
+    print(table(rows, head))
+
+
+def _show_worst(force, wanted, count=8) -> None:
+    """Print the windows of 50 ms that add most to the error."""
+    for k in np.argsort([-np.linalg.norm((force - wanted)[s : s + 50]) for s in range(0, len(force), 50)])[:count]:
+        part = slice(50 * k, 50 * k + 50)
+        got, exact = force[part].mean(axis=0), wanted[part].mean(axis=0)
+        print(f"{50 * k:6d} ms  force {np.round(got, 4)} N  reference {np.round(exact, 4)} N")
+
+
+def _value(text: str):
+    import tomllib
+
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def _progress(what: str, share: float) -> None:
+    if sys.stderr.isatty():
+        print(f"\r{what} {share:4.0%}", end="", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()

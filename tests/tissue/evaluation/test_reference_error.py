@@ -1,0 +1,94 @@
+"""The reference over a run: its error measure, its interpolation over ticks, its cache, and the engine against it."""
+
+import numpy as np
+import pytest
+
+import tissue
+from meshes.base.errors import InputError
+from tissue.builders.registry import cutter_of
+from tissue.evaluation.reference import history
+from tissue.evaluation.reference.error import error_of_force, error_to_reference
+from tissue.evaluation.reference.force import wrench_at
+from tissue.evaluation.reference.history import ReferenceForce, path_of_trace, reference_force, solid_of_scene
+
+SLOT = {
+    "voxels.spacing_mm": 0.4,
+    "anatomy.size_mm": [10, 8, 5],
+    "motion.points_mm": [[-1, 0, 0.1], [-1, 0, -0.2], [1, 0, -0.4], [1, 0, 0.1]],
+    "motion.feed_mm_s": 10.0,
+    "duration_s": 0.25,
+}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TISSUE_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield tissue.simulate(tissue.load_scene("milling", SLOT), cores=1)
+
+
+@pytest.fixture(scope="module")
+def reference(run):
+    return reference_force(run.scene, run.trace)
+
+
+def smooth_force(count=430):
+    time = np.arange(count) / count
+    force = np.column_stack([np.sin(9 * time), 2 + np.cos(5 * time), 8 * time])
+    force[:70] = 0.0
+    return force
+
+
+def test_a_perfect_force_scores_nothing_and_a_scaled_one_its_scale():
+    force = smooth_force()
+    reference = ReferenceForce(np.hstack([force, force]), 1e-4, 430)
+    perfect, scaled = error_of_force(force, reference), error_of_force(1.02 * force, reference)
+    assert (perfect.over_ticks, perfect.over_50_ms, perfect.bias) == (0.0, 0.0, 0.0)
+    assert np.allclose((scaled.over_ticks, scaled.over_50_ms, scaled.bias), 0.02, rtol=1e-9)
+    assert scaled.reference_uncertainty == 1e-4
+
+
+def test_noise_counts_over_ticks_and_hardly_over_50_ms():
+    force = np.tile([3.0, 0.0, 4.0], (50 * 200, 1))
+    noise = np.random.default_rng(1).normal(0.0, 0.5, force.shape)
+    error = error_of_force(force + noise, ReferenceForce(np.hstack([force, force]), 0.0, 1))
+    wanted = 0.5 * np.sqrt(3.0) / 5.0
+    assert error.over_ticks == pytest.approx(wanted, rel=0.02)
+    assert error.over_50_ms == pytest.approx(wanted / np.sqrt(50.0), rel=0.1)
+    assert abs(error.bias) < 4.0 * 0.5 / 5.0 / np.sqrt(len(force))
+
+
+def test_what_is_interpolated_meets_what_would_be_evaluated(run, reference):
+    cutter, solid = cutter_of(run.scene.tool), solid_of_scene(run.scene)
+    path = path_of_trace(run.trace, cutter)
+    assert reference.evaluations < 0.8 * len(run.trace.rows) and 0.0 < reference.uncertainty < 2e-3
+    ticks = np.random.default_rng(0).choice(len(run.trace.rows), 40, replace=False)
+    exact = np.array([wrench_at(int(k), path, cutter, solid)[:3] for k in ticks])
+    off = np.linalg.norm(exact - reference.force_N[ticks], axis=1)
+    assert off.max() < 2.0 * history.INTERPOLATION * np.linalg.norm(reference.force_N, axis=1).max()
+
+
+def test_a_reference_is_computed_once(run, reference, monkeypatch):
+    monkeypatch.setattr(history, "wrench_at", lambda *arguments, **options: pytest.fail("computed again"))
+    again = reference_force(run.scene, run.trace)
+    assert np.array_equal(again.wrench, reference.wrench) and again.uncertainty == reference.uncertainty
+
+
+def test_the_engine_nears_the_reference_as_its_voxels_shrink(run):
+    """A factor of two in the spacing takes a third of the error at least: first order alone would take half."""
+    fine = tissue.simulate(tissue.load_scene("milling", {**SLOT, "voxels.spacing_mm": 0.2}), cores=1)
+    coarse, finer = (error_to_reference(each.scene, each) for each in (run, fine))
+    assert finer.over_50_ms < 0.67 * coarse.over_50_ms < 0.2
+    assert 0.0 < finer.over_50_ms <= finer.over_ticks
+
+
+def test_an_anatomy_from_a_file_is_refused():
+    scene = tissue.load_scene("glenoid", {"anatomy.file": "scapula.stl"})
+    with pytest.raises(InputError, match="anatomy must be procedural"):
+        solid_of_scene(scene)
+
+
+def test_a_guide_hole_is_no_bone():
+    solid = solid_of_scene(tissue.load_scene("glenoid"))
+    points = np.array([[0.0, 0.0, -5e-3], [5e-3, 0.0, -5e-3]])
+    assert (solid.distance(points) > 0.0).tolist() == [True, False]

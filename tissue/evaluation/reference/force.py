@@ -1,0 +1,187 @@
+"""Cutting force by adaptive quadrature over the cutter's surface: no voxels, no elements fixed to the tool.
+
+The surface is r(s), z(s) turned by the angle phi, s the length along the half section. Averaged over a revolution, N
+edges of a tool that spins at omega put ``N ds dphi / (2 pi)`` = ``N dA / (2 pi r)`` of cutting edge into a part of the
+surface. With v the velocity of the surface point (without the spin) and h = max(0, v . n) 2 pi / (N omega) the chip::
+
+    F = - (N / 2 pi) integral [(K_tc h + K_te) t + (K_rc h + K_re) n + (K_ac h + K_ae) a] engaged ds dphi
+
+t is the direction in which the spin moves the point, n the outward normal, a the axis from tip to shank. Every K is
+that of the layer at the point, times (density / reference density) ** exponent. A point is engaged where it advances
+(v . n > 0), lies in the solid (signed distance below 0), and in nothing that the tool has swept before.
+
+Cells in (s, phi) in which all of this is smooth are integrated by two by two Gauss points; cells that a boundary may
+cross are divided into four, down to a finest size, where one point each decides. The distances are 1-Lipschitz, so
+no boundary of the solid or of an old cut is missed; boundaries between layers are found from the cells' corners.
+"""
+
+from dataclasses import dataclass
+from math import ceil, pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue.cutters.cutter import Cutter
+from tissue.cutters.profile import Arc, Piece
+from tissue.evaluation.reference.convex_part import convex_parts
+from tissue.evaluation.reference.path import ToolPath
+from tissue.evaluation.reference.solid import Solid
+
+__all__ = ["Resolution", "wrench_at"]
+
+Array = NDArray[np.float64]
+GAUSS = 0.5 / 3.0**0.5
+"""Gauss points lie this far from the middle of a cell of length 1."""
+CORNERS = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """How finely the surface is divided.
+
+    Attributes
+    ----------
+    coarsest
+        Cells on a radius of the tool before any is divided.
+    divisions
+        How often a cell that a boundary crosses is divided into four.
+    """
+
+    coarsest: int = 12
+    divisions: int = 5
+
+    def finer(self) -> "Resolution":
+        """Twice as fine throughout."""
+        return Resolution(2 * self.coarsest, self.divisions)
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """Cells of one piece: middle and size in (s, phi), each shape (n, 2), s in [m]."""
+
+    middle: Array
+    size: Array
+
+    def chosen(self, which: NDArray[np.bool_]) -> "_Cells":
+        return _Cells(self.middle[which], self.size[which])
+
+    def divided(self) -> "_Cells":
+        half = 0.5 * self.size
+        middle = (self.middle[:, None] + half[:, None] * CORNERS).reshape(-1, 2)
+        return _Cells(middle, np.repeat(half, 4, axis=0))
+
+    def points(self, offsets: Array) -> Array:
+        """Points at offsets, shape (k, 2), of every cell, in parts of its size, shape (n k, 2)."""
+        return (self.middle[:, None] + self.size[:, None] * offsets).reshape(-1, 2)
+
+
+def wrench_at(
+    tick: int, path: ToolPath, cutter: Cutter, solid: Solid, *, resolution: Resolution | None = None
+) -> Array:
+    """Force on the tool [N] and torque about its tip [N m] in the world at a tick, shape (6,)."""
+    if not (path.velocities[tick].any() or path.turnings[tick].any()):
+        return np.zeros(6)
+    at_tick = _AtTick(tick, path, cutter, solid)
+    total = np.zeros(6)
+    for piece in cutter.profile.pieces:
+        if piece.cutting:
+            total += at_tick.wrench_on(piece, resolution or Resolution())
+    rotation = path.rotations[tick]
+    return np.concatenate([rotation @ total[:3], rotation @ total[3:]])
+
+
+class _AtTick:
+    """The integral over the surface at one tick, in the tool's frame."""
+
+    def __init__(self, tick: int, path: ToolPath, cutter: Cutter, solid: Solid) -> None:
+        self.tick, self.path, self.cutter, self.solid = tick, path, cutter, solid
+        self.parts = convex_parts(cutter.profile)
+        rotation = path.rotations[tick]
+        self.velocity, self.turning = path.velocities[tick] @ rotation, path.turnings[tick] @ rotation
+
+    def wrench_on(self, piece: Piece, resolution: Resolution) -> Array:
+        """Force [N] and torque [N m] on one piece of the profile, shape (6,)."""
+        total = np.zeros(6)
+        cells = self._coarsest(piece, resolution.coarsest)
+        for division in range(resolution.divisions + 1):
+            cells, smooth = self._sorted(piece, cells)
+            total += self._integral(piece, cells.chosen(smooth), GAUSS * 2.0 * CORNERS)
+            cells = cells.chosen(~smooth)
+            if division < resolution.divisions:
+                cells = cells.divided()
+        # One point each, nowhere at the same place of its cell: a boundary along a row of cells does not meet all.
+        spread = np.arange(1, len(cells.middle) + 1)[:, None] * np.array([0.7548776662466927, 0.5698402909980532])
+        shifted = _Cells(cells.middle + cells.size * (spread % 1.0 - 0.5), cells.size)
+        total += self._integral(piece, shifted, np.zeros((1, 2)), tested=True)
+        return total
+
+    def _coarsest(self, piece: Piece, coarsest: int) -> _Cells:
+        """Even cells over a whole piece."""
+        radius = self.cutter.profile.radius_m
+        counts = max(ceil(piece.length_m / radius * coarsest), 4), ceil(2.0 * pi * coarsest)
+        size = np.array([piece.length_m / counts[0], 2.0 * pi / counts[1]])
+        numbers = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, 2)
+        return _Cells((numbers + 0.5) * size, np.broadcast_to(size, (len(numbers), 2)))
+
+    def _sorted(self, piece: Piece, cells: _Cells) -> tuple[_Cells, NDArray[np.bool_]]:
+        """Cells that may be engaged, and whether they are throughout, within one layer."""
+        points, normals, _ = _surface(piece, cells.middle)
+        advance = self._advance(points, normals)
+        widest = np.hypot(points[:, 0], points[:, 1]) + 0.5 * cells.size[:, 0]
+        reach = 0.5 * np.hypot(cells.size[:, 0], widest * cells.size[:, 1])
+        bend = 0.5 * (cells.size[:, 0] / piece.radius if isinstance(piece, Arc) else 0.0) + 0.5 * cells.size[:, 1]
+        speed = float(np.linalg.norm(self.velocity)) + float(np.linalg.norm(self.turning)) * self.path.reach_m
+        change = speed * bend + float(np.linalg.norm(self.turning)) * reach
+        kept = np.flatnonzero(advance > -change)
+        world = self.path.in_world(self.tick, points[kept])
+        depth = self.solid.distance(world)
+        inside = depth < reach[kept]
+        kept, world, depth = kept[inside], world[inside], depth[inside]
+        swept = self.path.swept_distance(self.tick, self.parts, world, within=reach[kept])
+        left = swept > -reach[kept]
+        kept, depth, swept = kept[left], depth[left], swept[left]
+        cells = _Cells(cells.middle[kept], cells.size[kept])
+        smooth = (advance[kept] > change[kept]) & (depth < -reach[kept]) & (swept > reach[kept])
+        if len(self.solid.coefficients) > 1:
+            one = np.flatnonzero(smooth)
+            corners = _surface(piece, cells.chosen(smooth).points(CORNERS))[0]
+            layers = self.solid.layer(self.path.in_world(self.tick, corners)).reshape(-1, 4)
+            smooth[one] = (layers == layers[:, :1]).all(axis=1)
+        return cells, smooth
+
+    def _advance(self, points: Array, normals: Array) -> Array:
+        """Speed of points along their normals [m/s]."""
+        return ((self.velocity + np.cross(self.turning, points)) * normals).sum(axis=1)
+
+    def _integral(self, piece: Piece, cells: _Cells, offsets: Array, *, tested: bool = False) -> Array:
+        """Sum of the law over cells, at points of equal weight; points that are not engaged count as 0 if tested."""
+        points, normals, around = _surface(piece, cells.points(offsets))
+        weights = np.repeat(cells.size.prod(axis=1) / len(offsets), len(offsets))
+        advance = self._advance(points, normals)
+        world = self.path.in_world(self.tick, points)
+        if tested:
+            engaged = (advance > 0.0) & (self.solid.distance(world) < 0.0)
+            found = np.flatnonzero(engaged)
+            within = np.zeros(len(found))
+            swept = self.path.swept_distance(self.tick, self.parts, world[found], within=within)
+            found = found[swept >= 0.0]
+            points, normals, around = points[found], normals[found], around[found]
+            weights, advance, world = weights[found], advance[found], world[found]
+        if len(points) == 0:
+            return np.zeros(6)
+        chip = advance * self.cutter.chip_per_speed_s
+        strengths = self.solid.strengths(world)
+        length = weights * (self.cutter.flute_count / (2.0 * pi))
+        tangential, radial, axial = -length * (strengths[:3] * chip + strengths[3:])
+        force = (np.sign(self.cutter.spin_rad_s) * tangential)[:, None] * around + radial[:, None] * normals
+        force[:, 2] += axial
+        return np.concatenate([force.sum(axis=0), np.cross(points, force).sum(axis=0)])
+
+
+def _surface(piece: Piece, at: Array) -> tuple[Array, Array, Array]:
+    """Points [m], outward normals and directions of growing phi, each shape (n, 3), at (s, phi), shape (n, 2)."""
+    section, outward = piece.at(at[:, 0] / piece.length_m)
+    cosine, sine = np.cos(at[:, 1]), np.sin(at[:, 1])
+    points = np.column_stack([section[:, 0] * cosine, section[:, 0] * sine, section[:, 1]])
+    normals = np.column_stack([outward[:, 0] * cosine, outward[:, 0] * sine, outward[:, 1]])
+    return points, normals, np.column_stack([-sine, cosine, np.zeros(len(at))])

@@ -1,0 +1,165 @@
+"""The reference force of a whole run: evaluated at the ticks that matter, interpolated between them, kept on disk."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.cache import cached_arrays
+from meshes.base.progress import Progress, silent
+from tissue.builders.cutting import CUT_AS, cutter_of
+from tissue.builders.registry import motion_of
+from tissue.builders.voxels import solid_of
+from tissue.cutters.cutter import Cutter
+from tissue.evaluation.reference.force import Resolution, wrench_at
+from tissue.evaluation.reference.path import ToolPath
+from tissue.evaluation.reference.solid import Solid
+from tissue.materials.cutting import cutting_coefficients
+from tissue.models.tissue_model import TICK_S
+from tissue.scene.scene import Scene
+from tissue.scene.tool import Tool
+from tissue.simulation.trace import Table
+
+__all__ = ["ReferenceForce", "path_of_trace", "reference_force", "solid_of_scene"]
+
+Array = NDArray[np.float64]
+COARSEST_TICKS = 32
+"""Ticks between two evaluations at the most."""
+INTERPOLATION = 1e-3
+"""Where a line between two evaluations misses the tick between them by more than this share of the mean force, both
+halves are evaluated too."""
+CHECKED = 48
+"""Ticks at which the reference is evaluated anew, twice as fine, for its own uncertainty."""
+
+
+@dataclass(frozen=True)
+class ReferenceForce:
+    """Force and torque of a run on the exact geometry.
+
+    Attributes
+    ----------
+    wrench
+        Force on the tool [N] and torque about its tip [N m] in the world at every tick, shape (n, 6).
+    uncertainty
+        Its own error relative to the force, both as root mean squares over ticks spread over the contact: the difference
+        to an evaluation twice as fine, interpolation included.
+    evaluations
+        Ticks at which it was evaluated.
+    """
+
+    wrench: Array
+    uncertainty: float
+    evaluations: int
+
+    @property
+    def force_N(self) -> Array:
+        """Force on the tool [N], shape (n, 3)."""
+        return self.wrench[:, :3]
+
+
+def path_of_trace(trace: Table, cutter: Cutter) -> ToolPath:
+    """Poses and velocities of a run's tool."""
+    low, high = cutter.profile.height_range_m
+    return ToolPath.from_quaternions(
+        1e-3 * trace.vectors("tool", "mm"),
+        np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"]),
+        1e-3 * trace.vectors("velocity", "mm_s"),
+        trace.vectors("angular_velocity", "rad_s"),
+        reach_m=float(np.hypot(cutter.profile.radius_m, max(abs(low), abs(high)))),
+    )
+
+
+def solid_of_scene(scene: Scene) -> Solid:
+    """What a scene's tool cuts, as functions of position; refuses an anatomy from a file."""
+    anatomy, minus = solid_of(scene, motion_of(scene, step_s=TICK_S))
+    changes = scene.cutting.model_dump()
+    layers = tuple(cutting_coefficients(CUT_AS.get(name, "bone"), **changes) for name in anatomy.layer_names)
+    return Solid(anatomy, layers, minus)
+
+
+def reference_force(
+    scene: Scene, trace: Table, *, resolution: Resolution | None = None, progress: Progress | None = None
+) -> ReferenceForce:
+    """Force of the exact geometry on the motion of a run, computed once for each motion, anatomy and tool.
+
+    Raises
+    ------
+    InputError
+        If the anatomy comes from a file.
+    """
+    assert isinstance(scene.tool, Tool)
+    cutter, fine = cutter_of(scene.tool), resolution or Resolution()
+    path, solid = path_of_trace(trace, cutter), solid_of_scene(scene)
+    report = progress or silent
+
+    def make() -> dict[str, NDArray[np.generic]]:
+        wrench, known = _over_ticks(lambda tick: wrench_at(tick, path, cutter, solid, resolution=fine), path, report)
+        contact = np.flatnonzero(wrench.any(axis=1))
+        checked = contact[np.unique(np.linspace(0, len(contact) - 1, CHECKED).astype(int))] if len(contact) else contact
+        finer = fine.finer()
+        again = [wrench_at(int(tick), path, cutter, solid, resolution=finer)[:3] for tick in checked]
+        off = np.linalg.norm(np.array(again) - wrench[checked, :3]) if len(checked) else 0.0
+        error = float(off / max(np.linalg.norm(wrench[checked, :3]), 1e-300))
+        return {"wrench": wrench, "uncertainty": np.array(error), "evaluations": np.array(known.sum())}
+
+    states = (path.tips_m, path.rotations, path.velocities, path.turnings)
+    key = (*states, scene.bone, scene.tool, scene.cutting, fine, INTERPOLATION, COARSEST_TICKS)
+    kept = cached_arrays("reference-force", key, make)
+    return ReferenceForce(
+        np.asarray(kept["wrench"], dtype=np.float64), float(kept["uncertainty"]), int(kept["evaluations"])
+    )
+
+
+def _over_ticks(evaluate: Callable[[int], Array], path: ToolPath, report: Progress) -> tuple[Array, NDArray[np.bool_]]:
+    """Wrench at every tick, shape (n, 6), and whether it was evaluated there, shape (n,).
+
+    Every stretch of one leg and one velocity is halved until lines between the evaluations meet the tick between them.
+    """
+    count = len(path.tips_m)
+    wrench, known = np.zeros((count, 6)), np.zeros(count, dtype=bool)
+    share = 0.0
+
+    def at(tick: int) -> Array:
+        if not known[tick]:
+            wrench[tick], known[tick] = evaluate(tick), True
+        return wrench[tick, :3]
+
+    waiting: list[tuple[int, int]] = []
+    for first, last in _stretches(path):
+        knots = np.unique(np.append(np.arange(first, last, COARSEST_TICKS), last)).tolist()
+        for k, tick in enumerate(knots):
+            at(tick)
+            report("computing the reference force", share := max(share, 0.5 * tick / count))
+            if k:
+                waiting.append((knots[k - 1], tick))
+    sizes = np.linalg.norm(wrench[known, :3], axis=1)
+    allowed = INTERPOLATION * float(sizes[sizes > 0.0].mean()) if sizes.any() else 0.0
+    while waiting:
+        first, last = waiting.pop()
+        middle = (first + last) // 2
+        if middle == first:
+            continue
+        line = wrench[first] + (middle - first) / (last - first) * (wrench[last] - wrench[first])
+        if np.linalg.norm(at(middle) - line[:3]) > allowed:
+            waiting += [(first, middle), (middle, last)]
+        else:
+            _fill(wrench, known, first, middle)
+            _fill(wrench, known, middle, last)
+        report("computing the reference force", share := max(share, 0.5 + 0.5 * (1.0 - len(waiting) / count)))
+    return wrench, known
+
+
+def _stretches(path: ToolPath) -> list[tuple[int, int]]:
+    """First and last ticks of the parts of a path on one leg with one velocity."""
+    changed = np.any(np.abs(np.diff(path.velocities, axis=0)) > 1e-9, axis=1)
+    changed |= np.any(np.abs(np.diff(path.turnings, axis=0)) > 1e-9, axis=1)
+    begins = np.unique(np.concatenate([[0], np.flatnonzero(changed) + 1, path.legs[:, 0] + 1]))
+    begins = begins[begins < len(path.tips_m)]
+    return list(zip(begins.tolist(), [*(begins[1:] - 1).tolist(), len(path.tips_m) - 1], strict=True))
+
+
+def _fill(wrench: Array, known: NDArray[np.bool_], first: int, last: int) -> None:
+    """Interpolate between two evaluated ticks."""
+    share = (np.arange(first + 1, last) - first)[:, None] / (last - first)
+    wrench[first + 1 : last] = wrench[first] + share * (wrench[last] - wrench[first])
