@@ -24,7 +24,7 @@ FIRST, COUNT, BINARY, EVERY_SIDE, ORIGIN, PLAN = 0, 1, 2, 3, 4, 5
 """Places in the plan: first group and how many; 1 for binary removal; 1 for every side; group of the first brick."""
 BLOCK_REACH = wp.constant(1.7320508)  # half diagonal of a block of 2 voxels [voxel]
 CELL = wp.constant(0.5)  # a cell of the distance table [voxel], by which a slope may be taken next to a kink
-SLACK = wp.constant(12)  # stored distance by which two poses may differ in where they see the same surface
+SLACK = wp.constant(8)  # stored distance by which two poses may differ in where they see the same surface
 EDGE = wp.constant(float(EDGE_BEND))
 BRICK_REACH = wp.constant(6.9282032)  # half diagonal of a brick of 8 voxels [voxel]
 
