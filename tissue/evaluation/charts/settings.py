@@ -77,7 +77,7 @@ def finest(scene: Scene, *, quick: bool) -> Changes:
         return _force_only(scene)[0] | {
             "voxels.spacing_mm": spacing,
             "voxels.removal": "subvoxel",
-            "tool.shell_spacing_mm": 0.6 * _shell_mm(scene.tool, spacing),
+            "tool.shell_spacing_mm": 0.6 * _shell_mm(scene.tool),
         }
     if isinstance(scene.anatomy, SoftAnatomy):
         edge = (0.85 if quick else 0.6) * _edge_mm(scene, scene.anatomy)
@@ -105,11 +105,11 @@ def _force_only(scene: Scene) -> tuple[dict[str, object], str]:
     return changes, LOST if changes else ""
 
 
-def _shell_mm(tool: Tool, spacing_mm: float) -> float:
+def _shell_mm(tool: Tool) -> float:
     """Distance of the cutter's elements where a scene sets none."""
     from tissue.models.bone.model import SHELL_ELEMENTS
 
-    return max(2.0 * spacing_mm, 1e3 * float((cutter_of(tool).cutting_area_m2 / SHELL_ELEMENTS) ** 0.5))
+    return 1e3 * float((cutter_of(tool).cutting_area_m2 / SHELL_ELEMENTS) ** 0.5)
 
 
 def _edge_mm(scene: Scene, anatomy: SoftAnatomy) -> float:
