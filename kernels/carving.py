@@ -176,7 +176,9 @@ def carve_block(
         offset = corner_offset(v)
         distance = distance_at(near, offset)
         facing = plane
+        curving = 0.25 * near.bend  # the mean over a voxel exceeds its centre's distance by this
         if near.bend >= EDGE:
+            curving = float(0.0)
             exact = nearest_on(tool, middle + offset, axis)
             facing = plane_of(exact.slope)
             distance = exact.distance
@@ -186,7 +188,7 @@ def carve_block(
             swept_out[row, voxel] = wp.uint16(stored)
             target = int(65535)
             if binary == 0:
-                target = int(65535.5 - 65535.0 * cube_behind_plane(facing, distance + 0.25 * near.bend))
+                target = int(65535.5 - 65535.0 * cube_behind_plane(facing, distance + curving))
             elif distance < 0.0:
                 target = 0
             kept = int(remaining_out[row, voxel])
