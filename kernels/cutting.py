@@ -136,9 +136,8 @@ def cutting_forces(
                     tangent = bone.slope - wp.dot(bone.slope, across) * across
                     width = wp.min(wp.length(tangent) * wp.sqrt(elements.area[e]) / spacing, WIDEST)
                     share = wp.clamp(0.5 - bone.distance / wp.max(width, 1.0e-3), 0.0, 1.0)
-                if share > 0.0:
-                    if reached < NEVER and cut_before(tool, motion, axis, ix, iy, iz, reached):
-                        share = 0.0
+                if share > 0.0 and reached < NEVER and cut_before(tool, motion, axis, ix, iy, iz, reached):
+                    share = 0.0
                 if share > 0.0:
                     m = bone.layer
                     strength = coefficients.strength[m, wp.min(int(bone.density + 0.5), 4095)]

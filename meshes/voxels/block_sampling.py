@@ -48,8 +48,8 @@ class VoxelArrays:
 
     def slab(self, start: int, stop: int) -> VoxelArrays:
         """Views of the part with the x numbers `start` to `stop`."""
-        arrays = (self.fraction, self.layer, self.density, self.surface)
-        return VoxelArrays(*(array[start:stop] for array in arrays))
+        part = slice(start, stop)
+        return VoxelArrays(self.fraction[part], self.layer[part], self.density[part], self.surface[part])
 
 
 def voxel_fraction(

@@ -7,11 +7,11 @@ the spacing, and not where the nearest voxel says.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Ints
 from meshes.shapes.plane_cube import cube_fraction
 from meshes.voxels.volume import VoxelVolume
 
@@ -44,7 +44,7 @@ LayerAt = Callable[[NDArray[np.float32]], NDArray[np.uint8]]
 """Points [voxel], shape (n, 3), to their layers, shape (n,)."""
 
 
-def surface_steps(distance: NDArray[Any]) -> NDArray[np.uint8]:
+def surface_steps(distance: NDArray[np.floating]) -> NDArray[np.uint8]:
     """Stored surface distance of signed distances [voxel], negative inside."""
     return np.clip(np.rint(SURFACE_ZERO + SURFACE_STEPS * distance), INSIDE, OUTSIDE).astype(np.uint8)
 
@@ -88,7 +88,7 @@ def _near_change(layer: NDArray[np.uint8], known: NDArray[np.bool_]) -> NDArray[
 
 
 def _toward_change(
-    layer: NDArray[np.uint8], known: NDArray[np.bool_], at: NDArray[np.int64], own: NDArray[np.uint8]
+    layer: NDArray[np.uint8], known: NDArray[np.bool_], at: Ints, own: NDArray[np.uint8]
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Unit vector toward the voxels of other layers around each voxel, shape (n, 3), and where there are any."""
     toward = np.zeros((len(at), 3), dtype=np.float32)
@@ -102,7 +102,7 @@ def _toward_change(
 
 
 def _distance(
-    at: NDArray[np.int64], own: NDArray[np.uint8], direction: NDArray[np.float32], layer_at: LayerAt
+    at: Ints, own: NDArray[np.uint8], direction: NDArray[np.float32], layer_at: LayerAt
 ) -> NDArray[np.float32]:
     """Distance [voxel] from voxel centres along a direction to where the layer changes, at most 2, shape (n,)."""
     centre = at.astype(np.float32) + np.float32(0.5)
@@ -214,7 +214,7 @@ def boundary_of_layers(layer: NDArray[np.uint8], known: NDArray[np.bool_]) -> ND
     return result
 
 
-def _plane_distance(share: NDArray[Any], normal: NDArray[Any]) -> NDArray[np.float64]:
+def _plane_distance(share: NDArray[np.floating], normal: NDArray[np.floating]) -> Array:
     """Signed distance of unit cubes' centres from the plane with a normal that leaves a share of them behind it."""
     half = 0.5 * np.abs(normal).sum(axis=1)
     low, high = -half, half.copy()
@@ -225,7 +225,7 @@ def _plane_distance(share: NDArray[Any], normal: NDArray[Any]) -> NDArray[np.flo
     return np.asarray(0.5 * (low + high))
 
 
-def _outward(fraction: NDArray[np.uint8], at: NDArray[np.int64]) -> NDArray[np.float64]:
+def _outward(fraction: NDArray[np.uint8], at: Ints) -> Array:
     """Unit vector down the gradient of the fractions in 3 x 3 x 3 voxels, shape (n, 3); 0 where there is none."""
     slope = np.zeros((len(at), 3))
     for offset in np.array(list(np.ndindex(3, 3, 3))) - 1:

@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 from meshes.shapes.anatomy import Anatomy, GridSampler
 from meshes.shapes.sdf import Shape
@@ -24,7 +25,7 @@ from meshes.voxels.volume import FULL, VoxelVolume
 
 __all__ = ["voxelise"]
 
-Region = tuple[Sequence[float], Sequence[float]]
+Region = tuple[Sequence[float] | Array, Sequence[float] | Array]
 
 _ROUNDING = 1e-6
 _MAXIMUM_THREADS = 4
@@ -87,9 +88,8 @@ def voxelise(
             if progress is not None:
                 progress(done / len(starts))
     kept = tuple(slice(f - b, f - b + n) for f, b, n in zip(grid.first, blocked.first, grid.shape, strict=True))
-    fraction, layer, density, surface = (
-        np.ascontiguousarray(array[kept]) for array in (arrays.fraction, arrays.layer, arrays.density, arrays.surface)
-    )
+    fraction, layer = np.ascontiguousarray(arrays.fraction[kept]), np.ascontiguousarray(arrays.layer[kept])
+    density, surface = np.ascontiguousarray(arrays.density[kept]), np.ascontiguousarray(arrays.surface[kept])
     known = surface < OUTSIDE
     if anatomy.sample is not None:
         surface = surface_of_fractions(fraction)
@@ -132,7 +132,7 @@ def _grid(anatomy: Anatomy, spacing: float, region_m: Region | None) -> Grid:
     return Grid(spacing, (first[0], first[1], first[2]), (counts[0], counts[1], counts[2]))
 
 
-def _corners(region_m: Region) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _corners(region_m: Region) -> tuple[Array, Array]:
     corners = np.asarray(region_m, dtype=np.float64)
     if corners.shape != (2, 3) or not np.isfinite(corners).all() or not (corners[0] < corners[1]).all():
         raise InputError(

@@ -70,7 +70,7 @@ def error_of_force(force_N: Array, reference: ReferenceForce) -> ForceError:
 
 def _relative(values: Array, wanted: Array) -> float:
     """Norm of the difference by the norm of what is wanted."""
-    return float(np.linalg.norm(values - wanted) / max(np.linalg.norm(wanted), 1e-300))
+    return float(np.linalg.norm(values - wanted)) / max(float(np.linalg.norm(wanted)), 1e-300)
 
 
 def _means(values: Array) -> Array:

@@ -42,8 +42,8 @@ class ReferenceForce:
     wrench
         Force on the tool [N] and torque about its tip [N m] in the world at every tick, shape (n, 6).
     uncertainty
-        Its own error relative to the force, both as root mean squares over ticks spread over the contact: the difference
-        to an evaluation twice as fine, interpolation included.
+        Its own error relative to the force, both as root mean squares over ticks spread over the contact: the
+        difference to an evaluation twice as fine, interpolation included.
     evaluations
         Ticks at which it was evaluated.
     """
@@ -100,7 +100,7 @@ def reference_force(
         finer = fine.finer()
         again = [wrench_at(int(tick), path, cutter, solid, resolution=finer)[:3] for tick in checked]
         off = np.linalg.norm(np.array(again) - wrench[checked, :3]) if len(checked) else 0.0
-        error = float(off / max(np.linalg.norm(wrench[checked, :3]), 1e-300))
+        error = float(off) / max(float(np.linalg.norm(wrench[checked, :3])), 1e-300)
         return {"wrench": wrench, "uncertainty": np.array(error), "evaluations": np.array(known.sum())}
 
     states = (path.tips_m, path.rotations, path.velocities, path.turnings)
