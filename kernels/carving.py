@@ -1,8 +1,10 @@
 """Carving: what a moving surface of revolution leaves of the voxels it sweeps.
 
-A voxel keeps ``min(remaining, 1 - covered)``, where ``covered`` is the volume of the voxel's cube behind the tool's
-surface. A minimum is idempotent and commutes, so overlapping cuts give the same bone in any order; it is exact where
-an old and a new cut are parallel and unbiased on average where they cross. All lengths are in voxels.
+Of every voxel's centre the least distance to the tool so far is kept; where a visit lessens it, the voxel keeps
+``min(remaining, 1 - covered)``, with ``covered`` the volume of its cube behind the tool's surface. The least distance
+is the same in any order of cuts. What remains is exact where an old and a new cut are parallel and unbiased on average
+where they cross; there, where both are as near to a voxel's centre, it may depend on their order by hundredths of a
+voxel. All lengths are in voxels.
 
 Bricks belong to one of ``PHASES`` groups. A launch visits some of the groups, so that a slow tool spreads its carving
 over ticks; every group remembers the pose of its last visit. Inside a brick, blocks of 2 x 2 x 2 voxels that are empty

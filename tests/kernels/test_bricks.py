@@ -6,6 +6,7 @@ import warp as wp
 from scipy.ndimage import map_coordinates
 
 from kernels.bricks import cube_behind_plane, plane_of, voxel_column, voxel_row
+from meshes.voxels.distances import INSIDE, OUTSIDE
 from meshes.voxels.volume import VoxelVolume
 from tissue.models.bone.bricks import BrickStore
 
@@ -31,12 +32,15 @@ def cut_volumes(normals, distances):
 
 
 def random_volume(shape=(21, 17, 30), seed=3):
+    """Random voxels with their distances; an empty brick with, beside it, one that lies near the surface alone."""
     random = np.random.default_rng(seed)
     fraction = random.integers(0, 256, shape, dtype=np.uint8)
-    fraction[8:16, 8:16, 8:16] = 0  # an empty brick
+    fraction[8:16, 8:16, 8:24] = 0
+    surface, boundary = random.integers(INSIDE, OUTSIDE, (2, *shape), dtype=np.uint8)
+    surface[8:16, 8:16, 8:16] = OUTSIDE
     layer = random.integers(0, 3, shape, dtype=np.uint8)
     density = random.integers(100, 2000, shape).astype(np.uint16)
-    return VoxelVolume(np.zeros(3), 1e-4, fraction, layer, density, ("a", "b", "c"))
+    return VoxelVolume(np.zeros(3), 1e-4, fraction, layer, density, ("a", "b", "c"), None, surface, boundary)
 
 
 def test_plane_through_a_cube_against_counting():
@@ -76,8 +80,11 @@ def test_store_keeps_every_voxel():
 
 def test_empty_bricks_are_not_stored():
     store = BrickStore.from_volume(random_volume(), device="cpu")
-    assert store.brick_of.numpy()[1, 1, 1] == -1
-    assert len(store.remaining) == store.brick_of.size - 1
+    brick_of = store.brick_of.numpy()
+    assert brick_of[1, 1, 1] == -1
+    assert len(store.remaining) == brick_of.size - 1
+    beside = brick_of[1, 1, 2]  # no bone, and within two voxels of its surface
+    assert beside >= 0 and store.alive.numpy()[beside] == 0 and not store.remaining.numpy()[beside].any()
 
 
 def test_rows_and_columns_point_at_the_voxels():
@@ -87,7 +94,7 @@ def test_rows_and_columns_point_at_the_voxels():
     places = wp.zeros((500, 2), dtype=int, device="cpu")
     inputs = [store.brick_of, wp.array(voxels, dtype=wp.vec3i, device="cpu")]
     wp.launch(locate, dim=500, inputs=inputs, outputs=[places], device="cpu")
-    remaining, material = store.remaining.numpy(), store.material.numpy()
+    remaining, material, nearby = store.remaining.numpy(), store.material.numpy(), store.nearby.numpy()
     for voxel, (row, column) in zip(voxels, places.numpy(), strict=True):
         inside = all(0 <= v < n for v, n in zip(voxel, volume.shape, strict=True))
         if row < 0:
@@ -95,7 +102,9 @@ def test_rows_and_columns_point_at_the_voxels():
         elif inside:
             at = tuple(voxel)
             assert remaining[row, column] == int(volume.fraction[at]) * 257
-            assert material[row, column] == (int(volume.density_kg_m3[at]) << 16) | (int(volume.layer[at]) << 8)
+            assert material[row, column] == (int(volume.density_kg_m3[at]) << 16) | int(volume.layer[at])
+            assert nearby[row, column] == (int(volume.layer_distance[at]) << 8) | int(volume.surface_distance[at])
+    assert (store.swept.numpy() == 65535).all()
 
 
 def test_trilinear_sampling_equals_scipy():

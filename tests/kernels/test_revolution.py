@@ -35,13 +35,15 @@ def subtract(pose: wp.array2d(dtype=wp.float64), voxel: wp.array(dtype=wp.vec3i)
 
 
 def test_distance_and_slope_of_a_ball_by_its_table():
-    """Within the table as SciPy interpolates; the slope is that of the ball up to the table's second differences."""
+    """Distance and slope as SciPy interpolates; the slope is the ball's up to the table's second differences."""
     random = np.random.default_rng(0)
     radius, height = np.arange(40) / CELLS_PER_VOXEL, LOWEST + np.arange(50) / CELLS_PER_VOXEL
     table = np.hypot(radius[:, None], height - RADIUS) - RADIUS
     bend = random.uniform(size=table.shape)
+    slopes = np.stack(np.gradient(table, 1.0 / CELLS_PER_VOXEL), axis=-1)
     tool = Revolution()
     tool.distance = wp.array(table, dtype=wp.float32, device="cpu")
+    tool.slope = wp.array(slopes, dtype=wp.vec2, device="cpu")
     tool.bend = wp.array(bend, dtype=wp.float32, device="cpu")
     tool.height_min, tool.cells_per_voxel = LOWEST, CELLS_PER_VOXEL
     turn = Rotation.random(random_state=2).as_matrix()
@@ -51,13 +53,16 @@ def test_distance_and_slope_of_a_ball_by_its_table():
     wp.launch(evaluate, dim=500, inputs=[tool, offset, wp.vec3(*turn[:, 2])], outputs=[value, slope], device="cpu")
     at = np.stack([np.linalg.norm(local[:, :2], axis=1), local[:, 2] - LOWEST]) * CELLS_PER_VOXEL
     assert value.numpy()[:, 0] == pytest.approx(map_coordinates(table, at, order=1), abs=SINGLE)
+    outward, upward = (map_coordinates(slopes[..., c], at, order=1) for c in range(2))
+    section = np.column_stack([outward[:, None] * local[:, :2] / np.linalg.norm(local[:, :2], axis=1)[:, None], upward])
+    assert slope.numpy() @ turn == pytest.approx(section, abs=SINGLE)
     edge = (np.abs(at - np.round(at)) < 1e-4).any(axis=0)  # float32 may find the next cell
     cell = at.astype(int)
     assert value.numpy()[~edge, 1] == pytest.approx(bend[cell[0], cell[1]][~edge], abs=1e-6)
     arm = local - [0.0, 0.0, RADIUS]
     far = np.linalg.norm(arm, axis=1) > 3.0
     right = arm / np.linalg.norm(arm, axis=1)[:, None]
-    bound = 1.5 / CELLS_PER_VOXEL / np.linalg.norm(arm, axis=1)  # a cell of the table, over the distance's curvature
+    bound = 0.5 / CELLS_PER_VOXEL / np.linalg.norm(arm, axis=1)  # a cell of the table, over the distance's curvature
     assert (np.linalg.norm(slope.numpy() @ turn - right, axis=1)[far] < bound[far]).all()
 
 

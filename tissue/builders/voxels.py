@@ -89,7 +89,8 @@ def solid_of(scene: Scene, motion: Motion) -> tuple[Anatomy, sdf.Shape | None]:
     parameters = scene.bone
     if parameters.file is not None or (isinstance(parameters, MolarAnatomy) and parameters.layer_files):
         raise InputError(
-            f"anatomy must be procedural to be known exactly, got a {scene.anatomy.kind} from a file: leave the file out"
+            f"anatomy must be procedural to be known exactly, got a {scene.anatomy.kind} from a file: "
+            "leave the file out"
         )
     return _anatomy(scene, {}), _guide_hole(scene, motion)
 
