@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from bone_in_numpy import bone_of, stored_voxels
 from scipy.spatial.transform import Rotation
 
+from meshes.voxels.distances import FAR, INSIDE, OUTSIDE, surface_steps
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr, twist_drill
@@ -15,42 +17,69 @@ SOFT = CuttingCoefficients(20e6, 9e6, 3e6, 800.0, 500.0, 200.0, 1000.0, 2.0)
 HARD = CuttingCoefficients(150e6, 60e6, 10e6, 5e3, 4e3, 1e3, 1800.0, 1.5)
 
 
-def layered(count=48):
-    random = np.random.default_rng(5)
-    shape = (count,) * 3
+def layered(count=48, seed=5):
+    """Two layers in slabs, distances and densities at random, a brick left out where the tool cuts."""
+    random, shape = np.random.default_rng(seed), (count,) * 3
+    surface = random.integers(INSIDE, 200, shape).astype(np.uint8)
+    boundary = random.integers(1, FAR + 1, shape).astype(np.uint8)
+    density = random.integers(200, 1900, shape).astype(np.uint16)
+    fraction = np.full(shape, 255, np.uint8)
+    fraction[16:24, 24:32, 16:24], surface[16:24, 24:32, 16:24] = 0, OUTSIDE
+    layer = np.ascontiguousarray(np.indices(shape)[0] // 11 % 2, dtype=np.uint8)
     return VoxelVolume(
-        np.array([-2.4e-3, -2.4e-3, -2.4e-3]),
-        1e-4,
-        np.full(shape, 255, np.uint8),
-        np.ascontiguousarray(np.indices(shape)[0] // 11 % 2, dtype=np.uint8),
-        random.integers(200, 1900, shape).astype(np.uint16),
-        ("soft", "hard"),
-    )
+        np.full(3, -2.4e-3), 1e-4, fraction, layer, density, ("soft", "hard"), None, surface, boundary
+    )  # fmt: skip
 
 
-def with_fill(store, fill):
-    """Set every voxel's fill, shape of the volume."""
-    counts = [n // 8 for n in fill.shape]
-    rows = fill.reshape(counts[0], 4, 2, counts[1], 4, 2, counts[2], 4, 2)
-    rows = rows.transpose(0, 3, 6, 1, 4, 7, 2, 5, 8).reshape(-1, 512)
-    material = store.material.numpy()
-    stored = rows[np.argsort(store.brick_of.numpy().ravel())].astype(np.uint32)
-    material[:] = (material & np.uint32(0xFFFFFF00)) | stored
+def with_swept(model, swept):
+    """Store every voxel's least distance to the tool so far, shape of the volume."""
+    count, store = len(swept) // 8, model.store
+    rows = swept.reshape(count, 4, 2, count, 4, 2, count, 4, 2)
+    rows = rows.transpose(0, 3, 6, 1, 4, 7, 2, 5, 8).reshape(count, count, count, 512)
+    store.swept.numpy()[:] = rows[store.brick_of.numpy() >= 0]
 
 
-def expected_forces(model, motion, fill):
-    """The formula of :mod:`kernels.cutting` in NumPy, in double precision."""
+def distances(model, motion):
+    """Distance of every voxel's centre to the tool [voxel], by its profile, shape of the volume."""
+    volume = model.store.volume
+    centres = np.stack(np.meshgrid(*(volume.centres_m(axis) for axis in range(3)), indexing="ij"), axis=-1)
+    offset = centres.reshape(-1, 3) - motion.tip_m
+    height = offset @ motion.rotation[:, 2]
+    radius = np.linalg.norm(offset - height[:, None] * motion.rotation[:, 2], axis=1)
+    return model.cutter.profile.distance(np.column_stack([radius, height]))[0].reshape(volume.shape) / volume.spacing_m
+
+
+def older_cuts(model, motion, random):
+    """Kept distances of older cuts: deeper or less deep by half a voxel, never near, swallowed; and where deeper."""
+    distance = distances(model, motion)
+    kind = random.integers(0, 4, distance.shape)
+    steps = 32768 + 4096 * (distance + np.where(kind == 0, -0.5, 0.5))
+    swept = np.clip(np.rint(steps), 1, 65534).astype(np.uint16)
+    swept[kind == 2] = 65535
+    swept[kind == 3] = np.where(random.uniform(size=distance.shape) < 0.2, 0, 65535)[kind == 3]
+    return swept, (kind == 0) | (swept == 0)
+
+
+def expected_forces(model, motion, cut):
+    """The formula of :mod:`kernels.cutting` in NumPy, in double precision; ``cut``: voxels in which older cuts lie."""
     volume, shell, cutter = model.store.volume, model.shell, model.cutter
     arm = shell.points_m @ motion.rotation.T
     normal = shell.normals @ motion.rotation.T
     axis = motion.rotation[:, 2]
     velocity = motion.heading[0] + np.cross(motion.heading[1], arm)
     advance = np.einsum("ij,ij->i", velocity, normal)
-    voxel = np.floor((motion.tip_m + arm - volume.origin_m) / volume.spacing_m).astype(int)
-    inside = ((voxel >= 0) & (voxel < np.array(volume.shape))).all(axis=1)
-    at = tuple(np.where(inside[:, None], voxel, 0).T)
-    share = np.where(inside & (advance > 0.0), fill[at] / 255.0, 0.0)
-    layer, density = volume.layer[at], volume.density_kg_m3[at].astype(float)
+    point = (motion.tip_m + arm - volume.origin_m) / volume.spacing_m
+    stored = stored_voxels(model.store.brick_of.numpy(), volume.shape)
+    inside = ((point >= 0.0) & (point < volume.shape)).all(axis=1)
+    point = np.where(inside[:, None], point, 1.0)
+    at = tuple(np.floor(point).astype(int).T)
+    bone = bone_of(volume, stored, point)
+    tangent = bone.slope - np.einsum("ij,ij->i", bone.slope, normal)[:, None] * normal
+    width = np.linalg.norm(tangent, axis=1) * np.sqrt(shell.areas_m2) / volume.spacing_m
+    share = np.clip(0.5 - bone.distance / np.clip(width, 1e-3, 3.5), 0.0, 1.0)
+    share = np.where(bone.distance > -1.9, share, 1.0)
+    share = np.where(inside & (advance > 0.0) & stored[at] & ~cut[at], share, 0.0)
+    layer, density = bone.layer, np.rint(bone.density)
     value = lambda name: np.array([getattr(SOFT, name), getattr(HARD, name)])[layer]  # noqa: E731
     strength = (density / value("reference_density_kg_m3")) ** value("density_exponent")
     length = cutter.flute_count * shell.areas_m2 / (2 * np.pi * shell.radii_m) * share * strength
@@ -69,22 +98,28 @@ def expected_forces(model, motion, fill):
     return wrench("chip_Pa", length * advance * cutter.chip_per_speed_s), wrench("edge_N_m", length), rate
 
 
+def tilted_motion(turning):
+    motion = ToolMotion(speed_m_s=3e-3)
+    motion.tip_m[:] = (1e-4, -2e-4, -1e-3)
+    motion.rotation[:] = Rotation.from_euler("xyz", [0.4, 0.3, -0.8]).as_matrix()
+    motion.heading[:] = ((0.6, -0.3, -0.742), turning)
+    return motion
+
+
+@pytest.mark.parametrize("turning", [(0.0, 0.0, 0.0), (40.0, -20.0, 10.0)], ids=["along", "turning"])
 @pytest.mark.parametrize(
     "profile",
     [ball_burr(diameter_m=3e-3), twist_drill(diameter_m=2e-3, length_m=3e-3, point_angle_rad=2.0)],
     ids=["ball", "drill"],
 )
 @pytest.mark.parametrize("spin_rad_s", [700.0, -700.0])
-def test_forces_against_numpy(profile, spin_rad_s):
-    volume = layered()
-    model = BoneModel(volume, Cutter(profile, 5, spin_rad_s), (SOFT, HARD))
-    fill = np.random.default_rng(6).integers(0, 256, volume.shape).astype(np.uint8)
-    with_fill(model.store, fill)
-    motion = ToolMotion(speed_m_s=3e-3)
-    motion.tip_m[:] = (1e-4, -2e-4, -1e-3)
-    motion.rotation[:] = Rotation.from_euler("xyz", [0.4, 0.3, -0.8]).as_matrix()
-    motion.heading[:] = ((0.6, -0.3, -0.742), (40.0, -20.0, 10.0))
-    chip, edge, rate = expected_forces(model, motion, fill)
+def test_forces_against_numpy(profile, spin_rad_s, turning):
+    """Over bone and older cuts at random, with chunks of which some face away and are left out."""
+    model = BoneModel(layered(), Cutter(profile, 5, spin_rad_s), (SOFT, HARD), shell_spacing_m=5e-5)
+    motion = tilted_motion(turning)
+    swept, cut = older_cuts(model, motion, np.random.default_rng(6))
+    with_swept(model, swept)
+    chip, edge, rate = expected_forces(model, motion, cut)
     response = model.respond(motion)
     # Single precision: an element within 1e-7 m of a voxel's face may read its neighbour, 1 in 1e3 elements.
     for got, want in ((response.resistance, chip), (response.edge, edge)):
@@ -94,12 +129,64 @@ def test_forces_against_numpy(profile, spin_rad_s):
     assert response.wrench == pytest.approx(3e-3 * response.resistance + response.edge, rel=1e-12)
 
 
+def solid(below):
+    """Bone without end below the voxel plane ``below``, in one brick layer after the other."""
+    shape = (48,) * 3
+    depth = below - (np.indices(shape)[2] + 0.5)
+    fraction = np.where(depth > 0, 255, 0).astype(np.uint8)
+    far, layer = np.full(shape, FAR, np.uint8), np.zeros(shape, np.uint8)
+    density = np.full(shape, 1000, np.uint16)
+    surface = surface_steps(-depth)
+    return VoxelVolume(np.full(3, -2.4e-3), 1e-4, fraction, layer, density, ("soft",), None, surface, far)
+
+
+def engaged_m2(model, motion):
+    return model.respond(motion).engaged_m2[0]
+
+
+def test_an_older_cut_as_deep_disengages_and_one_less_deep_does_not():
+    """Where the same surface was kept, rounding and two poses decide nothing: up to 12 steps deeper still engages."""
+    model = BoneModel(solid(48), Cutter(ball_burr(diameter_m=3e-3), 5, 700.0), (SOFT,))
+    motion = ToolMotion(speed_m_s=1e-3)
+    motion.tip_m[:], motion.heading[0] = (0.0, 0.0, -1e-3), (0.0, 0.0, -1.0)
+    steps = 32768 + 4096 * distances(model, motion)
+    found = []
+    for deeper in (0.05, 0.0, -0.05):  # the table and the tangent sphere are 0.02 voxel off
+        with_swept(model, np.clip(np.rint(steps - 4096 * deeper), 1, 65534).astype(np.uint16))
+        found.append(engaged_m2(model, motion))
+    half = model.shell.areas_m2[model.shell.normals[:, 2] < -1e-5].sum()
+    assert found[0] == 0.0 and found[2] == pytest.approx(half, rel=1e-6)
+    motion_of_the_cut = ToolMotion(speed_m_s=1e-3, tip_m=motion.tip_m.copy())
+    fresh = BoneModel(solid(48), model.cutter, (SOFT,))
+    fresh.place(motion_of_the_cut)
+    assert engaged_m2(fresh, motion) == pytest.approx(half, rel=1e-6)  # its own cut, carved by the kernel
+
+
+def test_a_chunk_over_bricks_without_bone_is_left_out():
+    model = BoneModel(solid(48), Cutter(ball_burr(diameter_m=3e-3), 5, 700.0), (SOFT,))
+    motion = ToolMotion(speed_m_s=1e-3)
+    motion.tip_m[:], motion.heading[0] = (0.0, 0.0, -1e-3), (0.0, 0.0, -1.0)
+    assert engaged_m2(model, motion) > 0.0
+    model.store.alive.zero_()
+    assert engaged_m2(model, motion) == 0.0
+
+
+def test_the_engaged_area_grows_smoothly_as_a_ball_enters():
+    """Its cap below the surface is 2 pi R depth, of which a surface that is read by the voxel shows steps."""
+    model = BoneModel(solid(24), Cutter(ball_burr(diameter_m=3e-3), 5, 700.0), (SOFT,), shell_spacing_m=5e-5)
+    motion = ToolMotion(speed_m_s=1e-3)
+    motion.heading[0] = (0.0, 0.0, -1.0)
+    depth = np.linspace(0.0, 8e-4, 161)
+    areas = []
+    for each in depth:
+        motion.tip_m[2] = -each
+        areas.append(engaged_m2(model, motion))
+    closed = 2.0 * np.pi * 1.5e-3 * depth
+    assert np.abs(np.array(areas) - closed).max() < 0.005 * closed[-1]
+
+
 def test_tool_that_backs_off_does_not_cut():
-    volume = layered()
-    model = BoneModel(volume, Cutter(ball_burr(diameter_m=3e-3), 5, 700.0), (SOFT, HARD))
-    fill = np.zeros(volume.shape, np.uint8)
-    fill[:, :, :20] = 255  # bone below the ball only
-    with_fill(model.store, fill)
+    model = BoneModel(solid(20), Cutter(ball_burr(diameter_m=3e-3), 5, 700.0), (SOFT,))  # bone below the ball only
     motion = ToolMotion(speed_m_s=1e-3)
     motion.tip_m[:] = (0, 0, -6e-4)
     motion.heading[0] = (0, 0, 1)
