@@ -6,7 +6,7 @@ import warp as wp
 from scipy.ndimage import map_coordinates
 
 from kernels.bricks import cube_behind_plane, plane_of, voxel_column, voxel_row
-from meshes.voxels.distances import INSIDE, OUTSIDE
+from meshes.voxels.distances import INSIDE, OUTSIDE, SURFACE_ZERO
 from meshes.voxels.volume import VoxelVolume
 from tissue.models.bone.bricks import BrickStore
 
@@ -104,6 +104,8 @@ def test_rows_and_columns_point_at_the_voxels():
             assert remaining[row, column] == int(volume.fraction[at]) * 257
             assert material[row, column] == (int(volume.density_kg_m3[at]) << 16) | int(volume.layer[at])
             assert nearby[row, column] == (int(volume.layer_distance[at]) << 8) | int(volume.surface_distance[at])
+        else:  # fills up the last brick: air
+            assert remaining[row, column] == 0 and nearby[row, column] & 255 > SURFACE_ZERO
     assert (store.swept.numpy() == 65535).all()
 
 
