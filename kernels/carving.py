@@ -1,10 +1,9 @@
 """Carving: what a moving surface of revolution leaves of the voxels it sweeps.
 
-Of every voxel's centre the least distance to the tool so far is kept; where a visit lessens it, the voxel keeps
-``min(remaining, 1 - covered)``, with ``covered`` the volume of its cube behind the tool's surface. The least distance
-is the same in any order of cuts. What remains is exact where an old and a new cut are parallel and unbiased on average
-where they cross; there, where both are as near to a voxel's centre, it may depend on their order by hundredths of a
-voxel. All lengths are in voxels.
+Of every voxel's centre the least distance to the tool so far is kept, and of the voxel ``min(remaining, 1 - covered)``,
+where ``covered`` is the volume of its cube behind the tool's surface. A minimum is idempotent and commutes, so
+overlapping cuts give the same bone in any order; it is exact where an old and a new cut are parallel and unbiased on
+average where they cross. All lengths are in voxels.
 
 Bricks belong to one of ``PHASES`` groups. A launch visits some of the groups, so that a slow tool spreads its carving
 over ticks; every group remembers the pose of its last visit. Inside a brick, blocks of 2 x 2 x 2 voxels that are empty
@@ -188,12 +187,13 @@ def carve_block(
         stored = swept_steps(distance)
         if stored < int(swept_out[row, voxel]):
             swept_out[row, voxel] = wp.uint16(stored)
+        kept = int(remaining_out[row, voxel])
+        if kept > 0:
             target = int(65535)
             if binary == 0:
                 target = int(65535.5 - 65535.0 * cube_behind_plane(facing, distance + curving))
             elif distance < 0.0:
                 target = 0
-            kept = int(remaining_out[row, voxel])
             if kept > target:
                 removed_out[worker, layer_of(material[row, voxel])] += wp.int64(kept - target)
                 remaining_out[row, voxel] = wp.uint16(target)
