@@ -10,14 +10,15 @@ import warp as wp
 
 from kernels.bricks import density_of, layer_of, voxel_column, voxel_row
 
-__all__ = ["BOUNDARY_STEPS", "OUTSIDE", "SURFACE_STEPS", "Bone", "bone_at", "nearby_word"]
+__all__ = ["BEYOND", "BOUNDARY_STEPS", "SURFACE_STEPS", "Bone", "bone_at", "nearby_word"]
 
 SURFACE_STEPS = 63
 """Stored steps of the surface distance in a voxel; held within two voxels, with 128 for the surface itself."""
 BOUNDARY_STEPS = 127
 """Stored steps of the distance to the nearest change of layer in a voxel; held within two voxels."""
-OUTSIDE = 0xFF00 | (128 + 32)
-"""Taken where there is no brick: half a voxel outside, as beyond the face of a grid that is full to its edge."""
+BEYOND = 128 + 32
+"""Least stored surface distance taken where there is no brick: half a voxel outside, as beyond the face of a grid that
+is full to its edge; beside a voxel farther out, a voxel farther than that."""
 CORNERS = wp.constant(8)
 DEEP = wp.constant(128 - 112)  # stored surface distance of 1.78 voxels inside: no corner of a cell lies outside
 AIR = wp.constant(128 + 112)  # 1.78 voxels outside: no corner of a cell lies inside
@@ -70,6 +71,7 @@ def bone_at(
         fx = ux - float(ix)
         fy = uy - float(iy)
         fz = uz - float(iz)
+        beyond = 0xFF00 | wp.clamp((near & 255) + 63, BEYOND, 254)
         stored = corner8i()
         words = corner8i()
         for c in range(CORNERS):
@@ -77,7 +79,7 @@ def bone_at(
             jy = iy + ((c >> 1) & 1)
             jz = iz + (c & 1)
             at = voxel_row(brick_of, jx, jy, jz)
-            stored[c] = OUTSIDE
+            stored[c] = beyond
             words[c] = -1
             if at >= 0:
                 place = voxel_column(jx, jy, jz)

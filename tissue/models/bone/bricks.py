@@ -7,7 +7,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from kernels.bone_lookup import OUTSIDE as LOOKUP_OUTSIDE
+from kernels.bone_lookup import BEYOND, SURFACE_STEPS
 from kernels.bricks import BRICK, BRICK_VOXELS, FULL
 from kernels.sampling import sample
 from meshes.voxels.distances import OUTSIDE, near_the_surface
@@ -17,8 +17,6 @@ __all__ = ["BYTES_PER_VOXEL", "BrickStore", "voxels_of"]
 
 BYTES_PER_VOXEL = 10
 """Stored per voxel of a brick: remaining 2, swept 2, material 4, nearby 2."""
-BEYOND = LOOKUP_OUTSIDE & 255
-"""Stored surface distance of voxels that fill up the last bricks, as where there is no brick."""
 NEVER_SWEPT = 65535
 """Stored distance of a voxel that the tool has not come near."""
 STEPS = FULL // 255
@@ -75,14 +73,14 @@ class BrickStore:
             holds[0, 0, 0] = True
             brick_of[0, 0, 0] = 0
 
-        def stored(array: NDArray[Any], beyond: int = 0) -> NDArray[Any]:
-            return _rows(_blocked(array, counts, beyond=beyond).transpose(0, 2, 4, 1, 3, 5)[holds])
+        def stored(array: NDArray[Any]) -> NDArray[Any]:
+            return _rows(_blocked(array, counts).transpose(0, 2, 4, 1, 3, 5)[holds])
 
         fraction = stored(volume.fraction)
         blocks = fraction.reshape(-1, 64, 8).any(axis=2)
         material = stored(density).astype(np.uint32) << np.uint32(16)
         material |= stored(layer)
-        nearby = stored(boundary).astype(np.uint16) << np.uint16(8) | stored(surface, BEYOND)
+        nearby = stored(boundary).astype(np.uint16) << np.uint16(8) | stored(_filled_up(surface, counts))
         alive = np.packbits(blocks, axis=1, bitorder="little").view("<u8").reshape(-1)
 
         def on(array: NDArray[Any], dtype: Any) -> Any:
@@ -166,10 +164,20 @@ def _nearest(remaining: NDArray[np.uint16]) -> NDArray[np.uint8]:
     return ((remaining.astype(np.uint32) + np.uint32(STEPS // 2)) // np.uint32(STEPS)).astype(np.uint8)
 
 
-def _blocked(array: NDArray[Any], counts: tuple[int, ...], *, beyond: int = 0) -> NDArray[Any]:
-    """View of an array, padded to whole bricks with a value, with axes (bx, 8, by, 8, bz, 8)."""
+def _filled_up(surface: NDArray[np.uint8], counts: tuple[int, ...]) -> NDArray[np.uint8]:
+    """Stored surface distance padded to whole bricks: at each face a voxel farther out, and outside in any case."""
+    pad = [(0, BRICK * count - n) for count, n in zip(counts, surface.shape, strict=True)]
+    padded = np.pad(surface, pad, mode="edge")
+    for axis, n in enumerate(surface.shape):
+        part = np.moveaxis(padded, axis, 0)[n:]
+        part[:] = np.clip(part.astype(np.int64) + SURFACE_STEPS, BEYOND, OUTSIDE)
+    return padded
+
+
+def _blocked(array: NDArray[Any], counts: tuple[int, ...]) -> NDArray[Any]:
+    """View of an array, padded to whole bricks, with axes (bx, 8, by, 8, bz, 8)."""
     pad = [(0, BRICK * count - n) for count, n in zip(counts, array.shape, strict=True)]
-    padded = np.pad(array, pad, constant_values=beyond) if any(after for _, after in pad) else array
+    padded = np.pad(array, pad) if any(after for _, after in pad) else array
     bx, by, bz = counts
     return padded.reshape(bx, BRICK, by, BRICK, bz, BRICK)
 
