@@ -5,7 +5,7 @@ import pytest
 
 import tissue
 from meshes.base.errors import InputError
-from tissue.builders.registry import cutter_of
+from tissue.builders.cutting import cutter_of
 from tissue.evaluation.reference import history
 from tissue.evaluation.reference.error import error_of_force, error_to_reference
 from tissue.evaluation.reference.force import wrench_at

@@ -16,7 +16,7 @@ __all__ = ["ConvexPart", "convex_parts"]
 
 Array = NDArray[np.float64]
 GOLDEN = 0.6180339887498949
-RESOLUTION_M = 1e-9
+RESOLUTION_M = 1e-12
 """Length to which the nearest place on a path is bracketed [m]."""
 
 
@@ -99,13 +99,13 @@ def convex_parts(profile: Profile) -> tuple[ConvexPart, ...]:
         return (ConvexPart(pieces, ball),)
     first = next(k for k, piece in enumerate(pieces) if piece.cutting)
     foot = pieces[first].at(np.zeros(1))[0][0]
-    floor = Line((0.0, float(foot[1])), (float(foot[0]), float(foot[1])), False)
+    bottom = Line((0.0, float(foot[1])), (float(foot[0]), float(foot[1])), False)
     lid = Line((float(foot[0]), float(foot[1])), (0.0, float(foot[1])), False)
-    return ConvexPart((floor, *pieces[first:]), False), ConvexPart((*pieces[:first], lid), False)
+    return ConvexPart((bottom, *pieces[first:]), False), ConvexPart((*pieces[:first], lid), False)
 
 
 def _seen(piece: Piece, points: Array) -> tuple[Array, Array]:
-    """Distance [m] from a piece, and the component along its normal [m] of the way from its nearest point."""
+    """Distance [m] from a piece, and the component along its normal [m] of the line to it from its nearest point."""
     if isinstance(piece, Arc):
         out = points - np.asarray(piece.centre)
         middle, half = 0.5 * (piece.first + piece.last), 0.5 * (piece.last - piece.first)

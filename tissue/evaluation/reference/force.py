@@ -32,6 +32,8 @@ __all__ = ["Resolution", "wrench_at"]
 Array = NDArray[np.float64]
 GAUSS = 0.5 / 3.0**0.5
 """Gauss points lie this far from the middle of a cell of length 1."""
+TOUCHING_M = 1e-11
+"""Surface this close to an older cut lies on it, and meets nothing [m]."""
 CORNERS = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])
 
 
@@ -48,7 +50,7 @@ class Resolution:
     """
 
     coarsest: int = 12
-    divisions: int = 5
+    divisions: int = 4
 
     def finer(self) -> "Resolution":
         """Twice as fine throughout."""
@@ -162,9 +164,9 @@ class _AtTick:
         if tested:
             engaged = (advance > 0.0) & (self.solid.distance(world) < 0.0)
             found = np.flatnonzero(engaged)
-            within = np.zeros(len(found))
+            within = np.full(len(found), 2.0 * TOUCHING_M)
             swept = self.path.swept_distance(self.tick, self.parts, world[found], within=within)
-            found = found[swept >= 0.0]
+            found = found[swept > TOUCHING_M]
             points, normals, around = points[found], normals[found], around[found]
             weights, advance, world = weights[found], advance[found], world[found]
         if len(points) == 0:

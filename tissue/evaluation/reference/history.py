@@ -21,15 +21,17 @@ from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.trace import Table
 
-__all__ = ["ReferenceForce", "path_of_trace", "reference_force", "solid_of_scene"]
+__all__ = ["ReferenceForce", "force_on_path", "path_of_trace", "reference_force", "solid_of_scene"]
 
 Array = NDArray[np.float64]
 COARSEST_TICKS = 32
 """Ticks between two evaluations at the most."""
-INTERPOLATION = 1e-3
+INTERPOLATION = 2e-3
 """Where a line between two evaluations misses the tick between them by more than this share of the mean force, both
 halves are evaluated too."""
-CHECKED = 48
+JUMP = 0.05
+"""Share of the speed by which the velocity jumps from one tick to the next where the force may jump too."""
+CHECKED = 32
 """Ticks at which the reference is evaluated anew, twice as fine, for its own uncertainty."""
 
 
@@ -89,32 +91,52 @@ def reference_force(
         If the anatomy comes from a file.
     """
     assert isinstance(scene.tool, Tool)
-    cutter, fine = cutter_of(scene.tool), resolution or Resolution()
+    cutter = cutter_of(scene.tool)
     path, solid = path_of_trace(trace, cutter), solid_of_scene(scene)
-    report = progress or silent
+    kept_by = (scene.bone, scene.tool, scene.cutting)
+    return force_on_path(path, cutter, solid, kept_by=kept_by, resolution=resolution, progress=progress)
+
+
+def force_on_path(
+    path: ToolPath,
+    cutter: Cutter,
+    solid: Solid,
+    *,
+    kept_by: tuple[object, ...] = (),
+    resolution: Resolution | None = None,
+    progress: Progress | None = None,
+) -> ReferenceForce:
+    """Force of the exact geometry on a path.
+
+    Parameters
+    ----------
+    kept_by
+        What the cutter and the solid are known by: with the path the key of the cache. Without it nothing is kept.
+    """
+    fine, report = resolution or Resolution(), progress or silent
 
     def make() -> dict[str, NDArray[np.generic]]:
         wrench, known = _over_ticks(lambda tick: wrench_at(tick, path, cutter, solid, resolution=fine), path, report)
         contact = np.flatnonzero(wrench.any(axis=1))
         checked = contact[np.unique(np.linspace(0, len(contact) - 1, CHECKED).astype(int))] if len(contact) else contact
-        finer = fine.finer()
-        again = [wrench_at(int(tick), path, cutter, solid, resolution=finer)[:3] for tick in checked]
-        off = np.linalg.norm(np.array(again) - wrench[checked, :3]) if len(checked) else 0.0
-        error = float(off) / max(float(np.linalg.norm(wrench[checked, :3])), 1e-300)
+        again = [wrench_at(int(tick), path, cutter, solid, resolution=fine.finer())[:3] for tick in checked]
+        off = float(np.linalg.norm(np.array(again) - wrench[checked, :3])) if len(checked) else 0.0
+        error = off / max(float(np.linalg.norm(wrench[checked, :3])), 1e-300)
         return {"wrench": wrench, "uncertainty": np.array(error), "evaluations": np.array(known.sum())}
 
-    states = (path.tips_m, path.rotations, path.velocities, path.turnings)
-    key = (*states, scene.bone, scene.tool, scene.cutting, fine, INTERPOLATION, COARSEST_TICKS)
-    kept = cached_arrays("reference-force", key, make)
+    key = (path.tips_m, path.rotations, path.velocities, path.turnings, *kept_by, fine, INTERPOLATION, COARSEST_TICKS)
+    found = cached_arrays("reference-force", key, make) if kept_by else make()
     return ReferenceForce(
-        np.asarray(kept["wrench"], dtype=np.float64), float(kept["uncertainty"]), int(kept["evaluations"])
+        np.asarray(found["wrench"], dtype=np.float64),
+        float(found["uncertainty"].item()),
+        int(found["evaluations"].item()),
     )
 
 
 def _over_ticks(evaluate: Callable[[int], Array], path: ToolPath, report: Progress) -> tuple[Array, NDArray[np.bool_]]:
     """Wrench at every tick, shape (n, 6), and whether it was evaluated there, shape (n,).
 
-    Every stretch of one leg and one velocity is halved until lines between the evaluations meet the tick between them.
+    Every stretch without a jump is halved until lines between the evaluations meet the tick between them.
     """
     count = len(path.tips_m)
     wrench, known = np.zeros((count, 6)), np.zeros(count, dtype=bool)
@@ -151,12 +173,12 @@ def _over_ticks(evaluate: Callable[[int], Array], path: ToolPath, report: Progre
 
 
 def _stretches(path: ToolPath) -> list[tuple[int, int]]:
-    """First and last ticks of the parts of a path on one leg with one velocity."""
-    changed = np.any(np.abs(np.diff(path.velocities, axis=0)) > 1e-9, axis=1)
-    changed |= np.any(np.abs(np.diff(path.turnings, axis=0)) > 1e-9, axis=1)
-    begins = np.unique(np.concatenate([[0], np.flatnonzero(changed) + 1, path.legs[:, 0] + 1]))
-    begins = begins[begins < len(path.tips_m)]
-    return list(zip(begins.tolist(), [*(begins[1:] - 1).tolist(), len(path.tips_m) - 1], strict=True))
+    """First and last ticks of the parts of a path in which the velocity does not jump: nor does the force there."""
+    motion = np.hstack([path.velocities, path.reach_m * path.turnings])
+    speed = np.linalg.norm(motion, axis=1)
+    jumps = np.linalg.norm(np.diff(motion, axis=0), axis=1) > JUMP * np.maximum(speed[1:], speed[:-1])
+    begins = [0, *(np.flatnonzero(jumps) + 1).tolist()]
+    return list(zip(begins, [*(first - 1 for first in begins[1:]), len(speed) - 1], strict=True))
 
 
 def _fill(wrench: Array, known: NDArray[np.bool_], first: int, last: int) -> None:

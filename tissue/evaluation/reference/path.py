@@ -11,7 +11,7 @@ from tissue.evaluation.reference.convex_part import ConvexPart
 __all__ = ["ToolPath"]
 
 Array = NDArray[np.float64]
-STRAIGHT_M = 5e-8
+STRAIGHT_M = 5e-9
 """How far a point's path through the tool's frame may bend within a leg [m]."""
 
 

@@ -34,7 +34,7 @@ class Solid:
 
     def distance(self, points: Array) -> Array:
         """Bound of the signed distance [m], shape (n,), negative inside, of points [m], shape (n, 3)."""
-        distance: Array = np.asarray(self.anatomy.shape.distance(points), dtype=np.float64)
+        distance = self.anatomy.shape.distance(points)
         return distance if self.minus is None else np.maximum(distance, -self.minus.distance(points))
 
     def layer(self, points: Array) -> NDArray[np.uint8]:
