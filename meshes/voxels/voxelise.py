@@ -23,10 +23,12 @@ from meshes.voxels.distances import (
 from meshes.voxels.grid import BLOCK, Grid
 from meshes.voxels.volume import FULL, VoxelVolume
 
-__all__ = ["voxelise"]
+__all__ = ["AROUND_VOXELS", "voxelise"]
 
 Region = tuple[Sequence[float] | Array, Sequence[float] | Array]
 
+AROUND_VOXELS = 2
+"""Voxels around the bone whose distance to its surface is stored."""
 _ROUNDING = 1e-6
 _MAXIMUM_THREADS = 4
 _SAMPLED_BLOCKS = 4
@@ -53,7 +55,8 @@ def voxelise(
     spacing_m
         Edge of a voxel [m].
     region_m
-        Lowest and highest corner [m] of the box to cover, grown to whole voxels; None: the anatomy's bounding box.
+        Lowest and highest corner [m] of the box to cover, grown to whole voxels; None: the anatomy's bounding box and
+        two voxels around it, as far as the distance to its surface is stored.
     minus
         Solid taken out first, in the site frame, sub-voxel too (a pilot hole). Layers stay as they were without it.
     progress
@@ -116,11 +119,12 @@ def _layer_at(anatomy: Anatomy, grid: Grid, depth: NDArray[np.float32]) -> Layer
 
 
 def _grid(anatomy: Anatomy, spacing: float, region_m: Region | None) -> Grid:
-    """Grid over the region, or over the anatomy's bounding box, on whole multiples of the spacing."""
+    """Grid over the region, or over the anatomy's bounding box and beyond, on whole multiples of the spacing."""
+    around = AROUND_VOXELS * spacing
     lower, upper = (
         _corners(region_m)
         if region_m is not None
-        else (np.array(anatomy.shape.lower_m), np.array(anatomy.shape.upper_m))
+        else (np.array(anatomy.shape.lower_m) - around, np.array(anatomy.shape.upper_m) + around)
     )
     if not (np.isfinite(lower).all() and np.isfinite(upper).all()):
         raise InputError(

@@ -14,7 +14,7 @@ from meshes.surfaces.glenoid import glenoid
 from meshes.tooth.layered_surfaces import layered_surfaces
 from meshes.tooth.molar import molar
 from meshes.voxels.volume import VoxelVolume
-from meshes.voxels.voxelise import voxelise
+from meshes.voxels.voxelise import AROUND_VOXELS, voxelise
 from tissue.builders.bone_from_file import Corners, bone_from_file, box_text, labelled_tooth, whole_image
 from tissue.builders.parts import FILE_WORDS
 from tissue.cutters.cutter import Cutter
@@ -29,8 +29,6 @@ POSES_TRIED = 300
 """Poses along a motion at which contact is looked for."""
 DENSE_BYTES_PER_VOXEL = 16
 """Peak memory of a voxel of the region while bricks are made and results written, measured on the glenoid."""
-AROUND = 2
-"""Voxels kept around the bone, whose distance to its surface is known."""
 BRICK = 8
 """The region is cut at whole bricks of the world's lattice, so that a voxel lies at the same place in any region; where
 a tool only grazes voxels, float32 coordinates from another origin still decide otherwise in single ticks."""
@@ -65,7 +63,10 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
             "motion must bring the tool to the bone, got one that with the tool and a margin reaches from "
             f"{box_text(region)}: move it to the bone {box_text(bone, between=True)}"
         )
-    low, high = np.maximum(region[0], bone[0] - AROUND * spacing), np.minimum(region[1], bone[1] + AROUND * spacing)
+    low, high = (
+        np.maximum(region[0], bone[0] - AROUND_VOXELS * spacing),
+        np.minimum(region[1], bone[1] + AROUND_VOXELS * spacing),
+    )
     brick = BRICK * spacing
     low, high = brick * np.floor(low / brick + 1e-6), brick * np.ceil(high / brick - 1e-6)
     _require_memory(high - low, spacing)
