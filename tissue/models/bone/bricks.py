@@ -42,7 +42,8 @@ class BrickStore:
     nearby
         Distances to the original surface and to the nearest change of layer in one word, uint16, shape (bricks, 512).
     alive
-        One bit for each block of 2 x 2 x 2 voxels that may hold bone, uint64, shape (bricks,).
+        One bit for each block of 2 x 2 x 2 voxels that may hold bone or lies within two voxels of it, uint64, shape
+        (bricks,).
     touched
         1 for each brick that lost something since `take_touched`, uint8, shape (bricks,).
     places
@@ -77,10 +78,11 @@ class BrickStore:
             return _rows(_blocked(array, counts).transpose(0, 2, 4, 1, 3, 5)[holds])
 
         fraction = stored(volume.fraction)
-        blocks = fraction.reshape(-1, 64, 8).any(axis=2)
+        stored_surface = stored(_filled_up(surface, counts))
+        blocks = (fraction.astype(bool) | (stored_surface < OUTSIDE)).reshape(-1, 64, 8).any(axis=2)
         material = stored(density).astype(np.uint32) << np.uint32(16)
         material |= stored(layer)
-        nearby = stored(boundary).astype(np.uint16) << np.uint16(8) | stored(_filled_up(surface, counts))
+        nearby = stored(boundary).astype(np.uint16) << np.uint16(8) | stored_surface
         alive = np.packbits(blocks, axis=1, bitorder="little").view("<u8").reshape(-1)
 
         def on(array: NDArray[Any], dtype: Any) -> Any:
