@@ -128,7 +128,7 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
         for removal in ("subvoxel",) if quick else ("subvoxel", "binary"):
             name = f"{spacing:g} mm" + (" binary" if removal == "binary" else "")
             yield Setting(name, "voxels", plain | {"voxels.spacing_mm": spacing, "voxels.removal": removal}, lost)
-    shell = _shell_mm(tool, base)
+    shell = _shell_mm(tool)
     for factor in (2.0,) if quick else (4.0, 3.0, 2.0, 1.5, 0.7):
         wide = {"tool.shell_spacing_mm": round(factor * shell, 4)}
         yield Setting(f"{base:g} mm, shell {factor * shell:.2g} mm", "shell", plain | wide, lost)
