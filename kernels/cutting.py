@@ -37,6 +37,8 @@ CHIP_FORCE, CHIP_TORQUE, EDGE_FORCE, EDGE_TORQUE, RATE, AREA = 0, 3, 6, 9, 12, 1
 """Places in the sums. Three each per unit of speed: force [N s/m], torque about the tip [N s]; three each independent
 of speed: force [N] and torque [N m]; removal rate per unit of speed [m2]; engaged area of each layer [m2]."""
 NEVER = wp.constant(65535)  # stored where the tool has not come near
+GRAZING_VOXELS = wp.constant(1.5)  # an element this far from the line where the tool slides along the bone grazes it
+AHEAD_VOXELS = wp.constant(1.0)  # a grazing element asks of the voxel ahead: its own is not swept deeper by a pass back
 WIDEST = wp.constant(3.5)  # across the surface, an element is taken as this wide at most [voxel]
 DENSITIES = 4096
 """Entries of the strength table: densities of 0 to 4095 kg/m3."""
@@ -100,6 +102,10 @@ def cutting_forces(
     turning = wp.vec3(float(motion[5, 0]), float(motion[5, 1]), float(motion[5, 2]))
     turns = wp.length(turning) > 0.0
     least = 1.0e-5 * wp.length(velocity)
+    grazing = GRAZING_VOXELS / tool.radius * wp.length(velocity)
+    ahead = (velocity[0] * ex + velocity[1] * ey + velocity[2] * ez) * (
+        AHEAD_VOXELS * spacing / wp.max(wp.length(velocity), 1.0e-12)
+    )
     chip_force = wp.vec3()
     chip_torque = wp.vec3()
     edge_force = wp.vec3()
@@ -136,8 +142,12 @@ def cutting_forces(
                     tangent = bone.slope - wp.dot(bone.slope, across) * across
                     width = wp.min(wp.length(tangent) * wp.sqrt(elements.area[e]) / spacing, WIDEST)
                     share = wp.clamp(0.5 - bone.distance / wp.max(width, 1.0e-3), 0.0, 1.0)
-                if share > 0.0 and reached < NEVER and cut_before(tool, motion, axis, ix, iy, iz, reached):
-                    share = 0.0
+                if share > 0.0:
+                    asked = at
+                    if advance < grazing:
+                        asked = at + ahead
+                    if taken_before(tool, motion, axis, brick_of, swept, asked):
+                        share = 0.0
                 if share > 0.0:
                     m = bone.layer
                     strength = coefficients.strength[m, wp.min(int(bone.density + 0.5), 4095)]
@@ -183,3 +193,27 @@ def meets_bone(brick_of: wp.array3d(dtype=wp.int32), alive: wp.array(dtype=wp.ui
                 if held != wp.uint64(0):
                     return True
     return False
+
+
+@wp.func
+def taken_before(
+    tool: Revolution,
+    pose: wp.array2d(dtype=wp.float64),
+    axis: wp.vec3,
+    brick_of: wp.array3d(dtype=wp.int32),
+    swept: wp.array2d(dtype=wp.uint16),
+    point: wp.vec3,
+):
+    """Whether an older cut has taken the bone at ``point`` [voxel] on or before the tool's surface."""
+    ix = int(wp.floor(point[0]))
+    iy = int(wp.floor(point[1]))
+    iz = int(wp.floor(point[2]))
+    row = voxel_row(brick_of, ix, iy, iz)
+    if row < 0:
+        return False
+    reached = int(swept[row, voxel_column(ix, iy, iz)])
+    if reached == NEVER:
+        return False
+    if reached == 0:
+        return True
+    return cut_before(tool, pose, axis, ix, iy, iz, reached)
