@@ -38,7 +38,7 @@ CHIP_FORCE, CHIP_TORQUE, EDGE_FORCE, EDGE_TORQUE, RATE, AREA = 0, 3, 6, 9, 12, 1
 of speed: force [N] and torque [N m]; removal rate per unit of speed [m2]; engaged area of each layer [m2]."""
 NEVER = wp.constant(65535)  # stored where the tool has not come near
 GRAZING_VOXELS = wp.constant(1.5)  # an element this far from the line where the tool slides along the bone grazes it
-AHEAD_VOXELS = wp.constant(1.0)  # a grazing element asks of the voxel ahead: its own is not swept deeper by a pass back
+AHEAD_VOXELS = wp.constant(1.0)  # a grazing element asks of the next voxel, which a pass back does not sweep deeper
 WIDEST = wp.constant(3.5)  # across the surface, an element is taken as this wide at most [voxel]
 DENSITIES = 4096
 """Entries of the strength table: densities of 0 to 4095 kg/m3."""
@@ -103,7 +103,7 @@ def cutting_forces(
     turns = wp.length(turning) > 0.0
     least = 1.0e-5 * wp.length(velocity)
     grazing = GRAZING_VOXELS / tool.radius * wp.length(velocity)
-    ahead = (velocity[0] * ex + velocity[1] * ey + velocity[2] * ez) * (
+    onward = (velocity[0] * ex + velocity[1] * ey + velocity[2] * ez) * (
         AHEAD_VOXELS * spacing / wp.max(wp.length(velocity), 1.0e-12)
     )
     chip_force = wp.vec3()
@@ -145,7 +145,7 @@ def cutting_forces(
                 if share > 0.0:
                     asked = at
                     if advance < grazing:
-                        asked = at + ahead
+                        asked = at + onward
                     if taken_before(tool, motion, axis, brick_of, swept, asked):
                         share = 0.0
                 if share > 0.0:

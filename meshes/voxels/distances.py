@@ -1,7 +1,7 @@
 """Distances of voxels to the bone's surface and to the nearest change of layer, in bytes.
 
 Between voxel centres they are interpolated, so that a surface or a change of layer lies where it is to second order in
-the spacing, and not where the nearest voxel says.
+the spacing, and not where the nearest voxel gives.
 """
 
 from __future__ import annotations
@@ -68,10 +68,10 @@ def layer_boundary(layer: NDArray[np.uint8], known: NDArray[np.bool_], layer_at:
     chosen = np.argwhere(_near_change(layer, known))
     for start in range(0, len(chosen), 1 << 16):
         part = chosen[start : start + (1 << 16)]
-        own = layer[tuple(part.T)]
-        direction, changes = _toward_change(layer, known, part, own)
+        this = layer[tuple(part.T)]
+        direction, changes = _toward_change(layer, known, part, this)
         found = np.full(len(part), 2.0, dtype=np.float32)
-        found[changes] = _distance(part[changes], own[changes], direction[changes], layer_at)
+        found[changes] = _distance(part[changes], this[changes], direction[changes], layer_at)
         result[tuple(part.T)] = np.rint(np.minimum(BOUNDARY_STEPS * found, FAR))
     return result
 
@@ -88,28 +88,28 @@ def _near_change(layer: NDArray[np.uint8], known: NDArray[np.bool_]) -> NDArray[
 
 
 def _toward_change(
-    layer: NDArray[np.uint8], known: NDArray[np.bool_], at: Ints, own: NDArray[np.uint8]
+    layer: NDArray[np.uint8], known: NDArray[np.bool_], at: Ints, this: NDArray[np.uint8]
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Unit vector toward the voxels of other layers around each voxel, shape (n, 3), and where there are any."""
     toward = np.zeros((len(at), 3), dtype=np.float32)
     last = np.array(layer.shape) - 1
     for offset in _OFFSETS:
         there = tuple(np.clip(at + offset, 0, last).T)
-        differs = np.flatnonzero((layer[there] != own) & known[there])
+        differs = np.flatnonzero((layer[there] != this) & known[there])
         toward[differs] += (offset / (offset @ offset)).astype(np.float32)
     length = np.linalg.norm(toward, axis=1)
     return toward / np.maximum(length, 1e-6)[:, None], length > 1e-3
 
 
 def _distance(
-    at: Ints, own: NDArray[np.uint8], direction: NDArray[np.float32], layer_at: LayerAt
+    at: Ints, this: NDArray[np.uint8], direction: NDArray[np.float32], layer_at: LayerAt
 ) -> NDArray[np.float32]:
     """Distance [voxel] from voxel centres along a direction to where the layer changes, at most 2, shape (n,)."""
     centre = at.astype(np.float32) + np.float32(0.5)
     low, high = np.zeros((2, len(at)), dtype=np.float32)
     open_ = np.arange(len(at))
     for reach in np.arange(_STRIDE, 2.0 + _STRIDE, _STRIDE, dtype=np.float32):
-        changed = layer_at(centre[open_] + reach * direction[open_]) != own[open_]
+        changed = layer_at(centre[open_] + reach * direction[open_]) != this[open_]
         high[open_[changed]] = reach
         low[open_[changed]] = reach - _STRIDE
         open_ = open_[~changed]
@@ -117,7 +117,7 @@ def _distance(
     found = np.flatnonzero(high > low)
     for _ in range(_HALVINGS):
         middle = 0.5 * (low[found] + high[found])
-        changed = layer_at(centre[found] + middle[:, None] * direction[found]) != own[found]
+        changed = layer_at(centre[found] + middle[:, None] * direction[found]) != this[found]
         high[found[changed]] = middle[changed]
         low[found[~changed]] = middle[~changed]
     return 0.5 * (low + high)
@@ -191,7 +191,7 @@ def surface_of_fractions(fraction: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def boundary_of_layers(layer: NDArray[np.uint8], known: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Stored distance to the nearest change of layer of voxels of which only the layer is known.
 
-    From the share of a voxel's own layer in the 5 x 5 x 5 voxels around it, as the plane that leaves this share behind
+    From the share of a voxel's layer in the 5 x 5 x 5 voxels around it, as the plane that leaves this share behind
     it: a flat boundary at any angle comes out flat, where it lies between voxel centres only on average.
     """
     result = np.full(layer.shape, FAR, dtype=np.uint8)
@@ -199,11 +199,11 @@ def boundary_of_layers(layer: NDArray[np.uint8], known: NDArray[np.bool_]) -> ND
     last = np.array(layer.shape) - 1
     for start in range(0, len(chosen), 1 << 16):
         part = chosen[start : start + (1 << 16)]
-        own = layer[tuple(part.T)]
+        this = layer[tuple(part.T)]
         same, counted, toward = np.zeros(len(part)), np.zeros(len(part)), np.zeros((len(part), 3))
         for offset in np.array(list(np.ndindex(_WINDOW, _WINDOW, _WINDOW))) - _WINDOW // 2:
             there = tuple(np.clip(part + offset, 0, last).T)
-            has, differs = known[there], layer[there] != own
+            has, differs = known[there], layer[there] != this
             counted += has
             same += has & ~differs
             toward[has & differs] += offset
@@ -226,14 +226,14 @@ def _plane_distance(share: NDArray[np.floating], normal: NDArray[np.floating]) -
 
 
 def _outward(fraction: NDArray[np.uint8], at: Ints) -> Array:
-    """Unit vector down the gradient of the fractions in 3 x 3 x 3 voxels, shape (n, 3); 0 where there is none."""
+    """Unit vector down the gradient of the fractions in 3 x 3 x 3 voxels, shape (n, 3); z where there is none."""
     slope = np.zeros((len(at), 3))
     for offset in np.array(list(np.ndindex(3, 3, 3))) - 1:
         if offset.any():
             weight = 2.0 ** (2 - np.abs(offset).sum())
             slope -= weight * fraction[tuple((at + offset).T)].astype(np.float64)[:, None] * offset
-    length = np.linalg.norm(slope, axis=1)
-    return slope / np.maximum(length, 1e-9)[:, None]
+    slope[~slope.any(axis=1), 2] = 1.0
+    return slope / np.linalg.norm(slope, axis=1)[:, None]
 
 
 def _beside(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> NDArray[np.bool_]:

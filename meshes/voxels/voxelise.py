@@ -174,5 +174,5 @@ def _take_out(minus: Shape, grid: Grid, out: VoxelArrays) -> None:
     out.fraction[part] = np.rint(out.fraction[part] * (1.0 - taken))
     centres = np.stack(np.meshgrid(*[np.arange(n) + f + 0.5 for n, f in zip(size, first, strict=True)], indexing="ij"))
     points = (centres.reshape(3, -1).T * grid.spacing_m).astype(np.float32)
-    beside = surface_steps(-minus.distance(points).reshape(size) / np.float32(grid.spacing_m))
-    out.surface[part] = np.maximum(out.surface[part], beside)
+    hole = surface_steps(-minus.distance(points).reshape(size) / np.float32(grid.spacing_m))
+    out.surface[part] = np.maximum(out.surface[part], hole)

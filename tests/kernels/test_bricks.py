@@ -32,7 +32,7 @@ def cut_volumes(normals, distances):
 
 
 def random_volume(shape=(21, 17, 30), seed=3):
-    """Random voxels with their distances; an empty brick with, beside it, one that lies near the surface alone."""
+    """Random voxels with their distances; an empty brick with, near it, one that lies near the surface alone."""
     random = np.random.default_rng(seed)
     fraction = random.integers(0, 256, shape, dtype=np.uint8)
     fraction[8:16, 8:16, 8:24] = 0
@@ -83,8 +83,8 @@ def test_empty_bricks_are_not_stored():
     brick_of = store.brick_of.numpy()
     assert brick_of[1, 1, 1] == -1
     assert len(store.remaining) == brick_of.size - 1
-    beside = brick_of[1, 1, 2]  # no bone, and within two voxels of its surface
-    assert beside >= 0 and store.alive.numpy()[beside] == 2**64 - 1 and not store.remaining.numpy()[beside].any()
+    near = brick_of[1, 1, 2]  # no bone, and within two voxels of its surface
+    assert near >= 0 and store.alive.numpy()[near] == 2**64 - 1 and not store.remaining.numpy()[near].any()
 
 
 def test_rows_and_columns_point_at_the_voxels():

@@ -58,17 +58,13 @@ def forces(anatomy, *corners_mm, frame=None, spacing_m=1e-4):
 
 @pytest.mark.parametrize("frame", [Rotation.identity(), TURNED], ids=["lattice", "turned"])
 def test_a_pass_back_through_an_old_slot_meets_little(frame):
-    """At most 9 % of the full cut on average, of edges on a band along the bottom where old and new surface meet.
-
-    Distances that are known to 0.02 voxel leave a band of sqrt(2 R 0.02 voxel) = 0.08 mm ahead of the lowest line, of
-    the cut's 1 mm. At the slot's end the tool fills it as it did before, and nothing tells the cuts apart.
-    """
+    """At most 1 % of the full cut: elements that graze the old surface ask of the next voxel, which lies deeper in it."""
     there, back = [-1.2, 0, -0.3], [1.2, 0, -0.3]
     force, line = forces(plate(frame.apply([0.0, 0.0, 1.0])), [-1.2, 0, 0.1], there, back, there, frame=frame)
     full = np.linalg.norm(force[line == 1][100:], axis=1).mean()
-    again = np.linalg.norm(force[line == 2][:-20], axis=1)
+    again = np.linalg.norm(force[line == 2], axis=1)
     print(f"\nfull {full:.3f} N, again {again.mean() / full:.4f}, worst {again.max() / full:.4f}")
-    assert again.mean() < 0.09 * full and again.max() < 0.25 * full
+    assert again.mean() < 0.01 * full and again[:-20].max() < 0.02 * full
 
 
 def slot_force(depth):

@@ -27,7 +27,7 @@ __all__ = ["reach", "require_outside", "require_touch", "require_whole", "solid_
 
 POSES_TRIED = 300
 """Poses along a motion at which contact is looked for."""
-DENSE_BYTES_PER_VOXEL = 16
+DENSE_BYTES_PER_VOXEL = 18
 """Peak memory of a voxel of the region while bricks are made and results written, measured on the glenoid."""
 BRICK = 8
 """The region is cut at whole bricks of the world's lattice, so that a voxel lies at the same place in any region; where
@@ -171,9 +171,11 @@ def require_touch(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
         at = at[((at >= 0) & (at < limits)).all(axis=1)]
         if volume.fraction[at[:, 0], at[:, 1], at[:, 2]].any():
             return
+    held = np.argwhere(volume.fraction)
+    bone = [volume.origin_m + volume.spacing_m * corner for corner in (held.min(axis=0), held.max(axis=0) + 1)]
     raise InputError(
         "motion must bring the tool to the bone, got a tool that never touches it: move it to the bone "
-        f"{box_text(volume.bounds_m, between=True)}"
+        f"{box_text((bone[0], bone[1]), between=True)}"
     )
 
 

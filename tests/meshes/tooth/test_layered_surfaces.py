@@ -121,10 +121,13 @@ def test_tooth_is_placed_wherever_it_lay():
         points = trimesh.transform_points(part.vertices_m * 1e3, turn)
         turned[name] = surface_from_triangles(points, part.faces, scale_mm=1)
     volume = voxelise(layered_anatomy(turned), spacing_m=2e-4)
-    assert volume.bounds_m[1][2] == pytest.approx(0.0, abs=2.1e-4)
-    assert volume.bounds_m[0][2] == pytest.approx(-15e-3, abs=3e-4)
-    assert np.abs(volume.bounds_m[1][:2] - [4e-3, 3e-3]).max() < 3e-4
-    middle = volume.layer[volume.shape[0] // 2, volume.shape[1] // 2]
+    filled = np.argwhere(volume.fraction)
+    low, high = (volume.origin_m + 2e-4 * corner for corner in (filled.min(axis=0), filled.max(axis=0) + 1))
+    assert high[2] == pytest.approx(0.0, abs=2.1e-4)
+    assert low[2] == pytest.approx(-15e-3, abs=3e-4)
+    assert np.abs(high[:2] - [4e-3, 3e-3]).max() < 3e-4
+    column = volume.shape[0] // 2, volume.shape[1] // 2
+    middle = volume.layer[column][volume.fraction[column] > 0]
     met = [TOOTH_LAYERS[k] for k in middle[::-1]]
     assert list(dict.fromkeys(met)) == ["enamel", "dentin", "pulp"]
 

@@ -216,7 +216,7 @@ def test_a_format_without_its_extra_names_what_to_install(refused, here, monkeyp
         (
             "[[-2,0,1],[2,0,1]]",
             "motion must bring the tool to the bone, got a tool that never touches it: move it to "
-            "the bone between (-9.6, -6.4, -3.2) and (9.6, 6.4, 0) mm",
+            "the bone between (-9.6, -6, -3.2) and (9.6, 6, 0) mm",
         ),
     ],
     ids=["beside", "above"],
@@ -229,7 +229,7 @@ def test_a_tool_that_never_touches_is_refused(refused, here, points, sentence):
 def test_voxels_that_do_not_fit_the_memory_are_refused_with_what_would_fit(refused, command, here, monkeypatch):
     monkeypatch.setattr("psutil.virtual_memory", lambda: SimpleNamespace(available=1e9))
     assert refused("run", "milling", "--set", "voxels.spacing_mm=0.02", "--no-pictures") == (
-        "voxels.spacing_mm must leave the bone within the free memory of 1.0 GB, got 0.02 which needs 1.7 GB: use 0.03"
+        "voxels.spacing_mm must leave the bone within the free memory of 1.0 GB, got 0.02 which needs 2.0 GB: use 0.03"
     )
     monkeypatch.setattr("psutil.virtual_memory", lambda: SimpleNamespace(available=2e6))
     fits = refused("run", "milling", "--set", "voxels.spacing_mm=0.1", "--no-pictures").rsplit(" ", 1)[1]
