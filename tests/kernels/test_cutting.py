@@ -60,8 +60,9 @@ def older_cuts(model, motion, random):
     return swept, (kind == 0) | (swept == 0)
 
 
-def expected_forces(model, motion, cut):
-    """The formula of :mod:`kernels.cutting` in NumPy, in double precision; ``cut``: voxels in which older cuts lie."""
+def expected_forces(model, motion, cut, swallowed):
+    """The formula of :mod:`kernels.cutting` in NumPy, in double precision; ``cut``: voxels in which older cuts lie
+    deeper, ``swallowed``: voxels that an older tool held whole."""
     volume, shell, cutter = model.store.volume, model.shell, model.cutter
     arm = shell.points_m @ motion.rotation.T
     normal = shell.normals @ motion.rotation.T
@@ -78,7 +79,13 @@ def expected_forces(model, motion, cut):
     width = np.linalg.norm(tangent, axis=1) * np.sqrt(shell.areas_m2) / volume.spacing_m
     share = np.clip(0.5 - bone.distance / np.clip(width, 1e-3, 3.5), 0.0, 1.0)
     share = np.where(bone.distance > -1.9, share, 1.0)
-    share = np.where(inside & (advance > 0.0) & stored[at] & ~cut[at], share, 0.0)
+    speed = np.linalg.norm(motion.heading[0])
+    grazes = advance < 1.5 / (cutter.profile.radius_m / volume.spacing_m) * speed
+    asked = np.floor(np.where(grazes[:, None], point + motion.heading[0] / speed, point)).astype(int)
+    known = ((asked >= 0) & (asked < volume.shape)).all(axis=1)
+    asked = tuple(np.where(known[:, None], asked, 1).T)
+    taken = known & stored[asked] & cut[asked]
+    share = np.where(inside & (advance > 0.0) & stored[at] & ~swallowed[at] & ~taken, share, 0.0)
     layer, density = bone.layer, np.rint(bone.density)
     value = lambda name: np.array([getattr(SOFT, name), getattr(HARD, name)])[layer]  # noqa: E731
     strength = (density / value("reference_density_kg_m3")) ** value("density_exponent")
@@ -119,7 +126,7 @@ def test_forces_against_numpy(profile, spin_rad_s, turning):
     motion = tilted_motion(turning)
     swept, cut = older_cuts(model, motion, np.random.default_rng(6))
     with_swept(model, swept)
-    chip, edge, rate = expected_forces(model, motion, cut)
+    chip, edge, rate = expected_forces(model, motion, cut, swept == 0)
     response = model.respond(motion)
     # Single precision: an element within 1e-7 m of a voxel's face may read its neighbour, 1 in 1e3 elements.
     for got, want in ((response.resistance, chip), (response.edge, edge)):

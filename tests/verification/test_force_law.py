@@ -108,7 +108,7 @@ def slanted_plunge(tip_z, normal, plate_m):
 
 
 def test_layers_at_a_slant_converge():
-    """A plunge through a slanted plate: error of means over 50 ms, which halving the voxels cuts by half at least."""
+    """A plunge through a slanted plate: means over 50 ms within 0.3 %, which the cutter's elements alone are off by."""
     normal, errors = np.array([0.25, 0.15, 1.0]) / np.linalg.norm([0.25, 0.15, 1.0]), []
     for spacing in (2e-4, 1e-4):
         force, _ = forces(plate(normal, 4.5e-4), [0, 0, 0.4], [0, 0, -0.8], spacing_m=spacing)
@@ -117,4 +117,4 @@ def test_layers_at_a_slant_converge():
         means, right = (values[:300].reshape(6, 50, 3).mean(axis=1) for values in (force, wanted))
         errors.append(np.linalg.norm(means - right) / np.linalg.norm(right))
     print(f"\n{errors}")
-    assert errors[1] < 0.015 and errors[0] > 2.0 * errors[1]
+    assert max(errors) < 0.003

@@ -35,7 +35,7 @@ PROFILES = {
     "pear": pear_bur(diameter_m=2 * R, length_m=5e-3),
     "hemisphere": hemispherical_reamer(diameter_m=2 * R),
     "pegged": hemispherical_reamer(diameter_m=2 * R, peg_diameter_m=0.8e-3, peg_length_m=1e-3),
-    "pegged disc": flat_reamer(diameter_m=2 * R, thickness_m=1e-3, peg_diameter_m=0.8e-3, peg_length_m=1e-3),
+    "pegged disc": flat_reamer(diameter_m=2 * R, length_m=1e-3, peg_diameter_m=0.8e-3, peg_length_m=1e-3),
 }
 
 

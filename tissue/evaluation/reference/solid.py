@@ -35,7 +35,7 @@ class Solid:
     def distance(self, points: Array) -> Array:
         """Bound of the signed distance [m], shape (n,), negative inside, of points [m], shape (n, 3)."""
         distance = self.anatomy.shape.distance(points)
-        return distance if self.minus is None else np.maximum(distance, -self.minus.distance(points))
+        return np.asarray(distance if self.minus is None else np.maximum(distance, -self.minus.distance(points)), dtype=np.float64)
 
     def layer(self, points: Array) -> NDArray[np.uint8]:
         """Layer, shape (n,), of points [m], shape (n, 3)."""
