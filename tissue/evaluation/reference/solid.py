@@ -34,8 +34,8 @@ class Solid:
 
     def distance(self, points: Array) -> Array:
         """Bound of the signed distance [m], shape (n,), negative inside, of points [m], shape (n, 3)."""
-        distance = self.anatomy.shape.distance(points)
-        return np.asarray(distance if self.minus is None else np.maximum(distance, -self.minus.distance(points)), dtype=np.float64)
+        distance = np.asarray(self.anatomy.shape.distance(points), dtype=np.float64)
+        return distance if self.minus is None else np.maximum(distance, -self.minus.distance(points))
 
     def layer(self, points: Array) -> NDArray[np.uint8]:
         """Layer, shape (n,), of points [m], shape (n, 3)."""
