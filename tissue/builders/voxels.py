@@ -63,13 +63,8 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
             "motion must bring the tool to the bone, got one that with the tool and a margin reaches from "
             f"{box_text(region)}: move it to the bone {box_text(bone, between=True)}"
         )
-    low, high = (
-        np.maximum(region[0], bone[0] - AROUND_VOXELS * spacing),
-        np.minimum(region[1], bone[1] + AROUND_VOXELS * spacing),
-    )
-    brick = BRICK * spacing
-    low, high = brick * np.floor(low / brick + 1e-6), brick * np.ceil(high / brick - 1e-6)
-    _require_memory(high - low, spacing)
+    low, high = _covered(region, bone, spacing)
+    _require_memory(region, bone, spacing)
     return voxelise(
         anatomy,
         spacing_m=spacing,
@@ -227,15 +222,27 @@ def _guide_hole(scene: Scene, motion: Motion) -> sdf.Shape | None:
     return sdf.cylinder(0.5 * diameter, tuple(on_face - depth * axis), tuple(on_face + 0.05 * axis))
 
 
-def _require_memory(size: NDArray[np.float64], spacing: float) -> None:
+def _covered(region: Corners, bone: Corners, spacing: float) -> Corners:
+    """Box of whole bricks [m] around the part of the bone, and of the air next to it, that lies in a region."""
+    brick, around = BRICK * spacing, AROUND_VOXELS * spacing
+    low, high = np.maximum(region[0], bone[0] - around), np.minimum(region[1], bone[1] + around)
+    return brick * np.floor(low / brick + 1e-6), brick * np.ceil(high / brick - 1e-6)
+
+
+def _require_memory(region: Corners, bone: Corners, spacing: float) -> None:
     """Refuse a grid that would not fit the memory that is free now."""
     import psutil
 
-    needed = float(np.prod(size)) / spacing**3 * DENSE_BYTES_PER_VOXEL
+    def needed(size: float) -> float:
+        low, high = _covered(region, bone, size)
+        return float(np.prod(high - low)) / size**3 * DENSE_BYTES_PER_VOXEL
+
     free = psutil.virtual_memory().available
-    if needed > 0.9 * free:
-        fits = spacing * (needed / (0.8 * free)) ** (1.0 / 3.0)
+    if needed(spacing) > 0.9 * free:
+        fits = np.ceil(spacing * 1e5) / 1e5
+        while needed(fits) > 0.8 * free:
+            fits += 1e-5
         raise InputError(
             f"voxels.spacing_mm must leave the bone within the free memory of {free / 1e9:.1f} GB, got "
-            f"{spacing * 1e3:g} which needs {needed / 1e9:.1f} GB: use {np.ceil(fits * 1e5) / 100:g}"
+            f"{spacing * 1e3:g} which needs {needed(spacing) / 1e9:.1f} GB: use {round(fits * 1e3, 2):g}"
         )
