@@ -3,9 +3,11 @@
 Mechanistic model with chip and edge coefficients (Altintas 2012, Manufacturing Automation, ch. 2), per element::
 
     h  = (v . n) 2 pi / (N omega)
-    dF = -(N A / (2 pi r)) [(K_tc h + K_te) t + (K_rc h + K_re) n + (K_ac h + K_ae) a] fill
+    dF = -(N A / (2 pi r)) [(K_tc h + K_te) t + (K_rc h + K_re) n + (K_ac h + K_ae) a] share
 
 with every K scaled by (density / reference density) ** exponent of the layer. Elements that do not advance do not cut.
+The share is that of the element's width which lies below the bone's original surface, and 0 where an older cut has
+taken the bone.
 """
 
 import warp as wp
