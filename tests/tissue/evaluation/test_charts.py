@@ -164,7 +164,10 @@ def block(monkeypatch, tmp_path):
 
 @pytest.mark.slow
 def test_an_interrupted_chart_goes_on_and_a_finished_one_is_not_measured_again(block, monkeypatch):
-    settings = [Setting("0.4 mm", "voxels", {"voxels.spacing_mm": 0.4}), Setting("0.2 mm", "voxels")]
+    settings = [
+        Setting("0.4 mm", "voxels", {"voxels.spacing_mm": 0.4, "tool.shell_spacing_mm": 0.6}),
+        Setting("0.2 mm", "voxels"),
+    ]
     monkeypatch.setattr("tissue.evaluation.charts.measure.EXCERPT_S", {True: 0.4})
     monkeypatch.setattr("tissue.evaluation.charts.frontier.settings_of", lambda scene, quick: settings)
     import tissue.evaluation.charts.frontier as module
