@@ -59,12 +59,36 @@ def test_on_one_core_it_stays_there(child, monkeypatch):
     assert not moved and "core" not in priority.described
 
 
-def test_a_process_that_has_ended_is_no_failure(child):
+@pytest.mark.parametrize(
+    ("returns", "asked"),
+    [
+        (True, ["sched_setscheduler", "sched_setaffinity", "sched_setscheduler", "sched_setaffinity"]),
+        (False, ["setpriority", "sched_setaffinity", "sched_setaffinity"]),
+    ],
+)
+def test_what_the_system_refuses_for_a_process_that_has_ended_is_left_out(child, monkeypatch, returns, asked):
+    """Every call is made and refused, the later ones in spite of the earlier; none of the refusals is raised."""
     child.kill()
     child.wait()
-    priority = BackgroundPriority(child.pid)
+    monkeypatch.setattr(background_priority, "allowed_cores", lambda: {0, 1})
+    monkeypatch.setattr(background_priority, "current_core", lambda: 0)
+    refused = []
+
+    def noting(name, call):
+        def attempt(*arguments):
+            with pytest.raises(ProcessLookupError) as found:
+                call(*arguments)
+            refused.append(name)
+            raise found.value
+
+        return attempt
+
+    for name in set(asked):
+        monkeypatch.setattr(os, name, noting(name, getattr(os, name)))
+    priority = BackgroundPriority(child.pid, returns=returns)
     priority.step_back()
     priority.hurry()
+    assert refused == asked
 
 
 def test_a_helper_has_one_thread_for_linear_algebra_and_a_group_of_its_own(tmp_path, monkeypatch):
