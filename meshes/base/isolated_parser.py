@@ -112,6 +112,7 @@ class _Monitor:
         most_bytes = min(most_bytes, int(0.8 * psutil.virtual_memory().available))
 
         def end_when_over() -> None:
+            """Look at the process until `done` is set, and kill it with a reason once it is over a limit."""
             end = monotonic() + longest_s
             while not self.done.wait(_LOOK_EVERY_S):
                 try:

@@ -107,6 +107,7 @@ def _layer_at(anatomy: Anatomy, grid: Grid, depth: NDArray[np.float32]) -> Layer
     first, spacing = np.array(grid.first, dtype=np.float32), np.float32(grid.spacing_m)
 
     def layer_at(points: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """Layer, shape (n,), at points in voxels from the grid's first corner, shape (n, 3)."""
         at = np.asfortranarray((points + first) * spacing)
         if anatomy.sample is None:
             return anatomy.classify(at, -anatomy.shape.distance(at))[0]

@@ -68,6 +68,7 @@ def press_wall(
     held = SafeDevice(device, tick_s=tick_s)
 
     def press() -> None:
+        """Run every tick: read the device, render the law at the wall, play the force."""
         for tick in range(ticks):
             time = tick * tick_s
             sample = held.read(time)

@@ -172,6 +172,7 @@ def _loop(
         observer.on_begin(parts, layout.columns)
 
     def go_through() -> None:
+        """Run the ticks with their observers, and report progress about ten times a second."""
         nonlocal index, reported_s
         for index in range(ticks):
             if background is not None:

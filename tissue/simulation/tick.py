@@ -111,6 +111,7 @@ class Tick:
         self._record(self._rows[0], 0, self._tissue.respond(self.tool))
 
     def __call__(self, index: int) -> None:
+        """Run one tick and record its trace and timings in row `index`."""
         start = perf_counter()
         self._motion.advance(index * TICK_S, TICK_S, self._response, self.tool)
         moved = removed = perf_counter()

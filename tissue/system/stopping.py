@@ -50,6 +50,7 @@ def terminated_as_exception() -> Iterator[None]:
         raise received[-1]
 
     def dropped(what: "sys.UnraisableHookArgs") -> None:
+        """Send again a signal whose exception was raised where nothing could catch it."""
         if isinstance(what.exc_value, KeyboardInterrupt):
             number = signal.SIGTERM if isinstance(what.exc_value, Terminated) else signal.SIGINT
             threading.Timer(AGAIN_S, _send, (number,)).start()

@@ -77,6 +77,7 @@ class Edmd:
         kept = slice(0, count)
 
         def scaled() -> Iterator[tuple[Array, Array]]:
+            """Regressors and targets of each episode, shifted and scaled; ones behind the regressors of an offset."""
             for lifted, inputs, targets in _pairs(episodes, self.dictionary, rates):
                 known = (np.hstack((lifted, inputs)) - middle) / scale
                 wanted = targets if rates else targets - middle[kept]
