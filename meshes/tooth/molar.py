@@ -115,21 +115,7 @@ def molar(
             ("caries_diameter_mm", caries_diameter_mm, 0.5, 6.0, "use 3"),
         )
     )
-    if 0.0 < depth < _SHALLOWEST_LESION_M:
-        raise InputError(
-            f"caries_depth_mm must be 0 or at least {1e3 * _SHALLOWEST_LESION_M:g}, got {caries_depth_mm:g}: use 0 for "
-            "none, or about 3"
-        )
-    if depth > roof - _LEAST_OVER_PULP_M:
-        raise InputError(
-            f"caries_depth_mm must leave 0.3 mm over the pulp, got {caries_depth_mm} with the chamber's roof at "
-            f"{pulp_roof_mm:g}: use at most {1e3 * (roof - _LEAST_OVER_PULP_M):g}"
-        )
-    if roof > height - cusp + 0.8e-3:
-        raise InputError(
-            f"pulp_roof_mm must lie above the root trunk, got {pulp_roof_mm} with a cervical line "
-            f"{1e3 * (height - cusp):g} below the fossa: use at most {1e3 * (height - cusp) + 0.8:g}"
-        )
+    _require_fit(depth, roof, height - cusp)
     crown = Crown(0.5 * width, 0.5 * length, height, cusp, enamel)
     roots = mandibular_roots(crown, root_length)
     tooth = outer_shape(crown, roots)
@@ -146,6 +132,33 @@ def molar(
     classify = _layers(crown, roots, pulp_shape(crown, roots, roof), ligament, lesion)
     whole = tooth | block
     return Anatomy("procedural molar", whole, TOOTH_LAYERS, classify, notes, thin_layers=True)
+
+
+def _require_fit(depth: float, roof: float, line: float) -> None:
+    """Refuse a lesion too shallow or too near to the pulp, and a chamber that reaches into the roots.
+
+    Parameters
+    ----------
+    depth
+        Of the lesion below the fossa [m], 0 for none.
+    roof, line
+        Depth of the chamber's roof and of the cervical line below the fossa [m].
+    """
+    if 0.0 < depth < _SHALLOWEST_LESION_M:
+        raise InputError(
+            f"caries_depth_mm must be 0 or at least {1e3 * _SHALLOWEST_LESION_M:g}, got {1e3 * depth:g}: use 0 for "
+            "none, or about 3"
+        )
+    if depth > roof - _LEAST_OVER_PULP_M:
+        raise InputError(
+            f"caries_depth_mm must leave 0.3 mm over the pulp, got {1e3 * depth:g} with the chamber's roof at "
+            f"{1e3 * roof:g}: use at most {1e3 * (roof - _LEAST_OVER_PULP_M):g}"
+        )
+    if roof > line + 0.8e-3:
+        raise InputError(
+            f"pulp_roof_mm must lie above the root trunk, got {1e3 * roof:g} with a cervical line "
+            f"{1e3 * line:g} below the fossa: use at most {1e3 * line + 0.8:g}"
+        )
 
 
 def _socket(crown: Crown, roots: tuple[Root, Root], margin: float) -> Shape:
