@@ -10,15 +10,12 @@ from meshes.surfaces.repair import Triangles
 from meshes.tooth.layer_contact import inside_surface
 from meshes.tooth.layers import TOOTH_LAYERS
 
-__all__ = [
-    "require_known",
-    "require_tooth_size",
-    "require_touching",
-]
+__all__ = ["require_known", "require_pulp_within", "require_tooth_size", "require_touching"]
 
 _SMALLEST_MM, _LARGEST_MM, _TYPICAL_MM = 5.0, 40.0, 18.0
 _TOUCH_M = 0.5e-3
 _POINTS_TESTED = 4000
+_NEAR_M, _LEAST_WITHIN = 0.2e-3, 0.6
 
 
 def require_known(names: Iterable[str], argument: str) -> None:
@@ -75,3 +72,25 @@ def require_touching(points_m: Mapping[str, NDArray[np.float64]], solids: Mappin
                 f"{name} surface must touch the others in one common frame and unit, got one "
                 f"{1e3 * apart[nearest]:.3g} mm from {nearest}, the nearest: check its unit and its origin"
             )
+
+
+def require_pulp_within(pulp_m: NDArray[np.float64], dentin: Triangles, dentin_samples_m: NDArray[np.float64]) -> None:
+    """Refuse a pulp of whose surface less than 60 % lies within the dentin or 0.2 mm from its surface.
+
+    Parameters
+    ----------
+    pulp_m, dentin_samples_m
+        Points on both surfaces [m], shape (n, 3).
+    dentin
+        Vertices of the dentin [m] and its triangles.
+    """
+    from scipy.spatial import cKDTree
+
+    tested = pulp_m[:: max(len(pulp_m) // 2000, 1)]
+    far = tested[cKDTree(dentin_samples_m).query(tested)[0] >= _NEAR_M]
+    within = 1.0 - float(np.count_nonzero(~inside_surface(*dentin, far))) / len(tested)
+    if within < _LEAST_WITHIN:
+        raise InputError(
+            f"pulp must lie within the dentin, got {100.0 * within:.0f} % of its surface there: check which "
+            "layer is which, and the frame of the pulp surface"
+        )

@@ -13,7 +13,7 @@ from meshes.surfaces.repair import Triangles, merge_vertices
 from meshes.tooth.layer_contact import inside_surface
 from meshes.tooth.layers import BONE, LAYER_DENSITY_KG_M3, TOOTH_LAYERS
 from meshes.voxels.grid import Grid
-from meshes.voxels.mesh_sampling import TriangleSampler
+from meshes.voxels.mesh_sampling import TriangleSampler, triangle_distance
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -73,6 +73,13 @@ class LayeredSolid:
     sample_layer: NDArray[np.uint8]
     gap: Lattice | None
     socket: Lattice | None
+
+    def distance(self, points: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Distance [m], shape (n,), of points [m], shape (n, 3), from the layers and the socket, negative inside."""
+        away = triangle_distance(*self.union, points)
+        if self.socket is not None:
+            away = np.minimum(away, self.socket(points, beyond=1.0))
+        return away.astype(points.dtype)
 
     def sample(self, grid: Grid) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Fraction and depth of the voxels of a grid, see `meshes.shapes.anatomy.GridSampler`."""

@@ -15,24 +15,18 @@ from meshes.surfaces.glenoid_search import sample_surface
 from meshes.surfaces.repair import Triangles
 from meshes.surfaces.site import Site
 from meshes.surfaces.surface import Surface, read_surface
-from meshes.tooth.checks import (
-    require_known,
-    require_tooth_size,
-    require_touching,
-)
-from meshes.tooth.layer_contact import PITCH_M, LayerContact, inside_lattice, inside_surface, measure_contact
+from meshes.tooth.checks import require_known, require_pulp_within, require_tooth_size, require_touching
+from meshes.tooth.layer_contact import PITCH_M, LayerContact, inside_lattice, measure_contact
 from meshes.tooth.layered_solid import Lattice, LayeredSolid, joined, socket_lattice
 from meshes.tooth.layers import PRIORITY, TOOTH_LAYERS
 from meshes.tooth.lesion_site import lesion_site
 from meshes.tooth.site import tooth_axes
 from meshes.voxels.column_crossings import column_crossings
-from meshes.voxels.mesh_sampling import triangle_distance
 from meshes.voxels.voxelise import voxelise
 
 __all__ = ["layered_anatomy", "layered_surfaces"]
 
 _SAMPLE_PITCH_M, _MOST_SAMPLES = 0.1e-3, 300_000
-_NEAR_M, _LEAST_WITHIN = 0.2e-3, 0.6
 _LESION_M = 0.15e-3
 
 
@@ -109,18 +103,13 @@ def layered_anatomy(
         outside the dentin, or a socket is asked for without a ligament.
     """
     require_known(surfaces, "surfaces")
+    margin = _socket_margin(surfaces, socket_mm)
     order = [name for name in PRIORITY if name in surfaces]
-    margin = 1e-3 * require_range("socket_mm", socket_mm, 0.0, 10.0, "use 2.5, or 0 for none")
-    if margin > 0.0 and ("ligament" not in surfaces or "bone" in surfaces):
-        raise InputError(
-            f"socket_mm must be 0 without a ligament or with a bone surface, got {socket_mm:g}: add the ligament, or "
-            "leave the socket out"
-        )
     samples = {name: _spread(surface) for name, surface in surfaces.items()}
-    whole = np.concatenate(list(samples.values()))
     require_touching(samples, {name: (surface.vertices_m, surface.faces) for name, surface in surfaces.items()})
-    size_mm, scale = 1e3 * float(np.ptp(whole, axis=0).max()), surfaces["dentin"].report.scale_mm
+    scale = surfaces["dentin"].report.scale_mm
     if "bone" not in surfaces:
+        size_mm = 1e3 * float(np.ptp(np.concatenate(list(samples.values())), axis=0).max())
         require_tooth_size(size_mm, "scale_mm", f"{scale:g}", size_mm / scale)
     if at_lesion:
         upright = layered_anatomy(surfaces)
@@ -132,43 +121,55 @@ def layered_anatomy(
     samples = {name: (points - centre) @ rotation for name, points in samples.items()}
     origin, contact = _contact(placed, order)
     if "pulp" in surfaces:
-        near_dentin = _share_near(samples["pulp"], placed["dentin"], samples["dentin"])
-        if near_dentin < _LEAST_WITHIN:
-            raise InputError(
-                f"pulp must lie within the dentin, got {100.0 * near_dentin:.0f} % of its surface there: check which "
-                "layer is which, and the frame of the pulp surface"
-            )
+        require_pulp_within(samples["pulp"], placed["dentin"], samples["dentin"])
+    gap = Lattice(origin, PITCH_M, contact.gap_layer) if contact.gap_mm3 else None
+    solid = _solid({name: placed[name] for name in order}, samples, gap, margin)
+    notes = _notes(surfaces, note, contact, order, socket_mm)
+    placement = Placement(1e3 * centre, rotation, scale)
+    shape = _shape(solid, samples, margin)
+    return Anatomy("tooth from surfaces", shape, TOOTH_LAYERS, solid.classify, notes, solid.sample, placement)
+
+
+def _socket_margin(surfaces: Mapping[str, Surface], socket_mm: float) -> float:
+    """Thickness of the bone to add [m]; a refusal where there is no ligament to add it around, or bone is given."""
+    margin = 1e-3 * require_range("socket_mm", socket_mm, 0.0, 10.0, "use 2.5, or 0 for none")
+    if margin > 0.0 and ("ligament" not in surfaces or "bone" in surfaces):
+        raise InputError(
+            f"socket_mm must be 0 without a ligament or with a bone surface, got {socket_mm:g}: add the ligament, or "
+            "leave the socket out"
+        )
+    return margin
+
+
+def _solid(
+    placed: Mapping[str, Triangles],
+    samples: Mapping[str, NDArray[np.float64]],
+    gap: Lattice | None,
+    margin: float,
+) -> LayeredSolid:
+    """The layers placed in the site frame, the first with the highest priority, with a socket of this margin [m]."""
     from scipy.spatial import cKDTree
 
-    points = np.concatenate(list(samples.values()))
     layer = np.concatenate([np.full(len(samples[name]), TOOTH_LAYERS.index(name), np.uint8) for name in samples])
-    union = joined(list(placed.values()))
-    gap = Lattice(origin, PITCH_M, contact.gap_layer) if contact.gap_mm3 else None
     socket = None
     if margin > 0.0:
         others = np.concatenate([points for name, points in samples.items() if name != "ligament"])
         socket = socket_lattice(samples["ligament"], others, margin)
-    layers = LayeredSolid(
-        {TOOTH_LAYERS.index(name): placed[name] for name in order},
-        union,
-        cKDTree(points),
+    return LayeredSolid(
+        {TOOTH_LAYERS.index(name): placed[name] for name in placed},
+        joined([placed[name] for name in samples]),
+        cKDTree(np.concatenate(list(samples.values()))),
         layer,
         gap,
         socket,
     )
 
-    def distance(at: NDArray[np.floating]) -> NDArray[np.floating]:
-        tooth = triangle_distance(*union, at)
-        return (tooth if socket is None else np.minimum(tooth, socket(at, beyond=1.0))).astype(at.dtype)
 
-    shape = Shape(
-        distance,
-        tuple((points.min(axis=0) - margin).tolist()),
-        tuple(np.maximum(points.max(axis=0), samples.get("ligament", points).max(axis=0) + margin).tolist()),
-    )
-    notes = _notes(surfaces, note, contact, order, socket_mm)
-    placement = Placement(1e3 * centre, rotation, scale)
-    return Anatomy("tooth from surfaces", shape, TOOTH_LAYERS, layers.classify, notes, layers.sample, placement)
+def _shape(solid: LayeredSolid, samples: Mapping[str, NDArray[np.float64]], margin: float) -> Shape:
+    """Outer shape of the solid, with bounds around the samples and the socket's margin [m]."""
+    points = np.concatenate(list(samples.values()))
+    high = np.maximum(points.max(axis=0), samples.get("ligament", points).max(axis=0) + margin)
+    return Shape(solid.distance, tuple((points.min(axis=0) - margin).tolist()), tuple(high.tolist()))
 
 
 def _spread(surface: Surface) -> NDArray[np.float64]:
@@ -201,15 +202,6 @@ def _contact(placed: Mapping[str, Triangles], order: Sequence[str]) -> tuple[NDA
     high = np.max([vertices.max(axis=0) for vertices, _ in placed.values()], axis=0) + 2.5 * PITCH_M
     axes = [a + PITCH_M * np.arange(int(np.ceil((b - a) / PITCH_M))) for a, b in zip(low, high, strict=True)]
     return low, measure_contact({name: inside_lattice(*placed[name], axes) for name in placed}, order)
-
-
-def _share_near(points: NDArray[np.float64], solid: Triangles, samples: NDArray[np.float64]) -> float:
-    """Part of the points that lie within a solid or within 0.2 mm of the samples of its surface."""
-    from scipy.spatial import cKDTree
-
-    tested = points[:: max(len(points) // 2000, 1)]
-    far = tested[cKDTree(samples).query(tested)[0] >= _NEAR_M]
-    return 1.0 - float(np.count_nonzero(~inside_surface(*solid, far))) / len(tested)
 
 
 def _notes(
