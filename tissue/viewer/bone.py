@@ -6,7 +6,7 @@ import numpy as np
 
 from tissue.figures.style import BONE, layer_colours
 from tissue.viewer.carving import BoneOverTime
-from tissue.viewer.plotter import Plotter
+from tissue.viewer.plotter import Plotter, add_colour_scale
 
 if TYPE_CHECKING:
     import pyvista
@@ -112,21 +112,7 @@ class BoneShown:
         actors = [self._draw_part(name) for name in self._parts]
         shown = [actor for actor in actors if actor is not None]
         if self._by_depth and shown:
-            plotter.add_scalar_bar(
-                DEPTH_TITLE,
-                mapper=shown[0].mapper,
-                vertical=True,
-                position_x=0.87,
-                position_y=0.45,
-                height=0.42,
-                width=0.07,
-                color="black",
-                fmt="%.2f",
-                title_font_size=24,
-                label_font_size=24,
-                below_label="",
-                render=False,
-            )
+            add_colour_scale(plotter, DEPTH_TITLE, shown[0].mapper, bottom=0.45, fmt="%.2f", below_label="")
         elif self._visible and not self._by_depth:
             # Layers and their colours; one that is off is pale.
             entries = [[name, "lightgray" if name in self._hidden else self._colours[name]] for name in self.layers]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue.simulation.saved_fields import SavedFields, field_label, field_values
-from tissue.viewer.plotter import Plotter
+from tissue.viewer.plotter import Plotter, add_colour_scale
 
 if TYPE_CHECKING:
     import pyvista
@@ -195,20 +195,7 @@ class FieldsShown:
         self._title = f"{words}{f' / {unit}' if unit else ''}\nat {shown_s:.3f} s"
         if self.scale != 1.0 and self._fields.displacement is not None:
             self._title += f"\ndrawn × {self.scale:.3g}"
-        self._plotter.add_scalar_bar(
-            self._title,
-            mapper=self.actor.mapper,
-            vertical=True,
-            position_x=0.87,
-            position_y=0.42,
-            height=0.42,
-            width=0.07,
-            color="black",
-            fmt="%.2g",
-            title_font_size=24,
-            label_font_size=24,
-            render=False,
-        )
+        add_colour_scale(self._plotter, self._title, self.actor.mapper, bottom=0.42, fmt="%.2g")
 
 
 def interpolated(mesh: "pyvista.DataSet", cell: int, place_mm: NDArray[np.float64], name: str) -> NDArray[np.float64]:

@@ -5,7 +5,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-__all__ = ["Plotter", "add_names", "free_keys", "on_click"]
+__all__ = ["Plotter", "add_colour_scale", "add_names", "free_keys", "on_click"]
 
 Plotter: TypeAlias = Any
 """A `pyvista.Plotter`: PyVista declares those of its methods that forward to a renderer without their arguments."""
@@ -21,6 +21,24 @@ def add_names(plotter: Plotter, colours: Mapping[str, tuple[float, float, float]
     """Write names below each other at the right, each in its colour."""
     for row, (name, colour) in enumerate(colours.items()):
         plotter.add_text(name, position=(0.87, 0.93 - 0.035 * row), viewport=True, font_size=11, color=colour)
+
+
+def add_colour_scale(plotter: Plotter, title: str, mapper: object, *, bottom: float, **options: object) -> None:
+    """Draw the scale of a mapper's colours at the right, from `bottom`, a share of the window's height."""
+    plotter.add_scalar_bar(
+        title,
+        mapper=mapper,
+        vertical=True,
+        position_x=0.87,
+        position_y=bottom,
+        height=0.42,
+        width=0.07,
+        color="black",
+        title_font_size=24,
+        label_font_size=24,
+        render=False,
+        **options,
+    )
 
 
 def on_click(plotter: Plotter, click: Callable[[int, int], object]) -> None:
