@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from falling_sheet import falling_sheet
 
 from tissue.models.organ.contact import SurfaceContact
 from tissue.models.organ.probe import SphereProbe
@@ -10,24 +11,13 @@ ROUNDING = 1e-13
 """Sums of at most a hundred products, relative to their largest."""
 
 
-def sheet(cells=22, edge_m=0.04):
-    """A flat surface, and a symmetric positive compliance with full blocks."""
-    at = np.linspace(-0.5 * edge_m, 0.5 * edge_m, cells + 1)
-    nodes = np.stack(np.meshgrid(at, at, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
-    number = np.arange(len(nodes)).reshape(cells + 1, cells + 1)
-    a, b, c, d = (n.ravel() for n in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
-    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
-    falling = 0.03 / np.sqrt(np.sum((nodes[:, None] - nodes) ** 2, axis=2) + 2e-6)
-    return nodes, faces, np.kron(falling, np.array([[1.0, 0.2, 0.1], [0.2, 1.1, 0.0], [0.1, 0.0, 0.9]]))
-
-
 @pytest.mark.parametrize("scale", [1.0, 0.4])
 def test_rows_stay_those_of_the_compliance_while_nodes_come_and_go(scale):
     """The tool wanders, lifts off and comes back; halfway the compliance is scaled.
 
     Rows are kept however a solve ends: in a few of these ticks the sweeps run out.
     """
-    nodes, faces, compliance = sheet()
+    nodes, faces, compliance = falling_sheet(cells=22, edge_m=0.04)
     contact = SurfaceContact(nodes, faces, compliance, SphereProbe(0.006))
     contact.place(np.array([-0.008, 0.0, 1e-3]), np.eye(3))
     patch, seen = contact._patch, []

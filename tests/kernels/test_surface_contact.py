@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from falling_sheet import falling_sheet
 
 from tissue.models.organ.contact import SurfaceContact
 from tissue.models.organ.contact_result import ContactOutcome
@@ -14,21 +15,10 @@ LEFT = 1e-6
 RADIUS_M = 6e-3
 
 
-def sheet(cells=20, edge_m=0.02):
-    """A flat surface and a compliance that falls with distance, positive and with full blocks."""
-    at = np.linspace(-0.5 * edge_m, 0.5 * edge_m, cells + 1)
-    nodes = np.stack(np.meshgrid(at, at, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
-    number = np.arange(len(nodes)).reshape(cells + 1, cells + 1)
-    a, b, c, d = (n.ravel() for n in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
-    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
-    falling = 0.03 / np.sqrt(np.sum((nodes[:, None] - nodes) ** 2, axis=2) + 2e-6)
-    return nodes, faces, np.kron(falling, np.array([[1.0, 0.2, 0.1], [0.2, 1.1, 0.0], [0.1, 0.0, 0.9]]))
-
-
 @pytest.mark.parametrize("friction", [0.0, 0.1, 0.4])
 def test_all_points_obey_signorini_and_coulomb_together(friction):
     """u = W H^T f; no gap is negative, no force pulls, one of them is zero, and friction is at most mu times normal."""
-    nodes, faces, compliance = sheet()
+    nodes, faces, compliance = falling_sheet(cells=20, edge_m=0.02)
     contact = SurfaceContact(
         nodes, faces, compliance, SphereProbe(RADIUS_M), friction=friction, tolerance=TOLERANCE, sweeps=2000
     )

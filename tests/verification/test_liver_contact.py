@@ -6,6 +6,7 @@ and other closed forms against tetrahedra.
 
 import numpy as np
 import pytest
+from pressed_part import pressed
 
 from tissue.models.organ.contact import SurfaceContact
 from tissue.models.organ.contact_result import ContactOutcome
@@ -115,17 +116,6 @@ def upright(nodes, height):
     )
 
 
-def pressed(nodes, faces, compliance, probe, depths, *, times):
-    """So many times the force on a part of a body at each of the rising depths."""
-    contact = SurfaceContact(nodes, faces, compliance, probe, friction=0.0, spacing_m=1.0, tolerance=1e-6, sweeps=20000)
-    forces = []
-    for depth in depths:
-        result = contact.solve(np.array([0.0, 0.0, -depth]), np.eye(3))
-        assert result.outcome is ContactOutcome.CONVERGED
-        forces.append(times * result.force_N[2])
-    return np.array(forces)
-
-
 def sneddon_N(radius, contact, poisson_ratio):
     """Force and depth of a sphere on a half-space at a radius of contact (Sneddon 1965): normals upright."""
     log = np.log((radius + contact) / (radius - contact))
@@ -151,15 +141,15 @@ def test_a_deep_sphere_at_its_literal_numbers(count):
     depths = np.linspace(DEPTH_M / 40.0, DEPTH_M, 40)
     square = (body[0][:, :2] ** 2).sum(axis=1)
     assert hertz_N(RADIUS_M, DEPTH_M, 0.49) == pytest.approx(0.0555, abs=5e-5)
-    found = pressed(*body, upright(body[0], 0.5 * square / RADIUS_M), depths, times=4.0)
+    found = pressed(body, upright(body[0], 0.5 * square / RADIUS_M), depths, times=4.0)
     assert found[-1] == pytest.approx(0.0555, rel=0.01)
     # Shallower, there are few tiles in contact.
     assert abs(np.polyfit(np.log(depths[20:]), np.log(found[20:]), 1)[0] - 1.5) < 0.05
     exact, depth = sneddon_N(RADIUS_M, 2.95056e-3, 0.49)
     assert depth == pytest.approx(DEPTH_M, rel=1e-5)
-    found = pressed(*body, upright(body[0], RADIUS_M - np.sqrt(RADIUS_M**2 - square)), depths, times=4.0)
+    found = pressed(body, upright(body[0], RADIUS_M - np.sqrt(RADIUS_M**2 - square)), depths, times=4.0)
     assert found[-1] == pytest.approx(exact, rel=0.01)
-    found = pressed(*body, SphereProbe(RADIUS_M), depths, times=4.0)
+    found = pressed(body, SphereProbe(RADIUS_M), depths, times=4.0)
     assert found[-1] == pytest.approx(DEEP_N, rel=0.01)
 
 

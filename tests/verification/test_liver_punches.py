@@ -6,6 +6,7 @@ slide but not leave their planes. Its chords lie at most 0.1 % of the radius ins
 
 import numpy as np
 import pytest
+from pressed_part import pressed
 from scipy.sparse import csr_array
 from scipy.sparse.linalg import splu
 from tet_bodies import wedge
@@ -18,8 +19,6 @@ from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import HeldBody
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
-from tissue.models.organ.contact import SurfaceContact
-from tissue.models.organ.contact_result import ContactOutcome
 from tissue.models.organ.probe import CylinderProbe, ShellProbe, SphereProbe
 
 YOUNG_PA, TIMES = 5e3, 72
@@ -88,17 +87,6 @@ def condensed(radii, depths, poisson_ratio, *, touch_m, rim_held):
     return nodes[top], faces, 0.5 * (compliance + compliance.T)
 
 
-def pressed(body, probe, depths, times=TIMES):
-    """Force on the whole body, of which so many parts are alike, at each of the rising depths."""
-    contact = SurfaceContact(*body, probe, friction=0.0, spacing_m=1.0, tolerance=1e-6, sweeps=20000)
-    forces = []
-    for depth in depths:
-        result = contact.solve(np.array([0.0, 0.0, -depth]), np.eye(3))
-        assert result.outcome is ContactOutcome.CONVERGED
-        forces.append(times * result.force_N[2])
-    return np.array(forces)
-
-
 def graded_half_space(contact, poisson_ratio, cells=10):
     """So many cells to 1.2 radii of the contact; the far end lies at 300, where 0.2 % of the depth is lost."""
     first = 1.2 * contact / cells
@@ -114,7 +102,7 @@ def test_shallow_sphere_and_point_load():
     shallow = 0.05
     radius = a / shallow
     at = shallow**2 * radius * np.linspace(0.3, 1.0, 15)
-    found = pressed(body, SphereProbe(radius), at)
+    found = pressed(body, SphereProbe(radius), at, times=TIMES)
     assert abs(found / hertz_N(radius, at, 0.49) - 1.0).mean() < 0.02
     assert abs(found[-1] / hertz_N(radius, at[-1], 0.49) - 1.0) < 0.02
     assert abs(np.polyfit(np.log(at), np.log(found), 1)[0] - 1.5) < 0.05
@@ -149,7 +137,10 @@ def test_deep_sphere_at_its_literal_numbers():
     off = []
     for cells in (5, 10, 20):
         body, _ = graded_half_space(3.2e-3, 0.49, cells)
-        found = pressed(body, upright(body[0]), at)[-1], pressed(body, SphereProbe(RADIUS_M), at)[-1]
+        found = (
+            pressed(body, upright(body[0]), at, times=TIMES)[-1],
+            pressed(body, SphereProbe(RADIUS_M), at, times=TIMES)[-1],
+        )
         off.append([found[0] / 0.0555 - 1.0, found[1] / 0.0487 - 1.0])
         print(f"\n{cells} cells: upright paraboloid {found[0]:.5f} N, sphere {found[1]:.5f} N")
     assert np.abs(off[1:]).max() < 0.02
@@ -167,7 +158,7 @@ def test_flat_punch(poisson_ratio):
     radii = np.concatenate([a * EDGE, a + growing(1.3 * fine, 1.6, 300.0 * a)])
     depths = np.concatenate([[0.0], growing(fine, 1.5, 300.0 * a)])
     body = condensed(radii, depths, poisson_ratio, touch_m=1.01 * a, rim_held=True)
-    found = pressed(body, CylinderProbe(1.001 * a, 1e-6 * a), np.linspace(1e-4, 2e-3, 20))[-1]
+    found = pressed(body, CylinderProbe(1.001 * a, 1e-6 * a), np.linspace(1e-4, 2e-3, 20), times=TIMES)[-1]
     exact = 2.0 * plane_modulus(poisson_ratio) * a * 0.002
     assert poisson_ratio != 0.49 or exact == pytest.approx(0.1316, abs=5e-5)
     assert abs(found / exact - 1.0) < 0.03
@@ -198,7 +189,7 @@ def test_flat_punch_on_a_bonded_layer(poisson_ratio, share):
     depths = np.concatenate([[0.0], growing(fine, 1.4, height)])
     depths *= height / depths[-1]
     body = condensed(radii, depths, poisson_ratio, touch_m=1.01 * a, rim_held=False)
-    found = pressed(body, CylinderProbe(1.001 * a, 1e-6 * a), height * np.linspace(2e-4, 1e-3, 5))[-1]
+    found = pressed(body, CylinderProbe(1.001 * a, 1e-6 * a), height * np.linspace(2e-4, 1e-3, 5), times=TIMES)[-1]
     kappa = found / (2.0 * plane_modulus(poisson_ratio) * a * 1e-3 * height)
     assert abs(kappa / KAPPA[poisson_ratio][share] - 1.0) < 0.01
 
