@@ -176,7 +176,7 @@ def timed(short: Scene, setting: Setting) -> Measured:
     tick = float(np.median(run.timing["tick_us"][counted]))
     nan = float("nan")
     return Measured(
-        "", short.name, setting.name, setting.family, "", nan, tick, nan, 0, nan, nan, elements, step, met, nan, ""
+        "", short.name, setting.name, setting.family, "", nan, nan, tick, nan, 0, nan, nan, elements, step, met, nan, ""
     )
 
 

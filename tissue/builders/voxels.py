@@ -23,7 +23,16 @@ from tissue.scene.anatomy import AnatomyFile, BlockAnatomy, GlenoidAnatomy, Mola
 from tissue.scene.scene import Scene
 from tissue.scene.unused_keys import is_whole_image
 
-__all__ = ["reach", "require_outside", "require_touch", "require_whole", "solid_of", "volume_of", "whole_tooth"]
+__all__ = [
+    "is_procedural",
+    "reach",
+    "require_outside",
+    "require_touch",
+    "require_whole",
+    "solid_of",
+    "volume_of",
+    "whole_tooth",
+]
 
 POSES_TRIED = 300
 """Poses along a motion at which contact is looked for."""
@@ -74,6 +83,11 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
     )
 
 
+def is_procedural(parameters: AnatomyFile) -> bool:
+    """Whether an anatomy comes from no file, and is known as a function of position."""
+    return parameters.file is None and not (isinstance(parameters, MolarAnatomy) and parameters.layer_files)
+
+
 def solid_of(scene: Scene, motion: Motion) -> tuple[Anatomy, sdf.Shape | None]:
     """The anatomy that a scene cuts, and the guide hole drilled out of it before the run, as functions of position.
 
@@ -83,7 +97,7 @@ def solid_of(scene: Scene, motion: Motion) -> tuple[Anatomy, sdf.Shape | None]:
         If the anatomy comes from a file, where no such function is known.
     """
     parameters = scene.bone
-    if parameters.file is not None or (isinstance(parameters, MolarAnatomy) and parameters.layer_files):
+    if not is_procedural(parameters):
         raise InputError(
             f"anatomy must be procedural to be known exactly, got a {scene.anatomy.kind} from a file: "
             "leave the file out"

@@ -18,9 +18,10 @@ from tissue.evaluation.charts.frontier import (
     write_measured,
 )
 from tissue.evaluation.charts.law import LawError
-from tissue.evaluation.charts.measure import Measured, excerpt, measure, reference_gap, setting_key
+from tissue.evaluation.charts.measure import Measured, excerpt, measure, setting_key
 from tissue.evaluation.charts.picture import draw_frontiers
 from tissue.evaluation.charts.places import placed
+from tissue.evaluation.charts.reference import reference_gap
 from tissue.evaluation.charts.scenes import chart_lines, chart_scenes, make_ready
 from tissue.evaluation.charts.settings import Setting, by_hand, finest, settings_of
 from tissue.fem.hyperelastic import Law, NonlinearBody
@@ -37,7 +38,23 @@ COARSE = {"voxels.spacing_mm": 0.2, "anatomy.size_mm": [12, 10, 4], "motion.feed
 def point(name="a", *, error=0.1, median=100.0, p99=200.0, elements=100, area=10.0, step=0.1, family="voxels", lost=""):
     met = area / step**2
     return Measured(
-        name, "block", name, family, lost, error, median, p99, 0, 5.0, area, elements, step, met, 1.0, "here"
+        name,
+        "block",
+        name,
+        family,
+        lost,
+        error,
+        0.7 * error,
+        median,
+        p99,
+        0,
+        5.0,
+        area,
+        elements,
+        step,
+        met,
+        1.0,
+        "here",
     )
 
 
@@ -241,12 +258,12 @@ class Inline(Executor):
 def test_what_is_made_ready_is_found(block, tmp_path, monkeypatch):
     monkeypatch.setattr("tissue.evaluation.charts.measure.EXCERPT_S", {True: 0.2})
     make_ready([block], Inline(), quick=True, report=lambda doing, share: None)
-    made = set(tmp_path.glob("reference-*"))
-    assert len(made) == len(placed(block)) + 1  # the finest at every place, and a step coarser
+    made = set(tmp_path.glob("reference-force-*"))
+    assert len(made) == len(placed(block))  # the exact geometry at every place
     short = short_of(block, True)
-    assert reference_gap(short, quick=True) > 0.0
+    assert 0.0 < reference_gap(short, quick=True) < 2e-3 < reference_gap(short, quick=True, by_hand=True) < 0.05
     found = measure(short, Setting("0.4 mm", "voxels", {"voxels.spacing_mm": 0.4}), quick=True)
-    assert found.force_error > 0.0 and set(tmp_path.glob("reference-*")) == made
+    assert found.force_error > found.error_50_ms > 0.0 and set(tmp_path.glob("reference-force-*")) == made
 
 
 def test_a_chart_is_not_overwritten(tmp_path):

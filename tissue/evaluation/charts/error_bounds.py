@@ -4,7 +4,8 @@ from math import nan
 
 import numpy as np
 
-from tissue.evaluation.charts.measure import Measured, machine, reference_force_N
+from tissue.evaluation.charts.measure import Measured, machine
+from tissue.evaluation.charts.reference import grid_force_N
 from tissue.evaluation.statistics.metrics import force_error
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, Tool
@@ -24,8 +25,8 @@ def bound_row(
     """A row that is no setting; NaN for what it does not have, no tick for what only bounds an error."""
     return Measured(
         key="", scene=scene.name, setting=name, family=family, leaves_out=leaves_out, force_error=error,
-        median_us=median_us, p99_us=p99_us, missed=missed, far_us=nan, engaged_mm2=nan, elements=elements, step_mm=nan,
-        met=nan, built_s=built_s, machine=machine(),
+        error_50_ms=nan, median_us=median_us, p99_us=p99_us, missed=missed, far_us=nan, engaged_mm2=nan,
+        elements=elements, step_mm=nan, met=nan, built_s=built_s, machine=machine(),
     )  # fmt: skip
 
 
@@ -41,4 +42,4 @@ def float32_error(scene: Scene) -> float:
         return float("nan")
     path = tuple((x + LAST_PLACE_MM, y - LAST_PLACE_MM, z - LAST_PLACE_MM) for x, y, z in motion.points_mm)
     shifted = scene.model_copy(update={"motion": motion.model_copy(update={"points_mm": path})})
-    return force_error(reference_force_N(shifted, {"stress": None}), reference_force_N(scene, {"stress": None}))
+    return force_error(grid_force_N(shifted, {"stress": None}), grid_force_N(scene, {"stress": None}))

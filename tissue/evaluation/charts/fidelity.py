@@ -7,6 +7,7 @@ from meshes.base.progress import Progress, silent
 from tissue.evaluation.charts.error_bounds import BOUND_FAMILIES
 from tissue.evaluation.charts.frontier import frontier_of
 from tissue.evaluation.charts.measure import Measured
+from tissue.evaluation.charts.reference import reference_words
 from tissue.evaluation.charts.settings import Setting
 from tissue.scene.coupling import Fidelity
 from tissue.scene.load import changed
@@ -80,9 +81,9 @@ def with_fidelity(scene: Scene, *, report: Progress = silent) -> tuple[Scene, st
     setting = next(each for each in found.settings if each.name == point.setting)
     at = changed(plain, setting.changes)
     sentence = (
-        f"{_in_words(at, setting, found.settings)}: force {100.0 * point.force_error:.2g} % from the converged "
-        f"reference (whose uncertainty is {100.0 * found.gap:.2g} %), tick {point.median_us:.0f} µs, "
-        f"99 % {point.p99_us:.0f} µs, "
+        f"{_in_words(at, setting, found.settings)}: force {100.0 * point.force_error:.2g} % over ticks, "
+        f"{100.0 * point.error_50_ms:.2g} % over 50 ms, from {reference_words(scene, found.gap)}; "
+        f"tick {point.median_us:.0f} µs, 99 % {point.p99_us:.0f} µs, "
         + ("the cheapest" if wanted.force_error is not None else "the most accurate")
         + f" of {len(found.points)} settings that meets {_asked(wanted)}"
     )

@@ -19,11 +19,9 @@ from tissue.evaluation.charts.measure import (
     excerpt,
     machine,
     measure,
-    of_model,
-    reference_gap,
-    scene_text,
     setting_key,
 )
+from tissue.evaluation.charts.reference import of_model, reference_gap, scene_text
 from tissue.evaluation.charts.settings import Setting, settings_of
 from tissue.scene.scene import Scene
 
@@ -43,7 +41,7 @@ class Frontier:
     points
         A measurement for each setting.
     gap
-        Error of the reference itself: its distance to one that is a step coarser.
+        What the reference leaves open: its uncertainty, or a grid-convergence index, see `reference_gap`.
     settings
         The settings in the order of the points.
     rounding
@@ -128,10 +126,11 @@ def measured_keys(scene: Scene, *, quick: bool) -> set[str]:
 
 
 def _gap(scene: Scene, path: Path, *, quick: bool) -> float:
-    """Distance of the finest setting to the next one, kept beside the measurements."""
+    """What the reference leaves open, kept beside the measurements."""
     gap_file = path.with_suffix(".gap")
     if (kept := read_entry(gap_file)) is None:
-        kept = repr(reference_gap(short_of(of_model(scene), quick), quick=quick))
+        short = short_of(of_model(scene), quick)
+        kept = repr(reference_gap(short, quick=quick, by_hand=scene.device != "none"))
         write_entry(gap_file, kept)
     return float(kept)
 

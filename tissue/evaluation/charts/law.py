@@ -22,7 +22,8 @@ from meshes.tets.regions import faces_of
 from tissue.builders.organ import elasticity_of, held_mesh
 from tissue.builders.registry import motion_of
 from tissue.evaluation.charts.error_bounds import bound_row
-from tissue.evaluation.charts.measure import Measured, machine, scene_text
+from tissue.evaluation.charts.measure import Measured, machine
+from tissue.evaluation.charts.reference import scene_text
 from tissue.evaluation.statistics.metrics import force_error
 from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene

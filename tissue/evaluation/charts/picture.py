@@ -82,7 +82,7 @@ def _draw(axes: "Axes", found: Frontier) -> None:
         yscale="log",
         ylim=(low, high),
         xlabel="tick in contact / µs: median, line to its 99th percentile",
-        ylabel="force error / %, to the converged reference",
+        ylabel="force error over ticks / %, to the reference",
         title=f"{found.scene.name}, " + ("by script" if device == "none" else f"by hand on {device}"),
     )
     plain_numbers(axes.yaxis)

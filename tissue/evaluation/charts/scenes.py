@@ -14,11 +14,13 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.charts.frontier import Frontier, frontier_of, measured_keys, short_of, write_measured
-from tissue.evaluation.charts.measure import machine, of_model, reference_force_N, setting_key
+from tissue.evaluation.charts.measure import machine, setting_key
 from tissue.evaluation.charts.overview import draw_overview
 from tissue.evaluation.charts.picture import draw_frontiers
 from tissue.evaluation.charts.places import placed
-from tissue.evaluation.charts.settings import by_hand, finest, nearly_finest, settings_of
+from tissue.evaluation.charts.reference import grid_force_N, of_model, reference_words
+from tissue.evaluation.charts.settings import by_hand, finest, grids, settings_of
+from tissue.evaluation.reference.history import has_exact_geometry, reference_force
 from tissue.scene.load import changed, load_scene, scene_names
 from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
@@ -84,7 +86,7 @@ def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
     for both in found:
         for each in both:
             how = "by script" if each.scene.device == "none" else f"by hand on {each.scene.device}"
-            lines.append(f"{each.scene.name} {how}; the reference is known to {100.0 * each.gap:.2g} %")
+            lines.append(f"{each.scene.name} {how}, held to {reference_words(each.scene, each.gap)}")
             if not isnan(each.rounding):
                 lines.append(f"  float32: a path moved by a last place, 1 nm, moves the force by {each.rounding:.1e}")
             if each.scene.device == "none" and isinstance(each.scene.anatomy, SoftAnatomy):
@@ -94,7 +96,8 @@ def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
                     "  forces all in float64; float32 are only the frames that a run keeps to be shown",
                 ]
             lines += [
-                f"  {point.setting:<28} error {100.0 * point.force_error:6.2g} %   "
+                f"  {point.setting:<28} error {100.0 * point.force_error:6.2g} %, over 50 ms "
+                f"{100.0 * point.error_50_ms:6.2g} %   "
                 f"tick {point.median_us:5.0f} µs, 99 % {point.p99_us:6.0f} µs"
                 for point in each.best
             ]
@@ -120,11 +123,14 @@ def pieces(scene: Scene, *, quick: bool) -> list[tuple[Scene, bool]]:
     model = short_of(of_model(scene), quick)
     found: list[tuple[Scene, bool]] = []
     if scene.device == "none":
-        at = [
-            *((place, finest(model, quick=quick)) for place in placed(model)),
-            (model, nearly_finest(model, quick=quick)),
-        ]
-        found = [(changed(each, changes), False) for each, changes in at if changes]
+        if has_exact_geometry(model):
+            at = [(place, settings_of(model, quick=quick)[0].changes) for place in placed(model)]
+        else:
+            three = grids(model, quick=quick)
+            at = [(model, each) for each in three] + [
+                (place, each) for place in placed(model)[1:] for each in three[2:]
+            ]
+        found = [(changed(each, changes), False) for each, changes in at]
     if isinstance(scene.anatomy, SoftAnatomy):
         wanted = _unknown(scene, quick=quick)
         if scene.device == "none":
@@ -150,8 +156,10 @@ def _make(scene: Scene, for_mesh: bool) -> None:
     try:
         if for_mesh:
             simulate(scene, allow_unstable=True)
+        elif has_exact_geometry(scene):
+            reference_force(scene, simulate(scene, allow_unstable=True).trace)
         else:
-            reference_force_N(scene, {})
+            grid_force_N(scene, {})
     except InputError:
         return
 

@@ -1,4 +1,4 @@
-"""What can be chosen for a scene: its settings from coarse to fine, and the finest, which the others are held to."""
+"""What can be chosen for a scene: its settings from coarse to fine, and the grids that its convergence is shown by."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -11,11 +11,13 @@ from tissue.scene.registry import PREDICTORS, RENDERERS
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 
-__all__ = ["LATENCY_MS", "Setting", "by_hand", "finest", "nearly_finest", "settings_of"]
+__all__ = ["GRIDS", "LATENCY_MS", "Setting", "by_hand", "finest", "grids", "refined", "settings_of"]
 
 LATENCY_MS = 4
 """Latency at which loops are compared where a scene has none, the mean that the paper reports being 4.3 ms."""
 LOST = "displacement and stress"
+GRIDS = {True: (1.0, 0.5**0.5, 0.5), False: (1.0, 3.0**-0.5, 1.0 / 3.0)}
+"""Grids of a grid-convergence index, quick or not: their lengths over those of the scene."""
 Changes = Mapping[str, object]
 
 
@@ -71,28 +73,29 @@ def settings_of(scene: Scene, *, quick: bool) -> list[Setting]:
 
 
 def finest(scene: Scene, *, quick: bool) -> Changes:
-    """The setting that counts as converged."""
+    """The finest of the grids: what loops are held to, and models where no exact geometry is known."""
+    return (grids(scene, quick=quick) or [{}])[-1]
+
+
+def grids(scene: Scene, *, quick: bool) -> list[Changes]:
+    """Three grids of a scene, coarse to fine, by the most accurate method; none where there is no grid."""
+    best: dict[str, object] = {}
     if isinstance(scene.tool, Tool):
-        spacing = (0.75 if quick else 0.5) * scene.voxels.spacing_mm
-        return _force_only(scene)[0] | {
-            "voxels.spacing_mm": spacing,
-            "voxels.removal": "subvoxel",
-            "tool.shell_spacing_mm": 0.6 * _shell_mm(scene.tool),
-        }
-    if isinstance(scene.anatomy, SoftAnatomy):
-        edge = (0.85 if quick else 0.6) * _edge_mm(scene, scene.anatomy)
-        return _force_only(scene)[0] | {"organ.order": 2, "organ.path": "condensed", "anatomy.touch_edge_mm": edge}
-    return {}
+        best = {"voxels.removal": "subvoxel"}
+    elif isinstance(scene.anatomy, SoftAnatomy):
+        best = {"organ.order": 2, "organ.path": "condensed"}
+    return [refined(scene, share) | best for share in GRIDS[quick]] if best else []
 
 
-def nearly_finest(scene: Scene, *, quick: bool) -> Changes:
-    """One step coarser than the finest: what lies between both is what the reference leaves open."""
-    longer = {"voxels.spacing_mm": 4.0 / 3.0 if quick else 2.0, "tool.shell_spacing_mm": 1.3}
-    longer["anatomy.touch_edge_mm"] = 1.2
-    return {
-        key: longer.get(key, 1.0) * value if isinstance(value, float) else value
-        for key, value in finest(scene, quick=quick).items()
-    }
+def refined(scene: Scene, share: float) -> dict[str, object]:
+    """All lengths of the scene's grid times a share, and no field that no force depends on."""
+    lengths: dict[str, float] = {}
+    if isinstance(scene.tool, Tool):
+        shell_mm = scene.tool.shell_spacing_mm or _shell_mm(scene.tool)
+        lengths = {"voxels.spacing_mm": scene.voxels.spacing_mm, "tool.shell_spacing_mm": shell_mm}
+    elif isinstance(scene.anatomy, SoftAnatomy):
+        lengths = {"anatomy.touch_edge_mm": _edge_mm(scene, scene.anatomy), "anatomy.edge_mm": scene.anatomy.edge_mm}
+    return _force_only(scene)[0] | {key: share * value for key, value in lengths.items()}
 
 
 def _force_only(scene: Scene) -> tuple[dict[str, object], str]:

@@ -11,7 +11,7 @@ from tissue.evaluation.reference.history import ReferenceForce, reference_force
 from tissue.scene.scene import Scene
 from tissue.simulation.run import Run
 
-__all__ = ["ForceError", "error_of_force", "error_to_reference"]
+__all__ = ["ForceError", "error_of_force", "error_to_reference", "means_over_50_ms"]
 
 Array = NDArray[np.float64]
 WINDOW_TICKS = 50
@@ -62,7 +62,7 @@ def error_of_force(force_N: Array, reference: ReferenceForce) -> ForceError:
     along = ((force_N - wanted)[contact] * wanted[contact]).sum(axis=1) / size[contact]
     return ForceError(
         _relative(force_N, wanted),
-        _relative(_means(force_N), _means(wanted)),
+        _relative(means_over_50_ms(force_N), means_over_50_ms(wanted)),
         float(along.sum() / max(size.sum(), 1e-300)),
         reference.uncertainty,
     )
@@ -73,7 +73,7 @@ def _relative(values: Array, wanted: Array) -> float:
     return float(np.linalg.norm(values - wanted)) / max(float(np.linalg.norm(wanted)), 1e-300)
 
 
-def _means(values: Array) -> Array:
+def means_over_50_ms(values: Array) -> Array:
     """Means over 50 ms, shape (n // 50, 3); of a shorter run, its mean."""
     count = max(len(values) // WINDOW_TICKS, 1)
     return np.array([part.mean(axis=0) for part in np.split(values[: count * WINDOW_TICKS], count)])

@@ -10,7 +10,7 @@ from meshes.base.cache import cached_arrays
 from meshes.base.progress import Progress, silent
 from tissue.builders.cutting import CUT_AS, cutter_of
 from tissue.builders.registry import motion_of
-from tissue.builders.voxels import solid_of
+from tissue.builders.voxels import is_procedural, solid_of
 from tissue.cutters.cutter import Cutter
 from tissue.evaluation.reference.force import Resolution, wrench_at
 from tissue.evaluation.reference.path import ToolPath
@@ -21,7 +21,14 @@ from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.trace import Table
 
-__all__ = ["ReferenceForce", "force_on_path", "path_of_trace", "reference_force", "solid_of_scene"]
+__all__ = [
+    "ReferenceForce",
+    "force_on_path",
+    "has_exact_geometry",
+    "path_of_trace",
+    "reference_force",
+    "solid_of_scene",
+]
 
 Array = NDArray[np.float64]
 COARSEST_TICKS = 32
@@ -72,6 +79,11 @@ def path_of_trace(trace: Table, cutter: Cutter) -> ToolPath:
     )
 
 
+def has_exact_geometry(scene: Scene) -> bool:
+    """Whether a scene's tool cuts an anatomy that is known as a function of position."""
+    return isinstance(scene.tool, Tool) and scene.tool.spin_rpm > 0.0 and is_procedural(scene.bone)
+
+
 def solid_of_scene(scene: Scene) -> Solid:
     """What a scene's tool cuts, as functions of position; refuses an anatomy from a file."""
     anatomy, minus = solid_of(scene, motion_of(scene, step_s=TICK_S))
@@ -93,7 +105,7 @@ def reference_force(
     assert isinstance(scene.tool, Tool)
     cutter = cutter_of(scene.tool)
     path, solid = path_of_trace(trace, cutter), solid_of_scene(scene)
-    kept_by = (scene.bone, scene.tool, scene.cutting)
+    kept_by = (scene.bone, scene.tool.model_copy(update={"shell_spacing_mm": None}), scene.cutting)
     return force_on_path(path, cutter, solid, kept_by=kept_by, resolution=resolution, progress=progress)
 
 

@@ -171,7 +171,7 @@ def _metrics(trial: TrialScene, method: str, key: TrialKey) -> dict[str, float]:
     run = simulate(trial.scenes[method], cores=1)
     if key.variant == REFERENCE:
         prompt = stretch_force_N(run)
-        converged = ideal_force_N(run, finest(run.scene, quick=False), cores=1)
+        converged = ideal_force_N(run, finest(run.scene, quick=True), cores=1)
         return {"reference_error": metrics.force_error(prompt, converged)}
     assert isinstance(run.scene.motion, PathMotion)
     wanted = np.array(TASKS[key.task].wanted_mm or run.scene.motion.points_mm)

@@ -1,0 +1,76 @@
+"""Grid-convergence index of a scene's force: `python tests/bench/bench_index.py SCENE [key=value ...]`.
+
+SCENE is a built-in scene, or one with real anatomy of `../shared/anatomy`: scapula, scapula-low, tooth-surfaces,
+tooth-labels, liver-scan. It runs at its spacing, and with all lengths of the grid at 0.58 and a third of it: voxels and
+elements of the cutter, or all edges of an organ. Printed: observed order; for each grid the index, the distance to the
+finest and the signed bias against it, in %, over ticks and over 50 ms; and the tick's cost on one core. The index
+bounds what the discretisation makes of one file. An error that all three grids share it does not see.
+"""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from harness import machine, table
+
+import tissue
+from tissue.evaluation.charts.settings import refined
+from tissue.evaluation.reference.grid_index import grid_index
+from tissue.scene.load import changed, parse_override
+
+ROOT = Path(__file__).resolve().parents[3] / "shared" / "anatomy"
+SHARES = (1.0, 3.0**-0.5, 1.0 / 3.0)
+"""Spacings over the scene's."""
+LAYERS = {f"anatomy.{name.lower()}_file": f"tooth/openmandible_L6_{name}.stl" for name in ("Enamel", "Dentin", "Pulp")}
+REAL: dict[str, tuple[str, dict[str, Any]]] = {
+    "scapula": ("glenoid", {"anatomy.file": "scapula/openforge_scapula_left.stl", "anatomy.scale_mm": 50.0}),
+    "scapula-low": ("glenoid", {"anatomy.file": "scapula/myosim_scapula.stl"}),
+    "tooth-surfaces": ("molar", LAYERS),
+    "tooth-labels": ("molar", {"anatomy.file": "tooth/caries_tooth_2.nii.gz", "anatomy.spacing_mm": 0.034}),
+    "liver-scan": ("liver-press", {"anatomy.file": "liver/liver.vtk", "anatomy.scale_mm": 1.0}),
+}
+"""Scene and changes by name of a real anatomy."""
+
+
+def scene_of(name: str, changes: dict[str, Any]):
+    """The scene of a name with changes."""
+    library, real = REAL.get(name, (name, {}))
+    placed = {key: str(ROOT / value) if key.endswith("file") else value for key, value in real.items()}
+    return tissue.load_scene(library, placed | changes)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("words", nargs="+", metavar="SCENE", help="a scene, and changes such as voxels.spacing_mm=0.05")
+    parser.add_argument("--shares", type=float, nargs=3, default=SHARES, help="lengths of the grids over the scene's")
+    given = parser.parse_args()
+    changes = dict(parse_override(word) for word in given.words if "=" in word)
+    (name,) = (word for word in given.words if "=" not in word)
+    scene = scene_of(name, changes)
+    forces, ticks = [], []
+    for share in given.shares:
+        run = tissue.simulate(changed(scene, refined(scene, share)), cores=1)
+        forces.append(run.trace.vectors("model_force", "N"))
+        ticks.append(run.timing["tick_us"][run.trace["contact_mm2"] > 0.0])
+    found = grid_index(forces, given.shares)
+    print(machine())
+    for norm, order in (("ticks", found.over_ticks), ("50 ms", found.over_50_ms)):
+        print(f"{name}, {norm}: observed order {order.order:.2f}{'' if order.asymptotic else ', not asymptotic'}")
+    rows = []
+    for k, share in enumerate(given.shares):
+        values = (
+            found.over_ticks.index[k], found.over_50_ms.index[k], found.over_ticks.distance[k],
+            found.over_50_ms.distance[k], found.bias[k],
+        )  # fmt: skip
+        cost = f"{np.median(ticks[k]):.0f}", f"{np.percentile(ticks[k], 99):.0f}"
+        lengths = ", ".join(
+            f"{value:.3g}" for value in refined(scene, share).values() if isinstance(value, float) and value
+        )
+        rows.append((f"{share:.3g}", lengths, *(f"{100.0 * value:.2f}" for value in values), *cost))
+    head = ("grid", "lengths mm", "index %", "50 ms", "distance %", "50 ms", "bias %", "tick us", "99 %")
+    print(table(rows, head))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,57 @@
+"""What charts hold forces to: the exact geometry, or the finest of three grids with its grid-convergence index."""
+
+import numpy as np
+import pytest
+
+from tissue.evaluation.charts.reference import grid_force_N, reference_gap, reference_words
+from tissue.evaluation.charts.settings import GRIDS, finest, grids
+from tissue.evaluation.reference.grid_index import grid_index
+from tissue.scene.load import load_scene
+
+PRESSED = {
+    "anatomy.size_mm": [40, 40, 20],
+    "anatomy.touch_edge_mm": 8.0,
+    "anatomy.nodule_diameter_mm": 0.0,
+    "motion.points_mm": [[0, 0, 0.5], [0, 0, -2]],
+    "motion.feed_mm_s": 50.0,
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "words"),
+    [
+        ("milling", {}, "the exact geometry (known to 1 %)"),
+        ("milling", {"device": "touch"}, "a prompt loop with the finest grid (1 % off the exact geometry)"),
+        (
+            "glenoid",
+            {"anatomy.file": "scapula.stl"},
+            "the finest of three grids (grid-convergence index 1 %, of the discretisation alone)",
+        ),
+        ("needle", {}, "the model itself, which has no grid"),
+        ("wall", {}, "a prompt loop with the model, which has no grid"),
+    ],
+)
+def test_what_forces_are_held_to_is_named(name, changes, words):
+    assert reference_words(load_scene(name, changes), 0.01) == words
+
+
+@pytest.mark.parametrize("quick", [True, False])
+def test_the_grids_of_an_index_end_at_a_third_and_change_every_length(quick):
+    for name, keys in (
+        ("glenoid", ("voxels.spacing_mm", "tool.shell_spacing_mm")),
+        ("palpation", ("anatomy.touch_edge_mm", "anatomy.edge_mm")),
+    ):
+        lengths = np.array([[each[key] for key in keys] for each in grids(load_scene(name), quick=quick)])
+        assert lengths[0] == pytest.approx(lengths[2] * (2.0 if quick else 3.0))
+        assert np.ptp(lengths / lengths[0], axis=1) == pytest.approx(0.0, abs=1e-12)
+    assert grids(load_scene("needle"), quick=quick) == [] and finest(load_scene("wall"), quick=quick) == {}
+
+
+def test_where_no_geometry_is_exact_the_reference_is_known_by_the_index(tmp_path, monkeypatch):
+    """A slab of tetrahedra: the finest grid's index is that of the three forces, and each is computed once."""
+    monkeypatch.setenv("TISSUE_CACHE", str(tmp_path))
+    scene = load_scene("palpation", PRESSED)
+    gap = reference_gap(scene, quick=True)
+    forces = [grid_force_N(scene, each) for each in grids(scene, quick=True)]
+    assert len(set(tmp_path.glob("grid-force-*"))) == 3
+    assert gap == grid_index(forces, GRIDS[True]).over_ticks.index[-1] and 0.0 < gap < 1.0

@@ -1,0 +1,148 @@
+"""Error of a force where no exact geometry is known: Roache's grid-convergence index from three spacings.
+
+Roache (1994), J. Fluids Eng. 116, 405-413; ASME V&V 20-2009, section 2-4. With h1 < h2 < h3, the forces f1, f2, f3 and
+the norm over time, the observed order p solves ||f3 - f2|| / ||f2 - f1|| = (h3^p - h2^p) / (h2^p - h1^p), and::
+
+    index of grid k = F (||fk - f1|| + ||f2 - f1|| / ((h2 / h1)^p - 1)) / ||f1||
+
+For k = 1 this is Roache's index; where all errors are alike in shape, also for the others. Only discretisation is
+bounded: an error that all three share, such as that of a law or of the file's own resolution, is not seen.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from meshes.base.errors import InputError
+from tissue.evaluation.reference.error import means_over_50_ms
+
+__all__ = ["GridIndex", "Order", "grid_index", "observed_order"]
+
+Array = NDArray[np.float64]
+FORMAL_ORDER = 2.0
+"""Order of the force in the spacing, and the highest that an index is computed with."""
+ASYMPTOTIC = 0.5, 2.1
+"""Observed orders taken as asymptotic (Eça and Hoekstra 2014, J. Comput. Phys. 262, 104-130)."""
+SAFETY, SAFETY_OUTSIDE = 1.25, 3.0
+"""Roache's safety factors, within the asymptotic range and outside it."""
+STEEPEST = 30.0
+"""Highest order that is looked for, either sign; beyond it is infinite."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """Convergence in one norm, as shares of the norm of the finest force.
+
+    Attributes
+    ----------
+    order
+        Observed order; infinite where the finer two agree, negative where they lie farther apart than the coarser two,
+        NaN where all three agree.
+    index
+        Index of each grid, coarsest first.
+    distance
+        Distance of each grid to the finest, coarsest first.
+    """
+
+    order: float
+    index: tuple[float, ...]
+    distance: tuple[float, ...]
+
+    @property
+    def asymptotic(self) -> bool:
+        """Whether the observed order is one that an extrapolation may rest on; three equal forces are."""
+        return np.isnan(self.order) or ASYMPTOTIC[0] <= self.order <= ASYMPTOTIC[1]
+
+
+@dataclass(frozen=True)
+class GridIndex:
+    """Grid-convergence index of three forces.
+
+    Attributes
+    ----------
+    spacings
+        Spacing of each grid, coarsest first.
+    over_ticks, over_50_ms
+        Over all ticks, and over means of 50 ms.
+    bias
+        Mean of each force less the finest along the finest, by the mean size of the finest; coarsest first.
+    """
+
+    spacings: tuple[float, ...]
+    over_ticks: Order
+    over_50_ms: Order
+    bias: tuple[float, ...]
+
+
+def grid_index(forces_N: Sequence[Array], spacings: Sequence[float]) -> GridIndex:
+    """Grid-convergence index of the forces of one motion on three grids.
+
+    Parameters
+    ----------
+    forces_N
+        Force at every tick on each grid [N], each shape (n, 3).
+    spacings
+        Spacing of each grid, in any unit; every other length of the grid must change by the same factor.
+
+    Raises
+    ------
+    InputError
+        If there are not three forces of one length at three different spacings.
+    """
+    if len(forces_N) != 3 or len(spacings) != 3 or len({np.shape(force) for force in forces_N}) != 1:
+        raise InputError(
+            f"forces_N must hold three forces of one motion with a spacing each, got {len(forces_N)} of shapes "
+            f"{sorted({np.shape(force) for force in forces_N})} and {len(spacings)} spacings: run the same motion on "
+            "three grids"
+        )
+    order = np.argsort(spacings)[::-1]
+    h = tuple(float(spacings[k]) for k in order)
+    if not h[0] > h[1] > h[2] > 0.0:
+        raise InputError(f"spacings must be positive and differ, got {tuple(spacings)}: use h, 0.58 h and h / 3")
+    forces = [np.asarray(forces_N[k], dtype=np.float64) for k in order]
+    sizes = np.linalg.norm(forces[2], axis=1)
+    unit = forces[2] / np.maximum(sizes, 1e-300)[:, None]
+    bias = [float(((force - forces[2]) * unit).sum()) / max(float(sizes.sum()), 1e-300) for force in forces]
+    windows = [means_over_50_ms(force) for force in forces]
+    return GridIndex(h, _convergence(forces, h), _convergence(windows, h), tuple(bias))
+
+
+def _convergence(forces: Sequence[Array], spacings: tuple[float, ...]) -> Order:
+    """Observed order and index, grids coarsest first."""
+    coarse, middle, fine = forces
+    size = max(float(np.linalg.norm(fine)), 1e-300)
+    distance = tuple(float(np.linalg.norm(force - fine)) / size for force in forces)
+    order = observed_order(float(np.linalg.norm(coarse - middle)) / size, distance[1], spacings)
+    found = Order(order, (), distance)
+    safety = SAFETY if found.asymptotic else SAFETY_OUTSIDE
+    used = float(np.clip(np.nan_to_num(order, nan=FORMAL_ORDER), ASYMPTOTIC[0], FORMAL_ORDER))
+    left = distance[1] / ((spacings[1] / spacings[2]) ** used - 1.0)
+    return Order(order, tuple(safety * (each + left) for each in distance), distance)
+
+
+def observed_order(coarse: float, fine: float, spacings: Sequence[float]) -> float:
+    """Order p at which differences ``coarse`` (h3 to h2) and ``fine`` (h2 to h1) lie with an error C h^p.
+
+    Parameters
+    ----------
+    spacings
+        h3 > h2 > h1.
+    """
+    if coarse == fine == 0.0:
+        return float("nan")
+    if fine == 0.0 or coarse == 0.0:
+        return float("inf") if fine == 0.0 else float("-inf")
+    h = np.log(np.array(spacings) / spacings[1])  # the middle one has h^p = 1
+
+    def excess(p: float) -> float:
+        ratio = -np.expm1(p * h[0]) / np.expm1(p * h[2]) if abs(p) > 1e-9 else -h[0] / h[2]
+        return float(np.log(ratio) - np.log(coarse / fine))
+
+    if excess(STEEPEST) < 0.0:
+        return float("inf")
+    if excess(-STEEPEST) > 0.0:
+        return float("-inf")
+    return float(brentq(excess, -STEEPEST, STEEPEST, xtol=1e-10))
