@@ -1,4 +1,4 @@
-"""Distances of voxels to the bone's surface and to the nearest change of layer, in bytes.
+"""Distances of voxels to the bone's surface, in bytes.
 
 Between voxel centres they are interpolated, so that a surface or a change of layer lies where it is to second order in
 the spacing, and not where the nearest voxel gives.
@@ -6,121 +6,35 @@ the spacing, and not where the nearest voxel gives.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array, Ints
 from meshes.shapes.plane_cube import cube_fraction
+from meshes.voxels.layer_changes import boundary_of_layers
 from meshes.voxels.volume import VoxelVolume
 
 __all__ = [
-    "FAR",
     "INSIDE",
     "OUTSIDE",
     "SURFACE_ZERO",
-    "LayerAt",
-    "boundary_of_layers",
     "carried_beyond",
-    "layer_boundary",
     "near_the_surface",
     "surface_of_fractions",
     "surface_steps",
 ]
 
-SURFACE_STEPS, BOUNDARY_STEPS = 63, 127
-"""Steps a voxel; both reach two voxels."""
+SURFACE_STEPS = 63
+"""Steps a voxel; they reach two voxels."""
 SURFACE_ZERO, INSIDE, OUTSIDE = 128, 2, 254
 """Stored surface distance on the surface itself, and two voxels or more inside and outside it."""
-FAR = 254
-"""Stored boundary distance where no layer changes within two voxels."""
-_STRIDE, _HALVINGS = 0.5, 5
 _BISECTIONS = 14
-_WINDOW = 5
 _OFFSETS = np.array([o for o in np.ndindex(5, 5, 5) if 0 < sum((k - 2) ** 2 for k in o) <= 5]) - 2
-
-LayerAt = Callable[[NDArray[np.float32]], NDArray[np.uint8]]
-"""Points [voxel], shape (n, 3), to their layers, shape (n,)."""
 
 
 def surface_steps(distance: NDArray[np.floating]) -> NDArray[np.uint8]:
     """Stored surface distance of signed distances [voxel], negative inside."""
     return np.clip(np.rint(SURFACE_ZERO + SURFACE_STEPS * distance), INSIDE, OUTSIDE).astype(np.uint8)
-
-
-def layer_boundary(layer: NDArray[np.uint8], known: NDArray[np.bool_], layer_at: LayerAt) -> NDArray[np.uint8]:
-    """Stored distance of each voxel's centre to the nearest change of layer, shape (nx, ny, nz).
-
-    Near a change the voxels of other layers around a voxel give the direction; along it the change is bracketed in half
-    voxels, then halved.
-
-    Parameters
-    ----------
-    layer
-        Layer of each voxel, shape (nx, ny, nz).
-    known
-        Voxels whose layer has a meaning, shape (nx, ny, nz).
-    layer_at
-        Layer between the voxel centres; voxel (i, j, k) has its centre at (i + 0.5, j + 0.5, k + 0.5).
-    """
-    result = np.full(layer.shape, FAR, dtype=np.uint8)
-    chosen = np.argwhere(_near_change(layer, known))
-    for start in range(0, len(chosen), 1 << 16):
-        part = chosen[start : start + (1 << 16)]
-        this = layer[tuple(part.T)]
-        direction, changes = _toward_change(layer, known, part, this)
-        found = np.full(len(part), 2.0, dtype=np.float32)
-        found[changes] = _distance(part[changes], this[changes], direction[changes], layer_at)
-        result[tuple(part.T)] = np.rint(np.minimum(BOUNDARY_STEPS * found, FAR))
-    return result
-
-
-def _near_change(layer: NDArray[np.uint8], known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Known voxels within two voxels of one of another layer."""
-    near = np.zeros(layer.shape, dtype=bool)
-    for axis in range(3):
-        a, b = _halves(axis)
-        differ = (layer[a] != layer[b]) & known[a] & known[b]
-        near[a] |= differ
-        near[b] |= differ
-    return _grown(near) & known if near.any() else near
-
-
-def _toward_change(
-    layer: NDArray[np.uint8], known: NDArray[np.bool_], at: Ints, this: NDArray[np.uint8]
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Unit vector toward the voxels of other layers around each voxel, shape (n, 3), and where there are any."""
-    toward = np.zeros((len(at), 3), dtype=np.float32)
-    last = np.array(layer.shape) - 1
-    for offset in _OFFSETS:
-        there = tuple(np.clip(at + offset, 0, last).T)
-        differs = np.flatnonzero((layer[there] != this) & known[there])
-        toward[differs] += (offset / (offset @ offset)).astype(np.float32)
-    length = np.linalg.norm(toward, axis=1)
-    return toward / np.maximum(length, 1e-6)[:, None], length > 1e-3
-
-
-def _distance(
-    at: Ints, this: NDArray[np.uint8], direction: NDArray[np.float32], layer_at: LayerAt
-) -> NDArray[np.float32]:
-    """Distance [voxel] from voxel centres along a direction to where the layer changes, at most 2, shape (n,)."""
-    centre = at.astype(np.float32) + np.float32(0.5)
-    low, high = np.zeros((2, len(at)), dtype=np.float32)
-    open_ = np.arange(len(at))
-    for reach in np.arange(_STRIDE, 2.0 + _STRIDE, _STRIDE, dtype=np.float32):
-        changed = layer_at(centre[open_] + reach * direction[open_]) != this[open_]
-        high[open_[changed]] = reach
-        low[open_[changed]] = reach - _STRIDE
-        open_ = open_[~changed]
-    low[open_] = high[open_] = 2.0
-    found = np.flatnonzero(high > low)
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low[found] + high[found])
-        changed = layer_at(centre[found] + middle[:, None] * direction[found]) != this[found]
-        high[found[changed]] = middle[changed]
-        low[found[~changed]] = middle[~changed]
-    return 0.5 * (low + high)
 
 
 def near_the_surface(
@@ -186,32 +100,6 @@ def surface_of_fractions(fraction: NDArray[np.uint8]) -> NDArray[np.uint8]:
     steps = surface_steps(summed[found] / weights[found])
     result[tuple(near[found].T)] = steps
     return np.ascontiguousarray(result[3:-3, 3:-3, 3:-3])
-
-
-def boundary_of_layers(layer: NDArray[np.uint8], known: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Stored distance to the nearest change of layer of voxels of which only the layer is known.
-
-    From the share of a voxel's layer in the 5 x 5 x 5 voxels around it, as the plane that leaves this share behind
-    it: a flat boundary at any angle comes out flat, where it lies between voxel centres only on average.
-    """
-    result = np.full(layer.shape, FAR, dtype=np.uint8)
-    chosen = np.argwhere(_near_change(layer, known))
-    last = np.array(layer.shape) - 1
-    for start in range(0, len(chosen), 1 << 16):
-        part = chosen[start : start + (1 << 16)]
-        this = layer[tuple(part.T)]
-        same, counted, toward = np.zeros(len(part)), np.zeros(len(part)), np.zeros((len(part), 3))
-        for offset in np.array(list(np.ndindex(_WINDOW, _WINDOW, _WINDOW))) - _WINDOW // 2:
-            there = tuple(np.clip(part + offset, 0, last).T)
-            has, differs = known[there], layer[there] != this
-            counted += has
-            same += has & ~differs
-            toward[has & differs] += offset
-        length = np.linalg.norm(toward, axis=1)
-        normal = np.where(length[:, None] > 0.0, toward / np.maximum(length, 1e-9)[:, None], np.array([0.0, 0.0, 1.0]))
-        found = -_WINDOW * _plane_distance(same / counted, normal)
-        result[tuple(part.T)] = np.rint(np.clip(BOUNDARY_STEPS * found, 1, FAR))
-    return result
 
 
 def _plane_distance(share: NDArray[np.floating], normal: NDArray[np.floating]) -> Array:

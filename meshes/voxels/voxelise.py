@@ -14,13 +14,12 @@ from meshes.shapes.sdf import Shape
 from meshes.voxels.block_sampling import VoxelArrays, fill_from_shape, shape_fraction
 from meshes.voxels.distances import (
     OUTSIDE,
-    LayerAt,
     carried_beyond,
-    layer_boundary,
     surface_of_fractions,
     surface_steps,
 )
 from meshes.voxels.grid import BLOCK, Grid
+from meshes.voxels.layer_changes import LayerAt, layer_boundary
 from meshes.voxels.volume import FULL, VoxelVolume
 
 __all__ = ["AROUND_VOXELS", "voxelise"]

@@ -1,4 +1,4 @@
-"""Stored distances to the surface and to the nearest change of layer against planes and balls."""
+"""Stored distances to the surface against planes and balls, and what lies beyond it."""
 
 import numpy as np
 import pytest
@@ -7,13 +7,10 @@ from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.plane_cube import cube_fraction
 from meshes.shapes.sdf import half_space, sphere
 from meshes.voxels.distances import (
-    FAR,
     INSIDE,
     OUTSIDE,
     SURFACE_ZERO,
-    boundary_of_layers,
     carried_beyond,
-    layer_boundary,
     near_the_surface,
     surface_of_fractions,
     surface_steps,
@@ -23,7 +20,6 @@ from meshes.voxels.voxelise import voxelise
 
 SHAPE = (24, 24, 24)
 CENTRES = np.stack(np.indices(SHAPE), axis=-1) + 0.5 - 12.0
-KNOWN = np.ones(SHAPE, dtype=bool)
 INNER = (slice(5, -5),) * 3
 """Away from the array's faces, where what lies beyond is not a plane's."""
 
@@ -92,49 +88,6 @@ def test_a_grid_that_is_full_to_its_edge_has_its_face_there():
 
 def test_an_empty_grid_has_no_surface():
     assert (surface_of_fractions(np.zeros((6, 6, 6), np.uint8)) == OUTSIDE).all()
-
-
-@pytest.mark.parametrize("kind", ["plane", "ball"])
-def test_a_change_of_layer_is_found_to_a_thirtieth_of_a_voxel(kind):
-    """Of those within a voxel of it 90 %; the rest look in a direction that voxels give to ten degrees."""
-    random, off = np.random.default_rng(2), []
-    for normal in directions(12, seed=3):
-        shift = random.uniform(-0.5, 0.5)
-
-        def change(points, normal=normal, shift=shift):
-            points = np.asarray(points, dtype=float)
-            return points @ normal - shift if kind == "plane" else np.linalg.norm(points - shift, axis=-1) - 7.0
-
-        stored = layer_boundary(
-            (change(CENTRES) > 0).astype(np.uint8), KNOWN, lambda at: (change(at - 12.0) > 0).astype(np.uint8)
-        )
-        distance = np.abs(change(CENTRES))
-        near = distance[INNER] < 1.0
-        off.append(stored[INNER][near] / 127.0 - distance[INNER][near])
-        assert (stored[INNER][distance[INNER] > 2.5] == FAR).all()
-    off = np.concatenate(off)
-    print(f"\n{kind}: mean {off.mean():+.4f}, 90 % {np.percentile(np.abs(off), 90):.4f}, max {np.abs(off).max():.4f}")
-    assert np.percentile(np.abs(off), 90) < 1 / 30
-    assert off.min() > -1 / 30  # along no direction is a change nearer than it is
-
-
-def test_a_change_of_layer_from_layers_alone_is_unbiased():
-    """Mean over random offsets of what is off, each side of it; at an angle as along the lattice."""
-    random = np.random.default_rng(4)
-    for normal in directions(6, seed=5):
-        below, above, slant = [], [], []
-        for shift in random.uniform(-0.5, 0.5, 24):
-            change = CENTRES @ normal - shift
-            stored = boundary_of_layers((change > 0).astype(np.uint8), KNOWN)[INNER] / 127.0
-            inner = change[INNER]
-            for side, found in ((inner < 0, below), (inner > 0, above)):
-                near = side & (np.abs(inner) < 1.0)
-                found.append((stored[near] - np.abs(inner[near])).mean())
-            slant.append(np.abs(stored - np.abs(inner))[np.abs(inner) < 1.0].max())
-        bias = 0.5 * (np.mean(below) - np.mean(above))  # a shift of the boundary
-        spread = 0.5 * (np.std(below) + np.std(above)) / np.sqrt(24)
-        assert abs(bias) < 3.0 * spread + 0.01, normal
-        assert np.max(slant) < 0.55, normal  # half a voxel is what layers alone leave along the lattice
 
 
 def test_layers_go_on_as_far_as_the_surface_is_known():
