@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coarse_run import COARSE
 
-COARSE = ("--set", "voxels.spacing_mm=0.4", "--no-pictures")
 CUBE_FACES = (
     (0, 2, 1),
     (0, 3, 2),

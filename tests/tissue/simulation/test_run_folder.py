@@ -9,6 +9,7 @@ import time
 
 import numpy as np
 import pytest
+from coarse_run import COARSE
 
 from tissue import InputError, SavedRun, load_scene, simulate
 from tissue.simulation.run_folder import RunFolder
@@ -16,7 +17,6 @@ from tissue.simulation.scheduling import spin_time_s
 from tissue.simulation.trace import FLUSH_EVERY_S
 from tissue.simulation.trace_files import read_table
 
-COARSE = ("--set", "voxels.spacing_mm=0.4", "--no-pictures")
 MAIN = [sys.executable, "-c", "from tissue.cli.main import main; main()"]
 LOST_S = 0.2
 """Most of a killed run's wall time that may be missing from its trace."""

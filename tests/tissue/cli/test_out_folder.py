@@ -1,0 +1,127 @@
+"""Where `tissue run` writes: what is there is kept, and a folder or disk that takes nothing is refused."""
+
+import errno
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from coarse_run import COARSE
+
+from tissue import SavedRun
+from tissue.simulation.trace import TraceWriter
+
+
+def test_a_folder_with_another_run_is_kept_without_force(refused, command, here):
+    quick = ("run", "milling", *COARSE, "--duration-s", 0.02)
+    assert command(*quick, "--out", "first", "--format", "npz")[0] == 0
+    (here / "first" / "trace.txt").write_text("notes of a person")
+    before = {path: path.read_bytes() for path in (here / "first").rglob("*") if path.is_file()}
+    assert refused(*quick, "--out", "first") == (
+        "out must not hold another run, got first: pass --overwrite to replace it or choose another --out"
+    )
+    assert {path: path.read_bytes() for path in (here / "first").rglob("*") if path.is_file()} == before
+    assert command("run", "milling", *COARSE, "--duration-s", 0.03, "--out", "first", "--overwrite")[0] == 0
+    after = {path: path.read_bytes() for path in (here / "first").rglob("*") if path.is_file()}
+    assert set(before) - set(after) == {here / "first" / "trace.npz"}
+    assert after[here / "first" / "trace.txt"] == b"notes of a person"
+    assert after[here / "first" / "trace.csv"].count(b"\n") == 31
+
+
+@pytest.mark.parametrize("arguments", [(), ("--overwrite",)], ids=["plain", "overwrite"])
+def test_files_of_other_origin_are_always_kept(refused, here, arguments):
+    (here / "mine").mkdir()
+    (here / "mine" / "trace.csv").write_text("my own")
+    assert refused("run", "milling", *COARSE, "--out", "mine", *arguments) == (
+        "out must not hold files of other origin, got mine with trace.csv: choose another --out"
+    )
+    assert (here / "mine" / "trace.csv").read_text() == "my own"
+    assert len(list((here / "mine").iterdir())) == 1
+
+
+def test_a_file_in_the_place_of_the_folder_is_refused(refused, here):
+    (here / "taken").touch()
+    assert refused("run", "milling", "--out", "taken") == (
+        "out must be a folder, got the file taken: choose another --out"
+    )
+    assert refused("run", "milling", "--out", "taken/below/it") == (
+        f"out must lie in a folder, got taken/below/it under the file {here / 'taken'}: choose another --out"
+    )
+
+
+def test_a_folder_that_cannot_be_written_is_refused(refused, here, monkeypatch):
+    (here / "shut").mkdir()
+    monkeypatch.setattr("tissue.simulation.run_folder.os.access", lambda path, mode: Path(path) != here / "shut")
+    assert refused("run", "milling", "--out", "shut/run") == (
+        f"out must be writable, got permission denied at {here / 'shut'}: choose another --out"
+    )
+    monkeypatch.setattr("tissue.simulation.run_folder.os.access", lambda path, mode: True)
+
+    def read_only(self, *_, **__):
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(self))
+
+    monkeypatch.setattr(Path, "mkdir", read_only)
+    assert refused("run", "milling", *COARSE, "--out", "shut/run") == (
+        f"out must be writable, got read-only file system at {here / 'shut' / 'run'}: choose another --out"
+    )
+
+
+class FullDisk:
+    """A file that takes nothing more."""
+
+    def __init__(self, file):
+        self.close = file.close
+
+    def write(self, text):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_a_full_disk_is_refused_and_the_run_is_incomplete(refused, here, monkeypatch):
+    start = TraceWriter.__init__
+
+    def full(self, path, table):
+        start(self, path, table)
+        self._file = FullDisk(self._file)
+
+    monkeypatch.setattr(TraceWriter, "__init__", full)
+    assert refused("run", "milling", *COARSE, "--duration-s", 0.1) == (
+        "out must have space, got no space left on device at runs/milling/trace.csv: free some space or choose another "
+        "--out"
+    )
+    saved = SavedRun("runs/milling")
+    assert not saved.complete and len(saved.trace.rows) == 0
+
+
+@pytest.fixture
+def tiny_disk(tmp_path):
+    """A file system of 300 kB."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mounted = (
+        subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", "size=300k", "tmpfs", str(place)], capture_output=True, check=False
+        )
+        if sys.platform == "linux" and os.geteuid() == 0
+        else None
+    )
+    if mounted is None or mounted.returncode != 0:
+        pytest.skip("only a superuser may mount a small file system")
+    yield place
+    subprocess.run(["umount", str(place)], check=True)
+
+
+def test_a_truly_full_disk_is_refused(tiny_disk):
+    arguments = ["run", "milling", *COARSE, "--duration-s", "3", "--out", str(tiny_disk / "run")]
+    ended = subprocess.run(
+        [sys.executable, "-c", "from tissue.cli.main import main; main()", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ended.returncode == 2
+    assert ended.stderr in {  # whichever of the two is flushed when the space ends
+        f"error: out must have space, got no space left on device at {tiny_disk / 'run' / name}.csv: free some space "
+        "or choose another --out\n"
+        for name in ("trace", "timing")
+    }
