@@ -1,0 +1,41 @@
+"""Folders of runs that `tissue view` opens."""
+
+import json
+import shutil
+
+import pytest
+from fake_fields import block_series
+
+from tissue import load_scene, simulate
+from tissue.simulation.series import write_fields
+
+
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory):
+    """Folder of a quick run that ended."""
+    scene = load_scene("milling", {"voxels.spacing_mm": 0.4, "duration_s": 0.3})
+    return simulate(scene).save(tmp_path_factory.mktemp("runs") / "whole", pictures=False)
+
+
+@pytest.fixture
+def stopped(whole, tmp_path):
+    """The same run as a kill would have left it: 150 rows and a half, no bone."""
+    folder = tmp_path / "stopped"
+    folder.mkdir()
+    shutil.copy(whole / "scene.toml", folder)
+    summary = json.loads((whole / "summary.json").read_text())
+    (folder / "summary.json").write_text(
+        json.dumps({"format": 1, "status": "running"} | {name: summary[name] for name in ("scene", "layers")})
+    )
+    lines = (whole / "trace.csv").read_text().splitlines(keepends=True)
+    (folder / "trace.csv").write_text("".join(lines[:151]) + lines[151][:40])
+    return folder
+
+
+@pytest.fixture(scope="session")
+def layered(tmp_path_factory):
+    """Folder of a quick run in bone of several layers, with fields."""
+    scene = load_scene("glenoid", {"voxels.spacing_mm": 0.5, "motion.feed_mm_s": 5.0, "duration_s": 0.5})
+    folder = simulate(scene).save(tmp_path_factory.mktemp("runs") / "layered", pictures=False)
+    write_fields(block_series((-8e-3, -8e-3, -8e-3), (8e-3, 8e-3, 0.0), (8, 8, 6)), folder)
+    return folder
