@@ -1,6 +1,5 @@
-"""`tissue calibrate`: sessions, their logs, interruptions, answers of people, and what is refused."""
+"""`tissue calibrate`: sessions, their logs and interruptions, and what is refused."""
 
-import io
 import json
 import os
 import signal
@@ -11,31 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from calibration_sessions import answered
 
 from meshes.base.errors import InputError
-from tissue.evaluation.calibration.intervals import Person, StoppedError, play
-from tissue.evaluation.calibration.run_session import questioner, simulated_answers, simulated_observer
-from tissue.evaluation.calibration.session import Comparison, Magnitude, Plan, Session
+from tissue.evaluation.calibration.run_session import questioner, simulated_observer
+from tissue.evaluation.calibration.session import Plan
 from tissue.evaluation.calibration.trial_log import TrialLog, read_log
-from tissue.haptics.device.device import device_parameters
-from tissue.haptics.device.recorded import MouseDevice
-from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.perception.observer import read_observer
 
 ROOT = Path(__file__).resolve().parents[3]
 SHORT = Plan(trials=20, numbers=6)
-
-
-def answered(plan, answers, path=None):
-    """A session of a plan, answered to its end."""
-    log = TrialLog(path, "somebody", plan) if path else None
-    session = log.session if log else Session(plan)
-    while not session.complete:
-        asked = session.ask()
-        (log or session).take(asked, answers(asked, session.trial))
-    if log:
-        log.close()
-    return session
 
 
 @pytest.fixture
@@ -202,153 +186,3 @@ def test_another_plan_is_another_session(log):
 def test_what_cannot_be_calibrated_is_refused(refused, here, arguments, sentence):
     assert sentence in refused("calibrate", *arguments)
     assert not os.listdir(here)
-
-
-def simulated(seed, prior=None, **plan):
-    people, observer_seed = simulated_observer(f"simulated:{seed}")
-    given = {"prior": prior} if prior else {}
-    return answered(Plan(**plan, **given), simulated_answers(people, observer_seed))
-
-
-def test_an_ordinary_session_has_no_notes():
-    for seed in range(5):
-        assert simulated(seed, trials=60, numbers=6).notes() == []
-
-
-def answer_with(share):
-    """Answers of which a share is right whatever is asked; a number in proportion to the force."""
-    rng = np.random.default_rng(1)
-    return lambda asked, _: (
-        asked.force_N if isinstance(asked, Magnitude) else asked.greater if rng.random() < share else 3 - asked.greater
-    )
-
-
-def test_all_right_only_bounds_the_threshold():
-    session = answered(Plan(trials=60, numbers=2), answer_with(1.0))
-    assert any("all 60 comparisons were right" in note and "from above alone" in note for note in session.notes())
-    assert any("lies at the prior's lowest Weber fraction" in note for note in session.notes())
-    assert session.observer("x").kappa > 0.0
-
-
-def test_guesses_and_mixed_up_answers_are_reported():
-    assert any("no more than by guessing" in note for note in answered(Plan(trials=60), answer_with(0.5)).notes())
-    mixed = answered(Plan(trials=60), answer_with(0.0)).notes()
-    assert any("were 1 and 2 mixed up" in note for note in mixed)
-    assert any("the prior excludes the data" in note for note in mixed)
-
-
-@pytest.mark.parametrize(("lowest", "highest", "side"), [(0.3, 0.6, "lowest"), (0.005, 0.02, "highest")])
-def test_a_prior_that_excludes_the_truth_is_reported(lowest, highest, side):
-    from tissue.perception.adaptive import ThresholdPrior
-
-    prior = ThresholdPrior(lowest=lowest, highest=highest)
-    assert any(
-        f"the prior's {side} Weber fraction" in note for note in simulated(1, prior, trials=200, numbers=6).notes()
-    )
-
-
-def test_no_numbers_leave_the_exponent_to_the_prior():
-    session = answered(Plan(trials=5, numbers=0), answer_with(1.0))
-    assert any("Stevens' exponent is the prior's" in note for note in session.notes())
-    assert session.observer("x").beta == pytest.approx(1.4)
-
-
-class Recorder(MouseDevice):
-    """A device that keeps the commands it is to play."""
-
-    def __init__(self):
-        super().__init__()
-        self.played = []
-
-    def command(self, force_N, torque_Nm):
-        self.played.append(np.array(force_N))
-
-
-def person(words, device=None):
-    """A person who types some words, with a clock of her own; and what she is shown."""
-    now, shown, words = [0.0], [], iter(words)
-
-    def wait(seconds):
-        now[0] += seconds
-
-    def read():
-        try:
-            return next(words)
-        except StopIteration:
-            raise EOFError from None
-
-    return Person(
-        device or Recorder(), read=read, show=shown.append, bars_N=3.3, clock=lambda: now[0], wait=wait
-    ), shown
-
-
-def test_a_person_feels_both_intervals_and_is_asked_until_the_answer_is_possible():
-    device = Recorder()
-    asked = Comparison(1.0, 0.5, greater=2)
-    who, shown = person(["", "3", "one", "-1", "r", "2"], device)
-    assert who.answer(asked) == 2
-    assert sum("answer must be 1 or 2, got" in line for line in shown) == 4
-    assert [line for line in shown if line.startswith("interval 1")] and len(device.played) > 2000
-    down = -np.array(device.played)[:, 2]
-    assert down.max() == pytest.approx(1.5) and (down >= 0.0).all() and down[-1] == 0.0
-    first = down[: len(down) // 4]
-    assert first.max() == pytest.approx(1.0)
-    who, shown = person(["nan", "-3", "inf", "0", "2,5"])
-    assert who.answer(Magnitude(1.0)) == 2.5
-    assert sum("answer must be a number above 0" in line for line in shown) == 4
-    for words in (["q"], []):
-        with pytest.raises(StoppedError):
-            person(words)[0].answer(asked)
-
-
-def test_a_simulated_device_plays_in_its_own_time():
-    """A clock that has run for a day is not simulated from its start."""
-    device = SimulatedDevice(device_parameters("six-dof"))
-    now, words = [86_400.0], iter(["1"])
-
-    def wait(seconds):
-        now[0] += seconds
-
-    who = Person(device, read=lambda: next(words), show=lambda _: None, clock=lambda: now[0], wait=wait)
-    assert who.answer(Comparison(1.0, 0.5, greater=2)) == 1
-    assert device.read(3.0).time_s < 4.0 and device.translation.position[2] < 0.0
-
-
-def test_an_interrupted_interval_leaves_no_force():
-    device = Recorder()
-
-    def wait(_):
-        if len(device.played) == 150:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        play(device, 2.0, clock=lambda: 1e-3 * len(device.played), wait=wait)
-    assert (device.played[-1] == 0.0).all() and np.linalg.norm(device.played[-2]) > 1.0
-
-
-def test_a_person_at_the_keyboard_may_stop_and_go_on(command, here, monkeypatch):
-    """Answers from standard input; the end of it stops the session, and the same command goes on."""
-    monkeypatch.setitem(play.__kwdefaults__, "length_s", 0.01)
-    monkeypatch.setattr("tissue.evaluation.calibration.intervals.PAUSE_S", 0.0)
-
-    def go(*words):
-        monkeypatch.setattr("sys.stdin", io.StringIO("".join(f"{word}\n" for word in words)))
-        return command("calibrate", "--ask", "--trials", "4", "--numbers", "2")
-
-    code, out, error = go("1", "7", "2")
-    assert code == 130 and "stopped after trial 2" in error
-    assert "answer must be 1 or 2, got 7" in out and "█" in out
-    code, _, error = go("1", "1", "5", "much", "10")
-    assert code == 0 and "going on at trial 3" in error
-    assert read_observer(here / "observer.json").trials == 6
-
-
-def test_the_posterior_is_shown_as_text():
-    from rich.console import Console
-
-    from tissue.evaluation.calibration.posterior_view import posterior_panel
-
-    shown = Console(width=100, record=True, file=open(os.devnull, "w"))  # noqa: SIM115
-    shown.print(posterior_panel(simulated(1, trials=60, numbers=6)))
-    text = shown.export_text()
-    assert "trial 66 of 66" in text and "█" in text and "10" in text and "95 % within" in text

@@ -1,0 +1,103 @@
+"""A person who is calibrated: intervals that are played, and answers that are typed."""
+
+import io
+
+import numpy as np
+import pytest
+
+from tissue.evaluation.calibration.intervals import Person, StoppedError, play
+from tissue.evaluation.calibration.session import Comparison, Magnitude
+from tissue.haptics.device.device import device_parameters
+from tissue.haptics.device.recorded import MouseDevice
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.perception.observer import read_observer
+
+
+class Recorder(MouseDevice):
+    """A device that keeps the commands it is to play."""
+
+    def __init__(self):
+        super().__init__()
+        self.played = []
+
+    def command(self, force_N, torque_Nm):
+        self.played.append(np.array(force_N))
+
+
+def person(words, device=None):
+    """A person who types some words, with a clock of her own; and what she is shown."""
+    now, shown, words = [0.0], [], iter(words)
+
+    def wait(seconds):
+        now[0] += seconds
+
+    def read():
+        try:
+            return next(words)
+        except StopIteration:
+            raise EOFError from None
+
+    return Person(
+        device or Recorder(), read=read, show=shown.append, bars_N=3.3, clock=lambda: now[0], wait=wait
+    ), shown
+
+
+def test_a_person_feels_both_intervals_and_is_asked_until_the_answer_is_possible():
+    device = Recorder()
+    asked = Comparison(1.0, 0.5, greater=2)
+    who, shown = person(["", "3", "one", "-1", "r", "2"], device)
+    assert who.answer(asked) == 2
+    assert sum("answer must be 1 or 2, got" in line for line in shown) == 4
+    assert [line for line in shown if line.startswith("interval 1")] and len(device.played) > 2000
+    down = -np.array(device.played)[:, 2]
+    assert down.max() == pytest.approx(1.5) and (down >= 0.0).all() and down[-1] == 0.0
+    first = down[: len(down) // 4]
+    assert first.max() == pytest.approx(1.0)
+    who, shown = person(["nan", "-3", "inf", "0", "2,5"])
+    assert who.answer(Magnitude(1.0)) == 2.5
+    assert sum("answer must be a number above 0" in line for line in shown) == 4
+    for words in (["q"], []):
+        with pytest.raises(StoppedError):
+            person(words)[0].answer(asked)
+
+
+def test_a_simulated_device_plays_in_its_own_time():
+    """A clock that has run for a day is not simulated from its start."""
+    device = SimulatedDevice(device_parameters("six-dof"))
+    now, words = [86_400.0], iter(["1"])
+
+    def wait(seconds):
+        now[0] += seconds
+
+    who = Person(device, read=lambda: next(words), show=lambda _: None, clock=lambda: now[0], wait=wait)
+    assert who.answer(Comparison(1.0, 0.5, greater=2)) == 1
+    assert device.read(3.0).time_s < 4.0 and device.translation.position[2] < 0.0
+
+
+def test_an_interrupted_interval_leaves_no_force():
+    device = Recorder()
+
+    def wait(_):
+        if len(device.played) == 150:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        play(device, 2.0, clock=lambda: 1e-3 * len(device.played), wait=wait)
+    assert (device.played[-1] == 0.0).all() and np.linalg.norm(device.played[-2]) > 1.0
+
+
+def test_a_person_at_the_keyboard_may_stop_and_go_on(command, here, monkeypatch):
+    """Answers from standard input; the end of it stops the session, and the same command goes on."""
+    monkeypatch.setitem(play.__kwdefaults__, "length_s", 0.01)
+    monkeypatch.setattr("tissue.evaluation.calibration.intervals.PAUSE_S", 0.0)
+
+    def go(*words):
+        monkeypatch.setattr("sys.stdin", io.StringIO("".join(f"{word}\n" for word in words)))
+        return command("calibrate", "--ask", "--trials", "4", "--numbers", "2")
+
+    code, out, error = go("1", "7", "2")
+    assert code == 130 and "stopped after trial 2" in error
+    assert "answer must be 1 or 2, got 7" in out and "█" in out
+    code, _, error = go("1", "1", "5", "much", "10")
+    assert code == 0 and "going on at trial 3" in error
+    assert read_observer(here / "observer.json").trials == 6
