@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.tooth.layers import TOOTH_LAYERS
-from meshes.voxels.column_crossings import column_crossings
+from meshes.voxels.column_crossings import column_crossings, inside_scattered
 
 __all__ = ["PITCH_M", "LayerContact", "inside_lattice", "inside_surface", "measure_contact"]
 
@@ -21,7 +21,7 @@ PITCH_M = 0.1e-3
 
 _WIDEST_GAP_M = 0.3e-3
 _TOUCHING = ("enamel dentin", "dentin pulp", "caries enamel", "caries dentin", "dentin ligament", "ligament bone")
-_POINTS_AT_ONCE, _LINES_A_POINT = 256, 16
+_LINES_A_POINT = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,13 +49,12 @@ def inside_surface(
 ) -> NDArray[np.bool_]:
     """Whether points [m], shape (n, 3), lie within a closed surface, by the vertical line through each.
 
-    Points of a grid share their lines, which is what makes this quick; scattered ones are taken few at a time.
+    Points of a grid share their lines, which is what makes this quick.
     """
     x, i = np.unique(points[:, 0], return_inverse=True)
     y, j = np.unique(points[:, 1], return_inverse=True)
-    if len(x) * len(y) > _LINES_A_POINT * len(points) and len(points) > _POINTS_AT_ONCE:
-        parts = range(0, len(points), _POINTS_AT_ONCE)
-        return np.concatenate([inside_surface(vertices, faces, points[k : k + _POINTS_AT_ONCE]) for k in parts])
+    if len(x) * len(y) > _LINES_A_POINT * len(points):
+        return inside_scattered(vertices, faces, points)
     crossings = column_crossings(vertices, faces, x.astype(np.float64), y.astype(np.float64))
     if len(crossings.line) == 0:
         return np.zeros(len(points), dtype=bool)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ColumnCrossings", "column_crossings", "lowest_and_highest", "triangles_meeting"]
+__all__ = ["ColumnCrossings", "column_crossings", "inside_scattered", "lowest_and_highest", "triangles_meeting"]
 
 _PAIRS_AT_ONCE = 2_000_000
 
@@ -65,6 +65,60 @@ def column_crossings(
     return _turning(np.concatenate(lines), np.concatenate(heights), np.concatenate(signs))
 
 
+def inside_scattered(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], points: NDArray[np.floating]
+) -> NDArray[np.bool_]:
+    """Whether points [m], shape (n, 3), lie where the winding number is positive, each by the vertical line through it.
+
+    Triangles are sorted into square columns, so that a point is tested against those of its column.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    inside = np.zeros(len(points), dtype=bool)
+    for axis in range(2 if len(points) else 0):
+        faces = triangles_meeting(vertices, faces, axis, points[:, axis].min(), points[:, axis].max())
+    if len(points) == 0 or len(faces) == 0:
+        return inside
+    corners = vertices[faces]
+    low = points[:, :2].min(axis=0)
+    count = max(int(len(faces) ** 0.5), 1)
+    edge = np.maximum(np.ptp(points[:, :2], axis=0), 1e-9) / count
+    triangle, starts = _by_column(corners, low, edge, count)
+    at = np.clip(np.floor((points[:, :2] - low) / edge), 0, count - 1).astype(np.int64) @ np.array([count, 1])
+    pairs = starts[at + 1] - starts[at]
+    ends = np.cumsum(pairs)
+    done = 0
+    while done < len(points):
+        stop = max(int(np.searchsorted(ends, (ends[done - 1] if done else 0) + _PAIRS_AT_ONCE)), done + 1)
+        part, many = np.arange(done, stop), pairs[done:stop]
+        point = np.repeat(part, many)
+        nth = np.arange(len(point)) - np.repeat(np.cumsum(many) - many, many)
+        tested = triangle[starts[at[point]] + nth]
+        met, height, sign = _met(corners, faces, tested, points[point, 0], points[point, 1])
+        point = point[met]
+        below = sign * (height <= points[point, 2])
+        winding = np.bincount(point - done, weights=below, minlength=len(part))
+        unclosed = np.bincount(point - done, weights=sign, minlength=len(part)) != 0.0
+        inside[part] = (winding > 0.5) & ~unclosed
+        done = stop
+    return inside
+
+
+def _by_column(
+    corners: NDArray[np.float64], low: NDArray[np.float64], edge: NDArray[np.float64], count: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Triangles whose box meets each of count x count columns, column after column, and where each begins."""
+    boxes = np.stack([corners[:, :, :2].min(axis=1), corners[:, :, :2].max(axis=1)])
+    first, last = np.clip(np.floor((boxes - low) / edge), 0, count - 1).astype(np.int64)
+    wide = last - first + 1
+    columns = wide.prod(axis=1)
+    triangle = np.repeat(np.arange(len(corners)), columns)
+    within = np.arange(len(triangle)) - np.repeat(np.cumsum(columns) - columns, columns)
+    x, y = first[triangle, 0] + within // wide[triangle, 1], first[triangle, 1] + within % wide[triangle, 1]
+    column = x * count + y
+    order = np.argsort(column, kind="stable")
+    return triangle[order], np.searchsorted(column[order], np.arange(count**2 + 1))
+
+
 def triangles_meeting(
     vertices: NDArray[np.float64], faces: NDArray[np.int64], axis: int, low: float, high: float
 ) -> NDArray[np.int64]:
@@ -106,7 +160,18 @@ def _crossed(
     within = np.arange(len(triangle)) - np.repeat(np.cumsum(pairs) - pairs, pairs)
     i = first[triangle, 0] + within // counts[triangle, 1]
     j = first[triangle, 1] + within % counts[triangle, 1]
-    px, py = x[i], y[j]
+    kept, height, sign = _met(corners, faces, triangle, x[i], y[j])
+    return i[kept] * len(y) + j[kept], height, sign
+
+
+def _met(
+    corners: NDArray[np.float64],
+    faces: NDArray[np.int64],
+    triangle: NDArray[np.int64],
+    px: NDArray[np.float64],
+    py: NDArray[np.float64],
+) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.int64]]:
+    """Which vertical lines through (px, py) meet their triangle; height and sign (+1 entering) of those that do."""
     edge_normal = np.empty((3, len(triangle)))
     hit = np.ones(len(triangle), dtype=bool)
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
@@ -125,7 +190,7 @@ def _crossed(
     triangle, edge_normal = triangle[hit], edge_normal[:, hit]
     height = (edge_normal * corners[triangle, :, 2].T).sum(axis=0) / area[triangle]
     low, high = lowest_and_highest(*corners[triangle, :, 2].T)
-    return i[hit] * len(y) + j[hit], np.clip(height, low, high), -facing[triangle]
+    return hit, np.clip(height, low, high), -facing[triangle]
 
 
 def _turning(line: NDArray[np.int64], height: NDArray[np.float64], sign: NDArray[np.int64]) -> ColumnCrossings:

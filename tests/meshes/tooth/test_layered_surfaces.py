@@ -8,9 +8,10 @@ import trimesh
 
 from meshes.base.errors import InputError
 from meshes.surfaces.surface import surface_from_triangles
-from meshes.tooth.layer_contact import inside_surface
+from meshes.tooth.layer_contact import inside_lattice, inside_surface
 from meshes.tooth.layered_surfaces import layered_anatomy, layered_surfaces
 from meshes.tooth.layers import TOOTH_LAYERS
+from meshes.voxels.column_crossings import inside_scattered
 from meshes.voxels.voxelise import voxelise
 
 SPACING = 1e-4
@@ -138,6 +139,21 @@ def test_inside_of_scattered_points():
     expected = np.linalg.norm(points, axis=1) < 5e-3
     found = inside_surface(sphere.vertices_m, sphere.faces, points)
     assert (found == expected).mean() > 0.997  # facets of the icosphere lie up to 8 µm off
+
+
+def test_scattered_points_are_sorted_as_those_of_a_lattice():
+    """The lattice's lines and the columns of single points cross the same triangles, lines on edges and corners too."""
+    sphere = surface(ball(5.0))
+    axis = 1e-3 * np.linspace(-5.5, 5.5, 23)  # lines through vertices of the ball among them
+    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    order = np.random.default_rng(6).permutation(len(points))
+    lattice = inside_lattice(sphere.vertices_m, sphere.faces, (axis, axis, axis)).ravel()
+    assert 0.2 < lattice.mean() < 0.6
+    assert (inside_scattered(sphere.vertices_m, sphere.faces, points[order]) == lattice[order]).all()
+    opened = sphere.faces[1:]  # the line through a hole has no inside
+    assert not (inside_scattered(sphere.vertices_m, opened, points) & ~lattice).any()
+    assert not inside_scattered(sphere.vertices_m, sphere.faces, points[:0]).any()
+    assert not inside_scattered(sphere.vertices_m, sphere.faces, points + 1.0).any()
 
 
 @pytest.mark.parametrize(
