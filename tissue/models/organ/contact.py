@@ -5,7 +5,6 @@ from math import isfinite
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from kernels.contact_search import find_near
 from kernels.contact_state import (
@@ -18,9 +17,6 @@ from kernels.contact_state import (
     STATE,
     SWEEPS,
     TORQUE,
-    Body,
-    Lists,
-    Points,
 )  # fmt: skip
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror
@@ -29,7 +25,7 @@ from kernels.shell_projection import link_points, project_shell
 from kernels.surface_contact import solve_contact
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_positive, require_range
-from tissue.models.organ.contact_points import contact_points
+from tissue.models.organ.contact_arrays import body_arrays, list_arrays, point_arrays, put
 from tissue.models.organ.contact_result import ContactOutcome, ContactResult
 from tissue.models.organ.probe import ProbeShape, ShellProbe
 
@@ -94,84 +90,48 @@ class SurfaceContact:
         device: str = "cpu",
         cores: int | None = None,
     ) -> None:
-        count = len(nodes_m)
-        require_range("friction", friction, 0.0, 10.0, "give Coulomb's coefficient, 0 for none")
-        if np.shape(compliance_m_N) != (3 * count, 3 * count) or compliance_m_N.dtype != np.float64:
-            raise InputError(
-                f"compliance_m_N must be float64 of shape {(3 * count, 3 * count)}, got {compliance_m_N.dtype} "
-                f"of shape {np.shape(compliance_m_N)}: condense it to the nodes that may be touched"
-            )
-        if not np.isfinite(nodes_m).all():
-            raise InputError("nodes_m must be finite, got NaN or infinity: repair the mesh")
-        if len(faces) == 0 or faces.min() < 0 or faces.max() >= count:
-            raise InputError(f"faces must name nodes 0 to {count - 1}, got others or none: number them so")
-        self.nodes_m, self.faces, self.probe, self.friction = nodes_m, faces, probe, float(friction)
+        self.friction = require_range("friction", friction, 0.0, 10.0, "give Coulomb's coefficient, 0 for none")
+        _require_surface(nodes_m, faces, compliance_m_N)
+        self.nodes_m, self.faces, self.probe = nodes_m, faces, probe
+        self._tolerance, self._sweeps, self._device, self._cores = tolerance, sweeps, device, cores
         corners = nodes_m[faces]
         self._centres = corners.mean(axis=1)
         self._radii = np.linalg.norm(corners - self._centres[:, None], axis=2).max(axis=1)
         self._pose = Mirror((8, 3), dtype=wp.float64, device=device)
         self._results = Mirror(RESULTS, dtype=wp.float64, device=device)
         self._placed = self._shifted = False
-        if isinstance(probe, ShellProbe):
-            face = np.zeros(0, dtype=np.int32)
-            weights, areas = np.zeros((len(probe.points_m), 3)), probe.areas_m2
-            following = np.full(len(weights), -1)
-        else:
-            face, weights, areas = contact_points(nodes_m, faces, spacing_m or probe.spacing_m)
-            following = np.append(np.where(np.diff(face) == 0, np.arange(1, len(face)), -1), -1)
-        first = np.full(len(faces), -1)
-        first[face[::-1]] = np.arange(len(face))[::-1]
+        self._body = body_arrays(nodes_m, faces, compliance_m_N, device)
+        self._points = point_arrays(nodes_m, faces, probe, spacing_m, device)
+        self._lists = list_arrays(len(faces), device)
+        self._patch = new_patch(len(nodes_m), device)
+        self._spheres = put(self._centres, wp.vec3d, device), put(self._radii, wp.float64, device)
+        self._stages = self._recorded()
+        self._on_host = device == "cpu"
+        self.result = ContactResult(np.zeros(3), np.zeros(3), self._body.force.numpy(), compliance_m_N)
+        """The last solve's result, the object that every solve returns."""
 
-        def new(shape: int | tuple[int, ...], dtype: type) -> wp.array[object]:
-            return wp.zeros(shape, dtype=dtype, device=device)
-
-        def put(values: NDArray[np.generic], dtype: type) -> wp.array[object]:
-            return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
-
-        body, points, lists = Body(), Points(), Lists()
-        body.free = put(nodes_m, wp.vec3d)
-        body.last_free, body.scale = put(nodes_m, wp.vec3d), wp.float64(1.0)
-        body.compliance = wp.array(compliance_m_N, dtype=wp.float64, device=device, copy=device != "cpu")
-        body.corners = put(faces, wp.int32)
-        body.force, body.moved = new(count, wp.vec3d), new(count, wp.vec3d)
-        points.first = put(first, wp.int32)
-        points.following = put(following, wp.int32)
-        points.weight, points.area = put(weights, wp.vec3d), put(areas, wp.float64)
-        for name in ("tool_point", "tool_normal", "force", "anchor"):
-            setattr(points, name, new(len(weights), wp.vec3d))
-        points.response, points.ready = new((len(weights), 5), wp.mat33d), new(len(weights), wp.int32)
-        lists.count = new(3, wp.int32)
-        for name in ("near", "working", "working_mark"):
-            setattr(lists, name, new(len(faces), wp.int32))
-        patch = new_patch(count, device)
-        self._body, self._points, self._lists, self._patch = body, points, lists, patch
-        size = wp.vec2d(*probe.size_m)
+    def _recorded(self) -> list[Callable[[], None]]:
+        """Launches of a tick in their order, recorded with the compliance's scale of now."""
+        device, probe, size = self._device, self.probe, wp.vec2d(*self.probe.size_m)
+        body, points, lists, patch = self._body, self._points, self._lists, self._patch
         pose, results = self._pose.device, self._results.device
-        centres, radii = put(self._centres, wp.vec3d), put(self._radii, wp.float64)
 
         def record(kernel: wp.Kernel, inputs: list[object]) -> Callable[[], None]:
             return wp.launch(kernel, dim=1, inputs=inputs, device=device, record_cmd=True).launch
 
-        def build() -> list[Callable[[], None]]:
-            """Record the launches of a tick, in order."""
-            stages = [record(find_near, [centres, radii, probe.kind, size, pose, REACH_M, results, body, lists, patch])]
-            if isinstance(probe, ShellProbe):
-                home = new(len(weights), wp.int32)
-                shell = [put(probe.points_m, wp.vec3d), put(probe.normals, wp.vec3d), pose, float(self._radii.max()), 0]
-                project = SplitLaunch(
-                    project_shell, dim=len(weights), inputs=[*shell, body, lists], outputs=[points, home],
-                    offset_index=4, device=device, cores=cores,
-                )  # fmt: skip
-                stages += [project, record(link_points, [home, lists, points])]
-            law = [self.friction, tolerance, sweeps]
-            stages.append(record(solve_contact, [probe.kind, size, pose, *law, body, points, lists, patch, results]))
-            return stages
-
-        self._build = build
-        self._stages = build()
-        self._on_host = device == "cpu"
-        self.result = ContactResult(np.zeros(3), np.zeros(3), body.force.numpy(), compliance_m_N)
-        """The last solve's result, the object that every solve returns."""
+        stages = [record(find_near, [*self._spheres, probe.kind, size, pose, REACH_M, results, body, lists, patch])]
+        if isinstance(probe, ShellProbe):
+            count = len(probe.points_m)
+            home = wp.zeros(count, dtype=wp.int32, device=device)
+            shell = [put(probe.points_m, wp.vec3d, device), put(probe.normals, wp.vec3d, device)]
+            project = SplitLaunch(
+                project_shell, dim=count, inputs=[*shell, pose, float(self._radii.max()), 0, body, lists],
+                outputs=[points, home], offset_index=4, device=device, cores=self._cores,
+            )  # fmt: skip
+            stages += [project, record(link_points, [home, lists, points])]
+        law = [self.friction, self._tolerance, self._sweeps]
+        stages.append(record(solve_contact, [probe.kind, size, pose, *law, body, points, lists, patch, results]))
+        return stages
 
     def place(self, tip_m: Array, rotation: Array) -> None:
         """Put the tool where it starts, outside the organ: no force, nothing stuck.
@@ -210,7 +170,7 @@ class SurfaceContact:
         self._body.scale = wp.float64(factor)
         self._points.ready.zero_()
         gather_all_again(self._patch)
-        self._stages = self._build()
+        self._stages = self._recorded()
 
     def shift(self, offset_m: Array) -> None:
         """Set how far nodes lie from rest without contact in the next solve [m], shape (s, 3): what has crept."""
@@ -274,3 +234,17 @@ class SurfaceContact:
         result.outcome = OUTCOMES[int(values[STATE])]
         result.iterations, result.contacts = int(values[SWEEPS]), int(values[CONTACTS])
         result.area_m2, result.penetration_m = float(values[AREA]), float(values[DEEPEST])
+
+
+def _require_surface(nodes_m: Array, faces: Ints, compliance_m_N: Array) -> None:
+    """Refuse nodes that are not finite, triangles that name none of them, and a compliance of another size."""
+    count = len(nodes_m)
+    if np.shape(compliance_m_N) != (3 * count, 3 * count) or compliance_m_N.dtype != np.float64:
+        raise InputError(
+            f"compliance_m_N must be float64 of shape {(3 * count, 3 * count)}, got {compliance_m_N.dtype} "
+            f"of shape {np.shape(compliance_m_N)}: condense it to the nodes that may be touched"
+        )
+    if not np.isfinite(nodes_m).all():
+        raise InputError("nodes_m must be finite, got NaN or infinity: repair the mesh")
+    if len(faces) == 0 or faces.min() < 0 or faces.max() >= count:
+        raise InputError(f"faces must name nodes 0 to {count - 1}, got others or none: number them so")
