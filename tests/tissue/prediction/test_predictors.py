@@ -1,4 +1,4 @@
-"""Predictors in the loop: laws of all of them, exact signals, the guard's handover, and files."""
+"""Predictors in the loop: laws of all of them, exact signals, what ends trust, and files."""
 
 from dataclasses import replace
 
@@ -16,9 +16,7 @@ from tissue.prediction.edmd.dictionary import Identity
 from tissue.prediction.edmd.edmd import Edmd
 from tissue.prediction.edmd.overlaps import Overlaps
 from tissue.prediction.edmd.predictor_file import from_plain, to_plain
-from tissue.prediction.guard import BLEND, PROBATION, Guarded
 from tissue.prediction.koopman import WIDTH, Koopman
-from tissue.prediction.predictor import Hold
 from tissue.prediction.trained import Trained
 from tissue.scene.registry import PREDICTORS
 
@@ -190,72 +188,6 @@ def test_a_slow_model_is_bridged(trained):
     }
     assert error["koopman"] < 0.5 * error["hold"]
     assert error["koopman"] < error["linear"]
-
-
-class Fake:
-    """A predictor that predicts a constant and is trusted on demand."""
-
-    residual_N, is_primary = 0.0, True
-
-    def __init__(self, predicted, trusted=True):
-        self.constant, self.trusted, self.paused = predicted, trusted, 0
-
-    def observe(self, position_m, velocity_m_s, force_N):
-        """Nothing is kept."""
-
-    def predict(self, ticks):
-        """The constant."""
-        return np.full(3, self.constant)
-
-    def pause(self):
-        """Count it."""
-        self.paused += 1
-
-
-def test_a_handover_has_no_step_and_comes_back():
-    inner = Fake(1.0)
-    guarded = Guarded(inner, Fake(0.0), reach_N=10.0)
-    predicted, primary = [], []
-    for tick in range(300):
-        inner.trusted = not 100 <= tick < 150
-        guarded.observe(np.zeros(3), np.zeros(3), np.ones(3))
-        predicted.append(guarded.predict(4)[0])
-        primary.append(guarded.is_primary)
-    predicted = np.array(predicted)
-    assert predicted[99] == 1.0 and predicted[100 + BLEND] == pytest.approx(0.0, abs=1e-12)
-    assert np.abs(np.diff(predicted)).max() <= 1.0 / BLEND + 1e-12
-    assert not predicted[100 + BLEND : 149 + PROBATION - 1].any() and predicted[
-        149 + PROBATION + BLEND
-    ] == pytest.approx(1.0)
-    assert primary[99] and not primary[120] and primary[-1]
-
-
-def test_who_misses_more_than_the_other_is_not_asked():
-    """The force is 1, then 2; the inner predicts 2 throughout, the other 1. While nothing is touched nobody is judged."""
-    guarded = Guarded(Fake(2.0), Fake(1.0), reach_N=10.0)
-    for _ in range(50):
-        guarded.observe(np.zeros(3), np.zeros(3), np.zeros(3))
-        guarded.predict(4)
-    primary = []
-    for tick in range(600):
-        guarded.observe(np.zeros(3), np.zeros(3), np.full(3, 1.0 + float(tick >= 200)))
-        guarded.predict(4)
-        primary.append(guarded.is_primary)
-    assert primary[0] and not any(primary[20:200]) and primary[-1]
-
-
-def test_the_transition_between_two_predictors_is_bounded_and_finite():
-    inner = Fake(1e6)
-    guarded = Guarded(inner, Fake(0.0), reach_N=2.0)
-    guarded.observe(np.zeros(3), np.zeros(3), np.zeros(3))
-    assert np.linalg.norm(guarded.predict(1)) == pytest.approx(2.0)
-    before = guarded.predict(1)
-    inner.constant = np.nan
-    np.testing.assert_array_equal(guarded.predict(1), before)
-    guarded.observe(np.array([np.nan, 0.0, 0.0]), np.zeros(3), np.zeros(3))
-    assert inner.paused == 1
-    with pytest.raises(InputError, match="reach_N must be positive"):
-        Guarded(inner, Hold(), reach_N=0.0)
 
 
 @pytest.mark.parametrize("why", ["range", "residual", "growth", "short"])
