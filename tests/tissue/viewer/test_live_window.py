@@ -1,26 +1,16 @@
-"""The window of a live run: what it draws, how mouse and keys move the tool, and the whole of it on a virtual display."""
-
-import os
-import signal
-import subprocess
-import sys
-import time
-from pathlib import Path
+"""The window of a live run: what it draws, and how mouse and keys move the tool."""
 
 import numpy as np
 import pytest
-from x_events import Person
 
 from tissue import load_scene, simulate
 from tissue.figures.wall import draw_wall
 from tissue.simulation.live.shared import SharedArrays
 from tissue.simulation.live.tissues import BoneShared, OrganShared
-from tissue.simulation.run_folder import SavedRun
 from tissue.viewer.live.pointer import KEY_MM, NOTCH_MM, Pointer
 from tissue.viewer.live.tissue_shown import FADES_MM, LiveBone, LiveOrgan
 from tissue.viewer.run import faces_of
 
-ROOT = Path(__file__).parents[3]
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -210,112 +200,3 @@ def test_the_drawn_organ_moves_where_it_is_known_and_fades_beyond(tmp_path):
     away = np.linalg.norm(rest[:, None] - known[None], axis=2).min(axis=1)
     np.testing.assert_allclose(moved[:, 2], -2.0 * np.exp(-away / FADES_MM), atol=1e-5)
     assert np.isclose(moved[:, 2], -2.0).sum() >= len(near) - 1
-
-
-@pytest.fixture
-def started(display, tmp_path):
-    """Starts a live run on the display; gives its process and its folder once it ticks."""
-    running = []
-
-    def start(*arguments):
-        out = tmp_path / "run"
-        code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\nfrom tissue.cli.main import main; main()"
-        environment = os.environ | {
-            "DISPLAY": display,
-            "PYTHONPATH": str(ROOT),
-            "VTK_DEFAULT_OPENGL_WINDOW": "vtkXOpenGLRenderWindow",
-        }
-        running.append(
-            subprocess.Popen(
-                [sys.executable, "-c", code, "run", *arguments, "--live", "--no-pictures", "--out", str(out)],
-                env=environment,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-            )
-        )
-        last_row(out, running[-1], least=50)
-        return running[-1], out
-
-    yield start
-    for process in running:
-        process.kill()
-        process.communicate()
-
-
-def last_row(out, process, *, least=1):
-    """The trace's last whole row by column, once there are so many."""
-    limit = time.monotonic() + 100.0
-    while time.monotonic() < limit:
-        if process.poll() is not None:
-            message = process.stderr.read()
-            if "its window" in message or "OpenGL" in message:
-                pytest.skip(f"no window can be opened here: {message[-300:]}")
-            raise AssertionError(message)
-        if (out / "trace.csv").is_file():
-            with (out / "trace.csv").open("rb") as file:
-                columns = file.readline().decode().strip().split(",")
-                file.seek(max(file.seek(0, os.SEEK_END) - 8000, len(",".join(columns)) + 1))
-                lines = file.read().decode().split("\n")[:-1]
-            if lines and len(cells := lines[-1].split(",")) == len(columns):
-                row = {name: float(cell) for name, cell in zip(columns[:-1], cells[:-1], strict=True)}
-                if row["time_s"] >= 1e-3 * least:
-                    return row
-        time.sleep(0.05)
-    raise AssertionError(f"{out} did not grow")
-
-
-def until(out, process, holds, act=lambda: None):
-    """Act now and then until the trace's last row holds; that row, or None where it never does."""
-    limit = time.monotonic() + 40.0
-    while time.monotonic() < limit:
-        row = last_row(out, process)
-        if holds(row):
-            return row
-        act()
-        time.sleep(0.1)
-    return None
-
-
-@pytest.mark.slow
-def test_a_person_presses_the_wall_with_mouse_wheel_and_keys(started, display):
-    process, out = started("wall")
-    person = Person(display)
-    assert last_row(out, process)["tool_z_mm"] == pytest.approx(20.0, abs=0.1)
-    pixels = iter(range(400, 800, 5))
-    moved = until(out, process, lambda row: row["tool_x_mm"] > 5.0, lambda: person.move(next(pixels), 420))
-    assert moved is not None, "the mouse does not move the tool"
-    lower = until(out, process, lambda row: row["tool_z_mm"] < moved["tool_z_mm"] - 5.0, lambda: person.wheel(1))
-    assert lower is not None, "the wheel does not move the tool"
-    deeper = until(out, process, lambda row: row["tool_z_mm"] < lower["tool_z_mm"] - 3.0, lambda: person.type("s"))
-    assert deeper is not None, "the key s does not move the tool"
-    again = until(out, process, lambda row: row["tool_z_mm"] < deeper["tool_z_mm"] - 3.0, lambda: person.type("Next"))
-    assert again is not None, "the key page down does not move the tool"
-    pressed = until(out, process, lambda row: row["model_force_z_N"] > 0.5, lambda: person.type("s", 5))
-    assert pressed is not None, "the wall is not felt"
-    assert "late_us" in (out / "timing.csv").read_text("utf-8").splitlines()[0]
-    person.type("q")
-    person.leave()
-    message, _ = process.communicate(timeout=100.0)
-    assert process.returncode == 0
-    saved = SavedRun(out)
-    assert saved.complete and saved.summary["notes"]["live"].startswith("the mouse moves the tool in a window")
-    assert saved.summary["force_N"]["peak"] > 0.5 and "skipped_ms" in saved.summary
-    assert "delay of ticks, median / 99 % / max" in message
-    assert not any("by itself" in event["what"] for event in saved.summary["events"])
-
-
-@pytest.mark.slow
-def test_a_person_mills_bone_and_ctrl_c_ends_it(started, display):
-    process, out = started("milling", "--set", "voxels.spacing_mm=0.3")
-    person = Person(display)
-    person.move(550, 420)
-    milled = until(out, process, lambda row: row["removed_mm3"] > 0.1, lambda: person.type("Next", 5))
-    person.leave()
-    assert milled is not None
-    process.send_signal(signal.SIGINT)
-    process.communicate(timeout=100.0)
-    assert process.returncode == 0
-    saved = SavedRun(out)
-    assert saved.complete and saved.summary["removed_mm3"]["cortical"] > 0.1
-    assert (out / "bone.vtp").is_file()
