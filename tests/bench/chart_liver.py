@@ -60,9 +60,8 @@ def quarter(order: int, layers: int) -> tuple[Space, np.ndarray]:
     return space, held
 
 
-def whole_solve(space: Space, held: np.ndarray, law: Law) -> tuple[float, float]:
-    """Force at the depth [N] and time of all of it, from the mesh [s]."""
-    start = perf_counter()
+def quarter_forces_N(space: Space, held: np.ndarray, law: Law, depths_m: np.ndarray) -> np.ndarray:
+    """Force on the whole block at each depth [N], shape (d,); NaN from the first depth that is not solved."""
     body = NonlinearBody(space, LIVER, law=law)
     solver = NewtonSolver(body, held, tolerance=1e-6)
     found = press(
@@ -71,10 +70,17 @@ def whole_solve(space: Space, held: np.ndarray, law: Law) -> tuple[float, float]
         point_m=(0, 0, 0),
         inward=(0, 0, -1),
         radius_m=RADIUS_M,
-        depths_m=[DEPTH_M],
+        depths_m=depths_m,
         solver=solver,
     )
-    force = 4.0 * found[-1].tool_force_N[2] if found[-1].converged else np.nan
+    force = [4.0 * s.tool_force_N[2] if s.converged else np.nan for s in found]
+    return np.array(force + [np.nan] * (len(depths_m) - len(force)))
+
+
+def whole_solve(space: Space, held: np.ndarray, law: Law) -> tuple[float, float]:
+    """Force at the depth [N] and time of all of it, from the mesh [s]."""
+    start = perf_counter()
+    force = quarter_forces_N(space, held, law, np.array([DEPTH_M]))[-1]
     return float(force), perf_counter() - start
 
 
@@ -174,21 +180,7 @@ def limits(quick: bool) -> dict[str, LinearLimits]:
         return bisected(mesh, lambda x: fine + 0.5 * np.maximum(np.linalg.norm(x - at, axis=1) - 7e-3, 0.0))
 
     space, held = quarter(2, 5 if quick else 7)
-    by_law = {}
-    for law in laws:
-        body = NonlinearBody(space, LIVER, law=law)
-        solver = NewtonSolver(body, held, tolerance=1e-6)
-        pressed = press(
-            body,
-            held.all(axis=1),
-            point_m=(0, 0, 0),
-            inward=(0, 0, -1),
-            radius_m=RADIUS_M,
-            depths_m=depths,
-            solver=solver,
-        )
-        force = [4.0 * s.tool_force_N[2] if s.converged else np.nan for s in pressed]
-        by_law[law] = np.array(force + [np.nan] * (len(depths) - len(force)))
+    by_law = {law: quarter_forces_N(space, held, law, depths) for law in laws}
     found["block, P2"] = LinearLimits(depths, by_law)
     bodies = {"procedural liver": (liver(spacing_m=14e-3), np.zeros(3), lambda m: liver_region(m, "below"))}
     if ANATOMY.exists() and not quick:
