@@ -5,6 +5,7 @@ import struct
 
 import numpy as np
 import pytest
+from image_writers import element
 
 from meshes.base.errors import InputError
 from meshes.images.bone_image import CT_DENSITY, DensityLaw, image_volume
@@ -149,13 +150,6 @@ def test_placement_leads_back_to_the_image(resample_mm):
     assert volume.placement.to_file(1e3 * middle_m[None])[0] == pytest.approx(first + 0.1 * centre, abs=2e-3)
     assert np.array_equal(volume.placement.rotation, np.eye(3))
     assert volume.bounds_m[1][2] == pytest.approx(0.0, abs=1e-15)
-
-
-def element(group, number, kind, value):
-    value = value.encode() if isinstance(value, str) else value
-    value += (b"\0" if kind == "UI" else b" ") * (len(value) % 2)
-    head = struct.pack("<HH", group, number) + kind.encode()
-    return head + (struct.pack("<HI", 0, len(value)) if kind == "OW" else struct.pack("<H", len(value))) + value
 
 
 def write_dicom(path, plane, z, syntax="1.2.840.10008.1.2.1"):
