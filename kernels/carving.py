@@ -137,8 +137,9 @@ def carve_brick(
                 elif near.distance < BLOCK_REACH:
                     advance = wp.dot(near.slope, step)
                     if advance >= -0.25 * moved or not skip_behind:
+                        flat = flattened(near, centre + shift, axis, step)
                         carve_block(
-                            tool, axis, centre + shift, near, binary, row, block * 8, worker,
+                            tool, axis, centre + shift, near, flat, binary, row, block * 8, worker,
                             material, remaining_out, swept_out, removed_out,
                         )  # fmt: skip
     if alive != before:
@@ -157,11 +158,33 @@ def booked_by(removed: wp.array2d(dtype=wp.int64), worker: int):
 
 
 @wp.func
+def flattened(near: Nearest, offset: wp.vec3, axis: wp.vec3, step: wp.vec3):
+    """Part of the tool's `bend` that its swept surface lacks: the curvature along ``step`` where it slides, else 0.
+
+    What a tool sweeps is straight along the path; its surface is touched where the tool's normal is square to that,
+    here within a voxel.
+    """
+    length = wp.length(step)
+    if length == 0.0 or near.bend >= EDGE:
+        return float(0.0)
+    outward = offset - wp.dot(offset, axis) * axis
+    radius = wp.max(wp.length(outward), 0.5)
+    around = wp.dot(near.slope, outward) / (radius * radius)
+    meridional = wp.max(6.0 * near.bend - around, 0.0)
+    part = wp.dot(wp.cross(axis, outward), step) / (radius * length)
+    along = meridional + (around - meridional) * part * part
+    if wp.abs(wp.dot(near.slope, step)) > wp.abs(along) * length:
+        return float(0.0)
+    return along / 6.0
+
+
+@wp.func
 def carve_block(
     tool: Revolution,
     axis: wp.vec3,
     middle: wp.vec3,
     near: Nearest,
+    flat: float,
     binary: int,
     row: int,
     first: int,
@@ -177,7 +200,7 @@ def carve_block(
         offset = corner_offset(v)
         distance = distance_at(near, offset)
         facing = plane
-        curving = 0.25 * near.bend  # the mean over a voxel exceeds its centre's distance by this
+        curving = 0.25 * (near.bend - flat)  # the mean over a voxel exceeds its centre's distance by this
         if near.bend >= EDGE:
             curving = float(0.0)
             exact = nearest_on(tool, middle + offset, axis)
