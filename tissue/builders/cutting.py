@@ -64,13 +64,13 @@ def milled_voxels(scene: Scene) -> VoxelVolume:
 
 
 def cutter_of(tool: Tool) -> Cutter:
-    """The cutter that a scene's tool describes, its sizes in SI."""
+    """The cutter that a scene's tool describes, in SI; a spin above 0 is clockwise as seen from the shank."""
     sizes, entry = {}, CUTTERS[tool.kind]
     for key in ("diameter_mm", *entry.keys):
         name, _, unit = key.rpartition("_")
         si, factor = SI[unit]
         sizes[f"{name}_{si}"] = factor * getattr(tool, key)
-    return Cutter(loaded(entry.profile)(**sizes), tool.flutes, tool.spin_rpm * 2.0 * pi / 60.0)
+    return Cutter(loaded(entry.profile)(**sizes), tool.flutes, -tool.spin_rpm * 2.0 * pi / 60.0)
 
 
 def _require_effect(scene: Scene, volume: VoxelVolume) -> None:

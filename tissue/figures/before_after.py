@@ -10,6 +10,8 @@ from tissue.builders.voxels import reach
 from tissue.figures.figure import DRAWING, save
 from tissue.figures.rendering import Camera, paint, render, side_by_side
 from tissue.figures.style import BONE, DEPTH_COLOURS, EDGE, axis_names, depth_limit, layer_colours
+from tissue.figures.tool_mesh import pose, spin_arc_mm
+from tissue.scene.tool import Tool
 from tissue.simulation.bone_surface import bone_surface, cut_out, smooth_normals, with_depth, with_layers
 from tissue.simulation.depth_map import HALF, DepthMap
 from tissue.simulation.run import Run
@@ -26,6 +28,8 @@ TILT_DEG = (36.0, 12.0)
 CUT_OUT = (0.82, 0.82, 0.85)
 """Colour of faces where the simulated region ends and the bone goes on."""
 MOST_POINTS = 20_000
+WIDEST_ARC = 0.4
+"""Widest arrow around the tool's axis, as a share of the picture's height."""
 
 
 def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
@@ -121,11 +125,31 @@ def _compose(
             handlelength=1.2,
             labelspacing=0.3,
         )
+    _draw_spin(panels[0], run, camera)
     _draw_triad(chart.add_axes((0.28, 0.0, 0.18, foot)), run, camera)
     bar = chart.add_axes((left + 0.45 * wide, 0.58 * foot, 0.48 * wide, 0.14 * foot))
     mapped = ScalarMappable(Normalize(0.0, limit), DEPTH_COLOURS)
     chart.colorbar(mapped, cax=bar, orientation="horizontal").set_label("removed depth / mm")
     save(chart, path)
+
+
+def _draw_spin(axes: "Axes", run: Run, camera: Camera) -> None:
+    """An arrow in the sense of the tool's spin where it touches first, as wide as the tool where that fits."""
+    from matplotlib.patheffects import withStroke
+
+    tool = run.scene.tool
+    assert isinstance(tool, Tool)
+    row = int((run.trace["contact_mm2"] > 0.0).argmax())
+    matrix = pose(run.trace.vectors("tool", "mm")[row], [run.trace[f"tool_q{c}"][row] for c in "xyzw"])
+    share = min(1.0, WIDEST_ARC * camera.height_mm / tool.diameter_mm)
+    axes.set_autoscale_on(False)
+    arc = camera.pixels(share * spin_arc_mm(tool) @ matrix[:3, :3].T + matrix[:3, 3])
+    around = [withStroke(linewidth=4.0, foreground="white")]
+    axes.plot(*arc[:-3].T, color="0.1", linewidth=1.6, path_effects=around)
+    arrow = {"arrowstyle": "-|>", "color": "0.1", "linewidth": 1.6, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 14}
+    axes.annotate("", arc[-1], arc[-4], arrowprops=arrow)
+    x, y = arc[np.argmin(arc[:, 1])]
+    axes.text(x, y - 8.0, "spin", ha="center", va="bottom", size=9, path_effects=around)
 
 
 def _draw_scale(axes: "Axes", camera: Camera) -> None:

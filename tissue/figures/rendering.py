@@ -66,6 +66,12 @@ class Camera:
         centre = 0.5 * (first + last) @ axes
         return cls(tuple(towards), tuple(upright), tuple(centre), height_mm=float(height), size=(PANEL_PX, tall))
 
+    def pixels(self, points_mm: ArrayLike) -> NDArray[np.float64]:
+        """Where points are in the picture, right and down from its upper left corner [pixel], shape (n, 2)."""
+        axes = np.stack([np.cross(self.up, self.towards_eye), self.up])
+        right, upward = axes @ (np.asarray(points_mm) - self.centre_mm).T * (self.size[1] / self.height_mm)
+        return np.column_stack([0.5 * self.size[0] + right, 0.5 * self.size[1] - upward])
+
 
 def paint(surface: "pyvista.PolyData", colours: NDArray[np.float64]) -> "pyvista.PolyData":
     """Give every point or every triangle a colour: red, green and blue from 0 to 1, shape (n, 3)."""

@@ -14,12 +14,16 @@ from tissue.scene.tool import Needle, Probe, Tool
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["pose", "tool_surface"]
+__all__ = ["pose", "spin_arc_mm", "tool_surface", "turning_tool"]
 
 NEEDLE_MM = 80.0
 POINT = 2.0
 """Length of a needle's point, in diameters."""
 SIDES = 72
+ARC = np.radians(270.0)
+"""Length of the arc that shows the sense of a tool's spin."""
+ABOVE = 0.6
+"""How wide the arc above a tool is beside one around it."""
 
 
 def tool_surface(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None":
@@ -47,6 +51,28 @@ def tool_surface(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None
         case Needle():
             return _rod(0.5 * tool.diameter_mm, NEEDLE_MM, point_mm=POINT * tool.diameter_mm)
     return None
+
+
+def turning_tool(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None":
+    """`tool_surface`, and around a tool that turns an arrow in the sense of its spin."""
+    import pyvista
+
+    surface = tool_surface(tool)
+    if surface is None or not isinstance(tool, Tool) or tool.spin_rpm == 0.0:
+        return surface
+    arc = ABOVE * spin_arc_mm(tool) + [0.0, 0.0, surface.bounds[5]]
+    thick = 0.02 * tool.diameter_mm
+    head = pyvista.Cone(
+        center=arc[-1], direction=arc[-1] - arc[-2], height=6.0 * thick, radius=2.5 * thick, resolution=SIDES // 3
+    )
+    return surface.append_polydata(pyvista.MultipleLines(arc).tube(radius=thick), head)
+
+
+def spin_arc_mm(tool: Tool) -> NDArray[np.float64]:
+    """Points of an arc around a tool at the height of its tip, in the sense of its spin, in its own frame [mm]."""
+    turned = -np.sign(tool.spin_rpm) * np.linspace(0.0, ARC, SIDES)
+    radius = 0.575 * tool.diameter_mm
+    return np.column_stack([radius * np.cos(turned), radius * np.sin(turned), np.zeros(SIDES)])
 
 
 def pose(tip_mm: ArrayLike, quaternion: ArrayLike) -> NDArray[np.float64]:

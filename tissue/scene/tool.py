@@ -23,8 +23,8 @@ class Tool(Part):
     flutes: int = Field(4, ge=1, le=200)
     """Cutting edges around the axis."""
     spin_rpm: float = Field(ge=-500_000, le=500_000, examples=[500.0])
-    """Spin about the axis from tip to shank by the right-hand rule; a common right-hand cutter turns negative. A tool
-    that does not turn (0) cuts nothing: a hand on a device feels the bone with it."""
+    """Spin, clockwise as seen from the shank, the sense of common burs, drills and reamers; a negative one is
+    counter-clockwise. A tool that does not turn (0) cuts nothing: a hand on a device feels the bone with it."""
     length_mm: float = Field(10.0, gt=0, le=200)
     """Length of a cylinder, pear or drill, thickness of a flat reamer."""
     point_angle_deg: float = Field(118.0, ge=30, lt=180)
@@ -34,7 +34,7 @@ class Tool(Part):
     peg_length_mm: float = Field(0.0, ge=0, le=50)
     """How far the peg reaches beyond the tip."""
     shell_spacing_mm: float | None = Field(None, gt=0, le=10, examples=[0.2])
-    """Distance between the cutter's elements; without it two voxels, or wider where that gives over 1600 elements."""
+    """Distance between the cutter's elements; without it two voxels, or wider where that gives over 6000 elements."""
 
     @property
     def can_have_peg(self) -> bool:

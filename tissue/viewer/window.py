@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue.figures.style import layer_colours
-from tissue.figures.tool_mesh import tool_surface
+from tissue.figures.tool_mesh import turning_tool
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.saved_fields import SavedFields, field_label, field_names
 from tissue.viewer.bone import BoneShown
@@ -103,7 +103,7 @@ class Window:
         self.playback: Playback | None = None
         if saved.trace is not None and len(saved.trace.rows):
             size = max(size, *(face.length for face in self._faces.values()), 0.0)
-            tool = tool_surface(scene.tool if scene is not None else None)
+            tool = turning_tool(scene.tool if scene is not None else None)
             self.moment = MomentShown(self.plotter, saved.trace, tool, size_mm=size)
         self._add_time(choice)
         first = self._series.names[0] if self._series is not None and self.bone is None else None

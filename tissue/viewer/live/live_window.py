@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue.figures.style import layer_colours
-from tissue.figures.tool_mesh import tool_surface
+from tissue.figures.tool_mesh import turning_tool
 from tissue.scene.scene import Scene
 from tissue.simulation.live.shared import SharedArrays
 from tissue.viewer.camera import aim
@@ -78,7 +78,7 @@ class LiveWindow:
             seen.append(self.tissue.points_mm)
         points = np.vstack(seen)
         size = float(np.linalg.norm(np.ptp(points, axis=0)))
-        self.tool = LiveTool(self.plotter, tool_surface(scene.tool), columns, size_mm=size)
+        self.tool = LiveTool(self.plotter, turning_tool(scene.tool), columns, size_mm=size)
         for row, line in enumerate(HELP):
             place = (0.012, 0.1 - 0.025 * row)
             self.plotter.add_text(line, position=place, viewport=True, font_size=9, color="black")
