@@ -97,10 +97,10 @@ def test_the_value_of_an_override_is_toml_or_text(text, expected):
 
 
 def test_an_override_mends_a_scene_file(tmp_path):
-    (tmp_path / "broken.toml").write_text(scene_text("milling").replace("spacing_mm = 0.1", "spacing_mm = 7.0"))
+    (tmp_path / "broken.toml").write_text(scene_text("milling").replace("spacing_mm = 0.05\n", "spacing_mm = 7.0\n"))
     with pytest.raises(InputError, match=r"voxels\.spacing_mm must be"):
         load_scene(tmp_path / "broken.toml")
-    assert load_scene(tmp_path / "broken.toml", {"voxels.spacing_mm": 0.1}) == load_scene("milling")
+    assert load_scene(tmp_path / "broken.toml", {"voxels.spacing_mm": 0.05}) == load_scene("milling")
 
 
 @pytest.mark.parametrize("turned", [False, True], ids=["kind first", "kind last"])
