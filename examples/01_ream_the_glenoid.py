@@ -16,7 +16,7 @@ def main(out: Path | None = None) -> None:
     run = tissue.simulate(scene)
 
     removed = run.trace["removed_mm3"][-1]
-    thrust, torque = run.trace["model_force_z_N"].max(), -run.trace["model_torque_z_Nm"].min()
+    thrust, torque = run.trace["model_force_z_N"].max(), run.trace["model_torque_z_Nm"].max()
     print(f"removed {removed:.1f} mm3, peak thrust {thrust:.1f} N, peak torque {torque:.3f} N m")
     print(f"tick: median {run.summary()['tick_us']['median']:.0f} us")
 

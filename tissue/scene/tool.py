@@ -34,7 +34,7 @@ class Tool(Part):
     peg_length_mm: float = Field(0.0, ge=0, le=50)
     """How far the peg reaches beyond the tip."""
     shell_spacing_mm: float | None = Field(None, gt=0, le=10, examples=[0.2])
-    """Distance between the cutter's elements; without it two voxels, or wider where that gives over 6000 elements."""
+    """Distance between the cutter's elements; without it as wide as gives 6000 elements."""
 
     @property
     def can_have_peg(self) -> bool:

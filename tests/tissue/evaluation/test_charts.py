@@ -8,6 +8,7 @@ import pytest
 import tissue
 from meshes.base.errors import InputError
 from meshes.tets.structured import box
+from tissue.evaluation.charts import frontier as module
 from tissue.evaluation.charts.fidelity import SAFETY, _in_words, choose, with_fidelity
 from tissue.evaluation.charts.frontier import (
     Frontier,
@@ -187,8 +188,6 @@ def test_an_interrupted_chart_goes_on_and_a_finished_one_is_not_measured_again(b
     ]
     monkeypatch.setattr("tissue.evaluation.charts.measure.EXCERPT_S", {True: 0.4})
     monkeypatch.setattr("tissue.evaluation.charts.frontier.settings_of", lambda scene, quick: settings)
-    import tissue.evaluation.charts.frontier as module
-
     real, ran = module.measure, []
 
     def stops(scene, setting, *, quick):
@@ -244,6 +243,19 @@ def test_places_keep_a_peg_in_its_hole_and_leave_hands_alone(block):
         assert 0.0 < np.abs(away[:, :2]).max() <= 0.5 * glenoid.voxels.spacing_mm
         assert scene.motion.points_mm[-1][2] != given_mm[-1, 2] and scene.motion.points_mm[0][2] == given_mm[0, 2]
     assert placed(block)[0] is block and len({scene.motion for scene in placed(block)}) == 3
+
+
+@pytest.mark.parametrize(("fine_us", "offered"), [(700.0, 3), (900.0, 2)])
+def test_finer_settings_are_offered_while_ticks_are_in_time(block, monkeypatch, fine_us, offered):
+    settings = [Setting("as it is", "voxels"), *(Setting(name, "voxels", finer=True) for name in ("fine", "finer"))]
+    monkeypatch.setattr(module, "settings_of", lambda scene, quick: settings)
+    monkeypatch.setattr(module, "setting_key", lambda scene, setting, *, quick: setting.name)
+    monkeypatch.setattr(module, "short_of", lambda scene, quick: scene)
+    monkeypatch.setattr(module, "_gap", lambda scene, path, *, quick: 0.0)
+    monkeypatch.setattr(module, "measure", lambda scene, setting, *, quick: point(setting.name, p99=fine_us))
+    found = frontier_of(block)
+    assert [each.setting for each in found.points] == [each.name for each in found.settings]
+    assert len(found.points) == offered
 
 
 class Inline(Executor):

@@ -27,6 +27,8 @@ from tissue.scene.scene import Scene
 
 __all__ = ["Frontier", "frontier_of", "measured_keys", "measured_of", "short_of", "undominated", "write_measured"]
 
+OFFERED_US = 800.0
+"""99th percentile of a tick from which on nothing finer is offered [us]: the hand's loop has the rest of 1 ms."""
 COLUMNS = tuple(entry.name for entry in fields(Measured))
 
 
@@ -96,8 +98,11 @@ def frontier_of(scene: Scene, *, quick: bool = True, report: Progress = silent) 
     known = {point.key: point for point in _kept(path)}
     settings = settings_of(scene, quick=quick)
     short: Scene | None = None
-    points: list[Measured] = []
+    points, offered = list[Measured](), list[Setting]()
+    full = False  # whether a finer setting took all the time that a tick has for it
     for index, setting in enumerate(settings):
+        if full and setting.finer:
+            continue
         report(f"{scene.name}: {setting.name}", index / (len(settings) + 1))
         key = setting_key(scene, setting, quick=quick)
         if key not in known:
@@ -107,8 +112,10 @@ def frontier_of(scene: Scene, *, quick: bool = True, report: Progress = silent) 
             known = {point.key: point for point in _kept(path)} | known  # of another process that charts it
             write_entry(path, _table(list(known.values())))
         points.append(known[key])
+        offered.append(setting)
+        full = full or (setting.finer and known[key].p99_us > OFFERED_US)
     report(f"{scene.name}: reference", len(settings) / (len(settings) + 1))
-    found = Frontier(scene, tuple(points), _gap(scene, path, quick=quick), tuple(settings))
+    found = Frontier(scene, tuple(points), _gap(scene, path, quick=quick), tuple(offered))
     if quick or scene.device != "none":
         return found
     short = short or short_of(scene, quick)

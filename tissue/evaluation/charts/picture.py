@@ -55,6 +55,7 @@ def _draw(axes: "Axes", found: Frontier) -> None:
     known = [100.0 * found.gap] if found.gap > 0.0 else []
     bounds = [row for row in found.bounds if not isnan(row.force_error)]
     law = [100.0 * max(row.force_error, LEAST) for row in bounds if row.family == "law"]
+    known += [100.0 * point.error_50_ms for point in points if point.error_50_ms > 0.0]
     low, high = 0.5 * min(shown + known + law), 2.2 * max(*shown, *law, 1e-3)
     labelled = set()
     for point, error in zip(points, shown, strict=True):
@@ -63,8 +64,13 @@ def _draw(axes: "Axes", found: Frontier) -> None:
         new = label if point.family not in labelled else None
         labelled.add(point.family)
         axes.plot(point.median_us, error, mark, color=colour, markersize=6.5, label=new)
+        if point.error_50_ms > 0.0:
+            over = 100.0 * max(point.error_50_ms, LEAST)
+            axes.plot([point.median_us] * 2, [error, over], color=colour, linewidth=0.8, alpha=0.5)
+            axes.plot(point.median_us, over, mark, color=colour, markersize=4.0, markerfacecolor="white")
     best = found.best
     line = [100.0 * max(point.force_error, LEAST) for point in best]
+    axes.plot([], [], "o", color="0.4", markersize=4.0, markerfacecolor="white", label="the same over 50 ms")
     axes.step([p.median_us for p in best], line, where="post", color="0.15", linewidth=1.4, label="frontier")
     height = axes.get_position().height * HIGH_IN * 72.0
     places = np.log(np.array(line) / low)[::-1] / np.log(high / low) + 6.0 / height

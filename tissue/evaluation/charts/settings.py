@@ -39,6 +39,8 @@ class Setting:
         Processor cores; None for all.
     compute
         Warp device.
+    finer
+        Whether it is finer than the scene: offered where the finer ones before it took no longer than a tick may.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Setting:
     leaves_out: str = ""
     cores: int | None = None
     compute: str = "cpu"
+    finer: bool = False
 
 
 def by_hand(scene: Scene) -> Scene:
@@ -91,8 +94,7 @@ def refined(scene: Scene, share: float) -> dict[str, object]:
     """All lengths of the scene's grid times a share, and no field that no force depends on."""
     lengths: dict[str, float] = {}
     if isinstance(scene.tool, Tool):
-        shell_mm = scene.tool.shell_spacing_mm or _shell_mm(scene.tool)
-        lengths = {"voxels.spacing_mm": scene.voxels.spacing_mm, "tool.shell_spacing_mm": shell_mm}
+        lengths = {"voxels.spacing_mm": scene.voxels.spacing_mm, "tool.shell_spacing_mm": _shell_mm(scene.tool)}
     elif isinstance(scene.anatomy, SoftAnatomy):
         lengths = {"anatomy.touch_edge_mm": _edge_mm(scene, scene.anatomy), "anatomy.edge_mm": scene.anatomy.edge_mm}
     return _force_only(scene)[0] | {key: share * value for key, value in lengths.items()}
@@ -109,10 +111,10 @@ def _force_only(scene: Scene) -> tuple[dict[str, object], str]:
 
 
 def _shell_mm(tool: Tool) -> float:
-    """Distance of the cutter's elements where a scene sets none."""
+    """Distance of the cutter's elements."""
     from tissue.models.bone.model import SHELL_ELEMENTS
 
-    return 1e3 * float((cutter_of(tool).cutting_area_m2 / SHELL_ELEMENTS) ** 0.5)
+    return tool.shell_spacing_mm or 1e3 * float((cutter_of(tool).cutting_area_m2 / SHELL_ELEMENTS) ** 0.5)
 
 
 def _edge_mm(scene: Scene, anatomy: SoftAnatomy) -> float:
@@ -123,18 +125,22 @@ def _edge_mm(scene: Scene, anatomy: SoftAnatomy) -> float:
 
 def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
     """Spacing, kind of removal, elements of the cutter, stress, cores."""
-    (plain, lost), base = _force_only(scene), scene.voxels.spacing_mm
+    (plain, lost), base, shell = _force_only(scene), scene.voxels.spacing_mm, _shell_mm(tool)
     for factor in (4.0, 3.0, 2.0, 1.0) if quick else (5.0, 4.0, 3.0, 2.0, 1.5, 1.0):
         spacing = round(factor * base, 4)
         if spacing > 0.25 * tool.diameter_mm:
             continue
         for removal in ("subvoxel",) if quick else ("subvoxel", "binary"):
             name = f"{spacing:g} mm" + (" binary" if removal == "binary" else "")
-            yield Setting(name, "voxels", plain | {"voxels.spacing_mm": spacing, "voxels.removal": removal}, lost)
-    shell = _shell_mm(tool)
-    for factor in (2.0,) if quick else (4.0, 3.0, 2.0, 1.5, 0.7):
+            grid = {"voxels.spacing_mm": spacing, "voxels.removal": removal}
+            coarse: Changes = {"tool.shell_spacing_mm": round(factor * shell, 4)} if factor > 1.0 else {}
+            yield Setting(name, "voxels", {**plain, **grid, **coarse}, lost)
+    for factor in (2.0,) if quick else (4.0, 3.0, 2.0, 1.5):
         wide = {"tool.shell_spacing_mm": round(factor * shell, 4)}
         yield Setting(f"{base:g} mm, shell {factor * shell:.2g} mm", "shell", plain | wide, lost)
+    for share in (0.7,) if quick else (0.8, 0.6):
+        name = f"{share * base:.3g} mm, shell {share * shell:.2g} mm"
+        yield Setting(name, "voxels", refined(scene, share), lost, finer=True)
     if quick:
         return
     yield Setting(f"{base:g} mm, one core", "cores", plain, lost, cores=1)
@@ -155,6 +161,8 @@ def _elements(scene: Scene, anatomy: SoftAnatomy, *, quick: bool) -> Iterator[Se
         yield Setting(f"P{order} {edge:g} mm", "elements", changes, lost)
     if quick:
         return
+    fine = refined(scene, 0.8) | {"organ.order": 2}
+    yield Setting(f"P2 {0.8 * base:.3g} mm", "elements", fine, lost, finer=True)
     for size in (100, 300, 1000):
         yield Setting(f"reduced {size}", "path", plain | {"organ.path": "reduced", "organ.basis_size": size}, lost)
     yield Setting("lazy", "path", plain | {"organ.path": "lazy"}, lost)
