@@ -88,8 +88,8 @@ POINTS = "motion.points_mm must be a list of at least two points [x, y, z], got"
         ("name=A b", 'name must be lower-case letters, digits, - and _, got A b: use "glenoid-2"'),
         ("description=5", "description must be text, got 5: put it in quotes"),
         (
-            "tool.diameter_mm=0.3",
-            "voxels.spacing_mm must be at most a quarter of tool.diameter_mm (0.3), got 0.1: use 0.015",
+            "tool.diameter_mm=0.15",
+            "voxels.spacing_mm must be at most a quarter of tool.diameter_mm (0.15), got 0.05: use 0.0075",
         ),
         (
             "tool.peg_diameter_mm=2",
