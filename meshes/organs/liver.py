@@ -28,11 +28,12 @@ from meshes.tets.structured import graded, grid
 from meshes.tets.stuffing import stuffed, with_part
 from meshes.tets.tetrahedra import TetMesh
 
-__all__ = ["LIVER_REGIONS", "Nodule", "liver", "liver_region", "liver_shape", "slab", "slab_base"]
+__all__ = ["LIVER_REGIONS", "Nodule", "liver", "liver_region", "liver_shape", "onto_liver", "slab", "slab_base"]
 
 _TOP_M = (-0.026, 0.0)
 _SIZE = 0.94
 _TRIES = 4
+_NEAR_M, _PROJECTIONS = 1e-5, 4
 _VISCERAL = (0.33, 0.10, -0.94)
 LIVER_REGIONS = {"below": (_VISCERAL, 55.0), "back": ((0.0, 1.0, 0.0), 45.0)}
 """Surfaces that hold a liver, as a direction and the angle [degrees] within which they face it: the visceral side it
@@ -87,6 +88,18 @@ def liver(*, spacing_m: float = 8.4e-3, nodule: Nodule | None = None) -> TetMesh
     shape = liver_shape()
     mesh = stuffed(shape, spacing_m)
     return mesh if nodule is None else _with_nodule(mesh, nodule, shape, spacing_m)
+
+
+def onto_liver(points: np.ndarray) -> np.ndarray:
+    """Points of the procedural liver's surface near some points [m], both shape (n, 3)."""
+    shape, found = liver_shape(), np.array(points, dtype=np.float64)
+    steps = _NEAR_M * np.vstack([np.eye(3), -np.eye(3)])
+    for _ in range(_PROJECTIONS):
+        around = shape.distance((found[:, None] + steps).reshape(-1, 3)).reshape(-1, 6)
+        slope = (around[:, :3] - around[:, 3:]) / (2.0 * _NEAR_M)
+        size = np.maximum((slope * slope).sum(axis=1), 0.1)
+        found -= (shape.distance(found) / size)[:, None] * slope
+    return found
 
 
 def liver_region(mesh: TetMesh, name: str) -> Nodes:

@@ -2,7 +2,8 @@
 
 An edge that is the longest of every tetrahedron around it is split at its middle, and so are all of these: the mesh
 stays conforming without any repair. Where a tetrahedron with an edge to split has a longer one, that one goes first
-(Rivara 1997, Int. J. Numer. Methods Eng. 40:3313). Shapes stay bounded, the surface stays where it was.
+(Rivara 1997, Int. J. Numer. Methods Eng. 40:3313). Shapes stay bounded. The surface stays where it was, or its nodes go
+onto a given one: flat triangles 20 mm long lie up to 0.8 mm below a surface of 60 mm radius, however they are divided.
 """
 
 from collections.abc import Callable
@@ -11,15 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
-from meshes.tets.checks import EDGES
+from meshes.tets.checks import EDGES, cell_faces, signed_volumes
 from meshes.tets.tetrahedra import TetMesh
 
-__all__ = ["bisected"]
+__all__ = ["Move", "bisected"]
 
+Move = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+"""Points [m], shape (n, 3), to points [m] of that shape."""
 _MOST_CELLS = 5_000_000
+_LEAST_VOLUME = 0.5
+"""A node goes onto the surface only where every tetrahedron around it keeps this share of its volume."""
 
 
-def bisected(mesh: TetMesh, size_m: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> TetMesh:
+def bisected(
+    mesh: TetMesh, size_m: Callable[[NDArray[np.float64]], NDArray[np.float64]], *, onto: Move | None = None
+) -> TetMesh:
     """Mesh in which no edge is longer than wanted at its middle; nodes of the first keep their numbers.
 
     Parameters
@@ -28,6 +35,8 @@ def bisected(mesh: TetMesh, size_m: Callable[[NDArray[np.float64]], NDArray[np.f
         Mesh to refine.
     size_m
         Longest edge wanted [m], shape (n,), at points [m], shape (n, 3).
+    onto
+        Nearest points of the surface that the mesh stands for; its surface nodes, old and new, are moved there.
 
     Raises
     ------
@@ -35,6 +44,8 @@ def bisected(mesh: TetMesh, size_m: Callable[[NDArray[np.float64]], NDArray[np.f
         If a wanted edge is not positive, or the mesh would pass five million tetrahedra.
     """
     nodes, cells, part = mesh.nodes_m, mesh.cells, mesh.part
+    if onto is not None:
+        nodes = _moved(nodes, cells, mesh.surface_nodes, onto)
     while True:
         ends = np.sort(cells[:, EDGES], axis=2)
         keys, edge = np.unique(ends.reshape(-1, 2) @ np.array([len(nodes), 1]), return_inverse=True)
@@ -71,3 +82,19 @@ def bisected(mesh: TetMesh, size_m: Callable[[NDArray[np.float64]], NDArray[np.f
         first, second = EDGES[place[halved]].T
         copies = np.arange(len(cells) - len(halved), len(cells))
         cells[halved, second] = cells[copies, first] = number[longest[halved]]
+        if onto is not None:
+            triangles, _, shared = cell_faces(cells)
+            outside = np.unique(triangles[shared == 1])
+            nodes = _moved(nodes, cells, outside[outside >= len(nodes) - split.sum()], onto)
+
+
+def _moved(
+    nodes: NDArray[np.float64], cells: NDArray[np.int64], chosen: NDArray[np.int64], onto: Move
+) -> NDArray[np.float64]:
+    """Nodes with the chosen ones on the surface, but for those whose move would flatten a tetrahedron."""
+    moved, before = nodes.copy(), signed_volumes(nodes, cells)
+    moved[chosen] = onto(nodes[chosen])
+    while (flat := signed_volumes(moved, cells) < _LEAST_VOLUME * before).any():
+        back = np.unique(cells[flat])
+        moved[back] = nodes[back]
+    return moved

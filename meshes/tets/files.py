@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError, by, require_file, require_positive
 from meshes.base.isolated_parser import parse_isolated
 from meshes.base.progress import Progress, silent
-from meshes.surfaces.surface import surface_from_triangles
+from meshes.surfaces.surface import Surface, surface_from_triangles
 from meshes.tets.msh import StoredMesh, read_msh
 from meshes.tets.quality import repair_tets
 from meshes.tets.tetrahedra import TetMesh
@@ -36,14 +36,14 @@ class TetFile:
         Millimetres per unit of the file.
     sentences
         The unit, what was found and what was done, a sentence each.
-    filled
-        Whether the tetrahedra were made here, in a surface.
+    surface
+        The surface in which the tetrahedra were made here; None of tetrahedra as they were stored.
     """
 
     mesh: TetMesh
     unit_mm: float
     sentences: tuple[str, ...]
-    filled: bool = False
+    surface: Surface | None = None
 
 
 def read_tets(
@@ -87,7 +87,7 @@ def read_tets(
         return TetFile(mesh, scale, (why, *stored.notes, *repaired.sentences()))
     surface = surface_from_triangles(stored.points, stored.triangles, source=file.name, scale_mm=scale)
     filled, sentences = tetrahedralise(surface, edge_m=edge_m, report=report)
-    return TetFile(filled, scale, (why, *stored.notes, *surface.report.repairs, *sentences), filled=True)
+    return TetFile(filled, scale, (why, *stored.notes, *surface.report.repairs, *sentences), surface)
 
 
 def _unit(size: NDArray[np.float64], unit_mm: float | None, name: str) -> tuple[float, str]:

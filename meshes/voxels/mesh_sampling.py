@@ -15,7 +15,7 @@ from meshes.base.simplices import compact
 from meshes.voxels.column_crossings import column_crossings, lowest_and_highest, triangles_meeting
 from meshes.voxels.grid import Grid
 
-__all__ = ["TriangleSampler", "triangle_distance"]
+__all__ = ["TriangleSampler", "nearest_on_triangles", "triangle_distance"]
 
 _LINES = 3
 _WIDEST_LATTICE_M = 0.41e-3
@@ -156,3 +156,16 @@ def triangle_distance(
     cloud = pyvista.PolyData(np.ascontiguousarray(points, dtype=np.float64))
     found = cloud.compute_implicit_distance(surface)
     return np.asarray(found["implicit_distance"], dtype=np.float64)
+
+
+def nearest_on_triangles(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], points: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Point of the surface nearest to each point [m], shape (n, 3)."""
+    import pyvista
+
+    if len(points) == 0:
+        return np.empty((0, 3))
+    surface = pyvista.PolyData.from_regular_faces(vertices, faces.astype(int))
+    _, found = surface.find_closest_cell(np.ascontiguousarray(points, dtype=np.float64), return_closest_point=True)
+    return np.asarray(found, dtype=np.float64)

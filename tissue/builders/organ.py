@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError, names_of_caller
 from meshes.base.placement import Placement
 from meshes.base.progress import Progress
-from meshes.organs.liver import Nodule, liver, liver_region, slab, slab_base
+from meshes.organs.liver import Nodule, liver, liver_region, onto_liver, slab, slab_base
 from meshes.surfaces.site import axes_along
-from meshes.tets.bisection import bisected
+from meshes.tets.bisection import Move, bisected
 from meshes.tets.files import read_tets
 from meshes.tets.regions import nodes_behind_plane, nodes_facing, nodes_of_part
 from meshes.tets.tetrahedra import TetMesh
+from meshes.voxels.mesh_sampling import nearest_on_triangles
 from tissue.builders.parts import FILE_WORDS
 from tissue.materials.constants import constants
 from tissue.materials.elasticity import lame, rotated, transversely_isotropic
@@ -92,8 +93,8 @@ def held_mesh(
         If a file cannot be used, a nodule does not fit, or what should hold the organ touches nothing.
     """
 
-    def fine(mesh: TetMesh) -> TetMesh:
-        return bisected(mesh, lambda points: touch_edge_m + GROWTH * _away(points, path_m))
+    def fine(mesh: TetMesh, onto: Move | None = None) -> TetMesh:
+        return bisected(mesh, lambda points: touch_edge_m + GROWTH * _away(points, path_m), onto=onto)
 
     with names_of_caller(KEYS):
         if isinstance(anatomy, SlabAnatomy):
@@ -102,7 +103,7 @@ def held_mesh(
             mesh = fine(block)
             return HeldMesh(mesh, slab_base(mesh), {"held": "the lower face, bonded to the ground"})
         if anatomy.file is None:
-            mesh = fine(liver(spacing_m=1e-3 * anatomy.edge_mm, nodule=_nodule(anatomy)))
+            mesh = fine(liver(spacing_m=1e-3 * anatomy.edge_mm, nodule=_nodule(anatomy)), onto_liver)
             litres = 1e3 * float(mesh.volumes_m3.sum())
             notes = {"liver": f"procedural, {litres:.2f} l; no vessels and no ligaments", "held": _held_note(anatomy)}
             return HeldMesh(mesh, _held(anatomy, mesh), notes)
@@ -191,10 +192,10 @@ def _away(points_m: NDArray[np.float64], path_m: NDArray[np.float64]) -> NDArray
     return nearest
 
 
-def _from_file(anatomy: LiverAnatomy, fine: Callable[[TetMesh], TetMesh], report: Progress) -> HeldMesh:
+def _from_file(anatomy: LiverAnatomy, fine: Callable[[TetMesh, Move | None], TetMesh], report: Progress) -> HeldMesh:
     """Mesh of a file, turned and moved to its site."""
     found = read_tets(anatomy.file or "", unit_mm=anatomy.scale_mm, edge_m=1e-3 * anatomy.edge_mm, report=report)
-    if not found.filled and is_given(anatomy, "edge_mm"):
+    if found.surface is None and is_given(anatomy, "edge_mm"):
         raise InputError(
             f"anatomy.edge_mm must be left out for tetrahedra from a file, got {anatomy.edge_mm:g}: set "
             "anatomy.touch_edge_mm, by which they are divided where the tool goes, or remove it"
@@ -202,12 +203,19 @@ def _from_file(anatomy: LiverAnatomy, fine: Callable[[TetMesh], TetMesh], report
     mesh, turn = found.mesh, frame_along(anatomy.normal)
     if anatomy.along is not None:
         turn = axes_along(turn[:, 2], anatomy.along)
-    surface = mesh.nodes_m[mesh.surface_nodes]
+    surface = mesh.nodes_m[mesh.surface_nodes] if found.surface is None else found.surface.vertices_m
     if anatomy.centre_mm is None:
         origin = surface[np.argmax(surface @ turn[:, 2])]
     else:
         origin = surface[np.argmin(np.linalg.norm(surface - 1e-3 * np.array(anatomy.centre_mm), axis=1))]
-    placed = fine(replace(mesh, nodes_m=(mesh.nodes_m - origin) @ turn))
+    onto = None
+    if found.surface is not None:
+        vertices, faces = (found.surface.vertices_m - origin) @ turn, found.surface.faces
+
+        def onto(points: NDArray[np.float64]) -> NDArray[np.float64]:
+            return nearest_on_triangles(vertices, faces, points)
+
+    placed = fine(replace(mesh, nodes_m=(mesh.nodes_m - origin) @ turn), onto)
     at = ", ".join(f"{1e3 * value:.4g}" for value in origin)
     notes = {
         "mesh": f"{len(mesh.cells)} tetrahedra, {1e6 * float(mesh.volumes_m3.sum()):.4g} ml. "

@@ -1,12 +1,16 @@
 """Bisection: conforming, the same body, as fine as asked, bounded shapes."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
+from meshes.shapes.sdf import sphere
 from meshes.tets.bisection import bisected
 from meshes.tets.checks import FACES
 from meshes.tets.structured import box
+from meshes.tets.stuffing import stuffed
 from meshes.tets.tetrahedra import TetMesh
 
 
@@ -67,3 +71,29 @@ def test_bad_sizes(monkeypatch):
     monkeypatch.setattr("meshes.tets.bisection._MOST_CELLS", 1000)
     with pytest.raises(InputError, match="size_m must leave at most 1000"):
         bisected(mesh, lambda at: np.full(len(at), 1e-3))
+
+
+def test_surface_nodes_go_onto_the_surface_that_the_mesh_stands_for():
+    """A ball of flat triangles: divided, it keeps its missing volume; onto its sphere, that falls with the square of edges."""
+
+    def onto(points):
+        return points / np.linalg.norm(points, axis=1)[:, None]
+
+    coarse = stuffed(sphere(1.0), 0.5)
+    whole, missing = 4.0 / 3.0 * np.pi, []
+    for edge in (0.4, 0.2, 0.1):
+        flat = bisected(coarse, lambda at, edge=edge: np.full(len(at), edge))
+        assert flat.volumes_m3.sum() == pytest.approx(coarse.volumes_m3.sum(), rel=1e-9)
+        round_ = bisected(coarse, lambda at, edge=edge: np.full(len(at), edge), onto=onto)
+        assert np.linalg.norm(round_.nodes_m[round_.surface_nodes], axis=1) == pytest.approx(1.0, abs=1e-9)
+        assert (round_.volumes_m3 > 0.0).all()
+        missing.append(1.0 - round_.volumes_m3.sum() / whole)
+    assert missing[-1] < 0.1 * (1.0 - coarse.volumes_m3.sum() / whole)
+    assert all(2.5 < one / two < 6.0 for one, two in pairwise(missing))
+
+
+def test_a_move_that_would_flatten_a_tetrahedron_is_not_made():
+    """The top is to go through the bottom: it stays, and so does the box."""
+    mesh = box((1.0, 1.0, 1.0), (2, 2, 2))
+    found = bisected(mesh, lambda at: np.full(len(at), 0.6), onto=lambda at: at * [1.0, 1.0, -1.0])
+    assert (found.volumes_m3 > 0.0).all() and found.volumes_m3.sum() == pytest.approx(1.0)

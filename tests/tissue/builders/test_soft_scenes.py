@@ -173,7 +173,7 @@ def test_a_needle_scene_reports_its_punctures():
         ),
         (
             "liver-press",
-            {"anatomy.held": "plane", "anatomy.held_below_mm": 0.0},
+            {"anatomy.held": "plane", "anatomy.held_below_mm": 0.0, "motion.points_mm": [[45, 0, 30], [45, 0, -30]]},
             "motion must bring the tool to tissue that can move, got a tool that touches only what is held: move it",
         ),
         ("liver-press", {"motion.points_mm": [[0, 0, -20], [0, 0, -30]]}, "motion must start outside the organ"),

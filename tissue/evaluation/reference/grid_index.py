@@ -24,8 +24,9 @@ __all__ = ["GridIndex", "Order", "grid_index", "observed_order"]
 Array = NDArray[np.float64]
 FORMAL_ORDER = 2.0
 """Order of the force in the spacing, and the highest that an index is computed with."""
-ASYMPTOTIC = 0.5, 2.1
-"""Observed orders taken as asymptotic (Eça and Hoekstra 2014, J. Comput. Phys. 262, 104-130)."""
+ASYMPTOTIC = 0.5, 2.2
+"""Observed orders taken as asymptotic: from 0.5 (Eça and Hoekstra 2014, J. Comput. Phys. 262, 104-130) to a tenth above
+the formal one (Oberkampf and Roy 2010, Verification and Validation in Scientific Computing)."""
 SAFETY, SAFETY_OUTSIDE = 1.25, 3.0
 """Roache's safety factors, within the asymptotic range and outside it."""
 STEEPEST = 30.0
