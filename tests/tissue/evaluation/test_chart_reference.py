@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tissue.evaluation.charts.reference import grid_force_N, reference_gap, reference_words
-from tissue.evaluation.charts.settings import GRIDS, finest, grids
+from tissue.evaluation.charts.settings import finest, grids, shares
 from tissue.evaluation.reference.grid_index import grid_index
 from tissue.scene.load import load_scene
 
@@ -36,13 +36,13 @@ def test_what_forces_are_held_to_is_named(name, changes, words):
 
 
 @pytest.mark.parametrize("quick", [True, False])
-def test_the_grids_of_an_index_end_at_a_third_and_change_every_length(quick):
-    for name, keys in (
-        ("glenoid", ("voxels.spacing_mm", "tool.shell_spacing_mm")),
-        ("palpation", ("anatomy.touch_edge_mm", "anatomy.edge_mm")),
+def test_the_grids_of_an_index_change_every_length_alike(quick):
+    for name, keys, last in (
+        ("glenoid", ("voxels.spacing_mm", "tool.shell_spacing_mm"), 0.5 if quick else 1.0 / 3.0),
+        ("palpation", ("anatomy.touch_edge_mm", "anatomy.edge_mm"), 0.64 if quick else 0.5),
     ):
         lengths = np.array([[each[key] for key in keys] for each in grids(load_scene(name), quick=quick)])
-        assert lengths[0] == pytest.approx(lengths[2] * (2.0 if quick else 3.0))
+        assert lengths[0] == pytest.approx(lengths[2] / last)
         assert np.ptp(lengths / lengths[0], axis=1) == pytest.approx(0.0, abs=1e-12)
     assert grids(load_scene("needle"), quick=quick) == [] and finest(load_scene("wall"), quick=quick) == {}
 
@@ -54,4 +54,4 @@ def test_where_no_geometry_is_exact_the_reference_is_known_by_the_index(tmp_path
     gap = reference_gap(scene, quick=True)
     forces = [grid_force_N(scene, each) for each in grids(scene, quick=True)]
     assert len(set(tmp_path.glob("grid-force-*"))) == 3
-    assert gap == grid_index(forces, GRIDS[True]).over_ticks.index[-1] and 0.0 < gap < 1.0
+    assert gap == grid_index(forces, shares(scene, quick=True)).over_ticks.index[-1] and 0.0 < gap < 1.0

@@ -10,7 +10,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.cache import cached_arrays
-from tissue.evaluation.charts.settings import GRIDS, Changes, finest, grids
+from tissue.evaluation.charts.settings import Changes, finest, grids, shares
 from tissue.evaluation.reference.grid_index import grid_index
 from tissue.evaluation.reference.history import has_exact_geometry, reference_force
 from tissue.evaluation.statistics.metrics import force_error
@@ -69,7 +69,7 @@ def reference_gap(scene: Scene, *, quick: bool, by_hand: bool = False) -> float:
         if not changes:
             return 0.0
         forces = [grid_force_N(model, each) for each in changes]
-        return grid_index(forces, GRIDS[quick]).over_ticks.index[-1]
+        return grid_index(forces, shares(model, quick=quick)).over_ticks.index[-1]
     run = simulate(changed(model, finest(model, quick=quick) if by_hand else {"stress": None}))
     exact = reference_force(model, run.trace)
     if not by_hand:

@@ -11,13 +11,15 @@ from tissue.scene.registry import PREDICTORS, RENDERERS
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 
-__all__ = ["GRIDS", "LATENCY_MS", "Setting", "by_hand", "finest", "grids", "refined", "settings_of"]
+__all__ = ["LATENCY_MS", "Setting", "by_hand", "finest", "grids", "refined", "settings_of", "shares"]
 
 LATENCY_MS = 4
 """Latency at which loops are compared where a scene has none, the mean that the paper reports being 4.3 ms."""
 LOST = "displacement and stress"
-GRIDS = {True: (1.0, 0.5**0.5, 0.5), False: (1.0, 3.0**-0.5, 1.0 / 3.0)}
-"""Grids of a grid-convergence index, quick or not: their lengths over those of the scene."""
+VOXEL_SHARES = {True: (1.0, 0.5**0.5, 0.5), False: (1.0, 3.0**-0.5, 1.0 / 3.0)}
+"""Lengths of the three grids of a grid-convergence index over those of the scene, quick or not."""
+TET_SHARES = {True: (1.0, 0.8, 0.64), False: (1.0, 0.5**0.5, 0.5)}
+"""The same of tetrahedra: half the edge takes five times the unknowns, of which a factor holds at most some 100,000."""
 Changes = Mapping[str, object]
 
 
@@ -80,14 +82,19 @@ def finest(scene: Scene, *, quick: bool) -> Changes:
     return (grids(scene, quick=quick) or [{}])[-1]
 
 
+def shares(scene: Scene, *, quick: bool) -> tuple[float, ...]:
+    """Lengths of three grids over those of a scene, coarse to fine; none where there is no grid."""
+    if isinstance(scene.tool, Tool):
+        return VOXEL_SHARES[quick]
+    return TET_SHARES[quick] if isinstance(scene.anatomy, SoftAnatomy) else ()
+
+
 def grids(scene: Scene, *, quick: bool) -> list[Changes]:
-    """Three grids of a scene, coarse to fine, by the most accurate method; none where there is no grid."""
-    best: dict[str, object] = {}
+    """Those grids, by the most accurate method."""
+    best: dict[str, object] = {"organ.order": 2, "organ.path": "condensed"}
     if isinstance(scene.tool, Tool):
         best = {"voxels.removal": "subvoxel"}
-    elif isinstance(scene.anatomy, SoftAnatomy):
-        best = {"organ.order": 2, "organ.path": "condensed"}
-    return [refined(scene, share) | best for share in GRIDS[quick]] if best else []
+    return [refined(scene, share) | best for share in shares(scene, quick=quick)]
 
 
 def refined(scene: Scene, share: float) -> dict[str, object]:
