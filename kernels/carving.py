@@ -24,7 +24,6 @@ PHASES = 16
 FIRST, COUNT, BINARY, EVERY_SIDE, ORIGIN, PLAN = 0, 1, 2, 3, 4, 5
 """Places in the plan: first group and how many; 1 for binary removal; 1 for every side; group of the first brick."""
 BLOCK_REACH = wp.constant(1.7320508)  # half diagonal of a block of 2 voxels [voxel]
-CELL = wp.constant(0.5)  # a cell of the distance table [voxel], by which a slope may be taken next to a kink
 SLACK = wp.constant(8)  # stored distance by which two poses may differ in where they see the same surface
 EDGE = wp.constant(float(EDGE_BEND))
 BRICK_REACH = wp.constant(6.9282032)  # half diagonal of a brick of 8 voxels [voxel]
@@ -111,6 +110,7 @@ def carve_brick(
         return
     step = offset_from(pose, 1 + group, bx * 8 + 4, by * 8 + 4, bz * 8 + 4) - centre
     moved = wp.length(step)
+    kink = 1.0 / tool.cells_per_voxel  # next to a kink a slope is taken across a cell of the table
     skip_behind = every_side == 0 and tool.round == 1 and tool.radius > 8.0
     if skip_behind and tool.radius > 24.0 and wp.dot(step, far.slope) < -0.7 * moved:
         return  # the whole brick lies behind a tool that leaves it
@@ -124,7 +124,7 @@ def carve_brick(
             z = (block & 3) * 2
             shift = wp.vec3(float(x) - 3.0, float(y) - 3.0, float(z) - 3.0)
             # The distance to a convex tool lies above its tangent: three products exclude most outer blocks.
-            if tool.convex == 0 or far.distance + wp.dot(far.slope, shift) < BLOCK_REACH + CELL:
+            if tool.convex == 0 or far.distance + wp.dot(far.slope, shift) < BLOCK_REACH + kink:
                 near = nearest_on(tool, centre + shift, axis)
                 if near.distance < -BLOCK_REACH:
                     for v in range(8):

@@ -1,7 +1,10 @@
 """The carving kernel against plain NumPy, voxel by voxel."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from meshes.shapes.plane_cube import cube_fraction
 from meshes.voxels.volume import VoxelVolume
@@ -42,8 +45,6 @@ def stamp(profile, motion, removal="subvoxel"):
 
 def tilted():
     """A pose off the grid and off the axes."""
-    from scipy.spatial.transform import Rotation
-
     motion = ToolMotion(speed_m_s=1e-3)
     motion.tip_m[:] = (2.3e-5, -4.1e-5, -7.7e-4)
     motion.rotation[:] = Rotation.from_euler("xyz", [0.3, -0.4, 0.2]).as_matrix()
@@ -117,6 +118,33 @@ def test_binary_carving_against_numpy(name):
     distance, _ = signed_distance(profile, motion)
     clear = np.abs(distance) > 0.25
     assert (remaining[clear] == np.where(distance[clear] < 0.0, 0, 255)).all()
+
+
+@pytest.mark.parametrize("scale", [0.125, 0.35, 1.0])
+@pytest.mark.parametrize(
+    "made",
+    [
+        lambda scale: ball_burr(diameter_m=4e-3 * scale),
+        lambda scale: cylinder(diameter_m=3e-3 * scale, length_m=2e-3 * scale),
+        lambda scale: pear_bur(diameter_m=2.4e-3 * scale, length_m=3e-3 * scale),
+    ],
+    ids=["ball burr", "cylinder", "pear bur"],
+)
+def test_a_convex_tool_passes_over_nothing_that_it_reaches(made, scale):
+    """The same integers where every block is looked at; 2 to 6 cells of the distance table in a voxel."""
+    turns = np.random.default_rng(5).uniform(-1.5, 1.5, (6, 3))
+    found = []
+    for convex in (True, False):
+        profile = replace(made(scale), convex=convex)
+        model = BoneModel(full_block(), Cutter(profile, 4, 500.0), (cutting_coefficients("bone"),))
+        for turn in turns:
+            motion = tilted()
+            motion.rotation[:] = Rotation.from_euler("xyz", turn).as_matrix()
+            motion.tip_m[:] = scale * turn[::-1] * 1e-3
+            model.place(motion)
+        arrays = (model.store.swept, model.store.alive, model.store.remaining)
+        found.append([array.numpy().astype(np.int64) for array in arrays])
+    assert all((once == again).all() for once, again in zip(*found, strict=True))
 
 
 def test_booking_equals_what_is_missing():
