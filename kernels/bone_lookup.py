@@ -8,14 +8,12 @@ Far from the surface and from every change of layer the nearest voxel answers. L
 
 import warp as wp
 
-from kernels.bricks import density_of, layer_of, voxel_column, voxel_row
+from kernels.bricks import cell_of, density_of, layer_of, voxel_column, voxel_row
 
-__all__ = ["BEYOND", "BOUNDARY_STEPS", "SURFACE_STEPS", "Bone", "bone_at", "nearby_word"]
+__all__ = ["BEYOND", "SURFACE_STEPS", "Bone", "bone_at"]
 
 SURFACE_STEPS = 63
 """Stored steps of the surface distance in a voxel; held within two voxels, with 128 for the surface itself."""
-BOUNDARY_STEPS = 127
-"""Stored steps of the distance to the nearest change of layer in a voxel; held within two voxels."""
 BEYOND = 128 + 32
 """Least stored surface distance taken where there is no brick: half a voxel outside, as beyond the face of a grid that
 is full to its edge; beside a voxel farther out, a voxel farther than that."""
@@ -38,12 +36,6 @@ class Bone:
 
 
 @wp.func
-def nearby_word(surface: int, boundary: int):
-    """The two stored numbers as one word."""
-    return wp.uint16(surface | (boundary << 8))
-
-
-@wp.func
 def bone_at(
     brick_of: wp.array3d(dtype=wp.int32),
     material: wp.array2d(dtype=wp.uint32),
@@ -62,22 +54,14 @@ def bone_at(
     if (near & 255) >= AIR:
         found.distance = 2.0
     elif (near & 255) > DEEP or (near >> 8) < FAR:
-        ux = point[0] - 0.5
-        uy = point[1] - 0.5
-        uz = point[2] - 0.5
-        ix = int(wp.floor(ux))
-        iy = int(wp.floor(uy))
-        iz = int(wp.floor(uz))
-        fx = ux - float(ix)
-        fy = uy - float(iy)
-        fz = uz - float(iz)
+        cell = cell_of(point)
         beyond = 0xFF00 | wp.clamp((near & 255) + 63, BEYOND, 254)
         stored = corner8i()
         words = corner8i()
         for c in range(CORNERS):
-            jx = ix + (c >> 2)
-            jy = iy + ((c >> 1) & 1)
-            jz = iz + (c & 1)
+            jx = cell.x + (c >> 2)
+            jy = cell.y + ((c >> 1) & 1)
+            jz = cell.z + (c & 1)
             at = voxel_row(brick_of, jx, jy, jz)
             stored[c] = beyond
             words[c] = -1
@@ -85,14 +69,17 @@ def bone_at(
                 place = voxel_column(jx, jy, jz)
                 stored[c] = int(nearby[at, place])
                 words[c] = int(material[at, place])
-        found = between(stored, words, fx, fy, fz, found)
+        found = between(stored, words, cell.inside, found)
     return found
 
 
 @wp.func
-def between(stored: corner8i, words: corner8i, fx: float, fy: float, fz: float, nearest: Bone):
-    """The bone between the eight voxel centres of a cell, at the fractions ``fx``, ``fy``, ``fz``."""
+def between(stored: corner8i, words: corner8i, inside: wp.vec3, nearest: Bone):
+    """The bone between the eight voxel centres of a cell, at ``inside``, 0 to 1 along each axis."""
     found = nearest
+    fx = inside[0]
+    fy = inside[1]
+    fz = inside[2]
     gx = 1.0 - fx
     gy = 1.0 - fy
     gz = 1.0 - fz

@@ -14,7 +14,9 @@ __all__ = [
     "BRICK",
     "BRICK_VOXELS",
     "FULL",
+    "Cell",
     "Plane",
+    "cell_of",
     "cube_behind_plane",
     "density_of",
     "layer_of",
@@ -78,6 +80,30 @@ def stored(
     return float(remaining[row, voxel_column(ix, iy, iz)]) * (1.0 / 65535.0)
 
 
+@wp.struct
+class Cell:
+    """The cell between eight voxel centres that holds a point."""
+
+    x: wp.int32  # its voxel with the lowest indices
+    y: wp.int32
+    z: wp.int32
+    inside: wp.vec3  # place in it, 0 to 1 along each axis
+
+
+@wp.func
+def cell_of(point: wp.vec3):
+    """The cell that holds ``point`` [voxel]."""
+    ux = point[0] - 0.5
+    uy = point[1] - 0.5
+    uz = point[2] - 0.5
+    cell = Cell()
+    cell.x = int(wp.floor(ux))
+    cell.y = int(wp.floor(uy))
+    cell.z = int(wp.floor(uz))
+    cell.inside = wp.vec3(ux - float(cell.x), uy - float(cell.y), uz - float(cell.z))
+    return cell
+
+
 @wp.func
 def trilinear(
     brick_of: wp.array3d(dtype=wp.int32),
@@ -85,22 +111,17 @@ def trilinear(
     point: wp.vec3,
 ):
     """Filled fraction at ``point`` [voxel], trilinear between voxel centres."""
-    ux = point[0] - 0.5
-    uy = point[1] - 0.5
-    uz = point[2] - 0.5
-    ix = int(wp.floor(ux))
-    iy = int(wp.floor(uy))
-    iz = int(wp.floor(uz))
-    fx = ux - float(ix)
-    fy = uy - float(iy)
-    fz = uz - float(iz)
-    c00 = wp.lerp(stored(brick_of, remaining, ix, iy, iz), stored(brick_of, remaining, ix, iy, iz + 1), fz)
-    c01 = wp.lerp(stored(brick_of, remaining, ix, iy + 1, iz), stored(brick_of, remaining, ix, iy + 1, iz + 1), fz)
-    c10 = wp.lerp(stored(brick_of, remaining, ix + 1, iy, iz), stored(brick_of, remaining, ix + 1, iy, iz + 1), fz)
-    c11 = wp.lerp(
-        stored(brick_of, remaining, ix + 1, iy + 1, iz), stored(brick_of, remaining, ix + 1, iy + 1, iz + 1), fz
-    )
-    return wp.lerp(wp.lerp(c00, c01, fy), wp.lerp(c10, c11, fy), fx)
+    cell = cell_of(point)
+    x = cell.x
+    y = cell.y
+    z = cell.z
+    fy = cell.inside[1]
+    fz = cell.inside[2]
+    c00 = wp.lerp(stored(brick_of, remaining, x, y, z), stored(brick_of, remaining, x, y, z + 1), fz)
+    c01 = wp.lerp(stored(brick_of, remaining, x, y + 1, z), stored(brick_of, remaining, x, y + 1, z + 1), fz)
+    c10 = wp.lerp(stored(brick_of, remaining, x + 1, y, z), stored(brick_of, remaining, x + 1, y, z + 1), fz)
+    c11 = wp.lerp(stored(brick_of, remaining, x + 1, y + 1, z), stored(brick_of, remaining, x + 1, y + 1, z + 1), fz)
+    return wp.lerp(wp.lerp(c00, c01, fy), wp.lerp(c10, c11, fy), cell.inside[0])
 
 
 @wp.struct
