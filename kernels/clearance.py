@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from kernels.cutting import CHUNK, Elements
+from kernels.elements import CHUNK, Elements
 
 __all__ = ["clearance"]
 

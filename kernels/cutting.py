@@ -12,51 +12,33 @@ taken the bone.
 
 import warp as wp
 
-from kernels.bone_lookup import bone_at
+from kernels.bone_lookup import Bone, bone_at
 from kernels.bricks import voxel_column, voxel_row
 from kernels.carving import cut_before
+from kernels.elements import CHUNK, Elements, Travel, advance_of, may_cut, travel_of
 from kernels.revolution import Revolution
 
 __all__ = [
     "AREA",
     "CHIP_FORCE",
     "CHIP_TORQUE",
-    "CHUNK",
     "DENSITIES",
     "EDGE_FORCE",
     "EDGE_TORQUE",
     "RATE",
     "Coefficients",
-    "Elements",
     "cutting_forces",
 ]
 
 wp.set_module_options({"enable_backward": False})
 
-CHUNK = 128
-"""Elements a chunk; chunks are summed in order, so the result does not depend on the number of threads."""
 CHIP_FORCE, CHIP_TORQUE, EDGE_FORCE, EDGE_TORQUE, RATE, AREA = 0, 3, 6, 9, 12, 13
 """Places in the sums. Three each per unit of speed: force [N s/m], torque about the tip [N s]; three each independent
 of speed: force [N] and torque [N m]; removal rate per unit of speed [m2]; engaged area of each layer [m2]."""
 NEVER = wp.constant(65535)  # stored where the tool has not come near
-GRAZING_VOXELS = wp.constant(1.5)  # an element this far from the line where the tool slides along the bone grazes it
-AHEAD_VOXELS = wp.constant(1.0)  # a grazing element asks of the next voxel, which a pass back does not sweep deeper
 WIDEST = wp.constant(3.5)  # across the surface, an element is taken as this wide at most [voxel]
 DENSITIES = 4096
 """Entries of the strength table: densities of 0 to 4095 kg/m3."""
-
-
-@wp.struct
-class Elements:
-    """Point shell of a cutter in its own frame: origin at the tip, z along the axis."""
-
-    point: wp.array(dtype=wp.vec3)  # [m]
-    normal: wp.array(dtype=wp.vec3)  # outward, unit
-    around: wp.array(dtype=wp.vec3)  # direction in which the spin moves the element, unit
-    area: wp.array(dtype=wp.float32)  # [m2]
-    edge_length: wp.array(dtype=wp.float32)  # N A / (2 pi r): mean length of cutting edge in the element [m]
-    chunk_ball: wp.array(dtype=wp.vec4)  # centre and radius of a ball around each chunk's points [m]
-    chunk_cone: wp.array(dtype=wp.vec4)  # axis of a cone around each chunk's normals, sine of its half angle, 2: none
 
 
 @wp.struct
@@ -70,6 +52,14 @@ class Coefficients:
     radial_edge: wp.array(dtype=wp.float32)
     axial_edge: wp.array(dtype=wp.float32)
     strength: wp.array2d(dtype=wp.float32)  # [layer, density in kg/m3]: (density / reference) ** exponent
+
+
+@wp.struct
+class Load:
+    """Force on an element per unit of speed [N s/m], and independent of speed [N]."""
+
+    chip: wp.vec3
+    edge: wp.vec3
 
 
 @wp.kernel
@@ -95,39 +85,20 @@ def cutting_forces(
     chunk = wp.tid() + chunk_offset
     for m in range(AREA, sums_out.shape[1]):
         sums_out[chunk, m] = wp.float64(0.0)
-    tip = wp.vec3(float(motion[0, 0]), float(motion[0, 1]), float(motion[0, 2]))
-    ex = wp.vec3(float(motion[1, 0]), float(motion[1, 1]), float(motion[1, 2])) / spacing
-    ey = wp.vec3(float(motion[2, 0]), float(motion[2, 1]), float(motion[2, 2])) / spacing
-    ez = wp.vec3(float(motion[3, 0]), float(motion[3, 1]), float(motion[3, 2])) / spacing
-    axis = ez * spacing
-    velocity = wp.vec3(float(motion[4, 0]), float(motion[4, 1]), float(motion[4, 2]))
-    turning = wp.vec3(float(motion[5, 0]), float(motion[5, 1]), float(motion[5, 2]))
-    turns = wp.length(turning) > 0.0
-    least = 1.0e-5 * wp.length(velocity)
-    grazing = GRAZING_VOXELS / tool.radius * wp.length(velocity)
-    onward = (velocity[0] * ex + velocity[1] * ey + velocity[2] * ez) * (
-        AHEAD_VOXELS * spacing / wp.max(wp.length(velocity), 1.0e-12)
-    )
+    travel = travel_of(tool, motion, spacing)
     chip_force = wp.vec3()
     chip_torque = wp.vec3()
     edge_force = wp.vec3()
     edge_torque = wp.vec3()
     rate = float(0.0)
     first = chunk * CHUNK
-    cone = elements.chunk_cone[chunk]
-    facing = wp.dot(velocity, wp.vec3(cone[0], cone[1], cone[2])) + wp.length(velocity) * cone[3]
-    ball = elements.chunk_ball[chunk]
-    middle = tip + ball[0] * ex + ball[1] * ey + ball[2] * ez
-    if (facing <= 0.0 and not turns) or not meets_bone(brick_of, alive, middle, ball[3] / spacing + 2.0):
+    if not may_cut(elements, chunk, travel, spacing, brick_of, alive):
         first = elements.point.shape[0]
     for e in range(first, wp.min(first + CHUNK, elements.point.shape[0])):
-        normal = elements.normal[e]
-        advance = wp.dot(velocity, normal)
-        if turns:
-            advance += wp.dot(wp.cross(turning, elements.point[e]), normal)
-        if advance > least:
+        advance = advance_of(elements, e, travel)
+        if advance > travel.least:
             arm = elements.point[e]
-            at = tip + arm[0] * ex + arm[1] * ey + arm[2] * ez
+            at = travel.tip + arm[0] * travel.ex + arm[1] * travel.ey + arm[2] * travel.ez
             ix = int(wp.floor(at[0]))
             iy = int(wp.floor(at[1]))
             iz = int(wp.floor(at[2]))
@@ -138,37 +109,22 @@ def cutting_forces(
                 reached = int(swept[row, column])
             if reached > 0:
                 bone = bone_at(brick_of, material, nearby, row, column, at)
-                share = float(1.0)
-                if bone.distance > -1.9:
-                    across = (normal[0] * ex + normal[1] * ey + normal[2] * ez) * spacing
-                    tangent = bone.slope - wp.dot(bone.slope, across) * across
-                    width = wp.min(wp.length(tangent) * wp.sqrt(elements.area[e]) / spacing, WIDEST)
-                    share = wp.clamp(0.5 - bone.distance / wp.max(width, 1.0e-3), 0.0, 1.0)
+                share = share_below(bone, elements.normal[e], elements.area[e], travel, spacing)
                 if share > 0.0:
                     asked = at
-                    if advance < grazing:
-                        asked = at + onward
-                    if taken_before(tool, motion, axis, brick_of, swept, asked):
+                    if advance < travel.grazing:
+                        asked = at + travel.onward
+                    if taken_before(tool, motion, travel.axis, brick_of, swept, asked):
                         share = 0.0
                 if share > 0.0:
-                    m = bone.layer
-                    strength = coefficients.strength[m, wp.min(int(bone.density + 0.5), 4095)]
-                    length = elements.edge_length[e] * share * strength
-                    chip = length * advance * chip_per_speed
-                    around = elements.around[e]
-                    chip_here = wp.vec3(0.0, 0.0, -chip * coefficients.axial_chip[m])
-                    chip_here -= (chip * coefficients.tangential_chip[m]) * around
-                    chip_here -= (chip * coefficients.radial_chip[m]) * normal
-                    edge_here = wp.vec3(0.0, 0.0, -length * coefficients.axial_edge[m])
-                    edge_here -= (length * coefficients.tangential_edge[m]) * around
-                    edge_here -= (length * coefficients.radial_edge[m]) * normal
-                    chip_force += chip_here
-                    chip_torque += wp.cross(arm, chip_here)
-                    edge_force += edge_here
-                    edge_torque += wp.cross(arm, edge_here)
+                    load = load_on(elements, coefficients, e, bone, share, advance, chip_per_speed)
+                    chip_force += load.chip
+                    chip_torque += wp.cross(arm, load.chip)
+                    edge_force += load.edge
+                    edge_torque += wp.cross(arm, load.edge)
                     engaged = elements.area[e] * share
                     rate += engaged * advance
-                    sums_out[chunk, AREA + m] += wp.float64(engaged)
+                    sums_out[chunk, AREA + bone.layer] += wp.float64(engaged)
     for c in range(3):
         sums_out[chunk, CHIP_FORCE + c] = wp.float64(chip_force[c])
         sums_out[chunk, CHIP_TORQUE + c] = wp.float64(chip_torque[c])
@@ -178,23 +134,42 @@ def cutting_forces(
 
 
 @wp.func
-def meets_bone(brick_of: wp.array3d(dtype=wp.int32), alive: wp.array(dtype=wp.uint64), middle: wp.vec3, radius: float):
-    """Whether a brick that still holds material meets the box around a ball [voxel]."""
-    low = wp.vec3i(0, 0, 0)
-    high = wp.vec3i(0, 0, 0)
-    for c in range(3):
-        low[c] = wp.max(int(wp.floor((middle[c] - radius) / 8.0)), 0)
-        high[c] = wp.min(int(wp.floor((middle[c] + radius) / 8.0)), brick_of.shape[c] - 1)
-    for bx in range(low[0], high[0] + 1):
-        for by in range(low[1], high[1] + 1):
-            for bz in range(low[2], high[2] + 1):
-                row = int(brick_of[bx, by, bz])
-                held = wp.uint64(0)
-                if row >= 0:
-                    held = alive[row]
-                if held != wp.uint64(0):
-                    return True
-    return False
+def share_below(bone: Bone, normal: wp.vec3, area: float, travel: Travel, spacing: float):
+    """Share of an element's width, taken along the slope of the original surface, that lies below that."""
+    share = float(1.0)
+    if bone.distance > -1.9:
+        across = (normal[0] * travel.ex + normal[1] * travel.ey + normal[2] * travel.ez) * spacing
+        tangent = bone.slope - wp.dot(bone.slope, across) * across
+        width = wp.min(wp.length(tangent) * wp.sqrt(area) / spacing, WIDEST)
+        share = wp.clamp(0.5 - bone.distance / wp.max(width, 1.0e-3), 0.0, 1.0)
+    return share
+
+
+@wp.func
+def load_on(
+    elements: Elements,
+    coefficients: Coefficients,
+    e: int,
+    bone: Bone,
+    share: float,
+    advance: float,
+    chip_per_speed: float,
+):
+    """Force on an element in ``bone``."""
+    m = bone.layer
+    strength = coefficients.strength[m, wp.min(int(bone.density + 0.5), 4095)]
+    length = elements.edge_length[e] * share * strength
+    chip = length * advance * chip_per_speed
+    around = elements.around[e]
+    normal = elements.normal[e]
+    load = Load()
+    load.chip = wp.vec3(0.0, 0.0, -chip * coefficients.axial_chip[m])
+    load.chip -= (chip * coefficients.tangential_chip[m]) * around
+    load.chip -= (chip * coefficients.radial_chip[m]) * normal
+    load.edge = wp.vec3(0.0, 0.0, -length * coefficients.axial_edge[m])
+    load.edge -= (length * coefficients.tangential_edge[m]) * around
+    load.edge -= (length * coefficients.radial_edge[m]) * normal
+    return load
 
 
 @wp.func

@@ -6,7 +6,7 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
 from kernels.clearance import clearance
-from kernels.cutting import CHUNK, Elements
+from kernels.elements import CHUNK, Elements
 
 SPACING_M = 1e-4
 ROUNDING_M = 4e-8

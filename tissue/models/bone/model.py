@@ -7,7 +7,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from kernels.bricks import FULL
-from kernels.cutting import AREA, CHUNK, DENSITIES, RATE, Coefficients, Elements, cutting_forces
+from kernels.cutting import AREA, DENSITIES, RATE, Coefficients, cutting_forces
+from kernels.elements import CHUNK, Elements
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror
 from meshes.base.arrays import Array

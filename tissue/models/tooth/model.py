@@ -5,7 +5,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from kernels.clearance import clearance
-from kernels.cutting import CHUNK
+from kernels.elements import CHUNK
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror
 from tissue.fem.fields import FieldSeries

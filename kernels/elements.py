@@ -1,0 +1,113 @@
+"""Elements of a cutter's surface and their travel: which of them advance, and which may meet bone."""
+
+import warp as wp
+
+from kernels.revolution import Revolution
+
+__all__ = ["CHUNK", "Elements", "Travel", "advance_of", "may_cut", "travel_of"]
+
+CHUNK = 128
+"""Elements a chunk; chunks are summed in order, so the result does not depend on the number of threads."""
+GRAZING_VOXELS = wp.constant(1.5)  # an element this far from the line where the tool slides along the bone grazes it
+AHEAD_VOXELS = wp.constant(1.0)  # a grazing element asks of the next voxel, which a pass back does not sweep deeper
+
+
+@wp.struct
+class Elements:
+    """Point shell of a cutter in its own frame: origin at the tip, z along the axis."""
+
+    point: wp.array(dtype=wp.vec3)  # [m]
+    normal: wp.array(dtype=wp.vec3)  # outward, unit
+    around: wp.array(dtype=wp.vec3)  # direction in which the spin moves the element, unit
+    area: wp.array(dtype=wp.float32)  # [m2]
+    edge_length: wp.array(dtype=wp.float32)  # N A / (2 pi r): mean length of cutting edge in the element [m]
+    chunk_ball: wp.array(dtype=wp.vec4)  # centre and radius of a ball around each chunk's points [m]
+    chunk_cone: wp.array(dtype=wp.vec4)  # axis of a cone around each chunk's normals, sine of its half angle, 2: none
+
+
+@wp.struct
+class Travel:
+    """A pose and the unit motion from there: along the tool's axes, and of them in the grid [voxel/m]."""
+
+    tip: wp.vec3  # [voxel]
+    ex: wp.vec3
+    ey: wp.vec3
+    ez: wp.vec3
+    axis: wp.vec3  # unit, in the grid
+    velocity: wp.vec3  # of the tip, per unit of speed
+    turning: wp.vec3  # angular, per unit of speed [1/m]
+    turns: wp.int32  # 1 where it is not 0
+    least: wp.float32  # an element that advances by no more does not cut
+    grazing: wp.float32  # one that advances by less grazes the bone
+    onward: wp.vec3  # from a grazing element to the place it asks of [voxel]
+
+
+@wp.func
+def travel_of(tool: Revolution, motion: wp.array2d(dtype=wp.float64), spacing: float):
+    """The rows of ``motion`` in single precision, and the limits that follow."""
+    travel = Travel()
+    travel.tip = wp.vec3(float(motion[0, 0]), float(motion[0, 1]), float(motion[0, 2]))
+    travel.ex = wp.vec3(float(motion[1, 0]), float(motion[1, 1]), float(motion[1, 2])) / spacing
+    travel.ey = wp.vec3(float(motion[2, 0]), float(motion[2, 1]), float(motion[2, 2])) / spacing
+    travel.ez = wp.vec3(float(motion[3, 0]), float(motion[3, 1]), float(motion[3, 2])) / spacing
+    travel.axis = travel.ez * spacing
+    velocity = wp.vec3(float(motion[4, 0]), float(motion[4, 1]), float(motion[4, 2]))
+    travel.velocity = velocity
+    travel.turning = wp.vec3(float(motion[5, 0]), float(motion[5, 1]), float(motion[5, 2]))
+    travel.turns = wp.where(wp.length(travel.turning) > 0.0, 1, 0)
+    travel.least = 1.0e-5 * wp.length(velocity)
+    travel.grazing = GRAZING_VOXELS / tool.radius * wp.length(velocity)
+    travel.onward = (velocity[0] * travel.ex + velocity[1] * travel.ey + velocity[2] * travel.ez) * (
+        AHEAD_VOXELS * spacing / wp.max(wp.length(velocity), 1.0e-12)
+    )
+    return travel
+
+
+@wp.func
+def may_cut(
+    elements: Elements,
+    chunk: int,
+    travel: Travel,
+    spacing: float,
+    brick_of: wp.array3d(dtype=wp.int32),
+    alive: wp.array(dtype=wp.uint64),
+):
+    """Whether some element of a chunk may advance, and some bone be where the chunk is."""
+    cone = elements.chunk_cone[chunk]
+    velocity = travel.velocity
+    facing = wp.dot(velocity, wp.vec3(cone[0], cone[1], cone[2])) + wp.length(velocity) * cone[3]
+    if facing <= 0.0 and travel.turns == 0:
+        return False
+    ball = elements.chunk_ball[chunk]
+    middle = travel.tip + ball[0] * travel.ex + ball[1] * travel.ey + ball[2] * travel.ez
+    return meets_bone(brick_of, alive, middle, ball[3] / spacing + 2.0)
+
+
+@wp.func
+def advance_of(elements: Elements, e: int, travel: Travel):
+    """Speed of an element along its normal, per unit of speed."""
+    normal = elements.normal[e]
+    advance = wp.dot(travel.velocity, normal)
+    if travel.turns == 1:
+        advance += wp.dot(wp.cross(travel.turning, elements.point[e]), normal)
+    return advance
+
+
+@wp.func
+def meets_bone(brick_of: wp.array3d(dtype=wp.int32), alive: wp.array(dtype=wp.uint64), middle: wp.vec3, radius: float):
+    """Whether a brick that still holds material meets the box around a ball [voxel]."""
+    low = wp.vec3i(0, 0, 0)
+    high = wp.vec3i(0, 0, 0)
+    for c in range(3):
+        low[c] = wp.max(int(wp.floor((middle[c] - radius) / 8.0)), 0)
+        high[c] = wp.min(int(wp.floor((middle[c] + radius) / 8.0)), brick_of.shape[c] - 1)
+    for bx in range(low[0], high[0] + 1):
+        for by in range(low[1], high[1] + 1):
+            for bz in range(low[2], high[2] + 1):
+                row = int(brick_of[bx, by, bz])
+                held = wp.uint64(0)
+                if row >= 0:
+                    held = alive[row]
+                if held != wp.uint64(0):
+                    return True
+    return False

@@ -1,0 +1,74 @@
+"""Which elements of a cutter advance, and which chunks of them may cut, against NumPy."""
+
+import numpy as np
+import pytest
+import warp as wp
+from scipy.spatial.transform import Rotation
+
+from kernels.elements import CHUNK, Elements, advance_of, may_cut, travel_of
+from kernels.revolution import Revolution
+from meshes.voxels.volume import VoxelVolume
+from tissue.cutters.cutter import Cutter
+from tissue.cutters.profile import ball_burr, pear_bur
+from tissue.materials.cutting import cutting_coefficients
+from tissue.models.bone.model import BoneModel
+from tissue.models.tissue_model import ToolMotion
+
+SPACING_M = 1e-4
+SINGLE = 1e-6
+"""Of unit velocities, in single precision."""
+
+
+@wp.kernel
+def ask(
+    tool: Revolution,
+    elements: Elements,
+    motion: wp.array2d(dtype=wp.float64),
+    spacing: float,
+    brick_of: wp.array3d(dtype=wp.int32),
+    alive: wp.array(dtype=wp.uint64),
+    advance_out: wp.array(dtype=float),
+    may_out: wp.array(dtype=int),
+):
+    e = wp.tid()
+    travel = travel_of(tool, motion, spacing)
+    advance_out[e] = advance_of(elements, e, travel)
+    may_out[e] = wp.where(may_cut(elements, e / CHUNK, travel, spacing, brick_of, alive), 1, 0)
+
+
+def layer_of_bone():
+    """Bone from 0.8 to 1.6 mm below the middle of a block of 4.8 mm, and air around it."""
+    filled = np.zeros((48,) * 3, np.uint8)
+    filled[:, :, 8:16] = 255
+    density = np.full(filled.shape, 1800, np.uint16)
+    return VoxelVolume(np.full(3, -24 * SPACING_M), SPACING_M, filled, np.zeros_like(filled), density, ("bone",))
+
+
+@pytest.mark.parametrize("turning", [0.0, 300.0])
+@pytest.mark.parametrize("profile", [ball_burr(diameter_m=3e-3), pear_bur(diameter_m=2e-3, length_m=3e-3)])
+def test_a_chunk_that_is_passed_over_holds_no_element_that_cuts(profile, turning):
+    random, passed = np.random.default_rng(6), 0
+    model = BoneModel(layer_of_bone(), Cutter(profile, 4, 500.0), (cutting_coefficients("bone"),))
+    store, shell = model.store, model.shell
+    for _ in range(20):
+        motion = ToolMotion(speed_m_s=1e-3)
+        motion.tip_m[:] = random.uniform(-1.5e-3, 1.5e-3, 3)
+        motion.rotation[:] = Rotation.random(random_state=int(random.integers(1 << 30))).as_matrix()
+        velocity = random.normal(size=3)
+        motion.heading[0] = velocity / np.linalg.norm(velocity)
+        motion.heading[1] = turning * random.normal(size=3)
+        model.respond(motion)
+        advance = wp.zeros(len(shell.areas_m2), dtype=float, device="cpu")
+        may = wp.zeros(len(shell.areas_m2), dtype=int, device="cpu")
+        inputs = [model.carver.tool, model.elements, model.motion_rows, SPACING_M, store.brick_of, store.alive]
+        wp.launch(ask, dim=len(shell.areas_m2), inputs=inputs, outputs=[advance, may], device="cpu")
+        normal, arm = shell.normals @ motion.rotation.T, shell.points_m @ motion.rotation.T
+        expected = ((motion.heading[0] + np.cross(motion.heading[1], arm)) * normal).sum(axis=1)
+        assert advance.numpy() == pytest.approx(expected, abs=SINGLE * (1.0 + turning * 5e-3))
+        at = np.floor((motion.tip_m + arm) / SPACING_M + 24).astype(int)
+        held = ((at >= 0) & (at < 48)).all(axis=1)
+        held[held] = store.volume.fraction[tuple(at[held].T)] > 0
+        cuts = held & (expected > 1e-5)
+        assert (may.numpy()[cuts] == 1).all()
+        passed += (may.numpy() == 0).sum()
+    assert passed > 0
