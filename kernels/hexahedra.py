@@ -2,7 +2,7 @@
 
 Corner ``a = 4 i + 2 j + k`` of a cell lies at ``(i, j, k)`` of its edges. A cell's stiffness, 24 x 24 and symmetric, is
 kept as the ``BLOCKS`` 3 x 3 blocks (a, b) with a <= b, row after row; the others are their transposes, so that the
-matrix equals its transpose bit by bit. The product runs over cells without an assembled matrix: every cell writes its
+matrix equals its transpose bit by bit. The product with some cells runs without an assembled matrix: each writes its
 own corner forces, then every node gathers those of its up to eight cells in fixed order. No atomics, and the same bits
 on any number of threads.
 """
@@ -62,47 +62,52 @@ def corner_gradients(at: wp.vec3d, inverse_edge: wp.float64):
 @wp.kernel
 def cell_products(
     # cells
+    cells: wp.array(dtype=wp.int32),  # those of the product
+    row: wp.array(dtype=wp.int32),  # row of each in the stiffness
     cell_nodes: wp.array2d(dtype=wp.int32),  # [cell, corner]
     live: wp.array(dtype=wp.uint8),  # [cell], 0 where a cell carries nothing
-    stiffness: wp.array2d(dtype=wp.mat33d),  # [cell, block] [N/m]
+    stiffness: wp.array2d(dtype=wp.mat33d),  # [row, block] [N/m]
     displacement: wp.array(dtype=wp.vec3d),  # [node] [m]
     offset: int,
     # out
-    corner_force_out: wp.array2d(dtype=wp.vec3d),  # [cell, corner] [N]
+    corner_force_out: wp.array2d(dtype=wp.vec3d),  # [place in cells, corner] [N]
 ):
     """Corner forces ``f_a = sum_b K_ab u_b`` of each cell."""
-    cell = wp.tid() + offset
+    i = wp.tid() + offset
+    cell = cells[i]
+    at = row[i]
     for a in range(8):
-        corner_force_out[cell, a] = wp.vec3d()
+        corner_force_out[i, a] = wp.vec3d()
     if live[cell] == wp.uint8(0):
         return
     block = int(0)
     for a in range(8):
         u_a = displacement[cell_nodes[cell, a]]
-        force = corner_force_out[cell, a] + stiffness[cell, block] * u_a
+        force = corner_force_out[i, a] + stiffness[at, block] * u_a
         block += 1
         for b in range(a + 1, 8):
-            k_ab = stiffness[cell, block]
+            k_ab = stiffness[at, block]
             force += k_ab * displacement[cell_nodes[cell, b]]
-            corner_force_out[cell, b] = corner_force_out[cell, b] + u_a * k_ab
+            corner_force_out[i, b] = corner_force_out[i, b] + u_a * k_ab
             block += 1
-        corner_force_out[cell, a] = force
+        corner_force_out[i, a] = force
 
 
 @wp.kernel
 def gather_cells(
     # nodes
-    node_cells: wp.array2d(dtype=wp.int32),  # [node, corner]: the cell of which the node is that corner, or -1
-    corner_force: wp.array2d(dtype=wp.vec3d),  # [cell, corner] [N]
+    nodes: wp.array(dtype=wp.int32),  # those of the cells
+    node_cells: wp.array2d(dtype=wp.int32),  # [place in nodes, corner]: place in the cells of which it is that corner
+    corner_force: wp.array2d(dtype=wp.vec3d),  # [place in the cells, corner] [N]
     offset: int,
     # out
-    force_out: wp.array(dtype=wp.vec3d),  # [node] [N]
+    force_out: wp.array(dtype=wp.vec3d),  # [node] [N], added to
 ):
-    """Force at each node: the sum over its cells, in the order of their corners."""
-    node = wp.tid() + offset
-    force = wp.vec3d()
+    """Add to the force at each node those of its cells, in the order of their corners."""
+    i = wp.tid() + offset
+    force = force_out[nodes[i]]
     for a in range(8):
-        cell = node_cells[node, a]
+        cell = node_cells[i, a]
         if cell >= 0:
             force += corner_force[cell, a]
-    force_out[node] = force
+    force_out[nodes[i]] = force

@@ -42,9 +42,8 @@ def body_of(cells: int) -> ParticleBody:
 def assembly(cells: int) -> None:
     body = body_of(cells)
     every = np.arange(body.grid.cell_count, dtype=np.int32)
-    nodes = np.arange(body.grid.node_count, dtype=np.int32)
     ours = cost_of(lambda _: body.cells.update(every), count=25, warm_up=5)
-    rows = cost_of(lambda _: body._hierarchy.levels[0].blocks.update(nodes), count=25, warm_up=5)
+    rows = cost_of(lambda _: body.matrix(), count=3, warm_up=1)
     print(f"\n{body.grid.cell_count} cells, {3 * body.grid.node_count} unknowns, {len(body.particles.layer)} particles")
     print(f"cell stiffness {ours.median / 1e3:8.1f} ms; gathered into rows {rows.median / 1e3:8.1f} ms")
     try:

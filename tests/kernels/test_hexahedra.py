@@ -73,20 +73,28 @@ def test_blocks_are_those_of_the_dense_matrix_also_below_the_diagonal():
 
 
 def test_product_gathered_at_nodes_is_that_of_the_assembled_matrix():
+    """Of some of the cells, in rows of their own, onto a force that is there."""
     nodes, around = grid()
+    chosen = np.flatnonzero(np.arange(len(nodes)) % 3 != 2)
+    row = np.random.default_rng(2).permutation(len(chosen))
     dense, _, packed = random_cells(len(nodes))
     live = np.arange(len(nodes)) % 4 != 1
     displacement = np.random.default_rng(1).normal(size=(len(around), 3))
     whole = np.zeros((displacement.size, displacement.size))
-    for cell in np.flatnonzero(live):
+    for cell, at in zip(chosen, row, strict=True):
         unknowns = (3 * nodes[cell][:, None] + np.arange(3)).ravel()
-        whole[np.ix_(unknowns, unknowns)] += dense[cell]
-    corner = wp.zeros((len(nodes), 8), dtype=wp.vec3d, device="cpu")
-    inputs = [put(nodes, wp.int32), put(live, wp.uint8), put(packed, wp.mat33d), put(displacement, wp.vec3d), 0]
-    wp.launch(cell_products, dim=len(nodes), inputs=inputs, outputs=[corner], device="cpu")
-    force = wp.zeros(len(around), dtype=wp.vec3d, device="cpu")
-    wp.launch(gather_cells, dim=len(around), inputs=[put(around, wp.int32), corner, 0], outputs=[force], device="cpu")
-    right = (whole @ displacement.ravel()).reshape(-1, 3)
+        whole[np.ix_(unknowns, unknowns)] += dense[at] * live[cell]
+    corner = wp.zeros((len(chosen), 8), dtype=wp.vec3d, device="cpu")
+    inputs = [put(chosen, wp.int32), put(row, wp.int32), put(nodes, wp.int32), put(live, wp.uint8),
+              put(packed, wp.mat33d), put(displacement, wp.vec3d), 0]  # fmt: skip
+    wp.launch(cell_products, dim=len(chosen), inputs=inputs, outputs=[corner], device="cpu")
+    touched, place = np.unique(nodes[chosen]), np.full(len(nodes) + 1, -1)
+    place[chosen] = np.arange(len(chosen))
+    before = np.random.default_rng(3).normal(size=(len(around), 3))
+    force = put(before, wp.vec3d)
+    inputs = [put(touched, wp.int32), put(place[around[touched]], wp.int32), corner, 0]
+    wp.launch(gather_cells, dim=len(touched), inputs=inputs, outputs=[force], device="cpu")
+    right = before + (whole @ displacement.ravel()).reshape(-1, 3)
     assert force.numpy() == pytest.approx(right, abs=ROUNDING * np.abs(right).max())
 
 

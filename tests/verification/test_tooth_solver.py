@@ -126,7 +126,7 @@ def test_removed_particles_leave_the_stiffness_of_a_fresh_assembly():
     assert np.array_equal(body.debris, fresh.debris)
     ours, theirs = body.matrix(), fresh.matrix()
     assert abs(ours - theirs).max() <= 1e-10 * abs(theirs).max()
-    for level, other in zip(body._hierarchy.levels[1:], fresh._hierarchy.levels[1:], strict=True):
+    for level, other in zip(body._hierarchy.coarser, fresh._hierarchy.coarser, strict=True):
         difference = level.blocks.matrix() - other.blocks.matrix()
         assert abs(difference).max() <= 1e-10 * abs(other.blocks.matrix()).max()
 

@@ -9,19 +9,18 @@ from scipy.sparse import bsr_matrix
 
 from kernels.node_blocks import assemble_rows, invert_diagonal, to_single
 from tissue.models.tooth.grid import HexGrid
-from tissue.models.tooth.supports import NodeSupports
 
 __all__ = ["NodeBlocks"]
 
 
 class NodeBlocks:
-    """Rows of 3 x 3 blocks of ``M K M``, M the mask of what may move.
+    """Rows of 3 x 3 blocks of K, no node of which is held.
 
     Parameters
     ----------
-    grid, supports
-        The grid, and what holds its nodes.
-    cell_nodes, node_cells, live, stiffness
+    grid
+        The grid.
+    cell_nodes, live, stiffness
         Warp arrays of the cells, as in :class:`tissue.models.tooth.stiffness.CellStiffness`; read at every `update`.
     device
         Warp device.
@@ -38,10 +37,7 @@ class NodeBlocks:
         Blocks and inverses of the diagonal in single precision, for smoothing.
     """
 
-    def __init__(
-        self, grid: HexGrid, supports: NodeSupports, *, cell_nodes: Any, node_cells: Any, live: Any, stiffness: Any,
-        device: str,
-    ) -> None:  # fmt: skip
+    def __init__(self, grid: HexGrid, *, cell_nodes: Any, live: Any, stiffness: Any, device: str) -> None:
         neighbours = grid.node_neighbours
         there = neighbours >= 0
         starts = np.concatenate([[0], np.cumsum(there.sum(axis=1))]).astype(np.int32)
@@ -59,12 +55,20 @@ class NodeBlocks:
         self.device = device
         self.row_start, self.column = on(starts, wp.int32), on(column, wp.int32)
         self.diagonal_block = on(place[:, 13], wp.int32)
-        self.free = on(~supports.fixed, wp.vec3d)
+        self.free = on(np.ones((grid.node_count, 3)), wp.vec3d)
         self.block = wp.zeros(int(starts[-1]), dtype=wp.mat33d, device=device)
         self.single = wp.zeros(int(starts[-1]), dtype=wp.mat33f, device=device)
         self.diagonal = wp.zeros(grid.node_count, dtype=wp.mat33d, device=device)
         self.inverse = wp.zeros(grid.node_count, dtype=wp.mat33f, device=device)
-        self._gathered = [self.row_start, node_cells, on(place, wp.int32), self.free, cell_nodes, live, stiffness]
+        self._gathered = [
+            self.row_start,
+            on(grid.node_cells, wp.int32),
+            on(place, wp.int32),
+            self.free,
+            cell_nodes,
+            live,
+            stiffness,
+        ]
 
     def update(self, nodes: NDArray[np.int32]) -> None:
         """Gather the rows of these nodes again from their cells."""

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import bsr_matrix
+from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
 from tissue.fem.conjugate_gradients import IterativeSolution
@@ -93,6 +93,7 @@ class ParticleBody:
         self._drop_islands = drop_islands
         self._hierarchy = GridHierarchy(self.cells, supports)
         self._tree = cKDTree(particles.position_m)
+        self._springs_cell = grid.locate(self.springs.position_m)[0]
         self._touched = np.zeros(grid.cell_count, dtype=np.bool_)
         self._filled = np.zeros(grid.cell_count, dtype=np.bool_)
         self._is_debris = np.zeros(grid.cell_count, dtype=np.bool_)
@@ -103,8 +104,7 @@ class ParticleBody:
     @property
     def debris(self) -> NDArray[np.int64]:
         """Particles, by the caller's index, that are there but hang on nothing."""
-        there = self._is_debris[self.cells.particle_cell] & (self.cells.remaining > 0)
-        return np.sort(self.cells.order[there])
+        return self._particles_in(self._is_debris)
 
     def set_remaining(self, particles: NDArray[np.integer], steps: NDArray[np.integer]) -> None:
         """Set what is left of particles, by the caller's index, in steps of 1/65535; `update` makes it count."""
@@ -125,7 +125,9 @@ class ParticleBody:
         before, was_debris = self.cells.live.copy(), self._is_debris
         filled = self.cells.fill >= LEAST_FILL
         if (filled != self._filled).any():
-            live = supported_cells(self.grid, filled, self.supports, self.springs) if self._drop_islands else filled
+            live = filled
+            if self._drop_islands:
+                live = supported_cells(self.grid, filled, self.supports, self.springs, self._springs_cell)
             self._filled = filled
             self.cells.set_live(live)
             borders = np.zeros_like(live)
@@ -142,8 +144,13 @@ class ParticleBody:
             self.carrying[self.grid.cell_nodes[self.cells.live > 0]] = True
             self._free = (~self.supports.fixed & self.carrying[:, None]).astype(np.float64)
             self._diagonal = self._hierarchy.diagonal()
-        fresh = (self._is_debris & ~was_debris)[self.cells.particle_cell] & (self.cells.remaining > 0)
-        return Change(cells, np.sort(self.cells.order[fresh]))
+        return Change(cells, self._particles_in(self._is_debris & ~was_debris))
+
+    def _particles_in(self, cells: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """What is left of the particles of these cells, by the caller's index."""
+        if not cells.any():
+            return np.zeros(0, dtype=np.int64)
+        return np.sort(self.cells.order[cells[self.cells.particle_cell] & (self.cells.remaining > 0)])
 
     def spread(self, point_m: Array, force_N: Array) -> Array:
         """Nodal forces [N], shape (n, 3), of forces at points, each on the live cell that holds it or lies nearest.
@@ -178,6 +185,7 @@ class ParticleBody:
         near, as in a grid much coarser than the patch, the force acts at the point.
         """
         near = np.array(self._tree.query_ball_point(point_m, radius_m), dtype=np.int64)
+        near = near[self.cells.live[self.cells.particle_cell[self.cells.rank[near]]] > 0]
         left = self.cells.remaining[self.cells.rank[near]] / FULL_STEPS
         away = np.linalg.norm(self.particles.position_m[near] - point_m, axis=1)
         weight = self.particles.volume_m3[near] * left * ball_weight(away, radius_m)
@@ -231,12 +239,9 @@ class ParticleBody:
     def _precondition(self, residual: Array) -> Array:
         return self._hierarchy(residual) * self._free
 
-    def matrix(self) -> bsr_matrix:
-        """Assembled stiffness, springs included and held components empty [N/m], shape (3 n, 3 n).
-
-        The pattern never changes; on a CPU the values are shared, and follow every `update`.
-        """
-        return self._hierarchy.levels[0].blocks.matrix()
+    def matrix(self) -> csr_matrix:
+        """Assembled stiffness, springs included and held components empty [N/m], shape (3 n, 3 n)."""
+        return self._hierarchy.finest.matrix()
 
     def reactions(self, displacement_m: Array, load_N: Array) -> Array:
         """Forces of the held nodes on the body [N], shape (n, 3)."""

@@ -1,8 +1,9 @@
 """Multigrid on the cells' own grid: every coarser grid has twice the edge, and the exact Galerkin projection.
 
 A change of a few cells is carried up through the few coarse cells over them, so that the hierarchy is always that of
-the present body. One symmetric V-cycle, Gauss-Seidel over eight colours before and in reverse after, in single
-precision, is the preconditioner of conjugate gradients. (Trottenberg, Oosterlee, Schueller 2001, Multigrid, ch. 2.)
+the present body. One symmetric V-cycle in single precision is the preconditioner of conjugate gradients; it smooths
+by Chebyshev's polynomial on the finest grid, which has no assembled rows, and by Gauss-Seidel over eight colours, in
+reverse after, on the coarser ones. (Trottenberg, Oosterlee, Schueller 2001, Multigrid, ch. 2.)
 """
 
 from typing import Any
@@ -11,48 +12,58 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from kernels.grid_transfer import coarse_stiffness, interpolate, restrict
+from kernels.hexahedra import BLOCKS
 from kernels.launcher import SplitLaunch
 from kernels.node_blocks import first_residuals, first_sweep, sweep_colour
 from tissue.models.tooth.blocks import NodeBlocks
-from tissue.models.tooth.grid import CORNERS, NEIGHBOURS, HexGrid
+from tissue.models.tooth.finest_level import FinestLevel
+from tissue.models.tooth.grid import HexGrid
+from tissue.models.tooth.grid_transfer import GridTransfer
 from tissue.models.tooth.stiffness import CellStiffness
 from tissue.models.tooth.supports import NodeSupports
 
 __all__ = ["GridHierarchy"]
 
 Array = NDArray[np.float64]
-COARSEST_NODES = 100
-"""Grids of at most this many nodes are solved directly."""
+COARSEST_NODES = 300
+"""Grids of at most this many nodes are solved directly: on the molar's cells of 2.4 mm one sweep would double the count
+of iterations to 1e-6."""
+SPLIT_NODES = 4000
+"""Launches on grids of at most this many nodes are not worth more than one core."""
 NULL_CUT = 1e-13
 """Scaled eigenvalues of the coarsest grid below this share of the largest are motions that no finer node takes."""
 
 
 class GridLevel:
-    """One grid: its rows, its vectors, and the launches of a V-cycle on it."""
+    """One coarser grid: its rows, its vectors, and Gauss-Seidel over eight colours on it.
 
-    def __init__(
-        self, grid: HexGrid, supports: NodeSupports, *, cell_nodes: Any, node_cells: Any, live: Any, stiffness: Any,
-        device: str, cores: int | None,
-    ) -> None:  # fmt: skip
-        self.grid, self.supports, self.device, self.cores = grid, supports, device, cores
-        self.cell_nodes, self.live, self.stiffness = cell_nodes, live, stiffness
+    Attributes
+    ----------
+    load, vector, residual
+        Warp arrays of vec3f: forces to solve for [N], displacement found [m] and what it leaves [N], shape (n,).
+    """
+
+    def __init__(self, grid: HexGrid, *, device: str, cores: int | None) -> None:
+        self.grid, self.device, self.cores = grid, device, cores
+        self.cell_nodes: Any = wp.array(grid.cell_nodes, dtype=wp.int32, device=device)
+        self.live = wp.zeros(grid.cell_count, dtype=wp.uint8, device=device)
+        self.stiffness = wp.zeros((grid.cell_count, BLOCKS), dtype=wp.mat33d, device=device)
         self.blocks = NodeBlocks(
-            grid, supports, cell_nodes=cell_nodes, node_cells=node_cells, live=live, stiffness=stiffness, device=device
+            grid, cell_nodes=self.cell_nodes, live=self.live, stiffness=self.stiffness, device=device
         )
+        self.free = self.blocks.free
         self.load = wp.zeros(grid.node_count, dtype=wp.vec3f, device=device)
         self.vector = wp.zeros(grid.node_count, dtype=wp.vec3f, device=device)
         self.residual = wp.zeros(grid.node_count, dtype=wp.vec3f, device=device)
-        self.first_sweeps, self.last_sweeps = self._sweeps()
+        self._first, self._last = self._sweeps()
         blocks = self.blocks
         rows = [blocks.row_start, blocks.diagonal_block, blocks.column, blocks.single]
-        self.leave_residual = self._launch(first_residuals, [*rows, self.vector], [self.residual])
+        self._leave_residual = self._launch(first_residuals, [*rows, self.vector], [self.residual], grid.node_count)
 
-    def _launch(self, kernel: Any, inputs: list[Any], outputs: list[Any], dim: int | None = None) -> SplitLaunch:
-        cores = self.cores if self.grid.node_count > 4000 else 1
+    def _launch(self, kernel: Any, inputs: list[Any], outputs: list[Any], dim: int) -> SplitLaunch:
         return SplitLaunch(
-            kernel, dim=self.grid.node_count if dim is None else dim, inputs=[*inputs, 0], outputs=outputs,
-            offset_index=len(inputs), device=self.device, cores=cores,
+            kernel, dim=dim, inputs=[*inputs, 0], outputs=outputs, offset_index=len(inputs), device=self.device,
+            cores=self.cores if self.grid.node_count > SPLIT_NODES else 1,
         )  # fmt: skip
 
     def _sweeps(self) -> tuple[list[SplitLaunch], list[SplitLaunch]]:
@@ -73,47 +84,20 @@ class GridLevel:
             last.append(self._launch(sweep_colour, [on, blocks.row_start, *rows], [self.vector], len(nodes)))
         return first, last[::-1]
 
-    def connect(self, coarse_grid: HexGrid, parent: NDArray[np.int32]) -> "GridLevel":
-        """The next coarser level, and the launches between the two."""
-        fine, device = self.grid, self.device
+    def update(self, nodes: NDArray[np.int32]) -> None:
+        """Gather the rows of these nodes again."""
+        self.blocks.update(nodes)
 
-        def on(array: NDArray[Any], dtype: Any) -> Any:
-            return wp.array(np.ascontiguousarray(array), dtype=dtype, device=device)
+    def relax_first(self) -> None:
+        """Sweep from rest, and leave the residual."""
+        for sweep in self._first:
+            sweep()
+        self._leave_residual()
 
-        children = np.full((coarse_grid.cell_count, 8), -1, dtype=np.int32)
-        children[parent, (fine.cell_place & 1) @ (4, 2, 1)] = np.arange(fine.cell_count, dtype=np.int32)
-        live = wp.zeros(coarse_grid.cell_count, dtype=wp.uint8, device=device)
-        stiffness = wp.zeros((coarse_grid.cell_count, 36), dtype=wp.mat33d, device=device)
-        coarse = GridLevel(
-            coarse_grid, NodeSupports.of(coarse_grid.node_count), cell_nodes=on(coarse_grid.cell_nodes, wp.int32),
-            node_cells=on(coarse_grid.node_cells, wp.int32), live=live, stiffness=stiffness, device=device,
-            cores=self.cores,
-        )  # fmt: skip
-        self.parent = parent
-        self._project = (
-            [self.cell_nodes, self.live, self.stiffness, self.blocks.free, on(children, wp.int32)],
-            [stiffness, live],
-        )
-        free = on(~self.supports.fixed, wp.vec3f)
-        place, coarse_place = fine.node_place, coarse_grid.node_place
-        fine_of = np.stack([fine.find_nodes(2 * coarse_place + step) for step in NEIGHBOURS], axis=1)
-        odd = place & 1
-        coarse_of = np.full((fine.node_count, 8), -1, dtype=np.int32)
-        for corner, step in enumerate(CORNERS):
-            wanted = (step <= odd).all(axis=1)
-            coarse_of[wanted, corner] = coarse_grid.find_nodes((place[wanted] >> 1) + step)
-        self.down = coarse._launch(restrict, [on(fine_of, wp.int32), free, self.residual], [coarse.load])
-        inputs = [on(coarse_of, wp.int32), on(0.5 ** odd.sum(axis=1), wp.float32), free, coarse.vector]
-        self.up = self._launch(interpolate, inputs, [self.vector])
-        return coarse
-
-    def project(self, changed: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Sum the coarse cells over these changed cells again; which they are."""
-        cells = np.unique(self.parent[changed])
-        inputs, outputs = self._project
-        arrays = [*inputs, wp.array(cells, dtype=wp.int32, device=self.device), 0]
-        wp.launch(coarse_stiffness, dim=len(cells), inputs=arrays, outputs=outputs, device=self.device)
-        return cells
+    def relax_last(self) -> None:
+        """Sweep in reverse from the corrected displacement."""
+        for sweep in self._last:
+            sweep()
 
 
 class GridHierarchy:
@@ -123,38 +107,45 @@ class GridHierarchy:
     ----------
     cells, supports
         The body's stiffness on its grid, and what holds it.
+
+    Attributes
+    ----------
+    finest, coarser
+        The body's own grid, and those of doubling edge, of which the last is solved directly.
     """
 
     def __init__(self, cells: CellStiffness, supports: NodeSupports) -> None:
-        level = GridLevel(
-            cells.grid, supports, cell_nodes=cells.cell_nodes_on, node_cells=cells.node_cells_on, live=cells.live_on,
-            stiffness=cells.stiffness, device=cells.device, cores=cells.cores,
-        )  # fmt: skip
-        self.levels = [level]
-        while level.grid.node_count > COARSEST_NODES and level.grid.cell_count > 1:
-            level = level.connect(*level.grid.coarse())
-            self.levels.append(level)
+        self.finest = FinestLevel(cells, supports)
+        self.coarser: list[GridLevel] = []
+        self._transfers: list[GridTransfer] = []
+        level: FinestLevel | GridLevel = self.finest
+        while level is self.finest or level.grid.node_count > COARSEST_NODES:
+            grid, parent = level.grid.coarse()
+            coarse = GridLevel(grid, device=cells.device, cores=cells.cores)
+            self._transfers.append(GridTransfer(level, coarse, parent))
+            self.coarser.append(coarse)
+            level = coarse
         self._coarsest_inverse = np.zeros((0, 0))
         self._stale = True
 
     def update(self, changed: NDArray[np.int32]) -> None:
         """Carry a change of these cells through all grids; the coarsest one waits for `refresh`."""
-        for level in self.levels:
-            level.blocks.update(np.unique(level.grid.cell_nodes[changed]))
-            if level is not self.levels[-1]:
-                changed = level.project(changed)
+        self.finest.update(np.unique(self.finest.grid.cell_nodes[changed]))
+        for level, transfer in zip(self.coarser, self._transfers, strict=True):
+            changed = transfer.project(changed)
+            level.update(np.unique(level.grid.cell_nodes[changed]))
         self._stale = True
 
     def diagonal(self) -> Array:
         """Diagonal of the finest stiffness [N/m], shape (n, 3)."""
-        return np.asarray(np.diagonal(self.levels[0].blocks.diagonal.numpy(), axis1=1, axis2=2))
+        return np.asarray(self.finest.diagonal.numpy())
 
     def refresh(self) -> None:
         """Solve the coarsest grid anew, if anything changed since."""
         if not self._stale:
             return
-        blocks = self.levels[-1].blocks
-        matrix = blocks.matrix().toarray()
+        self.finest.bound_eigenvalues()
+        matrix = self.coarser[-1].blocks.matrix().toarray()
         matrix = 0.5 * (matrix + matrix.T)
         size = np.diag(matrix)
         scale = np.where(size > 0.0, 1.0 / np.sqrt(np.where(size > 0.0, size, 1.0)), 0.0)
@@ -166,18 +157,18 @@ class GridHierarchy:
 
     def __call__(self, residual: Array) -> Array:
         """Correction [m] for a residual [N], shapes (n, 3): linear, symmetric up to rounding, positive."""
-        first = self.levels[0]
-        first.load.assign(residual.astype(np.float32))
-        for level in self.levels[:-1]:
-            for sweep in level.first_sweeps:
-                sweep()
-            level.leave_residual()
-            level.down()
-        last = self.levels[-1]
+        return self.finest.solve(residual, self._correct)
+
+    def _correct(self) -> None:
+        """Find the coarser grids' correction of the finest one's residual, and take it there."""
+        self._transfers[0].down()
+        for level, transfer in zip(self.coarser, self._transfers[1:], strict=False):
+            level.relax_first()
+            transfer.down()
+        last = self.coarser[-1]
         solved = self._coarsest_inverse @ last.load.numpy().astype(np.float64).ravel()
         last.vector.assign(solved.reshape(-1, 3).astype(np.float32))
-        for level in reversed(self.levels[:-1]):
-            level.up()
-            for sweep in level.last_sweeps:
-                sweep()
-        return np.asarray(first.vector.numpy().astype(np.float64))
+        for level, transfer in zip(self.coarser[-2::-1], self._transfers[:0:-1], strict=True):
+            transfer.up()
+            level.relax_last()
+        self._transfers[0].up()

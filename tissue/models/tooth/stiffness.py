@@ -6,11 +6,12 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from kernels.hexahedra import BLOCKS, cell_products, gather_cells
-from kernels.launcher import SplitLaunch
+from kernels.hexahedra import BLOCKS
 from kernels.particle_stiffness import particle_stiffness
 from tissue.models.tooth.grid import CORNERS, HexGrid
+from tissue.models.tooth.packed_product import PackedProduct
 from tissue.models.tooth.particles import ParticleSet
+from tissue.models.tooth.strips import CellStrips
 from tissue.models.tooth.supports import PointSprings
 
 __all__ = ["CellStiffness", "full_cell_stiffness"]
@@ -41,6 +42,8 @@ class CellStiffness:
         First sorted particle of each cell, int32, shape (c + 1,).
     particle_cell
         Cell of each sorted particle, int32, shape (p,).
+    strips
+        The cells in strips, by which the product runs; springs, and cells of other particles, are added to it.
     """
 
     def __init__(
@@ -78,10 +81,21 @@ class CellStiffness:
         row = np.full(grid.cell_count, -1)
         row[sprung] = np.arange(len(sprung))
         self._springs = [on(row, wp.int32), on(blocks, wp.mat33d)]
-        self._corner_force = wp.zeros((grid.cell_count, 8), dtype=wp.vec3d, device=device)
         self.displacement = wp.zeros(grid.node_count, dtype=wp.vec3d, device=device)
         self.force = wp.zeros(grid.node_count, dtype=wp.vec3d, device=device)
-        self._products = self._record_products()
+        self.strips = CellStrips(grid, place[self.order], self.particle_cell, device=device, cores=cores)
+        regular = self.strips.regular
+        others = np.flatnonzero(~regular)
+        of_springs = regular[sprung]
+        given: dict[str, Any] = {"live": self.live_on, "vector": self.displacement, "force": self.force}
+        self._packed = [
+            PackedProduct(grid, cells, rows, blocks, cores=cores, **given)
+            for cells, rows, blocks in (
+                (others, others, self.stiffness),
+                (sprung[of_springs], np.flatnonzero(of_springs), self._springs[1]),
+            )
+            if len(cells)
+        ]
         self.update(np.arange(grid.cell_count, dtype=np.int32))
 
     @property
@@ -108,7 +122,9 @@ class CellStiffness:
 
     def set_live(self, live: NDArray[np.bool_]) -> None:
         """Set which cells carry load, shape (c,)."""
+        changed = np.flatnonzero(self.live != live).astype(np.int32)
         self.live_on.assign(live.astype(np.uint8))
+        self._weigh(changed)
 
     def run(self, kernel: Any, dim: int, inputs: list[Any], outputs: list[Any]) -> None:
         """Launch a kernel whose last input is the first thread's index, once."""
@@ -126,24 +142,20 @@ class CellStiffness:
         outputs = [self.stiffness, self.fill_on]
         self.run(particle_stiffness, len(cells), inputs, outputs)
 
-    def _record_products(self) -> tuple[SplitLaunch, SplitLaunch]:
-        inputs = [self.cell_nodes_on, self.live_on, self.stiffness, self.displacement, 0]
-        common: dict[str, Any] = {"device": self.device, "cores": self.cores}
-        cells = SplitLaunch(
-            cell_products, dim=self.grid.cell_count, inputs=inputs, outputs=[self._corner_force], offset_index=4,
-            **common,
-        )  # fmt: skip
-        inputs = [self.node_cells_on, self._corner_force, 0]
-        nodes = SplitLaunch(
-            gather_cells, dim=self.grid.node_count, inputs=inputs, outputs=[self.force], offset_index=2, **common
-        )
-        return cells, nodes
+        self._weigh(cells)
+
+    def _weigh(self, cells: NDArray[np.int32]) -> None:
+        if len(cells):
+            particles = [self.place, self.volume, self.lame, self.remaining_on, self.cell_start_on]
+            changed: Any = wp.array(cells, dtype=wp.int32, device=self.device)
+            self.strips.update(particles, self.live_on, changed, edge_m=self.grid.edge_m, strength=self._strength)
 
     def product(self, displacement_m: Array) -> Array:
         """Nodal forces [N] that hold nodal displacements [m], shapes (n, 3), without an assembled matrix."""
         self.displacement.assign(displacement_m)
-        for launch in self._products:
-            launch()
+        self.strips.product(self.displacement, self.force)
+        for each in self._packed:
+            each()
         return np.array(self.force.numpy())
 
     def cell_matrices(self) -> Array:

@@ -1,0 +1,154 @@
+"""Strips of cells and vectors in lanes: the cells' weights, diagonals, a smoothing step, and from nodes and back."""
+
+from typing import Any
+
+import warp as wp
+
+from kernels.cell_strips import lanes_of
+from kernels.hexahedra import block_of
+
+__all__ = ["cube_weights", "from_lanes", "node_diagonals", "smooth", "to_lanes"]
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+FULL_STEPS = wp.constant(wp.float64(65535.0))
+LANES_F = lanes_of(wp.float32)
+
+
+@wp.kernel
+def cube_weights(
+    # particles, sorted by cell
+    place: wp.array(dtype=wp.vec3d),  # place in the cell, 0 to 1 along each edge
+    volume: wp.array(dtype=wp.float64),  # [m3]
+    lame: wp.array2d(dtype=wp.float64),  # [particle, 2]: lambda, mu [Pa]
+    remaining: wp.array(dtype=wp.uint16),  # steps of 1/65535
+    # cells
+    cell_start: wp.array(dtype=wp.int32),  # [cell + 1], first particle of each cell
+    live: wp.array(dtype=wp.uint8),  # [cell], 0 where a cell carries nothing
+    regular: wp.array(dtype=wp.uint8),  # [cell], 1 where all particles lie at the cubes' centres
+    strip: wp.array(dtype=wp.vec2i),  # [cell]: its strip, and its lane there
+    changed: wp.array(dtype=wp.int32),  # cells to sum again
+    edge: wp.float64,  # [m]
+    strength: wp.float64,  # share of a full cell's unseen modes, see kernels.particle_stiffness
+    offset: int,
+    # out
+    weight_out: wp.array3d(dtype=wp.float64),  # [strip, WEIGHTS, lane] [N/m], zero in cells that are not regular
+    single_out: wp.array3d(dtype=wp.float32),  # [strip, WEIGHTS, lane] [N/m], particles in the cube that holds them
+):
+    """Weights of the changed cells in `kernels.cell_strips`."""
+    cell = changed[wp.tid() + offset]
+    row = strip[cell][0]
+    lane = strip[cell][1]
+    for i in range(17):
+        weight_out[row, i, lane] = wp.float64(0.0)
+    shear = wp.float64(0.0)
+    moment = wp.vec3d()
+    middle = wp.vec3d(wp.float64(0.5), wp.float64(0.5), wp.float64(0.5))
+    if live[cell] != wp.uint8(0):
+        for p in range(cell_start[cell], cell_start[cell + 1]):
+            left = volume[p] * wp.float64(remaining[p]) / FULL_STEPS
+            at = place[p] - middle
+            cube = int(0)
+            for axis in range(3):
+                cube = 2 * cube
+                if at[axis] > wp.float64(0.0):
+                    cube += 1
+            share = left / (wp.float64(16.0) * edge * edge)
+            weight_out[row, cube, lane] = weight_out[row, cube, lane] + share * lame[p, 0]
+            weight_out[row, 8 + cube, lane] = weight_out[row, 8 + cube, lane] + share * lame[p, 1]
+            shear += left * lame[p, 1]
+            moment += left * wp.cw_mul(at, at)
+    whole = edge * edge * edge
+    missing = wp.max(wp.float64(1.0) - wp.float64(12.0) * wp.min(moment) / whole, wp.float64(0.0))
+    weight_out[row, 16, lane] = strength * missing * shear / whole * edge / wp.float64(12.0)
+    for i in range(17):
+        single_out[row, i, lane] = wp.float32(weight_out[row, i, lane])
+        if regular[cell] == wp.uint8(0):
+            weight_out[row, i, lane] = wp.float64(0.0)
+
+
+@wp.kernel
+def to_lanes(
+    slot: wp.array(dtype=wp.int32),  # [node]
+    vector: wp.array(dtype=Any),  # [node]
+    offset: int,
+    # out
+    lanes_out: wp.array2d(dtype=Any),  # [component, slot]
+):
+    """Put a vector of nodes into lanes."""
+    node = wp.tid() + offset
+    for c in range(3):
+        lanes_out[c, slot[node]] = vector[node][c]
+
+
+@wp.kernel
+def from_lanes(
+    slot: wp.array(dtype=wp.int32),  # [node]
+    lanes: wp.array2d(dtype=Any),  # [component, slot]
+    offset: int,
+    # out
+    vector_out: wp.array(dtype=Any),  # [node]
+):
+    """Take a vector of nodes out of lanes."""
+    node = wp.tid() + offset
+    at = slot[node]
+    value = vector_out[node]
+    for c in range(3):
+        value[c] = lanes[c, at]
+    vector_out[node] = value
+
+
+@wp.kernel
+def node_diagonals(
+    nodes: wp.array(dtype=wp.int32),  # those whose cells changed
+    node_cells: wp.array2d(dtype=wp.int32),  # [node, corner]
+    live: wp.array(dtype=wp.uint8),  # [cell]
+    stiffness: wp.array2d(dtype=wp.mat33d),  # [cell, block] [N/m]
+    free: wp.array(dtype=wp.vec3d),  # [node], 1 where a component may move, 0 where it is held
+    slot: wp.array(dtype=wp.int32),  # [node]
+    largest: wp.float64,  # bound of the eigenvalues of D^-1 K
+    offset: int,
+    # out
+    diagonal_out: wp.array(dtype=wp.vec3d),  # [node] [N/m], 1 on held components
+    inverse_out: wp.array2d(dtype=wp.float32),  # [component, slot] [m/N], of the bound times D; 0 if held or empty
+):
+    """Diagonal of the nodes' stiffness and its inverse."""
+    node = nodes[wp.tid() + offset]
+    total = wp.vec3d()
+    for a in range(8):
+        cell = node_cells[node, a]
+        here = cell >= 0
+        if here:
+            here = live[cell] != wp.uint8(0)
+        if here:
+            total += wp.get_diag(stiffness[cell, block_of(a, a)])
+    for c in range(3):
+        inverse = wp.float64(0.0)
+        if free[node][c] * total[c] > wp.float64(0.0):
+            inverse = wp.float64(1.0) / (largest * total[c])
+        inverse_out[c, slot[node]] = wp.float32(inverse)
+        total[c] = wp.where(free[node][c] > wp.float64(0.0), total[c], wp.float64(1.0))
+    diagonal_out[node] = total
+
+
+@wp.kernel
+def smooth(
+    inverse: wp.array2d(dtype=LANES_F),  # [component, lanes], of the largest eigenvalue times the diagonal; 0 if held
+    share: float,  # of the last direction in the next
+    gain: float,  # of the residual in it
+    offset: int,
+    # out
+    force_out: wp.array2d(dtype=LANES_F),  # product with the last direction; zero afterwards
+    residual_out: wp.array2d(dtype=LANES_F),  # less that product
+    direction_out: wp.array2d(dtype=LANES_F),  # the next one
+    vector_out: wp.array2d(dtype=LANES_F),  # with the last direction
+):
+    """One step: ``v += d``, ``r -= K d``, ``d = share d + gain D^-1 r``."""
+    i = wp.tid() + offset
+    for c in range(3):
+        direction = direction_out[c, i]
+        residual = residual_out[c, i] - force_out[c, i]
+        vector_out[c, i] = vector_out[c, i] + direction
+        residual_out[c, i] = residual
+        direction_out[c, i] = share * direction + gain * wp.cw_mul(inverse[c, i], residual)
+        force_out[c, i] = LANES_F()

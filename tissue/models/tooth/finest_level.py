@@ -1,0 +1,147 @@
+"""The finest grid of the hierarchy: Chebyshev smoothing with the product over strips of cells, no assembled rows."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+
+from kernels.lane_vectors import from_lanes, node_diagonals, smooth, to_lanes
+from kernels.launcher import SplitLaunch
+from tissue.models.tooth.stiffness import CellStiffness
+from tissue.models.tooth.strips import LaneVector, StripProduct
+from tissue.models.tooth.supports import NodeSupports
+
+__all__ = ["FinestLevel"]
+
+Array = NDArray[np.float64]
+STEPS = ((0.0, 4.0 / 3.0), (1.0 / 5.0, 12.0 / 5.0))
+"""Share of the last direction and gain of the residual of Chebyshev's polynomial of the fourth kind of degree 2, which
+needs the largest eigenvalue only (Lottes 2023, Numer. Linear Algebra Appl. 30:e2518). Degree 1 takes 1.3 times the
+iterations, degree 3 saves none."""
+POWER_STEPS = 30
+MARGIN = 1.15
+"""Largest eigenvalue assumed over that found: the power method's last per cents, and what cuts add before it is found
+anew. The smoother diverges at 1.25 of what is assumed."""
+
+
+class FinestLevel:
+    """Vectors of the finest grid and its smoothing, in single precision and lanes.
+
+    Springs are left out of the product: beside the cells they act on they are below a hundredth, and the coarser grids,
+    which feel them, have them.
+
+    Parameters
+    ----------
+    cells, supports
+        The body's stiffness, and what holds it.
+
+    Attributes
+    ----------
+    diagonal
+        Diagonal of the stiffness [N/m], 1 on held components, Warp array of vec3d, shape (n,).
+    vector, residual
+        Correction of the coarser grids [m], and what smoothing leaves of the load [N], Warp vec3f, shape (n,).
+    """
+
+    def __init__(self, cells: CellStiffness, supports: NodeSupports) -> None:
+        self.grid, self.device, self.cores, self._cells = cells.grid, cells.device, cells.cores, cells
+        self.cell_nodes, self.live, self.stiffness = cells.cell_nodes_on, cells.live_on, cells.stiffness
+        count, strips, device = self.grid.node_count, cells.strips, cells.device
+        self.free: Any = wp.array((~supports.fixed).astype(np.float64), dtype=wp.vec3d, device=device)
+        self.diagonal = wp.zeros(count, dtype=wp.vec3d, device=device)
+        self.vector = wp.zeros(count, dtype=wp.vec3f, device=device)
+        self.residual = wp.zeros(count, dtype=wp.vec3f, device=device)
+        self._largest = 4.0
+        lanes = [LaneVector(strips.layout, wp.float32, device=device) for _ in range(5)]
+        self._inverse, self._force, self._left, self._direction, self._found = lanes
+        inverse, *vectors = [each.by_eight for each in lanes]
+        self._product = StripProduct(
+            strips.layout, strips.single, self._direction, self._force, device=device, cores=cells.cores
+        )
+
+        def launch(kernel: Any, dim: int, inputs: list[Any], outputs: list[Any]) -> SplitLaunch:
+            return SplitLaunch(
+                kernel, dim=dim, inputs=[*inputs, 0], outputs=outputs, offset_index=len(inputs), device=device,
+                cores=cells.cores,
+            )  # fmt: skip
+
+        self._steps = [launch(smooth, vectors[0].shape[1], [inverse, *step], vectors) for step in (*STEPS, (0.0, 0.0))]
+        slot = strips.slot_on
+        self._take_load = launch(to_lanes, count, [slot, self.residual], [self._left.single])
+        self._give_residual = launch(from_lanes, count, [slot, self._left.single], [self.residual])
+        self._take_correction = launch(to_lanes, count, [slot, self.vector], [self._direction.single])
+        self._give_found = launch(from_lanes, count, [slot, self._found.single], [self.vector])
+
+    def update(self, nodes: NDArray[np.int32]) -> None:
+        """Take the diagonal of these nodes again."""
+        if len(nodes) == 0:
+            return
+        rows: Any = wp.array(nodes, dtype=wp.int32, device=self.device)
+        inputs = [
+            rows, self._cells.node_cells_on, self.live, self.stiffness, self.free, self._cells.strips.slot_on,
+            self._largest, 0,
+        ]  # fmt: skip
+        outputs = [self.diagonal, self._inverse.single]
+        wp.launch(node_diagonals, dim=len(nodes), inputs=inputs, outputs=outputs, device=self.device)
+
+    def bound_eigenvalues(self) -> None:
+        """Find the largest eigenvalue of D^-1 K by the power method, and scale the diagonal's inverse by it."""
+        layout = self._cells.strips.layout
+        inverse, vector = self._inverse.single.numpy(), np.zeros((3, layout.slots), dtype=np.float32)
+        vector[:, layout.slot] = np.random.default_rng(0).normal(size=(3, self.grid.node_count))
+        size = 1.0
+        for _ in range(POWER_STEPS):
+            self._direction.single.assign(vector)
+            self._force.single.zero_()
+            self._product()
+            vector = self._inverse.single.numpy() * self._force.single.numpy()
+            size = float(np.linalg.norm(vector))
+            if size == 0.0:
+                break
+            vector /= size
+        if size > 0.0:
+            self._largest *= MARGIN * size
+            self._inverse.single.assign(inverse / (MARGIN * size))
+        for each in (self._force, self._direction, self._found):
+            each.single.zero_()
+
+    def solve(self, load_N: Array, correct: Callable[[], None]) -> Array:
+        """Smoothed, corrected and smoothed displacement [m] for a load [N], shapes (n, 3).
+
+        ``correct`` takes ``residual`` and adds the coarser grids' correction to ``vector``.
+        """
+        self._found.single.zero_()
+        self._direction.single.zero_()
+        self._force.single.zero_()
+        self.residual.assign(load_N.astype(np.float32))
+        self._take_load()
+        self._smooth()
+        self._product()
+        self._steps[2]()
+        self._give_residual()
+        self.vector.zero_()
+        correct()
+        self._take_correction()
+        self._product()
+        self._smooth()
+        self._steps[2]()
+        self._give_found()
+        return np.asarray(self.vector.numpy().astype(np.float64))
+
+    def _smooth(self) -> None:
+        self._steps[0]()
+        self._product()
+        self._steps[1]()
+
+    def matrix(self) -> csr_matrix:
+        """The assembled stiffness, springs included and held components empty [N/m], shape (3 n, 3 n)."""
+        live = self._cells.live > 0
+        unknown = (3 * self.grid.cell_nodes[live][:, :, None] + np.arange(3)).reshape(-1, 24)
+        rows, columns = np.broadcast_arrays(unknown[:, :, None], unknown[:, None, :])
+        free = self.free.numpy().ravel()
+        values = self._cells.cell_matrices()[live] * free[rows] * free[columns]
+        entries = (values.ravel(), (rows.ravel(), columns.ravel()))
+        return csr_matrix(entries, shape=(3 * self.grid.node_count,) * 2)

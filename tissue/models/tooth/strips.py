@@ -1,0 +1,186 @@
+"""A grid's cells in strips of eight along z, and the product of their stiffness with a vector."""
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from kernels.cell_strips import LANES, WEIGHTS, lanes_of, strip_products
+from kernels.lane_vectors import cube_weights, from_lanes, to_lanes
+from kernels.launcher import SplitLaunch
+from tissue.models.tooth.grid import HexGrid
+
+__all__ = ["CellStrips", "LaneVector", "StripLayout", "StripProduct"]
+
+AT_CUBE = 1e-6
+"""Distance from a cube's centre, in edges, within which a particle's place is rounding."""
+
+
+class StripLayout:
+    """Where nodes and cells lie in lanes.
+
+    The nodes of a pencil, all those of one x and y, follow each other along z and are followed by room for a strip that
+    reaches beyond the last of them.
+
+    Attributes
+    ----------
+    slots
+        Length of a lane vector; ``slot`` is the place of each node, int32, shape (n,).
+    strip
+        Strip of each cell and its lane there, int32, shape (c, 2).
+    start, base
+        First strip of each pencil of cells, shape (p + 1,), and slots of a strip's lowest nodes, shape (s, 4), int32.
+    colours
+        Pencils that share no node, int32 arrays.
+    """
+
+    def __init__(self, grid: HexGrid) -> None:
+        width = int(grid.node_place[:, 1].max()) + 1
+        own, first, last = _pencils(grid.node_place, width)
+        ends = np.cumsum(last - first + 1 + LANES)
+        begin = ends - (last - first + 1 + LANES)
+        self.slots = int(LANES * (ends[-1] // LANES + 2))
+        pencil = np.searchsorted(own, _pencil_keys(grid.node_place, width))
+        self.slot = (begin[pencil] + grid.node_place[:, 2] - first[pencil]).astype(np.int32)
+        keys, low, high = _pencils(grid.cell_place, width)
+        strips = -(-(high - low + 1) // LANES)
+        self.start = np.concatenate([[0], np.cumsum(strips)]).astype(np.int32)
+        cell_pencil = np.searchsorted(keys, _pencil_keys(grid.cell_place, width))
+        above = grid.cell_place[:, 2] - low[cell_pencil]
+        self.strip = np.stack([self.start[cell_pencil] + above // LANES, above % LANES], axis=1).astype(np.int32)
+        which = np.repeat(np.arange(len(keys)), strips)
+        z = low[which] + LANES * (np.arange(len(which)) - self.start[which])
+        corners = np.searchsorted(own, keys[:, None] + np.array([0, 1, width, width + 1]))[which]
+        self.base = (begin[corners] + z[:, None] - first[corners]).astype(np.int32)
+        colour = 2 * (keys // width & 1) + (keys % width & 1)
+        self.colours = [np.flatnonzero(colour == each).astype(np.int32) for each in np.unique(colour)]
+
+
+class LaneVector:
+    """A vector of three components a node in lanes: one by one, and eight from every slot on, in the same memory.
+
+    Attributes
+    ----------
+    single
+        Shape (3, slots).
+    from_each
+        Eight numbers from each slot on, shape (3, slots - 7).
+    by_eight
+        The slots in groups of eight, shape (3, slots / 8).
+    """
+
+    def __init__(self, layout: StripLayout, scalar: Any, *, device: str) -> None:
+        self.scalar, self.slots, count = scalar, layout.slots, layout.slots - LANES + 1
+        self.single = wp.zeros((3, layout.slots), dtype=scalar, device=device)
+        self.from_each, self.by_eight = self._seen(1, count), self._seen(LANES, layout.slots // LANES)
+
+    def _seen(self, step: int, count: int) -> Any:
+        size = wp.types.type_size_in_bytes(self.scalar)
+        return wp.array(
+            ptr=self.single.ptr, dtype=lanes_of(self.scalar), shape=(3, count),
+            strides=(self.slots * size, step * size), device=self.single.device, copy=False,
+        )  # fmt: skip
+
+
+class StripProduct:
+    """Recorded product of strips with a lane vector, added to another one.
+
+    Parameters
+    ----------
+    layout
+        The strips.
+    weight
+        Their weights, a Warp array of single or double precision, shape (strips, WEIGHTS, LANES).
+    vector, force
+        Vector of the same precision, and what the product is added to.
+    """
+
+    def __init__(
+        self, layout: StripLayout, weight: Any, vector: LaneVector, force: LaneVector, *, device: str, cores: int | None
+    ) -> None:
+        lanes: Any = wp.array(
+            ptr=weight.ptr, dtype=lanes_of(vector.scalar), shape=weight.shape[:2], device=device, copy=False
+        )
+        start: Any = wp.array(layout.start, dtype=wp.int32, device=device)
+        base: Any = wp.array(layout.base, dtype=wp.vec4i, device=device)
+        self._kept = weight
+        self._launches = [
+            SplitLaunch(
+                strip_products(vector.scalar), dim=len(pencils), offset_index=5, device=device, cores=cores,
+                inputs=[wp.array(pencils, dtype=wp.int32, device=device), start, base, lanes, vector.from_each, 0],
+                outputs=[force.from_each],
+            )
+            for pencils in layout.colours
+        ]  # fmt: skip
+
+    def __call__(self) -> None:
+        """Add the product."""
+        for launch in self._launches:
+            launch()
+
+
+class CellStrips:
+    """Weights of a body's cells in strips, in double precision and in single for smoothing, and the exact product.
+
+    Cells whose particles do not lie at the centres of their eight cubes are left out of the double precision ones; the
+    single precision ones take each of their particles at the nearest centre.
+
+    Parameters
+    ----------
+    grid
+        The cells.
+    place, particle_cell
+        Place of each sorted particle in its cell, 0 to 1 along each edge, shape (p, 3), and the cell, shape (p,).
+
+    Attributes
+    ----------
+    regular
+        Cells that the double precision weights hold, bool, shape (c,).
+    weight, single
+        Warp arrays, shape (strips, WEIGHTS, LANES).
+    """
+
+    def __init__(
+        self, grid: HexGrid, place: NDArray[np.float64], particle_cell: NDArray[np.int32], *, device: str,
+        cores: int | None,
+    ) -> None:  # fmt: skip
+        self.layout, self.device = StripLayout(grid), device
+        off = (np.abs(np.abs(place - 0.5) - 0.25) > AT_CUBE).any(axis=1)
+        self.regular = np.ones(grid.cell_count, dtype=np.bool_)
+        self.regular[particle_cell[off]] = False
+        shape = (len(self.layout.base), WEIGHTS, LANES)
+        self.weight = wp.zeros(shape, dtype=wp.float64, device=device)
+        self.single = wp.zeros(shape, dtype=wp.float32, device=device)
+        self.regular_on: Any = wp.array(self.regular.astype(np.uint8), dtype=wp.uint8, device=device)
+        self.strip_on: Any = wp.array(self.layout.strip, dtype=wp.vec2i, device=device)
+        self.slot_on: Any = wp.array(self.layout.slot, dtype=wp.int32, device=device)
+        moved, self._force = (LaneVector(self.layout, wp.float64, device=device) for _ in range(2))
+        self._vector = moved
+        self._product = StripProduct(self.layout, self.weight, moved, self._force, device=device, cores=cores)
+
+    def update(self, particles: list[Any], live: Any, cells: Any, *, edge_m: float, strength: float) -> None:
+        """Sum the weights of these cells, a Warp array, over their particles again; as `kernels.lane_vectors`."""
+        inputs = [*particles, live, self.regular_on, self.strip_on, cells, edge_m, strength, 0]
+        outputs = [self.weight, self.single]
+        wp.launch(cube_weights, dim=len(cells), inputs=inputs, outputs=outputs, device=self.device)
+
+    def product(self, vector: Any, force_out: Any) -> None:
+        """Product of the double precision weights with a vector of nodes, Warp arrays of vec3d, shape (n,)."""
+        count = len(vector)
+        into, out = [self.slot_on, vector, 0], [self.slot_on, self._force.single, 0]
+        wp.launch(to_lanes, dim=count, inputs=into, outputs=[self._vector.single], device=self.device)
+        self._force.single.zero_()
+        self._product()
+        wp.launch(from_lanes, dim=count, inputs=out, outputs=[force_out], device=self.device)
+
+
+def _pencil_keys(place: NDArray[np.int32], width: int) -> NDArray[np.int64]:
+    return place[:, 0].astype(np.int64) * width + place[:, 1]
+
+
+def _pencils(place: NDArray[np.int32], width: int) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Key of each pencil and its lowest and highest place along z, of places in order."""
+    keys, first = np.unique(_pencil_keys(place, width), return_index=True)
+    last = np.append(first[1:], len(place)) - 1
+    return keys, place[first, 2].astype(np.int64), place[last, 2].astype(np.int64)
