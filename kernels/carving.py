@@ -5,6 +5,9 @@ where ``covered`` is the volume of its cube behind the tool's surface. A minimum
 overlapping cuts give the same bone in any order; it is exact where an old and a new cut are parallel and unbiased on
 average where they cross. All lengths are in voxels.
 
+Beside the least distance of all, every voxel keeps that of older cuts: what it was when the tool last came within reach
+of its block, or last turned. The present pass, of which the tool's surface is the end, is not in it.
+
 Bricks belong to one of ``PHASES`` groups. A launch visits some of the groups, so that a slow tool spreads its carving
 over ticks; every group remembers the pose of its last visit. Inside a brick, blocks of 2 x 2 x 2 voxels that are empty
 or that the surface cannot reach are skipped. Each worker owns whole columns of bricks and its own booking row: no
@@ -16,15 +19,16 @@ import warp as wp
 from kernels.bricks import cube_behind_plane, layer_of, plane_of
 from kernels.revolution import EDGE_BEND, Nearest, Revolution, nearest_on, offset_from
 
-__all__ = ["BINARY", "COUNT", "EVERY_SIDE", "FIRST", "ORIGIN", "PHASES", "PLAN", "carve", "cut_before"]
+__all__ = ["BINARY", "COUNT", "EVERY_SIDE", "FIRST", "ORIGIN", "PHASES", "PLAN", "TURNED", "carve"]
 
 wp.set_module_options({"enable_backward": False})
 
 PHASES = 16
-FIRST, COUNT, BINARY, EVERY_SIDE, ORIGIN, PLAN = 0, 1, 2, 3, 4, 5
-"""Places in the plan: first group and how many; 1 for binary removal; 1 for every side; group of the first brick."""
+FIRST, COUNT, BINARY, EVERY_SIDE, ORIGIN, TURNED, PLAN = 0, 1, 2, 3, 4, 5, 6
+"""Places in the plan: first group and how many; 1 for binary removal; 1 for every side; group of the first brick; 1
+where the tool turns and all that it has cut becomes an older cut."""
 BLOCK_REACH = wp.constant(1.7320508)  # half diagonal of a block of 2 voxels [voxel]
-SLACK = wp.constant(8)  # stored distance by which two poses may differ in where they see the same surface
+LONGEST_STEP = wp.constant(1.0)  # more than the tool moves between two visits of a brick [voxel]
 EDGE = wp.constant(float(EDGE_BEND))
 BRICK_REACH = wp.constant(6.9282032)  # half diagonal of a brick of 8 voxels [voxel]
 
@@ -43,6 +47,7 @@ def carve(
     # out
     remaining_out: wp.array2d(dtype=wp.uint16),
     swept_out: wp.array2d(dtype=wp.uint16),  # distance to the solid that the tool has swept, see `swept_steps`
+    older_out: wp.array2d(dtype=wp.uint16),  # the same, of older cuts
     alive_out: wp.array(dtype=wp.uint64),  # [brick], one bit a block of 2 x 2 x 2 voxels that may hold material
     touched_out: wp.array(dtype=wp.uint8),  # [brick], set to 1 where this launch removed something
     removed_out: wp.array2d(dtype=wp.int64),  # [worker, layer], stored steps removed by this launch
@@ -55,7 +60,7 @@ def carve(
     low = wp.vec3i(0, 0, 0)
     high = wp.vec3i(0, 0, 0)
     for c in range(3):
-        spread = tool.radius * wp.sqrt(wp.max(1.0 - axis[c] * axis[c], 0.0)) + 1.0
+        spread = tool.radius * wp.sqrt(wp.max(1.0 - axis[c] * axis[c], 0.0)) + BLOCK_REACH
         first = wp.min(tool.low * axis[c], tool.high * axis[c]) - spread
         last = wp.max(tool.low * axis[c], tool.high * axis[c]) + spread
         low[c] = wp.max(int(wp.floor((float(pose[0, c]) + first) / 8.0)), 0)
@@ -74,8 +79,8 @@ def carve(
                 row = int(brick_of[bx, by, bz])
                 if row >= 0:
                     carve_brick(
-                        tool, pose, axis, group, plan[BINARY], plan[EVERY_SIDE], bx, by, bz, row, worker,
-                        material, remaining_out, swept_out, alive_out, touched_out, removed_out,
+                        tool, pose, axis, group, plan[BINARY], plan[EVERY_SIDE], plan[TURNED], bx, by, bz, row, worker,
+                        material, remaining_out, swept_out, older_out, alive_out, touched_out, removed_out,
                     )  # fmt: skip
                 bz += 16
 
@@ -88,6 +93,7 @@ def carve_brick(
     group: int,
     binary: int,
     every_side: int,
+    turned: int,
     bx: int,
     by: int,
     bz: int,
@@ -95,7 +101,8 @@ def carve_brick(
     worker: int,
     material: wp.array2d(dtype=wp.uint32),
     remaining_out: wp.array2d(dtype=wp.uint16),
-    swept_out: wp.array2d(dtype=wp.uint16),  # distance to the solid that the tool has swept, see `swept_steps`
+    swept_out: wp.array2d(dtype=wp.uint16),
+    older_out: wp.array2d(dtype=wp.uint16),
     alive_out: wp.array(dtype=wp.uint64),
     touched_out: wp.array(dtype=wp.uint8),
     removed_out: wp.array2d(dtype=wp.int64),
@@ -114,6 +121,7 @@ def carve_brick(
     skip_behind = every_side == 0 and tool.round == 1 and tool.radius > 8.0
     if skip_behind and tool.radius > 24.0 and wp.dot(step, far.slope) < -0.7 * moved:
         return  # the whole brick lies behind a tool that leaves it
+    axis_before = wp.vec3(float(pose[1 + group, 3]), float(pose[1 + group, 4]), float(pose[1 + group, 5]))
     before = alive
     booked = booked_by(removed_out, worker)
     for block in range(64):
@@ -126,6 +134,11 @@ def carve_brick(
             # The distance to a convex tool lies above its tangent: three products exclude most outer blocks.
             if tool.convex == 0 or far.distance + wp.dot(far.slope, shift) < BLOCK_REACH + kink:
                 near = nearest_on(tool, centre + shift, axis)
+                if near.distance < BLOCK_REACH and near.distance > BLOCK_REACH - LONGEST_STEP:
+                    last = nearest_on(tool, centre + step + shift, axis_before)
+                    if last.distance >= BLOCK_REACH:  # the tool comes within reach
+                        for v in range(8):
+                            older_out[row, block * 8 + v] = swept_out[row, block * 8 + v]
                 if near.distance < -BLOCK_REACH:
                     for v in range(8):
                         voxel = block * 8 + v
@@ -133,6 +146,7 @@ def carve_brick(
                         removed_out[worker, layer_of(material[row, voxel])] += wp.int64(kept)
                         remaining_out[row, voxel] = wp.uint16(0)
                         swept_out[row, voxel] = wp.uint16(0)
+                        older_out[row, voxel] = wp.uint16(swept_steps(distance_at(near, corner_offset(v))))
                     alive = alive ^ bit
                 elif near.distance < BLOCK_REACH:
                     advance = wp.dot(near.slope, step)
@@ -142,6 +156,9 @@ def carve_brick(
                             tool, axis, centre + shift, near, flat, binary, row, block * 8, worker,
                             material, remaining_out, swept_out, removed_out,
                         )  # fmt: skip
+                    if turned != 0:
+                        for v in range(8):
+                            older_out[row, block * 8 + v] = swept_out[row, block * 8 + v]
     if alive != before:
         alive_out[row] = alive
     if booked_by(removed_out, worker) != booked:
@@ -239,18 +256,3 @@ def distance_at(near: Nearest, offset: wp.vec3):
 def swept_steps(distance: float):
     """Stored distance to the swept solid of a distance [voxel]."""
     return wp.clamp(int(32768.5 + 4096.0 * distance), 0, 65534)
-
-
-@wp.func
-def cut_before(
-    tool: Revolution, pose: wp.array2d(dtype=wp.float64), axis: wp.vec3, ix: int, iy: int, iz: int, swept: int
-):
-    """Whether an older cut lies deeper in voxel (ix, iy, iz) than the tool's surface does now."""
-    middle = offset_from(pose, 0, (ix & -2) + 1, (iy & -2) + 1, (iz & -2) + 1)
-    near = nearest_on(tool, middle, axis)
-    offset = corner_offset(((ix & 1) << 2) | ((iy & 1) << 1) | (iz & 1))
-    distance = distance_at(near, offset)
-    if near.bend >= EDGE:
-        exact = nearest_on(tool, middle + offset, axis)
-        distance = exact.distance
-    return swept < swept_steps(distance) - SLACK

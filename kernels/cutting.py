@@ -14,8 +14,8 @@ import warp as wp
 
 from kernels.bone_lookup import Bone, bone_at
 from kernels.bricks import voxel_column, voxel_row
-from kernels.carving import cut_before
 from kernels.elements import CHUNK, Elements, Travel, advance_of, may_cut, travel_of
+from kernels.older_cuts import taken_before
 from kernels.revolution import Revolution
 
 __all__ = [
@@ -35,7 +35,6 @@ wp.set_module_options({"enable_backward": False})
 CHIP_FORCE, CHIP_TORQUE, EDGE_FORCE, EDGE_TORQUE, RATE, AREA = 0, 3, 6, 9, 12, 13
 """Places in the sums. Three each per unit of speed: force [N s/m], torque about the tip [N s]; three each independent
 of speed: force [N] and torque [N m]; removal rate per unit of speed [m2]; engaged area of each layer [m2]."""
-NEVER = wp.constant(65535)  # stored where the tool has not come near
 WIDEST = wp.constant(3.5)  # across the surface, an element is taken as this wide at most [voxel]
 DENSITIES = 4096
 """Entries of the strength table: densities of 0 to 4095 kg/m3."""
@@ -77,6 +76,7 @@ def cutting_forces(
     material: wp.array2d(dtype=wp.uint32),
     nearby: wp.array2d(dtype=wp.uint16),
     swept: wp.array2d(dtype=wp.uint16),
+    older: wp.array2d(dtype=wp.uint16),
     alive: wp.array(dtype=wp.uint64),
     # out
     sums_out: wp.array2d(dtype=wp.float64),  # [chunk, AREA + layers], tool frame: see CHIP_FORCE
@@ -85,7 +85,7 @@ def cutting_forces(
     chunk = wp.tid() + chunk_offset
     for m in range(AREA, sums_out.shape[1]):
         sums_out[chunk, m] = wp.float64(0.0)
-    travel = travel_of(tool, motion, spacing)
+    travel = travel_of(motion, spacing)
     chip_force = wp.vec3()
     chip_torque = wp.vec3()
     edge_force = wp.vec3()
@@ -110,12 +110,10 @@ def cutting_forces(
             if reached > 0:
                 bone = bone_at(brick_of, material, nearby, row, column, at)
                 share = share_below(bone, elements.normal[e], elements.area[e], travel, spacing)
-                if share > 0.0:
-                    asked = at
-                    if advance < travel.grazing:
-                        asked = at + travel.onward
-                    if taken_before(tool, motion, travel.axis, brick_of, swept, asked):
-                        share = 0.0
+                if share > 0.0 and taken_before(
+                    tool, motion, travel.axis, travel.heading, brick_of, older, row, column, at
+                ):
+                    share = 0.0
                 if share > 0.0:
                     load = load_on(elements, coefficients, e, bone, share, advance, chip_per_speed)
                     chip_force += load.chip
@@ -170,27 +168,3 @@ def load_on(
     load.edge -= (length * coefficients.tangential_edge[m]) * around
     load.edge -= (length * coefficients.radial_edge[m]) * normal
     return load
-
-
-@wp.func
-def taken_before(
-    tool: Revolution,
-    pose: wp.array2d(dtype=wp.float64),
-    axis: wp.vec3,
-    brick_of: wp.array3d(dtype=wp.int32),
-    swept: wp.array2d(dtype=wp.uint16),
-    point: wp.vec3,
-):
-    """Whether an older cut has taken the bone at ``point`` [voxel] on or before the tool's surface."""
-    ix = int(wp.floor(point[0]))
-    iy = int(wp.floor(point[1]))
-    iz = int(wp.floor(point[2]))
-    row = voxel_row(brick_of, ix, iy, iz)
-    if row < 0:
-        return False
-    reached = int(swept[row, voxel_column(ix, iy, iz)])
-    if reached == NEVER:
-        return False
-    if reached == 0:
-        return True
-    return cut_before(tool, pose, axis, ix, iy, iz, reached)

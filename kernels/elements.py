@@ -2,14 +2,10 @@
 
 import warp as wp
 
-from kernels.revolution import Revolution
-
 __all__ = ["CHUNK", "Elements", "Travel", "advance_of", "may_cut", "travel_of"]
 
 CHUNK = 128
 """Elements a chunk; chunks are summed in order, so the result does not depend on the number of threads."""
-GRAZING_VOXELS = wp.constant(1.5)  # an element this far from the line where the tool slides along the bone grazes it
-AHEAD_VOXELS = wp.constant(1.0)  # a grazing element asks of the next voxel, which a pass back does not sweep deeper
 
 
 @wp.struct
@@ -38,12 +34,11 @@ class Travel:
     turning: wp.vec3  # angular, per unit of speed [1/m]
     turns: wp.int32  # 1 where it is not 0
     least: wp.float32  # an element that advances by no more does not cut
-    grazing: wp.float32  # one that advances by less grazes the bone
-    onward: wp.vec3  # from a grazing element to the place it asks of [voxel]
+    heading: wp.vec3  # of the tip in the grid, unit
 
 
 @wp.func
-def travel_of(tool: Revolution, motion: wp.array2d(dtype=wp.float64), spacing: float):
+def travel_of(motion: wp.array2d(dtype=wp.float64), spacing: float):
     """The rows of ``motion`` in single precision, and the limits that follow."""
     travel = Travel()
     travel.tip = wp.vec3(float(motion[0, 0]), float(motion[0, 1]), float(motion[0, 2]))
@@ -56,10 +51,7 @@ def travel_of(tool: Revolution, motion: wp.array2d(dtype=wp.float64), spacing: f
     travel.turning = wp.vec3(float(motion[5, 0]), float(motion[5, 1]), float(motion[5, 2]))
     travel.turns = wp.where(wp.length(travel.turning) > 0.0, 1, 0)
     travel.least = 1.0e-5 * wp.length(velocity)
-    travel.grazing = GRAZING_VOXELS / tool.radius * wp.length(velocity)
-    travel.onward = (velocity[0] * travel.ex + velocity[1] * travel.ey + velocity[2] * travel.ez) * (
-        AHEAD_VOXELS * spacing / wp.max(wp.length(velocity), 1.0e-12)
-    )
+    travel.heading = wp.normalize(velocity[0] * travel.ex + velocity[1] * travel.ey + velocity[2] * travel.ez)
     return travel
 
 

@@ -5,6 +5,7 @@ import pytest
 from bone_in_numpy import bone_of, stored_voxels
 from scipy.spatial.transform import Rotation
 
+from kernels.revolution import EDGE_BEND
 from meshes.voxels.distances import INSIDE, OUTSIDE, surface_steps
 from meshes.voxels.layer_changes import FAR
 from meshes.voxels.volume import VoxelVolume
@@ -14,6 +15,8 @@ from tissue.materials.cutting import CuttingCoefficients
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import ToolMotion
 
+NEVER = 65535
+"""Kept where the tool has not come near."""
 SOFT = CuttingCoefficients(20e6, 9e6, 3e6, 800.0, 500.0, 200.0, 1000.0, 2.0)
 HARD = CuttingCoefficients(150e6, 60e6, 10e6, 5e3, 4e3, 1e3, 1800.0, 1.5)
 
@@ -32,12 +35,12 @@ def layered(count=48, seed=5):
     )  # fmt: skip
 
 
-def with_swept(model, swept):
-    """Store every voxel's least distance to the tool so far, shape of the volume."""
-    count, store = len(swept) // 8, model.store
-    rows = swept.reshape(count, 4, 2, count, 4, 2, count, 4, 2)
+def store_distances(model, stored, values):
+    """Write every voxel's kept distance to what the tool swept or to older cuts, shape of the volume."""
+    count, store = len(values) // 8, model.store
+    rows = values.reshape(count, 4, 2, count, 4, 2, count, 4, 2)
     rows = rows.transpose(0, 3, 6, 1, 4, 7, 2, 5, 8).reshape(count, count, count, 512)
-    store.swept.numpy()[:] = rows[store.brick_of.numpy() >= 0]
+    stored.numpy()[:] = rows[store.brick_of.numpy() >= 0]
 
 
 def distances(model, motion):
@@ -51,19 +54,42 @@ def distances(model, motion):
 
 
 def older_cuts(model, motion, random):
-    """Kept distances of older cuts: deeper or less deep by half a voxel, never near, swallowed; and where deeper."""
+    """Kept distances of an older cut that crosses the tool's surface at a slant, a tenth of them never near."""
     distance = distances(model, motion)
-    kind = random.integers(0, 4, distance.shape)
-    steps = 32768 + 4096 * (distance + np.where(kind == 0, -0.5, 0.5))
-    swept = np.clip(np.rint(steps), 1, 65534).astype(np.uint16)
-    swept[kind == 2] = 65535
-    swept[kind == 3] = np.where(random.uniform(size=distance.shape) < 0.2, 0, 65535)[kind == 3]
-    return swept, (kind == 0) | (swept == 0)
+    across = np.tensordot(np.array([0.6, 0.64, 0.48]), np.indices(distance.shape) - 21.0, axes=1)
+    older = np.clip(np.rint(32768 + 4096 * (distance + across)), 0, 65534).astype(np.uint16)
+    older[random.uniform(size=distance.shape) < 0.1] = NEVER
+    return older
 
 
-def expected_forces(model, motion, cut, swallowed):
-    """The formula of :mod:`kernels.cutting` in NumPy, in double precision; ``cut``: voxels in which older cuts lie
-    deeper, ``swallowed``: voxels that an older tool held whole."""
+def taken_before(model, motion, older, stored, point, inside):
+    """Whether the older cut holds each element, from the eight voxels around it, shape (n,)."""
+    nearest = tuple(np.floor(point).astype(int).T)
+    kept = np.where(stored & (older != NEVER), (older.astype(float) - 32768.0) / 4096.0, np.nan)
+    difference = np.clip(kept - distances(model, motion), -2.0, 2.0)
+    low = np.floor(point - 0.5).astype(int)
+    part = point - 0.5 - low
+    corners = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
+    found = np.stack([difference[tuple((low + corner).T)] for corner in corners], axis=1)
+    weight = np.stack([np.where(corner, part, 1.0 - part).prod(axis=1) for corner in corners], axis=1)
+    weight = np.where(np.isnan(found), 0.0, weight)
+    mean = np.nansum(weight * np.nan_to_num(found), axis=1) / np.maximum(weight.sum(axis=1), 1e-9)
+    table, shell = model.cutter.table(spacing_m=model.store.volume.spacing_m), model.shell
+    height = shell.points_m[:, 2] / model.store.volume.spacing_m - table.height_min
+    radius = shell.radii_m / model.store.volume.spacing_m
+    bend = table.bend[tuple((np.stack([radius, height]) * table.cells_per_voxel).astype(int))]
+    heading = motion.heading[0] / np.linalg.norm(motion.heading[0])
+    bent = np.where(bend < EDGE_BEND, 1.5 * bend * (part * (1.0 - part) * heading**2).sum(axis=1), 0.0)
+    filled = np.where(np.isnan(found), 0.0, found)
+    bent = np.minimum(bent, 0.5 * (filled.max(axis=1) - filled.min(axis=1)))
+    here = kept[nearest]
+    taken = np.where(np.isnan(here), False, np.where(here > 0.9, False, (here < -0.9) | (mean < 0.002 - bent)))
+    return inside & taken
+
+
+def expected_forces(model, motion, older, swallowed):
+    """The formula of :mod:`kernels.cutting` in NumPy, in double precision; ``older``: kept distances of older
+    cuts, ``swallowed``: voxels that an older tool held whole."""
     volume, shell, cutter = model.store.volume, model.shell, model.cutter
     arm = shell.points_m @ motion.rotation.T
     normal = shell.normals @ motion.rotation.T
@@ -80,12 +106,7 @@ def expected_forces(model, motion, cut, swallowed):
     width = np.linalg.norm(tangent, axis=1) * np.sqrt(shell.areas_m2) / volume.spacing_m
     share = np.clip(0.5 - bone.distance / np.clip(width, 1e-3, 3.5), 0.0, 1.0)
     share = np.where(bone.distance > -1.9, share, 1.0)
-    speed = np.linalg.norm(motion.heading[0])
-    grazes = advance < 1.5 / (cutter.profile.radius_m / volume.spacing_m) * speed
-    asked = np.floor(np.where(grazes[:, None], point + motion.heading[0] / speed, point)).astype(int)
-    known = ((asked >= 0) & (asked < volume.shape)).all(axis=1)
-    asked = tuple(np.where(known[:, None], asked, 1).T)
-    taken = known & stored[asked] & cut[asked]
+    taken = taken_before(model, motion, older, stored, point, inside)
     share = np.where(inside & (advance > 0.0) & stored[at] & ~swallowed[at] & ~taken, share, 0.0)
     layer, density = bone.layer, np.rint(bone.density)
     value = lambda name: np.array([getattr(SOFT, name), getattr(HARD, name)])[layer]  # noqa: E731
@@ -125,9 +146,11 @@ def test_forces_against_numpy(profile, spin_rad_s, turning):
     """Over bone and older cuts at random, with chunks of which some face away and are left out."""
     model = BoneModel(layered(), Cutter(profile, 5, spin_rad_s), (SOFT, HARD), shell_spacing_m=5e-5)
     motion = tilted_motion(turning)
-    swept, cut = older_cuts(model, motion, np.random.default_rng(6))
-    with_swept(model, swept)
-    chip, edge, rate = expected_forces(model, motion, cut, swept == 0)
+    random = np.random.default_rng(6)
+    older, swallowed = older_cuts(model, motion, random), random.uniform(size=model.store.volume.shape) < 0.05
+    store_distances(model, model.store.older, older)
+    store_distances(model, model.store.swept, np.where(swallowed, 0, older).astype(np.uint16))
+    chip, edge, rate = expected_forces(model, motion, older, swallowed)
     response = model.respond(motion)
     # Single precision: an element within 1e-7 m of a voxel's face may read its neighbour, 1 in 1e3 elements.
     for got, want in ((response.resistance, chip), (response.edge, edge)):
@@ -160,7 +183,7 @@ def test_an_older_cut_as_deep_disengages_and_one_less_deep_does_not():
     steps = 32768 + 4096 * distances(model, motion)
     found = []
     for deeper in (0.05, 0.0, -0.05):  # the table and the tangent sphere are 0.02 voxel off
-        with_swept(model, np.clip(np.rint(steps - 4096 * deeper), 1, 65534).astype(np.uint16))
+        store_distances(model, model.store.older, np.clip(np.rint(steps - 4096 * deeper), 1, 65534).astype(np.uint16))
         found.append(engaged_m2(model, motion))
     half = model.shell.areas_m2[model.shell.normals[:, 2] < -1e-5].sum()
     assert found[0] == 0.0 and found[2] == pytest.approx(half, rel=1e-6)

@@ -6,7 +6,6 @@ import warp as wp
 from scipy.spatial.transform import Rotation
 
 from kernels.elements import CHUNK, Elements, advance_of, may_cut, travel_of
-from kernels.revolution import Revolution
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr, pear_bur
@@ -21,7 +20,6 @@ SINGLE = 1e-6
 
 @wp.kernel
 def ask(
-    tool: Revolution,
     elements: Elements,
     motion: wp.array2d(dtype=wp.float64),
     spacing: float,
@@ -31,7 +29,7 @@ def ask(
     may_out: wp.array(dtype=int),
 ):
     e = wp.tid()
-    travel = travel_of(tool, motion, spacing)
+    travel = travel_of(motion, spacing)
     advance_out[e] = advance_of(elements, e, travel)
     may_out[e] = wp.where(may_cut(elements, e / CHUNK, travel, spacing, brick_of, alive), 1, 0)
 
@@ -60,7 +58,7 @@ def test_a_chunk_that_is_passed_over_holds_no_element_that_cuts(profile, turning
         model.respond(motion)
         advance = wp.zeros(len(shell.areas_m2), dtype=float, device="cpu")
         may = wp.zeros(len(shell.areas_m2), dtype=int, device="cpu")
-        inputs = [model.carver.tool, model.elements, model.motion_rows, SPACING_M, store.brick_of, store.alive]
+        inputs = [model.elements, model.motion_rows, SPACING_M, store.brick_of, store.alive]
         wp.launch(ask, dim=len(shell.areas_m2), inputs=inputs, outputs=[advance, may], device="cpu")
         normal, arm = shell.normals @ motion.rotation.T, shell.points_m @ motion.rotation.T
         expected = ((motion.heading[0] + np.cross(motion.heading[1], arm)) * normal).sum(axis=1)

@@ -15,8 +15,8 @@ from meshes.voxels.volume import VoxelVolume
 
 __all__ = ["BYTES_PER_VOXEL", "BrickStore", "voxels_of"]
 
-BYTES_PER_VOXEL = 10
-"""Stored per voxel of a brick: remaining 2, swept 2, material 4, nearby 2."""
+BYTES_PER_VOXEL = 12
+"""Stored per voxel of a brick: remaining 2, swept 2, older 2, material 4, nearby 2."""
 NEVER_SWEPT = 65535
 """Stored distance of a voxel that the tool has not come near."""
 STEPS = FULL // 255
@@ -37,6 +37,8 @@ class BrickStore:
         Filled fraction of each voxel, uint16, 65535 = full, shape (bricks, 512).
     swept
         Distance of each voxel's centre to the solid that the tool has swept, uint16, shape (bricks, 512).
+    older
+        The same of older cuts: before the tool last came within reach, or turned.
     material
         Density and layer before any cut in one word, uint32, shape (bricks, 512).
     nearby
@@ -54,6 +56,7 @@ class BrickStore:
     brick_of: Any
     remaining: Any
     swept: Any
+    older: Any
     material: Any
     nearby: Any
     alive: Any
@@ -92,6 +95,7 @@ class BrickStore:
             volume,
             on(brick_of, wp.int32),
             on(fraction.astype(np.uint16) * np.uint16(STEPS), wp.uint16),
+            on(np.full(fraction.shape, NEVER_SWEPT, dtype=np.uint16), wp.uint16),
             on(np.full(fraction.shape, NEVER_SWEPT, dtype=np.uint16), wp.uint16),
             on(material, wp.uint32),
             on(nearby, wp.uint16),

@@ -9,7 +9,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from kernels.bricks import BRICK
-from kernels.carving import BINARY, COUNT, EVERY_SIDE, FIRST, ORIGIN, PHASES, PLAN, carve
+from kernels.carving import BINARY, COUNT, EVERY_SIDE, FIRST, ORIGIN, PHASES, PLAN, TURNED, carve
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror
 from kernels.revolution import Revolution
@@ -27,7 +27,7 @@ CARVE_LAG_M = 2.0e-5
 LONGEST_STEP_VOXELS = 0.5
 """Longest step between two carvings; a faster tool is carved in parts of a tick."""
 TURN = 0.9
-"""The tool turns where its heading keeps less than this share of its last one."""
+"""The tool turns where its heading keeps less than this share of that since it last turned."""
 WORKERS_CPU, WORKERS_GPU = 32, 2048
 """Workers that share a carving launch."""
 
@@ -38,18 +38,19 @@ class CarverState:
 
     Attributes
     ----------
-    remaining, swept, alive
+    remaining, swept, older, alive
         Device arrays of the brick store.
     poses
         Pose now and at the last visit of every group of bricks, shape (1 + groups, 6).
     heading
-        Heading of the last motion, shape (2, 3).
+        Heading since the tool last turned, shape (2, 3).
     counts
         Next group, visits owed, groups that have not seen the present pose.
     """
 
     remaining: Any
     swept: Any
+    older: Any
     alive: Any
     poses: NDArray[np.float64]
     heading: NDArray[np.float64]
@@ -116,7 +117,7 @@ class Carver:
                 store.brick_of,
                 store.material,
             ],
-            outputs=[store.remaining, store.swept, store.alive, store.touched, self._removed.device],
+            outputs=[store.remaining, store.swept, store.older, store.alive, store.touched, self._removed.device],
             offset_index=3,
             device=device,
             cores=cores,
@@ -131,9 +132,11 @@ class Carver:
     def advance(self, motion: ToolMotion) -> None:
         """Carve what the tool reaches at its new pose; a slow tool's carving is spread over ticks."""
         now = self._pose_of(motion)
-        if self._behind > 0 and np.vdot(motion.heading, self._heading) < TURN * np.vdot(self._heading, self._heading):
-            self._visit(PHASES)  # the tool turns: first complete what it cut on its old path
-        self._heading[:] = motion.heading
+        if np.vdot(motion.heading, self._heading) < TURN * np.vdot(self._heading, self._heading):
+            self._visit(PHASES, turned=True)  # first complete what it cut on its old path
+            self._heading[:] = motion.heading
+        elif not self._heading.any():
+            self._heading[:] = motion.heading
         moved = now - self._pose.host[0]
         step = sqrt(moved[:3].dot(moved[:3])) + self._lever * sqrt(moved[3:].dot(moved[3:]))
         if step > LONGEST_STEP_VOXELS:
@@ -175,6 +178,7 @@ class Carver:
         return CarverState(
             wp.clone(self.store.remaining),
             wp.clone(self.store.swept),
+            wp.clone(self.store.older),
             wp.clone(self.store.alive),
             self._pose.host.copy(),
             self._heading.copy(),
@@ -185,19 +189,21 @@ class Carver:
         """Return to a copied state; the booked removal stays."""
         wp.copy(self.store.remaining, state.remaining)
         wp.copy(self.store.swept, state.swept)
+        wp.copy(self.store.older, state.older)
         wp.copy(self.store.alive, state.alive)
         self._pose.host[:] = state.poses
         self._heading[:] = state.heading
         self._next_group, self._debt, self._behind = state.counts
 
-    def _visit(self, groups: int, *, every_side: bool = False) -> None:
+    def _visit(self, groups: int, *, every_side: bool = False, turned: bool = False) -> None:
         """Carve ``groups`` groups of bricks at the current pose and book what they lost."""
         first = self._next_group
         plan = self._plan.host
         plan[FIRST] = first
         plan[COUNT] = groups
         plan[BINARY] = self._binary
-        plan[EVERY_SIDE] = every_side
+        plan[EVERY_SIDE] = every_side or turned
+        plan[TURNED] = turned
         plan[ORIGIN] = self._first_group
         self._plan.push()
         self._pose.push()

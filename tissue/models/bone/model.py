@@ -91,6 +91,7 @@ class BoneModel:
                 store.material,
                 store.nearby,
                 store.swept,
+                store.older,
                 store.alive,
             ],
             outputs=[self._sums.device],
