@@ -8,12 +8,12 @@ from koopman_systems import duffing, record
 
 from tissue.prediction.edmd.dictionary import Delays, Identity
 from tissue.prediction.edmd.edmd import Edmd
-from tissue.prediction.edmd.episodes import Episode
+from tissue.prediction.edmd.episodes import Episode, window
 from tissue.prediction.edmd.gap_products import GapProducts
 from tissue.prediction.edmd.polynomials import Polynomials
 from tissue.prediction.edmd.predictor_file import from_plain, to_plain
 from tissue.prediction.edmd.radial import Gaussians, ThinPlates
-from tissue.prediction.edmd.regression import regress
+from tissue.prediction.edmd.regression import regress, triangle
 from tissue.prediction.edmd.validation import choose, horizon_errors
 
 CENTRES = ((0.1, -0.2), (0.5, 0.4), (-0.7, 0.0))
@@ -114,12 +114,39 @@ def test_the_fit_is_least_squares_whatever_the_blocks(name, ridge):
     assert found.statistics.samples == 10 * 119 and found.statistics.episodes == 10
 
 
+@pytest.mark.parametrize("offset", [True, False])
+@pytest.mark.parametrize("ridge", [0.0, 1e-3])
+def test_delayed_states_are_fitted_as_any_other_target(offset, ridge):
+    """Against least squares of all windows at once, the targets written out; the delayed ones are known exactly."""
+    rng, dictionary, known = np.random.default_rng(11), Delays(2, Polynomials(2, columns=(0, 1))), 6
+    episodes = [Episode(rng.normal(size=(120, 2)), rng.normal(size=(120, 1)), 1e-3) for _ in range(10)]
+    found = Edmd(dictionary, ridge=ridge, cap=None, offset=offset).fit(episodes)
+    lifted = [dictionary.lift(window(e.states, 2)) for e in episodes]
+    after, middle = np.vstack([each[1:] for each in lifted]), np.concatenate((found.middle, found.input_middle))
+    before = np.vstack([np.hstack((x[:-1], e.inputs[2:-1])) for x, e in zip(lifted, episodes, strict=True)])
+    scale, count = np.concatenate((found.scale, found.input_scale)), after.shape[1]
+    regressors, targets = (before - middle) / scale, (after - found.middle) / found.scale
+    if offset:
+        regressors = np.hstack((regressors, np.ones((len(before), 1))))
+    penalty = np.sqrt(ridge * len(before)) * np.eye(len(scale), regressors.shape[1])
+    weights = np.linalg.lstsq(np.vstack((regressors, penalty)), np.pad(targets, ((0, len(scale)), (0, 0))))[0].T
+    # Noise, as good as orthogonal: both keep all but two or three of sixteen digits.
+    assert found.A / found.scale[:, None] * found.scale == pytest.approx(weights[:, :count], abs=1e-11)
+    assert found.B / found.scale[:, None] * found.input_scale == pytest.approx(
+        weights[:, count : len(scale)], abs=1e-11
+    )
+    missed = found.advance(before[:, :count], before[:, count:]) - after
+    assert found.statistics.residual_rms == pytest.approx(np.sqrt((missed**2).mean(axis=0)), rel=1e-6, abs=1e-12)
+    if ridge == 0.0:
+        assert found.A[2:known, : known - 2] == pytest.approx(np.eye(known - 2), abs=1e-11)
+
+
 def test_block_by_block_is_all_at_once():
     rng = np.random.default_rng(3)
     known, wanted = rng.normal(size=(1000, 6)), rng.normal(size=(1000, 4))
     cuts = [0, 3, 4, 400, 1000]
-    parts = [(known[a:b], wanted[a:b]) for a, b in pairwise(cuts)]
-    found = regress(parts, ridge=0.0, rank=None, free=1)
+    factor, samples = triangle(np.hstack((known, wanted))[a:b] for a, b in pairwise(cuts))
+    found = regress(factor, samples, size=6, ridge=0.0, rank=None, free=1)
     weights, squares, *_ = np.linalg.lstsq(known, wanted)
     assert found.weights == pytest.approx(weights, abs=1e-12)
     assert found.residual_rms == pytest.approx(np.sqrt(squares / 1000), rel=1e-10)
@@ -129,7 +156,8 @@ def test_block_by_block_is_all_at_once():
 def test_truncated_singular_values_are_the_pseudoinverse():
     rng = np.random.default_rng(4)
     known, wanted = rng.normal(size=(200, 6)) * np.logspace(0, -4, 6), rng.normal(size=(200, 2))
-    found = regress([(known, wanted)], ridge=0.0, rank=3, free=0)
+    factor, samples = triangle([np.hstack((known, wanted))])
+    found = regress(factor, samples, size=6, ridge=0.0, rank=3, free=0)
     left, values, right = np.linalg.svd(known, full_matrices=False)
     assert found.weights == pytest.approx(right[:3].T @ (left[:, :3].T @ wanted / values[:3, None]), abs=1e-10)
     assert found.rank == 3 and found.condition == pytest.approx(values[0] / values[2])

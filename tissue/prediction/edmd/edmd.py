@@ -8,9 +8,9 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.prediction.edmd.dictionary import Dictionary
-from tissue.prediction.edmd.episodes import Episode, blocks, check_episodes
+from tissue.prediction.edmd.episodes import STILL, Episode, blocks, check_episodes
 from tissue.prediction.edmd.lifted import FitStatistics, Generator, LiftedMap, Operator
-from tissue.prediction.edmd.regression import regress
+from tissue.prediction.edmd.regression import regress, triangle
 
 __all__ = ["Edmd"]
 
@@ -71,20 +71,22 @@ class Edmd:
 
     def _fit(self, episodes: list[Episode], *, rates: bool) -> LiftedMap:
         """The map, in the units of the observables."""
-        state_size = episodes[0].states.shape[1]
+        state_size, lead = episodes[0].states.shape[1], int(self.offset)
         count = self.dictionary.size(state_size)
-        middle, scale = _mean_and_scale(_pairs(episodes, self.dictionary, rates), self.offset)
+        carried = 0 if rates else self.dictionary.lags * state_size
+        factor, samples = triangle(_rows(episodes, self.dictionary, lead, rates))
+        ones, known = factor[:, :lead].sum(axis=1, keepdims=True), factor.shape[1] - (count - carried)
+        middle = factor[0, lead:known] / factor[0, 0] * self.offset
+        spread = np.sqrt((factor[lead:, lead:known] ** 2).sum(axis=0) / samples)
+        scale = np.where(spread > STILL * np.abs(middle), spread, 1.0)
         kept = slice(0, count)
-
-        def scaled() -> Iterator[tuple[Array, Array]]:
-            """Regressors and targets of each episode, shifted and scaled; ones behind the regressors of an offset."""
-            for lifted, inputs, targets in _pairs(episodes, self.dictionary, rates):
-                known = (np.hstack((lifted, inputs)) - middle) / scale
-                wanted = targets if rates else targets - middle[kept]
-                constant = np.ones((len(known), int(self.offset)))
-                yield np.hstack((known, constant)), wanted / scale[kept]
-
-        found = regress(scaled(), ridge=self.ridge, rank=self.rank, free=int(self.offset))
+        # Delayed states are targets that are regressors already, a lag earlier: they are not factored twice.
+        columns = np.concatenate(
+            (known + np.arange(state_size), lead + np.arange(carried), known + np.arange(state_size, count - carried))
+        )
+        targets = factor[:, columns] if rates else factor[:, columns] - ones * middle[kept]
+        scaled = ((factor[:, lead:known] - ones * middle) / scale, factor[:, :lead], targets / scale[kept])
+        found = regress(np.hstack(scaled), samples, size=known, ridge=self.ridge, rank=self.rank, free=lead)
         weights, size = found.weights.T, len(scale)
         A = weights[:, :count] * scale[kept, None] / scale[kept]
         B = weights[:, count:size] * scale[kept, None] / scale[count:]
@@ -114,12 +116,17 @@ class Edmd:
         )
 
 
-def _pairs(episodes: list[Episode], dictionary: Dictionary, rates: bool) -> Iterator[tuple[Array, Array, Array]]:
-    """Observables (k, D), inputs (k, m), and observables a step later or, for a generator, rates (k, D)."""
+def _rows(episodes: list[Episode], dictionary: Dictionary, lead: int, rates: bool) -> Iterator[Array]:
+    """Rows [1, φ, u, new] of some thousand samples at a time, without the ones if `lead` is 0.
+
+    `new` are the observables a step later that are not among φ, as all but the newest of delayed states are; for a
+    generator the rates of all.
+    """
     for episode in episodes:
         slopes = None
         if rates and episode.rates is not None:
             slopes = blocks(Episode(episode.rates, None, episode.step_s), dictionary.lags)
+        width = episode.states.shape[1]
         for windows, inputs in blocks(episode, dictionary.lags):
             with np.errstate(over="ignore", invalid="ignore"):
                 lifted = dictionary.lift(windows)
@@ -128,21 +135,7 @@ def _pairs(episodes: list[Episode], dictionary: Dictionary, rates: bool) -> Iter
                     "observables must be finite on all states, got overflow: scale the states, or the dictionary"
                 )
             if slopes is None:
-                yield lifted[:-1], inputs, lifted[1:]
+                after = [lifted[1:, :width], lifted[1:, width * (dictionary.lags + 1) :]]
             else:
-                yield lifted[:-1], inputs, dictionary.lift_rates(windows, next(slopes)[0])[:-1]
-
-
-def _mean_and_scale(parts: Iterator[tuple[Array, Array, Array]], centred: bool) -> tuple[Array, Array]:
-    """Means and deviations of observables and inputs, shape (D + m,); where a column is still, 1."""
-    seen, about, total, squares = 0, np.zeros(0), np.zeros(()), np.zeros(())
-    for lifted, inputs, _ in parts:
-        both = np.hstack((lifted, inputs))
-        about = about if seen else both[0]
-        # Sums are taken about the first row, so that a large offset does not cost digits.
-        both = both - about
-        seen, total, squares = seen + len(both), total + both.sum(axis=0), squares + (both**2).sum(axis=0)
-    mean = about + total / seen
-    variance = np.maximum(squares / seen - (total / seen) ** 2, 0.0)
-    scale = np.sqrt(variance if centred else variance + mean**2)
-    return mean if centred else np.zeros(len(mean)), np.where(scale > 1e-12 * np.abs(mean), scale, 1.0)
+                after = [dictionary.lift_rates(windows, next(slopes)[0])[:-1]]
+            yield np.hstack((np.ones((len(inputs), lead)), lifted[:-1], inputs, *after))

@@ -8,7 +8,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 
-__all__ = ["Regression", "regress"]
+__all__ = ["Regression", "regress", "triangle"]
 
 DEPENDENT = 1e-13
 """Singular values below this share of the largest are rounding of the factor: their columns depend on the others."""
@@ -40,16 +40,31 @@ class Regression:
     samples: int
 
 
-def regress(blocks: Iterable[tuple[Array, Array]], *, ridge: float, rank: int | None, free: int) -> Regression:
-    """Weights that minimise Σ|target - regressors weights|² + ridge · samples · |weights|².
+def triangle(blocks: Iterable[Array]) -> tuple[Array, int]:
+    """Triangular factor of rows (k, c) that come in blocks, shape (c, c), and the number of rows.
 
-    The rows are reduced to the triangular factor of [regressors targets], block by block (Golub & Van Loan 2013,
-    section 5.3), which keeps the digits that a Gram matrix, having the condition number squared, would lose.
+    Block by block (Golub & Van Loan 2013, section 5.3), which keeps the digits that a Gram matrix, having the condition
+    number squared, would lose. Sums of squares and products of any combination of columns are those of the factor's.
+    """
+    factor, samples = np.zeros((0, 0)), 0
+    for rows in blocks:
+        samples += len(rows)
+        factor = np.asarray(np.linalg.qr(np.vstack((factor, rows)) if len(factor) else rows, mode="r"))
+    return np.pad(factor, ((0, factor.shape[1] - len(factor)), (0, 0))), samples
+
+
+def regress(factor: Array, samples: int, *, size: int, ridge: float, rank: int | None, free: int) -> Regression:
+    """Weights that minimise Σ|target - regressors weights|² + ridge · samples · |weights|².
 
     Parameters
     ----------
-    blocks
-        Regressors (k, p) and targets (k, q), with regressors scaled to about one.
+    factor
+        Of [regressors targets] by `triangle`, or columns combined from one: below its first `size` rows the
+        regressors are zero. Regressors are scaled to about one.
+    samples
+        Rows that the factor stands for.
+    size
+        Number of regressors.
     ridge
         Weight of the penalty, at least 0.
     rank
@@ -63,16 +78,9 @@ def regress(blocks: Iterable[tuple[Array, Array]], *, ridge: float, rank: int | 
         If there are fewer rows than regressors, or, without ridge and rank, a regressor
         depends on the others.
     """
-    factor, samples, size = np.zeros((0, 0)), 0, 0
-    for regressors, targets in blocks:
-        rows = np.hstack((regressors, targets))
-        samples, size = samples + len(rows), regressors.shape[1]
-        factor = np.asarray(np.linalg.qr(np.vstack((factor, rows)) if len(factor) else rows, mode="r"))
     if rank is not None and not 1 <= rank <= size:
         raise InputError(f"rank must be in [1, {size}], the number of regressors, got {rank}: leave it out to keep all")
-    whole = np.zeros((max(len(factor), size), factor.shape[1]))
-    whole[: len(factor)] = factor
-    matrix, right, rest = whole[:size, :size], whole[:size, size:], whole[size:, size:]
+    matrix, right, rest = factor[:size, :size], factor[:size, size:], factor[size:, size:]
     penalty = np.diag(np.sqrt(ridge * samples * (np.arange(size) < size - free)))
     left, values, right_vectors = np.linalg.svd(np.vstack((matrix, penalty)) if ridge > 0.0 else matrix, False)
     kept = size if rank is None else rank
