@@ -27,8 +27,8 @@ __all__ = ["LIMIT_BYTES", "compliance_bytes", "surface_compliance_m_N"]
 
 LIMIT_BYTES = 2_000_000_000
 """Dense matrices above this are refused; columns are then found where the tool is, by ``LazyCompliance``."""
-SCHUR_UNKNOWNS = 60_000
-"""Above this the factor is not taken apart: copies of both halves would take gigabytes."""
+SCHUR_UNKNOWNS = 100_000
+"""Above this the factor is not taken apart: copies of both halves would take more than 4 GB."""
 CHUNK = 8
 """Nodes whose columns one thread finds at a time."""
 
