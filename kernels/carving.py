@@ -2,8 +2,8 @@
 
 Of every voxel's centre the least distance to the tool so far is kept, and of the voxel ``min(remaining, 1 - covered)``,
 where ``covered`` is the volume of its cube behind the tool's surface. A minimum is idempotent and commutes, so
-overlapping cuts give the same bone in any order; it is exact where an old and a new cut are parallel and unbiased on
-average where they cross. All lengths are in voxels.
+overlapping cuts give the same bone in any order; it is exact where an old and a new surface are parallel, and leaves a
+twelfth of a voxel too much on average where they cross at a right angle. All lengths are in voxels.
 
 Beside the least distance of all, every voxel keeps that of older cuts: what it was when the tool last came within reach
 of its block, or last turned. The present pass, of which the tool's surface is the end, is not in it.
