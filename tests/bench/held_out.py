@@ -140,7 +140,7 @@ def report(name: str, points: Sequence[Measured], found: dict[str, dict[str, flo
         real = [error for where, error in each.items() if not where.startswith("motion")]
         rows.append((setting, f"{100 * base[setting]:.2g}", f"{100 * np.median(values):.2g}", f"{100 * values.max():.2g}",
                      f"{100 * max(real):.2g}" if real else "", f"{np.quantile(ratio, 0.95):.2f}"))  # fmt: skip
-    print(f"\n{name}: error to the converged force / %, as measured and on {len(values)} other runs")
+    print(f"\n{name}: error to the reference / %, as measured and on {len(values)} other runs")
     print(table(rows, ("setting", "measured", "median", "worst", "worst real", "95 % of ratios")))
     verdicts: dict[float, list[bool]] = defaultdict(list)
     rows = []

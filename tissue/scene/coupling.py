@@ -49,7 +49,7 @@ class Fidelity(Part):
     """The least fidelity of a run; the fastest setting of this machine that meets it is taken."""
 
     force_error: float | None = Field(None, gt=0, le=1, examples=[0.03])
-    """Greatest error of the force, as a share of the converged reference without latency."""
+    """Greatest error of the force, as a share of the reference force without latency."""
     tick_ms: float | None = Field(None, gt=0, le=100, examples=[0.7])
     """Time within which 99 % of the ticks shall end."""
 

@@ -42,7 +42,7 @@ INSTANTS = 4
 POSES = 400
 """Poses of the motion at which contact is looked for."""
 EDGES = (1.4, 2.0)
-"""Edges of the mesh, and of one that estimates its error, over the scene's: liver-press takes 40 s of one core.
+"""Edges of the mesh, and of a coarser one to compare with, over the scene's: liver-press takes 40 s of one core.
 
 A graded slab with a nodule takes minutes: the nodule keeps its cells short, and the gradients take more iterations.
 """
@@ -86,7 +86,7 @@ class LawError:
 
     @property
     def gap(self) -> float:
-        """The same of the neo-Hookean force on the coarser mesh: what its mesh leaves open; NaN where it is unknown."""
+        """Distance of the neo-Hookean force on the coarser mesh to that on the finer one; NaN where it is unknown."""
         return self._off(self.coarse_N)
 
     def _off(self, force_N: Array) -> float:
@@ -94,7 +94,7 @@ class LawError:
         return force_error(force_N[on], self.neo_N[on]) if on.any() else float("nan")
 
     def rows(self, scene: Scene) -> tuple[Measured, ...]:
-        """The law of all settings, and the neo-Hookean solve with what its mesh leaves open; none if none was."""
+        """The law of all settings, and the neo-Hookean solve with its change on a coarser mesh; none if none was."""
         on = self.solved
         if not on.any():
             return ()
@@ -122,7 +122,7 @@ class LawError:
             f"{on.sum()} instants without friction, up to {1e3 * self.depth_m[on].max():.2g} mm deep"
             + ("" if on.all() else f", {len(on) - on.sum()} more did not converge")
             + f"; a neo-Hookean solve takes {1e-3 * np.median(self.solve_us[on]):.0f} ms"
-            + ("" if isnan(self.gap) else f", its force is known to {100.0 * self.gap:.2g} %")
+            + ("" if isnan(self.gap) else f", coarser cells move its force by {100.0 * self.gap:.2g} %")
         )
 
 

@@ -114,7 +114,7 @@ def _draw_bound(axes: "Axes", row: Measured, low: float) -> None:
         axes.plot([row.median_us, row.p99_us], [error, error], color=colour, linewidth=0.8, alpha=0.5)
         axes.plot(row.median_us, error, mark, color=colour, markersize=10, label=label)
         axes.annotate(
-            f"{row.setting},\nits mesh known to {error:.2g} %",
+            f"{row.setting},\n{error:.2g} % off in coarser cells",
             (row.median_us, error),
             xytext=(6, 9),
             textcoords="offset points",
