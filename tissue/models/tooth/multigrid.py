@@ -1,4 +1,4 @@
-"""Multigrid on the cells' own grid: every coarser grid has twice the edge, and the exact Galerkin projection.
+"""Multigrid on the cells' grid: every coarser grid has twice the edge, and the exact Galerkin projection.
 
 A change of a few cells is carried up through the few coarse cells over them, so that the hierarchy is always that of
 the present body. One symmetric V-cycle in single precision is the preconditioner of conjugate gradients; it smooths
@@ -29,7 +29,7 @@ COARSEST_NODES = 300
 """Grids of at most this many nodes are solved directly: on the molar's cells of 2.4 mm one sweep would double the count
 of iterations to 1e-6."""
 SPLIT_NODES = 4000
-"""Launches on grids of at most this many nodes are not worth more than one core."""
+"""Launches on grids of at most this many nodes run on one core."""
 NULL_CUT = 1e-13
 """Scaled eigenvalues of the coarsest grid below this share of the largest are motions that no finer node takes."""
 
@@ -111,7 +111,7 @@ class GridHierarchy:
     Attributes
     ----------
     finest, coarser
-        The body's own grid, and those of doubling edge, of which the last is solved directly.
+        The body's grid, and those of doubling edge, of which the last is solved directly.
     """
 
     def __init__(self, cells: CellStiffness, supports: NodeSupports) -> None:

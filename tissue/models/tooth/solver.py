@@ -57,5 +57,5 @@ def solve_cells(
 
     return conjugate_gradients(
         product, load_N, precondition=precondition, error=error, tolerance=tolerance, limit=limit, start=start_m,
-        least_curvature=lambda direction: LEAST_CURVATURE * dot(direction, diagonal * direction),
+        least_curvature=lambda direction: LEAST_CURVATURE * dot(direction, diagonal * direction), correct_last=True,
     )  # fmt: skip

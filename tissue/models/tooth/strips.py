@@ -20,7 +20,7 @@ AT_CUBE = 1e-6
 class StripLayout:
     """Where nodes and cells lie in lanes.
 
-    The nodes of a pencil, all those of one x and y, follow each other along z and are followed by room for a strip that
+    The nodes of a pencil, all those of one x and y, follow each other along z then comes space for a strip that
     reaches beyond the last of them.
 
     Attributes
@@ -37,11 +37,11 @@ class StripLayout:
 
     def __init__(self, grid: HexGrid) -> None:
         width = int(grid.node_place[:, 1].max()) + 1
-        own, first, last = _pencils(grid.node_place, width)
+        keys_of_nodes, first, last = _pencils(grid.node_place, width)
         ends = np.cumsum(last - first + 1 + LANES)
         begin = ends - (last - first + 1 + LANES)
         self.slots = int(LANES * (ends[-1] // LANES + 2))
-        pencil = np.searchsorted(own, _pencil_keys(grid.node_place, width))
+        pencil = np.searchsorted(keys_of_nodes, _pencil_keys(grid.node_place, width))
         self.slot = (begin[pencil] + grid.node_place[:, 2] - first[pencil]).astype(np.int32)
         keys, low, high = _pencils(grid.cell_place, width)
         strips = -(-(high - low + 1) // LANES)
@@ -51,7 +51,7 @@ class StripLayout:
         self.strip = np.stack([self.start[cell_pencil] + above // LANES, above % LANES], axis=1).astype(np.int32)
         which = np.repeat(np.arange(len(keys)), strips)
         z = low[which] + LANES * (np.arange(len(which)) - self.start[which])
-        corners = np.searchsorted(own, keys[:, None] + np.array([0, 1, width, width + 1]))[which]
+        corners = np.searchsorted(keys_of_nodes, keys[:, None] + np.array([0, 1, width, width + 1]))[which]
         self.base = (begin[corners] + z[:, None] - first[corners]).astype(np.int32)
         colour = 2 * (keys // width & 1) + (keys % width & 1)
         self.colours = [np.flatnonzero(colour == each).astype(np.int32) for each in np.unique(colour)]
