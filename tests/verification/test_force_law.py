@@ -91,7 +91,7 @@ def test_a_slot_has_its_closed_form_in_any_frame(frame):
 
 def slanted_plunge(tip_z, normal, plate_m):
     """Force [N] of a ball that plunges along -z into a plate over another layer, from a fine sum over its surface."""
-    count = 700
+    count = 300
     polar = (np.arange(count) + 0.5) / count * (pi / 2)
     turn = (np.arange(2 * count) + 0.5) / count * pi
     polar, turn = np.meshgrid(polar, turn, indexing="ij")
