@@ -84,9 +84,8 @@ def _draw(axes: "Axes", both: Sequence[Frontier]) -> None:
     for place, (y, x, name, colour) in zip(apart((heights - low) / (high - low), ROW), names, strict=True):
         aside = np.exp(low + place * (high - low))
         axes.plot([x, 1e3, NAMES_US], [y, y, aside], color=colour, linewidth=0.5, alpha=0.6)
-        axes.text(
-            1.05 * NAMES_US, aside, name.replace(" mm, shell", ", shell"), fontsize=8.5, color=colour, va="center"
-        )
+        short = name.replace(" mm, shell ", ", ")  # voxels, elements
+        axes.text(1.05 * NAMES_US, aside, short, fontsize=8.5, color=colour, va="center")
     axes.set_title(both[0].scene.name, fontsize=11)
     axes.set_xticks([100.0, 1e3], ["100", "1000"])
     axes.xaxis.set_minor_formatter("")
