@@ -1,0 +1,107 @@
+"""Whether an older cut has taken a point of the tool's surface, against the exact capsule of that cut."""
+
+from itertools import pairwise
+
+import numpy as np
+import warp as wp
+
+from kernels.older_cuts import taken_before
+from kernels.revolution import Revolution
+from meshes.shapes.anatomy import Anatomy
+from meshes.shapes.sdf import half_space
+from meshes.voxels.voxelise import voxelise
+from tissue.cutters.cutter import Cutter
+from tissue.cutters.profile import ball_burr
+from tissue.materials.cutting import cutting_coefficients
+from tissue.models.bone.model import BoneModel
+from tissue.models.tissue_model import ToolMotion
+
+RADIUS, SPACING = 1e-3, 1e-4
+BONE = Anatomy(
+    "half space",
+    half_space([0.0, 0.0, 1.0]),
+    ("cortical",),
+    lambda points, depth: (np.zeros(len(points), dtype=np.uint8), np.full(len(points), 1800.0, points.dtype)),
+)
+CORNERS_M = 1e-3 * np.array([[-1.5, 0, -0.3], [1, 0, -0.3], [1, 0, 0.3], [0.03, 0.21, 0.3], [0.03, 0.21, -0.35]])
+UNSURE = 0.15
+"""Share of a voxel by which interpolation between voxel centres may miss the edge of an older cut."""
+
+
+@wp.kernel
+def ask(
+    tool: Revolution,
+    pose: wp.array2d(dtype=wp.float64),
+    heading: wp.vec3,
+    brick_of: wp.array3d(dtype=wp.int32),
+    older: wp.array2d(dtype=wp.uint16),
+    points: wp.array(dtype=wp.vec3),
+    rows: wp.array2d(dtype=wp.int32),
+    taken_out: wp.array(dtype=wp.int32),
+):
+    i = wp.tid()
+    axis = wp.vec3(0.0, 0.0, 1.0)
+    taken = taken_before(tool, pose, axis, heading, brick_of, older, rows[i, 0], rows[i, 1], points[i])
+    taken_out[i] = wp.where(taken, 1, 0)
+
+
+def slot_and_plunge():
+    """A model with a slot along x, 0.3 mm deep, whose tool was lifted and now plunges deeper, aside of the slot."""
+    volume = voxelise(
+        BONE,
+        spacing_m=SPACING,
+        region_m=(np.array([-3e-3, -2e-3, -1e-3]), np.array([3e-3, 2e-3, 2.5e-3])),
+    )
+    model = BoneModel(volume, Cutter(ball_burr(diameter_m=2 * RADIUS), 6, -1000.0), (cutting_coefficients("bone"),))
+    motion = ToolMotion(speed_m_s=5e-3)
+    motion.tip_m[:] = CORNERS_M[0]
+    for index, (start, end) in enumerate(pairwise(CORNERS_M)):
+        motion.heading[0] = (end - start) / np.linalg.norm(end - start)
+        if index == 0:
+            model.place(motion)
+        for share in np.linspace(0.0, 1.0, round(np.linalg.norm(end - start) / 1e-5) + 1)[1:]:
+            motion.tip_m[:] = start + share * (end - start)
+            model.advance(motion)
+    return model
+
+
+def test_points_of_a_slot_are_taken_and_points_outside_are_not():
+    model = slot_and_plunge()
+    store, volume = model.store, model.store.volume
+    random = np.random.default_rng(3)
+    tip = CORNERS_M[-1]
+    out = random.normal(size=(4000, 3))
+    out = out[out[:, 2] < 0.0] / np.linalg.norm(out[out[:, 2] < 0.0], axis=1)[:, None]
+    points_m = tip + [0.0, 0.0, RADIUS] + RADIUS * out
+    points_m = points_m[points_m[:, 2] < -SPACING]
+    centre = np.array([0.0, 0.0, RADIUS - 3e-4])
+    along = np.clip(points_m[:, 0], -1.5e-3, 1.0e-3)
+    gap = np.linalg.norm(points_m - centre - np.outer(along, [1.0, 0.0, 0.0]), axis=1) - RADIUS
+    points = (points_m - volume.origin_m) / SPACING
+    voxel = np.floor(points).astype(int)
+    rows = store.brick_of.numpy()[tuple((voxel >> 3).T)]
+    inner = voxel & 7
+    column = ((inner[:, 0] >> 1) * 16 + (inner[:, 1] >> 1) * 4 + (inner[:, 2] >> 1)) * 8
+    column += (inner[:, 0] & 1) * 4 + (inner[:, 1] & 1) * 2 + (inner[:, 2] & 1)
+    pose = np.zeros((4, 6))
+    pose[0, :3], pose[0, 5] = (tip - volume.origin_m) / SPACING, 1.0
+    taken = wp.zeros(len(points), dtype=wp.int32, device="cpu")
+    wp.launch(
+        ask,
+        dim=len(points),
+        inputs=[
+            model.carver.tool,
+            wp.array(pose, dtype=wp.float64, device="cpu"),
+            wp.vec3(0.0, 0.0, -1.0),
+            store.brick_of,
+            store.older,
+            wp.array(points, dtype=wp.vec3, device="cpu"),
+            wp.array(np.column_stack([rows, column]), dtype=wp.int32, device="cpu"),
+        ],
+        outputs=[taken],
+        device="cpu",
+    )
+    sure = np.abs(gap) > UNSURE * SPACING
+    found, wanted = taken.numpy().astype(bool), gap < 0.0
+    assert sure.sum() > 300 and 0.1 < wanted[sure].mean() < 0.9
+    assert (found == wanted)[sure].all()
