@@ -3,12 +3,12 @@
 Two static numbers a voxel: the signed distance of its centre to the original surface, and the distance to the nearest
 change of layer. Between voxel centres both are interpolated: a point lies in bone where the interpolated surface
 distance is negative, and in the layer whose interpolated distance, negative for voxels of other layers, is largest.
-Far from the surface and from every change of layer the nearest voxel answers. Lengths are in voxels.
+Far from the surface, and far from every change of layer, the nearest voxel answers. Lengths are in voxels.
 """
 
 import warp as wp
 
-from kernels.bricks import cell_of, density_of, layer_of, voxel_column, voxel_row
+from kernels.bricks import cell_of, corner8f, corner8i, corners_of, density_of, layer_of
 
 __all__ = ["BEYOND", "SURFACE_STEPS", "Bone", "bone_at"]
 
@@ -21,8 +21,6 @@ CORNERS = wp.constant(8)
 DEEP = wp.constant(128 - 112)  # stored surface distance of 1.78 voxels inside: no corner of a cell lies outside
 AIR = wp.constant(128 + 112)  # 1.78 voxels outside: no corner of a cell lies inside
 FAR = wp.constant(226)  # stored boundary distance of 1.78 voxels: all corners of a cell lie in one layer
-corner8i = wp.types.vector(length=8, dtype=wp.int32)
-corner8f = wp.types.vector(length=8, dtype=wp.float32)
 
 
 @wp.struct
@@ -55,27 +53,31 @@ def bone_at(
         found.distance = 2.0
     elif (near & 255) > DEEP or (near >> 8) < FAR:
         cell = cell_of(point)
+        corners = corners_of(brick_of, cell, row)
         beyond = 0xFF00 | wp.clamp((near & 255) + 63, BEYOND, 254)
         stored = corner8i()
-        words = corner8i()
         for c in range(CORNERS):
-            jx = cell.x + (c >> 2)
-            jy = cell.y + ((c >> 1) & 1)
-            jz = cell.z + (c & 1)
-            at = voxel_row(brick_of, jx, jy, jz)
             stored[c] = beyond
-            words[c] = -1
-            if at >= 0:
-                place = voxel_column(jx, jy, jz)
-                stored[c] = int(nearby[at, place])
-                words[c] = int(material[at, place])
-        found = between(stored, words, cell.inside, found)
+            if corners.row[c] >= 0:
+                stored[c] = int(nearby[corners.row[c], corners.column[c]])
+        found = distance_between(stored, cell.inside, found)
+        if (near >> 8) < FAR:
+            words = corner8i()
+            mixed = int(0)
+            for c in range(CORNERS):
+                words[c] = -1
+                if corners.row[c] >= 0:
+                    words[c] = int(material[corners.row[c], corners.column[c]])
+                    if (words[c] & 255) != found.layer:
+                        mixed = 1
+            if mixed == 1:
+                found = layer_between(stored, words, cell.inside, found)
     return found
 
 
 @wp.func
-def between(stored: corner8i, words: corner8i, inside: wp.vec3, nearest: Bone):
-    """The bone between the eight voxel centres of a cell, at ``inside``, 0 to 1 along each axis."""
+def distance_between(stored: corner8i, inside: wp.vec3, nearest: Bone):
+    """Distance and slope between the eight voxel centres of a cell, at ``inside``, 0 to 1 along each axis."""
     found = nearest
     fx = inside[0]
     fy = inside[1]
@@ -84,16 +86,8 @@ def between(stored: corner8i, words: corner8i, inside: wp.vec3, nearest: Bone):
     gy = 1.0 - fy
     gz = 1.0 - fz
     s = corner8f()
-    weight = corner8f()
-    mixed = int(0)
     for c in range(CORNERS):
         s[c] = float((stored[c] & 255) - 128) * (1.0 / 63.0)
-        wx = wp.where((c & 4) != 0, fx, gx)
-        wy = wp.where((c & 2) != 0, fy, gy)
-        wz = wp.where((c & 1) != 0, fz, gz)
-        weight[c] = wx * wy * wz
-        if words[c] >= 0 and (words[c] & 255) != nearest.layer:
-            mixed = 1
     x0 = (s[0] * gz + s[1] * fz) * gy + (s[2] * gz + s[3] * fz) * fy
     x1 = (s[4] * gz + s[5] * fz) * gy + (s[6] * gz + s[7] * fz) * fy
     y0 = (s[0] * gz + s[1] * fz) * gx + (s[4] * gz + s[5] * fz) * fx
@@ -102,24 +96,37 @@ def between(stored: corner8i, words: corner8i, inside: wp.vec3, nearest: Bone):
     z1 = (s[1] * gy + s[3] * fy) * gx + (s[5] * gy + s[7] * fy) * fx
     found.distance = x0 * gx + x1 * fx
     found.slope = wp.vec3(x1 - x0, y1 - y0, z1 - z0)
-    if mixed == 0:
-        return found
-    best = float(-1.0e6)
+    return found
+
+
+@wp.func
+def layer_between(stored: corner8i, words: corner8i, inside: wp.vec3, nearest: Bone):
+    """Layer and density there, where the eight voxels lie in several layers."""
+    found = nearest
+    far = corner8f()
+    weight = corner8f()
+    whole = float(0.0)
     for c in range(CORNERS):
-        if words[c] >= 0:
+        weight[c] = wp.where((c & 4) != 0, inside[0], 1.0 - inside[0])
+        weight[c] *= wp.where((c & 2) != 0, inside[1], 1.0 - inside[1])
+        weight[c] *= wp.where((c & 1) != 0, inside[2], 1.0 - inside[2])
+        far[c] = wp.where(words[c] >= 0, float(stored[c] >> 8) * weight[c], 0.0)
+        whole += far[c]
+    best = float(-1.0e6)
+    done = int(0)  # one bit a corner whose layer has been looked at
+    for c in range(CORNERS):
+        if words[c] >= 0 and (done & (1 << c)) == 0:
             layer = words[c] & 255
             share = float(0.0)
             total = float(0.0)
             density = float(0.0)
             for d in range(CORNERS):
-                if words[d] >= 0:
-                    far = float(stored[d] >> 8) * weight[d]
-                    if (words[d] & 255) == layer:
-                        share += far
-                        total += weight[d]
-                        density += weight[d] * float(words[d] >> 16)
-                    else:
-                        share -= far
+                if words[d] >= 0 and (words[d] & 255) == layer:
+                    done = done | (1 << d)
+                    share += far[d]
+                    total += weight[d]
+                    density += weight[d] * float(words[d] >> 16)
+            share = 2.0 * share - whole
             if share > best and total > 0.0:
                 best = share
                 found.layer = layer

@@ -15,8 +15,12 @@ __all__ = [
     "BRICK_VOXELS",
     "FULL",
     "Cell",
+    "Corners",
     "Plane",
     "cell_of",
+    "corner8f",
+    "corner8i",
+    "corners_of",
     "cube_behind_plane",
     "density_of",
     "layer_of",
@@ -29,6 +33,8 @@ __all__ = [
 
 BRICK = 8
 BRICK_VOXELS = BRICK**3
+corner8i = wp.types.vector(length=8, dtype=wp.int32)
+corner8f = wp.types.vector(length=8, dtype=wp.float32)
 FULL = 65535
 """Stored value of a voxel that is wholly filled."""
 
@@ -102,6 +108,34 @@ def cell_of(point: wp.vec3):
     cell.z = int(wp.floor(uz))
     cell.inside = wp.vec3(ux - float(cell.x), uy - float(cell.y), uz - float(cell.z))
     return cell
+
+
+@wp.struct
+class Corners:
+    """Where the eight voxels of a cell are stored: bit 2 of a corner's number is its x, bit 1 its y, bit 0 its z."""
+
+    row: corner8i  # of its brick, -1 where none is stored
+    column: corner8i  # its place there
+
+
+@wp.func
+def corners_of(brick_of: wp.array3d(dtype=wp.int32), cell: Cell, row: int):
+    """Where the corners of a cell are stored, one of which lies in the brick of ``row``."""
+    found = Corners()
+    x0 = ((cell.x & 6) << 6) | ((cell.x & 1) << 2)
+    y0 = ((cell.y & 6) << 4) | ((cell.y & 1) << 1)
+    z0 = ((cell.z & 6) << 2) | (cell.z & 1)
+    x1 = (((cell.x + 1) & 6) << 6) | (((cell.x + 1) & 1) << 2)
+    y1 = (((cell.y + 1) & 6) << 4) | (((cell.y + 1) & 1) << 1)
+    z1 = (((cell.z + 1) & 6) << 2) | ((cell.z + 1) & 1)
+    for c in range(8):
+        found.row[c] = row
+        part = wp.where((c & 4) != 0, x1, x0) | wp.where((c & 2) != 0, y1, y0)
+        found.column[c] = part | wp.where((c & 1) != 0, z1, z0)
+    if (cell.x & 7) == 7 or (cell.y & 7) == 7 or (cell.z & 7) == 7:
+        for c in range(8):
+            found.row[c] = voxel_row(brick_of, cell.x + (c >> 2), cell.y + ((c >> 1) & 1), cell.z + (c & 1))
+    return found
 
 
 @wp.func

@@ -30,8 +30,10 @@ OPTIONS = {
     "enable_backward": False,
     "max_unroll": 1,
     "cpu_compiler_flags": "-march=native -mllvm=-inline-threshold=9000 -mllvm=-inline-cold-callsite-threshold=3000"
-    " -mllvm=-slp-recursion-max-depth=12",  # 2.5 times faster than at the depth of 4 that is the default
+    " -mllvm=-slp-recursion-max-depth=12",
 }
+"""Warp's own flags but for the depth: 4, its default, takes 2.5 times as long. ``native`` is safe in a cache that
+machines share: Warp names every compiled file by the instruction sets of its processor."""
 
 
 @cache
@@ -40,12 +42,133 @@ def lanes_of(scalar: Any) -> Any:
     return wp.types.vector(length=LANES, dtype=scalar)
 
 
+@wp.func
+def modes_of(a0: Any, a1: Any, a2: Any, a3: Any, a4: Any, a5: Any, a6: Any, a7: Any):
+    """X, Y, Z, 2 XY, 2 XZ, 2 YZ and 4 XYZ of the corners: sums and differences along z, then y, then x."""
+    s00 = a0 + a1
+    d00 = a1 - a0
+    s01 = a2 + a3
+    d01 = a3 - a2
+    s10 = a4 + a5
+    d10 = a5 - a4
+    s11 = a6 + a7
+    d11 = a7 - a6
+    sd0 = s01 - s00
+    ds0 = d00 + d01
+    dd0 = d01 - d00
+    sd1 = s11 - s10
+    ds1 = d10 + d11
+    dd1 = d11 - d10
+    return (s10 + s11) - (s00 + s01), sd0 + sd1, ds0 + ds1, sd1 - sd0, ds1 - ds0, dd0 + dd1, dd1 - dd0
+
+
+@wp.func
+def corners_of(x: Any, y: Any, z: Any, xy: Any, xz: Any, yz: Any, xyz: Any):
+    """Forces at the corners of those on the modes: the transpose of `modes_of`."""
+    dd0 = yz - xyz
+    dd1 = yz + xyz
+    ds0 = z - xz
+    ds1 = z + xz
+    sd0 = y - xy
+    sd1 = y + xy
+    s00 = -x - sd0
+    s01 = sd0 - x
+    s10 = x - sd1
+    s11 = x + sd1
+    d00 = ds0 - dd0
+    d01 = ds0 + dd0
+    d10 = ds1 - dd1
+    d11 = ds1 + dd1
+    return s00 - d00, s00 + d00, s01 - d01, s01 + d01, s10 - d10, s10 + d10, s11 - d11, s11 + d11
+
+
+@wp.func
+def to_cubes(linear: Any, first: Any, second: Any, both: Any):
+    """A derivative in the cubes (-, -), (-, +), (+, -), (+, +) of the two axes across, from its modes."""
+    low = linear - first
+    high = linear + first
+    less = second - both
+    more = second + both
+    return low - less, low + less, high - more, high + more
+
+
+@wp.func
+def from_cubes(t0: Any, t1: Any, t2: Any, t3: Any):
+    """The transpose of `to_cubes`."""
+    low = t1 - t0
+    high = t3 - t2
+    return (t0 + t1) + (t2 + t3), (t2 + t3) - (t0 + t1), low + high, high - low
+
+
 @cache
 def strip_products(scalar: Any) -> Any:
     """Kernel that adds the product to a force, in single (`wp.float32`) or double precision."""
     V = lanes_of(scalar)
     half, quarter, two = scalar(0.5), scalar(0.25), scalar(2.0)
     trilinear = scalar(20.0 / 3.0)
+
+    @wp.func
+    def put(values: wp.array(dtype=V), at: int, linear: V, first: V, second: V, both: V):
+        """Write a derivative in its four cubes."""
+        v0, v1, v2, v3 = to_cubes(linear, first, second, both)
+        values[at] = v0
+        values[at + 1] = v1
+        values[at + 2] = v2
+        values[at + 3] = v3
+
+    @wp.func
+    def take(stress: wp.array(dtype=V), at: int, across: int, first: int, second: int):
+        """Modes of a stress that is summed across an axis; steps in ``stress`` along that one and the other two."""
+        both = first + second
+        return from_cubes(
+            stress[at] + stress[at + across],
+            stress[at + second] + stress[at + second + across],
+            stress[at + first] + stress[at + first + across],
+            stress[at + both] + stress[at + both + across],
+        )
+
+    @wp.func
+    def set_stress(weight: wp.array2d(dtype=V), k: int, gradient: wp.array(dtype=V), stress_out: wp.array(dtype=V)):
+        """Write the stress of a strip's cubes from their gradients, both times their weights."""
+        for cube in range(8):
+            across_x = cube & 3
+            across_y = 4 + ((cube >> 2) << 1) + (cube & 1)
+            across_z = 8 + (cube >> 1)
+            mu = weight[k, 8 + cube]
+            xx = gradient[across_x]
+            yy = gradient[12 + across_y]
+            zz = gradient[24 + across_z]
+            pressure = wp.cw_mul(weight[k, cube], xx + yy + zz)
+            twice = mu + mu
+            at = 6 * cube
+            stress_out[at] = pressure + wp.cw_mul(twice, xx)
+            stress_out[at + 1] = pressure + wp.cw_mul(twice, yy)
+            stress_out[at + 2] = pressure + wp.cw_mul(twice, zz)
+            stress_out[at + 3] = wp.cw_mul(mu, gradient[12 + across_z] + gradient[24 + across_y])
+            stress_out[at + 4] = wp.cw_mul(mu, gradient[across_z] + gradient[24 + across_x])
+            stress_out[at + 5] = wp.cw_mul(mu, gradient[across_y] + gradient[12 + across_x])
+
+    @wp.func
+    def set_unseen(w: V, mode_out: wp.array(dtype=V)):
+        """Turn the modes that one point does not see into their forces: strains linear in x, y or z, then in two."""
+        in_x = mode_out[4] + mode_out[9]
+        in_y = mode_out[0] + mode_out[10]
+        in_z = mode_out[1] + mode_out[6]
+        yz_x = mode_out[8] + mode_out[5]
+        xz_y = mode_out[8] + mode_out[2]
+        xy_z = mode_out[5] + mode_out[2]
+        mode_out[2] = wp.cw_mul(w, xz_y + xy_z)
+        mode_out[5] = wp.cw_mul(w, yz_x + xy_z)
+        mode_out[8] = wp.cw_mul(w, yz_x + xz_y)
+        mode_out[0] = wp.cw_mul(w, in_y + mode_out[0] + two * mode_out[0])
+        mode_out[1] = wp.cw_mul(w, in_z + mode_out[1] + two * mode_out[1])
+        mode_out[4] = wp.cw_mul(w, in_x + mode_out[4] + two * mode_out[4])
+        mode_out[6] = wp.cw_mul(w, in_z + mode_out[6] + two * mode_out[6])
+        mode_out[9] = wp.cw_mul(w, in_x + mode_out[9] + two * mode_out[9])
+        mode_out[10] = wp.cw_mul(w, in_y + mode_out[10] + two * mode_out[10])
+        w = trilinear * w
+        for c in range(3):
+            mode_out[4 * c + 3] = wp.cw_mul(w, mode_out[4 * c + 3])
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def products(
@@ -58,6 +181,7 @@ def strip_products(scalar: Any) -> Any:
         # out
         force_out: wp.array2d(dtype=V),  # [component, slot], eight from the slot on, added to
     ):
+        """Strain of the cubes, stress, and force of the corners, strip after strip of a pencil."""
         pencil = pencils[wp.tid() + offset]
         gradient = wp.zeros(shape=(36,), dtype=V)  # [component, axis, cubes across it]
         mode = wp.zeros(shape=(12,), dtype=V)  # [component, (XY, XZ, YZ, XYZ)], then their forces
@@ -65,161 +189,47 @@ def strip_products(scalar: Any) -> Any:
         for k in range(strip_start[pencil], strip_start[pencil + 1]):
             s = slot[k]
             for c in range(3):
-                a0 = vector[c, s[0]]
-                a1 = vector[c, s[0] + 1]
-                a2 = vector[c, s[1]]
-                a3 = vector[c, s[1] + 1]
-                a4 = vector[c, s[2]]
-                a5 = vector[c, s[2] + 1]
-                a6 = vector[c, s[3]]
-                a7 = vector[c, s[3] + 1]
-                # sums s and differences d along z, then along y, then along x
-                s00 = a0 + a1
-                d00 = a1 - a0
-                s01 = a2 + a3
-                d01 = a3 - a2
-                s10 = a4 + a5
-                d10 = a5 - a4
-                s11 = a6 + a7
-                d11 = a7 - a6
-                sd0 = s01 - s00
-                ds0 = d00 + d01
-                dd0 = d01 - d00
-                sd1 = s11 - s10
-                ds1 = d10 + d11
-                dd1 = d11 - d10
-                x = (s10 + s11) - (s00 + s01)
-                y = sd0 + sd1
-                z = ds0 + ds1
-                xy = half * (sd1 - sd0)
-                xz = half * (ds1 - ds0)
-                yz = half * (dd0 + dd1)
-                xyz = quarter * (dd1 - dd0)
+                x, y, z, xy, xz, yz, xyz = modes_of(
+                    vector[c, s[0]], vector[c, s[0] + 1], vector[c, s[1]], vector[c, s[1] + 1],
+                    vector[c, s[2]], vector[c, s[2] + 1], vector[c, s[3]], vector[c, s[3] + 1],
+                )  # fmt: skip
+                xy = half * xy
+                xz = half * xz
+                yz = half * yz
+                xyz = quarter * xyz
                 mode[4 * c] = xy
                 mode[4 * c + 1] = xz
                 mode[4 * c + 2] = yz
                 mode[4 * c + 3] = xyz
-                at = 12 * c
-                low = x - xy
-                high = x + xy
-                less = xz - xyz
-                more = xz + xyz
-                gradient[at] = low - less
-                gradient[at + 1] = low + less
-                gradient[at + 2] = high - more
-                gradient[at + 3] = high + more
-                low = y - xy
-                high = y + xy
-                less = yz - xyz
-                more = yz + xyz
-                gradient[at + 4] = low - less
-                gradient[at + 5] = low + less
-                gradient[at + 6] = high - more
-                gradient[at + 7] = high + more
-                low = z - xz
-                high = z + xz
-                gradient[at + 8] = low - less
-                gradient[at + 9] = low + less
-                gradient[at + 10] = high - more
-                gradient[at + 11] = high + more
-            for cube in range(8):
-                across_x = cube & 3
-                across_y = 4 + ((cube >> 2) << 1) + (cube & 1)
-                across_z = 8 + (cube >> 1)
-                mu = weight[k, 8 + cube]
-                xx = gradient[across_x]
-                yy = gradient[12 + across_y]
-                zz = gradient[24 + across_z]
-                pressure = wp.cw_mul(weight[k, cube], xx + yy + zz)
-                twice = mu + mu
-                at = 6 * cube
-                stress[at] = pressure + wp.cw_mul(twice, xx)
-                stress[at + 1] = pressure + wp.cw_mul(twice, yy)
-                stress[at + 2] = pressure + wp.cw_mul(twice, zz)
-                stress[at + 3] = wp.cw_mul(mu, gradient[12 + across_z] + gradient[24 + across_y])
-                stress[at + 4] = wp.cw_mul(mu, gradient[across_z] + gradient[24 + across_x])
-                stress[at + 5] = wp.cw_mul(mu, gradient[across_y] + gradient[12 + across_x])
-            # what one point does not see: strains that are linear in x, y or z, then those in two of them
-            w = weight[k, 16]
-            in_x = mode[4] + mode[9]
-            in_y = mode[0] + mode[10]
-            in_z = mode[1] + mode[6]
-            yz_x = mode[8] + mode[5]
-            xz_y = mode[8] + mode[2]
-            xy_z = mode[5] + mode[2]
-            mode[2] = wp.cw_mul(w, xz_y + xy_z)
-            mode[5] = wp.cw_mul(w, yz_x + xy_z)
-            mode[8] = wp.cw_mul(w, yz_x + xz_y)
-            mode[0] = wp.cw_mul(w, in_y + mode[0] + two * mode[0])
-            mode[1] = wp.cw_mul(w, in_z + mode[1] + two * mode[1])
-            mode[4] = wp.cw_mul(w, in_x + mode[4] + two * mode[4])
-            mode[6] = wp.cw_mul(w, in_z + mode[6] + two * mode[6])
-            mode[9] = wp.cw_mul(w, in_x + mode[9] + two * mode[9])
-            mode[10] = wp.cw_mul(w, in_y + mode[10] + two * mode[10])
-            w = trilinear * w
+                put(gradient, 12 * c, x, xy, xz, xyz)
+                put(gradient, 12 * c + 4, y, xy, yz, xyz)
+                put(gradient, 12 * c + 8, z, xz, yz, xyz)
+            set_stress(weight, k, gradient, stress)
+            set_unseen(weight[k, 16], mode)
             for c in range(3):
-                mode[4 * c + 3] = wp.cw_mul(w, mode[4 * c + 3])
-            for c in range(3):
-                # of the stress on each axis: sums over the cubes with the signs of its modes
-                at = 6 - c
-                if c == 0:
-                    at = 0
-                t0 = stress[at] + stress[at + 24]
-                t1 = stress[at + 6] + stress[at + 30]
-                t2 = stress[at + 12] + stress[at + 36]
-                t3 = stress[at + 18] + stress[at + 42]
-                low = t1 - t0
-                high = t3 - t2
-                x = (t0 + t1) + (t2 + t3)
-                xy = mode[4 * c] + ((t2 + t3) - (t0 + t1))
-                xz = mode[4 * c + 1] + (low + high)
-                xyz = mode[4 * c + 3] + (high - low)
-                at = 5 - c
-                if c == 1:
-                    at = 1
-                t0 = stress[at] + stress[at + 12]
-                t1 = stress[at + 6] + stress[at + 18]
-                t2 = stress[at + 24] + stress[at + 36]
-                t3 = stress[at + 30] + stress[at + 42]
-                low = t1 - t0
-                high = t3 - t2
-                y = (t0 + t1) + (t2 + t3)
-                xy = half * (xy + ((t2 + t3) - (t0 + t1)))
-                yz = mode[4 * c + 2] + (low + high)
-                xyz = xyz + (high - low)
-                at = 4 - c
-                t0 = stress[at] + stress[at + 6]
-                t1 = stress[at + 12] + stress[at + 18]
-                t2 = stress[at + 24] + stress[at + 30]
-                t3 = stress[at + 36] + stress[at + 42]
-                low = t1 - t0
-                high = t3 - t2
-                z = (t0 + t1) + (t2 + t3)
-                xz = half * (xz + ((t2 + t3) - (t0 + t1)))
-                yz = half * (yz + (low + high))
-                xyz = quarter * (xyz + (high - low))
-                # and back to the corners
-                dd0 = yz - xyz
-                dd1 = yz + xyz
-                ds0 = z - xz
-                ds1 = z + xz
-                sd0 = y - xy
-                sd1 = y + xy
-                s00 = -x - sd0
-                s01 = sd0 - x
-                s10 = x - sd1
-                s11 = x + sd1
-                d00 = ds0 - dd0
-                d01 = ds0 + dd0
-                d10 = ds1 - dd1
-                d11 = ds1 + dd1
-                force_out[c, s[0]] = force_out[c, s[0]] + (s00 - d00)
-                force_out[c, s[0] + 1] = force_out[c, s[0] + 1] + (s00 + d00)
-                force_out[c, s[1]] = force_out[c, s[1]] + (s01 - d01)
-                force_out[c, s[1] + 1] = force_out[c, s[1] + 1] + (s01 + d01)
-                force_out[c, s[2]] = force_out[c, s[2]] + (s10 - d10)
-                force_out[c, s[2] + 1] = force_out[c, s[2] + 1] + (s10 + d10)
-                force_out[c, s[3]] = force_out[c, s[3]] + (s11 - d11)
-                force_out[c, s[3] + 1] = force_out[c, s[3] + 1] + (s11 + d11)
+                # the stress on each axis, where xx, xy and xz are in places 0, 5 and 4 and so on
+                across_x = wp.where(c == 0, 0, 6 - c)
+                across_y = wp.where(c == 1, 1, 5 - c)
+                x, of_xy, of_xz, of_xyz = take(stress, across_x, 24, 12, 6)
+                xy = mode[4 * c] + of_xy
+                xz = mode[4 * c + 1] + of_xz
+                xyz = mode[4 * c + 3] + of_xyz
+                y, of_xy, of_yz, of_xyz = take(stress, across_y, 12, 24, 6)
+                xy = half * (xy + of_xy)
+                yz = mode[4 * c + 2] + of_yz
+                xyz = xyz + of_xyz
+                z, of_xz, of_yz, of_xyz = take(stress, 4 - c, 6, 24, 12)
+                xz = half * (xz + of_xz)
+                yz = half * (yz + of_yz)
+                xyz = quarter * (xyz + of_xyz)
+                f0, f1, f2, f3, f4, f5, f6, f7 = corners_of(x, y, z, xy, xz, yz, xyz)
+                force_out[c, s[0]] = force_out[c, s[0]] + f0
+                force_out[c, s[0] + 1] = force_out[c, s[0] + 1] + f1
+                force_out[c, s[1]] = force_out[c, s[1]] + f2
+                force_out[c, s[1] + 1] = force_out[c, s[1] + 1] + f3
+                force_out[c, s[2]] = force_out[c, s[2]] + f4
+                force_out[c, s[2] + 1] = force_out[c, s[2] + 1] + f5
+                force_out[c, s[3]] = force_out[c, s[3]] + f6
+                force_out[c, s[3] + 1] = force_out[c, s[3] + 1] + f7
 
     return products

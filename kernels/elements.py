@@ -1,11 +1,30 @@
-"""Elements of a cutter's surface and their travel: which of them advance, and which may meet bone."""
+"""Elements of a cutter's surface and their travel: which of them advance, where, and which may meet bone."""
 
 import warp as wp
 
-__all__ = ["CHUNK", "Elements", "Travel", "advance_of", "may_cut", "travel_of"]
+__all__ = [
+    "CHUNK",
+    "LANES",
+    "Elements",
+    "Travel",
+    "advance_of",
+    "lanes8",
+    "lever16",
+    "may_cut",
+    "place_of",
+    "travel_of",
+]
 
 CHUNK = 128
 """Elements a chunk; chunks are summed in order, so the result does not depend on the number of threads."""
+
+
+LANES = 8
+"""Elements whose places and advances are found at once."""
+lanes8 = wp.types.vector(length=LANES, dtype=wp.float32)
+lever16 = wp.types.vector(length=16, dtype=wp.float32)
+"""Of an element at r [m]: tangent t (x, y), r x t, normal n, r x n, axis a (z), r x a (x, y), which a tangential, a
+radial and an axial load add to force and torque; two numbers are left over."""
 
 
 @wp.struct
@@ -13,9 +32,11 @@ class Elements:
     """Point shell of a cutter in its own frame: origin at the tip, z along the axis."""
 
     point: wp.array(dtype=wp.vec3)  # [m]
+    lanes: wp.array2d(dtype=lanes8)  # [eight elements, 6]: x, y, z of points, then of normals
     normal: wp.array(dtype=wp.vec3)  # outward, unit
-    around: wp.array(dtype=wp.vec3)  # direction in which the spin moves the element, unit
+    lever: wp.array(dtype=lever16)  # t: direction in which the spin moves the element, unit
     area: wp.array(dtype=wp.float32)  # [m2]
+    bend: wp.array(dtype=wp.float32)  # curvature of the tool there, see `kernels.revolution.Revolution`
     edge_length: wp.array(dtype=wp.float32)  # N A / (2 pi r): mean length of cutting edge in the element [m]
     chunk_ball: wp.array(dtype=wp.vec4)  # centre and radius of a ball around each chunk's points [m]
     chunk_cone: wp.array(dtype=wp.vec4)  # axis of a cone around each chunk's normals, sine of its half angle, 2: none
@@ -76,13 +97,28 @@ def may_cut(
 
 
 @wp.func
-def advance_of(elements: Elements, e: int, travel: Travel):
-    """Speed of an element along its normal, per unit of speed."""
-    normal = elements.normal[e]
-    advance = wp.dot(travel.velocity, normal)
+def advance_of(elements: Elements, eight: int, travel: Travel):
+    """Speeds of eight elements along their normals, per unit of speed."""
+    nx = elements.lanes[eight, 3]
+    ny = elements.lanes[eight, 4]
+    nz = elements.lanes[eight, 5]
+    advance = travel.velocity[0] * nx + travel.velocity[1] * ny + travel.velocity[2] * nz
     if travel.turns == 1:
-        advance += wp.dot(wp.cross(travel.turning, elements.point[e]), normal)
+        px = elements.lanes[eight, 0]
+        py = elements.lanes[eight, 1]
+        pz = elements.lanes[eight, 2]
+        wx = travel.turning[1] * pz - travel.turning[2] * py
+        wy = travel.turning[2] * px - travel.turning[0] * pz
+        wz = travel.turning[0] * py - travel.turning[1] * px
+        advance += wp.cw_mul(wx, nx) + wp.cw_mul(wy, ny) + wp.cw_mul(wz, nz)
     return advance
+
+
+@wp.func
+def place_of(elements: Elements, eight: int, travel: Travel, axis: int):
+    """Coordinate along an axis of the grid [voxel] of eight elements."""
+    along = travel.ex[axis] * elements.lanes[eight, 0] + travel.ey[axis] * elements.lanes[eight, 1]
+    return along + travel.ez[axis] * elements.lanes[eight, 2] + lanes8(travel.tip[axis])
 
 
 @wp.func

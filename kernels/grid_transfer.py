@@ -7,7 +7,7 @@ operator is the fine one's Galerkin projection, and one changed cell changes one
 
 import warp as wp
 
-from kernels.hexahedra import block_of, cell_block
+from kernels.hexahedra import block_of, carries, cell_block
 
 __all__ = ["coarse_stiffness", "interpolate", "restrict"]
 
@@ -48,10 +48,7 @@ def coarse_stiffness(
     any_live = wp.uint8(0)
     for child in range(8):
         cell = children[coarse, child]
-        here = cell >= 0
-        if here:
-            here = live[cell] != wp.uint8(0)
-        if here:
+        if carries(live, cell):
             any_live = wp.uint8(1)
             for a in range(8):
                 free_a = free[cell_nodes[cell, a]]

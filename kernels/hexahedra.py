@@ -9,7 +9,16 @@ on any number of threads.
 
 import warp as wp
 
-__all__ = ["BLOCKS", "CornerGradients", "block_of", "cell_block", "cell_products", "corner_gradients", "gather_cells"]
+__all__ = [
+    "BLOCKS",
+    "CornerGradients",
+    "block_of",
+    "carries",
+    "cell_block",
+    "cell_products",
+    "corner_gradients",
+    "gather_cells",
+]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -22,6 +31,14 @@ CornerGradients = wp.types.matrix(shape=(8, 3), dtype=wp.float64)
 def block_of(a: int, b: int):
     """Place of the block of corners a <= b."""
     return a * 8 - (a * (a - 1)) / 2 + b - a
+
+
+@wp.func
+def carries(live: wp.array(dtype=wp.uint8), cell: int):
+    """Whether there is a cell, as -1 is none, and it carries load."""
+    if cell < 0:
+        return False
+    return live[cell] != wp.uint8(0)
 
 
 @wp.func

@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from kernels.cell_strips import lanes_of
-from kernels.hexahedra import block_of
+from kernels.hexahedra import block_of, carries
 
 __all__ = ["cube_weights", "from_lanes", "node_diagonals", "smooth", "to_lanes"]
 
@@ -33,7 +33,7 @@ def cube_weights(
     offset: int,
     # out
     weight_out: wp.array3d(dtype=wp.float64),  # [strip, WEIGHTS, lane] [N/m], zero in cells that are not regular
-    single_out: wp.array3d(dtype=wp.float32),  # [strip, WEIGHTS, lane] [N/m], particles in the cube that holds them
+    single_out: wp.array3d(dtype=wp.float32),  # the same in single precision
 ):
     """Weights of the changed cells in `kernels.cell_strips`."""
     cell = changed[wp.tid() + offset]
@@ -44,7 +44,7 @@ def cube_weights(
     shear = wp.float64(0.0)
     moment = wp.vec3d()
     middle = wp.vec3d(wp.float64(0.5), wp.float64(0.5), wp.float64(0.5))
-    if live[cell] != wp.uint8(0):
+    if live[cell] != wp.uint8(0) and regular[cell] != wp.uint8(0):
         for p in range(cell_start[cell], cell_start[cell + 1]):
             left = volume[p] * wp.float64(remaining[p]) / FULL_STEPS
             at = place[p] - middle
@@ -63,8 +63,6 @@ def cube_weights(
     weight_out[row, 16, lane] = strength * missing * shear / whole * edge / wp.float64(12.0)
     for i in range(17):
         single_out[row, i, lane] = wp.float32(weight_out[row, i, lane])
-        if regular[cell] == wp.uint8(0):
-            weight_out[row, i, lane] = wp.float64(0.0)
 
 
 @wp.kernel
@@ -75,10 +73,10 @@ def to_lanes(
     # out
     lanes_out: wp.array2d(dtype=Any),  # [component, slot]
 ):
-    """Put a vector of nodes into lanes."""
+    """Put a vector of nodes into lanes, of single or double precision each."""
     node = wp.tid() + offset
     for c in range(3):
-        lanes_out[c, slot[node]] = vector[node][c]
+        lanes_out[c, slot[node]] = lanes_out.dtype(vector[node][c])
 
 
 @wp.kernel
@@ -89,12 +87,12 @@ def from_lanes(
     # out
     vector_out: wp.array(dtype=Any),  # [node]
 ):
-    """Take a vector of nodes out of lanes."""
+    """Take a vector of nodes out of lanes, of single or double precision each."""
     node = wp.tid() + offset
     at = slot[node]
     value = vector_out[node]
     for c in range(3):
-        value[c] = lanes[c, at]
+        value[c] = type(value[c])(lanes[c, at])
     vector_out[node] = value
 
 
@@ -117,10 +115,7 @@ def node_diagonals(
     total = wp.vec3d()
     for a in range(8):
         cell = node_cells[node, a]
-        here = cell >= 0
-        if here:
-            here = live[cell] != wp.uint8(0)
-        if here:
+        if carries(live, cell):
             total += wp.get_diag(stiffness[cell, block_of(a, a)])
     for c in range(3):
         inverse = wp.float64(0.0)

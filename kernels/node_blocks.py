@@ -8,7 +8,7 @@ the same bits on any number of threads.
 
 import warp as wp
 
-from kernels.hexahedra import cell_block
+from kernels.hexahedra import carries, cell_block
 
 __all__ = ["assemble_rows", "first_residuals", "first_sweep", "invert_diagonal", "sweep_colour", "to_single"]
 
@@ -39,10 +39,7 @@ def assemble_rows(
     free_here = free[node]
     for a in range(8):
         cell = node_cells[node, a]
-        here = cell >= 0
-        if here:
-            here = live[cell] != wp.uint8(0)
-        if here:
+        if carries(live, cell):
             for b in range(8):
                 step = 9 * ((b >> 2) - (a >> 2)) + 3 * (((b >> 1) & 1) - ((a >> 1) & 1)) + (b & 1) - (a & 1) + 13
                 mask = wp.outer(free_here, free[cell_nodes[cell, b]])

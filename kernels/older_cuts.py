@@ -9,18 +9,23 @@ Lengths are in voxels.
 
 import warp as wp
 
-from kernels.bricks import voxel_column, voxel_row
+from kernels.bricks import Cell, cell_of, corner8f, corner8i, corners_of
 from kernels.carving import EDGE, corner_offset, distance_at
-from kernels.revolution import Revolution, nearest_on, offset_from
+from kernels.revolution import Nearest, Revolution, nearest_on, offset_from
 
-__all__ = ["taken_before"]
+__all__ = ["SLOTS", "taken_before"]
 
 wp.set_module_options({"enable_backward": False})
 
 NEVER = wp.constant(65535)  # stored where the tool has not come near
 CLEAR = wp.constant(0.9)  # more than a voxel's centre is from any point in it
 SLACK = wp.constant(0.002)  # an older cut this little short of the tool's surface is the same surface
+ROUGH = wp.constant(0.04)  # more than the errors of tables and tangent spheres, and SLACK, together
 FARTHEST = wp.constant(2.0)  # a difference larger than this counts as this
+SLOTS = 64
+"""Blocks of 2 x 2 x 2 voxels whose distances to the tool now a chunk of elements keeps, four along each axis, since
+neighbours ask for the same: indices, distance, bend and slope of each; one more place is 1 once there are any."""
+NOWHERE = wp.constant(-1.0e9)  # index of no block
 
 
 @wp.func
@@ -34,43 +39,53 @@ def taken_before(
     row: int,
     column: int,
     point: wp.vec3,
+    outward: wp.vec3,
+    bend: float,
+    seen: wp.array2d(dtype=corner8f),
+    chunk: int,
 ):
-    """Whether an older cut has taken ``point`` on the tool's surface, in the voxel at ``row`` and ``column``."""
+    """Whether an older cut has taken ``point`` on the tool's surface, in the voxel at ``row`` and ``column``.
+
+    There the tool's normal is ``outward``, of length 1, and its curvature ``bend``, see `Revolution`.
+    """
     kept = int(older[row, column])
     distance = kept_distance(kept)
     if kept == NEVER or distance > CLEAR:
         return False
     if distance < -CLEAR:
         return True
-    low = point - wp.vec3(0.5, 0.5, 0.5)
-    ix = int(wp.floor(low[0]))
-    iy = int(wp.floor(low[1]))
-    iz = int(wp.floor(low[2]))
-    part = low - wp.vec3(float(ix), float(iy), float(iz))
-    total = float(0.0)
+    cell = cell_of(point)
+    part = cell.inside
+    corners = corners_of(brick_of, cell, row)
+    stored = corner8i()
+    weight = corner8f()
     counted = float(0.0)
+    flat = float(0.0)
+    for c in range(8):
+        stored[c] = NEVER
+        if corners.row[c] >= 0:
+            stored[c] = int(older[corners.row[c], corners.column[c]])
+        away = wp.vec3(float(c >> 2), float((c >> 1) & 1), float(c & 1)) - part
+        weight[c] = (1.0 - wp.abs(away[0])) * (1.0 - wp.abs(away[1])) * (1.0 - wp.abs(away[2]))
+        if stored[c] == NEVER:  # it lies outside older cuts, more than a voxel off: the others speak for it
+            weight[c] = 0.0
+        flat += weight[c] * wp.clamp(kept_distance(stored[c]) - wp.dot(outward, away), -FARTHEST, FARTHEST)
+        counted += weight[c]
+    # Had the tool no curvature this would be the sum below, which is larger by 0.75 bend at most.
+    if tool.convex == 1 and bend < EDGE and wp.abs(flat) > ROUGH + 1.2 * bend:
+        return flat < 0.0
+    now = tool_distances(tool, pose, axis, cell, seen, chunk)
+    total = float(0.0)
     least = float(FARTHEST)
     most = float(-FARTHEST)
     for c in range(8):
-        jx = ix + (c >> 2)
-        jy = iy + ((c >> 1) & 1)
-        jz = iz + (c & 1)
-        at = voxel_row(brick_of, jx, jy, jz)
-        kept = int(NEVER)
-        if at >= 0:
-            kept = int(older[at, voxel_column(jx, jy, jz)])
-        if kept != NEVER:  # one without lies outside older cuts, more than a voxel off: the others speak for it
-            weight = wp.where((c & 4) != 0, part[0], 1.0 - part[0])
-            weight *= wp.where((c & 2) != 0, part[1], 1.0 - part[1])
-            weight *= wp.where((c & 1) != 0, part[2], 1.0 - part[2])
-            difference = kept_distance(kept) - tool_distance(tool, pose, axis, jx, jy, jz)
-            difference = wp.clamp(difference, -FARTHEST, FARTHEST)
-            counted += weight
-            total += weight * difference
+        if stored[c] != NEVER:
+            difference = wp.clamp(kept_distance(stored[c]) - now[c], -FARTHEST, FARTHEST)
+            total += weight[c] * difference
             least = wp.min(least, difference)
             most = wp.max(most, difference)
     # Where all corners differ alike, as on an end of an older cut that the tool has come back to, nothing bends.
-    bent = wp.min(bend_below(tool, pose, axis, heading, point, part), 0.5 * (most - least))
+    bent = wp.min(bend_below(bend, heading, part), 0.5 * (most - least))
     return total < (SLACK - bent) * counted
 
 
@@ -81,33 +96,65 @@ def kept_distance(kept: int):
 
 
 @wp.func
-def tool_distance(tool: Revolution, pose: wp.array2d(dtype=wp.float64), axis: wp.vec3, ix: int, iy: int, iz: int):
-    """Distance [voxel] of the centre of voxel (ix, iy, iz) to the tool now, as carving takes it."""
-    middle = offset_from(pose, 0, (ix & -2) + 1, (iy & -2) + 1, (iz & -2) + 1)
-    near = nearest_on(tool, middle, axis)
-    offset = corner_offset(((ix & 1) << 2) | ((iy & 1) << 1) | (iz & 1))
-    distance = distance_at(near, offset)
-    if near.bend >= EDGE:
-        exact = nearest_on(tool, middle + offset, axis)
-        distance = exact.distance
-    return distance
-
-
-@wp.func
-def bend_below(
+def tool_distances(
     tool: Revolution,
     pose: wp.array2d(dtype=wp.float64),
     axis: wp.vec3,
-    heading: wp.vec3,
-    point: wp.vec3,
-    part: wp.vec3,
+    cell: Cell,
+    seen: wp.array2d(dtype=corner8f),
+    chunk: int,
 ):
+    """Distances [voxel] of a cell's corners to the tool now, as carving takes them: block by block."""
+    found = corner8f()
+    if seen[chunk, SLOTS][0] == 0.0:
+        slots = int(0)
+        while slots < SLOTS:
+            seen[chunk, slots] = corner8f(NOWHERE)
+            slots += 1
+        seen[chunk, SLOTS] = corner8f(1.0)
+    odd = ((cell.x & 1) << 2) | ((cell.y & 1) << 1) | (cell.z & 1)  # along these axes it lies in two blocks
+    block = int(0)
+    while block < 8:
+        x = (cell.x + (block >> 2)) >> 1
+        y = (cell.y + ((block >> 1) & 1)) >> 1
+        z = (cell.z + (block & 1)) >> 1
+        slot = ((x & 3) << 4) | ((y & 3) << 2) | (z & 3)
+        kept = seen[chunk, slot]
+        near = Nearest()
+        if kept[0] == float(x) and kept[1] == float(y) and kept[2] == float(z):
+            near.distance = kept[3]
+            near.bend = kept[4]
+            near.slope = wp.vec3(kept[5], kept[6], kept[7])
+        else:
+            near = nearest_on(tool, offset_from(pose, 0, 2 * x + 1, 2 * y + 1, 2 * z + 1), axis)
+            seen[chunk, slot] = corner8f(
+                float(x),
+                float(y),
+                float(z),
+                near.distance,
+                near.bend,
+                near.slope[0],
+                near.slope[1],
+                near.slope[2],
+            )
+        c = block  # its corners of the cell: those that agree with it in the bits of ``odd``
+        while c < 8:
+            offset = corner_offset(c ^ odd)
+            found[c] = distance_at(near, offset)
+            if near.bend >= EDGE:
+                exact = nearest_on(tool, offset_from(pose, 0, 2 * x + 1, 2 * y + 1, 2 * z + 1) + offset, axis)
+                found[c] = exact.distance
+            c = ((c | odd) + 1) & (7 ^ odd | 8) | block
+        block = ((block | (7 ^ odd)) + 1) & (odd | 8)
+    return found
+
+
+@wp.func
+def bend_below(bend: float, heading: wp.vec3, part: wp.vec3):
     """How far lines between voxel centres lie below what bends as the tool does along ``heading``, of length 1."""
-    tip = wp.vec3(float(pose[0, 0]), float(pose[0, 1]), float(pose[0, 2]))
-    near = nearest_on(tool, point - tip, axis)
-    if near.bend >= EDGE:
+    if bend >= EDGE:
         return float(0.0)
     below = float(0.0)
     for k in range(3):
         below += part[k] * (1.0 - part[k]) * heading[k] * heading[k]
-    return 1.5 * near.bend * below
+    return 1.5 * bend * below

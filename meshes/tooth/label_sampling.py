@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from math import ceil
 
 import numpy as np
@@ -63,6 +64,23 @@ class PlacedLabels:
     def placement(self) -> Placement:
         """Where the site lies in the file."""
         return Placement(1e3 * (self.first_m + self.origin), self.rotation)
+
+    def around(
+        self, corners: NDArray[np.float64], reach: int
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]:
+        """Labels of the voxels in a box [m] of the site frame and `reach` voxels beyond, and where a point is in them.
+
+        Returns
+        -------
+        A copy of the labels; ``start``, shape (3,), and ``turn``, shape (3, 3), of a point's index [voxel] among them,
+        ``start + turn @ point``.
+        """
+        turn, start = self.rotation / self.spacing[:, None], self.origin / self.spacing
+        at = start + np.array(list(product(*np.array(corners).T))) @ turn.T
+        low = np.clip(np.floor(at.min(axis=0)).astype(int) - reach, 0, np.array(self.layer.shape) - 1)
+        high = np.clip(np.ceil(at.max(axis=0)).astype(int) + reach + 1, low + 1, self.layer.shape)
+        kept = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+        return self.layer[kept].copy(), start - low, turn
 
     @cached_property
     def corners(self) -> NDArray[np.float64]:

@@ -12,14 +12,18 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError, require_positive
 from meshes.base.progress import Progress, silent
 from meshes.images.frame import Image
+from meshes.shapes.anatomy import Anatomy
+from meshes.shapes.sdf import Shape
 from meshes.tooth.checks import require_known, require_tooth_size
 from meshes.tooth.label_image import EMPTY, LayerImage, layer_image
 from meshes.tooth.label_sampling import PlacedLabels, resampled
-from meshes.tooth.layers import ENAMEL, TOOTH_LAYERS
+from meshes.tooth.label_shares import REACH, LabelShares
+from meshes.tooth.layers import ENAMEL, PRIORITY, PULP, TOOTH_LAYERS
 from meshes.tooth.lesion_site import lesion_site
 from meshes.tooth.pulp_cavity import PulpCavity, with_pulp
 from meshes.tooth.site import tooth_axes
 from meshes.voxels.volume import VoxelVolume
+from meshes.voxels.voxelise import voxelise
 
 __all__ = ["CARIES_LABELS", "LabelledTooth", "labelled_tooth"]
 
@@ -77,9 +81,10 @@ class LabelledTooth:
     ) -> VoxelVolume:
         """Voxels of the tooth in its site frame, its layers those of `meshes.tooth.layers.TOOTH_LAYERS`.
 
-        Fractions and layers come from sub-samples no farther apart than the image's voxels: the fraction is the part of
-        them in any layer, the layer the commonest, of equal ones the first of `PRIORITY`. Where no label is the pulp,
-        the empty cavity in the dentin is taken as pulp.
+        Of the whole tooth fractions and layers come from sub-samples no farther apart than the image's voxels: the
+        fraction is the part of them in any layer, the layer the commonest, of equal ones the first of `PRIORITY`. In a
+        region they, and the distances, are those of the labels' interpolated shares: one surface whatever the voxels.
+        Where no label is the pulp, the empty cavity in the dentin is taken as pulp.
 
         Parameters
         ----------
@@ -107,18 +112,42 @@ class LabelledTooth:
             if (corners[0] >= corners[1]).any():
                 corners = self.placed.corners  # a refusal of a tool that misses names where the tooth lies
         _require_size(corners, size)
-        volume = resampled(self.placed, corners, size, progress=progress)
+        if region_m is None:
+            volume = resampled(self.placed, corners, size, progress=progress)
+            if not self.has_pulp and self.cavity is not None:
+                volume = with_pulp(volume, self.cavity.voxels(volume))
+        else:
+            volume = voxelise(self._anatomy(corners), spacing_m=size, region_m=(*corners,), progress=progress)
+            if not volume.fraction.any():
+                raise InputError(
+                    "region must meet the tooth, got one without any of it: move the tool to the tooth, or set "
+                    "anatomy.site"
+                )
         notes = list(self.sentences)
         if not self.has_pulp and self.cavity is None:
             notes.append("No label for the pulp: its distance and exposure are unknown.")
         elif not self.has_pulp and self.cavity is not None:
             held = f"{1e9 * self.cavity.volume_m3:.3g} mm3"
             notes.append(f"No label for the pulp: the empty cavity of {held} in the dentin is taken as pulp.")
-            volume = with_pulp(volume, self.cavity.voxels(volume))
         if remark is not None:
             for sentence in notes:
                 remark(sentence)
         return volume
+
+    def _anatomy(self, corners: NDArray[np.float64]) -> Anatomy:
+        """The tooth between two corners [m] as a function of position, its cavity filled."""
+        labels, start, turn = self.placed.around(corners, REACH)
+        if not self.has_pulp and self.cavity is not None:
+            back = np.linalg.inv(turn)
+            for plane, values in enumerate(labels):
+                at = np.argwhere(values == EMPTY)
+                index = np.column_stack([np.full(len(at), plane), at])
+                values[tuple(at[self.cavity.holds(back @ (index - start).T)].T)] = PULP
+        preference = [TOOTH_LAYERS.index(name) for name in PRIORITY]
+        shares = LabelShares.of(labels, preference, voxel_m=self.placed.spacing, start=start, turn=turn)
+        box = tuple(corners[0].tolist()), tuple(corners[1].tolist())
+        shape, placement = Shape(shares.distance, *box), self.placed.placement
+        return Anatomy("tooth", shape, TOOTH_LAYERS, shares.classify, sample=shares.sample, placement=placement)
 
 
 def labelled_tooth(

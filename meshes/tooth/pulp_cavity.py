@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,19 +63,30 @@ class PulpCavity:
         return float(np.count_nonzero(self.inside)) * self.tooth.voxel_volume_m3
 
     def voxels(self, volume: VoxelVolume) -> NDArray[np.bool_]:
-        """Voxels of the same tooth, of any size and region, that lie in the cavity: bool, shape of the volume."""
-        from scipy.ndimage import binary_dilation, map_coordinates
-
+        """Voxels of the same tooth, of any size, that lie in the cavity: bool, shape of the volume."""
         index = np.nonzero(volume.fraction < FULL / 2)
-        centres = np.stack([volume.centres_m(axis)[k] for axis, k in enumerate(index)])
-        at = (centres - self.tooth.origin_m[:, None]) / self.tooth.spacing_m - 0.5
+        cavity = np.zeros(volume.shape, dtype=bool)
+        cavity[index] = self.holds(np.stack([volume.centres_m(axis)[k] for axis, k in enumerate(index)]))
+        return cavity
+
+    def holds(self, empty_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether points outside all layers [m], shape (3, n), lie in the cavity, shape (n,)."""
+        from scipy.ndimage import map_coordinates
+
+        at = (empty_m - self.tooth.origin_m[:, None]) / self.tooth.spacing_m - 0.5
         nearest = np.rint(at).astype(np.int64)
         held = np.asarray(((nearest >= 0) & (nearest < np.array(self.inside.shape)[:, None])).all(axis=0))
-        held[held] = binary_dilation(self.inside)[tuple(nearest[:, held])]
+        held[held] = self._near[tuple(nearest[:, held])]
         away = map_coordinates(self.away_m, at[:, held], order=1, mode="nearest")
-        cavity = np.zeros(volume.shape, dtype=bool)
-        cavity[tuple(each[held] for each in index)] = away > 0.5 * _WIDEST_OPENING_M
-        return cavity
+        held[held] = away > 0.5 * _WIDEST_OPENING_M
+        return held
+
+    @cached_property
+    def _near(self) -> NDArray[np.bool_]:
+        """Its voxels and those that touch them by a face."""
+        from scipy.ndimage import binary_dilation
+
+        return np.asarray(binary_dilation(self.inside))
 
 
 def with_pulp(volume: VoxelVolume, cavity: NDArray[np.bool_]) -> VoxelVolume:

@@ -43,6 +43,14 @@ def store_distances(model, stored, values):
     stored.numpy()[:] = rows[store.brick_of.numpy() >= 0]
 
 
+def clear_blocks(model, blocks):
+    """Leave nothing alive in some blocks of 2 x 2 x 2 voxels, bool, shape of the volume in blocks."""
+    count, store = len(blocks) // 4, model.store
+    bits = blocks.reshape(count, 4, count, 4, count, 4).transpose(0, 2, 4, 1, 3, 5).reshape(count, count, count, 64)
+    bits = bits[store.brick_of.numpy() >= 0]
+    store.alive.numpy()[:] &= ~np.packbits(bits, axis=1, bitorder="little").view("<u8").reshape(-1)
+
+
 def distances(model, motion):
     """Distance of every voxel's centre to the tool [voxel], by its profile, shape of the volume."""
     volume = model.store.volume
@@ -89,7 +97,7 @@ def taken_before(model, motion, older, stored, point, inside):
 
 def expected_forces(model, motion, older, swallowed):
     """The formula of :mod:`kernels.cutting` in NumPy, in double precision; ``older``: kept distances of older
-    cuts, ``swallowed``: voxels that an older tool held whole."""
+    cuts, ``swallowed``: voxels of blocks that a tool held whole."""
     volume, shell, cutter = model.store.volume, model.shell, model.cutter
     arm = shell.points_m @ motion.rotation.T
     normal = shell.normals @ motion.rotation.T
@@ -147,9 +155,11 @@ def test_forces_against_numpy(profile, spin_rad_s, turning):
     model = BoneModel(layered(), Cutter(profile, 5, spin_rad_s), (SOFT, HARD), shell_spacing_m=5e-5)
     motion = tilted_motion(turning)
     random = np.random.default_rng(6)
-    older, swallowed = older_cuts(model, motion, random), random.uniform(size=model.store.volume.shape) < 0.05
+    older = older_cuts(model, motion, random)
     store_distances(model, model.store.older, older)
-    store_distances(model, model.store.swept, np.where(swallowed, 0, older).astype(np.uint16))
+    blocks = random.uniform(size=(24, 24, 24)) < 0.05
+    swallowed = blocks.repeat(2, 0).repeat(2, 1).repeat(2, 2)
+    clear_blocks(model, blocks)
     chip, edge, rate = expected_forces(model, motion, older, swallowed)
     response = model.respond(motion)
     # Single precision: an element within 1e-7 m of a voxel's face may read its neighbour, 1 in 1e3 elements.

@@ -5,7 +5,7 @@ import pytest
 import warp as wp
 from scipy.spatial.transform import Rotation
 
-from kernels.elements import CHUNK, Elements, advance_of, may_cut, travel_of
+from kernels.elements import CHUNK, LANES, Elements, advance_of, may_cut, place_of, travel_of
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr, pear_bur
@@ -26,11 +26,15 @@ def ask(
     brick_of: wp.array3d(dtype=wp.int32),
     alive: wp.array(dtype=wp.uint64),
     advance_out: wp.array(dtype=float),
+    place_out: wp.array2d(dtype=float),
     may_out: wp.array(dtype=int),
 ):
     e = wp.tid()
     travel = travel_of(motion, spacing)
-    advance_out[e] = advance_of(elements, e, travel)
+    advances = advance_of(elements, e / LANES, travel)
+    advance_out[e] = advances[e % LANES]
+    for axis in range(3):
+        place_out[e, axis] = place_of(elements, e / LANES, travel, axis)[e % LANES]
     may_out[e] = wp.where(may_cut(elements, e / CHUNK, travel, spacing, brick_of, alive), 1, 0)
 
 
@@ -57,13 +61,16 @@ def test_a_chunk_that_is_passed_over_holds_no_element_that_cuts(profile, turning
         motion.heading[1] = turning * random.normal(size=3)
         model.respond(motion)
         advance = wp.zeros(len(shell.areas_m2), dtype=float, device="cpu")
+        place = wp.zeros((len(shell.areas_m2), 3), dtype=float, device="cpu")
         may = wp.zeros(len(shell.areas_m2), dtype=int, device="cpu")
         inputs = [model.elements, model.motion_rows, SPACING_M, store.brick_of, store.alive]
-        wp.launch(ask, dim=len(shell.areas_m2), inputs=inputs, outputs=[advance, may], device="cpu")
+        wp.launch(ask, dim=len(shell.areas_m2), inputs=inputs, outputs=[advance, place, may], device="cpu")
         normal, arm = shell.normals @ motion.rotation.T, shell.points_m @ motion.rotation.T
         expected = ((motion.heading[0] + np.cross(motion.heading[1], arm)) * normal).sum(axis=1)
         assert advance.numpy() == pytest.approx(expected, abs=SINGLE * (1.0 + turning * 5e-3))
-        at = np.floor((motion.tip_m + arm) / SPACING_M + 24).astype(int)
+        point = (motion.tip_m + arm) / SPACING_M + 24
+        assert place.numpy() == pytest.approx(point, abs=SINGLE * 48)
+        at = np.floor(point).astype(int)
         held = ((at >= 0) & (at < 48)).all(axis=1)
         held[held] = store.volume.fraction[tuple(at[held].T)] > 0
         cuts = held & (expected > 1e-5)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
-from tooth_bodies import at_bottom, dense_stiffness, ragged_block
+from tooth_bodies import at_bottom, block, dense_stiffness, lattice, ragged_block
 
 from kernels.lane_vectors import from_lanes, smooth, to_lanes
 from tissue.models.tooth.body import ParticleBody
@@ -36,6 +36,19 @@ def test_assumed_eigenvalue_is_above_the_largest():
     root = np.sqrt(inverse)
     values = np.linalg.eigvalsh(root[:, None] * dense_stiffness(body) * root)
     assert 0.75 < values[-1] <= 1.0
+
+
+def test_smoothing_multiplies_by_every_cell_wherever_its_particles_lie():
+    """Every third cell's particles lie aside of the strips' points; one that was left out or moved there would show."""
+    aside = np.arange(4 * 3 * 11) % 3 == 0
+    body = body_of(*block((4, 3, 11), 1e-3, places=lattice(2) + 0.2 * aside[:, None, None]))
+    assert np.array_equal(body.cells.strips.regular, ~aside)
+    finest, slot = body._hierarchy.finest, body.cells.strips.layout.slot
+    vector = np.random.default_rng(2).normal(size=(body.grid.node_count, 3)).astype(np.float32)
+    finest._direction.single.numpy()[:, slot] = vector.T
+    finest._multiply()
+    wanted = (dense_stiffness(body) @ vector.ravel()).reshape(-1, 3)
+    assert np.abs(finest._force.single.numpy()[:, slot].T - wanted).max() <= 2e-6 * np.abs(wanted).max()
 
 
 def test_lanes_give_back_what_they_take_and_a_step_is_its_formula():

@@ -5,7 +5,8 @@ from itertools import pairwise
 import numpy as np
 import warp as wp
 
-from kernels.older_cuts import taken_before
+from kernels.bricks import corner8f
+from kernels.older_cuts import SLOTS, taken_before
 from kernels.revolution import Revolution
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import half_space
@@ -36,12 +37,29 @@ def ask(
     brick_of: wp.array3d(dtype=wp.int32),
     older: wp.array2d(dtype=wp.uint16),
     points: wp.array(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.vec3),
+    bend: float,
     rows: wp.array2d(dtype=wp.int32),
+    seen: wp.array2d(dtype=corner8f),
     taken_out: wp.array(dtype=wp.int32),
 ):
     i = wp.tid()
     axis = wp.vec3(0.0, 0.0, 1.0)
-    taken = taken_before(tool, pose, axis, heading, brick_of, older, rows[i, 0], rows[i, 1], points[i])
+    taken = taken_before(
+        tool,
+        pose,
+        axis,
+        heading,
+        brick_of,
+        older,
+        rows[i, 0],
+        rows[i, 1],
+        points[i],
+        normals[i],
+        bend,
+        seen,
+        i / 100,
+    )
     taken_out[i] = wp.where(taken, 1, 0)
 
 
@@ -73,7 +91,7 @@ def test_points_of_a_slot_are_taken_and_points_outside_are_not():
     out = random.normal(size=(4000, 3))
     out = out[out[:, 2] < 0.0] / np.linalg.norm(out[out[:, 2] < 0.0], axis=1)[:, None]
     points_m = tip + [0.0, 0.0, RADIUS] + RADIUS * out
-    points_m = points_m[points_m[:, 2] < -SPACING]
+    out, points_m = out[points_m[:, 2] < -SPACING], points_m[points_m[:, 2] < -SPACING]
     centre = np.array([0.0, 0.0, RADIUS - 3e-4])
     along = np.clip(points_m[:, 0], -1.5e-3, 1.0e-3)
     gap = np.linalg.norm(points_m - centre - np.outer(along, [1.0, 0.0, 0.0]), axis=1) - RADIUS
@@ -96,9 +114,11 @@ def test_points_of_a_slot_are_taken_and_points_outside_are_not():
             store.brick_of,
             store.older,
             wp.array(points, dtype=wp.vec3, device="cpu"),
+            wp.array(out, dtype=wp.vec3, device="cpu"),
+            SPACING / RADIUS / 3.0,
             wp.array(np.column_stack([rows, column]), dtype=wp.int32, device="cpu"),
         ],
-        outputs=[taken],
+        outputs=[wp.zeros((len(points) // 100 + 1, SLOTS + 1), dtype=corner8f, device="cpu"), taken],
         device="cpu",
     )
     sure = np.abs(gap) > UNSURE * SPACING

@@ -105,9 +105,8 @@ def test_molar_solves_at_quarter_millimetre(anatomy):
 
 @pytest.mark.parametrize("shift", [0.13, 0.31, 0.57, 0.83])
 def test_molar_solves_wherever_the_grid_lies(anatomy, shift):
-    """The grid's place cuts other cells and leaves other islands: 19 to 44 iterations, each a third of one with
-    Gauss-Seidel on the finest grid, which took at most 30."""
+    """The grid's place cuts other cells, leaves other islands and moves particles in their cells: 13 to 15 iterations."""
     body = molar(anatomy, 4e-4, ligament_Pa=50e6, shift=shift)
     found = body.solve(press_cusp(body), tolerance=1e-6)
     print(f"\nshift {shift}: {found.iterations} iterations, {len(body.debris)} loose particles")
-    assert found.converged and found.iterations <= 50
+    assert found.converged and found.iterations <= 20

@@ -27,7 +27,7 @@ CARVE_LAG_M = 2.0e-5
 LONGEST_STEP_VOXELS = 0.5
 """Longest step between two carvings; a faster tool is carved in parts of a tick."""
 TURN = 0.9
-"""The tool turns where its heading keeps less than this share of that since it last turned."""
+"""The tool turns where it moves on with a heading that keeps less than this share of that since it last turned."""
 WORKERS_CPU, WORKERS_GPU = 32, 2048
 """Workers that share a carving launch."""
 
@@ -132,13 +132,13 @@ class Carver:
     def advance(self, motion: ToolMotion) -> None:
         """Carve what the tool reaches at its new pose; a slow tool's carving is spread over ticks."""
         now = self._pose_of(motion)
-        if np.vdot(motion.heading, self._heading) < TURN * np.vdot(self._heading, self._heading):
-            self._visit(PHASES, turned=True)  # first complete what it cut on its old path
-            self._heading[:] = motion.heading
-        elif not self._heading.any():
-            self._heading[:] = motion.heading
         moved = now - self._pose.host[0]
         step = sqrt(moved[:3].dot(moved[:3])) + self._lever * sqrt(moved[3:].dot(moved[3:]))
+        if not self._heading.any():
+            self._heading[:] = motion.heading
+        elif step > 0.0 and np.vdot(motion.heading, self._heading) < TURN * np.vdot(self._heading, self._heading):
+            self._visit(PHASES, turned=True)  # first complete what it cut on its old path
+            self._heading[:] = motion.heading
         if step > LONGEST_STEP_VOXELS:
             self._sweep(now, parts=ceil(step / LONGEST_STEP_VOXELS))
         elif step > 0.0:

@@ -6,11 +6,12 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from kernels.bricks import FULL
+from kernels.bricks import FULL, corner8f
 from kernels.cutting import AREA, DENSITIES, RATE, Coefficients, cutting_forces
-from kernels.elements import CHUNK, Elements
+from kernels.elements import CHUNK, LANES, Elements, lanes8, lever16
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror
+from kernels.older_cuts import SLOTS
 from meshes.base.arrays import Array
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter, PointShell
@@ -21,6 +22,8 @@ from tissue.models.tissue_model import Response, ToolMotion
 
 __all__ = ["BoneModel", "Removal"]
 
+LEVER = [0, 1, 3, 4, 5, 6, 7, 8, 9, 10, 11, 14, 15, 16]
+"""Components of the forces and torques of tangential, radial and axial loads that are not 0 on every element."""
 SHELL_ELEMENTS = 6000
 """Elements over the cutting surface: a thirtieth of a ball's radius apart, 0.2 to 0.5 % of the force."""
 
@@ -75,7 +78,7 @@ class BoneModel:
         self._rows = self._motion.host[0], self._motion.host[1:4], self._motion.host[4:6]
         self._sums = Mirror((chunks, AREA + layers), dtype=wp.float64, device=device)
         store = self.store
-        self.elements = _elements(self.shell, cutter, device=device)
+        self.elements = _elements(self.shell, cutter, spacing_m=spacing, device=device)
         self._forces = SplitLaunch(
             cutting_forces,
             dim=chunks,
@@ -90,11 +93,10 @@ class BoneModel:
                 store.brick_of,
                 store.material,
                 store.nearby,
-                store.swept,
                 store.older,
                 store.alive,
             ],
-            outputs=[self._sums.device],
+            outputs=[wp.zeros((chunks, SLOTS + 1), dtype=corner8f, device=device), self._sums.device],
             offset_index=6,
             device=device,
             cores=cores,
@@ -148,6 +150,9 @@ class BoneModel:
         response, speed = self._response, motion.speed_m_s
         response.engaged_m2[:] = sums[AREA:]
         response.removal_rate_m3_s = float(sums[RATE]) * speed
+        if speed == 0.0 and any(motion.push.tolist()):
+            np.negative(motion.push, out=response.wrench)
+            return response
         np.multiply(response.resistance, speed, out=response.wrench)
         response.wrench += response.edge if speed > 0.0 else motion.pressed * response.edge
         return response
@@ -161,15 +166,23 @@ class BoneModel:
         return self.store.fraction()
 
 
-def _elements(shell: PointShell, cutter: Cutter, *, device: str) -> Elements:
+def _elements(shell: PointShell, cutter: Cutter, *, spacing_m: float, device: str) -> Elements:
     """The cutter's point shell on a device."""
     elements = Elements()
     elements.point = wp.array(shell.points_m, dtype=wp.vec3, device=device)
+    missing = (0, -len(shell.areas_m2) % LANES), (0, 0)  # elements without a normal do not advance
+    eights = np.pad(np.hstack([shell.points_m, shell.normals]), missing).reshape(-1, LANES, 6).transpose(0, 2, 1)
+    elements.lanes = wp.array(np.ascontiguousarray(eights), dtype=lanes8, device=device)
     elements.normal = wp.array(shell.normals, dtype=wp.vec3, device=device)
     around = np.column_stack([-shell.points_m[:, 1], shell.points_m[:, 0], np.zeros(len(shell.radii_m))])
     around *= np.sign(cutter.spin_rad_s) / shell.radii_m[:, None]
-    elements.around = wp.array(around, dtype=wp.vec3, device=device)
+    axis = np.broadcast_to([0.0, 0.0, 1.0], around.shape)
+    parts = [part for each in (around, shell.normals, axis) for part in (each, np.cross(shell.points_m, each))]
+    levers = np.hstack([np.hstack(parts)[:, LEVER], np.zeros((len(around), 2))])
+    elements.lever = wp.array(np.pad(levers, missing), dtype=lever16, device=device)
     elements.area = wp.array(shell.areas_m2, dtype=wp.float32, device=device)
+    bend = cutter.table(spacing_m=spacing_m).bend_at(shell.radii_m / spacing_m, shell.points_m[:, 2] / spacing_m)
+    elements.bend = wp.array(bend, dtype=wp.float32, device=device)
     edge_length = cutter.flute_count * shell.areas_m2 / (2.0 * np.pi * shell.radii_m)
     elements.edge_length = wp.array(edge_length, dtype=wp.float32, device=device)
     balls, cones = _chunk_bounds(shell)
@@ -181,9 +194,14 @@ def _elements(shell: PointShell, cutter: Cutter, *, device: str) -> Elements:
 def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) -> Coefficients:
     """Cutting coefficients on a device, one entry a layer."""
     arrays = Coefficients()
-    for name, source in CuttingCoefficients.KERNEL_NAMES.items():
-        values = [getattr(layer, source) for layer in coefficients]
-        setattr(arrays, name, wp.array(values, dtype=wp.float32, device=device))
+
+    def at_levers(names: tuple[str, ...]) -> Any:
+        """Tangential, radial and axial coefficients of each layer at their places in a lever."""
+        parts = [[getattr(layer, name) for name in names] for layer in coefficients]
+        values = np.pad(np.repeat(parts, (5, 6, 3), axis=1), ((0, 0), (0, 2)))
+        return wp.array(values, dtype=lever16, device=device)
+
+    arrays.chip, arrays.edge = at_levers(CuttingCoefficients.CHIP), at_levers(CuttingCoefficients.EDGE)
     density = np.arange(DENSITIES)
     strength = [(density / layer.reference_density_kg_m3) ** layer.density_exponent for layer in coefficients]
     arrays.strength = wp.array(np.array(strength), dtype=wp.float32, device=device)

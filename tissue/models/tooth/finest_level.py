@@ -30,8 +30,10 @@ anew. The smoother diverges at 1.25 of what is assumed."""
 class FinestLevel:
     """Vectors of the finest grid and its smoothing, in single precision and lanes.
 
-    Springs are left out of the product: beside the cells they act on they are below a hundredth, and the coarser grids,
-    which feel them, have them.
+    Springs on cells of the strips are left out of the product: they are below a hundredth of the cells they act on, and
+    the coarser grids, which feel them, have them. In the molar and in caries they would save no iteration, with a
+    ligament 100 times as stiff one of ten. All else is exact: with other particles taken at the nearest of the strips'
+    points, the molar's iterations on a grid that lies askew to them were 31 to 44 instead of 14 to 15.
 
     Parameters
     ----------
@@ -73,6 +75,8 @@ class FinestLevel:
         self._take_load = launch(to_lanes, count, [slot, self.residual], [self._left.single])
         self._give_residual = launch(from_lanes, count, [slot, self._left.single], [self.residual])
         self._take_correction = launch(to_lanes, count, [slot, self.vector], [self._direction.single])
+        self._give_direction = launch(from_lanes, count, [slot, self._direction.single], [cells.displacement])
+        self._take_force = launch(to_lanes, count, [slot, cells.force], [self._force.single])
         self._give_found = launch(from_lanes, count, [slot, self._found.single], [self.vector])
 
     def update(self, nodes: NDArray[np.int32]) -> None:
@@ -96,7 +100,7 @@ class FinestLevel:
         for _ in range(POWER_STEPS):
             self._direction.single.assign(vector)
             self._force.single.zero_()
-            self._product()
+            self._multiply()
             vector = self._inverse.single.numpy() * self._force.single.numpy()
             size = float(np.linalg.norm(vector))
             if size == 0.0:
@@ -119,13 +123,13 @@ class FinestLevel:
         self.residual.assign(load_N.astype(np.float32))
         self._take_load()
         self._smooth()
-        self._product()
+        self._multiply()
         self._steps[2]()
         self._give_residual()
         self.vector.zero_()
         correct()
         self._take_correction()
-        self._product()
+        self._multiply()
         self._smooth()
         self._steps[2]()
         self._give_found()
@@ -133,8 +137,17 @@ class FinestLevel:
 
     def _smooth(self) -> None:
         self._steps[0]()
-        self._product()
+        self._multiply()
         self._steps[1]()
+
+    def _multiply(self) -> None:
+        """Product with the direction, added to the force, which is zero where not all cells are in strips."""
+        if self._cells.others is not None:
+            self._give_direction()
+            self._cells.force.zero_()
+            self._cells.others()
+            self._take_force()
+        self._product()
 
     def matrix(self) -> csr_matrix:
         """The assembled stiffness, springs included and held components empty [N/m], shape (3 n, 3 n)."""

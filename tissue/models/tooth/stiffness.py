@@ -44,6 +44,9 @@ class CellStiffness:
         Cell of each sorted particle, int32, shape (p,).
     strips
         The cells in strips, by which the product runs; springs, and cells of other particles, are added to it.
+    others
+        Adds to ``force`` the product of these other cells, their springs included, with ``displacement``, both Warp
+        arrays of vec3d, shape (n,); None where there are none.
     """
 
     def __init__(
@@ -87,15 +90,14 @@ class CellStiffness:
         regular = self.strips.regular
         others = np.flatnonzero(~regular)
         of_springs = regular[sprung]
-        given: dict[str, Any] = {"live": self.live_on, "vector": self.displacement, "force": self.force}
-        self._packed = [
-            PackedProduct(grid, cells, rows, blocks, cores=cores, **given)
-            for cells, rows, blocks in (
-                (others, others, self.stiffness),
-                (sprung[of_springs], np.flatnonzero(of_springs), self._springs[1]),
-            )
-            if len(cells)
-        ]
+
+        def packed(cells: NDArray[np.integer], rows: NDArray[np.integer], blocks: Any) -> PackedProduct | None:
+            """Product of some cells with the displacement, None where there are none."""
+            given: dict[str, Any] = {"live": self.live_on, "vector": self.displacement, "force": self.force}
+            return PackedProduct(grid, cells, rows, blocks, cores=cores, **given) if len(cells) else None
+
+        self.others = packed(others, others, self.stiffness)
+        self._sprung = packed(sprung[of_springs], np.flatnonzero(of_springs), self._springs[1])
         self.update(np.arange(grid.cell_count, dtype=np.int32))
 
     @property
@@ -154,8 +156,9 @@ class CellStiffness:
         """Nodal forces [N] that hold nodal displacements [m], shapes (n, 3), without an assembled matrix."""
         self.displacement.assign(displacement_m)
         self.strips.product(self.displacement, self.force)
-        for each in self._packed:
-            each()
+        for each in (self.others, self._sprung):
+            if each is not None:
+                each()
         return np.array(self.force.numpy())
 
     def cell_matrices(self) -> Array:

@@ -123,8 +123,7 @@ class StripProduct:
 class CellStrips:
     """Weights of a body's cells in strips, in double precision and in single for smoothing, and the exact product.
 
-    Cells whose particles do not lie at the centres of their eight cubes are left out of the double precision ones; the
-    single precision ones take each of their particles at the nearest centre.
+    Cells whose particles do not lie at the centres of their eight cubes are left out of both.
 
     Parameters
     ----------
@@ -136,7 +135,7 @@ class CellStrips:
     Attributes
     ----------
     regular
-        Cells that the double precision weights hold, bool, shape (c,).
+        Cells that the weights hold, bool, shape (c,).
     weight, single
         Warp arrays, shape (strips, WEIGHTS, LANES).
     """
