@@ -21,6 +21,7 @@ def _public(run_scene: Callable[Concatenate[Scene, P], Run]) -> Callable[Concate
 
     @wraps(run_scene)
     def called(scene: Scene, /, *arguments: P.args, **options: P.kwargs) -> Run:
+        """Run a scene at the settings that its demand asks for."""
         chosen: dict[str, str] = {}
         if scene.fidelity is not None:
             from tissue.evaluation.charts.fidelity import with_fidelity

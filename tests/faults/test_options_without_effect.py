@@ -72,7 +72,8 @@ def test_a_built_in_scene_holds_no_key_without_effect_and_lasts_as_long_as_its_m
 
 def test_what_an_override_makes_idle_is_left_out_and_what_a_file_holds_idle_is_refused(tmp_path):
     assert load_scene("wall", {"device": "none"}).hand == "expert"
-    (tmp_path / "mine.toml").write_text(scene_text("wall").replace('device = "touch"', 'device = "none"'))
+    text = scene_text("wall").replace('device = "touch"', 'device = "none"')
+    (tmp_path / "mine.toml").write_text(text.replace("[motion]", "[coupling]\nforce_scale = 1.0\n\n[motion]"))
     with pytest.raises(
         InputError, match=r"coupling\.force_scale and hand and renderer must be left out without a device"
     ):

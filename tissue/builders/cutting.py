@@ -25,7 +25,7 @@ from tissue.scene.unused_keys import is_given
 if TYPE_CHECKING:
     from tissue.models.bone.model import BoneModel
 
-__all__ = ["cutter_of", "milled", "milled_voxels"]
+__all__ = ["cutter_of", "milled", "milled_voxels", "milling_of"]
 
 SI = {"mm": ("m", 1e-3), "deg": ("rad", radians(1.0))}
 """Units of a scene's tool: their SI unit and its share."""
@@ -127,22 +127,36 @@ def _bone(
 ) -> TissueModel:
     """The bone model; loading it compiles its kernels where their cache is cold."""
     report("compiling kernels (the first time on a machine)", 0.0)
+    spacing_mm = scene.tool.shell_spacing_mm if isinstance(scene.tool, Tool) else None
+    spacing_m = None if spacing_mm is None else spacing_mm * 1e-3
+    milling = milling_of(scene, volume, cutter, shell_spacing_m=spacing_m, compute=compute, cores=cores)
+    if "pulp" not in volume.layer_names:
+        return milling
+    return _tooth(scene, milling, compute=compute, report=report)
+
+
+def milling_of(
+    scene: Scene,
+    volume: VoxelVolume,
+    cutter: Cutter,
+    *,
+    shell_spacing_m: float | None,
+    compute: str = "cpu",
+    cores: int | None = None,
+) -> "BoneModel":
+    """A cutter in voxels of a scene's materials; `shell_spacing_m` is the distance of the cutter's elements [m]."""
     from tissue.models.bone.model import BoneModel
 
     changes = scene.cutting.model_dump()
-    spacing_mm = scene.tool.shell_spacing_mm if isinstance(scene.tool, Tool) else None
-    milling = BoneModel(
+    return BoneModel(
         volume,
         cutter,
         tuple(cutting_coefficients(CUT_AS.get(name, "bone"), **changes) for name in volume.layer_names),
         removal=scene.voxels.removal,
-        shell_spacing_m=None if spacing_mm is None else spacing_mm * 1e-3,
+        shell_spacing_m=shell_spacing_m,
         device=compute,
         cores=cores,
     )
-    if "pulp" not in volume.layer_names:
-        return milling
-    return _tooth(scene, milling, compute=compute, report=report)
 
 
 def _energy_note(volume: VoxelVolume) -> str:

@@ -15,11 +15,13 @@ from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import Hand, HandParameters, hand_parameters
 from tissue.haptics.hand.minimum_jerk import Path, waypoints
 from tissue.haptics.hand_motion import HandMotion
+from tissue.haptics.proxy.cutting_tool import CuttingTool
 from tissue.haptics.proxy.guidance import CompensatedPath, Thrust
-from tissue.haptics.proxy.held_tool import CuttingTool, HeldTool, PressingTool
+from tissue.haptics.proxy.held_tool import HeldTool, PressingTool
 from tissue.haptics.proxy.held_turn import HeldTurn
 from tissue.haptics.proxy.probing_tool import ProbingTool
 from tissue.haptics.renderer import TurningRenderer, renderer
+from tissue.haptics.vibration import PlayedVibration, Vibration
 from tissue.motion.motion import Motion, quaternion_of
 from tissue.scene.coupling import WallAnatomy
 from tissue.scene.scene import Scene
@@ -78,8 +80,12 @@ def hand_motion(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable
         lead_ticks=lead_ticks(scene),
         prediction_gain=chosen.prediction_gain,
         perception=felt,
+        vibration=_vibration(scene, limits),
     )
-    notes = [judged.sentence(), f"{scene.force_scale:g} N at the device for each newton at the tool"]
+    notes = [
+        judged.sentence(),
+        f"{scene.force_scale:g} N at the device for each newton at the tool{scene.chosen_scale[1]}",
+    ]
     if turning:
         notes.insert(1, turning.sentence())
     if scale != 1.0:
@@ -90,6 +96,17 @@ def hand_motion(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable
     if felt is not None:
         notes.append(felt.sentence)
     return motion, f"{scene.device} in the hand of {person_of(scene.hand)}, {scene.renderer}: {'; '.join(notes)}"
+
+
+def _vibration(scene: Scene, limits: DeviceParameters) -> PlayedVibration | None:
+    """What the device plays of the teeth of the scene's cutter."""
+    share, step_s = scene.output.vibration_share, 1.0 / limits.rate_Hz
+    if share == 0.0 or not isinstance(scene.tool, Tool) or scene.tool.spin_rpm == 0.0:
+        return None
+    passing = scene.tool.flutes * scene.tool.spin_rpm / 60.0
+    teeth = Vibration(passing, share=share, step_s=step_s)
+    slew_N = 1e3 * step_s * limits.force_slew_N_ms
+    return PlayedVibration(teeth, limit_N=limits.force_limit_N, slew_N=slew_N, step_s=step_s)
 
 
 def _stray_m(scene: Scene) -> float:

@@ -9,7 +9,9 @@ from meshes.base.errors import InputError
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.loop.critical_stiffness import Verdict, critical_stiffness_N_m, in_hands, judge, nearest_stable_N_m
+from tissue.haptics.loop.filters import VELOCITY_MEMORY
 from tissue.haptics.loop.forecast import Forecast, forecast_of
+from tissue.haptics.loop.motor_path import motor_lag_ticks
 from tissue.haptics.loop.sampled_loop import WallLoop
 from tissue.prediction.guard import Guarded
 from tissue.prediction.predictor import Predictor
@@ -20,7 +22,16 @@ from tissue.scene.tool import Tool
 if TYPE_CHECKING:
     from tissue.perception.perception import Perception
 
-__all__ = ["JudgedLoop", "judged_loop", "judged_loops", "lead_ticks", "perception_of", "person_of", "predictor_of"]
+__all__ = [
+    "JudgedLoop",
+    "judged_loop",
+    "judged_loops",
+    "lead_ticks",
+    "motor_path",
+    "perception_of",
+    "person_of",
+    "predictor_of",
+]
 
 SHARE = 0.5
 """Share of the critical stiffness that is chosen where a scene gives none: that in the scene's hand. Half of the one
@@ -137,6 +148,7 @@ def judged_loop(scene: Scene, *, step_s: float) -> WallLoop:
         filter_s=1e-3 * scene.output.low_pass_ms,
         model_ticks=chosen.model_ms,
     )
+    loop = replace(loop, velocity_memory=VELOCITY_MEMORY)
     hand = hand_parameters(scene.hand).grip[:3]
     loops = [replace(_delayed(scene, loop, step_s * late), forecast=each) for each in _forecasts(scene, limits)]
     loop = min(loops, key=lambda each: critical_stiffness_N_m(in_hands(each, [hand])[0])) if loops[1:] else loops[0]
@@ -159,10 +171,15 @@ def predictor_of(scene: Scene) -> Predictor | None:
     )
 
 
-def lead_ticks(scene: Scene) -> int:
-    """How far ahead the force is asked for: latency, low-pass and transport."""
-    delay_ms = scene.output.low_pass_ms + 1e3 * device_parameters(scene.device).transport_delay_s
-    return scene.coupling.delay_ms + round(delay_ms)
+def lead_ticks(scene: Scene) -> float:
+    """How far ahead the force is asked for: what its path to the motor delays it."""
+    return motor_lag_ticks(motor_path(scene))
+
+
+def motor_path(scene: Scene) -> WallLoop:
+    """The path of a scene's force to the motor: low-pass, latency, transport, hold and amplifier."""
+    loop = device_parameters(scene.device).loop(1.0, filter_s=1e-3 * scene.output.low_pass_ms)
+    return _delayed(scene, loop, 0.0)
 
 
 def _forecasts(scene: Scene, limits: DeviceParameters) -> list[Forecast | None]:

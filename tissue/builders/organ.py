@@ -43,8 +43,6 @@ KEYS = {
     "support": "anatomy.held",
 }
 """Keys of a scene by what functions of meshes call them."""
-GROWTH = 0.5
-"""Growth of the edges with the distance from the tool's path."""
 LOCKING_RATIO = 0.45
 """Poisson's ratio above which a run notes that linear tetrahedra lock."""
 
@@ -79,11 +77,11 @@ def held_mesh(
     Parameters
     ----------
     anatomy
-        The scene's organ.
+        The scene's organ; its edges grow by `edge_growth` times the distance from the path.
     path_m
         Corners of the path of the tool's tip [m], shape (k, 3).
     touch_edge_m
-        Longest edge on it [m]; edges grow by `GROWTH` times the distance from it.
+        Longest edge on it [m].
     report
         Called with what is being done.
 
@@ -94,7 +92,7 @@ def held_mesh(
     """
 
     def fine(mesh: TetMesh, onto: Move | None = None) -> TetMesh:
-        return bisected(mesh, lambda points: touch_edge_m + GROWTH * _away(points, path_m), onto=onto)
+        return bisected(mesh, lambda points: touch_edge_m + anatomy.edge_growth * _away(points, path_m), onto=onto)
 
     with names_of_caller(KEYS):
         if isinstance(anatomy, SlabAnatomy):

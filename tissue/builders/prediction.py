@@ -5,14 +5,22 @@ from pathlib import Path
 from meshes.base.errors import InputError
 from tissue.models.tissue_model import TICK_S
 from tissue.prediction.baselines import Kalman, Linear, LinearControl
-from tissue.prediction.guard import Guarded
+from tissue.prediction.guard import Guarded, Judged
 from tissue.prediction.koopman import Koopman
+from tissue.prediction.look_ahead import LookAhead
+from tissue.prediction.paths import FilteredPath, OperatorPath
 from tissue.prediction.predictor import Hold, Predictor
 from tissue.prediction.trained import Trained, shipped_file
 from tissue.scene.named_parts import loaded
 from tissue.scene.registry import PREDICTORS
 
-__all__ = ["dmdc", "hold", "kalman", "koopman", "linear", "predictor", "trained_predictor"]
+__all__ = [
+    "FALLBACKS", "dmdc", "hold", "kalman", "koopman", "koopman_look_ahead", "linear", "look_ahead", "predictor",
+    "trained_predictor",
+]  # fmt: skip
+
+FALLBACKS = ("hold", "linear", "kalman", "dmdc", "look-ahead")
+"""Predictors without a lifted operator, of which training chooses what a lifted one hands over to."""
 
 
 def predictor(kind: str, *, scene_name: str, file: str, force_limit_N: float, tick_s: float) -> Predictor:
@@ -83,7 +91,30 @@ def dmdc(trained: Trained | None, force_limit_N: float) -> Predictor:
     return Guarded(LinearControl(trained.control), Hold(), reach_N=force_limit_N)
 
 
+def look_ahead(trained: Trained | None, force_limit_N: float) -> Predictor:
+    """The tissue's own law at the end of a filtered path."""
+    return Guarded(LookAhead(FilteredPath()), Hold(), reach_N=force_limit_N)
+
+
 def koopman(trained: Trained | None, force_limit_N: float) -> Predictor:
-    """The lifted predictor, which hands over to a line."""
+    """The lifted predictor, which hands over to the best one without an operator."""
     assert trained is not None
-    return Guarded(Koopman(trained.operator, trained.terms), Linear(), reach_N=trained.terms.reach_N)
+    return _with_fallback(Koopman(_path(trained)), trained, force_limit_N)
+
+
+def koopman_look_ahead(trained: Trained | None, force_limit_N: float) -> Predictor:
+    """The tissue's own law at the end of the path that the lifted operator foresees."""
+    assert trained is not None
+    return _with_fallback(LookAhead(_path(trained)), trained, force_limit_N)
+
+
+def _path(trained: Trained) -> OperatorPath:
+    """The operator's path, with the range of its training."""
+    return OperatorPath(trained.operator, growth=trained.growth)
+
+
+def _with_fallback(lifted: Judged, trained: Trained, force_limit_N: float) -> Predictor:
+    """A lifted predictor, and what is asked where it is not trusted."""
+    return Guarded(
+        lifted, trained_predictor(trained.fallback, trained, force_limit_N=force_limit_N), reach_N=force_limit_N
+    )

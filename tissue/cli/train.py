@@ -60,7 +60,7 @@ def train(
         f"error on {len(checked['held_out'])} run{'s' * (len(checked['held_out']) > 1)} held out, % of the force, at "
         f"{', '.join(map(str, checked['horizons_ms']))} ms:",
         *(
-            f"{kind:>8}  " + "  ".join(f"{100.0 * e:6.2f}" for e in errors)
+            f"{kind:>18}  " + "  ".join(f"{100.0 * e:6.2f}" for e in errors)
             for kind, errors in checked["errors"].items()
         ),
         f"written to {path}; use it with --set prediction=koopman --set coupling.predictor_file={path}",

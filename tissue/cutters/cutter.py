@@ -59,6 +59,12 @@ class DistanceTable:
     low: float
     high: float
 
+    def bend_at(self, radius: NDArray[np.float64], height: NDArray[np.float64]) -> NDArray[np.float32]:
+        """The bend at points given by radius and height above the tip [voxel], shape (n,)."""
+        u, v = radius * self.cells_per_voxel, (height - self.height_min) * self.cells_per_voxel
+        last = self.bend.shape[0] - 2, self.bend.shape[1] - 2
+        return self.bend[np.clip(u.astype(int), 0, last[0]), np.clip(v.astype(int), 0, last[1])]
+
 
 @dataclass(frozen=True)
 class Cutter:

@@ -1,8 +1,9 @@
 """Columns that a device, a prediction and a perception add to the trace, and where each lies among them."""
 
 __all__ = [
-    "ENERGY", "FILTERED_FORCE", "MARGIN", "MEASURES", "PERCEIVED", "PERCEPTION", "PLAYED_FORCE", "PLAYED_TORQUE",
+    "ENERGY", "FILTERED_FORCE", "MARGIN", "MEASURES", "PERCEIVED", "PLAYED_FORCE", "PLAYED_TORQUE",
     "POSITION", "PREDICTED", "PREDICTED_BY", "PREDICTED_FORCE", "QUATERNION", "RAW_FORCE", "RESIDUAL", "SATURATED",
+    "TRUE", "VIBRATION",
 ]  # fmt: skip
 
 MEASURES = (
@@ -24,11 +25,13 @@ PREDICTED = (*(f"predicted_force_{c}_N" for c in "xyz"), "prediction_residual_N"
 back on."""
 PERCEIVED = ("estimated_force_N", "perceived", "perceived_spread", "above_threshold")
 """Columns of a perception: see `tissue.perception.Perception`."""
+VIBRATION = tuple(f"vibration_{c}_N" for c in "xyz")
+"""Columns of a spinning cutter's vibration: what the device's force holds of it; no other column of a force does."""
+TRUE = tuple(f"device_true_{c}_mm" for c in "xyz")
+"""Columns of a device that knows where it is, which its encoders only step through."""
 
 POSITION, QUATERNION = slice(0, 3), slice(3, 7)
 PLAYED_FORCE, PLAYED_TORQUE, FILTERED_FORCE = slice(7, 10), slice(10, 13), slice(13, 16)
 SATURATED, ENERGY, MARGIN = 16, 17, 18
 RAW_FORCE = slice(19, 22)
 PREDICTED_FORCE, RESIDUAL, PREDICTED_BY = slice(22, 25), 25, 26
-PERCEPTION = slice(-len(PERCEIVED), None)
-"""A perception's columns are the last ones, with a prediction before them or without."""

@@ -1,40 +1,27 @@
 """A hand on a device as what moves a tool: samples in, forces out, once a tick."""
 
+from functools import partial
 from math import pi, sqrt
 
 import numpy as np
 
 from meshes.base.arrays import Array
-from tissue.haptics.device.device import Device, DeviceParameters, Sample
+from tissue.haptics import hand_measures as at
+from tissue.haptics.device.device import Device, DeviceParameters, KnowsPosition, Sample
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.haptics.device.sample_guard import SampleGuard
-from tissue.haptics.hand_measures import (
-    ENERGY,
-    FILTERED_FORCE,
-    MARGIN,
-    MEASURES,
-    PERCEIVED,
-    PERCEPTION,
-    PLAYED_FORCE,
-    PLAYED_TORQUE,
-    POSITION,
-    PREDICTED,
-    PREDICTED_BY,
-    PREDICTED_FORCE,
-    QUATERNION,
-    RAW_FORCE,
-    RESIDUAL,
-    SATURATED,
-)
-from tissue.haptics.loop.filters import DelayLine, ForceRange, LowPass
+from tissue.haptics.loop.filters import ConstantAcceleration, DelayLine, ForceRange, LowPass
 from tissue.haptics.loop.passivity import PassivityObserver
 from tissue.haptics.loop.sampled_loop import WallLoop
 from tissue.haptics.proxy.held_tool import HeldTool
 from tissue.haptics.renderer import PassivityRenderer, Renderer, TurningRenderer
+from tissue.haptics.seen_contact import seen_contact
+from tissue.haptics.vibration import PlayedVibration
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.motion.motion import Motion, matrix_of
 from tissue.motion.quaternion import Quaternion
 from tissue.perception.perception import Perception
+from tissue.prediction.contact import SeesContact
 from tissue.prediction.predictor import Predictor
 
 __all__ = ["HandMotion"]
@@ -49,17 +36,13 @@ class HandMotion(Motion):
     Every tick: the sample is judged; the tool follows the device as far as the tissue of the last tick lets it; the
     tissue answers, and a free tool that has gone into it is brought back within the tick; device and tool give the
     renderer's force, which passes prediction, low-pass, delay, perception and the device's range, is limited and
-    changes no faster than the device's slew.
-    So the force answers the sample of its own tick. Without a good sample the tool rests, the renderer pauses and the
-    force fades to zero.
-
-    A tissue that answers only every ``model_ticks`` leaves tool and renderer's force as they are in between; a
-    predictor then goes on by the device alone.
+    changes no faster than the device's slew. So the force answers the sample of its own tick. Without a good sample the
+    tool rests, the renderer pauses and the force fades to zero. A tissue that answers only every ``model_ticks`` leaves
+    tool and renderer's force as they are in between; a predictor then goes on by the device alone.
 
     Tool and device start at the same place; from there the tool goes ``motion_scale`` metres for each of the device.
     With a device that plays torque the tool hangs on it by a spring of rotation, too, turned by the tissue's torque of
-    the last tick; that spring's torque passes low-pass and delay and is played. The cutting speed of turning is left
-    out.
+    the last tick; its torque passes low-pass and delay and is played. The cutting speed of turning is left out.
 
     Parameters
     ----------
@@ -74,7 +57,8 @@ class HandMotion(Motion):
     limits
         Greatest force and torque of the device, and their greatest change.
     loop
-        Loop of device and law, by whose delay energy is booked, and whose filter is applied.
+        Loop of device and law, by whose delay energy is booked, and whose filters of force and velocity are applied;
+        without one the velocity is that of the sample.
     delay_ticks
         Ticks by which the force is held back here.
     turning_law
@@ -97,6 +81,8 @@ class HandMotion(Motion):
         Share of the step from the present force to the predicted one that is played.
     perception
         The person for whom the force is scaled; without it newtons stay newtons.
+    vibration
+        Of the cutter's teeth, added to what is played.
     """
 
     def __init__(
@@ -116,11 +102,16 @@ class HandMotion(Motion):
         after_s: float = 0.0,
         model_ticks: int = 1,
         predictor: Predictor | None = None,
-        lead_ticks: int = 0,
+        lead_ticks: float = 0.0,
         prediction_gain: float = 1.0,
         perception: Perception | None = None,
+        vibration: PlayedVibration | None = None,
     ) -> None:
-        self._limits, self._tick, self.device = limits, loop.tick_s, device
+        self._limits, self._tick, self._vibration = limits, loop.tick_s, vibration
+        self.predictor, self.perception, self._gain = predictor, perception, prediction_gain
+        self._sees = predictor if isinstance(predictor, SeesContact) else None
+        self._margin = margin
+        self.device = device
         self.tool, self.law = tool, law
         self._contact, self._control = law, None
         if predictor is not None and isinstance(law, PassivityRenderer):
@@ -130,10 +121,14 @@ class HandMotion(Motion):
         self._scripted, self._stray = scripted, stray_m
         self._start, self._scale = np.array(scripted.rotations()[0]), motion_scale
         self._shift = (1.0 - motion_scale) * scripted.sweep_m()[0]
+        self.contact = partial(seen_contact, tool, loop.stiffness_N_m, motion_scale, self._shift)
         tick = self._tick
         self.guard = SampleGuard(force_limit_N=limits.force_limit_N, torque_limit_Nm=limits.torque_limit_Nm)
         self._low_pass = LowPass(loop.filter_s, step_s=tick)
         self._delay = DelayLine(delay_ticks)
+        # One filter for device and tool: where both go together, their difference stays zero.
+        memory = loop.velocity_memory
+        self._speeds = None if memory is None else ConstantAcceleration(memory, step_s=tick)
         self._range = ForceRange(limit_N=limits.force_limit_N)
         self._turning = LowPass(loop.filter_s, step_s=tick)
         self._turning_delay = DelayLine(delay_ticks)
@@ -146,17 +141,9 @@ class HandMotion(Motion):
         self._velocity = np.zeros(3)
         self._smoothing = min(tick * model_ticks / SMOOTH_S, 1.0)
         self.model_ticks, self.lead_ticks = model_ticks, lead_ticks
-        self.predictor, self.perception, self._gain = predictor, perception, prediction_gain
         self._ticks, self._step, self._fresh = 0, tick * model_ticks, True
         self._sample: Sample | None = None
         self._before, self._went, self._raw, self._torque = np.zeros((4, 3))
-        self.measure_names = MEASURES
-        if predictor is not None:
-            self.measure_names += PREDICTED
-        if perception is not None:
-            self.measure_names += PERCEIVED
-        self.measures = np.zeros(len(self.measure_names))
-        self.measures[QUATERNION], self.measures[MARGIN] = (0.0, 0.0, 0.0, 1.0), margin
 
     @property
     def device(self) -> Device:
@@ -166,6 +153,16 @@ class HandMotion(Motion):
     @device.setter
     def device(self, device: Device | SafeDevice) -> None:
         self.held = SafeDevice(device, limits=self._limits, tick_s=self._tick)
+        self.measure_names = at.MEASURES + at.PREDICTED * (self.predictor is not None)
+        self._person = slice(len(self.measure_names), len(self.measure_names) + len(at.PERCEIVED))
+        self.measure_names += at.PERCEIVED * (self.perception is not None)
+        shaken = at.VIBRATION * (self._vibration is not None)
+        self._shaken = slice(len(self.measure_names), len(self.measure_names) + len(shaken))
+        self.measure_names += shaken
+        self._truth = self.held.device if isinstance(self.held.device, KnowsPosition) else None
+        self.measure_names += at.TRUE * (self._truth is not None)
+        self.measures = np.zeros(len(self.measure_names))
+        self.measures[at.QUATERNION], self.measures[at.MARGIN] = (0.0, 0.0, 0.0, 1.0), self._margin
 
     def sweep_m(self) -> Array:
         """Positions of the scripted motion [m], and the same a stray to every side."""
@@ -183,7 +180,7 @@ class HandMotion(Motion):
     def begin(self, motion: ToolMotion) -> None:
         """Begin where the scripted motion starts."""
         self._scripted.begin(motion)
-        self.measures[POSITION] = 1e3 * motion.tip_m
+        self.measures[at.POSITION] = 1e3 * motion.tip_m
 
     def happened(self) -> list[tuple[float, str]]:
         """Every change between good samples and bad, and how the device kept up."""
@@ -213,75 +210,86 @@ class HandMotion(Motion):
         arrived = self.tool.tip_m.copy()
         self._follow(self._sample, response, motion)
         if self.tool.driven:
-            self._set_speed(motion, (self.tool.tip_m - arrived) / self._step, np.zeros(3))
+            self._set_speed(motion, (self.tool.tip_m - arrived) / self._step)
         return True
 
     def _follow(self, sample: Sample, response: Response, motion: ToolMotion) -> None:
         """Move the tool towards the device."""
-        at = self._scale * np.array(sample.position_m) + self._shift
-        tip = self.tool.follow(at, sample.quaternion, response, motion.heading[0], self._step)
+        device = self._scale * np.array(sample.position_m) + self._shift
+        tip = self.tool.follow(device, sample.quaternion, response, motion.heading[0], self._step)
         self._went[:] = (tip - self._before) / self._step
         motion.tip_m[:] = tip
         if self.tool.quaternion != self._turned:
             self._turned = self.tool.quaternion
             motion.rotation[:] = matrix_of(np.array(self._turned)) @ self._start
-        self._set_speed(motion, self._went, at - tip)
+        self._set_speed(motion, self._went)
 
     def play(self, response: Response) -> None:
         """Give the device the force that answers its sample."""
-        wanted = torque = None
-        compressed = False
+        wanted, torque, compressed = None, None, False
         row = self.measures
         if (sample := self._sample) is None:
             self._pause()
         else:
-            at, speed = np.array(sample.position_m), np.array(sample.velocity_m_s)
+            here, speed = np.array(sample.position_m), np.array(sample.velocity_m_s)
+            tip, went = (self.tool.tip_m - self._shift) / self._scale, self._went / self._scale
+            if self._speeds is not None:
+                rates = self._speeds.step(np.concatenate((here, tip)))
+                speed, went = rates[:3], rates[3:]
             if self._fresh:
-                tip, went = (self.tool.tip_m - self._shift) / self._scale, self._went / self._scale
-                self._raw = self._contact.render(at, speed, tip, went, self._step)
+                self._raw = self._contact.render(here, speed, tip, went, self._step)
                 if self._turning_law is not None:
                     turned, spin, still = self.tool.quaternion, np.array(sample.spin_rad_s), np.zeros(3)
                     self._torque = self._turning_law.render(sample.quaternion, spin, turned, still, self._step)
-            row[RAW_FORCE] = force = self._raw
+            row[at.RAW_FORCE] = force = self._raw
             if self.predictor is not None:
-                self.predictor.observe(at, speed, force if self._fresh else None)
+                if self._sees is not None:
+                    self._sees.meet(self.contact(response))
+                self.predictor.observe(here, speed, force if self._fresh else None)
                 predicted = self.predictor.predict(self.lead_ticks)
-                row[PREDICTED_FORCE], row[RESIDUAL] = predicted, self.predictor.residual_N
-                row[PREDICTED_BY] = self.predictor.is_primary
+                row[at.PREDICTED_FORCE], row[at.RESIDUAL] = predicted, self.predictor.residual_N
+                row[at.PREDICTED_BY] = self.predictor.is_primary
                 force = force + self._gain * (predicted - force) if self._gain != 1.0 else predicted
                 if self._control is not None:
-                    force = self._control.step(force, at, speed, self._tick)
+                    force = self._control.step(force, here, speed, self._tick)
             filtered = scaled = self._delay.step(self._low_pass.step(force))
             if (person := self.perception) is not None:
                 scaled = person.step(filtered)
-                row[PERCEPTION] = person.estimated_N, person.perceived, person.perceived_spread, person.above
+                row[self._person] = person.estimated_N, person.perceived, person.perceived_spread, person.above
             wanted, compressed = self._range.play(scaled)
+            if self._vibration is not None:
+                row[self._shaken] = shaken = self._vibration.step(wanted)
+                wanted = wanted + shaken
             if self._turning_law is not None:
                 torque, squeezed = self._torques.play(self._turning_delay.step(self._turning.step(self._torque)))
                 compressed = compressed or squeezed
-            self.observer.observe(at)
-            row[POSITION], row[QUATERNION], row[FILTERED_FORCE] = 1e3 * at, sample.quaternion, filtered
+            self.observer.observe(here)
+            row[at.POSITION], row[at.QUATERNION], row[at.FILTERED_FORCE] = 1e3 * here, sample.quaternion, filtered
+            if self._truth is not None:
+                row[-3:] = 1e3 * np.array(self._truth.true_position_m)
         played, turning = self.held.play(*self.guard.limit_force(wanted, torque))
         self.observer.hold(played)
-        row[PLAYED_FORCE], row[PLAYED_TORQUE] = played, turning
-        row[SATURATED], row[ENERGY] = compressed, self.observer.energy_J
+        row[at.PLAYED_FORCE], row[at.PLAYED_TORQUE] = played, turning
+        row[at.SATURATED], row[at.ENERGY] = compressed, self.observer.energy_J
 
     def _pause(self) -> None:
         """Nothing is known of the device in this tick."""
-        for part in (self.law, self._turning_law, self.observer, self.predictor, self.perception):
+        parts = self.law, self._turning_law, self.observer, self.predictor, self.perception, self._speeds
+        for part in (*parts, self._vibration):
             if part is not None:
                 part.pause()
+        self.measures[self._shaken] = 0.0
         self._delay.step(self._low_pass.value)
         self._turning_delay.step(self._turning.value)
 
-    def _set_speed(self, motion: ToolMotion, went_m_s: Array, pull_m: Array) -> None:
-        """Heading and speed: of the balance along the pull, or estimated where the tool goes with the device."""
+    def _set_speed(self, motion: ToolMotion, went_m_s: Array) -> None:
+        """Heading and speed: of the balance, or estimated where the tool goes with the device."""
         self._velocity += self._smoothing * (went_m_s - self._velocity)
         velocity, heading = self._velocity, self._velocity
         if self.tool.driven:
-            velocity, heading = went_m_s, went_m_s if any(went_m_s.tolist()) else pull_m
+            velocity, heading = went_m_s, self.tool.heading
         size = sqrt(heading.dot(heading))
         if size > 0.0:
             motion.heading[0] = heading / size
         motion.speed_m_s = sqrt(velocity.dot(velocity))
-        motion.pressed = self.tool.pressed
+        motion.push[:] = self.tool.push

@@ -47,14 +47,8 @@ class CuttingCoefficients:
     reference_density_kg_m3: float
     density_exponent: float
 
-    KERNEL_NAMES: ClassVar[dict[str, str]] = {
-        "tangential_chip": "tangential_chip_Pa",
-        "radial_chip": "radial_chip_Pa",
-        "axial_chip": "axial_chip_Pa",
-        "tangential_edge": "tangential_edge_N_m",
-        "radial_edge": "radial_edge_N_m",
-        "axial_edge": "axial_edge_N_m",
-    }
+    CHIP: ClassVar[tuple[str, ...]] = "tangential_chip_Pa", "radial_chip_Pa", "axial_chip_Pa"
+    EDGE: ClassVar[tuple[str, ...]] = "tangential_edge_N_m", "radial_edge_N_m", "axial_edge_N_m"
 
 
 @cache

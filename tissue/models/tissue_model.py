@@ -1,6 +1,7 @@
 """The contract between a moving tool and the tissue it meets, and the tissue that is not there."""
 
 from dataclasses import dataclass, field
+from math import inf
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -45,6 +46,9 @@ class ToolMotion:
         Speed that scales the heading [m/s].
     pressed
         Share of the edge force that holds a tool at rest against the bone, 0 (it does not press) to 1 (about to cut).
+    push
+        Force [N] and torque [N m] on a resting tool that the bone answers in full, shape (6,); zero for a tool that is
+        led, of which only `pressed` is known.
     """
 
     tip_m: Array = field(default_factory=lambda: np.zeros(3))
@@ -52,6 +56,7 @@ class ToolMotion:
     heading: Array = field(default_factory=lambda: np.zeros((2, 3)))
     speed_m_s: float = 0.0
     pressed: float = 0.0
+    push: Array = field(default_factory=lambda: np.zeros(6))
 
 
 @dataclass
@@ -77,6 +82,9 @@ class Response:
     stiffness_N_m
         How the force on a resting tool falls with its position, -dF/dx [N/m], shape (3, 3); None where the tissue does
         not know it.
+    gap_m, normal
+        Distance of a tool that touches nothing from the tissue's surface [m], and the unit direction out of it, shape
+        (3,); infinite where the tissue does not know it.
     """
 
     resistance: Array
@@ -86,6 +94,8 @@ class Response:
     removal_rate_m3_s: float = 0.0
     measures: Array = field(default_factory=lambda: np.zeros(0))
     stiffness_N_m: Array | None = None
+    gap_m: float = inf
+    normal: Array = field(default_factory=lambda: np.zeros(3))
 
     @classmethod
     def empty(cls, layer_count: int, measure_count: int = 0) -> "Response":

@@ -33,6 +33,7 @@ class WallModel:
         self.start_m3, self.removed_m3 = np.zeros(1), np.zeros(1)
         self._free, self._pressed = np.zeros((3, 3)), np.diag((0.0, 0.0, self.stiffness_N_m))
         self._response = Response.empty(1, 1)
+        self._response.normal[2] = 1.0
 
     def place(self, motion: ToolMotion) -> None:
         """Put the ball where it starts.
@@ -51,7 +52,8 @@ class WallModel:
 
     def respond(self, motion: ToolMotion) -> Response:
         """Force on the ball, and its torque about the tip."""
-        response, depth = self._response, max(self._depth_m(motion), 0.0)
+        response, depth = self._response, self._depth_m(motion)
+        response.gap_m, depth = max(-depth, 0.0), max(depth, 0.0)
         force = self.stiffness_N_m * depth
         arm_x, arm_y, _ = self._radius * motion.rotation[:, 2]
         response.wrench[2] = force

@@ -9,6 +9,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 from tissue.prediction.edmd.lifted import Operator
+from tissue.prediction.predictor import AffineMap, interpolated
 
 __all__ = ["Kalman", "Linear", "LinearControl", "kalman_gains"]
 
@@ -46,7 +47,7 @@ class Linear:
         since, first = seen[0]
         self._slope = (force_N - first) / max(self._clock - since, self._window)
 
-    def predict(self, ticks: int) -> Array:
+    def predict(self, ticks: float) -> Array:
         """Along the line."""
         since, force = self._seen[-1]
         return force + (self._clock - since + ticks) * self._slope
@@ -96,7 +97,7 @@ class Kalman:
             state += kalman_gains(self._since, self._jerkiness)[:, None] * missed
             self._since, self._force = 0, force_N.copy()
 
-    def predict(self, ticks: int) -> Array:
+    def predict(self, ticks: float) -> Array:
         """Along the parabola; 0 ahead of a force that was just observed, that force."""
         if ticks == 0 and self._since == 0:
             return self._force
@@ -129,7 +130,8 @@ class LinearControl:
         self._A, self._B, self._offset = operator.A, operator.B, operator.offset
         self._step = operator.step_s
         self._known = np.zeros(9)
-        self._maps = [(np.eye(3, 9), np.zeros(3))]
+        self._maps: list[AffineMap] = [(np.eye(3, 9), np.zeros(3))]
+        self._lead, self._at_lead = 0.0, self._maps[0]
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
         """Take in the device and the force, or go a tick on by what was known."""
@@ -141,8 +143,20 @@ class LinearControl:
         known[:3] = expected if force_N is None else force_N
         known[3:6], known[6:] = position_m, velocity_m_s
 
-    def predict(self, ticks: int) -> Array:
-        """Powers of the operator, the device going on."""
+    def predict(self, ticks: float) -> Array:
+        """Powers of the operator, the device going on; on a straight line between two of them."""
+        whole = int(ticks)
+        if ticks == whole:
+            matrix, offset = self._map(whole)
+        else:
+            if ticks != self._lead:
+                self._lead = ticks
+                self._at_lead = interpolated(self._map(whole), self._map(whole + 1), ticks - whole)
+            matrix, offset = self._at_lead
+        return matrix @ self._known + offset
+
+    def _map(self, ticks: int) -> AffineMap:
+        """From what is known to the force after so many ticks."""
         while len(self._maps) <= ticks:
             matrix, offset = self._maps[-1]
             # Position enters at its value after the ticks gone by: x + k T v.
@@ -151,8 +165,7 @@ class LinearControl:
             onward = self._A @ matrix
             onward[:, 3:] += acting
             self._maps.append((onward, self._A @ offset + self._offset))
-        matrix, offset = self._maps[ticks]
-        return matrix @ self._known + offset
+        return self._maps[ticks]
 
     def pause(self) -> None:
         """The next sample is the last one."""

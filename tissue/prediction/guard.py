@@ -1,13 +1,14 @@
 """When a predictor is trusted, and what is played while it is not."""
 
 from collections import deque
-from math import isfinite, sqrt
+from math import ceil, isfinite, sqrt
 from typing import Protocol
 
 import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import require_positive
+from tissue.prediction.contact import Contact, SeesContact
 from tissue.prediction.predictor import Predictor
 
 __all__ = ["Guarded", "Judged"]
@@ -60,12 +61,19 @@ class Guarded:
 
     def __init__(self, inner: Judged, instead: Predictor, *, reach_N: float) -> None:
         self.inner, self.instead = inner, instead
+        self._shown = [each for each in (inner, instead) if isinstance(each, SeesContact)]
         self._reach = require_positive("reach_N", reach_N, "use the device's greatest force")
         self._share, self._good = 1.0, PROBATION
         self._difference: Triple = (0.0, 0.0, 0.0)
         self._kept: deque[tuple[Triple, Triple]] = deque()
-        self._lead, self._asked = 0, False
+        self._lead, self._asked = 0.0, False
+        self._seen, self._age = (0.0, 0.0, 0.0), 0
         self._missed = [0.0, 0.0]
+
+    def meet(self, contact: Contact) -> None:
+        """Pass it on to those that look at it."""
+        for each in self._shown:
+            each.meet(contact)
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
         """Pass the sample on and judge; one that is not finite, or absurd, counts as none."""
@@ -73,25 +81,21 @@ class Guarded:
             self.pause()
             return
         self._asked = False
-        missed = self._missed = [MEMORY * self._missed[0], MEMORY * self._missed[1]]
-        if force_N is not None and self._lead and len(self._kept) == self._lead:
-            kept, (fx, fy, fz) = self._kept[0], force_N.tolist()
-            # A touch that is foreseen is not held against who foresees it.
-            if any(kept[1]) and (fx or fy or fz):
-                for which, (x, y, z) in enumerate(kept):
-                    square = (fx - x) ** 2 + (fy - y) ** 2 + (fz - z) ** 2
-                    missed[which] += (1.0 - MEMORY) * square
+        self._missed = [MEMORY * self._missed[0], MEMORY * self._missed[1]]
+        self._age += 1
+        if force_N is not None:
+            self._compare(force_N)
         self.inner.observe(position_m, velocity_m_s, force_N)
         self.instead.observe(position_m, velocity_m_s, force_N)
         self.residual_N = self.inner.residual_N
-        primary, other = missed
+        primary, other = self._missed
         worse = not primary <= WORSE**2 * other + LEAST_N**2
         self._good = self._good + 1 if self.inner.trusted and not worse else 0
         change = 1.0 / BLEND
         self._share = min(self._share + change, 1.0) if self._good >= PROBATION else max(self._share - change, 0.0)
         self.is_primary = self._share > 0.5
 
-    def predict(self, ticks: int) -> Array:
+    def predict(self, ticks: float) -> Array:
         """Between both, by the share."""
         # Three numbers are quicker one by one than as arrays.
         u, v, w = self.inner.predict(ticks).tolist()
@@ -109,11 +113,28 @@ class Guarded:
         share = self._share
         return np.array((x + share * u, y + share * v, z + share * w))
 
-    def _keep(self, ticks: int, primary: Triple, safe: Triple) -> None:
+    def _compare(self, force_N: Array) -> None:
+        """Add what both missed of the force that was predicted for now, or for the time since the last tick."""
+        fx, fy, fz = force_N.tolist()
+        now = fx, fy, fz
+        if self._lead and len(self._kept) == ceil(self._lead):
+            kept = self._kept[0]
+            # A touch that is foreseen is not held against who foresees it.
+            if any(kept[1]) and any(now):
+                # The force lay between the last two that were seen when what was predicted was due.
+                back = (len(self._kept) - self._lead) / self._age
+                bx, by, bz = self._seen
+                fx, fy, fz = fx + back * (bx - fx), fy + back * (by - fy), fz + back * (bz - fz)
+                for which, (x, y, z) in enumerate(kept):
+                    square = (fx - x) ** 2 + (fy - y) ** 2 + (fz - z) ** 2
+                    self._missed[which] += (1.0 - MEMORY) * square
+        self._seen, self._age = now, 0
+
+    def _keep(self, ticks: float, primary: Triple, safe: Triple) -> None:
         """Keep what both predicted until that force is there."""
         self._asked = True
         if ticks != self._lead:
-            self._lead, self._kept = ticks, deque(maxlen=ticks)
+            self._lead, self._kept = ticks, deque(maxlen=ceil(ticks))
         self._kept.append((primary, safe))
 
     def pause(self) -> None:

@@ -6,14 +6,17 @@ import numpy as np
 
 from meshes.base.arrays import Array
 
-__all__ = ["Hold", "Predictor"]
+__all__ = ["AffineMap", "Hold", "Predictor", "interpolated"]
+
+AffineMap = tuple[Array, Array]
+"""Matrix M and offset c of a map M x + c."""
 
 
 class Predictor(Protocol):
     """Predicts the force on a device some ticks ahead of what has been seen of it.
 
     Once a tick `observe` gets where the device is and, in ticks in which the tissue has answered, the force; then
-    `ahead` gives the force to be expected. Both keep to a fixed cost.
+    `predict` gives the force to be expected. Both keep to a fixed cost.
     """
 
     residual_N: float
@@ -25,8 +28,12 @@ class Predictor(Protocol):
         """Take in the device's position [m] and velocity [m/s], shape (3,), and the force on it [N], or None."""
         ...
 
-    def predict(self, ticks: int) -> Array:
-        """Force to be expected so many ticks after the last observation [N], shape (3,); 0 is the present one."""
+    def predict(self, ticks: float) -> Array:
+        """Force to be expected so many ticks after the last observation [N], shape (3,); 0 is the present one.
+
+        Ticks need not be whole: what delays a force on its path to the motor is not, see
+        `tissue.haptics.loop.motor_path`.
+        """
         ...
 
     def pause(self) -> None:
@@ -50,9 +57,14 @@ class Hold:
             self.residual_N = float(np.sqrt(change @ change))
             self._force = force_N.copy()
 
-    def predict(self, ticks: int) -> Array:
+    def predict(self, ticks: float) -> Array:
         """The last force."""
         return self._force
 
     def pause(self) -> None:
         """Nothing depends on the ticks between forces."""
+
+
+def interpolated(before: AffineMap, after: AffineMap, share: float) -> AffineMap:
+    """The map at a share of the step from one to the next, on a straight line; exactly theirs at 0 and 1."""
+    return (1.0 - share) * before[0] + share * after[0], (1.0 - share) * before[1] + share * after[1]

@@ -1,6 +1,6 @@
-"""What training leaves behind for a scene: operators and the terms of the loop, in a file."""
+"""What training leaves behind for a scene: operators, their range, and what is asked beyond it, in a file."""
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +9,6 @@ import numpy as np
 from meshes.base.errors import InputError
 from tissue.prediction.edmd.lifted import Operator
 from tissue.prediction.edmd.predictor_file import read_predictor, write_predictor
-from tissue.prediction.koopman import LoopTerms
 
 __all__ = ["Trained", "shipped_file"]
 
@@ -23,11 +22,13 @@ class Trained:
     scene
         Name of the scene.
     operator
-        Of the lifted predictor; states are the device's position [m] and the force on it [N].
+        Of the lifted predictors, on displacement and stretch of an axis [m], see `tissue.prediction.paths`.
     control
         Of linear dynamic mode decomposition; states are the force, inputs position and velocity of the device.
-    terms
-        What else the lifted predictor needs in a loop.
+    growth
+        Mean square of the scaled windows above which the operator is out of its training.
+    fallback
+        Name of the predictor that is asked then: the best of those without an operator.
     facts
         How it was trained and validated: numbers and names.
     """
@@ -35,7 +36,8 @@ class Trained:
     scene: str
     operator: Operator
     control: Operator
-    terms: LoopTerms
+    growth: float
+    fallback: str = "hold"
     facts: dict[str, Any] = field(default_factory=dict)
 
     def write(self, path: Path, *, overwrite: bool = False) -> Path:
@@ -46,12 +48,9 @@ class Trained:
         InputError
             If the file exists and may not be written over, or its folder is missing.
         """
-        terms = asdict(self.terms)
-        following = terms.pop("following")
         operators = {"lifted": _rounded(self.operator), "control": _rounded(self.control)}
-        header = {"terms": terms, "told": self.facts}
-        arrays = {"following": following}
-        return write_predictor(path, operators, scene=self.scene, header=header, arrays=arrays, overwrite=overwrite)
+        header = {"growth": self.growth, "fallback": self.fallback, "facts": self.facts}
+        return write_predictor(path, operators, scene=self.scene, header=header, overwrite=overwrite)
 
     @classmethod
     def read(cls, path: Path, *, scene: str | None = None) -> "Trained":
@@ -64,10 +63,8 @@ class Trained:
         """
         stored = read_predictor(path, scene=scene)
         try:
-            given = stored.header["terms"]
-            terms = LoopTerms(**{**given, "gains": tuple(given["gains"])}, following=stored.arrays["following"])
-            lifted, control = stored.operators["lifted"], stored.operators["control"]
-            return cls(stored.scene, lifted, control, terms, stored.header["told"])
+            lifted, control, header = stored.operators["lifted"], stored.operators["control"], stored.header
+            return cls(stored.scene, lifted, control, float(header["growth"]), header["fallback"], header["facts"])
         except (KeyError, TypeError) as problem:
             raise InputError(
                 f"predictor file must hold what a loop needs, got {path} without {problem}: train it again with "

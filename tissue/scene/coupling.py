@@ -29,8 +29,8 @@ class Coupling(Part):
     """The same for rotation, with a device that plays torque."""
     damping_N_s_m: float = Field(0.0, ge=0, le=1000)
     """Damping at the device."""
-    force_scale: float | None = Field(None, ge=1e-4, le=100, examples=[0.1])
-    """Newtons at the device for each newton at the tool; without it 0.03 in bone, 0.1 in a tooth and 1 elsewhere."""
+    force_scale: Annotated[float, Field(ge=1e-4, le=100)] | Literal["auto"] = Field("auto", examples=[0.1])
+    """Newtons at the device for each newton at the tool; auto fits the script's largest force to the device."""
     motion_scale: float = Field(1.0, ge=0.01, le=100)
     """Metres at the tool for each metre at the device, both from where the motion starts; angles stay."""
     delay_ms: int = Field(0, ge=0, le=200)

@@ -16,6 +16,8 @@ class SoftAnatomy(Part):
     """Edge of a tetrahedron away from the tool."""
     touch_edge_mm: float | None = Field(None, ge=0.2, le=50, examples=[4.0])
     """Longest edge where the tool goes; without it a quarter of the probe's diameter."""
+    edge_growth: float = Field(0.5, gt=0, le=5)
+    """Growth of the edges with the distance from the tool's path, as far as `edge_mm`."""
     nodule_diameter_mm: float = Field(0.0, ge=0, le=60)
     """Diameter of a stiff ball in the tissue; 0 has none."""
     nodule_centre_mm: Vector = (0.0, 0.0, -15.0)

@@ -50,9 +50,9 @@ class AnatomyEntry:
         The part that describes the tools that it meets.
     build
         Makes the parts of a run.
-    force_scale
-        Newtons at the device for each one at the tool where a scene states nothing; 0.03 and 0.1 keep cutting within a
-        device's range.
+    force_N
+        Estimates the largest force that the tool meets on a scene's scripted motion [N], from which the scale of forces
+        at a device is chosen; without it, or where it gives 0, forces pass as they are.
     pictures
         Draw what only this tissue has into a file each of a run's pictures, by the file's name.
     faces
@@ -64,7 +64,7 @@ class AnatomyEntry:
     parameters: "type[Part] | str"
     tool: "type[Part] | str"
     build: "TissueBuilder | str"
-    force_scale: float = 1.0
+    force_N: "Callable[[Scene], float] | str | None" = None
     pictures: "Mapping[str, Callable[[Run, Path], None] | str]" = field(default_factory=dict)
     faces: "Callable[[Scene], dict[str, pyvista.PolyData]] | str | None" = None
     voxels: "Callable[[Scene], VoxelVolume] | str | None" = None
@@ -77,33 +77,40 @@ ANATOMIES: Registry[AnatomyEntry] = Registry(
             "tissue.scene.anatomy:GlenoidAnatomy",
             "tissue.scene.tool:Tool",
             "tissue.builders.cutting:milled",
-            force_scale=0.03,
+            force_N="tissue.builders.force_met:cut",
             voxels="tissue.builders.cutting:milled_voxels",
         ),
         "block": AnatomyEntry(
             "tissue.scene.anatomy:BlockAnatomy",
             "tissue.scene.tool:Tool",
             "tissue.builders.cutting:milled",
-            force_scale=0.03,
+            force_N="tissue.builders.force_met:cut",
             voxels="tissue.builders.cutting:milled_voxels",
         ),
         "molar": AnatomyEntry(
             "tissue.scene.anatomy:MolarAnatomy",
             "tissue.scene.tool:Tool",
             "tissue.builders.cutting:milled",
-            force_scale=0.1,
+            force_N="tissue.builders.force_met:cut",
             voxels="tissue.builders.cutting:milled_voxels",
         ),
         "liver": AnatomyEntry(
-            "tissue.scene.organ:LiverAnatomy", "tissue.scene.tool:Probe", "tissue.builders.organ_scene:pressed"
+            "tissue.scene.organ:LiverAnatomy",
+            "tissue.scene.tool:Probe",
+            "tissue.builders.organ_scene:pressed",
+            force_N="tissue.builders.force_met:pressed",
         ),
         "slab": AnatomyEntry(
-            "tissue.scene.organ:SlabAnatomy", "tissue.scene.tool:Probe", "tissue.builders.organ_scene:pressed"
+            "tissue.scene.organ:SlabAnatomy",
+            "tissue.scene.tool:Probe",
+            "tissue.builders.organ_scene:pressed",
+            force_N="tissue.builders.force_met:pressed",
         ),
         "layers": AnatomyEntry(
             "tissue.scene.organ:LayersAnatomy",
             "tissue.scene.tool:Needle",
             "tissue.builders.organ_scene:pierced",
+            force_N="tissue.builders.force_met:pierced",
             pictures={"insertion.png": "tissue.figures.insertion:draw_insertion"},
             faces="tissue.viewer.run:layer_faces",
         ),
@@ -263,7 +270,11 @@ PREDICTORS: Registry[PredictorEntry] = Registry(
         "linear": PredictorEntry("tissue.builders.prediction:linear", colour="#E69F00", marker="^"),
         "kalman": PredictorEntry("tissue.builders.prediction:kalman", colour="#CC79A7", marker="v"),
         "dmdc": PredictorEntry("tissue.builders.prediction:dmdc", trained=True, colour="#009E73", marker="D"),
+        "look-ahead": PredictorEntry("tissue.builders.prediction:look_ahead", colour="#56B4E9", marker="<"),
         "koopman": PredictorEntry("tissue.builders.prediction:koopman", trained=True, colour="#0072B2", marker="o"),
+        "koopman-look-ahead": PredictorEntry(
+            "tissue.builders.prediction:koopman_look_ahead", trained=True, colour="#D55E00", marker="P"
+        ),
     },
 )
 """What predicts the force on a device; colours after Okabe and Ito (2008)."""

@@ -68,7 +68,7 @@ class Output(Part):
     low_pass_ms: float = Field(1.0, ge=0, le=1000)
     """Time constant of the low-pass y += (1 - exp(-T/a)) (u - y); 0 passes the model's force on."""
     vibration_share: float = Field(0.0, ge=0, le=1)
-    """Amplitude of the teeth's vibration relative to the average force, rendered at 250 Hz at most."""
+    """Amplitude of the teeth's vibration relative to the average force, at 250 Hz at most; a device plays it too."""
 
 
 class Stress(Part):
@@ -142,8 +142,16 @@ class Scene(Part):
     @property
     def force_scale(self) -> float:
         """Newtons at the device for each newton at the tool."""
+        return self.chosen_scale[0]
+
+    @property
+    def chosen_scale(self) -> tuple[float, str]:
+        """The scale of forces, and from what it was chosen, in words; nothing where the scene states it."""
         given = self.coupling.force_scale
-        return ANATOMIES[self.anatomy.kind].force_scale if given is None else given
+        if given != "auto":
+            return given, ""
+        chosen: tuple[float, str] = loaded("tissue.builders.force_met:chosen_scale")(self)
+        return chosen
 
     @model_validator(mode="after")
     def _parts_fit(self) -> "Scene":

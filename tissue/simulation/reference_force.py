@@ -1,20 +1,29 @@
-"""The force that a device would play if nothing were late, coarse or filtered: what runs by a hand are held against."""
+"""The force that a device would play if nothing were late, coarse or filtered: what runs by a hand are held against.
+
+Errors are scored at the motor: what is played is taken through transport, hold and amplifier, and held against the
+ideal force at the same time. Beside an error stands the least one, that of a perfect force through the same encoder
+steps, low-pass and amplifier.
+"""
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
-from tissue.builders.loop import judged_loop
+from tissue.builders.loop import judged_loop, lead_ticks, motor_path
+from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.recorded import RecordedDevice
+from tissue.haptics.hand_measures import TRUE, VIBRATION
+from tissue.haptics.loop.motor_path import force_later_N, mean_over_ticks_N, motor_force_N
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
 from tissue.simulation.run import Run
 from tissue.simulation.simulate import TICK_S, simulate
 from tissue.simulation.trace import Table
 
-__all__ = ["ideal_force_N", "ideal_scene", "played_force_N", "stretch_force_N"]
+__all__ = ["MotorForces", "ideal_force_N", "ideal_scene", "motor_forces", "played_force_N", "stretch_force_N"]
 
 Array = NDArray[np.float64]
 PROMPT: dict[str, object] = {
@@ -52,8 +61,9 @@ def ideal_scene(scene: Scene, finest: Mapping[str, object] | None = None) -> Sce
 def ideal_force_N(run: Run, finest: Mapping[str, object] | None = None, *, cores: int | None = None) -> Array:
     """Force on the device that a prompt loop with the finest model gives on the very motion of a run [N], shape (n, 3).
 
-    The motion is that which the device has sampled, so that a hand's reaction to another force is no part of the
-    difference. Tissue that is cut differs by what the coarse model has cut otherwise, as it does in a run.
+    The motion is the device's, so that a hand's reaction to another force is no part of the difference: its true one
+    where the trace has it, which only a simulated device knows, and else what its encoders read. Tissue that is cut
+    differs by what the coarse model has cut otherwise, as it does in a run.
 
     Raises
     ------
@@ -63,7 +73,7 @@ def ideal_force_N(run: Run, finest: Mapping[str, object] | None = None, *, cores
     trace = run.trace
     played_back = RecordedDevice(
         trace["time_s"],
-        1e-3 * trace.vectors("device", "mm"),
+        1e-3 * trace.vectors("device_true" if TRUE[0] in trace else "device", "mm"),
         np.column_stack([trace[f"device_q{c}"] for c in "xyzw"]),
         rate_Hz=1.0 / TICK_S,
     )
@@ -72,20 +82,63 @@ def ideal_force_N(run: Run, finest: Mapping[str, object] | None = None, *, cores
 
 
 def stretch_force_N(run: Run) -> Array:
-    """The same without another run, on the run's own model: the stretch of the coupling's spring [N], shape (n, 3).
+    """The prompt force of a run itself: the stretch of the coupling's spring from tick to tick [N], shape (n, 3).
 
-    Exact where the tissue answers every tick; a coarse model's own error is left out.
+    It is formed from the positions that the encoders read, and by the run's own model: what a predictor is shown, where
+    that model answers every tick.
 
     Raises
     ------
     InputError
         If the run had no device.
     """
-    stiffness, trace = ideal_scene(run.scene).coupling.stiffness_N_m, run.trace
-    assert stiffness is not None
-    return 1e-3 * stiffness * (trace.vectors("tool", "mm") - trace.vectors("device", "mm"))
+    coupling, trace = ideal_scene(run.scene).coupling, run.trace
+    assert coupling.stiffness_N_m is not None
+    start_mm = 1e3 * run.parts.motion.sweep_m()[0]
+    tool_mm = start_mm + (trace.vectors("tool", "mm") - start_mm) / coupling.motion_scale
+    return 1e-3 * coupling.stiffness_N_m * (tool_mm - trace.vectors("device", "mm"))
 
 
 def played_force_N(trace: Table) -> Array:
     """Force on the device before its range is applied [N], shape (n, 3)."""
     return trace.vectors("filtered_force", "N")
+
+
+class MotorForces(NamedTuple):
+    """Forces at the motor, their mean over every tick but the last [N], each of shape (n - 1, 3).
+
+    Attributes
+    ----------
+    played
+        The force of the run, before the device's range is applied.
+    ideal
+        The prompt one at the device's position.
+    nearest
+        The prompt one of the run's encoder steps, foreseen by the delay of its path: its error is the least one of a
+        force that follows these steps. One that smooths them may have less.
+    sent
+        The force that the device was given, within its range and scaled for a person.
+    """
+
+    played: Array
+    ideal: Array
+    nearest: Array
+    sent: Array
+
+
+def motor_forces(run: Run, ideal_N: Array) -> MotorForces:
+    """Forces of a run where the motor acts, `ideal_N` being those of `ideal_force_N`.
+
+    Raises
+    ------
+    InputError
+        If the run had no device.
+    """
+    after = device_parameters(run.scene.device).loop(1.0)
+    nearest = motor_force_N(motor_path(run.scene), force_later_N(stretch_force_N(run), lead_ticks(run.scene)))
+    played = motor_force_N(after, played_force_N(run.trace))
+    steady = run.trace.vectors("device_force", "N")
+    if VIBRATION[0] in run.trace.columns:
+        steady = steady - run.trace.vectors("vibration", "N")
+    sent = motor_force_N(after, steady)
+    return MotorForces(played[:-1], mean_over_ticks_N(ideal_N), nearest[:-1], sent[:-1])

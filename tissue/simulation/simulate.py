@@ -3,7 +3,7 @@
 import gc
 import sys
 from contextlib import nullcontext, suppress
-from math import inf
+from math import ceil, inf
 from pathlib import Path
 from time import perf_counter
 from typing import Protocol, runtime_checkable
@@ -18,6 +18,7 @@ from tissue.builders.registry import build
 from tissue.haptics.device.device import Device
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.haptics.device.supervision import run_held
+from tissue.haptics.loop.motor_path import force_later_N
 from tissue.models.tissue_model import TICK_S, Finishes, HasNotices, WaitsForBackground
 from tissue.motion.motion import LONGEST_S, Motion
 from tissue.prediction.predictor import Predictor
@@ -69,7 +70,7 @@ class MovedByDevice(Protocol):
     after_s: float
     """How much later than the motion's path it ends [s]."""
     predictor: Predictor | None
-    lead_ticks: int
+    lead_ticks: float
     """Ticks by which the force is predicted."""
     model_ticks: int
     """Ticks for which one answer of the tissue holds."""
@@ -234,13 +235,14 @@ def _loop(
 def _foreseen(trace: Table, motion: MovedByDevice) -> str:
     """How near the predicted forces came to those that followed, in words; nothing where none did."""
     predicted, came, ticks = trace.vectors("predicted_force", "N"), trace.vectors("raw_force", "N"), motion.lead_ticks
-    size = float(np.linalg.norm(came))
+    size, known = float(np.linalg.norm(came)), len(came) - ceil(ticks)
     if size == 0.0 or not 0 < ticks < len(came) or motion.model_ticks > 1:
         return ""
-    missed, held = (100.0 * float(np.linalg.norm(came[ticks:] - f[:-ticks])) / size for f in (predicted, came))
+    later = force_later_N(came, ticks)
+    missed, held = (100.0 * float(np.linalg.norm((later - f)[:known])) / size for f in (predicted, came))
     share = 100.0 * float(trace["predicted_by"][np.any(came != 0.0, axis=1)].mean())
     return (
-        f"{ticks} ms ahead, off by {missed:.2g} % of the force where holding it is off by {held:.2g} %; its "
+        f"{ticks:.3g} ms ahead, off by {missed:.2g} % of the force where holding it is off by {held:.2g} %; its "
         f"own force in {share:.3g} % of the ticks in contact"
     )
 

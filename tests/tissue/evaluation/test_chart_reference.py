@@ -39,7 +39,11 @@ def test_what_forces_are_held_to_is_named(name, changes, words):
 def test_the_grids_of_an_index_change_every_length_alike(quick):
     for name, keys, last in (
         ("glenoid", ("voxels.spacing_mm", "tool.shell_spacing_mm"), 0.5 if quick else 1.0 / 3.0),
-        ("palpation", ("anatomy.touch_edge_mm", "anatomy.edge_mm"), 0.64 if quick else 0.5),
+        (
+            "palpation",
+            ("anatomy.touch_edge_mm", "anatomy.edge_mm", "anatomy.edge_growth"),
+            0.64 if quick else 0.5,
+        ),
     ):
         lengths = np.array([[each[key] for key in keys] for each in grids(load_scene(name), quick=quick)])
         assert lengths[0] == pytest.approx(lengths[2] / last)

@@ -18,8 +18,9 @@ from tissue.evaluation.charts.frontier import (
     undominated,
     write_measured,
 )
+from tissue.evaluation.charts.keys import setting_key
 from tissue.evaluation.charts.law import LawError
-from tissue.evaluation.charts.measure import Measured, excerpt, measure, setting_key
+from tissue.evaluation.charts.measure import Measured, excerpt, measure
 from tissue.evaluation.charts.picture import draw_frontiers
 from tissue.evaluation.charts.places import placed
 from tissue.evaluation.charts.reference import reference_gap

@@ -36,7 +36,7 @@ def planted(key, rng):
         "peak_force_N": 1.0 + rng.random(),
         "specimen": float(key.trial % 2),
         "level_N": (1.0 + 0.3 * (key.trial % 2)) * (1.0 + 0.01 * rng.random()),
-        "overshoot_mm": 0.5,
+        "excess_mm": 0.5,
         "capsule_N": 2.1 + 0.01 * rng.random(),
         "parenchyma_N": 1.6,
         "tracking_rms_N": 1.0,
@@ -51,7 +51,13 @@ def planted(key, rng):
     for method, left in LEFT.items():
         made = left * (doubled if left < 1.0 else 1.0) * error * (1.0 if left == 1.0 else np.exp(0.05 * rng.normal()))
         latency = 4.3 * left + 0.01 * rng.random() * (left < 1.0)
-        felt = {"force_error": made, "perceived_error": made + 0.1, "latency_ms": latency}
+        felt = {
+            "force_error": made,
+            "least_error": 0.6 * made,
+            "excess_error": 0.8 * made,
+            "perceived_error": made + 0.1,
+            "latency_ms": latency,
+        }
         rows.append({"method": method} | shared | felt)
     return rows
 

@@ -17,6 +17,7 @@ from tissue.haptics.loop.forecast import Forecast, forecast_of
 from tissue.haptics.loop.sampled_loop import plant_step
 from tissue.haptics.loop.stability_map import measured_critical_N_m
 from tissue.prediction.baselines import LinearControl
+from tissue.prediction.contact import Contact
 from tissue.prediction.predictor import Hold
 
 TICK = 1e-3
@@ -69,6 +70,9 @@ def grows(loop, stiffness, predictor, lead, *, ticks=2500):
             raw = -stiffness * place
         speed = (place - before) / TICK
         before = place
+        if loop.forecast.stiffness_N_m is not None:
+            rigid = 1e6 * stiffness * np.outer(up, up)
+            predictor.meet(Contact(stiffness, np.zeros(3), (force + raw) * up, rigid, normal=up))
         predictor.observe((rest + place) * up, speed * up, (force + raw) * up if is_model_tick else None)
         predicted = float(predictor.predict(lead) @ up) - force
         if tick < 0:
@@ -95,6 +99,11 @@ def grows(loop, stiffness, predictor, lead, *, ticks=2500):
         ("kalman", {"model_ticks": 4, "delay_ticks": 1}),
         ("linear", {"model_ticks": 5, "delay_ticks": 0}),
         ("control", {}),
+        ("look-ahead", {}),
+        ("look-ahead", {"model_ticks": 4, "delay_ticks": 1}),
+        ("koopman", {}),
+        ("koopman-look-ahead", {}),
+        ("koopman-look-ahead", {"delay_ticks": 1, "gain": 0.5}),
     ],
 )
 def test_the_judged_stiffness_is_where_the_loop_with_the_predictor_itself_starts_to_grow(kind, options):

@@ -3,38 +3,15 @@
 import numpy as np
 import pytest
 
+from tissue.haptics.proxy.cutting_tool import CuttingTool
 from tissue.haptics.proxy.guidance import CompensatedPath, Thrust
-from tissue.haptics.proxy.held_tool import CuttingTool, PressingTool
+from tissue.haptics.proxy.held_tool import PressingTool
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.models.wall import WallModel
 
 STEP_S = 1e-3
 DOWN = np.array([0.0, 0.0, -1.0])
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
-
-
-def test_a_cutting_tool_balances_spring_edge_and_resistance():
-    """k (d - s) = edge + c s / T in closed form; below the edge force it rests and presses by its share of it."""
-    stiffness, drag, edge, device = 1e4, 5e3, 8.0, 2e-3 * DOWN
-    tool, response = CuttingTool(stiffness, np.zeros(3)), Response.empty(1)
-    response.resistance[2], response.edge[2] = drag, edge
-    tip = tool.follow(device, UPRIGHT, response, DOWN, STEP_S)
-    np.testing.assert_allclose(-tip[2], (stiffness * 2e-3 - edge) / (stiffness + drag / STEP_S), rtol=1e-12)
-    at = tip.copy()
-    tip = tool.follow(at + 4e-4 * DOWN, UPRIGHT, response, DOWN, STEP_S)
-    np.testing.assert_array_equal(tip, at)
-    assert tool.pressed == pytest.approx(0.5)
-    tip = tool.follow(at - 1e-3 * DOWN, UPRIGHT, response, DOWN, STEP_S)
-    np.testing.assert_array_equal(tip, at - 1e-3 * DOWN)  # straight back nothing resists
-
-
-def test_what_a_cutting_tool_has_felt_fades_and_then_it_is_free():
-    tool, response, nothing = CuttingTool(1e4, np.zeros(3)), Response.empty(1), Response.empty(1)
-    response.resistance[2] = 1e5
-    tool.follow(1e-3 * DOWN, UPRIGHT, response, DOWN, STEP_S)
-    steps = -np.diff([tool.follow(1e-3 * DOWN, UPRIGHT, nothing, DOWN, STEP_S)[2] for _ in range(80)])
-    assert steps[0] < 2e-6 and (steps >= 0.0).all()
-    np.testing.assert_array_equal(tool.follow(2e-3 * DOWN, UPRIGHT, nothing, DOWN, STEP_S), 2e-3 * DOWN)
 
 
 @pytest.mark.parametrize("tissue_N_m", [50.0, 400.0, 4e3, 4e4])

@@ -117,16 +117,22 @@ def test_without_a_hand_a_tool_that_does_not_turn_is_refused():
 
 
 def test_prediction_is_part_of_what_is_judged():
-    """4 ms of latency: a guarded prediction bears what the force it hands over to bears, and no more."""
+    """4 ms of latency: simple predictions bear what none bears; an operator more, and less where it is played twice over.
+
+    Measured margins at 200 N/m: 0.72 of holding, 0.79 of the operators, 0.66 of twice their step.
+    """
     late = {"coupling__delay_ms": 4, "duration_s": 0.01}
     for kind in ("none", "hold", "linear", "kalman"):
         with pytest.raises(InputError, match=r"coupling\.stiffness_N_m must be below 71"):
             run_of("wall", prediction=kind, coupling__stiffness_N_m=800.0, **late)
     soft = late | {"coupling__stiffness_N_m": 200.0}
     held = run_of("wall", prediction="hold", **soft).trace["margin"][0]
-    for gain, hurts in ((1.0, False), (2.0, True)):
-        margin = run_of("wall", prediction="koopman", coupling__prediction_gain=gain, **soft).trace["margin"][0]
-        assert (margin < held - 0.1) == hurts
+    for kind in ("koopman", "koopman-look-ahead"):
+        once, twice = (
+            run_of("wall", prediction=kind, coupling__prediction_gain=gain, **soft).trace["margin"][0]
+            for gain in (1.0, 2.0)
+        )
+        assert once > held + 0.03 and twice < held - 0.03, kind
 
 
 def test_the_coupling_names_what_stops_a_ringing():

@@ -17,7 +17,7 @@ def by_hand(scene, **changes):
     ("scene", "changes", "least_saved"),
     [
         ("wall", {"duration_s": 1.2}, 0.9),
-        ("milling", {"duration_s": 1.2}, 0.9),
+        ("milling", {"duration_s": 3.0}, 0.9),
         pytest.param(
             "molar",
             {"voxels.spacing_mm": 0.1, "stress": None, "duration_s": 2.0, "hand": "novice"},

@@ -77,8 +77,8 @@ def again(path, **changed):
     ("changed", "sentence"),
     [
         (
-            {"version": 2},
-            "predictor file must be of format 1 or older, got 2, written by tissue .*: read it with that version",
+            {"version": 3},
+            "predictor file must be of format 2 or older, got 3, written by tissue .*: read it with that version",
         ),
         ({"scene": "liver"}, "predictor file must be of scene wall, got liver in .*: train it again"),
         ({"format": "other"}, "predictor file must be one that 'tissue train' wrote"),

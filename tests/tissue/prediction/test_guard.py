@@ -60,6 +60,33 @@ def test_who_misses_more_than_the_other_is_not_asked():
     assert primary[0] and not any(primary[20:200]) and primary[-1]
 
 
+class Ramp(Fake):
+    """Predicts a force that rises by 0.1 N a tick, and so much more."""
+
+    clock = 0
+
+    def observe(self, position_m, velocity_m_s, force_N):
+        self.clock += 1
+
+    def predict(self, ticks):
+        return np.full(3, 0.1 * (self.clock + ticks) + self.constant)
+
+
+@pytest.mark.parametrize("model_ticks", [1, 5])
+def test_a_prediction_for_a_time_between_ticks_is_judged_by_the_force_between(model_ticks):
+    """Half a tick early or late would be an error of 0.05 N, more than 1.5 times the other's 0.02 N."""
+    guarded = Guarded(Ramp(0.0), Ramp(0.02), reach_N=10.0)
+    primary = []
+    for tick in range(400):
+        force = np.full(3, 0.1 * (tick + 1))
+        guarded.observe(np.zeros(3), np.zeros(3), force if tick % model_ticks == 0 else None)
+        guarded.predict(3.5)
+        primary.append(guarded.is_primary)
+    assert all(primary)
+    exact, other = guarded._missed
+    assert exact < 1e-20 and other > 0.1 * 3.0 * 0.02**2
+
+
 def test_the_transition_between_two_predictors_is_bounded_and_finite():
     inner = Fake(1e6)
     guarded = Guarded(inner, Fake(0.0), reach_N=2.0)

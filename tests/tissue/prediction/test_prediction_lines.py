@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from tissue.evaluation.charts.prediction import Interval, PredictorComparison, comparison_lines
+from tissue.evaluation.charts.prediction import OURS, Interval, PredictorComparison, comparison_lines
 from tissue.evaluation.training.evaluation import HORIZONS
 from tissue.scene.registry import PREDICTORS
 
 
 def line_of(differences):
-    """The sentence on runs of very different errors, in which koopman's are these much greater than all others'."""
+    """The sentence on runs of very different errors, in which ours are these much greater than all others'."""
     runs = np.geomspace(0.01, 0.5, len(differences))
     errors = {kind: np.tile(runs[:, None], len(HORIZONS)) for kind in PREDICTORS}
-    errors["koopman"] = errors["koopman"] + np.array(differences)[:, None]
+    errors[OURS] = errors[OURS] + np.array(differences)[:, None]
     empty, nothing = np.array([], dtype=complex), Interval(0.0, 0.0, 0.0)
     found = PredictorComparison("wall", errors, dict.fromkeys(PREDICTORS, (1.0, 2.0)), empty, {1: nothing}, {})
     return comparison_lines([found])[-1]
@@ -28,7 +28,7 @@ def line_of(differences):
     ],
 )
 def test_one_predictor_is_better_only_where_pairs_of_runs_show_it(differences, verdict):
-    assert f"{verdict} the best baseline, " in line_of(differences)
+    assert f"{verdict} the best other, " in line_of(differences)
 
 
 def test_the_interval_of_pairs_is_that_of_student():

@@ -7,16 +7,15 @@ import pytest
 
 from tissue import InputError, load_scene
 from tissue.builders.prediction import predictor, trained_predictor
-from tissue.evaluation.training import fitting
 from tissue.evaluation.training.evaluation import forecast_errors
 from tissue.evaluation.training.fitting import fit
 from tissue.evaluation.training.recording import Recording
+from tissue.evaluation.training.train import with_fallback
 from tissue.prediction.baselines import Kalman, Linear, LinearControl, kalman_gains
+from tissue.prediction.contact import Contact, SeesContact
 from tissue.prediction.edmd.dictionary import Identity
 from tissue.prediction.edmd.edmd import Edmd
-from tissue.prediction.edmd.overlaps import Overlaps
-from tissue.prediction.edmd.predictor_file import from_plain, to_plain
-from tissue.prediction.koopman import WIDTH, Koopman
+from tissue.prediction.paths import OperatorPath
 from tissue.prediction.trained import Trained
 from tissue.scene.registry import PREDICTORS
 
@@ -36,14 +35,33 @@ def spring_run(seed, ticks=1200, stiffness=STIFFNESS_N_M):
     velocity = np.diff(position, axis=0, prepend=position[:1]) / 1e-3
     force = np.zeros_like(position)
     force[:, 2] = stiffness * np.maximum(0.0, -position[:, 2])
-    return Recording(position, velocity, force, "expert", seed)
+    return Recording(position, velocity, force, contacts(position, force, stiffness), "expert", seed)
+
+
+def contacts(position, force, stiffness, face=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0)):
+    """A tool that a rigid face keeps above it, on a coupling of that stiffness."""
+    normal = np.array(normal)
+    tips = position + force / stiffness
+    rigid = 1e6 * stiffness * np.outer(normal, normal)
+    return np.array(
+        [
+            Contact(stiffness, tip, f, rigid, max(float(normal @ (tip - face)), 0.0), normal).row()
+            for tip, f in zip(tips, force, strict=True)
+        ]
+    )
+
+
+def show(predictor, run, row):
+    """One tick of a recording."""
+    if isinstance(predictor, SeesContact):
+        predictor.meet(Contact.of_row(run.contact[row]))
+    predictor.observe(run.position_m[row], run.velocity_m_s[row], run.force_N[row])
 
 
 @pytest.fixture(scope="module")
 def trained():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fitting, "LAGS", (10,))  # fewer dictionaries to choose from
-        return fit("spring", [spring_run(seed) for seed in range(6)], rng=np.random.default_rng(0))
+    runs = [spring_run(seed) for seed in range(6)]
+    return with_fallback(fit("spring", runs), runs, LIMIT_N)
 
 
 def made(kind, trained):
@@ -54,6 +72,10 @@ def feed(predictor, forces, positions=None):
     """Give a predictor forces along z, a tick each."""
     for index, force in enumerate(forces):
         position = np.zeros(3) if positions is None else positions[index]
+        if isinstance(predictor, SeesContact):
+            tip = position + np.array([0.0, 0.0, force / STIFFNESS_N_M])
+            rigid = 1e6 * STIFFNESS_N_M * np.diag([0.0, 0.0, 1.0])
+            predictor.meet(Contact(STIFFNESS_N_M, tip, np.array([0.0, 0.0, force]), rigid))
         predictor.observe(position, np.zeros(3), np.array([0.0, 0.0, force]))
     return predictor
 
@@ -62,7 +84,7 @@ def feed(predictor, forces, positions=None):
 def test_a_zero_horizon_is_the_present_force(kind, trained):
     predictor, run = made(kind, trained), spring_run(50)
     for row in range(300):
-        predictor.observe(run.position_m[row], run.velocity_m_s[row], run.force_N[row])
+        show(predictor, run, row)
         np.testing.assert_allclose(predictor.predict(0), run.force_N[row], atol=1e-12)
 
 
@@ -71,7 +93,7 @@ def test_asking_changes_nothing(kind, trained):
     asked, quiet, run = made(kind, trained), made(kind, trained), spring_run(51)
     for row in range(200):
         for each in (asked, quiet):
-            each.observe(run.position_m[row], run.velocity_m_s[row], run.force_N[row])
+            show(each, run, row)
         for ticks in (4, 7, 1, 3):
             asked.predict(ticks)
         np.testing.assert_array_equal(asked.predict(4), quiet.predict(4))
@@ -96,6 +118,24 @@ def test_a_parabola_goes_on_in_the_filter_alone():
     predicted = feed(Kalman(), 1e-6 * times**2).predict(8)[2]
     assert predicted == pytest.approx(1e-6 * 407.0**2, abs=1e-9)
     assert abs(feed(Linear(), 1e-6 * times**2).predict(8)[2] - predicted) > 1e-5
+
+
+@pytest.mark.parametrize("predictor", [Linear(), Kalman()], ids=["line", "parabola"])
+def test_a_line_goes_on_between_ticks(predictor):
+    assert feed(predictor, 2e-3 * np.arange(400)).predict(6.11)[2] == pytest.approx(2e-3 * 405.11, abs=1e-9)
+
+
+def test_powers_are_joined_by_straight_lines_between_ticks(trained):
+    loop, run = made("dmdc", trained).inner, spring_run(62)
+    path = OperatorPath(trained.operator, growth=trained.growth)
+    for row in range(150, 400):
+        loop.observe(run.position_m[row], run.velocity_m_s[row], run.force_N[row])
+        path.observe(run.position_m[row], run.force_N[row] / STIFFNESS_N_M)
+        if row % 10 == 0:
+            for ask in (loop.predict, path.displacement_m, path.stretch_m):
+                for whole, share in ((0, 0.5), (4, 0.25), (9, 0.875)):
+                    expected = (1.0 - share) * ask(whole) + share * ask(whole + 1)
+                    np.testing.assert_allclose(ask(whole + share), expected, rtol=1e-9, atol=1e-12)
 
 
 def test_kalman_gains_are_those_that_the_recursion_settles_to():
@@ -153,18 +193,17 @@ def test_after_a_pause_rates_begin_anew(kind, trained):
 
 
 def test_the_loop_predicts_as_the_operator_does(trained):
-    """C A^h phi by one matrix is h steps of the operator; the last one-step error is added by its gain."""
-    terms = replace(trained.terms, quiet_N=0.0)
-    loop, run, lags = Koopman(trained.operator, terms), spring_run(60), trained.operator.dictionary.lags
+    """Sums and powers by one matrix are h steps of the operator, axis by axis."""
+    run, lags = spring_run(60), trained.operator.dictionary.lags
+    path = OperatorPath(trained.operator, growth=trained.growth)
     for row in range(200):
-        loop.observe(run.position_m[row], run.velocity_m_s[row], run.force_N[row])
-    states = np.hstack((run.position_m, run.force_N))[200 - lags - 2 : 200]
-    missed = states[-1, 3:] - trained.operator.predict(states[:-1], None, 1)[0, 3:]
-    missed *= min(1.0, terms.correction_N / np.linalg.norm(missed))
-    wanted = trained.operator.predict(states[1:], None, 9)[:, 3:]
-    for ticks in (1, 4, 9):
-        expected = wanted[ticks - 1] + terms.gains[ticks - 1] * missed
-        np.testing.assert_allclose(loop.predict(ticks), expected, rtol=1e-9, atol=1e-10)
+        path.observe(run.position_m[row], run.force_N[row] / STIFFNESS_N_M)
+    for axis, episode in enumerate(run.episodes()):
+        states = trained.operator.predict(episode.states[200 - lags - 1 : 200], None, 9)
+        for ticks in (1, 4, 9):
+            moved, stretch = path.displacement_m(ticks)[axis], path.stretch_m(ticks)[axis]
+            assert moved == pytest.approx(states[:ticks, 0].sum(), rel=1e-9, abs=1e-14)
+            assert stretch == pytest.approx(states[ticks - 1, 1], rel=1e-9, abs=1e-14)
 
 
 def test_contact_is_foreseen_where_lines_cannot(trained):
@@ -175,63 +214,58 @@ def test_contact_is_foreseen_where_lines_cannot(trained):
         for kind in PREDICTORS
     }
     for kind in ("hold", "linear", "kalman", "dmdc"):
-        assert (errors["koopman"] < errors[kind]).all(), kind
-    assert errors["koopman"][0] < 0.3 * errors["hold"][0]
+        for ours in ("look-ahead", "koopman", "koopman-look-ahead"):
+            assert (errors[ours] < errors[kind]).all(), (ours, kind)
+    assert (errors["koopman-look-ahead"] < errors["look-ahead"]).all()
+    assert errors["koopman-look-ahead"][0] < 0.3 * errors["hold"][0]
 
 
-def test_a_slow_model_is_bridged(trained):
-    """The force is seen every tenth tick, the device in every one: far closer than holding what was seen."""
-    runs = [spring_run(seed) for seed in (90, 91)]
+@pytest.mark.parametrize("model_ticks", [2, 4, 10])
+def test_a_slow_model_is_bridged(model_ticks, trained):
+    """The force is seen in some ticks, the device in every one: 0.08 to 0.13 of what holding misses, without a guard.
+
+    Look-ahead is shown the law of the last answer, which on a rigid face is exact.
+    """
+    runs = [spring_run(seed) for seed in (90, 91, 92, 93)]
     error = {
-        kind: forecast_errors(lambda k=kind: made(k, trained), runs, horizons=(0,), model_ticks=10).mean()
-        for kind in ("hold", "linear", "koopman")
+        kind: forecast_errors(lambda k=kind: made(k, trained), runs, horizons=(0,), model_ticks=model_ticks).mean()
+        for kind in ("hold", "linear", "koopman", "koopman-look-ahead")
     }
-    assert error["koopman"] < 0.5 * error["hold"]
-    assert error["koopman"] < error["linear"]
+    bare = lambda: made("koopman", trained).inner  # noqa: E731
+    alone = forecast_errors(bare, runs, horizons=(0,), model_ticks=model_ticks).mean()
+    assert max(error["koopman"], alone) < 0.15 * error["hold"] and error["koopman"] < error["linear"] < error["hold"]
+    assert error["koopman-look-ahead"] < 1e-3 * error["hold"]
 
 
-@pytest.mark.parametrize("why", ["range", "residual", "growth", "short"])
-def test_each_reason_ends_trust(why, trained):
-    run, terms = spring_run(61), trained.terms
-    if why == "growth":
-        terms = replace(terms, growth=1e-3)
-    loop = Koopman(trained.operator, terms)
+@pytest.mark.parametrize("kind", ["koopman", "koopman-look-ahead"])
+@pytest.mark.parametrize("why", ["growth", "short", "alone"])
+def test_each_reason_ends_trust(why, kind, trained):
+    """A motion as quick as none in training, a window that is not full, and no contact ever shown."""
+    run, loop = spring_run(61), made(kind, trained).inner
     for row in range(200):
-        loop.observe(run.position_m[row], run.velocity_m_s[row], run.force_N[row])
-    if why == "growth":
-        assert not loop.trusted
+        if why == "alone":
+            loop.observe(run.position_m[row], run.velocity_m_s[row], run.force_N[row])
+        else:
+            show(loop, run, row)
+    if why == "alone":
+        assert not loop.trusted and loop.predict(4) == pytest.approx(run.force_N[199])
         return
     assert loop.trusted
-    if why == "range":
-        loop.observe(np.array([0.0, 0.0, 1.0]), np.zeros(3), run.force_N[200])
-    elif why == "residual":
-        for row in range(200, 210):
-            loop.observe(run.position_m[row], run.velocity_m_s[row], run.force_N[row] * (1.0 + 0.5 * (row % 2)) + 0.2)
-    else:
+    if why == "short":
         loop.pause()
-        loop.observe(run.position_m[200], run.velocity_m_s[200], run.force_N[200])
+        show(loop, run, 200)
+    else:
+        far = replace(run, position_m=run.position_m + 0.2 * (np.arange(1200) % 2)[:, None])
+        for row in range(200, 240):
+            show(loop, far, row)
     assert not loop.trusted
 
 
-def test_no_force_is_predicted_for_a_free_device(trained):
-    loop = made("koopman", trained)
-    above = np.array([0.0, 0.0, 4e-3])
-    for _ in range(100):
-        loop.observe(above, np.zeros(3), np.zeros(3))
+@pytest.mark.parametrize("kind", ["hold", "linear", "kalman", "look-ahead", "koopman", "koopman-look-ahead"])
+def test_a_free_device_that_rests_has_no_force(kind, trained):
+    loop, above = made(kind, trained), np.array([0.0, 0.0, 4e-3])
+    feed(loop, np.zeros(100), np.tile(above, (100, 1)))
     assert not loop.predict(4).any()
-
-
-def test_overlaps_are_those_of_a_steady_speed():
-    """z = 3 mm falling 0.5 mm a step: gaps 3, 2, -1 mm after 0, 2 and 8 steps; rates by differences; plain and back."""
-    seen = Overlaps((0.0, 0.0, 1.0), 0.0, (0.0, 2.0, 8.0), 4, WIDTH)
-    window = np.zeros((5, WIDTH))
-    window[:, 2] = 3e-3 + 0.5e-3 * np.arange(5)
-    np.testing.assert_allclose(seen.extra(window.ravel()), [0.0, 0.0, 1e-3], atol=1e-15)
-    rng = np.random.default_rng(5)
-    states, rates = rng.standard_normal((50, 5 * WIDTH)), rng.standard_normal((50, 5 * WIDTH))
-    difference = (seen.extra(states + 1e-7 * rates) - seen.extra(states - 1e-7 * rates)) / 2e-7
-    np.testing.assert_allclose(seen.extra_rates(states, rates), difference, atol=1e-6)
-    assert from_plain(to_plain(seen)) == seen
 
 
 def test_a_file_gives_the_same_predictor(trained, tmp_path):
@@ -240,7 +274,7 @@ def test_a_file_gives_the_same_predictor(trained, tmp_path):
     first, second = made("koopman", trained), made("koopman", again)
     for row in range(300):
         for each in (first, second):
-            each.observe(run.position_m[row], run.velocity_m_s[row], run.force_N[row])
+            show(each, run, row)
     # Matrices are kept in single precision: 1e-7 of states whose weights cancel to a hundredth.
     np.testing.assert_allclose(second.predict(6), first.predict(6), atol=1e-4)
     assert again.facts == trained.facts
@@ -270,10 +304,8 @@ def test_what_cannot_be_used_is_refused(trained, tmp_path):
         predictor("koopman", scene_name="wall", file="", force_limit_N=LIMIT_N, tick_s=2e-3)
     with pytest.raises(InputError, match="prediction must be left out without a device, got koopman"):
         load_scene("palpation", {"prediction": "koopman"})
-    still = [
-        Recording(run.position_m, run.velocity_m_s, 0.0 * run.force_N, "expert", run.seed) for run in [spring_run(1)]
-    ]
+    still = [replace(spring_run(1), force_N=np.zeros((1200, 3)))]
     with pytest.raises(InputError, match="trials must leave at least 3 to learn from, got 1"):
-        fit("spring", still, rng=np.random.default_rng(0))
+        fit("spring", still)
     with pytest.raises(InputError, match="scene must have a tool that touches, got no force in any trial"):
-        fit("spring", still * 3, rng=np.random.default_rng(0))
+        fit("spring", still * 3)

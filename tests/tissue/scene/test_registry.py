@@ -129,7 +129,7 @@ def test_a_predictor_from_outside_predicts_and_is_charted(added, tmp_path):
     third, held = run_of(prediction="third"), run_of(prediction="hold")
     assert force_N(third).max() < 0.8 * force_N(held).max()
     with pytest.raises(
-        InputError, match=r"prediction must be one of none, hold, .*, koopman, third, got thirt \(did you"
+        InputError, match=r"prediction must be one of none, hold, .*, koopman-look-ahead, third, got thirt \(did you"
     ):
         load_scene("wall", {"prediction": "thirt"})
     with pytest.raises(

@@ -150,7 +150,8 @@ def test_a_tissue_from_outside_is_met(added):
     run = simulate(load_scene("palpation", changes))
     force, depth = run.trace["model_force_z_N"], run.trace["depth_mm"]
     np.testing.assert_allclose(force, 0.1 * depth, atol=1e-12)
-    assert depth[-1] > 1.0 and run.scene.force_scale == 0.5 and run.parts.notes["jelly"] == "it is soft"
+    assert load_scene("palpation", changes | {"device": "touch"}).force_scale == 0.028  # 0.35 of 3.3 N for 40 N
+    assert depth[-1] > 1.0 and run.scene.force_scale == 1.0 and run.parts.notes["jelly"] == "it is soft"
     assert Scene.model_validate(run.scene.model_dump()) == run.scene
     for key, value, refusal in (
         (

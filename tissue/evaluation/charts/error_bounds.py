@@ -4,7 +4,8 @@ from math import nan
 
 import numpy as np
 
-from tissue.evaluation.charts.measure import Measured, machine
+from tissue.evaluation.charts.keys import machine
+from tissue.evaluation.charts.measure import Measured
 from tissue.evaluation.charts.reference import grid_force_N
 from tissue.evaluation.statistics.metrics import force_error
 from tissue.scene.scene import Scene

@@ -12,16 +12,10 @@ from meshes.base.cache import cache_folder, read_entry, write_entry
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.charts.error_bounds import bound_row, float32_error
+from tissue.evaluation.charts.keys import machine, scene_text, setting_key, sources
 from tissue.evaluation.charts.law import LawError, law_error
-from tissue.evaluation.charts.measure import (
-    PROTOCOL,
-    Measured,
-    excerpt,
-    machine,
-    measure,
-    setting_key,
-)
-from tissue.evaluation.charts.reference import of_model, reference_gap, scene_text
+from tissue.evaluation.charts.measure import Measured, excerpt, measure
+from tissue.evaluation.charts.reference import of_model, reference_gap
 from tissue.evaluation.charts.settings import Setting, settings_of
 from tissue.scene.scene import Scene
 
@@ -144,7 +138,7 @@ def _gap(scene: Scene, path: Path, *, quick: bool) -> float:
 
 def _store(scene: Scene, *, quick: bool) -> Path:
     """Where a scene's measurements are kept: with the computed arrays of this machine."""
-    text = f"{scene_text(scene)}|{machine()}|{quick}|{PROTOCOL}"
+    text = f"{scene_text(scene)}|{machine()}|{quick}|{sources()}"
     return cache_folder() / "frontiers" / f"{scene.name}-{blake2b(text.encode(), digest_size=8).hexdigest()}.csv"
 
 

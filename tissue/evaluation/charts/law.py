@@ -22,8 +22,8 @@ from meshes.tets.regions import faces_of
 from tissue.builders.organ import elasticity_of, held_mesh
 from tissue.builders.registry import motion_of
 from tissue.evaluation.charts.error_bounds import bound_row
-from tissue.evaluation.charts.measure import Measured, machine
-from tissue.evaluation.charts.reference import scene_text
+from tissue.evaluation.charts.keys import machine, scene_text, sources
+from tissue.evaluation.charts.measure import Measured
 from tissue.evaluation.statistics.metrics import force_error
 from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
@@ -163,7 +163,7 @@ def law_error(scene: Scene, *, report: Progress = silent) -> LawError | None:
             "took_s": np.array(perf_counter() - started),
         }
 
-    kept = cached_arrays("law", (scene_text(scene), INSTANTS, POSES, EDGES, TOLERANCE, machine()), make)
+    kept = cached_arrays("law", (scene_text(scene), INSTANTS, POSES, EDGES, TOLERANCE, machine(), sources()), make)
     return LawError(**{entry.name: kept[entry.name] for entry in fields(LawError)})  # type: ignore[arg-type]
 
 

@@ -1,9 +1,6 @@
 """Run a scene at a setting; measure the time of a tick and the error of its force against the reference."""
 
-import hashlib
-import platform
 from dataclasses import asdict, dataclass, fields
-from importlib.metadata import version
 from time import perf_counter
 
 import numpy as np
@@ -12,8 +9,9 @@ from numpy.typing import NDArray
 from meshes.base.cache import cached_arrays
 from meshes.base.errors import InputError
 from meshes.shapes.polyline import arc_length, points_along
+from tissue.evaluation.charts.keys import machine, scene_text, setting_key, sources
 from tissue.evaluation.charts.places import placed
-from tissue.evaluation.charts.reference import force_and_reference_N, of_model, scene_text
+from tissue.evaluation.charts.reference import force_and_reference_N, of_model
 from tissue.evaluation.charts.settings import Changes, Setting
 from tissue.evaluation.reference.error import means_over_50_ms
 from tissue.evaluation.statistics.metrics import force_error
@@ -29,9 +27,7 @@ __all__ = [
     "Measured",
     "counts",
     "excerpt",
-    "machine",
     "measure",
-    "setting_key",
 ]
 
 EXCERPT_S = {True: 1.2, False: 3.0}
@@ -44,8 +40,6 @@ STRAY_MM = 1.5
 """The same by hand, which strays from the path."""
 REPEATS = 2
 """Runs of a setting at one place, of which the faster counts; a quick chart of a loop makes do with one."""
-PROTOCOL = "three places, visits, exact geometry or three grids"
-"""How errors are measured: part of every key, to be changed with it."""
 SETTLED = 20
 """Ticks in contact that are not counted: the first ones load code."""
 
@@ -107,23 +101,6 @@ class Measured:
         return cls(**{each.name: each.type(row[each.name]) for each in fields(cls)})  # type: ignore[operator]
 
 
-def machine() -> str:
-    """What a time belongs to: processor, cores, and the versions that compute."""
-    import psutil
-
-    return (
-        f"{platform.machine()} {psutil.cpu_count()} cores {platform.system()}; tissue {version('tissue-sim')}, "
-        f"warp {version('warp-lang')}, numpy {version('numpy')}, Python {platform.python_version()}"
-    )
-
-
-def setting_key(scene: Scene, setting: Setting, *, quick: bool) -> str:
-    """Hash of a scene at a setting and of the machine."""
-    at = scene_text(changed(scene, setting.changes))
-    text = f"{at}|{setting.cores}|{setting.compute}|{quick}|{PROTOCOL}|{machine()}"
-    return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
-
-
 def excerpt(scene: Scene, coarse: Changes, *, quick: bool) -> Scene:
     """The scene up to some time after its path first touches, with little tissue around it.
 
@@ -161,7 +138,7 @@ def _first_contact_s(scene: Scene, span_s: float) -> float:
                     raise
             span *= 2.0
 
-    key = (scene_text(scene), span_s, version("tissue-sim"))
+    key = (scene_text(scene), span_s, sources())
     return float(np.asarray(cached_arrays("contact", key, found)["time_s"])[0])
 
 

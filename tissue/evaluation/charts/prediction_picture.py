@@ -75,7 +75,7 @@ def _over_horizon(axes: "Axes", found: "PredictorComparison") -> None:
         looks = PREDICTORS[kind]
         percent = [(100 * at.mean, 100 * at.low, 100 * at.high) for at in (found.at(kind, each) for each in HORIZONS)]
         mean, low, high = zip(*percent, strict=True)
-        strong = STRONG if kind == "koopman" else 1.1
+        strong = STRONG if kind == "koopman-look-ahead" else 1.1
         axes.plot(HORIZONS, mean, "-" + looks.marker, color=looks.colour, label=kind, markersize=4, linewidth=strong)
         axes.fill_between(HORIZONS, low, high, color=looks.colour, alpha=0.15)
     axes.set(xlabel="horizon / ms", ylabel="force error / %", yscale="log")
@@ -115,7 +115,7 @@ def _sizes(axes: "Axes", found: "PredictorComparison") -> None:
     axes.errorbar(
         sizes, [100 * a.mean for a in at], bars, fmt="-o", color=PREDICTORS["koopman"].colour, capsize=3, ms=4
     )
-    axes.set(xlabel="runs trained on", ylabel="koopman's error 4 ms ahead / %", ylim=(0, None))
+    axes.set(xlabel="runs trained on", ylabel="error 4 ms ahead / %", ylim=(0, None))
     axes.grid(alpha=0.3)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.cache import cached_arrays
+from tissue.evaluation.charts.keys import scene_text, sources
 from tissue.evaluation.charts.settings import Changes, finest, grids, shares
 from tissue.evaluation.reference.grid_index import grid_index
 from tissue.evaluation.reference.history import has_exact_geometry, reference_force
@@ -20,12 +21,7 @@ from tissue.simulation.reference_force import ideal_force_N, played_force_N
 from tissue.simulation.run import Run
 from tissue.simulation.simulate import simulate
 
-__all__ = ["force_and_reference_N", "grid_force_N", "of_model", "reference_gap", "reference_words", "scene_text"]
-
-
-def scene_text(scene: Scene) -> str:
-    """A scene without its words and its wishes, as text: what its numbers depend on."""
-    return scene.model_copy(update={"description": "", "fidelity": None}).to_toml()
+__all__ = ["force_and_reference_N", "grid_force_N", "of_model", "reference_gap", "reference_words"]
 
 
 def of_model(scene: Scene) -> Scene:
@@ -38,7 +34,7 @@ def grid_force_N(scene: Scene, changes: Changes) -> Array:
     at = changed(of_model(scene), changes)
     forces = cached_arrays(
         "grid-force",
-        (scene_text(at), version("tissue-sim"), version("warp-lang")),
+        (scene_text(at), sources(), version("warp-lang")),
         lambda: {"force_N": simulate(at).trace.vectors("model_force", "N")},
     )
     return np.asarray(forces["force_N"], dtype=np.float64)

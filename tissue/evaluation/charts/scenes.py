@@ -14,7 +14,7 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.charts.frontier import Frontier, frontier_of, measured_keys, short_of, write_measured
-from tissue.evaluation.charts.measure import machine, setting_key
+from tissue.evaluation.charts.keys import machine, setting_key
 from tissue.evaluation.charts.overview import draw_overview
 from tissue.evaluation.charts.picture import draw_frontiers
 from tissue.evaluation.charts.places import placed

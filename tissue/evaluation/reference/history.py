@@ -128,6 +128,7 @@ def force_on_path(
     fine, report = resolution or Resolution(), progress or silent
 
     def make() -> dict[str, NDArray[np.generic]]:
+        """Wrench [N], [N m] at every tick, its relative error at some of them, and how many ticks were evaluated."""
         wrench, known = _over_ticks(lambda tick: wrench_at(tick, path, cutter, solid, resolution=fine), path, report)
         contact = np.flatnonzero(wrench.any(axis=1))
         checked = contact[np.unique(np.linspace(0, len(contact) - 1, CHECKED).astype(int))] if len(contact) else contact

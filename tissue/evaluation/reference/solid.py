@@ -47,7 +47,7 @@ class Solid:
         Each is that of the point's layer times (density / reference density) ** exponent of the layer.
         """
         layer, density = self.anatomy.classify(points, -self.anatomy.shape.distance(points))
-        names = tuple(CuttingCoefficients.KERNEL_NAMES.values())
+        names = CuttingCoefficients.CHIP + CuttingCoefficients.EDGE
         table = np.array([[getattr(each, name) for each in self.coefficients] for name in names])
         reference = np.array([each.reference_density_kg_m3 for each in self.coefficients])
         exponent = np.array([each.density_exponent for each in self.coefficients])

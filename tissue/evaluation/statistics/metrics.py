@@ -9,6 +9,8 @@ from meshes.base.errors import InputError, require_positive
 __all__ = [
     "acceleration_change_m_s2",
     "completion_time_s",
+    "excess_error",
+    "excess_travel_mm",
     "force_error",
     "force_mae_N",
     "force_rms_N",
@@ -44,6 +46,15 @@ def force_error(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
     if size == 0.0:
         raise InputError("ideal_N must not be zero throughout, got no contact: cut the trial to its contact")
     return float(np.linalg.norm(force - ideal)) / size
+
+
+def excess_error(error: float, least_error: float) -> float:
+    """What is left of an error beside the least one: sqrt(error^2 - least^2), 0 where it is no greater.
+
+    The least error is that of a perfect force through the same device. Errors that do not depend on each other add in
+    squares, so this is the part that a better force could save.
+    """
+    return float(np.sqrt(max(error**2 - least_error**2, 0.0)))
 
 
 def force_mae_N(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
@@ -181,6 +192,20 @@ def completion_time_s(time_s: ArrayLike, done: ArrayLike) -> float:
 def overshoot_mm(depth_mm: ArrayLike, *, target_mm: float) -> float:
     """How far the tip went beyond its target depth [mm], zero if it did not; `depth_mm` has shape (ticks,)."""
     return max(0.0, float(_signal("depth_mm", depth_mm, at_least=1).max()) - target_mm)
+
+
+def excess_travel_mm(depth_mm: ArrayLike, *, puncture_tick: int) -> float:
+    """How much deeper the tip went after a puncture than it was then [mm]; `depth_mm` has shape (ticks,).
+
+    Raises
+    ------
+    InputError
+        If the tick is none of the trial's.
+    """
+    depth = _signal("depth_mm", depth_mm, at_least=1)[:, 0]
+    if not 0 <= puncture_tick < len(depth):
+        raise InputError(f"puncture_tick must be one of {len(depth)} ticks, got {puncture_tick}: pass its row")
+    return float(depth[puncture_tick:].max() - depth[puncture_tick])
 
 
 def _correlation(force: Array, ideal: Array, shift: int) -> float:

@@ -37,17 +37,24 @@ def force_section(table: TrialTable) -> Section:
     for (task, method), part in _parts(table).items():
         error = 100.0 * part.values("force_error")
         felt = spread(100.0 * part.values("perceived_error"), 1)
-        rows.append((task, method, spread(error), *against(error, FORCE_ERROR[task].get(method)), felt, str(len(part))))
+        shares = (spread(100.0 * part.values(each)) for each in ("least_error", "excess_error"))
+        paper = against(error, FORCE_ERROR[task].get(method))
+        rows.append((task, method, spread(error), *paper, *shares, felt, str(len(part))))
     judged = [(f"{row[0]} {row[1]} {row[4]}", row[4] == "agrees") for row in rows if row[3]]
     agreeing, apart = (", ".join(what for what, agrees in judged if agrees is wanted) for wanted in (True, False))
     sentences = (
-        "Error of what is played, ||F - F_ideal|| / ||F_ideal|| over all ticks, F_ideal being the prompt force on the "
-        "same motion. The force is taken before it is scaled for a person, in newtons; what that scaling does is in "
-        "the last column but one, the error of the intensity that this person feels against the reference observer's.",
+        "Error of what is played, ||F - F_ideal|| / ||F_ideal|| over all ticks at the motor, F_ideal being the prompt "
+        "force at the device's true position at that time. Beside it stand the least error, that of a perfect force "
+        "through the same encoder steps, low-pass and amplifier, and what is in excess of it, sqrt(error² - least²). "
+        "The force is taken before it is scaled for a person, in newtons; what that scaling does is in the last column "
+        "but one, the error of the intensity that this person feels against the reference observer's.",
         f"Agreeing with the paper: {agreeing or 'none'}; not agreeing: {apart or 'none'}.",
         *_ratios(table),
     )
-    header = ("task", "method", "force error %", "paper %", "against paper", "felt error %", "trials")
+    header = (
+        "task", "method", "force error %", "paper %", "against paper", "least error %", "excess %", "felt error %",
+        "trials",
+    )  # fmt: skip
     return Section("force", "Force fidelity", sentences, header, tuple(rows), _force_picture(table))
 
 
@@ -98,16 +105,17 @@ def _bars(axes: Axes, table: TrialTable, metric: str, label: str, scale: float =
 
 
 def latency_section(table: TrialTable) -> Section:
-    """How far the played force lags the ideal one, in trials that did not fail."""
+    """How far the played force lags that of a perfect prediction, in trials that did not fail."""
     lags = {key: part.values("latency_ms") for key, part in _parts(table).items()}
     rows = tuple((*key, spread(lag), *against(lag, LATENCY)) for key, lag in lags.items())
     means = {each: table.where(method=each).values("latency_ms").mean() for each in methods_of(table)}
     shifts = ", ".join(f"{name} {value:.1f} ms" for name, value in means.items())
     early = ", ".join(" ".join(key) for key, lag in lags.items() if lag.mean() < 0.0)
     sentences = (
-        f"Shift at which played and ideal force correlate best, over all tasks: {shifts}. The loop is late by 4 ms in "
-        f"every trial by construction, as the paper's mean is {LATENCY} ms; what prediction takes off is the result, "
-        "and a value below zero is a force that comes early" + (f" ({early})." if early else "; none does."),
+        "Shift at which the force at the motor correlates best with that of a perfect prediction through the same "
+        f"encoder steps, over all tasks: {shifts}. The loop is late by 4 ms and its path to the motor in every trial "
+        f"by construction, the paper's mean being {LATENCY} ms; what prediction takes off is the result, and a value "
+        "below zero is a force that comes early" + (f" ({early})." if early else "; none does."),
     )
     header = ("task", "method", "latency ms", "paper ms", "against paper")
     return Section("latency", "Latency", sentences, header, rows)

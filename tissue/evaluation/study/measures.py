@@ -1,7 +1,7 @@
 """What is measured of a run by a hand: metrics that every task has, and those of one task alone."""
 
 from itertools import pairwise
-from math import isfinite
+from math import inf, isfinite
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.evaluation.statistics import metrics
+from tissue.evaluation.study.puncture import NOTICED
 from tissue.perception.observer import Observer
 from tissue.perception.population import reference_observer
 from tissue.scene.tool import PathMotion
-from tissue.simulation.reference_force import played_force_N, stretch_force_N
+from tissue.simulation.reference_force import ideal_force_N, motor_forces
 from tissue.simulation.run import Run
 from tissue.simulation.simulate import TICK_S
 
@@ -46,7 +47,7 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
         If nothing was touched, or what the task asks for did not happen.
     """
     trace = run.trace
-    played, ideal = played_force_N(trace), stretch_force_N(run)
+    played, ideal, nearest, sent = motor_forces(run, ideal_force_N(run, cores=1))
     size = np.linalg.norm(ideal, axis=1)
     if not size.any():
         raise InputError("tool must touch in a trial, got no contact: look at the scene's path")
@@ -57,11 +58,13 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
     done = np.linalg.norm(tip - np.array(run.scene.motion.points_mm[-1]), axis=1) < ARRIVED_MM
     took = metrics.completion_time_s(trace["time_s"], done & (np.cumsum(~done) > 0))
     found = {
-        "force_error": metrics.force_error(played, ideal),
-        "perceived_error": _perceived_error(trace.vectors("device_force", "N"), ideal, person),
+        "force_error": (error := metrics.force_error(played, ideal)),
+        "least_error": (least := metrics.force_error(nearest, ideal)),
+        "excess_error": metrics.excess_error(error, least),
+        "perceived_error": _perceived_error(sent, ideal, person),
         "force_mae_N": metrics.force_mae_N(played, ideal),
         "force_rms_N": metrics.force_rms_N(played, ideal),
-        "latency_ms": metrics.latency_ms(played, ideal, tick_s=TICK_S),
+        "latency_ms": metrics.latency_ms(played, nearest, tick_s=TICK_S),
         "position_error_mm": float(_from_path(tip, wanted_mm).mean()),
         "time_s": took if isfinite(took) else float(trace["time_s"][-1]),
         "completed": float(isfinite(took)),
@@ -72,21 +75,27 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
     }
     match task:
         case "needle":
-            found |= _pierced(run, wanted_mm)
+            found |= _pierced(run)
         case "reaming":
             found |= {"tracking_rms_N": found["force_rms_N"] / run.scene.force_scale} | _reamed(run, touching)
     return found
 
 
-def _pierced(run: Run, wanted_mm: Array) -> dict[str, float]:
-    """How far the needle went too deep, and the force before and after the capsule's puncture."""
+def _pierced(run: Run) -> dict[str, float]:
+    """How far the needle went on after the capsule's puncture, and the force before and after it."""
     puncture = next((time for time, what in run.events if "capsule" in what), None)
     if puncture is None:
-        raise InputError("capsule must be punctured in a trial, got a needle that did not come through: aim deeper")
+        raise InputError("capsule must be punctured in a trial, got a hand that stopped before: see its threshold")
+    noticed = next((time for time, what in run.events if what == NOTICED), inf)
+    if not puncture <= noticed < inf:
+        raise InputError(
+            f"puncture at {puncture:g} s must be noticed after it in a trial, got {noticed:g} s: see the hand's "
+            "threshold"
+        )
     at, window = round(puncture / TICK_S), round(WINDOW_S / TICK_S)
     size = np.linalg.norm(run.trace.vectors("raw_force", "N"), axis=1)
     return {
-        "overshoot_mm": metrics.overshoot_mm(-run.trace["tool_z_mm"], target_mm=-float(wanted_mm[:, 2].min())),
+        "excess_mm": metrics.excess_travel_mm(-run.trace["tool_z_mm"], puncture_tick=at),
         "capsule_N": float(size[max(0, at - window) : at].mean()),
         "parenchyma_N": float(size[at + 1 : at + 1 + window].mean()),
     }
@@ -94,7 +103,7 @@ def _pierced(run: Run, wanted_mm: Array) -> dict[str, float]:
 
 def _reamed(run: Run, touching: NDArray[np.bool_]) -> dict[str, float]:
     """Torque of a reamer while it cuts."""
-    torque = np.abs(run.trace["model_torque_z_Nm"][touching])
+    torque = np.abs(run.trace["model_torque_z_Nm"][:-1][touching])
     windows = [part.mean() for part in np.array_split(torque, max(1, round(len(torque) * TICK_S / WINDOW_S)))]
     return {"torque_Nm": float(np.mean(windows)), "torque_scatter_Nm": float(np.std(windows))}
 

@@ -85,9 +85,14 @@ TASKS = {
         extremes=_scaled(BONE, (0.8, 1.1)),
     ),
     "needle": Task(
-        title="needle through the capsule of a liver, to stop 30 mm deep",
+        title="needle pushed through the capsule of a liver, to stop as it breaks",
         scene="needle",
-        changes={"anatomy.interval_ms": 0.0, "motion.points_mm": [[0, 0, 5], [0, 0, -30], [0, 0, 5]]},
+        changes={
+            "anatomy.interval_ms": 0.0,
+            "anatomy.vessel_wall_depth_mm": None,
+            "motion.points_mm": [[0, 0, 0.05], [0, 0, -40]],
+            "coupling.force_scale": 1.0,  # the force that the hand raises is the needle's
+        },
         specimens=({},),
     ),
     "reaming": Task(

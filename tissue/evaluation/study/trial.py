@@ -18,13 +18,14 @@ from tissue.evaluation.charts.settings import finest
 from tissue.evaluation.statistics import metrics
 from tissue.evaluation.study.measures import measured
 from tissue.evaluation.study.plan import LATENCY_MS, REFERENCE, Plan, TrialKey
+from tissue.evaluation.study.puncture import RATE_N_S, pierce
 from tissue.evaluation.study.tasks import METHODS, TASKS, VARIANTS, Variant
 from tissue.perception.magnitude import MAGNITUDE_FORCES_N, fit_magnitudes
 from tissue.perception.observer import PARAMETERS, Observer, write_observer
 from tissue.scene.load import changed, load_scene
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion
-from tissue.simulation.reference_force import ideal_force_N, stretch_force_N
+from tissue.simulation.reference_force import ideal_force_N
 from tissue.simulation.simulate import TICK_S, simulate
 
 __all__ = ["Row", "Trial", "TrialScene", "error_sentence", "run_trial", "trial_scene", "trial_seed"]
@@ -83,11 +84,14 @@ class TrialScene:
         Number of the specimen.
     person
         Who feels, known exactly; the scene with perception has only what their calibration knows of them.
+    pace
+        Factor on the speed of a path, or on the rise of a force.
     """
 
     scenes: Mapping[str, Scene]
     specimen: int
     person: Observer
+    pace: float
 
 
 def run_trial(plan: Plan, key: TrialKey) -> Trial:
@@ -123,20 +127,20 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
     rng, person, task = plan.rng(key), plan.person(key), TASKS[key.task]
     variant = VARIANTS.get(key.variant, PLAIN)
     seed = int(rng.integers(2**62))
-    pace = variant.pace * np.exp(PACE_SPREAD * person.standard_normal() + WITHIN_SPREAD * rng.standard_normal())
+    pace = variant.pace * float(np.exp(PACE_SPREAD * person.standard_normal() + WITHIN_SPREAD * rng.standard_normal()))
     truth, known = _calibrated(key, person)
     write_observer(known, observer)
     specimen = int(rng.integers(len(task.specimens)))
     met = task.specimens[specimen] if variant.extreme is None else task.extremes[variant.extreme]
     scene = changed(load_scene(task.scene), {**task.changes, **met})
     assert isinstance(scene.motion, PathMotion)
-    per_trial = {"seed": seed, "motion.feed_mm_s": round(float(pace) * scene.motion.feed_mm_s, 3)}
+    per_trial = {"seed": seed, "motion.feed_mm_s": round(pace * scene.motion.feed_mm_s, 3)}
     by_hand = {"device": "touch", "hand": key.group, "coupling.delay_ms": LATENCY_MS, **variant.changes}
     scene = changed(scene, by_hand)
     scenes = {name: changed(scene, method) for name, method in METHODS.items()}
     scenes["koopman-perception"] = changed(scenes["koopman-perception"], {"perception": f"observer:{observer}"})
     per_trial["coupling.stiffness_N_m"] = floor(min(map(_stiffness_N_m, scenes.values())))
-    return TrialScene({name: changed(each, per_trial) for name, each in scenes.items()}, specimen, truth)
+    return TrialScene({name: changed(each, per_trial) for name, each in scenes.items()}, specimen, truth, pace)
 
 
 @lru_cache(maxsize=64)
@@ -168,11 +172,15 @@ def _methods(plan: Plan, key: TrialKey) -> tuple[str, ...]:
 
 def _metrics(trial: TrialScene, method: str, key: TrialKey) -> dict[str, float]:
     """Metrics of a trial under one method."""
-    run = simulate(trial.scenes[method], cores=1)
+    scene, person = trial.scenes[method], trial.person
+    if key.task == "needle":
+        run = pierce(scene, kappa=person.kappa, offset_N=person.offset_N, rate_N_s=trial.pace * RATE_N_S).run
+    else:
+        run = simulate(scene, cores=1)
     if key.variant == REFERENCE:
-        prompt = stretch_force_N(run)
+        prompt = ideal_force_N(run, cores=1)
         converged = ideal_force_N(run, finest(run.scene, quick=True), cores=1)
         return {"reference_error": metrics.force_error(prompt, converged)}
     assert isinstance(run.scene.motion, PathMotion)
     wanted = np.array(TASKS[key.task].wanted_mm or run.scene.motion.points_mm)
-    return measured(run, key.task, trial.person, wanted_mm=wanted) | {"specimen": float(trial.specimen)}
+    return measured(run, key.task, person, wanted_mm=wanted) | {"specimen": float(trial.specimen)}

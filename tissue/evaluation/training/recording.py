@@ -11,8 +11,12 @@ from meshes.base.progress import silent
 from tissue.builders.hand import hand_motion
 from tissue.builders.loop import judged_loop
 from tissue.builders.registry import build, motion_of
+from tissue.haptics.device.recorded import RecordedDevice
+from tissue.haptics.hand_measures import TRUE
 from tissue.haptics.hand_motion import HandMotion
+from tissue.haptics.loop.filters import VELOCITY_MEMORY, ConstantAcceleration
 from tissue.models.tissue_model import Response, TissueModel, ToolMotion, WaitsForBackground
+from tissue.prediction.contact import CONTACT_WIDTH
 from tissue.prediction.edmd.episodes import Episode
 from tissue.scene.coupling import WallAnatomy
 from tissue.scene.load import changed
@@ -36,29 +40,37 @@ class Recording:
     Attributes
     ----------
     position_m, velocity_m_s
-        Of the device, as its encoders measure them, shape (n, 3).
+        Of the device, as its encoders measure it and as the loop's filter estimates it from that, shape (n, 3).
     force_N
         On the device, without delay, shape (n, 3).
+    contact
+        What a loop knows of the contact in every tick, rows of `Contact`, shape (n, CONTACT_WIDTH).
     group, seed
         Whose hand, and its seed.
     model_s
         Median time that the tissue took to answer in a tick [s].
+    true_position_m
+        Of the device, which its encoders only step through, shape (n, 3); None where it is not known.
     """
 
     position_m: Array
     velocity_m_s: Array
     force_N: Array
+    contact: Array
     group: str
     seed: int
     model_s: float = 0.0
+    true_position_m: Array | None = None
 
     def dithered_N(self) -> Array:
         """The force with a little noise, the same every time."""
         return self.force_N + DITHER_N * np.random.default_rng(self.seed).standard_normal(self.force_N.shape)
 
-    def episode(self) -> Episode:
-        """States of the lifted predictor: position and force, shape (n, 6)."""
-        return Episode(np.hstack((self.position_m, self.dithered_N())), None, TICK_S)
+    def episodes(self) -> list[Episode]:
+        """An episode an axis: displacement since the tick before and stretch of the coupling [m], shape (n, STATE)."""
+        moved = np.diff(self.position_m, axis=0, prepend=self.position_m[:1])
+        stretch = self.force_N / self.contact[:, :1]
+        return [Episode(np.column_stack(axis), None, TICK_S) for axis in zip(moved.T, stretch.T, strict=True)]
 
     def driven_episode(self) -> Episode:
         """States and inputs of linear dynamic mode decomposition: force, shape (n, 3), by the device, shape (n, 6)."""
@@ -113,32 +125,37 @@ class Recorder:
             If it cannot be built.
         """
         motion, tissue = self._parts(scene)
-        tool = ToolMotion()
-        motion.begin(tool)
-        tissue.place(tool)
-        ticks = round((scene.duration_s or motion.duration_s) / TICK_S)
-        rows = np.zeros((ticks, 6))
-        response = Response.empty(len(tissue.layer_names))
-        raw = slice(motion.measure_names.index("raw_force_x_N"), motion.measure_names.index("raw_force_z_N") + 1)
-        begin = 1e-3 * motion.measures[:3]
-        took = np.zeros(ticks)
-        for index, row in enumerate(rows):
-            if isinstance(tissue, WaitsForBackground):
-                tissue.wait_for_background(index * TICK_S)
-            motion.advance(index * TICK_S, TICK_S, response, tool)
-            start = perf_counter()
-            tissue.advance(tool)
-            response = tissue.respond(tool)
-            if motion.correct(response, tool):
-                tissue.advance(tool)
-                response = tissue.respond(tool)
-            took[index] = perf_counter() - start
-            motion.play(response)
-            row[:3], row[3:] = 1e-3 * motion.measures[:3], motion.measures[raw]
+        begin = motion.sweep_m()[0]
+        rows, contact, took = _run(motion, tissue, round((scene.duration_s or motion.duration_s) / TICK_S))
         if not np.isfinite(rows).all():
             raise InputError(f"scene must give finite forces, got others with seed {scene.seed}: use another --trials")
-        velocity = np.diff(rows[:, :3], axis=0, prepend=begin[None]) / TICK_S
-        return Recording(rows[:, :3], velocity, rows[:, 3:], scene.hand, scene.seed, float(np.median(took)))
+        speed = ConstantAcceleration(VELOCITY_MEMORY, step_s=TICK_S)
+        velocity = np.array([speed.step(place) for place in (begin, *rows[:, :3])])[1:]
+        return Recording(
+            rows[:, :3],
+            velocity,
+            rows[:, 3:6],
+            contact,
+            scene.hand,
+            scene.seed,
+            float(np.median(took)),
+            rows[:, 6:],
+        )
+
+    def ideal_N(self, scene: Scene, run: Recording) -> Array:
+        """Force that the scene's coupling gives without delay where the device of a run truly was, shape (n, 3).
+
+        Raises
+        ------
+        InputError
+            If the scene cannot be built.
+        """
+        motion, tissue = self._parts(scene)
+        assert run.true_position_m is not None
+        ticks = len(run.true_position_m)
+        motion.device = RecordedDevice(TICK_S * np.arange(ticks, dtype=np.float64), run.true_position_m)
+        rows, _, _ = _run(motion, tissue, ticks)
+        return rows[:, 3:6]
 
     def _parts(self, scene: Scene) -> tuple[HandMotion, TissueModel]:
         """The hand of a scene and what it meets."""
@@ -151,3 +168,32 @@ class Recorder:
         if organ:
             self._organ = parts.tissue
         return parts.motion, parts.tissue
+
+
+def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, Array, Array]:
+    """Measured position, force and true position, shape (n, 9); contacts; seconds that the tissue took, shape (n,)."""
+    tool = ToolMotion()
+    motion.begin(tool)
+    tissue.place(tool)
+    rows: Array = np.zeros((ticks, 9))
+    contact, took = np.zeros((ticks, CONTACT_WIDTH)), np.zeros(ticks)
+    response = Response.empty(len(tissue.layer_names))
+    raw = slice(motion.measure_names.index("raw_force_x_N"), motion.measure_names.index("raw_force_z_N") + 1)
+    knows = TRUE[0] in motion.measure_names
+    true = motion.measure_names.index(TRUE[0]) if knows else 0
+    for index, row in enumerate(rows):
+        if isinstance(tissue, WaitsForBackground):
+            tissue.wait_for_background(index * TICK_S)
+        motion.advance(index * TICK_S, TICK_S, response, tool)
+        start = perf_counter()
+        tissue.advance(tool)
+        response = tissue.respond(tool)
+        if motion.correct(response, tool):
+            tissue.advance(tool)
+            response = tissue.respond(tool)
+        took[index] = perf_counter() - start
+        motion.play(response)
+        contact[index] = motion.contact(response).row()
+        row[:3], row[3:6] = 1e-3 * motion.measures[:3], motion.measures[raw]
+        row[6:] = 1e-3 * motion.measures[true : true + 3]
+    return rows, contact, took

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from math import inf
 from types import TracebackType
-from typing import NamedTuple, Protocol, Self
+from typing import NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 
@@ -13,7 +13,9 @@ from tissue.haptics.loop.sampled_loop import WallLoop
 from tissue.motion.quaternion import Quaternion, Triple
 from tissue.scene.registry import DEVICES
 
-__all__ = ["ComputedDevice", "Device", "DeviceError", "DeviceParameters", "Sample", "device_parameters"]
+__all__ = [
+    "ComputedDevice", "Device", "DeviceError", "DeviceParameters", "KnowsPosition", "Sample", "device_parameters",
+]  # fmt: skip
 
 
 class Sample(NamedTuple):
@@ -45,6 +47,16 @@ class Device(Protocol):
 
     def command(self, force_N: Array, torque_Nm: Array) -> None:
         """Play a force and a torque, on the hand and in the world frame, until the next command."""
+
+
+@runtime_checkable
+class KnowsPosition(Protocol):
+    """A device that knows where it is, as a simulated one does: its samples are steps of encoders."""
+
+    @property
+    def true_position_m(self) -> Triple:
+        """Position of the tip at the last sample [m]."""
+        ...
 
 
 class ComputedDevice:

@@ -91,6 +91,11 @@ class SimulatedDevice(ComputedDevice):
         """Whether the device can play a torque."""
         return self.parameters.torque_limit_Nm > 0.0
 
+    @property
+    def true_position_m(self) -> Triple:
+        """Where the tip is, which the encoders only step through [m]."""
+        return self.translation.position
+
     def read(self, time_s: float) -> Sample | None:
         """Go on to the last tick of the device that is not after ``time_s`` and give its sample."""
         due = int(time_s * self.parameters.rate_Hz + 1e-6)

@@ -47,6 +47,7 @@ def _supervise(work: Callable[[], None], held: SafeDevice) -> None:
     raised: list[BaseException] = []
 
     def run() -> None:
+        """Work, and keep what it raised for the thread that waits."""
         try:
             work()
         except BaseException as error:

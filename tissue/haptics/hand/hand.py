@@ -10,7 +10,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import require_positive, require_range
-from tissue.haptics.hand.minimum_jerk import Aim, Path
+from tissue.haptics.hand.minimum_jerk import Aim, Aiming, Path
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.quaternion import Quaternion, Triple
 from tissue.scene.registry import HANDS
@@ -133,7 +133,7 @@ class Hand:
     parameters
         The person.
     path
-        Where to be when [m].
+        Where to be when [m], or what moves the aim instead.
     rng
         Random generator of this hand.
     step_s
@@ -149,7 +149,7 @@ class Hand:
     def __init__(
         self,
         parameters: HandParameters,
-        path: Path,
+        path: Path | Aiming,
         *,
         rng: np.random.Generator,
         step_s: float = TICK_S,
@@ -160,14 +160,14 @@ class Hand:
         require_positive("step_s", step_s, "use 1e-3 for 1 kHz")
         self.parameters = parameters
         self._rng, self._push, self._turn, self._let_go = rng, push, turn, let_go_s
-        self._aim = Aim(
+        self._aim = path if isinstance(path, Aiming) else Aim(
             path,
             reaction_s=parameters.reaction_s,
             submovement_s=parameters.submovement_s,
             correction_s=parameters.correction_s,
             endpoint_noise=parameters.endpoint_noise,
             rng=rng,
-        )
+        )  # fmt: skip
         self._grip = parameters.grip
         self._pending = deque([NOTHING] * round(parameters.reflex_s / step_s))
         self._keep = exp(-step_s / parameters.force_noise_s)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from math import sqrt
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -9,7 +10,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.motion.quaternion import Triple
 
-__all__ = ["Aim", "Path", "minimum_jerk", "waypoints"]
+__all__ = ["Aim", "Aiming", "Path", "minimum_jerk", "waypoints"]
 
 Path = Callable[[float], Array]
 """Position [m], shape (3,), over time [s]."""
@@ -42,6 +43,15 @@ def waypoints(times_s: Array, points_m: Array) -> Path:
     if not (np.diff(times) > 0.0).all():
         raise InputError(f"times_s must increase, got {times_s}: sort them")
     return lambda time_s: np.array([np.interp(time_s, times, points[:, axis]) for axis in range(3)])
+
+
+@runtime_checkable
+class Aiming(Protocol):
+    """What moves the aim of a hand."""
+
+    def at(self, time_s: float) -> tuple[Triple, Triple]:
+        """Position [m] and velocity [m/s] of the aim; times must not decrease."""
+        ...
 
 
 class Aim:

@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import floor, inf, log10
 
 import numpy as np
+from scipy.optimize import brentq
 
 from meshes.base.errors import InputError
 from tissue.haptics.loop.sampled_loop import WallLoop, loop_matrix, spectral_radius
@@ -64,18 +66,21 @@ def in_hands(loop: WallLoop, hands: Sequence[tuple[float, float, float]]) -> tup
 def critical_stiffness_N_m(loop: WallLoop) -> float:
     """Lowest stiffness at which the loop stops settling [N/m]; 0 if the softest wall is unstable, inf if none is.
 
-    Looked for upwards, four steps a decade, then by bisection to rounding. What lies above a first unstable stiffness
-    is never called stable, also where a window of it might be.
+    Looked for upwards, four steps a decade, then between the last two by Brent's method to rounding. What lies above a
+    first unstable stiffness is never called stable, also where a window of it might be.
     """
+    return _critical_N_m(loop.with_stiffness(SOFTEST_N_M))
+
+
+@lru_cache(maxsize=16)
+def _critical_N_m(loop: WallLoop) -> float:
+    """The same, found once for loops that differ in their stiffness alone: a choice is followed by its verdict."""
     low, high = 0.0, SOFTEST_N_M
-    while _is_stable(loop, high):
+    while _beyond(high, loop) < 0.0:
         low, high = high, high * 10.0**0.25
         if low > STIFFEST_N_M:
             return inf
-    while low > 0.0 and high - low > 1e-10 * high:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if _is_stable(loop, middle) else (low, middle)
-    return low
+    return float(brentq(_beyond, low, high, args=(loop,), xtol=1e-10 * low, rtol=1e-10)) if low > 0.0 else 0.0
 
 
 def nearest_stable_N_m(critical_N_m: float) -> float:
@@ -119,7 +124,7 @@ def require_stable(loop: WallLoop, hands: Sequence[tuple[float, float, float]] |
     )
 
 
-def _is_stable(loop: WallLoop, stiffness_N_m: float) -> bool:
-    """Whether no mode grows."""
+def _beyond(stiffness_N_m: float, loop: WallLoop) -> float:
+    """How far the largest eigenvalue lies beyond what counts as settling; below zero no mode grows."""
     eigenvalues = np.linalg.eigvals(loop_matrix(loop.with_stiffness(stiffness_N_m)))
-    return bool(np.abs(eigenvalues).max() < 1.0 - ON_THE_CIRCLE)
+    return float(np.abs(eigenvalues).max()) - (1.0 - ON_THE_CIRCLE)

@@ -8,6 +8,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from tissue.prediction.contact import Contact, SeesContact
 
 if TYPE_CHECKING:
     from tissue.prediction.predictor import Predictor
@@ -20,6 +21,8 @@ LONGEST = 512
 """Most ticks for which one change is followed."""
 FADED = 1e-3
 """Share of the largest answer below which an answer has faded."""
+RIGID = 1e6
+"""Stiffness over the coupling's of what the tool rests on while a predictor is probed."""
 SETTLING = 300
 """Ticks of a contact at rest before a predictor is probed."""
 
@@ -35,10 +38,14 @@ class Forecast:
         tick in which it was seen, counted from the last one in which the model gave its force; later phases see none.
     gain
         C of F + C (F_ahead - F): 0 plays the force as it is, 1 the one that is ahead.
+    stiffness_N_m
+        Of the coupling that the predictor was shown, with which its answers to place and speed grow; None for one that
+        is shown none.
     """
 
     taps: Array
     gain: float = 1.0
+    stiffness_N_m: float | None = None
 
     @property
     def memory(self) -> tuple[int, int]:
@@ -50,7 +57,7 @@ class Forecast:
 def forecast_of(
     predictor: "Predictor",
     *,
-    lead_ticks: int,
+    lead_ticks: float,
     stiffness_N_m: float,
     model_ticks: int = 1,
     depth_m: float = 1e-3,
@@ -82,29 +89,40 @@ def forecast_of(
     out = np.array([0.0, 0.0, 1.0]) if axis is None else np.asarray(axis, dtype=np.float64)
     still, rest, force = -depth_m * out, np.zeros(3), stiffness_N_m * depth_m * out
     settled = deepcopy(predictor)
+    contact = None
+    if isinstance(settled, SeesContact):
+        contact = Contact(stiffness_N_m, rest, force, RIGID * stiffness_N_m * np.outer(out, out), normal=out)
     ticks = -(-SETTLING // model_ticks) * model_ticks
     for tick in range(ticks):
+        _show(settled, contact)
         settled.observe(still, rest, force if tick % model_ticks == 0 else None)
         settled.predict(lead_ticks)
     taps = np.zeros((model_ticks, LONGEST + 1, 3))
-    quiet = _answers(deepcopy(settled), (still, rest, force), rest, None, 0, lead_ticks, model_ticks, out)
+    seen = still, rest, force
+    quiet = _answers(deepcopy(settled), contact, seen, rest, None, 0, lead_ticks, model_ticks, out)
     for phase in range(model_ticks):
         for channel in range(3 if phase == 0 else 2):
             change = PROBES[channel] * out
-            changed = _answers(
-                deepcopy(settled), (still, rest, force), change, channel, phase, lead_ticks, model_ticks, out
-            )
+            changed = _answers(deepcopy(settled), contact, seen, change, channel, phase, lead_ticks, model_ticks, out)
             taps[phase, :, channel] = (changed - quiet)[phase : phase + LONGEST + 1] / PROBES[channel]
-    return Forecast(taps=_faded(taps), gain=gain)
+    return Forecast(taps=_faded(taps), gain=gain, stiffness_N_m=None if contact is None else stiffness_N_m)
+
+
+def _show(predictor: "Predictor", contact: Contact | None) -> None:
+    """Show a predictor that looks at it a tool at rest on what does not yield."""
+    if contact is not None:
+        assert isinstance(predictor, SeesContact)
+        predictor.meet(contact)
 
 
 def _answers(
     predictor: "Predictor",
+    contact: Contact | None,
     seen: tuple[Array, Array, Array],
     change: Array,
     channel: int | None,
     at: int,
-    lead_ticks: int,
+    lead_ticks: float,
     model_ticks: int,
     out: Array,
 ) -> Array:
@@ -112,6 +130,7 @@ def _answers(
     forces = np.zeros(LONGEST + 1 + model_ticks)
     for tick in range(len(forces)):
         shown = [array + change if tick == at and index == channel else array for index, array in enumerate(seen)]
+        _show(predictor, contact)
         predictor.observe(shown[0], shown[1], shown[2] if tick % model_ticks == 0 else None)
         forces[tick] = float(predictor.predict(lead_ticks) @ out)
     return forces

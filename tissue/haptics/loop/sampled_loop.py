@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import pairwise
 from math import ceil, inf, pi
 
 import numpy as np
@@ -9,11 +10,11 @@ from scipy.linalg import expm
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
-from tissue.haptics.loop.filters import low_pass_gain
+from tissue.haptics.loop.filters import constant_acceleration_map, low_pass_gain
 from tissue.haptics.loop.forecast import Forecast
 from tissue.models.tissue_model import TICK_S
 
-__all__ = ["ForecastMemory", "WallLoop", "loop_matrix", "plant_step", "spectral_radius"]
+__all__ = ["ForecastMemory", "SampledVelocity", "WallLoop", "loop_matrix", "plant_step", "spectral_radius"]
 
 MOST_TICKS = 400
 """Longest delay and longest model step that are judged [ticks]: the map has one state for every tick of delay."""
@@ -28,7 +29,10 @@ class WallLoop:
     mass_kg, damping_N_s_m
         What the motor moves: apparent mass and viscous friction of the device [kg], [N s/m].
     stiffness_N_m, wall_damping_N_s_m
-        The wall, F = -K x - B v [N/m], [N s/m]; v is the difference of positions between model steps.
+        The wall, F = -K x - B v [N/m], [N s/m].
+    velocity_memory
+        Of the filter that gives v, see `constant_acceleration_map`; None for the difference of positions between model
+        steps, and between ticks for a forecast.
     tick_s
         Time between two forces at the device [s].
     delay_s
@@ -50,6 +54,7 @@ class WallLoop:
     damping_N_s_m: float
     stiffness_N_m: float
     wall_damping_N_s_m: float = 0.0
+    velocity_memory: float | None = None
     tick_s: float = TICK_S
     delay_s: float = 0.0
     model_ticks: int = 1
@@ -104,8 +109,8 @@ def loop_matrix(loop: WallLoop) -> Array:
     """Map of the loop's whole state over one step of the model, square.
 
     The state holds position, velocity and motor force, the position at the last model step, the filtered force, the
-    forces that are still pending and, with a forecast, the positions and forces that it has seen. The map is what
-    the loop does to the columns of a unit matrix, tick by tick.
+    forces that are still pending, the velocity's filter and, with a forecast, the positions, velocities and forces that
+    it has seen. The map is what the loop does to the columns of a unit matrix, tick by tick.
     """
     whole = int(loop.delay_s / loop.tick_s + 1e-9)
     delay = max(loop.delay_s - whole * loop.tick_s, 0.0)
@@ -115,23 +120,53 @@ def loop_matrix(loop: WallLoop) -> Array:
     steps = [(np.array(plant_step(mass, damping, spring, loop.amplifier_Hz, s))[:, :4], back) for s, back in parts]
     queued = ceil(loop.delay_s / loop.tick_s - 1e-9)
     places, ages = (0, 0) if loop.forecast is None else loop.forecast.memory
-    size = 5 + queued + places + ages
+    estimated, speeds = (0, 0) if loop.velocity_memory is None else (3, places)
+    ends = np.cumsum([5, queued, estimated, places, speeds, ages]).tolist()
+    size = ends[-1]
     state = np.eye(size)
-    plant, before, filtered, queue = state[:3], state[3], state[4], list(state[5 : 5 + queued])
-    seen = ForecastMemory(loop, list(state[5 + queued : size - ages]), list(state[size - ages :]))
+    plant, before, filtered = state[:3], state[3], state[4]
+    waiting, estimate, *known = (state[first:last] for first, last in pairwise(ends))
+    queue, velocity = list(waiting), SampledVelocity(loop, estimate)
+    seen = ForecastMemory(loop, *map(list, known))
     gain = low_pass_gain(loop.filter_s, loop.tick_s)
     model = np.zeros(size)
     for tick in range(loop.model_ticks):
+        speed = velocity.step(plant[0])
         if tick == 0:
-            speed = (plant[0] - before) / (loop.tick_s * loop.model_ticks)
-            model = -loop.stiffness_N_m * plant[0] - loop.wall_damping_N_s_m * speed
+            moved = (plant[0] - before) / (loop.tick_s * loop.model_ticks)
+            model = -loop.stiffness_N_m * plant[0] - loop.wall_damping_N_s_m * (moved if speed is None else speed)
             before = plant[0]
-        filtered = filtered + gain * (seen.predict(plant[0], model, tick) - filtered)
+        filtered = filtered + gain * (seen.predict(plant[0], speed, model, tick) - filtered)
         queue.append(filtered)
         for matrix, back in steps:
             plant = matrix @ np.vstack([plant, queue[-1 - back]])
         queue.pop(0)
-    return np.vstack([plant, before, filtered, *queue, *seen.positions, *seen.forces])
+    seen_rows = (*seen.positions, *seen.speeds, *seen.forces)
+    return np.vstack([plant, before, filtered, *queue, *velocity.state, *seen_rows])
+
+
+class SampledVelocity:
+    """The filter of a loop's velocity for several positions at once.
+
+    Parameters
+    ----------
+    loop
+        With or without a filter.
+    state
+        Of the filter, shape (3, n), or (0, n) without one.
+    """
+
+    def __init__(self, loop: WallLoop, state: Array) -> None:
+        self._rate, self.state = 1.0 / loop.tick_s, state
+        self._filter = None if loop.velocity_memory is None else constant_acceleration_map(loop.velocity_memory)
+
+    def step(self, position: Array) -> Array | None:
+        """Velocity after a tick's positions, shape (n,) both; None without a filter."""
+        if self._filter is None:
+            return None
+        onward, gains = self._filter
+        self.state = onward @ self.state + np.outer(gains, position)
+        return self._rate * self.state[1]
 
 
 class ForecastMemory:
@@ -141,32 +176,34 @@ class ForecastMemory:
     ----------
     loop
         With or without a forecast.
-    positions, forces
-        What was seen before, as many as the forecast remembers [m], [N].
+    positions, speeds, forces
+        What was seen before, as many as the forecast remembers [m], [m/s], [N]; speeds of a loop that filters them.
     """
 
-    def __init__(self, loop: WallLoop, positions: list[Array], forces: list[Array]) -> None:
-        self._loop, self.positions, self.forces = loop, positions, forces
+    def __init__(self, loop: WallLoop, positions: list[Array], speeds: list[Array], forces: list[Array]) -> None:
+        self._loop, self.positions, self.speeds, self.forces = loop, positions, speeds, forces
 
-    def predict(self, position: Array, model: Array, tick: int) -> Array:
-        """Force to be played, from the position and the model's force at a tick of the model's step."""
+    def predict(self, position: Array, speed: Array | None, model: Array, tick: int) -> Array:
+        """Force to be played, from position, filtered speed and the model's force at a tick of the model's step."""
         forecast = self._loop.forecast
         if forecast is None:
             return model
         rate, count = 1.0 / self._loop.tick_s, self._loop.model_ticks
         positions, forces = [position, *self.positions], [model, *self.forces]
         places, ages = forecast.memory
+        speeds = [*([] if speed is None else [speed]), *self.speeds]
         predicted = 0.0 * model
+        shown = forecast.stiffness_N_m
+        stiffer = 1.0 if shown is None else self._loop.stiffness_N_m / shown
         for age in range(ages):
             phase = (tick - age) % count
             by_place, by_speed, by_force = forecast.taps[phase, age]
             if places:
-                predicted = (
-                    predicted + by_place * positions[age] + by_speed * rate * (positions[age] - positions[age + 1])
-                )
+                moving = speeds[age] if speeds else rate * (positions[age] - positions[age + 1])
+                predicted = predicted + stiffer * (by_place * positions[age] + by_speed * moving)
             if phase == 0:
                 predicted = predicted + by_force * forces[age]
-        self.positions, self.forces = positions[:-1], forces[:-1]
+        self.positions, self.speeds, self.forces = positions[:-1], speeds[:-1], forces[:-1]
         return model + forecast.gain * (predicted - model)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from tissue.haptics.loop.critical_stiffness import Verdict, critical_stiffness_N_m, judge
 from tissue.haptics.loop.filters import low_pass_gain
-from tissue.haptics.loop.sampled_loop import ForecastMemory, WallLoop, plant_step, spectral_radius
+from tissue.haptics.loop.sampled_loop import ForecastMemory, SampledVelocity, WallLoop, plant_step, spectral_radius
 from tissue.haptics.loop.stability_bounds import delay_bound_N_m, pade_bound_N_m, passive_bound_N_m
 
 __all__ = ["StabilityChart", "StabilityMap", "growth_while_running", "measured_critical_N_m", "stability_map"]
@@ -61,9 +61,9 @@ class StabilityMap:
 def growth_while_running(loops: Sequence[WallLoop], stiffnesses_N_m: Array, *, ticks: int = 4000) -> Array:
     """Growth of the amplitude between two windows of a run from a push, for several loops at once, shape (n,).
 
-    The loops share tick, model ticks and forecast, and run as they would on a device: sample, difference, force,
-    filter, delay, hold. Amplitude is the root of kinetic and stored energy, weighed by windows around 45 and 85 %
-    of the run. Infinite where it overflows.
+    The loops share tick, model ticks, velocity and forecast, and run as they would on a device: sample, velocity,
+    force, filter, delay, hold. Amplitude is the root of kinetic and stored energy, weighed by windows around 45 and
+    85 % of the run. Infinite where it overflows.
     """
     first = loops[0]
     tick, count = first.tick_s, len(loops)
@@ -85,7 +85,10 @@ def growth_while_running(loops: Sequence[WallLoop], stiffnesses_N_m: Array, *, t
     damping = np.array([each.wall_damping_N_s_m for each in loops])
     gain = np.array([low_pass_gain(each.filter_s, tick) for each in loops])
     places, ages = (0, 0) if first.forecast is None else first.forecast.memory
-    seen = ForecastMemory(first, [np.zeros(count)] * places, [np.zeros(count)] * ages)
+    filtering = first.velocity_memory is not None
+    nothing = [np.zeros(count)]
+    seen = ForecastMemory(first, nothing * places, nothing * (places * filtering), nothing * ages)
+    velocity = SampledVelocity(first, np.zeros((3 * filtering, count)))
     plant = np.zeros((4, count))
     plant[1] = 1e-3
     before, force, filtered = np.zeros(count), np.zeros(count), np.zeros(count)
@@ -94,10 +97,12 @@ def growth_while_running(loops: Sequence[WallLoop], stiffnesses_N_m: Array, *, t
     sums = np.zeros((2, count))
     with np.errstate(over="ignore", invalid="ignore"):
         for n in range(ticks):
+            speed = velocity.step(plant[0])
             if n % first.model_ticks == 0:
-                force = -stiffnesses_N_m * plant[0] - damping * (plant[0] - before) / (tick * first.model_ticks)
+                moved = (plant[0] - before) / (tick * first.model_ticks)
+                force = -stiffnesses_N_m * plant[0] - damping * (moved if speed is None else speed)
                 before = plant[0].copy()
-            predicted = seen.predict(plant[0].copy(), force, n % first.model_ticks)
+            predicted = seen.predict(plant[0].copy(), speed, force, n % first.model_ticks)
             filtered = filtered + gain * (predicted - filtered)
             queue[n % length] = filtered
             for matrix, behind in zip(steps, (back + 1, back), strict=True):

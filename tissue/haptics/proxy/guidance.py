@@ -11,8 +11,9 @@ from tissue.haptics.proxy.held_tool import HeldTool
 
 __all__ = ["CompensatedPath", "Thrust"]
 
-SHARE = 0.5
-"""Share of what is seen missing that is added in every correction, where the tool goes as far as the hand; assumed."""
+SHARE = 0.35
+"""Share of what is seen missing that is added in every correction, where the tool goes as far as the hand; assumed. At
+0.5 one that mills overshoots: it is pushed aside by as much as it is to press."""
 LEAST_YIELD = 0.6
 """Least motion of a tool for each of the hand that a person reckons with; assumed. Of 1 to 0.2 it is where reaming is
 nearly finished (0.2 mm are missing instead of 0.5) before milling overshoots."""

@@ -16,19 +16,18 @@ from meshes.base.whole_file import whole_file
 from tissue.prediction.edmd.dictionary import Delays, Dictionary, Identity
 from tissue.prediction.edmd.gap_products import GapProducts
 from tissue.prediction.edmd.lifted import FitStatistics, Operator
-from tissue.prediction.edmd.overlaps import Overlaps
 from tissue.prediction.edmd.polynomials import Polynomials
 from tissue.prediction.edmd.radial import Gaussians, ThinPlates
 from tissue.system.outputs import require_new_file
 
 __all__ = ["VERSION", "StoredPredictor", "from_plain", "read_predictor", "to_plain", "write_predictor"]
 
-FORMAT, VERSION = "tissue predictor", 1
+FORMAT, VERSION = "tissue predictor", 2
 ARRAYS = ("A", "B", "offset", "middle", "scale", "input_middle", "input_scale", "moments")
 BOX = ("lowest", "highest")
 """Arrays of an operator, and those that a file keeps as of its training."""
 KINDS: dict[object, Callable[..., Dictionary]] = {
-    kind.__name__: kind for kind in (Identity, Polynomials, Gaussians, ThinPlates, GapProducts, Overlaps, Delays)
+    kind.__name__: kind for kind in (Identity, Polynomials, Gaussians, ThinPlates, GapProducts, Delays)
 }
 
 

@@ -1,0 +1,22 @@
+"""What measurements are kept by."""
+
+from tissue.evaluation.charts import keys
+from tissue.evaluation.charts.keys import setting_key
+from tissue.evaluation.charts.settings import Setting
+from tissue.scene.load import load_scene
+
+
+def test_a_change_of_any_file_of_the_code_makes_measurements_anew(tmp_path, monkeypatch):
+    scene, setting = load_scene("milling"), Setting("0.4 mm", "voxels", {"voxels.spacing_mm": 0.4})
+    for package in keys.PACKAGES:
+        (tmp_path / package / "inner").mkdir(parents=True)
+    monkeypatch.setattr(keys, "files", lambda package: tmp_path / package)
+    monkeypatch.setattr(keys, "sources", keys.sources.__wrapped__)  # not kept from one call to the next
+    (tmp_path / "kernels" / "__pycache__").mkdir()
+    found = [setting_key(scene, setting, quick=True)]
+    for place, text in (("tissue/inner/a.py", "a = 1"), ("tissue/inner/a.py", "a = 2"), ("kernels/b.toml", "b = 1")):
+        (tmp_path / place).write_text(text)
+        found.append(setting_key(scene, setting, quick=True))
+    assert len(set(found)) == len(found)
+    (tmp_path / "kernels" / "__pycache__" / "b.pyc").write_bytes(b"compiled")
+    assert setting_key(scene, setting, quick=True) == found[-1]

@@ -1,0 +1,92 @@
+"""Velocity from encoder steps: the filter in closed form, and its delay in the judge of stability."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hand_steps import meet
+
+from tissue.haptics.device.device import device_parameters
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import Hand, hand_parameters
+from tissue.haptics.hand.minimum_jerk import waypoints
+from tissue.haptics.hand_motion import HandMotion
+from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands, judge
+from tissue.haptics.loop.filters import VELOCITY_MEMORY, ConstantAcceleration, constant_acceleration_map
+from tissue.haptics.loop.forecast import Forecast
+from tissue.haptics.loop.stability_map import measured_critical_N_m
+from tissue.haptics.proxy.held_tool import PressingTool
+from tissue.haptics.renderer import renderer
+from tissue.models.wall import WallModel
+from tissue.motion.motion import FollowPath
+
+TICK = 1e-3
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.5, 0.85, 0.95])
+def test_its_poles_are_its_memory(memory):
+    """(z - m)^3 = z^3 - 3 m z^2 + 3 m^2 z - m^3; the polynomial, since a triple eigenvalue rounds to 1e-5."""
+    onward, _ = constant_acceleration_map(memory)
+    np.testing.assert_allclose(np.poly(onward), [1.0, -3.0 * memory, 3.0 * memory**2, -(memory**3)], atol=1e-12)
+
+
+def test_it_is_the_parabola_through_all_samples_by_least_squares():
+    """Weights 0.85 to the power of the age, over 400 samples of noise: the older ones weigh 1e-28."""
+    places = np.random.default_rng(0).standard_normal((400, 2))
+    estimate = ConstantAcceleration(0.85, step_s=TICK)
+    for place in places:
+        found = estimate.step(place)
+    age = np.arange(-399.0, 1.0)
+    fitted = np.polynomial.polynomial.polyfit(age, places, 2, w=np.sqrt(0.85**-age))
+    np.testing.assert_allclose(found, fitted[1] / TICK, rtol=1e-6)
+
+
+def test_a_constant_acceleration_has_no_delay_and_a_pause_forgets():
+    estimate = ConstantAcceleration(0.9, step_s=TICK)
+    for tick in range(400):
+        found = estimate.step(np.array([1e-6 * tick**2, 3e-6 * tick]))
+    np.testing.assert_allclose(found, [2e-6 * 399 / TICK, 3e-3], rtol=1e-9)
+    estimate.pause()
+    assert not estimate.step(np.array([7.0, 7.0])).any()
+
+
+@pytest.mark.parametrize(
+    "forecast", [None, Forecast(taps=0.5 ** np.arange(6.0)[None, :, None] * [[[-60.0, -0.3, 0.4]]])]
+)
+@pytest.mark.parametrize("model_ticks", [1, 4])
+def test_the_judge_s_eigenvalues_are_where_the_loop_with_the_filter_starts_to_grow(forecast, model_ticks):
+    """Bisection of running loops to 0.05 %, of which a slow growth over 4000 ticks takes up to 1 %."""
+    if forecast is not None:
+        forecast = replace(forecast, taps=np.repeat(forecast.taps, model_ticks, axis=0))
+    loop = device_parameters("touch").loop(400.0, filter_s=1e-3, wall_damping_N_s_m=0.6, model_ticks=model_ticks)
+    loop = in_hands(replace(loop, forecast=forecast), [hand_parameters("expert").grip[:3]])[0]
+    raw, filtered = (replace(loop, velocity_memory=memory) for memory in (None, VELOCITY_MEMORY))
+    exact = [critical_stiffness_N_m(each) for each in (raw, filtered)]
+    for each, critical in zip((raw, filtered), exact, strict=True):
+        assert measured_critical_N_m([each])[0] == pytest.approx(critical, rel=0.02)
+    assert abs(exact[1] / exact[0] - 1.0) > 0.01
+
+
+@pytest.mark.parametrize(("share", "settles"), [(0.95, True), (1.05, False)])
+def test_the_whole_loop_with_a_damper_is_stable_up_to_the_stiffness_that_is_judged(share, settles):
+    """As in test_hand_motion, with a damper on the filtered velocity; the wall is 1 / 250 as compliant as the spring."""
+    limits = replace(device_parameters("touch"), friction_N=0.0, encoder_step_m=0.0)
+    still = dict.fromkeys(("endpoint_noise", "force_noise", "tremor_m", "reflex_share"), 0.0)
+    person, wall = replace(hand_parameters("expert"), **still), 1e6
+    free = replace(limits.loop(1.0, filter_s=1e-3, wall_damping_N_s_m=0.6), velocity_memory=VELOCITY_MEMORY)
+    stiffness = share * judge(free, [person.grip[:3]]).critical_N_m
+    line = np.array([[0.0, 0.0, 1e-3], [0.0, 0.0, -5e-3]])
+    hand = Hand(person, waypoints(np.array([0.0, 0.1]), line), rng=np.random.default_rng(0))
+    loop = free.with_stiffness(stiffness)
+    motion = HandMotion(
+        SimulatedDevice(limits, hand, position_m=(0.0, 0.0, 1e-3)),
+        PressingTool(stiffness, line[0]),
+        renderer("proxy", loop),
+        scripted=FollowPath(line, feed_m_s=0.06, axis=(0.0, 0.0, 1.0)),
+        limits=limits,
+        loop=loop,
+        margin=1.0 - share,
+    )
+    _, measures, _ = meet(motion, WallModel(wall, radius_m=5e-3), 2.0)
+    ripple = [np.std(measures[first : first + 200, 9]) for first in (1000, 1800)]
+    assert ripple[1] < 0.7 * ripple[0] if settles else ripple[1] > 1.4 * ripple[0]

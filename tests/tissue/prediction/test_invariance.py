@@ -1,0 +1,127 @@
+"""Laws of the predictors that know the coupling: what is moved, turned or scaled is predicted moved, turned and scaled."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tissue.builders.prediction import trained_predictor
+from tissue.prediction.contact import CONTACT_WIDTH, Contact
+from tissue.prediction.trained import Trained, shipped_file
+
+KINDS = ("look-ahead", "koopman", "koopman-look-ahead")
+SPRING_N_M, TICKS, LEAD = 400.0, 600, 6.11
+PLACES, FORCES, NORMAL, GAP, STIFFNESS = slice(1, 4), slice(4, 7), slice(17, 20), 16, slice(7, 16)
+
+
+@pytest.fixture(scope="module")
+def trained():
+    return Trained.read(shipped_file("wall"))
+
+
+@pytest.fixture(scope="module", params=["known stiffness", "learnt stiffness"])
+def motion(request):
+    """Positions, forces and contacts of a device that swings in and out of a soft face that drags along."""
+    time = 1e-3 * np.arange(TICKS)
+    device = 1e-3 * np.column_stack([20.0 * time, 2.0 * np.cos(9.0 * time), 3.0 * np.cos(25.0 * time)])
+    device = 5.5e-5 * np.round(device / 5.5e-5)
+    stiffness = np.diag([0.0, 0.0, 900.0])
+    tip, push = device.copy(), np.zeros((TICKS, 3))
+    inside = device[:, 2] < 0.0
+    tip[inside, 2] *= SPRING_N_M / (SPRING_N_M + 900.0)
+    push[inside, 2] = -900.0 * tip[inside, 2]
+    force = SPRING_N_M * (tip - device)
+    known = request.param == "known stiffness"
+    rows = [
+        Contact(
+            SPRING_N_M,
+            tip[i],
+            push[i],
+            stiffness * float(inside[i]) if known else None,
+            max(device[i, 2], 0.0) if known else np.inf,
+            np.array([0.0, 0.0, 1.0]),
+        ).row()
+        for i in range(TICKS)
+    ]
+    return device, force, np.array(rows)
+
+
+def predicted(kind, trained, device, force, contact):
+    """Forces that a bare predictor gives, shape (n, 3)."""
+    predictor = trained_predictor(kind, trained, force_limit_N=3.3).inner
+    found = np.empty((TICKS, 3))
+    for tick in range(TICKS):
+        predictor.meet(Contact.of_row(contact[tick]))
+        predictor.observe(device[tick], np.zeros(3), force[tick])
+        found[tick] = predictor.predict(LEAD)
+    return found
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_moved_is_predicted_alike(kind, trained, motion):
+    device, force, contact = motion
+    shift, other = np.array([0.08, -0.25, 1.5]), contact.copy()
+    other[:, PLACES] += shift
+    moved = predicted(kind, trained, device + shift, force, other)
+    np.testing.assert_allclose(moved, predicted(kind, trained, device, force, contact), atol=1e-8)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("mirrored", [False, True], ids=["turned", "mirrored"])
+def test_what_is_turned_is_predicted_turned(kind, mirrored, trained, motion):
+    device, force, contact = motion
+    turn = Rotation.from_rotvec([0.7, -1.1, 2.0]).as_matrix() @ np.diag([-1.0 if mirrored else 1.0, 1.0, 1.0])
+    other = contact.copy()
+    for part in (PLACES, FORCES, NORMAL):
+        other[:, part] = contact[:, part] @ turn.T
+    other[:, STIFFNESS] = (turn @ contact[:, STIFFNESS].reshape(-1, 3, 3) @ turn.T).reshape(-1, 9)
+    turned = predicted(kind, trained, device @ turn.T, force @ turn.T, other)
+    np.testing.assert_allclose(turned, predicted(kind, trained, device, force, contact) @ turn.T, atol=1e-8)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("factor", [0.01, 30.0])
+def test_scaled_forces_are_predicted_scaled(kind, factor, trained, motion):
+    device, force, contact = motion
+    other = contact.copy()
+    for part in (0, FORCES, STIFFNESS):
+        other[:, part] *= factor
+    scaled = predicted(kind, trained, device, factor * force, other)
+    np.testing.assert_allclose(scaled, factor * predicted(kind, trained, device, force, contact), atol=1e-8 * factor)
+
+
+def test_a_contact_comes_back_from_its_row(motion):
+    row = motion[2][300]
+    assert row.shape == (CONTACT_WIDTH,)
+    np.testing.assert_array_equal(Contact.of_row(row).row(), row)
+
+
+@pytest.mark.parametrize("kind", ["look-ahead", "koopman-look-ahead"])
+def test_a_tool_that_cuts_is_foreseen_by_its_path(kind, trained, motion):
+    """Without a law that pushes back: the last force, or what the operator gives, as `koopman` does."""
+    device, force, contact = motion
+    cutting = contact.copy()
+    cutting[:, -1] = 1.0
+    found = predicted(kind, trained, device, force, cutting)
+    touching = force.any(axis=1)
+    wanted = force if kind == "look-ahead" else predicted("koopman", trained, device, force, contact)
+    same = touching & (np.einsum("ij,ij->i", found, force) > 0.0)
+    assert same.sum() > 200
+    np.testing.assert_allclose(found[same], wanted[same], atol=1e-9)
+
+
+def test_the_law_at_a_foreseen_place_is_exact(trained):
+    """A device that moves steadily into a face of 900 N/m on a coupling of 400: the force of both springs in series."""
+    predictor = trained_predictor("look-ahead", trained, force_limit_N=3.3).inner
+    series, stiffness = 900.0 * 400.0 / 1300.0, np.diag([0.0, 0.0, 900.0])
+    for tick in range(2000):
+        z = 0.02 - 1.2e-5 * tick
+        tip = z if z > 0.0 else z * 400.0 / 1300.0
+        push = np.array([0.0, 0.0, max(-900.0 * tip, 0.0)])
+        up = np.array([0.0, 0.0, 1.0])
+        law = stiffness if z < 0.0 else np.zeros((3, 3))
+        predictor.meet(Contact(400.0, np.array([0.0, 0.0, tip]), push, law, max(z, 0.0), up))
+        predictor.observe(np.array([0.0, 0.0, z]), np.zeros(3), np.array([0.0, 0.0, 400.0 * (tip - z)]))
+        if tick > 1700 or (z < 0.0 and tick % 50 == 0):
+            assert predictor.predict(6.0)[2] == pytest.approx(series * (1.2e-5 * 6.0 - z), abs=1e-6)
+        elif z > 1e-4:
+            assert not predictor.predict(6.0).any()

@@ -1,0 +1,198 @@
+"""Excess travel of a needle after a puncture, pushed by force and stopped by reaction.
+
+The needle's tip starts 0.05 mm outside an organ under z = 0 and is pushed along -z by a device in a hand whose force
+rises at ``rate_N_s`` (`tissue.haptics.hand.pushing.PushingHand`): aim a, device s, tip z, all counted along the push.
+Hand and device are one mass, M = m_device + m_hand, between the grip's spring and damper on one side and the motor on
+the other; the tip hangs on the device by the coupling's spring k_c, and the organ pulls it with P(z)::
+
+    M s'' = K_0 (a - s) + reflex + b_hand (a' - s') - b_device s' - friction - f,    k_c (s - z) = P(z)
+
+with f the force k_c (s - z) after prediction, low-pass, latency and the device's lag, and as reflex a share of what K_0
+(a - s) was a reflex time ago. P is a1 u + a2 u|u| with u = z until P reaches the puncture force; from then on the
+needle slides and u follows from a1 u + a2 u|u| = hold + cut + friction * (z - u), to which P adds viscous * (z - u) z',
+see `tissue.models.needle.insertion.Insertion`. The stop begins a reaction time after the hand has noticed: by the force
+alone, or by force or sight, whichever is first. By sight it notices in the first video frame that shows the tip
+`VISIBLE_M` beyond the membrane; a frame shows what was a frame earlier. **Excess travel** = greatest z from the
+puncture on - z at the puncture.
+
+It has three parts. What the springs give back, with all delays zero: the tip by dF / k_c, the device by dF / K_0 and
+more by its inertia, where dF is the fall of P; no hand can prevent it. What the aim goes on until the stop, da/dt times
+the delay. And what the aim follows of the device's sudden advance in the part of that time beyond the reaction.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf, nan
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, require_positive
+from tissue.builders.parts import Parts
+from tissue.evaluation.statistics.metrics import excess_travel_mm
+from tissue.haptics.device.device import device_parameters
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import hand_parameters
+from tissue.haptics.hand.pushing import FeltDrop, PushingHand
+from tissue.materials.constants import constants
+from tissue.models.needle.model import NeedleModel
+from tissue.scene.load import changed
+from tissue.scene.scene import Scene
+from tissue.scene.tool import PathMotion
+from tissue.simulation.run import Run
+from tissue.simulation.simulate import TICK_S, simulate
+
+__all__ = ["NOTICED", "RATE_N_S", "Notice", "Pierced", "pierce"]
+
+Notice = Literal["force", "sight", "at once"]
+"""By what a puncture is noticed: the felt force, that or the sight of the tip, or as no person can, without delay."""
+RATE_N_S = 1.0
+"""Rise of the pushing force; assumed: a capsule of 2.3 N is through after some seconds, at about 5 mm/s."""
+FRAME_S = 1.0 / 60.0
+"""Time between two video frames."""
+VISIBLE_M = 0.5e-3
+"""How far beyond a membrane a tip is seen to be beyond it; assumed: several pixels of a display."""
+CUE_SHARE = 0.85
+"""Share of the puncture force at which a cue is given; assumed: at 1 N/s more than a reaction before the puncture."""
+AFTER_S = 0.6
+"""How long a run goes on after the stop: a submovement and the ringing of the grip."""
+LONGEST_S = 12.0
+"""Time within which a push must be through."""
+NOTICED = "the hand notices a puncture"
+"""Event of a run when its hand is about to stop, a reaction later."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pierced:
+    """A push and how it ended.
+
+    Attributes
+    ----------
+    run
+        With the trace.
+    puncture_s, noticed_s, stop_s
+        When the membrane broke, when that was noticed and when the hand stopped [s]; infinite for not at all.
+    felt_N
+        Force of the hand along the push, by tick [N].
+    aim_mm
+        The aim's advance, by tick [mm].
+    """
+
+    run: Run
+    puncture_s: float
+    noticed_s: float
+    stop_s: float
+    felt_N: NDArray[np.float64]
+    aim_mm: NDArray[np.float64]
+
+    @property
+    def early(self) -> bool:
+        """Whether the hand stopped before the membrane broke."""
+        return self.noticed_s < self.puncture_s
+
+    @property
+    def excess_mm(self) -> float:
+        """Excess travel of the tip [mm]; not a number where the hand stopped early or never."""
+        if self.early or self.stop_s == inf:
+            return nan
+        return excess_travel_mm(-self.run.trace["tool_z_mm"], puncture_tick=round(self.puncture_s / TICK_S))
+
+
+def pierce(
+    scene: Scene,
+    *,
+    kappa: float,
+    offset_N: float,
+    notice: Notice = "force",
+    cue: bool = False,
+    rate_N_s: float = RATE_N_S,
+) -> Pierced:
+    """Push a scene's needle through its first membrane.
+
+    Parameters
+    ----------
+    scene
+        With a needle on a device. Its path gives the start and the direction; its hand, device, latency, predictor and
+        seed are used.
+    kappa, offset_N
+        Threshold of the person for forces, see `FeltDrop`.
+    notice
+        By what the puncture is noticed.
+    cue
+        Whether a cue is given at `CUE_SHARE` of the puncture force; it reaches the hand after the scene's latency.
+    rate_N_s
+        Rise of the force [N/s].
+
+    Raises
+    ------
+    InputError
+        If the scene has no device or no needle.
+    """
+    if scene.device == "none" or not isinstance(scene.motion, PathMotion):
+        raise InputError("scene must have a device and a path to be pushed, got none: set device, such as touch")
+    require_positive("rate_N_s", rate_N_s, f"use {RATE_N_S:g}")
+    start, end = 1e-3 * np.array(scene.motion.points_mm[:2])
+    limits = device_parameters(scene.device)
+    integration_s = constants("perception", "force")["integration_s"].value
+    noise, frames = np.random.default_rng([scene.seed, 9]).spawn(2)
+    hand = PushingHand(
+        hand_parameters(scene.hand),
+        start_m=start,
+        direction=(end - start) / np.linalg.norm(end - start),
+        rate_N_s=rate_N_s,
+        felt=FeltDrop(kappa, offset_N, integration_s) if notice != "at once" else None,
+        integration_s=integration_s,
+        rng=noise,
+    )
+    x, y, z = start.tolist()
+    device = SimulatedDevice(limits, hand, position_m=(x, y, z))
+    cue_after_s = 1e-3 * scene.coupling.delay_ms if cue else inf
+    bystander = _Bystander(hand, notice, cue_after_s=cue_after_s, frame_s=float(frames.uniform(0.0, FRAME_S)))
+    pushed = changed(scene, {"duration_s": LONGEST_S})
+    run = simulate(pushed, cores=1, device=device, observer=bystander, allow_unstable=True)
+    felt_N, aim_mm = np.array(bystander.rows).T
+    return Pierced(run, bystander.puncture_s, hand.noticed_s, hand.stop_s, felt_N, aim_mm)
+
+
+class _Bystander:
+    """What shows a hand the tip and gives it its cue, and what ends a run."""
+
+    timing_columns: tuple[str, ...] = ()
+
+    def __init__(self, hand: PushingHand, notice: Notice, *, cue_after_s: float, frame_s: float) -> None:
+        self._hand, self._notice = hand, notice
+        self._cue_after, self._frame = cue_after_s, frame_s
+        self._cued = False
+        self.puncture_s = inf
+        self.rows: list[tuple[float, float]] = []
+
+    def on_begin(self, parts: Parts, columns: Sequence[str]) -> None:
+        """Look at the needle."""
+        if not isinstance(parts.tissue, NeedleModel):
+            raise InputError("scene must have a needle, got another tool: use the scene needle")
+        self._needle = parts.tissue
+
+    def before_tick(self, index: int) -> None:
+        """Nothing is waited for."""
+
+    def on_tick(self, index: int, row: NDArray[np.float64], times: NDArray[np.float64]) -> bool:
+        """Show and cue what is due; whether the run goes on."""
+        now, hand, insertion = index * TICK_S, self._hand, self._needle.insertion
+        self.rows.append((hand.felt_N, 1e3 * hand.aim_m))
+        if insertion.punctured and self.puncture_s == inf:
+            self.puncture_s = now
+            if self._notice == "at once":
+                hand.stop(now)
+        if now >= self._frame:
+            self._frame += FRAME_S
+            if self._notice == "sight" and insertion.punctured and insertion.inserted_m > VISIBLE_M:
+                hand.see(now + FRAME_S)
+        if not self._cued and insertion.pull_N >= CUE_SHARE * self._needle.tissue.membranes[0].puncture_N:
+            self._cued = True
+            hand.cue(now + self._cue_after)
+        return now < hand.stop_s + AFTER_S
+
+    def on_end(self) -> list[tuple[float, str]]:
+        """When the hand noticed."""
+        return [(self._hand.noticed_s, NOTICED)] if self._hand.noticed_s < inf else []
