@@ -1,7 +1,7 @@
 """A small study: does predicting the force hide the latency of a contact with a wall?
 
 Expected: over two trials of each group the force that is played lies 5 % off the prompt one without prediction.
-Prediction by a Koopman operator leaves less than 0.85 of that error and takes more than two of four milliseconds off
+Prediction by a Koopman operator leaves less than 0.85 of that error and takes more than two of six milliseconds off
 the lag. A trial that is run alone gives the same numbers to the last bit. People are simulated.
 Run: python examples/12_a_small_study.py
 """

@@ -138,7 +138,7 @@ def main() -> None:
     compared = [
         ("sub-voxel bricks: carve + force", both),
         ("  carve", carving),
-        ("  force, 1600 elements", forces),
+        ("  force, 6000 elements", forces),
         ("binary bricks: carve + force", milling(volume, count, removal="binary")[2]),
         ("brute-force Warp: carve", brute_force_warp(volume, 400)),
         ("NumPy: carve", numpy_box(volume, 20 if quick else 60)),

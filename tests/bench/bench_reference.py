@@ -16,7 +16,7 @@ from harness import machine, table
 import tissue
 from tissue.evaluation.reference.error import error_of_force
 from tissue.evaluation.reference.history import reference_force
-from tissue.scene.load import changed
+from tissue.scene.load import parse_override
 
 
 def main() -> None:
@@ -24,12 +24,10 @@ def main() -> None:
     parser.add_argument("scenes", nargs="+", help="scenes, and changes such as voxels.spacing_mm=0.1")
     parser.add_argument("--worst", action="store_true", help="show the windows that are farthest off")
     arguments = parser.parse_args()
-    changes = dict(word.split("=", 1) for word in arguments.scenes if "=" in word)
-    changes = {key: _value(value) for key, value in changes.items()}
+    changes = dict(parse_override(word) for word in arguments.scenes if "=" in word)
     rows = []
     for name in (word for word in arguments.scenes if "=" not in word):
-        scene = tissue.load_scene(name, changes)
-        scene = changed(scene, {"stress": None}) if scene.stress is not None else scene
+        scene = tissue.load_scene(name, {**changes, "stress": None})
         run = tissue.simulate(scene, cores=1)
         start = perf_counter()
         reference = reference_force(scene, run.trace, progress=_progress)
@@ -62,15 +60,6 @@ def _show_worst(force, wanted, count=8) -> None:
         part = slice(50 * k, 50 * k + 50)
         got, exact = force[part].mean(axis=0), wanted[part].mean(axis=0)
         print(f"{50 * k:6d} ms  force {np.round(got, 4)} N  reference {np.round(exact, 4)} N")
-
-
-def _value(text: str):
-    import tomllib
-
-    try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        return text
 
 
 def _progress(what: str, share: float) -> None:

@@ -1,13 +1,16 @@
-"""Where a tick's time goes, scene by scene, by script and by hand: `python tests/bench/profile_ticks.py [--deep] [SCENE ...]`.
+"""Where a tick's time goes, scene by scene, by script and by hand: `python tests/bench/profile_ticks.py [--deep | --added] [SCENE ...]`.
 
 Stages are medians over ticks in contact [us], of the faster of two runs. By hand the stage `motion` holds the simulated
 device and hand, which a real device does not need. `--deep` runs once more under cProfile and names the functions with the
-most time of their own: shares, since a profiler makes small functions look larger than they are.
+most time of their own: shares, since a profiler makes small functions look larger than they are. `--added` prints what
+hand, coupling, prediction by koopman-look-ahead and perception add to the same scripted scene: ticks by hand less ticks
+by script, each the least of some runs, since another process on the machine only adds.
 """
 
 import argparse
 import cProfile
 import pstats
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +19,7 @@ from harness import machine, table
 
 from tissue.evaluation.charts.measure import excerpt
 from tissue.evaluation.charts.settings import by_hand
-from tissue.scene.load import load_scene, scene_names
+from tissue.scene.load import changed, load_scene, scene_names
 from tissue.scene.scene import Scene
 from tissue.simulation.run import Run
 from tissue.simulation.simulate import simulate
@@ -24,6 +27,8 @@ from tissue.simulation.trace import TIMING_COLUMNS
 
 STAGES = tuple(name.removesuffix("_us") for name in TIMING_COLUMNS[1:])
 SHOWN = 6
+ADDED_RUNS = 3
+HANDED = {"prediction": "koopman-look-ahead", "perception": "population"}
 
 
 class Profiled:
@@ -80,12 +85,38 @@ def deepest(scene: Scene) -> list[tuple[str, float, float]]:
     ]
 
 
+def ticks_us(scene: Scene) -> tuple[float, float]:
+    """Median and 99th percentile of ticks in contact [us], each the least of some runs."""
+    found = [stages(simulate(scene, allow_unstable=True)) for _ in range(ADDED_RUNS)]
+    return min(each["tick"] for each in found), min(each["p99"] for each in found)
+
+
+def added(names: Sequence[str]) -> None:
+    """What a hand, with all that belongs to it, adds to a scripted scene; a wall is met by hand only."""
+    rows = []
+    for name in names:
+        scene = load_scene(name)
+        if scene.device != "none":
+            print(f"{name} has no script of its own")
+            continue
+        hand, script = (ticks_us(excerpt(each, {}, quick=True)) for each in (changed(by_hand(scene), HANDED), scene))
+        rows.append((name, *(f"{each:.0f}" for each in (*script, *hand)),
+                     *(f"{h - s:.0f}" for h, s in zip(hand, script, strict=True))))  # fmt: skip
+        print(name, flush=True)
+    head = ("scene", "script us", "99 %", "hand us", "99 %", "hand - script us", "99 %")
+    print("\n" + table(rows, head))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="*", help="default: all")
     parser.add_argument("--deep", action="store_true", help="name functions, too")
+    parser.add_argument("--added", action="store_true", help="what a hand adds to the script")
     given = parser.parse_args()
     print(machine())
+    if given.added:
+        added(given.scenes or scene_names())
+        return
     rows, deep = [], []
     for name in given.scenes or scene_names():
         scene = load_scene(name)

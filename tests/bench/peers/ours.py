@@ -109,19 +109,18 @@ def prediction() -> None:
     from tissue.prediction.edmd.dictionary import Delays
     from tissue.prediction.edmd.edmd import Edmd
     from tissue.prediction.edmd.episodes import Episode
-    from tissue.prediction.koopman import Koopman, LoopTerms
 
     episodes = [Episode(contacts(seed), None, STEP_S) for seed in range(10)]
     unseen, made = contacts(100), {}
     edmd = Edmd(Delays(DELAYS), ridge=1e-8)
     fits = timed(lambda _: made.update(it=edmd.fit(episodes)), count=3)
-    terms = LoopTerms(gains=(0.0,) * HORIZON, residual_N=1e3, correction_N=1.0, quiet_N=0.0, reach_N=1e3, growth=1e3,
-                      following=np.zeros((3, 3)))  # fmt: skip
-    predictor, far = Koopman(made["it"], terms), []
+    matrix, offset = made["it"].predicted_states(HORIZON)[-1]
+    seen, far = np.zeros(6 * (DELAYS + 1)), []
 
     def predict_ahead(tick: int) -> None:
-        predictor.observe(unseen[tick, :3], np.zeros(3), unseen[tick, 3:])
-        far.append(predictor.predict(HORIZON)[2] - unseen[tick + HORIZON, 5])
+        seen[6:] = seen[:-6]
+        seen[:6] = unseen[tick]
+        far.append((matrix[5] @ seen + offset[5]) - unseen[tick + HORIZON, 5])
 
     each = timed(predict_ahead, count=1900, warm_up=50)
     error = float(np.sqrt(np.mean(np.square(far[50:]))))
