@@ -40,6 +40,7 @@ def train(
     """
     from meshes.base.errors import InputError
     from tissue.scene.load import load_scene, parse_override
+    from tissue.scene.registry import PREDICTORS
     from tissue.system.outputs import require_new_file
 
     loaded = load_scene(scene, dict(parse_override(text) for text in set_))
@@ -54,6 +55,8 @@ def train(
         found = trained_on(loaded, trials=trials, cores=cores, progress=report)
         found.write(path, overwrite=overwrite)
     facts, checked = found.facts, found.facts["validation"]
+    errors = {kind: sum(each) for kind, each in checked["errors"].items() if PREDICTORS[kind].trained}
+    best = min(errors, key=lambda kind: errors[kind])
     lines = [
         f"{facts['dictionary']}: {facts['observables']} observables from {facts['samples']} samples; "
         f"largest eigenvalue {facts['radius_before_cap']:.6f}, {facts['capped']} capped",
@@ -63,6 +66,6 @@ def train(
             f"{kind:>18}  " + "  ".join(f"{100.0 * e:6.2f}" for e in errors)
             for kind, errors in checked["errors"].items()
         ),
-        f"written to {path}; use it with --set prediction=koopman --set coupling.predictor_file={path}",
+        f"written to {path}; use it with --set prediction={best} --set coupling.predictor_file={path}",
     ]
     console.print(*lines, sep="\n")

@@ -1,14 +1,17 @@
 """Training: its trials, what it writes, the shipped predictors, and the latency that they hide."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from meshes.base.errors import InputError
 from tissue import load_scene, simulate
 from tissue.builders.loop import lead_ticks
 from tissue.builders.prediction import FALLBACKS
 from tissue.evaluation.statistics.metrics import force_error
-from tissue.evaluation.training.recording import trial
-from tissue.evaluation.training.train import CHOSEN_AT
+from tissue.evaluation.training.recording import Recorder, trial
+from tissue.evaluation.training.train import CHOSEN_AT, validated, with_fallback
 from tissue.prediction.edmd.lifted import Operator
 from tissue.prediction.trained import Trained, shipped_file
 from tissue.scene.registry import PREDICTORS
@@ -50,6 +53,17 @@ def motor_error(prediction, **changes):
     run = simulate(load_scene("wall", entries))
     forces = motor_forces(run, ideal_force_N(run))
     return force_error(forces.played, forces.ideal), force_error(forces.nearest, forces.ideal), run.trace
+
+
+def test_runs_without_a_touch_set_no_figure():
+    """Neither which fallback is taken nor an error; where none is left, nothing is validated."""
+    trained = Trained.read(shipped_file("wall"), scene="wall")
+    run = Recorder().record(trial(load_scene("wall", {"duration_s": 0.7}), 3))
+    free = replace(run, force_N=np.zeros_like(run.force_N))
+    found, alone = (validated(with_fallback(trained, runs, 3.3), runs, 3.3) for runs in ([free, run], [run]))
+    assert found.fallback == alone.fallback and found.facts["validation"] == alone.facts["validation"]
+    with pytest.raises(InputError, match="trials must leave a run that touches"):
+        validated(trained, [free], 3.3)
 
 
 def test_latency_is_hidden_on_the_wall():

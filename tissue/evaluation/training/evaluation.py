@@ -6,12 +6,13 @@ from math import ceil
 import numpy as np
 
 from meshes.base.arrays import Array
+from tissue.evaluation.statistics.metrics import force_error
 from tissue.evaluation.training.recording import Recording
 from tissue.haptics.loop.motor_path import force_later_N
 from tissue.prediction.contact import Contact, SeesContact
 from tissue.prediction.predictor import Predictor
 
-__all__ = ["HORIZONS", "forecast", "forecast_errors"]
+__all__ = ["HORIZONS", "forecast", "forecast_errors", "touching"]
 
 HORIZONS = (1, 2, 3, 4, 6, 8, 10)
 """Ticks ahead at which predictors are compared."""
@@ -48,6 +49,11 @@ def forecast_errors(
     """||predicted - F|| / ||F|| of a new predictor on each run, shape (runs, horizons).
 
     F is the reference force in the tick that was predicted, over all ticks that can be predicted.
+
+    Raises
+    ------
+    InputError
+        If a run has no force in those ticks; see `touching`.
     """
     errors = np.empty((len(runs), len(horizons)))
     for row, run in enumerate(runs):
@@ -55,5 +61,10 @@ def forecast_errors(
         for column, horizon in enumerate(horizons):
             known = len(run.force_N) - ceil(horizon)
             came = force_later_N(run.force_N, horizon)[:known]
-            errors[row, column] = np.linalg.norm(predicted[:known, column] - came) / np.linalg.norm(came)
+            errors[row, column] = force_error(predicted[:known, column], came)
     return errors
+
+
+def touching(runs: Sequence[Recording]) -> list[Recording]:
+    """The runs that have a force in ticks that can be predicted: a hand may come too late for a short scene."""
+    return [run for run in runs if run.force_N[max(HORIZONS) :].any()]

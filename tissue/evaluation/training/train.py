@@ -6,7 +6,7 @@ from functools import partial
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from tissue.builders.prediction import FALLBACKS, trained_predictor
-from tissue.evaluation.training.evaluation import HORIZONS, forecast_errors
+from tissue.evaluation.training.evaluation import HORIZONS, forecast_errors, touching
 from tissue.evaluation.training.fitting import fit
 from tissue.evaluation.training.recording import Recorder, Recording, trial
 from tissue.haptics.device.device import device_parameters
@@ -51,17 +51,23 @@ def train(scene: Scene, *, trials: int = TRIALS, cores: int | None = None, progr
 
 def with_fallback(trained: Trained, runs: list[Recording], force_limit_N: float) -> Trained:
     """With the best of the predictors without a lifted operator, by their mean errors on some runs."""
-    errors = {
-        kind: forecast_errors(
-            partial(trained_predictor, kind, trained, force_limit_N=force_limit_N), runs, horizons=(CHOSEN_AT,)
-        ).mean()
-        for kind in FALLBACKS
-    }
+    makers = {kind: partial(trained_predictor, kind, trained, force_limit_N=force_limit_N) for kind in FALLBACKS}
+    runs = touching(runs)
+    errors = {kind: forecast_errors(make, runs, horizons=(CHOSEN_AT,)).mean() for kind, make in makers.items()}
     return replace(trained, fallback=min(errors, key=lambda kind: float(errors[kind])))
 
 
 def validated(trained: Trained, held_out: list[Recording], force_limit_N: float) -> Trained:
-    """With the mean errors of all predictors on runs that were held out."""
+    """With the mean errors of all predictors on runs that were held out.
+
+    Raises
+    ------
+    InputError
+        If none of these runs touches anything.
+    """
+    held_out = touching(held_out)
+    if not held_out:
+        raise InputError("trials must leave a run that touches to validate on, got none: use more, or run longer")
     makers = {kind: partial(trained_predictor, kind, trained, force_limit_N=force_limit_N) for kind in PREDICTORS}
     errors = {kind: forecast_errors(make, held_out).mean(axis=0).tolist() for kind, make in makers.items()}
     validation = {"held_out": [run.seed for run in held_out], "horizons_ms": list(HORIZONS), "errors": errors}

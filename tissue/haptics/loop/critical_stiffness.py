@@ -5,11 +5,10 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import floor, inf, log10
 
-import numpy as np
 from scipy.optimize import brentq
 
 from meshes.base.errors import InputError
-from tissue.haptics.loop.sampled_loop import WallLoop, loop_matrix, spectral_radius
+from tissue.haptics.loop.sampled_loop import WallLoop, largest_eigenvalue, spectral_radius
 
 __all__ = ["Verdict", "critical_stiffness_N_m", "in_hands", "judge", "nearest_stable_N_m", "require_stable"]
 
@@ -126,5 +125,4 @@ def require_stable(loop: WallLoop, hands: Sequence[tuple[float, float, float]] |
 
 def _beyond(stiffness_N_m: float, loop: WallLoop) -> float:
     """How far the largest eigenvalue lies beyond what counts as settling; below zero no mode grows."""
-    eigenvalues = np.linalg.eigvals(loop_matrix(loop.with_stiffness(stiffness_N_m)))
-    return float(np.abs(eigenvalues).max()) - (1.0 - ON_THE_CIRCLE)
+    return largest_eigenvalue(loop.with_stiffness(stiffness_N_m)) - (1.0 - ON_THE_CIRCLE)

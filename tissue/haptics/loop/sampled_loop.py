@@ -7,6 +7,7 @@ from math import ceil, inf, pi
 
 import numpy as np
 from scipy.linalg import expm
+from threadpoolctl import ThreadpoolController
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
@@ -14,7 +15,15 @@ from tissue.haptics.loop.filters import constant_acceleration_map, low_pass_gain
 from tissue.haptics.loop.forecast import Forecast
 from tissue.models.tissue_model import TICK_S
 
-__all__ = ["ForecastMemory", "SampledVelocity", "WallLoop", "loop_matrix", "plant_step", "spectral_radius"]
+__all__ = [
+    "ForecastMemory",
+    "SampledVelocity",
+    "WallLoop",
+    "largest_eigenvalue",
+    "loop_matrix",
+    "plant_step",
+    "spectral_radius",
+]
 
 MOST_TICKS = 400
 """Longest delay and longest model step that are judged [ticks]: the map has one state for every tick of delay."""
@@ -207,6 +216,22 @@ class ForecastMemory:
         return model + forecast.gain * (predicted - model)
 
 
+def largest_eigenvalue(loop: WallLoop) -> float:
+    """Absolute value of the largest eigenvalue of `loop_matrix`.
+
+    One thread is at work: a second one gains nothing on so few states, and on a machine with other work both wait for
+    each other, ten times as long and more.
+    """
+    with _thread_pools().limit(limits=1, user_api="blas"):
+        return float(np.abs(np.linalg.eigvals(loop_matrix(loop))).max())
+
+
 def spectral_radius(loop: WallLoop) -> float:
     """Growth of the loop's slowest mode over one tick: below 1 it settles, above 1 it grows."""
-    return float(np.abs(np.linalg.eigvals(loop_matrix(loop))).max() ** (1.0 / loop.model_ticks))
+    return float(largest_eigenvalue(loop) ** (1.0 / loop.model_ticks))
+
+
+@lru_cache
+def _thread_pools() -> ThreadpoolController:
+    """Those of the libraries that NumPy has loaded."""
+    return ThreadpoolController()
