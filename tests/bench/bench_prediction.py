@@ -6,24 +6,28 @@ Every run is recorded once, with the force that its coupling gives without delay
 kept in DIR; predictors are scored again on what is there. Printed for each scene, latency and predictor: the error at the
 motor, its least error (the force of the encoder's steps, foreseen without error), what is in excess of it, that in shares of
 hold's, the residual latency, and the worst share over the held-out moves. Where a share misses its target, what it
-consists of. Two processes record. With `--closed` the best three of every scene, or `--predictors`, run in closed loop.
+consists of. Two processes record and score. With `--closed` the best three of every scene, or `--predictors`, run in closed loop.
 """
 
 import argparse
+import os
 from collections.abc import Callable, Collection
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
+os.environ.update(
+    dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+)  # threads of a norm waited for 80 % of the time
+
 import numpy as np
 from closed_loop import close
 from harness import cost_of, machine, table
+from prediction_scores import FORCE_LIMIT_N, KNOWN, RECORDED_MS, Kept, scores
 
 from meshes.base.errors import InputError
 from tissue.builders.prediction import trained_predictor
-from tissue.evaluation.training.motor_score import motor_score
 from tissue.evaluation.training.recording import Recorder, Recording, trial
 from tissue.prediction.contact import Contact, SeesContact
-from tissue.prediction.look_ahead import LookAhead
 from tissue.prediction.predictor import Predictor
 from tissue.prediction.trained import Trained, shipped_file
 from tissue.scene.load import changed, load_scene
@@ -32,44 +36,17 @@ from tissue.scene.scene import Scene
 
 FIRST_SEED = 20_000
 LATENCIES_MS = (2, 4, 8, 16)
-RECORDED_MS = 4
-"""Latency under which runs are recorded; predictors are scored on them as if it were another."""
-FORCE_LIMIT_N = 3.3
 MOVED_MM = {"wall": (80.0, 0.0), "palpation": (5.0, 8.0), "liver-press": (4.0, 4.0), "milling": (0.0, 2.5)}
 """How far a path is moved along the tissue's surface; 1 mm elsewhere."""
 TURNED_DEG = {"wall": 90.0, "palpation": 20.0, "liver-press": 90.0, "milling": 90.0}
 """How far it is turned about its middle on the surface; not where a hole guides the tool."""
-KNOWN = "(path known)"
-"""Look-ahead on the path that the device goes on, without a guard: what is left is the law's; no predictor."""
 PACES, SHARES = (0.6, 1.5), (0.7, 1.4)
 TARGETS = {"wall": 0.4, "palpation": 0.4, "milling": 0.6, "glenoid": 0.6, "molar": 0.6, "caries": 0.6}
 """Share of hold's excess that the best predictor is to keep to, in every move; 1 elsewhere."""
 BEST = 3
 
-
-class KnownPath:
-    """The path that a recorded device goes on; the stretch stays."""
-
-    trusted = True
-
-    def __init__(self, run: Recording) -> None:
-        self._places, self._at = run.position_m, -1
-        self._stretch = np.zeros(3)
-
-    def observe(self, position_m: np.ndarray, stretch_m: np.ndarray) -> None:
-        self._at += 1
-        self._stretch = stretch_m.copy()
-
-    def displacement_m(self, ticks: float) -> np.ndarray:
-        count = np.arange(len(self._places))
-        there = [np.interp(self._at + ticks, count, axis) for axis in self._places.T]
-        return np.array(there) - self._places[self._at]
-
-    def stretch_m(self, ticks: float) -> np.ndarray:
-        return self._stretch
-
-    def pause(self) -> None:
-        pass
+Scores = dict[tuple[str, int], np.ndarray]
+"""Of a run, see `prediction_scores.scores`."""
 
 
 def moves(scene: Scene) -> dict[str, tuple[Scene, float]]:
@@ -128,44 +105,50 @@ def record(name: str, move: str, runs: int, folder: Path) -> None:
         )
 
 
-def report(name: str, late_ms: int, folder: Path) -> list[str]:
+def scored(name: str, latencies_ms: list[int], folder: Path, pool: ProcessPoolExecutor) -> dict[str, list[Scores]]:
+    """Scores of the runs of every move that are in the folder."""
+    tasks = {
+        move: [
+            pool.submit(scores, path, variant, share, latencies_ms)
+            for path in sorted(folder.glob(f"{name}-{move.replace(' ', '_')}-*.npz"))
+        ]
+        for move, (variant, share) in moves(load_scene(name)).items()
+    }
+    return {move: [task.result() for task in each] for move, each in tasks.items() if each}
+
+
+def report(name: str, late_ms: int, found: dict[str, list[Scores]]) -> list[str]:
     """The table of a scene at a latency; its best predictors by their mean share of hold's excess over all moves."""
-    trained, scene = Trained.read(shipped_file(name), scene=name), load_scene(name)
-    found: dict[str, dict[str, list[tuple[float, ...]]]] = {kind: {} for kind in (*PREDICTORS, KNOWN)}
-    for move, (variant, share) in moves(scene).items():
-        for path in sorted(folder.glob(f"{name}-{move.replace(' ', '_')}-*.npz")):
-            seed = int(path.stem.rsplit("-", 1)[1])
-            with np.load(path) as kept:
-                run = Recording(kept["position"], kept["velocity"], kept["force"], kept["contact"], "", seed)
-                ideal = kept["ideal"]
-            one = trial(variant, seed, delay_ms=RECORDED_MS, share=share)
-            for kind in found:
-                if kind == KNOWN:
-                    made: Predictor = LookAhead(KnownPath(run))
-                else:
-                    made = trained_predictor(kind, trained, force_limit_N=FORCE_LIMIT_N)
-                score = motor_score(made, one, run, ideal, delay_ms=late_ms)
-                found[kind].setdefault(move, []).append(
-                    (score.error, score.least_error, score.excess, score.latency_ms)
-                )
-    if not found["hold"]:
-        return []
+    mean = {
+        kind: {move: np.mean([run[kind, late_ms] for run in runs], axis=0) for move, runs in found.items()}
+        for kind in (*PREDICTORS, KNOWN)
+    }
     rows, shown = [], {}
-    mean = {kind: {move: np.mean(each, axis=0) for move, each in of.items()} for kind, of in found.items()}
     for kind, of in mean.items():
-        shares = {move: each[2] / mean["hold"][move][2] for move, each in of.items()}
-        worst = max(shares, key=lambda move: shares[move])
-        shown[kind] = float(np.mean(list(shares.values())))
+        shares = {move: share_of(each[2], mean["hold"][move][2]) for move, each in of.items()}
+        worst = max(shares, key=lambda move: np.nan_to_num(shares[move], nan=-1.0))
+        known = [share for share in shares.values() if not np.isnan(share)]
+        shown[kind] = float(np.mean(known)) if known else np.inf
         error, least, excess, late = of["same"]
         over = max(100.0 * (of[move][0] - mean["hold"][move][0]) for move in of)
-        rows.append((kind, f"{100 * error:.2f}", f"{100 * least:.2f}", f"{100 * excess:.2f}", f"{shares['same']:.2f}",
-                     f"{late:+.2f}", f"{shares[worst]:.2f} {worst}", f"{over:+.2f}"))  # fmt: skip
-    print(f"\n{name} at {late_ms} ms: {sum(map(len, found['hold'].values()))} runs, {', '.join(mean['hold'])}")
+        rows.append((kind, f"{100 * error:.2f}", f"{100 * least:.2f}", f"{100 * excess:.2f}", written(shares["same"]),
+                     f"{late:+.2f}", f"{written(shares[worst])} {worst}", f"{over:+.2f}"))  # fmt: skip
+    print(f"\n{name} at {late_ms} ms: {sum(map(len, found.values()))} runs, {', '.join(found)}")
     head = ("predictor", "error %", "least %", "excess %", "of hold's", "late ms", "worst share", "over hold %")
     print(table(rows, head), flush=True)
     best = sorted((kind for kind in PREDICTORS if kind != "hold"), key=lambda kind: shown[kind])[:BEST]
     decompose(mean, best[0], TARGETS.get(name, 1.0))
     return best
+
+
+def share_of(excess: float, held: float) -> float:
+    """An excess in shares of hold's; NaN where hold has none."""
+    return excess / held if held > 0.0 else np.nan
+
+
+def written(share: float) -> str:
+    """A share as text."""
+    return "-" if np.isnan(share) else f"{share:.2f}"
 
 
 def decompose(mean: dict[str, dict[str, np.ndarray]], best: str, target: float) -> None:
@@ -175,7 +158,8 @@ def decompose(mean: dict[str, dict[str, np.ndarray]], best: str, target: float) 
         held, known = mean["hold"][move][2], mean[KNOWN][move][2]
         if excess > target * held:
             figures = (error, least, held, target * held, excess, known)
-            rows.append((move, *(f"{100 * each:.2f}" for each in figures), f"{excess / held:.2f}", f"{late:+.2f}"))
+            share = written(share_of(excess, held))
+            rows.append((move, *(f"{100 * each:.2f}" for each in figures), share, f"{late:+.2f}"))
     if rows:
         head = ("move", "error %", "least (encoder) %", "hold's excess %", "target %", "left %", "path known %",
                 "of hold's", "late ms")  # fmt: skip
@@ -189,9 +173,7 @@ def costs(name: str, folder: Path) -> None:
     paths = sorted(folder.glob(f"{name}-same-*.npz"))
     if not paths:
         return
-    with np.load(paths[0]) as kept:
-        run = Recording(kept["position"], kept["velocity"], kept["force"], kept["contact"], "", 0)
-    rows = []
+    run, rows = Kept.read(paths[0]).run, []
     for kind in PREDICTORS:
         cost = cost_of(
             ticks_of(trained_predictor(kind, trained, force_limit_N=FORCE_LIMIT_N), run), count=len(run.force_N)
@@ -236,10 +218,12 @@ def main() -> None:
             shared = runs_of(moves(load_scene(name)), given.runs)
             for done in [pool.submit(record, name, move, count, given.out) for move, count in shared.items()]:
                 done.result()
-            for late in sorted({*given.latency, *([RECORDED_MS] if given.closed else [])}):
-                found = report(name, late, given.out)
-                if late == RECORDED_MS and found:
-                    best[name] = ["hold", *found]
+            latencies = sorted({*given.latency, *([RECORDED_MS] if given.closed else [])})
+            found = scored(name, latencies, given.out, pool)
+            for late in latencies if "same" in found else []:
+                leading = report(name, late, found)
+                if late == RECORDED_MS:
+                    best[name] = ["hold", *leading]
             costs(name, given.out)
     if given.closed:
         close(best, given.runs, given.out)
