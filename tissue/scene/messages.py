@@ -41,10 +41,11 @@ def sentence(fault: ErrorDetails, table: Table) -> str:
             shown(context["tag"] if isinstance(context["tag"], str) else _value_at((*names, "kind"), table)),
         )
     got = fault["input"] if len(path) == len(names) else _value_at(names, table)
-    choices = choices_of(field)
-    if choices:
+    choices, number = choices_of(field), _alternatives(field.annotation)[0] in (int, float)
+    if choices and not number:
         return unknown_name(key, choices, shown(got))
-    return f"{key} must be {_requirement(field, kind, len(path) > len(names))}, got {_shown(got)}: {_remedy(field)}"
+    wanted = " or ".join((_requirement(field, kind, len(path) > len(names)), *choices))
+    return f"{key} must be {wanted}, got {_shown(got)}: {_remedy(field)}"
 
 
 def _shown(value: object) -> str:
@@ -64,7 +65,7 @@ def choices_of(field: FieldInfo) -> list[str]:
 def _requirement(field: FieldInfo, kind: str, inside: bool) -> str:
     """What a field holds."""
     part = _alternatives(field.annotation)[0]
-    bounds = _bounds(field.metadata)
+    bounds = _bounds([*field.metadata, *_limits(field.annotation)])
     if part in (int, float):
         noun = "a whole number" if part is int else "a number" if kind != "finite_number" else "a finite number"
         if kind in ("float_type", "int_type") or not bounds:
@@ -134,6 +135,11 @@ def _alternatives(annotation: object) -> list[object]:
     return [annotation]
 
 
+def _limits(annotation: object) -> list[object]:
+    """What binds one of several types alone."""
+    return [limit for each in get_args(annotation) for limit in getattr(each, "__metadata__", ())]
+
+
 def _inner(table: Table, name: str) -> Table:
     inner = table.get(name, {})
     return inner if isinstance(inner, Mapping) else {}
@@ -146,6 +152,13 @@ def _value_at(names: tuple[str, ...], table: Table) -> object:
 
 
 def _without_tags(location: tuple[int | str, ...], table: Table) -> list[int | str]:
-    """A fault's location without the name of the kind that pydantic adds after a part."""
+    """A fault's location without what pydantic adds: a part's kind, or which type of several a value is not."""
     tagged = len(location) > 1 and _inner(table, str(location[0])).get("kind") == location[1]
-    return [location[0], *location[2:]] if tagged else list(location)
+    path = [location[0], *location[2:]] if tagged else list(location)
+    for count in range(1, len(path)):
+        found = _model_at(tuple(map(str, path[: count - 1])), table).model_fields.get(str(path[count - 1]))
+        if found is None or isinstance(path[count], int):
+            break
+        if not _parts(found):
+            return path[:count]
+    return path

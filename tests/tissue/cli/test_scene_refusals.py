@@ -47,6 +47,14 @@ POINTS = "motion.points_mm must be a list of at least two points [x, y, z], got"
             "anatomy=5",
             "anatomy must be a table with entries such as file, scale_mm, centre_mm, got 5: see `tissue scenes NAME`",
         ),
+        (
+            "coupling.force_scale=autos",
+            "coupling.force_scale must be a number at least 0.0001 and at most 100 or auto, got autos: use 0.1",
+        ),
+        (
+            "coupling.force_scale=-1",
+            "coupling.force_scale must be at least 0.0001 and at most 100 or auto, got -1: use 0.1",
+        ),
         ("seed.low=1", "seed.low must name an entry of a part, got seed, which is a value: see `tissue scenes NAME`"),
         ("seed=-1", "seed must be at least 0 and below 9223372036854775808, got -1: use 0"),
         ("tool.flutes=2.0", "tool.flutes must be a whole number at least 1 and at most 200, got 2.0: use 4"),
