@@ -47,6 +47,14 @@ def test_trials_differ_in_hand_seed_and_latency():
     assert trial(scene, 3, share=0.7).coupling.force_scale == pytest.approx(0.7 * scene.force_scale)
 
 
+@pytest.mark.parametrize("name", ["milling", "glenoid", "palpation"])
+def test_a_trial_has_the_scale_of_forces_that_its_scene_has_on_a_device(name):
+    scene = load_scene(name)
+    played = load_scene(name, {"device": "touch"}).force_scale
+    assert played != scene.force_scale == 1.0
+    assert trial(scene, 0, share=0.7).coupling.force_scale == pytest.approx(0.7 * played)
+
+
 def motor_error(prediction, **changes):
     """||F - F_ideal|| / ||F_ideal|| at the motor of a run on the wall with 4 ms of latency, the least one, its trace."""
     entries = {"hand": "novice", "seed": 500, "coupling.delay_ms": 4, "prediction": prediction, **changes}

@@ -93,17 +93,17 @@ def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float
         or cutting coefficients this is the same as all of those changed by it.
     """
     delay = DELAYS_MS[index // len(GROUPS) % len(DELAYS_MS)] if delay_ms is None else delay_ms
+    held = changed(scene, {"device": "touch" if scene.device == "none" else scene.device})
     entries = {
-        "device": "touch" if scene.device == "none" else scene.device,
         "hand": GROUPS[index % len(GROUPS)],
         "seed": index,
         "prediction": "none",
         "perception": "none",
         "coupling.delay_ms": delay,
         "coupling.model_ms": 1,
-        "coupling.force_scale": share * scene.force_scale,
+        "coupling.force_scale": share * held.force_scale,  # a scale is chosen for a device
     }
-    made = changed(scene, entries | ({"stress": None} if scene.stress is not None else {}))
+    made = changed(held, entries | ({"stress": None} if scene.stress is not None else {}))
     # A loop whose latency is hidden is as stiff as a prompt one, whatever the latency of the trial.
     prompt = changed(made, {"coupling.delay_ms": 0})
     return changed(made, {"coupling.stiffness_N_m": judged_loop(prompt, step_s=TICK_S).stiffness_N_m})
