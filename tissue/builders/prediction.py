@@ -99,13 +99,13 @@ def look_ahead(trained: Trained | None, force_limit_N: float) -> Predictor:
 def koopman(trained: Trained | None, force_limit_N: float) -> Predictor:
     """The lifted predictor, which hands over to the best one without an operator."""
     assert trained is not None
-    return _with_fallback(Koopman(_path(trained)), trained, force_limit_N)
+    return _with_fallback("koopman", Koopman(_path(trained)), trained, force_limit_N)
 
 
 def koopman_look_ahead(trained: Trained | None, force_limit_N: float) -> Predictor:
     """The tissue's own law at the end of the path that the lifted operator foresees."""
     assert trained is not None
-    return _with_fallback(LookAhead(_path(trained)), trained, force_limit_N)
+    return _with_fallback("koopman-look-ahead", LookAhead(_path(trained)), trained, force_limit_N)
 
 
 def _path(trained: Trained) -> OperatorPath:
@@ -113,8 +113,7 @@ def _path(trained: Trained) -> OperatorPath:
     return OperatorPath(trained.operator, growth=trained.growth)
 
 
-def _with_fallback(lifted: Judged, trained: Trained, force_limit_N: float) -> Predictor:
-    """A lifted predictor, and what is asked where it is not trusted."""
-    return Guarded(
-        lifted, trained_predictor(trained.fallback, trained, force_limit_N=force_limit_N), reach_N=force_limit_N
-    )
+def _with_fallback(kind: str, lifted: Judged, trained: Trained, force_limit_N: float) -> Predictor:
+    """A lifted predictor, and what is asked where it is not trusted; throughout, if validation found it no gain."""
+    fallback = trained_predictor(trained.fallback, trained, force_limit_N=force_limit_N)
+    return fallback if trained.loses(kind) else Guarded(lifted, fallback, reach_N=force_limit_N)

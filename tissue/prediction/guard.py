@@ -24,6 +24,10 @@ WORSE = 1.5
 """Times the other's error from which a predictor is not trusted: below, both are noise; a prior."""
 LEAST_N = 3e-3
 """Error that is never counted as worse [N]."""
+LONG_MEMORY = 0.999
+"""The same where a predictor is compared with holding the force, by what it has cost or saved in all: a second."""
+MOST_DEBT = 20.0
+"""Times `LEAST_N`^2 that a predictor may have cost beyond holding: three seconds of no cost make up for all of it."""
 PROBATION = 50
 """Ticks for which a predictor must be trusted before it is asked again."""
 
@@ -40,11 +44,11 @@ class Judged(Predictor, Protocol):
 class Guarded:
     """A predictor for as long as it can be trusted, and another one in its place: no step in between.
 
-    The force is the fallback's plus a share of the difference to the predictor's. Trust ends when the predictor itself
-    doubts, or when its predictions have lately missed the force that came by more than the other's did; then the share
-    falls from 1 to 0 over some ticks, and it rises as slowly after a while of trust. The difference is bounded, and
-    where it is not finite the last one is kept, so a handover changes the force by no more than the bound over those
-    ticks.
+    The force is the fallback's plus a share of the difference to the predictor's. Trust ends when the predictor
+    itself doubts, when its predictions have lately missed the force that came by more than the other's did, or when
+    over a longer time holding the last force would have missed less, false touches included; then the share falls
+    from 1 to 0 over some ticks, and it rises as slowly after a while of trust. The difference is bounded, and where
+    it is not finite the last one is kept, so a handover changes the force by no more than the bound over those ticks.
 
     Parameters
     ----------
@@ -65,10 +69,11 @@ class Guarded:
         self._reach = require_positive("reach_N", reach_N, "use the device's greatest force")
         self._share, self._good = 1.0, PROBATION
         self._difference: Triple = (0.0, 0.0, 0.0)
-        self._kept: deque[tuple[Triple, Triple]] = deque()
+        self._kept: deque[tuple[Triple, Triple, Triple]] = deque()
         self._lead, self._asked = 0.0, False
         self._seen, self._age = (0.0, 0.0, 0.0), 0
         self._missed = [0.0, 0.0]
+        self._over_held = 0.0
 
     def meet(self, contact: Contact) -> None:
         """Pass it on to those that look at it."""
@@ -82,6 +87,7 @@ class Guarded:
             return
         self._asked = False
         self._missed = [MEMORY * self._missed[0], MEMORY * self._missed[1]]
+        self._over_held *= LONG_MEMORY
         self._age += 1
         if force_N is not None:
             self._compare(force_N)
@@ -89,7 +95,7 @@ class Guarded:
         self.instead.observe(position_m, velocity_m_s, force_N)
         self.residual_N = self.inner.residual_N
         primary, other = self._missed
-        worse = not primary <= WORSE**2 * other + LEAST_N**2
+        worse = not (primary <= WORSE**2 * other + LEAST_N**2 and self._over_held <= LEAST_N**2)
         self._good = self._good + 1 if self.inner.trusted and not worse else 0
         change = 1.0 / BLEND
         self._share = min(self._share + change, 1.0) if self._good >= PROBATION else max(self._share - change, 0.0)
@@ -119,15 +125,16 @@ class Guarded:
         now = fx, fy, fz
         if self._lead and len(self._kept) == ceil(self._lead):
             kept = self._kept[0]
+            # The force lay between the last two that were seen when what was predicted was due.
+            back = (len(self._kept) - self._lead) / self._age
+            bx, by, bz = self._seen
+            fx, fy, fz = fx + back * (bx - fx), fy + back * (by - fy), fz + back * (bz - fz)
+            primary, other, held = [(fx - x) ** 2 + (fy - y) ** 2 + (fz - z) ** 2 for x, y, z in kept]
+            self._over_held = min(self._over_held + (1.0 - LONG_MEMORY) * (primary - held), MOST_DEBT * LEAST_N**2)
             # A touch that is foreseen is not held against who foresees it.
             if any(kept[1]) and any(now):
-                # The force lay between the last two that were seen when what was predicted was due.
-                back = (len(self._kept) - self._lead) / self._age
-                bx, by, bz = self._seen
-                fx, fy, fz = fx + back * (bx - fx), fy + back * (by - fy), fz + back * (bz - fz)
-                for which, (x, y, z) in enumerate(kept):
-                    square = (fx - x) ** 2 + (fy - y) ** 2 + (fz - z) ** 2
-                    self._missed[which] += (1.0 - MEMORY) * square
+                self._missed[0] += (1.0 - MEMORY) * primary
+                self._missed[1] += (1.0 - MEMORY) * other
         self._seen, self._age = now, 0
 
     def _keep(self, ticks: float, primary: Triple, safe: Triple) -> None:
@@ -135,7 +142,7 @@ class Guarded:
         self._asked = True
         if ticks != self._lead:
             self._lead, self._kept = ticks, deque(maxlen=ceil(ticks))
-        self._kept.append((primary, safe))
+        self._kept.append((primary, safe, self._seen))
 
     def pause(self) -> None:
         """Pass it on; what was predicted belongs to no force any more."""

@@ -10,7 +10,11 @@ from meshes.base.errors import InputError
 from tissue.prediction.edmd.lifted import Operator
 from tissue.prediction.edmd.predictor_file import read_predictor, write_predictor
 
-__all__ = ["Trained", "shipped_file"]
+__all__ = ["VALIDATED_AT", "Trained", "shipped_file"]
+
+VALIDATED_AT = 6
+"""Whole ticks ahead at which predictors are compared in training: the lead of 4 ms of latency, which is 6.11 ticks on a
+touch with its path to the motor, see `tissue.builders.loop.lead_ticks`."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +43,14 @@ class Trained:
     growth: float
     fallback: str = "hold"
     facts: dict[str, Any] = field(default_factory=dict)
+
+    def loses(self, kind: str) -> bool:
+        """Whether holding the force missed less on the runs that validated a predictor, a loop's usual lead ahead."""
+        if "validation" not in self.facts:
+            return False
+        errors, horizons = self.facts["validation"]["errors"], self.facts["validation"]["horizons_ms"]
+        at = horizons.index(VALIDATED_AT)
+        return bool(errors[kind][at] > errors["hold"][at])
 
     def write(self, path: Path, *, overwrite: bool = False) -> Path:
         """Write it; operators in single precision and without moments, which keeps the file small.

@@ -11,9 +11,9 @@ from tissue.builders.loop import lead_ticks
 from tissue.builders.prediction import FALLBACKS
 from tissue.evaluation.statistics.metrics import force_error
 from tissue.evaluation.training.recording import Recorder, trial
-from tissue.evaluation.training.train import CHOSEN_AT, validated, with_fallback
+from tissue.evaluation.training.train import validated, with_fallback
 from tissue.prediction.edmd.lifted import Operator
-from tissue.prediction.trained import Trained, shipped_file
+from tissue.prediction.trained import VALIDATED_AT, Trained, shipped_file
 from tissue.scene.registry import PREDICTORS
 from tissue.simulation.reference_force import ideal_force_N, motor_forces
 
@@ -35,7 +35,7 @@ def test_a_shipped_predictor_is_sound(scene):
 
 def test_fallbacks_are_compared_at_the_lead_of_four_milliseconds():
     for name in SCENES:
-        assert round(lead_ticks(trial(load_scene(name), 0, delay_ms=4))) == CHOSEN_AT
+        assert round(lead_ticks(trial(load_scene(name), 0, delay_ms=4))) == VALIDATED_AT
 
 
 def test_trials_differ_in_hand_seed_and_latency():

@@ -47,13 +47,10 @@ def test_a_handover_has_no_step_and_comes_back():
 
 
 def test_who_misses_more_than_the_other_is_not_asked():
-    """The force is 1, then 2; the inner predicts 2 throughout, the other 1. While nothing is touched nobody is judged."""
+    """The force is 1, then 2; the inner predicts 2 throughout, the other 1."""
     guarded = Guarded(Fake(2.0), Fake(1.0), reach_N=10.0)
-    for _ in range(50):
-        guarded.observe(np.zeros(3), np.zeros(3), np.zeros(3))
-        guarded.predict(4)
     primary = []
-    for tick in range(600):
+    for tick in range(3600):  # what it has cost is forgotten after three seconds
         guarded.observe(np.zeros(3), np.zeros(3), np.full(3, 1.0 + float(tick >= 200)))
         guarded.predict(4)
         primary.append(guarded.is_primary)
@@ -85,6 +82,52 @@ def test_a_prediction_for_a_time_between_ticks_is_judged_by_the_force_between(mo
     assert all(primary)
     exact, other = guarded._missed
     assert exact < 1e-20 and other > 0.1 * 3.0 * 0.02**2
+
+
+class Ahead(Fake):
+    """Predicts the force that comes, plus a constant times how it changes until then, or where nothing is touched."""
+
+    clock, waited = 0, 400
+
+    def observe(self, position_m, velocity_m_s, force_N):
+        self.clock += 1
+
+    def force(self, tick):
+        return np.full(3, max(np.sin(0.02 * max(tick - self.waited, 0.0)), 0.0))
+
+    def predict(self, ticks):
+        then = self.force(self.clock + ticks)
+        return then + self.constant * (then - self.force(self.clock)) + self.false_N * (not then.any())
+
+    false_N = 0.0
+
+
+def primary_of(inner, *, ticks=2000):
+    """In which ticks a predictor is asked that is guarded by holding the force."""
+    guarded, primary = Guarded(inner, Hold(), reach_N=10.0), []
+    for tick in range(ticks):
+        guarded.observe(np.zeros(3), np.zeros(3), inner.force(tick + 1))
+        guarded.predict(6)
+        primary.append(guarded.is_primary)
+    return np.array(primary)
+
+
+@pytest.mark.parametrize("wrong_by", [0.0, -0.9, 0.9])
+def test_who_misses_less_than_holding_stays(wrong_by):
+    assert primary_of(Ahead(wrong_by)).all()
+
+
+@pytest.mark.parametrize("wrong_by", [-2.2, 1.2, 1.4])
+def test_who_misses_a_little_more_than_holding_is_handed_over(wrong_by):
+    """Below 1.5 times holding's error, which is no reason against another predictor."""
+    primary = primary_of(Ahead(wrong_by))
+    assert primary[:400].all() and primary[500:].mean() < 0.1
+
+
+def test_touches_that_do_not_come_are_held_against_who_foresees_them():
+    inner = Ahead(0.0)
+    inner.false_N = 0.3
+    assert not primary_of(inner)[20:390].any()
 
 
 def test_the_transition_between_two_predictors_is_bounded_and_finite():

@@ -15,7 +15,9 @@ from tissue.prediction.baselines import Kalman, Linear, LinearControl, kalman_ga
 from tissue.prediction.contact import Contact, SeesContact
 from tissue.prediction.edmd.dictionary import Identity
 from tissue.prediction.edmd.edmd import Edmd
+from tissue.prediction.guard import Guarded
 from tissue.prediction.paths import OperatorPath
+from tissue.prediction.predictor import Hold
 from tissue.prediction.trained import Trained
 from tissue.scene.registry import PREDICTORS
 
@@ -133,7 +135,7 @@ def test_powers_are_joined_by_straight_lines_between_ticks(trained):
         path.observe(run.position_m[row], run.force_N[row] / STIFFNESS_N_M)
         if row % 10 == 0:
             for ask in (loop.predict, path.displacement_m, path.stretch_m):
-                for whole, share in ((0, 0.5), (4, 0.25), (9, 0.875)):
+                for whole, share in ((0, 0.5), (4, 0.25), (9, 0.875), (18, 0.11), (29, 0.5)):
                     expected = (1.0 - share) * ask(whole) + share * ask(whole + 1)
                     np.testing.assert_allclose(ask(whole + share), expected, rtol=1e-9, atol=1e-12)
 
@@ -199,8 +201,8 @@ def test_the_loop_predicts_as_the_operator_does(trained):
     for row in range(200):
         path.observe(run.position_m[row], run.force_N[row] / STIFFNESS_N_M)
     for axis, episode in enumerate(run.episodes()):
-        states = trained.operator.predict(episode.states[200 - lags - 1 : 200], None, 9)
-        for ticks in (1, 4, 9):
+        states = trained.operator.predict(episode.states[200 - lags - 1 : 200], None, 30)
+        for ticks in (1, 4, 9, 18, 30):
             moved, stretch = path.displacement_m(ticks)[axis], path.stretch_m(ticks)[axis]
             assert moved == pytest.approx(states[:ticks, 0].sum(), rel=1e-9, abs=1e-14)
             assert stretch == pytest.approx(states[ticks - 1, 1], rel=1e-9, abs=1e-14)
@@ -266,6 +268,18 @@ def test_a_free_device_that_rests_has_no_force(kind, trained):
     loop, above = made(kind, trained), np.array([0.0, 0.0, 4e-3])
     feed(loop, np.zeros(100), np.tile(above, (100, 1)))
     assert not loop.predict(4).any()
+
+
+@pytest.mark.parametrize("kind", ["koopman", "koopman-look-ahead"])
+@pytest.mark.parametrize("loses", [False, True])
+def test_who_lost_against_holding_in_validation_is_not_asked(kind, loses, trained):
+    errors = {
+        "hold": [0.0, 0.02],
+        "koopman": [1.0, 0.02 + 0.01 * loses],
+        "koopman-look-ahead": [1.0, 0.01 + 0.02 * loses],
+    }
+    checked = replace(trained, facts={"validation": {"horizons_ms": [1, 6], "errors": errors}})
+    assert isinstance(made(kind, checked).instead, Hold if loses else Guarded)
 
 
 def test_a_file_gives_the_same_predictor(trained, tmp_path):

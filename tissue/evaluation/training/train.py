@@ -10,7 +10,7 @@ from tissue.evaluation.training.evaluation import HORIZONS, forecast_errors, tou
 from tissue.evaluation.training.fitting import fit
 from tissue.evaluation.training.recording import Recorder, Recording, trial
 from tissue.haptics.device.device import device_parameters
-from tissue.prediction.trained import Trained
+from tissue.prediction.trained import VALIDATED_AT, Trained
 from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Scene
 
@@ -18,9 +18,6 @@ __all__ = ["LEAST_TRIALS", "TRIALS", "train", "validated", "with_fallback"]
 
 TRIALS = 12
 LEAST_TRIALS = 6
-CHOSEN_AT = 6
-"""Whole ticks ahead at which fallbacks are compared: the lead of 4 ms of latency, which is 6.11 ticks on a touch with
-its path to the motor, see `tissue.builders.loop.lead_ticks`."""
 HELD_OUT = 4
 """One run in so many validates; the others train."""
 
@@ -53,7 +50,7 @@ def with_fallback(trained: Trained, runs: list[Recording], force_limit_N: float)
     """With the best of the predictors without a lifted operator, by their mean errors on some runs."""
     makers = {kind: partial(trained_predictor, kind, trained, force_limit_N=force_limit_N) for kind in FALLBACKS}
     runs = touching(runs)
-    errors = {kind: forecast_errors(make, runs, horizons=(CHOSEN_AT,)).mean() for kind, make in makers.items()}
+    errors = {kind: forecast_errors(make, runs, horizons=(VALIDATED_AT,)).mean() for kind, make in makers.items()}
     return replace(trained, fallback=min(errors, key=lambda kind: float(errors[kind])))
 
 
