@@ -119,9 +119,10 @@ def carve_brick(
     moved = wp.length(step)
     kink = 1.0 / tool.cells_per_voxel  # next to a kink a slope is taken across a cell of the table
     skip_behind = every_side == 0 and tool.round == 1 and tool.radius > 8.0
-    if skip_behind and tool.radius > 24.0 and wp.dot(step, far.slope) < -0.7 * moved:
+    if skip_behind and turned == 0 and tool.radius > 24.0 and wp.dot(step, far.slope) < -0.7 * moved:
         return  # the whole brick lies behind a tool that leaves it
     axis_before = wp.vec3(float(pose[1 + group, 3]), float(pose[1 + group, 4]), float(pose[1 + group, 5]))
+    is_cut = turned != 0 and moved == 0.0 and axis_before == axis  # the brick was carved at this very pose
     before = alive
     booked = booked_by(removed_out, worker)
     for block in range(64):
@@ -150,7 +151,7 @@ def carve_brick(
                     alive = alive ^ bit
                 elif near.distance < BLOCK_REACH:
                     advance = wp.dot(near.slope, step)
-                    if advance >= -0.25 * moved or not skip_behind:
+                    if not is_cut and (advance >= -0.25 * moved or not skip_behind):
                         flat = flattened(near, centre + shift, axis, step)
                         carve_block(
                             tool, axis, centre + shift, near, flat, binary, row, block * 8, worker,

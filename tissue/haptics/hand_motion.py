@@ -144,6 +144,7 @@ class HandMotion(Motion):
         self._ticks, self._step, self._fresh = 0, tick * model_ticks, True
         self._sample: Sample | None = None
         self._before, self._went, self._raw, self._torque = np.zeros((4, 3))
+        self._both = np.zeros(6)
 
     @property
     def device(self) -> Device:
@@ -231,11 +232,14 @@ class HandMotion(Motion):
         if (sample := self._sample) is None:
             self._pause()
         else:
-            here, speed = np.array(sample.position_m), np.array(sample.velocity_m_s)
-            tip, went = (self.tool.tip_m - self._shift) / self._scale, self._went / self._scale
+            both = self._both
+            both[:3] = here = np.array(sample.position_m)
+            both[3:] = tip = (self.tool.tip_m - self._shift) / self._scale
             if self._speeds is not None:
-                rates = self._speeds.step(np.concatenate((here, tip)))
+                rates = self._speeds.step(both)
                 speed, went = rates[:3], rates[3:]
+            else:
+                speed, went = np.array(sample.velocity_m_s), self._went / self._scale
             if self._fresh:
                 self._raw = self._contact.render(here, speed, tip, went, self._step)
                 if self._turning_law is not None:

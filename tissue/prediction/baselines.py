@@ -40,7 +40,7 @@ class Linear:
             return
         seen = self._seen
         missed = force_N - self.predict(0)
-        self.residual_N = sqrt(missed @ missed)
+        self.residual_N = sqrt(missed.dot(missed))
         seen.append((self._clock, force_N.copy()))
         while len(seen) > 2 and self._clock - seen[1][0] >= self._window:
             seen.popleft()
@@ -89,11 +89,11 @@ class Kalman:
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
         """Go a tick on and correct by the force; the device is not looked at."""
-        state = self._state = self._onward @ self._state
+        state = self._state = self._onward.dot(self._state)
         self._since += 1
         if force_N is not None:
             missed = force_N - state[0]
-            self.residual_N = sqrt(missed @ missed)
+            self.residual_N = sqrt(missed.dot(missed))
             state += kalman_gains(self._since, self._jerkiness)[:, None] * missed
             self._since, self._force = 0, force_N.copy()
 
@@ -139,7 +139,7 @@ class LinearControl:
         expected = self.predict(1)
         if force_N is not None:
             missed = force_N - expected
-            self.residual_N = sqrt(missed @ missed)
+            self.residual_N = sqrt(missed.dot(missed))
         known[:3] = expected if force_N is None else force_N
         known[3:6], known[6:] = position_m, velocity_m_s
 
@@ -153,7 +153,8 @@ class LinearControl:
                 self._lead = ticks
                 self._at_lead = interpolated(self._map(whole), self._map(whole + 1), ticks - whole)
             matrix, offset = self._at_lead
-        return matrix @ self._known + offset
+        predicted: Array = matrix.dot(self._known)
+        return predicted + offset
 
     def _map(self, ticks: int) -> AffineMap:
         """From what is known to the force after so many ticks."""

@@ -36,11 +36,11 @@ class ContactSlope:
             return
         if self._before is not None:
             moved, changed = tip_m - self._before[0], force_m - self._before[1]
-            if (square := float(moved @ moved)) > 0.0:
-                along = self._spread @ moved
-                gain = along / (NOISE_M**2 + float(moved @ along))
-                self.matrix -= np.outer(changed + self.matrix @ moved, gain)
-                self._spread -= np.outer(gain, along)
+            if (square := float(moved.dot(moved))) > 0.0:
+                along = self._spread.dot(moved)
+                gain = along / (NOISE_M**2 + float(moved.dot(along)))
+                self.matrix -= (changed + self.matrix.dot(moved))[:, None] * gain
+                self._spread -= gain[:, None] * along
                 self._spread.flat[::4] += DRIFT_PER_M * sqrt(square)
                 self._bound()
         self._before = tip_m.copy(), force_m.copy()
@@ -51,6 +51,6 @@ class ContactSlope:
 
     def _bound(self) -> None:
         """Keep the spread below that of the unknown; its trace, so that no direction is preferred."""
-        size = float(np.trace(self._spread))
+        size = sum(self._spread.flat[::4].tolist())
         if size > 3.0 * UNKNOWN:
             self._spread *= 3.0 * UNKNOWN / size

@@ -64,6 +64,8 @@ class LookAhead:
             contact.normal.copy(),
             contact.cuts,
         )
+        if contact.cuts:
+            return  # no law of the tissue is asked
         force = self._contact.force_N
         touches = any(force.tolist())
         if contact.stiffness_N_m is None:
@@ -72,8 +74,7 @@ class LookAhead:
         elif touches:
             self._stiffness = contact.stiffness_N_m / spring
         if touches:
-            square = float(force @ force)
-            self._surface = max(float(force @ self._stiffness @ force) / square, 0.0)
+            self._surface = max(float(force.dot(self._stiffness.dot(force))) / float(force.dot(force)), 0.0)
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
         """Take in the device, and the force in ticks in which the tissue has answered."""
@@ -85,7 +86,7 @@ class LookAhead:
         self._position = position_m.copy()
         if force_N is not None:
             missed = force_N - self._expected
-            self.residual_N = sqrt(float(missed @ missed))
+            self.residual_N = sqrt(missed.dot(missed))
             self._force = force_N.copy()
             self._damper[:] = 0.0
             if any(contact.force_N.tolist()) and not contact.cuts:
@@ -119,13 +120,13 @@ class LookAhead:
         force = contact.force_N
         if any(force.tolist()):
             *_, moved, singular = dgesv(self._unit + self._stiffness, device_m - contact.tip_m + force)
-            left = force - self._stiffness @ moved
-            if singular or float(left @ force) <= 0.0:
+            left = force - self._stiffness.dot(moved)
+            if singular or float(left.dot(force)) <= 0.0:
                 return np.zeros(3)
             felt: Array = contact.spring_N_m * (contact.tip_m + moved - device_m) + self._damper
             return felt
         if not isfinite(contact.gap_m):
             return np.zeros(3)
-        overlap = -(contact.gap_m + float(contact.normal @ (device_m - contact.tip_m)))
+        overlap = -(contact.gap_m + float(contact.normal.dot(device_m - contact.tip_m)))
         stiffness = contact.spring_N_m * self._surface / (1.0 + self._surface)
         return max(overlap, 0.0) * stiffness * contact.normal

@@ -65,7 +65,7 @@ class FilteredPath:
         if self._state is None:
             self._state = np.zeros((3, 3))
             self._state[0] = position_m
-        state = self._state = self._onward @ self._state
+        state = self._state = self._onward.dot(self._state)
         state += self._gains * (position_m - state[0])
         self._position = position_m.copy()
 
@@ -73,7 +73,7 @@ class FilteredPath:
         """Along the parabola."""
         if self._state is None:
             return np.zeros(3)
-        return np.array((1.0, ticks, 0.5 * ticks * ticks)) @ self._state - self._position
+        return np.array((1.0, ticks, 0.5 * ticks * ticks)).dot(self._state) - self._position
 
     def stretch_m(self, ticks: float) -> Array:
         """The last one."""
@@ -117,7 +117,7 @@ class OperatorPath:
         if self._ticks <= self._operator.dictionary.lags:
             return False
         scaled = (self._window * self._inverse).ravel()
-        return float(scaled @ scaled) <= self._growth
+        return float(scaled.dot(scaled)) <= self._growth
 
     def observe(self, position_m: Array, stretch_m: Array) -> None:
         """Put a state before the window; the first one fills it, as if the device had been still."""
@@ -153,7 +153,7 @@ class OperatorPath:
             found = (1.0 - share) * self._power(low) + share * self._power(low + 1)
             if len(self._maps) < MOST_LEADS:
                 self._maps[ticks] = found
-        later: Array = found @ self._window
+        later: Array = found.dot(self._window)
         return later
 
     def _power(self, ticks: int) -> Array:

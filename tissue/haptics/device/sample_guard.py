@@ -125,12 +125,13 @@ class SampleGuard:
         """Force and torque to play now; None or a wrench that is not finite is a fault of this tick."""
         change = self._step / self._limits.fade_s
         torque = NO_TORQUE if torque_Nm is None else torque_Nm
-        if force_N is not None and not all(map(isfinite, (*force_N.tolist(), *torque.tolist()))):
+        if force_N is not None and not isfinite(sum(force_N.tolist()) + sum(torque.tolist())):
             self._log(self._clock or 0.0, "the force is not finite: it fades")
             force_N = None
         if force_N is not None and not self._fault:
             self.share = min(self.share + change, 1.0)
-            self._wrench = _capped(force_N, self._caps[0]), _capped(torque, self._caps[1])
+            turning = torque if torque is NO_TORQUE else _capped(torque, self._caps[1])
+            self._wrench = _capped(force_N, self._caps[0]), turning
         else:
             self.share = max(self.share - change, 0.0)
         return self.share * self._wrench[0], self.share * self._wrench[1]
@@ -148,7 +149,8 @@ class SampleGuard:
             return "no sample"
         if turned is None:
             return "a sample that is not finite"
-        if abs(sum(part * part for part in sample.quaternion) - 1.0) > OFF_UNIT:
+        i, j, k, r = sample.quaternion
+        if abs(i * i + j * j + k * k + r * r - 1.0) > OFF_UNIT:
             return "a quaternion that is not of unit length"
         if time_s - sample.time_s > limits.oldest_s:
             return "an old sample"
@@ -174,10 +176,10 @@ class SampleGuard:
         elapsed = max(sample.time_s - good.time_s, 0.0) + limits.oldest_s
         if dist(sample.position_m, good.position_m) > limits.fastest_m_s * elapsed:
             return "a jump that no hand makes"
-        turn = turn_between(good.quaternion, turned)
-        if sum(angle * angle for angle in turn) > (limits.fastest_rad_s * elapsed) ** 2:
-            return "a turn that no hand makes"
-        return ""
+        if turned == good.quaternion:
+            return ""
+        i, j, k = turn_between(good.quaternion, turned)
+        return "a turn that no hand makes" if i * i + j * j + k * k > (limits.fastest_rad_s * elapsed) ** 2 else ""
 
 
 def _total(sample: Sample) -> float | None:

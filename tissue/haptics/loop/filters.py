@@ -90,7 +90,8 @@ class ConstantAcceleration:
         if self._state is None:
             self._state = np.zeros((3, len(position)))
             self._state[0] = position
-        self._state = self._map @ self._state + self._gains[:, None] * position
+        self._state = self._map.dot(self._state)
+        self._state += self._gains[:, None] * position
         return self._rate * self._state[1]
 
     def pause(self) -> None:
@@ -184,7 +185,7 @@ class ForceRange:
             If the force is not finite.
         """
         x, y, z = np.asarray(force).tolist()
-        size = self.scale * float(np.sqrt(x * x + y * y + z * z))
+        size = self.scale * sqrt(x * x + y * y + z * z)
         if not size < inf:
             raise InputError(f"force must be finite, got {force}: hold it back with a SampleGuard")
         knee = self.knee_share * self.limit_N

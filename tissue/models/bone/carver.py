@@ -202,7 +202,7 @@ class Carver:
         plan[FIRST] = first
         plan[COUNT] = groups
         plan[BINARY] = self._binary
-        plan[EVERY_SIDE] = every_side or turned
+        plan[EVERY_SIDE] = every_side
         plan[TURNED] = turned
         plan[ORIGIN] = self._first_group
         self._plan.push()
