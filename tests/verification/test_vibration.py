@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissue.haptics.vibration import BAND_LIMIT_HZ, Vibration
+from tissue.haptics.loop.vibration import BAND_LIMIT_HZ, Vibration
 
 RATE_HZ, TICKS, MEAN_N, SHARE = 1000.0, 4000, 2.0, 0.2
 TIMES_S = np.arange(TICKS) / RATE_HZ

@@ -9,19 +9,19 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from meshes.shapes.polyline import arc_length
-from tissue.builders.loop import judged_loops, lead_ticks, perception_of, person_of, predictor_of
+from tissue.builders.loop import judged_loops, lead_ticks, perception_of, person_of, predictor_of, vibration_of
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import Hand, HandParameters, hand_parameters
 from tissue.haptics.hand.minimum_jerk import Path, waypoints
 from tissue.haptics.hand_motion import HandMotion
+from tissue.haptics.loop.vibration import PlayedVibration
 from tissue.haptics.proxy.cutting_tool import CuttingTool
 from tissue.haptics.proxy.guidance import CompensatedPath, Thrust
 from tissue.haptics.proxy.held_tool import HeldTool, PressingTool
 from tissue.haptics.proxy.held_turn import HeldTurn
 from tissue.haptics.proxy.probing_tool import ProbingTool
 from tissue.haptics.renderer import TurningRenderer, renderer
-from tissue.haptics.vibration import PlayedVibration, Vibration
 from tissue.motion.motion import Motion, quaternion_of
 from tissue.scene.coupling import WallAnatomy
 from tissue.scene.scene import Scene
@@ -99,12 +99,10 @@ def hand_motion(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable
 
 
 def _vibration(scene: Scene, limits: DeviceParameters) -> PlayedVibration | None:
-    """What the device plays of the teeth of the scene's cutter."""
-    share, step_s = scene.output.vibration_share, 1.0 / limits.rate_Hz
-    if share == 0.0 or not isinstance(scene.tool, Tool) or scene.tool.spin_rpm == 0.0:
+    """The same vibration as a device plays it."""
+    if (teeth := vibration_of(scene)) is None:
         return None
-    passing = scene.tool.flutes * scene.tool.spin_rpm / 60.0
-    teeth = Vibration(passing, share=share, step_s=step_s)
+    step_s = 1.0 / limits.rate_Hz
     slew_N = 1e3 * step_s * limits.force_slew_N_ms
     return PlayedVibration(teeth, limit_N=limits.force_limit_N, slew_N=slew_N, step_s=step_s)
 

@@ -13,6 +13,7 @@ from tissue.haptics.loop.filters import VELOCITY_MEMORY
 from tissue.haptics.loop.forecast import Forecast, forecast_of
 from tissue.haptics.loop.motor_path import motor_lag_ticks
 from tissue.haptics.loop.sampled_loop import WallLoop
+from tissue.haptics.loop.vibration import Vibration
 from tissue.prediction.guard import Guarded
 from tissue.prediction.predictor import Predictor
 from tissue.scene.coupling import WallAnatomy
@@ -31,6 +32,7 @@ __all__ = [
     "perception_of",
     "person_of",
     "predictor_of",
+    "vibration_of",
 ]
 
 SHARE = 0.5
@@ -138,7 +140,7 @@ def judged_loop(scene: Scene, *, step_s: float) -> WallLoop:
 
     A tool that cuts or only touches bone, or presses a tissue that knows its stiffness, answers in the tick of the
     sample; on another organ its balance is found a tick later. Of a guarded predictor and of what it hands over to, the
-    one counts that bears less stiffness.
+    one counts that bears less stiffness. What is played of a cutter's teeth counts as far as it goes with the force.
     """
     limits, chosen = device_parameters(scene.device), scene.coupling
     late = not (isinstance(scene.tool, Tool) or isinstance(scene.anatomy, WallAnatomy))
@@ -148,11 +150,20 @@ def judged_loop(scene: Scene, *, step_s: float) -> WallLoop:
         filter_s=1e-3 * scene.output.low_pass_ms,
         model_ticks=chosen.model_ms,
     )
-    loop = replace(loop, velocity_memory=VELOCITY_MEMORY)
+    loop = replace(loop, velocity_memory=VELOCITY_MEMORY, vibration=vibration_of(scene))
     hand = hand_parameters(scene.hand).grip[:3]
     loops = [replace(_delayed(scene, loop, step_s * late), forecast=each) for each in _forecasts(scene, limits)]
     loop = min(loops, key=lambda each: critical_stiffness_N_m(in_hands(each, [hand])[0])) if loops[1:] else loops[0]
     return _chosen(loop, hand, chosen.stiffness_N_m, limits.stiffness_limit_N_m, _steepest(scene))
+
+
+def vibration_of(scene: Scene) -> Vibration | None:
+    """What a device plays of the teeth of the scene's cutter; without flutes that turn, nothing."""
+    share = scene.output.vibration_share
+    if share == 0.0 or not isinstance(scene.tool, Tool) or scene.tool.spin_rpm == 0.0:
+        return None
+    passing = scene.tool.flutes * abs(scene.tool.spin_rpm) / 60.0
+    return Vibration(passing, share=share, step_s=1.0 / device_parameters(scene.device).rate_Hz)
 
 
 def predictor_of(scene: Scene) -> Predictor | None:

@@ -13,10 +13,10 @@ from tissue.haptics.device.sample_guard import SampleGuard
 from tissue.haptics.loop.filters import ConstantAcceleration, DelayLine, ForceRange, LowPass
 from tissue.haptics.loop.passivity import PassivityObserver
 from tissue.haptics.loop.sampled_loop import WallLoop
+from tissue.haptics.loop.vibration import PlayedVibration
 from tissue.haptics.proxy.held_tool import HeldTool
 from tissue.haptics.renderer import PassivityRenderer, Renderer, TurningRenderer
 from tissue.haptics.seen_contact import seen_contact
-from tissue.haptics.vibration import PlayedVibration
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.motion.motion import Motion, matrix_of
 from tissue.motion.quaternion import Quaternion

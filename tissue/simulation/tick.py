@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue.builders.parts import Parts
-from tissue.haptics.vibration import Vibration
+from tissue.haptics.loop.vibration import Vibration
 from tissue.models.tissue_model import TICK_S, Response, StartsBackground, ToolMotion
 from tissue.motion.motion import quaternion_of
 from tissue.motion.pose_file import COLUMNS

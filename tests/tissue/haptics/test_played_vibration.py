@@ -1,11 +1,14 @@
 """The vibration that a device plays: where it lies, how great it is, and what it does to the loop."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
 from hand_steps import STEP_S, held, meet
 
+from tissue import load_scene
+from tissue.builders.loop import judged_loop
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.device.simulated import SimulatedDevice
@@ -13,10 +16,12 @@ from tissue.haptics.hand.hand import Hand, hand_parameters
 from tissue.haptics.hand.minimum_jerk import waypoints
 from tissue.haptics.hand_measures import PLAYED_FORCE, RAW_FORCE
 from tissue.haptics.hand_motion import HandMotion
-from tissue.haptics.loop.critical_stiffness import judge
+from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands, judge
+from tissue.haptics.loop.sampled_loop import spectral_radius
+from tissue.haptics.loop.stability_map import growth_while_running
+from tissue.haptics.loop.vibration import ENVELOPE_S, PlayedVibration, Vibration
 from tissue.haptics.proxy.held_tool import PressingTool
 from tissue.haptics.renderer import renderer
-from tissue.haptics.vibration import ENVELOPE_S, PlayedVibration, Vibration
 from tissue.models.wall import WallModel
 from tissue.motion.motion import FollowPath
 
@@ -66,6 +71,88 @@ def test_only_the_device_s_force_holds_it():
     added = shaken[300:, first : first + 3]
     assert np.abs(added).max() == pytest.approx(SHARE * still[-1, PLAYED_FORCE][2], rel=0.02)
     np.testing.assert_allclose(shaken[300:, PLAYED_FORCE] - added, still[300:, PLAYED_FORCE], atol=1e-9)
+
+
+HELD = replace(
+    in_hands(device_parameters("touch").loop(1.0, filter_s=1e-3), [hand_parameters("intermediate").grip[:3]])[0],
+    velocity_memory=0.85,
+)
+LOOPS = {
+    "held": HELD,
+    "let go": device_parameters("touch").loop(1.0, filter_s=1e-3),
+    "late and slow": replace(HELD, delay_s=2.3e-3, model_ticks=3),
+}
+
+
+@pytest.mark.parametrize("loop", LOOPS.values(), ids=LOOPS)
+def test_a_share_of_nothing_leaves_the_judged_loop_as_it_is(loop):
+    for frequency in (250.0, 100.0 / 3.0, 37.31):
+        still = replace(loop, vibration=Vibration(frequency, share=0.0, step_s=STEP_S))
+        for stiffness in (10.0, 100.0, 1000.0, 5000.0):
+            radii = [spectral_radius(each.with_stiffness(stiffness)) for each in (still, loop)]
+            assert radii[0] == pytest.approx(radii[1], abs=1e-12)
+        assert critical_stiffness_N_m(still) == pytest.approx(critical_stiffness_N_m(loop), rel=1e-9)
+
+
+CASES = list(product(LOOPS, (250.0, 40.0, 100.0 / 3.0, 20.0, 8.0), (0.1, 0.5, 2.0)))
+QUICK = {("held", 250.0, 0.1), ("held", 40.0, 2.0), ("let go", 8.0, 0.5), ("late and slow", 100.0 / 3.0, 0.5)}
+
+
+@pytest.mark.parametrize(
+    ("name", "frequency_Hz", "share"),
+    [case if case in QUICK else pytest.param(*case, marks=pytest.mark.slow) for case in CASES],
+)
+def test_a_run_with_it_fades_below_the_judged_stiffness_and_grows_above(name, frequency_Hz, share):
+    loop = replace(LOOPS[name], vibration=Vibration(frequency_Hz, share=share, step_s=STEP_S))
+    critical = critical_stiffness_N_m(loop)
+    below, above = (growth_while_running([loop], np.array([by * critical]), ticks=8000)[0] for by in (0.97, 1.03))
+    assert below < 1.0 < above
+
+
+def test_where_the_loop_rings_at_half_of_its_frequency_it_takes_stiffness():
+    """Parametric resonance: held, the loop rings at 19 Hz at its critical stiffness; far from 38 Hz little changes."""
+    critical = critical_stiffness_N_m(HELD)
+    with_it = {
+        frequency: critical_stiffness_N_m(replace(HELD, vibration=Vibration(frequency, share=1.0, step_s=STEP_S)))
+        for frequency in (250.0, 100.0, 40.0, 37.5)
+    }
+    assert all(with_it[far] == pytest.approx(critical, rel=1e-3) for far in (250.0, 100.0))
+    assert with_it[40.0] == pytest.approx(0.947 * critical, rel=0.01)
+    assert with_it[37.5] == pytest.approx(0.820 * critical, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    "share", [0.2, pytest.param(0.5, marks=pytest.mark.slow), pytest.param(1.0, marks=pytest.mark.slow)]
+)
+def test_no_window_below_the_judged_stiffness_grows_by_more_than_a_part_in_5000_a_tick(share):
+    """Of windows of parametric resonance, which the search in steps may miss."""
+    for loop, frequency in product((LOOPS["held"], LOOPS["let go"]), np.geomspace(5.1, 60.0, 40 if share > 0.2 else 6)):
+        shaken = replace(loop, vibration=Vibration(frequency, share=share, step_s=STEP_S))
+        critical = critical_stiffness_N_m(shaken)
+        finer = np.geomspace(1.0, critical, int(64 * np.log10(critical)))[:-1]
+        grown = max(spectral_radius(shaken.with_stiffness(each)) for each in finer.tolist())
+        assert grown < 1.0 + 2e-4
+
+
+@pytest.mark.parametrize(
+    ("frequency_Hz", "ticks", "judged_Hz"), [(250.0, 4, 250.0), (37.31, 134, 5e3 / 134), (3.0, 200, 5.0)]
+)
+def test_a_long_period_is_judged_by_the_nearest_short_one(frequency_Hz, ticks, judged_Hz):
+    factors = Vibration(frequency_Hz, share=SHARE, step_s=STEP_S).period()
+    assert factors.shape == (1, ticks)
+    np.testing.assert_allclose(
+        factors[0], [Vibration(judged_Hz, share=SHARE, step_s=STEP_S).factor(tick) for tick in range(ticks)], atol=1e-12
+    )
+
+
+def test_it_is_judged_with_a_scene_that_plays_it_in_either_sense_of_spin():
+    shared = {"device": "touch", "output.vibration_share": 0.5}
+    loops = [
+        judged_loop(load_scene("glenoid", shared | {"tool.spin_rpm": spin}), step_s=STEP_S) for spin in (600.0, -600.0)
+    ]
+    for loop in loops:
+        assert loop.vibration.frequency_Hz == 40.0 and loop.vibration.share == 0.5
+    assert judged_loop(load_scene("glenoid", {"device": "touch"}), step_s=STEP_S).vibration is None
 
 
 def test_at_its_greatest_it_does_not_destabilise_a_loop_at_95_per_cent_of_the_critical_stiffness():

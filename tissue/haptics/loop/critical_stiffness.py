@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from math import floor, inf, log10
+from math import floor, inf, log10, pi
 
 from scipy.optimize import brentq
 
@@ -14,6 +14,10 @@ __all__ = ["Verdict", "critical_stiffness_N_m", "in_hands", "judge", "nearest_st
 
 SOFTEST_N_M, STIFFEST_N_M = 1e-2, 1e8
 """Range in which the critical stiffness is looked for [N/m]."""
+STEPS, NARROW_STEPS = 4, 24
+"""In a decade of that search, and where there may be a narrow window: where a loop rings at half of its vibration's
+frequency. Over 5-60 Hz and shares to 1 on a touch, the windows that 24 steps miss grow by less than a part in 5000 a
+tick, of those that 16 miss some by a part in 700."""
 ON_THE_CIRCLE = 1e-12
 """Eigenvalues closer to 1 than this count as settling: rounding, and a wall so soft that nothing moves."""
 
@@ -65,8 +69,8 @@ def in_hands(loop: WallLoop, hands: Sequence[tuple[float, float, float]]) -> tup
 def critical_stiffness_N_m(loop: WallLoop) -> float:
     """Lowest stiffness at which the loop stops settling [N/m]; 0 if the softest wall is unstable, inf if none is.
 
-    Looked for upwards, four steps a decade, then between the last two by Brent's method to rounding. What lies above a
-    first unstable stiffness is never called stable, also where a window of it might be.
+    Looked for upwards, in `STEPS` or `NARROW_STEPS` a decade, then between the last two by Brent's method to rounding.
+    What lies above a first unstable stiffness is never called stable, also where a window of it might be.
     """
     return _critical_N_m(loop.with_stiffness(SOFTEST_N_M))
 
@@ -76,10 +80,18 @@ def _critical_N_m(loop: WallLoop) -> float:
     """The same, found once for loops that differ in their stiffness alone: a choice is followed by its verdict."""
     low, high = 0.0, SOFTEST_N_M
     while _beyond(high, loop) < 0.0:
-        low, high = high, high * 10.0**0.25
+        low, high = high, high * 10.0 ** (1.0 / _steps(high, loop))
         if low > STIFFEST_N_M:
             return inf
     return float(brentq(_beyond, low, high, args=(loop,), xtol=1e-10 * low, rtol=1e-10)) if low > 0.0 else 0.0
+
+
+def _steps(stiffness_N_m: float, loop: WallLoop) -> int:
+    """Steps in a decade from a stiffness on: narrow ones from where the undamped mass rings at f / 4."""
+    if loop.vibration is None:
+        return STEPS
+    turn, mass = 0.5 * pi * loop.vibration.frequency_Hz, loop.mass_kg + loop.hand_mass_kg
+    return NARROW_STEPS if stiffness_N_m + loop.hand_stiffness_N_m > mass * turn**2 else STEPS
 
 
 def nearest_stable_N_m(critical_N_m: float) -> float:

@@ -1,7 +1,7 @@
 """The loop that holds a device against a virtual wall, as one linear map from model step to model step."""
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, reduce
 from itertools import pairwise
 from math import ceil, inf, pi
 
@@ -13,6 +13,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.haptics.loop.filters import constant_acceleration_map, low_pass_gain
 from tissue.haptics.loop.forecast import Forecast
+from tissue.haptics.loop.vibration import ENVELOPE_S, Vibration
 from tissue.models.tissue_model import TICK_S
 
 __all__ = [
@@ -57,6 +58,8 @@ class WallLoop:
     forecast
         What a predictor makes of what was seen, before the low-pass; None for none. Its phases are those of
         `model_ticks`.
+    vibration
+        What is played of a cutter's teeth besides, in proportion to the force, after the low-pass; None for none.
     """
 
     mass_kg: float
@@ -73,6 +76,7 @@ class WallLoop:
     hand_damping_N_s_m: float = 0.0
     hand_mass_kg: float = 0.0
     forecast: Forecast | None = None
+    vibration: Vibration | None = None
 
     def __post_init__(self) -> None:
         require_positive("mass_kg", self.mass_kg, "give the device's apparent mass, such as 0.045")
@@ -87,6 +91,11 @@ class WallLoop:
             raise InputError(
                 f"amplifier_Hz must be positive, got {self.amplifier_Hz}: use inf for an amplifier without lag"
             )
+
+    @property
+    def vibration_factors(self) -> Array:
+        """What the envelope of the force is multiplied by, for ticks of the model and its steps, (model_ticks, n)."""
+        return np.zeros((self.model_ticks, 1)) if self.vibration is None else self.vibration.period(self.model_ticks)
 
     def with_stiffness(self, stiffness_N_m: float) -> "WallLoop":
         """The same loop on another wall."""
@@ -115,11 +124,12 @@ def plant_step(
 
 
 def loop_matrix(loop: WallLoop) -> Array:
-    """Map of the loop's whole state over one step of the model, square.
+    """Map of the loop's whole state over one step of the model, or over all of a period of its vibration, square.
 
     The state holds position, velocity and motor force, the position at the last model step, the filtered force, the
     forces that are still pending, the velocity's filter and, with a forecast, the positions, velocities and forces that
-    it has seen. The map is what the loop does to the columns of a unit matrix, tick by tick.
+    it has seen, with a vibration also the force's envelope. The map is what the loop does to the columns of a unit
+    matrix, tick by tick; over a period, the product of its steps' maps, whose eigenvalues decide (Floquet).
     """
     whole = int(loop.delay_s / loop.tick_s + 1e-9)
     delay = max(loop.delay_s - whole * loop.tick_s, 0.0)
@@ -130,15 +140,16 @@ def loop_matrix(loop: WallLoop) -> Array:
     queued = ceil(loop.delay_s / loop.tick_s - 1e-9)
     places, ages = (0, 0) if loop.forecast is None else loop.forecast.memory
     estimated, speeds = (0, 0) if loop.velocity_memory is None else (3, places)
-    ends = np.cumsum([5, queued, estimated, places, speeds, ages]).tolist()
-    size = ends[-1]
-    state = np.eye(size)
+    shaken = loop.vibration is not None
+    ends = np.cumsum([5, shaken, queued, estimated, places, speeds, ages]).tolist()
+    size, factors = ends[-1], loop.vibration_factors
+    state = np.tile(np.eye(size), factors.shape[1])
     plant, before, filtered = state[:3], state[3], state[4]
-    waiting, estimate, *known = (state[first:last] for first, last in pairwise(ends))
+    envelope, waiting, estimate, *known = (state[first:last] for first, last in pairwise(ends))
     queue, velocity = list(waiting), SampledVelocity(loop, estimate)
     seen = ForecastMemory(loop, *map(list, known))
-    gain = low_pass_gain(loop.filter_s, loop.tick_s)
-    model = np.zeros(size)
+    gain, follows = low_pass_gain(loop.filter_s, loop.tick_s), low_pass_gain(ENVELOPE_S, loop.tick_s)
+    model = np.zeros(state.shape[1])
     for tick in range(loop.model_ticks):
         speed = velocity.step(plant[0])
         if tick == 0:
@@ -146,12 +157,15 @@ def loop_matrix(loop: WallLoop) -> Array:
             model = -loop.stiffness_N_m * plant[0] - loop.wall_damping_N_s_m * (moved if speed is None else speed)
             before = plant[0]
         filtered = filtered + gain * (seen.predict(plant[0], speed, model, tick) - filtered)
-        queue.append(filtered)
+        envelope = envelope + follows * (filtered - envelope)
+        queue.append(filtered + np.repeat(factors[tick], size) * envelope.sum(axis=0))
         for matrix, back in steps:
             plant = matrix @ np.vstack([plant, queue[-1 - back]])
         queue.pop(0)
     seen_rows = (*seen.positions, *seen.speeds, *seen.forces)
-    return np.vstack([plant, before, filtered, *queue, *velocity.state, *seen_rows])
+    rows = np.vstack([plant, before, filtered, *envelope, *queue, *velocity.state, *seen_rows])
+    maps = rows.reshape(size, -1, size).swapaxes(0, 1)
+    return np.asarray(reduce(lambda first, then: then @ first, maps))
 
 
 class SampledVelocity:
@@ -217,13 +231,14 @@ class ForecastMemory:
 
 
 def largest_eigenvalue(loop: WallLoop) -> float:
-    """Absolute value of the largest eigenvalue of `loop_matrix`.
+    """Growth of the slowest mode over one step of the model: the largest eigenvalue of `loop_matrix`.
 
     One thread is at work: a second one gains nothing on so few states, and on a machine with other work both wait for
     each other, ten times as long and more.
     """
     with _thread_pools().limit(limits=1, user_api="blas"):
-        return float(np.abs(np.linalg.eigvals(loop_matrix(loop))).max())
+        largest = float(np.abs(np.linalg.eigvals(loop_matrix(loop))).max())
+    return float(largest ** (1.0 / loop.vibration_factors.shape[1]))
 
 
 def spectral_radius(loop: WallLoop) -> float:

@@ -11,6 +11,7 @@ from tissue.haptics.loop.critical_stiffness import Verdict, critical_stiffness_N
 from tissue.haptics.loop.filters import low_pass_gain
 from tissue.haptics.loop.sampled_loop import ForecastMemory, SampledVelocity, WallLoop, plant_step, spectral_radius
 from tissue.haptics.loop.stability_bounds import delay_bound_N_m, pade_bound_N_m, passive_bound_N_m
+from tissue.haptics.loop.vibration import ENVELOPE_S
 
 __all__ = ["StabilityChart", "StabilityMap", "growth_while_running", "measured_critical_N_m", "stability_map"]
 
@@ -61,9 +62,9 @@ class StabilityMap:
 def growth_while_running(loops: Sequence[WallLoop], stiffnesses_N_m: Array, *, ticks: int = 4000) -> Array:
     """Growth of the amplitude between two windows of a run from a push, for several loops at once, shape (n,).
 
-    The loops share tick, model ticks, velocity and forecast, and run as they would on a device: sample, velocity,
-    force, filter, delay, hold. Amplitude is the root of kinetic and stored energy, weighed by windows around 45 and
-    85 % of the run. Infinite where it overflows.
+    The loops share tick, model ticks, velocity, forecast and vibration, and run as they would on a device: sample,
+    velocity, force, filter, delay, hold. Amplitude is the root of kinetic and stored energy, weighed by windows around
+    45 and 85 % of the run. Infinite where it overflows.
     """
     first = loops[0]
     tick, count = first.tick_s, len(loops)
@@ -91,7 +92,8 @@ def growth_while_running(loops: Sequence[WallLoop], stiffnesses_N_m: Array, *, t
     velocity = SampledVelocity(first, np.zeros((3 * filtering, count)))
     plant = np.zeros((4, count))
     plant[1] = 1e-3
-    before, force, filtered = np.zeros(count), np.zeros(count), np.zeros(count)
+    before, force, filtered, envelope = (np.zeros(count) for _ in range(4))
+    follows = low_pass_gain(ENVELOPE_S, tick)
     share = np.arange(ticks) / ticks
     windows = [np.where(abs(share - at) < 0.15, np.cos((share - at) * np.pi / 0.3) ** 2, 0.0) for at in (0.45, 0.85)]
     sums = np.zeros((2, count))
@@ -104,7 +106,8 @@ def growth_while_running(loops: Sequence[WallLoop], stiffnesses_N_m: Array, *, t
                 before = plant[0].copy()
             predicted = seen.predict(plant[0].copy(), speed, force, n % first.model_ticks)
             filtered = filtered + gain * (predicted - filtered)
-            queue[n % length] = filtered
+            envelope = envelope + follows * (filtered - envelope)
+            queue[n % length] = filtered + (first.vibration.factor(n) if first.vibration else 0.0) * envelope
             for matrix, behind in zip(steps, (back + 1, back), strict=True):
                 plant[3] = queue[(n - behind) % length, columns]
                 plant[:3] = np.einsum("ijn,jn->in", matrix, plant)

@@ -1,6 +1,7 @@
 """The vibration of a cutter's teeth, within the band that a haptic loop can carry."""
 
-from math import cos, inf, pi, sin, sqrt
+from fractions import Fraction
+from math import cos, inf, lcm, pi, sin, sqrt
 
 import numpy as np
 
@@ -14,6 +15,8 @@ BAND_LIMIT_HZ = 250.0
 ENVELOPE_S = 0.05
 """Time over which the force is averaged that a device's vibration goes with [s]: a loop that may ring at 10 Hz and more
 gets a third of it back at most, moved to 250 Hz, where a hand and a device hardly move."""
+MOST_PERIOD_TICKS = 200
+"""Longest period by which a loop is judged [ticks]: from 5 Hz at 1 kHz on, off by half a per cent of f at most."""
 SLEW_SHARE = 0.5
 """Share of the device's slew that the vibration may use."""
 
@@ -38,11 +41,20 @@ class Vibration:
 
     def __init__(self, tooth_passing_Hz: float, *, share: float, step_s: float) -> None:
         self.frequency_Hz = min(tooth_passing_Hz, BAND_LIMIT_HZ)
-        self.share, self._turn = share, 2.0 * pi * self.frequency_Hz * step_s
+        self.share, self._turns = share, self.frequency_Hz * step_s
 
     def factor(self, tick: int) -> float:
         """What the average force is multiplied by and added to itself at a tick."""
-        return self.share * cos(self._turn * tick)
+        return self.share * cos(2.0 * pi * self._turns * tick)
+
+    def period(self, model_ticks: int = 1) -> Array:
+        """Factors of all ticks until it and a model of so many ticks begin together again, shape (model_ticks, n).
+
+        Of the nearest vibration with a period of at most `MOST_PERIOD_TICKS` ticks where its own is longer.
+        """
+        turns = Fraction(self._turns).limit_denominator(MOST_PERIOD_TICKS) or Fraction(1, MOST_PERIOD_TICKS)
+        ticks = np.arange(lcm(turns.denominator, model_ticks)) % turns.denominator
+        return self.share * np.cos(2.0 * pi * float(turns) * ticks).reshape(-1, model_ticks).T
 
 
 class PlayedVibration:
@@ -50,7 +62,8 @@ class PlayedVibration:
 
     Amplitude and direction are those of the force over the last tenth of a second: F_v = share E cos(2 pi f t) with
     E' = (F - E) / tau. So within a period it does not depend on the state of the loop. A change of the force comes back
-    through it by at most share / sqrt(1 + (2 pi f tau)^2), at frequencies f to either side of the vibration's own. The
+    through it by at most share / sqrt(1 + (2 pi f tau)^2), at frequencies f to either side of the vibration's own: the
+    loop's judge knows it (`tissue.haptics.loop.sampled_loop`), without limit and slew, which only make it smaller. The
     amplitude leaves the sum within the device's greatest force, and half of the device's slew to the force itself: a
     loop whose slew is used up rings.
 
