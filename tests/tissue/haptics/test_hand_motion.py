@@ -1,29 +1,20 @@
 """A motion by a hand, tick by tick: what it plays, and where the tool is, in closed form."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hand_steps import STEP_S, held, meet
+from quiet_press import LIMITS, PERSON, check_ripple, quiet_press
 
 from meshes.base.progress import silent
 from tissue import InputError, load_scene
 from tissue.builders.registry import build
 from tissue.haptics import hand_measures as at
-from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.faulty import Fault, FaultyDevice
 from tissue.haptics.device.recorded import RecordedDevice
-from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import Hand, hand_parameters
-from tissue.haptics.hand.minimum_jerk import waypoints
 from tissue.haptics.hand_measures import MEASURES, PERCEIVED, PREDICTED
-from tissue.haptics.hand_motion import HandMotion
 from tissue.haptics.loop.critical_stiffness import judge
-from tissue.haptics.proxy.held_tool import PressingTool
-from tissue.haptics.renderer import renderer
 from tissue.models.tissue_model import FreeSpace, Response, ToolMotion
 from tissue.models.wall import WallModel
-from tissue.motion.motion import FollowPath
 from tissue.motion.quaternion import logarithm
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -43,26 +34,11 @@ def test_the_whole_loop_is_stable_up_to_the_stiffness_that_is_judged(share, sett
 
     Without what the judge leaves out: friction, encoders, noise and reflex. Coupling and wall are springs in series.
     """
-    limits = replace(device_parameters("touch"), friction_N=0.0, encoder_step_m=0.0)
-    still = dict.fromkeys(("endpoint_noise", "force_noise", "tremor_m", "reflex_share"), 0.0)
-    person, wall = replace(hand_parameters("expert"), **still), 2e4
-    critical = judge(limits.loop(1.0, filter_s=1e-3), [person.grip[:3]]).critical_N_m
-    stiffness = 1.0 / (1.0 / (share * critical) - 1.0 / wall)
-    line = np.array([[0.0, 0.0, 1e-3], [0.0, 0.0, -5e-3]])
-    hand = Hand(person, waypoints(np.array([0.0, 0.1]), line), rng=np.random.default_rng(0))
-    loop = limits.loop(stiffness, filter_s=1e-3)
-    motion = HandMotion(
-        SimulatedDevice(limits, hand, position_m=(0.0, 0.0, 1e-3)),
-        PressingTool(stiffness, line[0]),
-        renderer("proxy", loop),
-        scripted=FollowPath(line, feed_m_s=0.06, axis=(0.0, 0.0, 1.0)),
-        limits=limits,
-        loop=loop,
-        margin=1.0 - share,
-    )
-    _, measures, _ = meet(motion, WallModel(wall, radius_m=5e-3), 2.0)
-    ripple = [np.std(measures[first : first + 200, 9]) for first in (1000, 1800)]
-    assert ripple[1] < 0.7 * ripple[0] if settles else ripple[1] > 1.4 * ripple[0]
+    wall = 2e4
+    critical = judge(LIMITS.loop(1.0, filter_s=1e-3), [PERSON.grip[:3]]).critical_N_m
+    loop = LIMITS.loop(1.0 / (1.0 / (share * critical) - 1.0 / wall), filter_s=1e-3)
+    _, measures, _ = meet(quiet_press(loop, margin=1.0 - share), WallModel(wall, radius_m=5e-3), 2.0)
+    check_ripple(measures, settles=settles)
 
 
 def test_samples_that_are_no_numbers_end_in_no_force():

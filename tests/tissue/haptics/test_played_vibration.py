@@ -6,24 +6,19 @@ from itertools import product
 import numpy as np
 import pytest
 from hand_steps import STEP_S, held, meet
+from quiet_press import LIMITS, PERSON, quiet_press
 
 from tissue import load_scene
 from tissue.builders.loop import judged_loop
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.recorded import RecordedDevice
-from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import Hand, hand_parameters
-from tissue.haptics.hand.minimum_jerk import waypoints
+from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.hand_measures import PLAYED_FORCE, RAW_FORCE
-from tissue.haptics.hand_motion import HandMotion
 from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands, judge
 from tissue.haptics.loop.sampled_loop import spectral_radius
 from tissue.haptics.loop.stability_map import growth_while_running
 from tissue.haptics.loop.vibration import ENVELOPE_S, PlayedVibration, Vibration
-from tissue.haptics.proxy.held_tool import PressingTool
-from tissue.haptics.renderer import renderer
 from tissue.models.wall import WallModel
-from tissue.motion.motion import FollowPath
 
 SHARE = 0.2
 
@@ -158,26 +153,12 @@ def test_it_is_judged_with_a_scene_that_plays_it_in_either_sense_of_spin():
 def test_at_its_greatest_it_does_not_destabilise_a_loop_at_95_per_cent_of_the_critical_stiffness():
     """A small gain of the change that comes back: share / sqrt(1 + (2 pi f tau)^2) at 250 Hz, where the hand's mass
     yields a thousandth of what it does at its ringing; the ripple below 100 Hz settles as it does without."""
-    limits = replace(device_parameters("touch"), friction_N=0.0, encoder_step_m=0.0)
-    quiet = dict.fromkeys(("endpoint_noise", "force_noise", "tremor_m", "reflex_share"), 0.0)
-    person = replace(hand_parameters("expert"), **quiet)
-    critical = judge(limits.loop(1.0, filter_s=1e-3), [person.grip[:3]]).critical_N_m
+    critical = judge(LIMITS.loop(1.0, filter_s=1e-3), [PERSON.grip[:3]]).critical_N_m
     stiffness = 1.0 / (1.0 / (0.95 * critical) - 1.0 / 2e4)
-    line = np.array([[0.0, 0.0, 1e-3], [0.0, 0.0, -5e-3]])
-    loop, settled = limits.loop(stiffness, filter_s=1e-3), []
+    loop, settled = LIMITS.loop(stiffness, filter_s=1e-3), []
     for share in (0.0, 1.0):
-        hand = Hand(person, waypoints(np.array([0.0, 0.1]), line), rng=np.random.default_rng(0))
         teeth = PlayedVibration(Vibration(1000.0, share=share, step_s=STEP_S), limit_N=3.3, slew_N=0.66, step_s=STEP_S)
-        motion = HandMotion(
-            SimulatedDevice(limits, hand, position_m=(0.0, 0.0, 1e-3)),
-            PressingTool(stiffness, line[0]),
-            renderer("proxy", loop),
-            scripted=FollowPath(line, feed_m_s=0.06, axis=(0.0, 0.0, 1.0)),
-            limits=limits,
-            loop=loop,
-            margin=0.05,
-            vibration=teeth,
-        )
+        motion = quiet_press(loop, margin=0.05, vibration=teeth)
         _, measures, _ = meet(motion, WallModel(2e4, radius_m=5e-3), 2.4)
         slow = [spectrum(measures[at : at + 400, RAW_FORCE][:, 2])[:40].max() for at in (1000, 1900)]
         settled.append(slow[1] / slow[0])

@@ -5,20 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hand_steps import meet
+from quiet_press import LIMITS, PERSON, check_ripple, quiet_press
 
 from tissue.haptics.device.device import device_parameters
-from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import Hand, hand_parameters
-from tissue.haptics.hand.minimum_jerk import waypoints
-from tissue.haptics.hand_motion import HandMotion
+from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands, judge
 from tissue.haptics.loop.filters import VELOCITY_MEMORY, ConstantAcceleration, constant_acceleration_map
 from tissue.haptics.loop.forecast import Forecast
 from tissue.haptics.loop.stability_map import measured_critical_N_m
-from tissue.haptics.proxy.held_tool import PressingTool
-from tissue.haptics.renderer import renderer
 from tissue.models.wall import WallModel
-from tissue.motion.motion import FollowPath
 
 TICK = 1e-3
 
@@ -70,23 +65,7 @@ def test_the_judge_s_eigenvalues_are_where_the_loop_with_the_filter_starts_to_gr
 @pytest.mark.parametrize(("share", "settles"), [(0.95, True), (1.05, False)])
 def test_the_whole_loop_with_a_damper_is_stable_up_to_the_stiffness_that_is_judged(share, settles):
     """As in test_hand_motion, with a damper on the filtered velocity; the wall is 1 / 250 as compliant as the spring."""
-    limits = replace(device_parameters("touch"), friction_N=0.0, encoder_step_m=0.0)
-    still = dict.fromkeys(("endpoint_noise", "force_noise", "tremor_m", "reflex_share"), 0.0)
-    person, wall = replace(hand_parameters("expert"), **still), 1e6
-    free = replace(limits.loop(1.0, filter_s=1e-3, wall_damping_N_s_m=0.6), velocity_memory=VELOCITY_MEMORY)
-    stiffness = share * judge(free, [person.grip[:3]]).critical_N_m
-    line = np.array([[0.0, 0.0, 1e-3], [0.0, 0.0, -5e-3]])
-    hand = Hand(person, waypoints(np.array([0.0, 0.1]), line), rng=np.random.default_rng(0))
-    loop = free.with_stiffness(stiffness)
-    motion = HandMotion(
-        SimulatedDevice(limits, hand, position_m=(0.0, 0.0, 1e-3)),
-        PressingTool(stiffness, line[0]),
-        renderer("proxy", loop),
-        scripted=FollowPath(line, feed_m_s=0.06, axis=(0.0, 0.0, 1.0)),
-        limits=limits,
-        loop=loop,
-        margin=1.0 - share,
-    )
-    _, measures, _ = meet(motion, WallModel(wall, radius_m=5e-3), 2.0)
-    ripple = [np.std(measures[first : first + 200, 9]) for first in (1000, 1800)]
-    assert ripple[1] < 0.7 * ripple[0] if settles else ripple[1] > 1.4 * ripple[0]
+    free = replace(LIMITS.loop(1.0, filter_s=1e-3, wall_damping_N_s_m=0.6), velocity_memory=VELOCITY_MEMORY)
+    loop = free.with_stiffness(share * judge(free, [PERSON.grip[:3]]).critical_N_m)
+    _, measures, _ = meet(quiet_press(loop, margin=1.0 - share), WallModel(1e6, radius_m=5e-3), 2.0)
+    check_ripple(measures, settles=settles)
