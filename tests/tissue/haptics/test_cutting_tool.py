@@ -1,5 +1,7 @@
 """The balance of a tool that cuts, along its feed and across it: closed forms, energy, stability over decades."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from ball_cut import STEP_S, UPRIGHT, BallOnBlock, lead
@@ -61,6 +63,16 @@ def test_an_oblique_pull_turns_the_tool_into_its_direction(drag_N_s_m):
     np.testing.assert_allclose(pull[-1], cut[-1], rtol=1e-2, atol=0.1)
 
 
+@pytest.mark.parametrize("damping_N_s_m", [0.0, 100.0])
+def test_a_damper_to_the_device_adds_no_force_at_its_pace(damping_N_s_m):
+    """Edge force across the motion, as of a burr that spins: k (x_device - x) = E + C |V| with the damper or without."""
+    edge, drag = np.array([1.0, -3.0, -4.0]), np.array([50.0, 0.0, -20.0])
+    tool = CuttingTool(1e4, np.zeros(3), damping_N_s_m=damping_N_s_m)
+    tip, pull, _ = lead(tool, fixed(edge, drag), ramp((5e-3, 0.0, 0.0), 8.0))
+    np.testing.assert_allclose(pull[-1], edge + 5e-3 * drag, rtol=1e-2, atol=0.05)
+    np.testing.assert_allclose((tip[-1] - tip[-501]) / 0.5, (5e-3, 0.0, 0.0), atol=1e-4)
+
+
 @pytest.mark.parametrize("stiffness_N_m", [1e2, 1e4, 1e6])
 @pytest.mark.parametrize("step_s", [1e-4, 1e-3, 1e-2])
 @pytest.mark.parametrize("drag_N_s_m", [0.0, 1.0, 1e3, 1e5, 1e7])
@@ -83,8 +95,9 @@ def test_the_spring_never_takes_energy_from_a_tool_that_cuts():
     """
     turn = np.linspace(0.0, 4.0 * np.pi, 3000)
     round_and_back = 1e-3 * np.column_stack([np.sin(turn), 1.0 - np.cos(turn), -0.5 * np.sin(0.5 * turn) ** 2])
-    for law in (BallOnBlock().force, BallOnBlock(spin=0.0).force, against(5.0, 2e3)):
-        tip, pull, _ = lead(CuttingTool(1e4, np.zeros(3)), law, round_and_back)
+    laws = BallOnBlock().force, BallOnBlock(spin=0.0).force, against(5.0, 2e3)
+    for law, damping in product(laws, (0.0, 100.0)):
+        tip, pull, _ = lead(CuttingTool(1e4, np.zeros(3), damping_N_s_m=damping), law, round_and_back)
         given = (pull[1:] * np.diff(tip, axis=0)).sum(axis=1)
         assert (given >= -1e-12).all()
         device = (0.5 * (pull[1:] + pull[:-1]) * np.diff(round_and_back, axis=0)).sum()
@@ -134,6 +147,16 @@ def test_along_the_heading_spring_edge_and_resistance_balance_in_every_step():
     response.resistance[2], response.edge[2] = drag, edge
     tip = tool.follow(2e-3 * DOWN, UPRIGHT, response, DOWN, STEP_S)
     np.testing.assert_allclose(-tip[2], (stiffness * 2e-3 - edge) / (stiffness + drag / STEP_S), rtol=1e-12)
+
+
+def test_a_damper_is_part_of_the_balance_in_every_step():
+    """k (d - s) + b (V - s / T) = E + C s / T in closed form; of a jump the smoothed velocity V has 1 in 200."""
+    stiffness, drag, edge, damping = 1e4, 5e3, 8.0, 100.0
+    tool, response = CuttingTool(stiffness, np.zeros(3), damping_N_s_m=damping), Response.empty(1)
+    response.resistance[2], response.edge[2] = drag, edge
+    tip = tool.follow(2e-3 * DOWN, UPRIGHT, response, DOWN, STEP_S)
+    pull = stiffness * 2e-3 + damping * (2e-3 / STEP_S) / 200.0
+    np.testing.assert_allclose(-tip[2], (pull - edge) / (stiffness + (drag + damping) / STEP_S), rtol=1e-12)
 
 
 def test_what_a_tool_has_felt_fades_and_then_it_is_free():
