@@ -1,10 +1,10 @@
 """``tissue run``."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
 from cyclopts import Parameter
 
@@ -12,6 +12,8 @@ from meshes.base.progress import silent
 from tissue.cli.terminal import console, left_out, progress, whole
 
 if TYPE_CHECKING:
+    from tissue.scene.scene import Scene
+    from tissue.simulation.run import Run
     from tissue.simulation.run_summary import Summary
 
 __all__ = ["run"]
@@ -65,14 +67,34 @@ def run(
     allow_unstable
         Run a device whose coupling is unstable, too.
     """
-    from tissue.scene.load import load_scene, parse_override
     from tissue.simulation.run_folder import RunFolder
     from tissue.simulation.trace_files import check_format
-    from tissue.system.offscreen import await_display
 
     for kind in format_:
         check_format(kind)
-    overrides = dict(parse_override(text) for text in set_)
+    loaded = _load(scene, _overrides(set_, fidelity, seed=seed, duration_s=duration_s), live=live)
+    _refuse_unused(loaded, live=live, compute=compute, cores=cores, allow_unstable=allow_unstable)
+    folder = out or Path("runs") / loaded.name
+    RunFolder.check(folder, overwrite=overwrite)
+    started = perf_counter()
+    settings: _Settings = {
+        "compute": compute, "cores": cores, "out": folder, "overwrite": overwrite, "allow_unstable": allow_unstable,
+    }  # fmt: skip
+    with _naming_stop(folder):
+        finished = _simulated(loaded, settings, live=live, duration_s=duration_s)
+        simulated = perf_counter()
+        with progress() as report:
+            finished.save(folder, formats=format_, pictures=pictures, progress=report)
+    _print_summary(finished.summary(), folder, wall_s=perf_counter() - started, saving_s=perf_counter() - simulated)
+
+
+def _overrides(
+    changes: Sequence[str], fidelity: Sequence[str], *, seed: int | None, duration_s: float | None
+) -> dict[str, Any]:
+    """Entries of the scene that the options replace, by key."""
+    from tissue.scene.load import parse_override
+
+    overrides = dict(parse_override(text) for text in changes)
     for text in fidelity:
         key, value = parse_override(text, option="--fidelity", example="force_error=0.03")
         overrides[f"fidelity.{key}"] = value
@@ -80,44 +102,50 @@ def run(
         overrides["seed"] = seed
     if duration_s is not None:
         overrides["duration_s"] = duration_s
-    loaded = load_scene(scene, overrides, live=live and await_display() is None)
-    by_hand = loaded.device != "none" or live
+    return overrides
+
+
+def _load(scene: str, overrides: dict[str, Any], *, live: bool) -> "Scene":
+    """The scene; a live one is moved by a window where there is a display."""
+    from tissue.scene.load import load_scene
+    from tissue.system.offscreen import await_display
+
+    return load_scene(scene, overrides, live=live and await_display() is None)
+
+
+def _refuse_unused(scene: "Scene", *, live: bool, compute: str, cores: int | None, allow_unstable: bool) -> None:
+    """Refuse options that the scene does not use."""
+    by_hand = scene.device != "none" or live
     left_out("without a device", "set device = touch, or remove it", allow_unstable=allow_unstable and not by_hand)
-    if loaded.anatomy.kind in ("wall", "layers"):
+    if scene.anatomy.kind in ("wall", "layers"):
         there = compute if compute != "cpu" else None
-        left_out(f"for a {loaded.anatomy.kind}, which no kernel computes", "remove it", cores=cores, compute=there)
-    folder = out or Path("runs") / loaded.name
-    RunFolder.check(folder, overwrite=overwrite)
-    started = perf_counter()
-    settings: _Settings = {
-        "compute": compute, "cores": cores, "out": folder, "overwrite": overwrite, "allow_unstable": allow_unstable,
-    }  # fmt: skip
+        left_out(f"for a {scene.anatomy.kind}, which no kernel computes", "remove it", cores=cores, compute=there)
+
+
+def _simulated(scene: "Scene", settings: "_Settings", *, live: bool, duration_s: float | None) -> "Run":
+    """The finished run, with its settings chosen where a fidelity is asked for."""
     chosen: dict[str, str] = {}
-    with _naming_stop(folder):
-        # Live no progress bar: what draws it takes the interpreter from the ticks.
-        with nullcontext(silent) if live else progress() as report:
-            report("starting Warp", 0.0)
-            from tissue.figures.report import draw_pictures
-            from tissue.simulation.simulate import simulate
+    # Live no progress bar: what draws it takes the interpreter from the ticks.
+    with nullcontext(silent) if live else progress() as report:
+        report("starting Warp", 0.0)
+        from tissue.figures.report import draw_pictures
+        from tissue.simulation.simulate import simulate
 
-            if loaded.fidelity is not None:
-                from tissue.evaluation.charts.fidelity import with_fidelity
+        if scene.fidelity is not None:
+            from tissue.evaluation.charts.fidelity import with_fidelity
 
-                loaded, chosen["fidelity"] = with_fidelity(loaded, report=report)
-            if live:
-                from tissue.simulation.live.run import live as simulate_live
-                from tissue.simulation.live.run import moved_by
+            scene, chosen["fidelity"] = with_fidelity(scene, report=report)
+        if live:
+            from tissue.simulation.live.run import live as simulate_live
+            from tissue.simulation.live.run import moved_by
 
-                console.print(f"live: {moved_by(loaded)[1]}; Ctrl-C ends it")
-                finished = simulate_live(loaded, duration_s=duration_s, **settings)
-            else:
-                finished = simulate(loaded, progress=report, **settings)
-        simulated = perf_counter()
-        finished.parts.notes |= chosen
-        finished.draw = draw_pictures
-        with progress() as report:
-            finished.save(folder, formats=format_, pictures=pictures, progress=report)
-    _print_summary(finished.summary(), folder, wall_s=perf_counter() - started, saving_s=perf_counter() - simulated)
+            console.print(f"live: {moved_by(scene)[1]}; Ctrl-C ends it")
+            finished = simulate_live(scene, duration_s=duration_s, **settings)
+        else:
+            finished = simulate(scene, progress=report, **settings)
+    finished.parts.notes |= chosen
+    finished.draw = draw_pictures
+    return finished
 
 
 class _Settings(TypedDict):
