@@ -96,15 +96,8 @@ def cutting_forces(
             length = float(0.0)  # of cutting edge in bone, by the bone's strength [m]
             m = int(0)
             if advance > travel.least:
-                ix = int(wp.floor(at[0]))
-                iy = int(wp.floor(at[1]))
-                iz = int(wp.floor(at[2]))
-                row = voxel_row(brick_of, ix, iy, iz)
-                column = voxel_column(ix, iy, iz)
-                left = wp.uint64(0)
+                row, column = remaining_voxel(brick_of, alive, at)
                 if row >= 0:
-                    left = alive[row] >> wp.uint64(column >> 3)
-                if (left & wp.uint64(1)) != wp.uint64(0):
                     bone = bone_at(brick_of, material, nearby, row, column, at)
                     normal = elements.normal[e]
                     outward = (normal[0] * travel.ex + normal[1] * travel.ey + normal[2] * travel.ez) * spacing
@@ -137,12 +130,32 @@ def cutting_forces(
             chip += (length * advance) * wp.cw_mul(coefficients.chip[m], lever)
             edge += length * wp.cw_mul(coefficients.edge[m], lever)
     chip *= chip_per_speed
-    for c in range(3):
-        sums_out[chunk, CHIP_FORCE + c] = wp.float64(force_of(chip)[c])
-        sums_out[chunk, CHIP_TORQUE + c] = wp.float64(torque_of(chip)[c])
-        sums_out[chunk, EDGE_FORCE + c] = wp.float64(force_of(edge)[c])
-        sums_out[chunk, EDGE_TORQUE + c] = wp.float64(torque_of(edge)[c])
+    set_loads(chip, chunk, CHIP_FORCE, CHIP_TORQUE, sums_out)
+    set_loads(edge, chunk, EDGE_FORCE, EDGE_TORQUE, sums_out)
     sums_out[chunk, RATE] = wp.float64(rate)
+
+
+@wp.func
+def remaining_voxel(brick_of: wp.array3d(dtype=wp.int32), alive: wp.array(dtype=wp.uint64), at: wp.vec3):
+    """Row and column of the voxel at a point [voxel]; row -1 where its block of eight has no bone left."""
+    ix = int(wp.floor(at[0]))
+    iy = int(wp.floor(at[1]))
+    iz = int(wp.floor(at[2]))
+    row = voxel_row(brick_of, ix, iy, iz)
+    column = voxel_column(ix, iy, iz)
+    if row >= 0:
+        left = alive[row] >> wp.uint64(column >> 3)
+        if (left & wp.uint64(1)) == wp.uint64(0):
+            row = -1
+    return row, column
+
+
+@wp.func
+def set_loads(sums: lever16, chunk: int, force: int, torque: int, sums_out: wp.array2d(dtype=wp.float64)):
+    """Write a chunk's force and torque at their places."""
+    for c in range(3):
+        sums_out[chunk, force + c] = wp.float64(force_of(sums)[c])
+        sums_out[chunk, torque + c] = wp.float64(torque_of(sums)[c])
 
 
 @wp.func
