@@ -128,6 +128,28 @@ def strip_products(scalar: Any) -> Any:
         )
 
     @wp.func
+    def set_gradient(
+        vector: wp.array2d(dtype=V), s: wp.vec4i, gradient_out: wp.array(dtype=V), mode_out: wp.array(dtype=V)
+    ):
+        """Write the gradients of a strip's cubes, and the modes that one point does not see, from its corners."""
+        for c in range(3):
+            x, y, z, xy, xz, yz, xyz = modes_of(
+                vector[c, s[0]], vector[c, s[0] + 1], vector[c, s[1]], vector[c, s[1] + 1],
+                vector[c, s[2]], vector[c, s[2] + 1], vector[c, s[3]], vector[c, s[3] + 1],
+            )  # fmt: skip
+            xy = half * xy
+            xz = half * xz
+            yz = half * yz
+            xyz = quarter * xyz
+            mode_out[4 * c] = xy
+            mode_out[4 * c + 1] = xz
+            mode_out[4 * c + 2] = yz
+            mode_out[4 * c + 3] = xyz
+            put(gradient_out, 12 * c, x, xy, xz, xyz)
+            put(gradient_out, 12 * c + 4, y, xy, yz, xyz)
+            put(gradient_out, 12 * c + 8, z, xz, yz, xyz)
+
+    @wp.func
     def set_stress(weight: wp.array2d(dtype=V), k: int, gradient: wp.array(dtype=V), stress_out: wp.array(dtype=V)):
         """Write the stress of a strip's cubes from their gradients, both times their weights."""
         for cube in range(8):
@@ -170,6 +192,35 @@ def strip_products(scalar: Any) -> Any:
         for c in range(3):
             mode_out[4 * c + 3] = wp.cw_mul(w, mode_out[4 * c + 3])
 
+    @wp.func
+    def add_force(stress: wp.array(dtype=V), mode: wp.array(dtype=V), s: wp.vec4i, force_out: wp.array2d(dtype=V)):
+        """Add the forces of a strip's corners: the transpose of `set_gradient`."""
+        for c in range(3):
+            # the stress on each axis, where xx, xy and xz are in places 0, 5 and 4 and so on
+            across_x = wp.where(c == 0, 0, 6 - c)
+            across_y = wp.where(c == 1, 1, 5 - c)
+            x, of_xy, of_xz, of_xyz = take(stress, across_x, 24, 12, 6)
+            xy = mode[4 * c] + of_xy
+            xz = mode[4 * c + 1] + of_xz
+            xyz = mode[4 * c + 3] + of_xyz
+            y, of_xy, of_yz, of_xyz = take(stress, across_y, 12, 24, 6)
+            xy = half * (xy + of_xy)
+            yz = mode[4 * c + 2] + of_yz
+            xyz = xyz + of_xyz
+            z, of_xz, of_yz, of_xyz = take(stress, 4 - c, 6, 24, 12)
+            xz = half * (xz + of_xz)
+            yz = half * (yz + of_yz)
+            xyz = quarter * (xyz + of_xyz)
+            f0, f1, f2, f3, f4, f5, f6, f7 = corners_of(x, y, z, xy, xz, yz, xyz)
+            force_out[c, s[0]] = force_out[c, s[0]] + f0
+            force_out[c, s[0] + 1] = force_out[c, s[0] + 1] + f1
+            force_out[c, s[1]] = force_out[c, s[1]] + f2
+            force_out[c, s[1] + 1] = force_out[c, s[1] + 1] + f3
+            force_out[c, s[2]] = force_out[c, s[2]] + f4
+            force_out[c, s[2] + 1] = force_out[c, s[2] + 1] + f5
+            force_out[c, s[3]] = force_out[c, s[3]] + f6
+            force_out[c, s[3] + 1] = force_out[c, s[3] + 1] + f7
+
     @wp.kernel(module="unique", module_options=OPTIONS)
     def products(
         pencils: wp.array(dtype=wp.int32),  # pencils of one colour
@@ -187,49 +238,9 @@ def strip_products(scalar: Any) -> Any:
         mode = wp.zeros(shape=(12,), dtype=V)  # [component, (XY, XZ, YZ, XYZ)], then their forces
         stress = wp.zeros(shape=(48,), dtype=V)  # [cube, (xx, yy, zz, yz, xz, xy)]
         for k in range(strip_start[pencil], strip_start[pencil + 1]):
-            s = slot[k]
-            for c in range(3):
-                x, y, z, xy, xz, yz, xyz = modes_of(
-                    vector[c, s[0]], vector[c, s[0] + 1], vector[c, s[1]], vector[c, s[1] + 1],
-                    vector[c, s[2]], vector[c, s[2] + 1], vector[c, s[3]], vector[c, s[3] + 1],
-                )  # fmt: skip
-                xy = half * xy
-                xz = half * xz
-                yz = half * yz
-                xyz = quarter * xyz
-                mode[4 * c] = xy
-                mode[4 * c + 1] = xz
-                mode[4 * c + 2] = yz
-                mode[4 * c + 3] = xyz
-                put(gradient, 12 * c, x, xy, xz, xyz)
-                put(gradient, 12 * c + 4, y, xy, yz, xyz)
-                put(gradient, 12 * c + 8, z, xz, yz, xyz)
+            set_gradient(vector, slot[k], gradient, mode)
             set_stress(weight, k, gradient, stress)
             set_unseen(weight[k, 16], mode)
-            for c in range(3):
-                # the stress on each axis, where xx, xy and xz are in places 0, 5 and 4 and so on
-                across_x = wp.where(c == 0, 0, 6 - c)
-                across_y = wp.where(c == 1, 1, 5 - c)
-                x, of_xy, of_xz, of_xyz = take(stress, across_x, 24, 12, 6)
-                xy = mode[4 * c] + of_xy
-                xz = mode[4 * c + 1] + of_xz
-                xyz = mode[4 * c + 3] + of_xyz
-                y, of_xy, of_yz, of_xyz = take(stress, across_y, 12, 24, 6)
-                xy = half * (xy + of_xy)
-                yz = mode[4 * c + 2] + of_yz
-                xyz = xyz + of_xyz
-                z, of_xz, of_yz, of_xyz = take(stress, 4 - c, 6, 24, 12)
-                xz = half * (xz + of_xz)
-                yz = half * (yz + of_yz)
-                xyz = quarter * (xyz + of_xyz)
-                f0, f1, f2, f3, f4, f5, f6, f7 = corners_of(x, y, z, xy, xz, yz, xyz)
-                force_out[c, s[0]] = force_out[c, s[0]] + f0
-                force_out[c, s[0] + 1] = force_out[c, s[0] + 1] + f1
-                force_out[c, s[1]] = force_out[c, s[1]] + f2
-                force_out[c, s[1] + 1] = force_out[c, s[1] + 1] + f3
-                force_out[c, s[2]] = force_out[c, s[2]] + f4
-                force_out[c, s[2] + 1] = force_out[c, s[2] + 1] + f5
-                force_out[c, s[3]] = force_out[c, s[3]] + f6
-                force_out[c, s[3] + 1] = force_out[c, s[3] + 1] + f7
+            add_force(stress, mode, slot[k], force_out)
 
     return products
