@@ -23,7 +23,7 @@ FILES = sorted(
     path
     for place in PLACES
     for path in ([ROOT / place] if (ROOT / place).is_file() else (ROOT / place).rglob("*"))
-    if path.suffix in (".py", ".md") and path != Path(__file__).resolve()
+    if path.suffix in (".py", ".md", ".toml") and path != Path(__file__).resolve()
 )
 WORDS = {
     r"told|tells?|telling|said|says?": "reports, states, shows, raises",

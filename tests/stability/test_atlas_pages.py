@@ -19,7 +19,7 @@ SPOILT = {
     "two_maxima": ("seen", "ours_N", "newton_N"),
     "recursive_variance": ("variance", "ours_error", "printed_error"),
     "damper_sign": ("cycle", "ours_J", "printed_J"),
-    "sampled_wall": ("leak", "watched_J", "hold_J"),
+    "sampled_wall": ("leak", "supervised_J", "hold_J"),
     "relaxation": ("bound", "measured", None),
     "nearest_point": ("way", "ours_m", "nearest_m"),
     "smoothness": ("tremor", "arc_length", "printed_m_s2"),

@@ -48,7 +48,7 @@ def measure(quick: bool) -> Data:
     bar = {"poisson_ratio": ratios, "timoshenko_m": np.array([timoshenko(r) for r in ratios.tolist()])}
     for name, (order, cells) in meshes.items():
         found = np.array([deflection(order, cells, ratio) for ratio in ratios.tolist()])
-        bar |= {f"{name}_m": found[:, 0], f"{name}_vouched": found[:, 1]}
+        bar |= {f"{name}_m": found[:, 0], f"{name}_trusted": found[:, 1]}
     return {"bar": bar}
 
 
@@ -57,7 +57,7 @@ def judge(data: Data) -> Verdict:
     bar = data["bar"]
     quadratic = bar["quadratic_m"] / bar["timoshenko_m"]
     linear = bar["linear_coarse_m"] / bar["timoshenko_m"]
-    trusted = bar["quadratic_vouched"] > 0.0
+    trusted = bar["quadratic_trusted"] > 0.0
     off, ratio = float(np.abs(quadratic[trusted] - 1.0).max()), bar["poisson_ratio"][-1]
     last = bar["poisson_ratio"][trusted].max()
     return Verdict(
@@ -88,7 +88,7 @@ def draw(data: Data, chart: Figure) -> None:
     """Deflection over the beam's, over 1 - 2 nu."""
     bar = data["bar"]
     gap = 1.0 - 2.0 * bar["poisson_ratio"]
-    limit = gap[bar["quadratic_vouched"] > 0.0].min()
+    limit = gap[bar["quadratic_trusted"] > 0.0].min()
     curves: list[Curve] = [("theory: Timoshenko beam", 1.0, "-", GREY)]
     looks = {"quadratic": ("o", BLUE), "linear_fine": ("^", ORANGE), "linear_coarse": ("s", RED)}
     for name, look in looks.items():

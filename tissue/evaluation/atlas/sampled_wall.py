@@ -56,7 +56,7 @@ def measure(quick: bool) -> Data:
         "leak": {
             "stiffness_N_m": stiffnesses,
             "hold_J": np.array([cycle_J(k, supervised=False) for k in stiffnesses.tolist()]),
-            "watched_J": np.array([cycle_J(k, supervised=True) for k in stiffnesses.tolist()]),
+            "supervised_J": np.array([cycle_J(k, supervised=True) for k in stiffnesses.tolist()]),
             "theory_J": SAMPLES * stiffnesses * (SPEED_M_S * TICK_S) ** 2,
         },
     }
@@ -71,7 +71,7 @@ def judge_wall(data: Data) -> Verdict:
     safe = bool((rate["passive_N_m"] <= rate["worst_hand_N_m"] * (1.0 + 1e-6)).all())
     return Verdict(
         bool(np.isfinite(rate["measured_N_m"][fast]).all() and leak_off < 1e-6),
-        bool(off < 0.01 and safe and leak["watched_J"].max() < 1e-12),
+        bool(off < 0.01 and safe and leak["supervised_J"].max() < 1e-12),
         f"At {rate['rate_hz'][at]:g} Hz a wall of k, b > 0 grows from {rate['measured_N_m'][at]:.0f} N/m on "
         f"(eigenvalues {rate['exact_N_m'][at]:.0f}, {100 * off:.2f} % off at most). The hold leaks ½K(vT)² a sample, "
         f"in and out, to {leak_off:.0e}; the passivity controller pays all of it, at "
@@ -121,7 +121,7 @@ def draw(data: Data, chart: Figure) -> None:
     panel(right, leak["stiffness_N_m"], "stiffness / (N/m)", "energy given, in and out at 0.1 m/s / mJ", [
         ("theory: nK(vT)²", 1e3 * leak["theory_J"], "-", GREY),
         ("held spring, measured", 1e3 * leak["hold_J"], "s", ORANGE),
-        ("with passivity controller", 1e3 * leak["watched_J"], "o", BLUE),
+        ("with passivity controller", 1e3 * leak["supervised_J"], "o", BLUE),
     ], log="x", ylim=(-0.01, 2e3 * leak["theory_J"].max()))  # fmt: skip
     right.set_yscale("symlog", linthresh=0.1)
 
