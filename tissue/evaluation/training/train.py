@@ -17,7 +17,9 @@ from tissue.scene.scene import Scene
 __all__ = ["LEAST_TRIALS", "TRIALS", "train", "validated", "with_fallback"]
 
 TRIALS = 12
+"""Runs of a scene by default, four a group of hands."""
 LEAST_TRIALS = 6
+"""Fewest runs: one of them validates."""
 HELD_OUT = 4
 """One run in so many validates; the others train."""
 
