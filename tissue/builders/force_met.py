@@ -53,7 +53,7 @@ def chosen_scale(scene: Scene) -> tuple[float, str]:
     low, high = LEAST * limits.friction_N / force, MOST * limits.force_limit_N / force
     scale = min(max(1.0, low), high)
     digits = 1 - floor(log10(scale))
-    scale = floor(scale * 10.0**digits) / 10.0**digits
+    scale = floor(round(scale * 10.0**digits, 9)) / 10.0**digits
     return scale, f", chosen for the {force:.2g} N that the script meets at most"
 
 

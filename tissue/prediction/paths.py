@@ -18,7 +18,6 @@ JERKINESS = 3e-5
 """Variance of the position's third difference over that of its noise: of 1e-6 to 1e-3 the best on the wall and on
 palpation together, 1e-4 for the one and 1e-5 for the other."""
 
-
 MOST_LEADS = 16
 """Times ahead whose maps are kept: a loop asks for one, and for the next tick."""
 
