@@ -31,7 +31,7 @@ __all__ = ["hand_motion"]
 
 Array = NDArray[np.float64]
 DAMPING_S = 0.01
-"""Damper over spring from a device to a tool that cuts [s]: in a pen grip 4 N s/m over 250 to 350 N/m, 11 to 16 ms."""
+"""Damper over spring of a tool that cuts [s]: in a pen grip 4 N s/m over 250 to 350 N/m, 11 to 16 ms."""
 STRAY_M = 2e-3
 """How far from the scripted path an organ's surface may be met [m]."""
 
