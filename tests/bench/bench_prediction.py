@@ -161,7 +161,7 @@ def decompose(mean: dict[str, dict[str, np.ndarray]], best: str, target: float) 
             share = written(share_of(excess, held))
             rows.append((move, *(f"{100 * each:.2f}" for each in figures), share, f"{late:+.2f}"))
     if rows:
-        head = ("move", "error %", "least (encoder) %", "hold's excess %", "target %", "left %", "path known %",
+        head = ("move", "error %", "least %", "hold's excess %", "target %", "left %", "path known %",
                 "of hold's", "late ms")  # fmt: skip
         print(f"{best} misses {target:g} of hold's excess in:")
         print(table(rows, head), flush=True)

@@ -54,7 +54,7 @@ def chosen_scale(scene: Scene) -> tuple[float, str]:
     scale = min(max(1.0, low), high)
     digits = 1 - floor(log10(scale))
     scale = floor(round(scale * 10.0**digits, 9)) / 10.0**digits
-    return scale, f", chosen for the {force:.2g} N that the script meets at most"
+    return scale, f", chosen for the {force:.3g} N that the script meets at most"
 
 
 @lru_cache(maxsize=64)

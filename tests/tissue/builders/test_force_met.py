@@ -23,7 +23,7 @@ def test_a_script_s_force_fits_its_device(name, device):
     assert scale * force <= MOST * limits.force_limit_N * (1.0 + 1e-9)
     assert scale == 1.0 or scale * force >= 0.9 * min(LEAST * limits.friction_N, MOST * limits.force_limit_N)
     assert scale <= 1.0 or force < LEAST * limits.friction_N
-    assert f"{force:.2g} N" in why
+    assert f"{force:.3g} N" in why
     assert scene.force_scale == load_scene(name, {"device": device, "seed": 5, "hand": "novice"}).force_scale
 
 
