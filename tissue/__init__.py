@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from meshes.base.errors import InputError
-    from tissue.api import simulate
+    from tissue.api.simulate import simulate
     from tissue.scene.load import load_scene, scene_names, scene_text
     from tissue.scene.scene import Scene
     from tissue.simulation.run import Run
@@ -30,7 +30,7 @@ _HOMES = {
     "load_scene": "tissue.scene.load",
     "scene_names": "tissue.scene.load",
     "scene_text": "tissue.scene.load",
-    "simulate": "tissue.api",
+    "simulate": "tissue.api.simulate",
 }
 
 

@@ -1,0 +1,1 @@
+"""What `import tissue` offers: objects that one holds, runs them and shows them. Nothing below imports it."""
