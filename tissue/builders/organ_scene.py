@@ -2,13 +2,15 @@
 
 from math import inf
 
-from meshes.base.errors import InputError, names_of_caller
+import numpy as np
+
+from meshes.base.errors import names_of_caller
 from meshes.base.progress import Progress
 from tissue.builders.organ import elasticity_of, held_mesh
-from tissue.builders.organ_body import Factor, compliance_of, held_body, prony_of, weight_of
+from tissue.builders.organ_body import capsule_of, density_of, prony_of
 from tissue.builders.parts import Parts
-from tissue.builders.probe import require_outside, shell_note, touchable_surface
-from tissue.models.organ.probe import ShellProbe, SphereProbe
+from tissue.builders.probe import poses_along, require_outside, shell_note
+from tissue.models.organ.probe import ShellProbe
 from tissue.models.wall import WallModel
 from tissue.motion.motion import Motion
 from tissue.scene.coupling import WallAnatomy
@@ -73,60 +75,28 @@ def pressed(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores:
     notes |= found.notes | {"modulus": note}
     if isinstance(probe, ShellProbe):
         notes["tool"] = shell_note(scene.tool, probe)
+    capsule, density = capsule_of(organ, notes), density_of(organ)
     report("compiling kernels (the first time on a machine)", 0.0)
-    from tissue.fem.space import Space
-    from tissue.models.organ.contact import SurfaceContact
-    from tissue.models.organ.fields import OrganFields
-    from tissue.models.organ.model import LiverModel
+    from tissue.models.organ.soft_organ import SoftOrgan
 
     require_outside(found.mesh, motion)
-    space = Space(found.mesh, organ.order, device=compute)
+    soft = SoftOrgan(
+        found.mesh, elasticity, found.held, order=organ.order, capsule=capsule, density_kg_m3=density, prony=prony,
+        friction=organ.friction, device=compute,
+    )  # fmt: skip
     report("assembling the stiffness", 0.0)
-    body = held_body(space, elasticity, organ, found.held, notes)
-    touchable, faces = touchable_surface(space, probe, motion)
-    if body.fixed[touchable].all():
-        raise InputError(
-            "motion must bring the tool to tissue that can move, got a tool that touches only what is held: move it, "
-            "or change what holds the organ"
-        )
-    solver = Factor(body)
-    load, rest = weight_of(space, organ, body, solver, notes)
-    report("condensing the compliance to the surface that can be touched", 0.0)
-    compliance, lazy = compliance_of(body, touchable, organ, solver, report)
+    tips, turns = poses_along(motion)
     with names_of_caller({"nodes_m must lie closer to each other": "anatomy.touch_edge_mm must give shorter edges"}):
-        contact = SurfaceContact(
-            space.nodes_m[touchable] + rest[touchable],
-            faces,
-            compliance,
-            probe,
-            friction=organ.friction,
-            device=compute,
-            cores=cores,
-        )
-    fields = OrganFields(
-        space,
-        elasticity,
-        solve=solver.solve_all,
-        product=lambda moved: (body.stiffness @ moved.ravel()).reshape(-1, 3),
-        touchable=touchable,
-        rest_m=rest,
-        rest_load_N=load,
-        held=found.held,
-        interval_s=1e-3 * organ.interval_ms if organ.interval_ms > 0.0 else inf,
-    )
+        model, touchable = soft.under(
+            probe, tips, turns, path=organ.path, basis_size=organ.basis_size, step_s=step_s, cores=cores,
+            interval_s=1e-3 * organ.interval_ms if organ.interval_ms > 0.0 else inf, report=report,
+        )  # fmt: skip
+    if organ.gravity:
+        sag = 1e3 * np.linalg.norm(soft.rest[1], axis=1).max()
+        notes["gravity"] = f"the organ sags by up to {sag:.3g} mm before it is touched"
     notes["solved"] = (
-        f"{len(found.mesh.cells)} tetrahedra of order {organ.order}, {len(body.free)} unknowns; "
-        f"{len(touchable)} touchable nodes, compliance {organ.path}"
-    )
-    model = LiverModel(
-        contact,
-        space=space,
-        touchable=touchable,
-        fields=fields,
-        prony=prony,
-        lazy=lazy,
-        ball_radius_m=probe.radius_m if isinstance(probe, SphereProbe) else None,
-        step_s=step_s,
+        f"{len(found.mesh.cells)} tetrahedra of order {organ.order}, {len(soft.body.free)} unknowns; "
+        f"{touchable} touchable nodes, compliance {organ.path}"
     )
     return Parts(motion, model, placement=found.placement, notes=notes)
 

@@ -1,0 +1,65 @@
+"""Compliance of the nodes that a tool may touch: whole, column by column where the tool is, or from a reduced basis."""
+
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from meshes.base.arrays import Array, Ints
+from meshes.base.progress import Progress
+from tissue.fem.solvers.condensed import compliance_by_columns, surface_compliance_m_N
+from tissue.fem.solvers.direct import DirectSolver
+from tissue.fem.solvers.held_body import HeldBody
+from tissue.fem.solvers.lazy_compliance import LazyCompliance
+from tissue.fem.solvers.multigrid import MultigridSolver
+from tissue.fem.solvers.reduced import ReducedSolver
+
+__all__ = ["CompliancePath", "Factor", "compliance_of"]
+
+FACTOR_UNKNOWNS = 200_000
+"""Above this, frames are solved by multigrid: a factor would take gigabytes."""
+CompliancePath = Literal["condensed", "columns", "lazy", "reduced"]
+"""How the compliance is had: taken from a factor of its own and kept on disk, by back-substitutions of the factor that
+the organ keeps, column by column while the tool moves, or from a reduced basis."""
+
+
+class Factor:
+    """A sparse factor that is made when it is first needed; where it would be too large, multigrid."""
+
+    def __init__(self, body: HeldBody) -> None:
+        self._body = body
+
+    @cached_property
+    def solver(self) -> DirectSolver | MultigridSolver:
+        """The solver."""
+        return (MultigridSolver if len(self._body.free) > FACTOR_UNKNOWNS else DirectSolver)(self._body)
+
+    def solve_all(self, loads_N: Array) -> Array:
+        """Displacements [m] under several loads [N], shape (loads, n, 3) both."""
+        return np.stack([self.solve(load) for load in loads_N])
+
+    def solve(self, load_N: Array) -> Array:
+        """Displacement [m] under a load [N], shape (n, 3)."""
+        found = self.solver.solve(load_N)
+        if not found.converged:
+            raise RuntimeError(f"the organ could not be solved: {found.outcome.value}")
+        displacement: Array = found.displacement_m
+        return displacement
+
+
+def compliance_of(
+    body: HeldBody, touchable: Ints, factor: Factor, *, path: CompliancePath, basis_size: int, report: Progress
+) -> tuple[Array, LazyCompliance | None]:
+    """Compliance of the touchable nodes [m/N], shape (3t, 3t), and what fills it while the tool moves."""
+    doing = "condensing the compliance to the surface that can be touched"
+    if path == "condensed":
+        return surface_compliance_m_N(
+            body, touchable, solver=lambda: factor.solver, progress=lambda share: report(doing, share)
+        ), None
+    if path == "columns":
+        return compliance_by_columns(factor.solver, touchable, lambda share: report(doing, share)), None
+    if path == "reduced":
+        size = min(basis_size, 3 * len(touchable))
+        return ReducedSolver(factor.solver, touchable, size=size).compliance_m_N(), None
+    count = 3 * len(touchable)
+    return np.full((count, count), np.nan), LazyCompliance(factor.solver, touchable)

@@ -1,0 +1,218 @@
+"""A soft organ at rest, ready to be pressed: its mesh, what it is made of, what holds it, what it weighs."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import inf
+
+import numpy as np
+from scipy.sparse import bsr_array
+
+from meshes.base.arrays import Array, Ints
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress, silent
+from meshes.tets.regions import faces_of
+from meshes.tets.tetrahedra import TetMesh
+from tissue.fem.assembly import assemble
+from tissue.fem.capsule import capsule_stiffness
+from tissue.fem.loads import gravity
+from tissue.fem.solvers.held_body import HeldBody, held_nodes
+from tissue.fem.space import Space
+from tissue.materials.prony import Prony
+from tissue.models.organ.compliance import CompliancePath, Factor, compliance_of
+from tissue.models.organ.contact import SurfaceContact
+from tissue.models.organ.fields import OrganFields
+from tissue.models.organ.model import LiverModel
+from tissue.models.organ.patch import touchable_patch
+from tissue.models.organ.probe import ProbeShape, SphereProbe
+from tissue.models.tissue_model import TICK_S
+
+__all__ = ["Membrane", "SoftOrgan"]
+
+
+@dataclass(frozen=True)
+class Membrane:
+    """A capsule: a thin elastic membrane on the whole surface.
+
+    Attributes
+    ----------
+    thickness_m, young_Pa, poisson_ratio
+        Thickness [m], Young's modulus [Pa] and Poisson's ratio.
+    """
+
+    thickness_m: float
+    young_Pa: float
+    poisson_ratio: float
+
+
+class SoftOrgan:
+    """A linear-elastic organ that any number of tools may press, one factor for all of them.
+
+    Parameters
+    ----------
+    mesh
+        Tetrahedra.
+    elasticity
+        Of each cell, as for `tissue.fem.assembly.assemble` [Pa].
+    held
+        Nodes of the mesh that do not move.
+    order
+        Order of the tetrahedra, 1 or 2.
+    capsule
+        Membrane on the surface; None for none.
+    density_kg_m3
+        With it the organ lies in its own weight, along -z, before it is touched.
+    prony
+        How every modulus relaxes; None for an elastic organ.
+    friction
+        Coulomb's coefficient between a tool and the organ.
+    device
+        Warp device name.
+    """
+
+    def __init__(
+        self,
+        mesh: TetMesh,
+        elasticity: Array,
+        held: Ints,
+        *,
+        order: int = 2,
+        capsule: Membrane | None = None,
+        density_kg_m3: float | None = None,
+        prony: Prony | None = None,
+        friction: float = 0.3,
+        device: str = "cpu",
+    ) -> None:
+        self.space = Space(mesh, order, device=device)
+        self.elasticity, self.held, self.prony, self.friction = elasticity, held, prony, friction
+        self._capsule, self._density = capsule, density_kg_m3
+
+    @property
+    def mesh(self) -> TetMesh:
+        """The tetrahedra."""
+        return self.space.mesh
+
+    @cached_property
+    def body(self) -> HeldBody:
+        """Stiffness [N/m], capsule included, and supports.
+
+        Raises
+        ------
+        InputError
+            If what is held leaves the organ, or a loose part of it, free to move.
+        """
+        stiffness = assemble(self.space, self.elasticity)
+        if self._capsule is not None:
+            membrane = capsule_stiffness(
+                self.space,
+                thickness_m=self._capsule.thickness_m,
+                young_Pa=self._capsule.young_Pa,
+                poisson_ratio=self._capsule.poisson_ratio,
+            )
+            stiffness = bsr_array((stiffness + membrane).tobsr((3, 3)))
+        fixed = np.zeros(self.space.node_count, dtype=bool)
+        fixed[self.held] = True
+        fixed[self.space.with_middles(faces_of(self.mesh, self.held))] = True
+        return HeldBody(stiffness, self.space.nodes_m, held_nodes(fixed))
+
+    @cached_property
+    def factor(self) -> Factor:
+        """What solves for the whole organ, made when it is first asked."""
+        return Factor(self.body)
+
+    @cached_property
+    def rest(self) -> tuple[Array, Array]:
+        """Load of its weight [N] and the displacement by it [m], shape (n, 3) both; zero without a density."""
+        if self._density is None:
+            return np.zeros((self.space.node_count, 3)), np.zeros((self.space.node_count, 3))
+        load = gravity(self.space, density_kg_m3=self._density)
+        return load, self.factor.solve(load)
+
+    def touchable(self, probe: ProbeShape, tips_m: Array, rotations: Array) -> tuple[Ints, Ints]:
+        """Surface nodes and triangles near a tool's path, as `touchable_patch` gives them.
+
+        Raises
+        ------
+        InputError
+            If the tool touches nothing, or only what is held.
+        """
+        touchable, faces = touchable_patch(self.space, probe, tips_m, rotations)
+        if self.body.fixed[touchable].all():
+            raise InputError(
+                "motion must bring the tool to tissue that can move, got a tool that touches only what is held: move "
+                "it, or change what holds the organ"
+            )
+        return touchable, faces
+
+    def under(
+        self,
+        probe: ProbeShape,
+        tips_m: Array,
+        rotations: Array,
+        *,
+        path: CompliancePath = "columns",
+        basis_size: int = 300,
+        interval_s: float = inf,
+        step_s: float = TICK_S,
+        cores: int | None = None,
+        report: Progress = silent,
+    ) -> tuple[LiverModel, int]:
+        """The organ under a tool that keeps to a path, and the number of nodes that it can touch there.
+
+        Parameters
+        ----------
+        probe, tips_m, rotations
+            The tool and its poses along the path, as for `touchable_patch`.
+        path, basis_size
+            How the compliance of what can be touched is had, and the vectors of a reduced basis.
+        interval_s
+            Time between two frames of displacement and stress [s]; infinite for none.
+        step_s
+            Length of a tick [s].
+        cores
+            Processor cores to spread a shell's projection over; default all.
+        report
+            Called with what is being done.
+
+        Raises
+        ------
+        InputError
+            As of `touchable`, or if the nodes that can be touched would not fit memory.
+        """
+        touchable, faces = self.touchable(probe, tips_m, rotations)
+        load, rest = self.rest
+        report("condensing the compliance to the surface that can be touched", 0.0)
+        compliance, lazy = compliance_of(
+            self.body, touchable, self.factor, path=path, basis_size=basis_size, report=report
+        )
+        contact = SurfaceContact(
+            self.space.nodes_m[touchable] + rest[touchable],
+            faces,
+            compliance,
+            probe,
+            friction=self.friction,
+            device=self.space.device,
+            cores=cores,
+        )
+        fields = OrganFields(
+            self.space,
+            self.elasticity,
+            solve=self.factor.solve_all,
+            product=lambda moved: (self.body.stiffness @ moved.ravel()).reshape(-1, 3),
+            touchable=touchable,
+            rest_m=rest,
+            rest_load_N=load,
+            held=self.held,
+            interval_s=interval_s,
+        )
+        radius = probe.radius_m if isinstance(probe, SphereProbe) else None
+        model = LiverModel(
+            contact,
+            space=self.space,
+            touchable=touchable,
+            fields=fields,
+            prony=self.prony,
+            lazy=lazy,
+            ball_radius_m=radius,
+            step_s=step_s,
+        )
+        return model, len(touchable)
