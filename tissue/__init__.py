@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from meshes.base.errors import InputError
+    from tissue.api.register import register
     from tissue.api.simulate import simulate
     from tissue.scene.load import load_scene, scene_names, scene_text
     from tissue.scene.scene import Scene
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
     __version__: str
 
-__all__ = ["InputError", "Run", "SavedRun", "Scene", "load_scene", "scene_names", "scene_text", "simulate"]
+__all__ = ["InputError", "Run", "SavedRun", "Scene", "load_scene", "register", "scene_names", "scene_text", "simulate"]
 
 _HOMES = {
     "InputError": "meshes.base.errors",
@@ -28,6 +29,7 @@ _HOMES = {
     "SavedRun": "tissue.simulation.run_folder",
     "Scene": "tissue.scene.scene",
     "load_scene": "tissue.scene.load",
+    "register": "tissue.api.register",
     "scene_names": "tissue.scene.load",
     "scene_text": "tissue.scene.load",
     "simulate": "tissue.api.simulate",

@@ -1,5 +1,6 @@
 """Build what a cutter meets: bone or a tooth, as voxels."""
 
+from collections.abc import Sequence
 from math import pi, radians
 from typing import TYPE_CHECKING
 
@@ -25,12 +26,12 @@ from tissue.scene.unused_keys import is_given
 if TYPE_CHECKING:
     from tissue.models.bone.model import BoneModel
 
-__all__ = ["cutter_of", "milled", "milled_voxels", "milling_of"]
+__all__ = ["cut_as", "cutter_of", "milled", "milled_voxels", "milling_of"]
 
 SI = {"mm": ("m", 1e-3), "deg": ("rad", radians(1.0))}
 """Units of a scene's tool: their SI unit and its share."""
 CUT_AS = {"enamel": "enamel", "dentin": "dentin", "caries": "dentin", "pulp": "soft", "ligament": "soft"}
-"""Material whose cutting coefficients a layer has; all others are bone."""
+"""Material whose cutting coefficients a layer has; all others have those of the scene's bone."""
 
 
 def milled(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
@@ -52,7 +53,7 @@ def milled(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: 
     if cutter.spin_rad_s == 0.0:
         return _probe(scene, volume, cutter, motion, compute=compute, notes=notes, report=report)
     _require_effect(scene, volume)
-    notes["specific cutting energy"] = _energy_note(volume)
+    notes["specific cutting energy"] = _energy_note(scene, volume)
     tissue = _bone(scene, volume, cutter, compute=compute, cores=cores, report=report)
     return Parts(motion, tissue, cutter=cutter, volume=volume, placement=volume.placement, notes=notes)
 
@@ -73,12 +74,17 @@ def cutter_of(tool: Tool) -> Cutter:
     return Cutter(loaded(entry.profile)(**sizes), tool.flutes, -tool.spin_rpm * 2.0 * pi / 60.0)
 
 
+def cut_as(scene: Scene, layers: Sequence[str]) -> list[str]:
+    """Material whose cutting coefficients each layer has."""
+    return [CUT_AS.get(name, scene.cutting.material) for name in layers]
+
+
 def _require_effect(scene: Scene, volume: VoxelVolume) -> None:
     """Refuse keys that have no effect on the voxels that the tool can reach."""
     anatomy, cutting = scene.anatomy, scene.cutting
     filled = volume.fraction > 0
     if is_given(cutting, "density_exponent"):
-        materials = (cutting_coefficients(CUT_AS.get(name, "bone")) for name in volume.layer_names)
+        materials = (cutting_coefficients(each) for each in cut_as(scene, volume.layer_names))
         reference = np.array([each.reference_density_kg_m3 for each in materials])
         if (volume.density_kg_m3[filled] == reference[volume.layer[filled]]).all():
             raise InputError(
@@ -86,6 +92,11 @@ def _require_effect(scene: Scene, volume: VoxelVolume) -> None:
                 f"coefficients, got {cutting.density_exponent:g}: set cutting.tangential_chip_N_mm2, "
                 "cutting.radial_chip_N_mm2 or another coefficient, or remove it"
             )
+    if is_given(cutting, "material") and all(volume.layer_names[i] in CUT_AS for i in np.unique(volume.layer[filled])):
+        raise InputError(
+            "cutting.material must be left out where the tool reaches no bone, for layers of a tooth have their own, "
+            f"got {cutting.material}: set a coefficient such as cutting.tangential_chip_N_mm2, or remove it"
+        )
     if isinstance(anatomy, MolarAnatomy) and scene.stress is None and is_given(anatomy, "ligament_thickness_mm"):
         at = volume.layer_names.index("ligament")
         if not (volume.layer[filled] == at).any():
@@ -147,11 +158,11 @@ def milling_of(
     """A cutter in voxels of a scene's materials; `shell_spacing_m` is the distance of the cutter's elements [m]."""
     from tissue.models.bone.model import BoneModel
 
-    changes = scene.cutting.model_dump()
+    changes = scene.cutting.model_dump(exclude={"material"})
     return BoneModel(
         volume,
         cutter,
-        tuple(cutting_coefficients(CUT_AS.get(name, "bone"), **changes) for name in volume.layer_names),
+        tuple(cutting_coefficients(each, **changes) for each in cut_as(scene, volume.layer_names)),
         removal=scene.voxels.removal,
         shell_spacing_m=shell_spacing_m,
         device=compute,
@@ -159,9 +170,10 @@ def milling_of(
     )
 
 
-def _energy_note(volume: VoxelVolume) -> str:
+def _energy_note(scene: Scene, volume: VoxelVolume) -> str:
     """The cited tangential chip coefficient of each material that is there, which is its specific energy."""
-    there = {CUT_AS.get(name, "bone") for i, name in enumerate(volume.layer_names) if (volume.layer == i).any()}
+    layers = enumerate(cut_as(scene, volume.layer_names))
+    there = {material for i, material in layers if (volume.layer == i).any()}
     remarks = []
     for material in sorted(there):
         energy = constants("cutting", material)["tangential_chip_N_mm2"]

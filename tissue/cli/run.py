@@ -128,21 +128,20 @@ def _simulated(scene: "Scene", settings: "_Settings", *, live: bool, duration_s:
     # Live no progress bar: what draws it takes the interpreter from the ticks.
     with nullcontext(silent) if live else progress() as report:
         report("starting Warp", 0.0)
+        from tissue.api.simulate import simulate
         from tissue.figures.report import draw_pictures
-        from tissue.simulation.simulate import simulate
+
+        if not live:
+            return simulate(scene, progress=report, **settings)
+        from tissue.simulation.live.run import live as simulate_live
+        from tissue.simulation.live.run import moved_by
 
         if scene.fidelity is not None:
             from tissue.evaluation.charts.fidelity import with_fidelity
 
             scene, chosen["fidelity"] = with_fidelity(scene, report=report)
-        if live:
-            from tissue.simulation.live.run import live as simulate_live
-            from tissue.simulation.live.run import moved_by
-
-            console.print(f"live: {moved_by(scene)[1]}; Ctrl-C ends it")
-            finished = simulate_live(scene, duration_s=duration_s, **settings)
-        else:
-            finished = simulate(scene, progress=report, **settings)
+        console.print(f"live: {moved_by(scene)[1]}; Ctrl-C ends it")
+        finished = simulate_live(scene, duration_s=duration_s, **settings)
     finished.parts.notes |= chosen
     finished.draw = draw_pictures
     return finished

@@ -8,7 +8,10 @@ from typing import ClassVar, TypedDict
 
 from meshes.base.errors import InputError
 
-__all__ = ["Constant", "CuttingCoefficients", "constants", "cutting_coefficients", "listed"]
+__all__ = [
+    "Constant", "CuttingCoefficients", "Entry", "add_material", "constants", "cutting_coefficients", "listed",
+    "remove_material",
+]  # fmt: skip
 
 N_MM2 = 1e6  # [Pa]
 N_MM = 1e3  # [N/m]
@@ -72,6 +75,26 @@ def constants(table: str, material: str) -> dict[str, Constant]:
 def listed(table: str) -> tuple[str, ...]:
     """Materials of ``table.toml``, in its order."""
     return tuple(_table(table))
+
+
+def add_material(table: str, material: str, entries: dict[str, Entry]) -> None:
+    """Add a material to those of ``table.toml``, until the process ends.
+
+    Raises
+    ------
+    InputError
+        If its name is taken.
+    """
+    known = _table(table)
+    if material in known:
+        raise InputError(f"material must be none of {', '.join(known)}, got {material}: choose another name")
+    known[material] = entries
+
+
+def remove_material(table: str, material: str) -> None:
+    """Forget a material that was added."""
+    del _table(table)[material]
+    constants.cache_clear()
 
 
 @cache

@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from meshes.base.errors import InputError
 from tissue.scene.anatomy import Part
-from tissue.scene.named_parts import OneOf
+from tissue.scene.choices import OneOf
 from tissue.scene.registry import DEVICES, HANDS, PERCEPTIONS, PREDICTORS, RENDERERS
 
 __all__ = [

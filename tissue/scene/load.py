@@ -12,11 +12,12 @@ from meshes.base.errors import InputError
 from meshes.base.file_version import package_version, require_version
 from tissue.scene.messages import sentence
 from tissue.scene.named_parts import nearest
-from tissue.scene.registry import PERCEPTIONS
+from tissue.scene.plugins import refusal
+from tissue.scene.registry import PERCEPTIONS, SCENES
 from tissue.scene.scene import Scene
 from tissue.scene.unused_keys import refused_keys, require_used
 
-__all__ = ["changed", "load_scene", "parse_override", "saved_text", "scene_names", "scene_text"]
+__all__ = ["changed", "library_names", "load_scene", "parse_override", "saved_text", "scene_names", "scene_text"]
 
 FORMAT = 1
 """Version of a scene's file; one that states none is of the first."""
@@ -24,25 +25,33 @@ KEPT = {"description", "seed", "voxels", "output", "device", "hand", "renderer"}
 """What every scene that a run kept held before its file stated its version: every default."""
 
 
-def scene_names() -> list[str]:
+def library_names() -> list[str]:
     """Names of the built-in scenes."""
     return sorted(entry.name[:-5] for entry in files("tissue.scene.library").iterdir() if entry.name.endswith(".toml"))
 
 
+def scene_names() -> list[str]:
+    """Names of the built-in scenes, and of those that were registered or that installed packages offer."""
+    return sorted({*library_names(), *SCENES})
+
+
 def scene_text(name: str) -> str:
-    """TOML of a built-in scene.
+    """TOML of a scene that has a name.
 
     Raises
     ------
     InputError
         If there is no such scene.
     """
-    if name not in scene_names():
-        raise InputError(
-            f"scene must be a built-in name ({', '.join(scene_names())}) or a TOML file, got {name}"
-            f"{nearest(name, scene_names())}: list them with `tissue scenes`"
-        )
-    return files("tissue.scene.library").joinpath(f"{name}.toml").read_text("utf-8")
+    if name in library_names():
+        return files("tissue.scene.library").joinpath(f"{name}.toml").read_text("utf-8")
+    if name in SCENES:
+        return _read(SCENES[name])
+    raise InputError(
+        refusal(SCENES.group, name)
+        or f"scene must be a built-in name ({', '.join(scene_names())}) or a TOML file, got {name}"
+        f"{nearest(name, scene_names())}: list them with `tissue scenes`"
+    )
 
 
 def load_scene(source: str | Path, overrides: Mapping[str, object] | None = None, *, live: bool = False) -> Scene:
@@ -51,7 +60,7 @@ def load_scene(source: str | Path, overrides: Mapping[str, object] | None = None
     Parameters
     ----------
     source
-        Name of a built-in scene or path of a TOML file.
+        Name of a scene, see `scene_names`, or path of a TOML file.
     overrides
         Values by dotted key, such as ``{"voxels.spacing_mm": 0.2}``. What one of them makes of no effect is left out.
     live
@@ -68,6 +77,9 @@ def load_scene(source: str | Path, overrides: Mapping[str, object] | None = None
         text, folder = _read(path), path.parent
     else:
         text, folder = scene_text(str(source)), Path.cwd()
+        if str(source) in SCENES.known:
+            path = SCENES[str(source)]
+            folder = path.parent
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

@@ -8,7 +8,8 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from tissue.scene.named_parts import ByKind, OneOf, kinds_of, nearest, shown, unknown_name
+from tissue.scene.choices import ByKind, OneOf, kinds_of
+from tissue.scene.named_parts import nearest, shown, unknown_name
 from tissue.scene.scene import Scene
 
 __all__ = ["choices_of", "sentence"]
@@ -25,6 +26,8 @@ def sentence(fault: ErrorDetails, table: Table) -> str:
     key, kind, context = ".".join(map(shown, names)), str(fault["type"]), fault.get("ctx", {})
     if kind == "value_error":
         return str(context["error"])
+    if kind == "refused_part":
+        return str(context["sentence"])
     if kind == "extra_forbidden":
         known, word = list(_model_at(names[:-1], table).model_fields), names[-1]
         return f"{key} must be one of {', '.join(known)}, got {shown(word)}{nearest(word, known)}: rename or remove it"
@@ -34,7 +37,7 @@ def sentence(fault: ErrorDetails, table: Table) -> str:
     if kind == "union_tag_not_found":
         return f"{key}.kind must be given, got nothing: {SEE}"
     if kind == "union_tag_invalid":
-        choices = [tag.strip("'") for tag in context["expected_tags"].split(", ")]
+        choices = [each for part in _parts(field) for each in kinds_of(part)]
         return unknown_name(
             f"{key}.kind",
             choices,

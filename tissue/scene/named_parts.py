@@ -1,34 +1,17 @@
-"""Tables of named parts, and the marks by which a scene's keys take their choices from them."""
+"""Tables of named parts, and how a name that is none of them is refused."""
 
 import difflib
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic, Protocol, TypeVar, get_args
+from typing import Generic, TypeVar
 
 from meshes.base.errors import InputError
+from tissue.scene.plugins import ask_packages, refusal
 
-if TYPE_CHECKING:
-    from pydantic import BaseModel, GetCoreSchemaHandler
-    from pydantic_core import CoreSchema
-
-__all__ = ["ByKind", "OneOf", "Registry", "kinds_of", "loaded", "nearest", "shown", "unknown_name"]
+__all__ = ["Registry", "loaded", "nearest", "shown", "unknown_name"]
 
 T = TypeVar("T")
-
-
-class OfKind(Protocol):
-    """An entry of a table of parts that a scene states, with the class of the part."""
-
-    @property
-    def parameters(self) -> "type[BaseModel] | str":
-        """The class, or where it lies."""
-        ...
-
-
-K = TypeVar("K", bound=OfKind)
 LONGEST = 120
 """Characters of a value that a sentence repeats."""
 
@@ -78,32 +61,51 @@ class Registry(Generic[T]):
     parts
         The parts by their names, each as it is or as ``module:name``. A name such as ``observer:FILE`` stands for all
         texts with something else behind the colon.
+    group
+        Group of entry points by which installed packages offer more parts. They are asked for a name that is not known,
+        and when the names are listed.
+
+    Attributes
+    ----------
+    built_in
+        Names of the parts that it was made with.
     """
 
-    def __init__(self, key: str, parts: Mapping[str, T | str]) -> None:
-        self.key = key
+    def __init__(self, key: str, parts: Mapping[str, T | str], *, group: str = "") -> None:
+        self.key, self.group = key, group
         self._parts = dict(parts)
+        self.built_in = frozenset(parts)
         self.on_change: list[Callable[[], object]] = []
         """Called after a part is added or removed."""
 
     def __iter__(self) -> Iterator[str]:
-        return iter(tuple(self._parts))
+        return iter(self.names)
 
     def __len__(self) -> int:
-        return len(self._parts)
+        return len(self.names)
 
     def __contains__(self, name: object) -> bool:
-        return name in self._parts
+        return name in self._parts or name in self.names
 
     def __getitem__(self, name: str) -> T:
-        if name not in self._parts:
-            raise InputError(unknown_name(self.key, self, name))
+        if name not in self:
+            raise InputError(self._why_not(name))
         return loaded(self._parts[name])
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parts."""
+        ask_packages(self.group)
+        return self.known
+
+    @property
+    def known(self) -> tuple[str, ...]:
+        """Names of the parts so far, without asking installed packages."""
         return tuple(self._parts)
+
+    def _why_not(self, name: str, *others: str) -> str:
+        """The sentence that refuses a name."""
+        return refusal(self.group, name) or unknown_name(self.key, (*others, *self), name)
 
     def split(self, text: str, *others: str) -> tuple[str, str]:
         """The name of a part that a text stands for, and its argument: observer:FILE and a.json for observer:a.json.
@@ -113,17 +115,26 @@ class Registry(Generic[T]):
         InputError
             If the text stands for none; the sentence lists `others` beside the names of the table.
         """
-        for name in self:
+        if (found := self._split(text)) is not None:
+            return found
+        ask_packages(self.group)
+        if (found := self._split(text)) is not None:
+            return found
+        raise InputError(self._why_not(text, *others))
+
+    def _split(self, text: str) -> tuple[str, str] | None:
+        """The same among the parts so far."""
+        for name in self.known:
             head, colon, _ = name.partition(":")
             if text == name and not colon:
                 return name, ""
             if colon and text.startswith(head + colon) and len(text) > len(head + colon):
                 return name, text.removeprefix(head + colon)
-        raise InputError(unknown_name(self.key, (*others, *self), text))
+        return None
 
     def with_file_at(self, text: str, folder: Path) -> str:
         """A text such as observer:a.json with its file made absolute, a relative one taken from ``folder``."""
-        for name in self:
+        for name in self if ":" in text else ():
             head = name.removesuffix("FILE")
             if head.endswith(":") and text.startswith(head) and text != head:
                 return f"{head}{(folder / text.removeprefix(head)).resolve()}"
@@ -139,8 +150,12 @@ class Registry(Generic[T]):
         """
         if name in self._parts:
             raise InputError(
-                f"name must be none of {', '.join(self)}, got {name}: choose another name for this {self.key}"
+                f"name must be none of {', '.join(self.known)}, got {name}: choose another name for this {self.key}"
             )
+        self.put(name, part)
+
+    def put(self, name: str, part: T | str) -> None:
+        """Make a part known by a name, in place of the one that has it."""
         self._parts[name] = part
         self._changed()
 
@@ -153,65 +168,3 @@ class Registry(Generic[T]):
     def _changed(self) -> None:
         for call in self.on_change:
             call()
-
-
-@dataclass(frozen=True)
-class OneOf(Generic[T]):
-    """Marks a scene's text as a name of a table, or one of some others; it is checked when the scene is."""
-
-    table: Registry[T]
-    others: tuple[str, ...] = ()
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """All names that are accepted now."""
-        return (*self.others, *self.table)
-
-    def _check(self, name: str) -> str:
-        if name not in self.others:
-            from pydantic_core import PydanticCustomError
-
-            try:
-                self.table.split(name, *self.others)
-            except InputError as refusal:
-                raise PydanticCustomError("unknown_name", "{sentence}", {"sentence": str(refusal)}) from None
-        return name
-
-    def __get_pydantic_core_schema__(self, source: object, handler: "GetCoreSchemaHandler") -> "CoreSchema":
-        from pydantic_core import core_schema
-
-        return core_schema.no_info_after_validator_function(self._check, handler(source))
-
-    def __get_pydantic_json_schema__(self, schema: "CoreSchema", handler: object) -> dict[str, object]:
-        if not any(":" in name for name in self.names):
-            return {"enum": list(self.names), "type": "string"}
-        patterns = (re.sub(":.*", ":.+", re.escape(name)) for name in self.names)
-        return {"pattern": f"^({'|'.join(patterns)})$", "type": "string"}
-
-
-def kinds_of(part: "type[BaseModel]") -> tuple[str, ...]:
-    """The kinds that a part of a scene describes."""
-    field = part.model_fields["kind"]
-    return next((each.names for each in field.metadata if isinstance(each, OneOf)), get_args(field.annotation))
-
-
-@dataclass(frozen=True)
-class ByKind(Generic[K]):
-    """Marks a union of parts of a scene, of which the key ``kind`` chooses one; with a table, those of its entries.
-
-    An entry of such a table has the class of the part as ``parameters``.
-    """
-
-    table: Registry[K] | None = None
-
-    def parts(self, union: object) -> "tuple[type[BaseModel], ...]":
-        """The parts now."""
-        if self.table is None:
-            return get_args(union)
-        return tuple(loaded(self.table[name].parameters) for name in self.table)
-
-    def __get_pydantic_core_schema__(self, source: object, handler: "GetCoreSchemaHandler") -> "CoreSchema":
-        from pydantic_core import core_schema
-
-        choices = {kind: handler.generate_schema(part) for part in self.parts(source) for kind in kinds_of(part)}
-        return core_schema.tagged_union_schema(choices, discriminator="kind")

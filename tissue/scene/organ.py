@@ -5,6 +5,8 @@ from typing import Annotated, Literal
 from pydantic import Field, Strict
 
 from tissue.scene.anatomy import Length_mm, Part, Vector
+from tissue.scene.choices import OneOf
+from tissue.scene.registry import ORGAN_MATERIALS
 
 __all__ = ["LayersAnatomy", "LiverAnatomy", "Organ", "SlabAnatomy", "SoftAnatomy"]
 
@@ -75,7 +77,7 @@ class LayersAnatomy(Part):
 class Organ(Part):
     """What a soft organ is made of, and how it is solved."""
 
-    material: Literal["liver", "kidney"] = "liver"
+    material: Annotated[str, OneOf(ORGAN_MATERIALS)] = "liver"
     """Tissue whose cited constants are used where nothing else is stated."""
     young_kPa: float | None = Field(None, ge=0.1, le=1e5, examples=[5.4])
     """Young's modulus; without it the cited one."""

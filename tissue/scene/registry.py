@@ -1,73 +1,37 @@
 """The parts that a scene names, a table for each kind: choices, messages, loops and charts derive from it.
 
-A line in a table makes a part known; a part from elsewhere is made known by `Registry.add`. What lies in a package
-above this one is named as ``module:name`` and imported when it is asked for.
+A line in a table makes a part known; a part from elsewhere is made known by `tissue.register`, or by the entry points
+of an installed package. What lies in a package above this one is named as ``module:name`` and imported when it is asked
+for.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tissue.materials.constants import constants, listed
+from tissue.scene.entries import (
+    AnatomyEntry,
+    CutterEntry,
+    DeviceEntry,
+    MotionEntry,
+    PredictorEntry,
+    ProbeEntry,
+)
 from tissue.scene.named_parts import Registry
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    import pyvista
-
-    from meshes.voxels.volume import VoxelVolume
-    from tissue.builders.parts import TissueBuilder
-    from tissue.cutters.profile import Profile
     from tissue.haptics.loop.sampled_loop import WallLoop
     from tissue.haptics.renderer import Renderer
     from tissue.models.needle.parameters import NeedleTissue
-    from tissue.models.organ.probe import ProbeShape
-    from tissue.motion.motion import Motion
     from tissue.perception.perception import PerceptionMaker
-    from tissue.prediction.predictor import Predictor
-    from tissue.prediction.trained import Trained
-    from tissue.scene.anatomy import Part
-    from tissue.scene.scene import Scene
-    from tissue.scene.tool import Probe
-    from tissue.simulation.run import Run
 
 __all__ = [
-    "ANATOMIES", "CUTTERS", "DEVICES", "GROUPS", "HANDS", "MOTIONS", "NEEDLES", "PERCEPTIONS", "PREDICTORS", "PROBES",
-    "RENDERERS", "AnatomyEntry", "CutterEntry", "MotionEntry", "PredictorEntry", "ProbeEntry",
+    "ANATOMIES", "CUTTERS", "CUTTING_MATERIALS", "DEVICES", "GROUPS", "HANDS", "MOTIONS", "NEEDLES", "ORGAN_MATERIALS",
+    "PERCEPTIONS", "PREDICTORS", "PROBES", "RENDERERS", "SCENES", "TABLES", "AnatomyEntry", "CutterEntry",
+    "DeviceEntry", "MotionEntry", "PredictorEntry", "ProbeEntry",
 ]  # fmt: skip
-
-
-@dataclass(frozen=True)
-class AnatomyEntry:
-    """What a table holds of a tissue.
-
-    Attributes
-    ----------
-    parameters
-        What a scene states of it: a part whose ``kind`` is the entry's name.
-    tool
-        The part that describes the tools that it meets.
-    build
-        Makes the parts of a run.
-    force_N
-        Estimates the largest force that the tool meets on a scene's scripted motion [N], from which the scale of forces
-        at a device is chosen; without it, or where it gives 0, forces pass as they are.
-    pictures
-        Draw what only this tissue has into a file each of a run's pictures, by the file's name.
-    faces
-        The faces that a window shows of a tissue that is neither voxels nor a mesh.
-    voxels
-        The voxels that a tool mills, as a scene describes them.
-    """
-
-    parameters: "type[Part] | str"
-    tool: "type[Part] | str"
-    build: "TissueBuilder | str"
-    force_N: "Callable[[Scene], float] | str | None" = None
-    pictures: "Mapping[str, Callable[[Run, Path], None] | str]" = field(default_factory=dict)
-    faces: "Callable[[Scene], dict[str, pyvista.PolyData]] | str | None" = None
-    voxels: "Callable[[Scene], VoxelVolume] | str | None" = None
 
 
 ANATOMIES: Registry[AnatomyEntry] = Registry(
@@ -122,25 +86,9 @@ ANATOMIES: Registry[AnatomyEntry] = Registry(
             faces="tissue.viewer.run:wall_face",
         ),
     },
+    group="tissue.tissues",
 )
 """What a tool meets."""
-
-
-@dataclass(frozen=True)
-class CutterEntry:
-    """What a table holds of a cutter.
-
-    Attributes
-    ----------
-    profile
-        Its half section from ``diameter_m`` and what else shapes it: ``length_m`` of ``length_mm``, ``point_angle_rad``
-        of ``point_angle_deg``.
-    keys
-        Those of the tool's keys that shape this cutter beside its diameter.
-    """
-
-    profile: "Callable[..., Profile] | str"
-    keys: tuple[str, ...] = ()
 
 
 PEG = ("peg_diameter_mm", "peg_length_mm")
@@ -154,24 +102,9 @@ CUTTERS: Registry[CutterEntry] = Registry(
         "hemispherical-reamer": CutterEntry("tissue.cutters.profile:hemispherical_reamer", PEG),
         "flat-reamer": CutterEntry("tissue.cutters.profile:flat_reamer", ("length_mm", *PEG)),
     },
+    group="tissue.tools",
 )
 """Rotating cutters, by their shape."""
-
-
-@dataclass(frozen=True)
-class ProbeEntry:
-    """What a table holds of a probe.
-
-    Attributes
-    ----------
-    make
-        Makes one of what a scene states of it.
-    keys
-        Those of the tool's keys that shape this probe.
-    """
-
-    make: "Callable[[Probe], ProbeShape] | str"
-    keys: tuple[str, ...]
 
 
 PROBES: Registry[ProbeEntry] = Registry(
@@ -181,28 +114,13 @@ PROBES: Registry[ProbeEntry] = Registry(
         "cylinder-probe": ProbeEntry("tissue.builders.probe:cylinder", ("diameter_mm", "length_mm")),
         "shell-probe": ProbeEntry("tissue.builders.probe:shell", ("file", "scale_mm")),
     },
+    group="tissue.probes",
 )
 """Smooth tools that press, by their shape."""
 NEEDLES: "Registry[Callable[..., NeedleTissue]]" = Registry(
-    "tool.kind", {"needle": "tissue.models.needle.parameters:needle_tissue"}
+    "tool.kind", {"needle": "tissue.models.needle.parameters:needle_tissue"}, group="tissue.needles"
 )
 """Needles: what each meets in tissue, from ``vessel_wall_depth_m`` [m], None where there is no vessel."""
-
-
-@dataclass(frozen=True)
-class MotionEntry:
-    """What a table holds of a motion.
-
-    Attributes
-    ----------
-    parameters
-        What a scene states of it: a part whose ``kind`` is the entry's name.
-    make
-        Makes one of that, for ticks of so many seconds.
-    """
-
-    parameters: "type[Part] | str"
-    make: "Callable[..., Motion] | str"
 
 
 MOTIONS: Registry[MotionEntry] = Registry(
@@ -212,6 +130,7 @@ MOTIONS: Registry[MotionEntry] = Registry(
         "thrust": MotionEntry("tissue.scene.tool:ThrustMotion", "tissue.builders.registry:thrust"),
         "replay": MotionEntry("tissue.scene.tool:ReplayMotion", "tissue.builders.registry:replay"),
     },
+    group="tissue.motions",
 )
 """What moves the tool."""
 
@@ -221,15 +140,15 @@ def _numbers(table: str, *names: str) -> dict[str, float]:
     return {key: entry.value for name in names for key, entry in constants(table, name).items()}
 
 
-DEVICES: Registry[Mapping[str, float]] = Registry(
-    "device", {name: _numbers("devices", name) for name in listed("devices")}
+DEVICES: Registry[DeviceEntry] = Registry(
+    "device", {name: DeviceEntry(_numbers("devices", name)) for name in listed("devices")}, group="tissue.devices"
 )
-"""Haptic devices: the numbers of `tissue.haptics.device.device.DeviceParameters` by their names."""
+"""Haptic devices."""
 HANDS: Registry[Mapping[str, float]] = Registry(
-    "hand", {name: _numbers("hands", "any", name) for name in listed("hands") if name != "any"}
+    "hand", {name: _numbers("hands", "any", name) for name in listed("hands") if name != "any"}, group="tissue.hands"
 )
 """Hands that hold a device: the numbers of `tissue.haptics.hand.hand.HandParameters` by their names."""
-GROUPS = HANDS.names
+GROUPS = HANDS.known
 """Groups of people whose senses are known beside their hands: those of studies and of training."""
 RENDERERS: "Registry[Callable[[WallLoop], Renderer]]" = Registry(
     "renderer",
@@ -238,29 +157,9 @@ RENDERERS: "Registry[Callable[[WallLoop], Renderer]]" = Registry(
         "passivity": "tissue.haptics.renderer:passivity",
         "proxy": "tissue.haptics.renderer:proxy",
     },
+    group="tissue.renderers",
 )
 """Laws by which a device plays what the tool meets: each from the loop of its wall."""
-
-
-@dataclass(frozen=True)
-class PredictorEntry:
-    """What a table holds of a predictor.
-
-    Attributes
-    ----------
-    make
-        Makes one from what was trained for the scene, None for one that is not trained, and the device's greatest force
-        [N].
-    trained
-        Whether it needs what `tissue train` writes.
-    colour, marker
-        Its own in charts, as matplotlib has them.
-    """
-
-    make: "Callable[[Trained | None, float], Predictor] | str"
-    trained: bool = False
-    colour: str = "#D55E00"
-    marker: str = "*"
 
 
 PREDICTORS: Registry[PredictorEntry] = Registry(
@@ -276,6 +175,7 @@ PREDICTORS: Registry[PredictorEntry] = Registry(
             "tissue.builders.prediction:koopman_look_ahead", trained=True, colour="#D55E00", marker="P"
         ),
     },
+    group="tissue.predictors",
 )
 """What predicts the force on a device; colours after Okabe and Ito (2008)."""
 PERCEPTIONS: "Registry[PerceptionMaker]" = Registry(
@@ -284,5 +184,32 @@ PERCEPTIONS: "Registry[PerceptionMaker]" = Registry(
         "population": "tissue.builders.perception:of_population",
         "observer:FILE": "tissue.builders.perception:of_observer",
     },
+    group="tissue.perceptions",
 )
 """For whom the force on a device is scaled."""
+CUTTING_MATERIALS: Registry[tuple[str, str]] = Registry(
+    "cutting.material",
+    {name: ("cutting", name) for name in ("bone", "enamel", "dentin", "soft")},
+    group="tissue.materials",
+)
+"""What bone may be cut as: the table of `tissue.materials.constants` and the name there."""
+ORGAN_MATERIALS: Registry[tuple[str, str]] = Registry(
+    "organ.material", {name: ("soft", name) for name in ("liver", "kidney")}, group="tissue.materials"
+)
+"""What a soft organ may be made of."""
+SCENES: "Registry[Path]" = Registry("scene", {}, group="tissue.scenes")
+"""Files of scenes from elsewhere, by the names that they hold; those of the library are not among them."""
+
+TABLES: dict[str, tuple[Registry[Any], ...]] = {
+    **dict.fromkeys(("tool", "probe", "needle"), (CUTTERS, PROBES, NEEDLES)),
+    "motion": (MOTIONS,),
+    "tissue": (ANATOMIES,),
+    "device": (DEVICES,),
+    "hand": (HANDS,),
+    "renderer": (RENDERERS,),
+    "predictor": (PREDICTORS,),
+    "perception": (PERCEPTIONS,),
+    "material": (CUTTING_MATERIALS, ORGAN_MATERIALS),
+    "scene": (SCENES,),
+}
+"""The tables in which a part of each kind has a name of its own."""

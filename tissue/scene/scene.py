@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 
 from meshes.base.errors import InputError
 from tissue.scene.anatomy import AnatomyFile, BlockAnatomy, GlenoidAnatomy, MolarAnatomy, Part
+from tissue.scene.choices import ByKind, OneOf, kinds_of
 from tissue.scene.coupling import (
     Coupling,
     DeviceName,
@@ -23,9 +24,9 @@ from tissue.scene.coupling import (
     RendererName,
     WallAnatomy,
 )
-from tissue.scene.named_parts import ByKind, kinds_of, loaded
+from tissue.scene.named_parts import loaded
 from tissue.scene.organ import LayersAnatomy, LiverAnatomy, Organ, SlabAnatomy
-from tissue.scene.registry import ANATOMIES, CUTTERS, MOTIONS, NEEDLES, PERCEPTIONS, PROBES
+from tissue.scene.registry import ANATOMIES, CUTTERS, CUTTING_MATERIALS, MOTIONS, NEEDLES, PERCEPTIONS, PROBES
 from tissue.scene.tool import Needle, PathMotion, Probe, ReplayMotion, ThrustMotion, Tool
 from tissue.scene.unused_keys import unused_keys
 
@@ -45,6 +46,9 @@ class Voxels(Part):
 
 class Cutting(Part):
     """Changes to the cited cutting coefficients of bone; empty entries keep the cited value."""
+
+    material: Annotated[str, OneOf(CUTTING_MATERIALS)] = "bone"
+    """Material whose cited coefficients bone has; layers of a tooth keep their own."""
 
     tangential_chip_N_mm2: float | None = Field(None, ge=0, le=5000, examples=[150.0])
     """Chip force along the cutting speed, per area of the chip's section."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from meshes.base.cache import cache_folder
 from meshes.base.whole_file import whole_file
 from tissue.scene.load import scene_text
+from tissue.scene.plugins import OFFERED, ask_packages
 from tissue.scene.scene import Scene
 
 __all__ = ["scene_for_editors", "schema_text"]
@@ -20,6 +21,8 @@ STATED = {
 
 def schema_text() -> str:
     """JSON schema of a scene's file: keys with descriptions, units in their names, ranges and choices."""
+    for group in OFFERED:
+        ask_packages(group)
     schema = Scene.model_json_schema()
     schema["properties"] |= STATED
     return json.dumps(schema, indent=2) + "\n"

@@ -7,7 +7,7 @@ from pydantic import Field, Strict, model_validator
 
 from meshes.base.errors import InputError
 from tissue.scene.anatomy import Part, Vector
-from tissue.scene.named_parts import OneOf
+from tissue.scene.choices import OneOf
 from tissue.scene.registry import CUTTERS, NEEDLES, PROBES
 
 __all__ = ["Needle", "PathMotion", "Probe", "ReplayMotion", "ThrustMotion", "Tool"]

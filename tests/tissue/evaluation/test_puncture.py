@@ -13,7 +13,7 @@ from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.hand.pushing import EASED, FeltDrop, PushingHand
 from tissue.models.needle.parameters import Membrane, ShaftFriction, needle_tissue
 from tissue.scene.load import load_scene
-from tissue.scene.registry import DEVICES, HANDS, NEEDLES
+from tissue.scene.registry import DEVICES, HANDS, NEEDLES, DeviceEntry
 
 SCENE = {
     "anatomy.interval_ms": 0.0,
@@ -44,7 +44,11 @@ DRY = replace(LIVER, friction=replace(LIVER.friction, viscous_in_N_s_m2=0.0, vis
 @pytest.fixture(scope="module", autouse=True)
 def parts():
     """A device without friction, steps and lag; hands without noise, with a reflex and without; a needle in a spring."""
-    added = (DEVICES, "exact", EXACT), (HANDS, "steady", STEADY), (HANDS, "stiff", {**STEADY, "reflex_share": 0.0})
+    added = (
+        (DEVICES, "exact", DeviceEntry(EXACT)),
+        (HANDS, "steady", STEADY),
+        (HANDS, "stiff", {**STEADY, "reflex_share": 0.0}),
+    )
     added += (NEEDLES, "free", lambda vessel_wall_depth_m: FREE), (NEEDLES, "dry", lambda vessel_wall_depth_m: DRY)
     for table, name, part in added:
         table.add(name, part)

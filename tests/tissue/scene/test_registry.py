@@ -11,19 +11,19 @@ from tissue.cli.study import run
 from tissue.evaluation.charts.prediction import Interval, PredictorComparison, comparison_lines
 from tissue.evaluation.charts.prediction_picture import draw_tasks
 from tissue.evaluation.training.evaluation import HORIZONS
+from tissue.materials.constants import listed
 from tissue.scene.named_parts import Registry
 from tissue.scene.registry import (
-    ANATOMIES,
-    CUTTERS,
+    CUTTING_MATERIALS,
     DEVICES,
     GROUPS,
     HANDS,
-    MOTIONS,
-    NEEDLES,
     PERCEPTIONS,
     PREDICTORS,
-    PROBES,
     RENDERERS,
+    SCENES,
+    TABLES,
+    DeviceEntry,
     PredictorEntry,
 )
 
@@ -59,7 +59,9 @@ def test_a_table_loads_lists_and_refuses():
 def test_a_device_from_outside_is_held(added):
     """One of 0.2 N and a third of the mass; it plays no torque, so that a stiffness of turns has no effect."""
     added(
-        DEVICES, "feather", {"mass_kg": 0.03, "damping_N_s_m": 0.2, "force_limit_N": 0.2, "stiffness_limit_N_m": 400.0}
+        DEVICES,
+        "feather",
+        DeviceEntry({"mass_kg": 0.03, "damping_N_s_m": 0.2, "force_limit_N": 0.2, "stiffness_limit_N_m": 400.0}),
     )
     weak, strong = run_of(device="feather"), run_of(device="touch")
     assert 0.19 < force_N(weak).max() <= 0.2 and force_N(strong).max() > 0.5
@@ -180,7 +182,8 @@ def test_a_part_that_was_removed_is_refused():
 
 def test_the_page_and_the_help_texts_list_every_name():
     page = (Path(__file__).parents[3] / "docs" / "commands.md").read_text("utf-8")
-    for table in (ANATOMIES, CUTTERS, PROBES, NEEDLES, MOTIONS, DEVICES, HANDS, PERCEPTIONS, PREDICTORS, RENDERERS):
+    assert CUTTING_MATERIALS.known == listed("cutting")
+    for table in {id(table): table for each in TABLES.values() for table in each if table is not SCENES}.values():
         row = f"| `{table.key}` | {', '.join(f'`{name}`' for name in table)} |"
         assert row in page
     for name in (*DEVICES, *GROUPS):

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from meshes.base.cache import cached_arrays
 from meshes.base.progress import Progress, silent
-from tissue.builders.cutting import CUT_AS, cutter_of
+from tissue.builders.cutting import cut_as, cutter_of
 from tissue.builders.registry import motion_of
 from tissue.builders.voxels import is_procedural, solid_of
 from tissue.cutters.cutter import Cutter
@@ -87,8 +87,8 @@ def has_exact_geometry(scene: Scene) -> bool:
 def solid_of_scene(scene: Scene) -> Solid:
     """What a scene's tool cuts, as functions of position; refuses an anatomy from a file."""
     anatomy, minus = solid_of(scene, motion_of(scene, step_s=TICK_S))
-    changes = scene.cutting.model_dump()
-    layers = tuple(cutting_coefficients(CUT_AS.get(name, "bone"), **changes) for name in anatomy.layer_names)
+    changes = scene.cutting.model_dump(exclude={"material"})
+    layers = tuple(cutting_coefficients(each, **changes) for each in cut_as(scene, anatomy.layer_names))
     return Solid(anatomy, layers, minus)
 
 

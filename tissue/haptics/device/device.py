@@ -183,4 +183,4 @@ def device_parameters(name: str) -> DeviceParameters:
     InputError
         If the device is not one of these.
     """
-    return DeviceParameters(**DEVICES[name])
+    return DeviceParameters(**DEVICES[name].numbers)

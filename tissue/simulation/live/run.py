@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.progress import Progress
+from tissue.builders.device import opened_device, opens_device
 from tissue.builders.parts import Parts
 from tissue.builders.registry import motion_of
 from tissue.haptics.device.recorded import MouseDevice
@@ -42,6 +43,8 @@ presses as far as there is bone beyond what the script reaches."""
 
 def moved_by(scene: Scene) -> tuple[bool, str]:
     """Whether a live run of a scene opens a window and takes the mouse, and what moves the tool, in a sentence."""
+    if opens_device(scene):
+        return False, f"the device {scene.device} moves the tool and plays the force; no window"
     problem = display_problem()
     if problem is None:
         return True, "the mouse moves the tool in a window; it feels nothing, the force is shown"
@@ -62,10 +65,11 @@ def live(
 ) -> Run:
     """Simulate a scene against the wall clock, in a window with the mouse as device or, without a display, scripted.
 
-    The tool hangs on the mouse as on the scene's device, by the same spring, and the forces that the device would play
-    are in the trace and shown; in a scene without a device a mouse acts as a touch. A tick has missed its deadline
-    if it is not done within 1 ms of when it was due. See `WallClock` for what happens when the ticks fall behind.
-    Ctrl-C or closing the window ends the run, and what there is of it is a run like any other.
+    A device that was registered with what opens the real one is held, without a window. Else the tool hangs on the
+    mouse as on the scene's device, by the same spring, and the forces that the device would play are in the trace and
+    shown; in a scene without a device a mouse acts as a touch. A tick has missed its deadline if it is not done within
+    1 ms of when it was due. See `WallClock` for what happens when the ticks fall behind. Ctrl-C or closing the window
+    ends the run, and what there is of it is a run like any other.
 
     Parameters
     ----------
@@ -91,6 +95,7 @@ def live(
         changes = {"device": device, "duration_s": duration_s or LONGEST_S, "coupling": coupling}
         scene = scene.model_copy(update=changes)
         cores = cores or max((os.cpu_count() or 2) - 1, 1)
+    device_held = mouse if by_mouse else opened_device(scene)
     observer = LiveObserver(scene, mouse, WallClock(TICK_S))
     run = simulate(
         scene,
@@ -100,7 +105,7 @@ def live(
         overwrite=overwrite,
         progress=progress,
         allow_unstable=allow_unstable or by_mouse,
-        device=mouse,
+        device=device_held,
         observer=observer,
     )
     run.parts.notes["live"] = note

@@ -1,0 +1,35 @@
+"""A function that is called in every tick of a run, and ends it."""
+
+import numpy as np
+import pytest
+
+from tissue import InputError, load_scene, simulate
+
+SHORT = {"duration_s": 0.05, "motion.feed_mm_s": 400.0}
+
+
+def test_a_function_sees_every_row_of_the_trace():
+    seen = []
+    run = simulate(load_scene("wall", SHORT), on_tick=lambda index, row: seen.append((index, dict(row))))
+    assert [index for index, _ in seen] == list(range(50))
+    assert list(seen[0][1]) == list(run.trace.columns) and len(seen[0][1]) == len(run.trace.columns)
+    for column in ("time_s", "tool_z_mm", "model_force_z_N"):
+        np.testing.assert_array_equal([row[column] for _, row in seen], run.trace[column])
+
+
+def test_false_ends_the_run_after_its_tick():
+    run = simulate(load_scene("wall", SHORT), on_tick=lambda index, row: index < 19)
+    assert len(run.trace["time_s"]) == 20
+    whole = simulate(load_scene("wall", SHORT), on_tick=lambda index, row: None)
+    assert len(whole.trace["time_s"]) == 50
+    np.testing.assert_array_equal(whole.trace.rows[:20], run.trace.rows)
+
+
+def test_an_unknown_column_and_what_it_raises_end_the_run_with_that():
+    with pytest.raises(KeyError, match="force"):
+        simulate(load_scene("wall", SHORT), on_tick=lambda index, row: row["force"])
+
+
+def test_it_goes_with_no_observer():
+    with pytest.raises(InputError, match=r"^on_tick must be left out with observer, got both"):
+        simulate(load_scene("wall", SHORT), on_tick=print, observer=object())

@@ -1,0 +1,355 @@
+"""`tissue.register`: parts of a user's own are named by scenes, listed, judged and charted, or refused in a sentence."""
+
+import json
+from typing import Literal
+
+import numpy as np
+import pytest
+from outside_tissue import CHANGES, Jelly, jelly
+
+from tissue import InputError, Scene, load_scene, register, scene_names, simulate
+from tissue.cutters.profile import Line, Profile, cylinder
+from tissue.evaluation.charts.prediction import Interval, PredictorComparison, comparison_lines
+from tissue.evaluation.charts.prediction_picture import draw_tasks
+from tissue.evaluation.stability_report import scene_stability
+from tissue.evaluation.training.evaluation import HORIZONS
+from tissue.haptics.device.device import DeviceParameters, Sample
+from tissue.motion.motion import Motion
+from tissue.prediction.guard import Guarded
+from tissue.scene.anatomy import Part
+from tissue.scene.registry import PREDICTORS
+from tissue.scene.schema import schema_text
+from tissue.scene.tool import Probe
+
+LIGHT = {"mass_kg": 0.03, "damping_N_s_m": 0.2, "force_limit_N": 1.0}
+
+
+def run_of(**changes):
+    """A short run of a ball that a hand presses on a wall."""
+    given = {"device": "touch", "duration_s": 0.6, "coupling.stiffness_N_m": 300.0}
+    return simulate(load_scene("wall", given | {key.replace("__", "."): value for key, value in changes.items()}))
+
+
+class Drift:
+    """Goes on along the last change of the force."""
+
+    def __init__(self):
+        self.force_N, self.change_N = np.zeros((2, 3))
+
+    def observe(self, position_m, velocity_m_s, force_N):
+        if force_N is not None:
+            self.change_N, self.force_N = force_N - self.force_N, force_N
+
+    def predict(self, ticks):
+        return self.force_N + 0.5 * min(ticks, 4.0) * self.change_N
+
+
+def test_a_predictor_of_two_methods_runs_guarded_is_judged_and_charted(tmp_path):
+    register.predictor("drift", Drift, colour="#777777", marker="h")
+    run = run_of(prediction="drift", coupling__delay_ms=4)
+    predictor = run.parts.motion.predictor
+    assert isinstance(predictor, Guarded) and isinstance(predictor.inner.inner, Drift)
+    assert run.trace["prediction_residual_N"].max() > 0.0 and 0.0 < run.trace["predicted_by"].mean() <= 1.0
+    assert "prediction" in run.parts.notes
+    errors = {kind: np.linspace(0.1, 0.2, 8)[:, None] * np.ones(len(HORIZONS)) for kind in PREDICTORS}
+    costs, nothing = dict.fromkeys(PREDICTORS, (1.0, 2.0)), Interval(0.0, 0.0, 0.0)
+    found = PredictorComparison("wall", errors, costs, np.array([1.0 + 0j]), {1: nothing}, {})
+    assert any("drift" in line for line in comparison_lines([found]))
+    draw_tasks([found], tmp_path / "tasks.png")
+    with pytest.raises(InputError, match=r"must be one of none, hold, .*, drift, got drif \(did you mean drift\?\)"):
+        load_scene("wall", {"prediction": "drif"})
+    assert "drift" in json.loads(schema_text())["properties"]["prediction"]["enum"]
+
+
+def test_a_predictor_that_over_compensates_is_refused_by_the_judge_of_stability():
+    @register.predictor("eager")
+    class Eager(Drift):
+        def predict(self, ticks):
+            return 3.0 * self.force_N if ticks else self.force_N
+
+    assert Eager.__name__ == "Eager"
+    changes = {"device": "touch", "prediction": "eager", "coupling.delay_ms": 4}
+    calm, eager = (
+        scene_stability(load_scene("wall", changes | {"prediction": kind})).verdict.critical_N_m
+        for kind in ("hold", "eager")
+    )
+    assert eager < 0.5 * calm
+    with pytest.raises(InputError, match=r"^coupling.stiffness_N_m must be below [\d.]+ to be stable"):
+        simulate(load_scene("wall", changes | {"coupling.stiffness_N_m": 0.9 * calm}))
+
+
+def test_a_predictor_that_never_forgets_or_returns_other_shapes_is_refused():
+    @register.predictor("sum")
+    class Sum(Drift):
+        def observe(self, position_m, velocity_m_s, force_N):
+            self.force_N = self.force_N + (0.0 if force_N is None else force_N)
+
+    @register.predictor("flat")
+    class Flat(Drift):
+        def predict(self, ticks):
+            return 0.0
+
+    with pytest.raises(InputError, match="predictor must forget a change within 512 ticks to be judged"):
+        run_of(prediction="sum")
+    with pytest.raises(InputError, match=r"^predict of the predictor flat must return three newtons, got shape \(\)"):
+        run_of(prediction="flat")
+
+
+class Sprung:
+    """A handle on a spring that a recorded push presses onto the wall and into it."""
+
+    opened = 0
+
+    def __init__(self, start_m):
+        type(self).opened += 1
+        self.start_m, self.commands = start_m, []
+
+    def read(self, time_s):
+        x, y, z = self.start_m
+        return Sample(time_s, (x, y, z - 0.025 * min(time_s / 0.3, 1.0)))
+
+    def command(self, force_N, torque_Nm):
+        self.commands.append(force_N)
+
+
+def test_a_device_is_opened_where_a_scene_names_it_and_judged_by_its_numbers(command, here):
+    opens = register.device("sprung", DeviceParameters(**LIGHT))
+    simulated = run_of(device="sprung")
+    assert type(simulated.parts.motion.device).__name__ == "SimulatedDevice"
+    assert opens(Sprung) is Sprung
+    run = run_of(device="sprung", duration_s=0.4)
+    device = run.parts.motion.device
+    assert isinstance(device, Sprung) and len(device.commands) >= 400 and not np.any(device.commands[-1])
+    assert max(np.abs(force).max() for force in device.commands) > 0.3
+    assert "sprung in the hand of" in run.parts.notes["coupling"]
+    mine, touch = (
+        scene_stability(load_scene("wall", {"device": name})).verdict.critical_N_m for name in ("sprung", "touch")
+    )
+    assert mine != touch
+    opened = Sprung.opened
+    code, output, error = command(
+        "run", "wall", "--set", "device=sprung", "--duration-s", 0.1, "--no-pictures", "--out", "out"
+    )
+    assert (code, error) == (0, "") and "sprung" in output and Sprung.opened == opened + 1
+    with pytest.raises(InputError, match=r"device must be one of none, touch, omni, six-dof, sprung, got spring"):
+        load_scene("wall", {"device": "spring"})
+
+
+def test_what_a_device_opens_must_be_one():
+    register.device("nothing", LIGHT, make=lambda start_m: 3)
+    with pytest.raises(InputError, match=r"^device must have read and command, got int without read and command for n"):
+        run_of(device="nothing")
+
+
+def test_hand_renderer_and_perception():
+    register.hand("limp", {"stiffness_N_m": 30.0})
+
+    @register.renderer("half")
+    class Half:
+        def __init__(self, loop):
+            self.stiffness_N_m = 0.5 * loop.stiffness_N_m
+
+        def render(self, device, device_velocity, proxy, proxy_velocity, dt):
+            return self.stiffness_N_m * (proxy - device)
+
+        def pause(self):
+            pass
+
+    @register.perception("share:NUMBER")
+    class Share:
+        steepest, above, estimated_N, perceived, perceived_spread = 1.0, False, 0.0, 0.0, 0.0
+
+        def __init__(self, argument, *, rng, force_limit_N, tick_s, friction_N):
+            self.share, self.sentence = float(argument), f"a share of {argument}"
+
+        def step(self, force_N):
+            return self.share * force_N
+
+        def pause(self):
+            pass
+
+    peak = lambda run: np.abs(run.trace["device_force_z_N"]).max()  # noqa: E731
+    run = run_of(hand="limp", renderer="half", perception="share:0.5")
+    assert 0.0 < peak(run) < 0.7 * peak(run_of(hand="limp", renderer="half"))
+
+
+def test_a_tool_mills_what_its_half_section_sweeps():
+    @register.tool("cone", keys=("length_mm",))
+    def cone(diameter_m, length_m):
+        return Profile([Line((0.0, 0.0), (0.5 * diameter_m, length_m)), Line((0.5 * diameter_m, length_m), (0.0, length_m), False)], convex=True)  # fmt: skip
+
+    changes = {"voxels.spacing_mm": 0.5, "duration_s": 1.0, "tool.diameter_mm": 6.0, "tool.length_mm": 5.0}
+    changes["tool.spin_rpm"] = 500.0
+    run = simulate(load_scene("milling", changes | {"tool.kind": "cone"}))
+    whole = simulate(load_scene("milling", changes | {"tool.kind": "cylinder"}))
+    assert 0.0 < run.trace["removed_mm3"][-1] < 0.9 * whole.trace["removed_mm3"][-1]
+    assert '"cone"' in schema_text()
+
+
+class Dip(Part):
+    """Straight down."""
+
+    kind: Literal["dip"] = "dip"
+
+
+class Dipping(Motion):
+    """A dip of 0.1 s."""
+
+    duration_s = 0.1
+
+    def __init__(self, dip, step_s):
+        pass
+
+    def sweep_m(self):
+        return np.array([[0.0, 0.0, 1e-3], [0.0, 0.0, -1e-3]])
+
+    def rotations(self):
+        return np.stack([np.eye(3)] * 2)
+
+    def begin(self, motion):
+        motion.tip_m[:], motion.rotation[:], motion.heading[0] = self.sweep_m()[0], np.eye(3), (0.0, 0.0, -1.0)
+
+    def advance(self, time_s, step_s, response, motion):
+        motion.tip_m[2] = 1e-3 - 0.02 * time_s
+
+
+def test_motion_and_tissue():
+    register.motion("dip", Dip, Dipping)
+    register.tissue("jelly", Jelly, jelly, tool=Probe, force_N=lambda scene: 40.0)
+    run = simulate(load_scene("wall", {"device": "none", "motion.kind": "dip", "duration_s": None}))
+    np.testing.assert_allclose(run.trace["tool_z_mm"], 1.0 - 20.0 * run.trace["time_s"], atol=1e-12)
+    soft = simulate(load_scene("palpation", CHANGES))
+    np.testing.assert_allclose(soft.trace["model_force_z_N"], 0.1 * soft.trace["depth_mm"], atol=1e-12)
+    assert '"dip"' in schema_text() and '"jelly"' in schema_text()
+
+
+FOAM = "\n".join(
+    f'[cutting.foam.{name}]\nvalue = {value}\nrange = [0.0, 1000.0]\nsource = "made up"\nconfidence = "L"'
+    for name, value in {
+        "tangential_chip_N_mm2": 15.0, "radial_chip_N_mm2": 6.0, "axial_chip_N_mm2": 0.0, "tangential_edge_N_mm": 0.5,
+        "radial_edge_N_mm": 0.4, "axial_edge_N_mm": 0.0, "reference_density_kg_m3": 320.0, "density_exponent": 1.0,
+    }.items()
+)  # fmt: skip
+GEL = "\n".join(
+    f'[soft.gel.{name}]\nvalue = {value}\nrange = [0.0, 2000.0]\nsource = "made up"\nconfidence = "L"'
+    for name, value in {"modulus_kPa": 20.0, "poisson_ratio": 0.45, "density_kg_m3": 1000.0}.items()
+)
+
+
+def test_a_material_is_cut_and_another_is_pressed(tmp_path):
+    file = tmp_path / "materials.toml"
+    file.write_text(f"{FOAM}\n{GEL}\n")
+    assert register.material(file) == ("foam", "gel")
+    changes = {"voxels.spacing_mm": 0.5, "duration_s": 0.5}
+    bone, foam = (simulate(load_scene("milling", changes | {"cutting.material": each})) for each in ("bone", "foam"))
+    peak = lambda run: np.linalg.norm(run.trace.vectors("model_force", "N"), axis=1).max()  # noqa: E731
+    assert 0.0 < peak(foam) < 0.9 * peak(bone)
+    assert foam.parts.notes["specific cutting energy"].startswith("foam 0.015 (0-1) J/mm3, confidence L")
+    assert load_scene("palpation", {"organ.material": "gel"}).organ.material == "gel"
+    for key, value, refusal in (
+        ("milling", {"cutting.material": "foa"}, r"^cutting.material must be one of bone, .*, foam, got foa \(did you"),
+        ("palpation", {"organ.material": "ge"}, r"^organ.material must be one of liver, kidney, gel, got ge \(did you"),
+    ):
+        with pytest.raises(InputError, match=refusal):
+            load_scene(key, value)
+
+
+def test_a_scene_is_found_by_its_name(command, here, tmp_path):
+    printed = command("scenes", "wall")[1]
+    file = tmp_path / "any.toml"
+    file.write_text(printed.replace('name = "wall"', 'name = "my-wall"'))
+    assert register.scene(file) == "my-wall" and "my-wall" in scene_names()
+    assert load_scene("my-wall").name == "my-wall"
+    assert any(line.startswith("my-wall") for line in command("scenes")[1].splitlines())
+    assert command("scenes", "my-wall")[1].endswith(file.read_text().partition("\n")[2])
+    code, _, error = command("run", "my-wall", "--duration-s", 0.05, "--no-pictures")
+    assert (code, error) == (0, "") and (here / "runs" / "my-wall" / "trace.csv").is_file()
+    with pytest.raises(
+        InputError, match=r"^scene must be a built-in name \(caries, .*, my-wall, .*\(did you mean my-w"
+    ):
+        load_scene("my-wal")
+
+
+class Lacking:
+    """Neither predicts nor renders."""
+
+    def observe(self, position_m, velocity_m_s, force_N):
+        pass
+
+
+REFUSED = {
+    "taken": (lambda: register.predictor("kalman", Drift), "^name must be none of none, hold, .*, got kalman: choose"),
+    "reserved": (lambda: register.device("none", LIGHT), "^name must be none of none, touch, .*, got none: choose anoth"),
+    "of another tool": (lambda: register.tool("needle", cylinder), "^name must be none of none, ball-burr, .*, got needle"),
+    "no name": (lambda: register.hand("My Hand", {}), "^name must be of lower-case letters, digits, - and _, got My Hand"),
+    "no callable": (lambda: register.renderer("mine", 3), "^renderer mine must be a class or a function, got 3"),
+    "methods": (
+        lambda: register.predictor("mine", Lacking),
+        "^predictor mine must have observe and predict, got Lacking without predict: add what is missing$",
+    ),
+    "more methods": (
+        lambda: register.renderer("mine")(Lacking),
+        "^renderer mine must have render and pause, got Lacking without render and pause: add",
+    ),
+    "device methods": (lambda: register.device("mine", LIGHT, Lacking), "^device mine must have read and command, got La"),
+    "motion": (lambda: register.motion("dip", Dip, Lacking), "^motion dip must have sweep_m and rotations and begin and"),
+    "kind": (lambda: register.motion("drop", Dip, Dipping), r'^Dip.kind must be drop, got dip: write kind: Literal\["drop'),
+    "no part": (lambda: register.motion("dip", Drift, Dipping), "^parameters of the motion dip must be a subclass of tis"),
+    "number": (lambda: register.device("mine", LIGHT | {"mass": 1.0}), r"got mass \(did you mean mass_kg\?\): rename or"),
+    "numbers": (lambda: register.device("mine", {"mass_kg": 1.0}), "^numbers must have mass_kg and damping_N_s_m, got none"),
+    "text": (lambda: register.device("mine", LIGHT | {"mass_kg": "1"}), "^mass_kg must be a number, got 1: give it in"),
+    "range": (lambda: register.device("mine", LIGHT | {"mass_kg": -1.0}), "^mass_kg must be positive and finite, got -1"),
+    "hand": (lambda: register.hand("mine", {}, like="robot"), "^hand must be one of novice, intermediate, expert, got ro"),
+    "profile": (lambda: register.tool("mine", lambda width: 0), "^tool mine must take diameter_m, got one that does not"),
+    "keys": (lambda: register.tool("mine", cylinder, keys=("width_mm",)), "^keys must be of length_mm, .*, got width_mm"),
+    "colour": (lambda: register.predictor("mine", Drift, colour="blu"), "^colour must be one of matplotlib's, got blu"),
+    "marker": (lambda: register.predictor("mine", Drift, marker="@"), "^marker must be one of matplotlib's, got @"),
+    "no file": (lambda: register.material("none.toml"), r"^material must be a TOML file, got none.toml \(No such file"),
+    "no scene": (lambda: register.scene("none.toml"), r"^scene must be a TOML file, got .*none.toml \(No such file"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_registered_is_refused_in_a_sentence(case):
+    call, refusal = REFUSED[case]
+    with pytest.raises(InputError, match=refusal) as refused:
+        call()
+    assert "\n" not in str(refused.value)
+    with pytest.raises(InputError):
+        load_scene("wall", {"device": "mine"})
+
+
+@pytest.mark.parametrize(
+    ("text", "refusal"),
+    [
+        ("[bone.foam.a]", "^material must have tables cutting and soft, got bone in"),
+        (FOAM.replace("cutting.foam", "cutting.bone"), "^cutting must name materials other than bone, .*, got bone in"),
+        (FOAM.replace("radial_chip_N_mm2", "chip"), "^cutting.foam must have .*, got none for radial_chip_N_mm2 in"),
+        (FOAM.replace("[cutting.foam.density", "[cutting.foam.mean_N_mm2]\n[cutting.foam.density"), "^cutting.foam must have .*, got also mean_N_mm2 in"),
+        (FOAM.replace('"made up"', '""'), "^cutting.foam.tangential_chip_N_mm2 must have a source, got none in"),
+        (FOAM.replace('"L"', '"sure"'), "^cutting.foam.tangential_chip_N_mm2 must have a confidence of H, M or L, got sure"),
+        (FOAM.replace("15.0", "1500.0"), r"^cutting.foam.tangential_chip_N_mm2 must have a value within its range, got 1500"),
+        (FOAM.replace("value", "mean"), "^cutting.foam.tangential_chip_N_mm2 must have value, range, source and confidence"),
+        (GEL.replace("poisson_ratio", "poisson"), "^soft.gel must have modulus_kPa, .*, got none for poisson_ratio in"),
+        ("[cutting", "^material must be a TOML file, got"),
+    ],
+)  # fmt: skip
+def test_a_material_file_with_a_fault_is_refused_whole(tmp_path, text, refusal):
+    (tmp_path / "mine.toml").write_text(text)
+    with pytest.raises(InputError, match=refusal):
+        register.material(tmp_path / "mine.toml")
+    with pytest.raises(InputError, match="must be one of"):
+        load_scene("milling", {"cutting.material": "foam"})
+
+
+def test_a_scene_by_a_name_that_is_taken_is_refused(tmp_path, command):
+    (tmp_path / "mine.toml").write_text(command("scenes", "wall")[1])
+    with pytest.raises(
+        InputError, match=r"^name must be none of caries, .*, wall, got wall in .*mine.toml: choose anoth"
+    ):
+        register.scene(tmp_path / "mine.toml")
+
+
+def test_a_part_that_was_registered_is_in_the_schema_of_the_scene():
+    register.device("light", LIGHT)
+    assert Scene.model_json_schema()["properties"]["device"]["enum"][-1] == "light"

@@ -1,0 +1,274 @@
+"""`tissue.register`: parts of one's own, by the names that a scene gives them."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from tissue.api import registering as check
+from tissue.scene.registry import (
+    ANATOMIES,
+    CUTTERS,
+    DEVICES,
+    HANDS,
+    MOTIONS,
+    NEEDLES,
+    PERCEPTIONS,
+    PREDICTORS,
+    PROBES,
+    RENDERERS,
+    SCENES,
+    AnatomyEntry,
+    CutterEntry,
+    DeviceEntry,
+    MotionEntry,
+    PredictorEntry,
+    ProbeEntry,
+)
+
+if TYPE_CHECKING:
+    from tissue.haptics.device.device import DeviceParameters
+    from tissue.scene.anatomy import Part
+
+__all__ = ["register"]
+
+F = TypeVar("F")
+COLOUR, MARKER = "#D55E00", "*"
+
+
+class register:
+    """Make a part known by a name: scenes, messages, the schema, charts and the judge of stability then know it.
+
+    A function that takes what makes a part, or without it is a decorator of that. Each refuses, in one sentence, a name
+    that is taken, and what lacks a method that a run calls. What is registered is known in this process; an installed
+    package offers parts to all by entry points, in groups such as ``tissue.predictors``.
+    """
+
+    @staticmethod
+    def tool(name: str, profile: F | None = None, *, keys: tuple[str, ...] = ()) -> Any:
+        """A rotating cutter, by its half section.
+
+        Parameters
+        ----------
+        name
+            Value of ``tool.kind``.
+        profile
+            Returns a `tissue.cutters.profile.Profile` from ``diameter_m`` and what `keys` add, in metres and radians:
+            ``length_m`` of ``length_mm``, ``point_angle_rad`` of ``point_angle_deg``.
+        keys
+            Those of the tool's keys that shape it beside its diameter.
+        """
+
+        def add(part: Any) -> None:
+            check.name("tool", name)
+            check.callable_part("tool", name, part)
+            check.profile(name, part, keys)
+            CUTTERS.add(name, CutterEntry(part, tuple(keys)))
+
+        return _now_or_decorated(profile, add)
+
+    @staticmethod
+    def probe(name: str, make: F | None = None, *, keys: tuple[str, ...] = ("diameter_mm",)) -> Any:
+        """A smooth tool that presses: ``make(tool)`` returns the `ProbeShape` of a scene's tool."""
+
+        def add(part: Any) -> None:
+            check.name("probe", name)
+            check.callable_part("probe", name, part)
+            PROBES.add(name, ProbeEntry(part, tuple(keys)))
+
+        return _now_or_decorated(make, add)
+
+    @staticmethod
+    def needle(name: str, make: F | None = None) -> Any:
+        """A needle: ``make(vessel_wall_depth_m=...)`` returns the `NeedleTissue` that it meets."""
+
+        def add(part: Any) -> None:
+            check.name("needle", name)
+            check.callable_part("needle", name, part)
+            NEEDLES.add(name, part)
+
+        return _now_or_decorated(make, add)
+
+    @staticmethod
+    def motion(name: str, parameters: "type[Part]", make: F | None = None) -> Any:
+        """What moves the tool: ``make(parameters, step_s)`` returns a `tissue.motion.motion.Motion`.
+
+        Parameters
+        ----------
+        name
+            Value of ``motion.kind``.
+        parameters
+            What a scene states of it: a subclass of `tissue.scene.anatomy.Part` whose ``kind`` is the name.
+        make
+            Makes one of that, for ticks of so many seconds.
+        """
+
+        def add(part: Any) -> None:
+            check.name("motion", name)
+            check.parameters("motion", name, parameters)
+            check.callable_part("motion", name, part, ("sweep_m", "rotations", "begin", "advance"))
+            MOTIONS.add(name, MotionEntry(parameters, part))
+
+        return _now_or_decorated(make, add)
+
+    @staticmethod
+    def tissue(
+        name: str,
+        parameters: "type[Part]",
+        build: F | None = None,
+        *,
+        tool: "type[Part]",
+        force_N: Callable[..., float] | None = None,
+        pictures: Mapping[str, Callable[..., None]] | None = None,
+        faces: Callable[..., Any] | None = None,
+    ) -> Any:
+        """What a tool meets: ``build(scene, motion, *, step_s, compute, cores, report)`` returns the parts of a run.
+
+        Parameters
+        ----------
+        name
+            Value of ``anatomy.kind``.
+        parameters
+            What a scene states of it: a subclass of `tissue.scene.anatomy.Part` whose ``kind`` is the name.
+        build
+            Returns `tissue.builders.parts.Parts`, with a `tissue.models.tissue_model.TissueModel`.
+        tool
+            The part that describes the tools that it meets: ``Tool``, ``Probe`` or ``Needle`` of `tissue.scene.tool`.
+        force_N, pictures, faces
+            See `tissue.scene.registry.AnatomyEntry`.
+        """
+
+        def add(part: Any) -> None:
+            check.name("tissue", name)
+            check.parameters("tissue", name, parameters)
+            check.callable_part("tissue", name, part)
+            ANATOMIES.add(name, AnatomyEntry(parameters, tool, part, force_N, pictures or {}, faces))
+
+        return _now_or_decorated(build, add)
+
+    @staticmethod
+    def device(
+        name: str,
+        numbers: "Mapping[str, float] | DeviceParameters",
+        make: Callable[[tuple[float, float, float]], object] | None = None,
+    ) -> Callable[[F], F]:
+        """A haptic device: its numbers, by which it is judged, and what opens the real one.
+
+        Parameters
+        ----------
+        name
+            Value of ``device``.
+        numbers
+            Those of `tissue.haptics.device.device.DeviceParameters` in SI, at least ``mass_kg`` and ``damping_N_s_m``.
+        make
+            Opens the device that `tissue.simulate` and ``tissue run`` then hold: called with the place [m] where the
+            tool starts in the scene, it returns a `tissue.haptics.device.device.Device`. Without it, and where charts,
+            studies and training run many trials, a simulated device of these numbers is held by the scene's hand.
+
+        Returns
+        -------
+        Callable
+            A decorator of the class that is `make`.
+        """
+        check.name("device", name)
+        entry = DeviceEntry(check.device_numbers(numbers))
+
+        def opens(part: Any) -> Any:
+            check.callable_part("device", name, part, ("read", "command"))
+            DEVICES.put(name, DeviceEntry(entry.numbers, part))
+            return part
+
+        if make is None:
+            DEVICES.add(name, entry)
+        else:
+            opens(make)
+        return opens
+
+    @staticmethod
+    def hand(name: str, numbers: Mapping[str, float], *, like: str = "expert") -> None:
+        """A hand: numbers of `tissue.haptics.hand.hand.HandParameters` in SI; the others are those of a known hand."""
+        check.name("hand", name)
+        HANDS.add(name, check.hand_numbers({**HANDS[like], **numbers}))
+
+    @staticmethod
+    def renderer(name: str, make: F | None = None) -> Any:
+        """A law by which a device plays what the tool meets, with `render` and `pause`: ``make(loop)`` of a `WallLoop`.
+
+        The loop is judged with ``loop.stiffness_N_m``; a law that is stiffer than that is not seen by the judge.
+        """
+
+        def add(part: Any) -> None:
+            check.name("renderer", name)
+            check.callable_part("renderer", name, part, ("render", "pause"))
+            RENDERERS.add(name, part)
+
+        return _now_or_decorated(make, add)
+
+    @staticmethod
+    def predictor(
+        name: str, make: F | None = None, *, trained: bool = False, colour: str = COLOUR, marker: str = MARKER
+    ) -> Any:
+        """What predicts the force on a device: a class with `observe` and `predict`, see `tissue.prediction.outside`.
+
+        It runs under the guard, which holds the last force where holding would miss less, and is judged with the loop.
+
+        Parameters
+        ----------
+        name
+            Value of ``prediction``.
+        make
+            Called with nothing, or with what ``tissue train`` wrote for the scene, `tissue.prediction.trained.Trained`.
+        trained
+            Whether it is given that.
+        colour, marker
+            Its own in charts, as matplotlib has them.
+        """
+
+        def add(part: Any) -> None:
+            from tissue.prediction.outside import GuardedMaker
+
+            check.name("predictor", name)
+            check.callable_part("predictor", name, part, ("observe", "predict"))
+            check.looks(colour, marker)
+            PREDICTORS.add(name, PredictorEntry(GuardedMaker(name, part, trained=trained), trained, colour, marker))
+
+        return _now_or_decorated(make, add)
+
+    @staticmethod
+    def perception(name: str, make: F | None = None) -> Any:
+        """A perceptual map: ``make(argument, *, rng, force_limit_N, tick_s, friction_N)`` returns a `Perception`.
+
+        A name such as ``share:NUMBER`` stands for all texts with something behind the colon, which is the argument.
+        """
+
+        def add(part: Any) -> None:
+            check.name("perception", name, argument=True)
+            check.callable_part("perception", name, part, ("step", "pause"))
+            PERCEPTIONS.add(name, part)
+
+        return _now_or_decorated(make, add)
+
+    @staticmethod
+    def material(file: str | Path) -> tuple[str, ...]:
+        """Materials of a TOML file: ``[cutting.NAME.CONSTANT]`` for ``cutting.material``, ``[soft...]`` for organs.
+
+        Each constant has value, range, source and confidence, as in `tissue/materials`. Returns the names.
+        """
+        return check.add_materials(Path(file))
+
+    @staticmethod
+    def scene(file: str | Path) -> str:
+        """A scene in a TOML file, by the name that it holds: for `load_scene`, ``tissue scenes`` and ``tissue run``."""
+        path = Path(file).resolve()
+        name = check.scene_name(path)
+        SCENES.add(name, path)
+        return name
+
+
+def _now_or_decorated(part: Any, add: Callable[[Any], None]) -> Any:
+    """Add a part that is given; a decorator that adds one where none is."""
+
+    def added(each: Any) -> Any:
+        add(each)
+        return each
+
+    return added if part is None else added(part)

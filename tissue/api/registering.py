@@ -1,0 +1,216 @@
+"""What is asked of a part from outside before it is registered, each refusal one sentence."""
+
+import inspect
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from meshes.base.errors import InputError
+from tissue.materials.constants import Entry, add_material, constants, listed
+from tissue.scene.named_parts import nearest, shown
+from tissue.scene.registry import CUTTERS, CUTTING_MATERIALS, ORGAN_MATERIALS, SCENES, TABLES
+
+if TYPE_CHECKING:
+    from tissue.haptics.device.device import DeviceParameters
+
+__all__ = [
+    "add_materials", "callable_part", "device_numbers", "hand_numbers", "looks", "name", "parameters", "profile",
+    "scene_name",
+]  # fmt: skip
+
+NAME = "[a-z0-9][a-z0-9_-]*"
+SOFT = ("modulus_kPa", "poisson_ratio", "density_kg_m3")
+"""Constants that every soft material has."""
+CAPSULE = "_capsule"
+"""Ends the name of what lies on an organ, which no organ is made of."""
+
+
+def name(kind: str, given: object, *, argument: bool = False) -> None:
+    """Refuse a name that is no name, or is taken."""
+    pattern = f"{NAME}(:[A-Z]+)?" if argument else NAME
+    if not isinstance(given, str) or not re.fullmatch(pattern, given):
+        raise InputError(
+            f"name must be of lower-case letters, digits, - and _, got {shown(given)}: choose such a one for the {kind}"
+        )
+    taken = ["none", *(each for table in TABLES[kind] for each in table.known)]
+    if given in taken:
+        raise InputError(f"name must be none of {', '.join(taken)}, got {given}: choose another name for this {kind}")
+
+
+def callable_part(kind: str, given: str, part: object, methods: Sequence[str] = ()) -> None:
+    """Refuse what makes no part: it can be called, and a class has the methods."""
+    if not callable(part):
+        raise InputError(f"{kind} {given} must be a class or a function, got {shown(part)}: give what makes one")
+    if not isinstance(part, type):
+        return
+    missing = [method for method in methods if not callable(getattr(part, method, None))]
+    if missing:
+        raise InputError(
+            f"{kind} {given} must have {' and '.join(methods)}, got {part.__name__} without {' and '.join(missing)}: "
+            "add what is missing"
+        )
+
+
+def profile(given: str, part: Any, keys: Sequence[str]) -> None:
+    """Refuse a half section that cannot be called with a tool's sizes."""
+    known = dict.fromkeys(chain.from_iterable(CUTTERS[each].keys for each in CUTTERS.built_in))
+    for key in keys:
+        if key not in known:
+            raise InputError(f"keys must be of {', '.join(sorted(known))}, got {shown(key)}: use one of a tool's keys")
+    sizes = ["diameter_m", *(key.replace("_mm", "_m").replace("_deg", "_rad") for key in keys)]
+    try:
+        inspect.signature(part).bind(**dict.fromkeys(sizes, 1.0))
+    except TypeError as error:
+        raise InputError(
+            f"tool {given} must take {' and '.join(sizes)}, got one that does not ({error}): name its arguments so"
+        ) from None
+
+
+def parameters(kind: str, given: str, part: object) -> None:
+    """Refuse what a scene cannot state: a subclass of `Part` whose kind is the name."""
+    from tissue.scene.anatomy import Part
+    from tissue.scene.choices import kinds_of
+
+    if not (isinstance(part, type) and issubclass(part, Part)):
+        raise InputError(
+            f"parameters of the {kind} {given} must be a subclass of tissue.scene.anatomy.Part, got {shown(part)}: "
+            "derive it from that"
+        )
+    kinds = kinds_of(part) if "kind" in part.model_fields else ()
+    if kinds != (given,):
+        raise InputError(
+            f"{part.__name__}.kind must be {given}, got {' or '.join(kinds) or 'none'}: "
+            f'write kind: Literal["{given}"] = "{given}"'
+        )
+
+
+def device_numbers(numbers: "Mapping[str, float] | DeviceParameters") -> dict[str, float]:
+    """Numbers of a device, as the table has them."""
+    from tissue.haptics.device.device import DeviceParameters
+
+    if isinstance(numbers, DeviceParameters):
+        return asdict(numbers)
+    return _numbers(DeviceParameters, numbers, needed=("mass_kg", "damping_N_s_m"))
+
+
+def hand_numbers(numbers: Mapping[str, float]) -> dict[str, float]:
+    """Numbers of a hand, as the table has them."""
+    from tissue.haptics.hand.hand import HandParameters
+
+    return _numbers(HandParameters, numbers, needed=())
+
+
+def _numbers(kind: Any, numbers: Mapping[str, float], *, needed: Sequence[str]) -> dict[str, float]:
+    """Numbers that a class of parameters takes."""
+    if not isinstance(numbers, Mapping):
+        raise InputError(
+            f"numbers must be a mapping such as {{mass_kg: 0.05}}, got {shown(numbers)}: give names and values"
+        )
+    known = [field.name for field in fields(kind)]
+    for each, value in numbers.items():
+        if each not in known:
+            raise InputError(
+                f"numbers must be of {', '.join(known)}, got {each}{nearest(each, known)}: rename or remove it"
+            )
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(f"{each} must be a number, got {shown(value)}: give it in the unit of its name")
+    if missing := [each for each in needed if each not in numbers]:
+        raise InputError(f"numbers must have {' and '.join(needed)}, got none for {' and '.join(missing)}: add it")
+    kind(**numbers)
+    return dict(numbers)
+
+
+def looks(colour: str, marker: str) -> None:
+    """Refuse what matplotlib cannot draw."""
+    from matplotlib.colors import is_color_like
+    from matplotlib.markers import MarkerStyle
+
+    if not is_color_like(colour):
+        raise InputError(f"colour must be one of matplotlib's, got {shown(colour)}: use for example #0072B2")
+    try:
+        MarkerStyle(marker)
+    except ValueError:
+        raise InputError(f"marker must be one of matplotlib's, got {shown(marker)}: use for example o") from None
+
+
+def scene_name(path: Path) -> str:
+    """The name that a scene's file holds, where none has it."""
+    from tissue.scene.load import library_names
+
+    found = _table(path, "scene").get("name")
+    name("scene", found)
+    taken = [*library_names(), *SCENES.known]
+    if found in taken:
+        raise InputError(
+            f"name must be none of {', '.join(taken)}, got {found} in {path}: choose another for this scene"
+        )
+    return str(found)
+
+
+def add_materials(path: Path) -> tuple[str, ...]:
+    """Add the materials of a file, all or none."""
+    found = _table(path, "material")
+    if not found or any(table not in ("cutting", "soft") for table in found):
+        raise InputError(
+            f"material must have tables cutting and soft, got {', '.join(found) or 'none'} in {path}: use these"
+        )
+    for table, materials in found.items():
+        for material, entries in materials.items():
+            _require_material(path, table, material, entries)
+    for table, materials in found.items():
+        for material, entries in materials.items():
+            add_material(table, material, entries)
+            if not material.endswith(CAPSULE):
+                (CUTTING_MATERIALS if table == "cutting" else ORGAN_MATERIALS).add(material, (table, material))
+    return tuple(dict.fromkeys(material for materials in found.values() for material in materials))
+
+
+def _require_material(path: Path, table: str, material: str, entries: dict[str, Entry]) -> None:
+    """Refuse a material whose name is taken, or that lacks a constant or its source."""
+    where = f"{table}.{material}"
+    if not re.fullmatch(NAME, material) or material in listed(table):
+        raise InputError(
+            f"{table} must name materials other than {', '.join(listed(table))}, in lower-case letters, digits, - and "
+            f"_, got {material} in {path}: choose another name"
+        )
+    needed = tuple(constants("cutting", "bone")) if table == "cutting" else SOFT
+    missing = [each for each in needed if each not in entries]
+    extra = [each for each in entries if each not in needed] if table == "cutting" else []
+    if missing or extra:
+        raise InputError(
+            f"{where} must have {', '.join(needed)}, got {'none for' if missing else 'also'} "
+            f"{', '.join(missing or extra)} in {path}: {'add' if missing else 'remove'} it"
+        )
+    for constant, entry in entries.items():
+        if problem := _problem(entry):
+            raise InputError(f"{where}.{constant} must have {problem} in {path}: see tissue/materials/{table}.toml")
+
+
+def _problem(entry: Any) -> str:
+    """What an entry of a material should have and has not, with what it has; nothing where it is whole."""
+    if not isinstance(entry, dict) or not {"value", "range", "source", "confidence"} <= set(entry):
+        return (
+            f"value, range, source and confidence, got {', '.join(entry) if isinstance(entry, dict) else shown(entry)}"
+        )
+    value, limits = entry["value"], entry["range"]
+    numbers = [value, *limits] if isinstance(limits, list) and len(limits) == 2 else []
+    if not numbers or not all(isinstance(each, int | float) for each in numbers) or not limits[0] <= value <= limits[1]:
+        return f"a value within its range, got {shown(value)} and {shown(limits)}"
+    if not isinstance(entry["source"], str) or not entry["source"].strip():
+        return "a source, got none"
+    return (
+        "" if entry["confidence"] in ("H", "M", "L") else f"a confidence of H, M or L, got {shown(entry['confidence'])}"
+    )
+
+
+def _table(path: Path, kind: str) -> dict[str, Any]:
+    """A TOML file."""
+    try:
+        return tomllib.loads(path.read_text("utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(f"{kind} must be a TOML file, got {path} ({reason}): check the path and mend it") from None

@@ -1,0 +1,72 @@
+"""Parts that installed packages offer by entry points: read once, when a table is asked for more than it knows."""
+
+import warnings
+from functools import cache
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+
+from meshes.base.errors import InputError
+
+__all__ = ["OFFERED", "PluginWarning", "ask_packages", "offered_names", "refusal"]
+
+OFFERED = {
+    f"tissue.{kind}s": kind
+    for kind in (
+        "tool", "probe", "needle", "motion", "tissue", "device", "hand", "renderer", "predictor", "perception",
+        "material", "scene",
+    )
+}  # fmt: skip
+"""Groups of entry points, by the function of `tissue.register` that takes what one names."""
+TAKE = ("tissue.api.offers", "take")
+"""What checks and registers a part; it lies above the tables that packages add to, and is imported only for this."""
+
+_asked: set[str] = set()
+_refused: dict[tuple[str, str], str] = {}
+
+
+class PluginWarning(UserWarning):
+    """A part that an installed package offers cannot be used; all else goes on without it."""
+
+
+def ask_packages(group: str) -> None:
+    """Make known what installed packages offer in a group of entry points; once for each group.
+
+    A part that cannot be had is left out with a `PluginWarning`, see `refusal`. Its name stays with who had it before:
+    with what is built in, or was registered by a call.
+    """
+    if not group or group in _asked:
+        return
+    _asked.add(group)  # before any is imported, which may ask in its turn
+    for offer in _offers().get(group, ()):
+        try:
+            getattr(import_module(TAKE[0]), TAKE[1])(OFFERED[group], offer.name, offer.load)
+        except (Exception, SystemExit) as error:
+            reason = (str(error).splitlines() or [""])[0]
+            cause = reason if isinstance(error, InputError) else f"{type(error).__name__}: {reason}"
+            what = f"{OFFERED[group]} {offer.name} of the package {_package(offer)}"
+            sentence = f"{what} cannot be used ({cause}): update or uninstall that package"
+            _refused[group, offer.name] = sentence
+            warnings.warn(sentence, PluginWarning, stacklevel=2)
+
+
+def refusal(group: str, name: str) -> str | None:
+    """Why a part that a package offers cannot be used; None where none by that name was refused."""
+    return _refused.get((group, name))
+
+
+def offered_names() -> dict[str, list[str]]:
+    """Names of what installed packages offer, by kind, without importing any of them."""
+    return {OFFERED[group]: [offer.name for offer in offers] for group, offers in _offers().items()}
+
+
+def _package(offer: EntryPoint) -> str:
+    """Name and version of the package that offers it."""
+    return offer.value if offer.dist is None else f"{offer.dist.name} {offer.dist.version}"
+
+
+@cache
+def _offers() -> dict[str, list[EntryPoint]]:
+    """Entry points of all groups that are there."""
+    installed = entry_points()
+    found = {group: list(installed.select(group=group)) for group in OFFERED}
+    return {group: offers for group, offers in found.items() if offers}
