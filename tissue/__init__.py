@@ -12,6 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from meshes.base.errors import InputError
+    from tissue import cutters
+    from tissue.api.bone import Bone
+    from tissue.api.cut import Cut
+    from tissue.api.poses import feed_along
     from tissue.api.register import register
     from tissue.api.simulate import simulate
     from tissue.scene.load import load_scene, scene_names, scene_text
@@ -21,9 +25,25 @@ if TYPE_CHECKING:
 
     __version__: str
 
-__all__ = ["InputError", "Run", "SavedRun", "Scene", "load_scene", "register", "scene_names", "scene_text", "simulate"]
+__all__ = [
+    "Bone",
+    "Cut",
+    "InputError",
+    "Run",
+    "SavedRun",
+    "Scene",
+    "cutters",
+    "feed_along",
+    "load_scene",
+    "register",
+    "scene_names",
+    "scene_text",
+    "simulate",
+]
 
 _HOMES = {
+    "Bone": "tissue.api.bone",
+    "Cut": "tissue.api.cut",
     "InputError": "meshes.base.errors",
     "Run": "tissue.simulation.run",
     "SavedRun": "tissue.simulation.run_folder",
@@ -31,6 +51,7 @@ _HOMES = {
     "load_scene": "tissue.scene.load",
     "register": "tissue.api.register",
     "scene_names": "tissue.scene.load",
+    "feed_along": "tissue.api.poses",
     "scene_text": "tissue.scene.load",
     "simulate": "tissue.api.simulate",
 }
@@ -54,6 +75,8 @@ def __getattr__(name: str) -> Any:
         from meshes.base.file_version import package_version  # reads a file
 
         return package_version()
+    if name == "cutters":
+        return import_module("tissue.cutters")
     if name in _HOMES:
         return getattr(import_module(_HOMES[name]), name)
     raise AttributeError(f"module 'tissue' has no attribute {name!r}")

@@ -1,6 +1,5 @@
 """Build what a cutter meets: bone or a tooth, as voxels."""
 
-from collections.abc import Sequence
 from math import pi, radians
 from typing import TYPE_CHECKING
 
@@ -13,7 +12,7 @@ from tissue.builders.parts import Parts
 from tissue.builders.registry import motion_of
 from tissue.builders.voxels import require_outside, require_touch, volume_of, whole_tooth
 from tissue.cutters.cutter import Cutter
-from tissue.materials.constants import constants, cutting_coefficients
+from tissue.materials.cutting import CUT_AS, coefficients_of, energy_note
 from tissue.models.tissue_model import TICK_S, TissueModel
 from tissue.motion.motion import Motion
 from tissue.scene.anatomy import MolarAnatomy
@@ -26,12 +25,10 @@ from tissue.scene.unused_keys import is_given
 if TYPE_CHECKING:
     from tissue.models.bone.model import BoneModel
 
-__all__ = ["cut_as", "cutter_of", "milled", "milled_voxels", "milling_of"]
+__all__ = ["cutter_of", "milled", "milled_voxels", "milling_of"]
 
 SI = {"mm": ("m", 1e-3), "deg": ("rad", radians(1.0))}
 """Units of a scene's tool: their SI unit and its share."""
-CUT_AS = {"enamel": "enamel", "dentin": "dentin", "caries": "dentin", "pulp": "soft", "ligament": "soft"}
-"""Material whose cutting coefficients a layer has; all others have those of the scene's bone."""
 
 
 def milled(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
@@ -53,7 +50,10 @@ def milled(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: 
     if cutter.spin_rad_s == 0.0:
         return _probe(scene, volume, cutter, motion, compute=compute, notes=notes, report=report)
     _require_effect(scene, volume)
-    notes["specific cutting energy"] = _energy_note(scene, volume)
+    there = np.unique(volume.layer).tolist()
+    notes["specific cutting energy"] = energy_note(
+        tuple(volume.layer_names[at] for at in there), bone=scene.cutting.material
+    )
     tissue = _bone(scene, volume, cutter, compute=compute, cores=cores, report=report)
     return Parts(motion, tissue, cutter=cutter, volume=volume, placement=volume.placement, notes=notes)
 
@@ -74,18 +74,13 @@ def cutter_of(tool: Tool) -> Cutter:
     return Cutter(loaded(entry.profile)(**sizes), tool.flutes, -tool.spin_rpm * 2.0 * pi / 60.0)
 
 
-def cut_as(scene: Scene, layers: Sequence[str]) -> list[str]:
-    """Material whose cutting coefficients each layer has."""
-    return [CUT_AS.get(name, scene.cutting.material) for name in layers]
-
-
 def _require_effect(scene: Scene, volume: VoxelVolume) -> None:
     """Refuse keys that have no effect on the voxels that the tool can reach."""
     anatomy, cutting = scene.anatomy, scene.cutting
     filled = volume.fraction > 0
     if is_given(cutting, "density_exponent"):
-        materials = (cutting_coefficients(each) for each in cut_as(scene, volume.layer_names))
-        reference = np.array([each.reference_density_kg_m3 for each in materials])
+        cited = coefficients_of(volume.layer_names, {}, bone=cutting.material)
+        reference = np.array([each.reference_density_kg_m3 for each in cited])
         if (volume.density_kg_m3[filled] == reference[volume.layer[filled]]).all():
             raise InputError(
                 "cutting.density_exponent must be left out where all that the tool can reach has the density of the "
@@ -156,32 +151,12 @@ def milling_of(
     cores: int | None = None,
 ) -> "BoneModel":
     """A cutter in voxels of a scene's materials; `shell_spacing_m` is the distance of the cutter's elements [m]."""
-    from tissue.models.bone.model import BoneModel
+    from tissue.builders.bone import VoxelBone
 
     changes = scene.cutting.model_dump(exclude={"material"})
-    return BoneModel(
-        volume,
-        cutter,
-        tuple(cutting_coefficients(each, **changes) for each in cut_as(scene, volume.layer_names)),
-        removal=scene.voxels.removal,
-        shell_spacing_m=shell_spacing_m,
-        device=compute,
-        cores=cores,
-    )
-
-
-def _energy_note(scene: Scene, volume: VoxelVolume) -> str:
-    """The cited tangential chip coefficient of each material that is there, which is its specific energy."""
-    layers = enumerate(cut_as(scene, volume.layer_names))
-    there = {material for i, material in layers if (volume.layer == i).any()}
-    remarks = []
-    for material in sorted(there):
-        energy = constants("cutting", material)["tangential_chip_N_mm2"]
-        remarks.append(
-            f"{material} {1e-3 * energy.value:g} ({1e-3 * energy.low:g}-{1e-3 * energy.high:g}) J/mm3, "
-            f"confidence {energy.confidence}"
-        )
-    return "; ".join(remarks)
+    coefficients = coefficients_of(volume.layer_names, changes, bone=scene.cutting.material)
+    bone = VoxelBone(volume, coefficients, compute=compute)
+    return bone.model(cutter, removal=scene.voxels.removal, shell_spacing_m=shell_spacing_m, cores=cores)
 
 
 def _tooth(scene: Scene, milling: "BoneModel", *, compute: str, report: Progress) -> TissueModel:

@@ -1,15 +1,17 @@
-"""Cutters: surfaces of revolution with flutes."""
+"""Cutters: surfaces of revolution with flutes.
 
-from tissue.cutters.cutter import Cutter, DistanceTable, PointShell
-from tissue.cutters.profile import (
-    Arc,
-    Line,
-    Piece,
-    Profile,
+>>> from tissue import cutters
+>>> burr = cutters.ball_burr(diameter_mm=4, flutes=6, spin_rpm=20_000)
+"""
+
+from tissue.cutters.cutter import Cutter
+from tissue.cutters.profile import Arc, Line, Profile
+from tissue.cutters.tools import (
     ball_burr,
     cylinder,
     flat_reamer,
     hemispherical_reamer,
+    of_profile,
     pear_bur,
     twist_drill,
 )
@@ -17,15 +19,13 @@ from tissue.cutters.profile import (
 __all__ = [
     "Arc",
     "Cutter",
-    "DistanceTable",
     "Line",
-    "Piece",
-    "PointShell",
     "Profile",
     "ball_burr",
     "cylinder",
     "flat_reamer",
     "hemispherical_reamer",
+    "of_profile",
     "pear_bur",
     "twist_drill",
 ]

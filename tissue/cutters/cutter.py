@@ -85,6 +85,10 @@ class Cutter:
     flute_count: int
     spin_rad_s: float
 
+    def __repr__(self) -> str:
+        diameter_mm, rpm = 2e3 * self.profile.radius_m, -self.spin_rad_s * 60.0 / (2.0 * pi)
+        return f"Cutter({diameter_mm:.4g} mm wide, {self.flute_count} flutes, {rpm:.6g} turns a minute)"
+
     @property
     def chip_per_speed_s(self) -> float:
         """Chip thickness over normal feed speed, 2 pi / (N omega) [s]."""

@@ -12,14 +12,14 @@ from meshes.base.errors import InputError
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.motion.motion import LONGEST_S, Motion
 
-__all__ = ["ReplayPoses", "read_replay"]
+__all__ = ["GivenPoses", "ReplayPoses", "read_replay"]
 
 Array = NDArray[np.float64]
 POSE_COLUMNS = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "tool_qz", "tool_qw")
 
 
-class ReplayPoses(Motion):
-    """Recorded motion: poses at given times, linear and on the shortest arc between them.
+class GivenPoses(Motion):
+    """Poses one by one, one a tick; the velocity at a pose is the difference to the pose before it.
 
     Parameters
     ----------
@@ -27,25 +27,20 @@ class ReplayPoses(Motion):
         Increasing times [s], shape (n,).
     tips_m
         Tip positions [m], shape (n, 3).
-    quaternions
-        Orientations (x, y, z, w), shape (n, 4).
-    step_s
-        Length of a tick [s]; the table is brought to ticks once, before the run.
+    turns
+        Orientations, n of them.
     """
 
-    def __init__(self, times_s: Array, tips_m: Array, quaternions: Array, *, step_s: float) -> None:
+    def __init__(self, times_s: Array, tips_m: Array, turns: Rotation) -> None:
         self.duration_s = float(times_s[-1] - times_s[0])
-        count = round(self.duration_s / step_s) + 1
-        at = np.clip(times_s[0] + step_s * np.arange(-1, count), times_s[0], times_s[-1])
-        turned = Slerp(times_s, Rotation.from_quat(quaternions))(at)
-        tips = np.column_stack([np.interp(at, times_s, tips_m[:, c]) for c in range(3)])
-        self._tips, self._rotations = tips[1:], turned.as_matrix()[1:]
-        velocity = np.diff(tips, axis=0) / step_s
-        turning = (turned[1:] * turned[:-1].inv()).as_rotvec() / step_s
+        self._tips, self._rotations = tips_m, turns.as_matrix()
+        steps = np.diff(times_s)[:, None]
+        moved = np.diff(tips_m, axis=0) / steps
+        turned = (turns[1:] * turns[:-1].inv()).as_rotvec() / steps if len(steps) else np.zeros((0, 3))
+        velocity, turning = (np.vstack([np.zeros((1, 3)), each]) for each in (moved, turned))
         speed, turn = np.linalg.norm(velocity, axis=1), np.linalg.norm(turning, axis=1)
         self._speeds = np.where(speed > 1e-9, speed, np.where(turn > 1e-9, 1.0, 0.0))
         self._headings = np.stack([velocity, turning], axis=1) / np.maximum(self._speeds, 1e-300)[:, None, None]
-        self._step = step_s
 
     def sweep_m(self) -> Array:
         """All positions [m]."""
@@ -61,13 +56,37 @@ class ReplayPoses(Motion):
         motion.heading[:] = self._headings[0]
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Take the recorded pose; the velocity is the difference to the pose one tick earlier."""
-        tick = min(round(time_s / self._step), len(self._tips) - 1)
-        motion.tip_m[:] = self._tips[tick]
-        motion.rotation[:] = self._rotations[tick]
-        motion.speed_m_s = float(self._speeds[tick]) if time_s <= self.duration_s + 1e-9 else 0.0
+        """Take the pose of the tick; after the last one the tool rests."""
+        tick, count = round(time_s / step_s), len(self._tips)
+        at = min(tick, count - 1)
+        motion.tip_m[:], motion.rotation[:] = self._tips[at], self._rotations[at]
+        motion.speed_m_s = float(self._speeds[at]) if tick < count else 0.0
         if motion.speed_m_s > 0.0:
-            motion.heading[:] = self._headings[tick]
+            motion.heading[:] = self._headings[at]
+
+
+class ReplayPoses(GivenPoses):
+    """Recorded motion: poses at given times, linear and on the shortest arc between them.
+
+    Parameters
+    ----------
+    times_s
+        Increasing times [s], shape (n,).
+    tips_m
+        Tip positions [m], shape (n, 3).
+    quaternions
+        Orientations (x, y, z, w), shape (n, 4).
+    step_s
+        Length of a tick [s]; the table is brought to ticks once, before the run.
+    """
+
+    def __init__(self, times_s: Array, tips_m: Array, quaternions: Array, *, step_s: float) -> None:
+        duration_s = float(times_s[-1] - times_s[0])
+        ticks: Array = step_s * np.arange(round(duration_s / step_s) + 1, dtype=np.float64)
+        at = np.clip(times_s[0] + ticks, times_s[0], times_s[-1])
+        tips = np.column_stack([np.interp(at, times_s, tips_m[:, c]) for c in range(3)])
+        super().__init__(ticks, tips, Slerp(times_s, Rotation.from_quat(quaternions))(at))
+        self.duration_s = duration_s
 
 
 def read_replay(path: Path, *, step_s: float) -> ReplayPoses:

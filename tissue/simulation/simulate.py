@@ -1,7 +1,6 @@
 """Run a scene: the only place where motion, tissue, output and trace meet."""
 
 import gc
-import sys
 from contextlib import nullcontext, suppress
 from math import ceil, inf
 from pathlib import Path
@@ -19,22 +18,19 @@ from tissue.haptics.device.device import Device
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.haptics.device.supervision import run_held
 from tissue.haptics.loop.motor_path import force_later_N
-from tissue.models.tissue_model import TICK_S, Finishes, HasNotices, WaitsForBackground
+from tissue.models.tissue_model import TICK_S
 from tissue.motion.motion import LONGEST_S, Motion
 from tissue.prediction.predictor import Predictor
 from tissue.scene.scene import Scene
 from tissue.scene.unused_keys import require_used
+from tissue.simulation.loop import Loop, undisturbed
 from tissue.simulation.run import Run
 from tissue.simulation.run_folder import RunFolder
 from tissue.simulation.scheduling import Scheduling, spin_time_s
 from tissue.simulation.shortfalls import shortfalls
-from tissue.simulation.tick import Tick
-from tissue.simulation.trace import TIMING_COLUMNS, Table, TraceLayout
+from tissue.simulation.trace import Table
 
 __all__ = ["TICK_S", "RunObserver", "simulate"]
-
-SWITCH_S = 5e-5
-"""How long a background thread may keep the interpreter from them [s]."""
 
 
 class RunObserver(Protocol):
@@ -155,79 +151,62 @@ def _loop(
     observer: RunObserver | None,
 ) -> Run:
     """All ticks of a run."""
-    tissue, motion = parts.tissue, parts.motion
-    background = tissue if isinstance(tissue, WaitsForBackground) else None
-    notices = tissue.notices if isinstance(tissue, HasNotices) else []
-    layout = TraceLayout.of(tissue.layer_names, tissue.measure_names + motion.measure_names)
-    trace = Table(layout.columns, np.zeros((ticks, len(layout.columns))), tissue.layer_names)
-    timed = TIMING_COLUMNS + (observer.timing_columns if observer is not None else ())
-    timing = Table(timed, np.zeros((ticks, len(timed))))
+    motion = parts.motion
+    columns = observer.timing_columns if observer is not None else ()
+    loop = Loop(parts, ticks=ticks, output=scene.output, timing_columns=columns)
+    trace, timing = loop.trace, loop.timing
     if folder is not None:
         folder.open_tables(trace, timing)
-    tick = Tick(scene, parts, layout, trace, timing)
-    tick.place()
-    events: list[tuple[float, str]] = []
+    loop.place()
     reported_s = perf_counter()
-    index = 0
     if observer is not None:
-        observer.on_begin(parts, layout.columns)
+        observer.on_begin(parts, trace.columns)
 
     def go_through() -> None:
         """Run the ticks with their observers, and report progress about ten times a second."""
-        nonlocal index, reported_s
-        for index in range(ticks):
-            if background is not None:
-                background.wait_for_background(index * TICK_S)
+        nonlocal reported_s
+        goes_on = True
+        while goes_on and loop.ticks < ticks:
+            loop.wait()
             if observer is not None:
-                observer.before_tick(index)
-            tick(index)
-            while notices:
-                events.append((index * TICK_S, notices.pop(0)))
-            goes_on = observer is None or observer.on_tick(index, trace.rows[index], timing.rows[index])
+                observer.before_tick(loop.ticks)
+            row = loop.step()
+            goes_on = observer is None or observer.on_tick(row, trace.rows[row], timing.rows[row])
             if folder is not None:
                 folder.flush(
-                    index + 1, force=observer is not None
+                    loop.ticks, force=observer is not None
                 )  # a row a tick: many at once would make the next late
-            if not goes_on:
-                break
-            if perf_counter() - reported_s > 0.1:
+            if goes_on and perf_counter() - reported_s > 0.1:
                 reported_s = perf_counter()
-                report("simulating", (index + 1) / ticks)
+                report("simulating", loop.ticks / ticks)
 
-    gc.collect()
     spin_s = spin_time_s(ticks * TICK_S) if folder is not None else 0.0
-    scheduling = Scheduling(tissue, cores=cores, spin_s=spin_s)
-    gc.disable()
-    switching = sys.getswitchinterval()
-    sys.setswitchinterval(SWITCH_S)
+    gc.collect()
+    scheduling = Scheduling(parts.tissue, cores=cores, spin_s=spin_s)
     try:
-        if isinstance(motion, MovedByDevice):
-            run_held(go_through, motion.held)
-        else:
-            go_through()
+        with undisturbed():
+            if isinstance(motion, MovedByDevice):
+                run_held(go_through, motion.held)
+            else:
+                go_through()
     except BaseException:
         if folder is not None:
             with suppress(OSError):
-                folder.flush(index, force=True)
+                folder.flush(loop.ticks, force=True)
         raise
     finally:
-        gc.enable()
-        sys.setswitchinterval(switching)
         if observer is not None:
-            events += observer.on_end()
+            loop.events += observer.on_end()
     scheduling.end()
-    trace.rows, timing.rows = trace.rows[: index + 1], timing.rows[: index + 1]
-    if isinstance(tissue, Finishes):
-        tissue.finish()
+    loop.finish()
     scheduling.look_again()
-    events += [((index + 1) * TICK_S, notice) for notice in notices]
-    notices.clear()
+    loop.close()
     if folder is not None:
-        folder.flush(index + 1, force=True)
+        folder.flush(loop.ticks, force=True)
     if isinstance(motion, MovedByDevice) and motion.predictor is not None and (note := _foreseen(trace, motion)):
         parts.notes["prediction"] = note
-    events = sorted(events + motion.happened(), key=lambda event: event[0])
-    run = Run(scene, parts, trace, timing, events=events, compute=compute, folder=folder, poses=tick.poses)
+    events = sorted(loop.events + motion.happened(), key=lambda event: event[0])
+    run = Run(scene, parts, trace, timing, events=events, compute=compute, folder=folder, poses=loop.poses)
     run.scheduling = scheduling
     return run
 

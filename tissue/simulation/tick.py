@@ -11,7 +11,7 @@ from tissue.haptics.loop.vibration import Vibration
 from tissue.models.tissue_model import TICK_S, Response, StartsBackground, ToolMotion
 from tissue.motion.motion import quaternion_of
 from tissue.motion.pose_file import COLUMNS
-from tissue.scene.scene import Scene
+from tissue.scene.scene import Output
 from tissue.simulation.trace import LEAST_LOAD, TIMING_COLUMNS, Table, TraceLayout, load_columns
 
 __all__ = ["PoseLog", "Tick"]
@@ -48,19 +48,18 @@ class PoseLog:
 class Tick:
     """One tick: motion, removal, force, output, record. Everything it needs is allocated here, once."""
 
-    def __init__(self, scene: Scene, parts: Parts, layout: TraceLayout, trace: Table, timing: Table) -> None:
+    def __init__(self, parts: Parts, output: Output, layout: TraceLayout, trace: Table, timing: Table) -> None:
         self._motion, self._tissue = parts.motion, parts.tissue
         self._background = parts.tissue if isinstance(parts.tissue, StartsBackground) else None
         tissue, self._model_ticks = parts.tissue, parts.motion.model_ticks
         self._rows, self._times = trace.rows, timing.rows
         self.tool = ToolMotion()
         self._response = Response.empty(len(tissue.layer_names))
-        lag = scene.output.low_pass_ms * 1e-3
+        lag = output.low_pass_ms * 1e-3
         self._gain = 1.0 - exp(-TICK_S / lag) if lag > 0.0 else 1.0
         self._filtered, self._commanded = np.zeros(6), np.zeros(6)
         passing = parts.cutter.tooth_passing_Hz if parts.cutter is not None else 0.0
-        share = scene.output.vibration_share
-        self._vibration = Vibration(passing, share=share, step_s=TICK_S)
+        self._vibration = Vibration(passing, share=output.vibration_share, step_s=TICK_S)
         self._at, first = layout, layout.measures.start
         self._tissue_measures = slice(first, first + len(tissue.measure_names))
         self._motion_measures = slice(self._tissue_measures.stop, layout.measures.stop)
@@ -74,10 +73,11 @@ class Tick:
         """Poses of a tool that cuts, see `PoseLog`."""
         return self._log.poses if self._log is not None else None
 
-    def place(self) -> None:
+    def place(self, *, resume: bool = False) -> None:
         """Put the tool where the motion starts; what that costs belongs to no tick."""
         self._motion.begin(self.tool)
-        self._tissue.place(self.tool)
+        if not resume:
+            self._tissue.place(self.tool)
         self._keep(-1)
         self._record(self._rows[0], 0, self._tissue.respond(self.tool))
 

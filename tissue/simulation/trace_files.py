@@ -13,7 +13,7 @@ from meshes.base.errors import InputError
 from meshes.base.whole_file import whole_file
 from tissue.simulation.trace import NO_LAYER, Table, TraceLayout
 
-__all__ = ["FORMATS", "check_format", "read_table", "read_trace", "write_trace"]
+__all__ = ["FORMATS", "check_format", "read_table", "read_trace", "write_table", "write_trace"]
 
 Columns = dict[str, NDArray[np.generic]]
 
@@ -41,6 +41,30 @@ def write_trace(trace: Table, folder: Path, kind: str) -> Path:
     with whole_file(path) as temporary:
         FORMATS[kind]({name: trace[name] for name in trace}, temporary)
     return path
+
+
+def write_table(table: Table, path: Path) -> None:
+    """Write columns to a file whose suffix names the format, ``.csv`` among them.
+
+    Raises
+    ------
+    InputError
+        If the suffix is unknown, or its writer is not installed.
+    """
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in ("csv", *FORMATS):
+        known = ", ".join(f".{each}" for each in ("csv", *FORMATS))
+        raise InputError(f"path must end in one of {known}, got {path.name}: choose one of these")
+    if kind != "csv":
+        check_format(kind)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as temporary:
+        if kind != "csv":
+            FORMATS[kind]({name: table[name] for name in table}, temporary)
+            return
+        head = StringIO()
+        csv.writer(head, lineterminator="\n").writerow(table.columns)
+        temporary.write_text(head.getvalue() + table.lines(0, len(table.rows)), "utf-8", newline="\n")
 
 
 def _npz(columns: Columns, path: Path) -> None:

@@ -10,7 +10,7 @@ from outside_tissue import CHANGES, ENTRY
 from pydantic import Field
 
 from tissue import InputError, Scene, load_scene, simulate
-from tissue.cutters import cylinder
+from tissue.cutters.profile import cylinder
 from tissue.evaluation.charts.frontier import frontier_of
 from tissue.evaluation.charts.picture import draw_frontiers
 from tissue.models.needle.parameters import needle_tissue

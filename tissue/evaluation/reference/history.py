@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 
 from meshes.base.cache import cached_arrays
 from meshes.base.progress import Progress, silent
-from tissue.builders.cutting import cut_as, cutter_of
+from tissue.builders.cutting import cutter_of
 from tissue.builders.registry import motion_of
 from tissue.builders.voxels import is_procedural, solid_of
 from tissue.cutters.cutter import Cutter
 from tissue.evaluation.reference.force import Resolution, wrench_at
 from tissue.evaluation.reference.path import ToolPath
 from tissue.evaluation.reference.solid import Solid
-from tissue.materials.cutting import cutting_coefficients
+from tissue.materials.cutting import coefficients_of
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
@@ -88,7 +88,7 @@ def solid_of_scene(scene: Scene) -> Solid:
     """What a scene's tool cuts, as functions of position; refuses an anatomy from a file."""
     anatomy, minus = solid_of(scene, motion_of(scene, step_s=TICK_S))
     changes = scene.cutting.model_dump(exclude={"material"})
-    layers = tuple(cutting_coefficients(each, **changes) for each in cut_as(scene, anatomy.layer_names))
+    layers = coefficients_of(anatomy.layer_names, changes, bone=scene.cutting.material)
     return Solid(anatomy, layers, minus)
 
 

@@ -95,9 +95,9 @@ class ProbedBone(FreeSpace):
     ) -> None:
         super().__init__()
         self.layer_names = volume.layer_names
-        self.store = BrickStore.from_volume(volume, device=device)
+        self._volume, self.store = volume, BrickStore.from_volume(volume, device=device)
         self.start_m3, self.removed_m3 = np.zeros((2, len(self.layer_names)))
-        self.start_m3[:] = self.store.steps_by_layer() * (volume.spacing_m**3 / FULL)
+        self.start_m3[:] = self.store.start_steps * (volume.spacing_m**3 / FULL)
         self._response = Response.empty(len(self.layer_names), 2)
         self._tool, self._shell, self._area = tool, shell, area_m2 / len(shell.points_m)
         self._field = ContactField(store=self.store)
@@ -135,7 +135,7 @@ class ProbedBone(FreeSpace):
 
     def _layer_under(self, point_m: Array, push_m: Array) -> int:
         """Layer of the voxel behind a point of the surface, half a voxel against the push [m]."""
-        volume = self.store.volume
+        volume = self._volume
         size = float(np.sqrt(push_m @ push_m))
         inward = -0.5 * volume.spacing_m / size * push_m if size > 0.0 else 0.0
         at = np.floor((point_m + inward - volume.origin_m) / volume.spacing_m).astype(int)

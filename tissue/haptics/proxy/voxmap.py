@@ -86,7 +86,7 @@ class ContactField:
 
     def __init__(self, *solids: Solid, store: BrickStore | None = None, device: str = "cpu") -> None:
         self.device = str(store.remaining.device) if store is not None else device
-        self.spacing_m = store.volume.spacing_m if store is not None else 0.0
+        self.spacing_m = store.grid.spacing_m if store is not None else 0.0
         self.sink_m = (0.5 - SURFACE) * self.spacing_m
         """How far shell points are sunk into the tool [m]."""
         self.solid_count = len(solids)
@@ -100,7 +100,7 @@ class ContactField:
         if store is not None:
             arrays.voxels_per_m = wp.float64(1.0 / self.spacing_m)
             arrays.brick_of, arrays.remaining = store.brick_of, store.remaining
-            arrays.origin = wp.vec3d(*store.volume.origin_m.tolist())
+            arrays.origin = wp.vec3d(*store.grid.origin_m.tolist())
             clearance = _clearance(store.fraction() > 0, self.spacing_m)
             arrays.clearance = wp.array(clearance, dtype=wp.float32, device=self.device)
         self.arrays = arrays

@@ -13,7 +13,7 @@ from kernels.sampling import sample
 from meshes.voxels.distances import OUTSIDE, near_the_surface
 from meshes.voxels.volume import VoxelVolume
 
-__all__ = ["BYTES_PER_VOXEL", "BrickStore", "voxels_of"]
+__all__ = ["BYTES_PER_VOXEL", "BrickGrid", "BrickStore", "voxels_of"]
 
 BYTES_PER_VOXEL = 12
 """Stored per voxel of a brick: remaining 2, swept 2, older 2, material 4, nearby 2."""
@@ -24,107 +24,188 @@ STEPS = FULL // 255
 
 
 @dataclass(frozen=True, eq=False)
-class BrickStore:
-    """A voxel volume on a device, in the layout of :mod:`kernels.bricks`.
+class BrickGrid:
+    """The lattice of bricks of a bone, most of which may be empty or not made yet.
 
     Attributes
     ----------
+    origin_m
+        Corner of the first brick with the lowest coordinates [m], shape (3,).
+    spacing_m
+        Edge of a voxel [m].
+    counts
+        Bricks along x, y and z.
+    layer_names
+        Name of each layer.
+    """
+
+    origin_m: NDArray[np.float64]
+    spacing_m: float
+    counts: tuple[int, ...]
+    layer_names: tuple[str, ...]
+
+
+class BrickStore:
+    """Voxels on a device, in the layout of :mod:`kernels.bricks`: of a volume, or of parts that are added one by one.
+
+    Parameters
+    ----------
+    grid
+        Lattice on which the bricks lie.
+    device
+        Warp device name.
+
+    Attributes
+    ----------
+    grid
+        The same.
     volume
-        The volume it was made from; its fractions are the state before any cut.
+        The volume it was made from; its fractions are the state before any cut. None where parts were added.
+    start_steps
+        Stored steps of each layer before any cut, shape (layers,).
     brick_of
         Brick row at each grid position, int32, shape (bx, by, bz), -1 where empty.
     remaining
-        Filled fraction of each voxel, uint16, 65535 = full, shape (bricks, 512).
+        Filled fraction of each voxel, uint16, 65535 = full, shape (capacity, 512).
     swept
-        Distance of each voxel's centre to the solid that the tool has swept, uint16, shape (bricks, 512).
+        Distance of each voxel's centre to the solid that the tool has swept, uint16, shape (capacity, 512).
     older
         The same of older cuts: before the tool last came within reach, or turned.
     material
-        Density and layer before any cut in one word, uint32, shape (bricks, 512).
+        Density and layer before any cut in one word, uint32, shape (capacity, 512).
     nearby
-        Distances to the original surface and to the nearest change of layer in one word, uint16, shape (bricks, 512).
+        Distances to the original surface and to the nearest change of layer in one word, uint16, shape (capacity, 512).
     alive
         One bit for each block of 2 x 2 x 2 voxels that may hold bone or lies within two voxels of it, uint64, shape
-        (bricks,).
+        (capacity,).
     touched
-        1 for each brick that lost something since `take_touched`, uint8, shape (bricks,).
+        1 for each brick that lost something since `take_touched`, uint8, shape (capacity,).
     places
         Grid position of each stored brick, shape (bricks, 3).
     """
 
-    volume: VoxelVolume
-    brick_of: Any
-    remaining: Any
-    swept: Any
-    older: Any
-    material: Any
-    nearby: Any
-    alive: Any
-    touched: Any
-    places: NDArray[np.int64]
+    def __init__(self, grid: BrickGrid, *, device: str) -> None:
+        self.grid = grid
+        self.volume: VoxelVolume | None = None
+        self.start_steps = np.zeros(len(grid.layer_names), dtype=np.int64)
+        self.places: NDArray[np.int64] = np.zeros((0, 3), dtype=np.int64)
+        self.brick_of: Any = wp.full(grid.counts, -1, dtype=wp.int32, device=device)
+        self._device = device
+        self.remaining: Any = wp.empty((0, BRICK_VOXELS), dtype=wp.uint16, device=device)
+        self.swept, self.older, self.nearby = (wp.empty_like(self.remaining) for _ in range(3))
+        self.material: Any = wp.empty((0, BRICK_VOXELS), dtype=wp.uint32, device=device)
+        self.alive: Any = wp.empty(0, dtype=wp.uint64, device=device)
+        self.touched: Any = wp.empty(0, dtype=wp.uint8, device=device)
 
     @classmethod
     def from_volume(cls, volume: VoxelVolume, *, device: str) -> "BrickStore":
         """Store the bricks of ``volume`` that hold bone on ``device``."""
         counts = tuple(-(-n // BRICK) for n in volume.shape)
-        bricks = _blocked(volume.fraction, counts)
+        grid = BrickGrid(volume.origin_m, volume.spacing_m, counts, volume.layer_names)
+        store = cls(grid, device=device)
+        store.add(volume, at=(0, 0, 0))
+        store.volume = volume
+        return store
+
+    def add(self, volume: VoxelVolume, *, at: tuple[int, int, int], margin: int = 0) -> bool:
+        """Store bricks of a volume that lies on the grid, where none is stored yet.
+
+        Parameters
+        ----------
+        volume
+            Voxels of the grid's spacing and layers.
+        at
+            Place of its first brick on the grid.
+        margin
+            Bricks at each of its faces that are not stored: what lies in them only shows how the bone goes on.
+
+        Returns
+        -------
+        Whether the device arrays are others now, so that launches have to be recorded again.
+        """
+        counts = tuple(-(-n // BRICK) for n in volume.shape)
         surface, layer, density, boundary = near_the_surface(volume)
         near = _blocked(OUTSIDE - surface, counts)
-        holds: NDArray[np.bool_] = np.asarray(bricks.any(axis=(1, 3, 5)) | near.any(axis=(1, 3, 5)))
-        brick_of = np.full(counts, -1, dtype=np.int32)
-        brick_of[holds] = np.arange(int(holds.sum()), dtype=np.int32)
-        if not holds.any():
-            holds[0, 0, 0] = True
-            brick_of[0, 0, 0] = 0
+        holds: NDArray[np.bool_] = np.asarray(
+            _blocked(volume.fraction, counts).any(axis=(1, 3, 5)) | near.any(axis=(1, 3, 5))
+        )
+        inner = tuple(slice(margin, n - margin) for n in counts)
+        kept = np.zeros_like(holds)
+        kept[inner] = holds[inner]
+        first = len(self.places)
+        if first == 0 and not kept.any():
+            kept[inner][0, 0, 0] = True  # kernels want a brick
 
         def stored(array: NDArray[Any]) -> NDArray[Any]:
-            return _rows(_blocked(array, counts).transpose(0, 2, 4, 1, 3, 5)[holds])
+            return _rows(_blocked(array, counts).transpose(0, 2, 4, 1, 3, 5)[kept])
 
+        places = np.argwhere(kept)
+        if len(places) == 0:
+            return False
         fraction = stored(volume.fraction)
         stored_surface = stored(_filled_up(surface, counts))
         blocks = (fraction.astype(bool) | (stored_surface < OUTSIDE)).reshape(-1, 64, 8).any(axis=2)
+        layers = stored(layer)
         material = stored(density).astype(np.uint32) << np.uint32(16)
-        material |= stored(layer)
+        material |= layers
         nearby = stored(boundary).astype(np.uint16) << np.uint16(8) | stored_surface
         alive = np.packbits(blocks, axis=1, bitorder="little").view("<u8").reshape(-1)
+        never = np.full(fraction.shape, NEVER_SWEPT, dtype=np.uint16)
+        filled = fraction.astype(np.uint16) * np.uint16(STEPS)
+        rows = {
+            "remaining": filled,
+            "swept": never,
+            "older": never,
+            "material": material,
+            "nearby": nearby,
+            "alive": alive,
+            "touched": np.zeros(len(alive), dtype=np.uint8),
+        }
+        grown = self._append(rows)
+        self.places = np.concatenate([self.places, places + np.array(at)])
+        brick_of = self.brick_of.numpy()
+        brick_of[tuple(self.places[first:].T)] = np.arange(first, len(self.places), dtype=np.int32)
+        self.brick_of.assign(brick_of)
+        for index in range(len(self.start_steps)):
+            self.start_steps[index] += filled[layers == index].sum(dtype=np.int64)
+        return grown
 
-        def on(array: NDArray[Any], dtype: Any) -> Any:
-            return wp.array(np.ascontiguousarray(array), dtype=dtype, device=device)
-
-        return cls(
-            volume,
-            on(brick_of, wp.int32),
-            on(fraction.astype(np.uint16) * np.uint16(STEPS), wp.uint16),
-            on(np.full(fraction.shape, NEVER_SWEPT, dtype=np.uint16), wp.uint16),
-            on(np.full(fraction.shape, NEVER_SWEPT, dtype=np.uint16), wp.uint16),
-            on(material, wp.uint32),
-            on(nearby, wp.uint16),
-            on(alive, wp.uint64),
-            wp.zeros(len(alive), dtype=wp.uint8, device=device),
-            np.argwhere(holds),
-        )
+    def _append(self, rows: dict[str, NDArray[Any]]) -> bool:
+        """Write rows behind those that are stored; whether the arrays had to grow, to twice what is needed."""
+        first, count = len(self.places), len(rows["alive"])
+        grows = first + count > len(self.alive)
+        for name, values in rows.items():
+            old = getattr(self, name)
+            if grows and first == 0:
+                setattr(self, name, wp.array(np.ascontiguousarray(values), dtype=old.dtype, device=self._device))
+                continue
+            new = old
+            if grows:
+                shape = (2 * (first + count), *values.shape[1:])
+                new = wp.zeros(shape, dtype=old.dtype, device=self._device)
+                wp.copy(new[:first], old[:first])
+                setattr(self, name, new)
+            wp.copy(
+                new[first : first + count],
+                wp.array(np.ascontiguousarray(values), dtype=old.dtype, device=self._device),
+            )
+        return grows
 
     def take_touched(self) -> tuple[NDArray[np.intp], NDArray[np.uint16]]:
         """Rows of the bricks that lost something since the last call, and a copy of what is stored in them.
 
         Costs by those bricks, so that a tick can afford it.
         """
-        rows = np.flatnonzero(self.touched.numpy())
+        rows = np.flatnonzero(self.touched.numpy()[: len(self.places)])
         if self.touched.device.is_cpu:
             self.touched.numpy()[rows] = 0
         else:
             self.touched.zero_()
         return rows, self.remaining.numpy()[rows]
 
-    def steps_by_layer(self) -> NDArray[np.int64]:
-        """Stored steps that remain in each layer, shape (layers,)."""
-        count = len(self.volume.layer_names)
-        remaining, layer = self.remaining.numpy(), self.material.numpy().astype(np.uint8)
-        return np.array([remaining[layer == index].sum(dtype=np.int64) for index in range(count)])
-
     def sample(self, points_m: NDArray[np.float64]) -> NDArray[np.float32]:
         """Filled fraction at points [m], shape (n, 3), trilinear between voxel centres, 0 where nothing is stored."""
-        voxels = (np.asarray(points_m, dtype=np.float64) - self.volume.origin_m) / self.volume.spacing_m
+        voxels = (np.asarray(points_m, dtype=np.float64) - self.grid.origin_m) / self.grid.spacing_m
         device = self.remaining.device
         found = wp.zeros(len(voxels), dtype=wp.float32, device=device)
         at: Any = wp.array(voxels, dtype=wp.vec3, device=device)
@@ -140,15 +221,30 @@ class BrickStore:
             part[:] = brick[: part.shape[0], : part.shape[1], : part.shape[2]]
 
     def fraction(self) -> NDArray[np.uint8]:
-        """Remaining fraction of every voxel of the volume, 255 = full, shape of the volume."""
-        brick_of = self.brick_of.numpy()
+        """Remaining fraction of every voxel of the grid, 255 = full; of a volume, in its shape."""
+        whole = self.part((0, 0, 0), self.grid.counts)
+        return whole if self.volume is None else np.ascontiguousarray(whole[tuple(map(slice, self.volume.shape))])
+
+    def part(self, first: tuple[int, ...], last: tuple[int, ...]) -> NDArray[np.uint8]:
+        """Remaining fraction of the voxels of some bricks, 255 = full, 0 where none is stored.
+
+        Parameters
+        ----------
+        first, last
+            Place of the first brick, and one after that of the last.
+        """
+        brick_of = self.brick_of.numpy()[tuple(map(slice, first, last))]
         nx, ny, nz = (BRICK * n for n in brick_of.shape)
         dense = np.zeros((*brick_of.shape, BRICK, BRICK, BRICK), dtype=np.uint8)
         held = brick_of >= 0
-        dense[held] = _bricks(_nearest(self.remaining.numpy()))[brick_of[held]]
-        x, y, z = self.volume.shape
-        whole = dense.transpose(0, 3, 1, 4, 2, 5).reshape(nx, ny, nz)
-        return np.ascontiguousarray(whole[:x, :y, :z])
+        dense[held] = _bricks(_nearest(self.remaining.numpy()[brick_of[held]]))
+        return np.ascontiguousarray(dense.transpose(0, 3, 1, 4, 2, 5).reshape(nx, ny, nz))
+
+    def steps_by_layer(self) -> NDArray[np.int64]:
+        """Stored steps that remain in each layer, shape (layers,)."""
+        count = len(self.places)
+        remaining, layer = self.remaining.numpy()[:count], self.material.numpy()[:count].astype(np.uint8)
+        return np.array([remaining[layer == k].sum(dtype=np.int64) for k in range(len(self.grid.layer_names))])
 
 
 def voxels_of(

@@ -84,12 +84,12 @@ class Carver:
     def __init__(
         self, store: BrickStore, cutter: Cutter, *, removal: Removal, device: str, cores: int | None = None
     ) -> None:
-        volume = store.volume
-        layers, spacing = len(volume.layer_names), volume.spacing_m
+        grid = store.grid
+        layers, spacing = len(grid.layer_names), grid.spacing_m
         self.store = store
         self.removed_steps = np.zeros(layers, dtype=np.int64)
         self._binary = int(removal == "binary")
-        self._origin, self._spacing = volume.origin_m, spacing
+        self._origin, self._spacing = grid.origin_m, spacing
         table = cutter.table(spacing_m=spacing)
         self.tool = _revolution(table, cutter.profile, device=device)
         self._lag = min(CARVE_LAG_M / spacing, 0.25)
@@ -105,22 +105,28 @@ class Carver:
         self._pose = Mirror((1 + PHASES, 6), dtype=wp.float64, device=device)
         self._plan = Mirror(PLAN, dtype=wp.int32, device=device)
         self._removed = Mirror((workers, layers), dtype=wp.int64, device=device)
+        self._workers, self._device, self._cores = workers, device, cores
+        self.record()
+
+    def record(self) -> None:
+        """Record the launch on the store's arrays as they are now."""
+        store = self.store
         self._carve = SplitLaunch(
             carve,
-            dim=workers,
+            dim=self._workers,
             inputs=[
                 self.tool,
                 self._pose.device,
                 self._plan.device,
                 0,
-                workers,
+                self._workers,
                 store.brick_of,
                 store.material,
             ],
             outputs=[store.remaining, store.swept, store.older, store.alive, store.touched, self._removed.device],
             offset_index=3,
-            device=device,
-            cores=cores,
+            device=self._device,
+            cores=self._cores,
         )
 
     def place(self, motion: ToolMotion) -> None:

@@ -33,12 +33,12 @@ class BoneModel:
 
     Parameters
     ----------
-    volume
-        The bone.
+    bone
+        The bone: a volume, or a store of bricks, which may have been cut before and may grow.
     cutter
         The tool.
     coefficients
-        Cutting coefficients of each of the volume's layers, in their order.
+        Cutting coefficients of each of the bone's layers, in their order.
     removal
         ``subvoxel`` removes the part of a voxel inside the tool; ``binary`` whole voxels by their centres.
     shell_spacing_m
@@ -51,7 +51,7 @@ class BoneModel:
 
     def __init__(
         self,
-        volume: VoxelVolume,
+        bone: VoxelVolume | BrickStore,
         cutter: Cutter,
         coefficients: tuple[CuttingCoefficients, ...],
         *,
@@ -60,16 +60,16 @@ class BoneModel:
         device: str = "cpu",
         cores: int | None = None,
     ) -> None:
-        self.layer_names = volume.layer_names
+        self.store = store = bone if isinstance(bone, BrickStore) else BrickStore.from_volume(bone, device=device)
+        grid = store.grid
+        self.layer_names = grid.layer_names
         self.measure_names: tuple[str, ...] = ()
         self.notices: list[str] = []
         self.cutter = cutter
-        self.store = BrickStore.from_volume(volume, device=device)
-        self.start_steps = self.store.steps_by_layer()
         self.carver = Carver(self.store, cutter, removal=removal, device=device, cores=cores)
         layers = len(self.layer_names)
-        spacing = volume.spacing_m
-        self._origin, self._spacing = volume.origin_m, spacing
+        spacing = grid.spacing_m
+        self._origin, self._spacing = grid.origin_m, spacing
         self.shell = cutter.shell(spacing_m=shell_spacing_m or (cutter.cutting_area_m2 / SHELL_ELEMENTS) ** 0.5)
         self._parts = np.zeros((4, 3))  # chip force and torque, edge force and torque
         self._response = Response(self._parts[:2].reshape(6), self._parts[2:].reshape(6), np.zeros(6), np.zeros(layers))
@@ -77,18 +77,25 @@ class BoneModel:
         self._motion = Mirror((6, 3), dtype=wp.float64, device=device)
         self._rows = self._motion.host[0], self._motion.host[1:4], self._motion.host[4:6]
         self._sums = Mirror((chunks, AREA + layers), dtype=wp.float64, device=device)
-        store = self.store
         self.elements = _elements(self.shell, cutter, spacing_m=spacing, device=device)
+        self._coefficients = _on_device(coefficients, device=device)
+        self._scratch = wp.zeros((chunks, SLOTS + 1), dtype=corner8f, device=device)
+        self._device, self._cores = device, cores
+        self._record()
+
+    def _record(self) -> None:
+        """Record the launch of the forces on the store's arrays as they are now."""
+        store = self.store
         self._forces = SplitLaunch(
             cutting_forces,
-            dim=chunks,
+            dim=len(self._sums.host),
             inputs=[
                 self.carver.tool,
                 self.elements,
-                _on_device(coefficients, device=device),
+                self._coefficients,
                 self._motion.device,
-                cutter.chip_per_speed_s,
-                spacing,
+                self.cutter.chip_per_speed_s,
+                self._spacing,
                 0,
                 store.brick_of,
                 store.material,
@@ -96,11 +103,21 @@ class BoneModel:
                 store.older,
                 store.alive,
             ],
-            outputs=[wp.zeros((chunks, SLOTS + 1), dtype=corner8f, device=device), self._sums.device],
+            outputs=[self._scratch, self._sums.device],
             offset_index=6,
-            device=device,
-            cores=cores,
+            device=self._device,
+            cores=self._cores,
         )
+
+    def record(self) -> None:
+        """Record all launches anew, after the store's arrays have grown."""
+        self.carver.record()
+        self._record()
+
+    @property
+    def start_steps(self) -> NDArray[np.int64]:
+        """Stored steps of each layer before any cut, shape (layers,)."""
+        return self.store.start_steps
 
     @property
     def motion_rows(self) -> Any:

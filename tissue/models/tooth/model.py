@@ -60,6 +60,7 @@ class ToothModel:
         self.milling, self.stress, self.heat = milling, stress, heat
         self.layer_names = milling.layer_names
         volume = milling.store.volume
+        assert volume is not None, "the distance to the pulp is taken in the whole region"
         is_pulp = volume.layer == self.layer_names.index("pulp")
         distance = _distance_to_pulp(volume.fraction, is_pulp, volume.spacing_m)
         self._reach_m = float(distance.max())

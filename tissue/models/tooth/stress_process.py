@@ -202,8 +202,8 @@ def _bricks_of(store: BrickStore) -> dict[str, Any]:
     return {
         "places": store.places,
         "remaining": store.remaining.numpy().copy(),
-        "origin_m": store.volume.origin_m,
-        "spacing_m": store.volume.spacing_m,
+        "origin_m": store.grid.origin_m,
+        "spacing_m": store.grid.spacing_m,
     }
 
 

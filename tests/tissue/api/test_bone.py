@@ -1,0 +1,202 @@
+"""Bone that one holds: the same forces as a scene's, closed forms, and bricks only where a tool has been."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+import tissue
+
+BURR = tissue.cutters.ball_burr(diameter_mm=3, flutes=6, spin_rpm=20_000)
+PATH = [[-4, 0, 3], [-4, 0, -0.8], [3, 0.5, -0.8]]
+STORED = 1.0 / 255.0
+"""Steps of a voxel's fraction."""
+
+
+def slot(bone, points_mm=PATH, *, feed_mm_s=10.0, **options):
+    """A cut along a path."""
+    return bone.cut(BURR, *tissue.feed_along(points_mm, feed_mm_s=feed_mm_s), **options)
+
+
+@pytest.fixture(scope="module")
+def block():
+    """A block with a slot, and the cut that made it."""
+    bone = tissue.Bone.block((12, 8, 5), spacing_mm=0.2)
+    return bone, slot(bone)
+
+
+def test_a_cut_gives_what_a_scene_gives(block):
+    """One engine, two doors: another origin of the voxels moves float32 by some parts in a million."""
+    scene = tissue.load_scene(
+        "milling",
+        {
+            "anatomy.size_mm": [12, 8, 5],
+            "voxels.spacing_mm": 0.2,
+            "tool.kind": "ball-burr",
+            "tool.diameter_mm": 3.0,
+            "tool.flutes": 6,
+            "tool.spin_rpm": 20_000,
+            "motion.points_mm": PATH,
+            "motion.feed_mm_s": 10.0,
+            "output.low_pass_ms": 0.0,
+            "duration_s": 1.082,
+        },
+    )
+    run, (_, cut) = tissue.simulate(scene), block
+    count = len(run.trace["time_s"])
+    ours, theirs = cut.force_N[:count], run.trace.vectors("model_force", "N")
+    size = np.linalg.norm(theirs, axis=1).max()
+    assert size > 10.0
+    turning = np.abs(np.diff(run.trace.vectors("velocity", "mm_s"), axis=0)).any(axis=1)
+    same = ~np.concatenate([[True], turning]) & ~np.concatenate([turning, [True]])  # a corner lies between two ticks
+    assert np.abs(ours - theirs)[same].max() < 2e-3 * size
+    assert abs(cut.removed_mm3[-1] / sum(run.parts.tissue.removed_m3 * 1e9) - 1.0) < 1e-3
+
+
+def test_a_slot_has_the_volume_of_a_swept_ball():
+    """A ball of radius r moved by L at depth d < r: L times its circular segment, and two halves of its cap."""
+    bone, r, d, length = tissue.Bone.block((12, 8, 5), spacing_mm=0.1), 1.5, 0.8, 6.0
+    slot(bone, [[-3, 0, -d], [3, 0, -d]])
+    segment = r * r * np.arccos(1.0 - d / r) - (r - d) * np.sqrt(2.0 * r * d - d * d)
+    exact = length * segment + np.pi * d * d * (r - d / 3.0)
+    assert abs(bone.removed.volume_mm3 / exact - 1.0) < 2e-3
+    assert abs(bone.removed.surface().volume / exact - 1.0) < 1e-2
+    assert abs(bone.surface().volume / (12 * 8 * 5 - exact) - 1.0) < 1e-2
+
+
+def test_an_array_and_a_block_are_the_same_bone(block):
+    """The array's surface is taken from its fractions, the block's from its formula; only at edges they differ."""
+    bone = tissue.Bone.from_array(np.full((60, 40, 25), 1800.0), spacing_mm=0.2, origin_mm=(-6, -4, -5))
+    cut = slot(bone)
+    error, size = np.linalg.norm(cut.force_N - block[1].force_N, axis=1), np.abs(cut.force_N).max()
+    assert np.sqrt((error**2).mean()) < 5e-3 * size and error.max() < 0.02 * size
+    assert cut.removed_mm3[-1] == pytest.approx(block[1].removed_mm3[-1], rel=1e-3)
+
+
+def test_moving_bone_and_path_changes_nothing(block):
+    shift = np.array([31.4, -17.2, 8.8])
+    bone = tissue.Bone.from_array(np.full((60, 40, 25), 1800.0), spacing_mm=0.2, origin_mm=shift - (6, 4, 5))
+    here = tissue.Bone.from_array(np.full((60, 40, 25), 1800.0), spacing_mm=0.2, origin_mm=(-6, -4, -5))
+    moved, still = slot(bone, np.array(PATH) + shift), slot(here)
+    assert np.abs(moved.force_N - still.force_N).max() < 2e-3 * np.abs(still.force_N).max()
+
+
+def test_turning_bone_and_path_turns_the_force(block, tmp_path):
+    """By a right angle, where the voxels stay the same, and by an odd one, where they do not."""
+    _, cut = block
+    box = trimesh.creation.box((12, 8, 5))
+    box.apply_translation((0, 0, -2.5))
+    for axis, degrees, tolerance in (((0, 0, 1), 90.0, 0.01), ((1, 2, 0), 35.0, 0.04)):
+        turn = Rotation.from_rotvec(np.radians(degrees) * np.array(axis) / np.linalg.norm(axis)).as_matrix()
+        turned = box.copy()
+        turned.apply_transform(np.block([[turn, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]]))
+        turned.export(tmp_path / "box.stl")
+        bone = tissue.Bone.from_file(
+            tmp_path / "box.stl", spacing_mm=0.2, scale_mm=1.0, cortical_thickness_mm=0.0, trabecular_density_kg_m3=1800
+        )
+        tips, times = tissue.feed_along(PATH, feed_mm_s=10.0)
+        found = bone.cut(BURR, tips @ turn.T, times, axis=turn[:, 2])
+        error = np.linalg.norm(found.force_N - cut.force_N @ turn.T, axis=1)
+        assert np.sqrt((error**2).mean()) < tolerance * np.linalg.norm(cut.force_N, axis=1).max()
+
+
+def test_a_cut_in_two_calls_is_the_same_as_in_one(block):
+    _, whole = block
+    bone = tissue.Bone.block((12, 8, 5), spacing_mm=0.2)
+    tips, times = tissue.feed_along(PATH, feed_mm_s=10.0)
+    half = 700
+    first = bone.cut(BURR, tips[: half + 1], times[: half + 1])
+    second = bone.cut(BURR, tips[half:], times[half:])
+    joined = np.vstack([first.force_N[: half + 1], second.force_N[1:]])
+    size = np.abs(whole.force_N).max()
+    assert np.abs(joined - whole.force_N)[:half].max() < 1e-9 * size
+    assert np.abs(joined - whole.force_N).max() < 1e-3 * size
+    assert first.removed_mm3[-1] + second.removed_mm3[-1] == pytest.approx(whole.removed_mm3[-1], rel=1e-3)
+
+
+def test_a_second_pass_on_the_same_path_meets_nothing():
+    """But where it stops at the very surface that the first has left: there a voxel's rounding counts for a tick."""
+    bone = tissue.Bone.block((12, 8, 5), spacing_mm=0.2)
+    first, second = (slot(bone, [[-3, 0, -0.8], [3, 0, -0.8]]) for _ in range(2))
+    met, before = (np.linalg.norm(each.force_N, axis=1) for each in (second, first))
+    assert met[20:-20].max() < 1e-6 * before.max() and met.mean() < 2e-3 * before.mean()
+    assert second.removed_mm3[-1] < 1e-3 * first.removed_mm3[-1]
+
+
+def test_bricks_are_made_only_where_a_tool_has_been(tmp_path):
+    """A rod of 400 mm at 0.1 mm is 6e8 voxels; a slot of 6 mm in it stores some hundred bricks."""
+    rod = trimesh.creation.cylinder(radius=20, height=400, sections=200)
+    rod.export(tmp_path / "rod.stl")
+    bone = tissue.Bone.from_file(tmp_path / "rod.stl", spacing_mm=0.1)
+    store = bone.voxel_bone.store
+    assert np.prod(store.grid.counts) * 512.0 > 5e8 and len(store.places) == 0
+    cut = bone.cut(BURR, *tissue.feed_along([[-3, 20, 0], [3, 19.2, 0]], feed_mm_s=10.0), axis=(0, 1, 0))
+    first = len(store.places)
+    assert cut.removed_mm3[-1] > 1.0 and 0 < first < 2000
+    bone.cut(BURR, *tissue.feed_along([[-3, 20, 100], [3, 19.2, 100]], feed_mm_s=10.0), axis=(0, 1, 0))
+    assert first < len(store.places) < 4000
+    surface = bone.surface()
+    solid = bone.uncut().surface().volume - bone.removed.volume_mm3
+    assert abs(surface.volume / solid - 1.0) < 1e-4
+
+
+def test_two_tools_leave_what_both_have_taken():
+    bone = tissue.Bone.block((12, 8, 5), spacing_mm=0.2)
+    drill = tissue.cutters.twist_drill(diameter_mm=3.2, length_mm=12, spin_rpm=1000)
+    down = tissue.feed_along([[0, 0, 1], [0, 0, -3]], feed_mm_s=2.0)
+    alone = tissue.Bone.block((12, 8, 5), spacing_mm=0.2).cut(drill, *down)
+    slot(bone, [[-3, 0, -0.8], [3, 0, -0.8]])
+    after = bone.cut(drill, *down)
+    assert 0.0 < after.removed_mm3[-1] < alone.removed_mm3[-1]
+    assert after.force_N[-1] == pytest.approx(alone.force_N[-1], abs=0.02 * np.abs(alone.force_N).max())
+
+
+def test_a_cut_exports_what_it_holds(block, tmp_path):
+    from scipy.io import loadmat
+
+    _, cut = block
+    table = cut.to_pandas()
+    assert list(table["force_z_N"]) == cut.force_N[:, 2].tolist() and len(table) == len(cut)
+    stored = loadmat(cut.save(tmp_path / "cut.mat"))["trace"]
+    np.testing.assert_array_equal(stored["force_z_N"][0, 0].ravel(), cut.force_N[:, 2])
+    assert len(cut.save(tmp_path / "cut.csv").read_text().splitlines()) == len(cut) + 1
+    with pytest.raises(tissue.InputError, match=r"must not exist"):
+        cut.save(tmp_path / "cut.csv")
+    with pytest.raises(tissue.InputError, match=r"\.csv, .*got cut\.xls"):
+        cut.save(tmp_path / "cut.xls")
+    assert "peak force" in repr(cut) and "mm3 removed" in repr(block[0])
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda b: b.cut(BURR, [[0, 0]], [0]), r"poses must .*\(n, 3\)"),
+        (lambda b: b.cut(BURR, [[0, 0, 0]], [0.0]), "at least two poses"),
+        (lambda b: b.cut(BURR, [[0, 0, 0], [0, 0, np.nan]], [0, 1]), "poses must be finite"),
+        (lambda b: b.cut(BURR, [[0, 0, 0], [0, 0, 1]], [1, 1]), "times_s must increase"),
+        (lambda b: b.cut(BURR, np.zeros((2, 7)), [0, 1]), "unit quaternions"),
+        (lambda b: b.cut(BURR, np.ones((2, 4, 4)), [0, 1]), "rotations without scale"),
+        (lambda b: b.cut(BURR, [[0, 0, 0], [0, 0, 1]], [0, 1], axis=(0, 0, 0)), "axis must"),
+        (lambda b: b.cut("burr", [[0, 0, 0], [0, 0, 1]], [0, 1]), "tool must be a cutter"),
+        (
+            lambda b: b.cut(
+                tissue.cutters.ball_burr(diameter_mm=0.5, flutes=6, spin_rpm=1e4), [[0, 0, 0], [0, 0, 1]], [0, 1]
+            ),
+            "four voxels",
+        ),
+        (lambda b: b.removed.plot(), "must have been cut"),
+        (lambda b: tissue.Bone.from_file("scan.nii.gz"), "Bone.from_image"),
+        (lambda b: tissue.Bone.from_file("missing.stl"), "missing.stl"),
+        (lambda b: tissue.Bone.from_array(np.zeros((3, 3, 3)), spacing_mm=1), "must hold bone"),
+        (lambda b: tissue.Bone.from_array(np.ones((3, 3)), spacing_mm=1), r"shape \(nx, ny, nz\)"),
+        (lambda b: tissue.Bone.block(spacing_mm=0.0), "spacing_mm must"),
+        (lambda b: tissue.Bone.block(cutting={"hardness": 1.0}), "cutting must set one of"),
+        (lambda b: tissue.cutters.ball_burr(diameter_mm=4, flutes=0, spin_rpm=1e4), "flutes must"),
+        (lambda b: tissue.cutters.ball_burr(diameter_mm=4, flutes=4, spin_rpm=0), "spin_rpm must not be 0"),
+        (lambda b: tissue.cutters.pear_bur(diameter_mm=4, length_mm=1, flutes=4, spin_rpm=1e5), "length_mm must"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_a_sentence(call, words):
+    with pytest.raises(tissue.InputError, match=words) as refused:
+        call(tissue.Bone.block((12, 8, 5), spacing_mm=0.5))
+    assert "\n" not in str(refused.value) and "anatomy." not in str(refused.value)

@@ -1,0 +1,297 @@
+"""Bone that one holds: made of a file, a block, an array or an image, cut by tools, shown."""
+
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from meshes.base.errors import InputError
+from meshes.shapes.anatomy import cortical_block
+from meshes.voxels.density_volume import density_volume
+from meshes.voxels.volume import VoxelVolume
+from tissue.api.bone_source import BoneSource, anatomy_source, image_source, surface_source
+from tissue.api.cut import Cut
+from tissue.api.poses import poses_of, times_of
+from tissue.api.removed import Removed
+from tissue.builders.bone import VoxelBone, tool_boxes
+from tissue.builders.parts import Parts
+from tissue.cutters.cutter import Cutter
+from tissue.materials.cutting import coefficients_of
+from tissue.motion.replay import GivenPoses
+from tissue.scene.scene import Output
+from tissue.simulation.loop import Loop, undisturbed
+
+if TYPE_CHECKING:
+    import pyvista
+
+__all__ = ["Bone"]
+
+
+class Bone:
+    """Bone in the frame of its file or array [mm], which keeps what tools have cut.
+
+    Make one by `from_file`, `block`, `from_array` or `from_image`. Voxels of a surface or a block are made where a tool
+    first reaches.
+
+    Attributes
+    ----------
+    notes
+        What was found in a file or assumed of it, by what it is about.
+    spacing_mm
+        Edge of a voxel [mm].
+    """
+
+    def __init__(
+        self, source: BoneSource, *, material: str = "bone", cutting: Mapping[str, float] | None = None
+    ) -> None:
+        self._source, self._material, self._cutting = source, material, dict(cutting or {})
+        made = source.voxels()
+        names = made.layer_names if isinstance(made, VoxelVolume) else made.store.grid.layer_names
+        self.voxel_bone = VoxelBone(made, coefficients_of(names, self._cutting, bone=material))
+        self.notes = dict(source.notes)
+        self.spacing_mm = 1e3 * self.voxel_bone.store.grid.spacing_m
+
+    @classmethod
+    def from_file(
+        cls,
+        file: str | PathLike[str],
+        *,
+        spacing_mm: float = 0.1,
+        scale_mm: float | None = None,
+        cortical_thickness_mm: float = 1.5,
+        cortical_density_kg_m3: float = 1800.0,
+        trabecular_density_kg_m3: float = 350.0,
+        material: str = "bone",
+        cutting: Mapping[str, float] | None = None,
+    ) -> "Bone":
+        """Bone in a closed surface: a cortical shell of even thickness over trabecular bone.
+
+        Parameters
+        ----------
+        file
+            Surface (.stl .obj .ply .vtk .vtp).
+        spacing_mm
+            Edge of a voxel [mm], at most a quarter of the tool's diameter.
+        scale_mm
+            Millimetres per unit of the file; without it the unit is guessed and noted.
+        cortical_thickness_mm
+            Thickness of the shell [mm], 0 (none) to 10; a surface does not hold it.
+        cortical_density_kg_m3, trabecular_density_kg_m3
+            Apparent densities [kg/m3], 50 to 2500.
+        material
+            Material of cited cutting coefficients: bone, or one that `tissue.register.material` has added.
+        cutting
+            Cutting coefficients in place of the cited ones, by their names in a scene: ``{"density_exponent": 2.0}``.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be read or encloses no solid, or a number is out of range.
+        """
+        source = surface_source(
+            Path(file),
+            spacing_mm=spacing_mm,
+            scale_mm=scale_mm,
+            cortical_thickness_mm=cortical_thickness_mm,
+            cortical_density_kg_m3=cortical_density_kg_m3,
+            trabecular_density_kg_m3=trabecular_density_kg_m3,
+        )
+        return cls(source, material=material, cutting=cutting)
+
+    @classmethod
+    def block(
+        cls,
+        size_mm: tuple[float, float, float] = (20.0, 12.0, 8.0),
+        *,
+        density_kg_m3: float = 1800.0,
+        spacing_mm: float = 0.1,
+        material: str = "bone",
+        cutting: Mapping[str, float] | None = None,
+    ) -> "Bone":
+        """A block of one density, its top face at z = 0 with the origin at its middle.
+
+        Parameters
+        ----------
+        size_mm
+            Edge lengths along x, y and z [mm], each 0.1 to 500.
+        density_kg_m3
+            Apparent density, 100 to 2500 kg/m3; 1800 is cortical bone.
+        spacing_mm, material, cutting
+            As of `from_file`.
+
+        Raises
+        ------
+        InputError
+            If a number is not finite or out of range.
+        """
+        anatomy = cortical_block(size_mm=size_mm, density_kg_m3=density_kg_m3)
+        return cls(anatomy_source(anatomy, spacing_mm=spacing_mm), material=material, cutting=cutting)
+
+    @classmethod
+    def from_array(
+        cls,
+        density_kg_m3: ArrayLike,
+        *,
+        spacing_mm: float,
+        origin_mm: ArrayLike = (0.0, 0.0, 0.0),
+        layer: ArrayLike | None = None,
+        layer_names: tuple[str, ...] = ("bone",),
+        material: str = "bone",
+        cutting: Mapping[str, float] | None = None,
+    ) -> "Bone":
+        """Bone of an array of densities, 0 where there is none.
+
+        Parameters
+        ----------
+        density_kg_m3
+            Apparent density of each voxel [kg/m3], shape (nx, ny, nz), axes along x, y and z, 0 to 20000.
+        spacing_mm
+            Edge of a voxel [mm].
+        origin_mm
+            Corner of the first voxel with the lowest coordinates [mm].
+        layer
+            Number of each voxel's layer, same shape; default all 0.
+        layer_names
+            Name of each layer; enamel, dentin, caries, pulp and ligament are cut as such, all others as `material`.
+        material, cutting
+            As of `from_file`.
+
+        Raises
+        ------
+        InputError
+            If an array has another shape, is not finite or out of range, or holds no bone.
+        """
+        volume = density_volume(
+            density_kg_m3, spacing_mm=spacing_mm, origin_mm=origin_mm, layer=layer, layer_names=layer_names
+        )
+        return cls(BoneSource(lambda: volume), material=material, cutting=cutting)
+
+    @classmethod
+    def from_image(
+        cls,
+        file: str | PathLike[str],
+        *,
+        threshold: float,
+        density_kg_m3: float = 1800.0,
+        spacing_mm: float | None = None,
+        material: str = "bone",
+        cutting: Mapping[str, float] | None = None,
+    ) -> "Bone":
+        """Bone of an image volume: what lies above a grey value, of one density, in the patient's frame (LPS, mm).
+
+        Parameters
+        ----------
+        file
+            Image (.nii .nii.gz .nrrd .mhd .mha .vti) or a folder with a DICOM series.
+        threshold
+            Grey value above which a voxel is bone: about 200 HU of a CT.
+        density_kg_m3
+            Apparent density of the bone, 50 to 20000 kg/m3.
+        spacing_mm
+            Edge of a voxel [mm] to resample to; default the finest of the file's.
+        material, cutting
+            As of `from_file`.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be read, nothing lies above the threshold, or it would not fit memory.
+        """
+        source = image_source(Path(file), threshold=threshold, density_kg_m3=density_kg_m3, spacing_mm=spacing_mm)
+        return cls(source, material=material, cutting=cutting)
+
+    def cut(self, tool: Cutter, poses: ArrayLike, times_s: ArrayLike, *, axis: ArrayLike | None = None) -> Cut:
+        """Move a turning tool through poses: take away what it sweeps, and give the force at every pose.
+
+        The bone keeps the cut: what a tool removed is not there for the next, and the same tool that begins where it
+        ended goes on, as if both cuts were one. Between poses the tool goes straight; its
+        velocity at a pose is the difference to the pose before, so force and torque at the first pose are 0, where what
+        lies inside the tool is taken away.
+
+        Parameters
+        ----------
+        tool
+            A cutter of `tissue.cutters`.
+        poses
+            Tips [mm], shape (n, 3); tips and quaternions (x, y, z, w), shape (n, 7); or matrices from the tool's frame
+            to the bone's [mm], shape (n, 4, 4). The tool's z goes from tip to shank.
+        times_s
+            Increasing times of the poses [s], shape (n,). For a path at a feed: `tissue.feed_along`.
+        axis
+            Direction from tip to shank where poses are tips alone; default z.
+
+        Raises
+        ------
+        InputError
+            If poses or times cannot be used, or the tool is less than four voxels wide.
+        """
+        tips, turns = poses_of(poses, axis)
+        times = times_of(times_s, len(tips))
+        self._require_cutter(tool)
+        boxes = tool_boxes(tool, tips, turns.as_matrix()[:, :, 2], spacing_m=1e-3 * self.spacing_mm)
+        model, goes_on = self.voxel_bone.under(tool, boxes, (tips[0], turns[0].as_matrix()))
+        before = model.removed_m3
+        motion = GivenPoses(times, tips, turns)
+        loop = Loop(Parts(motion, model, cutter=tool), ticks=len(tips), output=Output(low_pass_ms=0.0))
+        loop.place(resume=goes_on)
+        with undisturbed():
+            for _ in range(len(tips)):
+                loop.step()
+        loop.finish()
+        self.voxel_bone.left_at = tips[-1], turns[-1].as_matrix()
+        return Cut.of(loop, times, removed_before_m3=before)
+
+    def _require_cutter(self, tool: Cutter) -> None:
+        """Refuse what cannot cut this bone."""
+        if not isinstance(tool, Cutter):
+            raise InputError(f"tool must be a cutter, got {type(tool).__name__}: make one by tissue.cutters.ball_burr")
+        width_mm = 2e3 * tool.profile.radius_m
+        if width_mm < 4.0 * self.spacing_mm:
+            raise InputError(
+                f"tool must be at least four voxels of {self.spacing_mm:g} mm wide, got {width_mm:.3g} mm: give the "
+                f"bone spacing_mm = {width_mm / 20:.2g}"
+            )
+
+    def uncut(self) -> "Bone":
+        """The same bone before any cut."""
+        return Bone(self._source, material=self._material, cutting=self._cutting)
+
+    @property
+    def layer_names(self) -> tuple[str, ...]:
+        """Names of the layers."""
+        return self.voxel_bone.store.grid.layer_names
+
+    @property
+    def bounds_mm(self) -> NDArray[np.float64]:
+        """Lowest and highest corner of a box around the bone [mm], shape (2, 3)."""
+        return 1e3 * self.voxel_bone.bounds_m
+
+    @property
+    def removed(self) -> "Removed":
+        """What tools have taken away so far."""
+        return Removed(self.voxel_bone)
+
+    def surface(self) -> "pyvista.PolyData":
+        """The bone's surface as it is now [mm], with the cell array ``layer``."""
+        from tissue.api.bone_surface import bone_surface
+
+        outer = self._source.outer
+        return bone_surface(self.voxel_bone, outer() if outer is not None else None)
+
+    def plot(self, **options: Any) -> Any:
+        """Show the bone as it is now, by layer; `options` are those of ``pyvista.PolyData.plot``."""
+        from tissue.api.bone_surface import plot_surface
+
+        return plot_surface(self.surface(), self.layer_names, **options)
+
+    def __repr__(self) -> str:
+        low, high = self.bounds_mm
+        size = " x ".join(f"{side:.4g}" for side in high - low)
+        cut = self.removed.volume_mm3
+        return (
+            f"Bone({size} mm, {', '.join(self.layer_names)}, voxels of {self.spacing_mm:g} mm"
+            f"{f', {cut:.4g} mm3 removed' if cut else ''})"
+        )

@@ -1,0 +1,128 @@
+"""The surface of a bone that tools have cut, and of what they took away, as pyvista shows them."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.voxels.volume import FULL, VoxelVolume
+from tissue.builders.bone import VoxelBone
+from tissue.simulation.bone_surface import with_layers
+
+if TYPE_CHECKING:
+    import pyvista
+
+__all__ = ["bone_surface", "plot_surface", "removed_surface"]
+
+
+def bone_surface(bone: VoxelBone, outer: "pyvista.PolyData | None") -> "pyvista.PolyData":
+    """The bone's surface as it is now [mm], with the cell array ``layer``.
+
+    Parameters
+    ----------
+    bone
+        The bone.
+    outer
+        Surface before any cut [mm], shown where no tool has been; None for a bone whose voxels are all made.
+    """
+    if outer is None:
+        volume, left = _padded(bone.whole)
+        return with_layers(_contour(volume, left), volume)
+    parts = []
+    for volume, left in bone.cut_parts():
+        outer = _without(outer, volume)
+        part = _contour(volume, left)
+        if part.n_cells:
+            parts.append(with_layers(part, volume))
+    outer.cell_data["layer"] = np.zeros(outer.n_cells, dtype=np.uint8)
+    return outer.append_polydata(*parts) if parts else outer
+
+
+def removed_surface(bone: VoxelBone) -> "pyvista.PolyData":
+    """Surface of what tools have taken away [mm], empty where nothing was; with the cell array ``layer``."""
+    import pyvista
+
+    parts = [_padded(bone.whole, removed=True)] if bone.on_demand is None else bone.cut_parts()
+    surfaces = []
+    for volume, left in parts:
+        surface = _contour(volume, left if bone.on_demand is None else volume.fraction - left)
+        if surface.n_cells:
+            surfaces.append(with_layers(surface, volume))
+    if not surfaces:
+        return pyvista.PolyData()
+    return surfaces[0].append_polydata(*surfaces[1:]) if surfaces[1:] else surfaces[0]
+
+
+def plot_surface(surface: "pyvista.PolyData", layer_names: tuple[str, ...], **options: Any) -> Any:
+    """Show a surface coloured by layer, as ``surface.plot`` does; `options` are pyvista's.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to show.
+    """
+    from matplotlib.colors import ListedColormap
+
+    from meshes.base.errors import InputError
+    from tissue.figures.style import BONE, layer_colours
+
+    if not surface.n_cells:
+        raise InputError("bone must have been cut to show what was removed, got an uncut one: cut it first")
+    look: dict[str, Any] = {"smooth_shading": True, "split_sharp_edges": True, "show_axes": True}
+    if len(layer_names) == 1:
+        look |= {"color": BONE}
+    else:
+        look |= {
+            "scalars": "layer",
+            "cmap": ListedColormap(list(layer_colours(layer_names).values())),
+            "clim": (-0.5, len(layer_names) - 0.5),
+            "annotations": dict(enumerate(layer_names)),
+            "scalar_bar_args": {"title": "layer", "n_labels": 0},
+        }
+    return surface.plot(**(look | options))
+
+
+def _contour(volume: VoxelVolume, fraction: NDArray[np.uint8]) -> "pyvista.PolyData":
+    """Surface where voxels are half full, between their centres, in mm; open where the voxels end."""
+    import pyvista
+    from vtkmodules.vtkFiltersCore import vtkFlyingEdges3D
+
+    spacing = 1e3 * volume.spacing_m
+    origin = 1e3 * volume.origin_m + 0.5 * spacing
+    image = pyvista.ImageData(dimensions=fraction.shape, spacing=(spacing,) * 3, origin=origin)
+    image.point_data["fraction"] = fraction.ravel(order="F")
+    edges = vtkFlyingEdges3D()
+    edges.SetInputData(image)
+    edges.SetValue(0, 0.5 * FULL)
+    edges.ComputeNormalsOn()
+    edges.ComputeScalarsOff()
+    edges.Update()
+    surface: pyvista.PolyData = pyvista.wrap(edges.GetOutput())
+    return surface
+
+
+def _padded(
+    whole: tuple[VoxelVolume, NDArray[np.uint8]], *, removed: bool = False
+) -> tuple[VoxelVolume, NDArray[np.uint8]]:
+    """A volume with a layer of air around it, and what is left of it or was removed from it."""
+    volume, left = whole
+    shown = volume.fraction - left if removed else left
+    padded = VoxelVolume(
+        volume.origin_m - volume.spacing_m,
+        volume.spacing_m,
+        np.pad(volume.fraction, 1),
+        np.pad(volume.layer, 1),
+        np.pad(volume.density_kg_m3, 1),
+        volume.layer_names,
+    )
+    return padded, np.pad(shown, 1)
+
+
+def _without(outer: "pyvista.PolyData", volume: VoxelVolume) -> "pyvista.PolyData":
+    """A surface outside the box of a volume's voxel centres [mm]."""
+    if not outer.n_cells:
+        return outer
+    low = 1e3 * (volume.origin_m + 0.5 * volume.spacing_m)
+    high = low + 1e3 * volume.spacing_m * (np.array(volume.shape) - 1)
+    bounds = np.column_stack([low, high]).ravel().tolist()
+    return outer.clip_box(bounds, invert=True).extract_surface(algorithm="dataset_surface")

@@ -1,0 +1,135 @@
+"""What a tool met on a path through bone: force, torque and removed volume at every pose."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from tissue.simulation.loop import Loop
+from tissue.simulation.trace import Table, TraceLayout
+from tissue.simulation.trace_files import write_table
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+__all__ = ["Cut"]
+
+
+class Cut:
+    """Force, torque and removed volume at every pose of a cut; forces act on the tool, torques about its tip.
+
+    Attributes
+    ----------
+    trace
+        All columns by name, a row a pose: ``cut.trace["force_z_N"]``.
+    pose_us
+        What each pose took to compute [µs], shape (n,).
+    """
+
+    def __init__(self, trace: Table, pose_us: Array) -> None:
+        self.trace, self.pose_us = trace, pose_us
+
+    @classmethod
+    def of(cls, loop: Loop, times_s: Array, *, removed_before_m3: Array) -> "Cut":
+        """What a loop over given poses has recorded, at their times [s], without what was removed before."""
+        layout = TraceLayout.of(loop.parts.tissue.layer_names)
+        names = [name for name in loop.trace.columns if not name.startswith("model_")]
+        places = [loop.trace.columns.index(name) for name in names]
+        rows = loop.trace.rows.copy()
+        rows[:, layout.time] = times_s
+        rows[-1, layout.removed_by_layer] = 1e9 * loop.parts.tissue.removed_m3  # a slow cut is spread over ticks
+        rows[:, layout.removed_by_layer] -= 1e9 * removed_before_m3
+        rows[:, layout.removed] = rows[:, layout.removed_by_layer].sum(axis=1)
+        trace = Table(tuple(names), rows[:, places], loop.trace.layer_names)
+        return cls(trace, np.asarray(loop.timing["tick_us"]))
+
+    def __len__(self) -> int:
+        return len(self.trace.rows)
+
+    @property
+    def times_s(self) -> Array:
+        """Times of the poses [s], shape (n,)."""
+        return np.asarray(self.trace["time_s"])
+
+    @property
+    def tip_mm(self) -> Array:
+        """Tips of the tool [mm], shape (n, 3)."""
+        return self.trace.vectors("tool", "mm")
+
+    @property
+    def force_N(self) -> Array:
+        """Force on the tool [N], shape (n, 3); at the first pose the tool rests: 0."""
+        return self.trace.vectors("force", "N")
+
+    @property
+    def torque_Nm(self) -> Array:
+        """Torque about the tip [N m], shape (n, 3)."""
+        return self.trace.vectors("torque", "Nm")
+
+    @property
+    def removed_mm3(self) -> Array:
+        """Volume that this cut has removed up to each pose [mm3], shape (n,)."""
+        return np.asarray(self.trace["removed_mm3"])
+
+    @property
+    def layer(self) -> NDArray[np.str_]:
+        """Layer in which most of the tool's engaged area lies, "none" without contact, shape (n,)."""
+        return np.asarray(self.trace["layer"])
+
+    def to_pandas(self) -> "pandas.DataFrame":
+        """All columns as a table, a row a pose.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise InputError("to_pandas must have pandas, got none: pip install 'tissue-sim[pandas]'") from None
+        return pandas.DataFrame({name: self.trace[name] for name in self.trace})
+
+    def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write all columns to a file, its kind by the suffix: .csv, .mat (MATLAB), .npz, .parquet or .h5.
+
+        Raises
+        ------
+        InputError
+            If the suffix is none of these, its writer is not installed, or the file is there and `overwrite` is not
+            given.
+        """
+        path = Path(path)
+        if path.exists() and not overwrite:
+            raise InputError(f"path must not exist, got {path}: choose another, or pass overwrite=True")
+        write_table(self.trace, path)
+        return path
+
+    def plot(self) -> "Figure":
+        """Force and torque over time, a panel each."""
+        import matplotlib.pyplot as plt
+
+        from tissue.figures.style import COMPONENTS
+
+        figure, panels = plt.subplots(2, 1, sharex=True, figsize=(7.0, 4.5), layout="constrained")
+        shown = (self.force_N, "force / N"), (self.torque_Nm, "torque / N m")
+        for panel, (values, what) in zip(panels, shown, strict=True):
+            for axis, column, colour in zip("xyz", values.T, COMPONENTS, strict=True):
+                panel.plot(self.times_s, column, color=colour, linewidth=1.0, label=axis)
+            panel.plot(self.times_s, np.linalg.norm(values, axis=1), color="0.2", linewidth=1.0, label="size")
+            panel.set_ylabel(what)
+            panel.grid(alpha=0.3)
+        panels[0].legend(ncols=4, frameon=False, loc="upper left")
+        panels[1].set_xlabel("time / s")
+        return figure
+
+    def __repr__(self) -> str:
+        force = np.linalg.norm(self.force_N, axis=1)
+        return (
+            f"Cut({len(self)} poses in {self.times_s[-1] - self.times_s[0]:.4g} s, {self.removed_mm3[-1]:.4g} mm3 "
+            f"removed, peak force {force.max():.3g} N, {np.median(self.pose_us):.0f} us a pose)"
+        )

@@ -1,0 +1,129 @@
+"""Poses of a tool as people give them, and a path as poses."""
+
+from typing import cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError, require_direction, require_positive
+from tissue.models.tissue_model import TICK_S
+from tissue.motion.motion import LONGEST_S, FollowPath, frame_along
+
+__all__ = ["feed_along", "poses_of", "times_of"]
+
+
+def feed_along(points_mm: ArrayLike, *, feed_mm_s: float) -> tuple[Array, Array]:
+    """Tips on straight lines between points at a given feed, one every millisecond, and their times.
+
+    Parameters
+    ----------
+    points_mm
+        Corners of the path [mm], shape (k, 3), at least two that differ.
+    feed_mm_s
+        Speed along it [mm/s].
+
+    Returns
+    -------
+    Tips [mm], shape (n, 3), and times [s], shape (n,): ``bone.cut(burr, *feed_along(points_mm, feed_mm_s=2))``.
+
+    Raises
+    ------
+    InputError
+        If the points or the feed cannot be used, or the path takes longer than an hour.
+    """
+    corners = _rows("points_mm", points_mm, (3,))
+    feed = require_positive("feed_mm_s", feed_mm_s, "use about 2")
+    if not np.diff(corners, axis=0).any():
+        raise InputError("points_mm must hold two different points, got only one: add where the tool goes")
+    path = FollowPath(1e-3 * corners, feed_m_s=1e-3 * feed, axis=(0.0, 0.0, 1.0))
+    if path.duration_s > LONGEST_S:
+        raise InputError(
+            f"feed_mm_s must bring the tool along the path within {LONGEST_S:g} s, got {feed:g} which takes "
+            f"{path.duration_s:.4g}: use {feed * path.duration_s / LONGEST_S:.3g} or more"
+        )
+    times = TICK_S * np.arange(int(np.ceil(path.duration_s / TICK_S - 1e-9)) + 1, dtype=np.float64)
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
+    keep = np.diff(along, prepend=-1.0) > 0.0
+    tips = np.column_stack([np.interp(feed * times, along[keep], corners[keep, c]) for c in range(3)])
+    return tips, times
+
+
+def poses_of(poses: ArrayLike, axis: ArrayLike | None) -> tuple[Array, Rotation]:
+    """Tips [m], shape (n, 3), and orientations of poses.
+
+    Parameters
+    ----------
+    poses
+        Tips [mm], shape (n, 3); tips and quaternions (x, y, z, w), shape (n, 7); or matrices, shape (n, 4, 4).
+    axis
+        Direction from tip to shank for poses without a turn of their own; default z.
+
+    Raises
+    ------
+    InputError
+        If they have another shape, are not finite, or hold no rotation.
+    """
+    shape = np.shape(poses)
+    if len(shape) not in (2, 3) or shape[1:] not in ((3,), (7,), (4, 4)):
+        raise InputError(
+            "poses must be tips [mm] of shape (n, 3), tips and quaternions (n, 7) or matrices (n, 4, 4), got shape "
+            f"{shape}: give one row a pose"
+        )
+    rows = _rows("poses", poses, shape[1:])
+    if axis is not None and shape[1:] != (3,):
+        raise InputError("axis must be left out where poses hold turns, got both: remove it")
+    if shape[1:] == (3,):
+        direction = (0.0, 0.0, 1.0) if axis is None else cast("tuple[float, float, float]", axis)
+        along = require_direction("axis", direction)
+        turn = frame_along((float(along[0]), float(along[1]), float(along[2])))
+        return 1e-3 * rows, Rotation.from_matrix(np.broadcast_to(turn, (len(rows), 3, 3)).copy())
+    if shape[1:] == (7,):
+        if (np.linalg.norm(rows[:, 3:], axis=1) < 1e-6).any():
+            raise InputError("poses must hold unit quaternions, got a zero one: use 0, 0, 0, 1 there")
+        return 1e-3 * rows[:, :3], Rotation.from_quat(rows[:, 3:])
+    turns = rows[:, :3, :3]
+    error = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max()
+    if error > 1e-4 or (np.linalg.det(turns) < 0.0).any():
+        raise InputError(
+            f"poses must hold rotations without scale or mirroring, got matrices off by {error:.2g}: normalise them"
+        )
+    return 1e-3 * rows[:, :3, 3], Rotation.from_matrix(turns)
+
+
+def times_of(times_s: ArrayLike, count: int) -> Array:
+    """Times [s] of so many poses, shape (n,).
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two, another number than of poses, or they do not increase.
+    """
+    times = np.asarray(times_s, dtype=np.float64)
+    if times.shape != (count,) or count < 2:
+        raise InputError(
+            f"times_s must hold one time for each of at least two poses, got shape {times.shape} for {count} poses: "
+            "use feed_along to make both of a path"
+        )
+    if not np.isfinite(times).all() or (np.diff(times) <= 0.0).any():
+        at = int(np.argmax(~(np.diff(times) > 0.0)))
+        raise InputError(
+            f"times_s must increase, got {times[at + 1]:g} after {times[at]:g}: sort the poses, and drop those twice"
+        )
+    return times
+
+
+def _rows(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Finite numbers, a row each."""
+    try:
+        rows = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} must be numbers, got {type(values).__name__}: give an array in millimetres") from None
+    if rows.shape[1:] != shape or len(rows) == 0:
+        raise InputError(
+            f"{name} must have the shape (n, {', '.join(map(str, shape))}), got {rows.shape}: one row each"
+        )
+    if not np.isfinite(rows).all():
+        raise InputError(f"{name} must be finite, got {int((~np.isfinite(rows)).sum())} values that are not: mend them")
+    return rows

@@ -1,0 +1,152 @@
+"""Bone or a tooth that cutters meet: its voxels, made at once or where a tool first reaches, and its materials."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from kernels.bricks import FULL
+from meshes.base.arrays import Array
+from meshes.voxels.volume import VoxelVolume
+from tissue.cutters.cutter import Cutter
+from tissue.materials.cutting import CuttingCoefficients
+from tissue.models.bone.bricks import BrickStore
+from tissue.models.bone.bricks_on_demand import Boxes, BricksOnDemand
+from tissue.models.bone.model import BoneModel, Removal
+
+__all__ = ["VoxelBone", "tool_boxes"]
+
+Pose = tuple[Array, Array]
+"""Tip [m], shape (3,), and rotation from tool to world, shape (3, 3)."""
+SAME = 1e-9
+"""How far apart poses may be that are the same [m]."""
+MARGIN_VOXELS = 4
+"""Voxels around a tool that its carving and its force read."""
+
+
+class VoxelBone:
+    """Voxels with their materials, which several tools may cut one after the other.
+
+    Parameters
+    ----------
+    voxels
+        A volume, of which all bricks are made now, or bricks that are made where a tool first reaches.
+    coefficients
+        Cutting coefficients of each layer, in their order.
+    compute
+        Warp device name.
+
+    Attributes
+    ----------
+    store
+        The bricks.
+    left_at
+        Pose at which the last tool ended that `under` gave: tip [m] and rotation.
+    """
+
+    def __init__(
+        self,
+        voxels: VoxelVolume | BricksOnDemand,
+        coefficients: tuple[CuttingCoefficients, ...],
+        *,
+        compute: str = "cpu",
+    ) -> None:
+        self._compute, self._coefficients = compute, coefficients
+        self.on_demand = voxels if isinstance(voxels, BricksOnDemand) else None
+        self.store = BrickStore.from_volume(voxels, device=compute) if isinstance(voxels, VoxelVolume) else voxels.store
+        self._was_cut = False
+        self._last: BoneModel | None = None
+        self.left_at: Pose | None = None
+
+    def reach(self, boxes: Boxes) -> bool:
+        """Make the bricks that boxes touch, corners [m]; whether models have to record their launches again."""
+        return self.on_demand is not None and self.on_demand.make(boxes)
+
+    def has(self, low_m: Array, high_m: Array) -> bool:
+        """Whether the bricks that a box touches are made, corners [m]."""
+        return self.on_demand is None or self.on_demand.has(low_m, high_m)
+
+    @property
+    def bounds_m(self) -> Array:
+        """Lowest and highest corner of a box around the bone before any cut [m], shape (2, 3)."""
+        if self.on_demand is not None:
+            shape = self.on_demand.anatomy.shape
+            return np.array([shape.lower_m, shape.upper_m])
+        volume, _ = self.whole
+        held = np.argwhere(volume.fraction)
+        return np.asarray(volume.origin_m + volume.spacing_m * np.stack([held.min(axis=0), held.max(axis=0) + 1]))
+
+    @property
+    def whole(self) -> tuple[VoxelVolume, NDArray[np.uint8]]:
+        """A volume before any cut and what is left of it, 255 = full; only of bone whose voxels are all made."""
+        assert self.store.volume is not None
+        return self.store.volume, self.store.fraction()
+
+    def cut_parts(self) -> Iterator[tuple[VoxelVolume, NDArray[np.uint8]]]:
+        """Parts that tools have cut, before any cut and now, of bone that is made where they reach."""
+        assert self.on_demand is not None
+        return self.on_demand.cut_parts()
+
+    @property
+    def removed_m3(self) -> Array:
+        """Volume that tools have removed from each layer so far [m3], shape (layers,)."""
+        steps = self.store.start_steps - self.store.steps_by_layer()
+        return np.asarray(steps * (self.store.grid.spacing_m**3 / FULL), dtype=np.float64)
+
+    def under(self, cutter: Cutter, boxes: Boxes, start: Pose) -> tuple[BoneModel, bool]:
+        """The bone under a cutter that reaches boxes, and whether it goes on where it ended."""
+        grown, last = self.reach(boxes), self._last
+        if (
+            last is not None
+            and last.cutter == cutter
+            and self.left_at is not None
+            and all(np.allclose(a, b, rtol=0.0, atol=SAME) for a, b in zip(start, self.left_at, strict=True))
+        ):
+            if grown:
+                last.record()
+            return last, True
+        self._last = self.model(cutter)
+        return self._last, False
+
+    def model(
+        self,
+        cutter: Cutter,
+        *,
+        removal: Removal = "subvoxel",
+        shell_spacing_m: float | None = None,
+        cores: int | None = None,
+    ) -> BoneModel:
+        """The bone under a cutter; what was cut before belongs to older cuts."""
+        store = self.store
+        if self._was_cut:
+            wp.copy(store.older, store.swept)
+        self._was_cut = True
+        return BoneModel(
+            store,
+            cutter,
+            self._coefficients,
+            removal=removal,
+            shell_spacing_m=shell_spacing_m,
+            device=self._compute,
+            cores=cores,
+        )
+
+
+def tool_boxes(cutter: Cutter, tips_m: Array, axes: Array, *, spacing_m: float, around_m: float = 0.0) -> Boxes:
+    """Boxes that a cutter reads and carves at poses: lowest and highest corners [m], shape (n, 3) both.
+
+    Parameters
+    ----------
+    tips_m, axes
+        Tips [m] and directions from tip to shank, shape (n, 3) both.
+    spacing_m
+        Edge of a voxel [m].
+    around_m
+        What is wanted beyond that [m].
+    """
+    low, high = cutter.profile.height_range_m
+    aside = cutter.profile.radius_m * np.sqrt(np.clip(1.0 - axes**2, 0.0, 1.0))
+    aside += MARGIN_VOXELS * spacing_m + around_m
+    ends = low * axes, high * axes
+    return tips_m + np.minimum(*ends) - aside, tips_m + np.maximum(*ends) + aside

@@ -1,0 +1,122 @@
+"""Rotating cutters in the units of their makers' catalogues: millimetres, flutes and turns a minute."""
+
+from math import pi, radians, tan
+
+from meshes.base.errors import InputError, require_positive, require_range, require_ranges
+from tissue.cutters import profile
+from tissue.cutters.cutter import Cutter
+from tissue.cutters.profile import Profile
+
+__all__ = ["ball_burr", "cylinder", "flat_reamer", "hemispherical_reamer", "of_profile", "pear_bur", "twist_drill"]
+
+FASTEST_RPM = 1e6
+"""Turns a minute at most: an air turbine has 400,000."""
+
+
+def ball_burr(*, diameter_mm: float, flutes: int, spin_rpm: float) -> Cutter:
+    """A ball that cuts all around.
+
+    Parameters
+    ----------
+    diameter_mm
+        Diameter [mm], 0.1 to 200.
+    flutes
+        Cutting edges, 1 to 200.
+    spin_rpm
+        Turns a minute, clockwise as seen from the shank; a negative one turns anticlockwise.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite or out of range.
+    """
+    return of_profile(profile.ball_burr(diameter_m=_m("diameter_mm", diameter_mm)), flutes=flutes, spin_rpm=spin_rpm)
+
+
+def pear_bur(*, diameter_mm: float, length_mm: float, flutes: int, spin_rpm: float) -> Cutter:
+    """A dental pear: a ball at the tip, a taper to the neck `length_mm` [mm] above; the rest as of `ball_burr`."""
+    _require_longer(length_mm, 0.5 * diameter_mm, "the radius of its ball")
+    shape = profile.pear_bur(diameter_m=_m("diameter_mm", diameter_mm), length_m=_m("length_mm", length_mm))
+    return of_profile(shape, flutes=flutes, spin_rpm=spin_rpm)
+
+
+def cylinder(*, diameter_mm: float, length_mm: float, flutes: int, spin_rpm: float) -> Cutter:
+    """A flat end mill that cuts with its face and its side, `length_mm` [mm] long; the rest as of `ball_burr`."""
+    shape = profile.cylinder(diameter_m=_m("diameter_mm", diameter_mm), length_m=_m("length_mm", length_mm))
+    return of_profile(shape, flutes=flutes, spin_rpm=spin_rpm)
+
+
+def twist_drill(
+    *, diameter_mm: float, length_mm: float, point_angle_deg: float = 118.0, flutes: int = 2, spin_rpm: float
+) -> Cutter:
+    """A twist drill `length_mm` [mm] long, its point of 60 to 170 degrees; the rest as of `ball_burr`."""
+    angle = require_range("point_angle_deg", point_angle_deg, 60.0, 170.0, "use 118")
+    _require_longer(length_mm, 0.5 * diameter_mm / tan(radians(0.5 * angle)), "the height of its point")
+    shape = profile.twist_drill(
+        diameter_m=_m("diameter_mm", diameter_mm), length_m=_m("length_mm", length_mm), point_angle_rad=radians(angle)
+    )
+    return of_profile(shape, flutes=flutes, spin_rpm=spin_rpm)
+
+
+def hemispherical_reamer(
+    *, diameter_mm: float, peg_diameter_mm: float = 0.0, peg_length_mm: float = 0.0, flutes: int, spin_rpm: float
+) -> Cutter:
+    """A reamer shaped as half a ball, with a smooth peg ahead of it where its sizes are given [mm]; as `ball_burr`."""
+    peg, length = _peg(peg_diameter_mm, peg_length_mm, diameter_mm)
+    shape = profile.hemispherical_reamer(
+        diameter_m=_m("diameter_mm", diameter_mm), peg_diameter_m=peg, peg_length_m=length
+    )
+    return of_profile(shape, flutes=flutes, spin_rpm=spin_rpm)
+
+
+def flat_reamer(
+    *,
+    diameter_mm: float,
+    length_mm: float,
+    peg_diameter_mm: float = 0.0,
+    peg_length_mm: float = 0.0,
+    flutes: int,
+    spin_rpm: float,
+) -> Cutter:
+    """A disc `length_mm` [mm] high that cuts with its face, with a smooth peg where its sizes are given [mm]."""
+    peg, length = _peg(peg_diameter_mm, peg_length_mm, diameter_mm)
+    shape = profile.flat_reamer(
+        diameter_m=_m("diameter_mm", diameter_mm),
+        length_m=_m("length_mm", length_mm),
+        peg_diameter_m=peg,
+        peg_length_m=length,
+    )
+    return of_profile(shape, flutes=flutes, spin_rpm=spin_rpm)
+
+
+def of_profile(shape: Profile, *, flutes: int, spin_rpm: float) -> Cutter:
+    """A cutter of any half section, see `tissue.cutters.profile.Profile`; flutes and spin as of `ball_burr`."""
+    if isinstance(flutes, bool) or not isinstance(flutes, int) or not 1 <= flutes <= 200:
+        raise InputError(f"flutes must be a whole number from 1 to 200, got {flutes!r}: count the cutting edges")
+    (rpm,) = require_ranges(("spin_rpm", spin_rpm, -FASTEST_RPM, FASTEST_RPM, "use 500 for a reamer, 20000 for a burr"))
+    if rpm == 0.0:
+        raise InputError("spin_rpm must not be 0 for a tool that cuts, got 0: use 500 for a reamer, 20000 for a burr")
+    return Cutter(shape, flutes, -rpm * 2.0 * pi / 60.0)
+
+
+def _m(name: str, value_mm: float) -> float:
+    """A length of a tool [m]."""
+    return 1e-3 * require_range(name, value_mm, 0.1, 200.0, "give it in millimetres")
+
+
+def _require_longer(length_mm: float, least_mm: float, what: str) -> None:
+    if length_mm <= least_mm:
+        raise InputError(f"length_mm must be above {what} ({least_mm:.4g}), got {length_mm:g}: make it longer")
+
+
+def _peg(diameter_mm: float, length_mm: float, tool_mm: float) -> tuple[float, float]:
+    """Diameter and length of a peg [m], both 0 for none."""
+    if diameter_mm == 0.0 and length_mm == 0.0:
+        return 0.0, 0.0
+    require_positive("peg_diameter_mm", diameter_mm, "give both sizes of the peg, or neither")
+    require_positive("peg_length_mm", length_mm, "give both sizes of the peg, or neither")
+    if diameter_mm >= tool_mm:
+        raise InputError(
+            f"peg_diameter_mm must be below diameter_mm ({tool_mm:g}), got {diameter_mm:g}: use a thin one"
+        )
+    return 1e-3 * diameter_mm, 1e-3 * length_mm

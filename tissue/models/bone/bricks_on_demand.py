@@ -1,0 +1,162 @@
+"""Bone whose bricks are made where a tool first reaches: a whole tibia at 0.1 mm would be 2e9 voxels."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kernels.bricks import BRICK
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from meshes.shapes.anatomy import Anatomy
+from meshes.shapes.sdf import Shape
+from meshes.voxels.volume import VoxelVolume
+from meshes.voxels.voxelise import AROUND_VOXELS, voxelise
+from tissue.models.bone.bricks import BrickGrid, BrickStore
+
+__all__ = ["Boxes", "BricksOnDemand"]
+
+Boxes = tuple[Array, Array]
+"""Lowest and highest corners of boxes [m], shape (n, 3) both."""
+PATCH = 4
+"""Bricks along the edge of what is made at once."""
+MARGIN = 1
+"""Bricks voxelised around a patch and not kept: more than the distances that its voxels store."""
+MOST_BRICKS = 2.5e8
+"""Bricks of the lattice at most: 1 GB."""
+
+
+class BricksOnDemand:
+    """Bricks of an anatomy, made in patches.
+
+    Parameters
+    ----------
+    anatomy
+        The bone.
+    spacing_m
+        Edge of a voxel [m].
+    minus
+        Solid taken out first (a pilot hole).
+    device
+        Warp device name.
+
+    Attributes
+    ----------
+    store
+        The bricks made so far.
+
+    Raises
+    ------
+    InputError
+        If the lattice alone would not fit memory.
+    """
+
+    def __init__(self, anatomy: Anatomy, *, spacing_m: float, minus: Shape | None = None, device: str = "cpu") -> None:
+        self.anatomy, self._minus, self._brick_m = anatomy, minus, BRICK * spacing_m
+        around = AROUND_VOXELS * spacing_m
+        low = np.floor((np.array(anatomy.shape.lower_m) - around) / self._brick_m)
+        high = np.ceil((np.array(anatomy.shape.upper_m) + around) / self._brick_m)
+        self._first = low.astype(np.int64)
+        self._patches = -(-(high - low).astype(np.int64) // PATCH)
+        if float(np.prod(PATCH * self._patches)) > MOST_BRICKS:
+            fits = spacing_m * (float(np.prod(high - low)) / MOST_BRICKS) ** (1.0 / 3.0)
+            raise InputError(
+                f"spacing_mm must leave at most {MOST_BRICKS:g} bricks of {BRICK} voxels in the bone's box, got "
+                f"{1e3 * spacing_m:g}: use {np.ceil(1.1e5 * fits) / 1e2:g}, or cut the part that you need out of it"
+            )
+        x, y, z = (PATCH * self._patches).tolist()
+        grid = BrickGrid(low * self._brick_m, spacing_m, (x, y, z), anatomy.layer_names)
+        self.store = BrickStore(grid, device=device)
+        self._made = np.zeros(self._patches, dtype=bool)
+
+    def make(self, boxes: Boxes) -> bool:
+        """Make all bricks that boxes touch; whether launches have to be recorded again.
+
+        Parameters
+        ----------
+        boxes
+            Lowest and highest corners in the anatomy's frame [m].
+        """
+        wanted = self._wanted(boxes)
+        grown = False
+        while wanted.any():
+            first, last = _box_of(wanted)
+            wanted[tuple(map(slice, first, last))] = False
+            self._made[tuple(map(slice, first, last))] = True
+            low, high = PATCH * first - MARGIN, PATCH * last + MARGIN
+            volume = self._voxels(low, high)
+            x, y, z = low.tolist()
+            grown |= self.store.add(volume, at=(x, y, z), margin=MARGIN)
+        return grown
+
+    def has(self, low_m: Array, high_m: Array) -> bool:
+        """Whether all bricks that a box touches are made; corners [m], shape (3,) each."""
+        patch_m = PATCH * self._brick_m
+        low = np.floor(low_m / patch_m - self._first / PATCH).astype(np.int64).clip(0)
+        high = np.floor(high_m / patch_m - self._first / PATCH).astype(np.int64) + 1
+        return bool(self._made[low[0] : high[0], low[1] : high[1], low[2] : high[2]].all())
+
+    def cut_parts(self) -> Iterator[tuple[VoxelVolume, NDArray[np.uint8]]]:
+        """What tools have cut so far: bone before any cut, and what is left of it, 255 = full.
+
+        The parts are boxes that share one layer of voxels, so that a surface between voxel centres goes on from one to
+        the next.
+        """
+        at = self.store.places[np.flatnonzero(self.store.touched.numpy()[: len(self.store.places)])]
+        wanted = np.zeros_like(self._made)
+        for shift in np.ndindex(3, 3, 3):
+            near = ((at + np.array(shift) - 1) // PATCH).clip(0, np.array(wanted.shape) - 1)
+            wanted[tuple(near.T)] = True
+        while wanted.any():
+            first, last = _box_of(wanted)
+            wanted[tuple(map(slice, first, last))] = False
+            low, high = PATCH * first, PATCH * last
+            before = self._voxels(low - MARGIN, high + MARGIN)
+            kept = tuple(slice(MARGIN * BRICK, MARGIN * BRICK + n + 1) for n in (BRICK * (high - low)).tolist())
+            volume = VoxelVolume(
+                before.origin_m + MARGIN * self._brick_m,
+                before.spacing_m,
+                np.ascontiguousarray(before.fraction[kept]),
+                np.ascontiguousarray(before.layer[kept]),
+                np.ascontiguousarray(before.density_kg_m3[kept]),
+                before.layer_names,
+            )
+            above = np.minimum(high + 1, self.store.grid.counts)
+            stored = self.store.brick_of.numpy()[tuple(map(slice, low, above))] >= 0
+            known = np.repeat(np.repeat(np.repeat(stored, BRICK, 0), BRICK, 1), BRICK, 2)
+            left = volume.fraction.copy()
+            there = tuple(slice(min(n, m)) for n, m in zip(left.shape, known.shape, strict=True))
+            now = self.store.part(tuple(low.tolist()), tuple(above.tolist()))[there]
+            left[there] = np.where(known[there], now, left[there])
+            yield volume, left
+
+    def _voxels(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> VoxelVolume:
+        """Voxels of the bricks from one place to another, before any cut."""
+        corners: Array = (self._first + np.stack([low, high])) * np.float64(self._brick_m)
+        region = corners[0], corners[1]
+        spacing_m = self.store.grid.spacing_m
+        return voxelise(self.anatomy, spacing_m=spacing_m, region_m=region, minus=self._minus)
+
+    def _wanted(self, boxes: Boxes) -> NDArray[np.bool_]:
+        """Patches that boxes touch and that are not made yet."""
+        patch_m = PATCH * self._brick_m
+        low, high = (np.floor(corner / patch_m - self._first / PATCH).astype(np.int64) for corner in boxes)
+        ranges = np.unique(np.hstack([low.clip(0), np.minimum(high + 1, self._patches)]), axis=0)
+        wanted = np.zeros_like(self._made)
+        for row in ranges[(ranges[:, :3] < ranges[:, 3:]).all(axis=1)].tolist():
+            wanted[row[0] : row[3], row[1] : row[4], row[2] : row[5]] = True
+        return wanted & ~self._made
+
+
+def _box_of(wanted: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First and one after the last patch of a box of wanted ones, grown from the first along z, then y, then x."""
+    first = np.argwhere(wanted)[0]
+    last = first + 1
+    for axis in (2, 1, 0):
+        while last[axis] < wanted.shape[axis]:
+            more = [slice(a, b) for a, b in zip(first, last, strict=True)]
+            more[axis] = slice(last[axis], last[axis] + 1)
+            if not wanted[tuple(more)].all():
+                break
+            last[axis] += 1
+    return first, last
