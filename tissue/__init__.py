@@ -15,9 +15,12 @@ if TYPE_CHECKING:
     from tissue import cutters
     from tissue.api.bone import Bone
     from tissue.api.cut import Cut
+    from tissue.api.organ import Organ
     from tissue.api.poses import feed_along
+    from tissue.api.press import Press
     from tissue.api.register import register
     from tissue.api.simulate import simulate
+    from tissue.api.tools import ball, flat_punch, probe_from_file
     from tissue.scene.load import load_scene, scene_names, scene_text
     from tissue.scene.scene import Scene
     from tissue.simulation.run import Run
@@ -29,12 +32,17 @@ __all__ = [
     "Bone",
     "Cut",
     "InputError",
+    "Organ",
+    "Press",
     "Run",
     "SavedRun",
     "Scene",
+    "ball",
     "cutters",
     "feed_along",
+    "flat_punch",
     "load_scene",
+    "probe_from_file",
     "register",
     "scene_names",
     "scene_text",
@@ -45,13 +53,18 @@ _HOMES = {
     "Bone": "tissue.api.bone",
     "Cut": "tissue.api.cut",
     "InputError": "meshes.base.errors",
+    "Organ": "tissue.api.organ",
+    "Press": "tissue.api.press",
     "Run": "tissue.simulation.run",
     "SavedRun": "tissue.simulation.run_folder",
     "Scene": "tissue.scene.scene",
+    "ball": "tissue.api.tools",
+    "feed_along": "tissue.api.poses",
+    "flat_punch": "tissue.api.tools",
     "load_scene": "tissue.scene.load",
+    "probe_from_file": "tissue.api.tools",
     "register": "tissue.api.register",
     "scene_names": "tissue.scene.load",
-    "feed_along": "tissue.api.poses",
     "scene_text": "tissue.scene.load",
     "simulate": "tissue.api.simulate",
 }

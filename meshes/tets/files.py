@@ -15,13 +15,15 @@ from meshes.tets.quality import repair_tets
 from meshes.tets.tetrahedra import TetMesh
 from meshes.tets.tetrahedralise import tetrahedralise
 
-__all__ = ["TetFile", "read_tets"]
+__all__ = ["MOST_PARTS", "PART_ARRAYS", "TetFile", "read_stored", "read_tets"]
 
 _ORGAN_MM = (20.0, 450.0)
 _TYPICAL_MM = 200.0
 _UNITS = ((1.0, "millimetres"), (1000.0, "metres"))
-_PART_ARRAYS = ("gmsh:physical", "medit:ref", "part", "parts", "region", "regions", "MaterialIds", "material", "label")
-_MOST_PARTS = 64
+PART_ARRAYS = ("gmsh:physical", "medit:ref", "part", "parts", "region", "regions", "MaterialIds", "material", "label")
+"""Arrays of integers over the cells that give the parts, by the names that meshers write, the likeliest first."""
+MOST_PARTS = 64
+"""An array of more values than these is no list of parts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +75,7 @@ def read_tets(
         If the file is missing, empty or not readable, holds no solid, or is not of an organ's size in any plain unit.
     """
     file = Path(path)
-    require_file(file, "a mesh")
-    stored = read_msh(file) if file.suffix.lower() == ".msh" else _from_vtk(file)
+    stored = read_stored(file)
     used = stored.points[np.unique(stored.tets if len(stored.tets) else stored.triangles)]
     bad = int((~np.isfinite(used).all(axis=1)).sum())
     if bad:
@@ -88,6 +89,12 @@ def read_tets(
     surface = surface_from_triangles(stored.points, stored.triangles, source=file.name, scale_mm=scale)
     filled, sentences = tetrahedralise(surface, edge_m=edge_m, report=report)
     return TetFile(filled, scale, (why, *stored.notes, *surface.report.repairs, *sentences), surface)
+
+
+def read_stored(file: Path) -> StoredMesh:
+    """What a mesh file holds, in its units and as it numbers its nodes; raises as `read_tets`."""
+    require_file(file, "a mesh")
+    return read_msh(file) if file.suffix.lower() == ".msh" else _from_vtk(file)
 
 
 def _unit(size: NDArray[np.float64], unit_mm: float | None, name: str) -> tuple[float, str]:
@@ -120,10 +127,10 @@ def _from_vtk(file: Path) -> StoredMesh:
     if len(tets) == 0 and len(triangles) == 0:
         raise InputError(f"file must hold tetrahedra or triangles, got none in {file.name}: export it again")
     part, notes = np.zeros(len(tets), dtype=np.int64), []
-    for name in _PART_ARRAYS:
+    for name in PART_ARRAYS:
         values = arrays[f"cells {names.index(name)}"] if name in names else np.zeros(0)
         whole = values.ndim == 1 and len(values) > 0 and bool(np.isfinite(values).all())
-        if whole and (values == np.round(values)).all() and len(np.unique(values)) <= _MOST_PARTS:
+        if whole and (values == np.round(values)).all() and len(np.unique(values)) <= MOST_PARTS:
             part = values.astype(np.int64)
             break
     if facts.get("others"):

@@ -8,12 +8,14 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError, in_brackets, require_direction, require_range, require_vector
 from meshes.base.simplices import cross_products
 from meshes.tets.tetrahedra import TetMesh
+from meshes.voxels.mesh_sampling import nearest_on_triangles
 
 __all__ = [
     "faces_of",
     "nodes_behind_plane",
     "nodes_facing",
     "nodes_of_part",
+    "place_on_surface",
     "surface_normals",
 ]
 
@@ -87,3 +89,19 @@ def surface_normals(mesh: TetMesh) -> NDArray[np.float64]:
     """Outward unit normal of each surface triangle, shape (f, 3)."""
     normal = cross_products(mesh.nodes_m, mesh.surface)
     return normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+def place_on_surface(
+    mesh: TetMesh, point_m: NDArray[np.float64], around_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Point of the surface nearest to a point [m], and the outward normal there, shapes (3,).
+
+    The normal is the mean of the triangles whose middles lie within `around_m` [m], by their areas and nearness, so
+    that it does not turn with every facet; of the nearest triangle where there are none.
+    """
+    nearest = nearest_on_triangles(mesh.nodes_m, mesh.surface, point_m[None])[0]
+    normals = cross_products(mesh.nodes_m, mesh.surface)  # twice the area long
+    away = np.linalg.norm(mesh.nodes_m[mesh.surface].mean(axis=1) - nearest, axis=1)
+    near = np.maximum(1.0 - (away / max(around_m, 1.01 * float(away.min()))) ** 2, 0.0) ** 2
+    mean = near @ normals
+    return nearest, mean / np.linalg.norm(mean)

@@ -23,7 +23,7 @@ from tissue.fem.solvers.direct import DirectSolver, factorised
 from tissue.fem.solvers.dissection import dissection
 from tissue.fem.solvers.held_body import ColumnSolver, HeldBody, pointwise_graph
 
-__all__ = ["LIMIT_BYTES", "compliance_by_columns", "compliance_bytes", "surface_compliance_m_N"]
+__all__ = ["LIMIT_BYTES", "compliance_bytes", "surface_compliance_m_N"]
 
 LIMIT_BYTES = 2_000_000_000
 """Dense matrices above this are refused; columns are then found where the tool is, by ``LazyCompliance``."""
@@ -80,15 +80,12 @@ def surface_compliance_m_N(
     def make() -> dict[str, NDArray[np.generic]]:
         if len(body.free) <= SCHUR_UNKNOWNS:
             return {"matrix": schur_compliance_m_N(body, touchable)}
-        return {"matrix": compliance_by_columns(solver() if solver else DirectSolver(body), touchable, progress)}
+        return {"matrix": _found(solver() if solver else DirectSolver(body), touchable, progress)}
 
     return cached_arrays("compliance", key, make)["matrix"].astype(np.float64, copy=False)
 
 
-def compliance_by_columns(
-    solver: ColumnSolver, touchable: Ints, progress: Callable[[float], None] | None = None
-) -> Array:
-    """W [m/N] by back-substitutions of a factor that is there, shape (3t, 3t); arguments as of the former."""
+def _found(solver: ColumnSolver, touchable: Ints, progress: Callable[[float], None] | None) -> Array:
     rows = (3 * touchable[:, None] + np.arange(3)).ravel()
     matrix = np.empty((len(rows), len(rows)))
 

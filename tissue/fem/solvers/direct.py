@@ -62,11 +62,14 @@ class DirectSolver:
             outcome = SolverOutcome.INDEFINITE
         return Solution(self.body.whole(found[place]), outcome, 0, left)
 
-    def columns(self, unknowns: Ints) -> Array:
-        """Displacements of all unknowns [m/N] for unit forces on some, shape (3n, k); zero for held ones."""
+    def columns(self, unknowns: Ints, *, together: int = TOGETHER) -> Array:
+        """Displacements of all unknowns [m/N] for unit forces on some, shape (3n, k); zero for held ones.
+
+        More right sides `together` than by default are quicker where BLAS is kept to one thread.
+        """
         answers = np.zeros((len(self._position), len(unknowns)))
-        for start in range(0, len(unknowns), TOGETHER):
-            at = self._position[unknowns[start : start + TOGETHER]]
+        for start in range(0, len(unknowns), together):
+            at = self._position[unknowns[start : start + together]]
             right = np.zeros((len(self._order), len(at)), order="F")
             pushed = np.flatnonzero(at >= 0)
             right[at[pushed], pushed] = 1.0

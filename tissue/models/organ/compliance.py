@@ -7,7 +7,7 @@ import numpy as np
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.progress import Progress
-from tissue.fem.solvers.condensed import compliance_by_columns, surface_compliance_m_N
+from tissue.fem.solvers.condensed import surface_compliance_m_N
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import HeldBody
 from tissue.fem.solvers.lazy_compliance import LazyCompliance
@@ -18,9 +18,9 @@ __all__ = ["CompliancePath", "Factor", "compliance_of"]
 
 FACTOR_UNKNOWNS = 200_000
 """Above this, frames are solved by multigrid: a factor would take gigabytes."""
-CompliancePath = Literal["condensed", "columns", "lazy", "reduced"]
-"""How the compliance is had: taken from a factor of its own and kept on disk, by back-substitutions of the factor that
-the organ keeps, column by column while the tool moves, or from a reduced basis."""
+CompliancePath = Literal["condensed", "lazy", "reduced"]
+"""How the compliance is had: taken from a factor of its own and kept on disk, column by column while the tool moves, or
+from a reduced basis."""
 
 
 class Factor:
@@ -56,8 +56,6 @@ def compliance_of(
         return surface_compliance_m_N(
             body, touchable, solver=lambda: factor.solver, progress=lambda share: report(doing, share)
         ), None
-    if path == "columns":
-        return compliance_by_columns(factor.solver, touchable, lambda share: report(doing, share)), None
     if path == "reduced":
         size = min(basis_size, 3 * len(touchable))
         return ReducedSolver(factor.solver, touchable, size=size).compliance_m_N(), None

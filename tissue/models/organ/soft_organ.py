@@ -21,6 +21,7 @@ from tissue.materials.prony import Prony
 from tissue.models.organ.compliance import CompliancePath, Factor, compliance_of
 from tissue.models.organ.contact import SurfaceContact
 from tissue.models.organ.fields import OrganFields
+from tissue.models.organ.kept_columns import KeptColumns
 from tissue.models.organ.model import LiverModel
 from tissue.models.organ.patch import touchable_patch
 from tissue.models.organ.probe import ProbeShape, SphereProbe
@@ -120,6 +121,10 @@ class SoftOrgan:
         return Factor(self.body)
 
     @cached_property
+    def _columns(self) -> KeptColumns:
+        return KeptColumns(lambda: self.factor.solver, np.unique(self.space.faces))
+
+    @cached_property
     def rest(self) -> tuple[Array, Array]:
         """Load of its weight [N] and the displacement by it [m], shape (n, 3) both; zero without a density."""
         if self._density is None:
@@ -149,7 +154,7 @@ class SoftOrgan:
         tips_m: Array,
         rotations: Array,
         *,
-        path: CompliancePath = "columns",
+        path: CompliancePath | None = None,
         basis_size: int = 300,
         interval_s: float = inf,
         step_s: float = TICK_S,
@@ -163,7 +168,8 @@ class SoftOrgan:
         probe, tips_m, rotations
             The tool and its poses along the path, as for `touchable_patch`.
         path, basis_size
-            How the compliance of what can be touched is had, and the vectors of a reduced basis.
+            How the compliance of what can be touched is had, and the vectors of a reduced basis; None: from columns of
+            the one factor, each kept for the next tool.
         interval_s
             Time between two frames of displacement and stress [s]; infinite for none.
         step_s
@@ -181,9 +187,12 @@ class SoftOrgan:
         touchable, faces = self.touchable(probe, tips_m, rotations)
         load, rest = self.rest
         report("condensing the compliance to the surface that can be touched", 0.0)
-        compliance, lazy = compliance_of(
-            self.body, touchable, self.factor, path=path, basis_size=basis_size, report=report
-        )
+        if path is None:
+            compliance, lazy = self._columns.between(touchable), None
+        else:
+            compliance, lazy = compliance_of(
+                self.body, touchable, self.factor, path=path, basis_size=basis_size, report=report
+            )
         contact = SurfaceContact(
             self.space.nodes_m[touchable] + rest[touchable],
             faces,

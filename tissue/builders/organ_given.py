@@ -1,0 +1,197 @@
+"""An organ that a caller describes: what its cells are made of, what lies in it, and how fine its mesh is."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, names_of_caller, require_positive, require_range
+from meshes.shapes.sdf import Shape
+from meshes.surfaces.surface import Surface, surface_from_triangles
+from meshes.surfaces.triangle_files import read_triangles
+from meshes.tets.bisection import bisected
+from meshes.tets.given import require_millimetres
+from meshes.tets.stuffing import with_part
+from meshes.tets.tetrahedra import TetMesh
+from meshes.voxels.mesh_sampling import nearest_on_triangles, triangle_distance
+from tissue.materials.elasticity import lame
+
+if TYPE_CHECKING:
+    from tissue.models.organ.soft_organ import SoftOrgan
+
+__all__ = ["SoftMaterial", "refined", "surface_of", "with_inclusion"]
+
+INCLUSION_EDGES = 5.0
+"""Edges across an inclusion, so that its volume in the mesh is within a few per cent of its own."""
+EDGE_GROWTH = 0.5
+"""Growth of the edges with the distance from where they are fine, as in scenes."""
+FINE_EDGES = 2.0
+"""Edges around a place within which they do not grow: the radius of a tool of four edges."""
+
+
+@dataclass(frozen=True)
+class SoftMaterial:
+    """What an organ is made of, and how it is solved.
+
+    Attributes
+    ----------
+    modulus_kPa
+        Young's modulus of every part that `parts` does not name [kPa].
+    poisson_ratio
+        Poisson's ratio.
+    parts
+        Young's moduli of parts by their names or numbers [kPa].
+    order
+        Order of the tetrahedra.
+    friction
+        Coulomb's coefficient between tool and organ.
+    capsule
+        Thickness [um] and Young's modulus [kPa] of a membrane on the surface; None for none.
+    density_kg_m3
+        With it the organ lies in its own weight.
+    relaxation
+        Pairs of the share of the modulus that relaxes and its time [s].
+
+    Raises
+    ------
+    InputError
+        If a value is out of its range.
+    """
+
+    modulus_kPa: float
+    poisson_ratio: float
+    parts: Mapping[str | int, float] = field(default_factory=dict)
+    order: int = 2
+    friction: float = 0.3
+    capsule: tuple[float, float] | None = None
+    density_kg_m3: float | None = None
+    relaxation: Sequence[tuple[float, float]] = ()
+
+    def __post_init__(self) -> None:
+        require_positive("modulus_kPa", self.modulus_kPa, "liver has about 5, kidney 10")
+        require_range("poisson_ratio", self.poisson_ratio, -0.999, 0.4999, "soft tissue has 0.45 to 0.499")
+        require_range("friction", self.friction, 0.0, 10.0, "give Coulomb's coefficient, 0 for none")
+        for name, modulus in self.parts.items():
+            require_positive(f"parts[{name!r}]", modulus, "give its Young's modulus in kPa")
+        for value in self.capsule or ():
+            require_positive("capsule", value, "give its thickness in um and its modulus in kPa, such as (50, 8200)")
+        if self.density_kg_m3 is not None:
+            require_positive("density_kg_m3", self.density_kg_m3, "soft tissue has about 1060")
+
+    def moduli_kPa(self, mesh: TetMesh) -> dict[str, float]:
+        """Young's modulus of each part of a mesh by its name [kPa].
+
+        Raises
+        ------
+        InputError
+            If the mesh has no part of a name.
+        """
+        found = dict.fromkeys(mesh.part_names, self.modulus_kPa)
+        for name, modulus in self.parts.items():
+            known = next((each for each in (str(name), f"part {name}") if each in found), None)
+            if known is None:
+                raise InputError(f"parts must name parts of the mesh, got {name!r}: it has {', '.join(found)}")
+            found[known] = float(modulus)
+        return found
+
+    def elasticity(self, mesh: TetMesh) -> NDArray[np.float64]:
+        """Lame constants of the cells [Pa], shape (m, 2)."""
+        moduli = np.array(list(self.moduli_kPa(mesh).values()))
+        return lame(1e3 * moduli[mesh.part], self.poisson_ratio)
+
+    def organ(self, mesh: TetMesh, held: NDArray[np.int64]) -> "SoftOrgan":
+        """The organ at rest, of a mesh whose nodes `held` do not move."""
+        from tissue.materials.prony import Prony
+        from tissue.models.organ.soft_organ import Membrane, SoftOrgan
+
+        capsule = None
+        if self.capsule is not None:
+            capsule = Membrane(1e-6 * self.capsule[0], 1e3 * self.capsule[1], self.poisson_ratio)
+        prony = None
+        if len(self.relaxation):
+            with names_of_caller(dict.fromkeys(("g", "tau_s"), "relaxation")):
+                prony = Prony(*(tuple(map(float, each)) for each in zip(*self.relaxation, strict=True)))
+        return SoftOrgan(
+            mesh, self.elasticity(mesh), held, order=self.order, capsule=capsule, density_kg_m3=self.density_kg_m3,
+            prony=prony, friction=self.friction,
+        )  # fmt: skip
+
+
+def surface_of(name: str, given: object, scale_mm: float | None) -> Surface:
+    """A closed surface of whatever holds it: a file, a surface of pyvista or trimesh, vertices and triangles.
+
+    Raises
+    ------
+    InputError
+        If it is none, of another unit by its size, or encloses no solid.
+    """
+    source = name
+    if isinstance(given, str | Path):
+        source = Path(given).name
+        with names_of_caller({"file": name}):
+            vertices, faces = read_triangles(Path(given))
+    else:
+        vertices, faces = _triangles(name, given)
+    scale = require_millimetres(name, vertices, scale_mm)
+    with names_of_caller(dict.fromkeys(("surface", "vertices", "faces", "triangles"), name)):
+        return surface_from_triangles(vertices, faces, source=source, scale_mm=scale)
+
+
+def _triangles(name: str, given: Any) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Vertices and triangles of a surface in memory."""
+    if hasattr(given, "is_all_triangles"):  # pyvista
+        whole = given.triangulate()
+        return np.asarray(whole.points, dtype=np.float64), np.asarray(whole.regular_faces, dtype=np.int64)
+    if hasattr(given, "vertices") and hasattr(given, "faces"):  # trimesh
+        given = given.vertices, given.faces
+    if isinstance(given, Sequence) and len(given) == 2:
+        vertices, faces = (np.asarray(each) for each in given)
+        if vertices.ndim == faces.ndim == 2 and vertices.shape[1] == faces.shape[1] == 3:
+            return vertices.astype(np.float64), faces.astype(np.int64)
+    raise InputError(
+        f"{name} must be a closed surface of pyvista or trimesh, vertices and triangles, or a file, got "
+        f"{type(given).__name__}: export it as STL"
+    )
+
+
+def with_inclusion(mesh: TetMesh, name: str, inclusion: Surface) -> tuple[TetMesh, str]:
+    """The mesh with what lies in a closed surface as a part of its own, and a note on its volume.
+
+    Raises
+    ------
+    InputError
+        If it lies outside the mesh.
+    """
+    vertices, faces = inclusion.vertices_m, inclusion.faces
+
+    def distance(points: NDArray[np.floating]) -> NDArray[np.float64]:
+        return triangle_distance(vertices, faces, points)
+
+    edge = float(np.ptp(vertices, axis=0).min()) / INCLUSION_EDGES
+    fine = bisected(mesh, lambda points: edge + EDGE_GROWTH * np.abs(distance(points)))
+    key = f"inclusions[{name!r}]"
+    with names_of_caller({name: key}):
+        made = with_part(fine, Shape(distance), name)
+    volume = 1e6 * float(made.volumes_m3[made.part == len(made.part_names) - 1].sum())
+    return made, f"{name}: {volume:.3g} ml in the mesh, {1e-3 * inclusion.report.volume_mm3:.3g} ml by its surface"
+
+
+def refined(mesh: TetMesh, surface: Surface | None, *, edge_m: float, near_m: NDArray[np.float64] | None) -> TetMesh:
+    """The mesh with edges of at most a length [m] near some points, shape (k, 3), or else on the whole surface."""
+    from scipy.spatial import cKDTree
+
+    vertices, faces = (mesh.nodes_m, mesh.surface) if surface is None else (surface.vertices_m, surface.faces)
+
+    def wanted(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        if near_m is None:
+            away = np.abs(triangle_distance(mesh.nodes_m, mesh.surface, points))
+        else:
+            away = np.asarray(cKDTree(near_m).query(points)[0], dtype=np.float64)
+        return edge_m + EDGE_GROWTH * np.maximum(away - (0.0 if near_m is None else FINE_EDGES * edge_m), 0.0)
+
+    onto = None if surface is None else (lambda points: nearest_on_triangles(vertices, faces, points))
+    with names_of_caller({"size_m": "edge_mm"}):
+        return bisected(mesh, wanted, onto=onto)

@@ -1,0 +1,132 @@
+"""A press as a caller states it: a place near the surface, a depth, and a direction into the organ."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, in_brackets, names_of_caller, require_direction
+from meshes.tets.regions import place_on_surface
+from tissue.models.organ.model import LINEAR_ERROR
+from tissue.models.organ.press import PressCurve, press
+from tissue.models.organ.probe import ProbeShape, SphereProbe
+from tissue.models.organ.soft_organ import SoftOrgan
+from tissue.motion.motion import frame_along
+
+__all__ = ["StatedPress", "press_at"]
+
+FAR = 0.1
+"""Distance of a place from the surface above which it is refused, over the organ's longest side."""
+NEAR_M = 1e-4
+"""Distance below which a place counts as on the surface [m]."""
+TOOL_EDGES = 4.0
+"""Edges across a tool with which scenes press."""
+WORDS = {
+    "point_m": "at_mm",
+    "motion must start outside the organ": "at_mm must have a free path before it",
+    "motion must bring the tool to": "at_mm must bring the tool to",
+    "nodes_m must lie closer to each other": "mesh must have shorter edges",
+}
+"""What the press calls things, and what the caller does."""
+
+
+@dataclass(frozen=True, eq=False)
+class StatedPress:
+    """A press and what it was taken to be.
+
+    Attributes
+    ----------
+    curve
+        Force over depth and the organ at the end.
+    point_m, along
+        Point of the surface [m] and the direction that the tool came along, shapes (3,).
+    notes
+        What was found and assumed, by what it is about.
+    """
+
+    curve: PressCurve
+    point_m: NDArray[np.float64]
+    along: NDArray[np.float64]
+    notes: dict[str, str]
+
+
+def press_at(
+    organ: SoftOrgan,
+    probe: ProbeShape,
+    at_m: NDArray[np.float64],
+    along: NDArray[np.float64] | None,
+    *,
+    depth_m: float,
+    speed_m_s: float,
+    hold_s: float,
+) -> StatedPress:
+    """Press a tool on the surface's point nearest to a place [m].
+
+    Parameters
+    ----------
+    organ, probe
+        The organ, and the tool.
+    at_m
+        The place [m], shape (3,).
+    along
+        Direction that the tool comes along, shape (3,); None: into the organ, against the mean normal under the tool.
+    depth_m, speed_m_s, hold_s
+        As for `tissue.models.organ.press.press`.
+
+    Raises
+    ------
+    InputError
+        If the place is far from the surface, the direction leads out of the organ, or the tool has no free path.
+    """
+    size = float(np.ptp(organ.mesh.nodes_m, axis=0).max())
+    point, normal = place_on_surface(organ.mesh, at_m, probe.size_m[0])
+    away, notes = float(np.linalg.norm(point - at_m)), {}
+    found = f"the nearest point of the surface, {in_brackets(1e3 * point, '.4g')} mm, is {1e3 * away:.3g} mm away"
+    if away > FAR * size:
+        raise InputError(f"at_mm must lie on the surface, got {in_brackets(1e3 * at_m, '.4g')}: {found}")
+    if away > NEAR_M:
+        notes["place"] = found
+    direction = -normal if along is None else require_direction("along", along)
+    if direction @ normal >= 0.0:
+        inward = in_brackets(-normal, ".2g")
+        raise InputError(f"along must lead into the organ, got {in_brackets(direction, '.3g')}: use {inward}")
+    with names_of_caller(WORDS):
+        curve = press(
+            organ, probe, point, frame_along(tuple(-direction)), depth_m=depth_m, speed_m_s=speed_m_s, hold_s=hold_s
+        )
+    notes |= _resolution(organ, probe, point) | _linear(probe, depth_m)
+    other = [each for each in curve.notices if "linear elasticity" not in each]
+    if other:
+        notes["contact"] = "; ".join(other)
+    return StatedPress(curve, point, direction, notes)
+
+
+def _resolution(organ: SoftOrgan, probe: ProbeShape, point_m: NDArray[np.float64]) -> dict[str, str]:
+    """A note where edges under the tool are long for it."""
+    corners = organ.mesh.nodes_m[organ.mesh.surface]
+    near = np.linalg.norm(corners.mean(axis=1) - point_m, axis=1)
+    radius = probe.size_m[0]
+    chosen = corners[near <= max(0.5 * radius, float(near.min()))]
+    edge = float(np.linalg.norm(chosen - np.roll(chosen, 1, axis=1), axis=2).max())
+    wanted = 2.0 * radius / TOOL_EDGES
+    if edge <= 1.05 * wanted:
+        return {}
+    return {
+        "mesh": f"edges of up to {1e3 * edge:.3g} mm under a tool of {2e3 * radius:.3g} mm, which takes "
+        f"{1e3 * wanted:.3g} mm: refine the organ there"
+    }
+
+
+def _linear(probe: ProbeShape, depth_m: float) -> dict[str, str]:
+    """How deep the linear law holds, which is known of balls."""
+    if not isinstance(probe, SphereProbe):
+        return {"linear": "from which depth the linear law is off is known of balls alone"}
+    limits = [(1e3 * share * probe.radius_m, error) for share, error in LINEAR_ERROR]
+    passed = [(depth, error) for depth, error in limits if 1e3 * depth_m > depth]
+    if passed:
+        depth, error = passed[-1]
+        return {
+            "linear": f"pressed {1e3 * depth_m:.3g} mm deep: from {depth:.2g} mm on the linear law is more than "
+            f"{error:.0%} off a hyperelastic force"
+        }
+    return {"linear": f"the linear law is within {limits[0][1]:.0%} of a hyperelastic force to {limits[0][0]:.2g} mm"}

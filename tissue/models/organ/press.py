@@ -1,0 +1,160 @@
+"""One press of a tool on a soft organ: straight in, step by step from where it first touches, and held."""
+
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from tissue.fem.fields import Frame
+from tissue.models.organ.contact import SurfaceContact
+from tissue.models.organ.contact_points import contact_points
+from tissue.models.organ.patch import linear_triangles
+from tissue.models.organ.probe import ProbeShape, ShellProbe
+from tissue.models.organ.soft_organ import SoftOrgan
+from tissue.models.tissue_model import ToolMotion
+
+__all__ = ["PressCurve", "press"]
+
+STEPS = 100
+"""Fewest steps from the first touch to the depth."""
+PER_RELAXATION = 5
+"""Steps within the shortest relaxation time of an organ that relaxes."""
+POSES = 60
+"""Poses along the press at which the surface is looked for."""
+CLEARANCES = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 4.0)
+"""Distances from the place at which the tool may start, over its size: the first where it is clear of the organ."""
+HALVINGS = 30
+"""Of the path on which the first touch lies: to a nanometre."""
+
+
+@dataclass(frozen=True, eq=False)
+class PressCurve:
+    """What a press gave, a row for each step from the first touch.
+
+    Attributes
+    ----------
+    time_s
+        Time since the first touch [s], shape (n,).
+    depth_m
+        How far the tool has gone on from there [m], shape (n,).
+    force_N
+        Force on the tool [N], shape (n, 3).
+    area_m2
+        Area of the contact [m2], shape (n,).
+    tip_m, rotation
+        Where the tool is at the end: its tip [m], shape (3,), and tool to world, shape (3, 3).
+    frame
+        Displacement and stress of the organ at the end.
+    notices
+        What happened, a sentence each.
+    touchable
+        Nodes of the surface that the tool could touch.
+    """
+
+    time_s: Array
+    depth_m: Array
+    force_N: Array
+    area_m2: Array
+    tip_m: Array
+    rotation: Array
+    frame: Frame
+    notices: tuple[str, ...]
+    touchable: int
+
+
+def press(
+    organ: SoftOrgan,
+    probe: ProbeShape,
+    point_m: Array,
+    rotation: Array,
+    *,
+    depth_m: float,
+    speed_m_s: float,
+    hold_s: float,
+) -> PressCurve:
+    """Press a tool against an organ along its axis, towards a point of the surface, and hold it there.
+
+    Parameters
+    ----------
+    organ, probe
+        The organ, and the tool.
+    point_m
+        Point of the surface that the tool's tip is led to [m], shape (3,).
+    rotation
+        Tool to world, shape (3, 3); the tool comes along its -z.
+    depth_m
+        How far it goes on from where it first touches [m].
+    speed_m_s, hold_s
+        Speed of the tool [m/s] and how long it stays [s]; they matter to an organ that relaxes.
+
+    Raises
+    ------
+    InputError
+        If the tool has no free path to the place, or the place cannot move.
+    """
+    along = -rotation[:, 2]
+    start_m = point_m - _clearance_m(organ, probe, point_m, rotation) * along
+    end_m = point_m + depth_m * along
+    tips = start_m + np.linspace(0.0, 1.0, POSES)[:, None] * (end_m - start_m)
+    steps, step_s = _steps(organ, depth_m / speed_m_s)
+    model, touchable = organ.under(probe, tips, np.broadcast_to(rotation, (POSES, 3, 3)), interval_s=1.0, step_s=step_s)
+    touch_m = _first_touch(model.contact, start_m, end_m, rotation)
+    motion = ToolMotion(tip_m=start_m.copy(), rotation=rotation.copy())
+    model.place(motion)
+    depths = np.append(np.linspace(0.0, depth_m, steps + 1), np.full(ceil(hold_s / step_s), depth_m))
+    force, area = np.zeros((len(depths), 3)), np.zeros(len(depths))
+    for row, depth in enumerate(depths):
+        motion.tip_m[:] = touch_m + depth * along
+        model.advance(motion)
+        response = model.respond(motion)
+        force[row], area[row] = response.wrench[:3], response.engaged_m2.sum()
+    times = (step_s * np.arange(len(depths))).astype(np.float64)
+    model.start_background(float(times[-1]), motion)
+    model.finish()
+    return PressCurve(
+        times, depths, force, area, motion.tip_m, rotation, model.fields.frames[-1], tuple(model.notices), touchable
+    )
+
+
+def _steps(organ: SoftOrgan, press_s: float) -> tuple[int, float]:
+    """Steps of the press and the length of each [s]."""
+    fewest = STEPS
+    if organ.prony is not None:
+        fewest = max(fewest, ceil(PER_RELAXATION * press_s / min(organ.prony.tau_s)))
+    return fewest, press_s / fewest
+
+
+def _clearance_m(organ: SoftOrgan, probe: ProbeShape, point_m: Array, rotation: Array) -> float:
+    """How far before the point the tool is clear of the organ [m]."""
+    nodes, triangles = organ.space.nodes_m + organ.rest[1], linear_triangles(organ.space.faces)
+    if isinstance(probe, ShellProbe):
+        points = nodes[np.unique(triangles)]
+    else:
+        places, weights, _ = contact_points(nodes, triangles, probe.spacing_m)
+        points = np.einsum("pk,pkx->px", weights, nodes[triangles[places]])
+    for share in CLEARANCES:
+        clear = share * probe.size_m[0]
+        if probe.distance((points - point_m - clear * rotation[:, 2]) @ rotation)[0].min() > 0.0:
+            return clear
+    raise InputError(
+        f"point_m must have a free path before it, got a tool that meets the organ elsewhere {1e3 * clear:.3g} mm "
+        "before the place: come along another direction, or take a smaller tool"
+    )
+
+
+def _first_touch(contact: SurfaceContact, start_m: Array, end_m: Array, rotation: Array) -> Array:
+    """Where the tip is when the tool first touches [m], shape (3,): contact there, none just before."""
+
+    def touches(share: float) -> bool:
+        contact.forget()
+        return contact.solve(start_m + share * (end_m - start_m), rotation).contacts > 0
+
+    before, after = 0.0, 1.0
+    for _ in range(HALVINGS):
+        middle = 0.5 * (before + after)
+        before, after = (before, middle) if touches(middle) else (middle, after)
+    contact.forget()
+    touch: Array = start_m + before * (end_m - start_m)
+    return touch
