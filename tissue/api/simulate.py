@@ -123,6 +123,9 @@ def simulate(
 
         require_used(scene)
         scene, chosen["fidelity"] = with_fidelity(scene, report=progress or silent)
+    opened = opened_device(scene) if device is None else None
+    if opened is not None:
+        chosen["device"] = f"{scene.device} is read and played by {type(opened).__name__}"
     run = engine.simulate(
         scene,
         compute=compute,
@@ -131,7 +134,7 @@ def simulate(
         overwrite=overwrite,
         progress=progress,
         allow_unstable=allow_unstable,
-        device=opened_device(scene) if device is None else device,
+        device=opened if device is None else device,
         observer=observer if on_tick is None else Calls(on_tick),
     )
     run.parts.notes |= chosen

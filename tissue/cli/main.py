@@ -2,9 +2,11 @@
 
 import errno
 import sys
-from contextlib import suppress
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from cyclopts import (
     App,
@@ -20,7 +22,7 @@ from cyclopts import (
 import tissue
 from tissue.cli.commands import COMMANDS
 from tissue.cli.completion import completion_command
-from tissue.cli.terminal import problems
+from tissue.cli.terminal import console, problems
 from tissue.system.child import HelperLostError
 from tissue.system.stopping import Terminated, terminated_as_exception
 
@@ -52,8 +54,12 @@ CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG)
 def main() -> NoReturn:
     """Entry point: bad input becomes one sentence and exit code 2, Ctrl-C ends with 130, SIGTERM with 143."""
     try:
-        with terminated_as_exception():
-            app(sys.argv[1:], exit_on_error=False, print_error=False)
+        with terminated_as_exception(), _plain_warnings():
+            try:
+                app(sys.argv[1:], exit_on_error=False, print_error=False)
+            finally:
+                if len(sys.argv) > 2 and sys.argv[-1] in ("--help", "-h"):
+                    _print_offered()
     except CycloptsError as error:
         _refuse(_usage(error))
     except ValueError as error:
@@ -83,6 +89,31 @@ def main() -> NoReturn:
             problems.print(sentence)
         sys.exit(stopped.exit_code if isinstance(stopped, Terminated) else 130)
     sys.exit(0)
+
+
+@contextmanager
+def _plain_warnings() -> Iterator[None]:
+    """Show a warning of a part that an installed package offers as a line, without where it was raised."""
+    with warnings.catch_warnings():
+        others = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if category.__name__ != "PluginWarning":  # whose module help does without
+                return others(message, category, *where, **more)
+            from rich.markup import escape
+
+            problems.print(f"[yellow]warning:[/yellow] {escape(str(message))}", markup=True)
+
+        warnings.showwarning = show
+        yield
+
+
+def _print_offered() -> None:
+    """Names that installed packages add to those of a command's help."""
+    from tissue.scene.plugins import offered_names
+
+    if offered := offered_names():
+        console.print("Installed packages add " + "; ".join(f"{k} {', '.join(names)}" for k, names in offered.items()))
 
 
 def _place(file: object) -> tuple[str, str]:

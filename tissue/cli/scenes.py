@@ -8,13 +8,16 @@ __all__ = ["scenes"]
 
 
 def scenes(name: str | None = None, /) -> None:
-    """List the built-in scenes, or print one as TOML, ready to copy and edit.
+    """List the scenes that have a name, or print one as TOML, ready to copy and edit.
 
     Parameters
     ----------
     name
         Scene to print.
     """
+    from rich.markup import escape
+
+    from meshes.base.errors import InputError
     from tissue.scene.load import load_scene, scene_names
     from tissue.scene.schema import scene_for_editors
 
@@ -22,4 +25,8 @@ def scenes(name: str | None = None, /) -> None:
         sys.stdout.write(scene_for_editors(name))
         return
     for each in scene_names():
-        console.print(f"[bold]{each:<12}[/bold] {load_scene(each).description}", markup=True)
+        try:
+            description = load_scene(each).description
+        except InputError as error:  # of a package, or a file that is gone: the others are listed
+            description = f"cannot be used: {error}"
+        console.print(f"[bold]{each:<12}[/bold] {escape(description)}", markup=True)

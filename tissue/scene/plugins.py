@@ -5,8 +5,6 @@ from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 
-from meshes.base.errors import InputError
-
 __all__ = ["OFFERED", "PluginWarning", "ask_packages", "offered_names", "refusal"]
 
 OFFERED = {
@@ -37,16 +35,18 @@ def ask_packages(group: str) -> None:
     if not group or group in _asked:
         return
     _asked.add(group)  # before any is imported, which may ask in its turn
+    first: dict[str, EntryPoint] = {}
     for offer in _offers().get(group, ()):
+        other = first.setdefault(offer.name, offer)
+        if other is not offer:
+            _refuse(offer, f"the package {_package(other)} offers one by that name, too, which is used")
+            continue
         try:
             getattr(import_module(TAKE[0]), TAKE[1])(OFFERED[group], offer.name, offer.load)
         except (Exception, SystemExit) as error:
             reason = (str(error).splitlines() or [""])[0]
-            cause = reason if isinstance(error, InputError) else f"{type(error).__name__}: {reason}"
-            what = f"{OFFERED[group]} {offer.name} of the package {_package(offer)}"
-            sentence = f"{what} cannot be used ({cause}): update or uninstall that package"
-            _refused[group, offer.name] = sentence
-            warnings.warn(sentence, PluginWarning, stacklevel=2)
+            cause = reason if type(error).__name__ == "InputError" else f"{type(error).__name__}: {reason}"
+            _refused[group, offer.name] = _refuse(offer, cause)
 
 
 def refusal(group: str, name: str) -> str | None:
@@ -57,6 +57,14 @@ def refusal(group: str, name: str) -> str | None:
 def offered_names() -> dict[str, list[str]]:
     """Names of what installed packages offer, by kind, without importing any of them."""
     return {OFFERED[group]: [offer.name for offer in offers] for group, offers in _offers().items()}
+
+
+def _refuse(offer: EntryPoint, cause: str) -> str:
+    """Warn of an offer that is left out; the sentence."""
+    what = f"{OFFERED[offer.group]} {offer.name} of the package {_package(offer)}"
+    sentence = f"{what} cannot be used ({cause}): update or uninstall that package"
+    warnings.warn(sentence, PluginWarning, stacklevel=4)
+    return sentence
 
 
 def _package(offer: EntryPoint) -> str:

@@ -9,6 +9,7 @@ from outside_tissue import CHANGES, Jelly, jelly
 
 from tissue import InputError, Scene, load_scene, register, scene_names, simulate
 from tissue.cutters.profile import Line, Profile, cylinder
+from tissue.evaluation.charts.keys import sources
 from tissue.evaluation.charts.prediction import Interval, PredictorComparison, comparison_lines
 from tissue.evaluation.charts.prediction_picture import draw_tasks
 from tissue.evaluation.stability_report import scene_stability
@@ -353,3 +354,22 @@ def test_a_scene_by_a_name_that_is_taken_is_refused(tmp_path, command):
 def test_a_part_that_was_registered_is_in_the_schema_of_the_scene():
     register.device("light", LIGHT)
     assert Scene.model_json_schema()["properties"]["device"]["enum"][-1] == "light"
+
+
+def test_what_is_measured_with_a_part_is_kept_by_its_numbers_and_its_code(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "my_law.py").write_text("class Law:\n    render = pause = print\n")
+    bare = sources()
+    from my_law import Law
+
+    register.renderer("law", Law)
+    register.device("light", LIGHT)
+    (tmp_path / "foam.toml").write_text(FOAM)
+    register.material(tmp_path / "foam.toml")
+    found = sources()
+    assert found not in (bare, "") and sources() == found
+    (tmp_path / "my_law.py").write_text("class Law:\n    render = pause = repr\n")
+    changed = sources()
+    assert changed != found
+    register.device("heavy", LIGHT | {"mass_kg": 1.0})
+    assert sources() not in (changed, found, bare)

@@ -1,14 +1,22 @@
 """What a measurement belongs to: a scene at a setting, a machine, and the code that ran."""
 
+import os
 import platform
+import sys
+from collections.abc import Mapping
 from functools import cache
 from hashlib import blake2b
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
+from time import time_ns
+from typing import Any
 
 from tissue.evaluation.charts.settings import Setting
+from tissue.materials.constants import constants
+from tissue.prediction.outside import GuardedMaker
 from tissue.scene.load import changed
+from tissue.scene.registry import TABLES
 from tissue.scene.scene import Scene
 
 __all__ = ["machine", "scene_text", "setting_key", "sources"]
@@ -31,9 +39,45 @@ def machine() -> str:
     )
 
 
-@cache
 def sources() -> str:
-    """Checksum of all code and constants: both the time of a tick and its error may change with any of them."""
+    """Checksum of all code and constants: both the time of a tick and its error may change with any of them.
+
+    Parts from outside count by their names and by the code of the packages that they come from.
+    """
+    digest = blake2b(own_sources().encode(), digest_size=8)
+    for kind, table in ((kind, table) for kind, tables in TABLES.items() for table in tables):
+        for name in table.known:
+            if name not in table.built_in:
+                digest.update(f"{kind} {name} {_code_of(table[name])}".encode())
+    return digest.hexdigest()
+
+
+def _code_of(part: Any) -> str:
+    """Numbers of a part from outside, and the checksum of the package whose code it calls."""
+    if isinstance(part, Mapping):
+        return " ".join(f"{name} {_code_of(inner)}" for name, inner in part.items())
+    if hasattr(part, "__dataclass_fields__") or isinstance(part, GuardedMaker):
+        return _code_of(vars(part))
+    if isinstance(part, Path):
+        return part.read_text("utf-8") if part.is_file() else ""
+    if isinstance(part, tuple) and part[:1] in (("cutting",), ("soft",)):
+        return repr(constants(*part))
+    return _package_sum(part.__module__.partition(".")[0]) if callable(part) else repr(part)
+
+
+def _package_sum(name: str) -> str:
+    """Checksum of all Python files of a package, or of a module; of what has no file, one that never comes again."""
+    file = getattr(sys.modules.get(name), "__file__", None)
+    if file is None:
+        return f"{os.getpid()} {time_ns()}"
+    path = Path(file)
+    files = sorted(path.parent.rglob("*.py")) if path.name == "__init__.py" else [path]
+    return blake2b(b"".join(each.read_bytes() for each in files), digest_size=8).hexdigest()
+
+
+@cache
+def own_sources() -> str:
+    """Checksum of what lies in these packages."""
     digest = blake2b(digest_size=8)
     for package in PACKAGES:
         for path in sorted(Path(str(files(package))).rglob("*")):

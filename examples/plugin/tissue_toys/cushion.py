@@ -1,0 +1,68 @@
+"""A tissue: what a scene states of it, its model, and what builds a run's parts of them."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from tissue import register
+from tissue.builders.parts import Parts
+from tissue.models.wall import WallModel
+from tissue.scene.anatomy import Part
+from tissue.scene.tool import Probe
+
+
+class Cushion(Part):
+    """A cushion with its face at z = 0, which hardens as it is pressed."""
+
+    kind: Literal["cushion"] = "cushion"
+    """A cushion."""
+    stiffness_N_m: float = Field(100.0, ge=1, le=1e4)
+    """Stiffness at its face."""
+    hardening_mm: float = Field(10.0, ge=0.1, le=1000)
+    """Depth at which it is twice as stiff."""
+
+
+class CushionModel(WallModel):
+    """F = k d (1 + d / d0) over the plane z = 0, of a wall whose force is a line."""
+
+    layer_names = ("cushion",)
+
+    def __init__(self, cushion, *, radius_m):
+        super().__init__(cushion.stiffness_N_m, radius_m=radius_m)
+        self.hardening_m = 1e-3 * cushion.hardening_mm
+
+    def respond(self, motion):
+        """The wall's answer, its force and slope made greater with the depth."""
+        response = super().respond(motion)
+        depth_m = 1e-3 * response.measures[0]
+        response.wrench *= 1.0 + depth_m / self.hardening_m
+        response.edge[:] = response.wrench
+        response.stiffness_N_m = response.stiffness_N_m * (1.0 + 2.0 * depth_m / self.hardening_m)
+        return response
+
+
+def greatest_force_N(scene):
+    """Force at the deepest point of the scripted motion, from which the scale of forces at a device is chosen."""
+    depth_m = max(-1e-3 * min(point[2] for point in scene.motion.points_mm), 0.0)
+    cushion = scene.anatomy
+    return cushion.stiffness_N_m * depth_m * (1.0 + 1e3 * depth_m / cushion.hardening_mm)
+
+
+def draw(run, path):
+    """A picture of its own among those of a run: force over depth."""
+    from tissue.figures.figure import figure, save
+
+    chart = figure(5.0, 3.5)
+    axes = chart.subplots()
+    axes.plot(run.trace["depth_mm"], run.trace["model_force_z_N"])
+    axes.set(xlabel="depth / mm", ylabel="force / N")
+    chart.subplots_adjust(left=0.15, bottom=0.17)
+    save(chart, path)
+
+
+@register.tissue("cushion", Cushion, tool=Probe, force_N=greatest_force_N, pictures={"cushion.png": draw})
+def build(scene, motion, *, step_s, compute, cores, report):
+    """The parts of a run in which a ball presses it."""
+    model = CushionModel(scene.anatomy, radius_m=0.5e-3 * scene.tool.diameter_mm)
+    stated = f"{scene.anatomy.stiffness_N_m:g} N/m at its face, twice that {scene.anatomy.hardening_mm:g} mm deep"
+    return Parts(motion, model, notes={"cushion": stated})

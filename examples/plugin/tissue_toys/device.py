@@ -1,0 +1,52 @@
+"""A device: a pen on a spring, computed. One with hardware behind it has the same methods."""
+
+import numpy as np
+
+from tissue import register
+from tissue.haptics.device.device import ComputedDevice, DeviceParameters, Sample
+
+PEN = DeviceParameters(
+    mass_kg=0.05,
+    damping_N_s_m=0.5,
+    encoder_step_m=2e-5,
+    force_limit_N=4.0,
+    stiffness_limit_N_m=1500.0,
+    workspace_width_m=0.2,
+    workspace_height_m=0.2,
+    workspace_depth_m=0.2,
+)
+"""Numbers of the pen, by which its loop is judged; made up for the example."""
+SPRING_N_M, DAMPER_N_S_M = 80.0, 4.0
+"""What draws it down: a weak spring towards a point that sinks, and a damper."""
+SINK_M_S, DEPTH_M = 0.05, 0.03
+"""How fast that point sinks, and how deep."""
+
+
+@register.device("toy-pen", PEN)
+class ToyPen(ComputedDevice):
+    """A mass on a spring whose other end sinks; it is pushed back by the force that it is commanded.
+
+    Parameters
+    ----------
+    start_m
+        Where the tool starts in the scene [m].
+    """
+
+    def __init__(self, start_m):
+        self.start_m = np.array(start_m)
+        self.position_m, self.velocity_m_s, self.force_N = np.array(start_m), np.zeros(3), np.zeros(3)
+        self.time_s = 0.0
+
+    def read(self, time_s):
+        """Move it up to a time, by half-implicit Euler steps; its pose then, in the steps of its encoders."""
+        step_s, self.time_s = time_s - self.time_s, time_s
+        aim_m = self.start_m - np.array([0.0, 0.0, min(SINK_M_S * time_s, DEPTH_M)])
+        pull_N = SPRING_N_M * (aim_m - self.position_m) - (DAMPER_N_S_M + PEN.damping_N_s_m) * self.velocity_m_s
+        self.velocity_m_s += step_s / PEN.mass_kg * (pull_N + self.force_N)
+        self.position_m += step_s * self.velocity_m_s
+        seen_m = PEN.encoder_step_m * np.round(self.position_m / PEN.encoder_step_m)
+        return Sample(time_s, tuple(seen_m.tolist()), tuple(self.velocity_m_s.tolist()))
+
+    def command(self, force_N, torque_Nm):
+        """Take the force that it pushes the pen with until the next command; it has no motors for torque."""
+        self.force_N = np.array(force_N)
