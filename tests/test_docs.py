@@ -15,7 +15,8 @@ from tissue.cli.main import app
 from tissue.scene.load import load_scene, parse_override
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCS = sorted(path for pattern in ("*.md", "guide/*.md") for path in (ROOT / "docs").glob(pattern))
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS]
 NAMES = [path.relative_to(ROOT).as_posix() for path in PAGES]
 PACKAGES = ("meshes", "kernels", "tissue")
 PLACES = (*PACKAGES, "tests", "examples", "docs", ".ci", ".github")

@@ -19,11 +19,14 @@ PLACES = (
     "CONTRIBUTING.md",
     "CHANGELOG.md",
 )
+BUILT = {"_build", "gallery"}
+"""Folders of the site that are made when it is built."""
 FILES = sorted(
     path
     for place in PLACES
     for path in ([ROOT / place] if (ROOT / place).is_file() else (ROOT / place).rglob("*"))
-    if path.suffix in (".py", ".md", ".toml") and path != Path(__file__).resolve()
+    if path.suffix in (".py", ".md", ".toml", ".rst") and path != Path(__file__).resolve()
+    if not BUILT & set(path.parts) and "api/names" not in path.as_posix()
 )
 WORDS = {
     r"told|tells?|telling|said|says?": "reports, states, shows, raises",

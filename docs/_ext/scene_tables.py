@@ -1,0 +1,165 @@
+"""Rows for the page of scene keys, made from the JSON schema of scenes and the tables of tools; without Sphinx."""
+
+import json
+import re
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from tissue.scene.registry import CUTTERS, PROBES
+from tissue.scene.schema import schema_text
+
+__all__ = ["Group", "Key", "Part", "parts", "unit_of"]
+
+Schema = dict[str, Any]
+UNITS = {
+    **{each: each for each in ("N", "kN", "kPa", "kg", "mm", "m", "ms", "rad", "rpm", "s")},
+    **{"Nm": "N·m", "deg": "°", "m3": "m³", "mm2": "mm²"},
+}
+"""Units as the names of keys spell them, and as people do."""
+
+
+class Key(NamedTuple):
+    """One row: a key of a scene with what it takes, empty where there is nothing to state."""
+
+    name: str
+    unit: str
+    takes: str
+    default: str
+    text: str
+    only: tuple[str, ...] = ()
+    """Of the kinds of its group those that read it, where not all do."""
+
+
+class Group(NamedTuple):
+    """One table: the keys that some kinds of a part share; a part without kinds has one group."""
+
+    kinds: tuple[str, ...]
+    text: str
+    keys: tuple[Key, ...]
+
+
+class Part(NamedTuple):
+    """A part of a scene by the name of its TOML table, empty for the top of the file."""
+
+    name: str
+    text: str
+    kinds: tuple[str, ...]
+    groups: tuple[Group, ...]
+
+
+def parts() -> Iterator[Part]:
+    """Every part of a scene in the order of the schema, the top of the file first."""
+    schema = json.loads(schema_text())
+    tables = {name: entry for name, entry in schema["properties"].items() if _models(schema, entry)}
+    plain = {name: entry for name, entry in schema["properties"].items() if name not in tables}
+    required = schema["required"]
+    top = tuple(_key(name, entry, required=name in required) for name, entry in plain.items())
+    yield Part("", schema["description"], (), (Group((), "", top),))
+    for name, entry in tables.items():
+        models = _models(schema, entry)
+        text = entry.get("description") or models[0]["description"]
+        left_out = " A scene without this table has none." if entry.get("default", {}) is None else ""
+        by_model = [_kinds(schema, entry, model["title"]) for model in models]
+        kinds = tuple(kind for each in by_model for kind in each)
+        yield Part(name, text + left_out, kinds, tuple(_groups(name, models, by_model)))
+
+
+def unit_of(name: str) -> str:
+    """Unit that ends a key's name: ``N/mm²`` of ``chip_N_mm2``, nothing of a count or a share.
+
+    Of several units the last one is the denominator, as in all names here.
+    """
+    words, found = name.split("_"), []
+    while len(words) > 1 and words[-1] in UNITS:
+        found.insert(0, UNITS[words.pop()])
+    return "/".join(("·".join(found[:-1]), found[-1])) if len(found) > 1 else "".join(found)
+
+
+def _models(schema: Schema, entry: Schema) -> list[Schema]:
+    """The tables that a key of the scene can be; none for a plain value."""
+    choices = (entry, *entry.get("oneOf", ()), *entry.get("anyOf", ()))
+    return [schema["$defs"][each["$ref"].rpartition("/")[2]] for each in choices if "$ref" in each]
+
+
+def _kinds(schema: Schema, entry: Schema, title: str) -> tuple[str, ...]:
+    """Kinds that a table of this title describes."""
+    mapping = entry.get("discriminator", {}).get("mapping", {})
+    return tuple(kind for kind, where in mapping.items() if schema["$defs"][where.rpartition("/")[2]]["title"] == title)
+
+
+def _groups(part: str, models: list[Schema], kinds: list[tuple[str, ...]]) -> Iterator[Group]:
+    """Keys by the tables that have them; what several share comes first, where the first of them would stand."""
+    found: dict[Key, list[int]] = {}
+    for number, model in enumerate(models):
+        for name, entry in model["properties"].items():
+            if name != "kind" or not kinds[number]:
+                found.setdefault(_key(name, entry, required=name in model.get("required", ())), []).append(number)
+    for numbers in dict.fromkeys(map(tuple, found.values())):
+        every = tuple(kind for number in numbers for kind in kinds[number])
+        text = models[numbers[0]].get("description", "") if len(numbers) == 1 and every else ""
+        keys = (
+            key._replace(only=_reading(part, key.name, every)) for key, its in found.items() if tuple(its) == numbers
+        )
+        yield Group(every, text, tuple(keys))
+
+
+def _reading(part: str, name: str, kinds: tuple[str, ...]) -> tuple[str, ...]:
+    """Of these kinds those that read a key, where not all do: a tool's length is for a drill, not for a ball."""
+    table = CUTTERS if set(kinds) <= set(CUTTERS) else PROBES
+    shaping = {key for kind in table for key in table[kind].keys}
+    if part != "tool" or name not in shaping or not set(kinds) <= set(table):
+        return ()
+    read = tuple(kind for kind in kinds if name in table[kind].keys)
+    return () if read == kinds else read
+
+
+def _key(name: str, entry: Schema, *, required: bool) -> Key:
+    default = "required" if required else _shown(entry.get("default"))
+    return Key(name, unit_of(name), _takes(entry), default, entry.get("description", ""))
+
+
+def _takes(entry: Schema) -> str:
+    """What values a key takes: choices, a range, or the sort of value."""
+    if "anyOf" in entry:
+        return " or ".join(_takes(choice) for choice in entry["anyOf"] if choice.get("type") != "null")
+    if "enum" in entry or "const" in entry:
+        return ", ".join(f"`{value}`" for value in entry.get("enum") or [entry["const"]])
+    if entry["type"] == "array":
+        items = entry.get("prefixItems")
+        if not items:
+            return f"{entry.get('minItems', 0)} or more times {_takes(entry['items'])}"
+        limits = {_range(item) for item in items} - {""}
+        return f"{len(items)} numbers" + "".join(f", each {limit}" for limit in limits)
+    if entry["type"] == "string":
+        return _text(entry.get("pattern", ""))
+    return "`true`, `false`" if entry["type"] == "boolean" else _range(entry) or "number"
+
+
+def _text(pattern: str) -> str:
+    """A text, or the choices of a pattern such as ``^(none|observer:.+)$``."""
+    choices = re.fullmatch(r"\^\((.*)\)\$", pattern)
+    return ", ".join(f"`{each.replace('.+', 'FILE')}`" for each in choices[1].split("|")) if choices else "text"
+
+
+def _range(entry: Schema) -> str:
+    """The range of a number: brackets for ends that belong to it, parentheses for those that do not."""
+    low, high = entry.get("minimum"), entry.get("maximum")
+    above, below = entry.get("exclusiveMinimum"), entry.get("exclusiveMaximum")
+    if all(each is None for each in (low, high, above, below)):
+        return ""
+    start = f"[{_number(low)}" if low is not None else f"({_number(above)}" if above is not None else "(−∞"
+    end = f"{_number(high)}]" if high is not None else f"{_number(below)})" if below is not None else "∞)"
+    return f"{start}, {end}" + (" whole" if entry.get("type") == "integer" else "")
+
+
+def _number(value: float) -> str:
+    """A number with a true minus sign, digits in threes, and 2⁶³ as a power."""
+    text = f"{value:,.0f}".replace(",", "\N{NO-BREAK SPACE}") if abs(value) >= 1e4 else f"{value:g}"
+    return "2⁶³" if value == 2**63 else text.replace("-", "−")
+
+
+def _shown(value: object) -> str:
+    """A default as TOML has it; nothing where there is none."""
+    if value is None or value == "":
+        return ""
+    return f"`{json.dumps(value)}`" if isinstance(value, bool | list) else f"`{value}`"

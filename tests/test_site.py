@@ -1,0 +1,102 @@
+"""What the site is made with: tables of scene keys, examples as pages, code of its pages, and the check of links."""
+
+import importlib.util
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import tissue
+from tissue.scene.schema import schema_text
+
+ROOT = Path(__file__).resolve().parents[1]
+LESSONS = [ROOT / "docs/start.md", *sorted((ROOT / "docs/guide").glob("*.md"))]
+
+
+def part_of_the_site(path):
+    """A module that lies outside of the packages."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+tables, links = (part_of_the_site(ROOT / name) for name in ("docs/_ext/scene_tables.py", ".ci/links.py"))
+
+
+def test_the_tables_hold_every_key_of_the_schema_once_for_each_kind():
+    schema = json.loads(schema_text())
+    rows = {(part.name, kind, key.name) for part in tables.parts() for group in part.groups
+            for kind in group.kinds or ("",) for key in group.keys}  # fmt: skip
+    wanted = set()
+    for name, entry in schema["properties"].items():
+        models = [each["$ref"] for each in (entry, *entry.get("anyOf", ())) if "$ref" in each]
+        by_kind = entry.get("discriminator", {}).get("mapping") or dict.fromkeys(("",) if models else (), *models)
+        wanted |= set() if by_kind else {("", "", name)}
+        for kind, where in by_kind.items():
+            keys = set(schema["$defs"][where.rpartition("/")[2]]["properties"]) - ({"kind"} if kind else set())
+            wanted |= {(name, kind, key) for key in keys}
+    assert rows == wanted and len(rows) > 150
+
+
+def test_a_row_states_unit_range_default_and_who_reads_it():
+    rows = {f"{part.name}.{key.name}": key for part in tables.parts() for group in part.groups for key in group.keys}
+    spacing, flutes, angle = rows["voxels.spacing_mm"], rows["tool.flutes"], rows["tool.point_angle_deg"]
+    assert spacing[1:4] == ("mm", "(0, 2]", "`0.1`") and spacing.text == "Edge of a voxel."
+    assert flutes[1:4] == ("", "[1, 200] whole", "`4`") and flutes.only == ()
+    assert angle.unit == "°" and angle.only == ("twist-drill",)
+    assert (
+        rows["motion.feed_mm_s"].default == "required"
+        and rows["coupling.force_scale"].takes == "[0.0001, 100] or `auto`"
+    )
+    assert rows[".perception"].takes == "`none`, `population`, `observer:FILE`"
+    assert rows["anatomy.size_mm"].takes == "3 numbers, each [0.1, 500]" and rows[".heat"].default == "`false`"
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [("feed_mm_s", "mm/s"), ("damping_N_s_m", "N·s/m"), ("stiffness_Nm_rad", "N·m/rad"), ("edge_N_mm", "N/mm"),
+     ("chip_N_mm2", "N/mm²"), ("density_kg_m3", "kg/m³"), ("delay_ms", "ms"), ("seed", ""), ("mm", "")],
+)  # fmt: skip
+def test_the_unit_is_the_end_of_a_name(name, unit):
+    assert tables.unit_of(name) == unit
+
+
+def test_every_public_name_is_on_the_page_of_the_reference():
+    page = (ROOT / "docs/api/index.rst").read_text("utf-8")
+    missing = [name for name in tissue.__all__ if not re.search(rf"^   {name}(\.\w+)?$", page, re.MULTILINE)]
+    assert not missing, f"docs/api/index.rst must list each public name, got none of {', '.join(missing)}: add them"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", LESSONS, ids=lambda path: path.stem)
+def test_the_python_of_a_page_runs_in_order(page, tmp_path):
+    code = "\n".join(re.findall(r"^```python\n(.*?)^```", page.read_text("utf-8"), re.DOTALL | re.MULTILINE))
+    if not code:
+        pytest.skip(f"{page.name} shows no Python")
+    ended = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False,
+        env=os.environ | {"PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg", "PYVISTA_OFF_SCREEN": "true"},
+    )  # fmt: skip
+    assert ended.returncode == 0, ended.stderr
+
+
+def test_the_check_of_links_finds_what_leads_nowhere(tmp_path):
+    good = '<h1 id="top">a</h1><a href="b.html#there">b</a><a href="#top">up</a><a href="https://host.org/x">out</a>'
+    (tmp_path / "a.html").write_text(good)
+    (tmp_path / "b.html").write_text('<p id="there">b</p><img src="a.html"><link rel="next" href="a.html">')
+    assert links.problems(tmp_path) == []
+    bad = '<a href="c.html">c</a><a href="b.html#gone">b</a><script src="https://host.org/x.js"></script><a href="http://x">x</a>'
+    (tmp_path / "a.html").write_text(bad + '<p id="twice"><p id="twice">')
+    assert [each.split(": ", 1)[1] for each in links.problems(tmp_path)] == [
+        "the id twice stands 2 times",
+        "https://host.org/x.js is fetched from elsewhere",
+        "b.html#gone leads to no such place",
+        "c.html leads to no file",
+        "http://x has no host",
+    ]
+    assert links.problems(tmp_path / "empty") != []
