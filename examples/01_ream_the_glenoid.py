@@ -18,7 +18,7 @@ def main(out: Path | None = None) -> None:
     removed = run.trace["removed_mm3"][-1]
     thrust, torque = run.trace["model_force_z_N"].max(), run.trace["model_torque_z_Nm"].max()
     print(f"removed {removed:.1f} mm3, peak thrust {thrust:.1f} N, peak torque {torque:.3f} N m")
-    print(f"tick: median {run.summary()['tick_us']['median']:.0f} us")
+    print(f"tick: median {run.summary['tick_us']['median']:.0f} us")
 
     assert abs(removed - 234.4) < 0.5
     assert abs(thrust - 74.1) < 1.0

@@ -19,12 +19,11 @@ if TYPE_CHECKING:
     from tissue.api.poses import feed_along
     from tissue.api.press import Press
     from tissue.api.register import register
+    from tissue.api.run import Run, open_run
     from tissue.api.simulate import simulate
     from tissue.api.tools import ball, flat_punch, probe_from_file
     from tissue.scene.load import load_scene, scene_names, scene_text
     from tissue.scene.scene import Scene
-    from tissue.simulation.run import Run
-    from tissue.simulation.run_folder import SavedRun
 
     __version__: str
 
@@ -35,13 +34,13 @@ __all__ = [
     "Organ",
     "Press",
     "Run",
-    "SavedRun",
     "Scene",
     "ball",
     "cutters",
     "feed_along",
     "flat_punch",
     "load_scene",
+    "open_run",
     "probe_from_file",
     "register",
     "scene_names",
@@ -55,13 +54,13 @@ _HOMES = {
     "InputError": "meshes.base.errors",
     "Organ": "tissue.api.organ",
     "Press": "tissue.api.press",
-    "Run": "tissue.simulation.run",
-    "SavedRun": "tissue.simulation.run_folder",
+    "Run": "tissue.api.run",
     "Scene": "tissue.scene.scene",
     "ball": "tissue.api.tools",
     "feed_along": "tissue.api.poses",
     "flat_punch": "tissue.api.tools",
     "load_scene": "tissue.scene.load",
+    "open_run": "tissue.api.run",
     "probe_from_file": "tissue.api.tools",
     "register": "tissue.api.register",
     "scene_names": "tissue.scene.load",

@@ -54,7 +54,7 @@ def main():
                 scene = load_scene(name)
                 cores = None if window == "none" else max((os.cpu_count() or 2) - 1, 1)
                 run = simulate(scene, observer=kind(scene, None, WallClock(TICK_S)), cores=cores)
-                found = run.summary()
+                found = run.summary
                 tick, late = (
                     " / ".join(f"{each:.0f}" for each in found[key].values()) for key in ("tick_us", "late_us")
                 )

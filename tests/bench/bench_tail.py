@@ -109,7 +109,7 @@ def main() -> None:
                 run = call()
                 gaps = before + spin(SPUN_S)
                 if index > 0:  # the first round warms up
-                    ticks, chosen = run.timing["tick_us"], run.summary()["scheduling"]
+                    ticks, chosen = run.timing["tick_us"], run.summary["scheduling"]
                     figures[kind].append(
                         (
                             float(np.median(ticks)),

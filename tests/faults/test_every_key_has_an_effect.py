@@ -47,7 +47,7 @@ def fingerprint(scene):
     from tissue.figures.tool_mesh import tool_surface
 
     run = simulate(scene)
-    figures_of_run = {k: v for k, v in run.summary().items() if k not in CLOCK}
+    figures_of_run = {k: v for k, v in run.summary.items() if k not in CLOCK}
     digest = hashlib.blake2b(json.dumps(figures_of_run, sort_keys=True, default=str).encode())
     arrays = [run.trace.rows, tool_surface(scene.tool).points]
     if (volume := run.parts.volume) is not None:

@@ -10,8 +10,9 @@ import numpy as np
 import psutil
 import pytest
 
-from tissue import SavedRun, load_scene, simulate
+from tissue import load_scene, simulate
 from tissue.models.tooth import stress_process
+from tissue.simulation.run_folder import SavedRun
 from tissue.system import child
 from tissue.system.child import HangDetector, HelperLostError, child_command
 from tissue.system.helper import Helper

@@ -16,8 +16,8 @@ import numpy as np
 import psutil
 import pytest
 
-from tissue import SavedRun
 from tissue.prediction.trained import Trained
+from tissue.simulation.run_folder import SavedRun
 
 pytestmark = [
     pytest.mark.timeout(1800),

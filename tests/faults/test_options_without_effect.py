@@ -88,21 +88,21 @@ MILLING = {"voxels.spacing_mm": 0.5, "voxels.margin_mm": 0.5}
 
 def test_a_run_that_ends_before_its_path_is_reported(tmp_path):
     short = simulate(load_scene("milling", MILLING | {"duration_s": 0.2}))
-    assert short.summary()["notes"]["path"] == (
+    assert short.summary["notes"]["path"] == (
         "not finished: the run ends at 0.2 s, the motion at 8.09 s; set duration_s = 8.09 or leave it out to see all of it"
     )
     rows = [f"{t},0,0,{0.5 - 0.05 * t},0,0,0,1" for t in range(22)]
     head = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,tool_qx,tool_qy,tool_qz,tool_qw"
     (tmp_path / "poses.csv").write_text("\n".join([head, *rows]) + "\n")
     replay = {"motion.kind": "replay", "motion.file": str(tmp_path / "poses.csv"), "duration_s": 0.1}
-    notes = simulate(load_scene("milling", MILLING | replay)).summary()["notes"]
+    notes = simulate(load_scene("milling", MILLING | replay)).summary["notes"]
     assert "ends at 0.1 s, the motion at 21 s" in notes["path"] and notes["removed"].startswith("nothing: ")
     whole = simulate(
         load_scene("milling", MILLING | {"motion.points_mm": [[0, 0, 0.1], [0, 0, -0.1]], "duration_s": None})
     )
-    assert not {"path", "removed"} & set(whole.summary()["notes"])
+    assert not {"path", "removed"} & set(whole.summary["notes"])
     stuck = {"motion.kind": "thrust", "motion.thrust_N": 0.5, "motion.start_mm": [0, 0, 0.1], "duration_s": 0.1}
-    assert "of motion.depth_mm = 2" in simulate(load_scene("milling", MILLING | stuck)).summary()["notes"]["path"]
+    assert "of motion.depth_mm = 2" in simulate(load_scene("milling", MILLING | stuck)).summary["notes"]["path"]
 
 
 def test_a_vessel_that_the_needle_never_reaches_is_reported():
@@ -110,7 +110,7 @@ def test_a_vessel_that_the_needle_never_reaches_is_reported():
     run = simulate(load_scene("needle", shallow))
     went_mm, deep_mm = run.trace["insertion_mm"].max(), run.scene.anatomy.vessel_wall_depth_mm
     assert 0.0 < went_mm < 20.0 < deep_mm
-    assert run.summary()["notes"]["vessel"] == (
+    assert run.summary["notes"]["vessel"] == (
         f"never reached: the needle went {went_mm:.3g} mm in, the vessel's wall lies at anatomy.vessel_wall_depth_mm = "
         f"{deep_mm:g}"
     )
@@ -119,8 +119,8 @@ def test_a_vessel_that_the_needle_never_reaches_is_reported():
 def test_a_lesion_that_the_tool_never_meets_is_reported():
     off_the_lesion = {"voxels.spacing_mm": 0.25, "stress": None, "motion.points_mm": [[3.5, 0, 4.5], [3.5, 0, 0.5]]}
     run = simulate(load_scene("caries", off_the_lesion | {"motion.feed_mm_s": 20.0, "duration_s": None}))
-    assert run.summary()["removed_mm3"]["enamel"] > 0.0 and run.summary()["removed_mm3"]["caries"] == 0.0
-    assert run.summary()["notes"]["removed"].startswith("nothing of the caries: the tool never met the lesion")
+    assert run.summary["removed_mm3"]["enamel"] > 0.0 and run.summary["removed_mm3"]["caries"] == 0.0
+    assert run.summary["notes"]["removed"].startswith("nothing of the caries: the tool never met the lesion")
 
 
 def test_a_part_of_a_file_is_named_as_the_nodule():

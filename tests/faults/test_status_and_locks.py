@@ -11,8 +11,8 @@ import weakref
 import psutil
 import pytest
 
-from tissue import InputError, SavedRun, load_scene, simulate
-from tissue.simulation.run_folder import RunFolder
+from tissue import InputError, load_scene, simulate
+from tissue.simulation.run_folder import RunFolder, SavedRun
 from tissue.system.outputs import OutputLock, identity, is_alive, output_locked
 from tissue.system.stopping import Terminated, terminated_as_exception
 from tissue.viewer.view import _about

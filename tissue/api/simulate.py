@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
+from tissue.api.run import Run
 from tissue.builders.device import opened_device
 from tissue.builders.parts import Parts
 from tissue.figures.report import draw_pictures
@@ -16,7 +17,6 @@ from tissue.haptics.device.safe_device import SafeDevice
 from tissue.scene.scene import Scene
 from tissue.scene.unused_keys import require_used
 from tissue.simulation import simulate as engine
-from tissue.simulation.run import Run
 
 __all__ = ["TickRow", "simulate"]
 
@@ -93,7 +93,7 @@ def simulate(
         Processor cores to use; default all. The trace does not depend on it.
     out
         Folder that takes the trace while the run goes on, so that a killed run leaves what it had; without it the run
-        stays in memory until :meth:`tissue.simulation.run.Run.save`.
+        stays in memory until `Run.save`.
     overwrite
         Replace a run that ``out`` already holds.
     progress
@@ -139,4 +139,4 @@ def simulate(
     )
     run.parts.notes |= chosen
     run.draw = draw_pictures
-    return run
+    return Run(run)

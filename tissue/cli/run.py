@@ -85,7 +85,7 @@ def run(
         simulated = perf_counter()
         with progress() as report:
             finished.save(folder, formats=format_, pictures=pictures, progress=report)
-    _print_summary(finished.summary(), folder, wall_s=perf_counter() - started, saving_s=perf_counter() - simulated)
+    _print_summary(finished.summary, folder, wall_s=perf_counter() - started, saving_s=perf_counter() - simulated)
 
 
 def _overrides(

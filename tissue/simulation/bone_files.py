@@ -5,10 +5,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from meshes.base.whole_file import whole_file
+from meshes.voxels.volume import VoxelVolume
 from tissue.simulation.bone_surface import bone_surface, with_depth, with_layers
-from tissue.simulation.depth_map import depth_map
+from tissue.simulation.depth_map import CarvedRun, depth_map
 from tissue.simulation.vtk_files import image_in_file, mesh_in_file, write_vtk, write_vtk_xml
 
 if TYPE_CHECKING:
@@ -16,13 +18,37 @@ if TYPE_CHECKING:
 
     from tissue.simulation.run import Run
 
-__all__ = ["carved_surface", "write_bone"]
+__all__ = ["carved_surface", "voxel_image", "write_bone"]
 
 UNIT_NAMES = {1.0: "mm", 10.0: "cm", 1000.0: "m"}
 """Units of a file by their length [mm], as NRRD names them."""
 
 
-def carved_surface(run: "Run") -> "pyvista.PolyData":
+def voxel_image(volume: VoxelVolume, remaining: NDArray[np.uint8]) -> "pyvista.ImageData":
+    """Voxels [mm] with the cell arrays start and remaining (255 = full), layer and density_kg_m3.
+
+    Parameters
+    ----------
+    volume
+        The bone before the first cut.
+    remaining
+        What is left in every voxel, 255 = full, shape of the volume.
+    """
+    import pyvista
+
+    image = pyvista.ImageData(
+        dimensions=np.array(volume.shape) + 1, spacing=(volume.spacing_m * 1e3,) * 3, origin=volume.origin_m * 1e3
+    )
+    image.cell_data["start"] = volume.fraction.ravel(order="F")
+    image.cell_data["remaining"] = remaining.ravel(order="F")
+    image.cell_data["layer"] = volume.layer.ravel(order="F")
+    image.cell_data["density_kg_m3"] = volume.density_kg_m3.ravel(order="F")
+    image.field_data["layer_names"] = list(volume.layer_names)
+    image.set_active_scalars("remaining", preference="cell")
+    return image
+
+
+def carved_surface(run: CarvedRun) -> "pyvista.PolyData":
     """Surface of the bone after the run [mm]: point array ``removed_depth_mm``, cell array ``layer``, normals."""
     depth = depth_map(run)
     surface = with_layers(bone_surface(run.volume, run.remaining), run.volume)
@@ -44,9 +70,7 @@ def write_bone(run: "Run", out: Path) -> None:
     from vtkmodules.vtkIOGeometry import vtkSTLWriter
     from vtkmodules.vtkIOXML import vtkXMLImageDataWriter, vtkXMLPolyDataWriter
 
-    image = run.dataset()
-    image.set_active_scalars("remaining", preference="cell")
-    placement = run.parts.placement
+    image, placement = voxel_image(run.volume, run.remaining), run.parts.placement
     write_vtk_xml(vtkXMLImageDataWriter(), image_in_file(image, placement), out / "bone.vti")
     _write_nrrd(run, out / "bone.nrrd")
     surface = mesh_in_file(carved_surface(run), placement)

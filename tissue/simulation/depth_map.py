@@ -1,21 +1,37 @@
 """How deep a run cut, seen along the tool's axis."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.voxels.volume import FULL
+from meshes.voxels.volume import FULL, VoxelVolume
 from tissue.simulation.trace import Table
 
-if TYPE_CHECKING:
-    from tissue.simulation.run import Run
-
-__all__ = ["HALF", "DepthMap", "depth_map", "facing", "tool_axes"]
+__all__ = ["HALF", "CarvedRun", "DepthMap", "depth_map", "facing", "tool_axes"]
 
 HALF = (FULL + 1) // 2
 """A voxel with at least this much in it counts as bone."""
+
+
+class CarvedRun(Protocol):
+    """A run of a tool through voxels, simulated just now or read back."""
+
+    @property
+    def volume(self) -> VoxelVolume:
+        """The voxels before the first cut."""
+        ...
+
+    @property
+    def remaining(self) -> NDArray[np.uint8]:
+        """Bone left in every voxel, 255 = full."""
+        ...
+
+    @property
+    def trace(self) -> Table:
+        """One row a tick."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -50,7 +66,7 @@ class DepthMap:
     exposed: dict[str, NDArray[np.bool_]]
 
 
-def depth_map(run: "Run") -> DepthMap:
+def depth_map(run: CarvedRun) -> DepthMap:
     """Removed depth, face and newly exposed layers of a run."""
     from scipy.ndimage import binary_opening
 

@@ -114,6 +114,7 @@ class Run:
         removal = self.scene.voxels.removal
         return CarvingReplay(self.volume, self.cutter, self.poses, removal=removal, device=self._compute)
 
+    @property
     def summary(self) -> Summary:
         """Figures of the run: volumes per layer, forces, tick cost, deadlines, scheduling, notes, machine."""
         trace, tissue = self.trace, self.parts.tissue
@@ -166,20 +167,9 @@ class Run:
             from tissue.simulation.series import frame_mesh
 
             return frame_mesh(fields, fields.frames[-1])
-        import pyvista
+        from tissue.simulation.bone_files import voxel_image
 
-        volume = self.volume
-        image = pyvista.ImageData(
-            dimensions=np.array(volume.shape) + 1,
-            spacing=(volume.spacing_m * 1e3,) * 3,
-            origin=volume.origin_m * 1e3,
-        )
-        image.cell_data["start"] = volume.fraction.ravel(order="F")
-        image.cell_data["remaining"] = self.remaining.ravel(order="F")
-        image.cell_data["layer"] = volume.layer.ravel(order="F")
-        image.cell_data["density_kg_m3"] = volume.density_kg_m3.ravel(order="F")
-        image.field_data["layer_names"] = list(volume.layer_names)
-        return image
+        return voxel_image(self.volume, self.remaining)
 
     def save(
         self,
@@ -244,7 +234,7 @@ class Run:
                 notes = self.draw(self, out / "pictures")
                 if notes:
                     self.parts.notes["pictures"] = "; ".join(notes)
-            folder.complete(self.summary())
+            folder.complete(self.summary)
         return out
 
 

@@ -1,9 +1,12 @@
-"""Tables of parts as they were before a test."""
+"""Tables of parts as they were before a test; a short run of a block and one of a wall, simulated and read back."""
 
 import pytest
 
+import tissue
 from tissue.materials import constants
 from tissue.scene.registry import CUTTING_MATERIALS, ORGAN_MATERIALS, TABLES
+
+COARSE = {"voxels.spacing_mm": 0.4, "duration_s": 0.3}
 
 
 @pytest.fixture(autouse=True)
@@ -17,3 +20,23 @@ def tables_as_they_were():
             if table in (CUTTING_MATERIALS, ORGAN_MATERIALS):
                 constants.remove_material(*table[name])
             table.remove(name)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A block that a burr mills, saved."""
+    made = tissue.simulate(tissue.load_scene("milling", COARSE))
+    made.save(tmp_path_factory.mktemp("runs") / "milling", pictures=False)
+    return made
+
+
+@pytest.fixture(scope="module")
+def back(run):
+    """The same, read back."""
+    return tissue.open_run(run.path)
+
+
+@pytest.fixture(scope="module")
+def wall():
+    """A wall that a hand presses; it is not saved."""
+    return tissue.simulate(tissue.load_scene("wall", {"duration_s": 0.2}))

@@ -38,14 +38,14 @@ def layers(tmp_path):
 
 @pytest.mark.slow
 def test_surfaces_are_drilled_over_their_caries_or_refused_with_the_remedy(layers):
-    run = simulate(load_scene("molar", layers | STRAIGHT_IN | {"anatomy.site": "caries"})).summary()
+    run = simulate(load_scene("molar", layers | STRAIGHT_IN | {"anatomy.site": "caries"})).summary
     assert run["removed_mm3"]["caries"] > 0.5 and run["removed_mm3"]["enamel"] == 0.0
-    missed = simulate(load_scene("molar", layers | STRAIGHT_IN)).summary()
+    missed = simulate(load_scene("molar", layers | STRAIGHT_IN)).summary
     assert missed["removed_mm3"]["enamel"] > 0.5 and missed["removed_mm3"]["caries"] == 0.0
     assert "nothing of the caries" in missed["notes"]["removed"]
     assert "set anatomy.site = caries, or move motion.points_mm" in missed["notes"]["removed"]
     shallow = {"anatomy.site": "caries", "motion.points_mm": [[0, 0, 1.5], [0, 0, -0.7]]}
-    touched = simulate(load_scene("molar", layers | STRAIGHT_IN | shallow)).summary()
+    touched = simulate(load_scene("molar", layers | STRAIGHT_IN | shallow)).summary
     removed, there = touched["removed_mm3"]["caries"], touched["start_mm3"]["caries"]
     assert 0.0 < removed < 0.5 * there
     assert touched["notes"]["removed"].startswith(f"only {removed:.3g} of {there:.3g} mm3 of the caries within reach")
@@ -58,7 +58,7 @@ def test_labels_are_drilled_over_their_caries_and_the_rest_is_reported(anatomy):
         "anatomy.spacing_mm": 0.034,
         "anatomy.site": "caries",
     }
-    run = simulate(load_scene("molar", labels | STRAIGHT_IN)).summary()
+    run = simulate(load_scene("molar", labels | STRAIGHT_IN)).summary
     removed, there = run["removed_mm3"]["caries"], run["start_mm3"]["caries"]
     assert 0.5 < removed < there < 7.0
     assert removed >= 0.5 * there or run["notes"]["removed"].startswith(f"only {removed:.3g} of {there:.3g} mm3 of the")

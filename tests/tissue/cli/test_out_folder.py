@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from coarse_run import COARSE
 
-from tissue import SavedRun
+from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.trace import TraceWriter
 
 

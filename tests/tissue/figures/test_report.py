@@ -114,7 +114,7 @@ def test_only_faces_at_the_end_of_the_region_count_as_cut_out():
 def test_removed_depth_adds_up_to_the_removed_volume(run):
     depth = depth_map(run)
     assert (depth.axis, depth.outward, depth.across) == (2, 1, (0, 1))
-    removed = sum(run.summary()["removed_mm3"].values())
+    removed = sum(run.summary["removed_mm3"].values())
     counted = (run.parts.volume.fraction.astype(int) - run.remaining).sum() / 255 * SPACING_MM**3
     assert depth.depth_mm.sum() * SPACING_MM**2 == pytest.approx(counted, rel=1e-9)
     # The run books finer shares than the 255 steps of the file: half cut voxels may differ by a step each.

@@ -68,7 +68,7 @@ def test_every_device_and_renderer_stays_within_its_limits(device, law):
 @pytest.mark.parametrize("changes", [{}, {"motion__kind": "thrust", "motion__thrust_N": 60.0}], ids=["path", "thrust"])
 def test_a_hand_reams_a_glenoid_within_the_device_s_range(changes):
     run = run_of("glenoid", device="touch", voxels__spacing_mm=0.4, duration_s=4.0, **changes)
-    assert run.summary()["removed_mm3"]["subchondral"] > 10.0
+    assert run.summary["removed_mm3"]["subchondral"] > 10.0
     force, model = played_N(run), np.linalg.norm(run.trace.vectors("model_force", "N"), axis=1)
     assert 0.3 < force.max() <= device_parameters("touch").force_limit_N
     # What the device plays is the tissue's force by the scene's scale.

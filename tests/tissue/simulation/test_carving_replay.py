@@ -8,6 +8,7 @@ from meshes.voxels.volume import VoxelVolume
 from tissue import load_scene, simulate
 from tissue.motion.pose_file import poses_of_trace, read_poses, write_poses
 from tissue.simulation.depth_map import tool_axes
+from tissue.simulation.run import Run
 
 COARSE = {"voxels.spacing_mm": 0.5}
 DEEP = {"motion.points_mm": [[-3, 0, 0.0], [-3, 0, -0.8], [3, 0, -0.8]], "motion.feed_mm_s": 60.0}
@@ -78,7 +79,7 @@ def test_a_trace_alone_gives_the_bone_within_what_the_tool_goes_between_two_cuts
     trace = run.trace
     axes = tool_axes(np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"]))
     velocities = np.hstack([1e-3 * trace.vectors("velocity", "mm_s"), trace.vectors("angular_velocity", "rad_s")])
-    again = type(run)(
+    again = Run(
         run.scene, run.parts, trace, run.timing, events=[], compute="cpu", folder=None,
         poses=poses_of_trace(1e-3 * trace.vectors("tool", "mm"), axes, velocities),
     )  # fmt: skip

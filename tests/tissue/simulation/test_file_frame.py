@@ -73,7 +73,7 @@ def reference(tmp_path_factory):
 
 def figures(run):
     """Peak force [N] and removed volume [mm3] of a run."""
-    summary = run.summary()
+    summary = run.summary
     return summary["force_N"]["peak"], sum(summary["removed_mm3"].values())
 
 
@@ -156,7 +156,7 @@ def test_the_record_takes_the_file_to_the_scene_and_the_viewer_sees_the_scene(re
 
 def test_procedural_bone_has_no_placement():
     run = simulate(load_scene("milling", {"voxels.spacing_mm": SPACING_MM, "duration_s": 0.01}))
-    assert run.parts.placement is None and "placement" not in run.summary()
+    assert run.parts.placement is None and "placement" not in run.summary
 
 
 def cut_off(mesh, at_mm):

@@ -37,7 +37,7 @@ def test_without_a_display_the_script_runs_and_gives_the_same_rows(no_display, d
     run = run_live(scene)
     assert time.perf_counter() - begun > 0.5
     np.testing.assert_array_equal(run.trace.rows, simulate(scene).trace.rows)
-    summary = run.summary()
+    summary = run.summary
     late, took = run.timing["late_us"], run.timing["tick_us"]
     assert summary["missed_deadlines"] == (late + took > 1000.0).sum()
     assert summary["late_us"]["max"] == late.max() >= 0.0

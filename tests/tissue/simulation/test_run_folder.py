@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from coarse_run import COARSE
 
-from tissue import InputError, SavedRun, load_scene, simulate
-from tissue.simulation.run_folder import RunFolder
+from tissue import InputError, load_scene, simulate
+from tissue.simulation.run_folder import RunFolder, SavedRun
 from tissue.simulation.scheduling import spin_time_s
 from tissue.simulation.trace import FLUSH_EVERY_S
 from tissue.simulation.trace_files import read_table
@@ -153,10 +153,10 @@ def test_a_runs_own_trace_replays_it(tmp_path):
     # 5e-5 m. No element of this cutter lies so close to a voxel's face that such a rounding takes it across.
     for name in ("tool_x_mm", "tool_y_mm", "tool_z_mm"):
         np.testing.assert_allclose(again.trace[name], first.trace[name], atol=1e-14)
-    total = sum(first.summary()["removed_mm3"].values())
+    total = sum(first.summary["removed_mm3"].values())
     assert total > 5.0
-    assert sum(again.summary()["removed_mm3"].values()) == pytest.approx(total, rel=1e-9)
-    peak = first.summary()["force_N"]["peak"]
+    assert sum(again.summary["removed_mm3"].values()) == pytest.approx(total, rel=1e-9)
+    peak = first.summary["force_N"]["peak"]
     for kind in ("model_force", "force"):
         moved = again.trace.vectors(kind, "N") - first.trace.vectors(kind, "N")
         assert np.abs(moved).max() < 1e-9 * peak

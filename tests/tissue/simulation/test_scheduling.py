@@ -51,7 +51,7 @@ def test_the_summary_holds_what_was_chosen_and_the_gaps(chosen):
 
 def test_the_table_shows_it_under_the_missed_deadlines(run, chosen, monkeypatch):
     text = io.StringIO()
-    summary = run.summary() | chosen.summary(ticks_s=2.0)
+    summary = run.summary | chosen.summary(ticks_s=2.0)
     monkeypatch.setattr(command, "console", Console(file=text, width=160))
     command._print_summary(summary, Path("run"), wall_s=1.0, saving_s=1.0)
     shown = [line for line in text.getvalue().splitlines() if "│" in line]
@@ -64,7 +64,7 @@ def test_the_table_shows_it_under_the_missed_deadlines(run, chosen, monkeypatch)
 
 def test_a_run_in_memory_does_not_wait_for_the_clock(run):
     """A study or a chart makes hundreds of them."""
-    summary = run.summary()
+    summary = run.summary
     assert "machine_gaps" not in summary
     assert "background" not in summary["scheduling"]
 

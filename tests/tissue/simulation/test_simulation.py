@@ -72,7 +72,7 @@ def test_a_row_a_tick(duration_s, ticks):
     assert run.timing.rows.shape == (ticks, len(run.timing.columns))
     np.testing.assert_allclose(run.trace["time_s"], TICK_S * np.arange(ticks), rtol=1e-15)
     assert np.isfinite(run.trace.rows).all()
-    assert run.summary()["simulated_s"] == pytest.approx(ticks * TICK_S)
+    assert run.summary["simulated_s"] == pytest.approx(ticks * TICK_S)
 
 
 def test_without_a_duration_a_run_lasts_as_long_as_its_motion(tmp_path):

@@ -1,0 +1,33 @@
+"""Small pieces of HTML for notebooks: everything that is shown is escaped here."""
+
+from collections.abc import Iterable, Sequence
+from html import escape
+
+__all__ = ["folded", "scrolled", "table_html"]
+
+
+def table_html(
+    rows: Iterable[Sequence[object]], *, titles: Sequence[str] = (), caption: str = "", numbers: bool = False
+) -> str:
+    """A table of texts; ``numbers`` puts them to the right, as columns of numbers stand."""
+    side = "right" if numbers else "left"
+    head = f"<caption>{escape(caption)}</caption>" if caption else ""
+    if titles:
+        head += f"<thead><tr>{_cells(titles, 'th', side)}</tr></thead>"
+    body = "".join(f"<tr>{_cells(row, 'td', side)}</tr>" for row in rows)
+    return f"<table>{head}<tbody>{body}</tbody></table>"
+
+
+def folded(title: str, inner: str, *, is_open: bool = False) -> str:
+    """HTML under a title that opens and closes it."""
+    return f"<details{' open' if is_open else ''}><summary>{escape(title)}</summary>{inner}</details>"
+
+
+def scrolled(inner: str) -> str:
+    """HTML that is scrolled sideways where it is wider than the page."""
+    return f'<div style="overflow-x: auto">{inner}</div>'
+
+
+def _cells(row: Sequence[object], name: str, side: str) -> str:
+    style = f' style="text-align: {side}; white-space: nowrap"' if side == "right" else ' style="text-align: left"'
+    return "".join(f"<{name}{style}>{escape(str(each))}</{name}>" for each in row)
