@@ -12,8 +12,8 @@ from meshes.base.progress import silent
 from tissue.cli.terminal import console, left_out, progress, whole
 
 if TYPE_CHECKING:
+    from tissue.api.run import Run
     from tissue.scene.scene import Scene
-    from tissue.simulation.run import Run
     from tissue.simulation.run_summary import Summary
 
 __all__ = ["run"]
@@ -128,6 +128,7 @@ def _simulated(scene: "Scene", settings: "_Settings", *, live: bool, duration_s:
     # Live no progress bar: what draws it takes the interpreter from the ticks.
     with nullcontext(silent) if live else progress() as report:
         report("starting Warp", 0.0)
+        from tissue.api.run import Run
         from tissue.api.simulate import simulate
         from tissue.figures.report import draw_pictures
 
@@ -144,7 +145,7 @@ def _simulated(scene: "Scene", settings: "_Settings", *, live: bool, duration_s:
         finished = simulate_live(scene, duration_s=duration_s, **settings)
     finished.parts.notes |= chosen
     finished.draw = draw_pictures
-    return finished
+    return Run(finished)
 
 
 class _Settings(TypedDict):
