@@ -13,7 +13,7 @@ __all__ = ["opened_device", "opens_device"]
 
 def opens_device(scene: Scene) -> bool:
     """Whether a scene names a device whose real one can be opened."""
-    return scene.device in DEVICES and DEVICES[scene.device].make is not None
+    return scene.device != "none" and DEVICES[scene.device].make is not None
 
 
 def opened_device(scene: Scene) -> Device | None:

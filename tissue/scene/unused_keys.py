@@ -111,8 +111,8 @@ def _device(scene: "Scene") -> list[Rule]:
             ("hand renderer prediction perception coupling", True, "without a device", "set device = touch"),
             ("seed", True, nothing, "set device = touch"),
         ]
-    torque = scene.device in DEVICES and DEVICES[scene.device].numbers.get("torque_limit_Nm", 0.0) > 0.0
-    trained = scene.prediction in PREDICTORS and PREDICTORS[scene.prediction].trained
+    torque = DEVICES[scene.device].numbers.get("torque_limit_Nm", 0.0) > 0.0
+    trained = scene.prediction != "none" and PREDICTORS[scene.prediction].trained
     koopman, points = "set prediction = koopman", "set motion.points_mm"
     wall = isinstance(scene.anatomy, WallAnatomy)
     return [

@@ -77,13 +77,29 @@ SPEAKS = "import sys\nprint('imported', file=sys.stderr)\n"
 
 def test_nothing_is_imported_before_it_is_asked_for(tmp_path):
     (tmp_path / "loud.py").write_text(SPEAKS + "def make(loop):\n    return loop\n")
-    offer(tmp_path, "loud", {"tissue.renderers": {"loud": "loud:make"}})
+    groups = (
+        "renderer",
+        "tool",
+        "probe",
+        "needle",
+        "motion",
+        "tissue",
+        "hand",
+        "predictor",
+        "perception",
+        "material",
+        "scene",
+    )
+    offer(tmp_path, "loud", {f"tissue.{kind}s": {"loud": "loud:make"} for kind in groups})
     quiet = (
         "import tissue",
         "import sys; sys.argv = ['tissue', '--help']; from tissue.cli.main import main; main()",
         "import sys; sys.argv = ['tissue', 'run', '--help']; from tissue.cli.main import main; main()",
         "from tissue import load_scene; load_scene('wall', {'renderer': 'passivity', 'device': 'touch'})",
-        "import tissue; tissue.scene_names(); from tissue.scene.registry import DEVICES; list(DEVICES)",
+        "from tissue import load_scene, simulate; simulate(load_scene('milling', {'voxels.spacing_mm': 0.8, "
+        "'duration_s': 0.02, 'device': 'none'}))",
+        "from tissue import load_scene, simulate; simulate(load_scene('wall', {'duration_s': 0.02}))",
+        "import tissue; from tissue.scene.registry import DEVICES; list(DEVICES)",
     )
     for code in quiet:
         assert python(code, tmp_path)[1] == "", code
