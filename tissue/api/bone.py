@@ -21,6 +21,7 @@ from tissue.builders.parts import Parts
 from tissue.cutters.cutter import Cutter
 from tissue.materials.cutting import coefficients_of
 from tissue.motion.replay import GivenPoses
+from tissue.scene.registry import CUTTING_MATERIALS
 from tissue.scene.scene import Output
 from tissue.simulation.loop import Loop, undisturbed
 
@@ -50,7 +51,7 @@ class Bone:
         self._source, self._material, self._cutting = source, material, dict(cutting or {})
         made = source.voxels()
         names = made.layer_names if isinstance(made, VoxelVolume) else made.store.grid.layer_names
-        self.voxel_bone = VoxelBone(made, coefficients_of(names, self._cutting, bone=material))
+        self.voxel_bone = VoxelBone(made, coefficients_of(names, self._cutting, bone=CUTTING_MATERIALS[material][1]))
         self.notes = dict(source.notes)
         self.spacing_mm = 1e3 * self.voxel_bone.store.grid.spacing_m
 
@@ -82,7 +83,7 @@ class Bone:
         cortical_density_kg_m3, trabecular_density_kg_m3
             Apparent densities [kg/m3], 50 to 2500.
         material
-            Material of cited cutting coefficients: bone, or one that `tissue.register.material` has added.
+            Material of cited cutting coefficients: bone, or one that was registered or that a package offers.
         cutting
             Cutting coefficients in place of the cited ones, by their names in a scene: ``{"density_exponent": 2.0}``.
 

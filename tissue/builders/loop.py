@@ -1,6 +1,7 @@
 """The loops of a scene's device, for its positions and for its turns, judged before it runs."""
 
 from dataclasses import dataclass, replace
+from math import isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,6 +43,9 @@ second at either, see tests/stability/test_wall_laws.py."""
 
 REST_SHARE = 0.3
 """Share of the device's greatest force at which a predictor is linearised."""
+
+USUAL_N_M = 1000.0
+"""Stiffness about which a predictor is linearised where neither scene nor device states one: of a desktop device."""
 
 
 @dataclass(frozen=True)
@@ -198,7 +202,8 @@ def _forecasts(scene: Scene, limits: DeviceParameters) -> list[Forecast | None]:
     predictor, chosen = predictor_of(scene), scene.coupling
     if predictor is None:
         return [None]
-    stiffness = chosen.stiffness_N_m or limits.stiffness_limit_N_m
+    limit = limits.stiffness_limit_N_m
+    stiffness = chosen.stiffness_N_m or (limit if isfinite(limit) else USUAL_N_M)
     return [
         forecast_of(
             each,

@@ -172,3 +172,18 @@ def test_a_part_that_its_module_does_not_register_is_refused(tmp_path):
     assert (
         "motion dip of the package odd-parts 0.1.0 cannot be used (it registers nothing by that name: decorate" in error
     )
+
+
+def test_bone_is_made_of_the_material_of_a_package(tmp_path):
+    folders = offer_example(tmp_path / "site")
+    code = """
+import tissue
+tissue.Bone.block(size_mm=(8, 8, 8), spacing_mm=1.0, material="rigid-foam")
+try:
+    tissue.Bone.block(size_mm=(8, 8, 8), spacing_mm=1.0, material="rigid")
+except tissue.InputError as refused:
+    print(refused)
+"""
+    output, error = python(code, *folders)
+    assert output.startswith("cutting.material must be one of bone, enamel, dentin, soft, rigid-foam, got rigid (did you")
+    assert error == ""

@@ -115,6 +115,9 @@ class Sprung:
 
 def test_a_device_is_opened_where_a_scene_names_it_and_judged_by_its_numbers(command, here):
     opens = register.device("sprung", DeviceParameters(**LIGHT))
+    simulate(
+        load_scene("wall", {"device": "sprung", "prediction": "linear", "duration_s": 0.01})
+    )  # no limit of stiffness
     simulated = run_of(device="sprung")
     assert type(simulated.parts.motion.device).__name__ == "SimulatedDevice"
     assert opens(Sprung) is Sprung
