@@ -185,5 +185,7 @@ except tissue.InputError as refused:
     print(refused)
 """
     output, error = python(code, *folders)
-    assert output.startswith("cutting.material must be one of bone, enamel, dentin, soft, rigid-foam, got rigid (did you")
+    assert output.startswith(
+        "cutting.material must be one of bone, enamel, dentin, soft, rigid-foam, got rigid (did you"
+    )
     assert error == ""
