@@ -139,6 +139,14 @@ def test_a_device_is_opened_where_a_scene_names_it_and_judged_by_its_numbers(com
         load_scene("wall", {"device": "spring"})
 
 
+def test_a_live_run_holds_the_device_that_its_scene_names(command, here):
+    register.device("sprung", LIGHT, Sprung)
+    code, output, error = command(
+        "run", "wall", "--set", "device=sprung", "--duration-s", 0.05, "--live", "--no-pictures", "--out", "out"
+    )
+    assert (code, error) == (0, "") and "live: the device sprung moves the tool and plays the force" in output
+
+
 def test_what_a_device_opens_must_be_one():
     register.device("nothing", LIGHT, make=lambda start_m: 3)
     with pytest.raises(InputError, match=r"^device must have read and command, got int without read and command for n"):
