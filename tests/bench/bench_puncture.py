@@ -23,6 +23,7 @@ import numpy as np
 from harness import machine, table
 
 from tissue.builders.loop import judged_loop
+from tissue.builders.loop_settings import loop_settings
 from tissue.evaluation.calibration.simulated_observer import draw_observers
 from tissue.evaluation.study.puncture import RATE_N_S, Pierced, pierce
 from tissue.evaluation.study.tasks import TASKS
@@ -50,7 +51,7 @@ def cells() -> list[Cell]:
     found = {}
     for prediction, latency in product(PREDICTIONS, LATENCIES_MS):
         scene = load_scene("needle", SCENE | {"prediction": prediction, "coupling.delay_ms": latency})
-        found[prediction, latency] = floor(judged_loop(scene, step_s=TICK_S).stiffness_N_m)
+        found[prediction, latency] = floor(judged_loop(loop_settings(scene), step_s=TICK_S).stiffness_N_m)
     shared = {latency: min(found[each, latency] for each in PREDICTIONS) for latency in LATENCIES_MS}
     grid = product(("force", "sight"), (False, True), PREDICTIONS, LATENCIES_MS)
     listed = [Cell(*each, shared[each[-1]]) for each in grid]

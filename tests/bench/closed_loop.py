@@ -15,6 +15,7 @@ from harness import table
 
 from meshes.base.errors import InputError
 from tissue.builders.loop import judged_loop
+from tissue.builders.loop_settings import loop_settings
 from tissue.evaluation.statistics.metrics import excess_error, force_error, latency_ms
 from tissue.scene.load import changed, load_scene
 from tissue.scene.registry import GROUPS
@@ -36,7 +37,7 @@ Task = tuple[str, str, str, int]
 @lru_cache
 def stiffness_N_m(name: str, kind: str, hand: str) -> float:
     """What is chosen for a predictor in a hand [N/m]."""
-    return judged_loop(by_hand(name, kind, hand, FIRST_SEED), step_s=TICK_S).stiffness_N_m
+    return judged_loop(loop_settings(by_hand(name, kind, hand, FIRST_SEED)), step_s=TICK_S).stiffness_N_m
 
 
 def by_hand(name: str, kind: str, hand: str, seed: int) -> Scene:

@@ -1,27 +1,24 @@
 """Put a scene's motion into a hand on a device."""
 
 from collections.abc import Callable
-from dataclasses import replace
-from math import ceil, inf
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from meshes.shapes.polyline import arc_length
-from tissue.builders.loop import judged_loops, lead_ticks, perception_of, person_of, predictor_of, vibration_of
-from tissue.haptics.device.device import DeviceParameters, device_parameters
+from tissue.builders.device_motion import device_motion
+from tissue.builders.loop import person_of
+from tissue.builders.loop_settings import loop_settings
+from tissue.haptics.device.device import DeviceParameters
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import Hand, HandParameters, hand_parameters
+from tissue.haptics.hand.hand import Hand, HandParameters
 from tissue.haptics.hand.minimum_jerk import Path, waypoints
 from tissue.haptics.hand_motion import HandMotion
-from tissue.haptics.loop.vibration import PlayedVibration
-from tissue.haptics.proxy.cutting_tool import CuttingTool
 from tissue.haptics.proxy.guidance import CompensatedPath, Thrust
-from tissue.haptics.proxy.held_tool import HeldTool, PressingTool
-from tissue.haptics.proxy.held_turn import HeldTurn
+from tissue.haptics.proxy.held_tool import HeldTool
 from tissue.haptics.proxy.probing_tool import ProbingTool
-from tissue.haptics.renderer import TurningRenderer, renderer
 from tissue.motion.motion import Motion, quaternion_of
 from tissue.scene.coupling import WallAnatomy
 from tissue.scene.scene import Scene
@@ -30,8 +27,6 @@ from tissue.scene.tool import ReplayMotion, ThrustMotion, Tool
 __all__ = ["hand_motion"]
 
 Array = NDArray[np.float64]
-DAMPING_S = 0.01
-"""Damper over spring of a tool that cuts [s]: in a pen grip 4 N s/m over 250 to 350 N/m, 11 to 16 ms."""
 STRAY_M = 2e-3
 """How far from the scripted path an organ's surface may be met [m]."""
 
@@ -39,78 +34,39 @@ STRAY_M = 2e-3
 def hand_motion(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable: bool) -> tuple[HandMotion, str]:
     """The scene's motion as its hand makes it on its device, and what was chosen and found of that.
 
-    Forces are scaled by f and lengths by m, so a stiffness K at the tool is felt as m f K, and torques by f / m: work
-    at the device is f / m of that at the tool. The coupling's stiffness is that at the device, which is what is judged,
-    whatever the scales.
-
     Raises
     ------
     InputError
         If the coupling is unstable and that is not allowed, or the motion leaves the device's workspace.
     """
-    limits, person, chosen = device_parameters(scene.device), hand_parameters(scene.hand), scene.coupling
-    judged, turning = judged_loops(scene, step_s=step_s, allow_unstable=allow_unstable)
+    settings = loop_settings(scene)
+    limits, person, scale = settings.limits, settings.person, scene.coupling.motion_scale
     _require_workspace(scene, scripted, limits)
-    loop, scale = replace(judged.loop, delay_s=_delay_s(scene, limits)), chosen.motion_scale
-    start, touches = scripted.sweep_m()[0], isinstance(scene.tool, Tool) and scene.tool.spin_rpm == 0.0
-    spring = judged.loop.stiffness_N_m / (scale * scene.force_scale)
-    turning_spring = turning.loop.stiffness_N_m * scale / scene.force_scale if turning else inf
-    held = HeldTurn(turning_spring)
-    tool: HeldTool
-    if isinstance(scene.tool, Tool) and not touches:
-        tool = CuttingTool(spring, start, held, damping_N_s_m=DAMPING_S * spring)
-    else:
-        tool = (ProbingTool if touches else PressingTool)(spring, start, held)
-    path, push = _aims(scene, scripted, tool, limits, person, judged.loop.stiffness_N_m, step_s=step_s)
+    start = scripted.sweep_m()[0]
     rng, feeling = np.random.default_rng(scene.seed).spawn(2)
-    turn = _turn(scripted, step_s=step_s) if isinstance(scene.motion, ReplayMotion) else None
-    at_device: Path = lambda time_s: start + (path(time_s) - start) / scale  # noqa: E731
-    hand = Hand(person, at_device, rng=rng, step_s=1.0 / limits.rate_Hz, push=push, turn=turn)
-    x, y, z = start.tolist()
-    felt = perception_of(scene, feeling)
-    motion = HandMotion(
-        SimulatedDevice(limits, hand, position_m=(x, y, z)),
-        tool,
-        renderer(scene.renderer, loop),
-        scripted=scripted,
-        limits=limits,
-        loop=loop,
-        delay_ticks=chosen.delay_ms,
-        turning_law=TurningRenderer(renderer(scene.renderer, turning.loop)) if turning else None,
-        motion_scale=scale,
-        margin=judged.verdict.margin,
+
+    def device(tool: HeldTool, stiffness_N_m: float) -> SimulatedDevice:
+        """The device in the scene's hand, which makes the scripted motion."""
+        path, push = _aims(scene, scripted, tool, limits, person, stiffness_N_m, step_s=step_s)
+        turn = _turn(scripted, step_s=step_s) if isinstance(scene.motion, ReplayMotion) else None
+        at_device: Path = lambda time_s: start + (path(time_s) - start) / scale  # noqa: E731
+        hand = Hand(person, at_device, rng=rng, step_s=settings.tick_s, push=push, turn=turn)
+        x, y, z = start.tolist()
+        return SimulatedDevice(limits, hand, position_m=(x, y, z))
+
+    motion, notes = device_motion(
+        settings,
+        scripted,
+        device,
+        force_scale=scene.force_scale,
+        scale_note=scene.chosen_scale[1],
         stray_m=_stray_m(scene),
         after_s=person.reaction_s + person.submovement_s + person.correction_s,
-        model_ticks=chosen.model_ms,
-        predictor=predictor_of(scene),
-        lead_ticks=lead_ticks(scene),
-        prediction_gain=chosen.prediction_gain,
-        perception=felt,
-        vibration=_vibration(scene, limits),
+        rng=feeling,
+        step_s=step_s,
+        allow_unstable=allow_unstable,
     )
-    notes = [
-        judged.sentence(),
-        f"{scene.force_scale:g} N at the device for each newton at the tool{scene.chosen_scale[1]}",
-    ]
-    if turning:
-        notes.insert(1, turning.sentence())
-    if scale != 1.0:
-        notes.append(
-            f"{scale:g} m at the tool for each metre at the device: a stiffness at the tool is felt as "
-            f"{scale * scene.force_scale:g} of it, a torque as {scene.force_scale / scale:g}"
-        )
-    if felt is not None:
-        notes.append(felt.sentence)
     return motion, f"{scene.device} in the hand of {person_of(scene.hand)}, {scene.renderer}: {'; '.join(notes)}"
-
-
-def _vibration(scene: Scene, limits: DeviceParameters) -> PlayedVibration | None:
-    """The same vibration as a device plays it."""
-    if (teeth := vibration_of(scene)) is None:
-        return None
-    step_s = 1.0 / limits.rate_Hz
-    slew_N = 1e3 * step_s * limits.force_slew_N_ms
-    return PlayedVibration(teeth, limit_N=limits.force_limit_N, slew_N=slew_N, step_s=step_s)
 
 
 def _stray_m(scene: Scene) -> float:
@@ -118,11 +74,6 @@ def _stray_m(scene: Scene) -> float:
     if scene.coupling.roam_mm is not None:
         return 1e-3 * scene.coupling.roam_mm
     return 0.0 if isinstance(scene.tool, Tool) or isinstance(scene.anatomy, WallAnatomy) else STRAY_M
-
-
-def _delay_s(scene: Scene, limits: DeviceParameters) -> float:
-    """From a sample to the force that answers it, as energy is booked: without a balance that is found late [s]."""
-    return limits.transport_delay_s + 1e-3 * scene.coupling.delay_ms
 
 
 def _require_workspace(scene: Scene, scripted: Motion, limits: DeviceParameters) -> None:

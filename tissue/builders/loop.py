@@ -1,28 +1,18 @@
-"""The loops of a scene's device, for its positions and for its turns, judged before it runs."""
+"""The loops of a device, for its positions and for its turns, judged before it runs."""
 
 from dataclasses import dataclass, replace
 from math import isfinite
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from meshes.base.errors import InputError
-from tissue.haptics.device.device import DeviceParameters, device_parameters
-from tissue.haptics.hand.hand import hand_parameters
+from tissue.builders.loop_settings import LoopSettings
 from tissue.haptics.loop.critical_stiffness import Verdict, critical_stiffness_N_m, in_hands, judge, nearest_stable_N_m
 from tissue.haptics.loop.filters import VELOCITY_MEMORY
 from tissue.haptics.loop.forecast import Forecast, forecast_of
 from tissue.haptics.loop.motor_path import motor_lag_ticks
 from tissue.haptics.loop.sampled_loop import WallLoop
-from tissue.haptics.loop.vibration import Vibration
 from tissue.prediction.guard import Guarded
-from tissue.prediction.predictor import Predictor
-from tissue.scene.coupling import WallAnatomy
-from tissue.scene.scene import Scene
-from tissue.scene.tool import Tool
-
-if TYPE_CHECKING:
-    from tissue.perception.perception import Perception
 
 __all__ = [
     "JudgedLoop",
@@ -30,14 +20,11 @@ __all__ = [
     "judged_loops",
     "lead_ticks",
     "motor_path",
-    "perception_of",
     "person_of",
-    "predictor_of",
-    "vibration_of",
 ]
 
 SHARE = 0.5
-"""Share of the critical stiffness that is chosen where a scene gives none: that in the scene's hand. Half of the one
+"""Share of the critical stiffness that is chosen where none is given: that in the hand at hand. Half of the one
 without a hand would be a seventh to a ninth of it; a device that is let go on a wall leaves it in some hundredths of a
 second at either, see tests/stability/test_wall_laws.py."""
 
@@ -57,7 +44,7 @@ class JudgedLoop:
     loop
         With the stiffness that was given or chosen; for turns in N m/rad and so on.
     verdict
-        In the scene's hand.
+        In the hand.
     unit
         Of the stiffness.
     alone
@@ -83,28 +70,30 @@ class JudgedLoop:
         return note
 
 
-def judged_loops(scene: Scene, *, step_s: float, allow_unstable: bool) -> tuple[JudgedLoop, JudgedLoop | None]:
-    """The loops of a scene's positions and, with a device that plays torque, of its turns.
+def judged_loops(
+    settings: LoopSettings, *, step_s: float, allow_unstable: bool
+) -> tuple[JudgedLoop, JudgedLoop | None]:
+    """The loops of a device's positions and, with a device that plays torque, of its turns.
 
     Raises
     ------
     InputError
         If one is unstable and that is not allowed.
     """
-    grip = hand_parameters(scene.hand).grip
-    loops = [(judged_loop(scene, step_s=step_s), grip[:3], "stiffness_N_m", "N/m", _steepest(scene))]
-    if device_parameters(scene.device).torque_limit_Nm > 0.0:
-        loops.append((_turning_loop(scene, step_s=step_s), grip[3:], "stiffness_Nm_rad", "N m/rad", 1.0))
+    grip = settings.person.grip
+    loops = [(judged_loop(settings, step_s=step_s), grip[:3], "stiffness_N_m", "N/m", _steepest(settings))]
+    if settings.limits.torque_limit_Nm > 0.0:
+        loops.append((_turning_loop(settings, step_s=step_s), grip[3:], "stiffness_Nm_rad", "N m/rad", 1.0))
     saves = (
         "friction and the passivity controller"
-        if scene.renderer == "passivity"
+        if settings.renderer == "passivity"
         else "friction (or renderer = passivity)"
     )
     found: list[JudgedLoop] = []
     for loop, hand, key, unit, steepest in loops:
         verdict = _judged(loop, hand, steepest)
         if not verdict.stable and not allow_unstable:
-            raise InputError(_refusal(scene, verdict, loop.stiffness_N_m, key))
+            raise InputError(_refusal(settings, verdict, loop.stiffness_N_m, key))
         found.append(JudgedLoop(loop, verdict, unit, critical_stiffness_N_m(loop) / steepest, saves))
     return found[0], found[1] if len(found) > 1 else None
 
@@ -117,89 +106,47 @@ def _judged(loop: WallLoop, hand: tuple[float, float, float], steepest: float) -
     return replace(verdict, critical_N_m=critical, nearest_N_m=nearest)
 
 
-def _steepest(scene: Scene) -> float:
+def _steepest(settings: LoopSettings) -> float:
     """Greatest slope of what is commanded for a person over the force that shall be felt."""
-    found = perception_of(scene, np.random.default_rng(0))
+    found = settings.perception(np.random.default_rng(0))
     return 1.0 if found is None else found.steepest
 
 
-def perception_of(scene: Scene, rng: np.random.Generator) -> "Perception | None":
-    """The person for whom the force is scaled; `rng` draws the noise of that person's sense."""
-    if scene.perception == "none":
-        return None
-    from tissue.builders.perception import perception
-
-    limits = device_parameters(scene.device)
-    return perception(
-        scene.perception,
-        rng=rng,
-        force_limit_N=limits.force_limit_N,
-        tick_s=1.0 / limits.rate_Hz,
-        friction_N=limits.friction_N,
-    )
-
-
-def judged_loop(scene: Scene, *, step_s: float) -> WallLoop:
-    """The loop by which a scene's coupling is judged, with all the delay that is really there.
+def judged_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
+    """The loop by which a coupling is judged, with all the delay that is really there.
 
     A tool that cuts or only touches bone, or presses a tissue that knows its stiffness, answers in the tick of the
     sample; on another organ its balance is found a tick later. Of a guarded predictor and of what it hands over to, the
     one counts that bears less stiffness. What is played of a cutter's teeth counts as far as it goes with the force.
     """
-    limits, chosen = device_parameters(scene.device), scene.coupling
-    late = not (isinstance(scene.tool, Tool) or isinstance(scene.anatomy, WallAnatomy))
+    limits, chosen = settings.limits, settings.coupling
     loop = limits.loop(
         1.0,
         wall_damping_N_s_m=chosen.damping_N_s_m,
-        filter_s=1e-3 * scene.output.low_pass_ms,
+        filter_s=1e-3 * settings.low_pass_ms,
         model_ticks=chosen.model_ms,
     )
-    loop = replace(loop, velocity_memory=VELOCITY_MEMORY, vibration=vibration_of(scene))
-    hand = hand_parameters(scene.hand).grip[:3]
-    loops = [replace(_delayed(scene, loop, step_s * late), forecast=each) for each in _forecasts(scene, limits)]
+    loop = replace(loop, velocity_memory=VELOCITY_MEMORY, vibration=settings.vibration)
+    hand = settings.person.grip[:3]
+    loops = [replace(_delayed(settings, loop, step_s * settings.late), forecast=each) for each in _forecasts(settings)]
     loop = min(loops, key=lambda each: critical_stiffness_N_m(in_hands(each, [hand])[0])) if loops[1:] else loops[0]
-    return _chosen(loop, hand, chosen.stiffness_N_m, limits.stiffness_limit_N_m, _steepest(scene))
+    return _chosen(loop, hand, chosen.stiffness_N_m, limits.stiffness_limit_N_m, _steepest(settings))
 
 
-def vibration_of(scene: Scene) -> Vibration | None:
-    """What a device plays of the teeth of the scene's cutter; without flutes that turn, nothing."""
-    share = scene.output.vibration_share
-    if share == 0.0 or not isinstance(scene.tool, Tool) or scene.tool.spin_rpm == 0.0:
-        return None
-    passing = scene.tool.flutes * abs(scene.tool.spin_rpm) / 60.0
-    return Vibration(passing, share=share, step_s=1.0 / device_parameters(scene.device).rate_Hz)
-
-
-def predictor_of(scene: Scene) -> Predictor | None:
-    """What predicts the force."""
-    if scene.prediction == "none":
-        return None
-    from tissue.builders.prediction import predictor
-
-    limits = device_parameters(scene.device)
-    return predictor(
-        scene.prediction,
-        scene_name=scene.name,
-        file=scene.coupling.predictor_file,
-        force_limit_N=limits.force_limit_N,
-        tick_s=1.0 / limits.rate_Hz,
-    )
-
-
-def lead_ticks(scene: Scene) -> float:
+def lead_ticks(settings: LoopSettings) -> float:
     """How far ahead the force is asked for: what its path to the motor delays it."""
-    return motor_lag_ticks(motor_path(scene))
+    return motor_lag_ticks(motor_path(settings))
 
 
-def motor_path(scene: Scene) -> WallLoop:
-    """The path of a scene's force to the motor: low-pass, latency, transport, hold and amplifier."""
-    loop = device_parameters(scene.device).loop(1.0, filter_s=1e-3 * scene.output.low_pass_ms)
-    return _delayed(scene, loop, 0.0)
+def motor_path(settings: LoopSettings) -> WallLoop:
+    """The path of a force to the motor: low-pass, latency, transport, hold and amplifier."""
+    loop = settings.limits.loop(1.0, filter_s=1e-3 * settings.low_pass_ms)
+    return _delayed(settings, loop, 0.0)
 
 
-def _forecasts(scene: Scene, limits: DeviceParameters) -> list[Forecast | None]:
-    """The scene's predictor about a contact at rest, under a share of the device's force, and what it hands over to."""
-    predictor, chosen = predictor_of(scene), scene.coupling
+def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
+    """The predictor about a contact at rest, under a share of the device's force, and what it hands over to."""
+    predictor, chosen, limits = settings.predictor(), settings.coupling, settings.limits
     if predictor is None:
         return [None]
     limit = limits.stiffness_limit_N_m
@@ -207,7 +154,7 @@ def _forecasts(scene: Scene, limits: DeviceParameters) -> list[Forecast | None]:
     return [
         forecast_of(
             each,
-            lead_ticks=lead_ticks(scene),
+            lead_ticks=lead_ticks(settings),
             stiffness_N_m=stiffness,
             depth_m=REST_SHARE * limits.force_limit_N / stiffness,
             model_ticks=chosen.model_ms,
@@ -217,14 +164,13 @@ def _forecasts(scene: Scene, limits: DeviceParameters) -> list[Forecast | None]:
     ]
 
 
-def _turning_loop(scene: Scene, *, step_s: float) -> WallLoop:
+def _turning_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
     """The same for turns: but for a tool that only touches, their balance is found a tick later."""
-    limits, chosen = device_parameters(scene.device), scene.coupling
-    touches = isinstance(scene.tool, Tool) and scene.tool.spin_rpm == 0.0
-    loop = limits.turning_loop(1.0, filter_s=1e-3 * scene.output.low_pass_ms, model_ticks=chosen.model_ms)
-    hand = hand_parameters(scene.hand).grip[3:]
-    late = 0.0 if touches else step_s
-    return _chosen(_delayed(scene, loop, late), hand, chosen.stiffness_Nm_rad, limits.stiffness_limit_Nm_rad)
+    limits, chosen = settings.limits, settings.coupling
+    loop = limits.turning_loop(1.0, filter_s=1e-3 * settings.low_pass_ms, model_ticks=chosen.model_ms)
+    hand = settings.person.grip[3:]
+    late = 0.0 if settings.contact == "touches" else step_s
+    return _chosen(_delayed(settings, loop, late), hand, chosen.stiffness_Nm_rad, limits.stiffness_limit_Nm_rad)
 
 
 def _chosen(
@@ -237,21 +183,22 @@ def _chosen(
     return loop.with_stiffness(given)
 
 
-def _delayed(scene: Scene, loop: WallLoop, extra_s: float) -> WallLoop:
-    """The loop with the scene's latency and some more [s]."""
-    return replace(loop, delay_s=loop.delay_s + 1e-3 * scene.coupling.delay_ms + extra_s)
+def _delayed(settings: LoopSettings, loop: WallLoop, extra_s: float) -> WallLoop:
+    """The loop with the coupling's latency and some more [s]."""
+    return replace(loop, delay_s=loop.delay_s + 1e-3 * settings.coupling.delay_ms + extra_s)
 
 
-def _refusal(scene: Scene, verdict: Verdict, stiffness: float, key: str) -> str:
+def _refusal(settings: LoopSettings, verdict: Verdict, stiffness: float, key: str) -> str:
     """One sentence for an unstable coupling."""
     if verdict.critical_N_m == 0.0:
+        damping = settings.coupling.damping_N_s_m
         return (
-            f"coupling.damping_N_s_m must leave some stiffness stable, got {scene.coupling.damping_N_s_m:g}: lower it, "
+            f"coupling.damping_N_s_m must leave some stiffness stable, got {damping:g}: lower it, "
             "coupling.delay_ms, output.low_pass_ms or coupling.prediction_gain, or pass --allow-unstable"
         )
     return (
-        f"coupling.{key} must be below {verdict.critical_N_m:.4g} to be stable with device = {scene.device} in the "
-        f"hand of {person_of(scene.hand)}, got {stiffness:g} (margin {100.0 * verdict.margin:.1f} %): use "
+        f"coupling.{key} must be below {verdict.critical_N_m:.4g} to be stable with device = {settings.device} in the "
+        f"hand of {person_of(settings.hand)}, got {stiffness:g} (margin {100.0 * verdict.margin:.1f} %): use "
         f"{verdict.nearest_N_m:g}, or pass --allow-unstable"
     )
 

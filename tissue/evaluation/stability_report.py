@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 
 from meshes.base.errors import InputError
 from tissue.builders.loop import judged_loop
+from tissue.builders.loop_settings import loop_settings
 from tissue.figures.figure import figure, save
 from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.loop.critical_stiffness import in_hands
@@ -42,7 +43,7 @@ def scene_stability(scene: Scene) -> StabilityMap:
         raise InputError(
             f"device must be one of {', '.join(DEVICES)} for a stability map, got none: pass --set device=touch"
         )
-    held = in_hands(judged_loop(scene, step_s=TICK_S), [hand_parameters(scene.hand).grip[:3]])
+    held = in_hands(judged_loop(loop_settings(scene), step_s=TICK_S), [hand_parameters(scene.hand).grip[:3]])
     return stability_map(held[0])
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from tissue.builders.loop import judged_loop, lead_ticks, motor_path
+from tissue.builders.loop_settings import loop_settings
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.hand_measures import TRUE, VIBRATION
@@ -54,7 +55,7 @@ def ideal_scene(scene: Scene, finest: Mapping[str, object] | None = None) -> Sce
     """
     if scene.device == "none":
         raise InputError("scene must have a device to have a played force, got none: set device, such as touch")
-    stiffness = scene.coupling.stiffness_N_m or judged_loop(scene, step_s=TICK_S).stiffness_N_m
+    stiffness = scene.coupling.stiffness_N_m or judged_loop(loop_settings(scene), step_s=TICK_S).stiffness_N_m
     return changed(scene, {**PROMPT, "coupling.stiffness_N_m": stiffness, **(finest or {})})
 
 
@@ -135,7 +136,8 @@ def motor_forces(run: Run, ideal_N: Array) -> MotorForces:
         If the run had no device.
     """
     after = device_parameters(run.scene.device).loop(1.0)
-    nearest = motor_force_N(motor_path(run.scene), force_later_N(stretch_force_N(run), lead_ticks(run.scene)))
+    settings = loop_settings(run.scene)
+    nearest = motor_force_N(motor_path(settings), force_later_N(stretch_force_N(run), lead_ticks(settings)))
     played = motor_force_N(after, played_force_N(run.trace))
     steady = run.trace.vectors("device_force", "N")
     if VIBRATION[0] in run.trace.columns:

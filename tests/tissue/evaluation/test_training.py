@@ -8,6 +8,7 @@ import pytest
 from meshes.base.errors import InputError
 from tissue import load_scene, simulate
 from tissue.builders.loop import lead_ticks
+from tissue.builders.loop_settings import loop_settings
 from tissue.builders.prediction import FALLBACKS
 from tissue.evaluation.statistics.metrics import force_error
 from tissue.evaluation.training.recording import Recorder, trial
@@ -35,7 +36,7 @@ def test_a_shipped_predictor_is_sound(scene):
 
 def test_fallbacks_are_compared_at_the_lead_of_four_milliseconds():
     for name in SCENES:
-        assert round(lead_ticks(trial(load_scene(name), 0, delay_ms=4))) == VALIDATED_AT
+        assert round(lead_ticks(loop_settings(trial(load_scene(name), 0, delay_ms=4)))) == VALIDATED_AT
 
 
 def test_trials_differ_in_hand_seed_and_latency():

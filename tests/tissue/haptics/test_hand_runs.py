@@ -7,6 +7,7 @@ from hand_steps import STEP_S
 
 from tissue import InputError, load_scene, simulate
 from tissue.builders.loop import judged_loop
+from tissue.builders.loop_settings import loop_settings
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.hand.hand import hand_parameters
@@ -22,7 +23,7 @@ def on_the_wall():
 
 def test_on_the_wall_spring_and_wall_balance(on_the_wall):
     """k_c (z_tool - z_device) = k_w depth, from the first tick of a contact on."""
-    trace, stiffness = on_the_wall.trace, judged_loop(on_the_wall.scene, step_s=STEP_S).stiffness_N_m
+    trace, stiffness = on_the_wall.trace, judged_loop(loop_settings(on_the_wall.scene), step_s=STEP_S).stiffness_N_m
     settled = trace["depth_mm"] > 0.0
     assert settled.sum() > 500
     force, stretch = trace["model_force_z_N"], 1e-3 * (trace["tool_z_mm"] - trace["device_z_mm"])
@@ -144,7 +145,7 @@ def test_a_tool_that_does_not_turn_feels_the_bone_and_cuts_nothing(device):
     touching = trace["contacts"] > 0.0
     assert touching.sum() > 500 and trace["removed_mm3"].max() == 0.0 and trace["behind"].mean() < 0.01
     assert trace["tool_z_mm"].min() > -0.5 and trace["device_z_mm"].min() < -1.2  # nothing pops through the face
-    k = judged_loop(run.scene, step_s=STEP_S).stiffness_N_m
+    k = judged_loop(loop_settings(run.scene), step_s=STEP_S).stiffness_N_m
     stretch = 1e-3 * (trace.vectors("tool", "mm") - trace.vectors("device", "mm"))
     model = run.scene.force_scale * trace.vectors("model_force", "N")
     off = np.linalg.norm(k * stretch - model, axis=1)
@@ -197,7 +198,7 @@ def test_a_device_on_rails_that_tracks_the_path_feels_the_scripted_force():
     changes = {"duration_s": 1.6, "voxels.spacing_mm": 0.1}
     scripted = simulate(load_scene("milling", changes)).trace
     scene = load_scene("milling", changes | {"device": "touch"})
-    spring = judged_loop(scene, step_s=STEP_S).stiffness_N_m / scene.force_scale
+    spring = judged_loop(loop_settings(scene), step_s=STEP_S).stiffness_N_m / scene.force_scale
     tips, late = 1e-3 * scripted.vectors("tool", "mm"), slice(500, 1500)
     force = scripted.vectors("model_force", "N")
     steady = np.column_stack([np.convolve(part, np.full(20, 0.05), "same") for part in force.T])

@@ -8,6 +8,7 @@ from hand_runs import played_N, run_of
 
 from tissue import InputError, load_scene, simulate
 from tissue.builders.loop import judged_loop
+from tissue.builders.loop_settings import loop_settings
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import Hand, hand_parameters
@@ -56,9 +57,11 @@ def test_an_unstable_stiffness_that_is_allowed_runs_and_is_bounded():
 
 def test_what_is_judged_counts_the_delay_that_is_there():
     """Latency, the low-pass, and a tick for an organ whose balance is found a tick later."""
-    wall, late = (judged_loop(load_scene("wall", o), step_s=STEP_S) for o in ({}, {"coupling.delay_ms": 3}))
-    liver = judged_loop(load_scene("liver-press", {"device": "touch"}), step_s=STEP_S)
-    bone = judged_loop(load_scene("milling", {"device": "touch"}), step_s=STEP_S)
+    wall, late = (
+        judged_loop(loop_settings(load_scene("wall", o)), step_s=STEP_S) for o in ({}, {"coupling.delay_ms": 3})
+    )
+    liver = judged_loop(loop_settings(load_scene("liver-press", {"device": "touch"})), step_s=STEP_S)
+    bone = judged_loop(loop_settings(load_scene("milling", {"device": "touch"})), step_s=STEP_S)
     assert late.delay_s == pytest.approx(wall.delay_s + 3e-3)
     assert liver.delay_s == pytest.approx(wall.delay_s + 1e-3)
     assert bone.delay_s == wall.delay_s and bone.filter_s == 1e-3

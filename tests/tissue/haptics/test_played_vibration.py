@@ -10,6 +10,7 @@ from quiet_press import LIMITS, PERSON, quiet_press
 
 from tissue import load_scene
 from tissue.builders.loop import judged_loop
+from tissue.builders.loop_settings import loop_settings
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.hand.hand import hand_parameters
@@ -143,11 +144,12 @@ def test_a_long_period_is_judged_by_the_nearest_short_one(frequency_Hz, ticks, j
 def test_it_is_judged_with_a_scene_that_plays_it_in_either_sense_of_spin():
     shared = {"device": "touch", "output.vibration_share": 0.5}
     loops = [
-        judged_loop(load_scene("glenoid", shared | {"tool.spin_rpm": spin}), step_s=STEP_S) for spin in (600.0, -600.0)
+        judged_loop(loop_settings(load_scene("glenoid", shared | {"tool.spin_rpm": spin})), step_s=STEP_S)
+        for spin in (600.0, -600.0)
     ]
     for loop in loops:
         assert loop.vibration.frequency_Hz == 40.0 and loop.vibration.share == 0.5
-    assert judged_loop(load_scene("glenoid", {"device": "touch"}), step_s=STEP_S).vibration is None
+    assert judged_loop(loop_settings(load_scene("glenoid", {"device": "touch"})), step_s=STEP_S).vibration is None
 
 
 def test_at_its_greatest_it_does_not_destabilise_a_loop_at_95_per_cent_of_the_critical_stiffness():

@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 from tissue import load_scene, simulate
-from tissue.builders import hand
+from tissue.builders import device_motion
 from tissue.builders.loop import lead_ticks
+from tissue.builders.loop_settings import loop_settings
 from tissue.evaluation.statistics.metrics import excess_error, force_error, latency_ms
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.hand_measures import TRUE
+from tissue.haptics.hand_motion import HandMotion
 from tissue.prediction.predictor import Hold
 from tissue.simulation.reference_force import ideal_force_N, motor_forces, stretch_force_N
 
@@ -50,7 +52,9 @@ class Oracle(Hold):
 
 def run_with(monkeypatch, predictor, **changes):
     entries = {"device": "touch", "coupling.stiffness_N_m": STIFFNESS_N_M, "coupling.delay_ms": 4, "prediction": "hold"}
-    monkeypatch.setattr(hand, "predictor_of", lambda scene: predictor)
+    monkeypatch.setattr(
+        device_motion, "HandMotion", lambda *parts, **named: HandMotion(*parts, **(named | {"predictor": predictor}))
+    )
     scene = load_scene("wall", entries | {"duration_s": 1e-3 * TICKS} | changes)
     return simulate(scene, device=Stepped(), allow_unstable=True)
 
@@ -83,7 +87,9 @@ def test_a_perfect_predictor_has_the_least_error_and_no_latency(held, monkeypatc
 def test_wrong_ones_have_their_known_errors_and_latencies(held, monkeypatch):
     run, ideal = held
     forces = motor_forces(run, ideal)
-    assert latency_ms(forces.played, forces.ideal, tick_s=1e-3) == pytest.approx(lead_ticks(run.scene), abs=0.1)
+    assert latency_ms(forces.played, forces.ideal, tick_s=1e-3) == pytest.approx(
+        lead_ticks(loop_settings(run.scene)), abs=0.1
+    )
     for share in (0.0, 0.7, 1.3):
         wrong = motor_forces(run_with(monkeypatch, Oracle(stretch_force_N(run), share)), ideal)
         error, least = (force_error(each, wrong.ideal) for each in (wrong.played, wrong.nearest))
@@ -95,7 +101,7 @@ def test_wrong_ones_have_their_known_errors_and_latencies(held, monkeypatch):
 def test_another_lead_is_seen_in_the_score(held, monkeypatch, early):
     """Asked 1.5 ticks too far ahead the force comes 1.5 ms early, and is further off than at the path's own lead."""
     run, ideal = held
-    monkeypatch.setattr(hand, "lead_ticks", lambda scene: lead_ticks(scene) + early)
+    monkeypatch.setattr(device_motion, "lead_ticks", lambda settings: lead_ticks(settings) + early)
     forces = motor_forces(run_with(monkeypatch, Oracle(stretch_force_N(run))), ideal)
     assert latency_ms(forces.played, forces.nearest, tick_s=1e-3) == pytest.approx(-early, abs=0.05)
     assert force_error(forces.played, forces.ideal) > 1.1 * force_error(forces.nearest, forces.ideal)

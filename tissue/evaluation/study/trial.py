@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from tissue.builders.loop import judged_loop
+from tissue.builders.loop_settings import loop_settings
 from tissue.evaluation.calibration.simulated_observer import draw_observers
 from tissue.evaluation.charts.settings import finest
 from tissue.evaluation.statistics import metrics
@@ -146,7 +147,7 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
 @lru_cache(maxsize=64)
 def _stiffness_N_m(scene: Scene) -> float:
     """Stiffness that is chosen for a scene [N/m]; neither seed nor pace counts, so that few are ever asked for."""
-    return judged_loop(scene, step_s=TICK_S).stiffness_N_m
+    return judged_loop(loop_settings(scene), step_s=TICK_S).stiffness_N_m
 
 
 def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Observer]:

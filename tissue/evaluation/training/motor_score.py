@@ -6,6 +6,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from tissue.builders.loop import motor_path
+from tissue.builders.loop_settings import loop_settings
 from tissue.evaluation.statistics.metrics import excess_error, force_error, latency_ms
 from tissue.evaluation.training.evaluation import forecast
 from tissue.evaluation.training.recording import Recording
@@ -75,7 +76,7 @@ def motor_score(predictor: Predictor, scene: Scene, run: Recording, ideal_N: Arr
     delay_ms
         Latency besides that of low-pass, transport, hold and amplifier [ms].
     """
-    path = motor_path(changed(scene, {"coupling.delay_ms": 0}))
+    path = motor_path(loop_settings(changed(scene, {"coupling.delay_ms": 0})))
     path = replace(path, delay_s=path.delay_s + 1e-3 * delay_ms)
     lead = motor_lag_ticks(path)
     predicted, _ = forecast(predictor, run, [lead])

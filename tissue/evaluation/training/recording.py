@@ -10,6 +10,7 @@ from meshes.base.errors import InputError
 from meshes.base.progress import silent
 from tissue.builders.hand import hand_motion
 from tissue.builders.loop import judged_loop
+from tissue.builders.loop_settings import loop_settings
 from tissue.builders.registry import build, motion_of
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.hand_measures import TRUE
@@ -106,7 +107,7 @@ def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float
     made = changed(held, entries | ({"stress": None} if scene.stress is not None else {}))
     # A loop whose latency is hidden is as stiff as a prompt one, whatever the latency of the trial.
     prompt = changed(made, {"coupling.delay_ms": 0})
-    return changed(made, {"coupling.stiffness_N_m": judged_loop(prompt, step_s=TICK_S).stiffness_N_m})
+    return changed(made, {"coupling.stiffness_N_m": judged_loop(loop_settings(prompt), step_s=TICK_S).stiffness_N_m})
 
 
 class Recorder:
