@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from tissue import cutters
     from tissue.api.bone import Bone
     from tissue.api.cut import Cut
+    from tissue.api.loop import Loop
     from tissue.api.organ import Organ
     from tissue.api.poses import feed_along
     from tissue.api.press import Press
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from tissue.api.run import Run, open_run
     from tissue.api.simulate import simulate
     from tissue.api.tools import ball, flat_punch, probe_from_file
+    from tissue.haptics.device.device import DeviceParameters, Sample
     from tissue.scene.load import load_scene, scene_names, scene_text
     from tissue.scene.scene import Scene
 
@@ -30,10 +32,13 @@ if TYPE_CHECKING:
 __all__ = [
     "Bone",
     "Cut",
+    "DeviceParameters",
     "InputError",
+    "Loop",
     "Organ",
     "Press",
     "Run",
+    "Sample",
     "Scene",
     "ball",
     "cutters",
@@ -51,10 +56,13 @@ __all__ = [
 _HOMES = {
     "Bone": "tissue.api.bone",
     "Cut": "tissue.api.cut",
+    "DeviceParameters": "tissue.haptics.device.device",
     "InputError": "meshes.base.errors",
+    "Loop": "tissue.api.loop",
     "Organ": "tissue.api.organ",
     "Press": "tissue.api.press",
     "Run": "tissue.api.run",
+    "Sample": "tissue.haptics.device.device",
     "Scene": "tissue.scene.scene",
     "ball": "tissue.api.tools",
     "feed_along": "tissue.api.poses",

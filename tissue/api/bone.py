@@ -231,7 +231,7 @@ class Bone:
         """
         tips, turns = poses_of(poses, axis)
         times = times_of(times_s, len(tips))
-        self._require_cutter(tool)
+        self.require_cutter(tool)
         boxes = tool_boxes(tool, tips, turns.as_matrix()[:, :, 2], spacing_m=1e-3 * self.spacing_mm)
         model, goes_on = self.voxel_bone.under(tool, boxes, (tips[0], turns[0].as_matrix()))
         before = model.removed_m3
@@ -245,7 +245,7 @@ class Bone:
         self.voxel_bone.left_at = tips[-1], turns[-1].as_matrix()
         return Cut.of(loop, times, removed_before_m3=before)
 
-    def _require_cutter(self, tool: Cutter) -> None:
+    def require_cutter(self, tool: object) -> None:
         """Refuse what cannot cut this bone."""
         if not isinstance(tool, Cutter):
             raise InputError(f"tool must be a cutter, got {type(tool).__name__}: make one by tissue.cutters.ball_burr")

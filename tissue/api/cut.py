@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-__all__ = ["Cut"]
+__all__ = ["Cut", "saved_table", "table_of"]
 
 
 class Cut:
@@ -88,11 +88,7 @@ class Cut:
         InputError
             If pandas is not installed.
         """
-        try:
-            import pandas
-        except ImportError:
-            raise InputError("to_pandas must have pandas, got none: pip install 'tissue-sim[pandas]'") from None
-        return pandas.DataFrame({name: self.trace[name] for name in self.trace})
+        return table_of(self.trace)
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write all columns to a file, its kind by the suffix: .csv, .mat (MATLAB), .npz, .parquet or .h5.
@@ -103,11 +99,7 @@ class Cut:
             If the suffix is none of these, its writer is not installed, or the file is there and `overwrite` is not
             given.
         """
-        path = Path(path)
-        if path.exists() and not overwrite:
-            raise InputError(f"path must not exist, got {path}: choose another, or pass overwrite=True")
-        write_table(self.trace, path)
-        return path
+        return saved_table(self.trace, path, overwrite=overwrite)
 
     def plot(self) -> "Figure":
         """Force and torque over time, a panel each."""
@@ -133,3 +125,33 @@ class Cut:
             f"Cut({len(self)} poses in {self.times_s[-1] - self.times_s[0]:.4g} s, {self.removed_mm3[-1]:.4g} mm3 "
             f"removed, peak force {force.max():.3g} N, {np.median(self.pose_us):.0f} us a pose)"
         )
+
+
+def table_of(trace: Table) -> "pandas.DataFrame":
+    """Columns as a table of pandas, a row each.
+
+    Raises
+    ------
+    InputError
+        If pandas is not installed.
+    """
+    try:
+        import pandas
+    except ImportError:
+        raise InputError("to_pandas must have pandas, got none: pip install 'tissue-sim[pandas]'") from None
+    return pandas.DataFrame({name: trace[name] for name in trace})
+
+
+def saved_table(trace: Table, path: str | Path, *, overwrite: bool) -> Path:
+    """Write columns to a file, its kind by the suffix, and return its path.
+
+    Raises
+    ------
+    InputError
+        If the suffix is unknown, its writer is not installed, or the file is there and `overwrite` is not given.
+    """
+    path = Path(path)
+    if path.exists() and not overwrite:
+        raise InputError(f"path must not exist, got {path}: choose another, or pass overwrite=True")
+    write_table(trace, path)
+    return path

@@ -224,6 +224,10 @@ class Organ:
         grid.point_data["held"] = np.isin(np.arange(grid.n_points), self._made.held)
         return grid
 
+    def surface(self) -> pyvista.PolyData:
+        """The organ's surface [mm]."""
+        return self.mesh.extract_surface(algorithm="dataset_surface")
+
     @property
     def soft(self) -> SoftOrgan:
         """The organ as it is solved."""

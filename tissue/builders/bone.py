@@ -41,6 +41,8 @@ class VoxelBone:
     ----------
     store
         The bricks.
+    coefficients
+        Cutting coefficients of each layer.
     left_at
         Pose at which the last tool ended that `under` gave: tip [m] and rotation.
     """
@@ -52,7 +54,7 @@ class VoxelBone:
         *,
         compute: str = "cpu",
     ) -> None:
-        self._compute, self._coefficients = compute, coefficients
+        self._compute, self.coefficients = compute, coefficients
         self.on_demand = voxels if isinstance(voxels, BricksOnDemand) else None
         self.store = BrickStore.from_volume(voxels, device=compute) if isinstance(voxels, VoxelVolume) else voxels.store
         self._was_cut = False
@@ -125,7 +127,7 @@ class VoxelBone:
         return BoneModel(
             store,
             cutter,
-            self._coefficients,
+            self.coefficients,
             removal=removal,
             shell_spacing_m=shell_spacing_m,
             device=self._compute,

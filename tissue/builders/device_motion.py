@@ -34,6 +34,7 @@ def device_motion(
     scale_note: str = "",
     stray_m: float = 0.0,
     after_s: float = 0.0,
+    device_origin_m: Array | None = None,
     rng: np.random.Generator,
     step_s: float,
     allow_unstable: bool,
@@ -58,6 +59,8 @@ def device_motion(
         How far the tool may leave the scripted motion [m].
     after_s
         How much longer a hand takes than that [s].
+    device_origin_m
+        Where the tool is when the device is at its origin [m]; without it both start at the same place.
     rng
         Generator of the noise in the sense of the person for whom the force is scaled.
     step_s
@@ -97,6 +100,7 @@ def device_motion(
         prediction_gain=chosen.prediction_gain,
         perception=felt,
         vibration=_vibration(settings),
+        device_origin_m=device_origin_m,
     )
     notes = [judged.sentence(), f"{force_scale:g} N at the device for each newton at the tool{scale_note}"]
     if turning:

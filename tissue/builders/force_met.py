@@ -7,7 +7,7 @@ import numpy as np
 
 from meshes.base.progress import silent
 from tissue.builders.registry import motion_of
-from tissue.haptics.device.device import device_parameters
+from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.materials.constants import constants
 from tissue.models.tissue_model import TICK_S, Response, TissueModel, ToolMotion
 from tissue.motion.motion import Motion
@@ -17,7 +17,7 @@ from tissue.scene.registry import ANATOMIES, NEEDLES
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Needle, Probe, ThrustMotion, Tool
 
-__all__ = ["chosen_scale", "cut", "pierced", "pressed"]
+__all__ = ["chosen_scale", "cut", "fitted_scale", "pierced", "pressed"]
 
 POSES, FINE_POSES = 250, 3000
 """Poses of the scripted motion at which the force is asked for: of a cutter, and of a needle, which breaks through in
@@ -50,11 +50,15 @@ def chosen_scale(scene: Scene) -> tuple[float, str]:
     force = _met(scene.model_dump_json(exclude={"seed", "duration_s", "device", "hand", "coupling", "fidelity"}))
     if not force > 0.0:
         return 1.0, ""
-    low, high = LEAST * limits.friction_N / force, MOST * limits.force_limit_N / force
+    return fitted_scale(force, limits), f", chosen for the {force:.3g} N that the script meets at most"
+
+
+def fitted_scale(force_N: float, limits: DeviceParameters) -> float:
+    """The scale, of two digits, that brings a force [N] between a device's friction and its limit."""
+    low, high = LEAST * limits.friction_N / force_N, MOST * limits.force_limit_N / force_N
     scale = min(max(1.0, low), high)
     digits = 1 - floor(log10(scale))
-    scale = floor(round(scale * 10.0**digits, 9)) / 10.0**digits
-    return scale, f", chosen for the {force:.3g} N that the script meets at most"
+    return floor(round(scale * 10.0**digits, 9)) / 10.0**digits
 
 
 @lru_cache(maxsize=64)

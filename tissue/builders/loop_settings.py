@@ -23,6 +23,14 @@ Contact = Literal["cuts", "touches", "presses", "wall"]
 """What a tool does to what it meets: cut it, touch it as a rigid thing, press it soft, or press the test wall."""
 
 
+def no_predictor() -> None:
+    """The present force is played."""
+
+
+def no_perception(rng: np.random.Generator) -> None:
+    """Newtons stay newtons."""
+
+
 @dataclass(frozen=True)
 class LoopSettings:
     """A device in a hand, and what lies between it and a tool.
@@ -59,8 +67,8 @@ class LoopSettings:
     contact: Contact
     teeth_Hz: float = 0.0
     vibration_share: float = 0.0
-    predictor: Callable[[], Predictor | None] = lambda: None
-    perception: "Callable[[np.random.Generator], Perception | None]" = lambda rng: None
+    predictor: Callable[[], Predictor | None] = no_predictor
+    perception: "Callable[[np.random.Generator], Perception | None]" = no_perception
 
     @property
     def late(self) -> bool:

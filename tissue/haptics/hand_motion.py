@@ -83,6 +83,8 @@ class HandMotion(Motion):
         The person for whom the force is scaled; without it newtons stay newtons.
     vibration
         Of the cutter's teeth, added to what is played.
+    device_origin_m
+        Where the tool is when the device is at its origin [m]; default where it makes both start together.
     """
 
     def __init__(
@@ -106,23 +108,22 @@ class HandMotion(Motion):
         prediction_gain: float = 1.0,
         perception: Perception | None = None,
         vibration: PlayedVibration | None = None,
+        device_origin_m: Array | None = None,
     ) -> None:
-        self._limits, self._tick, self._vibration = limits, loop.tick_s, vibration
+        self._limits, self._vibration = limits, vibration
+        self._tick = tick = loop.tick_s
         self.predictor, self.perception, self._gain = predictor, perception, prediction_gain
         self._sees = predictor if isinstance(predictor, SeesContact) else None
-        self._margin = margin
-        self.device = device
-        self.tool, self.law = tool, law
-        self._contact, self._control = law, None
+        self._margin, self.device = margin, device
+        self.tool, self.law, self._contact, self._control = tool, law, law, None
         if predictor is not None and isinstance(law, PassivityRenderer):
             # What a controller adds in one tick is no course that a force is on: it comes after the prediction.
             self._contact, self._control = law.inner, law.control
         self.duration_s, self.after_s = scripted.duration_s + after_s, after_s
         self._scripted, self._stray = scripted, stray_m
         self._start, self._scale = np.array(scripted.rotations()[0]), motion_scale
-        self._shift = (1.0 - motion_scale) * scripted.sweep_m()[0]
+        self._shift = device_origin_m if device_origin_m is not None else (1.0 - motion_scale) * scripted.sweep_m()[0]
         self.contact = partial(seen_contact, tool, loop.stiffness_N_m, motion_scale, self._shift)
-        tick = self._tick
         self.guard = SampleGuard(force_limit_N=limits.force_limit_N, torque_limit_Nm=limits.torque_limit_Nm)
         self._low_pass = LowPass(loop.filter_s, step_s=tick)
         self._delay = DelayLine(delay_ticks)

@@ -1,0 +1,283 @@
+"""A person's device in the loop with bone or an organ: step by step, or for some seconds."""
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from meshes.base.errors import InputError, require_direction, require_positive, require_range, require_vector
+from tissue.api.bone import Bone
+from tissue.api.cut import saved_table, table_of
+from tissue.api.loop_parts import bone_met, organ_met, own_names, require_match, settings_of, start_above, usual_force_N
+from tissue.api.organ import Organ
+from tissue.api.simulate import TickRow
+from tissue.api.tools import PressingTool, ball
+from tissue.builders.device_motion import device_motion
+from tissue.builders.force_met import fitted_scale
+from tissue.builders.parts import Parts
+from tissue.cutters import Cutter, ball_burr
+from tissue.haptics.device.device import Device, DeviceParameters
+from tissue.haptics.device.supervision import run_held
+from tissue.models.tissue_model import TICK_S
+from tissue.motion.stays import StaysAt
+from tissue.prediction.outside import Observes
+from tissue.scene.scene import Output
+from tissue.simulation import loop as engine
+from tissue.simulation.live.clock import WallClock
+from tissue.simulation.trace import Table
+
+if TYPE_CHECKING:
+    import pandas
+
+__all__ = ["Loop"]
+
+LONGEST_S = 3600.0
+"""Longest loop for which rows are laid out [s]."""
+
+
+class Loop:
+    """The loop of a haptic device, a tool and what it meets, a tick of 1 ms after another.
+
+    Every tick the device is read; the tool, which hangs on it by a spring, follows as far as the tissue lets it; the
+    tissue answers; the force passes prediction, low-pass, latency and the device's limits, and is commanded. The
+    stiffness of the spring is judged for stability before the first tick, see docs/models.md.
+
+    Use it as ``with Loop(...) as loop: row = loop.step()``, or ``loop.run(10.0)``, which holds the device itself: its
+    last command is zero, whatever ends the block or the run.
+
+    Attributes
+    ----------
+    notes
+        What was chosen and found, by what it is about.
+    ticks
+        Ticks that have run.
+    """
+
+    def __init__(
+        self,
+        tissue: Bone | Organ,
+        tool: Cutter | PressingTool | None = None,
+        *,
+        device: Device,
+        limits: str | DeviceParameters = "touch",
+        start_mm: ArrayLike | None = None,
+        axis: ArrayLike = (0.0, 0.0, 1.0),
+        reach_mm: float = 5.0,
+        predictor: str | Observes | None = None,
+        predictor_file: str | Path | None = None,
+        hand: str = "expert",
+        renderer: str = "proxy",
+        stiffness_N_m: float | None = None,
+        force_scale: float | None = None,
+        motion_scale: float = 1.0,
+        delay_ms: int = 0,
+        low_pass_ms: float = 1.0,
+        allow_unstable: bool = False,
+        longest_s: float = 600.0,
+    ) -> None:
+        """Judge the loop and build it.
+
+        Parameters
+        ----------
+        tissue
+            What the tool meets.
+        tool
+            A cutter for bone, default a ball burr of 4 mm with 6 flutes at 20,000 turns a minute; a pressing tool for
+            an organ, default a ball of 10 mm.
+        device
+            An object with ``read(time_s)``, which gives a `tissue.Sample` in metres or None, and ``command(force_N,
+            torque_Nm)``; entered and left where it is a context manager.
+        limits
+            Its numbers: one of the known devices by name, or `tissue.DeviceParameters`.
+        start_mm
+            Where the tip is when the device is at its own origin [mm]; default 2 mm above the middle of what is met.
+        axis
+            Direction of the tool from tip to shank; the device's axes are those of the tissue.
+        reach_mm
+            How far around the tool bone is made ready, and how far from the start an organ may be touched [mm].
+        predictor
+            What predicts the force over the latency: a name, or an object with ``observe`` and ``predict``.
+        predictor_file
+            What `tissue train` wrote, for a name that is trained.
+        hand
+            Whose hand holds the device, for the judgement: novice, intermediate or expert.
+        renderer
+            Law by which the device plays what the tool meets: proxy, penalty or passivity.
+        stiffness_N_m
+            Stiffness of the coupling at the device; default half the critical one in that hand.
+        force_scale, motion_scale
+            Newtons at the device for each at the tool, by default 1 on an organ and on bone what brings the force in a
+            slot a quarter of the cutter deep within the device's range; metres at the tool for each at the device.
+        delay_ms
+            Latency added before the device, in whole ticks.
+        low_pass_ms
+            Time constant of the low-pass before the device [ms].
+        allow_unstable
+            Run a coupling that is judged unstable, too.
+        longest_s
+            Time for which rows are laid out [s].
+
+        Raises
+        ------
+        InputError
+            If an argument cannot be used, or the coupling is unstable and that is not allowed.
+        """
+        missing = [name for name in ("read", "command") if not callable(getattr(device, name, None))]
+        if missing:
+            raise InputError(
+                f"device must have read and command, got {type(device).__name__} without {' and '.join(missing)}: see "
+                "tissue.Sample for what read gives"
+            )
+        if tool is None:
+            is_organ = isinstance(tissue, Organ)
+            tool = ball(diameter_mm=10) if is_organ else ball_burr(diameter_mm=4, flutes=6, spin_rpm=20_000)
+        require_match(tissue, tool)
+        along = require_direction("axis", np.asarray(axis, dtype=np.float64))
+        if start_mm is None:
+            start_m = 1e-3 * start_above(tissue, along)
+        else:
+            start_m = 1e-3 * require_vector("start_mm", np.asarray(start_mm, dtype=np.float64))
+        reach_m = 1e-3 * require_range("reach_mm", reach_mm, 0.5, 100.0, "use 5")
+        settings = settings_of(
+            type(device).__name__,
+            limits,
+            hand=hand,
+            renderer=renderer,
+            contact="cuts" if isinstance(tool, Cutter) else "presses",
+            low_pass_ms=require_range("low_pass_ms", low_pass_ms, 0.0, 1000.0, "use 1"),
+            predictor=predictor,
+            predictor_file=predictor_file,
+            coupling={"stiffness_N_m": stiffness_N_m, "motion_scale": motion_scale, "delay_ms": delay_ms},
+        )
+        scale, chosen_for = 1.0, ""
+        if force_scale is not None:
+            scale = require_positive("force_scale", force_scale, "use 1")
+        elif isinstance(tissue, Bone) and isinstance(tool, Cutter):
+            usual = usual_force_N(tissue, tool)
+            scale = fitted_scale(usual, settings.limits)
+            chosen_for = f", chosen for the {usual:.3g} N of a slot a quarter of the cutter deep at 2 mm/s"
+        ticks = round(require_range("longest_s", longest_s, TICK_S, LONGEST_S, "use 600") / TICK_S)
+        x, y, z = along.tolist()
+        with own_names():
+            motion, found = device_motion(
+                settings,
+                StaysAt(start_m, (x, y, z)),
+                lambda held, stiffness: device,
+                force_scale=scale,
+                scale_note=chosen_for,
+                device_origin_m=start_m,
+                rng=np.random.default_rng(0),
+                step_s=TICK_S,
+                allow_unstable=allow_unstable,
+            )
+            if isinstance(tissue, Bone):
+                assert isinstance(tool, Cutter)
+                model, self._keep_ready = bone_met(tissue, tool, start_m, along, reach_m=reach_m)
+            else:
+                assert isinstance(tool, PressingTool)
+                model, self._keep_ready = organ_met(tissue, tool, start_m, along, reach_m=reach_m)
+        self.notes = dict(tissue.notes) | {"coupling": "; ".join(found)}
+        cutter = tool if isinstance(tool, Cutter) else None
+        self._motion, self._most, self._closing = motion, ticks, ExitStack()
+        self._loop = engine.Loop(
+            Parts(motion, model, cutter=cutter), ticks=ticks, output=Output(low_pass_ms=settings.low_pass_ms)
+        )
+        self._loop.place()
+        self._row = TickRow(self._loop.trace.columns)
+
+    @property
+    def ticks(self) -> int:
+        """Ticks that have run."""
+        return self._loop.ticks
+
+    def __enter__(self) -> Self:
+        self._closing.enter_context(self._motion.held)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._closing.__exit__(kind, error, trace)
+
+    def step(self) -> TickRow:
+        """Run a tick; its row of the trace by column, the same object in every tick.
+
+        Raises
+        ------
+        InputError
+            If the device is not held, or all rows are full; as `DeviceError`, if the device fails.
+        """
+        if not self._motion.held.entered:
+            raise InputError("loop must hold its device to step, got one that is not: use it in `with loop:`")
+        if self.ticks == self._most:
+            raise InputError(
+                f"longest_s must hold all ticks, got {TICK_S * self._most:g} s that have run: make the loop with more"
+            )
+        self._keep_ready(self._motion.tool.tip_m)
+        self._loop.wait()
+        self._row.values_of_tick = self._loop.trace.rows[self._loop.step()]
+        return self._row
+
+    def run(
+        self, seconds: float, *, real_time: bool = False, on_tick: Callable[[int, TickRow], object] | None = None
+    ) -> Self:
+        """Run for some seconds of simulated time, hold the device for as long, and return the loop.
+
+        Parameters
+        ----------
+        seconds
+            How long [s].
+        real_time
+            Whether a tick waits until it is due on the wall clock, as a real device needs it.
+        on_tick
+            Called after every tick with its number and its row; the run ends where it returns False.
+        """
+        count = round(require_range("seconds", seconds, TICK_S, LONGEST_S, "use 10") / TICK_S)
+        clock = WallClock(TICK_S) if real_time else None
+
+        def go_through() -> None:
+            """Run the ticks."""
+            for index in range(count):
+                if clock is not None:
+                    clock.wait(index)
+                row = self.step()
+                if on_tick is not None and on_tick(self.ticks - 1, row) is False:
+                    return
+
+        with engine.undisturbed():
+            if self._motion.held.entered:
+                go_through()
+            else:
+                run_held(go_through, self._motion.held)
+        return self
+
+    @property
+    def trace(self) -> Table:
+        """The ticks so far, a row each: ``loop.trace["device_force_z_N"]``."""
+        whole = self._loop.trace
+        return Table(whole.columns, whole.rows[: self.ticks], whole.layer_names)
+
+    @property
+    def events(self) -> list[tuple[float, str]]:
+        """What has happened: time [s] and a sentence each."""
+        return sorted(self._loop.events + self._motion.happened(), key=lambda event: event[0])
+
+    @property
+    def tick_us(self) -> Any:
+        """What each tick took [µs], shape (n,)."""
+        return self._loop.timing["tick_us"][: self.ticks]
+
+    def to_pandas(self) -> "pandas.DataFrame":
+        """The ticks so far as a table, a row each."""
+        return table_of(self.trace)
+
+    def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write the ticks so far to a file, its kind by the suffix: .csv, .mat, .npz, .parquet or .h5."""
+        return saved_table(self.trace, path, overwrite=overwrite)
+
+    def __repr__(self) -> str:
+        return f"Loop({type(self._motion.device).__name__}, {self.ticks} ticks; {self.notes['coupling']})"

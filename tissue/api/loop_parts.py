@@ -1,0 +1,206 @@
+"""What a tool on a device meets: bone that is made around it, or the part of an organ that it can touch."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from copy import deepcopy
+from pathlib import Path
+
+import numpy as np
+from pydantic import ValidationError
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError, by
+from meshes.voxels.volume import VoxelVolume
+from tissue.api.bone import Bone
+from tissue.api.organ import Organ
+from tissue.api.tools import PressingTool
+from tissue.builders.bone import VoxelBone, tool_boxes
+from tissue.builders.loop_settings import Contact, LoopSettings
+from tissue.builders.prediction import predictor as predictor_by_name
+from tissue.cutters import Cutter
+from tissue.haptics.device.device import DeviceParameters, device_parameters
+from tissue.haptics.hand.hand import hand_parameters
+from tissue.models.tissue_model import TICK_S, TissueModel, ToolMotion
+from tissue.motion.motion import frame_along
+from tissue.prediction.outside import GuardedMaker, Observes
+from tissue.prediction.predictor import Predictor
+from tissue.scene.coupling import Coupling
+from tissue.scene.messages import sentence
+from tissue.scene.registry import RENDERERS
+
+__all__ = [
+    "KeepsReady",
+    "bone_met",
+    "organ_met",
+    "own_names",
+    "require_match",
+    "settings_of",
+    "start_above",
+    "usual_force_N",
+]
+
+KeepsReady = Callable[[Array], None]
+"""Called with the tip [m] before a tick: makes what the tool is about to reach."""
+CLEARANCE_MM = 2.0
+"""How far above the surface a tool begins where no place is given [mm]."""
+SLOT_VOXELS, SLOT_M_S = 10, 2e-3
+"""Voxels across a cutter, and its feed [m/s], where the force that it usually meets is estimated."""
+ACROSS = 7
+"""Places across the reach at which an organ is looked for."""
+
+
+def bone_met(
+    bone: Bone, tool: Cutter, start_m: Array, axis: Array, *, reach_m: float
+) -> tuple[TissueModel, KeepsReady]:
+    """Bone under a cutter, made as far as `reach_m` around it; goes on to be made where the tool goes."""
+    held = bone.voxel_bone
+    made_at = start_m.copy()
+
+    def boxes(tip_m: Array) -> tuple[Array, Array]:
+        """Around a tip."""
+        spacing_m = held.store.grid.spacing_m
+        return tool_boxes(tool, tip_m[None], axis[None], spacing_m=spacing_m, around_m=reach_m)
+
+    held.reach(boxes(start_m))
+    model = held.model(tool)
+
+    def keep_ready(tip_m: Array) -> None:
+        """Make more once half of the reach is used up; such a tick is late."""
+        moved = tip_m - made_at
+        if moved.dot(moved) > (0.5 * reach_m) ** 2:
+            made_at[:] = tip_m
+            if held.reach(boxes(tip_m)):
+                model.record()
+
+    return model, keep_ready
+
+
+def usual_force_N(bone: Bone, tool: Cutter) -> float:
+    """Force of a cutter in a slot a quarter of its diameter deep at 2 mm/s in the bone's first layer [N]."""
+    width_m = 2.0 * tool.profile.radius_m
+    spacing_m = width_m / SLOT_VOXELS
+    shape = 3 * SLOT_VOXELS, 2 * SLOT_VOXELS, SLOT_VOXELS
+    name = bone.layer_names[0]
+    (coefficients,) = bone.voxel_bone.coefficients[:1]
+    volume = VoxelVolume(
+        -spacing_m * np.array([1.5 * SLOT_VOXELS, SLOT_VOXELS, SLOT_VOXELS]),
+        spacing_m,
+        np.full(shape, 255, dtype=np.uint8),
+        np.zeros(shape, dtype=np.uint8),
+        np.full(shape, round(coefficients.reference_density_kg_m3), dtype=np.uint16),
+        (name,),
+    )
+    model = VoxelBone(volume, (coefficients,)).model(tool)
+    motion = ToolMotion(speed_m_s=SLOT_M_S)
+    motion.heading[0, 0] = 1.0
+    motion.tip_m[:] = -0.5 * width_m, 0.0, -0.25 * width_m
+    model.place(motion)
+    motion.tip_m[0] = 0.0
+    model.advance(motion)
+    return float(np.linalg.norm(model.respond(motion).wrench[:3]))
+
+
+def organ_met(
+    organ: Organ, tool: PressingTool, start_m: Array, axis: Array, *, reach_m: float
+) -> tuple[TissueModel, KeepsReady]:
+    """An organ under a tool that presses, as far as `reach_m` around and below where it starts."""
+    turn = frame_along((float(axis[0]), float(axis[1]), float(axis[2])))
+    across = np.linspace(-reach_m, reach_m, ACROSS)
+    x, y, z = (each.ravel() for each in np.meshgrid(across, across, np.linspace(0.0, -reach_m, ACROSS)))
+    tips = start_m + np.column_stack([x, y, z]) @ turn.T
+    model, _ = organ.soft.under(tool.shape, tips, np.broadcast_to(turn, (len(tips), 3, 3)), path="condensed")
+    return model, lambda tip_m: None
+
+
+def start_above(tissue: Bone | Organ, axis: Array) -> Array:
+    """Place of a tip above the middle of a bone or an organ, seen along the tool's axis [mm].
+
+    Raises
+    ------
+    InputError
+        If nothing lies under the middle.
+    """
+    surface = tissue.surface()
+    low, high = np.array(surface.bounds).reshape(3, 2).T
+    middle, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
+    found, _ = surface.ray_trace(middle + size * axis, middle - size * axis, first_point=True)
+    if np.size(found) == 0:
+        raise InputError(
+            f"start_mm must be given where nothing lies under the middle {by(middle, '.4g')} mm, got none: give a "
+            "place above the surface"
+        )
+    return np.asarray(found, dtype=np.float64).reshape(-1, 3)[0] + CLEARANCE_MM * axis
+
+
+def require_match(tissue: object, tool: object) -> None:
+    """Refuse a tool that cannot meet what it is given with."""
+    if not isinstance(tissue, Bone | Organ):
+        raise InputError(f"tissue must be a Bone or an Organ, got {type(tissue).__name__}: make one of these")
+    if isinstance(tissue, Bone):
+        tissue.require_cutter(tool)
+    elif not isinstance(tool, PressingTool):
+        raise InputError(f"tool must press an organ, got {type(tool).__name__}: make one by tissue.ball")
+
+
+def settings_of(
+    device: str,
+    limits: str | DeviceParameters,
+    *,
+    hand: str,
+    renderer: str,
+    contact: Contact,
+    low_pass_ms: float,
+    predictor: str | Observes | None,
+    predictor_file: str | Path | None,
+    coupling: dict[str, float | None],
+) -> LoopSettings:
+    """What lies between a device and a tool, from a caller's arguments."""
+    numbers = device_parameters(limits) if isinstance(limits, str) else limits
+    if not isinstance(numbers, DeviceParameters):
+        raise InputError(
+            f"limits must be a device's name or tissue.DeviceParameters, got {type(limits).__name__}: use touch"
+        )
+    if abs(1.0 / numbers.rate_Hz - TICK_S) > 1e-9:
+        raise InputError(f"limits must have a rate of {1.0 / TICK_S:g} Hz, got {numbers.rate_Hz:g}: sample it so often")
+    if predictor_file is not None and not isinstance(predictor, str):
+        raise InputError(f"predictor_file must come with a predictor's name, got {predictor!r}: name one, or drop it")
+    RENDERERS[renderer]  # refused here, by the argument's own name
+
+    def made() -> Predictor | None:
+        """A new predictor, for the loop or to be probed."""
+        limit_N = numbers.force_limit_N
+        if predictor is None:
+            return None
+        if isinstance(predictor, str):
+            file = str(predictor_file or "")
+            return predictor_by_name(predictor, scene_name="", file=file, force_limit_N=limit_N, tick_s=TICK_S)
+        return GuardedMaker(type(predictor).__name__, lambda: deepcopy(predictor))(None, limit_N)
+
+    given = {name: value for name, value in coupling.items() if value is not None}
+    try:
+        chosen = Coupling.model_validate(given)
+    except ValidationError as error:
+        fault = error.errors()[0]
+        fault["loc"] = ("coupling", *fault["loc"])
+        raise InputError(sentence(fault, {"coupling": given}).removeprefix("coupling.")) from None
+    return LoopSettings(
+        device,
+        numbers,
+        hand,
+        hand_parameters(hand),
+        chosen,
+        renderer,
+        low_pass_ms,
+        contact,
+        predictor=made,
+    )
+
+
+@contextmanager
+def own_names() -> Iterator[None]:
+    """Let refusals name arguments, where those of a scene name its keys and the command's options."""
+    try:
+        yield
+    except InputError as error:
+        words = str(error).replace("coupling.", "").replace("output.", "").replace("--allow-unstable", "allow_unstable")
+        raise InputError(words) from error

@@ -1,0 +1,43 @@
+"""A motion that stays where it starts: what gives a tool on a device its place, orientation and region."""
+
+from math import inf
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from tissue.models.tissue_model import Response, ToolMotion
+from tissue.motion.motion import Motion, frame_along
+
+__all__ = ["StaysAt"]
+
+
+class StaysAt(Motion):
+    """A tool at rest.
+
+    Parameters
+    ----------
+    start_m
+        Where its tip is [m].
+    axis
+        Direction from tip to shank.
+    """
+
+    duration_s = inf
+
+    def __init__(self, start_m: Array, axis: tuple[float, float, float]) -> None:
+        self._start, self._rotation = np.array(start_m, dtype=np.float64), frame_along(axis)
+
+    def sweep_m(self) -> Array:
+        """The one place [m]."""
+        return self._start[None]
+
+    def rotations(self) -> Array:
+        """The one orientation."""
+        return self._rotation[None]
+
+    def begin(self, motion: ToolMotion) -> None:
+        """Take the pose."""
+        motion.tip_m[:], motion.rotation[:] = self._start, self._rotation
+
+    def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
+        """Stay."""
