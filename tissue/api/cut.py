@@ -8,15 +8,17 @@ from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from tissue.api.trace import Trace
 from tissue.simulation.loop import Loop
 from tissue.simulation.trace import Table, TraceLayout
 from tissue.simulation.trace_files import write_table
 
 if TYPE_CHECKING:
     import pandas
+    import xarray
     from matplotlib.figure import Figure
 
-__all__ = ["Cut", "saved_table", "table_of"]
+__all__ = ["Cut", "saved_table"]
 
 
 class Cut:
@@ -31,7 +33,7 @@ class Cut:
     """
 
     def __init__(self, trace: Table, pose_us: Array) -> None:
-        self.trace, self.pose_us = trace, pose_us
+        self.trace, self.pose_us = Trace(trace), pose_us
 
     @classmethod
     def of(cls, loop: Loop, times_s: Array, *, removed_before_m3: Array) -> "Cut":
@@ -81,14 +83,12 @@ class Cut:
         return np.asarray(self.trace["layer"])
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """All columns as a table, a row a pose.
+        """All columns as a table, a row a pose; see `tissue.api.trace.Trace.to_pandas`."""
+        return self.trace.to_pandas()
 
-        Raises
-        ------
-        InputError
-            If pandas is not installed.
-        """
-        return table_of(self.trace)
+    def to_xarray(self) -> "xarray.Dataset":
+        """All columns over the time; see `tissue.api.trace.Trace.to_xarray`."""
+        return self.trace.to_xarray()
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write all columns to a file, its kind by the suffix: .csv, .mat (MATLAB), .npz, .parquet or .h5.
@@ -125,21 +125,6 @@ class Cut:
             f"Cut({len(self)} poses in {self.times_s[-1] - self.times_s[0]:.4g} s, {self.removed_mm3[-1]:.4g} mm3 "
             f"removed, peak force {force.max():.3g} N, {np.median(self.pose_us):.0f} us a pose)"
         )
-
-
-def table_of(trace: Table) -> "pandas.DataFrame":
-    """Columns as a table of pandas, a row each.
-
-    Raises
-    ------
-    InputError
-        If pandas is not installed.
-    """
-    try:
-        import pandas
-    except ImportError:
-        raise InputError("to_pandas must have pandas, got none: pip install 'tissue-sim[pandas]'") from None
-    return pandas.DataFrame({name: trace[name] for name in trace})
 
 
 def saved_table(trace: Table, path: str | Path, *, overwrite: bool) -> Path:

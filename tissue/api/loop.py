@@ -11,11 +11,12 @@ from numpy.typing import ArrayLike
 
 from meshes.base.errors import InputError, require_direction, require_positive, require_range, require_vector
 from tissue.api.bone import Bone
-from tissue.api.cut import saved_table, table_of
+from tissue.api.cut import saved_table
 from tissue.api.loop_parts import bone_met, organ_met, own_names, require_match, settings_of, start_above, usual_force_N
 from tissue.api.organ import Organ
 from tissue.api.simulate import TickRow
 from tissue.api.tools import PressingTool, ball
+from tissue.api.trace import Trace
 from tissue.builders.device_motion import device_motion
 from tissue.builders.force_met import fitted_scale
 from tissue.builders.parts import Parts
@@ -256,10 +257,10 @@ class Loop:
         return self
 
     @property
-    def trace(self) -> Table:
+    def trace(self) -> Trace:
         """The ticks so far, a row each: ``loop.trace["device_force_z_N"]``."""
         whole = self._loop.trace
-        return Table(whole.columns, whole.rows[: self.ticks], whole.layer_names)
+        return Trace(Table(whole.columns, whole.rows[: self.ticks], whole.layer_names))
 
     @property
     def events(self) -> list[tuple[float, str]]:
@@ -273,7 +274,7 @@ class Loop:
 
     def to_pandas(self) -> "pandas.DataFrame":
         """The ticks so far as a table, a row each."""
-        return table_of(self.trace)
+        return self.trace.to_pandas()
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write the ticks so far to a file, its kind by the suffix: .csv, .mat, .npz, .parquet or .h5."""

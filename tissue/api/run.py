@@ -163,7 +163,7 @@ class Run:
         return carved_surface(self)
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """The trace with the time [s] as index; the scene's name is in its ``attrs``. See `Trace.to_pandas`."""
+        """The trace, a row a tick; the scene's name is in its ``attrs``. See `Trace.to_pandas`."""
         table = self.trace.to_pandas()
         table.attrs["scene"] = self.scene.name
         return table

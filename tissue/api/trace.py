@@ -53,7 +53,7 @@ class Trace(dict[str, NDArray[Any]], Table):
         return Table.__getitem__(self, name)  # raises, and lists the known ones
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """The table with the time [s] as index, layers as categories; units stay in the columns' names.
+        """The table, a row a tick, layers as categories; units stay in the columns' names.
 
         Raises
         ------
@@ -64,10 +64,7 @@ class Trace(dict[str, NDArray[Any]], Table):
         columns: dict[str, Any] = dict(self)
         if "layer" in columns:
             columns["layer"] = pandas.Categorical(columns["layer"], categories=[*self.layer_names, NO_LAYER])
-        table = pandas.DataFrame(columns)
-        if "time_s" in table:
-            return table.set_index("time_s")
-        return table.rename_axis(index="tick")
+        return pandas.DataFrame(columns).rename_axis(index="tick")
 
     def to_xarray(self) -> "xarray.Dataset":
         """A variable for each column over the dimension ``time_s``; each has its unit as the attribute ``units``.

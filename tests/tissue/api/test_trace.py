@@ -18,9 +18,9 @@ def test_pandas_takes_the_trace_itself_as_a_table(run):
     assert isinstance(run.trace, Table) and run.trace.vectors("force", "N").shape == (len(table), 3)
 
 
-def test_to_pandas_has_time_as_index_and_layers_as_categories(run):
+def test_to_pandas_has_time_as_a_column_and_layers_as_categories(run):
     table = run.to_pandas()
-    assert table.index.name == "time_s" and table.attrs == {"scene": "milling"}
+    assert "time_s" in table and table.index.name == "tick" and table.attrs == {"scene": "milling"}
     assert list(table["layer"].cat.categories) == ["cortical", "none"]
     assert np.array_equal(table["force_z_N"].to_numpy(), run.trace["force_z_N"])
     assert run.timing.to_pandas().index.name == "tick"
