@@ -4,8 +4,12 @@ The gallery runs the examples; ``-D plot_gallery=0`` leaves that out. Nothing is
 """
 
 import os
+import re
 import sys
 from pathlib import Path
+from typing import Any
+
+from sphinx.application import Sphinx
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE / "_ext"), str(HERE.parent)]
@@ -90,3 +94,13 @@ html_theme_options = {
 }
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
+
+
+def without_back_links(app: Sphinx, page: str, template: str, context: dict[str, Any], tree: object) -> None:
+    """Take the links from source to reference out: viewcode takes one module's names for all to be of one home."""
+    if page.startswith("_modules/") and "body" in context:
+        context["body"] = re.sub(r'<a class="viewcode-back"[^>]*>\[docs\]</a>', "", context["body"])
+
+
+def setup(app: Sphinx) -> None:
+    app.connect("html-page-context", without_back_links)
