@@ -140,6 +140,16 @@ def test_bricks_are_made_only_where_a_tool_has_been(tmp_path):
     assert abs(surface.volume / solid - 1.0) < 1e-4
 
 
+def test_what_would_not_fit_memory_is_refused(monkeypatch):
+    import psutil
+
+    bone = tissue.Bone.block((12, 8, 5), spacing_mm=0.05)
+    free = type("Memory", (), {"available": 50_000_000})
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: free)
+    with pytest.raises(tissue.InputError, match=r"spacing_mm must .*0\.1 GB.*use 0\.\d+"):
+        slot(bone)
+
+
 def test_two_tools_leave_what_both_have_taken():
     bone = tissue.Bone.block((12, 8, 5), spacing_mm=0.2)
     drill = tissue.cutters.twist_drill(diameter_mm=3.2, length_mm=12, spin_rpm=1000)

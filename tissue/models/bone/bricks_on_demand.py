@@ -12,7 +12,7 @@ from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import Shape
 from meshes.voxels.volume import VoxelVolume
 from meshes.voxels.voxelise import AROUND_VOXELS, voxelise
-from tissue.models.bone.bricks import BrickGrid, BrickStore
+from tissue.models.bone.bricks import BYTES_PER_VOXEL, BrickGrid, BrickStore
 
 __all__ = ["Boxes", "BricksOnDemand"]
 
@@ -22,6 +22,8 @@ PATCH = 4
 """Bricks along the edge of what is made at once."""
 MARGIN = 1
 """Bricks voxelised around a patch and not kept: more than the distances that its voxels store."""
+BYTES_WHILE_MADE = 3 * BYTES_PER_VOXEL
+"""Of memory for a voxel that is made: stored, room to grow, and the arrays from which it comes."""
 MOST_BRICKS = 2.5e8
 """Bricks of the lattice at most: 1 GB."""
 
@@ -78,6 +80,7 @@ class BricksOnDemand:
             Lowest and highest corners in the anatomy's frame [m].
         """
         wanted = self._wanted(boxes)
+        self._require_memory(int(wanted.sum()))
         grown = False
         while wanted.any():
             first, last = _box_of(wanted)
@@ -88,6 +91,21 @@ class BricksOnDemand:
             x, y, z = low.tolist()
             grown |= self.store.add(volume, at=(x, y, z), margin=MARGIN)
         return grown
+
+    def _require_memory(self, patches: int) -> None:
+        """Refuse patches that would not fit the memory that is free now."""
+        if patches == 0:
+            return
+        import psutil
+
+        free, spacing_mm = psutil.virtual_memory().available, 1e3 * self.store.grid.spacing_m
+        needed = patches * (PATCH * BRICK) ** 3 * BYTES_WHILE_MADE
+        if needed > 0.9 * free:
+            fits = spacing_mm * (needed / (0.8 * free)) ** (1.0 / 3.0)
+            raise InputError(
+                f"spacing_mm must leave what the tool reaches within the free memory of {free / 1e9:.1f} GB, got "
+                f"{spacing_mm:g} which needs {needed / 1e9:.1f} GB: use {np.ceil(1e3 * fits) / 1e3:g}"
+            )
 
     def has(self, low_m: Array, high_m: Array) -> bool:
         """Whether all bricks that a box touches are made; corners [m], shape (3,) each."""
