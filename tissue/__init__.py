@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from tissue.api.bone import Bone
     from tissue.api.cut import Cut
     from tissue.api.loop import Loop
+    from tissue.api.materials import material, material_names
     from tissue.api.organ import Organ
     from tissue.api.poses import feed_along
     from tissue.api.press import Press
@@ -45,6 +46,8 @@ __all__ = [
     "feed_along",
     "flat_punch",
     "load_scene",
+    "material",
+    "material_names",
     "open_run",
     "probe_from_file",
     "register",
@@ -68,6 +71,8 @@ _HOMES = {
     "feed_along": "tissue.api.poses",
     "flat_punch": "tissue.api.tools",
     "load_scene": "tissue.scene.load",
+    "material": "tissue.api.materials",
+    "material_names": "tissue.api.materials",
     "open_run": "tissue.api.run",
     "probe_from_file": "tissue.api.tools",
     "register": "tissue.api.register",

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from html import escape
 
-__all__ = ["folded", "scrolled", "table_html"]
+__all__ = ["curve", "folded", "scrolled", "table_html"]
 
 
 def table_html(
@@ -16,6 +16,15 @@ def table_html(
         head += f"<thead><tr>{_cells(titles, 'th', side)}</tr></thead>"
     body = "".join(f"<tr>{_cells(row, 'td', side)}</tr>" for row in rows)
     return f"<table>{head}<tbody>{body}</tbody></table>"
+
+
+def curve(values: Sequence[float], *, title: str, width: int = 320, height: int = 48) -> str:
+    """A small curve from zero, without axes."""
+    top = max(*values, 0.0) or 1.0
+    step = width / max(len(values) - 1, 1)
+    points = " ".join(f"{step * i:.1f},{height - 1 - (height - 2) * value / top:.1f}" for i, value in enumerate(values))
+    line = f'<polyline points="{points}" fill="none" stroke="currentColor" stroke-width="1.2"/>'
+    return f'<svg width="{width}" height="{height}" role="img"><title>{escape(title)}</title>{line}</svg>'
 
 
 def folded(title: str, inner: str, *, is_open: bool = False) -> str:

@@ -1,35 +1,27 @@
 """A run as a person holds it: simulated just now or read back from its folder, with the same interface."""
 
 from collections.abc import Iterable
-from functools import cached_property
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
-from meshes.base.progress import Progress
-from meshes.voxels.volume import VoxelVolume
+from tissue.api.run_data import RunData
+from tissue.api.run_figures import run_html, run_line
 from tissue.api.saved_folder import SavedFolder
-from tissue.api.trace import Trace
-from tissue.builders.parts import Parts
-from tissue.cutters.cutter import Cutter
-from tissue.scene.scene import Scene
-from tissue.simulation import run as engine
-from tissue.simulation.run_summary import Summary
 
 if TYPE_CHECKING:
     import pandas
-    import pyvista
     import xarray
-
-    from tissue.models.bone.replay import CarvingReplay
+    from matplotlib.axes import Axes
 
 __all__ = ["Run", "open_run"]
 
 
-class Run:
+class Run(RunData):
     """A run: what `tissue.simulate` returns, and `tissue.open_run` reads back.
 
     Parameters
@@ -43,124 +35,72 @@ class Run:
         Folder in which the run lies; None of one that was not saved yet.
     """
 
-    def __init__(self, held: engine.Run | SavedFolder) -> None:
-        self._held = held
-        self.path: Path | None = held.path if isinstance(held, SavedFolder) else None
+    def plot(self, columns: Iterable[str] | None = None, *, ax: "Axes | None" = None) -> "NDArray[np.object_]":
+        """Draw columns of the trace over time, by default force and torque on the tool, with the run's events.
 
-    @property
-    def scene(self) -> Scene:
-        """What was simulated."""
-        return self._held.scene
+        Parameters
+        ----------
+        columns
+            Columns of numbers, such as ``["removed_mm3", "contact_mm2"]``; those of one unit share a panel.
+        ax
+            Axes of matplotlib to draw on, for columns of one unit; without it a new figure is made.
 
-    @cached_property
-    def trace(self) -> Trace:
-        """One row a tick, columns by name: ``run.trace["force_z_N"]``."""
-        return Trace(self._held.trace)
-
-    @cached_property
-    def timing(self) -> Trace:
-        """What each tick took, and its stages [µs], columns by name: ``run.timing["tick_us"]``."""
-        return Trace(self._held.timing)
-
-    @property
-    def events(self) -> list[tuple[float, str]]:
-        """What happened in the run: time [s] and a sentence each."""
-        return self._held.events
-
-    @property
-    def summary(self) -> Summary:
-        """Figures of the run by name, as ``summary.json`` has them: volumes by layer, forces, cost of the ticks."""
-        return self._held.summary
-
-    @property
-    def status(self) -> str:
-        """``complete``, ``failed``, ``interrupted`` or ``running``."""
-        return str(self.summary["status"])
-
-    @property
-    def problem(self) -> str:
-        """What ended a run that failed or was interrupted; empty where nothing did, or it is not known."""
-        return str(self.summary.get("problem", ""))
-
-    @property
-    def volume(self) -> VoxelVolume:
-        """The voxels before the first cut.
+        Returns
+        -------
+        The panels, shape (panels,); ``run.plot()[0].figure`` is the figure.
 
         Raises
         ------
         InputError
-            If the tissue has none.
+            If there is no such column.
         """
-        return self._held.volume
+        from tissue.api.plots import plot_columns
 
-    @property
-    def remaining(self) -> NDArray[np.uint8]:
-        """Bone left in every voxel, 255 = full, uint8, shape (nx, ny, nz); raises as `volume`."""
-        return self._held.remaining
+        return plot_columns(self.trace, self.events, title=self._title, columns=columns, ax=ax)
 
-    @property
-    def poses(self) -> NDArray[np.float64] | None:
-        """Poses of a tool that cuts, see `tissue.simulation.tick.PoseLog`; None of one that does not."""
-        return self._held.poses
+    def show(
+        self,
+        time_s: float | None = None,
+        *,
+        field: str | None = None,
+        hide: tuple[str, ...] = (),
+        scale: float = 1.0,
+        interactive: bool | None = None,
+        screenshot: str | Path | None = None,
+    ) -> Any:
+        """Show the run in 3D: bone or fields, the tool on its path, and its force.
 
-    @property
-    def cutter(self) -> Cutter:
-        """The cutter.
+        Parameters
+        ----------
+        time_s
+            The moment [s]; without it that of the greatest force.
+        field
+            Field in place of the bone, ``von_mises_MPa`` for one.
+        hide
+            Layers that are left out.
+        scale
+            How many times its size the displacement is drawn.
+        interactive
+            Whether it can be turned by the mouse: in a notebook where the extra ``notebook`` is installed, in a script
+            in a window, as `tissue view` opens it, where there is a display. Without it, it is so where it can be.
+        screenshot
+            PNG file to write; an existing one is replaced.
+
+        Returns
+        -------
+        A still picture, which a notebook shows, with its pixels as ``array``; in a notebook that can, what is turned by
+        the mouse; None of a window, after it was closed.
 
         Raises
         ------
         InputError
-            If the tool is none.
+            If there is nothing to show, no such layer, field or moment, no display, or 3D cannot be drawn.
         """
-        return self._held.cutter
+        from tissue.api.show import show_folder
 
-    @property
-    def parts(self) -> Parts:
-        """The engine's tissue, motion and voxels.
-
-        Raises
-        ------
-        InputError
-            If the run was read back: a folder does not keep them.
-        """
-        if isinstance(self._held, SavedFolder):
-            raise InputError(f"run must be simulated here to have its parts, got {self.path}: run the scene again")
-        return self._held.parts
-
-    def replay(self) -> "CarvingReplay":
-        """The carving once more, for the bone at any tick: ``run.replay().at(tick)``.
-
-        Raises
-        ------
-        InputError
-            If nothing was cut.
-        """
-        return self._held.replay()
-
-    def dataset(self) -> "pyvista.ImageData | pyvista.UnstructuredGrid":
-        """What was simulated, as pyvista shows it, in the scene's frame in mm.
-
-        Voxels: an image with the cell arrays start and remaining (255 = full), layer, density_kg_m3. Elements: the mesh
-        of the last frame with its fields.
-
-        Raises
-        ------
-        InputError
-            If the tissue has neither.
-        """
-        return self._held.dataset()
-
-    def surface(self) -> "pyvista.PolyData":
-        """Surface of the carved bone [mm]: point array ``removed_depth_mm``, cell array ``layer``.
-
-        Raises
-        ------
-        InputError
-            If the tissue has no voxels.
-        """
-        from tissue.simulation.bone_files import carved_surface
-
-        return carved_surface(self)
+        file = None if screenshot is None else Path(screenshot)
+        chosen = {"time_s": time_s, "field": field, "hide": hide, "scale": scale}
+        return show_folder(self._folder(), chosen, interactive=interactive, screenshot=file)
 
     def to_pandas(self) -> "pandas.DataFrame":
         """The trace, a row a tick; the scene's name is in its ``attrs``. See `Trace.to_pandas`."""
@@ -172,45 +112,18 @@ class Run:
         """The trace over the dimension ``time_s``; the scene's name is in its ``attrs``. See `Trace.to_xarray`."""
         return self.trace.to_xarray().assign_attrs(scene=self.scene.name)
 
-    def save(
-        self,
-        out: str | Path,
-        *,
-        formats: Iterable[str] = (),
-        pictures: bool = True,
-        overwrite: bool = False,
-        progress: Progress | None = None,
-    ) -> Path:
-        """Write the run's folder; see docs/files.md for its files. One that was read back is copied.
-
-        Parameters
-        ----------
-        out
-            Folder to write.
-        formats
-            Further formats of the trace: parquet, npz, mat, h5.
-        pictures
-            Whether the folder holds pictures.
-        overwrite
-            Replace a run that the folder already holds.
-        progress
-            Called with what is being done.
-
-        Raises
-        ------
-        InputError
-            If the folder holds another run or a format is unknown.
-        """
-        self.path = self._held.save(out, formats=formats, pictures=pictures, overwrite=overwrite, progress=progress)
-        return self.path
+    @property
+    def _title(self) -> str:
+        return str(self.summary.get("scene", "run"))
 
     def __repr__(self) -> str:
-        figures, name = self.summary, str(self.summary.get("scene"))
-        if self.status != "complete":
-            return f"<tissue.Run {name}, {self.status}>"
-        removed = sum(figures["removed_mm3"].values())
-        cut = f", {removed:.4g} mm³ removed" if figures["cuts"] else ""
-        return f"<tissue.Run {name}, {figures['simulated_s']:g} s, peak force {figures['force_N']['peak']:.3g} N{cut}>"
+        return f"<tissue.Run {', '.join(run_line(self.summary))}>"
+
+    def _repr_html_(self) -> str:
+        size = np.zeros(0)
+        with suppress(InputError):  # of a run that was stopped early there may be no trace
+            size = np.linalg.norm(self.trace.vectors("model_force", "N"), axis=1)
+        return run_html(self.summary, self.events, size)
 
 
 def open_run(path: str | Path) -> Run:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
-from meshes.base.progress import Progress, silent
+from tissue.api.progress import Bar, reporting
 from tissue.api.run import Run
 from tissue.builders.device import opened_device
 from tissue.builders.parts import Parts
@@ -75,7 +75,7 @@ def simulate(
     cores: int | None = None,
     out: str | Path | None = None,
     overwrite: bool = False,
-    progress: Progress | None = None,
+    progress: Bar = None,
     allow_unstable: bool = False,
     device: Device | SafeDevice | None = None,
     on_tick: Callable[[int, TickRow], object] | None = None,
@@ -97,7 +97,8 @@ def simulate(
     overwrite
         Replace a run that ``out`` already holds.
     progress
-        Called with what is being done.
+        Whether a bar is shown, in a notebook or a terminal, or what is called with what is being done and its share;
+        without it a notebook shows a bar.
     allow_unstable
         Run a device whose coupling is judged unstable, too.
     device
@@ -118,25 +119,26 @@ def simulate(
     if on_tick is not None and observer is not None:
         raise InputError("on_tick must be left out with observer, got both: call it from the observer's on_tick")
     chosen: dict[str, str] = {}
-    if scene.fidelity is not None:
-        from tissue.evaluation.charts.fidelity import with_fidelity
+    with reporting(progress) as report:
+        if scene.fidelity is not None:
+            from tissue.evaluation.charts.fidelity import with_fidelity
 
-        require_used(scene)
-        scene, chosen["fidelity"] = with_fidelity(scene, report=progress or silent)
-    opened = opened_device(scene) if device is None else None
-    if opened is not None:
-        chosen["device"] = f"{scene.device} is read and played by {type(opened).__name__}"
-    run = engine.simulate(
-        scene,
-        compute=compute,
-        cores=cores,
-        out=out,
-        overwrite=overwrite,
-        progress=progress,
-        allow_unstable=allow_unstable,
-        device=opened if device is None else device,
-        observer=observer if on_tick is None else Calls(on_tick),
-    )
+            require_used(scene)
+            scene, chosen["fidelity"] = with_fidelity(scene, report=report)
+        opened = opened_device(scene) if device is None else None
+        if opened is not None:
+            chosen["device"] = f"{scene.device} is read and played by {type(opened).__name__}"
+        run = engine.simulate(
+            scene,
+            compute=compute,
+            cores=cores,
+            out=out,
+            overwrite=overwrite,
+            progress=report,
+            allow_unstable=allow_unstable,
+            device=opened if device is None else device,
+            observer=observer if on_tick is None else Calls(on_tick),
+        )
     run.parts.notes |= chosen
     run.draw = draw_pictures
     return Run(run)

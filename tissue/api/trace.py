@@ -136,4 +136,4 @@ def _units(column: str) -> dict[str, str]:
 
 
 def _cell(value: object) -> str:
-    return f"{value:.5g}" if isinstance(value, float) else str(value)
+    return f"{value + 0.0:.5g}" if isinstance(value, float) else str(value)

@@ -7,8 +7,9 @@ from typing import Any
 from cyclopts import CoercionError, Token
 from rich.console import Console
 
-from meshes.base.progress import Progress, silent
+from meshes.base.progress import Progress
 from meshes.base.visible_text import visible
+from tissue.api.progress import terminal_bar
 
 __all__ = ["console", "left_out", "problems", "progress", "whole"]
 
@@ -55,13 +56,5 @@ def left_out(where: str, remedy: str, **flags: object) -> None:
 @contextmanager
 def progress() -> Iterator[Progress]:
     """A progress bar that names what is being done; called with what and with the share that is done."""
-    from rich import progress as bars
-
-    if not problems.is_terminal:  # older versions of rich end even a disabled bar with an empty line
-        yield silent
-        return
-    text = bars.TextColumn("{task.description}", markup=False)
-    columns = (text, bars.BarColumn(), bars.TaskProgressColumn(), bars.TimeElapsedColumn())
-    with bars.Progress(*columns, console=problems, transient=True) as bar:
-        task = bar.add_task("starting", total=1.0)
-        yield lambda doing, share: bar.update(task, description=visible(doing), completed=share)
+    with terminal_bar(problems) as report:
+        yield report

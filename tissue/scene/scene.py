@@ -211,6 +211,11 @@ class Scene(Part):
                 table.pop(part, None)
         return tomli_w.dumps({name: value for name, value in table.items() if value != {}})
 
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        shown: str = loaded("tissue.api.scene_html:scene_html")(self)
+        return shown
+
     def with_files_at(self, folder: Path) -> "Scene":
         """The same scene with the paths of its files made absolute, relative ones taken from ``folder``."""
         changes: dict[str, object] = {}

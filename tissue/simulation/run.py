@@ -210,9 +210,10 @@ class Run:
         for kind in formats:
             check_format(kind)
         out = Path(out)
-        folder, self._folder = self._folder, None  # what is saved once is another's to replace
-        begun = folder is not None and folder.path == out
-        if folder is None or not begun:
+        begun = self._folder is not None and self._folder.path == out
+        if begun and self._folder is not None:
+            folder, self._folder = self._folder, None  # what is saved once is another's to replace
+        else:
             folder = RunFolder(out, overwrite=overwrite)
         with folder.ending():
             if not begun:
