@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from tissue.builders.voxels import reach
 from tissue.figures.figure import DRAWING, save
+from tissue.figures.marks import draw_axes, draw_scale
 from tissue.figures.rendering import Camera, paint, render, side_by_side
 from tissue.figures.style import BONE, DEPTH_COLOURS, EDGE, axis_names, depth_limit, layer_colours
 from tissue.figures.tool_mesh import pose, spin_arc_mm
@@ -116,7 +117,7 @@ def _compose(
     for axes, title, legend in zip(panels, ("before", "after"), named, strict=True):
         left, foot, wide, _ = axes.get_position().bounds
         chart.text(left + 0.5 * wide, 1.0 - 0.5 * HEAD_PX / tall, title, ha="center", va="center", size=11)
-        _draw_scale(axes, camera)
+        draw_scale(axes, camera)
         chart.legend(
             handles=[Patch(facecolor=colour, label=name, **EDGE) for name, colour in legend.items()],
             loc="center",
@@ -126,7 +127,7 @@ def _compose(
             labelspacing=0.3,
         )
     _draw_spin(panels[0], run, camera)
-    _draw_triad(chart.add_axes((0.28, 0.0, 0.18, foot)), run, camera)
+    draw_axes(chart.add_axes((0.28, 0.0, 0.18, foot)), axis_names(run), camera)
     bar = chart.add_axes((left + 0.45 * wide, 0.58 * foot, 0.48 * wide, 0.14 * foot))
     mapped = ScalarMappable(Normalize(0.0, limit), DEPTH_COLOURS)
     chart.colorbar(mapped, cax=bar, orientation="horizontal").set_label("removed depth / mm")
@@ -150,27 +151,3 @@ def _draw_spin(axes: "Axes", run: Run, camera: Camera) -> None:
     axes.annotate("", arc[-1], arc[-4], arrowprops=arrow)
     x, y = arc[np.argmin(arc[:, 1])]
     axes.text(x, y - 8.0, "spin", ha="center", va="bottom", size=9, path_effects=around)
-
-
-def _draw_scale(axes: "Axes", camera: Camera) -> None:
-    """A bar of a round length; the projection is parallel, so it holds across the picture."""
-    per_mm = camera.size[1] / camera.height_mm
-    longest = 0.25 * camera.size[0] / per_mm
-    length = max(step for step in (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0) if step <= max(longest, 0.5))
-    x, y = camera.size[0] - 20.0, camera.size[1] - 16.0
-    axes.plot([x - length * per_mm, x], [y, y], color="0.1", linewidth=2.2, solid_capstyle="butt")
-    axes.text(x - 0.5 * length * per_mm, y - 8.0, f"{length:g} mm", ha="center", va="bottom", size=9)
-
-
-def _draw_triad(axes: "Axes", run: Run, camera: Camera) -> None:
-    """The world's axes as the camera sees them."""
-    view = np.stack([np.cross(camera.up, camera.towards_eye), camera.up])
-    axes.set(xlim=(-1.5, 1.5), ylim=(-0.75, 1.35), aspect="equal")
-    axes.set_axis_off()
-    arrow = {"arrowstyle": "-|>", "color": "0.2", "shrinkA": 0, "shrinkB": 0}
-    for along, name in zip(0.8 * view.T, axis_names(run), strict=True):
-        if np.hypot(*along) < 0.1:
-            continue
-        axes.annotate("", along, (0.0, 0.0), arrowprops=arrow)
-        x, y = along * (1.0 + 0.12 / np.hypot(*along))
-        axes.text(x, y, name, ha="left" if along[0] > -0.05 else "right", va="center", size=8)

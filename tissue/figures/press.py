@@ -1,13 +1,18 @@
 """A still picture of a soft organ under load: how far it has moved, and the stress where it is cut open at the tool."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tissue.fem.fields import FieldSeries, Frame
 from tissue.figures.figure import DRAWING, save
+from tissue.figures.marks import draw_axes, draw_scale
+from tissue.figures.organ_surface import SHOWN, at_nodes, drawn_surface, inclusions, section_cap, with_normals
 from tissue.figures.rendering import Camera, paint, render, side_by_side
+from tissue.figures.style import field_colours
 from tissue.figures.tool_mesh import pose
 from tissue.simulation.saved_fields import IN_MM, field_label, field_limits, field_values
 from tissue.simulation.series import frame_mesh
@@ -15,22 +20,64 @@ from tissue.simulation.trace import Table
 
 if TYPE_CHECKING:
     import pyvista
+    from matplotlib.axes import Axes
     from matplotlib.cm import ScalarMappable
 
-__all__ = ["draw_press"]
+__all__ = ["draw_press", "moment_of_press"]
 
-EYE = (0.25, -0.75, 0.62)
-"""Direction towards the eye, that of `tissue view` but lower."""
-TOOL = (0.72, 0.72, 0.75)
-SHARP_DEG = 40.0
-"""Edges of a greater angle are drawn sharp."""
+EYE, ACROSS = (0.25, -0.75, 0.62), (0.0, -1.0, 0.0)
+"""Directions towards the eye: that of `tissue view` but lower, and at right angles to a section."""
+TOOL, INCLUSION = (0.72, 0.72, 0.75), "#56B4E9"
+"""Colours of the tool and of an inclusion's edge, which is seen on light and on dark ones."""
+NUDGE = (0.0, 1e-4, 0.0)
+"""How far behind the tool's tip a section lies [mm]: beside a row of nodes, not through it."""
+ABOVE = 0.2
+"""How much of a needle above an organ is drawn, in heights of the organ."""
 HEAD_PX, FOOT_PX = 90, 150
 
 
+@dataclass(frozen=True)
+class _Shown:
+    """A field of the picture: name, ends of its scale, and whether the organ is cut open."""
+
+    name: str
+    ends: tuple[float, float]
+    opened: bool
+
+    @property
+    def colours(self) -> "ScalarMappable":
+        """Colours by value; the scale is logarithmic where it begins above 0."""
+        from matplotlib.cm import ScalarMappable
+        from matplotlib.colors import LogNorm, Normalize
+
+        low, high = self.ends
+        return ScalarMappable((LogNorm if low > 0.0 else Normalize)(low, high), field_colours(low, high))
+
+
+def moment_of_press(series: FieldSeries, trace: Table) -> tuple[Frame | None, str]:
+    """The frame that is drawn, and why: the tool in contact nearest to an inclusion, else the greatest displacement."""
+    pressed = [frame for frame in series.frames if _greatest(frame) > 0.0]
+    if not pressed:
+        return None, ""
+    inclusion = inclusions(series.nodes_m[series.cells], series.layer)
+    if not len(inclusion):
+        return max(pressed, key=_greatest), "when the organ had moved most"
+    middle = 1e3 * series.nodes_m[series.cells[inclusion]].mean(axis=(0, 1))
+    tips = trace.vectors("tool", "mm")
+    near = min(pressed, key=lambda frame: float(np.linalg.norm(tips[_row(trace, frame)] - middle)))
+    return near, f"the tool nearest to the {series.layer_names[series.layer[inclusion[0]]]}"
+
+
 def draw_press(
-    series: FieldSeries, trace: Table, path: Path, *, title: str, tool: "pyvista.PolyData | None" = None
+    series: FieldSeries,
+    trace: Table,
+    path: Path,
+    *,
+    title: str,
+    tool: "pyvista.PolyData | None" = None,
+    flat: bool = False,
 ) -> str | None:
-    """Draw the deformed organ when it had moved most, whole and cut open at the tool.
+    """Draw the deformed organ at the moment of `moment_of_press`, whole and cut open at the tool.
 
     Parameters
     ----------
@@ -39,46 +86,49 @@ def draw_press(
     trace
         The trace, for where the tool was and its force.
     path
-        PNG file.
+        File.
     title
         What is written above.
     tool
         Surface of the tool in its own frame [mm], as `tissue.figures.tool_mesh.tool_surface` gives it.
+    flat
+        Whether both pictures show the section along the tool from in front, as a needle's track needs.
 
     Returns
     -------
     None, or why it could not be drawn.
     """
-    import pyvista
-
-    frame = max(series.frames, key=_greatest, default=None)
-    if frame is None or _greatest(frame) == 0.0:
+    frame, why = moment_of_press(series, trace)
+    if frame is None:
         return "nothing has moved"
-    row = int(np.clip(np.searchsorted(trace["time_s"], frame.time_s - 1e-9), 0, len(trace.rows) - 1))
-    moved = _displacement(frame)
+    row, moved = _row(trace, frame), _displacement(frame)
     mesh = frame_mesh(series, frame)
     mesh.points = np.asarray(mesh.points) + np.float32(IN_MM[moved.rpartition("_")[2]]) * mesh.point_data[moved]
-    stress = [name for name in frame.cells if name.startswith("von_mises_")][:1]
-    values = {name: field_values(mesh, name) for name in (moved, *stress)}
-    limits = {name: field_limits(name, [array]) for name, array in values.items() if array is not None}
+    shown = []
+    for name in (moved, *[name for name in frame.cells if name.startswith("von_mises_")][:1]):
+        if (array := field_values(mesh, name)) is not None:
+            shown.append(_Shown(name, field_limits(name, [array]), opened=flat or bool(shown)))
+    tips = trace.vectors("tool", "mm")[row]
+    eye = ACROSS if flat else EYE
+    edge = _edge_of_inclusion(mesh, tips)
+    cameras: list[Camera] = []
 
     def make() -> "list[tuple[pyvista.PolyData, Camera]]":
         """The deformed organ, whole and cut open, and what sees it."""
-        place = pose(trace.vectors("tool", "mm")[row], [trace[f"tool_q{c}"][row] for c in "xyzw"])
+        import pyvista
+
+        place = pose(tips, [trace[f"tool_q{c}"][row] for c in "xyzw"])
         probe = pyvista.PolyData() if tool is None else tool.transform(place, inplace=False)
-        cut = (0.0, float(trace["tool_y_mm"][row]) + 1e-4, 0.0)
-        surfaces: list[pyvista.PolyData] = []
-        for name, (low, high) in limits.items():
-            body, side = _surface(mesh), _surface(probe)
-            if surfaces:  # the first is whole, the second cut open
-                body, side = (_surface(one.clip(normal=(0.0, -1.0, 0.0), origin=cut)) for one in (mesh, probe))
-            shown = np.maximum(np.asarray(field_values(body, name)), low)
-            paint(body, np.asarray(_mapped(low, high).to_rgba(shown))[:, :3])
-            count = side.n_points if "colours" in body.point_data else side.n_cells
-            paint(side, np.tile(TOOL, (count, 1)))
-            surfaces.append(body.append_polydata(side) if side.n_cells else body)
-        camera = Camera.seeing(surfaces[0].points, EYE, (0.0, 0.0, 1.0))
-        return [(surface, camera) for surface in surfaces]
+        surfaces = [_organ(mesh, each, tips, edge, eye) for each in shown]
+        organ = np.asarray(surfaces[0].points)
+        if flat and probe.n_points:
+            probe = probe.clip(normal="z", origin=(0.0, 0.0, organ[:, 2].max() + ABOVE * np.ptp(organ[:, 2])))
+        side = paint(with_normals(probe), np.tile(TOOL, (probe.n_points, 1))) if probe.n_points else probe
+        if side.n_points != len(side.point_data.get("colours", ())):
+            paint(side, np.tile(TOOL, (side.n_points, 1)))
+        seen = np.vstack([organ, np.asarray(side.points).reshape(-1, 3)])
+        cameras.append(Camera.seeing(seen, eye, (0.0, 0.0, 1.0)))
+        return [(each.append_polydata(side) if side.n_cells else each, cameras[0]) for each in surfaces]
 
     pictures = render(make)
     if isinstance(pictures, str):
@@ -86,20 +136,79 @@ def draw_press(
     force = float(np.linalg.norm(trace.vectors("model_force", "N")[row]))
     with DRAWING:
         chart, panels, (_, tall) = side_by_side(pictures, head_px=HEAD_PX, foot_px=FOOT_PX)
-        title = f"{title}: {force:.3g} N at {frame.time_s:.3f} s"
+        title = f"{title}: {force:.3g} N at {frame.time_s:.3f} s, {why}"
         chart.text(0.5, 1.0 - 0.45 * HEAD_PX / tall, title, ha="center", va="center", size=11)
-        for index, (axes, (name, ends)) in enumerate(zip(panels, limits.items(), strict=True)):
+        for axes, each in zip(panels, shown, strict=True):
             left, foot, wide, _ = axes.get_position().bounds
-            place = chart.add_axes((left + 0.2 * wide, 0.66 * foot, 0.6 * wide, 0.16 * foot))
-            bar = chart.colorbar(_mapped(*ends), cax=place, orientation="horizontal")
-            words = " / ".join(part for part in field_label(name) if part)
-            bar.set_label(words + (", cut open at the tool" if index else ""))
-            if ends[0] > 0.0:
-                ticks = np.geomspace(*ends, 4).tolist()
+            draw_scale(axes, cameras[0])
+            if each.opened and edge is not None:
+                _name_inclusion(axes, *edge, cameras[0])
+            place = chart.add_axes((left + 0.25 * wide, 0.66 * foot, 0.6 * wide, 0.16 * foot))
+            bar = chart.colorbar(each.colours, cax=place, orientation="horizontal")
+            words = " / ".join(part for part in field_label(each.name) if part)
+            bar.set_label(words + (", cut open at the tool" if each.opened else ""))
+            if each.ends[0] > 0.0:
+                ticks = np.geomspace(*each.ends, 4).tolist()
                 bar.set_ticks(ticks, labels=[f"{tick:.2g}" for tick in ticks])
                 bar.minorticks_off()
+        draw_axes(chart.add_axes((0.0, 0.0, 0.12, foot)), "xyz", cameras[0])
         save(chart, path)
     return None
+
+
+def _organ(
+    mesh: "pyvista.UnstructuredGrid",
+    shown: _Shown,
+    tip_mm: NDArray[np.float64],
+    edge: "tuple[str, pyvista.PolyData] | None",
+    eye: tuple[float, ...],
+) -> "pyvista.PolyData":
+    """The organ in a field's colours, cut open at the tool where it is asked for; an inclusion there has an outline."""
+    whole = drawn_surface(mesh, at_nodes(mesh, shown.name))
+    parts = [whole]
+    if shown.opened:
+        place = tip_mm + NUDGE
+        cap = section_cap(mesh, whole, shown.name, place_mm=place, normal=np.array(ACROSS))
+        # Lit as if it faced the eye, so that its colours are those of the scale.
+        cap.point_data["Normals"] = np.tile(np.float32(eye) / np.float32(np.linalg.norm(eye)), (cap.n_points, 1))
+        parts = [whole.clip(normal=ACROSS, origin=tuple(place)), cap]
+    for part in parts:
+        values = np.maximum(np.asarray(part.point_data[SHOWN]), shown.ends[0])
+        paint(part, np.asarray(shown.colours.to_rgba(values))[:, :3])
+    if shown.opened and edge is not None:
+        from matplotlib.colors import to_rgb
+
+        tube = with_normals(edge[1].tube(radius=0.0025 * whole.length).triangulate())
+        parts.append(paint(tube, np.tile(to_rgb(INCLUSION), (tube.n_points, 1))))
+    return parts[0].append_polydata(*parts[1:]) if len(parts) > 1 else parts[0]
+
+
+def _edge_of_inclusion(
+    mesh: "pyvista.UnstructuredGrid", tip_mm: NDArray[np.float64]
+) -> "tuple[str, pyvista.PolyData] | None":
+    """Name of an inclusion and its outline in the section at the tool; None where the section meets none."""
+    names = tuple(str(name) for name in mesh.field_data["layer_names"])
+    layer = np.asarray(mesh.cell_data["layer"])
+    inside = inclusions(np.asarray(mesh.points)[mesh.cell_connectivity.reshape(mesh.n_cells, -1)], layer)
+    if not len(inside):
+        return None
+    boundary = mesh.extract_cells(inside).extract_surface(algorithm="dataset_surface")
+    line = boundary.slice(normal=ACROSS, origin=tuple(tip_mm + NUDGE))
+    return (names[layer[inside[0]]], line) if line.n_cells else None
+
+
+def _name_inclusion(axes: "Axes", name: str, line: "pyvista.PolyData", camera: Camera) -> None:
+    """The inclusion's name below its outline."""
+    from matplotlib.patheffects import withStroke
+
+    pixels = camera.pixels(line.points)
+    x, y = pixels[pixels[:, 1].argmax()]
+    around = [withStroke(linewidth=2.5, foreground="white")]
+    axes.text(x, y + 8.0, name, ha="center", va="top", size=9, color="0.1", path_effects=around)
+
+
+def _row(trace: Table, frame: Frame) -> int:
+    return int(np.clip(np.searchsorted(trace["time_s"], frame.time_s - 1e-9), 0, len(trace.rows) - 1))
 
 
 def _displacement(frame: Frame) -> str:
@@ -109,19 +218,3 @@ def _displacement(frame: Frame) -> str:
 def _greatest(frame: Frame) -> float:
     name = _displacement(frame)
     return float(np.linalg.norm(frame.points[name], axis=1).max(initial=0.0)) if name else 0.0
-
-
-def _surface(body: "pyvista.DataSet") -> "pyvista.PolyData":
-    """Triangles of a body's surface, with normals that keep its edges."""
-    triangles = body.extract_surface(algorithm="dataset_surface").triangulate()
-    return triangles.compute_normals(
-        cell_normals=False, split_vertices=True, feature_angle=SHARP_DEG, consistent_normals=False
-    )
-
-
-def _mapped(low: float, high: float) -> "ScalarMappable":
-    """Colours of a field by the ends of its scale, which is logarithmic where it begins above 0."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import LogNorm, Normalize
-
-    return ScalarMappable(LogNorm(low, high), "inferno") if low > 0.0 else ScalarMappable(Normalize(low, high))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from tissue.scene.named_parts import loaded
 from tissue.scene.registry import ANATOMIES
+from tissue.scene.tool import Needle
 from tissue.simulation.depth_map import depth_map
 from tissue.simulation.run import Run
 from tissue.system.offscreen import end_drawing
@@ -54,7 +55,8 @@ def draw_pictures(run: Run, folder: Path) -> list[str]:
         elif fields is not None and fields.frames:
             shaded = pool.submit(draw_held, fields, folder / "held.png", title=scene.name)
             tool = tool_surface(scene.tool)
-            notes["press.png"] = draw_press(fields, run.trace, folder / "press.png", title=scene.name, tool=tool)
+            looks = {"title": scene.name, "tool": tool, "flat": isinstance(scene.tool, Needle)}
+            notes["press.png"] = draw_press(fields, run.trace, folder / "press.png", **looks)
             notes["held.png"] = shaded.result()
     draw_force_torque(run, folder / "force_torque.png")
     if scene.device != "none":

@@ -26,6 +26,7 @@ __all__ = [
     "draw_force_torque",
     "draw_outline",
     "draw_removed_depth",
+    "field_colours",
     "layer_colours",
     "spells",
 ]
@@ -55,6 +56,9 @@ LAYERS = {
     "vessel wall": "#D55E00",
 }
 DEPTH_COLOURS = "viridis"
+SIGNED, STRESS, OTHER = "coolwarm", "magma_r", "YlGnBu"
+"""Colours of fields; little is light, so that a body does not turn black where nothing happens. Colour-blind readers
+can follow them (Moreland 2009; van der Walt and Smith 2015; Harrower and Brewer 2003)."""
 OTHER_LAYERS = ("#CC79A7", "#F0E442", "#0072B2", "#D55E00")
 COMPONENTS = ("#0072B2", "#D55E00", "#009E73")
 """Colours of layers and components after Okabe and Ito (2008), distinct for colour-blind readers."""
@@ -89,6 +93,11 @@ def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float
     others = [name for name in names if name not in LAYERS]
     colours = LAYERS | {name: OTHER_LAYERS[i % len(OTHER_LAYERS)] for i, name in enumerate(others)}
     return {name: to_rgb(colours[name]) for name in names}
+
+
+def field_colours(low: float, high: float) -> str:
+    """Name of the colours of a field whose scale has these ends; one that begins above 0 is a stress."""
+    return SIGNED if low < 0.0 else STRESS if low > 0.0 else OTHER
 
 
 def depth_limit(depth: DepthMap) -> float:

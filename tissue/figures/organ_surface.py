@@ -1,0 +1,157 @@
+"""An organ's tetrahedra as they are drawn: a boundary without facets, and a section with values between the nodes."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue.simulation.saved_fields import field_values
+
+if TYPE_CHECKING:
+    import pyvista
+
+__all__ = ["SHOWN", "at_nodes", "drawn_surface", "inclusions", "section_cap", "with_normals"]
+
+SHOWN = "shown"
+"""Point array of the values that are drawn."""
+SHARP_DEG = 40.0
+"""Edges of a greater angle are drawn sharp."""
+LEVELS = 2
+"""How often each triangle of the boundary is divided in four."""
+CAP_EDGE, MOST_PASSES = 0.012, 10
+"""Longest edge of a section's triangles, in diagonals of the organ, and how often they are divided for that."""
+
+
+def drawn_surface(mesh: "pyvista.DataSet", values: NDArray[np.float32]) -> "pyvista.PolyData":
+    """The boundary through the mesh's nodes, bent between them by its normals except at sharp edges (Vlachos 2001).
+
+    Parameters
+    ----------
+    mesh
+        Cells of three dimensions, in mm.
+    values
+        Numbers at the nodes, shape (nodes,) or (nodes, k); they come as the point array `SHOWN`.
+    """
+    body = mesh.copy(deep=False)
+    body.clear_data()
+    body.point_data[SHOWN] = values
+    surface = with_normals(body.extract_surface(algorithm="dataset_surface").triangulate())
+    for _ in range(LEVELS):
+        surface = _divided(surface)
+    return surface
+
+
+def _divided(surface: "pyvista.PolyData") -> "pyvista.PolyData":
+    """Each triangle in four; a new point is the middle of its edge's curve, at right angles to both ends' normals.
+
+    Both sides of a sharp edge have points of their own there; they are kept together by the mean of their curves.
+    """
+    import pyvista
+
+    points, normals = (np.asarray(each, dtype=np.float64) for each in (surface.points, surface.point_data["Normals"]))
+    faces, values = surface.regular_faces, np.asarray(surface.point_data[SHOWN])
+    edges, of_face = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0,
+                               return_inverse=True)  # fmt: skip
+    first, second = edges.T
+    along = points[second] - points[first]
+    bent = np.zeros_like(along)
+    for end, sign in ((first, -0.125), (second, 0.125)):
+        bent += sign * np.einsum("ij,ij->i", along, normals[end])[:, None] * normals[end]
+    place = np.unique(points, axis=0, return_inverse=True)[1].reshape(-1)
+    same = np.unique(np.sort(place[edges], axis=1), axis=0, return_inverse=True)[1].reshape(-1)
+    copies = np.bincount(same)
+    bent = np.column_stack([np.bincount(same, bent[:, c]) / copies for c in range(3)])[same]
+    middle = 0.5 * (points[first] + points[second]) + bent
+    (a, b, c), (ab, bc, ca) = faces.T, (len(points) + of_face.reshape(-1, 3)).T
+    quarters = np.stack([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]).transpose(2, 0, 1).reshape(-1, 3)
+    fine = pyvista.PolyData.from_regular_faces(np.vstack([points, middle]), quarters)
+    fine.point_data[SHOWN] = np.concatenate([values, 0.5 * (values[first] + values[second])])
+    return fine.compute_normals(cell_normals=False, split_vertices=False, consistent_normals=False)
+
+
+def with_normals(surface: "pyvista.PolyData") -> "pyvista.PolyData":
+    """Triangles with normals at their points, which keep sharp edges."""
+    return surface.compute_normals(
+        cell_normals=False, split_vertices=True, feature_angle=SHARP_DEG, consistent_normals=False
+    )
+
+
+def section_cap(
+    mesh: "pyvista.DataSet",
+    surface: "pyvista.PolyData",
+    name: str,
+    *,
+    place_mm: NDArray[np.float64],
+    normal: NDArray[np.float64],
+) -> "pyvista.PolyData":
+    """A plane inside a drawn boundary: values as the point array `SHOWN`, the layer as ``layer``.
+
+    Values of cells are averaged at the nodes of each layer by itself, so that an inclusion keeps its edge.
+    """
+    import pyvista
+    from vtkmodules.vtkFiltersGeneral import vtkContourTriangulator
+
+    filler = vtkContourTriangulator()
+    filler.SetInputData(surface.clean().slice(normal=tuple(normal), origin=tuple(place_mm)))
+    filler.Update()
+    cap: pyvista.PolyData = pyvista.wrap(filler.GetOutput())
+    cap.clear_data()
+    if not cap.n_cells:
+        return cap
+    cap = cap.subdivide_adaptive(max_edge_len=CAP_EDGE * surface.length, max_n_passes=MOST_PASSES)
+    places, layers = np.asarray(cap.points, dtype=np.float64), np.asarray(mesh.cell_data["layer"])
+    several = layers.min() < layers.max()
+    layer = layers[mesh.find_closest_cell(places)] if several else np.full(len(places), layers[0])
+    values = np.zeros(len(places))
+    for index in np.unique(layer):
+        part, there = mesh.extract_cells(np.flatnonzero(layers == index)), layer == index
+        values[there] = _sampled(part, at_nodes(part, name), places[there])
+    cap.point_data[SHOWN], cap.point_data["layer"] = values, layer
+    return cap
+
+
+def at_nodes(mesh: "pyvista.DataSet", name: str) -> NDArray[np.float32]:
+    """A field at the nodes: its own values there, or the mean of the cells around."""
+    values = field_values(mesh if name in mesh.point_data else mesh.cell_data_to_point_data(), name)
+    assert values is not None
+    return np.asarray(values)
+
+
+def _sampled(mesh: "pyvista.DataSet", values: NDArray[np.float32], places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values between the nodes of tetrahedra; outside all of them those at the nearest place inside."""
+    import pyvista
+
+    body = mesh.copy(deep=False)
+    body.clear_data()
+    body.point_data[SHOWN] = values
+    found = pyvista.PolyData(places).sample(body)
+    result = np.array(found.point_data[SHOWN], dtype=np.float64)
+    outside = np.flatnonzero(np.asarray(found.point_data["vtkValidPointMask"]) == 0)
+    if len(outside):
+        cell, closest = mesh.find_closest_cell(places[outside], return_closest_point=True)
+        nodes = mesh.cell_connectivity.reshape(-1, 4)[cell]
+        corner = np.asarray(mesh.points, dtype=np.float64)[nodes]
+        edges = (corner[:, 1:] - corner[:, :1]).transpose(0, 2, 1)
+        share = (np.linalg.pinv(edges) @ (closest - corner[:, 0])[:, :, None])[:, :, 0]
+        share = np.clip(np.column_stack([1.0 - share.sum(axis=1), share]), 0.0, 1.0)
+        result[outside] = (share * values[nodes]).sum(axis=1) / share.sum(axis=1)
+    return result
+
+
+def inclusions(corners: NDArray[np.floating], layer: NDArray[np.integer]) -> NDArray[np.intp]:
+    """Cells of the smallest layer that lies inside the others, such as a nodule; empty where there is none.
+
+    Parameters
+    ----------
+    corners
+        Places of each cell's corners, shape (cells, corners, 3).
+    layer
+        Layer of each cell, shape (cells,).
+    """
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    found = []
+    for index in np.unique(layer):
+        here = layer == index
+        if (low[here].min(axis=0) > low.min(axis=0)).all() and (high[here].max(axis=0) < high.max(axis=0)).all():
+            found.append(np.flatnonzero(here))
+    return min(found, key=len, default=np.zeros(0, dtype=np.intp))
