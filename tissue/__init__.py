@@ -13,10 +13,13 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from meshes.base.errors import InputError
     from tissue import cutters
+    from tissue.api import calibration, stability, study
+    from tissue.api.assess import Assessment, assess
     from tissue.api.bone import Bone
     from tissue.api.cut import Cut
     from tissue.api.loop import Loop
     from tissue.api.materials import material, material_names
+    from tissue.api.motor import motor_forces
     from tissue.api.organ import Organ
     from tissue.api.poses import feed_along
     from tissue.api.press import Press
@@ -31,6 +34,7 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
+    "Assessment",
     "Bone",
     "Cut",
     "DeviceParameters",
@@ -41,22 +45,28 @@ __all__ = [
     "Run",
     "Sample",
     "Scene",
+    "assess",
     "ball",
+    "calibration",
     "cutters",
     "feed_along",
     "flat_punch",
     "load_scene",
     "material",
     "material_names",
+    "motor_forces",
     "open_run",
     "probe_from_file",
     "register",
     "scene_names",
     "scene_text",
     "simulate",
+    "stability",
+    "study",
 ]
 
 _HOMES = {
+    "Assessment": "tissue.api.assess",
     "Bone": "tissue.api.bone",
     "Cut": "tissue.api.cut",
     "DeviceParameters": "tissue.haptics.device.device",
@@ -67,18 +77,26 @@ _HOMES = {
     "Run": "tissue.api.run",
     "Sample": "tissue.haptics.device.device",
     "Scene": "tissue.scene.scene",
+    "assess": "tissue.api.assess",
     "ball": "tissue.api.tools",
     "feed_along": "tissue.api.poses",
     "flat_punch": "tissue.api.tools",
     "load_scene": "tissue.scene.load",
     "material": "tissue.api.materials",
     "material_names": "tissue.api.materials",
+    "motor_forces": "tissue.api.motor",
     "open_run": "tissue.api.run",
     "probe_from_file": "tissue.api.tools",
     "register": "tissue.api.register",
     "scene_names": "tissue.scene.load",
     "scene_text": "tissue.scene.load",
     "simulate": "tissue.api.simulate",
+}
+_MODULES = {
+    "calibration": "tissue.api.calibration",
+    "cutters": "tissue.cutters",
+    "stability": "tissue.api.stability",
+    "study": "tissue.api.study",
 }
 
 
@@ -100,8 +118,8 @@ def __getattr__(name: str) -> Any:
         from meshes.base.file_version import package_version  # reads a file
 
         return package_version()
-    if name == "cutters":
-        return import_module("tissue.cutters")
+    if name in _MODULES:
+        return import_module(_MODULES[name])
     if name in _HOMES:
         return getattr(import_module(_HOMES[name]), name)
     raise AttributeError(f"module 'tissue' has no attribute {name!r}")

@@ -2,7 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypedDict
+from pathlib import Path
+from typing import Protocol, TypedDict
 
 import numpy as np
 
@@ -17,10 +18,10 @@ from tissue.evaluation.statistics.metrics import (
 )
 from tissue.models.tissue_model import TICK_S
 from tissue.simulation.depth_map import tool_axes
-from tissue.simulation.run_folder import SavedRun
+from tissue.simulation.run_summary import Summary
 from tissue.simulation.trace import Table
 
-__all__ = ["Assessment", "Breach", "Quantity", "assess", "assessment_lines"]
+__all__ = ["AssessedRun", "Assessment", "Breach", "Quantity", "assess", "assessment_lines"]
 
 GAP_S = 0.15
 """Breaches closer than a period of slow tremor are one."""
@@ -28,6 +29,19 @@ MOST_BREACHES = 8
 """More are counted, and listed in the file alone."""
 FORCE_MARGIN = 1.25
 """A trainee may press this many times the reference's peak force where no limit is given: a convention, not a norm."""
+
+
+class AssessedRun(Protocol):
+    """What is asked of a run, saved or not; `path` is None of one that is not."""
+
+    @property
+    def path(self) -> Path | None: ...
+    @property
+    def summary(self) -> Summary: ...
+    @property
+    def trace(self) -> Table | None: ...
+    @property
+    def complete(self) -> bool: ...
 
 
 class Figures(TypedDict):
@@ -128,8 +142,8 @@ class Assessment:
 
 
 def assess(
-    trainee: SavedRun,
-    reference: SavedRun,
+    trainee: AssessedRun,
+    reference: AssessedRun,
     *,
     force_limit_N: float | None = None,
     deviation_limit_mm: float = 1.0,
@@ -143,7 +157,7 @@ def assess(
     Parameters
     ----------
     trainee, reference
-        Saved runs.
+        Runs.
     force_limit_N
         Force on the tool that should not be passed [N]; 1.25 times the reference's peak where it is not given.
     deviation_limit_mm
@@ -217,10 +231,11 @@ def assessment_lines(found: Assessment) -> list[str]:
     ]
 
 
-def _trace(run: SavedRun, name: str) -> Table:
+def _trace(run: AssessedRun, name: str) -> Table:
     """The trace of a saved run, long enough to compare."""
     if run.trace is None or len(run.trace.rows) < 10:
-        raise InputError(f"{name} must hold a trace of ten ticks or more, got {run.path} without: run the scene again")
+        got = run.path or "a run"
+        raise InputError(f"{name} must hold a trace of ten ticks or more, got {got} without: run the scene again")
     return run.trace
 
 

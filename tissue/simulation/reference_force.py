@@ -6,7 +6,7 @@ steps, low-pass and amplifier.
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError
 from tissue.builders.loop import judged_loop, lead_ticks, motor_path
 from tissue.builders.loop_settings import loop_settings
+from tissue.builders.parts import Parts
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.hand_measures import TRUE, VIBRATION
 from tissue.haptics.loop.motor_path import force_later_N, mean_over_ticks_N, motor_force_N
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
-from tissue.simulation.run import Run
 from tissue.simulation.simulate import TICK_S, simulate
 from tissue.simulation.trace import Table
 
@@ -36,6 +36,17 @@ PROMPT: dict[str, object] = {
     "coupling.model_ms": 1,
 }
 """What makes a loop prompt."""
+
+
+class SimulatedRun(Protocol):
+    """What is asked of a run."""
+
+    @property
+    def scene(self) -> Scene: ...
+    @property
+    def trace(self) -> Table: ...
+    @property
+    def parts(self) -> Parts: ...
 
 
 def ideal_scene(scene: Scene, finest: Mapping[str, object] | None = None) -> Scene:
@@ -59,7 +70,7 @@ def ideal_scene(scene: Scene, finest: Mapping[str, object] | None = None) -> Sce
     return changed(scene, {**PROMPT, "coupling.stiffness_N_m": stiffness, **(finest or {})})
 
 
-def ideal_force_N(run: Run, finest: Mapping[str, object] | None = None, *, cores: int | None = None) -> Array:
+def ideal_force_N(run: SimulatedRun, finest: Mapping[str, object] | None = None, *, cores: int | None = None) -> Array:
     """Force on the device that a prompt loop with the finest model gives on the very motion of a run [N], shape (n, 3).
 
     The motion is the device's, so that a hand's reaction to another force is no part of the difference: its true one
@@ -82,7 +93,7 @@ def ideal_force_N(run: Run, finest: Mapping[str, object] | None = None, *, cores
     return simulate(scene, cores=cores, allow_unstable=True, device=played_back).trace.vectors("raw_force", "N")
 
 
-def stretch_force_N(run: Run) -> Array:
+def stretch_force_N(run: SimulatedRun) -> Array:
     """The prompt force of a run itself: the stretch of the coupling's spring from tick to tick [N], shape (n, 3).
 
     It is formed from the positions that the encoders read, and by the run's own model: what a predictor is shown, where
@@ -127,7 +138,7 @@ class MotorForces(NamedTuple):
     sent: Array
 
 
-def motor_forces(run: Run, ideal_N: Array) -> MotorForces:
+def motor_forces(run: SimulatedRun, ideal_N: Array) -> MotorForces:
     """Forces of a run where the motor acts, `ideal_N` being those of `ideal_force_N`.
 
     Raises

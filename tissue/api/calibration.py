@@ -1,0 +1,122 @@
+"""What people feel of forces, found by asking them, and simulated people of known truth: `tissue.calibration`."""
+
+from pathlib import Path
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from tissue.evaluation.calibration.force_discrimination import Stimulus, calibrated_commands, gain_of
+from tissue.evaluation.calibration.force_discrimination import share_right as shares_right
+from tissue.evaluation.calibration.run_session import Answer, simulated_answers
+from tissue.evaluation.calibration.session import Comparison, Magnitude, Plan, Session
+from tissue.evaluation.calibration.simulated_observer import SimulatedObservers, draw_observers
+from tissue.evaluation.calibration.trial_log import TrialLog
+from tissue.evaluation.statistics.hypothesis_test import Effect
+from tissue.perception.adaptive import AdaptiveThreshold
+from tissue.perception.population import reference_observer
+
+__all__ = [
+    "Answer", "Comparison", "Effect", "Magnitude", "Plan", "Session", "SimulatedObservers", "alike", "change_percent",
+    "estimated_webers", "people", "run", "share_right", "simulated_answers",
+]  # fmt: skip
+
+
+def people(group: str, count: int, *, seed: int = 0) -> SimulatedObservers:
+    """Simulated people of a group (novice, intermediate, expert), drawn from cited spreads."""
+    return draw_observers(group, count, np.random.default_rng(seed))
+
+
+def alike(count: int, **truth: float) -> SimulatedObservers:
+    """Simulated people who are all alike: those of the reference, and what is given otherwise.
+
+    Parameters
+    ----------
+    count
+        How many.
+    truth
+        Attributes of `SimulatedObservers`: ``kappa=0.07, beta=1.7``.
+
+    Raises
+    ------
+    InputError
+        If there is no such attribute.
+    """
+    typical, names = reference_observer(), ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma")
+    if strange := sorted(set(truth) - set(names)):
+        raise InputError(f"truth must be of {', '.join(names)}, got {strange[0]}: use one of these")
+    alpha, beta, kappa, offset, lapse, sigma = (
+        np.full(count, truth.get(name, getattr(typical, name)), dtype=np.float64) for name in names
+    )
+    return SimulatedObservers(alpha=alpha, beta=beta, kappa=kappa, offset_N=offset, lapse=lapse, sigma=sigma)
+
+
+def run(
+    answer: Answer, log: str | Path, *, name: str = "simulated", plan: Plan | None = None, trials: int | None = None
+) -> Session:
+    """A session, as `tissue calibrate` asks it, gone on with where its log ends.
+
+    Parameters
+    ----------
+    answer
+        Called with what is asked, a `Comparison` or a `Magnitude`, and the trial's number; ``simulated_answers(people,
+        seed)`` is one, and a function that plays both forces to a person is another.
+    log
+        File that takes every answer before the next is asked.
+    name
+        Who answers.
+    plan
+        What is asked; default 120 comparisons and 24 numbers.
+    trials
+        Trials after which the session stops, to be gone on with later; default at its end.
+
+    Raises
+    ------
+    InputError
+        If the log is of another session, or an answer is impossible.
+    """
+    kept = TrialLog(Path(log), name, plan or Plan())
+    try:
+        while not kept.session.complete and (trials is None or kept.session.trial < trials):
+            asked = kept.session.ask()
+            kept.take(asked, answer(asked, kept.session.trial))
+    finally:
+        kept.close()
+    return kept.session
+
+
+def estimated_webers(crowd: SimulatedObservers, *, trials: int = 120, seed: int = 0) -> Array:
+    """Weber fraction of each of many people, found by a session of comparisons with each, shape (n,)."""
+    rng, found = np.random.default_rng(seed), AdaptiveThreshold(observers=len(crowd))
+    for _ in range(trials):
+        asked = found.propose()
+        found.answer(asked, crowd.correct(found.base_N[asked], found.step_N[asked], rng))
+    return found.weber()[0]
+
+
+def share_right(
+    crowd: SimulatedObservers, first_N: float, second_N: float, *, seed: int, calibrated_by: int | None = None
+) -> Array:
+    """Share of 100 comparisons of two forces [N] in which each names the greater one, shape (n,).
+
+    Parameters
+    ----------
+    crowd
+        Who feels; equal seeds give them the same noise.
+    first_N, second_N
+        The two forces at the device, which has 3.3 N.
+    seed
+        Of the noise, and of the numbers of a calibration.
+    calibrated_by
+        Numbers given by each person, by which the force is scaled for them; 0 for a scale by their true exponent,
+        None for the force as it is.
+    """
+    commands = None
+    if calibrated_by is not None:
+        commands = calibrated_commands(crowd, np.random.default_rng([seed, 2]), numbers=calibrated_by)
+    return shares_right(crowd, Stimulus(first_N), Stimulus(second_N), seed=seed, commands=commands)
+
+
+def change_percent(before: Array, after: Array, *, seed: int = 0) -> Effect:
+    """Change of the mean of paired shares, each of shape (n,) [%]: ``value``, and 95 % of it in ``low`` to ``high``."""
+    return gain_of(before, after, np.random.default_rng(seed))

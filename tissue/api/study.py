@@ -1,0 +1,57 @@
+"""Methods of rendering force compared over many simulated trials, as `tissue study run` does: `tissue.study`."""
+
+from pathlib import Path
+
+from meshes.base.progress import Progress, silent
+from tissue.evaluation.study.folder import StudyFolder
+from tissue.evaluation.study.plan import Plan, TrialKey
+from tissue.evaluation.study.runner import run_study
+from tissue.evaluation.study.trial import Trial, run_trial
+
+__all__ = ["Plan", "StudyFolder", "Trial", "run", "trial"]
+
+
+def run(
+    plan: Plan, out: str | Path, *, workers: int | None = None, retry: bool = False, progress: Progress | None = None
+) -> StudyFolder:
+    """Run the trials of a plan that its folder does not hold yet; ``.table("T2")`` of what is returned has the figures.
+
+    A script calls it under ``if __name__ == "__main__":``, for its worker processes import the script.
+
+    Parameters
+    ----------
+    plan
+        What to run.
+    out
+        Folder of the study; one that holds a part of it is gone on with.
+    workers
+        Processes; default one a core. The figures do not depend on it.
+    retry
+        Run trials that failed again.
+    progress
+        Called with how far it is.
+
+    Raises
+    ------
+    InputError
+        If the folder holds another study, or workers are lost again and again.
+    """
+    return run_study(plan, Path(out), workers=workers, retry=retry, report=progress or silent)
+
+
+def trial(plan: Plan, name: str) -> Trial:
+    """One trial of a plan, run alone and here, with the figures that it has in the study to the last bit.
+
+    Parameters
+    ----------
+    plan
+        The study's.
+    name
+        Name of the trial: task, group and number, such as ``T2-expert-0001``.
+
+    Raises
+    ------
+    InputError
+        If there can be no such trial.
+    """
+    return run_trial(plan, TrialKey.named(name))
