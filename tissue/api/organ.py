@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, Unpack
+from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from meshes.base.errors import InputError, by, names_of_caller, require_positive, require_range, require_vector
+from meshes.base.errors import InputError, names_of_caller, require_positive, require_range, require_vector
 from meshes.base.progress import Progress, silent
-from tissue.api.press import Press, grid_of
+from tissue.api.press import Press, grid_of, html_table
 
 if TYPE_CHECKING:
     import pyvista
@@ -280,11 +280,14 @@ class Organ:
         )
         return Press(tool, 1e3 * stated.point_m, stated.along, stated.notes, stated.curve, self._made.mesh)
 
+    def plot(self, **options: Any) -> Any:
+        """Show the parts, cut open, and what is held; `options` are those of ``pyvista.Plotter.show``."""
+        from tissue.api.organ_picture import plot_organ
+
+        return plot_organ(self, **options)
+
+    def _repr_html_(self) -> str:
+        return html_table("Organ", self._made.facts | self.notes)
+
     def __repr__(self) -> str:
-        mesh, material = self._made.mesh, self._made.material
-        moduli = ", ".join(f"{name} {value:g} kPa" for name, value in self.moduli_kPa.items())
-        return (
-            f"Organ({by(1e3 * np.ptp(mesh.nodes_m, axis=0), '.3g')} mm, {1e6 * float(mesh.volumes_m3.sum()):.4g} ml, "
-            f"{len(mesh.cells)} tetrahedra of order {material.order}; {moduli}; Poisson's ratio "
-            f"{material.poisson_ratio:g}; held: {self.notes['held']})"
-        )
+        return f"Organ({'; '.join(self._made.facts.values())}; held: {self.notes['held']})"

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from html import escape
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
     from tissue.api.tools import PressingTool
     from tissue.models.organ.press import PressCurve
 
-__all__ = ["Press", "grid_of"]
+__all__ = ["Press", "grid_of", "html_table"]
 
 SLOPE_SHARE = 0.1
 """Share of the depth, at its end, over which the stiffness is taken."""
@@ -104,6 +106,18 @@ class Press:
             grid.cell_data[name] = values
         return grid
 
+    def plot(self, **options: Any) -> Any:
+        """Show the organ as it was pressed, coloured by how far it moved, and the tool.
+
+        Parameters
+        ----------
+        options
+            ``scalars``, another field of `mesh`, and those of ``pyvista.Plotter.show``, such as ``screenshot``.
+        """
+        from tissue.api.organ_picture import plot_press
+
+        return plot_press(self, **options)
+
     def to_pandas(self) -> pd.DataFrame:
         """A row for each step: depth, force and contact area, with units in the names.
 
@@ -123,6 +137,24 @@ class Press:
         size = np.linalg.norm(self.forces_N, axis=1)
         return pd.DataFrame(columns | {"force_N": size, "area_mm2": self.areas_mm2})
 
+    @property
+    def tool_mesh(self) -> pyvista.PolyData:
+        """The tool where it is at the end of the press [mm]."""
+        place = np.eye(4)
+        place[:3, :3], place[:3, 3] = self._curve.rotation, 1e3 * self._curve.tip_m
+        return self.tool.surface.transform(place, inplace=False)
+
+    def _repr_html_(self) -> str:
+        rows = {
+            "tool": str(self.tool),
+            "place": f"({', '.join(f'{value:.4g}' for value in self.at_mm)}) mm",
+            "depth": f"{self.depth_mm[-1]:g} mm",
+            "force": f"{self.force_magnitude_N:.4g} N",
+            "stiffness": f"{self.stiffness_N_mm:.4g} N/mm",
+            "contact": f"{self.area_mm2:.4g} mm²",
+        }
+        return html_table("Press", rows | self.notes)
+
     def __repr__(self) -> str:
         at = ", ".join(f"{value:.4g}" for value in self.at_mm)
         return (
@@ -140,3 +172,9 @@ def grid_of(mesh: TetMesh) -> pyvista.UnstructuredGrid:
     grid.cell_data["part"] = mesh.part
     grid.field_data["part_names"] = list(mesh.part_names)
     return grid
+
+
+def html_table(title: str, rows: Mapping[str, str]) -> str:
+    """Names and values as a table of a notebook."""
+    lines = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows.items())
+    return f"<table><caption>{escape(title)}</caption>{lines}</table>"

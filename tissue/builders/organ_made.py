@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from meshes.base.errors import InputError, names_of_caller, require_positive
+from meshes.base.errors import InputError, by, names_of_caller, require_positive
 from meshes.base.progress import Progress
 from meshes.surfaces.surface import Surface
 from meshes.tets.given import given_tets
@@ -24,6 +24,9 @@ __all__ = ["FILL_EDGES", "MadeOrgan", "OrganOptions", "made_of", "of_surface", "
 
 FILL_EDGES = 12.0
 """Edges along the longest side where no edge is given."""
+
+TOUCHED_EDGES = 3.0
+"""Edges around a place that a tool of four edges is expected to touch."""
 
 
 class OrganOptions(TypedDict, total=False):
@@ -52,6 +55,8 @@ class MadeOrgan:
         What was found and assumed, by what it is about.
     surface
         The surface that the mesh stands for; None of tetrahedra that were given.
+    near
+        Where it will be pressed: points [m], shape (k, 3), and the distance around them [m]; None where unknown.
     """
 
     mesh: TetMesh
@@ -59,6 +64,7 @@ class MadeOrgan:
     hold: Hold
     notes: dict[str, str]
     surface: Surface | None = None
+    near: tuple[NDArray[np.float64], float] | None = None
 
     @cached_property
     def held(self) -> Nodes:
@@ -68,7 +74,22 @@ class MadeOrgan:
     @cached_property
     def soft(self) -> "SoftOrgan":
         """The organ at rest, as it is solved."""
-        return self.material.organ(self.mesh, self.held)
+        organ = self.material.organ(self.mesh, self.held)
+        if self.near is not None:
+            organ.expect(*self.near)
+        return organ
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """Size, mesh and moduli in words."""
+        mesh, material = self.mesh, self.material
+        moduli = material.moduli_kPa(mesh).items()
+        return {
+            "size": f"{by(1e3 * np.ptp(mesh.nodes_m, axis=0), '.3g')} mm, {1e6 * float(mesh.volumes_m3.sum()):.4g} ml",
+            "cells": f"{len(mesh.cells)} tetrahedra of order {material.order}",
+            "moduli": ", ".join(f"{name} {value:g} kPa" for name, value in moduli),
+            "compressibility": f"Poisson's ratio {material.poisson_ratio:g}",
+        }
 
     def refined(self, edge_mm: float, near_mm: ArrayLike | None) -> "MadeOrgan":
         """The same organ with shorter edges near some points, shape (k, 3), or on the whole surface.
@@ -84,7 +105,8 @@ class MadeOrgan:
             if near.ndim != 2 or near.shape[1] != 3 or not np.isfinite(near).all():
                 raise InputError(f"near_mm must be points of shape (k, 3), got shape {np.shape(near_mm)}: give x, y, z")
         mesh = refined(self.mesh, self.surface, edge_m=1e-3 * edge, near_m=near)
-        return MadeOrgan(mesh, self.material, self.hold, self.notes, self.surface)
+        expected = None if near is None else (near, TOUCHED_EDGES * 1e-3 * edge)
+        return MadeOrgan(mesh, self.material, self.hold, self.notes, self.surface, expected)
 
 
 def made_of(

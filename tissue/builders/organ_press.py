@@ -88,7 +88,7 @@ def press_at(
         notes["place"] = found
     direction = -normal if along is None else require_direction("along", along)
     if direction @ normal >= 0.0:
-        inward = in_brackets(-normal, ".2g")
+        inward = in_brackets(0.0 - normal, ".2g")
         raise InputError(f"along must lead into the organ, got {in_brackets(direction, '.3g')}: use {inward}")
     with names_of_caller(WORDS):
         curve = press(

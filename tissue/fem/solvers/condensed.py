@@ -13,17 +13,15 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
 from kernels.cores import core_count
 from meshes.base.arrays import Array, Ints
 from meshes.base.cache import cached_arrays
 from meshes.base.errors import InputError
-from tissue.fem.solvers.direct import DirectSolver, factorised
-from tissue.fem.solvers.dissection import dissection
-from tissue.fem.solvers.held_body import ColumnSolver, HeldBody, pointwise_graph
+from tissue.fem.solvers.direct import DirectSolver
+from tissue.fem.solvers.held_body import ColumnSolver, HeldBody
 
-__all__ = ["LIMIT_BYTES", "compliance_bytes", "surface_compliance_m_N"]
+__all__ = ["LIMIT_BYTES", "SCHUR_UNKNOWNS", "compliance_bytes", "surface_compliance_m_N"]
 
 LIMIT_BYTES = 2_000_000_000
 """Dense matrices above this are refused; columns are then found where the tool is, by ``LazyCompliance``."""
@@ -124,14 +122,4 @@ def schur_compliance_m_N(body: HeldBody, touchable: Ints) -> Array:
     InputError
         If the matrix cannot be factorised.
     """
-    order = dissection(body.nodes_m, pointwise_graph(body.stiffness))
-    order = np.concatenate([order[~np.isin(order, touchable)], touchable])
-    last = np.isin((3 * touchable[:, None] + np.arange(3)).ravel(), body.free)
-    _, _, factor = factorised(body, order)
-    count = int(last.sum())
-    upper = factor.U[-count:, -count:].toarray()
-    # S = U^T D^-1 U with D the diagonal of U: its inverse is V D V^T with V the inverse of U, scaled.
-    half = solve_triangular(upper, np.diag(np.sqrt(np.diag(upper))))
-    whole = np.zeros((len(last), len(last)))
-    whole[np.ix_(last, last)] = half @ half.T
-    return whole
+    return DirectSolver(body, last=touchable).compliance_of_last_m_N()

@@ -6,6 +6,7 @@ time on a liver of pytetwild, twice the time on a lattice liver of the same 19,0
 """
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import SuperLU, splu
 
@@ -28,6 +29,8 @@ class DirectSolver:
     ----------
     body
         The stiffness and what holds it.
+    last
+        Nodes that are eliminated last, so that the compliance between them can be read off the factor.
 
     Raises
     ------
@@ -37,9 +40,13 @@ class DirectSolver:
 
     tolerance = 1e-8
 
-    def __init__(self, body: HeldBody) -> None:
+    def __init__(self, body: HeldBody, *, last: Ints | None = None) -> None:
         self.body = body
+        self.last = np.zeros(0, dtype=np.int64) if last is None else last
+        """Nodes that were eliminated last."""
         order = dissection(body.nodes_m, pointwise_graph(body.stiffness))
+        if len(self.last):
+            order = np.concatenate([order[~np.isin(order, self.last)], self.last])
         self._order, self._matrix, self._factor = factorised(body, order)
         self._position = np.full(3 * len(body.nodes_m), -1)
         self._position[self._order] = np.arange(len(self._order))
@@ -75,6 +82,20 @@ class DirectSolver:
             right[at[pushed], pushed] = 1.0
             answers[self._order, start : start + len(at)] = self._factor.solve(right)
         return answers
+
+    def compliance_of_last_m_N(self) -> Array:
+        """Compliance between the last nodes [m/N], shape (3k, 3k), x, y, z node by node; zero for held components.
+
+        No back-substitution is made: the last block of the factor is that of their Schur complement.
+        """
+        last = np.isin((3 * self.last[:, None] + np.arange(3)).ravel(), self.body.free)
+        count = int(last.sum())
+        upper = self._factor.U[-count:, -count:].toarray()
+        # S = U^T D^-1 U with D the diagonal of U: its inverse is V D V^T with V the inverse of U, scaled.
+        half = solve_triangular(upper, np.diag(np.sqrt(np.diag(upper))))
+        whole = np.zeros((len(last), len(last)))
+        whole[np.ix_(last, last)] = half @ half.T
+        return whole
 
 
 def factorised(body: HeldBody, order: Ints) -> tuple[Ints, csc_array, SuperLU]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.progress import Progress
-from tissue.fem.solvers.condensed import surface_compliance_m_N
+from tissue.fem.solvers.condensed import SCHUR_UNKNOWNS, surface_compliance_m_N
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import HeldBody
 from tissue.fem.solvers.lazy_compliance import LazyCompliance
@@ -27,12 +27,19 @@ class Factor:
     """A sparse factor that is made when it is first needed; where it would be too large, multigrid."""
 
     def __init__(self, body: HeldBody) -> None:
-        self._body = body
+        self._body, self._last = body, np.zeros(0, dtype=np.int64)
 
     @cached_property
     def solver(self) -> DirectSolver | MultigridSolver:
         """The solver."""
-        return (MultigridSolver if len(self._body.free) > FACTOR_UNKNOWNS else DirectSolver)(self._body)
+        if len(self._body.free) > FACTOR_UNKNOWNS:
+            return MultigridSolver(self._body)
+        return DirectSolver(self._body, last=self._last)
+
+    def expect(self, nodes: Ints) -> None:
+        """Have the compliance between some nodes read off the factor, where it is yet to be made and not too large."""
+        if "solver" not in self.__dict__ and len(self._body.free) <= SCHUR_UNKNOWNS:
+            self._last = np.union1d(self._last, nodes)
 
     def solve_all(self, loads_N: Array) -> Array:
         """Displacements [m] under several loads [N], shape (loads, n, 3) both."""

@@ -1,15 +1,18 @@
-"""Compliance of the places that were pressed, by columns of the organ's one factor, each found once."""
+"""Compliance of the places that are pressed, from the organ's one factor: read off it, or column by column.
 
-from collections.abc import Callable
+What is expected to be touched is eliminated last, and its compliance is there with the factor. Elsewhere a press takes
+back-substitutions, each column once; for a hundred nodes about as long as the factor itself.
+"""
+
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
 from kernels.cores import core_count
 from meshes.base.arrays import Array, Ints
 from tissue.fem.solvers.direct import DirectSolver
-from tissue.fem.solvers.held_body import ColumnSolver
+from tissue.models.organ.compliance import Factor
 
 __all__ = ["KeptColumns"]
 
@@ -24,32 +27,43 @@ class KeptColumns:
 
     Parameters
     ----------
-    solver
-        Gives what finds columns, when the first is needed.
+    factor
+        The organ's factor, which is made when the first compliance is needed.
     surface
         Nodes of the surface in rising order, shape (s,).
     """
 
-    def __init__(self, solver: Callable[[], ColumnSolver], surface: Ints) -> None:
-        self._solver, self._surface = solver, surface
+    def __init__(self, factor: Factor, surface: Ints) -> None:
+        self._factor, self._surface = factor, surface
         self._rows = (3 * surface[:, None] + np.arange(3)).ravel()
         self._columns: dict[int, Array] = {}
 
     def between(self, nodes: Ints) -> Array:
         """Compliance between some nodes of the surface [m/N], symmetric, shape (3t, 3t)."""
+        self._factor.expect(nodes)
+        solver = self._factor.solver
+        if isinstance(solver, DirectSolver) and len(solver.last) and np.isin(nodes, solver.last).all():
+            places = (3 * np.searchsorted(solver.last, nodes)[:, None] + np.arange(3)).ravel()
+            return self._expected[np.ix_(places, places)]
         missing = [int(node) for node in nodes if int(node) not in self._columns]
         if 8 * 3 * len(self._rows) * (len(self._columns) + len(missing)) > LIMIT_BYTES:
             self._columns.clear()
             missing = [int(node) for node in nodes]
         self._find(missing)
-        places = 3 * np.searchsorted(self._surface, nodes)[:, None] + np.arange(3)
-        matrix: Array = np.concatenate([self._columns[int(node)][places.ravel()] for node in nodes], axis=1)
+        rows = (3 * np.searchsorted(self._surface, nodes)[:, None] + np.arange(3)).ravel()
+        matrix: Array = np.concatenate([self._columns[int(node)][rows] for node in nodes], axis=1)
         return 0.5 * (matrix + matrix.T)
+
+    @cached_property
+    def _expected(self) -> Array:
+        """Compliance of what was expected to be touched [m/N]."""
+        assert isinstance(self._factor.solver, DirectSolver)
+        return self._factor.solver.compliance_of_last_m_N()
 
     def _find(self, nodes: list[int]) -> None:
         from threadpoolctl import threadpool_limits
 
-        solver, each = self._solver(), TOGETHER // 3
+        solver, each = self._factor.solver, TOGETHER // 3
         solve = partial(solver.columns, together=TOGETHER) if isinstance(solver, DirectSolver) else solver.columns
         parts = [nodes[start : start + each] for start in range(0, len(nodes), each)]
 

@@ -25,6 +25,8 @@ POSES = 60
 """Poses along the press at which the surface is looked for."""
 CLEARANCES = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 4.0)
 """Distances from the place at which the tool may start, over its size: the first where it is clear of the organ."""
+SLANTED = 0.5
+"""How far before the place a tool may first touch, over its size: 0.41 where a ball comes at 45 degrees."""
 HALVINGS = 30
 """Of the path on which the first touch lies: to a nanometre."""
 
@@ -101,6 +103,7 @@ def press(
     steps, step_s = _steps(organ, depth_m / speed_m_s)
     model, touchable = organ.under(probe, tips, np.broadcast_to(rotation, (POSES, 3, 3)), interval_s=1.0, step_s=step_s)
     touch_m = _first_touch(model.contact, start_m, end_m, rotation)
+    _require_place(probe, float((point_m - touch_m) @ along))
     motion = ToolMotion(tip_m=start_m.copy(), rotation=rotation.copy())
     model.place(motion)
     depths = np.append(np.linspace(0.0, depth_m, steps + 1), np.full(ceil(hold_s / step_s), depth_m))
@@ -142,6 +145,15 @@ def _clearance_m(organ: SoftOrgan, probe: ProbeShape, point_m: Array, rotation: 
         f"point_m must have a free path before it, got a tool that meets the organ elsewhere {1e3 * clear:.3g} mm "
         "before the place: come along another direction, or take a smaller tool"
     )
+
+
+def _require_place(probe: ProbeShape, before_m: float) -> None:
+    """Refuse a tool that meets the organ far before the place; one that comes slantwise touches a little before it."""
+    if before_m > SLANTED * probe.size_m[0]:
+        raise InputError(
+            f"point_m must be the first that the tool touches, got one that meets the organ {1e3 * before_m:.3g} mm "
+            "before it: come along another direction, or take a smaller tool"
+        )
 
 
 def _first_touch(contact: SurfaceContact, start_m: Array, end_m: Array, rotation: Array) -> Array:

@@ -122,7 +122,18 @@ class SoftOrgan:
 
     @cached_property
     def _columns(self) -> KeptColumns:
-        return KeptColumns(lambda: self.factor.solver, np.unique(self.space.faces))
+        return KeptColumns(self.factor, np.unique(self.space.faces))
+
+    def expect(self, near_m: Array, within_m: float) -> None:
+        """Have the compliance of the surface within a distance [m] of some points [m], shape (k, 3), at once.
+
+        It comes with the factor, if that is yet to be made; a press elsewhere takes about as long as the factor.
+        """
+        from scipy.spatial import cKDTree
+
+        surface = np.unique(self.space.faces)
+        near = cKDTree(near_m).query(self.space.nodes_m[surface])[0] <= within_m
+        self.factor.expect(surface[near])
 
     @cached_property
     def rest(self) -> tuple[Array, Array]:
