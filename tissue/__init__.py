@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from tissue.api import calibration, stability, study
     from tissue.api.assess import Assessment, assess
     from tissue.api.bone import Bone
+    from tissue.api.comparison import compare
     from tissue.api.cut import Cut
     from tissue.api.loop import Loop
     from tissue.api.materials import material, material_names
@@ -48,6 +49,7 @@ __all__ = [
     "assess",
     "ball",
     "calibration",
+    "compare",
     "cutters",
     "feed_along",
     "flat_punch",
@@ -79,6 +81,7 @@ _HOMES = {
     "Scene": "tissue.scene.scene",
     "assess": "tissue.api.assess",
     "ball": "tissue.api.tools",
+    "compare": "tissue.api.comparison",
     "feed_along": "tissue.api.poses",
     "flat_punch": "tissue.api.tools",
     "load_scene": "tissue.scene.load",

@@ -7,7 +7,7 @@ from tissue.api.html import curve, folded, table_html
 from tissue.figures.events import event_lines
 from tissue.simulation.run_summary import Summary
 
-__all__ = ["run_html", "run_line", "run_rows"]
+__all__ = ["figures_of", "run_html", "run_line", "run_rows"]
 
 CURVE_POINTS = 300
 """Points of the small curve of the force."""
@@ -41,6 +41,27 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
         ("tick, median / 99 %", f"{tick['median']:.0f} / {tick['p99']:.0f} µs"),
         ("missed 1 ms deadlines", f"{summary['missed_deadlines']} of {summary['simulated_s'] * 1e3:.0f}"),
     ]
+
+
+def figures_of(summary: Summary) -> dict[str, float]:
+    """Numbers of a run that came to its end, by names with units; none of another one."""
+    if summary["status"] != "complete":
+        return {}
+    force, torque, tick = summary["force_N"], summary["torque_Nm"], summary["tick_us"]
+    removed = summary["removed_mm3"] if summary["cuts"] else {}
+    return {
+        "simulated_s": summary["simulated_s"],
+        "peak_force_N": force["peak"],
+        "mean_force_N": force["mean_in_contact"],
+        "peak_torque_Nm": torque["peak"],
+        "mean_torque_Nm": torque["mean_in_contact"],
+        **({"removed_mm3": sum(removed.values())} if removed else {}),
+        **({f"removed_{layer}_mm3": volume for layer, volume in removed.items()} if len(removed) > 1 else {}),
+        "events": len(summary["events"]),
+        "tick_median_us": tick["median"],
+        "tick_99_percent_us": tick["p99"],
+        "missed_deadlines": summary["missed_deadlines"],
+    }
 
 
 def run_html(summary: Summary, events: list[tuple[float, str]], force_N: NDArray[np.float64]) -> str:

@@ -3,6 +3,7 @@
 from tissue.cli.assess import assess
 from tissue.cli.calibrate import calibrate
 from tissue.cli.chart import chart
+from tissue.cli.compare import compare
 from tissue.cli.run import run
 from tissue.cli.scenes import scenes
 from tissue.cli.schema import schema
@@ -13,5 +14,5 @@ from tissue.cli.view import view
 
 __all__ = ["COMMANDS"]
 
-COMMANDS = (run, scenes, view, stability, calibrate, assess, train, chart, study, schema)
+COMMANDS = (run, scenes, view, compare, stability, calibrate, assess, train, chart, study, schema)
 """In the order in which help lists them."""
