@@ -61,6 +61,7 @@ sphinx_gallery_conf = {
     "filename_pattern": r"/\d\d_",
     "ignore_pattern": r"__init__\.py",
     "within_subsection_order": "FileNameSortKey",
+    "default_thumb_file": str(HERE / "_static" / "thumb.png"),
     "image_scrapers": ("matplotlib", "pyvista"),
     "abort_on_example_error": False,
     "only_warn_on_example_error": False,

@@ -1,6 +1,7 @@
 """Names, docstrings, comments, messages and pages use the field's words; CONTRIBUTING lists what to write instead."""
 
 import io
+import os
 import re
 import tokenize
 from pathlib import Path
@@ -19,14 +20,22 @@ PLACES = (
     "CONTRIBUTING.md",
     "CHANGELOG.md",
 )
-BUILT = {"_build", "gallery"}
-"""Folders of the site that are made when it is built."""
+BUILT = {"_build", "gallery", "names", "__pycache__"}
+"""Folders that are made when the site is built, and may come and go."""
+
+
+def under(folder):
+    """Files under a folder, those aside that are made."""
+    for where, folders, names in os.walk(folder):
+        folders[:] = sorted(set(folders) - BUILT)
+        yield from (Path(where, name) for name in names)
+
+
 FILES = sorted(
     path
     for place in PLACES
-    for path in ([ROOT / place] if (ROOT / place).is_file() else (ROOT / place).rglob("*"))
+    for path in ([ROOT / place] if (ROOT / place).is_file() else under(ROOT / place))
     if path.suffix in (".py", ".md", ".toml", ".rst") and path != Path(__file__).resolve()
-    if not BUILT & set(path.parts) and "api/names" not in path.as_posix()
 )
 WORDS = {
     r"told|tells?|telling|said|says?": "reports, states, shows, raises",
