@@ -7,6 +7,7 @@ import os
 import re
 import sys
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from sphinx.application import Sphinx
@@ -18,6 +19,10 @@ os.environ.setdefault("PYVISTA_BUILDING_GALLERY", "true")
 os.environ.setdefault("PYVISTA_OFF_SCREEN", "true")
 
 import tissue  # noqa: E402, the checkout's
+
+for name in tissue.__all__:  # modules by their public names, as `tissue.stability`, which only exist as attributes
+    if isinstance(module := getattr(tissue, name), ModuleType):
+        sys.modules.setdefault(f"tissue.{name}", module)
 
 project, author = "tissue", "The tissue-sim authors"
 copyright = author
