@@ -23,7 +23,7 @@ PATCH = 4
 MARGIN = 1
 """Bricks voxelised around a patch and not kept: more than the distances that its voxels store."""
 BYTES_WHILE_MADE = 3 * BYTES_PER_VOXEL
-"""Of memory for a voxel that is made: stored, room to grow, and the arrays from which it comes."""
+"""Of memory for a voxel that is made: stored, space to grow, and the arrays from which it comes."""
 MOST_BRICKS = 2.5e8
 """Bricks of the lattice at most: 1 GB."""
 
