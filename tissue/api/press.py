@@ -84,6 +84,11 @@ class Press:
         return float(self.areas_mm2[-1])
 
     @property
+    def tip_mm(self) -> Array:
+        """Where the tool's tip is at the end [mm], shape (3,)."""
+        return 1e3 * self._curve.tip_m
+
+    @property
     def stiffness_N_mm(self) -> float:
         """Slope of the force along the press over the last tenth of the depth [N/mm]."""
         depth, force = self.depth_mm, -self.forces_N @ self.along
@@ -141,7 +146,7 @@ class Press:
     def tool_mesh(self) -> pyvista.PolyData:
         """The tool where it is at the end of the press [mm]."""
         place = np.eye(4)
-        place[:3, :3], place[:3, 3] = self._curve.rotation, 1e3 * self._curve.tip_m
+        place[:3, :3], place[:3, 3] = self._curve.rotation, self.tip_mm
         return self.tool.surface.transform(place, inplace=False)
 
     def _repr_html_(self) -> str:

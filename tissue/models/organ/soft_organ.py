@@ -169,6 +169,8 @@ class SoftOrgan:
         basis_size: int = 300,
         interval_s: float = inf,
         step_s: float = TICK_S,
+        tolerance: float = 1e-3,
+        sweeps: int = 100,
         cores: int | None = None,
         report: Progress = silent,
     ) -> tuple[LiverModel, int]:
@@ -185,6 +187,8 @@ class SoftOrgan:
             Time between two frames of displacement and stress [s]; infinite for none.
         step_s
             Length of a tick [s].
+        tolerance, sweeps
+            Of the contact, as for `SurfaceContact`: by default those of a tick of 1 ms.
         cores
             Processor cores to spread a shell's projection over; default all.
         report
@@ -210,6 +214,8 @@ class SoftOrgan:
             compliance,
             probe,
             friction=self.friction,
+            tolerance=tolerance,
+            sweeps=sweeps,
             device=self.space.device,
             cores=cores,
         )
