@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from tissue.api.register import register
     from tissue.api.run import Run, open_run
     from tissue.api.simulate import simulate
+    from tissue.api.sweep import sweep
     from tissue.api.tools import ball, flat_punch, probe_from_file
     from tissue.haptics.device.device import DeviceParameters, Sample
     from tissue.scene.load import load_scene, scene_names, scene_text
@@ -65,6 +66,7 @@ __all__ = [
     "simulate",
     "stability",
     "study",
+    "sweep",
 ]
 
 _HOMES = {
@@ -94,6 +96,7 @@ _HOMES = {
     "scene_names": "tissue.scene.load",
     "scene_text": "tissue.scene.load",
     "simulate": "tissue.api.simulate",
+    "sweep": "tissue.api.sweep",
 }
 _MODULES = {
     "calibration": "tissue.api.calibration",

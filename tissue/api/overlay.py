@@ -19,6 +19,8 @@ __all__ = ["overlay"]
 
 MOST_NAMED = 12
 """Curves that a legend names."""
+LONG = 28
+"""Letters of a name of which only two stand in a line."""
 
 
 @styled
@@ -52,13 +54,14 @@ def overlay(traces: "Mapping[str, Table]", *, over: str = "time") -> NDArray[np.
             common = first[0][(first[0] >= place[0]) & (first[0] <= place[-1])]
             apart = _at(common, place, force) - _at(common, *first)
             panels[2].plot(common, np.linalg.norm(apart, axis=1), **look)
-    for axes, label in zip(
-        panels, ("force / N", "torque / N m", f"force apart from\n{next(iter(traces))} / N"), strict=True
-    ):
-        axes.set_ylabel(label, parse_math=False)
+    for axes, label in zip(panels, ("force / N", "torque / N m", "force apart from\nthe first one's / N"), strict=True):
+        axes.set_ylabel(label)
     panels[-1].set_xlabel("time / s" if over == "time" else "depth of the tool's tip from its first contact / mm")
     if len(traces) <= MOST_NAMED:
-        legend = panels[0].legend(frameon=False, loc="best", handlelength=1.4)
+        columns = 3 if max(map(len, traces)) < LONG else 2
+        legend = panels[0].figure.legend(
+            *panels[0].get_legend_handles_labels(), loc="outside upper left", frameon=False, ncols=columns
+        )
         for text in legend.get_texts():
             text.set_parse_math(False)
     plain(panels)

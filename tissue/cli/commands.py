@@ -9,10 +9,11 @@ from tissue.cli.scenes import scenes
 from tissue.cli.schema import schema
 from tissue.cli.stability import stability
 from tissue.cli.study import study
+from tissue.cli.sweep import sweep
 from tissue.cli.train import train
 from tissue.cli.view import view
 
 __all__ = ["COMMANDS"]
 
-COMMANDS = (run, scenes, view, compare, stability, calibrate, assess, train, chart, study, schema)
+COMMANDS = (run, scenes, view, sweep, compare, stability, calibrate, assess, train, chart, study, schema)
 """In the order in which help lists them."""

@@ -41,7 +41,7 @@ def compare(
     titles, rows = found.texts()
     table = Table(titles[0])
     for title in titles[1:]:
-        table.add_column(title, justify="right")
+        table.add_column(title, justify="right", overflow="fold")
     for row in rows:
         table.add_row(*row)
     console.print(table)

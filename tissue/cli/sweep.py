@@ -1,0 +1,78 @@
+"""``tissue sweep``."""
+
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from tissue.cli.terminal import console, problems, progress, whole
+
+__all__ = ["sweep"]
+
+
+def sweep(
+    scene: str,
+    /,
+    *,
+    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    out: Path | None = None,
+    workers: Annotated[int | None, Parameter(converter=whole)] = None,
+    compute: str = "cpu",
+    cores: Annotated[int | None, Parameter(converter=whole)] = None,
+    pictures: Annotated[bool, Parameter(negative="")] = False,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+    allow_unstable: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Run a scene at all combinations of values; runs that are there and finished are kept.
+
+    Parameters
+    ----------
+    scene
+        Name of a built-in scene (see `tissue scenes`) or a TOML file.
+    set_
+        KEY=VALUE,VALUE, values of an entry of the scene, such as voxels.spacing_mm=0.2,0.4; commas in brackets belong
+        to a value; may be repeated.
+    out
+        Folder to write; default sweeps/NAME.
+    workers
+        Processes; default one a core. One by itself gives each run all cores, as `tissue run` does.
+    compute
+        Device for the kernels: cpu or cuda:0.
+    cores
+        Processor cores of each run; default one, or all with one process.
+    pictures
+        Draw the pictures of each run.
+    overwrite
+        Run those again that are there.
+    allow_unstable
+        Run a device whose coupling is unstable, too.
+    """
+    from rich.table import Table
+
+    from tissue.api.sweep import sweep as swept
+    from tissue.api.sweep_plan import parse_values
+    from tissue.scene.load import load_scene
+
+    changes = parse_values(set_)
+    loaded = load_scene(scene)
+    folder = out or Path("sweeps") / loaded.name
+    with progress() as report:
+        report("starting", 0.0)
+        found = swept(
+            loaded, changes, out=folder, workers=workers or os.cpu_count() or 1, compute=compute, cores=cores,
+            pictures=pictures, overwrite=overwrite, allow_unstable=allow_unstable, progress=report,
+        )  # fmt: skip
+    titles, rows = found.texts()
+    table = Table(title=f"{loaded.name}: {len(found.finished)} of {len(found.runs)} runs")
+    for title in titles:
+        table.add_column(title, justify="right", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
+    for name, problem in found.failures.items():
+        problems.print(f"{name}: {problem}")
+    console.print(f"files in {folder}: {', '.join(sorted(path.name for path in folder.iterdir() if path.is_file()))}")
+    if found.failures:
+        sys.exit(1)
