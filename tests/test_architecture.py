@@ -35,6 +35,7 @@ LAYERS = (
     ("tissue.simulation",),
     ("tissue.figures",),
     ("tissue.viewer", "tissue.evaluation"),
+    ("tissue.reporting",),
     ("tissue.api",),
     ("tissue.cli",),
     ("tissue.__main__",),

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from tissue.api.poses import feed_along
     from tissue.api.press import Press
     from tissue.api.register import register
+    from tissue.api.report import report
     from tissue.api.run import Run, open_run
     from tissue.api.simulate import simulate
     from tissue.api.sweep import sweep
@@ -61,6 +62,7 @@ __all__ = [
     "open_run",
     "probe_from_file",
     "register",
+    "report",
     "scene_names",
     "scene_text",
     "simulate",
@@ -93,6 +95,7 @@ _HOMES = {
     "open_run": "tissue.api.run",
     "probe_from_file": "tissue.api.tools",
     "register": "tissue.api.register",
+    "report": "tissue.api.report",
     "scene_names": "tissue.scene.load",
     "scene_text": "tissue.scene.load",
     "simulate": "tissue.api.simulate",

@@ -23,12 +23,12 @@ td { overflow-wrap: anywhere; } .what { white-space: nowrap; font-weight: 600; }
 """
 
 
-def html_page(title: str, body: str, *, style: str = "") -> str:
-    """A whole file of this title, with more style if need be."""
+def html_page(title: str, body: str, *, style: str = "", head: str = "") -> str:
+    """A whole file of this title, with more style and elements of its head if need be."""
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{title}</title><style>{STYLE}{style}</style></head><body>\n<h1>{title}</h1>\n{body}\n</body></html>\n"
+        f"{head}<title>{title}</title><style>{STYLE}{style}</style></head><body>\n<h1>{title}</h1>\n{body}\n</body></html>\n"
     )
 
 

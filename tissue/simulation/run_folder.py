@@ -37,6 +37,7 @@ OWN_FILES = (
     "fields.pvd",
     "fields",
     "pictures",
+    "report.html",
 )
 """Names in a run's folder."""
 

@@ -1,0 +1,131 @@
+"""The words of a report as HTML: figures, events, notes, materials, scene, versions."""
+
+from base64 import b64encode
+from collections.abc import Iterable, Sequence
+from html import escape
+
+from tissue.reporting.materials import Used
+from tissue.simulation.run_folder import SavedRun
+from tissue.simulation.run_summary import Summary
+
+__all__ = ["events_table", "figures_of", "materials_table", "notes_table", "reproduce", "status_of"]
+
+CONFIDENCE = {"H": "high", "M": "medium", "L": "low"}
+
+
+def status_of(saved: SavedRun) -> str:
+    """A sentence about what the run is, and one more where it did not come to its end."""
+    scene = saved.scene
+    described = f"<p>{escape(scene.description)}</p>" if scene is not None and scene.description else ""
+    if saved.complete:
+        return described
+    problem = f": {escape(saved.problem)}" if saved.problem else ""
+    sentence = f"This run is {escape(saved.status)}{problem}. What follows is what it left."
+    return f'{described}<p class="verdict open">{sentence}</p>'
+
+
+def figures_of(saved: SavedRun) -> str:
+    """Cards with the figures of a run that came to its end."""
+    summary = saved.summary
+    if not saved.complete:
+        return ""
+    cards = [
+        ("simulated", f"{summary['simulated_s']:g} s"),
+        ("greatest force on the tool", f"{summary['force_N']['peak']:.3g} N"),
+        ("mean force in contact", f"{summary['force_N'].get('mean_in_contact', 0.0):.3g} N"),
+    ]
+    if summary["torque_Nm"]["peak"] > 0.0:
+        cards.append(("greatest torque about the tip", _torque(summary["torque_Nm"]["peak"])))
+    removed = {name: value for name, value in summary.get("removed_mm3", {}).items() if value > 0.0}
+    for name, value in removed.items():
+        start = summary.get("start_mm3", {}).get(name, 0.0)
+        share = f" of {start:.4g}" if start > 0.0 else ""
+        cards.append((f"removed {name}", f"{value:.4g}{share} mm³"))
+    if summary.get("cuts") and not removed:
+        cards.append(("removed", "nothing"))
+    ticks = summary.get("tick_us", {})
+    if ticks:
+        cards.append(("computing a tick of 1 ms, median", f"{ticks['median']:.3g} µs"))
+    if "missed_deadlines" in summary:
+        count = round(1e3 * summary["simulated_s"])
+        cards.append(("ticks that took longer than 1 ms", f"{summary['missed_deadlines']} of {count}"))
+    return '<div class="cards">' + "".join(_card(label, value) for label, value in cards) + "</div>"
+
+
+def events_table(summary: Summary) -> str:
+    """Events with buttons that go to their moments."""
+    events = summary.get("events", [])
+    if not events:
+        return "<p>None.</p>"
+    rows = [
+        (
+            str(number),
+            f'<button data-time="{event["time_s"]:.6f}">{event["time_s"]:.3f} s</button>',
+            escape(event["what"]),
+        )
+        for number, event in enumerate(events, 1)
+    ]
+    return _table(("", "time", "what happened"), rows)
+
+
+def notes_table(summary: Summary) -> str:
+    """What the run notes of its anatomy, tool and model, with what is not modelled."""
+    notes = summary.get("notes", {})
+    if not notes:
+        return "<p>None.</p>"
+    return _table(("of", "note"), [(escape(str(name)), escape(str(note))) for name, note in notes.items()])
+
+
+def materials_table(used: Sequence[Used]) -> str:
+    """Cited constants with value, range, source and confidence."""
+    if not used:
+        return "<p>This scene rests on no cited constant: what it is made of is stated in the scene itself.</p>"
+    low = sum(one.cited.confidence == "L" for one in used)
+    rows = []
+    for one in used:
+        value = f"{one.cited.value:g}"
+        if one.stated is not None:
+            value = f"<b>{one.stated:g}</b> (scene; cited {value})"
+        span = f"{one.cited.low:g} to {one.cited.high:g}"
+        sure = CONFIDENCE.get(one.cited.confidence, one.cited.confidence)
+        rows.append((escape(one.of), escape(one.name), value, span, escape(sure), escape(one.cited.source)))
+    sentence = (
+        f"<p>{len(used)} cited constants, {low} of them of low confidence (from memory of the literature, or assumed). "
+        "The range is what is plausible; results move with it.</p>"
+    )
+    header = ("of", "constant, with its unit", "value", "range", "confidence", "source")
+    return sentence + _table(header, rows, numbers=(2, 3))
+
+
+def reproduce(saved: SavedRun, text: str, versions: Iterable[tuple[str, str]]) -> str:
+    """The scene as text, the commands that run it again, and versions."""
+    data = b64encode(text.encode()).decode("ascii")
+    keep = f'<a download="scene.toml" href="data:application/toml;base64,{data}">save it as scene.toml</a>'
+    commands = 'pip install "tissue-sim"\ntissue run scene.toml --out again\ntissue report again'
+    rows = [(escape(name), escape(value)) for name, value in versions]
+    return (
+        f"<h2>Scene</h2><p>Everything that was used; {keep}.</p>"
+        f"<details><summary>scene.toml</summary><pre>{escape(text)}</pre></details>"
+        f"<h2>Run it again</h2><pre>{escape(commands)}</pre>"
+        "<p>The same version of tissue gives the same trace bit for bit on the same kind of processor.</p>"
+        f"<h2>Versions and machine</h2>{_table(('', ''), rows)}"
+    )
+
+
+def _card(label: str, value: str) -> str:
+    return f'<div class="card"><span>{escape(label)}</span><b>{escape(value)}</b></div>'
+
+
+def _torque(torque_Nm: float) -> str:
+    return f"{torque_Nm:.3g} N·m" if torque_Nm >= 0.02 else f"{1e3 * torque_Nm:.3g} mN·m"
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]], *, numbers: Sequence[int] = ()) -> str:
+    """A table of cells that are HTML already; its columns of numbers align to the right."""
+    look = [' class="number"' if column in numbers else "" for column in range(len(header))]
+    head = "".join(f"<th{look[column]}>{escape(name)}</th>" for column, name in enumerate(header))
+    body = "".join(
+        "<tr>" + "".join(f"<td{look[column]}>{cell}</td>" for column, cell in enumerate(row)) + "</tr>" for row in rows
+    )
+    headed = f"<thead><tr>{head}</tr></thead>" if any(header) else ""
+    return f'<div class="scroll"><table>{headed}<tbody>{body}</tbody></table></div>'
