@@ -1,114 +1,105 @@
-"""The same path through a sound and a carious tooth: how far does the force alone discriminate them?
+"""
+Carious or healthy by the force alone
+=====================================
 
 A round bur goes straight down the fossa of two molars that differ by a lesion 3 mm deep. Tick by tick, a threshold on
-the axial force calls each tick carious or sound; the example prints its best share of right calls and the chance that
+the axial force calls each tick carious or sound; the example gives its best share of right calls and the chance that
 a carious tick pushes back less than a sound one. Then the sound tooth is drilled at half the feed.
 Expected: over the lesion the carious tooth pushes back with 0.16 of the sound one's force, in enamel with 0.10, in
 dentin with 0.59. The best threshold is right in 95 % of all ticks, since decayed enamel is at first harder than sound
 dentin, and in 99 % of those in dentin, where it misses the lesion's rim. But it holds for one feed: at half of it all
 sound dentin is called carious. The forces have no noise and rest on coefficients of low confidence
 (`tissue/materials/cutting.toml`): how well a hand would do is not stated.
-Run: python examples/04_caries_or_healthy.py [--out FILE.png]
 """
 
-import sys
-from collections.abc import Mapping
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
+from numpy.typing import NDArray
 
 import tissue
 
-Trace = Mapping[str, np.ndarray]
+Floats = NDArray[np.float64]
+FIGURES = Path("figures")
+FIGURES.mkdir(exist_ok=True)
 DEPTH_MM, FEED_MM_S = 3.4, 1.5
+
+# %%
+# Three runs: sound, carious, and sound at half the feed, in voxels of 0.1 mm and without the teeth's stress.
 
 
 def drill(scene: str, feed_mm_s: float) -> tissue.Run:
-    """A built-in tooth drilled straight down, in voxels of 0.1 mm and without its stress."""
-    return tissue.simulate(
-        tissue.load_scene(
-            scene,
-            {
-                "voxels.spacing_mm": 0.1,
-                "motion.points_mm": [[0, 0, 0.2], [0, 0, -DEPTH_MM]],
-                "motion.feed_mm_s": feed_mm_s,
-                "duration_s": (0.2 + DEPTH_MM) / feed_mm_s,
-                "stress": None,
-            },
-        )
-    )
+    """A built-in tooth drilled straight down."""
+    changes = {
+        "voxels.spacing_mm": 0.1,
+        "motion.points_mm": [[0, 0, 0.2], [0, 0, -DEPTH_MM]],
+        "motion.feed_mm_s": feed_mm_s,
+        "duration_s": (0.2 + DEPTH_MM) / feed_mm_s,
+        "stress": None,
+    }
+    return tissue.simulate(tissue.load_scene(scene, changes))
 
 
-def best_threshold(carious: np.ndarray, sound: np.ndarray) -> tuple[float, float, float]:
-    """Force below which a tick is best called carious [N], the share of right calls, and the area under the ROC.
+sound, carious = drill("molar", FEED_MM_S).trace, drill("caries", FEED_MM_S).trace
+slow = drill("molar", 0.5 * FEED_MM_S).trace
 
-    Carious and sound ticks count alike. The area is the chance that a carious tick's force is below a sound one's.
-    """
-    levels = np.unique(np.concatenate([carious, sound]))
+# %%
+# The threshold that calls most ticks rightly, where carious and sound ticks count alike, and the area under the ROC:
+# the chance that a carious tick's force is below a sound one's.
+
+
+def best_threshold(soft: Floats, hard: Floats) -> tuple[float, float, float]:
+    """Force below which a tick is best called carious [N], the share of right calls, and the area under the ROC."""
+    levels = np.unique(np.concatenate([soft, hard]))
     thresholds = 0.5 * (levels[1:] + levels[:-1])
-    below = np.searchsorted(np.sort(carious), thresholds) / len(carious)
-    above = 1.0 - np.searchsorted(np.sort(sound), thresholds) / len(sound)
+    below = np.searchsorted(np.sort(soft), thresholds) / len(soft)
+    above = 1.0 - np.searchsorted(np.sort(hard), thresholds) / len(hard)
     best = int(np.argmax(below + above))
-    area = 1.0 - np.searchsorted(np.sort(sound), carious, side="right").mean() / len(sound)
+    area = 1.0 - np.searchsorted(np.sort(hard), soft, side="right").mean() / len(hard)
     return float(thresholds[best]), float(0.5 * (below + above)[best]), float(area)
 
 
-def main(out: Path | None = None) -> None:
-    runs = [drill("molar", FEED_MM_S), drill("caries", FEED_MM_S), drill("molar", 0.5 * FEED_MM_S)]
-    sound, carious, slow = (run.trace for run in runs)
-    soft, hard = carious["model_force_z_N"], sound["model_force_z_N"]
-    lesion = carious["layer"] == "caries"
-    parts = {
-        "the lesion": lesion,
-        "its part in enamel": lesion & (sound["layer"] == "enamel"),
-        "its part in dentin": lesion & (sound["layer"] == "dentin"),
-    }
-    found = {}
-    print("over                 sound   carious  ratio  threshold  right   area")
-    for name, ticks in parts.items():
-        means = hard[ticks].mean(), soft[ticks].mean()
-        level, right, area = best_threshold(soft[ticks], hard[ticks])
-        found[name] = means[1] / means[0], level, right
-        figures = f"{means[0]:.3f} N  {means[1]:.3f} N  {means[1] / means[0]:5.3f}  {level:7.3f} N"
-        print(f"{name:<19}  {figures}  {right:5.1%}  {area:.3f}")
-    threshold = found["its part in dentin"][1]
-    alarms = float((slow["model_force_z_N"][slow["layer"] == "dentin"] < threshold).mean())
-    print(f"at half the feed {alarms:.0%} of the sound tooth's dentin is below {threshold:.3f} N")
+soft, hard = carious["model_force_z_N"], sound["model_force_z_N"]
+lesion = carious["layer"] == "caries"
+parts = {
+    "the lesion": lesion,
+    "its part in enamel": lesion & (sound["layer"] == "enamel"),
+    "its part in dentin": lesion & (sound["layer"] == "dentin"),
+}
+found = {}
+print("over                 sound   carious  ratio  threshold  right   area")
+for name, ticks in parts.items():
+    means = hard[ticks].mean(), soft[ticks].mean()
+    level, right, area = best_threshold(soft[ticks], hard[ticks])
+    found[name] = means[1] / means[0], level, right
+    figures = f"{means[0]:.3f} N  {means[1]:.3f} N  {means[1] / means[0]:5.3f}  {level:7.3f} N"
+    print(f"{name:<19}  {figures}  {right:5.1%}  {area:.3f}")
+threshold_N = found["its part in dentin"][1]
+alarms = float((slow["model_force_z_N"][slow["layer"] == "dentin"] < threshold_N).mean())
+print(f"at half the feed {alarms:.0%} of the sound tooth's dentin is below {threshold_N:.3f} N")
 
-    for name, ratio, right in zip(parts, (0.159, 0.094, 0.592), (0.953, 0.974, 1.0), strict=True):
-        assert abs(found[name][0] - ratio) < 0.005
-        assert abs(found[name][2] - right) < 0.01
-    assert alarms > 0.9
-    if out is not None:
-        draw(carious, sound, slow, threshold, out)
-        print("picture in", out)
+for name, ratio, right in zip(parts, (0.159, 0.094, 0.592), (0.953, 0.974, 1.0), strict=True):
+    assert abs(found[name][0] - ratio) < 0.005
+    assert abs(found[name][2] - right) < 0.01
+assert alarms > 0.9
 
+# %%
+# Sound dentin at half the feed lies below the threshold that parts sound from carious at the full one.
 
-def draw(carious: Trace, sound: Trace, slow: Trace, threshold_N: float, out: Path) -> None:
-    """Force over depth of the three runs, logarithmic, with the lesion shaded."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(figsize=(8, 4.4), layout="constrained")
-    lesion = -carious["tool_z_mm"][carious["layer"] == "caries"]
-    axes.axvspan(lesion[0], lesion[-1], color="#E69F00", alpha=0.2, linewidth=0, label="mostly in the lesion")
-    for trace, colour, line, label in (
-        (sound, "#0072B2", "-", f"sound, {FEED_MM_S:g} mm/s"),
-        (slow, "#56B4E9", "--", f"sound, {0.5 * FEED_MM_S:g} mm/s"),
-        (carious, "#D55E00", "-", f"carious, {FEED_MM_S:g} mm/s"),
-    ):
-        met = trace["contact_mm2"] > 0.0
-        axes.semilogy(-trace["tool_z_mm"][met], trace["model_force_z_N"][met], line, color=colour, label=label, lw=2)
-    axes.axhline(threshold_N, color="0.3", linestyle=":", label=f"threshold in dentin, {threshold_N:.3f} N")
-    axes.set(xlabel="depth of the tip under the fossa / mm", ylabel="axial force / N", ylim=(0.02, 9.0))
-    axes.grid(alpha=0.3, which="both")
-    axes.legend(ncols=2, loc="upper right")
-    axes.set_title("Round bur of 1 mm down the fossa of a molar")
-    figure.savefig(out, dpi=150)
-    pyplot.close(figure)
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[2]) if sys.argv[1:2] == ["--out"] else None)
+figure, axes = plt.subplots(figsize=(8, 4.4), layout="constrained")
+shaded = -carious["tool_z_mm"][lesion]
+axes.axvspan(shaded[0], shaded[-1], color="#E69F00", alpha=0.2, linewidth=0, label="mostly in the lesion")
+for trace, colour, line, label in (
+    (sound, "#0072B2", "-", f"sound, {FEED_MM_S:g} mm/s"),
+    (slow, "#56B4E9", "--", f"sound, {0.5 * FEED_MM_S:g} mm/s"),
+    (carious, "#D55E00", "-", f"carious, {FEED_MM_S:g} mm/s"),
+):
+    met = trace["contact_mm2"] > 0.0
+    axes.semilogy(-trace["tool_z_mm"][met], trace["model_force_z_N"][met], line, color=colour, label=label, lw=2)
+axes.axhline(threshold_N, color="0.3", linestyle=":", label=f"threshold in dentin, {threshold_N:.3f} N")
+axes.set(xlabel="depth of the tip under the fossa / mm", ylabel="axial force / N", ylim=(0.02, 9.0))
+axes.grid(alpha=0.3, which="both")
+axes.legend(ncols=2, loc="upper right")
+axes.set_title("Round bur of 1 mm down the fossa of a molar")
+figure.savefig(FIGURES / "04_force.png", dpi=150)

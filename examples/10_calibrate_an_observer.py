@@ -1,76 +1,73 @@
-"""How well do 120 comparisons and 24 numbers measure what a person feels?
+"""
+Calibrate an observer
+=====================
 
-Expected: a simulated person with a Weber fraction of 7 % and Stevens' exponent 1.7 is found at 7.7 % and 1.71, with the
-truth in both 95 % intervals; the session that is cut off after 50 trials and gone on with from its log ends with the
-same observer, bit for bit. Over 200 such people one session is off by about 15 %, which is what 120 answers can show:
-the answer to a comparison is one bit.
-Run: python examples/10_calibrate_an_observer.py [--out FILE.png]
+How well do 120 comparisons and 24 numbers measure what a person feels? Expected: a simulated person with a Weber
+fraction of 7 % and Stevens' exponent 1.7 is found at 7.7 % and 1.71, with the truth in both 95 % intervals; the session
+that is cut off after 50 trials and gone on with from its log ends with the same observer, bit for bit. Over 200 such
+people one session is off by about 15 %, which is what 120 answers can show: the answer to a comparison is one bit.
 """
 
-import sys
 import tempfile
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 
-from tissue.evaluation.calibration.posterior_view import draw_session
-from tissue.evaluation.calibration.run_session import simulated_answers
-from tissue.evaluation.calibration.session import Plan, Session
-from tissue.evaluation.calibration.simulated_observer import SimulatedObservers
-from tissue.evaluation.calibration.trial_log import TrialLog
-from tissue.perception.adaptive import AdaptiveThreshold
+import tissue
 
+FIGURES = Path("figures")
+FIGURES.mkdir(exist_ok=True)
 WEBER, EXPONENT, PEOPLE = 0.07, 1.7, 200
+TRUTH = {"alpha": 1.0, "beta": EXPONENT, "kappa": WEBER, "offset_N": 0.2, "lapse": 0.02, "sigma": 0.2}
 
+# %%
+# A session asks what shows most, and keeps every answer in a log before it asks the next. Anything that answers may be
+# asked: here a simulated person, elsewhere a function that plays two forces on a device and reads a key.
 
-def people(count: int) -> SimulatedObservers:
-    """People of the same known truth."""
-    truth = {"alpha": 1.0, "beta": EXPONENT, "kappa": WEBER, "offset_N": 0.2, "lapse": 0.02, "sigma": 0.2}
-    return SimulatedObservers(**{name: np.full(count, value) for name, value in truth.items()})
+answer = tissue.calibration.simulated_answers(tissue.calibration.alike(1, **TRUTH), seed=1)
+with tempfile.TemporaryDirectory() as folder:
+    done = tissue.calibration.run(answer, Path(folder) / "straight.jsonl", name="seven percent")
+    tissue.calibration.run(answer, Path(folder) / "cut.jsonl", name="seven percent", trials=50)
+    again = tissue.calibration.run(answer, Path(folder) / "cut.jsonl", name="seven percent")
+for line in done.lines():
+    print(line)
+low, high = done.threshold.weber_quantiles(np.array([0.025, 0.975]))[:, 0]
+weber = done.threshold.weber()[0][0]
+numbers = done.magnitudes()
+least, most = numbers.exponent_at([0.025, 0.975])
+assert low < WEBER < high and least < EXPONENT < most
+assert abs(weber / WEBER - 1.0) < 0.35 and abs(numbers.mean[1] / EXPONENT - 1.0) < 0.1
+assert (again.observer("a").mean == done.observer("a").mean).all()
 
+# %%
+# One session each with 200 people of the same truth shows what a session cannot resolve.
 
-def session(folder: Path, stop_after: int | None = None) -> Session:
-    """A session, gone on with where the log in a folder ends, up to its end or a number of trials."""
-    log = TrialLog(folder / "one.trials.jsonl", "seven percent", Plan())
-    answer = simulated_answers(people(1), seed=1)
-    while not log.session.complete and log.session.trial != stop_after:
-        asked = log.session.ask()
-        log.take(asked, answer(asked, log.session.trial))
-    log.close()
-    return log.session
+found = tissue.calibration.estimated_webers(tissue.calibration.alike(PEOPLE, **TRUTH))
+spread = float(np.log(found / WEBER).std())
+print(f"scatter of the Weber fraction over {PEOPLE} people: {100 * spread:.0f} %")
+assert 0.12 < spread < 0.19
 
+# %%
+# What one session concludes, what sessions with 200 people conclude, and the numbers given to forces.
 
-def scatter() -> float:
-    """Scatter of the Weber fraction over people of the same truth: standard deviation of its logarithm."""
-    crowd, rng = people(PEOPLE), np.random.default_rng(0)
-    found = AdaptiveThreshold(observers=PEOPLE)
-    for _ in range(Plan().trials):
-        asked = found.propose()
-        found.answer(asked, crowd.correct(found.base_N[asked], found.step_N[asked], rng))
-    return float(np.log(found.weber()[0] / WEBER).std())
-
-
-def main(out: Path | None = None) -> None:
-    with tempfile.TemporaryDirectory() as straight, tempfile.TemporaryDirectory() as cut:
-        done = session(Path(straight))
-        session(Path(cut), stop_after=50)
-        again = session(Path(cut))
-    for line in done.lines():
-        print(line)
-    low, high = done.threshold.weber_quantiles(np.array([0.025, 0.975]))[:, 0]
-    least, most = done.magnitudes().exponent_at([0.025, 0.975])
-    spread = scatter()
-    print(f"scatter of the Weber fraction over {PEOPLE} people: {100 * spread:.0f} %")
-    assert low < WEBER < high and least < EXPONENT < most
-    assert (
-        abs(done.threshold.weber()[0][0] / WEBER - 1.0) < 0.35 and abs(done.magnitudes().mean[1] / EXPONENT - 1.0) < 0.1
-    )
-    assert (again.observer("a").mean == done.observer("a").mean).all()
-    assert 0.12 < spread < 0.19
-    if out is not None:
-        draw_session(done, out)
-        print("picture in", out)
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[2]) if sys.argv[1:2] == ["--out"] else None)
+figure, panels = plt.subplots(1, 3, figsize=(12, 4.0), layout="constrained")
+edges = 100.0 * done.threshold.prior.weber_edges
+panels[0].stairs(done.threshold.weber_masses()[:, 0], edges, color="#0072B2", fill=True, alpha=0.6)
+panels[0].set(xlim=(2.0, 20.0), xlabel="Weber fraction / %", ylabel="mass of a cell", title="after one session")
+panels[1].hist(100.0 * found, bins=20, color="#56B4E9")
+panels[1].set(xlabel="Weber fraction found / %", ylabel="people", title=f"sessions with {PEOPLE} people alike")
+for panel in panels[:2]:
+    panel.axvline(100.0 * WEBER, color="#D55E00", linestyle="--", label="truth")
+panels[0].legend()
+forces_N, given = np.array(done.given).T
+at = np.geomspace(forces_N.min(), forces_N.max(), 50)
+panels[2].loglog(forces_N, given, "o", color="#E69F00", alpha=0.7, label="numbers given")
+panels[2].loglog(at, np.exp(numbers.mean[0]) * at ** numbers.mean[1], color="#0072B2", label="power law found")
+panels[2].set_xticks([0.3, 0.5, 1, 2, 3], ["0.3", "0.5", "1", "2", "3"])
+panels[2].set_xticks([], minor=True)
+panels[2].set(xlabel="force / N", ylabel="number", title=f"exponent {numbers.mean[1]:.2f}, truth {EXPONENT}")
+panels[2].legend()
+for panel in panels:
+    panel.grid(alpha=0.3)
+figure.savefig(FIGURES / "10_observer.png", dpi=150)

@@ -1,24 +1,30 @@
-"""A small study: does predicting the force hide the latency of a contact with a wall?
+"""
+A small study
+=============
 
-Expected: over two trials of each group the force that is played lies 5 % off the prompt one without prediction.
-Prediction by a Koopman operator leaves less than 0.85 of that error and takes more than two of six milliseconds off
-the lag. A trial that is run alone gives the same numbers to the last bit. People are simulated.
-Run: python examples/12_a_small_study.py
+Does predicting the force hide the latency of a contact with a wall? Expected: over two trials of each group the force
+that is played lies 5 % off the prompt one without prediction. Prediction by a Koopman operator leaves less than 0.85 of
+that error and takes more than two of six milliseconds off the lag. A trial that is run alone gives the same numbers to
+the last bit. People are simulated.
 """
 
 import tempfile
 from pathlib import Path
 
-from tissue.evaluation.study.plan import Plan, TrialKey
-from tissue.evaluation.study.runner import run_study
-from tissue.evaluation.study.trial import run_trial
+import matplotlib.pyplot as plt
+import numpy as np
 
-PLAN = Plan(trials=2, tasks=("T2",), methods=("penalty", "koopman"), sensitivity=False)
+import tissue
 
+FIGURES = Path("figures")
+PLAN = tissue.study.Plan(trials=2, tasks=("T2",), methods=("penalty", "koopman"), sensitivity=False)
 
-def main() -> None:
+# %%
+# The trials run on two worker processes, which import this script: what starts them stands under its main guard.
+
+if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
-        table = run_study(PLAN, Path(folder) / "study", workers=2).table("T2")
+        table = tissue.study.run(PLAN, Path(folder) / "study", workers=2).table("T2")
     means = {
         method: {metric: table.where(method=method).values(metric).mean() for metric in ("force_error", "latency_ms")}
         for method in PLAN.methods
@@ -28,11 +34,29 @@ def main() -> None:
     plain, predicted = means["penalty"], means["koopman"]
     assert 0.02 < plain["force_error"] < 0.1 and predicted["force_error"] < 0.85 * plain["force_error"]
     assert plain["latency_ms"] - predicted["latency_ms"] > 2.0
-    alone = run_trial(PLAN, TrialKey.named("T2-expert-0001")).rows[1]
+
+# %%
+# A trial alone, by its name: what a study holds can be looked at one by one.
+
+if __name__ == "__main__":
+    alone = tissue.study.trial(PLAN, "T2-expert-0001").rows[1]
     inside = table.where(group="expert", method="koopman").values("force_error")[1]
     assert alone["force_error"] == inside
     print(f"trial T2-expert-0001 alone: the same {100 * inside:.3f} %")
 
+# %%
+# Each line is a trial under both methods.
 
 if __name__ == "__main__":
-    main()
+    figure, panels = plt.subplots(1, 2, figsize=(8.0, 4.0), layout="constrained")
+    labels = {"force_error": ("force error / %", 100.0), "latency_ms": ("latency of the force / ms", 1.0)}
+    for panel, (metric, (label, scale)) in zip(panels, labels.items(), strict=True):
+        for group, colour in zip(PLAN.groups, ("#E69F00", "#56B4E9", "#009E73"), strict=True):
+            pairs = [table.where(group=group, method=method).values(metric) for method in PLAN.methods]
+            lines = panel.plot(PLAN.methods, scale * np.array(pairs), "o-", color=colour)
+            lines[0].set_label(group)
+        panel.set(ylabel=label, ylim=(0.0, None), xlim=(-0.3, 1.3))
+        panel.grid(axis="y", alpha=0.3)
+    panels[1].legend()
+    FIGURES.mkdir(exist_ok=True)
+    figure.savefig(FIGURES / "12_study.png", dpi=150)
