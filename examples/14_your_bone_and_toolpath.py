@@ -58,7 +58,7 @@ assert abs(by_feed - 1.10) < 0.02 and abs(by_density - 1.84) < 0.02
 assert all(abs(cut.removed_mm3[-1] - 12.5) < 0.2 for cut in cuts.values())
 
 # %%
-# Force over the way along the shaft: the four cuts side by side.
+# Force over the place along the shaft, of the four cuts.
 
 figure, axes = plt.subplots(figsize=(8, 4.2), layout="constrained")
 for ((density, feed), cut), line in zip(cuts.items(), ("--", "-", "--", "-"), strict=True):

@@ -1,12 +1,15 @@
 """A tissue: what a scene states of it, its model, and what builds a run's parts of them."""
 
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 from pydantic import Field
 
 from tissue import register
 from tissue.builders.parts import Parts
+from tissue.models.tissue_model import Response, ToolMotion
 from tissue.models.wall import WallModel
+from tissue.motion.motion import Motion
 from tissue.scene.anatomy import Part
 from tissue.scene.tool import Probe
 
@@ -27,11 +30,11 @@ class CushionModel(WallModel):
 
     layer_names = ("cushion",)
 
-    def __init__(self, cushion, *, radius_m):
+    def __init__(self, cushion: Cushion, *, radius_m: float) -> None:
         super().__init__(cushion.stiffness_N_m, radius_m=radius_m)
         self.hardening_m = 1e-3 * cushion.hardening_mm
 
-    def respond(self, motion):
+    def respond(self, motion: ToolMotion) -> Response:
         """The wall's answer, its force and slope made greater with the depth."""
         response = super().respond(motion)
         depth_m = 1e-3 * response.measures[0]
@@ -41,14 +44,14 @@ class CushionModel(WallModel):
         return response
 
 
-def greatest_force_N(scene):
+def greatest_force_N(scene: Any) -> float:
     """Force at the deepest point of the scripted motion, from which the scale of forces at a device is chosen."""
     depth_m = max(-1e-3 * min(point[2] for point in scene.motion.points_mm), 0.0)
     cushion = scene.anatomy
-    return cushion.stiffness_N_m * depth_m * (1.0 + 1e3 * depth_m / cushion.hardening_mm)
+    return float(cushion.stiffness_N_m * depth_m * (1.0 + 1e3 * depth_m / cushion.hardening_mm))
 
 
-def draw(run, path):
+def draw(run: Any, path: Path) -> None:
     """A picture of its own among those of a run: force over depth."""
     from tissue.figures.figure import figure, save
 
@@ -61,7 +64,7 @@ def draw(run, path):
 
 
 @register.tissue("cushion", Cushion, tool=Probe, force_N=greatest_force_N, pictures={"cushion.png": draw})
-def build(scene, motion, *, step_s, compute, cores, report):
+def build(scene: Any, motion: Motion, **settings: Any) -> Parts:
     """The parts of a run in which a ball presses it."""
     model = CushionModel(scene.anatomy, radius_m=0.5e-3 * scene.tool.diameter_mm)
     stated = f"{scene.anatomy.stiffness_N_m:g} N/m at its face, twice that {scene.anatomy.hardening_mm:g} mm deep"

@@ -1,6 +1,7 @@
 """A device: a pen on a spring, computed. One with hardware behind it has the same methods."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tissue import register
 from tissue.haptics.device.device import ComputedDevice, DeviceParameters, Sample
@@ -32,12 +33,12 @@ class ToyPen(ComputedDevice):
         Where the tool starts in the scene [m].
     """
 
-    def __init__(self, start_m):
+    def __init__(self, start_m: tuple[float, float, float]) -> None:
         self.start_m = np.array(start_m)
         self.position_m, self.velocity_m_s, self.force_N = np.array(start_m), np.zeros(3), np.zeros(3)
         self.time_s = 0.0
 
-    def read(self, time_s):
+    def read(self, time_s: float) -> Sample:
         """Move it up to a time, by half-implicit Euler steps; its pose then, in the steps of its encoders."""
         step_s, self.time_s = time_s - self.time_s, time_s
         aim_m = self.start_m - np.array([0.0, 0.0, min(SINK_M_S * time_s, DEPTH_M)])
@@ -45,8 +46,10 @@ class ToyPen(ComputedDevice):
         self.velocity_m_s += step_s / PEN.mass_kg * (pull_N + self.force_N)
         self.position_m += step_s * self.velocity_m_s
         seen_m = PEN.encoder_step_m * np.round(self.position_m / PEN.encoder_step_m)
-        return Sample(time_s, tuple(seen_m.tolist()), tuple(self.velocity_m_s.tolist()))
+        x, y, z = seen_m.tolist()
+        u, v, w = self.velocity_m_s.tolist()
+        return Sample(time_s, (x, y, z), (u, v, w))
 
-    def command(self, force_N, torque_Nm):
+    def command(self, force_N: NDArray[np.float64], torque_Nm: NDArray[np.float64]) -> None:
         """Take the force that it pushes the pen with until the next command; it has no motors for torque."""
         self.force_N = np.array(force_N)

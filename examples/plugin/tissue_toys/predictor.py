@@ -1,9 +1,11 @@
 """A predictor: two methods are enough."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tissue import register
 
+Floats = NDArray[np.float64]
 FADE = 0.9
 """Share of the force's slope that is kept a tick later."""
 
@@ -12,15 +14,15 @@ FADE = 0.9
 class DampedLine:
     """The force goes on along a slope that fades: F + s (1 - r^n) / (1 - r) after n ticks."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.force_N, self.slope_N = np.zeros(3), np.zeros(3)
 
-    def observe(self, position_m, velocity_m_s, force_N):
+    def observe(self, position_m: Floats, velocity_m_s: Floats, force_N: Floats | None) -> None:
         """Take in the force of a tick; None where the tissue did not answer in it."""
         if force_N is not None:
             self.slope_N = FADE * self.slope_N + (1.0 - FADE) * (force_N - self.force_N)
             self.force_N = force_N
 
-    def predict(self, ticks):
+    def predict(self, ticks: float) -> Floats:
         """Force to be expected so many ticks later [N]."""
         return self.force_N + (1.0 - FADE**ticks) / (1.0 - FADE) * self.slope_N
