@@ -159,7 +159,7 @@ class RunData:
         out: str | Path,
         *,
         formats: Iterable[str] = (),
-        pictures: bool = True,
+        pictures: bool | str = True,
         overwrite: bool = False,
         progress: Progress | None = None,
     ) -> Path:
@@ -172,7 +172,7 @@ class RunData:
         formats
             Further formats of the trace: parquet, npz, mat, h5.
         pictures
-            Whether the folder holds pictures.
+            Whether the folder holds pictures, or their format, png, svg or pdf; of one that was read back those it has.
         overwrite
             Replace a run that the folder already holds.
         progress

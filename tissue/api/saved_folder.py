@@ -15,6 +15,7 @@ from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
+from tissue.simulation.picture_format import picture_format
 from tissue.simulation.run_folder import OWN_FILES, RunFolder, SavedRun, saved_placement
 from tissue.simulation.run_summary import Summary
 from tissue.simulation.saved_fields import SavedFields, field_names
@@ -135,7 +136,7 @@ class SavedFolder:
         out: str | Path,
         *,
         formats: Iterable[str] = (),
-        pictures: bool = True,
+        pictures: bool | str = True,
         overwrite: bool = False,
         progress: Progress | None = None,
     ) -> Path:
@@ -143,13 +144,19 @@ class SavedFolder:
         out, formats = Path(out), tuple(formats)
         for kind in formats:
             check_format(kind)
+        drawn = picture_format(pictures)
+        if isinstance(pictures, str) and not list((self.path / "pictures").glob(f"*.{drawn}")):
+            raise InputError(
+                f"pictures must be those that the folder has, got {drawn} for {self.path}, which is not drawn again: "
+                f"use tissue run SCENE --pictures {drawn}"
+            )
         if not (out.exists() and out.samefile(self.path)):
             if self.summary["status"] == "running":
                 raise InputError(f"run must have ended to be copied, got {self.path}, which goes on: wait for it")
             RunFolder.check(out, overwrite=overwrite)
             out.mkdir(parents=True, exist_ok=True)
             for name in OWN_FILES:
-                _copy(self.path / name, out / name, wanted=pictures or name != "pictures")
+                _copy(self.path / name, out / name, wanted=drawn is not None or name != "pictures")
         for kind in formats:
             write_trace(self.trace, out, kind)
         return out

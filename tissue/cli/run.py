@@ -31,7 +31,8 @@ def run(
     compute: str = "cpu",
     cores: Annotated[int | None, Parameter(converter=whole)] = None,
     format_: Annotated[tuple[str, ...], Parameter(name="--format", negative="")] = (),
-    pictures: bool = True,
+    pictures: str = "png",
+    no_pictures: Annotated[bool, Parameter(negative="")] = False,
     live: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
     allow_unstable: Annotated[bool, Parameter(negative="")] = False,
@@ -59,7 +60,10 @@ def run(
     format_
         Further formats of the trace beside CSV: parquet, npz, mat, h5; may be repeated.
     pictures
-        Draw pictures.
+        Format of the pictures: png, svg or pdf. In svg and pdf lines and text stay such, and what is shown in 3D is an
+        image of 400 pixels an inch.
+    no_pictures
+        Draw none.
     live
         Run against the wall clock, in a window with mouse and keys as device, or without a display scripted.
     overwrite
@@ -67,11 +71,13 @@ def run(
     allow_unstable
         Run a device whose coupling is unstable, too.
     """
+    from tissue.simulation.picture_format import picture_format
     from tissue.simulation.run_folder import RunFolder
     from tissue.simulation.trace_files import check_format
 
     for kind in format_:
         check_format(kind)
+    picture_format(pictures)
     loaded = _load(scene, _overrides(set_, fidelity, seed=seed, duration_s=duration_s), live=live)
     _refuse_unused(loaded, live=live, compute=compute, cores=cores, allow_unstable=allow_unstable)
     folder = out or Path("runs") / loaded.name
@@ -84,7 +90,7 @@ def run(
         finished = _simulated(loaded, settings, live=live, duration_s=duration_s)
         simulated = perf_counter()
         with progress() as report:
-            finished.save(folder, formats=format_, pictures=pictures, progress=report)
+            finished.save(folder, formats=format_, pictures=False if no_pictures else pictures, progress=report)
     _print_summary(finished.summary, folder, wall_s=perf_counter() - started, saving_s=perf_counter() - simulated)
 
 

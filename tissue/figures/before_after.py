@@ -1,15 +1,18 @@
 """The bone before and after a run, in one picture."""
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.voxels.volume import VoxelVolume
 from tissue.builders.voxels import reach
-from tissue.figures.figure import DRAWING, save
+from tissue.figures.figure import DRAWING, is_vector, save
 from tissue.figures.marks import draw_axes, draw_scale
 from tissue.figures.rendering import Camera, paint, render, side_by_side
+from tissue.figures.section import plane_of
 from tissue.figures.style import BONE, DEPTH_COLOURS, EDGE, axis_names, depth_limit, layer_colours
 from tissue.figures.tool_mesh import pose, spin_arc_mm
 from tissue.scene.tool import Tool
@@ -24,13 +27,69 @@ if TYPE_CHECKING:
 __all__ = ["draw_before_after"]
 
 HEAD_PX, FOOT_PX = 64, 170
-TILT_DEG = (36.0, 12.0)
-"""How far the eye turns down and to the side from the tool's axis."""
+TILT_DEG, OPENED_DEG = (36.0, 12.0), (58.0, 12.0)
+"""How far the eye turns down and to the side from the tool's axis, and where the bone is cut open."""
+DEEP = 0.5
+"""A cut deeper than this share of its narrower side is cut open: from the tool's side its bottom is not seen."""
 CUT_OUT = (0.82, 0.82, 0.85)
 """Colour of faces where the simulated region ends and the bone goes on."""
 MOST_POINTS = 20_000
 WIDEST_ARC = 0.4
 """Widest arrow around the tool's axis, as a share of the picture's height."""
+
+
+@dataclass(frozen=True)
+class _View:
+    """What is drawn of the bone and from where.
+
+    Attributes
+    ----------
+    volume, remaining
+        The bone before and after, without what lies before the plane.
+    depth
+        Where the tool came from.
+    plane
+        World axis at right angles to the plane where the bone is cut open, and its place there [mm]; None if it is not.
+    """
+
+    volume: VoxelVolume
+    remaining: NDArray[np.uint8]
+    depth: DepthMap
+    plane: tuple[int, float] | None
+
+    @classmethod
+    def of(cls, run: Run, depth: DepthMap) -> "_View":
+        """The whole bone, or the half behind the deepest point of a cut that is deep and narrow."""
+        volume, remaining = run.volume, run.remaining
+        cut = np.argwhere(depth.depth_mm > 0.0)
+        spacing = 1e3 * volume.spacing_m
+        if not len(cut) or depth.depth_mm.max() < DEEP * spacing * float((np.ptp(cut, axis=0) + 1).min()):
+            return cls(volume, remaining, depth, None)
+        _, normal, place = plane_of(run, axis=depth.axis, outward=depth.outward, row=len(run.trace.rows) - 1)
+        first = int(np.clip((place * 1e-3 - volume.origin_m[normal]) / volume.spacing_m, 0, volume.shape[normal] - 1))
+        behind = np.arange(volume.shape[normal]) >= first
+        keep = behind.reshape([-1 if axis == normal else 1 for axis in range(3)])
+        half = replace(volume, fraction=np.where(keep, volume.fraction, np.uint8(0)))
+        return cls(half, np.where(keep, remaining, np.uint8(0)), depth, (normal, place))
+
+    def camera(self, surface: "pyvista.PolyData") -> Camera:
+        """A camera that sees the whole surface from the tool's side and from before the plane, turned aside."""
+        depth = self.depth
+        out = np.eye(3)[depth.axis] * depth.outward
+        v = np.eye(3)[depth.across[1] if self.plane is None else self.plane[0]]
+        down, aside = np.radians(TILT_DEG if self.plane is None else OPENED_DEG)
+        towards = np.cos(down) * (np.cos(aside) * out + np.sin(aside) * np.cross(v, out)) - np.sin(down) * v
+        # Points of the surface itself, not of its box, so that the bone fills the picture.
+        return Camera.seeing(np.asarray(surface.points)[:: max(surface.n_points // MOST_POINTS, 1)], towards, v)
+
+    def opened(self, surface: "pyvista.PolyData") -> NDArray[np.bool_]:
+        """Triangles that lie in the plane."""
+        if self.plane is None:
+            return np.zeros(surface.n_cells, dtype=bool)
+        axis, place = self.plane
+        near = np.abs(np.asarray(surface.points)[:, axis] - place) < 1e3 * self.volume.spacing_m
+        flat = np.abs(np.asarray(surface.point_data["Normals"])[:, axis]) > 0.9
+        return np.asarray((near & flat)[surface.regular_faces].all(axis=1))
 
 
 def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
@@ -40,35 +99,39 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
     -------
     None, or why it could not be drawn.
     """
-    volume, limit = run.volume, depth_limit(depth)
-    if min(int(volume.fraction.max()), int(run.remaining.max())) < HALF:
+    limit = depth_limit(depth)
+    view = _View.of(run, depth)
+    volume, remaining = view.volume, view.remaining
+    if min(int(volume.fraction.max()), int(remaining.max())) < HALF:
         return "no bone is left to show"
     cameras: list[Camera] = []
 
     def make() -> "list[tuple[pyvista.PolyData, Camera]]":
         """Both surfaces, and what sees them."""
         whole = bone_surface(volume, volume.fraction)
-        camera = _camera(whole, depth)
+        camera = view.camera(whole)
         cameras.append(camera)
         before = with_layers(_seen(whole, camera), volume)
-        after = _seen(bone_surface(volume, run.remaining), camera)
-        with_depth(after, volume, run.remaining, depth_mm=depth.depth_mm, axis=depth.axis)
-        painted = np.array(list(layer_colours(volume.layer_names).values()))[before.cell_data["layer"]]
+        after = with_layers(_seen(bone_surface(volume, remaining), camera), volume)
+        with_depth(after, volume, remaining, depth_mm=depth.depth_mm, axis=depth.axis)
+        colours = np.array(list(layer_colours(volume.layer_names).values()))
         carved = _depth_paint(after.point_data["removed_depth_mm"], limit)[after.regular_faces].mean(axis=1)
         # The box that was simulated; the bone goes on beyond it.
         simulated_m = reach(run.cutter, run.parts.motion, run.scene.voxels.margin_mm * 1e-3)
         carved[cut_out(after, volume, simulated_m)] = CUT_OUT
+        opened = view.opened(after)
+        carved[opened] = colours[after.cell_data["layer"][opened]]
         for surface in (before, after):
             surface.point_data["Normals"] = smooth_normals(surface)
-        return [(paint(before, painted), camera), (paint(after, carved), camera)]
+        return [(paint(before, colours[before.cell_data["layer"]]), camera), (paint(after, carved), camera)]
 
-    pictures = render(make)
+    pictures = render(make, fine=is_vector(path))
     if isinstance(pictures, str):
         return pictures
     present = np.bincount(volume.layer[volume.fraction >= HALF], minlength=len(volume.layer_names)) > 0
     layers = [name for name, there in zip(volume.layer_names, present, strict=True) if there]
     with DRAWING:
-        _compose(run, pictures, cameras[0], layers, limit, path)
+        _compose(run, pictures, cameras[0], view, layers, limit, path)
     return None
 
 
@@ -91,31 +154,29 @@ def _seen(surface: "pyvista.PolyData", camera: Camera) -> "pyvista.PolyData":
     return part
 
 
-def _camera(surface: "pyvista.PolyData", depth: DepthMap) -> Camera:
-    """A camera that sees the whole surface from the tool's side, turned down and aside."""
-    out, v = np.eye(3)[depth.axis] * depth.outward, np.eye(3)[depth.across[1]]
-    down, aside = np.radians(TILT_DEG)
-    towards = np.cos(down) * (np.cos(aside) * out + np.sin(aside) * np.cross(v, out)) - np.sin(down) * v
-    # Points of the surface itself, not of its box, so that the bone fills the picture.
-    return Camera.seeing(np.asarray(surface.points)[:: max(surface.n_points // MOST_POINTS, 1)], towards, v)
-
-
 def _compose(
-    run: Run, pictures: list[NDArray[np.uint8]], camera: Camera, layers: list[str], limit: float, path: Path
+    run: Run,
+    pictures: list[NDArray[np.uint8]],
+    camera: Camera,
+    view: "_View",
+    layers: list[str],
+    limit: float,
+    path: Path,
 ) -> None:
     """Put the two pictures side by side with legend, colour bar, scale bar and axes."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
     from matplotlib.patches import Patch
 
-    chart, panels, (_, tall) = side_by_side(pictures, head_px=HEAD_PX, foot_px=FOOT_PX)
+    chart, panels, (_, tall) = side_by_side(pictures, head_px=HEAD_PX, foot_px=FOOT_PX, fine=is_vector(path))
     colours = layer_colours(run.volume.layer_names)
     named = (
         {name: colours[name] for name in layers},
         {"not cut": BONE, "edge of the\nsimulated region": CUT_OUT},
     )
-    for axes, title, legend in zip(panels, ("before", "after"), named, strict=True):
+    for axes, when, legend in zip(panels, ("before", "after"), named, strict=True):
         left, foot, wide, _ = axes.get_position().bounds
+        title = when if view.plane is None else f"{when}, cut open at {'xyz'[view.plane[0]]} = {view.plane[1]:.2f} mm"
         chart.text(left + 0.5 * wide, 1.0 - 0.5 * HEAD_PX / tall, title, ha="center", va="center", size=11)
         draw_scale(axes, camera)
         chart.legend(

@@ -1,4 +1,4 @@
-"""Figures of matplotlib: their style, and PNG files that are the same for the same figure."""
+"""Figures of matplotlib: their style, and files that are the same for the same figure."""
 
 from collections.abc import Callable, Iterable
 from functools import wraps
@@ -13,11 +13,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.typing import RcKeyType
 
-__all__ = ["DPI", "DRAWING", "STYLE", "figure", "plain", "save", "styled"]
+__all__ = ["DPI", "DRAWING", "STYLE", "VECTOR_DPI", "figure", "is_vector", "plain", "save", "styled"]
 
 P = ParamSpec("P")
 T = TypeVar("T")
 DPI = 200
+VECTOR_DPI = 2 * DPI
+"""Pixels an inch of what is no line or text in SVG and PDF: a rendering's own, see `tissue.figures.rendering`."""
 STYLE: "dict[RcKeyType, float]" = {
     "font.size": 9.0,
     "axes.linewidth": 0.7,
@@ -51,9 +53,30 @@ def figure(width_in: float, height_in: float) -> "Figure":
 
 @styled
 def save(chart: "Figure", path: Path) -> None:
-    """Write a figure as PNG, the same bytes for the same figure."""
-    with whole_file(path) as temporary:
-        chart.savefig(temporary, format="png", dpi=DPI, metadata={"Software": None}, pil_kwargs={"compress_level": 3})
+    """Write a figure in the format of its file's ending, png, svg or pdf; the same bytes for the same figure.
+
+    SVG and PDF hold lines and text as such, and what was drawn in 3D or as an image with `VECTOR_DPI` pixels an inch.
+    """
+    import matplotlib
+
+    kind = path.suffix.removeprefix(".")
+    metadata: dict[str, dict[str, str | None]] = {
+        "png": {"Software": None},
+        "svg": {"Date": None},
+        "pdf": {"CreationDate": None},
+    }
+    look: dict[RcKeyType, object] = {"svg.fonttype": "none", "svg.hashsalt": "tissue"}
+    with whole_file(path) as temporary, matplotlib.rc_context(look):
+        if is_vector(path):
+            chart.savefig(temporary, format=kind, dpi=VECTOR_DPI, metadata=metadata[kind])
+        else:
+            packed = {"compress_level": 3}
+            chart.savefig(temporary, format=kind, dpi=DPI, metadata=metadata[kind], pil_kwargs=packed)
+
+
+def is_vector(path: Path) -> bool:
+    """Whether a file holds lines and text as such."""
+    return path.suffix in (".svg", ".pdf")
 
 
 def plain(panels: "Iterable[Axes]") -> None:

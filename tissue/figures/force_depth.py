@@ -5,8 +5,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue.figures.events import FLICKER_S, spells
 from tissue.figures.figure import figure, plain, save, styled
-from tissue.figures.style import COMPONENTS, layer_colours, spells
+from tissue.figures.style import COMPONENTS, layer_colours
+from tissue.models.tissue_model import TICK_S
 from tissue.simulation.depth_map import HALF, tool_axes
 from tissue.simulation.run import Run
 from tissue.simulation.saved_fields import field_label
@@ -60,7 +62,7 @@ def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | 
     run
         A run with voxels.
     path
-        PNG file.
+        File.
     axis, outward
         World axis closest to the tool's, and the side that the tool comes from.
 
@@ -79,21 +81,27 @@ def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | 
     measures: dict[str, list[str]] = {}
     for name in run.parts.tissue.measure_names:
         measures.setdefault(field_label(name)[1], []).append(name)
-    full = 3.4 + 1.3 * len(measures)
+    full = 3.55 + 1.3 * len(measures)
     chart = figure(8.0, full)
     heights = [2.2, *([1.0] * len(measures))]
     panels = chart.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
-    chart.subplots_adjust(left=0.115, right=0.98, top=1.0 - 0.62 / full, bottom=0.5 / full, hspace=0.12)
+    chart.subplots_adjust(left=0.115, right=0.98, top=1.0 - 0.8 / full, bottom=0.5 / full, hspace=0.12)
     force, model = trace.vectors("force", "N")[rows], trace.vectors("model_force", "N")[rows]
     turns = tool_axes(np.column_stack([trace[f"tool_q{c}"][rows] for c in "xyzw"]))
     for values, colour, style, label in (
         (lambda f: np.linalg.norm(f, axis=1), "0.1", "-", "magnitude"),
-        (lambda f: np.einsum("ij,ij->i", f, turns), COMPONENTS[0], (0, (4, 2)), "along the tool's axis, outward"),
+        (
+            lambda f: np.einsum("ij,ij->i", f, turns),
+            COMPONENTS[0],
+            (0, (4, 2)),
+            "along the tool's axis, outward",
+        ),
     ):
         panels[0].plot(depth, values(force), color=colour, linewidth=0.8, alpha=0.35)
         panels[0].plot(depth, values(model), color=colour, linewidth=1.4, linestyle=style, label=label)
+    panels[0].plot([], [], color="0.4", linewidth=1.4, label="dark: as the model gives it")
     panels[0].plot(
-        [], [], color="0.4", linewidth=3.2, alpha=0.35, label="as given out, low-pass and vibration included"
+        [], [], color="0.4", linewidth=3.2, alpha=0.35, label="pale: as commanded, after low-pass and vibration"
     )
     panels[0].set_ylabel("force / N")
     for axes, (unit, names) in zip(panels[1:], measures.items(), strict=True):
@@ -117,7 +125,13 @@ def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | 
         size=10.5,
     )
     panels[0].legend(
-        loc="lower left", bbox_to_anchor=(-0.01, 0.99), ncols=3, frameon=False, handlelength=1.8, columnspacing=1.2
+        loc="lower left",
+        bbox_to_anchor=(-0.01, 0.99),
+        ncols=2,
+        frameon=False,
+        labelspacing=0.25,
+        handlelength=1.8,
+        columnspacing=1.2,
     )
     save(chart, path)
     return None
@@ -132,7 +146,7 @@ def _shade(
 ) -> None:
     """A band for each layer, with its name and the mean force in it."""
     colours = layer_colours(run.volume.layer_names)
-    for first, last, name in spells(passed):
+    for first, last, name in spells(passed, shortest=round(FLICKER_S / TICK_S)):
         if name == NO_LAYER:
             continue
         ends = depth[first], depth[min(last, len(depth) - 1)]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tissue.fem.fields import FieldSeries
-from tissue.figures.figure import DRAWING, save
+from tissue.figures.figure import DRAWING, is_vector, save
 from tissue.figures.marks import draw_scale
 from tissue.figures.organ_surface import SHOWN, drawn_surface
 from tissue.figures.rendering import Camera, paint, render, side_by_side
@@ -34,11 +34,11 @@ def draw_held(series: FieldSeries, path: Path, *, title: str) -> str | None:
     surface = _surface(series)
     up = (0.0, 0.0, 1.0)
     cameras = [Camera.seeing(surface.points, eye, up) for eye in EYES.values()]
-    pictures = render(lambda: [(surface, camera) for camera in cameras])
+    pictures = render(lambda: [(surface, camera) for camera in cameras], fine=is_vector(path))
     if isinstance(pictures, str):
         return pictures
     with DRAWING:
-        chart, panels, (_, tall) = side_by_side(pictures, head_px=HEAD_PX, foot_px=FOOT_PX)
+        chart, panels, (_, tall) = side_by_side(pictures, head_px=HEAD_PX, foot_px=FOOT_PX, fine=is_vector(path))
         chart.text(0.5, 1.0 - 35 / tall, f"{title}: what holds the organ", ha="center", va="center", size=11)
         for axes, name, camera in zip(panels, EYES, cameras, strict=True):
             axes.set_title(name, size=10)

@@ -20,13 +20,13 @@ def draw_insertion(run: Run, path: Path) -> None:
     force = trace["model_force_z_N"]
     chart = figure(8.0, 6.4)
     over_depth, over_time = chart.subplots(2, 1)
-    chart.subplots_adjust(left=0.1, right=0.98, top=0.9, bottom=0.1, hspace=0.38)
+    chart.subplots_adjust(left=0.12, right=0.98, top=0.9, bottom=0.1, hspace=0.38)
     inward = np.gradient(depth) > 0.0
     for chosen, colour, label in ((inward, "#0072B2", "pushed in"), (~inward, "#D55E00", "drawn out")):
         over_depth.plot(depth, np.where(chosen, force, np.nan), color=colour, linewidth=1.8, label=label)
     for name, label, colour in SHARES:
         over_time.plot(time, trace[name], color=colour, linewidth=1.8, label=label)
-    over_time.plot(time, force, color="0.1", linewidth=1.0, label="together")
+    over_time.plot(time, force, color="0.1", linewidth=1.0, label="all together")
     for when, what in run.events:
         row = int(np.searchsorted(time, when))
         if "punctured" in what and row < len(time):
@@ -38,13 +38,18 @@ def draw_insertion(run: Run, path: Path) -> None:
                 ha="center",
                 arrowprops={"arrowstyle": "-", "color": "0.4"},
             )
-            over_time.axvline(when, color="0.6", linestyle=":", linewidth=1.0)
-    over_depth.set(xlabel="depth of the tip below the resting surface / mm", ylabel="axial force / N")
-    over_time.set(xlabel="time / s", ylabel="share of it / N")
+            first = not over_time.lines[len(SHARES) + 1 :]
+            over_time.axvline(
+                when, color="0.4", linestyle=":", linewidth=1.2, label="puncture" if first else "", zorder=0
+            )
+    over_depth.set(
+        xlabel="depth of the tip below the resting surface / mm", ylabel="axial force / N,\npositive drives it out"
+    )
+    over_time.set(xlabel="time / s", ylabel="parts of the\naxial force / N")
     plain((over_depth, over_time))
     for axes in (over_depth, over_time):
         axes.axhline(0.0, color="0.7", linewidth=0.6, zorder=0)
         axes.margins(y=0.12)
         axes.legend(frameon=False, loc="best")
-    chart.text(0.1, 0.96, f"{run.scene.name}: axial force on the needle", va="center", size=10.5)
+    chart.text(0.12, 0.96, f"{run.scene.name}: axial force on the needle", va="center", size=10.5)
     save(chart, path)

@@ -104,7 +104,7 @@ def section_cap(
     layer = layers[mesh.find_closest_cell(places)] if several else np.full(len(places), layers[0])
     values = np.zeros(len(places))
     for index in np.unique(layer):
-        part, there = mesh.extract_cells(np.flatnonzero(layers == index)), layer == index
+        part, there = mesh.extract_cells(np.flatnonzero(layers == index).tolist()), layer == index
         values[there] = _sampled(part, at_nodes(part, name), places[there])
     cap.point_data[SHOWN], cap.point_data["layer"] = values, layer
     return cap
@@ -128,7 +128,9 @@ def _sampled(mesh: "pyvista.DataSet", values: NDArray[np.float32], places: NDArr
     result = np.array(found.point_data[SHOWN], dtype=np.float64)
     outside = np.flatnonzero(np.asarray(found.point_data["vtkValidPointMask"]) == 0)
     if len(outside):
-        cell, closest = mesh.find_closest_cell(places[outside], return_closest_point=True)
+        nearest: object = mesh.find_closest_cell(places[outside], return_closest_point=True)
+        assert isinstance(nearest, tuple)
+        cell, closest = nearest
         nodes = mesh.cell_connectivity.reshape(-1, 4)[cell]
         corner = np.asarray(mesh.points, dtype=np.float64)[nodes]
         edges = (corner[:, 1:] - corner[:, :1]).transpose(0, 2, 1)

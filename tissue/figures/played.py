@@ -6,9 +6,10 @@ from typing import TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue.figures.events import FLICKER_S, spells
 from tissue.figures.figure import figure, plain, save
-from tissue.figures.style import spells
 from tissue.haptics.device.device import device_parameters
+from tissue.models.tissue_model import TICK_S
 from tissue.simulation.run import Run
 from tissue.simulation.trace import Table
 
@@ -25,11 +26,19 @@ Array = NDArray[np.float64]
 MOMENT_S = 0.06
 """Length of the steepest moment [s]."""
 LINES: tuple[tuple[str, str, _Look], ...] = (
-    ("model", "tissue's force, scaled", {"color": "0.6", "linewidth": 3.0}),
-    ("raw_force", "renderer's", {"color": "#0072B2", "linewidth": 1.6}),
-    ("predicted_force", "predicted", {"color": "#CC79A7", "linewidth": 1.3, "linestyle": (0, (1, 1))}),
-    ("device_force", "played", {"color": "#D55E00", "linewidth": 2.2, "linestyle": "-"}),
-    ("filtered_force", "after low-pass and delay", {"color": "0.1", "linewidth": 1.0, "linestyle": (0, (4, 3))}),
+    ("model", "the tissue's, at the device's scale", {"color": "0.6", "linewidth": 3.0}),
+    ("raw_force", "as the renderer gives it", {"color": "#0072B2", "linewidth": 1.6}),
+    (
+        "predicted_force",
+        "as predicted over the delay",
+        {"color": "#CC79A7", "linewidth": 1.3, "linestyle": (0, (1, 1))},
+    ),
+    ("device_force", "as the device played it", {"color": "#D55E00", "linewidth": 2.2, "linestyle": "-"}),
+    (
+        "filtered_force",
+        "as commanded, after low-pass and delay",
+        {"color": "0.1", "linewidth": 1.0, "linestyle": (0, (4, 3))},
+    ),
 )
 """Columns, how a reader knows them, and colours after Okabe and Ito (2008) that differ in lightness and stroke, too."""
 SATURATED = "#F0E442"
@@ -41,9 +50,9 @@ def draw_played(run: Run, path: Path) -> None:
     sizes = _sizes(trace, scene.force_scale)
     time, limits = trace["time_s"], device_parameters(scene.device)
     turns = bool(trace.vectors("device_torque", "Nm").any())
-    chart = figure(8.0, 7.6 if turns else 6.4)
+    chart = figure(8.0, 7.8 if turns else 6.6)
     panels = chart.subplots(3 + turns, 1, height_ratios=(2.4, 2.0, 1.5, 1.2)[: 3 + turns])
-    chart.subplots_adjust(left=0.13, right=0.98, top=0.86, bottom=0.08, hspace=0.42)
+    chart.subplots_adjust(left=0.13, right=0.98, top=0.83, bottom=0.08, hspace=0.42)
     steepest = int(np.abs(np.diff(sizes["raw_force"], prepend=0.0)).argmax())
     first = max(steepest - round(0.25 * MOMENT_S * 1e3), 0)
     moment = slice(first, first + round(MOMENT_S * 1e3))
@@ -52,9 +61,8 @@ def draw_played(run: Run, path: Path) -> None:
             if name in sizes:
                 (line,) = axes.plot(time[span], sizes[name][span], label=label, **look)
                 line.set_linewidth(width * look["linewidth"])
-        axes.set(ylabel="force at the\ndevice / N")
-    compressed = [(start, end) for start, end, is_so in spells(trace["saturated"] > 0.0) if is_so == "True"]
-    for index, (start, end) in enumerate(compressed):
+        axes.set(ylabel="size of the force\nat the device / N")
+    for index, (start, end) in enumerate(_compressed(trace["saturated"] > 0.0)):
         panels[0].axvspan(
             time[start],
             time[min(end, len(time) - 1)],
@@ -62,14 +70,14 @@ def draw_played(run: Run, path: Path) -> None:
             alpha=0.6,
             linewidth=0.0,
             zorder=0,
-            label="" if index else "device's range compresses it",
+            label="" if index else "compressed into the device's range",
         )
     if sizes["device_force"].max() > 0.5 * limits.force_limit_N:
         panels[0].axhline(limits.force_limit_N, color="0.2", linewidth=1.0, linestyle=(0, (6, 3)))
         panels[0].annotate(f"greatest force of the {scene.device}, {limits.force_limit_N:g} N",
                            (time[0], limits.force_limit_N), (4, -11), textcoords="offset points", size=8.5)  # fmt: skip
     panels[0].axvspan(time[moment][0], time[moment][-1], color="0.85", linewidth=0.0, zorder=0)
-    panels[1].set_title("the steepest moment (grey above)", size=9.0, loc="left")
+    panels[1].set_title("the steepest moment, grey above", size=9.0, loc="left")
     axis = int(np.abs(trace.vectors("tool", "mm") - trace.vectors("device", "mm")).max(axis=0).argmax())
     for name, colour, width in (("device", "#56B4E9", 2.0), ("tool", "0.1", 1.2)):
         values = trace[f"{name}_{'xyz'[axis]}_mm"]
@@ -85,10 +93,20 @@ def draw_played(run: Run, path: Path) -> None:
     plain(panels)
     chart.align_ylabels(panels)
     handles, labels = panels[0].get_legend_handles_labels()
-    chart.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.11, 0.95), ncols=3, frameon=False)
+    chart.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.11, 0.95), ncols=2, frameon=False)
     title = f"{scene.name}: what the {scene.device} played ({scene.hand}, {scene.renderer})"
     chart.text(0.12, 0.965, f"{title}; {scene.force_scale:g} N for each newton at the tool", va="center", size=10.0)
     save(chart, path)
+
+
+def _compressed(saturated: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First row and the one behind the last of compressed spans; those less than `FLICKER_S` apart are one."""
+    found: list[tuple[int, int]] = []
+    for start, end, name in spells(saturated):
+        if name == "True":
+            near = bool(found) and (start - found[-1][1]) * TICK_S < FLICKER_S
+            found[-1:] = [(found[-1][0], end)] if near else [*found[-1:], (start, end)]
+    return found
 
 
 def _sizes(trace: Table, force_scale: float) -> dict[str, Array]:

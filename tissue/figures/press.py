@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue.fem.fields import FieldSeries, Frame
-from tissue.figures.figure import DRAWING, save
+from tissue.figures.figure import DRAWING, is_vector, save
 from tissue.figures.marks import draw_axes, draw_scale
 from tissue.figures.organ_surface import SHOWN, at_nodes, drawn_surface, inclusions, section_cap, with_normals
 from tissue.figures.rendering import Camera, paint, render, side_by_side
@@ -104,7 +104,7 @@ def draw_press(
     row, moved = _row(trace, frame), _displacement(frame)
     mesh = frame_mesh(series, frame)
     mesh.points = np.asarray(mesh.points) + np.float32(IN_MM[moved.rpartition("_")[2]]) * mesh.point_data[moved]
-    shown = []
+    shown: list[_Shown] = []
     for name in (moved, *[name for name in frame.cells if name.startswith("von_mises_")][:1]):
         if (array := field_values(mesh, name)) is not None:
             shown.append(_Shown(name, field_limits(name, [array]), opened=flat or bool(shown)))
@@ -123,19 +123,18 @@ def draw_press(
         organ = np.asarray(surfaces[0].points)
         if flat and probe.n_points:
             probe = probe.clip(normal="z", origin=(0.0, 0.0, organ[:, 2].max() + ABOVE * np.ptp(organ[:, 2])))
-        side = paint(with_normals(probe), np.tile(TOOL, (probe.n_points, 1))) if probe.n_points else probe
-        if side.n_points != len(side.point_data.get("colours", ())):
-            paint(side, np.tile(TOOL, (side.n_points, 1)))
+        side = with_normals(probe) if probe.n_points else probe
+        paint(side, np.tile(TOOL, (side.n_points, 1)))
         seen = np.vstack([organ, np.asarray(side.points).reshape(-1, 3)])
         cameras.append(Camera.seeing(seen, eye, (0.0, 0.0, 1.0)))
         return [(each.append_polydata(side) if side.n_cells else each, cameras[0]) for each in surfaces]
 
-    pictures = render(make)
+    pictures = render(make, fine=is_vector(path))
     if isinstance(pictures, str):
         return pictures
     force = float(np.linalg.norm(trace.vectors("model_force", "N")[row]))
     with DRAWING:
-        chart, panels, (_, tall) = side_by_side(pictures, head_px=HEAD_PX, foot_px=FOOT_PX)
+        chart, panels, (_, tall) = side_by_side(pictures, head_px=HEAD_PX, foot_px=FOOT_PX, fine=is_vector(path))
         title = f"{title}: {force:.3g} N at {frame.time_s:.3f} s, {why}"
         chart.text(0.5, 1.0 - 0.45 * HEAD_PX / tall, title, ha="center", va="center", size=11)
         for axes, each in zip(panels, shown, strict=True):
@@ -170,7 +169,8 @@ def _organ(
         place = tip_mm + NUDGE
         cap = section_cap(mesh, whole, shown.name, place_mm=place, normal=np.array(ACROSS))
         # Lit as if it faced the eye, so that its colours are those of the scale.
-        cap.point_data["Normals"] = np.tile(np.float32(eye) / np.float32(np.linalg.norm(eye)), (cap.n_points, 1))
+        facing = (np.array(eye) / np.linalg.norm(eye)).astype(np.float32)
+        cap.point_data["Normals"] = np.tile(facing, (cap.n_points, 1))
         parts = [whole.clip(normal=ACROSS, origin=tuple(place)), cap]
     for part in parts:
         values = np.maximum(np.asarray(part.point_data[SHOWN]), shown.ends[0])
@@ -192,7 +192,7 @@ def _edge_of_inclusion(
     inside = inclusions(np.asarray(mesh.points)[mesh.cell_connectivity.reshape(mesh.n_cells, -1)], layer)
     if not len(inside):
         return None
-    boundary = mesh.extract_cells(inside).extract_surface(algorithm="dataset_surface")
+    boundary = mesh.extract_cells(inside.tolist()).extract_surface(algorithm="dataset_surface")
     line = boundary.slice(normal=ACROSS, origin=tuple(tip_mm + NUDGE))
     return (names[layer[inside[0]]], line) if line.n_cells else None
 

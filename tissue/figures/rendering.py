@@ -80,7 +80,9 @@ def paint(surface: "pyvista.PolyData", colours: NDArray[np.float64]) -> "pyvista
     return surface
 
 
-def render(make: "Callable[[], list[tuple[pyvista.PolyData, Camera]]]") -> list[NDArray[np.uint8]] | str:
+def render(
+    make: "Callable[[], list[tuple[pyvista.PolyData, Camera]]]", *, fine: bool = False
+) -> list[NDArray[np.uint8]] | str:
     """Draw each surface for itself on white.
 
     Parameters
@@ -88,6 +90,8 @@ def render(make: "Callable[[], list[tuple[pyvista.PolyData, Camera]]]") -> list[
     make
         Called once, while the drawing process starts, for the surfaces, which `paint` has given colours and whose
         points have normals, and what sees each of them.
+    fine
+        Whether all pixels are kept that are drawn, `OVERSAMPLING` for one of the camera, as a file in vectors can hold.
 
     Returns
     -------
@@ -102,7 +106,7 @@ def render(make: "Callable[[], list[tuple[pyvista.PolyData, Camera]]]") -> list[
                 surface.save(folder / f"{index}.vtk")
             (folder / "cameras.json").write_text(json.dumps([asdict(one) for one in cameras]), "utf-8")
 
-        problem = draw_apart("tissue.figures.rendering", name, prepare=prepare)
+        problem = draw_apart("tissue.figures.rendering", name, str(1 if fine else OVERSAMPLING), prepare=prepare)
         if problem is not None:
             return problem
         with np.load(folder / "pictures.npz") as drawn:
@@ -110,22 +114,24 @@ def render(make: "Callable[[], list[tuple[pyvista.PolyData, Camera]]]") -> list[
 
 
 def side_by_side(
-    pictures: list[NDArray[np.uint8]], *, head_px: int, foot_px: int
+    pictures: list[NDArray[np.uint8]], *, head_px: int, foot_px: int, fine: bool = False
 ) -> "tuple[Figure, list[Axes], tuple[int, int]]":
     """A figure of pictures beside each other between a head and a foot, its panels, and its size [pixel]."""
-    tall, wide = max(len(picture) for picture in pictures), pictures[0].shape[1]
+    scale = OVERSAMPLING if fine else 1
+    tall, wide = max(len(picture) for picture in pictures) // scale, pictures[0].shape[1] // scale
     size = len(pictures) * (wide + GAP_PX) - GAP_PX, tall + head_px + foot_px
     chart = figure(size[0] / DPI, size[1] / DPI)
     panels = []
     for index, picture in enumerate(pictures):
-        left, low, high = index * (wide + GAP_PX), foot_px + tall - len(picture), len(picture)
+        high = len(picture) // scale
+        left, low = index * (wide + GAP_PX), foot_px + tall - high
         panels.append(chart.add_axes((left / size[0], low / size[1], wide / size[0], high / size[1])))
-        panels[-1].imshow(picture, interpolation="nearest")
+        panels[-1].imshow(picture, interpolation="nearest", extent=(-0.5, wide - 0.5, high - 0.5, -0.5))
         panels[-1].set_axis_off()
     return chart, panels, size
 
 
-def _main(name: str) -> None:
+def _main(name: str, averaged: str) -> None:
     """Draw the surfaces in a folder as soon as a line on the standard input announces them."""
     import pyvista
 
@@ -136,16 +142,17 @@ def _main(name: str) -> None:
     sys.stdin.readline()
     folder = Path(name)
     cameras = [Camera(**one) for one in json.loads((folder / "cameras.json").read_text("utf-8"))]
-    drawn = [_draw(pyvista.PolyData(folder / f"{index}.vtk"), camera) for index, camera in enumerate(cameras)]
+    surfaces = (pyvista.PolyData(folder / f"{index}.vtk") for index in range(len(cameras)))
+    drawn = [_draw(surface, camera, int(averaged)) for surface, camera in zip(surfaces, cameras, strict=True)]
     np.savez(folder / "pictures.npz", *drawn, allow_pickle=False)
 
 
-def _draw(mesh: "pyvista.PolyData", camera: Camera) -> NDArray[np.uint8]:
-    """One surface, seen by the camera."""
+def _draw(mesh: "pyvista.PolyData", camera: Camera, averaged: int) -> NDArray[np.uint8]:
+    """One surface, seen by the camera; squares of so many pixels are averaged."""
     import pyvista
 
-    width, height = camera.size
-    window = [OVERSAMPLING * width, OVERSAMPLING * height]
+    width, height = (OVERSAMPLING * pixels // averaged for pixels in camera.size)
+    window = [averaged * width, averaged * height]
     plotter = pyvista.Plotter(off_screen=True, window_size=window, lighting="none")
     plotter.disable_anti_aliasing()
     plotter.background_color = pyvista.Color("white")
@@ -178,7 +185,7 @@ def _draw(mesh: "pyvista.PolyData", camera: Camera) -> NDArray[np.uint8]:
     plotter.camera.clipping_range = (1.0, 2e3)
     large = np.asarray(plotter.screenshot(None, return_img=True))[..., :3]
     plotter.close()
-    blocks = large.reshape(height, OVERSAMPLING, width, OVERSAMPLING, 3)
+    blocks = large.reshape(height, averaged, width, averaged, 3)
     return blocks.mean(axis=(1, 3)).round().astype(np.uint8)
 
 

@@ -15,13 +15,12 @@ from tissue.system.offscreen import end_drawing
 __all__ = ["draw_pictures"]
 
 
-def draw_pictures(run: Run, folder: Path) -> list[str]:
-    """Draw a run's pictures: ``force_torque.png`` of every one, the others of what there is.
+def draw_pictures(run: Run, folder: Path, kind: str = "png") -> list[str]:
+    """Draw a run's pictures as png, svg or pdf: ``force_torque`` of every one, the others of what there is.
 
-    Of voxels ``bone_before_after.png`` and ``removed_depth.png``; of a tissue of several layers that reports more than
-    its volumes, a tooth for one, also ``section.png`` and ``force_depth.png``. Of fields ``press.png`` and
-    ``held.png``; of a run by a hand on a device ``played.png``; and what the tissue has of its own in the table of
-    anatomies, ``insertion.png`` for one.
+    Of voxels ``bone_before_after`` and ``removed_depth``; of a tissue of several layers that reports more than its
+    volumes, a tooth for one, also ``section`` and ``force_depth``. Of fields ``press`` and ``held``; of a run by a hand
+    on a device ``played``; and what the tissue has of its own in the table of anatomies, ``insertion`` for one.
 
     Returns
     -------
@@ -31,39 +30,44 @@ def draw_pictures(run: Run, folder: Path) -> list[str]:
 
     from tissue.figures.before_after import draw_before_after
     from tissue.figures.force_depth import draw_force_depth
+    from tissue.figures.force_torque import draw_force_torque
     from tissue.figures.held import draw_held
     from tissue.figures.played import draw_played
     from tissue.figures.press import draw_press
+    from tissue.figures.removed_depth import draw_removed_depth
     from tissue.figures.section import draw_section
-    from tissue.figures.style import draw_force_torque, draw_removed_depth
     from tissue.figures.tool_mesh import tool_surface
 
     folder.mkdir(parents=True, exist_ok=True)
+
+    def path(name: str) -> Path:
+        return folder / f"{name}.{kind}"
+
     scene, parts, fields = run.scene, run.parts, run.parts.fields
     depth = None if parts.volume is None else depth_map(run)
     notes: dict[str, str | None] = {}
     with _background() as pool:
         if depth is not None:
-            shaded = pool.submit(draw_before_after, run, depth, folder / "bone_before_after.png")
-            draw_removed_depth(run, depth, folder / "removed_depth.png")
+            shaded = pool.submit(draw_before_after, run, depth, path("bone_before_after"))
+            draw_removed_depth(run, depth, path("removed_depth"))
             has_measures = len(parts.tissue.layer_names) > 1 and parts.tissue.measure_names
             if has_measures and run.cutter.spin_rad_s != 0.0:
                 side = {"axis": depth.axis, "outward": depth.outward}
-                draw_section(run, folder / "section.png", **side)
-                notes["force_depth.png"] = draw_force_depth(run, folder / "force_depth.png", **side)
-            notes["bone_before_after.png"] = shaded.result()
+                draw_section(run, path("section"), **side)
+                notes["force_depth"] = draw_force_depth(run, path("force_depth"), **side)
+            notes["bone_before_after"] = shaded.result()
         elif fields is not None and fields.frames:
-            shaded = pool.submit(draw_held, fields, folder / "held.png", title=scene.name)
+            shaded = pool.submit(draw_held, fields, path("held"), title=scene.name)
             tool = tool_surface(scene.tool)
-            looks = {"title": scene.name, "tool": tool, "flat": isinstance(scene.tool, Needle)}
-            notes["press.png"] = draw_press(fields, run.trace, folder / "press.png", **looks)
-            notes["held.png"] = shaded.result()
-    draw_force_torque(run, folder / "force_torque.png")
+            flat = isinstance(scene.tool, Needle)
+            notes["press"] = draw_press(fields, run.trace, path("press"), title=scene.name, tool=tool, flat=flat)
+            notes["held"] = shaded.result()
+    draw_force_torque(run, path("force_torque"))
     if scene.device != "none":
-        draw_played(run, folder / "played.png")
+        draw_played(run, path("played"))
     for name, draw in ANATOMIES[scene.anatomy.kind].pictures.items():
-        loaded(draw)(run, folder / name)
-    return [f"{name} was not drawn: {note}" for name, note in notes.items() if note is not None]
+        loaded(draw)(run, path(Path(name).stem))
+    return [f"{name}.{kind} was not drawn: {note}" for name, note in notes.items() if note is not None]
 
 
 @contextmanager

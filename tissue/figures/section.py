@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.image import AxesImage
 
-__all__ = ["Section", "draw_section", "loaded_frame", "moment_of", "section_of"]
+__all__ = ["Section", "draw_section", "loaded_frame", "moment_of", "plane_of", "section_of"]
 
 STRESS = "von_mises_MPa"
 REMOVED_TINT = 0.28
@@ -64,6 +64,24 @@ class Section:
     layer: NDArray[np.uint8]
 
 
+def plane_of(run: Run, *, axis: int, outward: int, row: int) -> tuple[int, int, float]:
+    """The plane through the deepest point so far, along the tool's axis and its main direction.
+
+    Returns
+    -------
+    World axes of the tool's main direction and at right angles to the plane, and the plane's coordinate there [mm].
+    """
+    tips = run.trace.vectors("tool", "mm")
+    cutting = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
+    rows = cutting if cutting.size else np.arange(len(tips))
+    so_far = rows[rows <= row] if (rows <= row).any() else rows
+    deepest = int(so_far[np.argmin(outward * tips[so_far, axis])])
+    sides = [a for a in range(3) if a != axis]
+    across = sides[int(np.ptp(tips[rows][:, sides], axis=0).argmax())]
+    normal = next(a for a in sides if a != across)
+    return across, normal, float(tips[deepest, normal])
+
+
 def section_of(run: Run, *, axis: int, outward: int, row: int) -> Section:
     """The section through the deepest point so far, along the tool's axis and the tool's main direction.
 
@@ -76,16 +94,9 @@ def section_of(run: Run, *, axis: int, outward: int, row: int) -> Section:
     row
         Row of the trace at the moment that is shown.
     """
-    volume, tips = run.volume, run.trace.vectors("tool", "mm")
-    cutting = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
-    rows = cutting if cutting.size else np.arange(len(tips))
-    so_far = rows[rows <= row] if (rows <= row).any() else rows
-    deepest = int(so_far[np.argmin(outward * tips[so_far, axis])])
-    sides = [a for a in range(3) if a != axis]
-    across = sides[int(np.ptp(tips[rows][:, sides], axis=0).argmax())]
-    normal = next(a for a in sides if a != across)
+    volume = run.volume
+    across, normal, place = plane_of(run, axis=axis, outward=outward, row=row)
     spacing, origin = 1e3 * volume.spacing_m, 1e3 * volume.origin_m
-    place = float(tips[deepest, normal])
     index = int(np.clip(np.floor((place - origin[normal]) / spacing), 0, volume.shape[normal] - 1))
     left = run.remaining if run.poses is None else run.replay().at(row)
     planes = (np.take(array, index, axis=normal) for array in (volume.fraction, left, volume.layer))

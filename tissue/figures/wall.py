@@ -49,7 +49,13 @@ def draw_wall(run: Run, path: Path) -> None:
         end = tips[row, 2] + LONGEST * (high - low)
         side.annotate("", (at, end), (at, tips[row, 2]), arrowprops=arrow)
         side.annotate(
-            f"{force[row]:.3g} N", (at, end), xytext=(5, 0), textcoords="offset points", color=FORCE, va="center"
+            f"{force[row]:.3g} N",
+            (at, end),
+            xytext=(0, 3),
+            textcoords="offset points",
+            color=FORCE,
+            ha="center",
+            va="bottom",
         )
     side.set(xlabel=f"{'xy'[across]} / mm", ylabel="z / mm", ylim=(low, high), aspect="equal", adjustable="datalim")
     pressed = -(tips if device is None else device)[:, 2]

@@ -49,8 +49,8 @@ class Run:
     scheduling
         What was chosen for launches and background work, and how late the machine was; None where nobody recorded it.
     draw
-        Draws the run's pictures into a folder and returns a sentence for each that could not be drawn; the engine by
-        itself draws nothing, `tissue.simulate` sets it.
+        Draws the run's pictures into a folder in a format and returns a sentence for each that could not be drawn; the
+        engine by itself draws nothing, `tissue.simulate` sets it.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class Run:
         self._compute, self._folder, self.poses = compute, folder, poses
         self._fraction: NDArray[np.uint8] | None = None
         self.scheduling: Scheduling | None = None
-        self.draw: Callable[[Run, Path], list[str]] | None = None
+        self.draw: Callable[[Run, Path, str], list[str]] | None = None
 
     @property
     def volume(self) -> VoxelVolume:
@@ -176,7 +176,7 @@ class Run:
         out: str | Path,
         *,
         formats: Iterable[str] = (),
-        pictures: bool = True,
+        pictures: bool | str = True,
         overwrite: bool = False,
         progress: Progress | None = None,
     ) -> Path:
@@ -189,7 +189,7 @@ class Run:
         formats
             Further formats of the trace: parquet, npz, mat, h5.
         pictures
-            Whether to draw pictures, where `draw` is given.
+            Whether to draw pictures, or their format, png, svg or pdf; where `draw` is given.
         overwrite
             Replace a run that the folder already holds.
         progress
@@ -202,6 +202,7 @@ class Run:
         """
         from tissue.simulation.bone_files import write_bone
         from tissue.simulation.carving_series import write_carving
+        from tissue.simulation.picture_format import picture_format
         from tissue.simulation.series import write_fields
         from tissue.simulation.trace_files import check_format, write_trace
 
@@ -209,6 +210,7 @@ class Run:
         formats = tuple(formats)
         for kind in formats:
             check_format(kind)
+        drawn = picture_format(pictures)
         out = Path(out)
         begun = self._folder is not None and self._folder.path == out
         if begun and self._folder is not None:
@@ -230,9 +232,9 @@ class Run:
             if fields is not None and fields.frames:
                 report("writing the fields", 0.0)
                 write_fields(fields, out, self.parts.placement)
-            if pictures and self.draw is not None:
+            if drawn is not None and self.draw is not None:
                 report("drawing pictures", 0.0)
-                notes = self.draw(self, out / "pictures")
+                notes = self.draw(self, out / "pictures", drawn)
                 if notes:
                     self.parts.notes["pictures"] = "; ".join(notes)
             folder.complete(self.summary)

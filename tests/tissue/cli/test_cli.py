@@ -58,6 +58,10 @@ from tissue.scene.load import scene_names
             ("run", "milling", "--format", "xlsx"),
             "format must be one of parquet, npz, mat, h5, got xlsx: csv is always written",
         ),
+        (
+            ("run", "milling", "--pictures", "jpeg"),
+            "pictures must be one of png, svg, pdf, got jpeg: choose one of these",
+        ),
         (("run", "milling", *COARSE, "--compute", "cuda:99"), None),
         (
             ("run", "milling", "--fidelity", "fast"),
