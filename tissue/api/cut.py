@@ -28,12 +28,21 @@ class Cut:
     ----------
     trace
         All columns by name, a row a pose: ``cut.trace["force_z_N"]``.
+    notes
+        What was found, by what it is about.
     pose_us
         What each pose took to compute [µs], shape (n,).
     """
 
     def __init__(self, trace: Table, pose_us: Array) -> None:
         self.trace, self.pose_us = Trace(trace), pose_us
+        self.notes: dict[str, str] = {}
+        start_mm3 = float(self.trace["removed_mm3"][0])
+        if start_mm3 > 0.0:
+            self.notes["start"] = (
+                f"the first pose lies inside bone: {start_mm3:.3g} mm3 were taken away there without force; where that "
+                "is not meant, look at the axis, the unit and the frame of the poses"
+            )
 
     @classmethod
     def of(cls, loop: Loop, times_s: Array, *, removed_before_m3: Array) -> "Cut":
@@ -66,6 +75,11 @@ class Cut:
     def force_N(self) -> Array:
         """Force on the tool [N], shape (n, 3); at the first pose the tool rests: 0."""
         return self.trace.vectors("force", "N")
+
+    @property
+    def force_magnitude_N(self) -> Array:
+        """Size of the force [N], shape (n,)."""
+        return np.linalg.norm(self.force_N, axis=1)
 
     @property
     def torque_Nm(self) -> Array:
@@ -101,29 +115,43 @@ class Cut:
         """
         return saved_table(self.trace, path, overwrite=overwrite)
 
-    def plot(self) -> "Figure":
-        """Force and torque over time, a panel each."""
+    def plot(self, *, over: "Figure | None" = None, label: str | None = None) -> "Figure":
+        """Force and torque over time, a panel each: their components and size, or with a label their size alone.
+
+        Parameters
+        ----------
+        over
+            Figure of an earlier plot, to draw this cut into: ``b.plot(over=a.plot(label="a"), label="b")``.
+        label
+            Name of this cut in the legend.
+        """
         import matplotlib.pyplot as plt
 
         from tissue.figures.style import COMPONENTS
 
-        figure, panels = plt.subplots(2, 1, sharex=True, figsize=(7.0, 4.5), layout="constrained")
+        if over is None:
+            figure, panels = plt.subplots(2, 1, sharex=True, figsize=(7.0, 4.5), layout="constrained")
+        else:
+            figure, panels = over, over.axes
         shown = (self.force_N, "force / N"), (self.torque_Nm, "torque / N m")
         for panel, (values, what) in zip(panels, shown, strict=True):
-            for axis, column, colour in zip("xyz", values.T, COMPONENTS, strict=True):
-                panel.plot(self.times_s, column, color=colour, linewidth=1.0, label=axis)
-            panel.plot(self.times_s, np.linalg.norm(values, axis=1), color="0.2", linewidth=1.0, label="size")
+            if label is None:
+                for axis, column, colour in zip("xyz", values.T, COMPONENTS, strict=True):
+                    panel.plot(self.times_s, column, color=colour, linewidth=1.0, label=axis)
+            look = {"color": "0.2", "label": "size"} if label is None else {"label": label}
+            panel.plot(self.times_s, np.linalg.norm(values, axis=1), linewidth=1.0, **look)
             panel.set_ylabel(what)
-            panel.grid(alpha=0.3)
-        panels[0].legend(ncols=4, frameon=False, loc="upper left")
-        panels[1].set_xlabel("time / s")
+            panel.grid(visible=True, alpha=0.3)
+        panels[0].legend(ncols=4, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+        panels[-1].set_xlabel("time / s")
         return figure
 
     def __repr__(self) -> str:
-        force = np.linalg.norm(self.force_N, axis=1)
+        force = self.force_magnitude_N
         return (
             f"Cut({len(self)} poses in {self.times_s[-1] - self.times_s[0]:.4g} s, {self.removed_mm3[-1]:.4g} mm3 "
-            f"removed, peak force {force.max():.3g} N, {np.median(self.pose_us):.0f} us a pose)"
+            f"removed, peak force {force.max():.3g} N, {np.median(self.pose_us):.0f} us a pose"
+            f"{''.join(f'; {note}' for note in self.notes.values())})"
         )
 
 

@@ -14,7 +14,7 @@ from tissue.motion.motion import LONGEST_S, FollowPath, frame_along
 __all__ = ["feed_along", "poses_of", "times_of"]
 
 
-def feed_along(points_mm: ArrayLike, *, feed_mm_s: float) -> tuple[Array, Array]:
+def feed_along(points_mm: ArrayLike, feed_mm_s: float) -> tuple[Array, Array]:
     """Tips on straight lines between points at a given feed, one every millisecond, and their times.
 
     Parameters
@@ -43,7 +43,8 @@ def feed_along(points_mm: ArrayLike, *, feed_mm_s: float) -> tuple[Array, Array]
             f"feed_mm_s must bring the tool along the path within {LONGEST_S:g} s, got {feed:g} which takes "
             f"{path.duration_s:.4g}: use {feed * path.duration_s / LONGEST_S:.3g} or more"
         )
-    times = TICK_S * np.arange(int(np.ceil(path.duration_s / TICK_S - 1e-9)) + 1, dtype=np.float64)
+    whole: Array = TICK_S * np.arange(int(np.ceil(path.duration_s / TICK_S - 1e-6)), dtype=np.float64)
+    times = np.append(whole, path.duration_s)  # the last step is shorter: the feed holds to the end
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
     keep = np.diff(along, prepend=-1.0) > 0.0
     tips = np.column_stack([np.interp(feed * times, along[keep], corners[keep, c]) for c in range(3)])

@@ -19,6 +19,8 @@ __all__ = ["VoxelBone", "tool_boxes"]
 
 Pose = tuple[Array, Array]
 """Tip [m], shape (3,), and rotation from tool to world, shape (3, 3)."""
+STRIDE_M = 1e-3
+"""Distance of the poses between two given ones at which the bone is made ready."""
 SAME = 1e-9
 """How far apart poses may be that are the same [m]."""
 MARGIN_VOXELS = 4
@@ -135,8 +137,21 @@ class VoxelBone:
         )
 
 
+def _between(tips_m: Array, axes: Array, *, most_m: float) -> tuple[Array, Array]:
+    """Poses with more between them, on straight lines, where they are further apart than `most_m` [m]."""
+    steps = np.linalg.norm(np.diff(tips_m, axis=0), axis=1)
+    if not (steps > most_m).any():
+        return tips_m, axes
+    parts = np.maximum(np.ceil(steps / most_m), 1.0)
+    at = np.concatenate([[0.0], np.cumsum(parts)])
+    wanted = np.arange(int(at[-1]) + 1, dtype=np.float64)
+    tips = np.column_stack([np.interp(wanted, at, column) for column in tips_m.T])
+    turned = np.column_stack([np.interp(wanted, at, column) for column in axes.T])
+    return tips, turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-12)
+
+
 def tool_boxes(cutter: Cutter, tips_m: Array, axes: Array, *, spacing_m: float, around_m: float = 0.0) -> Boxes:
-    """Boxes that a cutter reads and carves at poses: lowest and highest corners [m], shape (n, 3) both.
+    """Boxes that a cutter reads and carves at poses and on straight lines between them: corners [m], shape (n, 3) both.
 
     Parameters
     ----------
@@ -147,6 +162,7 @@ def tool_boxes(cutter: Cutter, tips_m: Array, axes: Array, *, spacing_m: float, 
     around_m
         What is wanted beyond that [m].
     """
+    tips_m, axes = _between(tips_m, axes, most_m=STRIDE_M)
     low, high = cutter.profile.height_range_m
     aside = cutter.profile.radius_m * np.sqrt(np.clip(1.0 - axes**2, 0.0, 1.0))
     aside += MARGIN_VOXELS * spacing_m + around_m

@@ -140,6 +140,30 @@ def test_bricks_are_made_only_where_a_tool_has_been(tmp_path):
     assert abs(surface.volume / solid - 1.0) < 1e-4
 
 
+@pytest.mark.parametrize("step_mm", [6.0, 20.0, 30.0])
+def test_a_long_step_takes_what_a_path_does(step_mm):
+    """Bone between two poses that are far apart is made, too."""
+    ends = [[-0.5 * step_mm, 0, -0.8], [0.5 * step_mm, 0, -0.8]]
+    fine, coarse = (tissue.Bone.block((36, 8, 5), spacing_mm=0.25) for _ in range(2))
+    whole = slot(fine, ends)
+    step = coarse.cut(BURR, ends, [0.0, 0.1 * step_mm])
+    assert step.removed_mm3[-1] == pytest.approx(whole.removed_mm3[-1], rel=2e-3)
+
+
+def test_a_start_inside_bone_is_noted():
+    bone = tissue.Bone.block((12, 8, 5), spacing_mm=0.25)
+    assert "first pose lies inside bone" in slot(bone, [[0, 0, -2], [1, 0, -2]]).notes["start"]
+    assert not slot(bone.uncut()).notes
+
+
+def test_a_feed_holds_to_the_end():
+    tips, times = tissue.feed_along([[0, 0, 0], [10, 0, 0], [10, 7, 0]], 6.0)
+    speed = np.linalg.norm(np.diff(tips, axis=0), axis=1) / np.diff(times)
+    corner = np.argmax(np.abs(speed - 6.0))
+    assert np.abs(np.delete(speed, corner) - 6.0).max() < 1e-6 and times[-1] == pytest.approx(17 / 6)
+    np.testing.assert_allclose(tips[-1], [10, 7, 0])
+
+
 def test_what_would_not_fit_memory_is_refused(monkeypatch):
     import psutil
 
