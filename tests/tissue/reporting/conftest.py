@@ -8,7 +8,7 @@ from tissue.scene.load import load_scene
 
 SHORT = {
     "milling": {"voxels.spacing_mm": 0.4, "duration_s": 0.5},
-    "palpation": {"duration_s": 0.6, "anatomy.edge_mm": 14, "anatomy.touch_edge_mm": 8, "organ.order": 1},
+    "palpation": {"duration_s": 0.6, "organ.order": 1},
     "needle": {"duration_s": 1.2, "anatomy.interval_ms": 300},
     "wall": {"duration_s": 0.6},
 }
