@@ -7,7 +7,7 @@ import numpy as np
 
 from tissue.figures.events import EVENT_IN, FLICKER_S, event_lines, joined_events, mark_events, spells
 from tissue.figures.figure import figure, plain, save, styled
-from tissue.figures.style import COMPONENTS, MAGNITUDE, layer_colours
+from tissue.figures.style import COMPONENTS, MAGNITUDE, SMALL_NM, layer_colours
 from tissue.models.tissue_model import TICK_S
 from tissue.simulation.depth_map import tool_axes
 from tissue.simulation.run import Run
@@ -21,8 +21,6 @@ __all__ = ["draw_force_torque"]
 
 COMMANDED = 0.35
 """Opacity of what is commanded, below the model's line."""
-SMALL_NM = 0.02
-"""Torque below which a picture shows thousandths [N m]."""
 HEAD_IN = 0.82
 
 

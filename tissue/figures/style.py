@@ -55,6 +55,8 @@ OTHER_LAYERS = ("#CC79A7", "#F0E442", "#0072B2", "#D55E00")
 COMPONENTS = ("#0072B2", "#D55E00", "#009E73")
 """Colours of layers and components after Okabe and Ito (2008), distinct for colour-blind readers."""
 MAGNITUDE = "0.88"
+SMALL_NM = 0.02
+"""Torque below which a picture shows thousandths [N m]."""
 ANATOMICAL = {"glenoid": ("anterior", "superior", "lateral")}
 """What the world's axes mean, by kind of anatomy."""
 
