@@ -37,7 +37,7 @@ LAYERS = (
     ("tissue.viewer", "tissue.evaluation"),
     ("tissue.reporting",),
     ("tissue.api",),
-    ("tissue.cli",),
+    ("tissue.cli", "tissue.environments"),
     ("tissue.__main__",),
 )
 """From the ground up; a module imports from its own package and from layers below."""

@@ -1,0 +1,189 @@
+"""Environments for learning: contract, seeds, scores of known policies, vectors, pictures."""
+
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import tissue.environments
+from meshes.base.errors import InputError
+from tissue.environments.experts import expert_of
+
+ROOT = Path(__file__).resolve().parents[3]
+NAMES = ["tissue/Drilling-v0", "tissue/Milling-v0", "tissue/Palpation-v0"]
+LEAST = {"tissue/Drilling-v0": 0.85, "tissue/Milling-v0": 0.9, "tissue/Palpation-v0": 0.7}
+"""What an expert scores at least: the mean of ten seeds, less what single seeds fall short of it."""
+
+
+def episode(env, policy, seed):
+    """Observations, rewards and the last info of an episode."""
+    seen, info = env.reset(seed=seed)
+    observations, rewards, over = [seen], [], False
+    while not over:
+        seen, reward, terminated, truncated, info = env.step(np.asarray(policy(seen), dtype=np.float32))
+        observations.append(seen)
+        rewards.append(reward)
+        over = terminated or truncated
+    return observations, rewards, info
+
+
+@pytest.fixture(scope="module", params=NAMES)
+def env(request):
+    made = gymnasium.make(request.param, render_mode="rgb_array")
+    yield made
+    made.close()
+
+
+def test_the_contract_of_gymnasium_is_kept(env):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env.unwrapped)
+
+
+def test_the_same_seed_and_actions_give_the_same_episode_bit_for_bit(env):
+    env.action_space.seed(3)
+    towards = 1.0 if env.spec.id == "tissue/Drilling-v0" else -1.0
+    actions = [env.action_space.sample() for _ in range(40)]
+    for action in actions:
+        action[-1] = towards * abs(action[-1])
+
+    def run(seed):
+        found = [env.reset(seed=seed)[0]]
+        return np.array(found + [env.step(action)[0] for action in actions])
+
+    first, other, again = run(5), run(6), run(5)
+    assert np.array_equal(first, again) and not np.array_equal(first, other)
+
+
+def test_a_reward_is_the_sum_of_its_terms_and_doing_nothing_scores_what_is_documented(env):
+    env.reset(seed=0)
+    terms = {}
+    over = False
+    while not over:
+        _, reward, terminated, truncated, info = env.step(np.zeros(env.action_space.shape, dtype=np.float32))
+        assert reward == pytest.approx(sum(info["reward_terms"].values()), abs=1e-12)
+        terms = {name: terms.get(name, 0.0) + value for name, value in info["reward_terms"].items()}
+        over = terminated or truncated
+    assert truncated and info["score"] == pytest.approx(-0.1, abs=1e-9)
+    assert sum(terms.values()) == pytest.approx(info["score"], abs=1e-9)
+
+
+def test_an_option_fixes_what_would_be_drawn_and_leaves_the_rest(env):
+    name, (low, high) = next(iter(env.unwrapped.ranges.items()))
+    free, fixed = (env.reset(seed=1, options=options)[1]["drawn"] for options in (None, {name: 0.5 * (low + high)}))
+    assert fixed == free | {name: 0.5 * (low + high)}
+    for options, word in (({"nothing": 1.0}, "nothing"), ({name: high + 1.0}, name)):
+        with pytest.raises(InputError, match=word):
+            env.reset(options=options)
+
+
+def test_an_observation_has_its_numbers_by_name(env):
+    seen, _ = env.reset(seed=0)
+    named = env.unwrapped.named(seen)
+    assert named["time_left"] == 1.0 and sum(len(each) for each in named.values()) == len(seen)
+
+
+def test_a_picture_shows_the_episode(env):
+    env.reset(seed=0)
+    before = env.render()
+    for _ in range(20):
+        env.step(-env.action_space.high if env.spec.id != "tissue/Drilling-v0" else env.action_space.high)
+    after = env.render()
+    assert before.dtype == np.uint8 and before.shape == (360, 640, 3) and (before != after).any()
+
+
+@pytest.mark.slow
+def test_an_expert_nears_the_best_score_and_a_random_policy_does_not(env):
+    env.action_space.seed(0)
+    expert, random = [], []
+    for seed in range(100, 105):
+        policy = expert_of(env)
+        expert.append(episode(env, policy, seed)[2]["score"])
+        random.append(episode(env, lambda _: env.action_space.sample(), seed)[2]["score"])
+    print(env.spec.id, np.round(expert, 3), np.round(random, 3))
+    assert LEAST[env.spec.id] < np.mean(expert) and max(expert) < 1.0
+    assert np.mean(random) < 0.5 * np.mean(expert)
+
+
+def test_a_patch_shows_what_is_left_around_the_burr():
+    env = gymnasium.make("tissue/Milling-v0", patch=True)
+    seen, _ = env.reset(seed=0, options={"start_x_mm": 0.0, "start_y_mm": 0.0, "start_z_mm": 0.3})
+    assert env.observation_space.contains(seen)
+    assert (seen["patch"][:, :, 0] == 1.0).all() and (seen["patch"][:, :, 4:] == 0.0).all()
+    for _ in range(5):
+        seen, *_ = env.step(np.array([0.0, 0.0, -1.0], dtype=np.float32))
+    cut, _, _, _, info = env.step(np.array([0.0, 0.0, -1.0], dtype=np.float32))
+    assert info["removed_mm3"] > 0.0 and 0.0 < cut["patch"][4, 4, 0] <= 1.0
+
+
+def test_a_bur_that_comes_back_into_its_cut_meets_nothing():
+    env = gymnasium.make("tissue/Drilling-v0").unwrapped
+    env.reset(seed=0)
+    for _ in range(30):
+        deepest = env.step([0.6])[4]["deepest_mm"]
+    forces = [env.step([thrust])[4]["peak_force_N"] for thrust in (-1.0, -1.0, -1.0, 0.2)]
+    assert deepest > 0.3 and max(forces[1:]) < 1e-6
+
+
+def test_a_palpated_slab_answers_in_proportion_to_its_modulus_however_it_is_turned():
+    env = gymnasium.make("tissue/Palpation-v0").unwrapped
+    fixed = {"distance_mm": 18.0, "bearing_deg": 90.0}
+    forces = {}
+    for modulus, turn in ((3.0, 0.0), (6.0, 0.0), (3.0, 180.0)):
+        env.reset(options=fixed | {"modulus_kPa": modulus, "turn_deg": turn})
+        for _ in range(6):
+            env.step([0.0, 0.0, -1.0])
+        forces[modulus, turn] = env.mean_force_N
+    assert forces[3.0, 0.0][2] > 0.01
+    assert forces[6.0, 0.0] == pytest.approx(2.0 * forces[3.0, 0.0], rel=1e-9)
+    assert forces[3.0, 180.0][2] == pytest.approx(forces[3.0, 0.0][2], rel=0.1)  # the mesh is not symmetric
+
+
+def test_environments_refuse_what_they_cannot_use():
+    for options in ({"ticks": 0}, {"duration_s": -1.0}, {"force_limit_N": 0.0}):
+        with pytest.raises(InputError, match=next(iter(options))):
+            tissue.environments.Milling(**options)
+    with pytest.raises(InputError, match="reset"):
+        tissue.environments.Milling().step([0.0, 0.0, 0.0])
+
+
+def test_environments_in_one_process_do_not_touch_each_other():
+    first, second = (gymnasium.make("tissue/Palpation-v0") for _ in range(2))
+    first.reset(seed=1)
+    alone = [first.step(np.array([0.1, 0.0, -1.0], dtype=np.float32))[0] for _ in range(8)]
+    first.reset(seed=1)
+    second.reset(seed=2)
+    mixed = []
+    for _ in range(8):
+        mixed.append(first.step(np.array([0.1, 0.0, -1.0], dtype=np.float32))[0])
+        second.step(np.array([-0.5, 0.3, -1.0], dtype=np.float32))
+    assert np.array_equal(alone, mixed)
+
+
+@pytest.mark.parametrize("mode", ["sync", pytest.param("async", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_vector_of_environments_steps_as_each_alone(name, mode):
+    vector = gymnasium.make_vec(name, num_envs=2, vectorization_mode=mode)
+    alone = [gymnasium.make(name) for _ in range(2)]
+    seen, _ = vector.reset(seed=4)
+    single = [env.reset(seed=4 + place)[0] for place, env in enumerate(alone)]
+    vector.action_space.seed(0)
+    for _ in range(5):
+        assert np.array_equal(seen, single)
+        actions = vector.action_space.sample()
+        seen = vector.step(actions)[0]
+        single = [env.step(action)[0] for env, action in zip(alone, actions, strict=True)]
+    vector.close()
+
+
+@pytest.mark.parametrize("first", ["", "import tissue.environments; "])
+def test_an_environment_is_made_by_its_name(first):
+    name = NAMES[0] if first else f"tissue.environments:{NAMES[0]}"
+    code = f"{first}import gymnasium; print(gymnasium.make({name!r}).spec.id, sorted(set({NAMES}) - set(gymnasium.registry)))"
+    ended = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (ended.stdout, ended.returncode) == (f"{NAMES[0]} []\n", 0), ended.stderr

@@ -1,0 +1,179 @@
+"""Drilling through the enamel of a molar into the dentin, and stopping there."""
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.arrays import Array
+from meshes.tooth.molar import molar
+from meshes.voxels.volume import VoxelVolume
+from meshes.voxels.voxelise import voxelise
+from tissue.cutters import ball_burr
+from tissue.environments.environment import ContactEnvironment, Entry
+from tissue.environments.restorable_bone import RestorableBone
+from tissue.models.tissue_model import TICK_S, Response, ToolMotion
+from tissue.motion.motion import implicit_speed
+
+__all__ = ["Drilling"]
+
+REGION_M = np.array([[-2.0e-3, -2.0e-3, -4.0e-3], [2.0e-3, 2.0e-3, 1.2e-3]])
+SPACING_M = 5e-5
+"""Edge of a voxel: a twentieth of the bur."""
+BUR_MM, FLUTES, SPIN_RPM = 1.0, 6, 400_000.0
+HAND_KG = 0.1
+"""Mass that moves with the bur: a handpiece of 0.06 to 0.1 kg (from memory of makers' data) and some of the hand."""
+TOP_SPEED_M_S = 1e-2
+START_M, CEILING_M = 5e-4, 8e-4
+"""Gap between tip and tooth where an episode starts, and where the bur counts as withdrawn."""
+INTO_DENTIN_M = 5e-4
+"""Wanted depth beyond the junction of enamel and dentin: about that of a cavity's base, 0.2 to 0.5 mm (from memory)."""
+TOO_DEEP_M = 1e-3
+"""Beyond the wanted depth by this the episode is lost; the pulp lies 3 mm below the junction."""
+
+
+class Drilling(ContactEnvironment):
+    """Drill through the enamel of a molar, stop 0.5 mm into the dentin, and withdraw.
+
+    A round bur of 1 mm at 400,000 a minute goes straight down. Nothing observed shows where the enamel ends: it is felt
+    as less resistance. An episode draws the place on the occlusal surface and the densities of enamel and dentin, which
+    change how hard they are to cut.
+
+    **Action**, 1 number in [-1, 1]: thrust of the hand along the bur, of 3 N, down where positive. What the bur does
+    follows from the balance of thrust, cutting force, 0.1 kg and a damping that lets 3 N move it at 10 mm/s in air.
+
+    **Observation**, see `entries`: depth of the tip below the surface at that place, greatest depth so far, velocity
+    downwards, force and torque on the bur, volume removed, time left.
+
+    **Reward**, see `ContactEnvironment`, with the potential::
+
+        P = min(deepest, d) / d - max(0, deepest - d) / 1 mm
+
+    of the greatest depth so far and the wanted one d, from the surface to 0.5 mm below the junction on the bur's axis;
+    ``reward_terms`` holds its parts as ``progress`` and ``overdepth``. No policy scores above 1; doing nothing scores
+    -0.1. An episode ends when the bur, having cut, is 0.8 mm above the surface again, or is 1 mm too deep; it is
+    truncated after 5 s. Force costs from 2 N on. Heat is not modelled.
+
+    Parameters
+    ----------
+    options
+        As of `ContactEnvironment`.
+    """
+
+    entries = (
+        Entry("depth", 4.0, "mm"),
+        Entry("deepest", 4.0, "mm"),
+        Entry("velocity", 10.0, "mm/s"),
+        Entry("force", 4.0, "N", 3),
+        Entry("torque", 4.0, "N mm", 3),
+        Entry("removed", 4.0, "mm3"),
+        Entry("time_left", 1.0, "1"),
+    )
+    action_count = 1
+    ranges = {  # noqa: RUF012
+        "x_mm": (-1.0, 1.0),
+        "y_mm": (-1.0, 1.0),
+        "enamel_density_kg_m3": (2700.0, 3000.0),
+        "dentin_density_kg_m3": (2000.0, 2200.0),
+    }
+    usual_duration_s = 5.0
+    usual_force_limit_N = 2.0
+    thrust_N = 3.0
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.motion = ToolMotion()
+        self.surface_m = self.wanted_m = self._speed = self._deepest_m = 0.0
+        self._response: Response | None = None
+
+    @cached_property
+    def volume(self) -> VoxelVolume:
+        """Voxels of the crown around its fossa."""
+        return voxelise(molar(), spacing_m=SPACING_M, region_m=(REGION_M[0], REGION_M[1]))
+
+    @cached_property
+    def bone(self) -> RestorableBone:
+        """The same under the bur; made at the first reset."""
+        bur = ball_burr(diameter_mm=BUR_MM, flutes=FLUTES, spin_rpm=SPIN_RPM)
+        return RestorableBone(self.volume, bur, shell_spacing_m=SPACING_M)
+
+    def _begin(self) -> None:
+        self.bone.restore({name: self.drawn[f"{name}_density_kg_m3"] for name in ("enamel", "dentin")})
+        place = np.array([1e-3 * self.drawn["x_mm"], 1e-3 * self.drawn["y_mm"]])
+        self.surface_m, junction_m = self._heights(place)
+        self.wanted_m = self.surface_m - junction_m + INTO_DENTIN_M
+        self._speed = self._deepest_m = 0.0
+        motion = self.motion
+        motion.tip_m[:2], motion.tip_m[2] = place, self.surface_m + START_M
+        motion.heading[0], motion.speed_m_s, motion.pressed = (0.0, 0.0, -1.0), 0.0, 0.0
+        self.bone.model.place(motion)
+        self._response = self.bone.model.respond(motion)
+
+    def _heights(self, place_m: Array) -> tuple[float, float]:
+        """Heights of the surface and of the end of the enamel over a place [m], in whole voxels."""
+        volume = self.volume
+        i, j = np.floor((place_m - volume.origin_m[:2]) / volume.spacing_m).astype(int)
+        held = volume.fraction[i, j] > 127
+        enamel = held & (volume.layer[i, j] == volume.layer_names.index("enamel"))
+        heights = volume.origin_m[2] + volume.spacing_m * np.array([np.flatnonzero(held)[-1] + 1, enamel.argmax()])
+        return float(heights[0]), float(heights[1])
+
+    def _tick(self, command: Array) -> Array:
+        motion, thrust = self.motion, self.thrust_N * float(command[0])
+        assert self._response is not None
+        resistance, edge = self._response.resistance[2], max(float(self._response.edge[2]), 0.0)
+        damping = self.thrust_N / TOP_SPEED_M_S
+        down = self._speed > 0.0 or thrust > 0.0
+        speed = implicit_speed(
+            self._speed,
+            thrust=thrust - (edge if down else 0.0),
+            drag=damping + (max(float(resistance), 0.0) if down else 0.0),
+            mass=HAND_KG,
+            step_s=TICK_S,
+        )
+        if down and self._speed >= 0.0 and thrust >= 0.0:
+            speed = max(speed, 0.0)
+        highest = (self.surface_m + CEILING_M - motion.tip_m[2]) / TICK_S
+        self._speed = min(max(speed, -TOP_SPEED_M_S, -highest), TOP_SPEED_M_S)
+        motion.tip_m[2] -= self._speed * TICK_S
+        motion.speed_m_s = abs(self._speed)
+        motion.pressed = min(thrust / edge, 1.0) if self._speed == 0.0 and thrust > 0.0 and edge > 0.0 else 0.0
+        motion.heading[0, 2] = 1.0 if self._speed < 0.0 else -1.0
+        self.bone.model.advance(motion)
+        motion.heading[0, 2], motion.speed_m_s = -1.0, max(self._speed, 0.0)  # what it would meet on the next tick down
+        self._response = self.bone.model.respond(motion)
+        self._deepest_m = max(self._deepest_m, self.depth_m)
+        return self._response.wrench
+
+    @property
+    def depth_m(self) -> float:
+        """Depth of the tip below the surface [m]."""
+        return self.surface_m - float(self.motion.tip_m[2])
+
+    def _potential(self) -> dict[str, float]:
+        too_deep = max(self._deepest_m - self.wanted_m, 0.0)
+        return {
+            "progress": min(self._deepest_m, self.wanted_m) / self.wanted_m,
+            "overdepth": -too_deep / TOO_DEEP_M,
+        }
+
+    def _is_over(self) -> bool:
+        withdrawn = self._deepest_m > 0.0 and self.depth_m <= -CEILING_M + 1e-9
+        return withdrawn or self._deepest_m - self.wanted_m >= TOO_DEEP_M
+
+    def _observe(self) -> NDArray[np.float32]:
+        depths = 1e3 * self.depth_m, 1e3 * self._deepest_m
+        loads = self._loads[:3], 1e3 * self._loads[3:]
+        removed = 1e9 * float(self.bone.model.removed_m3.sum())
+        return self._scaled(*depths, 1e3 * self._speed, *loads, removed, self.time_left)
+
+    def _facts(self) -> dict[str, Any]:
+        removed = {name: self.bone.removed_mm3(name) for name in ("enamel", "dentin")}
+        deepest, wanted = 1e3 * self._deepest_m, 1e3 * self.wanted_m
+        return {"depth_mm": 1e3 * self.depth_m, "deepest_mm": deepest, "wanted_mm": wanted, "removed_mm3": removed}
+
+    def _draw(self) -> NDArray[np.uint8]:
+        from tissue.environments.pictures import drilling_picture
+
+        return drilling_picture(self)

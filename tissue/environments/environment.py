@@ -1,0 +1,209 @@
+"""What the environments share: ticks, observation, reward, limits of time and force."""
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError, require_positive, require_range
+from tissue.models.tissue_model import TICK_S
+
+__all__ = ["FORCE_WEIGHT", "TIME_WEIGHT", "ContactEnvironment", "Entry"]
+
+FORCE_WEIGHT = 1.0
+"""What a whole episode at twice the limit of force costs."""
+TIME_WEIGHT = 0.1
+"""What a whole episode's time costs: the score of doing nothing is its negative."""
+FRAMES_PER_S = 50
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Numbers of an observation.
+
+    Attributes
+    ----------
+    name
+        What they are.
+    scale
+        What is 1 in the observation, in `unit`; beyond that it is clipped.
+    unit
+        Unit of the scale.
+    count
+        How many they are.
+    """
+
+    name: str
+    scale: float
+    unit: str
+    count: int = 1
+
+
+class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]]):
+    """A tool that a policy leads against tissue.
+
+    A step is `ticks` ticks of 1 ms under one action, whose entries lie in [-1, 1]. The observation is the numbers of
+    `entries`, each over its scale and clipped to [-1, 1], loads being means over the step. The reward of a step is::
+
+        P(after) - P(before) - 1.0 / M * sum over its ticks of max(0, F / limit - 1) - 0.1 * ticks / M
+
+    with the potential P of the task, the size F of the contact force and the M ticks of a whole episode. ``info`` holds
+    its parts in ``reward_terms``, the episode's random draws in ``drawn``, the largest force of the step in
+    ``peak_force_N``, and the score so far, which is the sum of rewards, in ``score``.
+
+    Parameters
+    ----------
+    ticks
+        Ticks of 1 ms in a step, 1 to 200.
+    duration_s
+        Time after which an episode is truncated [s]; None: that of the task.
+    force_limit_N
+        Contact force from which on force costs [N]; None: that of the task.
+    render_mode
+        None, or ``rgb_array``: `render` gives a picture.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": FRAMES_PER_S}  # noqa: RUF012
+    entries: ClassVar[tuple[Entry, ...]]
+    action_count: ClassVar[int]
+    ranges: ClassVar[Mapping[str, tuple[float, float]]]
+    """What an episode draws, uniformly, between which limits; `reset(options={...})` fixes any of it."""
+    usual_duration_s: ClassVar[float]
+    usual_force_limit_N: ClassVar[float]
+
+    def __init__(
+        self,
+        *,
+        ticks: int = 20,
+        duration_s: float | None = None,
+        force_limit_N: float | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        self.ticks = int(require_range("ticks", ticks, 1, 200, "use 20 for 50 actions a second"))
+        duration = self.usual_duration_s if duration_s is None else duration_s
+        limit = self.usual_force_limit_N if force_limit_N is None else force_limit_N
+        self.force_limit_N = require_positive("force_limit_N", limit, f"use {self.usual_force_limit_N:g}")
+        require_range("duration_s", duration, 0.1, 600.0, f"use {self.usual_duration_s:g}")
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise InputError(f"render_mode must be None or rgb_array, got {render_mode!r}: leave it out")
+        self.metadata = {**self.metadata, "render_fps": max(round(1.0 / (self.ticks * TICK_S)), 1)}
+        self.render_mode = render_mode
+        self.duration_s = float(duration)
+        self._steps = max(round(duration / (self.ticks * TICK_S)), 1)
+        self._scales = np.concatenate([np.full(each.count, each.scale) for each in self.entries])
+        self.action_space = spaces.Box(-1.0, 1.0, (self.action_count,), np.float32)
+        self.observation_space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, self._scales.shape, np.float32)
+        self._done_steps, self.score = 0, 0.0
+        self._loads = np.zeros(6)
+        self.drawn: dict[str, float] = {}
+        """What the present episode has drawn."""
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode; `options` fixes what would be drawn, by the names of `ranges`.
+
+        Raises
+        ------
+        InputError
+            If an option is unknown or out of its range.
+        """
+        super().reset(seed=seed)
+        self.drawn = {name: float(self.np_random.uniform(*limits)) for name, limits in self.ranges.items()}
+        for name, value in (options or {}).items():
+            if name not in self.ranges:
+                raise InputError(f"options must be of {', '.join(self.ranges)}, got {name!r}: leave it out")
+            self.drawn[name] = require_range(f"options[{name!r}]", value, *self.ranges[name], "take one in between")
+        self._done_steps, self.score = 0, 0.0
+        self._loads[:] = 0.0
+        self._begin()
+        return self._observe(), {"drawn": dict(self.drawn), "score": 0.0, **self._facts()}
+
+    def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Move on for `ticks` ticks."""
+        if not self.drawn:
+            raise InputError("step must follow reset, got no episode: call reset first")
+        command = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
+        before, peak, excess = self._potential(), 0.0, 0.0
+        self._loads[:] = 0.0
+        for _ in range(self.ticks):
+            wrench = self._tick(command)
+            self._loads += wrench
+            force = float(np.sqrt(wrench[:3].dot(wrench[:3])))
+            peak, excess = max(peak, force), excess + max(force / self.force_limit_N - 1.0, 0.0)
+        self._loads /= self.ticks
+        self._done_steps += 1
+        after = self._potential()
+        terms = {name: after[name] - before[name] for name in after}
+        terms["force"] = -FORCE_WEIGHT * excess / (self._steps * self.ticks)
+        terms["time"] = -TIME_WEIGHT / self._steps
+        reward = float(sum(terms.values()))
+        self.score += reward
+        terminated = self._is_over()
+        info = {"reward_terms": terms, "peak_force_N": peak, "score": self.score, "drawn": dict(self.drawn)}
+        truncated = not terminated and self._done_steps >= self._steps
+        return self._observe(), reward, terminated, truncated, info | self._facts()
+
+    @property
+    def time_left(self) -> float:
+        """Share of the episode's time that is left."""
+        return 1.0 - self._done_steps / self._steps
+
+    @property
+    def mean_force_N(self) -> Array:
+        """Mean contact force of the last step [N], shape (3,)."""
+        return self._loads[:3].copy()
+
+    def named(self, observation: Any) -> dict[str, Array]:
+        """The numbers of an observation by name, in the units of `entries`."""
+        state = observation["state"] if isinstance(observation, dict) else observation
+        values, places = np.asarray(state, dtype=np.float64) * self._scales, np.cumsum([e.count for e in self.entries])
+        return {
+            entry.name: values[end - entry.count : end]
+            for entry, end in zip(self.entries, places.tolist(), strict=True)
+        }
+
+    def _scaled(self, *values: ArrayLike) -> NDArray[np.float32]:
+        """The numbers of `entries` as an observation."""
+        whole = np.concatenate([np.atleast_1d(each) for each in values])
+        return np.clip(whole / self._scales, -1.0, 1.0).astype(np.float32)
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """A picture, shape (height, width, 3); None without a render mode."""
+        if self.render_mode is None:
+            return None
+        if not self.drawn:
+            raise InputError("render must follow reset, got no episode: call reset first")
+        return self._draw()
+
+    @abstractmethod
+    def _begin(self) -> None:
+        """Put tool and tissue where the episode starts."""
+
+    @abstractmethod
+    def _tick(self, command: Array) -> Array:
+        """Move on by a tick; force [N] and torque [N m] on the tool, shape (6,)."""
+
+    @abstractmethod
+    def _potential(self) -> dict[str, float]:
+        """Summands of the potential, 0 at the start of an episode."""
+
+    @abstractmethod
+    def _is_over(self) -> bool:
+        """Whether the task has ended."""
+
+    @abstractmethod
+    def _observe(self) -> Any:
+        """What a policy sees."""
+
+    @abstractmethod
+    def _facts(self) -> dict[str, Any]:
+        """What else ``info`` holds."""
+
+    @abstractmethod
+    def _draw(self) -> NDArray[np.uint8]:
+        """A picture of the present state."""

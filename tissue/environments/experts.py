@@ -1,0 +1,129 @@
+"""Scripted policies that do what each task asks, from observations alone: what a learned one is compared with."""
+
+from typing import Any
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from tissue.environments.drilling import Drilling
+from tissue.environments.milling import Milling
+from tissue.environments.palpation import Palpation
+
+__all__ = ["DrillingExpert", "MillingExpert", "PalpationExpert", "expert_of"]
+
+TRACK_MM, LAYER_MM, ABOVE_MM = 0.7, 0.27, 0.3
+REACHED_MM = 0.03
+SOFTER = 0.5
+"""Share of the enamel's resistance below which the bur has left it."""
+
+
+class MillingExpert:
+    """Tracks to and fro over the pocket, layer by layer, slower where the force nears its limit."""
+
+    def __init__(self, env: Milling) -> None:
+        self._env = env
+        length, width, depth = env.pocket_mm
+        rows = np.linspace(-0.5 * width, 0.5 * width, int(np.ceil(width / TRACK_MM)) + 1)
+        self._corners = [np.array([-0.5 * length, rows[0], ABOVE_MM])]
+        side = -0.5 * length
+        for z in np.linspace(0.0, -depth, int(np.ceil(depth / LAYER_MM)) + 1)[1:]:
+            for y in rows:
+                self._corners += [np.array([side, y, z]), np.array([-side, y, z])]
+                side = -side
+            rows = rows[::-1]
+        self._speed = env.top_speed_mm_s
+
+    def __call__(self, observation: Any) -> Array:
+        """The next action."""
+        env, seen = self._env, self._env.named(observation)
+        share = float(np.linalg.norm(seen["force"])) / env.force_limit_N
+        self._speed = float(np.clip(self._speed * np.clip(0.9 / max(share, 0.1), 0.6, 1.5), 2.0, env.top_speed_mm_s))
+        while len(self._corners) > 1 and np.linalg.norm(self._corners[0] - seen["tip"]) < REACHED_MM:
+            self._corners.pop(0)
+        away = self._corners[0] - seen["tip"]
+        step_mm = 1e-3 * env.ticks * self._speed
+        return away / max(float(np.linalg.norm(away)), step_mm) * (self._speed / env.top_speed_mm_s)
+
+
+class DrillingExpert:
+    """Pushes at the limit through enamel, gently once resistance halves, 0.5 mm on from there, and out again."""
+
+    def __init__(self, env: Drilling) -> None:
+        self._env = env
+        self._hardest, self._stop_mm, self._out = 0.0, np.inf, False
+
+    def __call__(self, observation: Any) -> Array:
+        """The next action."""
+        env, seen = self._env, self._env.named(observation)
+        depth, velocity, force = float(seen["depth"][0]), float(seen["velocity"][0]), float(seen["force"][2])
+        limit = 0.95 * env.force_limit_N / env.thrust_N
+        if self._out or depth >= self._stop_mm - 0.01:
+            self._out = True
+            return np.array([-1.0])
+        if self._stop_mm < np.inf:
+            return np.array([0.35 * limit if depth < self._stop_mm - 0.15 else 0.12 * limit])
+        if depth > 0.3 and velocity > 0.05:
+            self._hardest = max(self._hardest, force / velocity)
+            if force / velocity < SOFTER * self._hardest:
+                self._stop_mm = depth + 0.42
+        return np.array([limit if depth > 0.0 else 0.3 * limit])
+
+
+class PalpationExpert:
+    """Slides round in a circle, then out and across at its hardest place, and lifts where it is hardest."""
+
+    def __init__(self, env: Palpation) -> None:
+        self._env = env
+        self._felt: list[Array] = []
+        self._plan: list[Array] = [np.array([0.0, 0.0])]
+        self._stage, self._height_mm = 0, -2.0
+
+    def __call__(self, observation: Any) -> Array:
+        """The next action."""
+        seen = self._env.named(observation)
+        tip, force = seen["tip"], float(np.linalg.norm(seen["force"]))
+        if self._stage > 0:
+            self._felt.append(np.array([tip[0], tip[1], force / max(-tip[2], 0.3) ** 1.5]))  # a ball's law
+        if force > 0.9 * self._env.force_limit_N:
+            self._height_mm = min(self._height_mm + 0.15, -0.5)
+        while self._plan and np.linalg.norm(self._plan[0] - tip[:2]) < 0.4 and (self._stage > 0 or tip[2] < -1.5):
+            self._plan.pop(0)
+            if not self._plan:
+                self._next_stage()
+        if not self._plan:
+            return np.array([0.0, 0.0, 1.0])
+        away = self._plan[0] - tip[:2]
+        step_s = 1e-3 * self._env.ticks
+        aside = away / max(float(np.linalg.norm(away)), 60.0 * step_s)
+        rise = np.clip((self._height_mm - tip[2]) / (30.0 * step_s), -1.0, 1.0)
+        return np.array([*aside, rise])
+
+    def _next_stage(self) -> None:
+        """Plan what follows from what was felt since the last stage."""
+        self._stage += 1
+        hardest = self._hardest_place() if self._stage > 1 else np.zeros(2)
+        if self._stage == 1:
+            angles = np.linspace(0.0, 2.0 * np.pi, 25)
+            self._plan = [14.0 * np.array([np.cos(angle), np.sin(angle)]) for angle in angles]
+        elif self._stage == 2:
+            out = hardest / np.linalg.norm(hardest)
+            self._plan = [14.0 * out, 8.0 * out, 20.0 * out]
+        elif self._stage == 3:
+            aside = 5.0 * np.array([-hardest[1], hardest[0]]) / np.linalg.norm(hardest)
+            self._plan = [hardest, hardest - aside, hardest + aside]
+        elif self._stage == 4:
+            self._plan = [hardest]
+        self._felt = [] if self._stage < 4 else self._felt
+
+    def _hardest_place(self) -> Array:
+        """Mean of the places felt, by how much harder than most they are."""
+        felt = np.array(self._felt)
+        weight = np.clip(felt[:, 2] - np.quantile(felt[:, 2], 0.75), 0.0, None) ** 2 + 1e-12
+        return np.asarray((weight[:, None] * felt[:, :2]).sum(axis=0) / weight.sum())
+
+
+def expert_of(env: Any) -> Any:
+    """A new expert for an episode of an environment, wrapped or not: call it with each observation."""
+    bare = env.unwrapped
+    kinds = {Milling: MillingExpert, Drilling: DrillingExpert, Palpation: PalpationExpert}
+    return kinds[type(bare)](bare)

@@ -1,0 +1,158 @@
+"""Palpating a slab of soft tissue for a stiff nodule under its surface."""
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.arrays import Array
+from meshes.organs.liver import Nodule, slab, slab_base
+from tissue.builders.organ_given import SoftMaterial
+from tissue.environments.environment import ContactEnvironment, Entry
+from tissue.models.organ.model import LiverModel
+from tissue.models.organ.probe import SphereProbe
+from tissue.models.tissue_model import TICK_S, ToolMotion
+
+__all__ = ["Palpation"]
+
+SIZE_M, EDGE_M = (0.1, 0.1, 0.028), 4e-3
+NODULE_RADIUS_M, NODULE_DEPTH_M = 8e-3, 13e-3
+MODULUS_KPA, NODULE_TIMES = 5.0, 20.0
+"""Young's modulus that is solved for, with forces scaled to the episode's, and how much stiffer the nodule is."""
+POISSON_RATIO = 0.45
+"""Lower than soft tissue's 0.49, at which linear tetrahedra lock."""
+BALL_RADIUS_M = 8e-3
+REACH_M = 22e-3
+"""How far from its start the fingertip goes aside."""
+LOWEST_M, START_M, CEILING_M = -3e-3, 1e-3, 3e-3
+"""Heights of the tip: the deepest, where linear elasticity is within 5 % of a hyperelastic force, that at the start,
+and that at which the fingertip counts as lifted."""
+NEAR_M = 10e-3
+TOP_SPEED_M_S = np.array([60e-3, 60e-3, 30e-3])
+
+
+class Palpation(ContactEnvironment):
+    """Find a stiff nodule under the surface of soft tissue: press, slide, and lift where it lies.
+
+    A fingertip, a ball of 16 mm, goes over a slab of linear-elastic tissue, friction 0.1, in which a nodule of 16 mm,
+    20 times as stiff, lies 5 mm under the surface, 10 to 18 mm from where the tip starts. An episode draws the tissue's
+    modulus, to which all forces are proportional, distance and bearing of the nodule, and how the slab is turned. The
+    frame's origin lies at the start, on the surface.
+
+    **Action**, 3 numbers in [-1, 1]: velocity of the tip along x and y, of 60 mm/s, and z, of 30 mm/s. The tip stays
+    within 22 mm of the start aside, and from 3 mm over the surface to 3 mm deep.
+
+    **Observation**, see `entries`: tip and its velocity, force and torque on the tip, time left.
+
+    **Reward**, see `ContactEnvironment`, with the potential::
+
+        P = max(0, 1 - d / 10 mm)
+
+    of the distance d aside between tip and nodule, ``progress`` in ``reward_terms``: 0 at the start. No policy scores
+    above 1; doing nothing scores -0.1. An episode ends when the tip, having touched, is 3 mm above the surface, and is
+    truncated after 6 s; where the tip is then is the guess. Force costs from 0.4 N on.
+
+    Parameters
+    ----------
+    options
+        As of `ContactEnvironment`.
+    """
+
+    entries = (
+        Entry("tip", 22.0, "mm", 3),
+        Entry("velocity", 60.0, "mm/s", 3),
+        Entry("force", 1.0, "N", 3),
+        Entry("torque", 8.0, "N mm", 3),
+        Entry("time_left", 1.0, "1"),
+    )
+    action_count = 3
+    ranges = {  # noqa: RUF012
+        "modulus_kPa": (3.0, 8.0),
+        "distance_mm": (10.0, 18.0),
+        "bearing_deg": (0.0, 360.0),
+        "turn_deg": (0.0, 360.0),
+    }
+    usual_duration_s = 6.0
+    usual_force_limit_N = 0.4
+    reach_m, nodule_radius_m = REACH_M, NODULE_RADIUS_M
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.motion = ToolMotion()
+        self.tip_m, self.nodule_m, self._turn = np.zeros(3), np.zeros(2), np.eye(3)
+        self._velocity_m_s = np.zeros(3)
+        self._touched = False
+        self.path: list[tuple[float, ...]] = []
+        """Tip [mm] and upward force [N] at the end of every step, for pictures."""
+
+    @cached_property
+    def organ(self) -> LiverModel:
+        """The slab under the fingertip; made at the first reset, its compliance kept on disk."""
+        mesh = slab(size_m=SIZE_M, spacing_m=EDGE_M, nodule=Nodule(NODULE_RADIUS_M, (0.0, 0.0, -NODULE_DEPTH_M)))
+        moduli = {"nodule": NODULE_TIMES * MODULUS_KPA}
+        material = SoftMaterial(
+            modulus_kPa=MODULUS_KPA, poisson_ratio=POISSON_RATIO, parts=moduli, friction=0.1, order=1
+        )
+        farthest = 1e-3 * self.ranges["distance_mm"][1] + REACH_M
+        side = np.arange(-farthest, farthest + EDGE_M, EDGE_M)
+        tips = np.stack([each.ravel() for each in np.meshgrid(side, side, [LOWEST_M])], axis=1)
+        tips = tips[np.linalg.norm(tips[:, :2], axis=1) < farthest + EDGE_M]
+        turns = np.broadcast_to(np.eye(3), (len(tips), 3, 3))
+        organ = material.organ(mesh, slab_base(mesh))
+        return organ.under(SphereProbe(BALL_RADIUS_M), tips, turns, path="condensed", cores=1)[0]
+
+    def _begin(self) -> None:
+        bearing, turn = (np.deg2rad(self.drawn[name]) for name in ("bearing_deg", "turn_deg"))
+        self.nodule_m[:] = 1e-3 * self.drawn["distance_mm"] * np.array([np.cos(bearing), np.sin(bearing)])
+        cosine, sine = np.cos(turn), np.sin(turn)
+        self._turn[:2, :2] = [[cosine, -sine], [sine, cosine]]
+        self.tip_m[:] = (0.0, 0.0, START_M)
+        self._velocity_m_s[:] = 0.0
+        self._touched, self.path = False, []
+        self._follow()
+        self.organ.place(self.motion)
+
+    def _follow(self) -> None:
+        """Bring the tool of the slab to the tip: the nodule lies in the slab's middle."""
+        away = np.array([*(self.tip_m[:2] - self.nodule_m), self.tip_m[2]])
+        np.dot(self._turn, away, out=self.motion.tip_m)
+
+    def _tick(self, command: Array) -> Array:
+        wanted = self.tip_m + TOP_SPEED_M_S * TICK_S * command
+        aside = float(np.hypot(wanted[0], wanted[1]))
+        if aside > REACH_M:
+            wanted[:2] *= REACH_M / aside
+        wanted[2] = min(max(wanted[2], LOWEST_M), CEILING_M)
+        self._velocity_m_s = (wanted - self.tip_m) / TICK_S
+        self.tip_m[:] = wanted
+        self._follow()
+        self.organ.advance(self.motion)
+        wrench = self.organ.respond(self.motion).wrench.reshape(2, 3)
+        wrench = (self.drawn["modulus_kPa"] / MODULUS_KPA) * (wrench @ self._turn).reshape(6)
+        self._touched |= bool(wrench[2] > 0.0)
+        return wrench
+
+    @property
+    def error_mm(self) -> float:
+        """Distance aside between the tip and the nodule [mm]."""
+        return 1e3 * float(np.hypot(*(self.tip_m[:2] - self.nodule_m)))
+
+    def _potential(self) -> dict[str, float]:
+        return {"progress": max(0.0, 1.0 - 1e-3 * self.error_mm / NEAR_M)}
+
+    def _is_over(self) -> bool:
+        return self._touched and self.tip_m[2] >= CEILING_M
+
+    def _observe(self) -> NDArray[np.float32]:
+        self.path.append((*(1e3 * self.tip_m).tolist(), float(self._loads[2])))
+        loads = self._loads[:3], 1e3 * self._loads[3:]
+        return self._scaled(1e3 * self.tip_m, 1e3 * self._velocity_m_s, *loads, self.time_left)
+
+    def _facts(self) -> dict[str, Any]:
+        return {"tip_mm": 1e3 * self.tip_m, "nodule_mm": 1e3 * self.nodule_m, "error_mm": self.error_mm}
+
+    def _draw(self) -> NDArray[np.uint8]:
+        from tissue.environments.pictures import palpation_picture
+
+        return palpation_picture(self)

@@ -1,0 +1,87 @@
+"""Voxels that a cutter cuts in many episodes: made once, brought back by copying."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.arrays import Array
+from meshes.voxels.volume import VoxelVolume
+from tissue.builders.bone import VoxelBone
+from tissue.cutters.cutter import Cutter
+from tissue.materials.cutting import coefficients_of
+from tissue.models.bone.bricks import voxels_of
+from tissue.models.tissue_model import Response, ToolMotion
+
+__all__ = ["PATCH_POINTS", "RestorableBone"]
+
+PATCH_POINTS = 9
+"""Points along each side of a patch of what is left."""
+LAYER_BITS = 255
+
+
+class RestorableBone:
+    """Voxels under one cutter, which `restore` makes uncut.
+
+    Parameters
+    ----------
+    volume
+        Voxels with layers.
+    cutter
+        The tool.
+    shell_spacing_m
+        Distance between the cutter's elements [m].
+
+    Attributes
+    ----------
+    model
+        The bone under the cutter.
+    """
+
+    def __init__(self, volume: VoxelVolume, cutter: Cutter, *, shell_spacing_m: float) -> None:
+        # A material is named for layers that have none of their own; one core, as environments run beside each other.
+        bone = VoxelBone(volume, coefficients_of(volume.layer_names, {}, bone="bone"))
+        self.model = bone.model(cutter, shell_spacing_m=shell_spacing_m, cores=1)
+        self._uncut = self.model.carver.state()
+        self._material = self.model.store.material.numpy()
+        self._layer = self._material & LAYER_BITS
+
+    def restore(self, density_kg_m3: Mapping[str, float]) -> None:
+        """Bring back all that was cut, and give some layers another density [kg/m3]."""
+        store = self.model.store
+        self.model.carver.restore(self._uncut)
+        self.model.removed_steps[:] = 0
+        store.touched.zero_()
+        density = self._material >> 16
+        for name, value in density_kg_m3.items():
+            density[self._layer == store.grid.layer_names.index(name)] = round(value)
+        np.copyto(self._material, density << 16 | self._layer)
+
+    def meet(self, motion: ToolMotion) -> Response:
+        """Carve at a pose and answer it."""
+        self.model.advance(motion)
+        return self.model.respond(motion)
+
+    def removed_mm3(self, layer: str) -> float:
+        """Volume taken from a layer so far [mm3]."""
+        return 1e9 * float(self.model.removed_m3[self.model.layer_names.index(layer)])
+
+    def voxels(self, layer: str) -> tuple[NDArray[np.intp], Array]:
+        """Full voxels of a layer before any cut: places in the flat array of stored voxels, and centres [m]."""
+        store = self.model.store
+        full = self._uncut.remaining.numpy() == np.iinfo(np.uint16).max
+        chosen = full & (self._layer == store.grid.layer_names.index(layer))
+        places, _ = voxels_of(store.places, np.arange(len(chosen)), chosen.astype(np.int64))
+        return np.flatnonzero(chosen), store.grid.origin_m + store.grid.spacing_m * (places + 0.5)
+
+    def left(self, at: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Which voxels are at least half there, by their places in the flat array."""
+        stored = self.model.store.remaining.numpy().reshape(-1)
+        return np.asarray(stored[at] > np.iinfo(np.uint16).max // 2)
+
+    def patch(self, centre_m: Array, spacing_m: float) -> NDArray[np.float32]:
+        """Share of bone at points around a place, shape (9, 9, 9), 0 none to 1 full, axes along x, y and z."""
+        side = spacing_m * (np.arange(PATCH_POINTS) - PATCH_POINTS // 2)
+        points = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)
+        found = self.model.store.sample(centre_m + points).reshape((PATCH_POINTS,) * 3)
+        return np.clip(found, 0.0, 1.0, dtype=np.float32)
