@@ -172,7 +172,7 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]]):
         whole = np.concatenate([np.atleast_1d(each) for each in values])
         return np.clip(whole / self._scales, -1.0, 1.0).astype(np.float32)
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         """A picture, shape (height, width, 3); None without a render mode."""
         if self.render_mode is None:
             return None

@@ -90,7 +90,7 @@ class Palpation(ContactEnvironment):
     def organ(self) -> LiverModel:
         """The slab under the fingertip; made at the first reset, its compliance kept on disk."""
         mesh = slab(size_m=SIZE_M, spacing_m=EDGE_M, nodule=Nodule(NODULE_RADIUS_M, (0.0, 0.0, -NODULE_DEPTH_M)))
-        moduli = {"nodule": NODULE_TIMES * MODULUS_KPA}
+        moduli: dict[str | int, float] = {"nodule": NODULE_TIMES * MODULUS_KPA}
         material = SoftMaterial(
             modulus_kPa=MODULUS_KPA, poisson_ratio=POISSON_RATIO, parts=moduli, friction=0.1, order=1
         )
