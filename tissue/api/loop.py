@@ -1,6 +1,6 @@
 """A person's device in the loop with bone or an organ: step by step, or for some seconds."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -64,7 +64,7 @@ class Loop:
         tool: Cutter | PressingTool | None = None,
         *,
         device: Device,
-        limits: str | DeviceParameters = "touch",
+        limits: str | DeviceParameters | Mapping[str, float] = "touch",
         start_mm: ArrayLike | None = None,
         axis: ArrayLike = (0.0, 0.0, 1.0),
         reach_mm: float = 5.0,
@@ -93,13 +93,14 @@ class Loop:
             An object with ``read(time_s)``, which gives a `tissue.Sample` in metres or None, and ``command(force_N,
             torque_Nm)``; entered and left where it is a context manager.
         limits
-            Its numbers: one of the known devices by name, or `tissue.DeviceParameters`.
+            Its numbers: one of the known devices by name, `tissue.DeviceParameters`, or a mapping of these numbers.
         start_mm
             Where the tip is when the device is at its own origin [mm]; default 2 mm above the middle of what is met.
         axis
             Direction of the tool from tip to shank; the device's axes are those of the tissue.
         reach_mm
-            How far around the tool bone is made ready, and how far from the start an organ may be touched [mm].
+            How far around the tool bone is made ready, and how far from the start an organ may be touched [mm]. Bone is
+            made anew when half of it is used up, in a tick that takes longer.
         predictor
             What predicts the force over the latency: a name, or an object with ``observe`` and ``predict``.
         predictor_file
@@ -127,6 +128,8 @@ class Loop:
         InputError
             If an argument cannot be used, or the coupling is unstable and that is not allowed.
         """
+        if isinstance(device, type):
+            raise InputError(f"device must be an object, got the class {device.__name__}: give {device.__name__}()")
         missing = [name for name in ("read", "command") if not callable(getattr(device, name, None))]
         if missing:
             raise InputError(
@@ -196,6 +199,7 @@ class Loop:
         return self._loop.ticks
 
     def __enter__(self) -> Self:
+        self._motion.held.in_process = True
         self._closing.enter_context(self._motion.held)
         return self
 
@@ -233,12 +237,15 @@ class Loop:
         seconds
             How long [s].
         real_time
-            Whether a tick waits until it is due on the wall clock, as a real device needs it.
+            Whether a tick waits until it is due on the wall clock, as a real device needs it: its ticks then run in a
+            second thread, a sample that comes more than 1.5 ms late is not used, and force is taken off a device that
+            got no command for 50 ms. Without it nothing depends on how long a tick takes.
         on_tick
             Called after every tick with its number and its row; the run ends where it returns False.
         """
         count = round(require_range("seconds", seconds, TICK_S, LONGEST_S, "use 10") / TICK_S)
         clock = WallClock(TICK_S) if real_time else None
+        self._motion.held.in_process = not real_time or bool(getattr(self._motion.device, "in_process", False))
 
         def go_through() -> None:
             """Run the ticks."""

@@ -1,8 +1,9 @@
 """What a tool on a device meets: bone that is made around it, or the part of an organ that it can touch."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ from tissue.prediction.outside import GuardedMaker, Observes
 from tissue.prediction.predictor import Predictor
 from tissue.scene.coupling import Coupling
 from tissue.scene.messages import sentence
+from tissue.scene.named_parts import unknown_name
 from tissue.scene.registry import RENDERERS
 
 __all__ = [
@@ -144,7 +146,7 @@ def require_match(tissue: object, tool: object) -> None:
 
 def settings_of(
     device: str,
-    limits: str | DeviceParameters,
+    limits: str | DeviceParameters | Mapping[str, float],
     *,
     hand: str,
     renderer: str,
@@ -156,12 +158,24 @@ def settings_of(
 ) -> LoopSettings:
     """What lies between a device and a tool, from a caller's arguments."""
     numbers = device_parameters(limits) if isinstance(limits, str) else limits
+    if isinstance(numbers, Mapping):
+        known = [each.name for each in fields(DeviceParameters)]
+        if unknown := [name for name in numbers if name not in known]:
+            raise InputError(unknown_name("limits", known, str(unknown[0])))
+        try:
+            numbers = DeviceParameters(**numbers)
+        except TypeError:
+            raise InputError("limits must give mass_kg and damping_N_s_m, got neither or one: add both") from None
     if not isinstance(numbers, DeviceParameters):
         raise InputError(
-            f"limits must be a device's name or tissue.DeviceParameters, got {type(limits).__name__}: use touch"
+            "limits must be a device's name, tissue.DeviceParameters or a mapping of its numbers, got "
+            f"{type(limits).__name__}: give one of these"
         )
     if abs(1.0 / numbers.rate_Hz - TICK_S) > 1e-9:
         raise InputError(f"limits must have a rate of {1.0 / TICK_S:g} Hz, got {numbers.rate_Hz:g}: sample it so often")
+    if isinstance(predictor, type):
+        name = predictor.__name__
+        raise InputError(f"predictor must be an object, got the class {name}: give {name}()")
     if predictor_file is not None and not isinstance(predictor, str):
         raise InputError(f"predictor_file must come with a predictor's name, got {predictor!r}: name one, or drop it")
     RENDERERS[renderer]  # refused here, by the argument's own name

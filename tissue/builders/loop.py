@@ -62,7 +62,7 @@ class JudgedLoop:
     def sentence(self) -> str:
         """What was chosen, and what is known of it."""
         note = self.verdict.sentence(self.loop.stiffness_N_m).replace("N/m", self.unit)
-        if self.loop.stiffness_N_m >= self.alone:
+        if self.verdict.stable and self.loop.stiffness_N_m >= self.alone:
             note += (
                 f", but only in a hand: let go where it is held from two sides, nothing but {self.saves} stops its "
                 f"ringing from {self.alone:.3g} {self.unit} on"

@@ -13,8 +13,6 @@ START_MM = np.array([-3.0, 0.0, 1.0])
 class Moves:
     """A device that goes along a path of its own [m], and keeps what it was commanded."""
 
-    in_process = True  # its samples do not depend on how busy the machine is
-
     def __init__(self, path):
         self.path, self.commands, self.entered = path, [], 0
 
@@ -144,6 +142,10 @@ def test_an_organ_pushes_back_as_when_it_is_pressed():
     ("options", "words"),
     [
         ({"device": object()}, "device must have read and command"),
+        ({"device": Moves}, r"got the class Moves: give Moves\(\)"),
+        ({"predictor": Line}, r"got the class Line: give Line\(\)"),
+        ({"limits": {"mass": 0.1}}, "did you mean mass_kg"),
+        ({"limits": {"force_limit_N": 3.0}}, "mass_kg and damping_N_s_m"),
         ({"tool": tissue.ball(diameter_mm=3)}, "tool must be a cutter"),
         ({"stiffness_N_m": 2e4}, "^stiffness_N_m must be below .*allow_unstable"),
         ({"limits": "tuch"}, "did you mean touch"),

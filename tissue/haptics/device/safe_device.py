@@ -71,7 +71,7 @@ class SafeDevice:
         self.in_process = bool(getattr(self.device, "in_process", False))
         self.entered = False
         self.released = False
-        self.slow_reads, self.slowest_read_s = 0, 0.0
+        self.slow_reads, self.slowest_read_s, self._releases = 0, 0.0, 0
         self._tick, self._time_s = tick_s, 0.0
         tick_ms = 1e3 * tick_s
         self._force = SlewLimit(inf if limits is None else tick_ms * limits.force_slew_N_ms)
@@ -90,6 +90,9 @@ class SafeDevice:
         if self.slow_reads:
             slowest = f"{1e3 * self.slowest_read_s:.3g} ms"
             found.append(f"{self.slow_reads} reads took longer than a tick, the slowest {slowest}")
+        if self._releases:
+            late = f"no command came for {1e3 * STALL_S:g} ms"
+            found.append(f"the force was taken off and faded in again {self._releases} times, because {late}")
         if held := max(self._force.limited, self._torque.limited):
             found.append(f"the device's slew held the force back in {held} ticks")
         return [(self._time_s, what) for what in found]
@@ -188,6 +191,7 @@ class SafeDevice:
     def release(self) -> None:
         """Send zero from a second thread; where that cannot be, close the device."""
         self._played, self.released = inf, True
+        self._releases += 1
         if self._lock.acquire(timeout=ANSWER_S):
             try:
                 self._force.value, self._torque.value = np.zeros(3), np.zeros(3)
