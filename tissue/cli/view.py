@@ -21,6 +21,7 @@ def view(
     field: str | None = None,
     scale: float = 1.0,
     time_s: float | None = None,
+    clean: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
     """Show a run in a window.
 
@@ -40,12 +41,14 @@ def view(
         How many times its size the displacement is drawn at first.
     time_s
         Moment that is shown at first, in seconds; default that of the greatest force.
+    clean
+        With --screenshot: what was simulated alone on a transparent ground, without text, scales, tool and arrows.
     """
     from tissue.viewer.view import view as show
 
     with nullcontext() if movie is None else progress() as report:
         shown = show(
-            folder, screenshot=screenshot, movie=movie, hide=hide, field=field, scale=scale, time_s=time_s,
+            folder, screenshot=screenshot, movie=movie, hide=hide, field=field, scale=scale, time_s=time_s, clean=clean,
             progress=report,
         )  # fmt: skip
     console.print(shown)

@@ -10,9 +10,14 @@ from tissue.figures.rendering import Camera
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["draw_axes", "draw_scale"]
+__all__ = ["draw_axes", "draw_scale", "round_length"]
 
 LENGTHS_MM = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+
+
+def round_length(longest_mm: float) -> float:
+    """The greatest round length of at most so many mm."""
+    return max(step for step in LENGTHS_MM if step <= max(longest_mm, LENGTHS_MM[0]))
 
 
 def draw_scale(axes: "Axes", camera: Camera) -> None:
@@ -20,8 +25,7 @@ def draw_scale(axes: "Axes", camera: Camera) -> None:
     from matplotlib.patheffects import withStroke
 
     per_mm = camera.size[1] / camera.height_mm
-    longest = 0.25 * camera.size[0] / per_mm
-    length = max(step for step in LENGTHS_MM if step <= max(longest, LENGTHS_MM[0]))
+    length = round_length(0.25 * camera.size[0] / per_mm)
     x, y = camera.size[0] - 20.0, camera.size[1] - 16.0
     around = [withStroke(linewidth=4.0, foreground="white")]
     axes.plot([x - length * per_mm, x], [y, y], color="0.1", linewidth=2.2, solid_capstyle="butt", path_effects=around)

@@ -10,13 +10,21 @@ __all__ = ["aim"]
 EYE, UP = (0.25, -0.75, 0.8), (0.0, 0.35, 1.0)
 MARGINS = (0.2, 0.86, 0.36, 0.88)
 """Left, right, lower and upper end of the area for the scene, in shares of the window."""
-MOST_POINTS = 20_000
 
 
 def aim(
-    plotter: Plotter, points_mm: NDArray[np.float64], *, margins: tuple[float, float, float, float] = MARGINS
+    plotter: Plotter,
+    points_mm: NDArray[np.float64],
+    *,
+    margins: tuple[float, float, float, float] = MARGINS,
+    parallel: bool = False,
 ) -> None:
-    """Look down from the front so that the points fill the area; without points so that all that there is does."""
+    """Look down from the front so that the points fill the area; without points so that all that there is does.
+
+    A parallel projection has one scale everywhere, which a scale bar needs.
+    """
+    plotter.camera.parallel_projection = parallel
+    plotter.camera.SetWindowCenter(0.0, 0.0)
     plotter.camera_position = [EYE, (0.0, 0.0, 0.0), UP]
     plotter.reset_camera()
     left, right, low, high = margins
@@ -26,8 +34,7 @@ def aim(
     wide, tall = plotter.window_size
     matrix = plotter.camera.GetCompositeProjectionTransformMatrix(wide / tall, -1.0, 1.0)
     view = np.array([[matrix.GetElement(row, column) for column in range(4)] for row in range(4)])
-    some = points_mm[:: max(len(points_mm) // MOST_POINTS, 1)]
-    seen = np.column_stack([some, np.ones(len(some))]) @ view.T
+    seen = np.column_stack([points_mm, np.ones(len(points_mm))]) @ view.T
     seen = seen[:, :2] / seen[:, 3:]  # -1 to 1 across the window
     first, last = seen.min(axis=0), seen.max(axis=0)
     share = 2.0 * np.array([right - left, high - low])

@@ -202,4 +202,5 @@ def read_voxels(file: Path, placement: Placement | None = None) -> tuple[VoxelVo
 def _smooth(surface: "pyvista.PolyData") -> "pyvista.PolyData":
     if surface.n_cells:
         surface.point_data["Normals"] = smooth_normals(surface)
+        surface.point_data.active_normals_name = "Normals"  # without it the steps of the voxels are drawn
     return surface

@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue.figures.organ_surface import SHOWN as DRAWN
+from tissue.figures.organ_surface import at_nodes, drawn_surface
+from tissue.figures.style import field_colours
 from tissue.simulation.saved_fields import SavedFields, field_label, field_values
 from tissue.viewer.plotter import Plotter, add_colour_scale
 
@@ -17,8 +20,8 @@ __all__ = ["REFERENCE", "FieldsShown", "Plane", "PointValues", "interpolated"]
 
 Plane = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Normal and a point [mm]; what lies on the normal's side is left out."""
-SIGNED, STRESS, OTHER = "coolwarm", "inferno", "viridis"
-"""Scales that colour-blind readers can follow (Moreland 2009; van der Walt and Smith 2015)."""
+TETRAHEDRON = 10
+"""VTK's number of the cell."""
 REFERENCE, SHOWN = "reference_mm", "shown"
 """Arrays that are only there to be drawn and read."""
 
@@ -55,6 +58,8 @@ class FieldsShown:
         How many times its size the displacement is drawn.
     clip
         Plane that the mesh is cut open at, or None.
+    fine
+        Whether tetrahedra that are not cut open are drawn without facets, as a still picture needs.
 
     Attributes
     ----------
@@ -66,8 +71,16 @@ class FieldsShown:
         Called after every change of what is shown, with nothing; whoever makes a change renders it.
     """
 
-    def __init__(self, plotter: Plotter, fields: SavedFields, *, scale: float = 1.0, clip: Plane | None = None) -> None:
-        self._plotter, self._fields = plotter, fields
+    def __init__(
+        self,
+        plotter: Plotter,
+        fields: SavedFields,
+        *,
+        scale: float = 1.0,
+        clip: Plane | None = None,
+        fine: bool = False,
+    ) -> None:
+        self._plotter, self._fields, self._fine = plotter, fields, fine
         self.scale, self.clip = scale, clip
         self._time_s = 0.0
         self._hidden: frozenset[str] = frozenset()
@@ -175,18 +188,23 @@ class FieldsShown:
         if not part.n_cells:
             return
         in_cells = name in part.cell_data
+        smooth = self._fine and self.clip is None and set(np.unique(part.celltypes)) == {TETRAHEDRON}
+        if smooth:
+            part, in_cells = drawn_surface(part, at_nodes(part, name)), False
+            part.rename_array(DRAWN, name)
         (part.cell_data if in_cells else part.point_data)[SHOWN] = np.asarray(field_values(part, name))
         low, high = self._fields.limits(name)
         self.actor = self._plotter.add_mesh(
             part,
             scalars=SHOWN,
             preference="cell" if in_cells else "point",
-            cmap=SIGNED if low < 0.0 else STRESS if low > 0.0 else OTHER,
+            cmap=field_colours(low, high),
             clim=(low, high),
             log_scale=low > 0.0,
             name="field",
-            ambient=0.6,
-            diffuse=0.45,
+            ambient=0.5,
+            diffuse=0.55,
+            interpolation="Phong" if smooth else "Flat",
             show_scalar_bar=False,
             reset_camera=False,
             render=False,

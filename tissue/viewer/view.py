@@ -19,6 +19,7 @@ from tissue.simulation.saved_fields import SavedFields, field_names
 from tissue.system.offscreen import LONGEST_S, display_problem, draw_apart
 from tissue.viewer.movie import check_movie, write_movie
 from tissue.viewer.run import require_whole
+from tissue.viewer.still import write_clean
 from tissue.viewer.window import Choice, Window, times_of
 
 __all__ = ["show", "view"]
@@ -36,6 +37,7 @@ def view(
     field: str | None = None,
     scale: float = 1.0,
     time_s: float | None = None,
+    clean: bool = False,
     progress: Progress | None = None,
 ) -> str:
     """Show a run, or draw it into a file.
@@ -56,6 +58,9 @@ def view(
         How many times its size the displacement is drawn at first.
     time_s
         Moment that is shown at first [s]; without it that of the greatest force.
+    clean
+        Whether a screenshot shows what was simulated alone on a transparent ground, cropped to it, without text,
+        scales, tool and arrows.
     progress
         Called with how much of a file is drawn.
 
@@ -70,10 +75,12 @@ def view(
         or the picture cannot be drawn.
     """
     _check_files(screenshot, movie, time_s)
+    if clean and screenshot is None:
+        raise InputError("clean must come with a screenshot, got none: pass --screenshot FILE.png, or leave clean out")
     saved = SavedRun(path)
     about = _about(saved)
     require_whole(saved)
-    choice = Choice(hide=hide, field=field, scale=scale, time_s=time_s)
+    choice = Choice(hide=hide, field=field, scale=scale, time_s=time_s, clean=clean)
     series = SavedFields(saved.path) if field_names(saved.path) else None
     _check(saved, choice, series)
     if movie is not None and len(times_of(saved, series)) < 2:
@@ -202,7 +209,10 @@ def show(
     """
     window = Window(saved, title, choice, off_screen=screenshot is not None or movie is not None)
     if screenshot is not None:
-        window.plotter.screenshot(str(screenshot))
+        if choice.clean:
+            write_clean(window.plotter, screenshot)
+        else:
+            window.plotter.screenshot(str(screenshot))
     if movie is not None:
         write_movie(movie, window.pictures())
     if screenshot is None and movie is None:

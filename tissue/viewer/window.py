@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +24,19 @@ from tissue.viewer.pick import NameList, PointRead
 from tissue.viewer.play import Playback
 from tissue.viewer.plotter import Plotter, add_names, free_keys, on_click
 from tissue.viewer.run import faces_of
+from tissue.viewer.still import add_scale_bar, leave_alone
+
+if TYPE_CHECKING:
+    import pyvista
 
 __all__ = ["Choice", "Window", "times_of"]
 
 SIZE = (1400, 950)
 SLIDERS = CHART_SHARE + 0.04
 """Height of the sliders in the window."""
+TISSUE = ("bone", "bone beyond the cut", "field")
+"""Names of what was simulated among a plotter's actors."""
+MOST_POINTS = 20_000
 LARGEST = 0.3
 """Share of the mesh's size that the greatest displacement can be drawn as."""
 
@@ -47,12 +55,15 @@ class Choice:
         How many times its size the displacement is drawn.
     time_s
         The moment [s]; without it that of the greatest force.
+    clean
+        Whether what was simulated is shown alone, without text, widgets, marks and tool.
     """
 
     hide: tuple[str, ...] = ()
     field: str | None = None
     scale: float = 1.0
     time_s: float | None = None
+    clean: bool = False
 
 
 class Window:
@@ -92,7 +103,7 @@ class Window:
         self.fields: FieldsShown | None = None
         if self._series is not None:
             cut = _plane(saved, self._series) if self.bone is not None else None
-            self.fields = FieldsShown(self.plotter, self._series, scale=choice.scale, clip=cut)
+            self.fields = FieldsShown(self.plotter, self._series, scale=choice.scale, clip=cut, fine=off_screen)
         self.names: NameList | None = None
         self.point: PointRead | None = None
         self._faces = faces_of(scene)
@@ -111,7 +122,12 @@ class Window:
         if not off_screen:
             self._add_controls(size)
         self._write(title)
-        aim(self.plotter, np.vstack([np.zeros((0, 3)), *self._extent(choice)]))
+        if choice.clean:
+            leave_alone(self.plotter, self._simulated(), np.vstack([np.zeros((0, 3)), *self._tissue(choice)]))
+            return
+        aim(self.plotter, np.vstack([np.zeros((0, 3)), *self._extent(choice)]), parallel=off_screen)
+        if off_screen:
+            add_scale_bar(self.plotter)
 
     def choose(self, name: str | None) -> None:
         """Show a field, or the bone."""
@@ -161,6 +177,7 @@ class Window:
         colours = layer_colours(tuple(self._faces))
         add_names(self.plotter, colours)
         actors = {n: self.plotter.add_mesh(f, color=colours[n], opacity=0.5) for n, f in self._faces.items()}
+        self._face_actors = list(actors.values())
 
         def hide_faces(hidden: frozenset[str]) -> None:
             for name, actor in actors.items():
@@ -219,14 +236,23 @@ class Window:
         on_click(plotter, lambda x, y: names.click(x, y) or point.click(x, y))
 
     def _extent(self, choice: Choice) -> Iterator[NDArray[np.float64]]:
-        """Points that have to be seen [mm]; a field may reach far beyond the bone in whose place it is chosen."""
-        if self.bone is not None:
-            yield self.bone.points_mm
-        if self._series is not None and (self.bone is None or choice.field is not None):
-            yield np.asarray(self._series.frames[0].points)
-        yield from (np.asarray(face.points) for face in self._faces.values())
+        """Points that have to be seen [mm]."""
+        yield from self._tissue(choice)
         if self.moment is not None:
             yield self.moment.extent_mm
+
+    def _tissue(self, choice: Choice) -> Iterator[NDArray[np.float64]]:
+        """Points of what was simulated [mm]; a field may reach far beyond the bone in whose place it is chosen."""
+        if self.bone is not None:
+            yield _some(self.bone.points_mm)
+        if self._series is not None and (self.bone is None or choice.field is not None):
+            yield _some(np.asarray(self._series.frames[0].points))
+        yield from (_some(np.asarray(face.points)) for face in self._faces.values())
+
+    def _simulated(self) -> "list[pyvista.Actor]":
+        """Actors of bone, fields and faces."""
+        named = self.plotter.actors
+        return [*(named[name] for name in TISSUE if name in named), *self._face_actors]
 
     def _write(self, title: str) -> None:
         lines = [(title, 11, 0.965)]
@@ -238,6 +264,11 @@ class Window:
                 lines.append(("    ".join(key for key in keys if key), 9, height))
         for words, size, height in lines:
             self.plotter.add_text(words, position=(0.012, height), viewport=True, font_size=size, color="black")
+
+
+def _some(points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Enough of many points to find their extent."""
+    return points_mm[:: max(len(points_mm) // MOST_POINTS, 1)]
 
 
 def times_of(saved: SavedRun, series: SavedFields | None) -> NDArray[np.float64]:
