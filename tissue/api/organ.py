@@ -133,7 +133,7 @@ class Organ:
         modulus_kPa, poisson_ratio, parts, scale_mm, options
             As of `from_tetrahedra`.
         edge_mm
-            Edge of the tetrahedra [mm]; without it a twelfth of the longest side.
+            Edge of the tetrahedra [mm]; without it a fourteenth of the longest side.
         inclusions
             Closed surfaces of what lies inside, by name: each is a part, whose modulus `parts` gives.
         progress
@@ -169,7 +169,7 @@ class Organ:
         modulus_kPa, poisson_ratio, options
             As of `from_tetrahedra`.
         edge_mm
-            Edges at the top face [mm], which grow downwards; without it a twelfth of the longest side.
+            Edges at the top face [mm], which grow downwards; without it a fourteenth of the longest side.
         """
         from meshes.organs.liver import slab
         from tissue.builders.organ_made import FILL_EDGES, made_of
@@ -213,7 +213,8 @@ class Organ:
         edge_mm
             Longest edge there [mm]; edges grow by half the distance from there.
         near_mm
-            Places [mm], shape (k, 3) or (3,); without them the whole surface.
+            Places [mm], shape (k, 3) or (3,), each moved to the nearest point of the surface; without them all of it.
+            Presses at these places are quick from the second on; elsewhere each takes some seconds more.
         """
         return Organ(self._made.refined(edge_mm, near_mm))
 

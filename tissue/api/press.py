@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, in_brackets
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -149,10 +149,14 @@ class Press:
         place[:3, :3], place[:3, 3] = self._curve.rotation, self.tip_mm
         return self.tool.surface.transform(place, inplace=False)
 
+    @property
+    def _place(self) -> str:
+        return in_brackets(np.round(self.at_mm, 3) + 0.0)
+
     def _repr_html_(self) -> str:
         rows = {
             "tool": str(self.tool),
-            "place": f"({', '.join(f'{value:.4g}' for value in self.at_mm)}) mm",
+            "place": f"{self._place} mm",
             "depth": f"{self.depth_mm[-1]:g} mm",
             "force": f"{self.force_magnitude_N:.4g} N",
             "stiffness": f"{self.stiffness_N_mm:.4g} N/mm",
@@ -161,9 +165,8 @@ class Press:
         return html_table("Press", rows | self.notes)
 
     def __repr__(self) -> str:
-        at = ", ".join(f"{value:.4g}" for value in self.at_mm)
         return (
-            f"Press({self.tool} at ({at}) mm: {self.force_magnitude_N:.4g} N at {self.depth_mm[-1]:g} mm, "
+            f"Press({self.tool} at {self._place} mm: {self.force_magnitude_N:.4g} N at {self.depth_mm[-1]:g} mm, "
             f"{self.stiffness_N_mm:.4g} N/mm, {self.area_mm2:.4g} mm2)"
         )
 

@@ -14,6 +14,7 @@ from meshes.surfaces.surface import Surface
 from meshes.tets.given import given_tets
 from meshes.tets.regions import Nodes
 from meshes.tets.tetrahedra import TetMesh
+from meshes.voxels.mesh_sampling import nearest_on_triangles
 from tissue.builders.organ_given import SoftMaterial, refined, surface_of, with_inclusion
 from tissue.builders.organ_held import Hold, hold_of
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FILL_EDGES", "MadeOrgan", "OrganOptions", "made_of", "of_surface", "of_tetrahedra"]
 
-FILL_EDGES = 12.0
+FILL_EDGES = 14.0
 """Edges along the longest side where no edge is given."""
 
 TOUCHED_EDGES = 3.0
@@ -92,7 +93,7 @@ class MadeOrgan:
         }
 
     def refined(self, edge_mm: float, near_mm: ArrayLike | None) -> "MadeOrgan":
-        """The same organ with shorter edges near some points, shape (k, 3), or on the whole surface.
+        """The same organ with shorter edges where the surface is nearest to some points, shape (k, 3), or on all of it.
 
         Raises
         ------
@@ -104,6 +105,7 @@ class MadeOrgan:
             near = 1e-3 * np.atleast_2d(np.asarray(near_mm, dtype=np.float64))
             if near.ndim != 2 or near.shape[1] != 3 or not np.isfinite(near).all():
                 raise InputError(f"near_mm must be points of shape (k, 3), got shape {np.shape(near_mm)}: give x, y, z")
+            near = nearest_on_triangles(self.mesh.nodes_m, self.mesh.surface, near)
         mesh = refined(self.mesh, self.surface, edge_m=1e-3 * edge, near_m=near)
         expected = None if near is None else (near, TOUCHED_EDGES * 1e-3 * edge)
         return MadeOrgan(mesh, self.material, self.hold, self.notes, self.surface, expected)
@@ -183,7 +185,11 @@ def of_surface(
         raise InputError(f"parts must give a modulus of every inclusion, got none of {without[0]}: add it in kPa")
     outer = surface_of("surface", surface, scale_mm)
     longest = max(outer.report.size_mm)
-    edge = longest / FILL_EDGES if edge_mm is None else require_positive("edge_mm", edge_mm, f"use {longest / 12:.2g}")
+    edge = (
+        longest / FILL_EDGES
+        if edge_mm is None
+        else require_positive("edge_mm", edge_mm, f"use {longest / FILL_EDGES:.2g}")
+    )
     words = {
         "edge_m": "edge_mm",
         "surface must enclose a solid, got none of edge": "edge_mm must fill the surface, got",

@@ -127,7 +127,7 @@ class SoftOrgan:
     def expect(self, near_m: Array, within_m: float) -> None:
         """Have the compliance of the surface within a distance [m] of some points [m], shape (k, 3), at once.
 
-        It comes with the factor, if that is yet to be made; a press elsewhere takes about as long as the factor.
+        It comes with the factor, if that is yet to be made; a press elsewhere takes back-substitutions first.
         """
         from scipy.spatial import cKDTree
 
