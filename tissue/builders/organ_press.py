@@ -21,6 +21,8 @@ NEAR_M = 1e-4
 """Distance below which a place counts as on the surface [m]."""
 TOOL_EDGES = 4.0
 """Edges across a tool with which scenes press."""
+FALLS = 0.05
+"""Share of the force by which it may fall with depth, for single steps of the contact."""
 LONG = 1.25
 """Edges over these that are noted: a press is 4 % off where they are twice as long, 0.1 % where they are not longer."""
 WORDS = {
@@ -97,11 +99,26 @@ def press_at(
         curve = press(
             organ, probe, point, frame_along(tuple(-direction)), depth_m=depth_m, speed_m_s=speed_m_s, hold_s=hold_s
         )
+    _require_growing(curve, relaxes=organ.prony is not None)
     notes |= _resolution(organ, probe, point) | _linear(probe, depth_m)
     other = [each for each in curve.notices if "linear elasticity" not in each]
     if other:
         notes["contact"] = "; ".join(other)
     return StatedPress(curve, point, direction, notes)
+
+
+def _require_growing(curve: PressCurve, *, relaxes: bool) -> None:
+    """Refuse a press whose force falls with depth: the surface has gone round the tool, which the linear law cannot."""
+    size = np.linalg.norm(curve.force_N, axis=1)
+    falls = np.flatnonzero(size < (1.0 - FALLS) * np.maximum.accumulate(size))
+    if relaxes or not (falls.size or not size.any()):
+        return
+    most = 1e3 * float(curve.depth_m[int(np.argmax(size[: falls[0] + 1]))]) if falls.size and size.any() else 0.0
+    remedy = f"press {most:.2g} mm at most" if most else "press less"
+    raise InputError(
+        f"depth_mm must be one to which the force grows, got {1e3 * curve.depth_m[-1]:.3g} where it falls, as "
+        f"no tissue does: {remedy}, or refine the organ there"
+    )
 
 
 def _resolution(organ: SoftOrgan, probe: ProbeShape, point_m: NDArray[np.float64]) -> dict[str, str]:

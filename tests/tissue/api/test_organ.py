@@ -350,3 +350,10 @@ def test_tables_of_a_notebook_show_the_figures(organ, press):
     for shown in (organ._repr_html_(), press._repr_html_()):
         assert shown.startswith("<table>") and shown.endswith("</table>")
     assert "8 kPa" in organ._repr_html_() and "N/mm" in press._repr_html_()
+
+
+def test_a_press_whose_force_falls_with_depth_is_refused():
+    """Deeper than it is wide the ball passes through what the linear law moves: no figure is better than a wrong one."""
+    organ = tissue.Organ.block((40, 40, 20), modulus_kPa=8, poisson_ratio=0.45, edge_mm=4, order=1)
+    with pytest.raises(tissue.InputError, match=r"depth_mm must be one to which the force grows, got 14 .*press less"):
+        organ.press(tissue.ball(diameter_mm=12), depth_mm=14, at_mm=(0, 0, 0))
