@@ -1,0 +1,243 @@
+"""Label volumes with the names of their labels, in one file or one file a label, as segmentation programs write them."""
+
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, by, require_file
+from meshes.images.data import first_bytes
+from meshes.images.frame import Image
+from meshes.images.itk import header_lines
+from meshes.images.reading import read_image
+
+__all__ = ["LABEL_SETS", "Labels", "label_sets", "on_grid_of", "read_labels"]
+
+LABEL_SETS = ("totalsegmentator", "dentalsegmentator", "verse")
+"""Programs whose numbers have known names, see ``label_sets.toml``."""
+_MOST_LABELS = 255
+_HEADER_BYTES = 1 << 20
+_XML_NAME = re.compile(r'<Label Key="(\d+)"[^>]*>\s*<!\[CDATA\[(.*?)\]\]>', re.DOTALL)
+"""A line of the label table that a NIfTI header may carry as an extension (Caret, TotalSegmentator)."""
+_SAME_PLACE = 1e-2
+"""How far grids may lie apart that are the same, in voxels."""
+_SHOWN_NAMES = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Labels:
+    """A label volume in LPS [mm] and the names of its labels.
+
+    Attributes
+    ----------
+    image
+        Whole numbers, 0 for none of them, shape (nx, ny, nz).
+    names
+        Name of each label that the volume holds, by its number.
+    """
+
+    image: Image
+    names: Mapping[int, str]
+
+    def number(self, name: str) -> int:
+        """Number of a label.
+
+        Raises
+        ------
+        InputError
+            If none has that name; the message lists those that there are.
+        """
+        found = [number for number, each in self.names.items() if each == name or str(number) == name]
+        if not found:
+            known = list(self.names.values())
+            more = f" and {len(known) - _SHOWN_NAMES} more" if len(known) > _SHOWN_NAMES else ""
+            near = [each for each in known if name in each or each in name]
+            shown = ", ".join((near or known)[:_SHOWN_NAMES])
+            raise InputError(
+                f"label must be one that {self.image.source} holds, got {name}: use one of {shown}{more if not near else ''}"
+            )
+        return found[0]
+
+    def mask(self, name: str) -> NDArray[np.bool_]:
+        """Where a label is, shape of the image; raises as `number`."""
+        found: NDArray[np.bool_] = self.image.values == self.number(name)
+        return found
+
+
+@cache
+def label_sets() -> dict[str, tuple[str, ...]]:
+    """Names of labels by the program that writes them, in the order of their numbers from 1."""
+    table = tomllib.loads(files("meshes.ct").joinpath("label_sets.toml").read_text("utf-8"))
+    return {name: tuple(entry["names"]) for name, entry in table.items()}
+
+
+def read_labels(path: str | Path, *, names: str | Path | None = None) -> Labels:
+    """Read a label volume, or a folder that holds one mask a label, with the names of its labels.
+
+    Parameters
+    ----------
+    path
+        Image whose values are labels, names in its header or given (`.seg.nrrd` of 3D Slicer, `.nii.gz`); or a folder
+        of masks, one a file, each named as its label.
+    names
+        One of `LABEL_SETS`, or a TOML file of a table ``[labels]`` that gives each name its number; None: those in the
+        file's own header, else ``label 1`` and so on.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be used, values are no labels, masks lie on different grids, or a name has no number.
+    """
+    path = Path(path)
+    if path.is_dir():
+        if names is not None:
+            raise InputError(
+                f"names must be left out for a folder of masks, which are named by their files, got {names}: remove them"
+            )
+        return _of_masks(path)
+    image = read_image(path, labels=True)
+    values = _whole(image)
+    held = [int(number) for number in np.flatnonzero(np.bincount(values.ravel(), minlength=2)) if number]
+    if not held:
+        raise InputError(f"labels must mark something, got 0 everywhere in {image.source}: export the segmentation")
+    stated = _given(names) if names is not None else _in_header(path)
+    if names is not None and (unknown := [number for number in held if number not in stated]):
+        raise InputError(
+            f"names must name every label of {image.source}, got none for {by(unknown[:5])}: add them to {names}"
+        )
+    return Labels(replace(image, values=values), {number: stated.get(number, f"label {number}") for number in held})
+
+
+def on_grid_of(labels: Labels, image: Image) -> Labels:
+    """The labels on the voxels of another image: as they are where the grids agree, else the nearest, with a note."""
+    from scipy.ndimage import affine_transform
+
+    one, other = labels.image, image
+    scale = np.array(other.spacing_mm) / one.spacing_mm
+    shift = (np.array(other.origin_mm) - one.origin_mm) / one.spacing_mm
+    if (
+        one.values.shape == other.values.shape
+        and np.abs(shift).max() < _SAME_PLACE
+        and (np.abs(scale - 1.0) * one.values.shape).max() < _SAME_PLACE
+    ):
+        return labels
+    values = affine_transform(one.values, scale, shift, other.values.shape, order=0, mode="constant", cval=0)
+    lost = int(np.count_nonzero(one.values)) > 0 and not values.any()
+    if lost:
+        raise InputError(
+            f"labels must lie where the image does, got {one.source} outside {other.source}: give those of this image"
+        )
+    note = (
+        f"{one.source} has {by(one.values.shape)} voxels of {by(one.spacing_mm, '.4g')} mm: each voxel of "
+        f"{other.source} takes the nearest label."
+    )
+    held = set(np.unique(values).tolist())
+    placed = replace(other, values=values, source=one.source, notes=(*one.notes, note))
+    return Labels(placed, {number: name for number, name in labels.names.items() if number in held})
+
+
+def _of_masks(folder: Path) -> Labels:
+    """Labels of a folder of masks; where two overlap the later name has the voxel, with a note."""
+    masks = sorted(file for file in folder.iterdir() if file.name.lower().endswith((".nii", ".nii.gz", ".nrrd")))
+    if not masks:
+        raise InputError(
+            f"labels must be a file or a folder of masks, got {folder.name} without .nii.gz or .nrrd files: give the "
+            "folder that TotalSegmentator wrote"
+        )
+    if len(masks) > _MOST_LABELS:
+        raise InputError(f"labels must be at most {_MOST_LABELS}, got {len(masks)} masks in {folder.name}: remove some")
+    whole: Image | None = None
+    names: dict[int, str] = {}
+    notes: list[str] = []
+    for number, file in enumerate(masks, start=1):
+        image = read_image(file, labels=True)
+        if whole is None:
+            whole = replace(image, values=np.zeros(image.values.shape, dtype=np.uint8), source=folder.name, notes=())
+        if image.values.shape != whole.values.shape or not np.allclose(
+            [*image.spacing_mm, *image.origin_mm], [*whole.spacing_mm, *whole.origin_mm], atol=1e-3
+        ):
+            raise InputError(
+                f"masks must lie on one grid, got another in {file.name} of {folder.name}: export them together"
+            )
+        inside = image.values > 0
+        if not inside.any():
+            continue
+        name = re.sub(r"\.(nii|nii\.gz|nrrd)$", "", file.name, flags=re.IGNORECASE)
+        if (overlap := int(np.count_nonzero(whole.values[inside]))) > 0:
+            notes.append(f"{name} covers {overlap} voxels of masks before it in {folder.name}.")
+        whole.values[inside] = number
+        names[number] = name
+    assert whole is not None
+    if not names:
+        raise InputError(f"labels must mark something, got empty masks only in {folder.name}: export the segmentation")
+    return Labels(replace(whole, notes=tuple(notes)), names)
+
+
+def _whole(image: Image) -> NDArray[np.integer]:
+    """The values as the smallest whole numbers that hold them."""
+    low, high = float(image.values.min()), float(image.values.max())
+    if low < 0 or high > _MOST_LABELS or not np.array_equal(image.values, np.rint(image.values)):
+        raise InputError(
+            f"labels must be whole numbers from 0 to {_MOST_LABELS}, got {low:g} to {high:g} in {image.source}: give "
+            "the segmentation, not the image"
+        )
+    return image.values.astype(np.uint8)
+
+
+def _given(names: str | Path) -> dict[int, str]:
+    """Names by number of a known program or of a TOML file."""
+    if str(names) in label_sets():
+        return dict(enumerate(label_sets()[str(names)], start=1))
+    file = Path(names)
+    if file.suffix != ".toml":
+        raise InputError(
+            f"names must be one of {', '.join(LABEL_SETS)} or a TOML file, got {names}: write [labels] with a line "
+            "such as cortical = 1"
+        )
+    require_file(file, "names of labels")
+    try:
+        table = tomllib.loads(file.read_text("utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
+        raise InputError(f"names must be readable TOML, got {file.name} which is not: {problem}") from problem
+    labels = table.get("labels")
+    if set(table) != {"labels"} or not isinstance(labels, dict) or not labels:
+        raise InputError(
+            f"names must be in one table [labels], got {', '.join(table) or 'nothing'} in {file.name}: write [labels] "
+            "with a line such as cortical = 1"
+        )
+    return dict(_numbered(labels, file))
+
+
+def _numbered(labels: Mapping[str, object], file: Path) -> Iterable[tuple[int, str]]:
+    seen: dict[int, str] = {}
+    for name, number in labels.items():
+        if not isinstance(number, int) or isinstance(number, bool) or not 1 <= number <= _MOST_LABELS:
+            raise InputError(f"{name} must be a label from 1 to {_MOST_LABELS}, got {number} in {file.name}: mend it")
+        if number in seen:
+            raise InputError(f"{name} must have a label of its own, got {number} of {seen[number]} too in {file.name}")
+        seen[number] = name
+        yield number, name
+
+
+def _in_header(path: Path) -> dict[int, str]:
+    """Names that an image's own header gives its labels; none where it gives none."""
+    name = path.name.lower()
+    if name.endswith((".nii", ".nii.gz")):
+        text = first_bytes(path, _HEADER_BYTES).decode("latin-1")
+        return {int(number): label.strip() for number, label in _XML_NAME.findall(text)}
+    if not name.endswith((".nrrd", ".nhdr")):
+        return {}
+    fields, _ = header_lines(path, ":", "")
+    names: dict[int, str] = {}
+    for key, value in fields.items():
+        if found := re.fullmatch(r"segment(\d+)_name", key):
+            number = fields.get(f"segment{found[1]}_labelvalue", "=").lstrip("=")
+            if number.isdigit():
+                names[int(number)] = value.lstrip("=").strip()
+    return names
