@@ -1,4 +1,4 @@
-"""Label volumes with the names of their labels, in one file or one file a label, as segmentation programs write them."""
+"""Label volumes with the names of their labels: in one file, or one file a label, as programs write them."""
 
 import re
 import tomllib
@@ -56,12 +56,10 @@ class Labels:
         found = [number for number, each in self.names.items() if each == name or str(number) == name]
         if not found:
             known = list(self.names.values())
-            more = f" and {len(known) - _SHOWN_NAMES} more" if len(known) > _SHOWN_NAMES else ""
-            near = [each for each in known if name in each or each in name]
-            shown = ", ".join((near or known)[:_SHOWN_NAMES])
-            raise InputError(
-                f"label must be one that {self.image.source} holds, got {name}: use one of {shown}{more if not near else ''}"
-            )
+            near = [each for each in known if name in each or each in name] or known
+            shown = ", ".join(near[:_SHOWN_NAMES])
+            more = f" and {len(near) - _SHOWN_NAMES} more" if len(near) > _SHOWN_NAMES else ""
+            raise InputError(f"label must be one that {self.image.source} holds, got {name}: use one of {shown}{more}")
         return found[0]
 
     def mask(self, name: str) -> NDArray[np.bool_]:
@@ -98,7 +96,7 @@ def read_labels(path: str | Path, *, names: str | Path | None = None) -> Labels:
     if path.is_dir():
         if names is not None:
             raise InputError(
-                f"names must be left out for a folder of masks, which are named by their files, got {names}: remove them"
+                f"names must be left out for a folder of masks, whose files name them, got {names}: remove it"
             )
         return _of_masks(path)
     image = read_image(path, labels=True)
