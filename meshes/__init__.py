@@ -6,7 +6,8 @@ name differs. Modules that read files or search surfaces import pyvista, trimesh
 
 from meshes.base.errors import InputError
 from meshes.base.placement import Placement
-from meshes.images.bone_image import CT_DENSITY, DensityLaw, image_volume
+from meshes.ct.density import CT_DENSITY, DensityLaw
+from meshes.images.bone_image import image_volume
 from meshes.images.reading import read_image
 from meshes.shapes.anatomy import Anatomy, cortical_block
 from meshes.shapes.sdf import Shape

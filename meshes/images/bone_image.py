@@ -2,56 +2,20 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, require_positive, require_range, require_ranges
+from meshes.base.errors import InputError, require_positive, require_range
 from meshes.base.placement import Placement
+from meshes.ct.density import DensityLaw
 from meshes.images.frame import Image
 from meshes.voxels.volume import FULL, VoxelVolume
 
-__all__ = ["CT_DENSITY", "DensityLaw", "image_volume"]
+__all__ = ["image_volume"]
 
 _ISOTROPY = 1e-3
 _MOST_VOXELS = 5e8
-
-
-@dataclass(frozen=True)
-class DensityLaw:
-    """Apparent density [kg/m3] = slope · grey value + offset, held within limits.
-
-    Attributes
-    ----------
-    slope_kg_m3, offset_kg_m3
-        Density per grey value and at grey value 0 [kg/m3].
-    lowest_kg_m3, highest_kg_m3
-        Limits [kg/m3].
-    """
-
-    slope_kg_m3: float
-    offset_kg_m3: float
-    lowest_kg_m3: float = 50.0
-    highest_kg_m3: float = 2000.0
-
-    def __post_init__(self) -> None:
-        require_ranges(
-            ("slope_kg_m3", self.slope_kg_m3, -1e6, 1e6, "use about 1.48 for Hounsfield units"),
-            ("offset_kg_m3", self.offset_kg_m3, -1e6, 1e6, "use about 106 for Hounsfield units"),
-            ("highest_kg_m3", self.highest_kg_m3, 1.0, 20000.0, "use 2000"),
-            ("lowest_kg_m3", self.lowest_kg_m3, 0.0, self.highest_kg_m3, "use 50"),
-        )
-
-    def __call__(self, values: NDArray[np.number]) -> NDArray[np.float32]:
-        """Density [kg/m3] of grey values, same shape."""
-        density = np.float32(self.slope_kg_m3) * values + np.float32(self.offset_kg_m3)
-        return np.clip(density, self.lowest_kg_m3, self.highest_kg_m3).astype(np.float32)
-
-
-CT_DENSITY = DensityLaw(0.887 / 0.6, 63.3 / 0.6)
-"""Hounsfield units to apparent density: ash density 0.887 HU + 63.3 kg/m3 over ash to apparent 0.6, both specific to
-scanner and site (the ratio from memory of the literature): calibrate before relying on it."""
 
 
 def image_volume(
