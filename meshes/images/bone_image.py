@@ -8,11 +8,13 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, require_positive, require_range
 from meshes.base.placement import Placement
-from meshes.ct.density import DensityLaw
 from meshes.images.frame import Image
 from meshes.voxels.volume import FULL, VoxelVolume
 
 __all__ = ["image_volume"]
+
+Density = Callable[[NDArray[np.number]], NDArray[np.float32]]
+"""Density [kg/m3] of grey values, same shape, such as a `meshes.ct.density.DensityLaw`."""
 
 _ISOTROPY = 1e-3
 _MOST_VOXELS = 5e8
@@ -22,7 +24,7 @@ def image_volume(
     image: Image,
     *,
     threshold: float,
-    density_kg_m3: float | DensityLaw = 1800.0,
+    density_kg_m3: float | Density = 1800.0,
     resample_mm: float | None = None,
     remark: Callable[[str], None] | None = None,
 ) -> VoxelVolume:
@@ -60,7 +62,7 @@ def image_volume(
         )
     mass = fraction * (
         density_kg_m3(values)
-        if isinstance(density_kg_m3, DensityLaw)
+        if callable(density_kg_m3)
         else np.float32(require_range("density_kg_m3", density_kg_m3, 50.0, 20000.0, "use 1800"))
     )
     for axis, size in enumerate(image.spacing_mm):
