@@ -22,6 +22,8 @@ Plane = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Normal and a point [mm]; what lies on the normal's side is left out."""
 TETRAHEDRON = 10
 """VTK's number of the cell."""
+AMBIENT, DIFFUSE = 0.78, 0.25
+"""Light on a field: enough shade that its shape is seen, so little that its colours are still those of the scale."""
 REFERENCE, SHOWN = "reference_mm", "shown"
 """Arrays that are only there to be drawn and read."""
 
@@ -202,8 +204,8 @@ class FieldsShown:
             clim=(low, high),
             log_scale=low > 0.0,
             name="field",
-            ambient=0.5,
-            diffuse=0.55,
+            ambient=AMBIENT,
+            diffuse=DIFFUSE,
             interpolation="Phong" if smooth else "Flat",
             show_scalar_bar=False,
             reset_camera=False,

@@ -13,6 +13,7 @@ from fake_fields import PARTS, pressed_run, pressed_series
 
 from tissue import InputError, load_scene
 from tissue.figures.press import draw_press
+from tissue.figures.style import field_colours
 from tissue.figures.tool_mesh import tool_surface
 from tissue.scene.tool import Needle, Probe
 from tissue.simulation.run_folder import SavedRun
@@ -134,20 +135,39 @@ def _drawn(folder, **options):
         raise
 
 
-@pytest.mark.slow
-def test_a_screenshot_shows_the_field_at_a_time_and_scale(pressed, tmp_path):
+def _read_by_the_scale(file):
+    """Place on a displacement's scale, 0 to 1, of every pixel of a clean picture, its error [degree] and its shade.
+
+    The place is that of the nearest hue and saturation, whatever the light: the direction in red, green and blue.
+    """
+    import matplotlib
     from PIL import Image
 
-    shares = []
+    with Image.open(file) as picture:
+        pixels = np.asarray(picture)
+    seen = pixels[pixels[..., 3] == 255][::7, :3] / 255.0
+    scale = matplotlib.colormaps[field_colours(0.0, 1.0)](np.linspace(0.0, 1.0, 256))[:, :3]
+    length, length_there = (np.linalg.norm(colours, axis=1) for colours in (seen, scale))
+    match = (seen @ (scale / length_there[:, None]).T) / length[:, None]
+    place = match.argmax(axis=1)
+    error = np.degrees(np.arccos(np.minimum(match.max(axis=1), 1.0)))
+    return place / 255.0, error, length / length_there[place]
+
+
+@pytest.mark.slow
+def test_a_screenshot_shows_the_field_at_a_time_and_scale(pressed, tmp_path):
+    greatest = []
     for index, options in enumerate(({"time_s": 0.1}, {"scale": 1.5})):
         file = tmp_path / f"{index}.png"
-        report = _drawn(pressed, screenshot=file, field="displacement_mm", **options)
+        report = _drawn(pressed, screenshot=file, field="displacement_mm", clean=True, **options)
         assert report.endswith(f"screenshot in {file}")
-        with Image.open(file) as picture:
-            red, green, blue = np.moveaxis(np.asarray(picture.convert("RGB"), dtype=int)[100:640, 250:1150], 2, 0)
-        shares.append(((red > 130) & (green > 150) & (blue < 90)).mean())  # upper end of the scale, yellow
-    # Before contact nothing has moved; without a time it is the moment of the greatest force.
-    assert shares[0] < 1e-4 < shares[1] / 10.0
+        place, error, shade = _read_by_the_scale(file)
+        # Colours are those of the scale, however a face is lit: 8 bits are 1 degree in its darkest ones.
+        assert error.max() < 2.0
+        assert shade.min() > 0.85 and shade.max() < 1.05
+        greatest.append(np.quantile(place, 0.999))
+    # Before contact nothing has moved; without a time it is the moment of the greatest force, which ends the scale.
+    assert greatest[0] < 0.05 and greatest[1] > 0.95
 
 
 @pytest.mark.slow
