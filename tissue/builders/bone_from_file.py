@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, names_of_caller
 from meshes.base.progress import Progress
 from meshes.shapes.anatomy import Anatomy
 from meshes.tooth import label_volume
 from meshes.tooth.layers import TOOTH_LAYERS
 from meshes.voxels.volume import VoxelVolume
-from tissue.scene.anatomy import AnatomyFile, BlockAnatomy, GlenoidAnatomy, MolarAnatomy
+from tissue.builders.parts import FILE_WORDS
+from tissue.scene.anatomy import AnatomyFile, BlockAnatomy, BoneAnatomy, GlenoidAnatomy, MolarAnatomy
 from tissue.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -50,11 +51,36 @@ def bone_from_file(parameters: AnatomyFile, notes: dict[str, str]) -> Anatomy:
         triangles, source = read_triangles(file), file.name
     scale_mm = 1.0 if parameters.is_image else parameters.scale_mm
     surface = surface_from_triangles(*triangles, source=source, scale_mm=scale_mm, cut_off=True)
+    surface, site = replace(surface, caps_m=surface.caps_m + cuts), _site(parameters, surface)
+    if isinstance(parameters, BoneAnatomy) and (parameters.density_file or parameters.core_file):
+        return _filled(parameters, surface, site)
     return surface_anatomy(
-        replace(surface, caps_m=surface.caps_m + cuts),
-        _site(parameters, surface),
+        surface,
+        site,
         cortical_thickness_mm=parameters.cortical_thickness_mm,
         cortical_density_kg_m3=parameters.density_kg_m3 if isinstance(parameters, BlockAnatomy) else 1800.0,
+    )
+
+
+def _filled(parameters: BoneAnatomy, surface: "Surface", site: "Site") -> Anatomy:
+    """A bone whose inside is known: by the density of a CT, or by a surface around its core."""
+    from meshes.ct.cored_bone import cored_anatomy
+    from meshes.ct.imaged_bone import imaged_anatomy
+    from meshes.images.reading import read_image
+    from meshes.surfaces.surface import read_surface
+
+    if parameters.density_file is None:
+        with names_of_caller(dict.fromkeys(FILE_WORDS, "anatomy.core_file")):
+            core = read_surface(parameters.core_file or "", scale_mm=surface.report.scale_mm, cut_off=True)
+        return cored_anatomy(surface, core, site)
+    with names_of_caller(dict.fromkeys(FILE_WORDS, "anatomy.density_file")):
+        density = read_image(parameters.density_file)
+    return imaged_anatomy(
+        surface,
+        site,
+        density,
+        cortical_above_kg_m3=parameters.cortical_above_kg_m3,
+        articular_radius_mm=parameters.articular_radius_mm,
     )
 
 

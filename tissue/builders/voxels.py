@@ -19,9 +19,9 @@ from tissue.builders.bone_from_file import Corners, bone_from_file, box_text, la
 from tissue.builders.parts import FILE_WORDS
 from tissue.cutters.cutter import Cutter
 from tissue.motion.motion import Motion
-from tissue.scene.anatomy import AnatomyFile, BlockAnatomy, GlenoidAnatomy, MolarAnatomy
+from tissue.scene.anatomy import AnatomyFile, BlockAnatomy, BoneAnatomy, GlenoidAnatomy, MolarAnatomy
 from tissue.scene.scene import Scene
-from tissue.scene.unused_keys import is_whole_image
+from tissue.scene.unused_bone_keys import is_whole_image
 
 __all__ = [
     "is_procedural",
@@ -115,7 +115,7 @@ def _anatomy(scene: Scene, notes: dict[str, str]) -> Anatomy:
             socket_mm=parameters.socket_mm,
             at_lesion=parameters.site == "caries",
         )
-    elif parameters.file is not None:
+    elif parameters.file is not None or isinstance(parameters, BoneAnatomy):
         anatomy = bone_from_file(parameters, notes)
     elif isinstance(parameters, MolarAnatomy):
         anatomy = molar(

@@ -3,9 +3,20 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, field_validator
+from pydantic import BaseModel, ConfigDict, Field, Strict, field_validator, model_validator
 
-__all__ = ["AnatomyFile", "BlockAnatomy", "GlenoidAnatomy", "Length_mm", "MolarAnatomy", "Part", "Vector"]
+from meshes.base.errors import InputError
+
+__all__ = [
+    "AnatomyFile",
+    "BlockAnatomy",
+    "BoneAnatomy",
+    "GlenoidAnatomy",
+    "Length_mm",
+    "MolarAnatomy",
+    "Part",
+    "Vector",
+]
 
 Vector = Annotated[tuple[float, float, float], Strict(False)]
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
@@ -79,6 +90,27 @@ class BlockAnatomy(AnatomyFile):
     """Edge lengths along x, y and z."""
     density_kg_m3: float = Field(1800.0, ge=100, le=2500)
     """Apparent density; 1800 to 2000 is cortical bone. Of a surface from a file that of its shell."""
+
+
+class BoneAnatomy(AnatomyFile):
+    """A bone from a file, such as `tissue import` writes of a CT. Origin at the site on its surface, +z outward."""
+
+    kind: Literal["bone"] = "bone"
+    """The bone in `file` at a site on its surface."""
+    density_file: str | None = Field(None, examples=["density.nrrd"])
+    """Image of the apparent density [kg/m3] in the frame of `file`; layers follow from it."""
+    cortical_above_kg_m3: float = Field(1000.0, ge=300, le=2000)
+    """Apparent density from which bone of a `density_file` is cortical."""
+    articular_radius_mm: float = Field(0.0, ge=0, le=100)
+    """Distance from the site within which dense bone near the surface is the subchondral plate; 0 for no joint."""
+    core_file: str | None = Field(None, examples=["cancellous.stl"])
+    """Closed surface around the trabecular bone, in the frame of `file`."""
+
+    @model_validator(mode="after")
+    def _has_its_file(self) -> "BoneAnatomy":
+        if self.file is None:
+            raise InputError("anatomy.file must be given for a bone, got nothing: add its surface, or use kind = block")
+        return self
 
 
 class MolarAnatomy(AnatomyFile):

@@ -14,7 +14,7 @@ from tissue.scene.messages import sentence
 from tissue.scene.named_parts import nearest
 from tissue.scene.plugins import refusal
 from tissue.scene.registry import PERCEPTIONS, SCENES
-from tissue.scene.scene import Scene
+from tissue.scene.scene import PARTS_WITH_FILES, Scene, is_file_key
 from tissue.scene.unused_keys import refused_keys, require_used
 
 __all__ = ["changed", "library_names", "load_scene", "parse_override", "saved_text", "scene_names", "scene_text"]
@@ -92,10 +92,13 @@ def load_scene(source: str | Path, overrides: Mapping[str, object] | None = None
     require_version("scene", written, FORMAT, where=path, remedy="leave format out")
     if kept:
         table = _without_defaults(table)
-    for part, name in (("anatomy", "file"), ("motion", "file"), ("tool", "file"), ("coupling", "predictor_file")):
+    for part in PARTS_WITH_FILES:
         inner = table.get(part)
-        if isinstance(inner, dict) and isinstance(inner.get(name), str) and inner[name]:
-            inner[name] = str((folder / inner[name]).resolve())
+        if not isinstance(inner, dict):
+            continue
+        for name, value in inner.items():
+            if is_file_key(name) and isinstance(value, str) and value:
+                inner[name] = str((folder / value).resolve())
     if isinstance(person := table.get("perception"), str):
         table["perception"] = PERCEPTIONS.with_file_at(person, folder)
     scene = _replaced(table, overrides or {})

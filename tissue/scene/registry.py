@@ -51,6 +51,13 @@ ANATOMIES: Registry[AnatomyEntry] = Registry(
             force_N="tissue.builders.force_met:cut",
             voxels="tissue.builders.cutting:milled_voxels",
         ),
+        "bone": AnatomyEntry(
+            "tissue.scene.anatomy:BoneAnatomy",
+            "tissue.scene.tool:Tool",
+            "tissue.builders.cutting:milled",
+            force_N="tissue.builders.force_met:cut",
+            voxels="tissue.builders.cutting:milled_voxels",
+        ),
         "molar": AnatomyEntry(
             "tissue.scene.anatomy:MolarAnatomy",
             "tissue.scene.tool:Tool",

@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from meshes.base.errors import InputError
-from tissue.scene.anatomy import AnatomyFile, BlockAnatomy, GlenoidAnatomy, MolarAnatomy, Part
+from tissue.scene.anatomy import AnatomyFile, BlockAnatomy, BoneAnatomy, GlenoidAnatomy, MolarAnatomy, Part
 from tissue.scene.choices import ByKind, OneOf, kinds_of
 from tissue.scene.coupling import (
     Coupling,
@@ -30,7 +30,16 @@ from tissue.scene.registry import ANATOMIES, CUTTERS, CUTTING_MATERIALS, MOTIONS
 from tissue.scene.tool import Needle, PathMotion, Probe, ReplayMotion, ThrustMotion, Tool
 from tissue.scene.unused_keys import unused_keys
 
-__all__ = ["Cutting", "Output", "Scene", "Stress", "Voxels"]
+__all__ = ["PARTS_WITH_FILES", "Cutting", "Output", "Scene", "Stress", "Voxels", "is_file_key"]
+
+
+PARTS_WITH_FILES = ("anatomy", "motion", "tool", "coupling")
+"""Parts of a scene with keys that name files."""
+
+
+def is_file_key(name: str) -> bool:
+    """Whether a key of such a part names a file."""
+    return name == "file" or name.endswith("_file")
 
 
 class Voxels(Part):
@@ -85,7 +94,14 @@ class Stress(Part):
 
 
 AnyAnatomy = Annotated[
-    GlenoidAnatomy | BlockAnatomy | MolarAnatomy | LiverAnatomy | SlabAnatomy | LayersAnatomy | WallAnatomy,
+    GlenoidAnatomy
+    | BlockAnatomy
+    | BoneAnatomy
+    | MolarAnatomy
+    | LiverAnatomy
+    | SlabAnatomy
+    | LayersAnatomy
+    | WallAnatomy,
     ByKind(ANATOMIES),
 ]
 AnyTool = Annotated[Tool | Probe | Needle, ByKind()]
@@ -221,9 +237,9 @@ class Scene(Part):
         changes: dict[str, object] = {}
         if (perception := PERCEPTIONS.with_file_at(self.perception, folder)) != self.perception:
             changes["perception"] = perception
-        for part in ("anatomy", "motion", "tool", "coupling"):
+        for part in PARTS_WITH_FILES:
             value: Part = getattr(self, part)
-            names = [name for name in type(value).model_fields if name == "file" or name.endswith("_file")]
+            names = filter(is_file_key, type(value).model_fields)
             files = {name: getattr(value, name) for name in names if getattr(value, name)}
             if files:
                 absolute = {name: str((folder / file).resolve()) for name, file in files.items()}
