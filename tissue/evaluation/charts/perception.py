@@ -59,7 +59,7 @@ def _people(someone: Observer, path: Path) -> None:
     for name, entry in constants("perception", "exponent").items():
         if name != "muscle_force":
             left.plot(forces, forces**entry.value, color=GREY, linewidth=0.8, linestyle=":")
-            left.text(10.3, 10.0**entry.value, name.replace("_", " "), color="0.4", fontsize=7.5, va="center")
+            left.text(10.3, 10.0**entry.value, name.replace("_", " "), color="0.3", fontsize=9.5, va="center")
     for who, colour, label in ((population_observer(), PEOPLE, "population"), (someone, PERSON, someone.name)):
         law = intensity_of(who)
         mean, spread = law.expected(forces), law.spread(forces)
@@ -76,7 +76,7 @@ def _people(someone: Observer, path: Path) -> None:
     right.fill_between([0.1, 0.5], 10.0, 28.0, color="#E69F00", alpha=0.35, label="published below 0.5 N, uncertain")
     for who, colour, label in ((population_observer(), PEOPLE, "population"), (someone, PERSON, someone.name)):
         right.plot(forces, 100.0 * weber_of(who).threshold(forces) / forces, color=colour, label=label, linewidth=1.8)
-    right.set(xscale="log", xlabel="force / N", ylabel="threshold / % of the force", ylim=(0.0, 40.0))
+    right.set(xscale="log", xlabel="force / N", ylabel="threshold / % of the force", ylim=(0.0, 46.0))
     right.set_title("the smallest change that is felt")
     _finish(chart, (left, right), path)
 
@@ -103,7 +103,7 @@ def _command(someone: Observer, path: Path) -> None:
         right.plot(forces, plain, color=colour, linewidth=1.0, linestyle="-.", label=f"{who.name}, physical force")
     left.plot(forces, forces, "--", color=WANTED, label="physical force")
     left.axhline(limit_N, color="0.3", linewidth=0.9)
-    left.text(0.055, 1.05 * limit_N, f"limit of {DEVICE}", fontsize=8)
+    left.text(0.055, 1.05 * limit_N, f"limit of {DEVICE}", fontsize=9.5)
     for axes in (left, right):
         axes.axvline(knee_N, color=GREY, linewidth=0.9, linestyle="--")
         axes.set(xscale="log", yscale="log", xlabel="force at the device / N", xlim=(0.05, 10.0))
@@ -145,7 +145,7 @@ def _estimate(someone: Observer, path: Path) -> None:
     """A posterior of two maxima, the estimate over the look, and what wrong assumptions cost."""
     chart = figure(13.0, 4.6)
     left, middle, right = (
-        chart.add_axes((start, 0.12, width, 0.8)) for start, width in ((0.055, 0.22), (0.33, 0.215), (0.755, 0.235))
+        chart.add_axes((start, 0.12, width, 0.8)) for start, width in ((0.05, 0.22), (0.32, 0.215), (0.76, 0.23))
     )
     _two_maxima(left)
     looks = np.linspace(-1.0, 4.0, 400)
@@ -153,7 +153,7 @@ def _estimate(someone: Observer, path: Path) -> None:
         middle.plot(looks, map_force_N(looks, noise), color=colour, linewidth=1.8, label=f"noise {noise:g} N")
     middle.plot(looks, looks, "--", color=WANTED, linewidth=1.0, label="the look itself")
     middle.set(xlabel="what one look shows / N", ylabel="most probable force / N", ylim=(0.0, 4.0))
-    middle.set_title("prior of median 1 N, spread of ln F 1")
+    middle.set_title("prior: median 1 N, ln F ± 1")
     rng = np.random.default_rng(0)
     rows = [*map_estimate_errors(rng), *recursive_estimate_errors(rng)]
     names = [
@@ -164,9 +164,9 @@ def _estimate(someone: Observer, path: Path) -> None:
     colours = [PEOPLE if k < split else PERSON for k in range(len(rows))]
     right.barh(place, [each.error for each in rows], color=colours, height=0.75)
     right.axvline(1.0, color="0.3", linestyle="--", linewidth=1.0)
-    right.set_yticks(place, names, fontsize=7.5)
+    right.set_yticks(place, names, fontsize=9)
     right.invert_yaxis()
-    right.set(xlabel="error / noise of a look, or / right filter's", title="one look (blue), recursion (orange)")
+    right.set(xlabel="error / noise of a look, or / right filter's", title="blue: one look, orange: recursion")
     right.grid(alpha=0.3, axis="x")
     _finish(chart, (left, middle), path)
 
@@ -194,5 +194,5 @@ def _finish(chart: "Figure", panels: "tuple[Axes, ...]", path: Path) -> None:
     """Grids and legends, and the file."""
     for axes in panels:
         axes.grid(alpha=0.3, which="major")
-        axes.legend(loc="best", fontsize=8)
+        axes.legend(loc="best", fontsize=9.5)
     save(chart, path)

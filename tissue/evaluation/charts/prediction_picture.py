@@ -21,20 +21,26 @@ __all__ = ["draw_scene", "draw_tasks"]
 PAPER = {"palpation": ("T1", 8.2, 3.5), "wall": ("T2", 7.1, 3.0), "milling": ("T3", 9.5, 4.2)}
 """Raw and adjusted errors [%] that a paper prints for its tasks, against its own ideal force."""
 STRONG = 1.8
+COLUMNS = 4
+"""Columns of the legend."""
 LIMIT_US = 20.0
 """Median cost of a prediction that is aimed at [us]."""
 
 
 def draw_scene(found: "PredictorComparison", path: Path) -> None:
-    """Draw error over horizon, error over cost, the spectrum, training size, and a model at 100 Hz."""
-    chart = figure(11.0, 7.0)
+    """Draw error over horizon, error over cost, the spectrum, training size, and a model at 100 Hz; one legend."""
+    chart = figure(11.0, 7.8)
     axes = chart.subplots(2, 3)
-    chart.subplots_adjust(left=0.065, right=0.985, top=0.92, bottom=0.08, wspace=0.27, hspace=0.34)
+    chart.subplots_adjust(left=0.065, right=0.985, top=0.845, bottom=0.075, wspace=0.27, hspace=0.34)
     runs = len(found.errors["hold"])
     title = f"{found.scene}: {runs} runs with other seeds, in tissue 30 % softer and stiffer; bars and bands are 95 %"
-    chart.text(0.065, 0.96, title, size=11)
+    chart.text(0.065, 0.965, title, size=11)
     for panel, draw in zip(axes.flat, (_over_horizon, _over_cost, _spectrum, _sizes, _slow, _spread), strict=True):
         draw(panel, found)
+    chart.legend(
+        *axes.flat[0].get_legend_handles_labels(), loc="upper left", bbox_to_anchor=(0.06, 0.955), ncols=COLUMNS,
+        frameon=False,
+    )  # fmt: skip
     save(chart, path)
 
 
@@ -81,7 +87,6 @@ def _over_horizon(axes: "Axes", found: "PredictorComparison") -> None:
     axes.set(xlabel="horizon / ms", ylabel="force error / %", yscale="log")
     plain_numbers(axes.yaxis)
     axes.grid(alpha=0.3, which="both")
-    axes.legend(frameon=False, loc="upper left", ncols=2, fontsize=8)
 
 
 def _over_cost(axes: "Axes", found: "PredictorComparison") -> None:
@@ -124,12 +129,12 @@ def _slow(axes: "Axes", found: "PredictorComparison") -> None:
         looks = PREDICTORS[kind]
         at, cost_us = found.slow[kind]
         bars = [[100 * (at.mean - at.low)], [100 * (at.high - at.mean)]]
-        axes.errorbar(cost_us, 100 * at.mean, bars, fmt=looks.marker, color=looks.colour, ms=6, label=f"100 Hz, {kind}")
-    axes.plot(found.slow["1 kHz"][1], 0.0, "*", color="0.1", markersize=11, clip_on=False, label="1 kHz")
+        axes.errorbar(cost_us, 100 * at.mean, bars, fmt=looks.marker, color=looks.colour, ms=6)
+    axes.plot(found.slow["1 kHz"][1], 0.0, "*", color="0.1", markersize=11, clip_on=False)
     axes.set(xlabel="model and prediction / µs a tick", ylabel="force error now / %", xscale="log", ylim=(0, None))
+    axes.set_title("model at 100 Hz; star: at 1 kHz", fontsize=9)
     plain_numbers(axes.xaxis)
     axes.grid(alpha=0.3, which="both")
-    axes.legend(frameon=False, fontsize=8)
 
 
 def _spread(axes: "Axes", found: "PredictorComparison") -> None:
@@ -139,11 +144,6 @@ def _spread(axes: "Axes", found: "PredictorComparison") -> None:
         aside = np.linspace(-0.25, 0.25, len(values))
         axes.plot(place + aside, np.sort(values), ".", color=PREDICTORS[kind].colour, markersize=4)
         axes.plot([place - 0.3, place + 0.3], [np.median(values)] * 2, color="0.1", linewidth=1.2)
-    axes.set(
-        xticks=range(len(PREDICTORS)),
-        xticklabels=PREDICTORS.names,
-        ylabel="error 4 ms ahead of each run / %",
-        ylim=(0, None),
-    )
-    axes.tick_params(axis="x", labelsize=8)
+    axes.set(xticks=[], xlabel="predictors in the legend's order", ylabel="error 4 ms ahead of each run / %")
+    axes.set_ylim(0, None)
     axes.grid(axis="y", alpha=0.3)
