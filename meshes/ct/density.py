@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, require_range, require_ranges
 
-__all__ = ["ASH_SHARE", "ASH_SHARE_SD", "CT_DENSITY", "DensityLaw"]
+__all__ = ["ASH_SHARE", "ASH_SHARE_SD", "CT_DENSITY", "DensityLaw", "scanner_law"]
 
 ASH_SHARE = 0.598
 ASH_SHARE_SD = 0.004
@@ -99,21 +99,26 @@ class DensityLaw:
         return {**asdict(self), "covariance": list(self.covariance)}
 
 
-_SLOPE = 0.887 / ASH_SHARE
-_OFFSET = 63.3 / ASH_SHARE
 _OTHER_SCANNER = 0.11
 """Relative standard deviation of a slope taken over from another scanner: between effective energies of 60 and 80 keV
-the Hounsfield units of bone mineral over those of water change by 37 %, as much as a uniform spread of that sd."""
+the Hounsfield units of dense bone fall from 1936 to 1330 (`meshes.ct.attenuation`): a uniform spread of it."""
+_OTHER_PORES_KG_M3 = 30.0
+"""Standard deviation of the offset: what fills the pores is yellow marrow in one bone and red in another, about 35
+Hounsfield units to either side."""
 
-CT_DENSITY = DensityLaw(
-    _SLOPE,
-    _OFFSET,
-    name="ct",
-    source=(
-        "ash 0.887 HU + 63.3 kg/m3 of one scanner, ash over apparent 0.598 +- 0.004 (Schileo et al. 2008); its "
-        "uncertainty is that of another scanner's effective energy, 60 to 80 keV"
-    ),
-    covariance=((_OTHER_SCANNER * _SLOPE) ** 2, 0.0, 30.0**2),
-    relative_sd=ASH_SHARE_SD / ASH_SHARE,
-)
+
+def scanner_law(name: str, ash_kg_m3: float, offset_kg_m3: float, *, source: str) -> DensityLaw:
+    """Law of one scanner's line from Hounsfield units to ash density [kg/m3], as uncertain as for another scanner."""
+    slope = ash_kg_m3 / ASH_SHARE
+    return DensityLaw(
+        slope,
+        offset_kg_m3 / ASH_SHARE,
+        name=name,
+        source=f"{source}; ash over apparent {ASH_SHARE} (Schileo 2008); uncertain as another scanner's line",
+        covariance=((_OTHER_SCANNER * slope) ** 2, 0.0, _OTHER_PORES_KG_M3**2),
+        relative_sd=ASH_SHARE_SD / ASH_SHARE,
+    )
+
+
+CT_DENSITY = scanner_law("ct", 0.887, 63.3, source="ash 0.887 HU + 63.3 kg/m3 of one scanner")
 """Hounsfield units to apparent density by one scanner's line: calibrate before relying on it."""
