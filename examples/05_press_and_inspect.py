@@ -69,15 +69,16 @@ figure.savefig(FIGURES / "05_force.png", dpi=150)
 # The liver cut open through the ball, as it is bent; the displacement fades over a few radii.
 
 bent = mesh.warp_by_vector("displacement_mm")
-half = bent.clip("y", origin=(0.0, 0.0, 0.0), invert=False, crinkle=True)
+half = bent.clip("y", origin=(0.0, 0.0, 0.0), invert=False)
 plotter = pyvista.Plotter(off_screen=True, window_size=[1100, 760])
 plotter.add_mesh(
     half,
     scalars="displacement_mm",
-    cmap="viridis",
-    scalar_bar_args={"title": "moved / mm", "fmt": "%.0f", "position_x": 0.3, "position_y": 0.86},
+    cmap="YlGnBu",
+    lighting=False,
+    scalar_bar_args={"title": "moved / mm\n", "fmt": "%.1f", "n_labels": 5, "position_x": 0.2, "position_y": 0.87},
 )
 ball = pyvista.Sphere(radius=RADIUS_MM, center=(0.0, 0.0, RADIUS_MM - DEPTH_MM))
 plotter.add_mesh(ball, color="lightgrey", smooth_shading=True)
-plotter.camera_position = [(30.0, -230.0, 60.0), (10.0, 0.0, -15.0), (0.0, 0.0, 1.0)]
+plotter.camera_position = [(30.0, -330.0, 60.0), (20.0, 0.0, -20.0), (0.0, 0.0, 1.0)]
 plotter.screenshot(FIGURES / "05_inside.png")

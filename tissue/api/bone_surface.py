@@ -6,13 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.voxels.volume import FULL, VoxelVolume
+from tissue.api.quiet import quiet_without_display
 from tissue.builders.bone import VoxelBone
-from tissue.simulation.bone_surface import with_layers
+from tissue.simulation.bone_surface import smooth_normals, with_layers
 
 if TYPE_CHECKING:
     import pyvista
 
 __all__ = ["bone_surface", "plot_surface", "removed_surface"]
+
+SHARP_DEG = 40.0
+"""Edges of a file's surface of a greater angle are drawn sharp."""
 
 
 def bone_surface(bone: VoxelBone, outer: "pyvista.PolyData | None") -> "pyvista.PolyData":
@@ -27,13 +31,16 @@ def bone_surface(bone: VoxelBone, outer: "pyvista.PolyData | None") -> "pyvista.
     """
     if outer is None:
         volume, left = _padded(bone.whole)
-        return with_layers(_contour(volume, left), volume)
+        return _shaded(with_layers(_contour(volume, left), volume))
     parts = []
+    outer = outer.compute_normals(
+        cell_normals=False, split_vertices=True, feature_angle=SHARP_DEG, consistent_normals=False
+    )
     for volume, left in bone.cut_parts():
         outer = _without(outer, volume)
         part = _contour(volume, left)
         if part.n_cells:
-            parts.append(with_layers(part, volume))
+            parts.append(_shaded(with_layers(part, volume)))
     outer.cell_data["layer"] = np.zeros(outer.n_cells, dtype=np.uint8)
     return outer.append_polydata(*parts) if parts else outer
 
@@ -47,7 +54,7 @@ def removed_surface(bone: VoxelBone) -> "pyvista.PolyData":
     for volume, left in parts:
         surface = _contour(volume, left if bone.on_demand is None else volume.fraction - left)
         if surface.n_cells:
-            surfaces.append(with_layers(surface, volume))
+            surfaces.append(_shaded(with_layers(surface, volume)))
     if not surfaces:
         return pyvista.PolyData()
     return surfaces[0].append_polydata(*surfaces[1:]) if surfaces[1:] else surfaces[0]
@@ -68,7 +75,7 @@ def plot_surface(surface: "pyvista.PolyData", layer_names: tuple[str, ...], **op
 
     if not surface.n_cells:
         raise InputError("bone must have been cut to show what was removed, got an uncut one: cut it first")
-    look: dict[str, Any] = {"smooth_shading": True, "split_sharp_edges": True, "show_axes": True}
+    look: dict[str, Any] = {"interpolation": "Phong", "show_axes": True}
     if len(layer_names) == 1:
         look |= {"color": BONE}
     else:
@@ -79,7 +86,16 @@ def plot_surface(surface: "pyvista.PolyData", layer_names: tuple[str, ...], **op
             "annotations": dict(enumerate(layer_names)),
             "scalar_bar_args": {"title": "layer", "n_labels": 0},
         }
-    return surface.plot(**(look | options))
+    with quiet_without_display():
+        return surface.plot(**(look | options))
+
+
+def _shaded(surface: "pyvista.PolyData") -> "pyvista.PolyData":
+    """A surface of voxels, shaded by its shape and not by their steps."""
+    if surface.n_cells:
+        surface.point_data["Normals"] = smooth_normals(surface)
+        surface.point_data.active_normals_name = "Normals"
+    return surface
 
 
 def _contour(volume: VoxelVolume, fraction: NDArray[np.uint8]) -> "pyvista.PolyData":

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from meshes.base.errors import InputError
+from tissue.api.quiet import quiet_without_display
 
 if TYPE_CHECKING:
     import pyvista
@@ -72,7 +73,8 @@ def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any
     middle, size = np.asarray(moved.center), float(np.linalg.norm(np.ptp(moved.points, axis=0)))
     plotter.camera_position = [middle + size * (1.9 * across - 0.5 * press.along), middle, -press.along]
     plotter.add_text(f"{press.force_magnitude_N:.3g} N at {press.depth_mm[-1]:.3g} mm", font_size=11, color="black")
-    return plotter.show(**options)
+    with quiet_without_display():
+        return plotter.show(**options)
 
 
 def plot_organ(organ: Organ, **options: Any) -> Any:
@@ -99,7 +101,8 @@ def plot_organ(organ: Organ, **options: Any) -> Any:
     plotter.add_points(held, color=HELD, point_size=7, render_points_as_spheres=True, label="held")
     plotter.add_legend(loc="upper left", face="circle", size=(0.3, 0.05 * (len(names) + 1)))  # type: ignore[call-arg]
     plotter.add_axes()  # type: ignore[call-arg]
-    return plotter.show(**options)
+    with quiet_without_display():
+        return plotter.show(**options)
 
 
 def _across(along: Any) -> Any:

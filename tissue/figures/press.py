@@ -11,7 +11,7 @@ from tissue.fem.fields import FieldSeries, Frame
 from tissue.figures.figure import DRAWING, is_vector, save
 from tissue.figures.marks import draw_axes, draw_scale
 from tissue.figures.organ_surface import SHOWN, at_nodes, drawn_surface, inclusions, section_cap, with_normals
-from tissue.figures.rendering import Camera, paint, render, side_by_side
+from tissue.figures.rendering import FIELD_AMBIENT, Camera, paint, render, side_by_side
 from tissue.figures.style import field_colours
 from tissue.figures.tool_mesh import pose
 from tissue.simulation.saved_fields import IN_MM, field_label, field_limits, field_values
@@ -129,7 +129,7 @@ def draw_press(
         cameras.append(Camera.seeing(seen, eye, (0.0, 0.0, 1.0)))
         return [(each.append_polydata(side) if side.n_cells else each, cameras[0]) for each in surfaces]
 
-    pictures = render(make, fine=is_vector(path))
+    pictures = render(make, fine=is_vector(path), ambient=FIELD_AMBIENT)
     if isinstance(pictures, str):
         return pictures
     force = float(np.linalg.norm(trace.vectors("model_force", "N")[row]))

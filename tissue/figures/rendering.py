@@ -19,12 +19,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Camera", "paint", "render", "side_by_side"]
+__all__ = ["FIELD_AMBIENT", "Camera", "paint", "render", "side_by_side"]
 
 PANEL_PX = 780
 GAP_PX = 40
 OVERSAMPLING = 2
 """Pixels drawn for a pixel shown, along each edge: smooth outlines where the graphics card smooths none."""
+AMBIENT, FIELD_AMBIENT, ALL_LIGHT = 0.34, 0.72, 1.08
+"""Light from everywhere on bone, and on a field, whose colours must stay those of its scale; with what lamps add."""
 LIGHTS = (((-0.6, 0.7, 0.9), 0.74), ((0.9, 0.1, 0.7), 0.26), ((0.1, -0.9, 0.55), 0.34))
 """Direction (right, up, towards the eye) and strength of the lights: key, fill, rim."""
 
@@ -81,7 +83,7 @@ def paint(surface: "pyvista.PolyData", colours: NDArray[np.float64]) -> "pyvista
 
 
 def render(
-    make: "Callable[[], list[tuple[pyvista.PolyData, Camera]]]", *, fine: bool = False
+    make: "Callable[[], list[tuple[pyvista.PolyData, Camera]]]", *, fine: bool = False, ambient: float = AMBIENT
 ) -> list[NDArray[np.uint8]] | str:
     """Draw each surface for itself on white.
 
@@ -92,6 +94,8 @@ def render(
         points have normals, and what sees each of them.
     fine
         Whether all pixels are kept that are drawn, `OVERSAMPLING` for one of the camera, as a file in vectors can hold.
+    ambient
+        Share of the light that comes from everywhere: the more, the less shade.
 
     Returns
     -------
@@ -106,7 +110,8 @@ def render(
                 surface.save(folder / f"{index}.vtk")
             (folder / "cameras.json").write_text(json.dumps([asdict(one) for one in cameras]), "utf-8")
 
-        problem = draw_apart("tissue.figures.rendering", name, str(1 if fine else OVERSAMPLING), prepare=prepare)
+        averaged = 1 if fine else OVERSAMPLING
+        problem = draw_apart("tissue.figures.rendering", name, str(averaged), str(ambient), prepare=prepare)
         if problem is not None:
             return problem
         with np.load(folder / "pictures.npz") as drawn:
@@ -131,7 +136,7 @@ def side_by_side(
     return chart, panels, size
 
 
-def _main(name: str, averaged: str) -> None:
+def _main(name: str, averaged: str, ambient: str) -> None:
     """Draw the surfaces in a folder as soon as a line on the standard input announces them."""
     import pyvista
 
@@ -143,11 +148,13 @@ def _main(name: str, averaged: str) -> None:
     folder = Path(name)
     cameras = [Camera(**one) for one in json.loads((folder / "cameras.json").read_text("utf-8"))]
     surfaces = (pyvista.PolyData(folder / f"{index}.vtk") for index in range(len(cameras)))
-    drawn = [_draw(surface, camera, int(averaged)) for surface, camera in zip(surfaces, cameras, strict=True)]
+    drawn = [
+        _draw(surface, camera, int(averaged), float(ambient)) for surface, camera in zip(surfaces, cameras, strict=True)
+    ]
     np.savez(folder / "pictures.npz", *drawn, allow_pickle=False)
 
 
-def _draw(mesh: "pyvista.PolyData", camera: Camera, averaged: int) -> NDArray[np.uint8]:
+def _draw(mesh: "pyvista.PolyData", camera: Camera, averaged: int, ambient: float) -> NDArray[np.uint8]:
     """One surface, seen by the camera; squares of so many pixels are averaged."""
     import pyvista
 
@@ -164,8 +171,8 @@ def _draw(mesh: "pyvista.PolyData", camera: Camera, averaged: int) -> NDArray[np
         preference="point" if "colours" in mesh.point_data else "cell",
         smooth_shading=False,
         interpolation="Phong",
-        ambient=0.34,
-        diffuse=0.74,
+        ambient=ambient,
+        diffuse=ALL_LIGHT - ambient,
         specular=0.08,
         specular_power=12.0,
         show_scalar_bar=False,

@@ -18,7 +18,7 @@ __all__ = ["draw_overview"]
 LOOKS = {"script": ("#0072B2", "o", "by script: model"), "hand": ("#B34700", "s", "by hand: loop")}
 """Colours after Okabe and Ito, the second one darker, so that it can be read as text."""
 COLUMNS = 4
-WIDE_IN, BESIDE_IN, HIGH_IN, TOP_IN = 2.0, 1.75, 2.45, 0.6
+WIDE_IN, BESIDE_IN, HIGH_IN, TOP_IN = 2.0, 1.95, 2.45, 0.6
 """Width of a panel, of what lies between two, height of both, and what is above all."""
 COLOURS = 64
 """Colours of the picture's file."""
