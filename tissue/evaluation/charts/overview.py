@@ -8,7 +8,7 @@ import numpy as np
 
 from tissue.evaluation.charts.frontier import Frontier
 from tissue.evaluation.charts.picture import numbered, plain_numbers
-from tissue.figures.figure import figure, save
+from tissue.figures.figure import DPI, figure, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -85,7 +85,7 @@ def _draw(axes: "Axes", both: Sequence[Frontier]) -> None:
     heights = np.log([y for y, *_ in names])
     low, high = heights.min() - 0.5, max(heights.max(), heights.min() + 1.0) + 0.4
     axes.set(xscale="log", yscale="log", xlim=SPAN_US, ylim=np.exp([low, high]))
-    left, row = 1.05, ROW_IN / (axes.get_position().height * axes.get_figure(root=True).get_figheight())
+    left, row = 1.05, ROW_IN * DPI / axes.bbox.height
     for number, (y, x, name, colour, mark) in enumerate(names, 1):
         numbered(axes, x, y, number, colour, mark)
         place, short = 1.0 - (number - 1) * row, name.replace(" mm, shell ", ", ")  # voxels, elements
