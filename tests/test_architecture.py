@@ -35,7 +35,7 @@ LAYERS = (
     ("tissue.simulation",),
     ("tissue.figures",),
     ("tissue.viewer", "tissue.evaluation"),
-    ("tissue.reporting",),
+    ("tissue.reporting", "tissue.importing"),
     ("tissue.api",),
     ("tissue.cli", "tissue.environments"),
     ("tissue.__main__",),

@@ -49,8 +49,8 @@ _MAGIC, _PREAMBLE = b"DICM", 128
 _UNDEFINED_LENGTH = 0xFFFFFFFF
 
 
-def read_dicom(folder: Path) -> StoredImage:
-    """Read the one series that a folder holds, each slice with its own slope and intercept.
+def read_dicom(folder: Path, *, series: int | None = None) -> StoredImage:
+    """Read the one series that a folder holds, or the one of a number, each slice with its own slope and intercept.
 
     Voxels of the padding value take the lowest other value of their slice.
 
@@ -67,6 +67,9 @@ def read_dicom(folder: Path) -> StoredImage:
         )
     places = [f"file {k + 1} of {len(files)} in the order of names in {folder.name}" for k in range(len(files))]
     headers = [_header(file, place) for file, place in zip(files, places, strict=True)]
+    if series is not None:
+        chosen = _of_series(headers, series, folder)
+        files, places, headers = [files[k] for k in chosen], [places[k] for k in chosen], [headers[k] for k in chosen]
     _require_one_series(headers, folder)
     slices = [_slice(header, place) for header, place in zip(headers, places, strict=True)]
     order, step, notes = stack_step(slices, folder.name)
@@ -134,11 +137,24 @@ def _require_one_series(headers: Sequence[Header], folder: Path) -> None:
     """Refuse several series, distinguished by identifier and number but named by number and slices alone."""
     found = Counter((str(header["SeriesInstanceUID"]), _whole(header)) for header in headers)
     if len(found) > 1:
-        named = ", ".join(f"number {number} of {count} slices" for (_, number), count in sorted(found.items()))
         raise InputError(
-            f"a DICOM folder must hold one series, got {len(found)} in {folder.name} ({named}): "
-            "give each a folder of its own"
+            f"a DICOM folder must hold one series, got {len(found)} in {folder.name} ({_named(headers)}): "
+            "give each a folder of its own, or let `tissue import --series NUMBER` take one"
         )
+
+
+def _named(headers: Sequence[Header]) -> str:
+    """The series of some headers, by number and slices."""
+    found = Counter((str(header["SeriesInstanceUID"]), _whole(header)) for header in headers)
+    return ", ".join(f"number {number} of {count} slices" for (_, number), count in sorted(found.items()))
+
+
+def _of_series(headers: Sequence[Header], number: int, folder: Path) -> list[int]:
+    """Which files belong to the series of a number."""
+    chosen = [k for k, header in enumerate(headers) if _whole(header) == str(number)]
+    if not chosen:
+        raise InputError(f"series must be one that {folder.name} holds, got {number}: it holds {_named(headers)}")
+    return chosen
 
 
 def _whole(header: Header) -> str:

@@ -28,7 +28,9 @@ _READERS = {
 _REMEDY = "use a .nii.gz, .nrrd, .mhd or .vti image, a DICOM folder, or a folder or pattern of TIFF slices"
 
 
-def read_image(path: str | Path, *, spacing_mm: float | None = None, labels: bool = False) -> Image:
+def read_image(
+    path: str | Path, *, spacing_mm: float | None = None, labels: bool = False, series: int | None = None
+) -> Image:
     """Read an image volume into LPS [mm], whatever the order and direction of the axes in its file.
 
     Origin, directions, units, slope and intercept are those of the file; where it states none, a note states what is
@@ -43,6 +45,8 @@ def read_image(path: str | Path, *, spacing_mm: float | None = None, labels: boo
         Distance between neighbours [mm] in all directions; None: what the file states. TIFF files state none.
     labels
         Whether the values are labels, which are not interpolated.
+    series
+        Number of the series of a DICOM folder that holds several.
 
     Raises
     ------
@@ -60,7 +64,7 @@ def read_image(path: str | Path, *, spacing_mm: float | None = None, labels: boo
             f"anatomy.spacing_mm must be given for TIFF slices, which do not hold it, got none for "
             f"{source}: use the scanner's value, for example 0.0195"
         )
-    stored = _stacked(slices, given) if slices and given is not None else _stored(path)
+    stored = _stacked(slices, given) if slices and given is not None else _stored(path, series)
     if given is None and stored.spacing_mm == (1.0, 1.0, 1.0):
         note = f"The spacing in {source} is exactly 1 mm, often a placeholder: set anatomy.spacing_mm to be sure."
         stored = replace(stored, notes=(*stored.notes, note))
@@ -80,10 +84,12 @@ def read_image(path: str | Path, *, spacing_mm: float | None = None, labels: boo
     return along_lps(stored, source, labels=labels)
 
 
-def _stored(path: Path) -> StoredImage:
+def _stored(path: Path, series: int | None) -> StoredImage:
     """The image of a file or DICOM folder, as stored."""
     if path.is_dir():
-        return read_dicom(path)
+        return read_dicom(path, series=series)
+    if series is not None:
+        raise InputError(f"series must be left out for a file, got {series} for {path.name}: it holds one image")
     for suffix, read in _READERS.items():
         if path.name.lower().endswith(suffix):
             return read(path)

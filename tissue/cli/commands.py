@@ -4,6 +4,7 @@ from tissue.cli.assess import assess
 from tissue.cli.calibrate import calibrate
 from tissue.cli.chart import chart
 from tissue.cli.compare import compare
+from tissue.cli.import_ import import_
 from tissue.cli.report import report
 from tissue.cli.run import run
 from tissue.cli.scenes import scenes
@@ -16,5 +17,20 @@ from tissue.cli.view import view
 
 __all__ = ["COMMANDS"]
 
-COMMANDS = (run, scenes, view, report, sweep, compare, stability, calibrate, assess, train, chart, study, schema)
+COMMANDS = (
+    run,
+    import_,
+    scenes,
+    view,
+    report,
+    sweep,
+    compare,
+    stability,
+    calibrate,
+    assess,
+    train,
+    chart,
+    study,
+    schema,
+)
 """In the order in which help lists them."""

@@ -41,7 +41,7 @@ def draw_axes(axes: "Axes", names: Sequence[str], camera: Camera) -> None:
     axes.set_axis_off()
     arrow = {"arrowstyle": "-|>", "color": "0.2", "shrinkA": 0, "shrinkB": 0}
     for along, name in zip(0.8 * view.T, names, strict=True):
-        if np.hypot(*along) < 0.1:
+        if np.hypot(*along) < 0.2:
             continue
         axes.annotate("", along, (0.0, 0.0), arrowprops=arrow)
         x, y = along * (1.0 + 0.12 / np.hypot(*along))

@@ -1,0 +1,165 @@
+"""The bone that an import takes out of an image: cropped, by label or threshold, with its density."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from meshes.base.errors import InputError, names_of_caller
+from meshes.base.progress import Progress
+from meshes.ct.density import DensityLaw
+from meshes.ct.inspection import Histogram, Inspection, histogram_of, inspect
+from meshes.ct.labelled_bone import BoneOfImage, by_label, by_threshold, cropped
+from meshes.ct.labels import Labels, on_grid_of, read_labels
+from meshes.ct.threshold import Suggestion, suggest_threshold
+from meshes.images.frame import Image
+from meshes.images.reading import read_image
+from meshes.surfaces.surface import Surface, surface_from_triangles
+from tissue.importing.request import ImportRequest
+
+__all__ = ["ImportedBone", "imported_bone", "read_source"]
+
+_SIDE_MM = (1.0, 1000.0)
+"""Longest side of what can be a bone."""
+SHOWN_MM = 15.0
+"""What pictures show around a bone."""
+
+
+@dataclass(frozen=True, eq=False)
+class ImportedBone:
+    """A bone with its density, and what was found on the way.
+
+    Attributes
+    ----------
+    inspection, histogram
+        Of the image, cropped where a crop was asked for.
+    labels
+        On the voxels of `bone.image`'s file; None without.
+    suggestion
+        The threshold that was suggested; None with a label.
+    threshold
+        The one that was used; None with a label.
+    bone, around
+        Its surface and the part of the image that holds it; that part with more around it, to be shown.
+    surface
+        Its triangles, closed.
+    law, density
+        The law of the density, and the density of each voxel [kg/m3]; None for an image of other units.
+    sentences
+        What a person should know.
+    """
+
+    inspection: Inspection
+    histogram: Histogram
+    labels: Labels | None
+    suggestion: Suggestion | None
+    threshold: float | None
+    bone: BoneOfImage
+    around: Image
+    surface: Surface
+    law: DensityLaw | None
+    density: Image | None
+    sentences: tuple[str, ...]
+
+
+def read_source(request: ImportRequest) -> Image:
+    """The image of a request, cropped."""
+    with names_of_caller({"file": "source", "anatomy.spacing_mm must be given": "source must state its spacing"}):
+        image = read_image(request.source, series=request.series)
+    return image if request.box_mm is None else cropped(image, request.box_mm)
+
+
+def imported_bone(
+    request: ImportRequest, law_of: Callable[[str, Image, Labels | None], DensityLaw], report: Progress
+) -> ImportedBone:
+    """Take the bone of a request out of its image.
+
+    Parameters
+    ----------
+    law_of
+        The law of the density, of what was asked for, the image and the labels.
+    """
+    report("reading the image", 0.0)
+    image = read_source(request)
+    found, histogram = inspect(image), histogram_of(image.values)
+    labels = None
+    if request.labels is not None:
+        report("reading the labels", 0.0)
+        with names_of_caller({"file": "labels", "names": "label_names"}):
+            labels = on_grid_of(read_labels(request.labels, names=request.label_names), image)
+    sentences = [*image.notes, *found.sentences(), *(labels.image.notes if labels else ())]
+    suggestion, threshold = None, None
+    report("finding the bone", 0.0)
+    if labels is not None and request.region is not None:
+        with names_of_caller({"label": "region"}):
+            mask = labels.mask(request.region)
+        bone = by_label(image, mask)
+        sentences.append(f"bone: label {request.region}, its steps smoothed and its volume kept")
+    else:
+        suggestion = suggest_threshold(histogram, is_hounsfield=found.is_hounsfield)
+        threshold = suggestion.threshold if request.threshold is None else request.threshold
+        bone = by_threshold(image, threshold)
+        sentences.append(suggestion.note if request.threshold is None else f"threshold {threshold:g}, as given")
+    surface = _surface(bone, found.source)
+    sentences += [*bone.notes, f"bone of {bone.volume_mm3 * 1e-3:.4g} ml, {len(surface.faces)} triangles"]
+    report("finding the density", 0.0)
+    law, density = _density(request, image, labels, bone, law_of, found, sentences)
+    return ImportedBone(
+        found,
+        histogram,
+        labels,
+        suggestion,
+        threshold,
+        bone,
+        _around(image, surface),
+        surface,
+        law,
+        density,
+        tuple(sentences),
+    )
+
+
+def _around(image: Image, surface: Surface) -> Image:
+    """The part of an image around a surface."""
+    low, high = 1e3 * surface.vertices_m.min(axis=0) - SHOWN_MM, 1e3 * surface.vertices_m.max(axis=0) + SHOWN_MM
+    return cropped(image, ((low[0], low[1], low[2]), (high[0], high[1], high[2])))
+
+
+def _surface(bone: BoneOfImage, source: str) -> Surface:
+    """The triangles of a bone, closed and turned outward."""
+    vertices, faces = bone.triangles
+    longest = float(np.ptp(vertices, axis=0).max())
+    if not _SIDE_MM[0] <= longest <= _SIDE_MM[1]:
+        raise InputError(
+            f"the bone must be {_SIDE_MM[0]:g} to {_SIDE_MM[1]:g} mm long, got {longest:.4g} mm in {source}: check the "
+            "spacing in the image's header"
+        )
+    surface = surface_from_triangles(vertices, faces, source="bone.ply", scale_mm=1.0, cut_off=True)
+    return replace(surface, caps_m=surface.caps_m + bone.cuts)
+
+
+def _density(
+    request: ImportRequest,
+    image: Image,
+    labels: Labels | None,
+    bone: BoneOfImage,
+    law_of: Callable[[str, Image, Labels | None], DensityLaw],
+    found: Inspection,
+    sentences: list[str],
+) -> tuple[DensityLaw | None, Image | None]:
+    """The law and the density; none for an image of other units, of which density is unknown."""
+    if not found.is_hounsfield and request.density == "auto":
+        sentences.append(
+            "density: unknown, for the values are not Hounsfield units; the bone gets a shell of even thickness. "
+            "Give --density line:SLOPE,OFFSET to use them"
+        )
+        return None, None
+    law = law_of(request.density, image, labels)
+    density = bone.density(law)
+    held = density.values[density.values > 0]
+    low, high = law.band(np.array([(float(np.median(held)) - law.offset_kg_m3) / law.slope_kg_m3]))
+    sentences.append(
+        f"density by {law.name} ({law.source}): median {np.median(held):.0f} kg/m3, 90 % between {low[0]:.0f} and "
+        f"{high[0]:.0f}; least {held.min():.0f}, greatest {held.max():.0f}"
+    )
+    return law, density

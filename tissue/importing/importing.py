@@ -1,0 +1,162 @@
+"""An import from image to folder."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress, silent
+from meshes.ct.density import DensityLaw
+from meshes.ct.labelled_bone import by_label
+from meshes.ct.labels import Labels, on_grid_of
+from meshes.images.frame import Image
+from meshes.surfaces.surface import Surface, surface_from_triangles
+from tissue.importing.bone import ImportedBone, imported_bone
+from tissue.importing.folder import write_density, write_labels, write_record, write_surface
+from tissue.importing.pictures import draw_pictures
+from tissue.importing.placing import Placed, placed
+from tissue.importing.request import ImportRequest
+from tissue.importing.scene_text import scene_name, scene_text
+from tissue.system.outputs import output_locked, prepare_folder
+
+__all__ = ["Imported", "import_bone"]
+
+FILES = ("scene.toml", "import.json", "bone.ply", "density.nrrd", "labels.seg.nrrd", "path.csv")
+PICTURES = ("slices.png", "histogram.png", "bone.png")
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What an import has written.
+
+    Attributes
+    ----------
+    folder
+        Where.
+    scene
+        The scene's file.
+    has_site
+        Whether the scene can be run as it is.
+    sentences
+        What was found and assumed.
+    """
+
+    folder: Path
+    scene: Path
+    has_site: bool
+    sentences: tuple[str, ...]
+
+
+def import_bone(
+    request: ImportRequest,
+    out: Path,
+    *,
+    overwrite: bool = False,
+    pictures: bool = True,
+    progress: Progress = silent,
+) -> Imported:
+    """Write a bone of a person's CT as a scene in a folder.
+
+    Raises
+    ------
+    InputError
+        If the image or what is asked of it cannot be used, or the folder holds another import.
+    """
+    bone = imported_bone(request, _law_of, progress)
+    clear = _clear(request, bone, progress)
+    progress("finding the site", 0.0)
+    at, sentence = placed(request, bone.surface)
+    sentences = [*bone.sentences, sentence, *(f"keep clear: {name}" for name in clear)]
+    with output_locked(out, folder=True):
+        prepare_folder(out, FILES, "import", overwrite=overwrite)
+        progress("writing files", 0.0)
+        write_surface(bone.surface, out / "bone.ply")
+        files = {"file": "bone.ply"}
+        if bone.density is not None:
+            write_density(bone.density, out / "density.nrrd")
+            files["density_file"] = "density.nrrd"
+        if bone.labels is not None:
+            write_labels(_near(bone.labels, bone.bone.image), out / "labels.seg.nrrd")
+        for name, surface in clear.items():
+            write_surface(surface, out / f"keep_clear_{name}.ply")
+        what = request.region or "bone"
+        text = scene_text(
+            name=scene_name(out),
+            description=f"{what} of {bone.inspection.source}",
+            placed=at,
+            dense=bone.density is not None,
+            files=files,
+            keep_clear={name: f"keep_clear_{name}.ply" for name in clear},
+            like=request.like,
+            replay=None,
+        )
+        (out / "scene.toml").write_text(text, "utf-8")
+        write_record(_record(bone, at, sentences), out / "import.json")
+        if pictures:
+            progress("drawing", 0.0)
+            sentences += draw_pictures(bone, at, clear, out)
+    return Imported(out, out / "scene.toml", at is not None, tuple(sentences))
+
+
+def _law_of(text: str, image: Image, labels: Labels | None) -> DensityLaw:
+    """The law that a request names; the first that the image allows where it names none."""
+    from meshes.ct.density import CT_DENSITY, density_law
+
+    if text != "auto":
+        return density_law(text, image, labels)
+    try:
+        return density_law("internal", image, labels)
+    except InputError as error:
+        return replace(CT_DENSITY, source=f"{CT_DENSITY.source}; no calibration within the image: {error}")
+
+
+def _clear(request: ImportRequest, bone: ImportedBone, report: Progress) -> dict[str, Surface]:
+    """Smooth surfaces of the labels that the tool must not touch, near the bone."""
+    found: dict[str, Surface] = {}
+    for name in request.keep_clear:
+        report(f"finding {name}", 0.0)
+        assert bone.labels is not None
+        mask = bone.labels.mask(name)
+        part = by_label(replace(bone.labels.image, values=mask.astype(np.uint8)), mask)
+        found[_plain(name)] = surface_from_triangles(*part.triangles, source=name, scale_mm=1.0, cut_off=True)
+    return found
+
+
+def _plain(name: str) -> str:
+    """A label's name as a scene's key."""
+    return "".join(c if c.isalnum() else "_" for c in name.lower()).strip("_")
+
+
+def _near(labels: Labels, image: Image) -> Labels:
+    """The labels where the bone lies."""
+    return on_grid_of(labels, replace(image, values=np.zeros(image.values.shape, np.uint8)))
+
+
+def _record(bone: ImportedBone, at: Placed | None, sentences: list[str]) -> dict[str, object]:
+    """What was found and assumed, as plain numbers."""
+    import tissue
+
+    site: dict[str, object] | None = None
+    if at is not None:
+        site = {
+            "kind": at.kind,
+            "centre_mm": (1e3 * at.site.centre_m).tolist(),
+            "rotation": at.site.rotation.tolist(),
+        }
+    inspection = bone.inspection
+    return {
+        "tissue": tissue.__version__,
+        "source": inspection.source,
+        "voxels": list(inspection.shape),
+        "spacing_mm": list(inspection.spacing_mm),
+        "low_mm": list(inspection.low_mm),
+        "high_mm": list(inspection.high_mm),
+        "noise_HU": inspection.noise,
+        "metal_mm3": inspection.metal_mm3,
+        "threshold": bone.threshold,
+        "bone_mm3": bone.bone.volume_mm3,
+        "density_law": None if bone.law is None else bone.law.as_dict(),
+        "site": site,
+        "sentences": sentences,
+    }
