@@ -107,7 +107,7 @@ class Inspection:
         if self.metal_mm is not None:
             found.append(
                 f"metal: {self.metal_mm3:.3g} mm3 above {METAL_HU} HU around {in_brackets(self.metal_mm, '.4g')} mm; "
-                " streaks falsify density around it"
+                "streaks falsify density around it"
             )
         return found
 

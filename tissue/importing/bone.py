@@ -17,7 +17,7 @@ from meshes.images.reading import read_image
 from meshes.surfaces.surface import Surface, surface_from_triangles
 from tissue.importing.request import ImportRequest
 
-__all__ = ["ImportedBone", "imported_bone", "read_source"]
+__all__ = ["ImportedBone", "imported_bone"]
 
 _SIDE_MM = (1.0, 1000.0)
 """Longest side of what can be a bone."""
@@ -27,7 +27,7 @@ SHOWN_MM = 15.0
 
 @dataclass(frozen=True, eq=False)
 class ImportedBone:
-    """A bone with its density, and what was found on the way.
+    """A bone with its density, and what was found.
 
     Attributes
     ----------
@@ -62,13 +62,6 @@ class ImportedBone:
     sentences: tuple[str, ...]
 
 
-def read_source(request: ImportRequest) -> Image:
-    """The image of a request, cropped."""
-    with names_of_caller({"file": "source", "anatomy.spacing_mm must be given": "source must state its spacing"}):
-        image = read_image(request.source, series=request.series)
-    return image if request.box_mm is None else cropped(image, request.box_mm)
-
-
 def imported_bone(
     request: ImportRequest, law_of: Callable[[str, Image, Labels | None], DensityLaw], report: Progress
 ) -> ImportedBone:
@@ -80,7 +73,8 @@ def imported_bone(
         The law of the density, of what was asked for, the image and the labels.
     """
     report("reading the image", 0.0)
-    image = read_source(request)
+    with names_of_caller({"file": "source", "anatomy.spacing_mm": "spacing in the header"}):
+        image = read_image(request.source, series=request.series)
     found, histogram = inspect(image), histogram_of(image.values)
     labels = None
     if request.labels is not None:
@@ -88,6 +82,11 @@ def imported_bone(
         with names_of_caller({"file": "labels", "names": "label_names"}):
             labels = on_grid_of(read_labels(request.labels, names=request.label_names), image)
     sentences = [*image.notes, *found.sentences(), *(labels.image.notes if labels else ())]
+    report("calibrating the density", 0.0)
+    law = _law(request, image, labels, law_of, found, sentences)
+    if request.box_mm is not None:
+        image = cropped(image, request.box_mm)
+        labels = labels and Labels(cropped(labels.image, request.box_mm), labels.names)
     suggestion, threshold = None, None
     report("finding the bone", 0.0)
     if labels is not None and request.region is not None:
@@ -103,7 +102,7 @@ def imported_bone(
     surface = _surface(bone, found.source)
     sentences += [*bone.notes, f"bone of {bone.volume_mm3 * 1e-3:.4g} ml, {len(surface.faces)} triangles"]
     report("finding the density", 0.0)
-    law, density = _density(request, image, labels, bone, law_of, found, sentences)
+    density = None if law is None else _density(bone, law, sentences)
     return ImportedBone(
         found,
         histogram,
@@ -138,28 +137,32 @@ def _surface(bone: BoneOfImage, source: str) -> Surface:
     return replace(surface, caps_m=surface.caps_m + bone.cuts)
 
 
-def _density(
+def _law(
     request: ImportRequest,
     image: Image,
     labels: Labels | None,
-    bone: BoneOfImage,
     law_of: Callable[[str, Image, Labels | None], DensityLaw],
     found: Inspection,
     sentences: list[str],
-) -> tuple[DensityLaw | None, Image | None]:
-    """The law and the density; none for an image of other units, of which density is unknown."""
+) -> DensityLaw | None:
+    """The law of the density, from the whole image; none for an image of other units, of which density is unknown."""
     if not found.is_hounsfield and request.density == "auto":
         sentences.append(
             "density: unknown, for the values are not Hounsfield units; the bone gets a shell of even thickness. "
             "Give --density line:SLOPE,OFFSET to use them"
         )
-        return None, None
-    law = law_of(request.density, image, labels)
+        return None
+    return law_of(request.density, image, labels)
+
+
+def _density(bone: BoneOfImage, law: DensityLaw, sentences: list[str]) -> Image:
+    """The density of the bone's voxels."""
     density = bone.density(law)
     held = density.values[density.values > 0]
-    low, high = law.band(np.array([(float(np.median(held)) - law.offset_kg_m3) / law.slope_kg_m3]))
+    middle = float(np.median(held))
+    low, high = law.band(np.array([(middle - law.offset_kg_m3) / law.slope_kg_m3]))
     sentences.append(
-        f"density by {law.name} ({law.source}): median {np.median(held):.0f} kg/m3, 90 % between {low[0]:.0f} and "
-        f"{high[0]:.0f}; least {held.min():.0f}, greatest {held.max():.0f}"
+        f"density by {law.name}: median {middle:.0f} kg/m3, 90 % between {low[0]:.0f} and {high[0]:.0f}; least "
+        f"{held.min():.0f}, greatest {held.max():.0f} ({law.source})"
     )
-    return law, density
+    return density

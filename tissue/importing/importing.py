@@ -101,12 +101,13 @@ def import_bone(
 
 def _law_of(text: str, image: Image, labels: Labels | None) -> DensityLaw:
     """The law that a request names; the first that the image allows where it names none."""
-    from meshes.ct.density import CT_DENSITY, density_law
+    from meshes.ct.density import CT_DENSITY
+    from meshes.ct.laws import density_law
 
     if text != "auto":
-        return density_law(text, image, labels)
+        return density_law(text, image, labels=labels)
     try:
-        return density_law("internal", image, labels)
+        return density_law("internal", image, labels=labels)
     except InputError as error:
         return replace(CT_DENSITY, source=f"{CT_DENSITY.source}; no calibration within the image: {error}")
 
