@@ -1,0 +1,150 @@
+"""Label volumes with their names, as programs write them."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import nibabel
+import numpy as np
+import pytest
+import SimpleITK
+
+from meshes.base.errors import InputError
+from meshes.ct.labels import LABEL_SETS, label_sets, on_grid_of, read_labels
+from meshes.images.reading import read_image
+
+ANATOMY = Path(__file__).parents[4] / "shared" / "anatomy" / "ct"
+needs_anatomy = pytest.mark.skipif(not ANATOMY.is_dir(), reason="../shared/anatomy is not there")
+
+
+def volume():
+    values = np.zeros((6, 5, 4), dtype=np.uint8)
+    values[1:3, 1:4, 1:3] = 2
+    values[4, 2, 2] = 7
+    return values
+
+
+def write_nifti(path, values, affine=None, extension=None):
+    image = nibabel.Nifti1Image(values, np.diag([2.0, 1.0, 1.5, 1.0]) if affine is None else affine)
+    image.header.set_xyzt_units("mm")
+    if extension is not None:
+        image.header.extensions.append(nibabel.nifti1.Nifti1Extension(0, extension))
+    nibabel.save(image, path)
+    return path
+
+
+def write_seg(path, names):
+    image = SimpleITK.GetImageFromArray(volume().T)
+    for index, (number, name) in enumerate(names.items()):
+        image.SetMetaData(f"Segment{index}_Name", name)
+        image.SetMetaData(f"Segment{index}_LabelValue", str(number))
+    SimpleITK.WriteImage(image, str(path), True)
+    return path
+
+
+def test_a_slicer_segmentation_names_its_segments(tmp_path):
+    labels = read_labels(write_seg(tmp_path / "a.seg.nrrd", {2: "femur", 7: "canal"}))
+    assert labels.names == {2: "femur", 7: "canal"}
+    assert labels.mask("femur").sum() == 12 and labels.mask("canal").sum() == 1
+
+
+def test_a_table_in_a_nifti_header_names_the_labels(tmp_path):
+    table = (
+        b'<LabelTable><Label Key="2" Red="0"><![CDATA[liver]]></Label><Label Key="9"><![CDATA[x]]></Label></LabelTable>'
+    )
+    labels = read_labels(write_nifti(tmp_path / "a.nii.gz", volume(), extension=table))
+    assert labels.names == {2: "liver", 7: "label 7"}
+
+
+@pytest.mark.parametrize(
+    ("program", "count", "number", "name"),
+    [
+        ("totalsegmentator", 117, 71, "scapula_left"),
+        ("dentalsegmentator", 5, 5, "mandibular_canal"),
+        ("verse", 28, 20, "vertebrae_L1"),
+    ],
+)
+def test_a_known_program_names_its_numbers(program, count, number, name):
+    assert set(label_sets()) == set(LABEL_SETS)
+    assert len(label_sets()[program]) == len(set(label_sets()[program])) == count
+    assert label_sets()[program][number - 1] == name
+
+
+def test_a_table_of_ones_own_names_the_numbers(tmp_path):
+    names = tmp_path / "names.toml"
+    names.write_text("[labels]\ncortical = 2\ncanal = 7\n")
+    file = write_nifti(tmp_path / "a.nii.gz", volume())
+    assert read_labels(file, names=names).names == {2: "cortical", 7: "canal"}
+    for text, part in (
+        ("[labels]\ncortical = 2\n", "must name every label"),
+        ("[labels]\na = 2\nb = 2\n", "a label of its own"),
+        ("[labels]\na = 0\n", "from 1 to 255"),
+        ("[other]\na = 1\n", "one table [labels]"),
+        ("labels", "readable TOML"),
+    ):
+        names.write_text(text)
+        with pytest.raises(InputError, match=part.replace("[", r"\[")):
+            read_labels(file, names=names)
+
+
+def test_masks_of_a_folder_are_one_volume_and_named_by_their_files(tmp_path):
+    write_nifti(tmp_path / "femur_left.nii.gz", (volume() == 2).astype(np.uint8))
+    write_nifti(tmp_path / "canal.nii.gz", (volume() == 7).astype(np.uint8))
+    write_nifti(tmp_path / "empty.nii.gz", np.zeros((6, 5, 4), dtype=np.uint8))
+    labels = read_labels(tmp_path)
+    assert set(labels.names.values()) == {"femur_left", "canal"}
+    assert labels.mask("femur_left").sum() == 12 and labels.mask("canal").sum() == 1
+    write_nifti(tmp_path / "other.nii.gz", np.ones((3, 3, 3), dtype=np.uint8))
+    with pytest.raises(InputError, match="one grid"):
+        read_labels(tmp_path)
+
+
+def test_every_orientation_of_a_file_gives_the_same_labels(tmp_path):
+    whole = read_labels(write_nifti(tmp_path / "a.nii.gz", volume(), np.diag([-2.0, -1.0, 1.5, 1.0])))
+    for k, flips in enumerate(((0,), (1, 2), (0, 1, 2))):
+        affine = np.diag([-2.0, -1.0, 1.5, 1.0])
+        values = np.flip(volume(), flips)
+        for axis in flips:
+            affine[:3, 3] += affine[:3, axis] * (values.shape[axis] - 1)
+            affine[:3, axis] *= -1.0
+        other = read_labels(write_nifti(tmp_path / f"{k}.nii.gz", np.ascontiguousarray(values), affine))
+        assert np.array_equal(other.image.values, whole.image.values)
+        assert np.allclose(other.image.origin_mm, whole.image.origin_mm)
+
+
+def test_labels_of_another_grid_go_to_the_nearest_voxels(tmp_path):
+    fine = np.kron(volume(), np.ones((2, 2, 2), dtype=np.uint8))
+    affine = np.diag([-1.0, -0.5, 0.75, 1.0])
+    coarse_affine = np.diag([-2.0, -1.0, 1.5, 1.0])
+    coarse_affine[:3, 3] = affine[:3, :3] @ [0.5, 0.5, 0.5]
+    labels = read_labels(write_nifti(tmp_path / "fine.nii.gz", fine, affine))
+    image = read_image(write_nifti(tmp_path / "ct.nii.gz", volume().astype(np.int16), coarse_affine))
+    placed = on_grid_of(labels, image)
+    assert np.array_equal(placed.image.values, image.values) and "nearest label" in placed.image.notes[-1]
+    assert on_grid_of(placed, image) is placed
+    with pytest.raises(InputError, match="outside"):
+        on_grid_of(labels, replace(image, origin_mm=(500.0, 0.0, 0.0)))
+
+
+@pytest.mark.parametrize(
+    ("values", "part"),
+    [(np.full((3, 3, 3), 0.5, np.float32), "whole numbers"), (np.full((3, 3, 3), -4, np.int16), "whole numbers"),
+     (np.full((3, 3, 3), 900, np.int16), "whole numbers"), (np.zeros((3, 3, 3), np.uint8), "mark something")],
+)  # fmt: skip
+def test_what_is_no_segmentation_is_refused(tmp_path, values, part):
+    with pytest.raises(InputError, match=part):
+        read_labels(write_nifti(tmp_path / "a.nii.gz", values))
+
+
+def test_an_unknown_name_lists_those_that_are_near(tmp_path):
+    labels = read_labels(write_seg(tmp_path / "a.seg.nrrd", {2: "femur_left", 7: "canal"}))
+    with pytest.raises(InputError, match=r"got femur: use one of femur_left$"):
+        labels.mask("femur")
+    with pytest.raises(InputError, match=r"use one of femur_left, canal$"):
+        labels.mask("liver")
+
+
+@needs_anatomy
+def test_the_names_in_a_file_of_totalsegmentator_are_those_of_its_set():
+    labels = read_labels(ANATOMY / "example_seg.nii.gz")
+    assert labels.names == {number: label_sets()["totalsegmentator"][number - 1] for number in labels.names}
+    assert labels.mask("liver").sum() == 38634
