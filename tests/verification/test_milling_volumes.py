@@ -43,11 +43,11 @@ def sweep(model, start_m, end_m, *, step_m=2e-6):
     return model
 
 
-def cap_errors(removal):
+def cap_errors(removal, spacings_m):
     """Root mean square over random placements of the relative error of a cap's volume, for each spacing."""
     random = np.random.default_rng(1)
     errors = []
-    for spacing in SPACINGS_M:
+    for spacing in spacings_m:
         volume = block(spacing)
         single = []
         for _ in range(4):
@@ -61,16 +61,17 @@ def cap_errors(removal):
     return np.array(errors)
 
 
-def test_cap_volume_converges_with_second_order_and_beats_binary_removal():
-    subvoxel, binary = cap_errors("subvoxel"), cap_errors("binary")
-    slope = np.polyfit(np.log(SPACINGS_M), np.log(subvoxel), 1)[0]
-    binary_slope = np.polyfit(np.log(SPACINGS_M), np.log(binary), 1)[0]
-    rows = zip(1e3 * np.array(SPACINGS_M), subvoxel, binary, strict=True)
+@pytest.mark.parametrize("spacings_m", [SPACINGS_M[:3], pytest.param(SPACINGS_M, marks=pytest.mark.slow)])
+def test_cap_volume_converges_with_second_order_and_beats_binary_removal(spacings_m):
+    subvoxel, binary = cap_errors("subvoxel", spacings_m), cap_errors("binary", spacings_m)
+    slope = np.polyfit(np.log(spacings_m), np.log(subvoxel), 1)[0]
+    binary_slope = np.polyfit(np.log(spacings_m), np.log(binary), 1)[0]
+    rows = zip(1e3 * np.array(spacings_m), subvoxel, binary, strict=True)
     print("\nspacing mm, sub-voxel, binary:", *rows, sep="\n  ")
     print(f"slopes {slope:.2f} and {binary_slope:.2f}")
-    assert slope > 1.6  # second order, fitted over four spacings with placement noise
+    assert slope > 1.6  # second order, fitted over its spacings with placement noise
     assert subvoxel[2] < 1e-3  # 0.1 % at 0.1 mm
-    assert subvoxel[3] < 1e-4
+    assert (subvoxel[3:] < 1e-4).all()
     assert (subvoxel < 0.5 * binary).all()
 
 

@@ -62,6 +62,7 @@ def test_a_predictor_of_two_methods_runs_guarded_is_judged_and_charted(tmp_path)
     assert "drift" in json.loads(schema_text())["properties"]["prediction"]["enum"]
 
 
+@pytest.mark.slow
 def test_a_predictor_that_over_compensates_is_refused_by_the_judge_of_stability():
     @register.predictor("eager")
     class Eager(Drift):
@@ -113,7 +114,16 @@ class Sprung:
         self.commands.append(force_N)
 
 
-def test_a_device_is_opened_where_a_scene_names_it_and_judged_by_its_numbers(command, here):
+@pytest.mark.slow
+def test_a_device_is_judged_by_its_numbers():
+    register.device("sprung", LIGHT)
+    mine, touch = (
+        scene_stability(load_scene("wall", {"device": name})).verdict.critical_N_m for name in ("sprung", "touch")
+    )
+    assert mine != touch
+
+
+def test_a_device_is_opened_where_a_scene_names_it(command, here):
     opens = register.device("sprung", DeviceParameters(**LIGHT))
     simulate(
         load_scene("wall", {"device": "sprung", "prediction": "linear", "duration_s": 0.01})
@@ -126,10 +136,6 @@ def test_a_device_is_opened_where_a_scene_names_it_and_judged_by_its_numbers(com
     assert isinstance(device, Sprung) and len(device.commands) >= 400 and not np.any(device.commands[-1])
     assert max(np.abs(force).max() for force in device.commands) > 0.3
     assert "sprung in the hand of" in run.parts.notes["coupling"]
-    mine, touch = (
-        scene_stability(load_scene("wall", {"device": name})).verdict.critical_N_m for name in ("sprung", "touch")
-    )
-    assert mine != touch
     opened = Sprung.opened
     code, output, error = command(
         "run", "wall", "--set", "device=sprung", "--duration-s", 0.1, "--no-pictures", "--out", "out"

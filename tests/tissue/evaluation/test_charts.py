@@ -268,6 +268,7 @@ class Inline(Executor):
         return done
 
 
+@pytest.mark.slow
 def test_what_is_made_ready_is_found(block, tmp_path, monkeypatch):
     monkeypatch.setattr("tissue.evaluation.charts.measure.EXCERPT_S", {True: 0.2})
     make_ready([block], Inline(), quick=True, report=lambda doing, share: None)

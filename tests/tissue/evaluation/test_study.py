@@ -224,6 +224,7 @@ def test_a_scheduler_has_an_address(tmp_path, address):
         run_study(SMALL, tmp_path / "study", scheduler=address)
 
 
+@pytest.mark.slow
 def test_a_trial_alone_is_the_trial_of_its_study_and_fails_alone(monkeypatch):
     """One method on the quickest task, twice bit for bit; then one whose method cannot be run."""
     plan, key = Plan(methods=("koopman-perception",)), TrialKey("drilling", "novice", 2)

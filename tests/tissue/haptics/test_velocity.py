@@ -16,6 +16,7 @@ from tissue.haptics.loop.stability_map import measured_critical_N_m
 from tissue.models.wall import WallModel
 
 TICK = 1e-3
+FORECAST = Forecast(taps=0.5 ** np.arange(6.0)[None, :, None] * [[[-60.0, -0.3, 0.4]]])
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.5, 0.85, 0.95])
@@ -46,9 +47,14 @@ def test_a_constant_acceleration_has_no_delay_and_a_pause_forgets():
 
 
 @pytest.mark.parametrize(
-    "forecast", [None, Forecast(taps=0.5 ** np.arange(6.0)[None, :, None] * [[[-60.0, -0.3, 0.4]]])]
+    ("forecast", "model_ticks"),
+    [
+        (None, 4),
+        (FORECAST, 1),
+        pytest.param(None, 1, marks=pytest.mark.slow),
+        pytest.param(FORECAST, 4, marks=pytest.mark.slow),
+    ],
 )
-@pytest.mark.parametrize("model_ticks", [1, 4])
 def test_the_judge_s_eigenvalues_are_where_the_loop_with_the_filter_starts_to_grow(forecast, model_ticks):
     """Bisection of running loops to 0.05 %, of which a slow growth over 4000 ticks takes up to 1 %."""
     if forecast is not None:
