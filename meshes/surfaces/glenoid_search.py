@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from meshes.base.simplices import cross_products
 from meshes.surfaces.repair import triangle_areas
 
-__all__ = ["Face", "SurfaceSamples", "best_seed", "grow_face", "sample_surface"]
+__all__ = ["Face", "Seed", "SurfaceSamples", "best_seeds", "grow_face", "sample_surface"]
 
 _DISC, _RING, _REACH = 10e-3, 20e-3, 26e-3
 _THICK = (6e-3, 18e-3)
 _CONVEX = 6.0
 _SEEDS = 1500
+_APART = 30e-3
 _SECTORS, _REFINEMENTS = 24, 8
 _INNER, _RING_WIDTH, _LEANING = 7e-3, 1e-3, 0.4
 
@@ -65,6 +66,23 @@ class Face:
     curvature_radius_m: float
 
 
+@dataclass(frozen=True, eq=False)
+class Seed:
+    """A sample of a surface and how much the surface around it looks like a glenoid.
+
+    Attributes
+    ----------
+    point_m, normal
+        Position [m] and smoothed outward unit normal, shape (3,).
+    score
+        Likeness, 0 to 1.
+    """
+
+    point_m: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    score: float
+
+
 def sample_surface(vertices: NDArray[np.float64], faces: NDArray[np.int64], count: int) -> SurfaceSamples:
     """Spread `count` points evenly by area, the same ones every time (Kronecker sequence within the triangles)."""
     total = np.cumsum(triangle_areas(vertices, faces))
@@ -78,24 +96,20 @@ def sample_surface(vertices: NDArray[np.float64], faces: NDArray[np.int64], coun
     return SurfaceSamples(points, cross / np.linalg.norm(cross, axis=1)[:, None], float(total[-1]) / count)
 
 
-def best_seed(samples: SurfaceSamples) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Sample that looks most like the middle of a glenoid.
-
-    Returns
-    -------
-    Its position [m] and smoothed normal, shape (3,), and its score, 0 to 1.
-    """
+def best_seeds(samples: SurfaceSamples) -> tuple[Seed, Seed]:
+    """Sample that looks most like the middle of a glenoid, and the one that does so 30 mm or more away from it."""
     from scipy.spatial import cKDTree
 
     tree = cKDTree(samples.points)
-    seeds = np.arange(0, len(samples.points), max(len(samples.points) // _SEEDS, 1))
-    best = (samples.points[0], samples.normals[0], 0.0)
-    for seed in seeds.tolist():
-        near = np.array(tree.query_ball_point(samples.points[seed], _REACH))
-        normal, score = _score(samples, samples.points[seed], samples.normals[seed], near)
-        if score > best[2]:
-            best = (samples.points[seed], normal, score)
-    return best
+    numbers = np.arange(0, len(samples.points), max(len(samples.points) // _SEEDS, 1)).tolist()
+    seeds = []
+    for number in numbers:
+        near = np.array(tree.query_ball_point(samples.points[number], _REACH))
+        normal, score = _score(samples, samples.points[number], samples.normals[number], near)
+        seeds.append(Seed(samples.points[number], normal, score))
+    best = max(seeds, key=lambda seed: seed.score)
+    apart = [seed for seed in seeds if np.linalg.norm(seed.point_m - best.point_m) > _APART]
+    return best, max(apart, key=lambda seed: seed.score, default=Seed(best.point_m, best.normal, 0.0))
 
 
 def grow_face(samples: SurfaceSamples, centre_m: NDArray[np.float64], normal: NDArray[np.float64]) -> Face:

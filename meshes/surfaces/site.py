@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, in_brackets, require_direction, require_vector
 from meshes.base.placement import Placement
-from meshes.surfaces.glenoid_search import Face, SurfaceSamples, best_seed, grow_face, sample_surface
+from meshes.surfaces.glenoid_search import Face, SurfaceSamples, best_seeds, grow_face, sample_surface
 from meshes.surfaces.surface import Surface
 from meshes.voxels.column_crossings import column_crossings
 
-__all__ = ["Site", "axes_along", "find_glenoid", "place_site"]
+__all__ = ["FoundSite", "Site", "axes_along", "find_glenoid", "place_site", "search_glenoid", "site_along"]
 
 _SAMPLES, _FACE_SAMPLES = 8000, 40000
 _LEAST_SCORE = 0.25
@@ -58,6 +58,28 @@ class Site:
         return Placement(1e3 * self.centre_m, self.rotation, unit_mm)
 
 
+@dataclass(frozen=True, eq=False)
+class FoundSite:
+    """A site that was searched for.
+
+    Attributes
+    ----------
+    site
+        The best place.
+    score
+        How well it fits, 0 to 1.
+    second_score
+        Score of the best place well apart from it; 0 where there is none that fits at all.
+    second_centre_mm
+        That place [mm] in the frame of the surface, shape (3,); None where there is none.
+    """
+
+    site: Site
+    score: float
+    second_score: float
+    second_centre_mm: NDArray[np.float64] | None
+
+
 def find_glenoid(
     surface: Surface, *, centre_mm: Sequence[float] | None = None, along: Sequence[float] | None = None
 ) -> Site:
@@ -78,14 +100,20 @@ def find_glenoid(
     InputError
         If nothing on the surface looks like a glenoid, the centre is off the surface, or `along` is normal to the face.
     """
-    samples = sample_surface(*surface.scanned, _FACE_SAMPLES)
     if centre_mm is not None:
+        samples = sample_surface(*surface.scanned, _FACE_SAMPLES)
         centre = require_vector("anatomy.centre_mm", centre_mm) * 1e-3
         near = int(np.argmin(np.linalg.norm(samples.points - centre, axis=1)))
         normal = grow_face(samples, samples.points[near], samples.normals[near]).normal
         return _site(surface, centre, normal, along, "centre as given, normal of the face around it")
-    point, normal, score = best_seed(sample_surface(*surface.scanned, _SAMPLES))
-    face = grow_face(samples, point, normal)
+    return search_glenoid(surface, along=along).site
+
+
+def search_glenoid(surface: Surface, *, along: Sequence[float] | None = None) -> FoundSite:
+    """Search a scapula for its glenoid; `along` and errors as in `find_glenoid`."""
+    best, second = best_seeds(sample_surface(*surface.scanned, _SAMPLES))
+    score = best.score
+    face = grow_face(sample_surface(*surface.scanned, _FACE_SAMPLES), best.point_m, best.normal)
     plausible = _WIDTH_M[0] <= face.width_m <= _WIDTH_M[1] and _LENGTH_M[0] <= face.length_m <= _LENGTH_M[1]
     if score < _LEAST_SCORE or not plausible:
         raise InputError(
@@ -98,7 +126,8 @@ def find_glenoid(
     bend = "concave" if radius > 0.0 else "convex"
     shape = "flat" if abs(radius) > _FLAT_M else f"{bend}, radius {1e3 * abs(radius):.0f} mm"
     note = f"found by search: face {_size(face)}, {shape}, score {score:.2f} of 1; check it in the picture"
-    return _site(surface, face.centre_m, face.normal, along, note, face.long_axis)
+    site = _site(surface, face.centre_m, face.normal, along, note, face.long_axis)
+    return FoundSite(site, score, second.score, None if second.score == 0.0 else 1e3 * second.point_m)
 
 
 def place_site(
@@ -134,6 +163,17 @@ def place_site(
     else:
         axis = require_direction("anatomy.normal", normal, "give the outward direction")
     return _site(surface, centre, axis, along, note if along is None else f"{note}, x along the direction given")
+
+
+def site_along(surface: Surface, centre_m: NDArray[np.float64], normal: NDArray[np.float64], note: str) -> Site:
+    """Site where the line through a point [m] along a unit normal leaves the bone, y away from the bone's middle.
+
+    Raises
+    ------
+    InputError
+        If the line leaves the bone nowhere within 10 mm of the point.
+    """
+    return _site(surface, centre_m, normal, None, note)
 
 
 def _site(

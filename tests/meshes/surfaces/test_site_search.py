@@ -1,0 +1,145 @@
+"""Sites searched for: the same on a moved, turned, mirrored, coarser bone; refused where there is none."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyvista
+import trimesh
+from joint_bones import NECK, Rod, as_surface, femur, humerus, solid
+from scipy.spatial.transform import Rotation
+
+from meshes.base.errors import InputError
+from meshes.surfaces.site_search import SITE_KINDS, find_site
+from meshes.surfaces.surface import read_surface
+
+ANATOMY = Path(__file__).resolve().parents[4] / "shared" / "anatomy"
+FEMURS = {"myosim_femur_r.stl": None, "openforge_femur_left.stl": 48.0}
+"""Files and their unit [mm]; the second is of no unit, and 450 mm long in this one."""
+BONES = {"femoral-head": femur, "humeral-head": humerus}
+MOVES = {
+    "moved": (np.eye(3), 1.0),
+    "turned": (Rotation.from_rotvec([0.7, -1.1, 0.4]).as_matrix(), 1.0),
+    "mirrored": (np.diag([-1.0, 1.0, 1.0]), 1.0),
+    "in metres": (np.eye(3), 1e-3),
+}
+
+
+def angle_deg(one, other):
+    return float(np.degrees(np.arccos(np.clip(one @ other, -1.0, 1.0))))
+
+
+@pytest.fixture(scope="module", params=BONES)
+def head(request):
+    return request.param, BONES[request.param]()
+
+
+def test_axis_and_centre_of_a_head(head):
+    kind, bone = head
+    found = find_site(kind, as_surface(bone))
+    assert angle_deg(found.site.rotation[:, 2], NECK) < 1.0  # a voxel of the neck's or the rim's 15 mm is 4
+    assert np.linalg.norm(1e3 * found.site.centre_m - 23.0 * NECK) < 0.4
+    assert found.score > 0.8
+    assert found.second_score == 0.0
+    assert "radius 23" in found.site.confidence
+
+
+@pytest.mark.parametrize("move", MOVES)
+def test_a_head_does_not_depend_on_where_the_bone_lies(head, move):
+    kind, bone = head
+    turn, unit = MOVES[move]
+    shift = np.array([40.0, -500.0, 7.0])
+    vertices = (np.array(bone.vertices) @ turn.T + shift) * unit
+    faces = np.array(bone.faces) if np.linalg.det(turn) > 0.0 else np.array(bone.faces)[:, ::-1]
+    found = find_site(kind, as_surface(trimesh.Trimesh(vertices, faces, process=False), scale=1.0 / unit))
+    assert angle_deg(found.site.rotation[:, 2], turn @ NECK) < 1.0
+    assert np.linalg.norm(1e3 * found.site.centre_m - (23.0 * turn @ NECK + shift)) < 0.5
+
+
+def test_a_head_of_few_triangles(head):
+    kind, bone = head
+    coarse = pyvista.wrap(bone).decimate(1.0 - 1500 / len(bone.faces))
+    triangles = trimesh.Trimesh(np.asarray(coarse.points), coarse.faces.reshape(-1, 4)[:, 1:])
+    found = find_site(kind, as_surface(triangles))
+    assert angle_deg(found.site.rotation[:, 2], NECK) < 2.0
+    assert np.linalg.norm(1e3 * found.site.centre_m - 23.0 * NECK) < 1.0
+
+
+@pytest.mark.parametrize("kind", SITE_KINDS)
+@pytest.mark.parametrize(
+    "shape",
+    [
+        pytest.param(trimesh.creation.icosphere(4, 24.0), id="ball"),
+        pytest.param(trimesh.creation.box((60.0, 50.0, 40.0)), id="box"),
+        pytest.param(trimesh.creation.cylinder(15.0, 300.0, sections=64), id="shaft"),
+    ],
+)
+def test_what_is_no_bone_is_refused(kind, shape):
+    with pytest.raises(InputError, match=r"^file must show a .*, got .*: check anatomy.scale_mm, or give "):
+        find_site(kind, as_surface(shape))
+
+
+def test_one_joint_is_not_another():
+    for kind, other in (("femoral-head", humerus), ("humeral-head", femur)):
+        with pytest.raises(InputError, match="got"):
+            find_site(kind, as_surface(other()))
+
+
+def test_a_bone_with_two_heads_is_refused():
+    bone = femur()
+    twin = bone.copy()
+    twin.apply_transform(trimesh.transformations.rotation_matrix(np.pi, (1, 0, 0), (0, 0, -150)))
+    foot = -46.0 * NECK
+    rod = solid(Rod(foot - [0, 0, 60], foot - [0, 20, 200], 12.0))
+    both = trimesh.util.concatenate([bone, twin, rod])
+    with pytest.raises(InputError, match="got two places alike"):
+        find_site("femoral-head", as_surface(both))
+
+
+def test_an_unknown_site_lists_the_known_ones():
+    with pytest.raises(InputError, match=r"site must be one of glenoid, femoral-head, humeral-head.*, got knee"):
+        find_site("knee", as_surface(trimesh.creation.icosphere(2, 24.0)))
+
+
+@pytest.mark.parametrize("name", FEMURS)
+def test_heads_of_real_femurs(name):
+    """The origin of the OpenSim femur is the centre of its head; necks lean 120 to 140 degrees from the shaft."""
+    path = ANATOMY / "bone" / name
+    if not path.is_file():
+        pytest.skip("no bones in shared/anatomy")
+    surface = read_surface(path, scale_mm=FEMURS[name], cut_off=True)
+    found = find_site("femoral-head", surface)
+    assert found.second_score < 0.5 * found.score
+    points = surface.vertices_m - surface.vertices_m.mean(axis=0)
+    shaft = np.linalg.svd(points, full_matrices=False)[2][0]
+    shaft *= np.sign(shaft @ (found.site.centre_m - surface.vertices_m.mean(axis=0)))
+    assert 118.0 < 180.0 - angle_deg(found.site.rotation[:, 2], shaft) < 142.0
+    if name.startswith("myosim"):
+        middle = found.site.centre_m - 23e-3 * found.site.rotation[:, 2]
+        assert np.linalg.norm(middle) < 1.5e-3
+
+
+@pytest.mark.parametrize("name", ["myosim_scapula.stl", "openforge_scapula_left.stl"])
+def test_the_glenoid_comes_with_its_second_best_place(name):
+    path = ANATOMY / "scapula" / name
+    if not path.is_file():
+        pytest.skip("no scapulae in shared/anatomy")
+    surface = read_surface(path, scale_mm=50.0 if name.startswith("open") else None, cut_off=True)
+    found = find_site("glenoid", surface)
+    assert found.second_score < found.score
+    assert found.second_centre_mm is not None
+    assert np.linalg.norm(found.second_centre_mm - 1e3 * found.site.centre_m) > 20.0
+    print(f"{name}: score {found.score:.2f}, second {found.second_score:.2f} at {found.second_centre_mm.round(1)}")
+    for kind in ("femoral-head", "humeral-head"):
+        with pytest.raises(InputError, match="got"):
+            find_site(kind, surface)
+
+
+def test_a_hip_bone_has_no_head():
+    """Its socket is a hollow ball."""
+    path = ANATOMY / "bone" / "sofa_hip_bone.obj"
+    if not path.is_file():
+        pytest.skip("no bones in shared/anatomy")
+    for kind in ("femoral-head", "humeral-head"):
+        with pytest.raises(InputError, match="got"):
+            find_site(kind, read_surface(path, scale_mm=110.0, cut_off=True))
