@@ -40,6 +40,9 @@ _MINERAL_SD = 0.03
 """Relative standard deviation of apparent density from mineral: ICRU 44's calcium makes ash 0.57 of dense bone, the
 ratio of Schileo 2008 is 0.598; half of what these lie apart."""
 _WORST_FIT = 9.0
+"""Mean square of misfits over their standard deviations that no Hounsfield units have."""
+_CHANCE = 0.1
+"""A misfit that chance makes less often than this widens the band."""
 _SOFT = ("adipose", "muscle", "blood")
 
 
@@ -112,7 +115,7 @@ def fit_regions(regions: dict[str, Region], *, source: str) -> InternalCalibrati
     """Effective energy, scanner line and density law that fit the means of regions best, with their uncertainty.
 
     Unknowns are the energy, the scanner's error of water and scale, each tissue's deviation from ICRU 44 and the fat in
-    marrow, all with normal priors. The covariance is that of the linearised problem; a misfit greater than expected
+    marrow, all with normal priors. The covariance is that of the linearised problem; a misfit beyond chance
     widens it.
 
     Raises
@@ -121,6 +124,7 @@ def fit_regions(regions: dict[str, Region], *, source: str) -> InternalCalibrati
         See `calibrate`.
     """
     from scipy.optimize import least_squares
+    from scipy.special import chdtri
 
     tissues = [tissue for tissue in _SPREAD if tissue in regions]
     _require_enough(tissues, source)
@@ -140,14 +144,14 @@ def fit_regions(regions: dict[str, Region], *, source: str) -> InternalCalibrati
     found = least_squares(
         misfit, np.zeros(4 + len(tissues)), bounds=(np.append(limits[0], -free), np.append(limits[1], free))
     )
-    unlikely = 2.0 * float(found.cost) / len(tissues)
-    if unlikely > _WORST_FIT:
+    misfit_squared = 2.0 * float(found.cost)
+    if misfit_squared > _WORST_FIT * len(tissues):
         seen = ", ".join(f"{tissue} {regions[tissue].mean_HU:.0f}" for tissue in tissues)
         raise InputError(
             f"grey values must be Hounsfield units for an internal calibration, got {seen} in {source}, which fit no "
             "energy: give a phantom's line as line:SLOPE,OFFSET"
         )
-    covariance = np.linalg.inv(found.jac.T @ found.jac) * max(unlikely, 1.0)
+    covariance = np.linalg.inv(found.jac.T @ found.jac) * max(misfit_squared / chdtri(len(tissues), _CHANCE), 1.0)
     line, slopes = _with_derivatives(_density_line, found.x)
     spread = slopes @ covariance @ slopes.T
     energy, energy_sd = _energy(found.x), _ENERGY_SD_KEV * math.sqrt(covariance[0, 0])
@@ -212,14 +216,14 @@ def _require_enough(tissues: list[str], source: str) -> None:
 
 
 def _notes(tissues: list[str], source: str, energy: float) -> tuple[str, ...]:
-    wider = {
-        "cortex": "no dense cortex thick enough for its voxels, so that the energy is hardly known",
-        "air": "no air, so that the scale rests on the scanner's own",
-        "adipose": "no fat",
-        "muscle": "no muscle",
+    lacking = {
+        "cortex": "no dense cortex thick enough for its voxels was found: the energy is hardly known, the band wide",
+        "air": "no air was found: the scale is taken to be the scanner's own",
+        "adipose": "no fat was found",
+        "muscle": "no muscle was found",
     }
-    missing = [text for tissue, text in wider.items() if tissue not in tissues]
-    notes = [f"Internal calibration of {source}: {text}; the band is wider for it." for text in missing]
+    missing = [text for tissue, text in lacking.items() if tissue not in tissues]
+    notes = [f"Internal calibration of {source}: {text}." for text in missing]
     if not 50.0 <= energy <= 90.0:
         notes.append(
             f"An effective energy of {energy:.0f} keV is unusual for a clinical CT (50 to 90): check its units."

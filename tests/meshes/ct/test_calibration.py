@@ -65,16 +65,16 @@ def test_what_fits_no_energy_is_refused():
 
 
 def test_the_band_covers_tissues_that_differ_between_persons():
-    """400 persons drawn as wide as the priors but evenly, 60 to 100 keV: 90 % are held, standard error 1.5 %."""
+    """400 persons drawn from the priors at 60 to 100 keV: 90 % are held, standard error 1.5 %."""
     rng = np.random.default_rng(5)
     held = []
     for _ in range(400):
         energy = rng.uniform(60.0, 100.0)
-        even = dict(zip(ALL, rng.uniform(-1.0, 1.0, 5) * np.sqrt(3.0), strict=True))
+        drawn = dict(zip(ALL, rng.normal(size=5), strict=True))
         spread = {"air": 0.0, "adipose": 0.02, "muscle": 0.01, "blood": 0.01, "cortex": 0.04}
         scale, water = 1.0 + 0.01 * rng.normal(), 4.0 * rng.normal()
         read = lambda mu: scale * hounsfield(mu, energy) + water + rng.normal()  # noqa: B023, E731
-        means = {t: read(linear_attenuation(t, energy) * (1.0 + spread[t] * even[t])) for t in ALL if t != "blood"}
+        means = {t: read(linear_attenuation(t, energy) * (1.0 + spread[t] * drawn[t])) for t in ALL if t != "blood"}
         law = fit_regions(regions_of(means), source="person").law
         fat = np.clip(rng.normal(0.6, 0.25), 0.0, 1.0)
         marrow = fat * linear_attenuation("adipose", energy) + (1.0 - fat) * linear_attenuation("muscle", energy)
@@ -84,4 +84,4 @@ def test_the_band_covers_tissues_that_differ_between_persons():
             held.append(low[0] < density < high[0])
     share = np.reshape(held, (-1, 3)).mean(axis=0)
     print("held at 300, 800, 1400 kg/m3:", share)
-    assert np.all((share > 0.86) & (share < 0.97))
+    assert np.all((share > 0.86) & (share < 0.95))
