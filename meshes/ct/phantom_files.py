@@ -48,7 +48,7 @@ def reoriented(stored: StoredImage, axes: str) -> StoredImage:
 
 
 def write_stored(path: str | Path, stored: StoredImage, *, tilt_deg: float = 0.0) -> Path:
-    """Write an image; the name tells the format: .nii, .nii.gz, .nrrd, .mha, .mhd, or none for a DICOM folder.
+    """Write an image in the format of its name: .nii, .nii.gz, .nrrd, .mha, .mhd, or none for a DICOM folder.
 
     Raises
     ------
