@@ -10,7 +10,7 @@ import tissue
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[1] / "examples").glob("[0-9]*.py"))
 COMMON = {
-    "collections", "dataclasses", "math", "matplotlib", "numpy", "pandas", "pathlib", "pyvista", "scipy", "tempfile",
+    "collections", "dataclasses", "gymnasium", "math", "matplotlib", "numpy", "pandas", "pathlib", "pyvista", "scipy", "tempfile",
     "typing",
 }  # fmt: skip
 
