@@ -130,6 +130,8 @@ def _takes(entry: Schema) -> str:
             return f"{entry.get('minItems', 0)} or more times {_takes(entry['items'])}"
         limits = {_range(item) for item in items} - {""}
         return f"{len(items)} numbers" + "".join(f", each {limit}" for limit in limits)
+    if entry["type"] == "object":
+        return f"names and numbers, each {_takes(entry['additionalProperties'])}"
     if entry["type"] == "string":
         return _text(entry.get("pattern", ""))
     return "`true`, `false`" if entry["type"] == "boolean" else _range(entry) or "number"

@@ -100,7 +100,8 @@ def vtk_mesh(file: Path) -> Answer:
     """Arrays ``points`` and ``tets`` with arrays over them, or else ``points`` and ``triangles``.
 
     Facts besides tetrahedra: ``others``, the number of cells that are not; ``quadratic``, whether some had more than
-    corners; ``names`` of the arrays over them, which are ``cells 0``, ``cells 1``, ... here.
+    corners; ``names`` of the arrays over them, which are ``cells 0``, ``cells 1``, ... here; ``parts``, the texts of
+    the field ``part_names``.
     """
     import pyvista
 
@@ -117,7 +118,13 @@ def vtk_mesh(file: Path) -> Answer:
     names = [name for name in data.cell_data if np.asarray(data.cell_data[name]).dtype.kind in "biuf"]
     arrays: dict[str, NDArray[np.number]] = {"points": np.asarray(data.points), "tets": tets}
     arrays |= {f"cells {i}": np.asarray(data.cell_data[name])[order] for i, name in enumerate(names)}
-    facts = {"others": len(kinds) - len(order), "quadratic": _QUADRATIC_TETRAHEDRON in present, "names": names}
+    parts = np.asarray(data.field_data["part_names"]) if "part_names" in data.field_data else np.zeros(0)
+    facts = {
+        "others": len(kinds) - len(order),
+        "quadratic": _QUADRATIC_TETRAHEDRON in present,
+        "names": names,
+        "parts": [str(part) for part in parts.ravel()] if parts.dtype.kind == "U" else [],
+    }
     return facts, arrays
 
 

@@ -10,7 +10,7 @@ from meshes.base.errors import InputError, by, require_file, require_positive
 from meshes.base.isolated_parser import parse_isolated
 from meshes.base.progress import Progress, silent
 from meshes.surfaces.surface import Surface, surface_from_triangles
-from meshes.tets.msh import StoredMesh, read_msh
+from meshes.tets.msh import StoredMesh, part_name, read_msh
 from meshes.tets.quality import repair_tets
 from meshes.tets.tetrahedra import TetMesh
 from meshes.tets.tetrahedralise import tetrahedralise
@@ -56,7 +56,7 @@ def read_tets(
     Gmsh text of versions 1 and 2 (``.msh``) is read here, everything else by pyvista, which reads VTK files itself and
     further formats where meshio is installed. Cells other than tetrahedra are left out next to tetrahedra. An array of
     integers over the cells that is named as parts usually are (``gmsh:physical``, ``part``, ``region``, ...) gives the
-    parts.
+    parts; of ``part``, texts in the field ``part_names`` are their names, counted from 0.
 
     Parameters
     ----------
@@ -127,14 +127,17 @@ def _from_vtk(file: Path) -> StoredMesh:
     if len(tets) == 0 and len(triangles) == 0:
         raise InputError(f"file must hold tetrahedra or triangles, got none in {file.name}: export it again")
     part, notes = np.zeros(len(tets), dtype=np.int64), []
+    known: dict[int, str] = {}
     for name in PART_ARRAYS:
         values = arrays[f"cells {names.index(name)}"] if name in names else np.zeros(0)
         whole = values.ndim == 1 and len(values) > 0 and bool(np.isfinite(values).all())
         if whole and (values == np.round(values)).all() and len(np.unique(values)) <= MOST_PARTS:
             part = values.astype(np.int64)
+            for number, text in enumerate(facts.get("parts", []) if name == "part" else []):
+                known[number] = part_name(text, known, f"part_names of {file.name}", "write them again")
             break
     if facts.get("others"):
         notes.append(f"Left out {facts['others']} cells that are not tetrahedra.")
     if facts.get("quadratic"):
         notes.append("Took the corners of quadratic tetrahedra: their edges became straight.")
-    return StoredMesh(points, tets.astype(np.int64), triangles.astype(np.int64), part, {}, tuple(notes))
+    return StoredMesh(points, tets.astype(np.int64), triangles.astype(np.int64), part, known, tuple(notes))

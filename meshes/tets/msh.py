@@ -1,5 +1,6 @@
 """Gmsh files of versions 1 and 2 in text, which the libraries at hand read not at all or only with a further one."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError
 from meshes.base.visible_text import visible
 
-__all__ = ["StoredMesh", "read_msh"]
+__all__ = ["StoredMesh", "part_name", "read_msh"]
 
 _TRIANGLE, _TETRAHEDRON = 2, 4
 _LONGEST_NAME = 60
@@ -131,11 +132,23 @@ def _names(lines: list[str], file: Path) -> dict[int, str]:
         dimension, number, name = line.split(maxsplit=2)
         if int(dimension) != 3:
             continue
-        shown = visible(name.strip().removeprefix('"').removesuffix('"')).replace("\n", " ").strip()
-        if not shown or len(shown) > _LONGEST_NAME or shown in names.values() or shown == "none":
-            raise InputError(
-                f"physical volumes must have names that differ, of 1 to {_LONGEST_NAME} characters and not 'none', got "
-                f"{shown[:_LONGEST_NAME]!r} for {number} in {file.name}: name it otherwise in Gmsh"
-            )
-        names[int(number)] = shown
+        name = name.strip().removeprefix('"').removesuffix('"')
+        names[int(number)] = part_name(name, names, f"physical volumes of {file.name}", "name them otherwise in Gmsh")
     return names
+
+
+def part_name(text: str, known: Mapping[int, str], what: str, remedy: str) -> str:
+    """Name of a part as a file has it, which no other part has.
+
+    Raises
+    ------
+    InputError
+        If it is empty, too long, or that of another.
+    """
+    shown = visible(text).replace("\n", " ").strip()
+    if not shown or len(shown) > _LONGEST_NAME or shown in known.values() or shown == "none":
+        raise InputError(
+            f"{what} must have names that differ, of 1 to {_LONGEST_NAME} characters and not 'none', got "
+            f"{shown[:_LONGEST_NAME]!r}: {remedy}"
+        )
+    return shown

@@ -19,8 +19,10 @@ from meshes.tets.quality import repair_tets
 from meshes.tets.report import millimetres, place
 from meshes.tets.tetrahedra import TetMesh
 
-__all__ = ["tetrahedralise"]
+__all__ = ["FILL_EDGES", "tetrahedralise"]
 
+FILL_EDGES = 14.0
+"""Edges along the longest side of an organ where no edge is given."""
 _CELLS = 30_000
 _EDGE_PER_CELL = 2.7
 """Target edge over the cube root of the mean cell volume, as fTetWild came out on a liver."""

@@ -1,9 +1,8 @@
 """A tooth's surface and layers between the voxels of its labels: one function of the file, whatever grid samples it.
 
-Each layer's voxels are spread by a Gaussian of 1.5 voxels less its Laplacian, ``G - s^2 div grad G``, and interpolated.
-That kernel has no second moment in a plane through its centre, so that a curved boundary stays where it is to first
-order in the curvature: labels of planes and balls give their surface back to 0.08 voxels rms, without bias. A layer of
-two voxels becomes a fifth of a voxel thicker on either side.
+Each layer's voxels are spread by the kernel of `meshes.images.label_spread` with a deviation of 1.5 voxels, and
+interpolated: labels of planes and balls give their surface back to 0.08 voxels rms, without bias. A layer of two voxels
+becomes a fifth of a voxel thicker on either side.
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.images.label_spread import spread_labels
 from meshes.shapes.plane_cube import cube_fraction
 from meshes.tooth.layers import LAYER_DENSITY_KG_M3, TOOTH_LAYERS
 from meshes.voxels.grid import Grid
@@ -80,7 +80,7 @@ class LabelShares:
         there = [layer for layer in layers if (labels == layer).any()]
 
         def share(layer: int) -> NDArray[np.float32]:
-            return _spread((labels == layer).astype(np.float32), deviation, voxel_m)
+            return spread_labels((labels == layer).astype(np.float32), deviation / voxel_m)
 
         with ThreadPoolExecutor(_THREADS) as pool:
             shares = tuple(pool.map(share, there))
@@ -159,18 +159,6 @@ class LabelShares:
     def _index(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
         """Indices [voxel] of points [m], shape (3, n)."""
         return np.asarray(self.start[:, None] + self.turn @ points.T)
-
-
-def _spread(values: NDArray[np.float32], deviation_m: float, voxel_m: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Values spread by the Gaussian less its Laplacian times its variance."""
-    from scipy.ndimage import correlate1d, gaussian_filter
-
-    smooth = gaussian_filter(values, deviation_m / voxel_m, mode="constant")
-    result = smooth.copy()
-    for axis, side in enumerate(voxel_m):
-        second = np.array([1.0, -2.0, 1.0]) * (deviation_m / side) ** 2
-        result -= correlate1d(smooth, second, axis=axis, mode="constant")
-    return result
 
 
 def _plane_share() -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -1,6 +1,7 @@
 """Options of commands that have no effect, and what a run reports as left undone."""
 
 import errno
+import re
 from dataclasses import replace
 from itertools import pairwise
 
@@ -8,10 +9,11 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import in_callers_words
+from meshes.organs.liver import Nodule, slab
 from meshes.tets.structured import box
 from tissue import InputError, load_scene, scene_names, scene_text, simulate
 from tissue.builders.organ import elasticity_of
-from tissue.scene.organ import LiverAnatomy, Organ
+from tissue.scene.organ import LiverAnatomy, Organ, SlabAnatomy
 from tissue.scene.unused_keys import require_used
 
 
@@ -123,24 +125,52 @@ def test_a_lesion_that_the_tool_never_meets_is_reported():
     assert run.summary["notes"]["removed"].startswith("nothing of the caries: the tool never met the lesion")
 
 
-def test_a_part_of_a_file_is_named_as_the_nodule():
-    """By its name or its number; one that is not there is refused with those that are."""
+def test_parts_of_a_file_have_moduli_by_name_or_number():
+    """One that is not there is refused with those that are."""
     whole = box((0.02, 0.02, 0.02), (2, 2, 2))
-    part = (np.arange(len(whole.cells)) % 2).astype(whole.part.dtype)
-    mesh, liver = replace(whole, part=part, part_names=("part 1", "tumour")), LiverAnatomy(file="organ.vtu")
-    plain = elasticity_of(mesh, liver, Organ())[0]
+    part = (np.arange(len(whole.cells)) % 3).astype(whole.part.dtype)
+    names = ("part 1", "tumour", "nodule")
+    mesh, liver = replace(whole, part=part, part_names=names), LiverAnatomy(file="organ.vtu")
+    plain, message = elasticity_of(mesh, liver, Organ())
+    assert np.ptp(plain, axis=0).max() == 0.0 and "nodule" not in message  # in a file it is a name as any other
     for named, number in (("tumour", 1), ("part 1", 0), ("1", 0)):
-        found, message = elasticity_of(mesh, liver, Organ(nodule_part=named, nodule_kPa=300.0))
+        found, message = elasticity_of(mesh, liver, Organ(parts={named: 300.0}))
         np.testing.assert_array_equal((found != plain).any(axis=1), part == number)
-        assert f"{mesh.part_names[number]} 300 kPa" in message
-    with pytest.raises(InputError, match=r"organ\.nodule_part must be one of part 1, tumour, got liver: use one"):
-        elasticity_of(mesh, liver, Organ(nodule_part="liver"))
-    with pytest.raises(InputError, match=r"organ\.nodule_part must be given .* got nothing: use one of part 1, tumour"):
-        elasticity_of(mesh, liver, Organ(nodule_kPa=300.0))
-    with pytest.raises(
-        InputError, match=r"organ\.nodule_kPa must be left out for a file of one part without a nodule, got 80"
+        assert f"{names[number]} 300 kPa" in message
+    both, message = elasticity_of(mesh, liver, Organ(parts={"tumour": 40.0, "nodule": 300.0}))
+    assert len(np.unique(both, axis=0)) == 3 and "; tumour 40 kPa; nodule 300 kPa" in message
+    for parts, wrong, text in (
+        (
+            {"tumor": 300.0},
+            mesh,
+            r"name parts of the organ, got tumor \(did you mean tumour\?\): it has part 1, tumour",
+        ),
+        ({"nodule": 300.0}, whole, "name parts of the organ, got nodule: it has one part alone"),
+        ({"1": 3.0, "part 1": 4.0}, mesh, "name each part once, got 1 and part 1: remove one"),
     ):
-        elasticity_of(whole, liver, Organ(nodule_kPa=80.0))
+        with pytest.raises(InputError, match=f"^organ.parts must {text}"):
+            elasticity_of(wrong, liver, Organ(parts=parts))
+
+
+def test_the_ball_of_a_procedural_organ_is_a_part():
+    mesh = slab(size_m=(0.06, 0.06, 0.04), spacing_m=8e-3, nodule=Nodule(9e-3, (0.0, 0.0, -0.018)))
+    anatomy = SlabAnatomy(nodule_diameter_mm=18.0)
+    assert "; nodule 50 kPa" in elasticity_of(mesh, anatomy, Organ())[1]
+    assert "; nodule 12 kPa" in elasticity_of(mesh, anatomy, Organ(parts={"nodule": 12.0}))[1]
+    with pytest.raises(
+        InputError, match=r"organ\.parts must be left out without a nodule, got a table: set anatomy\.nod"
+    ):
+        load_scene("palpation", {"anatomy.nodule_diameter_mm": 0, "organ.parts.nodule": 80.0})
+    assert load_scene("palpation", {"anatomy.nodule_diameter_mm": 0}).organ.parts is None
+    assert load_scene("palpation", {"organ.parts": {}}).organ.parts is None
+    for value, sentence in (
+        (-1.0, "organ.parts.nodule must be at least 0.1 and at most 100000, got -1.0: use 80"),
+        ("soft", "organ.parts.nodule must be a number at least 0.1 and at most 100000, got soft: use 80"),
+    ):
+        with pytest.raises(InputError, match=f"^{re.escape(sentence)}$"):
+            load_scene("palpation", {"organ.parts.nodule": value})
+    with pytest.raises(InputError, match=r"^organ\.parts must be a table of names and numbers at least 0\.1 and"):
+        load_scene("palpation", {"organ.parts": 80.0})
 
 
 def test_refusals_of_functions_below_come_in_keys_and_millimetres():

@@ -12,6 +12,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, in_brackets
+from meshes.tets.grid import grid_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from tissue.api.tools import PressingTool
     from tissue.models.organ.press import PressCurve
 
-__all__ = ["Press", "grid_of", "html_table"]
+__all__ = ["Press", "html_table"]
 
 SLOPE_SHARE = 0.1
 """Share of the depth, at its end, over which the stiffness is taken."""
@@ -169,17 +170,6 @@ class Press:
             f"Press({self.tool} at {self._place} mm: {self.force_magnitude_N:.4g} N at {self.depth_mm[-1]:g} mm, "
             f"{self.stiffness_N_mm:.4g} N/mm, {self.area_mm2:.4g} mm2)"
         )
-
-
-def grid_of(mesh: TetMesh) -> pyvista.UnstructuredGrid:
-    """A mesh in pyvista [mm], with ``part`` over its cells."""
-    import pyvista
-
-    cells = np.insert(mesh.cells, 0, 4, axis=1).ravel()
-    grid = pyvista.UnstructuredGrid(cells, np.full(len(mesh.cells), 10, dtype=np.uint8), 1e3 * mesh.nodes_m)
-    grid.cell_data["part"] = mesh.part
-    grid.field_data["part_names"] = list(mesh.part_names)
-    return grid
 
 
 def html_table(title: str, rows: Mapping[str, str]) -> str:

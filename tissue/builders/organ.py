@@ -21,6 +21,7 @@ from tissue.builders.parts import FILE_WORDS
 from tissue.materials.constants import constants
 from tissue.materials.elasticity import lame, rotated, transversely_isotropic
 from tissue.motion.motion import frame_along
+from tissue.scene.named_parts import nearest
 from tissue.scene.organ import LiverAnatomy, Organ, SlabAnatomy
 from tissue.scene.unused_keys import is_given
 
@@ -123,11 +124,9 @@ def elasticity_of(mesh: TetMesh, anatomy: LiverAnatomy | SlabAnatomy, organ: Org
         share = (x - x.min()) / np.ptp(x)
         young += (organ.young_end_kPa - first) * share**organ.grading_exponent
         note += f" to {organ.young_end_kPa:g} kPa along x, by the distance to the power {organ.grading_exponent:g}"
-    nodule = _nodule_part(mesh, organ)
-    if nodule is not None:
-        stiff = NODULE_KPA if organ.nodule_kPa is None else organ.nodule_kPa
-        young[mesh.part == nodule] = stiff
-        note += f"; {mesh.part_names[nodule]} {stiff:g} kPa"
+    for part, stated in _moduli_kPa(mesh, anatomy, organ).items():
+        young[mesh.part == part] = stated
+        note += f"; {mesh.part_names[part]} {stated:g} kPa"
     note += f"; Poisson's ratio {ratio:g}"
     if organ.order == 1 and ratio > LOCKING_RATIO:
         note += ", at which linear tetrahedra lock: forces come out too great, take organ.order = 2"
@@ -145,26 +144,31 @@ def elasticity_of(mesh: TetMesh, anatomy: LiverAnatomy | SlabAnatomy, organ: Org
     return young[:, None, None] * turned, note + f"; {along:g} times as stiff along its fibres"
 
 
-def _nodule_part(mesh: TetMesh, organ: Organ) -> int | None:
-    """Number of the part that is the nodule; None where there is none; an error where a scene asks for one."""
-    names, wanted = mesh.part_names, organ.nodule_part or PART_NODULE
-    for name in (wanted, f"part {wanted}"):
-        if name in names:
-            return names.index(name)
-    known = ", ".join(names)
-    if organ.nodule_part is not None:
-        raise InputError(f"organ.nodule_part must be one of {known}, got {wanted}: use one of these names or numbers")
-    if organ.nodule_kPa is None:
-        return None
-    if len(names) == 1:
-        raise InputError(
-            f"organ.nodule_kPa must be left out for a file of one part without a nodule, got {organ.nodule_kPa:g}: "
-            "give the nodule as a part of the file, or remove it"
-        )
-    raise InputError(
-        f"organ.nodule_part must be given with organ.nodule_kPa = {organ.nodule_kPa:g} for a file without a part named "
-        f"{PART_NODULE}, got nothing: use one of {known}"
-    )
+def _moduli_kPa(mesh: TetMesh, anatomy: LiverAnatomy | SlabAnatomy, organ: Organ) -> dict[int, float]:
+    """Young's moduli of parts that differ, by their numbers in the mesh [kPa].
+
+    Raises
+    ------
+    InputError
+        If the mesh has no part of a name, or one is named twice.
+    """
+    from_file = isinstance(anatomy, LiverAnatomy) and anatomy.file is not None
+    names = mesh.part_names
+    found = {names.index(PART_NODULE): NODULE_KPA} if PART_NODULE in names and not from_file else {}
+    given: dict[int, str] = {}
+    for name, modulus in (organ.parts or {}).items():
+        known = next((each for each in (name, f"part {name}") if each in names), None)
+        if known is None:
+            have = "has one part alone" if len(names) == 1 else f"has {', '.join(names)}"
+            close = nearest(name, names)
+            raise InputError(f"organ.parts must name parts of the organ, got {name}{close}: it {have}")
+        number = names.index(known)
+        if number in given:
+            raise InputError(
+                f"organ.parts must name each part once, got {given[number]} and {name}: remove one of them"
+            )
+        given[number], found[number] = name, modulus
+    return found
 
 
 def _nodule(anatomy: LiverAnatomy | SlabAnatomy) -> Nodule | None:

@@ -9,13 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, names_of_caller, require_positive, require_range
-from meshes.base.simplices import cross_products
-from meshes.shapes.sdf import Shape
 from meshes.surfaces.surface import Surface, surface_from_triangles
 from meshes.surfaces.triangle_files import read_triangles
 from meshes.tets.bisection import bisected
 from meshes.tets.given import require_millimetres
-from meshes.tets.stuffing import with_part
+from meshes.tets.inclusions import EDGE_GROWTH
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import nearest_on_triangles, triangle_distance
 from tissue.materials.elasticity import lame
@@ -23,14 +21,8 @@ from tissue.materials.elasticity import lame
 if TYPE_CHECKING:
     from tissue.models.organ.soft_organ import SoftOrgan
 
-__all__ = ["SoftMaterial", "refined", "surface_of", "with_inclusion"]
+__all__ = ["SoftMaterial", "refined", "surface_of"]
 
-INCLUSION_EDGES = 3.0
-"""Edges across an inclusion: quadratic ones bend with it."""
-EDGE_GROWTH = 0.5
-"""Growth of the edges with the distance from where they are fine, as in scenes."""
-VOLUME_TRIES = 4
-"""Meshes of an inclusion that are tried; the one nearest to its volume is kept."""
 FINE_EDGES = 1.0
 """Edges around a place within which they do not grow: the radius of a tool of four edges."""
 
@@ -84,7 +76,7 @@ class SoftMaterial:
         if self.density_kg_m3 is not None:
             require_positive("density_kg_m3", self.density_kg_m3, "soft tissue has about 1060")
 
-    def moduli_kPa(self, mesh: TetMesh) -> dict[str, float]:
+    def moduli_kPa(self, part_names: Sequence[str]) -> dict[str, float]:
         """Young's modulus of each part of a mesh by its name [kPa].
 
         Raises
@@ -92,7 +84,7 @@ class SoftMaterial:
         InputError
             If the mesh has no part of a name.
         """
-        found = dict.fromkeys(mesh.part_names, self.modulus_kPa)
+        found = dict.fromkeys(part_names, self.modulus_kPa)
         for name, modulus in self.parts.items():
             known = next((each for each in (str(name), f"part {name}") if each in found), None)
             if known is None:
@@ -102,7 +94,7 @@ class SoftMaterial:
 
     def elasticity(self, mesh: TetMesh) -> NDArray[np.float64]:
         """Lame constants of the cells [Pa], shape (m, 2)."""
-        moduli = np.array(list(self.moduli_kPa(mesh).values()))
+        moduli = np.array(list(self.moduli_kPa(mesh.part_names).values()))
         return lame(1e3 * moduli[mesh.part], self.poisson_ratio)
 
     def organ(self, mesh: TetMesh, held: NDArray[np.int64]) -> "SoftOrgan":
@@ -158,36 +150,6 @@ def _triangles(name: str, given: Any) -> tuple[NDArray[np.float64], NDArray[np.i
         f"{name} must be a closed surface of pyvista or trimesh, vertices and triangles, or a file, got "
         f"{type(given).__name__}: export it as STL"
     )
-
-
-def with_inclusion(mesh: TetMesh, name: str, inclusion: Surface) -> tuple[TetMesh, str]:
-    """The mesh with what lies in a closed surface as a part of its own, and a note on its volume.
-
-    Raises
-    ------
-    InputError
-        If it lies outside the mesh.
-    """
-    vertices, faces = inclusion.vertices_m, inclusion.faces
-
-    def distance(points: NDArray[np.floating]) -> NDArray[np.float64]:
-        return triangle_distance(vertices, faces, points)
-
-    edge = float(np.ptp(vertices, axis=0).min()) / INCLUSION_EDGES
-    fine = bisected(mesh, lambda points: edge + EDGE_GROWTH * np.abs(distance(points)))
-    wanted_m3 = 1e-9 * inclusion.report.volume_mm3
-    area_m2 = float(np.linalg.norm(cross_products(vertices, faces), axis=1).sum()) / 2.0
-    # Chords cut a round body's volume short: the surface is laid outside it by as much as makes the volume right.
-    laid_m, made, off = 0.0, fine, np.inf
-    for _ in range(VOLUME_TRIES):
-        with names_of_caller({name: f"inclusions[{name!r}]"}):
-            tried = with_part(fine, Shape(lambda points: distance(points) - laid_m), name)  # noqa: B023
-        missing_m3 = wanted_m3 - float(tried.volumes_m3[tried.part == len(tried.part_names) - 1].sum())
-        if abs(missing_m3) < off:
-            made, off = tried, abs(missing_m3)
-        laid_m += missing_m3 / area_m2
-    share = off / wanted_m3
-    return made, f"{1e6 * wanted_m3:.3g} ml, in the mesh within {share:.1%}"
 
 
 def refined(mesh: TetMesh, surface: Surface | None, *, edge_m: float, near_m: NDArray[np.float64] | None) -> TetMesh:

@@ -1,4 +1,4 @@
-"""An organ made from what a caller has: tetrahedra, or a surface with what lies in it."""
+"""An organ as it was made: its mesh, what it is made of and what holds it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -9,22 +9,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from meshes.base.errors import InputError, by, names_of_caller, require_positive
-from meshes.base.progress import Progress
 from meshes.surfaces.surface import Surface
 from meshes.tets.given import given_tets
 from meshes.tets.regions import Nodes
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import nearest_on_triangles
-from tissue.builders.organ_given import SoftMaterial, refined, surface_of, with_inclusion
+from tissue.builders.organ_given import SoftMaterial, refined
 from tissue.builders.organ_held import Hold, hold_of
 
 if TYPE_CHECKING:
     from tissue.models.organ.soft_organ import SoftOrgan
 
-__all__ = ["FILL_EDGES", "MadeOrgan", "OrganOptions", "made_of", "of_surface", "of_tetrahedra"]
-
-FILL_EDGES = 14.0
-"""Edges along the longest side where no edge is given."""
+__all__ = ["MadeOrgan", "OrganOptions", "made_of", "material_of", "of_tetrahedra"]
 
 TOUCHED_EDGES = 3.0
 """Edges around a place that a tool of four edges is expected to touch."""
@@ -84,7 +80,7 @@ class MadeOrgan:
     def facts(self) -> dict[str, str]:
         """Size, mesh and moduli in words."""
         mesh, material = self.mesh, self.material
-        moduli = material.moduli_kPa(mesh).items()
+        moduli = material.moduli_kPa(mesh.part_names).items()
         return {
             "size": f"{by(1e3 * np.ptp(mesh.nodes_m, axis=0), '.3g')} mm, {1e6 * float(mesh.volumes_m3.sum()):.4g} ml",
             "cells": f"{len(mesh.cells)} tetrahedra of order {material.order}",
@@ -139,15 +135,11 @@ def made_of(
     TypeError
         If something else is stated.
     """
-    known = {field.name for field in fields(SoftMaterial)} | set(OrganOptions.__annotations__)
-    unknown = [name for name in stated if name not in known]
-    if unknown:
-        raise TypeError(f"Organ got an unexpected keyword argument {unknown[0]!r}: it takes {', '.join(sorted(known))}")
-    rest = {name: value for name, value in stated.items() if value is not None}
-    held, below = rest.pop("held", "bottom"), rest.pop("held_below_mm", None)
+    material = material_of(stated, mesh.part_names)
+    held = "bottom" if stated.get("held") is None else stated["held"]
+    below = stated.get("held_below_mm")
     hold, notes["held"] = hold_of(held, below, mesh, 1e3 * mesh.nodes_m if points_mm is None else points_mm)
-    made = MadeOrgan(mesh, SoftMaterial(**rest), hold, notes, surface)
-    made.material.moduli_kPa(mesh)
+    made = MadeOrgan(mesh, material, hold, notes, surface)
     with names_of_caller({"support": "held" if below is None else "held_below_mm"}):
         made.held  # noqa: B018 - what is not there is refused here
     return made
@@ -162,41 +154,15 @@ def of_tetrahedra(
     return made_of(given.mesh, notes, stated, points_mm=given.points_mm)
 
 
-def of_surface(
-    surface: object,
-    stated: dict[str, Any],
-    *,
-    edge_mm: float | None,
-    inclusions: Mapping[str, object],
-    scale_mm: float | None,
-    report: Progress,
-) -> MadeOrgan:
-    """An organ inside a closed surface, what lies in the inclusions being parts.
-
-    Raises
-    ------
-    InputError
-        If a surface is not closed or not in millimetres, an inclusion lies outside or has no modulus.
-    """
-    from meshes.tets.tetrahedralise import tetrahedralise
-
-    without = [name for name in inclusions if name not in (stated.get("parts") or {})]
-    if without:
-        raise InputError(f"parts must give a modulus of every inclusion, got none of {without[0]}: add it in kPa")
-    outer = surface_of("surface", surface, scale_mm)
-    longest = max(outer.report.size_mm)
-    edge = (
-        longest / FILL_EDGES
-        if edge_mm is None
-        else require_positive("edge_mm", edge_mm, f"use {longest / FILL_EDGES:.2g}")
+def material_of(stated: dict[str, Any], part_names: Sequence[str]) -> SoftMaterial:
+    """What an organ of these parts is made of; refusals as of `made_of`."""
+    of_material = {field.name for field in fields(SoftMaterial)}
+    known = of_material | set(OrganOptions.__annotations__)
+    unknown = [name for name in stated if name not in known]
+    if unknown:
+        raise TypeError(f"Organ got an unexpected keyword argument {unknown[0]!r}: it takes {', '.join(sorted(known))}")
+    material = SoftMaterial(
+        **{name: value for name, value in stated.items() if name in of_material and value is not None}
     )
-    words = {
-        "edge_m": "edge_mm",
-        "surface must enclose a solid, got none of edge": "edge_mm must fill the surface, got",
-    }
-    with names_of_caller(words):
-        mesh, sentences = tetrahedralise(outer, edge_m=1e-3 * edge, report=report)
-    notes = {"mesh": " ".join((*outer.report.repairs, *sentences))}
-    for name, each in inclusions.items():
-        mesh, notes[name] = with_inclusion(mesh, name, surface_of(f"inclusions[{name!r}]", each, scale_mm))
-    return made_of(mesh, notes, stated, surface=outer)
+    material.moduli_kPa(part_names)
+    return material

@@ -136,7 +136,7 @@ def _replaced(table: dict[str, object], overrides: Mapping[str, object]) -> Scen
     if faults is None:
         return scene
     for key in set(refused_keys(scene)) - faults:
-        if not any(key == asked or key.startswith(f"{asked}.") for asked in overrides):
+        if not any(key == asked or key.startswith(f"{asked}.") or asked.startswith(f"{key}.") for asked in overrides):
             _drop(placed, key)
     return _validated(placed)
 

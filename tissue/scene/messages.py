@@ -31,7 +31,7 @@ def sentence(fault: ErrorDetails, table: Table) -> str:
     if kind == "extra_forbidden":
         known, word = list(_model_at(names[:-1], table).model_fields), names[-1]
         return f"{key} must be one of {', '.join(known)}, got {shown(word)}{nearest(word, known)}: rename or remove it"
-    field = _model_at(names[:-1], table).model_fields[names[-1]]
+    field = _field_at(names, table)
     if kind == "missing" and len(path) == len(names):
         return f"{key} must be given, got nothing: {_addition(names, field)}"
     if kind == "union_tag_not_found":
@@ -84,6 +84,8 @@ def _requirement(field: FieldInfo, kind: str, inside: bool) -> str:
             return "a list of at least two points [x, y, z]"
         limits = _bounds(getattr(item, "__metadata__", ()))
         return f"three finite numbers [x, y, z]{', each ' if limits else ''}{limits}"
+    if (values := _values(field)) is not None:
+        return f"a table of names and numbers {_bounds(values.metadata)}"
     entries = [*_parts(field)[0].model_fields][:3]
     return f"a table with entries such as {', '.join(entries)}"
 
@@ -100,6 +102,8 @@ def _remedy(field: FieldInfo) -> str:
     value = field.examples[0] if field.examples else field.default
     if isinstance(value, str):
         return f'use "{value}"' if value else "put it in quotes"
+    if isinstance(value, Mapping):
+        return "use { " + ", ".join(f"{name} = {shown(each)}" for name, each in value.items()) + " }"
     return f"use {shown(value)}" if isinstance(value, int | float | list | tuple) else SEE
 
 
@@ -109,6 +113,19 @@ def _addition(names: tuple[str, ...], field: FieldInfo) -> str:
         return f"add [{'.'.join(names)}] with its entries, {SEE}" if _parts(field) else f"add {names[-1]}, {SEE}"
     example = field.examples[0]
     return f"add {names[-1]} = " + (f'"{example}"' if isinstance(example, str) else shown(example))
+
+
+def _field_at(names: tuple[str, ...], table: Table) -> FieldInfo:
+    """What the last of some keys may hold, an entry of a scene or of a table of values in it."""
+    if len(names) > 2 and (values := _values(_model_at(names[:-2], table).model_fields[names[-2]])) is not None:
+        return values
+    return _model_at(names[:-1], table).model_fields[names[-1]]
+
+
+def _values(field: FieldInfo) -> FieldInfo | None:
+    """What the values of a table by name may be; None for a field that holds no such table."""
+    part = _alternatives(field.annotation)[0]
+    return FieldInfo.from_annotation(get_args(part)[1]) if get_origin(part) is dict else None
 
 
 def _model_at(names: tuple[str, ...], table: Table) -> type[BaseModel]:
@@ -163,5 +180,5 @@ def _without_tags(location: tuple[int | str, ...], table: Table) -> list[int | s
         if found is None or isinstance(path[count], int):
             break
         if not _parts(found):
-            return path[:count]
+            return path[: count + (_values(found) is not None)]
     return path

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field, Strict
+from pydantic import AfterValidator, Field, Strict
 
 from tissue.scene.anatomy import Length_mm, Part, Vector
 from tissue.scene.choices import OneOf
@@ -74,6 +74,11 @@ class LayersAnatomy(Part):
     """Time between two frames of displacement, strain and stress around the needle; 0 computes none."""
 
 
+Modulus_kPa = Annotated[float, Field(ge=0.1, le=1e5, examples=[80.0])]
+Moduli_kPa = Annotated[dict[str, Modulus_kPa], AfterValidator(lambda moduli: moduli or None)]
+"""Of no part: the same as without the table."""
+
+
 class Organ(Part):
     """What a soft organ is made of, and how it is solved."""
 
@@ -85,10 +90,8 @@ class Organ(Part):
     """Young's modulus at the greatest x; between, it is graded from `young_kPa` at the least x."""
     grading_exponent: float = Field(1.0, ge=0.2, le=5)
     """Power of the distance from one end to the other by which it is graded; 1 is linear."""
-    nodule_kPa: float | None = Field(None, ge=0.1, le=1e5, examples=[50.0])
-    """Young's modulus of the nodule; without it 50 kPa."""
-    nodule_part: str | None = Field(None, examples=["tumour"])
-    """Part of a file that is the nodule, by its name or number; without it the one named nodule."""
+    parts: Moduli_kPa | None = Field(None, examples=[{"nodule": 80.0}])
+    """Young's moduli of parts, by their names or numbers in the file [kPa]; the ball is `nodule`, without it 50 kPa."""
     poisson_ratio: float | None = Field(None, gt=-1, lt=0.5, examples=[0.45])
     """Poisson's ratio; without it the cited one."""
     fibre_direction: Vector | None = Field(None, examples=[(1.0, 0.0, 0.0)])

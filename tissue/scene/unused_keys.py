@@ -175,8 +175,7 @@ def _organ(scene: "Scene") -> list[Rule]:
     cited, path = organ.capsule or organ.gravity or organ.viscous, f"with organ.path = {organ.path}"
     rules = [
         ("organ.grading_exponent", organ.young_end_kPa is None, "without a gradient", "set organ.young_end_kPa"),
-        ("organ.nodule_kPa", bare, "without a nodule", ball),
-        ("organ.nodule_part", not from_file, f"for a procedural {anatomy.kind}", ball),
+        ("organ.parts", bare, "without a nodule", ball),
         ("organ.fibre_modulus_ratio", organ.fibre_direction is None, "without fibres", "set organ.fibre_direction"),
         ("organ.fibre_direction", organ.fibre_modulus_ratio == 1.0, "with a ratio of 1", ratio),
         ("organ.basis_size", organ.path != "reduced", path, "set organ.path = reduced"),
@@ -185,9 +184,9 @@ def _organ(scene: "Scene") -> list[Rule]:
     ]
     if isinstance(anatomy, LiverAnatomy):
         held, name = f"with anatomy.held = {anatomy.held}", f"with anatomy.file = {Path(anatomy.file or '').name}"
-        nodule, part = "anatomy.nodule_diameter_mm anatomy.nodule_centre_mm", "the part of the file that is the nodule"
+        nodule = "anatomy.nodule_diameter_mm anatomy.nodule_centre_mm"
         rules += [
-            (nodule, from_file, name, f"set organ.nodule_part to {part}"),
+            (nodule, from_file, name, "give a part of the file its modulus in organ.parts"),
             (f"anatomy.scale_mm {SITE}", not from_file, "for a procedural liver", "set anatomy.file"),
             ("anatomy.held_below_mm", anatomy.held != "plane", held, "set anatomy.held = plane"),
             ("anatomy.held_part", anatomy.held != "part", held, "set anatomy.held = part"),

@@ -184,9 +184,24 @@ def test_a_surface_is_filled_and_its_inclusion_is_a_part(tmp_path):
     assert stiff > 1.05 * soft
     with pytest.raises(InputError, match="parts must give a modulus of every inclusion, got none of cyst"):
         tissue.Organ.from_surface(outer, inclusions={"cyst": inner}, **made)
-    with pytest.raises(InputError, match=r"inclusions\['cyst'\] must hold cells of the mesh, got none"):
-        far = pyvista.Sphere(radius=7, center=(90, 0, 0))
-        tissue.Organ.from_surface(outer, inclusions={"cyst": far}, parts={"cyst": 80}, **made)
+
+
+def test_inclusions_that_cannot_be_are_refused_before_the_surface_is_filled(monkeypatch):
+    monkeypatch.setattr("meshes.tets.tetrahedralise._filled", None)
+    outer, inner = pyvista.Sphere(radius=20), pyvista.Sphere(radius=7, center=(0, 0, 9))
+    for inclusions, parts, sentence in (
+        ({"cyst": pyvista.Sphere(radius=7, center=(90, 0, 0))}, {"cyst": 80},
+         r"inclusions\['cyst'\] must lie inside the surface, got all of it outside: move it"),
+        ({"cyst": pyvista.Sphere(radius=7, center=(0, 0, 17))}, {"cyst": 80},
+         r"inclusions\['cyst'\] must lie inside the surface, got it up to 4 mm outside: move it, or cut it off there"),
+        ({"cyst": inner, "core": pyvista.Sphere(radius=5, center=(0, 0, -1))}, {"cyst": 80, "core": 9},
+         r"inclusions\['core'\] must not reach into inclusions\['cyst'\], got it 2 mm deep: subtract one from the other"),
+        ({"cyst": inner}, {"cyst": 80, "tumour": 9},
+         "parts must name parts of the mesh, got 'tumour': it has body, cyst"),
+        ({"cyst": inner}, {"cyst": -80}, r"parts\['cyst'\] must be positive"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=sentence):
+            tissue.Organ.from_surface(outer, inclusions=inclusions, parts=parts, edge_mm=7.7, **STIFF)
 
 
 def test_an_organ_that_relaxes_is_held_and_others_are_not(organ):

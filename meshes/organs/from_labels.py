@@ -1,0 +1,236 @@
+"""Tetrahedra of a segmented organ: a label and, inside it, labels that become parts, such as a tumour or a vessel.
+
+The organ is its label and those of its parts together, so that what lies at the surface belongs to it. Where a part
+reaches the organ's surface, or a part before it, its label goes on beyond for a few voxels as the nearest voxel inside
+has it: its own surface then leaves the organ across, and no slivers lie between two surfaces that nearly agree.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, by, counted, names_of_caller, require_range
+from meshes.base.progress import Progress, silent
+from meshes.base.simplices import cross_products
+from meshes.ct.labels import Labels
+from meshes.organs.label_surface import LabelGrid, box_of, label_triangles
+from meshes.surfaces.surface import Surface, surface_from_triangles
+from meshes.tets.bisection import bisected
+from meshes.tets.inclusions import area_of, with_inclusion
+from meshes.tets.tetrahedra import TetMesh
+from meshes.tets.tetrahedralise import FILL_EDGES, tetrahedralise
+
+__all__ = ["LabelledOrgan", "labelled_organ", "organ_mesh"]
+
+Mask = NDArray[np.bool_]
+_FEWEST_VOXELS = 64
+"""A piece of a part with fewer voxels, 5 across a ball, has no surface of its own."""
+_BEYOND = 4
+"""Voxels for which a part's label goes on beyond the organ."""
+_ENVELOPE = 0.2
+"""The same over the edge: the mesher moves the organ's surface by half of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledOrgan:
+    """An organ and its parts in a label image, ready to be meshed.
+
+    Attributes
+    ----------
+    name
+        Name of the organ's label.
+    solid
+        Where the organ or a part of it is.
+    parts
+        Where each part is, by name, in the order in which they take their places.
+    grid
+        Place of the voxels.
+    notes
+        What was found and assumed, by what it is about.
+    """
+
+    name: str
+    solid: Mask
+    parts: dict[str, Mask]
+    grid: LabelGrid
+    notes: dict[str, str]
+
+    @cached_property
+    def surface(self) -> Surface:
+        """The organ's smooth surface, in the frame of the image."""
+        found = label_triangles(self.solid, self.grid)
+        if found is None:
+            raise InputError(f"{self.name} must be a few voxels thick, got less: segment a finer image")
+        return surface_from_triangles(1e3 * found[0], found[1], source=self.name, scale_mm=1.0)
+
+    def mesh(self, edge_mm: float | None = None, *, report: Progress = silent) -> tuple[TetMesh, dict[str, str]]:
+        """Tetrahedra of the organ with its parts, in the frame of the image, and what was found.
+
+        Raises
+        ------
+        InputError
+            If the edge does not suit the organ, or a part is too thin.
+        """
+        longest = max(self.surface.report.size_mm)
+        usual = longest / FILL_EDGES
+        edge = usual if edge_mm is None else edge_mm
+        edge = require_range("edge_mm", edge, longest / 100.0, longest / 4.0, f"use {usual:.2g}")
+        with names_of_caller({"edge_m": "edge_mm"}):
+            filled, sentences = tetrahedralise(self.surface, edge_m=1e-3 * edge, report=report)
+        organ_m3 = 1e-9 * self.grid.voxel_mm3 * float(np.count_nonzero(self.solid))
+        mesh = _of_volume(replace(filled, part_names=(self.name,)), organ_m3)
+        off = float(mesh.volumes_m3.sum()) / organ_m3 - 1.0
+        mesh, notes = self._with_parts(mesh, edge, report)
+        found = f"{len(mesh.cells)} tetrahedra with its parts, {off:+.2%} of volume against the voxels."
+        return mesh, self.notes | notes | {"mesh": " ".join((*sentences, found))}
+
+    def _with_parts(self, mesh: TetMesh, edge_mm: float, report: Progress) -> tuple[TetMesh, dict[str, str]]:
+        """The mesh with its parts, and a note on each."""
+        notes, before = {}, np.zeros(self.solid.shape, dtype=bool)
+        beyond = _BEYOND + int(np.ceil(_ENVELOPE * edge_mm / min(self.grid.spacing_mm)))
+        # A part inside another takes its place first, and the other is closed around it.
+        for name, mask in sorted(self.parts.items(), key=lambda part: np.count_nonzero(part[1])):
+            report(f"cutting {name} out of the tetrahedra", len(mesh.part_names) / (len(self.parts) + 1))
+            surface = _part_triangles(mask, self.solid, before, self.grid, beyond)
+            if surface is None:
+                raise InputError(f"{name} must be a few voxels thick, got less: leave it out, or segment a finer image")
+            volume_m3 = 1e-9 * self.grid.voxel_mm3 * float(np.count_nonzero(mask))
+            mesh, size = with_inclusion(mesh, name, *surface, volume_m3=volume_m3)
+            notes[name] = " ".join(each for each in (f"{size}.", self.notes.get(name, "")) if each)
+            before |= mask
+        return mesh, notes
+
+
+def organ_mesh(
+    labels: Labels, organ: str, parts: Sequence[str] = (), edge_mm: float | None = None, *, report: Progress = silent
+) -> tuple[TetMesh, dict[str, str]]:
+    """Tetrahedra of a segmented organ, its parts those of the mesh, and what was found, by what it is about.
+
+    Parameters
+    ----------
+    labels
+        Label image with names.
+    organ
+        Label of the organ.
+    parts
+        Labels in it, or on it, that become parts.
+    edge_mm
+        Edge of the tetrahedra away from the parts [mm]; without it a fourteenth of the longest side.
+    report
+        Called with what is being done.
+
+    Returns
+    -------
+    The mesh in the frame of the image, LPS [m], its parts named `organ` and as `parts`.
+
+    Raises
+    ------
+    InputError
+        If there is no such label, a part lies elsewhere or is too small, or the edge does not suit.
+    """
+    return labelled_organ(labels, organ, parts).mesh(edge_mm, report=report)
+
+
+def labelled_organ(labels: Labels, organ: str, parts: Sequence[str] = ()) -> LabelledOrgan:
+    """Find an organ and its parts in a label image; arguments and refusals as of `organ_mesh`."""
+    twice = [name for name in parts if name == organ or list(parts).count(name) > 1]
+    if twice:
+        raise InputError(f"parts must name other labels than the organ, each once, got {twice[0]}: remove it")
+    grid = LabelGrid(labels.image.spacing_mm, labels.image.origin_mm)
+    whole = labels.mask(organ)
+    masks = {name: labels.mask(name) for name in parts}
+    body = np.logical_or.reduce([whole, *masks.values()])
+    solid, notes = _one_piece(body, whole, grid, organ)
+    found = {name: _pieces(name, mask, solid, organ, grid, notes) for name, mask in masks.items()}
+    return LabelledOrgan(organ, solid, found, grid, notes)
+
+
+def _one_piece(body: Mask, organ: Mask, grid: LabelGrid, name: str) -> tuple[Mask, dict[str, str]]:
+    """The piece that holds most of the organ, its hollows filled, and notes on the rest and on the image's edge."""
+    from scipy.ndimage import binary_fill_holes, label
+
+    notes, pieces = [], label(body)[0]
+    sizes = np.bincount(pieces[organ])
+    solid: Mask = pieces == int(sizes.argmax())
+    dropped_ml = 1e-3 * grid.voxel_mm3 * int(np.count_nonzero(body) - np.count_nonzero(solid))
+    if dropped_ml:
+        loose = counted(int(pieces.max()) - 1, "loose piece")
+        notes.append(f"Left out {dropped_ml:.3g} ml in {loose}.")
+    filled = np.asarray(binary_fill_holes(solid), dtype=bool)
+    hollow = int(np.count_nonzero(filled) - np.count_nonzero(solid))
+    if hollow:
+        notes.append(f"Filled hollows without a label, {1e-3 * grid.voxel_mm3 * hollow:.3g} ml.")
+    x, y, z = grid.spacing_mm
+    cut_mm2 = 0.0
+    for axis, area in enumerate((y * z, x * z, x * y)):
+        cut_mm2 += area * sum(int(np.count_nonzero(np.take(filled, end, axis=axis))) for end in (0, -1))
+    if cut_mm2:
+        notes.append(
+            f"The image cuts it off: {cut_mm2 / 100.0:.3g} cm2 of its surface lie in the edge of the image, beyond "
+            "which nothing is known of it."
+        )
+    millilitres = 1e-3 * grid.voxel_mm3 * np.count_nonzero(filled)
+    size = f"{millilitres:.4g} ml in voxels of {by(grid.spacing_mm, '.3g')} mm."
+    return filled, {name: " ".join((size, *notes))}
+
+
+def _pieces(name: str, mask: Mask, solid: Mask, organ: str, grid: LabelGrid, notes: dict[str, str]) -> Mask:
+    """The part's voxels in the organ, without pieces too small for a surface, and a note on what is peculiar."""
+    from scipy.ndimage import binary_dilation, label
+
+    inside = mask & solid
+    if not inside.any():
+        raise InputError(
+            f"{name} must lie in {organ} or touch it, got it apart: leave it out, or correct the segmentation"
+        )
+    pieces, count = label(inside)
+    sizes = np.bincount(pieces.ravel(), minlength=count + 1)
+    small = sizes < _FEWEST_VOXELS
+    small[0] = False
+    kept: Mask = inside & ~small[pieces]
+    if not kept.any():
+        raise InputError(
+            f"{name} must have at least {_FEWEST_VOXELS} voxels in a piece to have a surface, got "
+            f"{int(sizes[1:].max())}: leave it out, or segment a finer image"
+        )
+    remarks = []
+    if small.any():
+        left = 1e-3 * grid.voxel_mm3 * int(sizes[small].sum())
+        pieces_left = counted(int(small.sum()), "piece")
+        remarks.append(f"{pieces_left} of fewer than {_FEWEST_VOXELS} voxels, {left:.2g} ml, left to {organ}.")
+    shell = binary_dilation(kept) & ~kept
+    outside = int(np.count_nonzero(shell & ~solid)) / max(int(np.count_nonzero(shell)), 1)
+    if outside:
+        remarks.append(f"{outside:.0%} of its surface is that of {organ}: crop its label if it should end before.")
+    if remarks:
+        notes[name] = " ".join(remarks)
+    return kept
+
+
+def _part_triangles(
+    mask: Mask, solid: Mask, before: Mask, grid: LabelGrid, beyond: int
+) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
+    """Surface of a part whose label goes on where the organ ends, and in the parts before it, as the nearest voxel."""
+    from scipy.ndimage import distance_transform_edt
+
+    margin = beyond + 2
+    box = [(each.start - margin, each.stop + margin) for each in box_of(mask)]
+    crop = tuple(slice(max(low, 0), high) for low, high in box)
+    padding = [(max(-low, 0), max(high - size, 0)) for (low, high), size in zip(box, mask.shape, strict=True)]
+    inside, body, taken = (np.pad(each[crop], padding) for each in (mask, solid, before))
+    away, nearest = distance_transform_edt(~body | taken, return_indices=True)
+    goes_on = inside[tuple(nearest)] & (body | (away <= beyond))
+    return label_triangles(goes_on, grid.within(tuple(low for low, _ in box)))
+
+
+def _of_volume(mesh: TetMesh, volume_m3: float) -> TetMesh:
+    """The mesh with its surface laid outward by as much as makes its volume right: chords cut round bodies short."""
+    nodes, normals = mesh.surface_nodes, np.zeros(mesh.nodes_m.shape)
+    for corner in mesh.surface.T:
+        np.add.at(normals, corner, cross_products(mesh.nodes_m, mesh.surface))
+    outward = normals[nodes] / np.linalg.norm(normals[nodes], axis=1, keepdims=True)
+    laid_m = (volume_m3 - float(mesh.volumes_m3.sum())) / area_of(mesh.nodes_m, mesh.surface)
+    return bisected(mesh, lambda points: np.full(len(points), np.inf), onto=lambda points: points + laid_m * outward)

@@ -1,0 +1,118 @@
+"""The smooth surface of a label: without the steps of its voxels, of the volume of its voxels."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.simplices import cross_products
+from meshes.images.label_spread import spread_labels
+
+__all__ = ["LabelGrid", "box_of", "label_triangles", "volume_of"]
+
+Triangles = tuple[NDArray[np.float64], NDArray[np.int64]]
+_PER_RADIUS = 1.0 / 3.0
+"""Deviation of the smoothing over the label's radius: on ellipsoids less leaves steps, and more rounds them off."""
+_DEVIATIONS = (1.0, 2.0)
+"""Bounds of the deviation [voxel]: beyond 2 the thin edge of an organ of ordinary voxels is lost."""
+_REACH = 4.0
+"""Deviations around a label that its share depends on."""
+_LEVELS = (0.25, 0.75)
+"""Shares among which the one is sought that encloses the volume of the voxels."""
+_SLOPE = -1.0
+"""First guess of how the volume's share falls with the level; later ones are secants."""
+_TRIES, _CLOSE = 6, 2e-4
+"""Meshes by which it is sought, and the share of the volume that is close enough."""
+
+
+@dataclass(frozen=True)
+class LabelGrid:
+    """Where the voxels of a label image lie.
+
+    Attributes
+    ----------
+    spacing_mm
+        Distance between neighbours along x, y and z [mm].
+    origin_mm
+        Centre of voxel (0, 0, 0) [mm].
+    """
+
+    spacing_mm: tuple[float, float, float]
+    origin_mm: tuple[float, float, float]
+
+    @property
+    def voxel_mm3(self) -> float:
+        """Volume of a voxel [mm3]."""
+        return float(np.prod(self.spacing_mm))
+
+    def within(self, first: tuple[int, ...]) -> "LabelGrid":
+        """The same grid from another first voxel."""
+        x, y, z = (
+            start + side * index for start, side, index in zip(self.origin_mm, self.spacing_mm, first, strict=True)
+        )
+        return LabelGrid(self.spacing_mm, (x, y, z))
+
+
+def label_triangles(mask: NDArray[np.bool_], grid: LabelGrid) -> Triangles | None:
+    """Smooth closed surface of a label, wound outward: vertices [m], shape (n, 3), and triangles, shape (m, 3).
+
+    The label is spread by a kernel that leaves curved surfaces where they are, two voxels or a third of the label's
+    radius wide; its surface is the level that encloses the volume of the voxels. Where the image ends the label does.
+
+    Parameters
+    ----------
+    mask
+        Where the label is.
+    grid
+        Place of the voxels.
+
+    Returns
+    -------
+    None where nothing is left of so few voxels.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    pad = int(np.ceil(_REACH * _DEVIATIONS[1])) + 2
+    crop = box_of(mask)
+    padded = np.pad(mask[crop], pad)
+    radius = float(distance_transform_edt(padded).max())
+    deviation = float(np.clip(_PER_RADIUS * radius, *_DEVIATIONS))
+    share = spread_labels(padded.astype(np.float32), deviation)
+    place = grid.within(tuple(each.start - pad for each in crop))
+    wanted_m3 = 1e-9 * grid.voxel_mm3 * float(np.count_nonzero(mask))
+    low, high = _LEVELS[0], min(_LEVELS[1], float(share.max()))
+    if low >= high:
+        return None
+    level, before = min(0.5, 0.5 * (low + high)), (0.0, 0.0)
+    for attempt in range(_TRIES):
+        found = _level(share, level, place)
+        off = volume_of(*found) / wanted_m3 - 1.0
+        if abs(off) < _CLOSE:
+            break
+        slope = (off - before[0]) / (level - before[1]) if attempt else _SLOPE
+        before = off, level
+        level = float(np.clip(level - off / min(slope, _SLOPE / 10.0), low, high - 1e-3))
+    return found
+
+
+def volume_of(vertices_m: NDArray[np.float64], triangles: NDArray[np.int64]) -> float:
+    """Volume [m3] that triangles wound outward enclose."""
+    corners = vertices_m - vertices_m.mean(axis=0)
+    return float(np.einsum("ij,ij->", corners[triangles[:, 0]], cross_products(corners, triangles))) / 6.0
+
+
+def _level(share: NDArray[np.float32], level: float, grid: LabelGrid) -> Triangles:
+    from skimage.measure import marching_cubes
+
+    vertices, faces, _, _ = marching_cubes(share, level, spacing=grid.spacing_mm)
+    vertices = 1e-3 * (vertices.astype(np.float64) + grid.origin_mm)
+    return vertices, faces[:, ::-1].astype(np.int64)
+
+
+def box_of(mask: NDArray[np.bool_]) -> tuple[slice, ...]:
+    """Slices that hold all of a mask."""
+    found = []
+    for axis in range(3):
+        along = np.flatnonzero(mask.any(axis=tuple(k for k in range(3) if k != axis)))
+        found.append(slice(int(along[0]), int(along[-1]) + 1))
+    return tuple(found)
