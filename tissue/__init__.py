@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from tissue.api.sweep import sweep
     from tissue.api.tools import ball, flat_punch, probe_from_file
     from tissue.haptics.device.device import DeviceParameters, Sample
+    from tissue.importing.importing import Imported, import_ct
     from tissue.scene.load import load_scene, scene_names, scene_text
     from tissue.scene.scene import Scene
 
@@ -41,6 +42,7 @@ __all__ = [
     "Bone",
     "Cut",
     "DeviceParameters",
+    "Imported",
     "InputError",
     "Loop",
     "Organ",
@@ -55,6 +57,7 @@ __all__ = [
     "cutters",
     "feed_along",
     "flat_punch",
+    "import_ct",
     "load_scene",
     "material",
     "material_names",
@@ -76,6 +79,7 @@ _HOMES = {
     "Bone": "tissue.api.bone",
     "Cut": "tissue.api.cut",
     "DeviceParameters": "tissue.haptics.device.device",
+    "Imported": "tissue.importing.importing",
     "InputError": "meshes.base.errors",
     "Loop": "tissue.api.loop",
     "Organ": "tissue.api.organ",
@@ -88,6 +92,7 @@ _HOMES = {
     "compare": "tissue.api.comparison",
     "feed_along": "tissue.api.poses",
     "flat_punch": "tissue.api.tools",
+    "import_ct": "tissue.importing.importing",
     "load_scene": "tissue.scene.load",
     "material": "tissue.api.materials",
     "material_names": "tissue.api.materials",

@@ -12,7 +12,21 @@ from scene_values import changes, keys_of
 from tissue import InputError, load_scene, simulate
 from tissue.scene.load import saved_text
 
-FILES = ("bone", "image", "enamel", "dentin", "pulp", "ligament", "labels", "tets", "organ", "finger", "poses")
+FILES = (
+    "bone",
+    "density",
+    "core",
+    "image",
+    "enamel",
+    "dentin",
+    "pulp",
+    "ligament",
+    "labels",
+    "tets",
+    "organ",
+    "finger",
+    "poses",
+)
 NAMES = sorted(kinds(dict.fromkeys(FILES, "")))
 EXEMPT = {
     "description": "it describes the scene to people, and is kept in scene.toml",
@@ -106,7 +120,7 @@ def test_every_kind_of_scene_is_walked_through():
     for name in scene_names():
         scene = load_scene(name)
         assert scene.anatomy.kind in anatomies and scene.tool.kind in tools and scene.motion.kind in motions
-    assert motions == {"path", "thrust", "replay"} and len(anatomies) == 7 and len(tools) == 10
+    assert motions == {"path", "thrust", "replay"} and len(anatomies) == 8 and len(tools) == 10
 
 
 @pytest.mark.parametrize("kind", NAMES)

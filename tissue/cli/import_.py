@@ -67,17 +67,36 @@ def import_(
     overwrite
         Replace another import in the folder.
     """
-    from tissue.importing.importing import import_bone
-    from tissue.importing.request import ImportRequest
+    from tissue.importing.importing import import_ct
 
-    request = ImportRequest(
-        source=source, labels=labels, label_names=label_names, region=region, crop_mm=crop, threshold=threshold,
-        series=series, density=density, site=site, normal=normal, coordinates=coordinates, path=path,
-        keep_clear=keep_clear, like=like,
-    )  # fmt: skip
+    box = None if crop is None else _numbers("crop", crop, 6, "X0,Y0,Z0,X1,Y1,Z1")
     with progress() as shown:
-        made = import_bone(request, out, overwrite=overwrite, progress=shown)
+        made = import_ct(
+            source, out, labels=labels, label_names=label_names, region=region,
+            crop_mm=None if box is None else (_three(box[:3]), _three(box[3:])), threshold=threshold, series=series,
+            density=density, site=_three(_numbers("site", site, 3, "X,Y,Z")) if site and "," in site else site,
+            normal=None if normal is None else _three(_numbers("normal", normal, 3, "X,Y,Z")), coordinates=coordinates,
+            path=path, keep_clear=keep_clear, like=like, overwrite=overwrite, progress=shown,
+        )  # fmt: skip
     for sentence in made.sentences:
         console.print(sentence)
     console.print(f"files in {made.folder}")
     console.print(f"next: tissue {'run' if made.has_site else 'view'} {made.scene if made.has_site else made.folder}")
+
+
+def _three(numbers: list[float]) -> tuple[float, float, float]:
+    x, y, z = numbers
+    return x, y, z
+
+
+def _numbers(name: str, text: str, count: int, form: str) -> list[float]:
+    """Numbers between commas."""
+    from meshes.base.errors import InputError  # brings NumPy, which help does without
+
+    try:
+        found = [float(word) for word in text.split(",")]
+    except ValueError:
+        found = []
+    if len(found) != count:
+        raise InputError(f"{name} must be {count} numbers, {form}, got {text}: write them with commas and no spaces")
+    return found

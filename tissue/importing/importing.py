@@ -1,5 +1,6 @@
 """An import from image to folder."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import numpy as np
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.ct.density import DensityLaw
-from meshes.ct.labelled_bone import by_label
+from meshes.ct.labelled_bone import Box, by_label
 from meshes.ct.labels import Labels, on_grid_of
 from meshes.images.frame import Image
 from meshes.surfaces.surface import Surface, surface_from_triangles
@@ -16,11 +17,11 @@ from tissue.importing.bone import ImportedBone, imported_bone
 from tissue.importing.folder import write_density, write_labels, write_record, write_surface
 from tissue.importing.pictures import draw_pictures
 from tissue.importing.placing import Placed, placed
-from tissue.importing.request import ImportRequest
+from tissue.importing.request import Coordinates, ImportRequest, Point
 from tissue.importing.scene_text import scene_name, scene_text
 from tissue.system.outputs import output_locked, prepare_folder
 
-__all__ = ["Imported", "import_bone"]
+__all__ = ["Imported", "import_ct"]
 
 FILES = ("scene.toml", "import.json", "bone.ply", "density.nrrd", "labels.seg.nrrd", "path.csv")
 PICTURES = ("slices.png", "histogram.png", "bone.png")
@@ -48,21 +49,85 @@ class Imported:
     sentences: tuple[str, ...]
 
 
-def import_bone(
-    request: ImportRequest,
-    out: Path,
+def import_ct(
+    source: str | Path,
+    out: str | Path,
     *,
+    labels: str | Path | None = None,
+    label_names: str | None = None,
+    region: str | None = None,
+    crop_mm: Box | None = None,
+    threshold: float | None = None,
+    series: int | None = None,
+    density: str = "auto",
+    site: str | Point | None = None,
+    normal: Point | None = None,
+    coordinates: Coordinates = "LPS",
+    path: str | Path | None = None,
+    keep_clear: Sequence[str] = (),
+    like: str | None = None,
     overwrite: bool = False,
     pictures: bool = True,
     progress: Progress = silent,
 ) -> Imported:
-    """Write a bone of a person's CT as a scene in a folder.
+    """Make a scene of a bone in a person's own CT: a folder with its surface, its density, a site and pictures.
+
+    Parameters
+    ----------
+    source
+        DICOM folder or image file (``.nii.gz``, ``.nrrd``, ``.mha``, ``.vti``).
+    out
+        Folder to write; ``scene.toml`` in it can be loaded and simulated.
+    labels
+        Label volume of the same CT, or folder of masks, one a label.
+    label_names
+        ``totalsegmentator``, ``dentalsegmentator``, ``verse``, or a TOML file whose table ``[labels]`` gives each name
+        its number; default the names in the file's own header.
+    region
+        Label that is the bone.
+    crop_mm
+        Lowest and highest corner of the box to keep [mm].
+    threshold
+        Value above which a voxel is bone, without labels; default suggested from the histogram.
+    series
+        Number of the series, of a folder that holds several.
+    density
+        ``internal``, a named law, or ``line:SLOPE,OFFSET``, see `meshes.ct.laws.density_law`; ``auto`` is internal
+        where the image allows it.
+    site
+        ``glenoid``, ``femoral-head``, ``humeral-head``, ``vertebra``, a point [mm], or a file of 3D Slicer markups;
+        default by the region's name.
+    normal
+        Outward direction at a site that is a point; default that of the surface.
+    coordinates
+        Frame of crop, site, normal and path: that of DICOM (LPS) or of NIfTI and 3D Slicer's views (RAS).
+    path
+        Toolpath in the frame of the image: CSV, markups curve or G-code [mm].
+    keep_clear
+        Labels that the tool must not touch.
+    like
+        Scene whose tool and motion are taken; default by the site.
+    overwrite
+        Replace another import in the folder.
+    pictures
+        Whether pictures are drawn.
+    progress
+        Called with what is being done.
 
     Raises
     ------
     InputError
         If the image or what is asked of it cannot be used, or the folder holds another import.
     """
+    request = ImportRequest(
+        Path(source), None if labels is None else Path(labels), label_names, region, crop_mm, threshold, series,
+        density, site, normal, coordinates, None if path is None else Path(path), tuple(keep_clear), like,
+    )  # fmt: skip
+    return _import_bone(request, Path(out), overwrite=overwrite, pictures=pictures, progress=progress)
+
+
+def _import_bone(request: ImportRequest, out: Path, *, overwrite: bool, pictures: bool, progress: Progress) -> Imported:
+    """Write a bone as a scene in a folder."""
     bone = imported_bone(request, _law_of, progress)
     clear = _clear(request, bone, progress)
     progress("finding the site", 0.0)

@@ -64,13 +64,13 @@ def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str
         if request.point_mm is not None:
             site = place_site(surface, centre_mm=request.point_mm, normal=request.normal_lps)
             return _pointed(site)
-        if request.is_markups:
+        if isinstance(request.site, str) and request.is_markups:
             from meshes.surfaces.markups import read_site
 
-            found = read_site(Path(request.site or ""))
+            found = read_site(Path(request.site))
             site = place_site(surface, centre_mm=found.centre_mm, normal=found.normal)
             return _pointed(site)
-        if request.site is not None:
+        if isinstance(request.site, str):
             return _searched(request.site, surface)
     usual = next((kind for word, kind in USUAL if re.search(word, request.region or "")), None)
     pick = "pick one by `tissue view`, or give --site"

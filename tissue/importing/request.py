@@ -1,11 +1,12 @@
 """What is asked of an import: which image, which part of it, where to work, and which scene to make of it."""
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from meshes.base.errors import InputError, require_direction, require_range
+import numpy as np
+
+from meshes.base.errors import InputError, by, in_brackets, require_range
 from meshes.ct.labelled_bone import Box
 from tissue.scene.named_parts import nearest
 
@@ -32,7 +33,7 @@ class ImportRequest:
     region
         Label that is the bone or organ.
     crop_mm
-        Box to keep, x, y, z of its lowest and of its highest corner [mm].
+        Box to keep, its lowest and its highest corner [mm].
     threshold
         Value above which a voxel is bone, without labels.
     series
@@ -40,7 +41,7 @@ class ImportRequest:
     density
         Law of the density: a name, ``line:...`` or ``internal``.
     site
-        One of `NAMED_SITES`, ``X,Y,Z`` in mm, or a file of 3D Slicer markups.
+        One of `NAMED_SITES`, a point [mm], or a file of 3D Slicer markups.
     normal
         Outward direction at a site that is a point.
     coordinates
@@ -62,12 +63,12 @@ class ImportRequest:
     labels: Path | None = None
     label_names: str | None = None
     region: str | None = None
-    crop_mm: str | None = None
+    crop_mm: Box | None = None
     threshold: float | None = None
     series: int | None = None
     density: str = "auto"
-    site: str | None = None
-    normal: str | None = None
+    site: str | Point | None = None
+    normal: Point | None = None
     coordinates: Coordinates = "LPS"
     path: Path | None = None
     keep_clear: tuple[str, ...] = ()
@@ -94,75 +95,61 @@ class ImportRequest:
                 "region must be given with labels, got nothing: name the label that is the bone, such as --region "
                 "scapula_left"
             )
-        at = self.point_mm
-        if self.normal is not None and at is None:
+        for name, points in (("site", [self.site]), ("normal", [self.normal]), ("crop", self.crop_mm or ())):
+            if any(not _is_point(each) for each in points if each is not None and not isinstance(each, str)):
+                raise InputError(
+                    f"{name} must be of three finite numbers, got {getattr(self, name, points)}: give x, y, z"
+                )
+        if self.normal is not None and (self.site is None or isinstance(self.site, str)):
             raise InputError(
-                f"normal must be left out unless site is a point, got {self.normal}: give --site X,Y,Z, or leave it out"
+                f"normal must be left out unless site is a point, got {by(self.normal)}: give the point too, or leave "
+                "it out"
             )
-        if self.site is not None and at is None and not self.is_markups and self.site not in NAMED_SITES:
+        if isinstance(self.site, str) and not self.is_markups and self.site not in NAMED_SITES:
             raise InputError(
-                f"site must be one of {', '.join(NAMED_SITES)}, X,Y,Z in mm or a .mrk.json file, got "
-                f"{self.site}{nearest(self.site, NAMED_SITES)}: choose one of these"
+                f"site must be one of {', '.join(NAMED_SITES)}, a point in mm or a .mrk.json file, got {self.site}"
+                f"{nearest(self.site, NAMED_SITES)}: choose one of these"
             )
-        if self.site == "tooth:lesion" and self.region is not None and self.labels is None:
-            raise InputError("labels must be given for a tooth, got nothing: give --labels FILE")
+        if self.crop_mm is not None and any(a >= b for a, b in zip(*self.crop_mm, strict=True)):
+            raise InputError(
+                f"crop must have its lowest corner first, got {in_brackets(self.crop_mm[0])} and "
+                f"{in_brackets(self.crop_mm[1])}: exchange them along the axes where it has not"
+            )
 
     @property
     def is_markups(self) -> bool:
         """Whether the site is a file of markups."""
-        return self.site is not None and Path(self.site).suffix.lower() in MARKUPS
+        return isinstance(self.site, str) and Path(self.site).suffix.lower() in MARKUPS
 
     @property
     def point_mm(self) -> Point | None:
         """The site where it is a point [mm, LPS]."""
-        if self.site is None or "," not in self.site:
-            return None
-        return lps(_three("site", self.site), self.coordinates)
+        return None if self.site is None or isinstance(self.site, str) else lps(self.site, self.coordinates)
 
     @property
     def normal_lps(self) -> Point | None:
         """The outward direction where it is given, in LPS."""
-        if self.normal is None:
-            return None
-        x, y, z = require_direction(
-            "normal", _three("normal", self.normal), "give the outward direction, such as 0,0,1"
-        ).tolist()
-        return lps((x, y, z), self.coordinates)
+        return None if self.normal is None else lps(self.normal, self.coordinates)
 
     @property
     def box_mm(self) -> Box | None:
         """The box to keep [mm, LPS], its lowest corner first."""
         if self.crop_mm is None:
             return None
-        numbers = _numbers("crop", self.crop_mm, 6, "X0,Y0,Z0,X1,Y1,Z1 in mm")
-        one = lps((numbers[0], numbers[1], numbers[2]), self.coordinates)
-        other = lps((numbers[3], numbers[4], numbers[5]), self.coordinates)
-        if any(a >= b for a, b in zip(numbers[:3], numbers[3:], strict=True)):
-            raise InputError(
-                f"crop must have its lowest corner first, got {self.crop_mm}: use X0,Y0,Z0,X1,Y1,Z1 with X0 < X1, "
-                "Y0 < Y1, Z0 < Z1"
-            )
-        low, high = (tuple(chosen(a, b) for a, b in zip(one, other, strict=True)) for chosen in (min, max))
-        return (low[0], low[1], low[2]), (high[0], high[1], high[2])
+        (a, b, c), (d, e, f) = (lps(corner, self.coordinates) for corner in self.crop_mm)
+        return (min(a, d), min(b, e), c), (max(a, d), max(b, e), f)
 
 
 def lps(point: Point, coordinates: Coordinates) -> Point:
     """A point or direction in LPS."""
     x, y, z = point
-    return (-x, -y, z) if coordinates == "RAS" else point
+    return (-x, -y, z) if coordinates == "RAS" else (x, y, z)
 
 
-def _three(name: str, text: str) -> Point:
-    x, y, z = _numbers(name, text, 3, "X,Y,Z")
-    return x, y, z
-
-
-def _numbers(name: str, text: str, count: int, form: str) -> list[float]:
-    """Finite numbers between commas."""
+def _is_point(value: object) -> bool:
+    """Whether something is three finite numbers."""
     try:
-        found = [float(word) for word in text.split(",")]
-    except ValueError:
-        found = []
-    if len(found) != count or not all(map(math.isfinite, found)):
-        raise InputError(f"{name} must be {count} numbers, {form}, got {text}: write them with commas and no spaces")
-    return found
+        found = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        return False
+    return found.shape == (3,) and bool(np.isfinite(found).all())
