@@ -133,29 +133,27 @@ def _import_bone(request: ImportRequest, out: Path, *, overwrite: bool, pictures
     progress("finding the site", 0.0)
     at, sentence = placed(request, bone.surface)
     sentences = [*bone.sentences, sentence, *(f"keep clear: {name}" for name in clear)]
+    files = {"file": "bone.ply"} | ({} if bone.density is None else {"density_file": "density.nrrd"})
+    text = scene_text(
+        name=scene_name(out),
+        description=f"{request.region or 'bone'} of {bone.inspection.source}",
+        placed=at,
+        dense=bone.density is not None,
+        files=files,
+        keep_clear={name: f"keep_clear_{name}.ply" for name in clear},
+        like=request.like,
+        replay=None,
+    )
     with output_locked(out, folder=True):
         prepare_folder(out, FILES, "import", overwrite=overwrite)
         progress("writing files", 0.0)
         write_surface(bone.surface, out / "bone.ply")
-        files = {"file": "bone.ply"}
         if bone.density is not None:
             write_density(bone.density, out / "density.nrrd")
-            files["density_file"] = "density.nrrd"
         if bone.labels is not None:
             write_labels(_near(bone.labels, bone.bone.image), out / "labels.seg.nrrd")
         for name, surface in clear.items():
             write_surface(surface, out / f"keep_clear_{name}.ply")
-        what = request.region or "bone"
-        text = scene_text(
-            name=scene_name(out),
-            description=f"{what} of {bone.inspection.source}",
-            placed=at,
-            dense=bone.density is not None,
-            files=files,
-            keep_clear={name: f"keep_clear_{name}.ply" for name in clear},
-            like=request.like,
-            replay=None,
-        )
         (out / "scene.toml").write_text(text, "utf-8")
         write_record(_record(bone, at, sentences), out / "import.json")
         if pictures:
