@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from meshes.base.errors import InputError
+from meshes.paths.replay_table import POSE_COLUMNS
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.motion.motion import LONGEST_S, Motion
 
 __all__ = ["GivenPoses", "ReplayPoses", "read_replay"]
 
 Array = NDArray[np.float64]
-POSE_COLUMNS = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "tool_qz", "tool_qw")
 
 
 class GivenPoses(Motion):

@@ -1,0 +1,1 @@
+"""Paths of tools from files, and how deep below a bone's surface they lead."""

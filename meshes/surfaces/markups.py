@@ -1,0 +1,225 @@
+"""Points, lines, curves and planes that 3D Slicer saved: markups ``.mrk.json``, and its older point lists ``.fcsv``.
+
+Everything comes back in LPS [mm], whichever of LPS and RAS the file states.
+"""
+
+import csv
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, require_file
+
+__all__ = ["TO_LPS", "MarkedSite", "Markup", "read_curve", "read_markups", "site_of"]
+
+TO_LPS = {"LPS": np.ones(3), "RAS": np.array([-1.0, -1.0, 1.0])}
+"""Factors of x, y and z from each of the two frames of patients to LPS."""
+_FRAMES = {**TO_LPS, "0": TO_LPS["RAS"], "1": TO_LPS["LPS"]}
+"""As `TO_LPS`, with the numbers that files before version 4.11 of 3D Slicer hold."""
+_POINTS, _CURVES = "Fiducial", ("Line", "Curve", "ClosedCurve")
+_COLUMNS = ("id", "x", "y", "z")
+
+
+@dataclass(frozen=True, eq=False)
+class Markup:
+    """One markup.
+
+    Attributes
+    ----------
+    kind
+        ``Fiducial`` (points), ``Line``, ``Curve``, ``ClosedCurve``, ``Plane`` or another word of the file.
+    points_mm
+        Control points [mm, LPS], shape (n, 3); of a plane its origin alone.
+    labels
+        Their names.
+    normal
+        Unit normal of a plane, LPS, shape (3,); None of all others.
+    """
+
+    kind: str
+    points_mm: NDArray[np.float64]
+    labels: tuple[str, ...]
+    normal: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class MarkedSite:
+    """A site as somebody marked it.
+
+    Attributes
+    ----------
+    centre_mm
+        Point [mm, LPS], shape (3,).
+    normal
+        Outward unit normal, LPS, shape (3,); None where the file holds a point alone.
+    """
+
+    centre_mm: NDArray[np.float64]
+    normal: NDArray[np.float64] | None
+
+
+def read_markups(path: str | Path) -> tuple[Markup, ...]:
+    """Read all markups of a ``.mrk.json`` or ``.fcsv`` file.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or of another kind, states neither LPS nor RAS or a unit that is not mm, or a control
+        point is undefined or no three finite numbers.
+    """
+    file = Path(path)
+    require_file(file, "markups")
+    if file.suffix.lower() == ".fcsv":
+        return (_point_list(file),)
+    if not file.name.lower().endswith(".json"):
+        raise InputError(f"markups must be a .mrk.json or .fcsv file, got {file}: save them from 3D Slicer")
+    try:
+        listed = json.loads(file.read_text("utf-8"))["markups"]
+        found = tuple(_markup(one, file) for one in listed)
+    except (UnicodeDecodeError, json.JSONDecodeError, KeyError, TypeError, AttributeError):
+        raise InputError(f"markups must be those of 3D Slicer, got other JSON in {file}: save them again") from None
+    if not found:
+        raise InputError(f"markups must hold at least one, got none in {file}: save them again")
+    return found
+
+
+def site_of(path: str | Path) -> MarkedSite:
+    """Site that a file marks: a plane's origin and normal, a line from the site inward, or one point.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or marks no site or several.
+    """
+    marked = [
+        one for one in read_markups(path) if one.kind in ("Plane", "Line") or (one.kind == _POINTS and len(one.labels))
+    ]
+    planes = [one for one in marked if one.kind == "Plane"] or [one for one in marked if one.kind == "Line"] or marked
+    wanted = 2 if planes and planes[0].kind == "Line" else 1
+    if len(planes) != 1 or len(planes[0].points_mm) != wanted:
+        held = ", ".join(f"{one.kind} of {len(one.points_mm)}" for one in planes) or "none"
+        raise InputError(
+            f"site must be marked by one plane, one line from the site inward, or one point, got {held} in {path}: "
+            "delete the others"
+        )
+    one = planes[0]
+    if one.kind != "Line":
+        return MarkedSite(one.points_mm[0], one.normal)
+    outward = one.points_mm[0] - one.points_mm[1]
+    length = float(np.linalg.norm(outward))
+    if length == 0.0:
+        raise InputError(f"line must have a length, got one of two points alike in {path}: mark it again")
+    return MarkedSite(one.points_mm[0], outward / length)
+
+
+def read_curve(path: str | Path) -> NDArray[np.float64]:
+    """Control points [mm, LPS], shape (n, 3), of a file's one curve, or else of its one list of points, in their order.
+
+    3D Slicer draws a smooth curve through them; here they are joined by straight lines: resample it there if they lie
+    far apart. A closed curve ends at its first point.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or holds no curve or several.
+    """
+    found = read_markups(path)
+    curves = [one for one in found if one.kind in _CURVES] or [one for one in found if one.kind == _POINTS]
+    if len(curves) != 1 or len(curves[0].points_mm) < 2:
+        raise InputError(
+            f"markups must hold one curve of at least two points, got {len(curves)} in {path}: save the curve alone"
+        )
+    points = curves[0].points_mm
+    return np.vstack([points, points[:1]]) if curves[0].kind == "ClosedCurve" else points
+
+
+def _markup(record: dict[str, Any], file: Path) -> Markup:
+    """One markup of a JSON file."""
+    kind, frame = str(record["type"]), _frame(record.get("coordinateSystem"), file)
+    unit = record.get("coordinateUnits", "mm")
+    if unit not in ("mm", ["mm", "mm", "mm"]):
+        raise InputError(f"coordinateUnits must be mm, got {unit} in {file}: save the markups in mm")
+    listed = record.get("controlPoints") or []
+    labels = tuple(str(point.get("label") or point.get("id") or number + 1) for number, point in enumerate(listed))
+    for point, label in zip(listed, labels, strict=True):
+        status = point.get("positionStatus", "defined")
+        if status != "defined":
+            raise InputError(f"control points must be placed, got {status} for {label} in {file}: place or delete it")
+    points = [frame * _three(point["position"], label, file) for point, label in zip(listed, labels, strict=True)]
+    if kind != "Plane":
+        return Markup(kind, np.array(points).reshape(-1, 3), labels)
+    origin = next((record[key] for key in ("center", "origin") if record.get(key) is not None), None)
+    if origin is None and not points:
+        raise InputError(f"a plane must have an origin, got none in {file}: place its points")
+    centre = points[0] if origin is None else frame * _three(origin, "its origin", file)
+    return Markup(kind, centre[None], labels[:1] or ("plane",), _normal(record, points, frame, file))
+
+
+def _normal(
+    record: dict[str, Any], points: list[NDArray[np.float64]], frame: NDArray[np.float64], file: Path
+) -> NDArray[np.float64]:
+    """Unit normal of a plane: as stated, else the third axis of its orientation, else across three points."""
+    if record.get("normal") is not None:
+        normal = frame * _three(record["normal"], "the normal", file)
+    elif record.get("orientation") is not None:
+        numbers = np.asarray(record["orientation"], dtype=np.float64)
+        normal = frame * _three(numbers.reshape(-1)[2::3], "the orientation", file)  # row by row, axes in the columns
+    elif len(points) == 3:
+        normal = np.cross(points[1] - points[0], points[2] - points[0])
+    else:
+        raise InputError(f"a plane must have a normal, got none in {file}: save it from 3D Slicer 5")
+    length = float(np.linalg.norm(normal))
+    if length < 1e-9:
+        raise InputError(f"a plane's normal must not be zero, got (0, 0, 0) in {file}: place its points apart")
+    return normal / length
+
+
+def _point_list(file: Path) -> Markup:
+    """Points of a .fcsv file; several that were joined to one file repeat its head."""
+    frame: NDArray[np.float64] | None = None
+    columns: tuple[str, ...] = _COLUMNS
+    points: list[NDArray[np.float64]] = []
+    labels: list[str] = []
+    try:
+        lines = file.read_text("utf-8").splitlines()
+    except UnicodeDecodeError:
+        raise InputError(f"markups must be text, got other data in {file}: save them again") from None
+    for line in lines:
+        if line.startswith("#"):
+            key, _, value = line.lstrip("# ").partition("=")
+            if key.strip() == "CoordinateSystem":
+                frame = _frame(value.strip(), file)
+            elif key.strip() == "columns":
+                columns = tuple(name.strip() for name in value.split(","))
+            continue
+        if not line.strip():
+            continue
+        if frame is None:
+            frame = _frame(None, file)
+        row = dict(zip(columns, next(csv.reader([line])), strict=False))
+        label = row.get("label") or row.get("id") or str(len(points) + 1)
+        points.append(frame * _three([row.get(axis) for axis in "xyz"], label, file))
+        labels.append(label)
+    if not points:
+        raise InputError(f"markups must hold at least one point, got none in {file}: save them again")
+    return Markup(_POINTS, np.array(points), tuple(labels))
+
+
+def _frame(name: object, file: Path) -> NDArray[np.float64]:
+    if str(name) not in _FRAMES:
+        raise InputError(f"coordinateSystem must be LPS or RAS, got {name or 'none'} in {file}: save it from 3D Slicer")
+    return _FRAMES[str(name)]
+
+
+def _three(value: Any, what: str, file: Path) -> NDArray[np.float64]:
+    try:
+        numbers = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        numbers = np.empty(0)
+    if numbers.shape != (3,) or not np.isfinite(numbers).all():
+        raise InputError(f"markups must hold three finite numbers, got {value!r:.80} for {what} in {file}: mend it")
+    return numbers
