@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, require_file
 
-__all__ = ["TO_LPS", "MarkedSite", "Markup", "read_curve", "read_markups", "site_of"]
+__all__ = ["TO_LPS", "MarkedSite", "Markup", "read_curve", "read_markups", "read_site"]
 
 TO_LPS = {"LPS": np.ones(3), "RAS": np.array([-1.0, -1.0, 1.0])}
 """Factors of x, y and z from each of the two frames of patients to LPS."""
@@ -87,7 +87,7 @@ def read_markups(path: str | Path) -> tuple[Markup, ...]:
     return found
 
 
-def site_of(path: str | Path) -> MarkedSite:
+def read_site(path: str | Path) -> MarkedSite:
     """Site that a file marks: a plane's origin and normal, a line from the site inward, or one point.
 
     Raises

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
-from meshes.surfaces.markups import read_curve, read_markups, site_of
+from meshes.surfaces.markups import read_curve, read_markups, read_site
 
 LANDMARKS = Path(__file__).resolve().parents[4] / "shared" / "anatomy" / "scapula" / "glenoid_landmark_points.fcsv"
 POINT = [10.0, -20.0, 30.0]
@@ -46,7 +46,7 @@ def written(folder, *markups):
 
 def test_a_point_of_either_frame_is_the_same_in_lps(tmp_path):
     for frame, place in (("LPS", POINT), ("RAS", [-10.0, 20.0, 30.0])):
-        site = site_of(written(tmp_path, points(place, frame=frame)))
+        site = read_site(written(tmp_path, points(place, frame=frame)))
         assert site.centre_mm.tolist() == POINT
         assert site.normal is None
 
@@ -64,20 +64,20 @@ def test_a_plane_has_its_origin_and_normal(tmp_path, frame, stated):
         "orientation": {"orientation": inside.reshape(-1).tolist(), "origin": places[0]},
         "points": {},
     }[stated]
-    site = site_of(written(tmp_path, points(*places, kind="Plane", frame=frame, **given)))
+    site = read_site(written(tmp_path, points(*places, kind="Plane", frame=frame, **given)))
     assert site.centre_mm == pytest.approx(POINT)
     assert site.normal == pytest.approx(turn[:, 2])
 
 
 def test_a_plane_counts_before_the_points_beside_it(tmp_path):
     plane = points([1, 2, 3], kind="Plane", normal=[0, 0, 2], center=[1, 2, 3])
-    site = site_of(written(tmp_path, points(POINT, POINT), plane))
+    site = read_site(written(tmp_path, points(POINT, POINT), plane))
     assert site.centre_mm.tolist() == [1, 2, 3]
     assert site.normal.tolist() == [0, 0, 1]
 
 
 def test_a_line_leads_from_the_site_inward(tmp_path):
-    site = site_of(written(tmp_path, points([0, 0, 10], [0, 0, -20], kind="Line")))
+    site = read_site(written(tmp_path, points([0, 0, 10], [0, 0, -20], kind="Line")))
     assert site.centre_mm.tolist() == [0, 0, 10]
     assert site.normal.tolist() == [0, 0, 1]
 
@@ -132,15 +132,15 @@ def test_landmarks_of_a_real_glenoid():
 )
 def test_what_marks_no_site_is_refused(tmp_path, change, sentence):
     with pytest.raises(InputError, match=sentence):
-        site_of(written(tmp_path, points(POINT) | change))
+        read_site(written(tmp_path, points(POINT) | change))
 
 
 def test_several_sites_and_other_files_are_refused(tmp_path):
     with pytest.raises(InputError, match="got Fiducial of 2"):
-        site_of(written(tmp_path, points(POINT, POINT)))
+        read_site(written(tmp_path, points(POINT, POINT)))
     with pytest.raises(InputError, match="got Plane of 1, Plane of 1"):
         plane = points(POINT, kind="Plane", normal=[0, 0, 1])
-        site_of(written(tmp_path, plane, plane))
+        read_site(written(tmp_path, plane, plane))
     for name, text, sentence in (
         ("a.mrk.json", "{", "got other JSON"),
         ("a.mrk.json", '{"markups": []}', "got none"),
