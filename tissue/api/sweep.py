@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from concurrent.futures import BrokenExecutor, Future
+from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,6 +16,7 @@ from tissue.api.progress import Bar, reporting
 from tissue.api.simulate import simulate
 from tissue.api.sweep_plan import Planned, planned
 from tissue.api.sweep_table import Sweep, SweptRun
+from tissue.scene.registered import registered_parts, unknown_parts
 from tissue.scene.scene import Scene
 from tissue.simulation.run_summary import summary_of
 from tissue.system.outputs import output_locked
@@ -67,8 +68,8 @@ def sweep(
         Folder that takes the runs, and ``sweep.csv``, ``sweep.png`` and ``compare.png``.
     workers
         Processes that run beside each other, each with one core unless ``cores`` states more; then ticks take longer. A
-        script that asks for several must begin below ``if __name__ == "__main__":``, and parts that it registered are
-        known to none of them.
+        script that asks for several must begin below ``if __name__ == "__main__":``; they know the parts of installed
+        packages, and those that the script registers above that line.
     compute, cores, allow_unstable
         As for `tissue.simulate`.
     pictures
@@ -81,7 +82,8 @@ def sweep(
     Raises
     ------
     InputError
-        If no combination makes a scene, or the folder holds runs of other scenes under the same names.
+        If no combination makes a scene, the folder holds runs of other scenes under the same names, or several
+        processes are asked for with a part that they do not know.
     """
     out = Path(out)
     count = int(require_range("workers", workers, 1, 4096, "use one a core"))
@@ -157,6 +159,7 @@ def _results(
             yield each.name, _run(each, out / each.name, options, inner)
         return
     with worker_pool(workers) as pool:
+        _require_known(pool, left, workers)
         waiting: dict[Future[str], str] = {
             pool.submit(_run, each, out / each.name, options, False): each.name for each in left
         }
@@ -167,6 +170,17 @@ def _results(
                 if error is not None and not isinstance(error, BrokenExecutor):
                     raise error
                 yield waiting.pop(future), LOST if error is not None else future.result()
+
+
+def _require_known(pool: Executor, left: list[Planned], workers: int) -> None:
+    """Refuse parts that were registered in this process alone."""
+    registered = registered_parts(each.scene for each in left if each.scene is not None)
+    if registered and (missing := pool.submit(unknown_parts, registered).result()):
+        raise InputError(
+            f"workers must be 1 for parts that are registered in this process alone, got {workers} with the "
+            f'{" and the ".join(map(" ".join, missing))}: register them above if __name__ == "__main__": in the '
+            "script, or offer them as a package does"
+        )
 
 
 def _share(report: Progress, name: str, number: int, total: int, doing: str, share: float) -> None:

@@ -2,10 +2,13 @@
 
 import csv
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 from matplotlib import pyplot
+from offered_package import offer_example, searching
 
 import tissue
 from tissue import InputError
@@ -179,3 +182,44 @@ def test_a_bad_sweep_is_refused_in_one_sentence(command, out):
     assert command("sweep", "milling", "--set", "motion.fed=1,2", "--out", out)[0] == 2
     code, _, err = command("sweep", "milling", "--set", "seed=1,,2", "--out", out)
     assert code == 2 and err.startswith("error: --set must be key=value,value, got seed=1,,2") and not out.exists()
+
+
+SCRIPT = """
+import tissue
+LIGHT = {{"mass_kg": 0.03, "damping_N_s_m": 0.2, "force_limit_N": 1.0}}
+{top}
+if __name__ == "__main__":
+    {below}
+    found = tissue.sweep("wall", {{"device": ["sprung"], "duration_s": [0.01, 0.02]}}, out="out", workers=2)
+    print([each.problem for each in found.runs])
+"""
+CALL = 'tissue.register.device("sprung", LIGHT)'
+
+
+def test_processes_know_the_parts_that_a_script_registers_at_its_top(tmp_path):
+    """They import it; what it registers below its last lines is refused in a sentence, and nothing is run."""
+    ended = []
+    for name, calls in (("top", {"top": CALL, "below": "pass"}), ("below", {"top": "", "below": CALL})):
+        (tmp_path / name).mkdir()
+        file = tmp_path / name / "script.py"
+        file.write_text(SCRIPT.format(**calls))
+        ended.append(
+            subprocess.run([sys.executable, file], capture_output=True, text=True, check=False, cwd=file.parent)
+        )
+    assert (ended[0].returncode, ended[0].stdout) == (0, "['', '']\n")
+    assert ended[1].returncode != 0 and ended[1].stderr.splitlines()[-1].endswith(
+        "workers must be 1 for parts that are registered in this process alone, got 2 with the device sprung: register "
+        'them above if __name__ == "__main__": in the script, or offer them as a package does'
+    )
+    assert not list((tmp_path / "below" / "out").glob("*/trace*"))
+
+
+@pytest.mark.slow
+def test_processes_know_the_parts_of_installed_packages(tmp_path):
+    ended = subprocess.run(
+        [sys.executable, "-m", "tissue", "sweep", "toy-drilling", "--set", "voxels.spacing_mm=0.4,0.5", "--set",
+         "duration_s=0.05", "--workers", "2", "--out", "out"],
+        capture_output=True, text=True, check=False, cwd=tmp_path, env=searching(*offer_example(tmp_path / "site")),
+    )  # fmt: skip
+    assert ended.returncode == 0, ended.stderr
+    assert len(list((tmp_path / "out").glob("*/summary.json"))) == 2
