@@ -1,5 +1,6 @@
 """A CT and its labels written as DICOM series, NIfTI, NRRD or MetaImage, stored along any axes."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -7,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
+from meshes.ct.phantom import HEAD_CENTRE_MM, HEAD_RADIUS_MM, CtPhantom
 from meshes.images.frame import StoredImage
 
-__all__ = ["ORIENTATIONS", "reoriented", "write_stored"]
+__all__ = ["ORIENTATIONS", "reoriented", "write_phantom", "write_stored"]
 
 ORIENTATIONS = ("LPS", "RAS", "AIR", "SLP")
 """What the axes of an array may point to; any of the 48 will do."""
@@ -65,6 +67,29 @@ def write_stored(path: str | Path, stored: StoredImage, *, tilt_deg: float = 0.0
     else:
         raise InputError(f"file must end in .nii.gz, .nrrd, .mha or be a folder, got {path.name}: use ct.nii.gz")
     return path
+
+
+def write_phantom(folder: str | Path, phantom: CtPhantom) -> Path:
+    """Write a phantom in four formats along four orders of axes, its labels and what is true of it.
+
+    ``dicom`` (LPS), ``ct.nii.gz`` (RAS), ``ct.nrrd`` (AIR) and ``ct.mha`` (SLP); ``labels.nii.gz`` with the names in
+    ``labels.toml``; ``truth.json``: effective energy, density and mean of each rod, and the ball of the humerus's head.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, axes in zip(("dicom", "ct.nii.gz", "ct.nrrd", "ct.mha"), ORIENTATIONS, strict=True):
+        write_stored(folder / name, reoriented(phantom.stored, axes))
+    write_stored(folder / "labels.nii.gz", phantom.labels)
+    names = "".join(f"{name} = {number}\n" for number, name in phantom.names.items())
+    (folder / "labels.toml").write_text(f"[labels]\n{names}", "utf-8")
+    truth = {
+        "effective_energy_keV": phantom.energy_keV,
+        "rods": [{"density_kg_m3": density, "mean_HU": mean} for density, mean in phantom.rod_means().items()],
+        "head_centre_mm_lps": list(HEAD_CENTRE_MM),
+        "head_radius_mm": HEAD_RADIUS_MM,
+    }
+    (folder / "truth.json").write_text(json.dumps(truth, indent=2), "utf-8")
+    return folder
 
 
 def _write_nifti(path: Path, stored: StoredImage) -> None:
