@@ -26,8 +26,10 @@ def import_(
     normal: str | None = None,
     coordinates: Literal["LPS", "RAS"] = "LPS",
     path: Path | None = None,
+    feed_mm_s: float | None = None,
     keep_clear: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     like: str | None = None,
+    part: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
     """Make a scene of a person's own CT.
@@ -43,7 +45,7 @@ def import_(
     label_names
         totalsegmentator, dentalsegmentator, verse, or a TOML file that names the numbers; default the file's own names.
     region
-        Label that is the bone, such as scapula_left.
+        Label that is the bone or soft organ, such as scapula_left.
     crop
         X0,Y0,Z0,X1,Y1,Z1: box to keep, in mm.
     threshold
@@ -60,10 +62,14 @@ def import_(
         Frame of crop, site, normal and path.
     path
         Toolpath: CSV, .mrk.json curve or G-code, in mm.
+    feed_mm_s
+        Speed where the path states none; default 2.
     keep_clear
         Label that the tool must not touch; may be repeated.
     like
         Scene whose tool and motion are taken; default by the site.
+    part
+        NAME=KPA: label in a soft organ and its Young's modulus; may be repeated.
     overwrite
         Replace another import in the folder.
     """
@@ -76,12 +82,24 @@ def import_(
             crop_mm=None if box is None else (_three(box[:3]), _three(box[3:])), threshold=threshold, series=series,
             density=density, site=_three(_numbers("site", site, 3, "X,Y,Z")) if site and "," in site else site,
             normal=None if normal is None else _three(_numbers("normal", normal, 3, "X,Y,Z")), coordinates=coordinates,
-            path=path, keep_clear=keep_clear, like=like, overwrite=overwrite, progress=shown,
+            path=path, feed_mm_s=feed_mm_s, keep_clear=keep_clear, like=like, parts=dict(map(_part, part)),
+            overwrite=overwrite, progress=shown,
         )  # fmt: skip
     for sentence in made.sentences:
         console.print(sentence)
     console.print(f"files in {made.folder}")
     console.print(f"next: tissue {'run' if made.has_site else 'view'} {made.scene if made.has_site else made.folder}")
+
+
+def _part(text: str) -> tuple[str, float]:
+    """Name and modulus of a part."""
+    from meshes.base.errors import InputError
+
+    name, _, modulus = text.rpartition("=")
+    try:
+        return name, float(modulus)
+    except ValueError:
+        raise InputError(f"part must be NAME=KPA, got {text}: use for example tumour=40") from None
 
 
 def _three(numbers: list[float]) -> tuple[float, float, float]:

@@ -1,6 +1,6 @@
-"""Three slices of a CT through a site, with the bone, structures to keep clear of, the site and a path drawn in."""
+"""Three slices of a CT through a site, with what was found in it, the site and a path drawn in."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,8 +21,8 @@ WINDOW_HU = (-200.0, 1300.0)
 VIEWS = ((0, 1, 2, "axial"), (0, 2, 1, "coronal"), (1, 2, 0, "sagittal"))
 """Axes of a slice to the right and upward, the axis through it, and its name."""
 AXES = ("left", "back", "head")
-BONE, SITE, PATH = "#E69F00", "#D55E00", "#CC79A7"
-CLEAR = ("#56B4E9", "#009E73", "#F0E442", "#0072B2")
+BODY, SITE, PATH = "#E69F00", "#D55E00", "#CC79A7"
+OTHERS = ("#56B4E9", "#009E73", "#F0E442", "#0072B2")
 """Colours of outlines after Okabe and Ito (2008)."""
 NORMAL_MM = 12.0
 WIDTH_IN, HEIGHT_IN = 9.0, 3.7
@@ -33,8 +33,8 @@ def draw_ct_slices(
     image: Image,
     path: Path,
     *,
-    bone: Image,
-    clear: Mapping[str, Image],
+    body: tuple[str, Image],
+    others: Mapping[str, Image],
     centre_mm: NDArray[np.float64],
     normal: NDArray[np.float64] | None,
     points_mm: NDArray[np.float64] | None,
@@ -46,10 +46,10 @@ def draw_ct_slices(
     ----------
     image
         Grey values around the bone.
-    bone
-        What is above 0 where bone is, on the same voxels as far as it goes.
-    clear
-        The same of structures to keep clear of, by name.
+    body
+        What it is called, and what is above 0 where it is, on the same voxels as far as it goes.
+    others
+        The same of other structures, by what they are called.
     centre_mm
         Where the slices cross [mm, LPS]: the site, or the middle of the bone.
     normal
@@ -69,9 +69,9 @@ def draw_ct_slices(
         extent = (*ends[0], *ends[1])
         axes.imshow(grey, cmap="gray", vmin=low, vmax=high, origin="lower", extent=extent, interpolation="nearest")
         place = float(origin[through] + spacing[through] * at[through])
-        _outline(axes, bone, (u, v, through), place, BONE)
-        for number, field in enumerate(clear.values()):
-            _outline(axes, field, (u, v, through), place, CLEAR[number % len(CLEAR)])
+        _outline(axes, body[1], (u, v, through), place, BODY)
+        for number, field in enumerate(others.values()):
+            _outline(axes, field, (u, v, through), place, OTHERS[number % len(OTHERS)])
         if points_mm is not None:
             axes.plot(points_mm[:, u], points_mm[:, v], color=PATH, linewidth=1.2)
         if normal is not None:
@@ -87,7 +87,7 @@ def draw_ct_slices(
             axes.invert_yaxis()
         axes.set_title(f"{name}, {AXES[through]} {place:.1f} mm", size=9)
     chart.suptitle(title, size=10, y=0.98)
-    _legend(chart, clear, normal is not None, points_mm is not None)
+    _legend(chart, (body[0], *others), normal is not None, points_mm is not None)
     save(chart, path)
 
 
@@ -103,15 +103,14 @@ def _outline(axes: "Axes", field: Image, order: tuple[int, int, int], place_mm: 
         axes.contour(x, y, values, levels=[0.0], colors=[colour], linewidths=[1.1])
 
 
-def _legend(chart: "Figure", clear: Mapping[str, Image], sited: bool, pathed: bool) -> None:
+def _legend(chart: "Figure", names: Sequence[str], sited: bool, pathed: bool) -> None:
     """What the colours mean, below the slices."""
     from matplotlib.lines import Line2D
 
-    lines = [Line2D([], [], color=BONE, label="bone")]
-    for number, name in enumerate(clear):
-        lines.append(Line2D([], [], color=CLEAR[number % len(CLEAR)], label=f"{name}, to keep clear of"))
+    colours = (BODY, *(OTHERS[number % len(OTHERS)] for number in range(len(names) - 1)))
+    lines = [Line2D([], [], color=colour, label=name) for name, colour in zip(names, colours, strict=True)]
     if sited:
         lines.append(Line2D([], [], color=SITE, marker="o", markersize=4, label="site and normal"))
     if pathed:
         lines.append(Line2D([], [], color=PATH, label="path of the tip"))
-    chart.legend(handles=lines, loc="lower center", ncols=min(len(lines), 4), frameon=False)
+    chart.legend(handles=lines, loc="lower center", ncols=min(len(lines), 5), frameon=False)

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,29 @@ from meshes.ct.labels import Labels
 from meshes.images.frame import Image
 from meshes.surfaces.surface import Surface
 
-__all__ = ["write_density", "write_labels", "write_record", "write_surface"]
+__all__ = ["Imported", "write_density", "write_labels", "write_record", "write_surface"]
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What an import has written.
+
+    Attributes
+    ----------
+    folder
+        Where.
+    scene
+        The scene's file.
+    has_site
+        Whether the scene can be run as it is.
+    sentences
+        What was found and assumed.
+    """
+
+    folder: Path
+    scene: Path
+    has_site: bool
+    sentences: tuple[str, ...]
 
 
 def write_surface(surface: Surface, path: Path) -> None:

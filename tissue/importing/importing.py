@@ -1,7 +1,7 @@
 """An import from image to folder."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,9 @@ from meshes.ct.labels import Labels, on_grid_of
 from meshes.images.frame import Image
 from meshes.surfaces.surface import Surface, surface_from_triangles
 from tissue.importing.bone import ImportedBone, imported_bone
-from tissue.importing.folder import write_density, write_labels, write_record, write_surface
+from tissue.importing.folder import Imported, write_density, write_labels, write_record, write_surface
+from tissue.importing.organ import import_organ
+from tissue.importing.path import import_path
 from tissue.importing.pictures import draw_pictures
 from tissue.importing.placing import Placed, placed
 from tissue.importing.request import Coordinates, ImportRequest, Point
@@ -24,29 +26,6 @@ from tissue.system.outputs import output_locked, prepare_folder
 __all__ = ["Imported", "import_ct"]
 
 FILES = ("scene.toml", "import.json", "bone.ply", "density.nrrd", "labels.seg.nrrd", "path.csv")
-PICTURES = ("slices.png", "histogram.png", "bone.png")
-
-
-@dataclass(frozen=True)
-class Imported:
-    """What an import has written.
-
-    Attributes
-    ----------
-    folder
-        Where.
-    scene
-        The scene's file.
-    has_site
-        Whether the scene can be run as it is.
-    sentences
-        What was found and assumed.
-    """
-
-    folder: Path
-    scene: Path
-    has_site: bool
-    sentences: tuple[str, ...]
 
 
 def import_ct(
@@ -64,13 +43,15 @@ def import_ct(
     normal: Point | None = None,
     coordinates: Coordinates = "LPS",
     path: str | Path | None = None,
+    feed_mm_s: float | None = None,
     keep_clear: Sequence[str] = (),
     like: str | None = None,
+    parts: Mapping[str, float] | None = None,
     overwrite: bool = False,
     pictures: bool = True,
     progress: Progress = silent,
 ) -> Imported:
-    """Make a scene of a bone in a person's own CT: a folder with its surface, its density, a site and pictures.
+    """Make a scene of a person's own CT: a folder with a bone, its density, a site and pictures, or with a soft organ.
 
     Parameters
     ----------
@@ -84,7 +65,7 @@ def import_ct(
         ``totalsegmentator``, ``dentalsegmentator``, ``verse``, or a TOML file whose table ``[labels]`` gives each name
         its number; default the names in the file's own header.
     region
-        Label that is the bone.
+        Label that is the bone or the organ.
     crop_mm
         Lowest and highest corner of the box to keep [mm].
     threshold
@@ -102,11 +83,16 @@ def import_ct(
     coordinates
         Frame of crop, site, normal and path: that of DICOM (LPS) or of NIfTI and 3D Slicer's views (RAS).
     path
-        Toolpath in the frame of the image: CSV, markups curve or G-code [mm].
+        Toolpath in the frame of the image [mm]: CSV, markups curve or G-code, see
+        `meshes.paths.toolpath.read_toolpath`.
+    feed_mm_s
+        Speed where the path states none [mm/s]; default 2.
     keep_clear
         Labels that the tool must not touch.
     like
         Scene whose tool and motion are taken; default by the site.
+    parts
+        Labels in a soft organ that become parts of it, with their Young's moduli [kPa].
     overwrite
         Replace another import in the folder.
     pictures
@@ -121,8 +107,11 @@ def import_ct(
     """
     request = ImportRequest(
         Path(source), None if labels is None else Path(labels), label_names, region, crop_mm, threshold, series,
-        density, site, normal, coordinates, None if path is None else Path(path), tuple(keep_clear), like,
+        density, site, normal, coordinates, None if path is None else Path(path), feed_mm_s, tuple(keep_clear), like,
+        dict(parts or {}),
     )  # fmt: skip
+    if request.is_soft:
+        return import_organ(request, Path(out), overwrite=overwrite, pictures=pictures, progress=progress)
     return _import_bone(request, Path(out), overwrite=overwrite, pictures=pictures, progress=progress)
 
 
@@ -133,6 +122,8 @@ def _import_bone(request: ImportRequest, out: Path, *, overwrite: bool, pictures
     progress("finding the site", 0.0)
     at, sentence = placed(request, bone.surface)
     sentences = [*bone.sentences, sentence, *(f"keep clear: {name}" for name in clear)]
+    path = None if request.path is None else import_path(request, at, bone.surface)
+    sentences += [] if path is None else [path.sentence]
     files = {"file": "bone.ply"} | ({} if bone.density is None else {"density_file": "density.nrrd"})
     text = scene_text(
         name=scene_name(out),
@@ -142,7 +133,7 @@ def _import_bone(request: ImportRequest, out: Path, *, overwrite: bool, pictures
         files=files,
         keep_clear={name: f"keep_clear_{name}.ply" for name in clear},
         like=request.like,
-        replay=None,
+        replay=None if path is None else "path.csv",
     )
     with output_locked(out, folder=True):
         prepare_folder(out, FILES, "import", overwrite=overwrite)
@@ -154,11 +145,13 @@ def _import_bone(request: ImportRequest, out: Path, *, overwrite: bool, pictures
             write_labels(_near(bone.labels, bone.bone.image), out / "labels.seg.nrrd")
         for name, surface in clear.items():
             write_surface(surface, out / f"keep_clear_{name}.ply")
+        if path is not None:
+            path.table.write(out / "path.csv")
         (out / "scene.toml").write_text(text, "utf-8")
         write_record(_record(bone, at, sentences), out / "import.json")
         if pictures:
             progress("drawing", 0.0)
-            sentences += draw_pictures(bone, at, clear, out)
+            sentences += draw_pictures(bone, at, clear, out, points_mm=None if path is None else path.points_mm)
     return Imported(out, out / "scene.toml", at is not None, tuple(sentences))
 
 

@@ -36,8 +36,8 @@ def draw_pictures(
     draw_ct_slices(
         bone.around,
         out / "slices.png",
-        bone=replace(found.image, values=found.field - np.float32(found.level)),
-        clear={name: _inside(surface, found.image) for name, surface in clear.items()},
+        body=("bone", replace(found.image, values=found.field - np.float32(found.level))),
+        others={f"{name}, to keep clear of": _inside(surface, found.image) for name, surface in clear.items()},
         centre_mm=middle if centre is None else centre,
         normal=normal,
         points_mm=points_mm,

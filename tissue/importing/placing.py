@@ -65,10 +65,11 @@ def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str
             site = place_site(surface, centre_mm=request.point_mm, normal=request.normal_lps)
             return _pointed(site)
         if isinstance(request.site, str) and request.is_markups:
-            from meshes.surfaces.markups import read_site
+            from meshes.surfaces.markups import site_of
 
-            found = read_site(Path(request.site))
-            site = place_site(surface, centre_mm=found.centre_mm, normal=found.normal)
+            found = site_of(Path(request.site))
+            normal = None if found.normal is None else found.normal.tolist()
+            site = place_site(surface, centre_mm=found.centre_mm.tolist(), normal=normal)
             return _pointed(site)
         if isinstance(request.site, str):
             return _searched(request.site, surface)

@@ -1,12 +1,14 @@
 """What is asked of an import: which image, which part of it, where to work, and which scene to make of it."""
 
-from dataclasses import dataclass
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from meshes.base.errors import InputError, by, in_brackets, require_range
+from meshes.base.errors import InputError, by, in_brackets, require_positive, require_range
 from meshes.ct.labelled_bone import Box
 from tissue.scene.named_parts import nearest
 
@@ -18,6 +20,8 @@ Point = tuple[float, float, float]
 NAMED_SITES = ("glenoid", "femoral-head", "humeral-head", "vertebra", "tooth:lesion")
 """Sites that are searched for."""
 MARKUPS = (".json", ".fcsv")
+SOFT = r"liver|kidney|spleen|pancreas|prostate|bladder|brain|stomach|heart|lung|thyroid|muscle|gluteus|autochthon|iliopsoas"
+"""Words in the name of a label that is a soft organ."""
 
 
 @dataclass(frozen=True)
@@ -46,12 +50,14 @@ class ImportRequest:
         Outward direction at a site that is a point.
     coordinates
         Frame of the numbers that are given: LPS or RAS.
-    path
-        File of a toolpath.
+    path, feed_mm_s
+        File of a toolpath, and the speed where it states none [mm/s].
     keep_clear
         Labels that the tool must not touch.
     like
         Scene whose tool and motion are taken.
+    parts
+        Young's moduli of labels in a soft organ [kPa].
 
     Raises
     ------
@@ -71,8 +77,10 @@ class ImportRequest:
     normal: Point | None = None
     coordinates: Coordinates = "LPS"
     path: Path | None = None
+    feed_mm_s: float | None = None
     keep_clear: tuple[str, ...] = ()
     like: str | None = None
+    parts: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.labels is None:
@@ -80,6 +88,7 @@ class ImportRequest:
                 ("label_names", self.label_names),
                 ("region", self.region),
                 ("keep_clear", ", ".join(self.keep_clear)),
+                ("part", ", ".join(self.parts)),
             ):
                 if value:
                     raise InputError(f"{name} must be left out without labels, got {value}: give --labels FILE too")
@@ -110,11 +119,37 @@ class ImportRequest:
                 f"site must be one of {', '.join(NAMED_SITES)}, a point in mm or a .mrk.json file, got {self.site}"
                 f"{nearest(self.site, NAMED_SITES)}: choose one of these"
             )
+        if self.feed_mm_s is not None:
+            require_positive("feed_mm_s", self.feed_mm_s, "use about 2")
+            if self.path is None:
+                raise InputError(f"feed_mm_s must be left out without a path, got {self.feed_mm_s:g}: give --path FILE")
+        if self.path is not None and self.like is not None:
+            raise InputError(
+                f"like must be left out with a path, which is the motion, got {self.like}: leave one of them out"
+            )
+        if self.is_soft:
+            self._require_soft()
         if self.crop_mm is not None and any(a >= b for a, b in zip(*self.crop_mm, strict=True)):
             raise InputError(
                 f"crop must have its lowest corner first, got {in_brackets(self.crop_mm[0])} and "
                 f"{in_brackets(self.crop_mm[1])}: exchange them along the axes where it has not"
             )
+
+    def _require_soft(self) -> None:
+        """Refuse what has no effect on a soft organ."""
+        for name, value, without in (
+            ("density", self.density, "auto"), ("threshold", self.threshold, None), ("path", self.path, None),
+            ("keep_clear", self.keep_clear, ()), ("like", self.like, None), ("crop", self.crop_mm, None),
+        ):  # fmt: skip
+            if value != without:
+                raise InputError(f"{name} must be left out for a soft organ, got {value}: leave it out")
+        if isinstance(self.site, str):
+            raise InputError(f"site must be a point for a soft organ, got {self.site}: give X,Y,Z in mm")
+
+    @property
+    def is_soft(self) -> bool:
+        """Whether the region is a soft organ, by its name or because parts of it have moduli."""
+        return bool(self.parts) or (self.region is not None and re.search(SOFT, self.region.lower()) is not None)
 
     @property
     def is_markups(self) -> bool:

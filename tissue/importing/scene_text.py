@@ -10,7 +10,7 @@ from tissue.scene.load import load_scene
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 
-__all__ = ["scene_name", "scene_text"]
+__all__ = ["scene_name", "scene_text", "toml"]
 
 USUAL = {"glenoid": "glenoid", "vertebra": "pedicle"}
 """Scene whose tool and motion are taken at a site where none is asked for."""
@@ -76,7 +76,7 @@ def scene_text(
     whole: dict[str, object] = {**head, "anatomy": anatomy}
     if keep_clear:
         whole["keep_clear"] = {"files": dict(keep_clear)}
-    return _commented(_toml(whole | tables), placed)
+    return _commented(toml(whole | tables), placed)
 
 
 def _taken(like: str | None, placed: Placed | None) -> dict[str, dict[str, object]]:
@@ -99,7 +99,7 @@ def _taken(like: str | None, placed: Placed | None) -> dict[str, dict[str, objec
     }
 
 
-def _toml(table: Mapping[str, object]) -> str:
+def toml(table: Mapping[str, object]) -> str:
     import tomli_w
 
     text = tomli_w.dumps(dict(table))
