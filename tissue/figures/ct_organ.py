@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from meshes.images.frame import Image
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import triangle_distance
-from tissue.figures.ct_slices import draw_ct_slices
+from tissue.figures.ct_slices import SOFT_HU, draw_ct_slices
 
 __all__ = ["draw_ct_organ"]
 
@@ -51,4 +51,5 @@ def draw_ct_organ(
         normal=None,
         points_mm=None,
         title=title,
+        window_HU=SOFT_HU,
     )

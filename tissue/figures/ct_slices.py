@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_ct_slices"]
+__all__ = ["SOFT_HU", "draw_ct_slices"]
 
-WINDOW_HU = (-200.0, 1300.0)
-"""Grey values from black to white: fat to cortical bone."""
+BONE_HU, SOFT_HU = (-200.0, 1300.0), (-160.0, 240.0)
+"""Grey values from black to white: fat to cortical bone, and those of soft tissue (the usual abdominal window)."""
 VIEWS = ((0, 1, 2, "axial"), (0, 2, 1, "coronal"), (1, 2, 0, "sagittal"))
 """Axes of a slice to the right and upward, the axis through it, and its name."""
 AXES = ("left", "back", "head")
@@ -39,6 +39,7 @@ def draw_ct_slices(
     normal: NDArray[np.float64] | None,
     points_mm: NDArray[np.float64] | None,
     title: str,
+    window_HU: tuple[float, float] = BONE_HU,
 ) -> None:
     """Draw the slices to a file.
 
@@ -56,11 +57,13 @@ def draw_ct_slices(
         Outward direction at the site; None where there is none yet.
     points_mm
         Corners of a path [mm, LPS], shape (n, 3); None where there is none.
+    window_HU
+        Hounsfield units from black to white; images of other units take their own range.
     """
     origin, spacing, shape = np.array(image.origin_mm), np.array(image.spacing_mm), image.values.shape
     at = np.rint((centre_mm - origin) / spacing).astype(int).clip(0, np.array(shape) - 1)
     hounsfield = float(image.values.min()) < -100.0
-    low, high = WINDOW_HU if hounsfield else np.percentile(image.values, (1, 99.8))
+    low, high = window_HU if hounsfield else np.percentile(image.values, (1, 99.8))
     chart = figure(WIDTH_IN, HEIGHT_IN)
     panels = chart.subplots(1, 3, gridspec_kw={"wspace": 0.3, "left": 0.07, "right": 0.98, "bottom": 0.22, "top": 0.85})
     for axes, (u, v, through, name) in zip(panels, VIEWS, strict=True):

@@ -65,9 +65,9 @@ def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str
             site = place_site(surface, centre_mm=request.point_mm, normal=request.normal_lps)
             return _pointed(site)
         if isinstance(request.site, str) and request.is_markups:
-            from meshes.surfaces.markups import site_of
+            from meshes.surfaces.markups import read_site
 
-            found = site_of(Path(request.site))
+            found = read_site(Path(request.site))
             normal = None if found.normal is None else found.normal.tolist()
             site = place_site(surface, centre_mm=found.centre_mm.tolist(), normal=normal)
             return _pointed(site)

@@ -20,7 +20,7 @@ Point = tuple[float, float, float]
 NAMED_SITES = ("glenoid", "femoral-head", "humeral-head", "vertebra", "tooth:lesion")
 """Sites that are searched for."""
 MARKUPS = (".json", ".fcsv")
-SOFT = r"liver|kidney|spleen|pancreas|prostate|bladder|brain|stomach|heart|lung|thyroid|muscle|gluteus|autochthon|iliopsoas"
+SOFT = "liver|kidney|spleen|pancreas|prostate|bladder|brain|stomach|heart|lung|thyroid|muscle|gluteus|iliopsoas"
 """Words in the name of a label that is a soft organ."""
 
 

@@ -100,6 +100,7 @@ def _taken(like: str | None, placed: Placed | None) -> dict[str, dict[str, objec
 
 
 def toml(table: Mapping[str, object]) -> str:
+    """TOML of a scene's table, its arrays of numbers each on a line."""
     import tomli_w
 
     text = tomli_w.dumps(dict(table))
