@@ -1,5 +1,9 @@
 """What a DICOM header holds of a patient reaches nothing that a run writes, prints or keeps."""
 
+import base64
+import re
+import zlib
+
 import image_writers as write
 import numpy as np
 import pytest
@@ -55,6 +59,40 @@ def test_a_run_writes_nothing_of_the_patient(command, here, monkeypatch):
     for file in written:
         require_none(file.name.encode() + file.read_bytes())
     assert "scan" in (here / "out" / "scene.toml").read_text()  # the folder's name is the user's
+
+
+def within(page):
+    """A page, and what its texts in base64 hold: arrays, unpacked where they are packed."""
+    yield page
+    for found in re.finditer(rb"[A-Za-z0-9+/]{64,}={0,2}", page):
+        text = found[0][: len(found[0]) // 4 * 4]
+        held = base64.b64decode(text)
+        yield held
+        for bits in (zlib.MAX_WBITS, 16 + zlib.MAX_WBITS, -zlib.MAX_WBITS):
+            unpacked = zlib.decompressobj(bits)
+            try:
+                yield unpacked.decompress(held)
+            except zlib.error:
+                continue
+
+
+@pytest.mark.slow
+def test_a_report_holds_nothing_of_the_patient(command, here, monkeypatch):
+    """Neither in its text nor in its arrays, and no folder above the scan."""
+    pytest.importorskip("trame_vtk")
+    monkeypatch.setenv("TISSUE_CACHE", str(here / "cache"))
+    write_block(here)
+    assert command(*RUN, *SHORT)[0] == 0
+    code, out, error = command("report", "out")
+    assert code == 0, error
+    require_none((out + error).encode())
+    page = (here / "out" / "report.html").read_bytes()
+    parts = list(within(page))
+    assert max(map(len, parts[1:])) > 10_000  # arrays of the bone and of the trace
+    for part in parts:
+        require_none(part)
+        assert str(here).encode() not in part  # folders may be named after a patient
+    assert b"scan: (40, 24, 12) voxels" in page
 
 
 def broken(kind, folder):

@@ -104,7 +104,7 @@ def reproduce(saved: SavedRun, text: str, versions: Iterable[tuple[str, str]]) -
     commands = 'pip install "tissue-sim"\ntissue run scene.toml --out again\ntissue report again'
     rows = [(escape(name), escape(value)) for name, value in versions]
     return (
-        f"<h2>Scene</h2><p>Everything that was used; {keep}.</p>"
+        f"<h2>Scene</h2><p>Everything that was used; {keep}. Files that it names are without their folders.</p>"
         f"<details><summary>scene.toml</summary><pre>{escape(text)}</pre></details>"
         f"<h2>Run it again</h2><pre>{escape(commands)}</pre>"
         "<p>The same version of tissue gives the same trace bit for bit on the same kind of processor.</p>"

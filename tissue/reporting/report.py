@@ -17,6 +17,7 @@ from tissue.reporting.charts import charts, columns
 from tissue.reporting.materials import used_constants
 from tissue.reporting.page import events_table, figures_of, materials_table, notes_table, reproduce, status_of
 from tissue.reporting.stage import stage
+from tissue.scene.texts import folders_of
 from tissue.simulation.run_folder import SavedRun
 from tissue.viewer.run import require_whole
 
@@ -71,7 +72,7 @@ def write_report(
     _require_whole(saved)
     shown = stage(saved)
     report("writing the report", 0.8)
-    text = _html(saved, {"stage": shown, **_trace(saved)}, scripts)
+    text = _without_folders(saved, _html(saved, {"stage": shown, **_trace(saved)}, scripts))
     with whole_file(out) as temporary:
         temporary.write_text(text, "utf-8")
     return out
@@ -116,12 +117,20 @@ def _html(saved: SavedRun, data: dict[str, object], scripts: str) -> str:
         "<h2>Events</h2>" + events_table(saved.summary),
         "<h2>Notes</h2>" + notes_table(saved.summary),
         "<h2>Materials</h2>" + materials_table(used),
-        reproduce(saved, kept.read_text("utf-8") if kept.is_file() else "", _versions(saved)),
+        reproduce(saved, _without_folders(saved, kept.read_text("utf-8") if kept.is_file() else ""), _versions(saved)),
         _scripts(data, scripts),
     ]
     title = escape(str(saved.summary["scene"]))
     head = f'<meta http-equiv="Content-Security-Policy" content="{POLICY}"><link rel="icon" href="data:,">'
     return html_page(title, "\n".join(body), style=_own("report.css"), head=head)
+
+
+def _without_folders(saved: SavedRun, text: str) -> str:
+    """A text with the names of files alone: a report is handed over, and folders may be named after a patient."""
+    for folder in folders_of(saved.scene) if saved.scene is not None else ():
+        for written in (folder, folder.replace("\\", "\\\\"), escape(folder)):  # as it is, in TOML and JSON, in HTML
+            text = text.replace(written, "")
+    return text
 
 
 def _scripts(data: dict[str, object], viewer: str) -> str:

@@ -1,11 +1,11 @@
 """Parts that a call of `tissue.register` made known, in this process alone."""
 
-from collections.abc import Iterable, Iterator, Mapping
-from typing import Any
+from collections.abc import Iterable
 
 from tissue.scene.plugins import offered_names
 from tissue.scene.registry import TABLES
 from tissue.scene.scene import Scene
+from tissue.scene.texts import texts_of
 
 __all__ = ["registered_parts", "unknown_parts"]
 
@@ -13,7 +13,7 @@ __all__ = ["registered_parts", "unknown_parts"]
 def registered_parts(scenes: Iterable[Scene]) -> list[tuple[str, str]]:
     """Kind and name of the parts that scenes name and neither this package nor an installed one offers."""
     offered = {name for names in offered_names().values() for name in names}
-    named = {text.partition(":")[0] for scene in scenes for text in _texts(scene.model_dump(exclude={"name"}))}
+    named = {text.partition(":")[0] for scene in scenes for text in texts_of(scene)}
     found = {
         name: kind
         for kind, tables in TABLES.items()
@@ -27,15 +27,3 @@ def registered_parts(scenes: Iterable[Scene]) -> list[tuple[str, str]]:
 def unknown_parts(parts: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
     """Those of some parts that this process does not know."""
     return [(kind, name) for kind, name in parts if not any(name in table for table in TABLES[kind])]
-
-
-def _texts(value: Any) -> Iterator[str]:
-    """All texts in what a scene states."""
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, Mapping):
-        for each in value.values():
-            yield from _texts(each)
-    elif isinstance(value, list | tuple):
-        for each in value:
-            yield from _texts(each)
