@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.ct.labels import Labels
+from meshes.ct.labels import Labels, on_grid_of
 from meshes.images.frame import Image
 
 __all__ = ["Region", "find_regions"]
@@ -81,7 +81,7 @@ def find_regions(image: Image, *, labels: Labels | None = None) -> dict[str, Reg
     image
         The CT [Hounsfield units].
     labels
-        Labels on the image's grid, such as TotalSegmentator's; muscles, vessels and fat are taken from them.
+        Labels such as TotalSegmentator's; muscles, vessels and fat are taken from them.
     """
     voxel_mm3 = math.prod(image.spacing_mm)
     slabs = _slab_starts(image.values.shape)
@@ -198,18 +198,30 @@ def _cortex(dense: NDArray[np.float32], voxel_mm3: float) -> Region | None:
 
 
 def _labelled(image: Image, labels: Labels, noise: float) -> dict[str, Region]:
-    """Tissues that labels name, one voxel inside them, where their value is what the tissue may have."""
-    from scipy.ndimage import binary_erosion
+    """Tissues that labels name, two voxels inside them, where their value is what the tissue may have."""
+    from scipy.ndimage import find_objects
 
-    voxel_mm3 = math.prod(image.spacing_mm)
+    labels = on_grid_of(labels, image)
+    voxel_mm3, numbers = math.prod(image.spacing_mm), labels.image.values
+    boxes = dict(enumerate(find_objects(numbers.astype(np.uint8)), start=1))
     found = {}
     for tissue, names in _LABELLED.items():
-        chosen = [name for name in labels.names.values() if any(name.lower().startswith(each) for each in names)]
-        values = [image.values[binary_erosion(labels.mask(name), iterations=2)] for name in chosen]
-        inside = np.concatenate(values) if values else np.empty(0)
+        chosen = {number: name for number, name in labels.names.items() if name.lower().startswith(names)}
+        parts = [_inner(image.values, numbers, number, box) for number in chosen if (box := boxes.get(number))]
+        inside = np.concatenate(parts) if parts else np.empty(0)
         low, high = _LABEL_RANGE_HU[tissue]
         middle = float(np.median(inside)) if len(inside) >= _FEWEST_VOXELS else math.nan
         if low < middle < high and len(inside) * voxel_mm3 >= _SMALLEST_MM3:
             error = math.hypot(2.0 * _ERROR_HU, noise / math.sqrt(len(inside)))
-            found[tissue] = Region(tissue, middle, error, len(inside) * voxel_mm3, f"labels {', '.join(chosen[:3])}")
+            by = f"labels {', '.join(list(chosen.values())[:3])}"
+            found[tissue] = Region(tissue, middle, error, len(inside) * voxel_mm3, by)
     return found
+
+
+def _inner(
+    values: NDArray[np.number], numbers: NDArray[np.number], number: int, box: tuple[slice, ...]
+) -> NDArray[np.number]:
+    """Values of a label's voxels that are two voxels inside it."""
+    from scipy.ndimage import binary_erosion
+
+    return values[box][binary_erosion(numbers[box] == number, iterations=2)]

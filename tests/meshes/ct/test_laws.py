@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
+from meshes.ct.attenuation import hounsfield, linear_attenuation
 from meshes.ct.density import ASH_SHARE, CT_DENSITY
 from meshes.ct.laws import DENSITY_LAWS, density_law, phantom_law, rods_law
 from meshes.images.frame import Image
@@ -19,6 +20,20 @@ def test_a_law_has_its_name_source_and_a_band_of_other_scanners(name):
     assert "Schileo 2008" in law.source
     low, high = law.band(HU)
     assert np.all((high - low)[1:] > 0.3 * law(HU)[1:])
+
+
+@pytest.mark.parametrize("name", DENSITY_LAWS)
+@pytest.mark.parametrize("energy", [62.0, 70.0, 80.0])
+def test_the_band_of_a_scanner_law_holds_bone_of_other_scanners(name, energy):
+    """Dense bone of ICRU 44 in marrow that is 60 % fat."""
+    parts = {
+        tissue: hounsfield(linear_attenuation(tissue, energy), energy) for tissue in ("cortex", "adipose", "muscle")
+    }
+    marrow = 0.6 * parts["adipose"] + 0.4 * parts["muscle"]
+    for density in (300.0, 600.0, 1000.0, 1500.0):
+        share = density / 1920.0
+        low, high = DENSITY_LAWS[name].band(np.array([share * parts["cortex"] + (1.0 - share) * marrow]))
+        assert low[0] < density < high[0]
 
 
 def test_a_line_is_of_apparent_density_or_of_what_it_names():

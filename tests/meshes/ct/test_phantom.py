@@ -62,8 +62,10 @@ def test_the_head_is_a_ball_of_its_radius(quiet):
 def test_the_line_of_its_rods_gives_their_density_within_3_percent(phantom):
     means = phantom.rod_means()
     law = rods_law(list(means), list(means.values()), equivalent="apparent")
+    three = rods_law([200.0, 800.0, 1400.0], [means[rod] for rod in (200.0, 800.0, 1400.0)], equivalent="apparent")
     for density, mean in means.items():
         assert law(np.array([mean]))[0] == pytest.approx(density, rel=0.03)
+        assert three(np.array([mean]))[0] == pytest.approx(density, rel=0.03)
 
 
 def test_a_calibration_finds_its_energy_and_its_band_holds_every_rod(phantom):
@@ -174,6 +176,18 @@ def test_a_folder_holds_the_same_ct_four_times_its_labels_and_the_truth(tmp_path
 def test_a_folder_of_an_energy_outside_the_tables_is_refused(tmp_path, capsys):
     assert main([str(tmp_path / "p"), "--energy-keV", "5"]) == 2
     assert "energy_keV must be in" in capsys.readouterr().err
+
+
+def test_a_real_ct_has_the_effective_energy_of_a_clinical_one(anatomy):
+    """Chest and abdomen of TotalSegmentator's tests, by itself and by its labels."""
+    image = read_image(anatomy / "ct" / "dicom")
+    plain = calibrate(image)
+    labelled = calibrate(image, labels=read_labels(anatomy / "ct" / "example_seg_dicom.nii.gz"))
+    for found in (plain, labelled):
+        print(f"{found.energy_keV:.1f} +- {found.energy_sd_keV:.1f} keV", found.misfits)
+        assert {"air", "adipose", "muscle", "cortex"} <= set(found.regions)
+        assert 55.0 < found.energy_keV < 90.0
+    assert labelled.regions["muscle"].found_by.startswith("labels autochthon")
 
 
 @pytest.mark.slow
