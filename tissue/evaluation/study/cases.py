@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import product
+from textwrap import wrap
 
 import numpy as np
 
@@ -28,6 +29,8 @@ __all__ = ["case_sections", "discrimination_section"]
 Pair = tuple[Stimulus, Stimulus]
 PEOPLE = 200
 """Simulated people of each group who compare."""
+WIDEST = 12
+"""Letters of a line below a pair of bars."""
 TORQUE_STEP_NM = CASES["torque_step_Nm"].mean
 
 
@@ -208,8 +211,9 @@ def _bars(shown: list[tuple[str, Array, Array]]) -> bytes:
         axes.bar(at, means, 0.38, color=colour, label=what)
         axes.errorbar(at, means, half, fmt="none", ecolor="#333333", capsize=2, lw=1.0)
     axes.axhline(50.0, color="black", lw=0.8, ls=":")
-    axes.set_xticks(range(len(shown)), names, rotation=60, ha="right", fontsize=8)
-    axes.set_ylim(40.0, 100.0)
-    axes.set_ylabel("right answers %")
+    words = ["\n".join(line for part in name.splitlines() for line in wrap(part, WIDEST)) for name in names]
+    axes.set_xticks(range(len(shown)), words, fontsize=8)
+    axes.set_ylim(0.0, 100.0)
+    axes.set_ylabel("right answers / %; dotted: by guessing")
     legend(figure, axes)
     return image(figure)

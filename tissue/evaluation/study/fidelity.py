@@ -52,7 +52,7 @@ def force_section(table: TrialTable) -> Section:
         *_ratios(table),
     )
     header = (
-        "task", "method", "force error %", "paper %", "against paper", "least error %", "excess %", "felt error %",
+        "task", "method", "force error / %", "paper %", "against paper", "least error %", "excess %", "felt error / %",
         "trials",
     )  # fmt: skip
     return Section("force", "Force fidelity", sentences, header, tuple(rows), _force_picture(table))
@@ -162,7 +162,11 @@ def task_section(table: TrialTable) -> Section:
 def _task_picture(table: TrialTable) -> bytes:
     """Bars of time, position error and arc length."""
     figure, axes = drawing(12.0, 3.6, 3)
-    names = {"time_s": "time s", "position_error_mm": "position error mm", "spectral_arc_length": "spectral arc length"}
+    names = {
+        "time_s": "time / s",
+        "position_error_mm": "position error / mm",
+        "spectral_arc_length": "spectral arc length",
+    }
     for each, (metric, what) in zip(axes, names.items(), strict=True):
         _bars(each, table, metric, what)
     legend(figure, axes[0])

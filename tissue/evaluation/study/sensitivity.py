@@ -13,6 +13,9 @@ from tissue.evaluation.study.trial import Trial
 
 __all__ = ["reference_section", "sensitivity_section", "speed_section"]
 
+APART = 0.24
+"""Distance of two tasks' marks on a line, in lines."""
+
 
 def sensitivity_section(folder: StudyFolder) -> Section | None:
     """Ratio of force errors, Koopman over penalty, with one parameter at another value."""
@@ -105,7 +108,8 @@ def _picture(rows: Sequence[tuple[str, ...]], tasks: Sequence[str], usual: Array
     """Ratios by variant, one colour a task, the study's own as lines."""
     figure, (axes,) = drawing(9.0, 0.32 * len(rows) + 1.2)
     for at, (task, colour, mark) in enumerate(zip(tasks, ("#0072B2", "#D55E00", "#009E73"), "os^", strict=False)):
-        axes.plot([float(row[2 + at] or "nan") for row in rows], range(len(rows)), mark, color=colour, label=task)
+        places = np.arange(len(rows)) + APART * (at - 0.5 * (len(tasks) - 1))
+        axes.plot([float(row[2 + at] or "nan") for row in rows], places, mark, color=colour, label=task)
         if np.isfinite(usual[at]):
             axes.axvline(usual[at], color=colour, lw=1.0, ls=":")
     axes.axvline(1.0, color="black", lw=0.8)

@@ -174,6 +174,7 @@ def _sizes_picture(sizes: list[tuple[str, Effect]]) -> bytes:
         axes.plot(size.value, line, "o", color=colour, ms=4)
     axes.axvline(0.0, color="black", lw=0.8)
     axes.set_xscale("symlog", linthresh=1.0)
+    axes.xaxis.set_major_formatter("{x:g}")
     axes.set_yticks(range(len(sizes)), [name for name, _ in sizes], fontsize=8)
     axes.invert_yaxis()
     axes.set_xlabel("Cohen's d of the force error, 95 % interval (linear within ±1)")
