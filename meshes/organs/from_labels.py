@@ -20,8 +20,10 @@ from meshes.organs.label_surface import LabelGrid, box_of, label_triangles
 from meshes.surfaces.surface import Surface, surface_from_triangles
 from meshes.tets.bisection import bisected
 from meshes.tets.inclusions import area_of, with_inclusion
+from meshes.tets.quality import repair_tets
 from meshes.tets.tetrahedra import TetMesh
 from meshes.tets.tetrahedralise import FILL_EDGES, tetrahedralise
+from meshes.voxels.mesh_sampling import nearest_on_triangles
 
 __all__ = ["LabelledOrgan", "labelled_organ", "organ_mesh"]
 
@@ -79,18 +81,24 @@ class LabelledOrgan:
         edge = usual if edge_mm is None else edge_mm
         edge = require_range("edge_mm", edge, longest / 100.0, longest / 4.0, f"use {usual:.2g}")
         with names_of_caller({"edge_m": "edge_mm"}):
-            filled, sentences = tetrahedralise(self.surface, edge_m=1e-3 * edge, report=report)
+            filled, _ = tetrahedralise(self.surface, edge_m=1e-3 * edge, report=report)
         organ_m3 = 1e-9 * self.grid.voxel_mm3 * float(np.count_nonzero(self.solid))
-        mesh = _of_volume(replace(filled, part_names=(self.name,)), organ_m3)
+        mesh, notes = self._with_parts(replace(filled, part_names=(self.name,)), edge, report)
+        mesh = _of_volume(mesh, organ_m3)
         off = float(mesh.volumes_m3.sum()) / organ_m3 - 1.0
-        mesh, notes = self._with_parts(mesh, edge, report)
-        found = f"{len(mesh.cells)} tetrahedra with its parts, {off:+.2%} of volume against the voxels."
-        return mesh, self.notes | notes | {"mesh": " ".join((*sentences, found))}
+        mesh, repaired = repair_tets(mesh.nodes_m, mesh.cells, mesh.part, mesh.part_names)
+        found = (*repaired.sentences(), f"{off:+.2%} of volume against the voxels.")
+        return mesh, self.notes | notes | {"mesh": " ".join(found)}
 
     def _with_parts(self, mesh: TetMesh, edge_mm: float, report: Progress) -> tuple[TetMesh, dict[str, str]]:
         """The mesh with its parts, and a note on each."""
         notes, before = {}, np.zeros(self.solid.shape, dtype=bool)
         beyond = _BEYOND + int(np.ceil(_ENVELOPE * edge_mm / min(self.grid.spacing_mm)))
+        vertices, faces = self.surface.vertices_m, self.surface.faces
+
+        def onto(points: NDArray[np.float64]) -> NDArray[np.float64]:
+            return nearest_on_triangles(vertices, faces, points)
+
         # A part inside another takes its place first, and the other is closed around it.
         for name, mask in sorted(self.parts.items(), key=lambda part: np.count_nonzero(part[1])):
             report(f"cutting {name} out of the tetrahedra", len(mesh.part_names) / (len(self.parts) + 1))
@@ -98,7 +106,7 @@ class LabelledOrgan:
             if surface is None:
                 raise InputError(f"{name} must be a few voxels thick, got less: leave it out, or segment a finer image")
             volume_m3 = 1e-9 * self.grid.voxel_mm3 * float(np.count_nonzero(mask))
-            mesh, size = with_inclusion(mesh, name, *surface, volume_m3=volume_m3)
+            mesh, size = with_inclusion(mesh, name, *surface, volume_m3=volume_m3, onto=onto)
             notes[name] = " ".join(each for each in (f"{size}.", self.notes.get(name, "")) if each)
             before |= mask
         return mesh, notes

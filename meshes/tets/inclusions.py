@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from meshes.base.simplices import cross_products
 from meshes.shapes.sdf import Shape
-from meshes.tets.bisection import bisected
+from meshes.tets.bisection import Move, bisected
 from meshes.tets.checks import mean_ratio
 from meshes.tets.stuffing import with_part
 from meshes.tets.tetrahedra import TetMesh
@@ -23,7 +23,13 @@ with the best worst cell is kept, else the nearest."""
 
 
 def with_inclusion(
-    mesh: TetMesh, name: str, vertices_m: NDArray[np.float64], triangles: NDArray[np.int64], *, volume_m3: float
+    mesh: TetMesh,
+    name: str,
+    vertices_m: NDArray[np.float64],
+    triangles: NDArray[np.int64],
+    *,
+    volume_m3: float,
+    onto: Move | None = None,
 ) -> tuple[TetMesh, str]:
     """The mesh with what lies in a closed surface as a part of its own, and a note on its volume.
 
@@ -38,6 +44,8 @@ def with_inclusion(
         Its surface [m], wound outward, which may go on outside of the mesh.
     volume_m3
         Volume of what lies inside the mesh [m3].
+    onto
+        Nearest points of the surface that the mesh stands for; its surface nodes are moved there.
 
     Raises
     ------
@@ -50,7 +58,7 @@ def with_inclusion(
 
     area_m2 = area_of(vertices_m, triangles)
     edge_m = 6.0 / _EDGES * volume_m3 / area_m2
-    fine = bisected(mesh, lambda points: edge_m + EDGE_GROWTH * np.abs(distance(points)))
+    fine = bisected(mesh, lambda points: edge_m + EDGE_GROWTH * np.abs(distance(points)), onto=onto)
     # Chords cut a round body's volume short: the surface is laid outside it by as much as makes the volume right.
     laid_m, made, share, best = 0.0, fine, 1.0, (np.inf, 0.0)
     for _ in range(_TRIES):
