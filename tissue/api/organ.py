@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshes.base.errors import InputError, require_positive, require_range, require_vector
+from meshes.base.progress import Progress, silent
 from meshes.tets.grid import grid_of
 from tissue.api.organ_makers import OrganMakers
 from tissue.api.press import Press, html_table
@@ -78,6 +79,7 @@ class Organ(OrganMakers):
         along: ArrayLike | None = None,
         speed_mm_s: float | None = None,
         hold_s: float = 0.0,
+        progress: Progress = silent,
     ) -> Press:
         """Press a tool into the organ at rest, step by step from where it first touches.
 
@@ -93,6 +95,8 @@ class Organ(OrganMakers):
             Direction that the tool comes along; without it straight into the surface.
         speed_mm_s, hold_s
             Speed [mm/s] and time that it stays [s], of an organ with `relaxation` alone.
+        progress
+            Called with what is being done and the share of it that is done (0 to 1).
 
         Raises
         ------
@@ -113,6 +117,7 @@ class Organ(OrganMakers):
             depth_m=1e-3 * depth,
             speed_m_s=1e-3 * require_positive("speed_mm_s", speed_mm_s or SPEED_MM_S, "use 10"),
             hold_s=require_range("hold_s", hold_s, 0.0, 3600.0, "use 0 for none"),
+            report=progress,
         )
         return Press(tool, 1e3 * stated.point_m, stated.along, stated.notes, stated.curve, self._made.mesh)
 

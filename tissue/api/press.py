@@ -168,7 +168,7 @@ class Press:
     def __repr__(self) -> str:
         return (
             f"Press({self.tool} at {self._place} mm: {self.force_magnitude_N:.4g} N at {self.depth_mm[-1]:g} mm, "
-            f"{self.stiffness_N_mm:.4g} N/mm, {self.area_mm2:.4g} mm2)"
+            f"{self.stiffness_N_mm:.4g} N/mm, {self.area_mm2:.4g} mm2; {'; '.join(self.notes.values())})"
         )
 
 

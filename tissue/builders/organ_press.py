@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, in_brackets, names_of_caller, require_direction
+from meshes.base.progress import Progress, silent
 from meshes.tets.regions import place_on_surface
 from tissue.models.organ.model import LINEAR_ERROR
 from tissue.models.organ.press import PressCurve, press
@@ -63,6 +64,7 @@ def press_at(
     depth_m: float,
     speed_m_s: float,
     hold_s: float,
+    report: Progress = silent,
 ) -> StatedPress:
     """Press a tool on the surface's point nearest to a place [m].
 
@@ -74,7 +76,7 @@ def press_at(
         The place [m], shape (3,).
     along
         Direction that the tool comes along, shape (3,); None: into the organ, against the mean normal under the tool.
-    depth_m, speed_m_s, hold_s
+    depth_m, speed_m_s, hold_s, report
         As for `tissue.models.organ.press.press`.
 
     Raises
@@ -97,8 +99,9 @@ def press_at(
         raise InputError(f"along must lead into the organ, got {in_brackets(direction, '.3g')}: use {inward}")
     with names_of_caller(WORDS):
         curve = press(
-            organ, probe, point, frame_along(tuple(-direction)), depth_m=depth_m, speed_m_s=speed_m_s, hold_s=hold_s
-        )
+            organ, probe, point, frame_along(tuple(-direction)), depth_m=depth_m, speed_m_s=speed_m_s, hold_s=hold_s,
+            report=report,
+        )  # fmt: skip
     _require_growing(curve, relaxes=organ.prony is not None)
     notes |= _resolution(organ, probe, point) | _linear(probe, depth_m)
     other = [each for each in curve.notices if "linear elasticity" not in each]

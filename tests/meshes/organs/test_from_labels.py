@@ -30,16 +30,17 @@ def ball_ml(radius_mm):
 def test_the_surface_has_no_steps_and_is_not_shrunk(spacing, seed):
     """Steps of the voxels are half a voxel; the volume is that of the voxels, whose own scatter is the rest.
 
-    Of the longest side: 0.2 rms, and 99 % of the vertices within a half. Slices of 5 mm are 9 in all.
+    Of the longest side: 0.1 rms, and 99 % of the vertices within 0.4; 0.2 and a half of slices of 5 mm, 9 in all.
     """
     labels, turn = organ_labels(spacing, seed)
     vertices, triangles = label_triangles(labels.image.values > 0, LabelGrid(spacing, labels.image.origin_mm))
     off = off_ellipsoid(vertices, turn) / max(spacing)
-    assert np.sqrt((off**2).mean()) < 0.2 and np.quantile(np.abs(off), 0.99) < 0.5
+    rms, most = (0.1, 0.4) if max(spacing) < 4 else (0.2, 0.5)
+    assert np.sqrt((off**2).mean()) < rms and np.quantile(np.abs(off), 0.99) < most
     assert abs(off.mean()) < 0.05
     voxels_mm3 = np.count_nonzero(labels.image.values) * np.prod(spacing)
     assert 1e9 * volume_of(vertices, triangles) == pytest.approx(voxels_mm3, rel=4e-4)
-    assert 1e9 * volume_of(vertices, triangles) == pytest.approx(ORGAN_MM3, rel=5e-3 if max(spacing) < 4 else 2e-2)
+    assert 1e9 * volume_of(vertices, triangles) == pytest.approx(ORGAN_MM3, rel=5e-3)
 
 
 @pytest.mark.parametrize("radius", [2.6, 4.0, 8.0])

@@ -81,6 +81,14 @@ def test_reprs_are_plain(organ, press):
         "that faces bottom)"
     )
     assert repr(press).startswith("Press(ball(diameter_mm=12) at (0, 0, 0) mm: 0.")
+    assert repr(press).endswith("; the linear law is within 5% of a hyperelastic force to 2.2 mm)")
+
+
+def test_a_press_reports_what_it_does(organ):
+    done = []
+    organ.press(BALL, depth_mm=1.0, at_mm=(2, 0, 0), progress=lambda what, share: done.append((what, share)))
+    shares = [share for what, share in done if what == "pressing"]
+    assert len(shares) > 50 and shares == sorted(shares) and shares[0] == 0.0 and shares[-1] < 1.0
 
 
 TURNS = {

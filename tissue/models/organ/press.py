@@ -7,6 +7,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from meshes.base.progress import Progress, silent
 from tissue.fem.fields import Frame
 from tissue.models.organ.contact import SurfaceContact
 from tissue.models.organ.contact_points import contact_points
@@ -77,6 +78,7 @@ def press(
     depth_m: float,
     speed_m_s: float,
     hold_s: float,
+    report: Progress = silent,
 ) -> PressCurve:
     """Press a tool against an organ along its axis, towards a point of the surface, and hold it there.
 
@@ -92,6 +94,8 @@ def press(
         How far it goes on from where it first touches [m].
     speed_m_s, hold_s
         Speed of the tool [m/s] and how long it stays [s]; they matter to an organ that relaxes.
+    report
+        Called with what is being done and the share of it that is done (0 to 1).
 
     Raises
     ------
@@ -105,7 +109,7 @@ def press(
     steps, step_s = _steps(organ, depth_m / speed_m_s)
     turns = np.broadcast_to(rotation, (POSES, 3, 3))
     model, touchable = organ.under(
-        probe, tips, turns, interval_s=1.0, step_s=step_s, tolerance=TOLERANCE, sweeps=SWEEPS
+        probe, tips, turns, interval_s=1.0, step_s=step_s, tolerance=TOLERANCE, sweeps=SWEEPS, report=report
     )
     touch_m = _first_touch(model.contact, start_m, end_m, rotation)
     _require_place(probe, float((point_m - touch_m) @ along))
@@ -114,6 +118,7 @@ def press(
     depths = np.append(np.linspace(0.0, depth_m, steps + 1), np.full(ceil(hold_s / step_s), depth_m))
     force, area = np.zeros((len(depths), 3)), np.zeros(len(depths))
     for row, depth in enumerate(depths):
+        report("pressing", row / len(depths))
         motion.tip_m[:] = touch_m + depth * along
         model.advance(motion)
         response = model.respond(motion)
