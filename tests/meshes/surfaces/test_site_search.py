@@ -1,17 +1,21 @@
 """Sites searched for: the same on a moved, turned, mirrored, coarser bone; refused where there is none."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import pyvista
 import trimesh
-from joint_bones import NECK, Rod, as_surface, femur, humerus, solid
+from joint_bones import NECK, PEDICLE, Rod, as_surface, femur, humerus, solid, vertebra
+from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from meshes.base.errors import InputError
+from meshes.images.reading import read_image
+from meshes.images.threshold_surface import image_triangles
 from meshes.surfaces.site_search import SITE_KINDS, find_site
-from meshes.surfaces.surface import read_surface
+from meshes.surfaces.surface import read_surface, surface_from_triangles
 
 ANATOMY = Path(__file__).resolve().parents[4] / "shared" / "anatomy"
 FEMURS = {"myosim_femur_r.stl": None, "openforge_femur_left.stl": 48.0}
@@ -75,7 +79,7 @@ def test_a_head_of_few_triangles(head):
     ],
 )
 def test_what_is_no_bone_is_refused(kind, shape):
-    with pytest.raises(InputError, match=r"^file must show a .*, got .*: check anatomy.scale_mm, or give "):
+    with pytest.raises(InputError, match=r"^file must show a .*, got .*: check anatomy.scale_mm.*, or give "):
         find_site(kind, as_surface(shape))
 
 
@@ -94,6 +98,64 @@ def test_a_bone_with_two_heads_is_refused():
     both = trimesh.util.concatenate([bone, twin, rod])
     with pytest.raises(InputError, match="got two places alike"):
         find_site("femoral-head", as_surface(both))
+
+
+@pytest.fixture(scope="module")
+def spine():
+    return vertebra()
+
+
+@pytest.mark.parametrize(("move", "side"), [("turned", "left"), ("mirrored", "left"), ("in metres", "right")])
+def test_pedicles_of_a_vertebra_wherever_it_lies(spine, side, move):
+    turn, unit = MOVES[move]
+    shift = np.array([40.0, -500.0, 7.0])
+    mirrored = np.linalg.det(turn) < 0.0
+    faces = np.array(spine.faces)[:, ::-1] if mirrored else np.array(spine.faces)
+    moved = trimesh.Trimesh((np.array(spine.vertices) @ turn.T + shift) * unit, faces, process=False)
+    found = find_site(f"vertebra:{side}", as_surface(moved, scale=1.0 / unit)).site
+    was = side if not mirrored else {"left": "right", "right": "left"}[side]
+    outside = np.array([1.0 if was == "left" else -1.0, 1.0, 1.0])
+    assert angle_deg(found.rotation[:, 2], turn @ (outside * PEDICLE)) < 9.0  # 1.5 mm at each end of 18 is 9
+    away = np.linalg.solve(turn, 1e3 * found.centre_m - shift) - outside * [14.0, 8.0, 6.0]
+    assert np.linalg.norm(away - (away @ (outside * PEDICLE)) * (outside * PEDICLE)) < 2.3  # 9 degrees over 14 mm
+    assert angle_deg(found.rotation[:, 1], turn @ [0, 0, 1]) < 10.0
+    assert side in found.confidence
+
+
+def test_the_other_pedicle_is_the_second_best_place(spine):
+    found = find_site("vertebra", as_surface(spine))
+    mirrored = found.second_centre_mm * [-1.0, 1.0, 1.0]
+    assert np.linalg.norm(mirrored - 1e3 * found.site.centre_m) < 3.0
+    assert 0.8 * found.score < found.second_score <= found.score
+
+
+@pytest.mark.parametrize(("label", "whole"), [(30, False), (31, True), (32, True)])
+def test_vertebrae_of_a_ct(label, whole):
+    """Labels of TotalSegmentator in voxels of 3 mm, LPS: +x is the left, +z up; the edge of the image cuts one off."""
+    path = ANATOMY / "ct" / "example_seg.nii.gz"
+    if not path.is_file():
+        pytest.skip("no CT in shared/anatomy")
+    image = read_image(path, labels=True)
+    mask = np.pad(image.values == label, 2).astype(np.float32)
+    start = np.asarray(image.origin_mm) - 2.0 * np.asarray(image.spacing_mm)
+    smooth = replace(image, values=gaussian_filter(mask, 0.7), origin_mm=tuple(start))
+    vertices, faces = image_triangles(smooth, threshold=0.45)
+    surface = surface_from_triangles(vertices, faces, scale_mm=1.0, cut_off=True)
+    if not whole:
+        with pytest.raises(InputError, match="as where it is cut off"):
+            find_site("vertebra", surface)
+        return
+    found = find_site("vertebra:left", surface)
+    assert 1e3 * found.site.centre_m[0] > vertices[:, 0].mean()
+    assert found.site.rotation[1, 2] > 0.8  # out of the back
+    assert found.site.rotation[2, 1] > 0.8
+    assert found.second_score < 0.7 * found.score
+
+
+def test_a_ring_is_no_vertebra():
+    ring = trimesh.creation.torus(major_radius=20.0, minor_radius=6.0)
+    with pytest.raises(InputError, match=r"file must show a vertebra.* got"):
+        find_site("vertebra", as_surface(ring))
 
 
 def test_an_unknown_site_lists_the_known_ones():
