@@ -30,6 +30,8 @@ __all__ = ["LabelledOrgan", "labelled_organ", "organ_mesh"]
 Mask = NDArray[np.bool_]
 _FEWEST_VOXELS = 64
 """A piece of a part with fewer voxels, 5 across a ball, has no surface of its own."""
+_FLAT_END = 0.5
+"""Share of the largest layer of voxels from which the last one is no rounded end: 0.4 of a ball nine slices thick."""
 _BEYOND = 4
 """Voxels for which a part's label goes on beyond the organ."""
 _ENVELOPE = 0.2
@@ -171,18 +173,34 @@ def _one_piece(body: Mask, organ: Mask, grid: LabelGrid, name: str) -> tuple[Mas
     hollow = int(np.count_nonzero(filled) - np.count_nonzero(solid))
     if hollow:
         notes.append(f"Filled hollows without a label, {1e-3 * grid.voxel_mm3 * hollow:.3g} ml.")
-    x, y, z = grid.spacing_mm
-    cut_mm2 = 0.0
-    for axis, area in enumerate((y * z, x * z, x * y)):
-        cut_mm2 += area * sum(int(np.count_nonzero(np.take(filled, end, axis=axis))) for end in (0, -1))
+    notes += _ends(filled, grid)
+    millilitres = 1e-3 * grid.voxel_mm3 * np.count_nonzero(filled)
+    size = f"{millilitres:.4g} ml in voxels of {by(grid.spacing_mm, '.3g')} mm."
+    return filled, {name: " ".join((size, *notes))}
+
+
+def _ends(solid: Mask, grid: LabelGrid) -> list[str]:
+    """Notes on where the image cuts an organ off, and on where its labels may end before it does."""
+    notes, cut_mm2 = [], 0.0
+    for axis, name in enumerate("xyz"):
+        layers = np.count_nonzero(solid, axis=tuple(each for each in range(3) if each != axis))
+        area_mm2 = grid.voxel_mm3 / grid.spacing_mm[axis] * layers
+        filled = np.flatnonzero(layers)
+        for end, last in ((0, filled[0]), (len(layers) - 1, filled[-1])):
+            if last == end:
+                cut_mm2 += float(area_mm2[end])
+            elif layers[last] > _FLAT_END * layers.max():
+                at = grid.origin_mm[axis] + grid.spacing_mm[axis] * last
+                notes.append(
+                    f"It ends flat at {name} = {at:.4g} mm, with {area_mm2[last] / 100.0:.3g} cm2: the labels may end "
+                    "there before the organ does."
+                )
     if cut_mm2:
         notes.append(
             f"The image cuts it off: {cut_mm2 / 100.0:.3g} cm2 of its surface lie in the edge of the image, beyond "
             "which nothing is known of it."
         )
-    millilitres = 1e-3 * grid.voxel_mm3 * np.count_nonzero(filled)
-    size = f"{millilitres:.4g} ml in voxels of {by(grid.spacing_mm, '.3g')} mm."
-    return filled, {name: " ".join((size, *notes))}
+    return notes
 
 
 def _pieces(name: str, mask: Mask, solid: Mask, organ: str, grid: LabelGrid, notes: dict[str, str]) -> Mask:

@@ -1,5 +1,7 @@
 """Organs of label images: against the ellipsoids and balls that the labels were made of."""
 
+import re
+
 import numpy as np
 import pytest
 from labelled_organs import RADII_MM, off_ellipsoid, organ_labels
@@ -103,6 +105,17 @@ def test_what_is_loose_hollow_or_cut_off_is_reported():
     assert "Filled hollows without a label, 0.064 ml." in notes["organ"]
     assert "The image cuts it off: " in notes["organ"]
     assert notes["tumour"] == "1 piece of fewer than 64 voxels, 0.001 ml, left to organ."
+
+
+def test_labels_that_end_before_the_image_does_are_reported():
+    """As of a segmentation of fewer slices than the image; slices of 5 mm end an ellipsoid round."""
+    for spacing in SPACINGS:
+        labels, _ = organ_labels(spacing)
+        assert "ends flat" not in labelled_organ(labels, "organ").notes["organ"]
+    labels.image.values[:, :, 9:] = 0
+    assert re.search(
+        r"It ends flat at z = .* mm, with \d+\.\d cm2: the labels may", labelled_organ(labels, "organ").notes["organ"]
+    )
 
 
 @pytest.mark.parametrize(
