@@ -24,6 +24,8 @@ RODS_KG_M3 = (200.0, 400.0, 600.0, 800.0, 1000.0, 1200.0, 1400.0, 1600.0, 1800.0
 HEAD_CENTRE_MM = (35.0, -8.0, 20.0)
 HEAD_RADIUS_MM = 22.0
 """Ball of the humerus's head [mm, LPS]."""
+_SHAFT_X_MM, _SHAFT_MM, _NECK_MM, _RIM_MM, _RIM_RADIUS_MM = 40.0, 13.0, -20.0, 18.0, 28.0
+"""Axis and radius of the shaft, where the metaphysis begins in it, where its rim is, and that rim's radius [mm]."""
 CORTEX_KG_M3, SUBCHONDRAL_KG_M3, TRABECULAR_KG_M3 = 1850.0, 1200.0, 350.0
 _VERTEBRA_SHELL_KG_M3, _VERTEBRA_CORE_KG_M3, _ARCH_KG_M3 = 1000.0, 250.0, 1100.0
 _HALF_MM = (108.0, 80.0, 52.0)
@@ -202,7 +204,7 @@ def _attenuation(part: _Part, energy_keV: float, person: Person) -> float:
 
 def _parts() -> list[_Part]:
     """Bodies in the order in which they are painted over each other."""
-    head, shaft, spine = HEAD_CENTRE_MM, (40.0, -8.0), (-40.0, -8.0)
+    head, shaft, spine = HEAD_CENTRE_MM, (_SHAFT_X_MM, HEAD_CENTRE_MM[1]), (-40.0, -8.0)
     canal = (spine[0], 21.0)
     rods = [
         _Part(f"rod_{rod:g}", partial(_cylinder, centre=(22.0 * (k - 4), 70.0), radius=6.5), rod)
@@ -212,9 +214,11 @@ def _parts() -> list[_Part]:
         _Part("subcutaneous_fat", partial(_ellipse, centre=(0.0, -8.0), radii=(100.0, 62.0)), tissue="adipose"),
         _Part("muscle", partial(_ellipse, centre=(0.0, -8.0), radii=(88.0, 52.0)), tissue="muscle"),
         _Part("aorta", partial(_cylinder, centre=(0.0, -12.0), radius=9.0), tissue="blood"),
-        _Part("humerus_left", partial(_cylinder, centre=shaft, radius=13.0, top=6.0), CORTEX_KG_M3),
-        _Part("humerus_left", partial(_cylinder, centre=shaft, radius=8.0, top=-6.0), 60.0),
+        _Part("humerus_left", partial(_cylinder, centre=shaft, radius=_SHAFT_MM, top=-18.0), CORTEX_KG_M3),
+        _Part("humerus_left", partial(_cylinder, centre=shaft, radius=_SHAFT_MM - 5.0, top=-18.0), 60.0),
+        _Part("humerus_left", partial(_metaphysis, inside=0.0), SUBCHONDRAL_KG_M3),
         _Part("humerus_left", partial(_ball, centre=head, radius=HEAD_RADIUS_MM), SUBCHONDRAL_KG_M3),
+        _Part("humerus_left", partial(_metaphysis, inside=2.0), TRABECULAR_KG_M3),
         _Part("humerus_left", partial(_ball, centre=head, radius=HEAD_RADIUS_MM - 2.0), TRABECULAR_KG_M3),
         _Part("vertebrae_L1", partial(_cylinder, centre=canal, radius=14.0, top=10.0, bottom=-10.0), _ARCH_KG_M3),
         _Part(
@@ -248,6 +252,14 @@ def _cylinder(
 ) -> NDArray[np.float64]:
     around = np.hypot(at[..., 0] - centre[0], at[..., 1] - centre[1]) - radius
     return np.asarray(np.maximum(around, np.maximum(at[..., 2] - top, bottom - at[..., 2])))
+
+
+def _metaphysis(at: NDArray[np.float64], *, inside: float) -> NDArray[np.float64]:
+    """A cone that widens from the shaft to a rim about the head's lower half, `inside` it by so much [mm]."""
+    up = np.clip((at[..., 2] - _NECK_MM) / (_RIM_MM - _NECK_MM), 0.0, 1.0)
+    radius = _SHAFT_MM + up * (_RIM_RADIUS_MM - _SHAFT_MM) - inside
+    around = np.hypot(at[..., 0] - _SHAFT_X_MM, at[..., 1] - HEAD_CENTRE_MM[1]) - radius
+    return np.asarray(np.maximum(around, np.maximum(at[..., 2] + inside - _RIM_MM, _NECK_MM + inside - at[..., 2])))
 
 
 def _ball(at: NDArray[np.float64], *, centre: tuple[float, float, float], radius: float) -> NDArray[np.float64]:
