@@ -55,6 +55,8 @@ class Anatomy:
         Points [m], shape (k, 3), of each face at which the bone was cut off by the edge of its scan.
     thin_layers
         Whether layers may pass between the corners of a block of voxels (a root canal): every voxel is then classified.
+    structures
+        What a tool may have to keep clear of, by name, as signed distance [m].
     """
 
     name: str
@@ -66,6 +68,7 @@ class Anatomy:
     placement: Placement | None = None
     caps_m: tuple[NDArray[np.float64], ...] = ()
     thin_layers: bool = False
+    structures: Mapping[str, Shape] = field(default_factory=dict)
 
 
 def cortical_block(

@@ -10,7 +10,7 @@ from meshes.base.progress import Progress, silent
 from meshes.voxels.volume import VoxelVolume
 from tissue.builders.parts import Parts
 from tissue.builders.registry import motion_of
-from tissue.builders.voxels import require_outside, require_touch, volume_of, whole_tooth
+from tissue.builders.voxels import require_outside, require_touch, structures, volume_of, whole_tooth
 from tissue.cutters.cutter import Cutter
 from tissue.materials.cutting import CUT_AS, coefficients_of, energy_note
 from tissue.models.tissue_model import TICK_S, TissueModel
@@ -24,6 +24,7 @@ from tissue.scene.unused_keys import is_given
 
 if TYPE_CHECKING:
     from tissue.models.bone.model import BoneModel
+    from tissue.models.keep_clear import KeepClear
 
 __all__ = ["cutter_of", "milled", "milled_voxels", "milling_of"]
 
@@ -55,7 +56,37 @@ def milled(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: 
         tuple(volume.layer_names[at] for at in there), bone=scene.cutting.material
     )
     tissue = _bone(scene, volume, cutter, compute=compute, cores=cores, report=report)
-    return Parts(motion, tissue, cutter=cutter, volume=volume, placement=volume.placement, notes=notes)
+    clear = _clear(scene, volume, cutter, motion, compute=compute, notes=notes, report=report)
+    return Parts(
+        motion, tissue, cutter=cutter, volume=volume, placement=volume.placement, notes=notes, keep_clear=clear
+    )
+
+
+def _clear(
+    scene: Scene,
+    volume: VoxelVolume,
+    cutter: Cutter,
+    motion: Motion,
+    *,
+    compute: str,
+    notes: dict[str, str],
+    report: Progress,
+) -> "KeepClear | None":
+    """What measures the distance from structures to keep clear of; None where the scene names none."""
+    if scene.keep_clear is None:
+        return None
+    from tissue.builders.keep_clear import keep_clear
+
+    return keep_clear(
+        scene.keep_clear,
+        structures(scene),
+        cutter,
+        motion,
+        placement=volume.placement,
+        compute=compute,
+        notes=notes,
+        report=report,
+    )
 
 
 def milled_voxels(scene: Scene) -> VoxelVolume:
@@ -125,7 +156,10 @@ def _probe(
     notes["tool"] = "it does not turn: rigid contact, nothing is cut, no stress and no heat are computed"
     shell = ToolShell.of_cutter(cutter)
     tissue = ProbedBone(volume, shell, area_m2=cutter.cutting_area_m2, tool=motion.tool, device=compute)
-    return Parts(motion, tissue, cutter=cutter, volume=volume, placement=volume.placement, notes=notes)
+    clear = _clear(scene, volume, cutter, motion, compute=compute, notes=notes, report=report)
+    return Parts(
+        motion, tissue, cutter=cutter, volume=volume, placement=volume.placement, notes=notes, keep_clear=clear
+    )
 
 
 def _bone(

@@ -8,6 +8,7 @@ from meshes.base.progress import Progress
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.fem.fields import FieldSeries
+from tissue.models.keep_clear import KeepClear
 from tissue.models.tissue_model import HasFields, TissueModel
 from tissue.motion.motion import Motion
 from tissue.scene.scene import Scene
@@ -32,6 +33,8 @@ class Parts:
         Where the scene's frame lies in that of the file that the anatomy came from; None where it came from none.
     notes
         What was assumed or found, by what it is about.
+    keep_clear
+        Measures the tool's distance from structures that it must not touch; None where the scene names none.
     """
 
     motion: Motion
@@ -40,6 +43,7 @@ class Parts:
     volume: VoxelVolume | None = None
     placement: Placement | None = None
     notes: dict[str, str] = field(default_factory=dict)
+    keep_clear: KeepClear | None = None
 
     @property
     def fields(self) -> FieldSeries | None:

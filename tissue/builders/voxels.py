@@ -1,5 +1,6 @@
 """The voxels that a tool can reach of the bone that a scene asks for, and whether it meets them on its path."""
 
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
 
 import numpy as np
@@ -30,6 +31,7 @@ __all__ = [
     "require_touch",
     "require_whole",
     "solid_of",
+    "structures",
     "volume_of",
     "whole_tooth",
 ]
@@ -86,6 +88,11 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
 def is_procedural(parameters: AnatomyFile) -> bool:
     """Whether an anatomy comes from no file, and is known as a function of position."""
     return parameters.file is None and not (isinstance(parameters, MolarAnatomy) and parameters.layer_files)
+
+
+def structures(scene: Scene) -> Mapping[str, sdf.Shape]:
+    """Structures of a scene's anatomy that a tool may be kept clear of, by name; none of one from files."""
+    return _anatomy(scene, {}).structures if is_procedural(scene.bone) else {}
 
 
 def solid_of(scene: Scene, motion: Motion) -> tuple[Anatomy, sdf.Shape | None]:

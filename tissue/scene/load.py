@@ -99,6 +99,9 @@ def load_scene(source: str | Path, overrides: Mapping[str, object] | None = None
         for name, value in inner.items():
             if is_file_key(name) and isinstance(value, str) and value:
                 inner[name] = str((folder / value).resolve())
+    clear = table.get("keep_clear")
+    if isinstance(clear, dict) and isinstance(files := clear.get("files"), dict):
+        clear["files"] = {k: str((folder / v).resolve()) if isinstance(v, str) else v for k, v in files.items()}
     if isinstance(person := table.get("perception"), str):
         table["perception"] = PERCEPTIONS.with_file_at(person, folder)
     scene = _replaced(table, overrides or {})

@@ -24,6 +24,7 @@ from tissue.scene.coupling import (
     RendererName,
     WallAnatomy,
 )
+from tissue.scene.keep_clear import KeepClear
 from tissue.scene.named_parts import loaded
 from tissue.scene.organ import LayersAnatomy, LiverAnatomy, Organ, SlabAnatomy
 from tissue.scene.registry import ANATOMIES, CUTTERS, CUTTING_MATERIALS, MOTIONS, NEEDLES, PERCEPTIONS, PROBES
@@ -127,6 +128,8 @@ class Scene(Part):
     """What meets it."""
     motion: AnyMotion
     """How the tool moves."""
+    keep_clear: KeepClear | None = None
+    """Structures that the tool must not touch."""
     cutting: Cutting = Cutting()
     """Changes to the cutting coefficients."""
     output: Output = Output()
@@ -244,6 +247,9 @@ class Scene(Part):
             if files:
                 absolute = {name: str((folder / file).resolve()) for name, file in files.items()}
                 changes[part] = value.model_copy(update=absolute)
+        if self.keep_clear is not None and self.keep_clear.files:
+            files = {name: str((folder / file).resolve()) for name, file in self.keep_clear.files.items()}
+            changes["keep_clear"] = self.keep_clear.model_copy(update={"files": files})
         return self.model_copy(update=changes)
 
 

@@ -152,7 +152,12 @@ def _cutting(scene: "Scene") -> list[Rule]:
     if not isinstance(tool, Tool):
         toothless = f"for a {tool.kind}, which has no teeth"
         return [
-            ("voxels cutting stress heat", True, f"for a {kind}, which is not cut", "set anatomy.kind = block"),
+            (
+                "voxels cutting stress heat keep_clear",
+                True,
+                f"for a {kind}, which is not cut",
+                "set anatomy.kind = block",
+            ),
             ("output.vibration_share", True, toothless, "set tool.kind = ball-burr"),
         ]
     still, where = tool.spin_rpm == 0.0, "for a tool that does not turn and so cuts nothing"

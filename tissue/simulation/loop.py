@@ -66,7 +66,9 @@ class Loop:
         self.events: list[tuple[float, str]] = []
         self._background = tissue if isinstance(tissue, WaitsForBackground) else None
         self._notices = tissue.notices if isinstance(tissue, HasNotices) else []
-        layout = TraceLayout.of(tissue.layer_names, tissue.measure_names + parts.motion.measure_names)
+        self._clear = parts.keep_clear
+        clear = () if self._clear is None else self._clear.names
+        layout = TraceLayout.of(tissue.layer_names, tissue.measure_names + parts.motion.measure_names + clear)
         self.trace = Table(layout.columns, np.zeros((ticks, len(layout.columns))), tissue.layer_names)
         timed = TIMING_COLUMNS + timing_columns
         self.timing = Table(timed, np.zeros((ticks, len(timed))))
@@ -100,6 +102,8 @@ class Loop:
 
     def close(self) -> None:
         """Take what the tissue has reported since the last tick."""
+        if self._clear is not None:
+            self._clear.finish()
         self._take_notices(self.ticks * TICK_S)
 
     @property
@@ -110,3 +114,5 @@ class Loop:
     def _take_notices(self, time_s: float) -> None:
         while self._notices:
             self.events.append((time_s, self._notices.pop(0)))
+        while self._clear is not None and self._clear.notices:
+            self.events.append((time_s, self._clear.notices.pop(0)))

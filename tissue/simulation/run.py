@@ -143,6 +143,7 @@ class Run:
             "missed_deadlines": int((ticks + late > DEADLINE_US).sum()),
             **by_clock,
             **(self.scheduling.summary(ticks_s=exposed_s) if self.scheduling is not None else {}),
+            **({} if self.parts.keep_clear is None else {"keep_clear": self.parts.keep_clear.summary()}),
             "events": [{"time_s": time, "what": what} for time, what in self.events],
             "compute": self._compute,
             **self.parts.placement_record,

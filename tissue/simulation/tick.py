@@ -49,7 +49,7 @@ class Tick:
     """One tick: motion, removal, force, output, record. Everything it needs is allocated here, once."""
 
     def __init__(self, parts: Parts, output: Output, layout: TraceLayout, trace: Table, timing: Table) -> None:
-        self._motion, self._tissue = parts.motion, parts.tissue
+        self._motion, self._tissue, self._clear = parts.motion, parts.tissue, parts.keep_clear
         self._background = parts.tissue if isinstance(parts.tissue, StartsBackground) else None
         tissue, self._model_ticks = parts.tissue, parts.motion.model_ticks
         self._rows, self._times = trace.rows, timing.rows
@@ -62,7 +62,9 @@ class Tick:
         self._vibration = Vibration(passing, share=output.vibration_share, step_s=TICK_S)
         self._at, first = layout, layout.measures.start
         self._tissue_measures = slice(first, first + len(tissue.measure_names))
-        self._motion_measures = slice(self._tissue_measures.stop, layout.measures.stop)
+        moved = self._tissue_measures.stop + len(parts.motion.measure_names)
+        self._motion_measures = slice(self._tissue_measures.stop, moved)
+        self._clear_measures = slice(moved, layout.measures.stop)
         self._loads = load_columns(trace.columns)
         self._rotation, self._quaternion = b"", np.zeros(4)
         carves = parts.cutter is not None and parts.cutter.spin_rad_s != 0.0
@@ -79,6 +81,8 @@ class Tick:
         if not resume:
             self._tissue.place(self.tool)
         self._keep(-1)
+        if self._clear is not None:
+            self._clear.measure(self.tool, placed=True)
         self._record(self._rows[0], 0, self._tissue.respond(self.tool))
 
     def __call__(self, index: int) -> None:
@@ -97,6 +101,8 @@ class Tick:
                 self._keep(index)
                 response = self._tissue.respond(self.tool)
         self._motion.play(response)
+        if self._clear is not None:
+            self._clear.measure(self.tool)
         forced = perf_counter()
         self._filtered += self._gain * (response.wrench - self._filtered)
         np.multiply(self._filtered, 1.0 + self._vibration.factor(index), out=self._commanded)
@@ -139,5 +145,7 @@ class Tick:
         row[at.contact] = area * 1e6
         row[self._tissue_measures] = response.measures
         row[self._motion_measures] = self._motion.measures
+        if self._clear is not None:
+            row[self._clear_measures] = self._clear.measures
         row[at.layer] = response.engaged_m2.argmax() if area > 0.0 else -1.0
         row[self._loads[np.abs(row[self._loads]) < LEAST_LOAD]] = 0.0
