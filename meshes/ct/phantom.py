@@ -205,7 +205,7 @@ def _attenuation(part: _Part, energy_keV: float, person: Person) -> float:
 def _parts() -> list[_Part]:
     """Bodies in the order in which they are painted over each other."""
     head, shaft, spine = HEAD_CENTRE_MM, (_SHAFT_X_MM, HEAD_CENTRE_MM[1]), (-40.0, -8.0)
-    canal = (spine[0], 21.0)
+    canal = (spine[0], 21.5)
     rods = [
         _Part(f"rod_{rod:g}", partial(_cylinder, centre=(22.0 * (k - 4), 70.0), radius=6.5), rod)
         for k, rod in enumerate(RODS_KG_M3)
@@ -220,14 +220,14 @@ def _parts() -> list[_Part]:
         _Part("humerus_left", partial(_ball, centre=head, radius=HEAD_RADIUS_MM), SUBCHONDRAL_KG_M3),
         _Part("humerus_left", partial(_metaphysis, inside=2.0), TRABECULAR_KG_M3),
         _Part("humerus_left", partial(_ball, centre=head, radius=HEAD_RADIUS_MM - 2.0), TRABECULAR_KG_M3),
-        _Part("vertebrae_L1", partial(_cylinder, centre=canal, radius=14.0, top=10.0, bottom=-10.0), _ARCH_KG_M3),
+        _Part("vertebrae_L1", partial(_arch, spine_x=spine[0]), _ARCH_KG_M3),
         _Part(
             "vertebrae_L1", partial(_cylinder, centre=spine, radius=20.0, top=14.0, bottom=-14.0), _VERTEBRA_SHELL_KG_M3
         ),
         _Part(
             "vertebrae_L1", partial(_cylinder, centre=spine, radius=18.0, top=12.0, bottom=-12.0), _VERTEBRA_CORE_KG_M3
         ),
-        _Part("spinal_canal", partial(_cylinder, centre=canal, radius=8.0), tissue="muscle"),
+        _Part("spinal_canal", partial(_cylinder, centre=canal, radius=7.0), tissue="muscle"),
         _Part("pad", _pad, tissue="water"),
         *rods,
     ]
@@ -264,6 +264,15 @@ def _metaphysis(at: NDArray[np.float64], *, inside: float) -> NDArray[np.float64
 
 def _ball(at: NDArray[np.float64], *, centre: tuple[float, float, float], radius: float) -> NDArray[np.float64]:
     return np.asarray(np.linalg.norm(at - np.array(centre), axis=-1) - radius)
+
+
+def _arch(at: NDArray[np.float64], *, spine_x: float) -> NDArray[np.float64]:
+    """Two pedicles from the body backward, the laminae that join them behind the canal, and a spinous process."""
+    across, y, z = np.abs(at[..., 0] - spine_x), at[..., 1], at[..., 2]
+    pedicle = np.maximum(np.maximum(np.abs(across - 12.0) - 4.0, np.abs(y - 16.0) - 14.0), np.abs(z - 5.0) - 6.5)
+    lamina = np.maximum(np.maximum(across - 16.0, np.abs(y - 31.5) - 3.0), np.abs(z) - 11.0)
+    spinous = np.maximum(np.maximum(across - 3.0, np.abs(y - 36.0) - 5.0), np.abs(z + 3.0) - 7.0)
+    return np.asarray(np.minimum(np.minimum(pedicle, lamina), spinous))
 
 
 def _pad(at: NDArray[np.float64]) -> NDArray[np.float64]:
