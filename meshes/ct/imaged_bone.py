@@ -21,6 +21,8 @@ _LEAST_KG_M3 = 50.0
 _PLATE_M = 5e-3
 """Greatest depth of a subchondral plate: 1.2 to 2.9 mm on the glenoid (Frich), more where a joint is loaded."""
 _LEAST_COVERED = 0.99
+_TO_EDGE = 0.501
+"""Voxels from the centre of an image's last voxel to its edge, where a bone is cut off, with what rounding adds."""
 
 
 def imaged_anatomy(
@@ -96,9 +98,10 @@ def imaged_anatomy(
 def _require_covered(surface: Surface, density: Image) -> None:
     """Refuse an image that holds nothing at the surface: another bone, another frame or another unit."""
     origin, spacing = np.array(density.origin_mm), np.array(density.spacing_mm)
-    at = np.rint((1e3 * surface.vertices_m - origin) / spacing).astype(np.int64)
-    inside = ((at >= 0) & (at < density.values.shape)).all(axis=1)
-    there = density.values[tuple(at[inside].T)] > 0
+    last = np.array(density.values.shape) - 1
+    at = (1e3 * surface.vertices_m - origin) / spacing
+    inside = ((at > -_TO_EDGE) & (at < last + _TO_EDGE)).all(axis=1)
+    there = density.values[tuple(np.rint(at[inside]).astype(np.int64).clip(0, last).T)] > 0
     covered = float(there.sum() / len(at))
     if covered < _LEAST_COVERED:
         raise InputError(

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, counted
 from meshes.ct.threshold import filled, largest_component
 from meshes.images.frame import Image
 from meshes.images.threshold_surface import image_cuts, image_triangles
@@ -171,7 +171,7 @@ def _laid(part: Image, field: NDArray[np.float32], level: float, notes: list[str
     triangles = image_triangles(imaged, threshold=level)
     cuts = image_cuts(imaged, threshold=level)
     if cuts:
-        notes.append(f"The bone is cut off at {len(cuts)} places by the edge of the image or of the crop.")
+        notes.append(f"The bone is cut off at {counted(len(cuts), 'place')} by the edge of the image or of the crop.")
     return BoneOfImage(part, field, level, triangles, cuts, tuple(notes))
 
 

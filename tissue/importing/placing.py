@@ -71,8 +71,8 @@ def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str
             normal = None if found.normal is None else found.normal.tolist()
             site = place_site(surface, centre_mm=found.centre_mm.tolist(), normal=normal)
             return _pointed(site)
-        if isinstance(request.site, str):
-            return _searched(request.site, surface)
+    if isinstance(request.site, str):
+        return _searched(request.site, surface)
     usual = next((kind for word, kind in USUAL if re.search(word, request.region or "")), None)
     pick = "pick one by `tissue view`, or give --site"
     if usual is None:
@@ -92,7 +92,10 @@ def _searched(kind: str, surface: Surface) -> tuple[Placed, str]:
     """The site of a kind with its score and that of the second best."""
     from meshes.surfaces.site_search import find_site
 
-    found = find_site(kind, surface)
-    second = "no other place came near" if found.second_centre_mm is None else f"second best {found.second_score:.2f}"
-    sentence = f"site: {kind} {found.site.confidence} (score {found.score:.2f}, {second})"
+    with names_of_caller(KEYS):
+        found = find_site(kind, surface)
+    other = (
+        "no other place came near" if found.second_centre_mm is None else f"the next place: {found.second_score:.2f}"
+    )
+    sentence = f"site: {kind} {found.site.confidence} (score {found.score:.2f}, {other})"
     return Placed(found.site, kind, JOINTS_MM.get(kind, 0.0), sentence), sentence

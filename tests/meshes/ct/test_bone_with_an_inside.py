@@ -12,6 +12,7 @@ from meshes.ct.cored_bone import cored_anatomy
 from meshes.ct.density import DensityLaw
 from meshes.ct.imaged_bone import imaged_anatomy
 from meshes.ct.labelled_bone import by_threshold
+from meshes.images.frame import Image
 from meshes.surfaces.site import place_site
 from meshes.surfaces.surface import surface_from_triangles
 from meshes.voxels.voxelise import voxelise
@@ -84,6 +85,17 @@ def test_a_density_of_another_bone_or_unit_is_refused(imaged):
         imaged_anatomy(surface, site, replace(density, origin_mm=(100.0, 0.0, 0.0)))
     with pytest.raises(InputError, match="from 0 to 20000"):
         imaged_anatomy(surface, site, replace(density, values=density.values.astype(np.int32) * 30))
+
+
+@pytest.mark.parametrize("off_mm", [-1e-4, 1e-4])
+def test_a_bone_that_the_edge_cuts_off_is_covered_up_to_there(off_mm):
+    """Its face lies on the edge itself, half a voxel beyond the first centre, give or take rounding."""
+    box = trimesh.creation.box((6.0, 6.0, 6.0)).subdivide().subdivide()
+    surface = closed((box.vertices + np.array([5.0, 5.0, 3.0 + off_mm]), np.asarray(box.faces)))
+    density = Image(np.full((10, 10, 10), 1400, np.uint16), (1.0, 1.0, 1.0), "box", (), origin_mm=(0.5, 0.5, 0.5))
+    site = place_site(surface, centre_mm=(5.0, 5.0, 6.0))
+    found = layers_of(voxelise(imaged_anatomy(surface, site, density), spacing_m=0.5e-3))
+    assert found["cortical"] == pytest.approx(216.0, rel=0.01)
 
 
 @pytest.mark.parametrize("hollow", [False, True])
