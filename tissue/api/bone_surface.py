@@ -17,6 +17,8 @@ __all__ = ["bone_surface", "plot_surface", "removed_surface"]
 
 SHARP_DEG = 40.0
 """Edges of a file's surface of a greater angle are drawn sharp."""
+NEAR, AGREE = 0.5, 0.8
+"""Farthest voxels from a file's surface, and least cosine between normals, at which a cut bone is shaded like it."""
 
 
 def bone_surface(bone: VoxelBone, outer: "pyvista.PolyData | None") -> "pyvista.PolyData":
@@ -36,11 +38,12 @@ def bone_surface(bone: VoxelBone, outer: "pyvista.PolyData | None") -> "pyvista.
     outer = outer.compute_normals(
         cell_normals=False, split_vertices=True, feature_angle=SHARP_DEG, consistent_normals=False
     )
+    whole = outer
     for volume, left in bone.cut_parts():
         outer = _without(outer, volume)
         part = _contour(volume, left)
         if part.n_cells:
-            parts.append(_shaded(with_layers(part, volume)))
+            parts.append(_shaded(with_layers(part, volume), like=whole, within_mm=NEAR * 1e3 * volume.spacing_m))
     outer.cell_data["layer"] = np.zeros(outer.n_cells, dtype=np.uint8)
     return outer.append_polydata(*parts) if parts else outer
 
@@ -90,11 +93,23 @@ def plot_surface(surface: "pyvista.PolyData", layer_names: tuple[str, ...], **op
         return surface.plot(**(look | options))
 
 
-def _shaded(surface: "pyvista.PolyData") -> "pyvista.PolyData":
-    """A surface of voxels, shaded by its shape and not by their steps."""
-    if surface.n_cells:
-        surface.point_data["Normals"] = smooth_normals(surface)
-        surface.point_data.active_normals_name = "Normals"
+def _shaded(
+    surface: "pyvista.PolyData", *, like: "pyvista.PolyData | None" = None, within_mm: float = 0.0
+) -> "pyvista.PolyData":
+    """A surface of voxels, shaded by its shape and not by their steps, and where it is as it was like the file's."""
+    import pyvista
+
+    if not surface.n_cells:
+        return surface
+    normals = smooth_normals(surface)
+    if like is not None:
+        points = pyvista.PolyData(np.asarray(surface.points))
+        found = points.sample(like, tolerance=within_mm, pass_cell_data=False)
+        there, theirs = np.asarray(found.point_data["vtkValidPointMask"]) > 0, np.asarray(found.point_data["Normals"])
+        there &= np.einsum("ij,ij->i", theirs, normals) > AGREE
+        normals[there] = theirs[there]
+    surface.point_data["Normals"] = normals
+    surface.point_data.active_normals_name = "Normals"
     return surface
 
 

@@ -358,10 +358,12 @@ def test_meshio_like_blocks_and_quadratic_cells_are_taken():
     assert organ.moduli_kPa == {"kidney": 8.0, "cyst": 30.0}
 
 
-def test_pictures_are_drawn(organ, press, tmp_path):
+def test_pictures_are_drawn(organ, press, tmp_path, monkeypatch, capfd):
+    monkeypatch.delenv("DISPLAY", raising=False)
     shown = {"off_screen": True, "window_size": (300, 200)}
     organ.plot(screenshot=tmp_path / "organ.png", **shown)
     press.plot(screenshot=tmp_path / "press.png", scalars="von_mises_kPa", **shown)
+    assert "X server" not in capfd.readouterr().err
     for name in ("organ", "press"):
         picture = pyvista.read(tmp_path / f"{name}.png")
         assert len(np.unique(np.asarray(picture.active_scalars), axis=0)) > 50

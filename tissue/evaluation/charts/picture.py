@@ -86,10 +86,10 @@ def _draw(axes: "Axes", found: Frontier) -> None:
     for row in bounds:
         _draw_bound(axes, row, low)
     axes.axvline(1e3, color="#D55E00", linestyle="--", linewidth=1.3, label="1 ms")
+    axes.set_ylim(low, high)  # first, since a single error alone spans no scale
     axes.set(
         xscale="log",
         yscale="log",
-        ylim=(low, high),
         xlabel="tick in contact / µs: median, line to its 99th percentile",
         ylabel="force error over ticks / %, to the reference",
         title=f"{found.scene.name}, " + ("by script" if device == "none" else f"by hand on {device}"),
