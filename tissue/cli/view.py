@@ -23,12 +23,12 @@ def view(
     time_s: float | None = None,
     clean: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Show a run in a window.
+    """Show a run in a window, or an imported bone, on which a click puts the site.
 
     Parameters
     ----------
     folder
-        Folder that `tissue run` wrote.
+        Folder that `tissue run` or `tissue import` wrote.
     screenshot
         Write a picture to this .png file instead of opening a window.
     movie

@@ -19,6 +19,7 @@ from tissue.simulation.saved_fields import SavedFields, field_names
 from tissue.system.offscreen import LONGEST_S, display_problem, draw_apart
 from tissue.viewer.movie import check_movie, write_movie
 from tissue.viewer.run import require_whole
+from tissue.viewer.site_window import is_imported, show_site
 from tissue.viewer.still import write_clean
 from tissue.viewer.window import Choice, Window, times_of
 
@@ -45,7 +46,8 @@ def view(
     Parameters
     ----------
     path
-        Folder that `tissue run` wrote, of a run that ended or was stopped.
+        Folder that `tissue run` wrote, of a run that ended or was stopped; or one that `tissue import` wrote of a bone,
+        whose site is then put by a click and saved into its scene.
     screenshot
         PNG file to write instead of opening a window; an existing one is replaced.
     movie
@@ -77,6 +79,9 @@ def view(
     _check_files(screenshot, movie, time_s)
     if clean and screenshot is None:
         raise InputError("clean must come with a screenshot, got none: pass --screenshot FILE.png, or leave clean out")
+    if is_imported(Path(path)):
+        _check_imported(movie, Choice(hide=hide, field=field, scale=scale, time_s=time_s, clean=clean))
+        return _view_site(Path(path), screenshot)
     saved = SavedRun(path)
     about = _about(saved)
     require_whole(saved)
@@ -86,17 +91,41 @@ def view(
     if movie is not None and len(times_of(saved, series)) < 2:
         raise InputError(f"movie must be of a run that lasts, got {saved.path}: use --screenshot")
     if screenshot is None and movie is None:
-        problem = display_problem()
-        if problem is not None:
-            raise InputError(
-                f"view must have a display to open a window, but {problem}: pass --screenshot FILE or --movie FILE"
-            )
+        _require_display("--screenshot FILE or --movie FILE")
         show(saved, about, choice)
     for kind, file in (("screenshot", screenshot), ("movie", movie)):
         if file is not None:
             _draw(saved, choice, kind, file, progress or silent)
             about += f"\n{kind} in {file}"
     return about
+
+
+def _require_display(instead: str) -> None:
+    problem = display_problem()
+    if problem is not None:
+        raise InputError(f"view must have a display to open a window, but {problem}: pass {instead}")
+
+
+def _check_imported(movie: Path | None, choice: Choice) -> None:
+    """Refuse what only a run has."""
+    given = [name for name, value in asdict(choice).items() if value != getattr(Choice(), name)]
+    given += ["movie"] if movie is not None else []
+    if given:
+        raise InputError(f"{given[0]} must be left out for an imported bone, which has no run: leave it out")
+
+
+def _view_site(folder: Path, screenshot: Path | None) -> str:
+    """Show an imported bone, or draw it into a file."""
+    if screenshot is None:
+        _require_display("--screenshot FILE")
+        return show_site(folder)
+    with whole_file(screenshot) as temporary, TemporaryDirectory(prefix="tissue-") as apart:
+        drawn = Path(apart) / "site.png"
+        problem = draw_apart("tissue.viewer.site_window", str(folder), str(drawn))
+        if problem is not None:
+            raise InputError(f"screenshot must be drawn in 3D, but {problem}")
+        shutil.copyfile(drawn, temporary)
+    return f"imported bone in {folder}\nscreenshot in {screenshot}"
 
 
 def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, report: Progress) -> None:
