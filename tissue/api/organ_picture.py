@@ -25,6 +25,7 @@ COLOURS = "YlOrRd"
 MATTE: Any = {"show_edges": True, "edge_opacity": 0.2, "ambient": 0.35, "diffuse": 0.7, "specular": 0.0}
 
 
+@quiet_without_display()
 def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any) -> Any:
     """Show the organ as it was pressed, cut open at the tool, with the outline of its parts, and the tool.
 
@@ -73,10 +74,10 @@ def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any
     middle, size = np.asarray(moved.center), float(np.linalg.norm(np.ptp(moved.points, axis=0)))
     plotter.camera_position = [middle + size * (1.9 * across - 0.5 * press.along), middle, -press.along]
     plotter.add_text(f"{press.force_magnitude_N:.3g} N at {press.depth_mm[-1]:.3g} mm", font_size=11, color="black")
-    with quiet_without_display():
-        return plotter.show(**options)
+    return plotter.show(**options)
 
 
+@quiet_without_display()
 def plot_organ(organ: Organ, **options: Any) -> Any:
     """Show the outside of an organ through which its parts are seen, and what is held.
 
@@ -101,8 +102,7 @@ def plot_organ(organ: Organ, **options: Any) -> Any:
     plotter.add_points(held, color=HELD, point_size=7, render_points_as_spheres=True, label="held")
     plotter.add_legend(loc="upper left", face="circle", size=(0.3, 0.05 * (len(names) + 1)))  # type: ignore[call-arg]
     plotter.add_axes()  # type: ignore[call-arg]
-    with quiet_without_display():
-        return plotter.show(**options)
+    return plotter.show(**options)
 
 
 def _across(along: Any) -> Any:
