@@ -153,8 +153,11 @@ def labelled_organ(labels: Labels, organ: str, parts: Sequence[str] = ()) -> Lab
     whole = labels.mask(organ)
     masks = {name: labels.mask(name) for name in parts}
     body = np.logical_or.reduce([whole, *masks.values()])
-    solid, notes = _one_piece(body, whole, grid, organ)
-    found = {name: _pieces(name, mask, solid, organ, grid, notes) for name, mask in masks.items()}
+    # A layer of nothing stays around it, but at the edges of the image.
+    crop = tuple(slice(max(each.start - 1, 0), each.stop + 1) for each in box_of(body))
+    grid = grid.within(tuple(each.start for each in crop))
+    solid, notes = _one_piece(body[crop], whole[crop], grid, organ)
+    found = {name: _pieces(name, mask[crop], solid, organ, grid, notes) for name, mask in masks.items()}
     return LabelledOrgan(organ, solid, found, grid, notes)
 
 
