@@ -31,8 +31,8 @@ def over_the_ball_N(organ, turn):
 def test_labels_give_the_force_of_the_surfaces_that_they_were_made_of(part_kPa):
     """Ellipsoid of 72 x 52 x 44 mm with a ball of 18 mm, 4 mm under the place that is pressed; stiff as a tumour, soft.
 
-    Edges of 2.5 mm under the ball: fillings of one surface then differ by 1 %, with 3.5 mm by 5 %. Slices of 5 mm are
-    3.6 to the tumour, and less than one to what lies over it.
+    Edges of 2.5 mm under the ball: fillings of one surface then differ by 2 %, with 3.5 mm by 5 %, and no two runs of
+    the mesher are alike: the bands are wider by that. Slices of 5 mm are 3.6 to the tumour, less than one over it.
     """
     made = {"modulus_kPa": MODULUS_KPA, "poisson_ratio": 0.45, "edge_mm": 6, "parts": {"tumour": part_kPa}}
     _, turn = organ_labels((3, 3, 3), 0)
@@ -40,7 +40,7 @@ def test_labels_give_the_force_of_the_surfaces_that_they_were_made_of(part_kPa):
     outer.points = outer.points @ turn.T
     inner = pyvista.Sphere(radius=BALL_MM, center=turn @ (0, 0, 9), theta_resolution=60, phi_resolution=60)
     exact = over_the_ball_N(tissue.Organ.from_surface(outer, inclusions={"tumour": inner}, **made), turn)
-    bands = {(1, 1, 1): 0.03, (2, 2, 2): 0.03, (3, 3, 3): 0.05, (0.8, 0.8, 3): 0.05, (0.7, 0.7, 5): 0.08}
+    bands = {(1, 1, 1): 0.04, (2, 2, 2): 0.04, (3, 3, 3): 0.07, (0.8, 0.8, 3): 0.05, (0.7, 0.7, 5): 0.08}
     for spacing, band in bands.items():
         labels, _ = organ_labels(spacing, 0, {"tumour": ((0, 0, 9), BALL_MM)})
         force = over_the_ball_N(tissue.Organ.from_labels(labels, organ="organ", **made), turn)
