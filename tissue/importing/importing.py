@@ -152,6 +152,8 @@ def _import_bone(request: ImportRequest, out: Path, *, overwrite: bool, pictures
         if pictures:
             progress("drawing", 0.0)
             sentences += draw_pictures(bone, at, clear, out, points_mm=None if path is None else path.points_mm)
+            if path is not None and at is not None:
+                sentences += path.draw(bone.surface, at, out / "path.png")
     return Imported(out, out / "scene.toml", at is not None, tuple(sentences))
 
 

@@ -1,15 +1,17 @@
 """A person's own toolpath on an imported bone: in the site's frame, with times and the depth that it will cut."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
-from meshes.paths.depth import depth_along
+from meshes.paths.depth import PathDepth, depth_along
 from meshes.paths.replay_table import ReplayTable, to_replay
 from meshes.paths.toolpath import read_toolpath
 from meshes.surfaces.surface import Surface
+from tissue.figures.path_depth import draw_path_depth
 from tissue.importing.placing import Placed
 from tissue.importing.request import ImportRequest
 
@@ -39,6 +41,12 @@ class ImportedPath:
     points_mm: NDArray[np.float64]
     depth_mm: NDArray[np.float64]
     sentence: str
+
+    def draw(self, surface: Surface, at: Placed, file: Path) -> list[str]:
+        """Draw it on the bone in the colours of its depth; returns why it could not be drawn, a sentence."""
+        found = PathDepth(self.points_mm, self.depth_mm)
+        problem = draw_path_depth(surface, found, file, normal=at.site.rotation[:, 2], title=surface.report.source)
+        return [] if problem is None else [f"{file.name} was not drawn: {problem}"]
 
 
 def import_path(request: ImportRequest, at: Placed | None, surface: Surface) -> ImportedPath:
