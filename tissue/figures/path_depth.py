@@ -85,6 +85,6 @@ def draw_path_depth(
         low.invert_yaxis()
         low.set_xlabel("path length [mm]")
         low.set_ylabel("depth [mm]")
-        low.text(0.99, 0.9, f"deepest {found.deepest_mm:.1f} mm", ha="right", va="top", transform=low.transAxes, size=9)
+        low.set_title(f"deepest {found.deepest_mm:.1f} mm", loc="right", size=9)
         save(chart, path)
     return None
