@@ -158,7 +158,7 @@ def _law(
 def _density(bone: BoneOfImage, law: DensityLaw, sentences: list[str]) -> Image:
     """The density of the bone's voxels."""
     density = bone.density(law)
-    held = density.values[density.values > 0]
+    held = density.values[bone.field > bone.level]  # beyond the surface it goes on, to be interpolated
     middle = float(np.median(held))
     low, high = law.band(np.array([(middle - law.offset_kg_m3) / law.slope_kg_m3]))
     sentences.append(

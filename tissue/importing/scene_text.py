@@ -59,7 +59,7 @@ def scene_text(
         File of poses that the tool follows instead.
     """
     tables = _taken(like, placed)
-    anatomy: dict[str, object] = {"kind": "bone", **files}
+    anatomy: dict[str, object] = {"kind": "bone", **files, "scale_mm": 1.0}
     if placed is not None:
         anatomy |= {
             "centre_mm": [round(value, 3) for value in (1e3 * placed.site.centre_m).tolist()],
