@@ -120,6 +120,7 @@ def test_binary_carving_against_numpy(name):
     assert (remaining[clear] == np.where(distance[clear] < 0.0, 0, 255)).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [0.125, 0.35, 1.0])
 @pytest.mark.parametrize(
     "made",

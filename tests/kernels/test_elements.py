@@ -46,6 +46,7 @@ def layer_of_bone():
     return VoxelVolume(np.full(3, -24 * SPACING_M), SPACING_M, filled, np.zeros_like(filled), density, ("bone",))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turning", [0.0, 300.0])
 @pytest.mark.parametrize("profile", [ball_burr(diameter_m=3e-3), pear_bur(diameter_m=2e-3, length_m=3e-3)])
 def test_a_chunk_that_is_passed_over_holds_no_element_that_cuts(profile, turning):

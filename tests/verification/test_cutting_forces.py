@@ -122,6 +122,7 @@ def turned(angle):
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("angle", "tolerance"), [(pi / 2, 1e-3), (pi, 1e-3), (0.4, 0.02)])
 def test_turned_scene_gives_turned_forces(angle, tolerance):
     """Quarter turns map voxels onto voxels: equal up to rounding; other angles agree to what voxels resolve, 2 %."""

@@ -31,6 +31,7 @@ def test_thrust_and_torque_lie_in_the_published_range():
     assert PUBLISHED_TORQUE_NM[0] < torque < PUBLISHED_TORQUE_NM[1]
 
 
+@pytest.mark.slow
 def test_scaled_feed_and_spin_keep_the_force():
     """Chip thickness depends on feed over spin alone: half of both keeps the force within 2 % (voxel ripple)."""
     slower = steady(**{"motion.feed_mm_s": 1.0, "tool.spin_rpm": 1000.0, "duration_s": 1.9})

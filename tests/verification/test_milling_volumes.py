@@ -119,6 +119,7 @@ def swept_error(radius_m, spacing_m, along, *, length_m, random):
     return (model.removed_m3.sum() - stamped) / (pi * radius_m**2 * length_m) - 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("along", [(1.0, 0.0, 0.0), (0.3, 0.2, -1.0), (1.0, 1.0, 1.0)])
 def test_a_sweep_inside_bone_removes_a_straight_tube(along):
     """A ball of 0.5 mm on a line: its circle times the path, whose wall is straight along it where the ball is not.

@@ -65,6 +65,7 @@ def rod(low_kPa, high_kPa, *, ratio=0.0, cells=4, swapped=False):
     )
 
 
+@pytest.mark.slow
 def test_a_rod_of_two_materials_is_two_springs_in_series():
     """A flat punch wider than the rod, nu = 0: F = A d / (L1 / E1 + L2 / E2) exactly, whatever the friction."""
     punch = tissue.flat_punch(diameter_mm=40)

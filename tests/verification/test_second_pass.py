@@ -91,6 +91,7 @@ def test_where_nothing_is_left_nothing_is_felt(name, frame):
     assert true == 0.0 and error < NOTHING_LEFT
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["across 45", "deeper 0.05", "aside 0.1"])
 def test_what_little_is_left_is_felt(name):
     error, true = second_pass(LITTLE[name], FRAMES["turned"])

@@ -89,6 +89,7 @@ def check(folder, edge_mm, ligament_Pa):
     return moved
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("edge_mm", [0.7, 0.4])
 @pytest.mark.parametrize("ligament_Pa", [50e6, MEASURED_LIGAMENT])
 def test_molar_solves(anatomy, edge_mm, ligament_Pa):
@@ -103,6 +104,7 @@ def test_molar_solves_at_quarter_millimetre(anatomy):
     assert 1.0 < np.median(check(anatomy, 0.25, MEASURED_LIGAMENT)) < 50.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shift", [0.13, 0.31, 0.57, 0.83])
 def test_molar_solves_wherever_the_grid_lies(anatomy, shift):
     """The grid's place cuts other cells, leaves other islands and moves particles in their cells: 13 to 15 iterations."""

@@ -31,6 +31,7 @@ def push(body, at=(0.5, 0.4, 1.0)):
     return body.spread(np.array(at) * EDGE, np.array([0.3, 0.0, -1.0]))
 
 
+@pytest.mark.slow
 def test_iterations_follow_neither_contrast_nor_refinement():
     """To 1e-6 in the energy norm, from rest; 25 is the real molar's count, no grid may take 8 more than the first."""
     counts = np.array([[ball_in_block(n, c).solve(push(ball_in_block(n, c)), tolerance=1e-6).iterations

@@ -26,6 +26,7 @@ def tissue(*words, folders, cwd):
     return ended.returncode, ended.stdout, ended.stderr
 
 
+@pytest.mark.slow
 def test_the_example_package_is_listed_drilled_and_judged(tmp_path):
     folders = offer_example(tmp_path / "site")
     listing = """

@@ -34,6 +34,7 @@ def test_a_number_fixes_it_and_what_is_not_known_passes_as_it_is():
     assert load_scene("glenoid", {"device": "touch", "tool.spin_rpm": 0.0}).force_scale == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "changes"),
     [

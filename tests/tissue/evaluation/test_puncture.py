@@ -105,6 +105,7 @@ def test_a_release_without_friction_is_that_of_a_mass_on_a_spring():
     assert found.excess_mm == pytest.approx(law.max() - advance + freed, rel=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("needle", "viscous"), [("dry", 0.0), ("needle", 212.0)])
 @pytest.mark.parametrize("notice", ["at once", "force"])
 def test_a_push_through_a_liver_is_that_of_its_equations(notice, needle, viscous):
@@ -118,6 +119,7 @@ def test_a_push_through_a_liver_is_that_of_its_equations(notice, needle, viscous
     assert found.excess_mm == pytest.approx(1e3 * excess, rel=0.02)
 
 
+@pytest.mark.slow
 def test_an_earlier_stop_goes_less_far_and_none_less_than_what_the_springs_give_back():
     by = {notice: run(notice).excess_mm for notice in ("at once", "sight", "force")}
     cued = run("force", cue=True)

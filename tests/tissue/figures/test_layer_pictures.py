@@ -99,6 +99,7 @@ def test_events_are_numbered_and_not_too_many():
     assert event_lines([(0.1 * i, "it") for i in range(9)])[-1] == "and 3 more"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fields", [True, False])
 def test_a_tissue_with_measures_gets_its_pictures(run, tmp_path, monkeypatch, fields):
     from PIL import Image

@@ -38,6 +38,7 @@ def against(edge_N, drag_N_s_m):
     return law
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drag_N_s_m", [0.0, 30.0, 3e3, 1e5])
 @pytest.mark.parametrize("velocity_m_s", [(3e-3, 0, -4e-3), (1e-3, -2e-3, 2e-3)])
 def test_a_tool_trails_its_device_by_edge_and_resistance_as_vectors(drag_N_s_m, velocity_m_s):

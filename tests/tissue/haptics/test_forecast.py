@@ -89,6 +89,7 @@ def grows(loop, stiffness, predictor, lead, *, ticks=2500):
     return sizes[-third:].sum() > sizes[third : 2 * third].sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "options"),
     [

@@ -66,6 +66,7 @@ def test_every_device_and_renderer_stays_within_its_limits(device, law):
     assert run.trace["margin"][0] > 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", [{}, {"motion__kind": "thrust", "motion__thrust_N": 60.0}], ids=["path", "thrust"])
 def test_a_hand_reams_a_glenoid_within_the_device_s_range(changes):
     run = run_of("glenoid", device="touch", voxels__spacing_mm=0.4, duration_s=4.0, **changes)
@@ -173,6 +174,7 @@ def test_the_wall_s_hand_comes_as_deep_as_its_springs_let_it(on_the_wall):
     assert -trace["device_z_mm"][late].mean() == pytest.approx(5.0 * grip / (grip + coupled), abs=0.4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "changes"),
     [

@@ -105,6 +105,7 @@ def down(start, end, steps=120):
     return np.linspace(start, end, steps)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("depth_m", [0.3e-3, 2e-3, 20e-3])
 def test_a_stopped_burr_on_bone_pushes_with_stiffness_times_stretch(depth_m):
     held, bone, motion = probe(ball_burr(diameter_m=6e-3), start=(0, 0, 1e-3))

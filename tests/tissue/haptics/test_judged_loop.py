@@ -119,6 +119,7 @@ def test_without_a_hand_a_tool_that_does_not_turn_is_refused():
         run_of("milling", tool__spin_rpm=0.0)
 
 
+@pytest.mark.slow
 def test_prediction_is_part_of_what_is_judged():
     """4 ms of latency: simple predictions bear what none bears; an operator more, and less where it is played twice over.
 

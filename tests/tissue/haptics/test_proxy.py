@@ -26,6 +26,7 @@ def solids_scene(seed):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.0, 0.4])
 @pytest.mark.parametrize("seed", range(4))
 def test_never_inside_solids(seed, friction):

@@ -89,6 +89,7 @@ def test_no_path_through_many_walls():
             assert lowest > -SPACING and stopped
 
 
+@pytest.mark.slow
 def test_burr_rests_on_a_plane_of_voxels_within_half_a_voxel():
     """Planes at random angles; case 23 asks for sqrt(3)/2 voxel, the level's own error is -0.02 to 0.27."""
     random = np.random.default_rng(9)

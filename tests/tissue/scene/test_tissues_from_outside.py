@@ -167,6 +167,7 @@ def test_a_tissue_from_outside_is_met(added):
             load_scene("palpation", changes | {key: value})
 
 
+@pytest.mark.slow
 def test_a_tissue_from_outside_is_saved_drawn_viewed_and_charted(added, tmp_path, monkeypatch):
     from PIL import Image
 

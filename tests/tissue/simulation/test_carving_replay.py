@@ -38,6 +38,7 @@ def cut(request):
     return request.param, simulate(scene_of(request.param, TICKS))
 
 
+@pytest.mark.slow
 def test_the_bone_at_a_tick_is_that_of_a_run_stopped_there(cut):
     kind, run = cut
     replay = run.replay()

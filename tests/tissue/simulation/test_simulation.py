@@ -75,6 +75,7 @@ def test_a_row_a_tick(duration_s, ticks):
     assert run.summary["simulated_s"] == pytest.approx(ticks * TICK_S)
 
 
+@pytest.mark.slow
 def test_without_a_duration_a_run_lasts_as_long_as_its_motion(tmp_path):
     from tissue import scene_text
 

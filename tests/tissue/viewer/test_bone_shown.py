@@ -44,6 +44,7 @@ def surface_of(bone, tick):
     return bone.cut(bone.layers).append_polydata(bone.rest(bone.layers)).clean(tolerance=1e-4, absolute=True)
 
 
+@pytest.mark.slow
 def test_the_bone_at_a_time_is_that_of_a_run_stopped_there(layered, tmp_path):
     pyvista = pytest.importorskip("pyvista")
     bone = carved_bone(layered)

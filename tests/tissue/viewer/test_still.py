@@ -24,6 +24,7 @@ def _drawn(folder, file, **chosen):
         return np.asarray(picture)
 
 
+@pytest.mark.slow
 def test_a_clean_picture_shows_the_bone_alone(whole, tmp_path):
     pixels = _drawn(whole, tmp_path / "clean.png", clean=True)
     assert pixels.shape[2] == 4 and max(pixels.shape) > 1000
@@ -37,6 +38,7 @@ def test_a_clean_picture_shows_the_bone_alone(whole, tmp_path):
     assert not (shown.max(axis=1) < 20).any()  # no black text
 
 
+@pytest.mark.slow
 def test_a_clean_picture_of_an_organ_has_the_colours_of_its_field(tmp_path):
     folder = pressed_run(tmp_path / "press")
     pixels = _drawn(folder, tmp_path / "clean.png", clean=True)
@@ -52,6 +54,7 @@ def test_clean_needs_a_screenshot(whole):
         view(whole, clean=True)
 
 
+@pytest.mark.slow
 def test_a_screenshot_has_a_scale_bar(whole, tmp_path):
     pixels = _drawn(whole, tmp_path / "view.png")[..., :3].astype(int)
     rows = pixels[560:580, 30:300].max(axis=2) < 60  # 380 pixels above the lower edge of 950

@@ -121,6 +121,7 @@ def test_a_run_stopped_while_its_files_were_written_is_reported(whole, tmp_path)
     assert _about(SavedRun(folder)).endswith("it was interrupted after its last tick, while its files were written")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [0, 1])
 def test_a_run_stopped_at_once_can_be_seen(stopped, tmp_path, rows):
     lines = (stopped / "trace.csv").read_text().splitlines(keepends=True)
