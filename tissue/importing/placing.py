@@ -94,8 +94,7 @@ def _searched(kind: str, surface: Surface) -> tuple[Placed, str]:
 
     with names_of_caller(KEYS):
         found = find_site(kind, surface)
-    other = (
-        "no other place came near" if found.second_centre_mm is None else f"the next place: {found.second_score:.2f}"
-    )
-    sentence = f"site: {kind} {found.site.confidence} (score {found.score:.2f}, {other})"
+    second = found.second_centre_mm is not None
+    other = f"the next best place scores {found.second_score:.2f}" if second else "no other place came near"
+    sentence = f"site: {kind} {found.site.confidence}; {other}"
     return Placed(found.site, kind, JOINTS_MM.get(kind, 0.0), sentence), sentence
