@@ -1,7 +1,8 @@
 """Draw the pictures of the guide by the code of its pages: python docs/pictures.py [PAGE ...]
 
-A page's Python runs from top to bottom; after each block what it has plotted, pyvista's scenes and then matplotlib's
-figures, becomes the next pictures that the page shows.
+A page's Python and bash run from top to bottom; after each block of Python what it has plotted, pyvista's scenes and
+then matplotlib's figures, becomes the next pictures that the page shows. FOLDER-NAME.png is what a command wrote as
+FOLDER/NAME.png.
 """
 
 import os
@@ -12,6 +13,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 GUIDE = Path(__file__).resolve().parent / "guide"
+sys.path.insert(0, str(GUIDE.parent / "_ext"))
+
+from page_code import blocks_of, run_commands  # noqa: E402, beside this file
+from PIL import Image  # noqa: E402, what matplotlib writes with
+
 os.environ.update(MPLBACKEND="Agg", PYVISTA_BUILDING_GALLERY="true", PYVISTA_OFF_SCREEN="true")
 
 
@@ -33,7 +39,10 @@ def draw(page: Path) -> None:
     text = page.read_text("utf-8")
     targets = iter([page.parent / name for name in re.findall(r"^!\[[^\]]*\]\((pictures/[^)]+)\)", text, re.MULTILINE)])
     names: dict[str, object] = {"__name__": "__main__"}
-    for code in re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
+    for language, code in blocks_of(text):
+        if language == "bash":
+            run_commands(code)
+            continue
         exec(compile(code, page.name, "exec"), names)
         for shown in plotted():
             path = next(targets)
@@ -43,7 +52,17 @@ def draw(page: Path) -> None:
             else:
                 shown.savefig(path, dpi=110)
             print(path)
-    if left := list(targets):
+    left = list(targets)
+    for path in list(left):
+        written = Path(path.stem.replace("-", "/", 1) + ".png")
+        if written.is_file():
+            path.parent.mkdir(exist_ok=True)
+            with Image.open(written) as picture:
+                picture.thumbnail((1200, 900))
+                picture.convert("RGB").save(path, optimize=True)
+            left.remove(path)
+            print(path)
+    if left:
         raise SystemExit(f"{page.name} must plot all that it shows, got nothing for {left[0].name}: plot it")
 
 

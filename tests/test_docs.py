@@ -123,7 +123,7 @@ def test_the_python_of_the_readme_runs(tmp_path):
 def commands_of(page):
     """Every call of ``tissue`` in a page's blocks and lines of code, as words."""
     text = page.read_text("utf-8")
-    blocks = "".join(re.findall(r"^```\n(.*?)^```", text, re.DOTALL | re.MULTILINE))
+    blocks = "".join(re.findall(r"^```(?:bash)?\n(.*?)^```", text, re.DOTALL | re.MULTILINE))
     inline = re.findall(r"`([^`]+)`", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE))
     for line in (*blocks.splitlines(), *inline):
         line = line.split("  #")[0].split(" > ")[0].strip()

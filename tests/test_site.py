@@ -25,7 +25,9 @@ def part_of_the_site(path):
     return module
 
 
-tables, links = (part_of_the_site(ROOT / name) for name in ("docs/_ext/scene_tables.py", ".ci/links.py"))
+tables, links, page_code = (
+    part_of_the_site(ROOT / name) for name in ("docs/_ext/scene_tables.py", ".ci/links.py", "docs/_ext/page_code.py")
+)
 
 
 def test_the_tables_hold_every_key_of_the_schema_once_for_each_kind():
@@ -74,15 +76,32 @@ def test_every_public_name_is_on_the_page_of_the_reference():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", LESSONS, ids=lambda path: path.stem)
-def test_the_python_of_a_page_runs_in_order(page, tmp_path):
-    code = "\n".join(re.findall(r"^```python\n(.*?)^```", page.read_text("utf-8"), re.DOTALL | re.MULTILINE))
-    if not code:
+def test_the_code_of_a_page_runs_in_order(page, tmp_path):
+    """Its Python, and its commands where the block is marked as bash."""
+    code = "from page_code import run_commands\n" + "\n".join(
+        f"run_commands({code!r})" if language == "bash" else code
+        for language, code in page_code.blocks_of(page.read_text("utf-8"))
+    )
+    if code.count("\n") == 1:
         pytest.skip(f"{page.name} shows no Python")
     ended = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False,
-        env=os.environ | {"PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg", "PYVISTA_OFF_SCREEN": "true"},
+        env=os.environ | {
+            "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "docs/_ext")]), "MPLBACKEND": "Agg",
+            "PYVISTA_OFF_SCREEN": "true",
+        },
     )  # fmt: skip
     assert ended.returncode == 0, ended.stderr
+
+
+def test_commands_of_a_page_are_run_and_their_failures_raised(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page_code.run_commands("python -c \"open('made.txt', 'w').write('x')\"  # a file\n")
+    assert (tmp_path / "made.txt").read_text() == "x"
+    with pytest.raises(subprocess.CalledProcessError):
+        page_code.run_commands("python -c 'raise SystemExit(3)'\n")
+    with pytest.raises(ValueError, match="must begin with tissue or python"):
+        page_code.run_commands("rm -r data\n")
 
 
 def test_the_check_of_links_finds_what_leads_nowhere(tmp_path):

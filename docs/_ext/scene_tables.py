@@ -131,7 +131,8 @@ def _takes(entry: Schema) -> str:
         limits = {_range(item) for item in items} - {""}
         return f"{len(items)} numbers" + "".join(f", each {limit}" for limit in limits)
     if entry["type"] == "object":
-        return f"names and numbers, each {_takes(entry['additionalProperties'])}"
+        values = entry.get("additionalProperties") or next(iter(entry["patternProperties"].values()))
+        return f"names, each with {_takes(values)}"
     if entry["type"] == "string":
         return _text(entry.get("pattern", ""))
     return "`true`, `false`" if entry["type"] == "boolean" else _range(entry) or "number"
