@@ -17,7 +17,7 @@ from meshes.images.frame import Image
 from meshes.images.itk import header_lines
 from meshes.images.reading import read_image
 
-__all__ = ["LABEL_SETS", "Labels", "label_sets", "on_grid_of", "read_labels"]
+__all__ = ["LABEL_SETS", "Labels", "header_names", "label_sets", "on_grid_of", "read_labels"]
 
 LABEL_SETS = ("totalsegmentator", "dentalsegmentator", "verse")
 """Programs whose numbers have known names, see ``label_sets.toml``."""
@@ -75,7 +75,7 @@ def label_sets() -> dict[str, tuple[str, ...]]:
     return {name: tuple(entry["names"]) for name, entry in table.items()}
 
 
-def read_labels(path: str | Path, *, names: str | Path | None = None) -> Labels:
+def read_labels(path: str | Path, *, names: str | Path | None = None, spacing_mm: float | None = None) -> Labels:
     """Read a label volume, or a folder that holds one mask a label, with the names of its labels.
 
     Parameters
@@ -86,6 +86,8 @@ def read_labels(path: str | Path, *, names: str | Path | None = None) -> Labels:
     names
         One of `LABEL_SETS`, or a TOML file of a table ``[labels]`` that gives each name its number; None: those in the
         file's own header, else ``label 1`` and so on.
+    spacing_mm
+        Distance between neighbours [mm] of a file that does not state it.
 
     Raises
     ------
@@ -99,12 +101,12 @@ def read_labels(path: str | Path, *, names: str | Path | None = None) -> Labels:
                 f"names must be left out for a folder of masks, whose files name them, got {names}: remove it"
             )
         return _of_masks(path)
-    image = read_image(path, labels=True)
+    image = read_image(path, spacing_mm=spacing_mm, labels=True)
     values = _whole(image)
     held = [int(number) for number in np.flatnonzero(np.bincount(values.ravel(), minlength=2)) if number]
     if not held:
         raise InputError(f"labels must mark something, got 0 everywhere in {image.source}: export the segmentation")
-    stated = _given(names) if names is not None else _in_header(path)
+    stated = _given(names) if names is not None else header_names(path)
     if names is not None and (unknown := [number for number in held if number not in stated]):
         raise InputError(
             f"names must name every label of {image.source}, got none for {by(unknown[:5])}: add them to {names}"
@@ -223,7 +225,7 @@ def _numbered(labels: Mapping[str, object], file: Path) -> Iterable[tuple[int, s
         yield number, name
 
 
-def _in_header(path: Path) -> dict[int, str]:
+def header_names(path: Path) -> dict[int, str]:
     """Names that an image's own header gives its labels; none where it gives none."""
     name = path.name.lower()
     if name.endswith((".nii", ".nii.gz")):

@@ -167,9 +167,12 @@ def _read_tooth(
     file: Path, spacing_mm: float | None, over_lesion: bool, stamp: tuple[int, int] | None
 ) -> label_volume.LabelledTooth:
     """The tooth of a label volume, kept for the next who asks: for the tool and for the stress the same is read."""
+    from meshes.ct.labels import header_names
     from meshes.images.reading import read_image
 
-    tooth = label_volume.labelled_tooth(read_image(file, spacing_mm=spacing_mm, labels=True))
+    image, named = read_image(file, spacing_mm=spacing_mm, labels=True), header_names(file)
+    known = named if set(named.values()) & set(TOOTH_LAYERS) else label_volume.CARIES_LABELS
+    tooth = label_volume.labelled_tooth(image, labels=known)
     return tooth.at_lesion() if over_lesion else tooth
 
 

@@ -21,6 +21,7 @@ def import_(
     crop: str | None = None,
     threshold: float | None = None,
     series: Annotated[int | None, Parameter(converter=whole)] = None,
+    spacing_mm: float | None = None,
     density: str = "auto",
     site: str | None = None,
     normal: str | None = None,
@@ -52,10 +53,13 @@ def import_(
         Value above which a voxel is bone; default suggested from the histogram.
     series
         Number of the series, of a folder that holds several.
+    spacing_mm
+        Distance between voxels of files that do not state it.
     density
         internal, a named law, or line:SLOPE,OFFSET; default internal where the image allows it.
     site
-        glenoid, femoral-head, humeral-head, vertebra, X,Y,Z in mm, or a .mrk.json file; default by the region's name.
+        glenoid, femoral-head, humeral-head, vertebra[:left], tooth[:lesion], X,Y,Z in mm, or .mrk.json; default by the
+        region's name.
     normal
         X,Y,Z: outward direction at a site that is a point; default that of the surface.
     coordinates
@@ -80,6 +84,7 @@ def import_(
         made = import_ct(
             source, out, labels=labels, label_names=label_names, region=region,
             crop_mm=None if box is None else (_three(box[:3]), _three(box[3:])), threshold=threshold, series=series,
+            spacing_mm=spacing_mm,
             density=density, site=_three(_numbers("site", site, 3, "X,Y,Z")) if site and "," in site else site,
             normal=None if normal is None else _three(_numbers("normal", normal, 3, "X,Y,Z")), coordinates=coordinates,
             path=path, feed_mm_s=feed_mm_s, keep_clear=keep_clear, like=like, parts=dict(map(_part, part)),

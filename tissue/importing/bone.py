@@ -73,14 +73,16 @@ def imported_bone(
         The law of the density, of what was asked for, the image and the labels.
     """
     report("reading the image", 0.0)
-    with names_of_caller({"file": "source", "anatomy.spacing_mm": "spacing in the header"}):
-        image = read_image(request.source, series=request.series)
+    with names_of_caller({"file": "source", "anatomy.spacing_mm": "spacing_mm"}):
+        image = read_image(request.source, spacing_mm=request.spacing_mm, series=request.series)
     found, histogram = inspect(image), histogram_of(image.values)
     labels = None
     if request.labels is not None:
         report("reading the labels", 0.0)
         with names_of_caller({"file": "labels", "names": "label_names"}):
-            labels = on_grid_of(read_labels(request.labels, names=request.label_names), image)
+            labels = on_grid_of(
+                read_labels(request.labels, names=request.label_names, spacing_mm=request.spacing_mm), image
+            )
     sentences = [*image.notes, *found.sentences(), *(labels.image.notes if labels else ())]
     report("calibrating the density", 0.0)
     law = _law(request, image, labels, law_of, found, sentences)

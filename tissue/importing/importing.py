@@ -21,6 +21,7 @@ from tissue.importing.pictures import draw_pictures
 from tissue.importing.placing import Placed, placed
 from tissue.importing.request import Coordinates, ImportRequest, Point
 from tissue.importing.scene_text import scene_name, scene_text
+from tissue.importing.tooth import import_tooth
 from tissue.system.outputs import output_locked, prepare_folder
 
 __all__ = ["Imported", "import_ct"]
@@ -38,6 +39,7 @@ def import_ct(
     crop_mm: Box | None = None,
     threshold: float | None = None,
     series: int | None = None,
+    spacing_mm: float | None = None,
     density: str = "auto",
     site: str | Point | None = None,
     normal: Point | None = None,
@@ -72,12 +74,14 @@ def import_ct(
         Value above which a voxel is bone, without labels; default suggested from the histogram.
     series
         Number of the series, of a folder that holds several.
+    spacing_mm
+        Distance between neighbours [mm] of files that do not state it, such as TIFF slices.
     density
         ``internal``, a named law, or ``line:SLOPE,OFFSET``, see `meshes.ct.laws.density_law`; ``auto`` is internal
         where the image allows it.
     site
-        ``glenoid``, ``femoral-head``, ``humeral-head``, ``vertebra``, a point [mm], or a file of 3D Slicer markups;
-        default by the region's name.
+        ``glenoid``, ``femoral-head``, ``humeral-head``, ``vertebra`` (``:left``, ``:right``), ``tooth``,
+        ``tooth:lesion``, a point [mm], or a file of 3D Slicer markups; default by the region's name.
     normal
         Outward direction at a site that is a point; default that of the surface.
     coordinates
@@ -107,9 +111,11 @@ def import_ct(
     """
     request = ImportRequest(
         Path(source), None if labels is None else Path(labels), label_names, region, crop_mm, threshold, series,
-        density, site, normal, coordinates, None if path is None else Path(path), feed_mm_s, tuple(keep_clear), like,
-        dict(parts or {}),
+        spacing_mm, density, site, normal, coordinates, None if path is None else Path(path), feed_mm_s,
+        tuple(keep_clear), like, dict(parts or {}),
     )  # fmt: skip
+    if request.is_tooth:
+        return import_tooth(request, Path(out), overwrite=overwrite, progress=progress)
     if request.is_soft:
         return import_organ(request, Path(out), overwrite=overwrite, pictures=pictures, progress=progress)
     return _import_bone(request, Path(out), overwrite=overwrite, pictures=pictures, progress=progress)

@@ -32,10 +32,12 @@ def import_organ(request: ImportRequest, out: Path, *, overwrite: bool, pictures
     """Write a soft organ of a request as a scene in a folder."""
     assert request.labels is not None and request.region is not None
     progress("reading the image", 0.0)
-    with names_of_caller({"file": "source", "anatomy.spacing_mm": "spacing in the header"}):
-        image = read_image(request.source, series=request.series)
+    with names_of_caller({"file": "source", "anatomy.spacing_mm": "spacing_mm"}):
+        image = read_image(request.source, spacing_mm=request.spacing_mm, series=request.series)
     with names_of_caller({"file": "labels", "names": "label_names"}):
-        labels = on_grid_of(read_labels(request.labels, names=request.label_names), image)
+        labels = on_grid_of(
+            read_labels(request.labels, names=request.label_names, spacing_mm=request.spacing_mm), image
+        )
     with names_of_caller({"label": "region"}):
         labels.number(request.region)
     for name, modulus in request.parts.items():

@@ -17,7 +17,10 @@ __all__ = ["NAMED_SITES", "Coordinates", "ImportRequest", "Point", "lps"]
 Coordinates = Literal["LPS", "RAS"]
 Point = tuple[float, float, float]
 
-NAMED_SITES = ("glenoid", "femoral-head", "humeral-head", "vertebra", "tooth:lesion")
+TEETH = ("tooth", "tooth:lesion")
+NAMED_SITES = (
+    "glenoid", "femoral-head", "humeral-head", "vertebra", "vertebra:left", "vertebra:right", *TEETH,
+)  # fmt: skip
 """Sites that are searched for."""
 MARKUPS = (".json", ".fcsv")
 SOFT = "liver|kidney|spleen|pancreas|prostate|bladder|brain|stomach|heart|lung|thyroid|muscle|gluteus|iliopsoas"
@@ -42,6 +45,8 @@ class ImportRequest:
         Value above which a voxel is bone, without labels.
     series
         Number of the series of a DICOM folder that holds several.
+    spacing_mm
+        Distance between neighbours [mm] of files that do not state it.
     density
         Law of the density: a name, ``line:...`` or ``internal``.
     site
@@ -72,6 +77,7 @@ class ImportRequest:
     crop_mm: Box | None = None
     threshold: float | None = None
     series: int | None = None
+    spacing_mm: float | None = None
     density: str = "auto"
     site: str | Point | None = None
     normal: Point | None = None
@@ -99,7 +105,9 @@ class ImportRequest:
             )
         if self.threshold is not None:
             require_range("threshold", self.threshold, -1e9, 1e9, "use about 226 for CT")
-        if self.labels is not None and self.region is None:
+        if self.is_tooth:
+            self._require_tooth()
+        elif self.labels is not None and self.region is None:
             raise InputError(
                 "region must be given with labels, got nothing: name the label that is the bone, such as --region "
                 "scapula_left"
@@ -145,6 +153,23 @@ class ImportRequest:
                 raise InputError(f"{name} must be left out for a soft organ, got {value}: leave it out")
         if isinstance(self.site, str):
             raise InputError(f"site must be a point for a soft organ, got {self.site}: give X,Y,Z in mm")
+
+    def _require_tooth(self) -> None:
+        """Refuse what has no effect on a tooth, and a tooth without labels."""
+        if self.labels is None:
+            raise InputError(f"labels must be given for site {self.site}, got nothing: give --labels FILE")
+        for name, value, without in (
+            ("region", self.region, None), ("density", self.density, "auto"), ("threshold", self.threshold, None),
+            ("path", self.path, None), ("keep_clear", self.keep_clear, ()), ("part", dict(self.parts), {}),
+            ("crop", self.crop_mm, None),
+        ):  # fmt: skip
+            if value != without:
+                raise InputError(f"{name} must be left out for a tooth, got {value}: leave it out")
+
+    @property
+    def is_tooth(self) -> bool:
+        """Whether the site is that of a tooth."""
+        return self.site in TEETH
 
     @property
     def is_soft(self) -> bool:

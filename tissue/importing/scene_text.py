@@ -3,6 +3,7 @@
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from meshes.base.errors import InputError
 from tissue.importing.placing import Placed
@@ -10,7 +11,7 @@ from tissue.scene.load import load_scene
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 
-__all__ = ["scene_name", "scene_text", "toml"]
+__all__ = ["scene_name", "scene_text", "stated", "toml"]
 
 USUAL = {"glenoid": "glenoid", "vertebra": "pedicle"}
 """Scene whose tool and motion are taken at a site where none is asked for."""
@@ -79,6 +80,11 @@ def scene_text(
     return _commented(toml(whole | tables), placed)
 
 
+def stated(scene: Scene) -> dict[str, Any]:
+    """What a scene states itself, without defaults."""
+    return scene.model_dump(mode="json", exclude_unset=True, exclude_none=True)
+
+
 def _taken(like: str | None, placed: Placed | None) -> dict[str, dict[str, object]]:
     """Tables of the scene that is followed: its head under an empty name, its guide hole, tool, motion and the like."""
     wanted = like or USUAL.get((placed.kind if placed else None) or "")
@@ -87,9 +93,7 @@ def _taken(like: str | None, placed: Placed | None) -> dict[str, dict[str, objec
     scene: Scene = load_scene(wanted)
     if not isinstance(scene.tool, Tool):
         raise InputError(f"like must be a scene in which a tool cuts, got {like}: use milling or glenoid")
-    import tomllib
-
-    table = tomllib.loads(scene.to_toml())
+    table = stated(scene)
     hole = {key: table["anatomy"][key] for key in HOLE if key in table["anatomy"]}
     parts = ("voxels", "tool", "motion", "cutting", "output", "coupling", "fidelity")
     return {

@@ -1,0 +1,108 @@
+"""A tooth of a segmentation to a scene: its layers in one label volume, a bur over its largest lesion."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from meshes.base.errors import InputError, names_of_caller
+from meshes.base.progress import Progress
+from meshes.ct.labels import Labels, on_grid_of, read_labels
+from meshes.images.reading import read_image
+from meshes.tooth.layers import TOOTH_LAYERS
+from tissue.importing.folder import Imported, write_labels, write_record
+from tissue.importing.request import ImportRequest
+from tissue.importing.scene_text import scene_name, stated, toml
+from tissue.scene.load import load_scene
+from tissue.system.outputs import output_locked, prepare_folder
+
+__all__ = ["import_tooth"]
+
+FILES = ("scene.toml", "import.json", "tooth.seg.nrrd")
+LIKE = "caries"
+"""Scene whose tool and motion are taken where none is asked for."""
+PARTS = ("voxels", "tool", "motion", "cutting", "output", "coupling", "duration_s", "device")
+MARGIN = 3
+"""Voxels kept around the tooth."""
+
+
+def import_tooth(request: ImportRequest, out: Path, *, overwrite: bool, progress: Progress) -> Imported:
+    """Write the tooth of a request as a scene in a folder."""
+    assert request.labels is not None
+    progress("reading the labels", 0.0)
+    with names_of_caller({"file": "labels", "names": "label_names"}):
+        labels = read_labels(request.labels, names=request.label_names, spacing_mm=request.spacing_mm)
+    sentences = list(labels.image.notes)
+    if request.source.resolve() != request.labels.resolve():
+        with names_of_caller({"file": "source", "anatomy.spacing_mm": "spacing_mm"}):
+            image = read_image(request.source, spacing_mm=request.spacing_mm, series=request.series)
+        on_grid_of(labels, image)  # refuses labels of another image
+        sentences = [*image.notes, *sentences]
+    tooth = _tooth(labels)
+    sentence, at_lesion = _site(tooth, request.site == "tooth:lesion")
+    sentences += [f"tooth: {', '.join(tooth.names.values())}", sentence]
+    table = stated(load_scene(request.like or LIKE))
+    anatomy = {"kind": "molar", "file": "tooth.seg.nrrd", "site": "caries" if at_lesion else "enamel"}
+    whole = {
+        "name": scene_name(out),
+        "description": f"tooth of {tooth.image.source}",
+        "anatomy": anatomy,
+        **{part: table[part] for part in PARTS if part in table},
+    }
+    with output_locked(out, folder=True):
+        prepare_folder(out, FILES, "import", overwrite=overwrite)
+        progress("writing files", 0.0)
+        write_labels(tooth, out / "tooth.seg.nrrd")
+        (out / "scene.toml").write_text(toml(whole), "utf-8")
+        write_record(_record(tooth, sentences), out / "import.json")
+    return Imported(out, out / "scene.toml", True, tuple(sentences))
+
+
+def _tooth(labels: Labels) -> Labels:
+    """The layers of a tooth alone, cropped to them."""
+    layers = {number: name for number, name in labels.names.items() if name in TOOTH_LAYERS}
+    for name in ("enamel", "dentin"):
+        if name not in layers.values():
+            held = ", ".join(list(labels.names.values())[:12])
+            raise InputError(
+                f"labels must name enamel and dentin for a tooth, got {held} in {labels.image.source}: name them by "
+                "--label-names FILE, of the names " + ", ".join(TOOTH_LAYERS)
+            )
+    values = np.where(np.isin(labels.image.values, list(layers)), labels.image.values, 0).astype(np.uint8)
+    held_at = [np.flatnonzero(values.any(axis=tuple(a for a in range(3) if a != axis))) for axis in range(3)]
+    first = np.array([max(int(each[0]) - MARGIN, 0) for each in held_at])
+    last = [int(each[-1]) + 1 + MARGIN for each in held_at]
+    x, y, z = (np.array(labels.image.origin_mm) + np.array(labels.image.spacing_mm) * first).tolist()
+    part = np.ascontiguousarray(values[tuple(slice(a, b) for a, b in zip(first.tolist(), last, strict=True))])
+    return Labels(replace(labels.image, values=part, origin_mm=(x, y, z)), layers)
+
+
+def _site(tooth: Labels, wanted: bool) -> tuple[str, bool]:
+    """Where the tool comes in, a sentence, and whether that is over a lesion."""
+    from scipy.ndimage import label
+
+    if not wanted:
+        return "site: where the tooth's long axis leaves the enamel", False
+    if "caries" not in tooth.names.values():
+        raise InputError(
+            f"site must not be tooth:lesion for a tooth without a label caries, got it for {tooth.image.source}: use "
+            "--site tooth"
+        )
+    pieces, _ = label(tooth.mask("caries"))
+    sizes = np.sort(np.bincount(pieces.ravel())[1:])[::-1]
+    volume = float(sizes[0] * np.prod(tooth.image.spacing_mm))
+    second = f"the second has {sizes[1] / sizes[0]:.1%} of it" if len(sizes) > 1 else "there is no other"
+    return f"site: over the largest lesion, {volume:.3g} mm3; {second}", True
+
+
+def _record(tooth: Labels, sentences: list[str]) -> dict[str, object]:
+    """What was found and assumed, as plain numbers."""
+    import tissue
+
+    size = float(np.prod(tooth.image.spacing_mm))
+    return {
+        "tissue": tissue.__version__,
+        "source": tooth.image.source,
+        "volume_mm3": {name: size * int(tooth.mask(name).sum()) for name in tooth.names.values()},
+        "sentences": sentences,
+    }
