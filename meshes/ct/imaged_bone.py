@@ -1,19 +1,24 @@
 """A bone surface as an anatomy with the density of a CT: layers by density and depth."""
 
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, require_ranges
 from meshes.images.frame import Image
+from meshes.images.itk import header_lines
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import Shape
 from meshes.surfaces.site import Site
 from meshes.surfaces.surface import Surface
 from meshes.voxels.mesh_sampling import TriangleSampler, triangle_distance
 
-__all__ = ["CORTICAL_ABOVE_KG_M3", "IMAGED_LAYERS", "imaged_anatomy"]
+__all__ = ["CORTICAL_ABOVE_KG_M3", "IMAGED_LAYERS", "LAW", "imaged_anatomy", "stated_law"]
 
 IMAGED_LAYERS = ("cortical", "subchondral", "trabecular")
+LAW = "density_law"
+"""Key of an image's header that states where its densities come from and how sure they are."""
 CORTICAL_ABOVE_KG_M3 = 1000.0
 """Apparent density from which bone is cortical: ash density 0.6 g/cm3, where Keyak (1998) changes from trabecular to
 cortical, over ash to apparent 0.598 (Schileo 2008)."""
@@ -93,6 +98,13 @@ def imaged_anatomy(
     sampler, placement = TriangleSampler(vertices, faces, threshold), site.placement(surface.report.scale_mm)
     caps = tuple(site.to_site(points) for points in surface.caps_m)
     return Anatomy(surface.report.source, solid, IMAGED_LAYERS, classify, notes, sampler, placement, caps)
+
+
+def stated_law(path: Path) -> str:
+    """What the header of an image of densities states of their law; nothing where it states none."""
+    if not path.name.lower().endswith((".nrrd", ".nhdr")):
+        return ""
+    return header_lines(path, ":", "")[0].get(LAW, "").removeprefix("=").strip()
 
 
 def _require_covered(surface: Surface, density: Image) -> None:

@@ -65,7 +65,7 @@ def bone_from_file(parameters: AnatomyFile, notes: dict[str, str]) -> Anatomy:
 def _filled(parameters: BoneAnatomy, surface: "Surface", site: "Site") -> Anatomy:
     """A bone whose inside is known: by the density of a CT, or by a surface around its core."""
     from meshes.ct.cored_bone import cored_anatomy
-    from meshes.ct.imaged_bone import imaged_anatomy
+    from meshes.ct.imaged_bone import imaged_anatomy, stated_law
     from meshes.images.reading import read_image
     from meshes.surfaces.surface import read_surface
 
@@ -75,13 +75,15 @@ def _filled(parameters: BoneAnatomy, surface: "Surface", site: "Site") -> Anatom
         return cored_anatomy(surface, core, site)
     with names_of_caller(dict.fromkeys(FILE_WORDS, "anatomy.density_file")):
         density = read_image(parameters.density_file)
-    return imaged_anatomy(
+    anatomy = imaged_anatomy(
         surface,
         site,
         density,
         cortical_above_kg_m3=parameters.cortical_above_kg_m3,
         articular_radius_mm=parameters.articular_radius_mm,
     )
+    law = stated_law(Path(parameters.density_file))
+    return replace(anatomy, notes={**anatomy.notes, "density law": law}) if law else anatomy
 
 
 def whole_image(scene: Scene, *, notes: dict[str, str]) -> VoxelVolume:

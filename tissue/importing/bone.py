@@ -45,6 +45,8 @@ class ImportedBone:
         Its triangles, closed.
     law, density
         The law of the density, and the density of each voxel [kg/m3]; None for an image of other units.
+    certainty
+        The law of the density in short, with its band; empty without density.
     sentences
         What a person should know.
     """
@@ -59,6 +61,7 @@ class ImportedBone:
     surface: Surface
     law: DensityLaw | None
     density: Image | None
+    certainty: str
     sentences: tuple[str, ...]
 
 
@@ -104,7 +107,10 @@ def imported_bone(
     surface = _surface(bone, found.source)
     sentences += [*bone.notes, f"bone of {bone.volume_mm3 * 1e-3:.4g} ml, {len(surface.faces)} triangles"]
     report("finding the density", 0.0)
-    density = None if law is None else _density(bone, law, sentences)
+    density, certainty = None, ""
+    if law is not None:
+        density, certainty = _density(bone, law)
+        sentences.append(f"density by {certainty} ({law.source})")
     return ImportedBone(
         found,
         histogram,
@@ -116,6 +122,7 @@ def imported_bone(
         surface,
         law,
         density,
+        certainty,
         tuple(sentences),
     )
 
@@ -157,14 +164,14 @@ def _law(
     return law_of(request.density, image, labels)
 
 
-def _density(bone: BoneOfImage, law: DensityLaw, sentences: list[str]) -> Image:
-    """The density of the bone's voxels."""
+def _density(bone: BoneOfImage, law: DensityLaw) -> tuple[Image, str]:
+    """The density of the bone's voxels, and its law in short with the band of its median."""
     density = bone.density(law)
     held = density.values[bone.field > bone.level]  # beyond the surface it goes on, to be interpolated
     middle = float(np.median(held))
     low, high = law.band(np.array([(middle - law.offset_kg_m3) / law.slope_kg_m3]))
-    sentences.append(
-        f"density by {law.name}: median {middle:.0f} kg/m3, 90 % between {low[0]:.0f} and {high[0]:.0f}; least "
-        f"{held.min():.0f}, greatest {held.max():.0f} ({law.source})"
+    certainty = (
+        f"{law.name}: median {middle:.0f} kg/m3, 90 % between {low[0]:.0f} and {high[0]:.0f}; least {held.min():.0f}, "
+        f"greatest {held.max():.0f}"
     )
-    return density
+    return density, certainty

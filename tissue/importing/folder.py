@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from meshes.base.whole_file import whole_file
+from meshes.ct.imaged_bone import LAW
 from meshes.ct.labels import Labels
 from meshes.images.frame import Image
 from meshes.surfaces.surface import Surface
@@ -47,9 +48,9 @@ def write_surface(surface: Surface, path: Path) -> None:
         mesh.save(temporary, binary=True)
 
 
-def write_density(density: Image, path: Path) -> None:
-    """Write densities as NRRD, whole kg/m3, in LPS."""
-    _write(density, path, {"content": "apparent density kg/m3"})
+def write_density(density: Image, path: Path, *, law: str) -> None:
+    """Write densities as NRRD, whole kg/m3, in LPS; `law` states where they come from and how sure they are."""
+    _write(density, path, {"content": "apparent density kg/m3", LAW: law})
 
 
 def write_labels(labels: Labels, path: Path) -> None:

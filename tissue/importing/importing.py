@@ -146,7 +146,7 @@ def _import_bone(request: ImportRequest, out: Path, *, overwrite: bool, pictures
         progress("writing files", 0.0)
         write_surface(bone.surface, out / "bone.ply")
         if bone.density is not None:
-            write_density(bone.density, out / "density.nrrd")
+            write_density(bone.density, out / "density.nrrd", law=bone.certainty)
         if bone.labels is not None:
             write_labels(_near(bone.labels, bone.bone.image), out / "labels.seg.nrrd")
         for name, surface in clear.items():

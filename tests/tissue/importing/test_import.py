@@ -62,6 +62,8 @@ def test_a_scene_is_ready_to_run(reference):
     assert np.allclose(scene.anatomy.centre_mm, TOP, atol=0.15)
     assert np.allclose(scene.anatomy.normal, (0.0, 0.0, 1.0), atol=0.02)
     assert force.max() > 1.0
+    notes = tissue.simulate(tissue.load_scene(made.scene, COARSE)).summary["notes"]
+    assert notes["density law"].startswith("line:1,500,apparent: median ") and "90 % between" in notes["density law"]
 
 
 def test_the_density_reaches_the_cutting_force(reference, tmp_path):
