@@ -64,6 +64,7 @@ def test_what_fits_no_energy_is_refused():
         fit_regions(regions_of({"air": -400.0, "muscle": 90.0, "cortex": 3000.0}), source="grey")
 
 
+@pytest.mark.slow
 def test_the_band_covers_tissues_that_differ_between_persons():
     """400 persons drawn from the priors at 60 to 100 keV: 90 % are held, standard error 1.5 %."""
     rng = np.random.default_rng(5)

@@ -178,6 +178,7 @@ def test_a_folder_of_an_energy_outside_the_tables_is_refused(tmp_path, capsys):
     assert "energy_keV must be in" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_real_ct_has_the_effective_energy_of_a_clinical_one(anatomy):
     """Chest and abdomen of TotalSegmentator's tests, by itself and by its labels."""
     image = read_image(anatomy / "ct" / "dicom")

@@ -105,6 +105,7 @@ def spine():
     return vertebra()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("move", "side"), [("turned", "left"), ("mirrored", "left"), ("in metres", "right")])
 def test_pedicles_of_a_vertebra_wherever_it_lies(spine, side, move):
     turn, unit = MOVES[move]
@@ -129,6 +130,7 @@ def test_the_other_pedicle_is_the_second_best_place(spine):
     assert 0.8 * found.score < found.second_score <= found.score
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("label", "whole"), [(30, False), (31, True), (32, True)])
 def test_vertebrae_of_a_ct(label, whole):
     """Labels of TotalSegmentator in voxels of 3 mm, LPS: +x is the left, +z up; the edge of the image cuts one off."""
@@ -152,6 +154,7 @@ def test_vertebrae_of_a_ct(label, whole):
     assert found.second_score < 0.7 * found.score
 
 
+@pytest.mark.slow
 def test_a_ring_is_no_vertebra():
     ring = trimesh.creation.torus(major_radius=20.0, minor_radius=6.0)
     with pytest.raises(InputError, match=r"file must show a vertebra.* got"):

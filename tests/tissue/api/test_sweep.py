@@ -196,6 +196,7 @@ if __name__ == "__main__":
 CALL = 'tissue.register.device("sprung", LIGHT)'
 
 
+@pytest.mark.slow
 def test_processes_know_the_parts_that_a_script_registers_at_its_top(tmp_path):
     """They import it; what it registers below its last lines is refused in a sentence, and nothing is run."""
     ended = []

@@ -129,6 +129,7 @@ def test_a_finger_from_a_file_feels_what_its_ball_feels(tmp_path):
     assert shell.trace["model_force_z_N"].max() == pytest.approx(ball.max(), rel=0.05)
 
 
+@pytest.mark.slow
 def test_capsule_gravity_and_fibres_run():
     plain = slab().trace["model_force_z_N"].max()
     assert slab(**{"organ.capsule": True}).trace["model_force_z_N"].max() > plain

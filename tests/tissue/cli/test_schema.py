@@ -33,7 +33,8 @@ def stated(table, entry, defs, where):
     assert part["additionalProperties"] is False and part["description"], where
     for name, value in table.items():
         inner = part["properties"][name]
-        if isinstance(value, dict):
+        free = any(isinstance(each.get("additionalProperties"), dict) for each in (inner, *inner.get("anyOf", ())))
+        if isinstance(value, dict) and not free:
             stated(value, inner, defs, f"{where}.{name}")
         else:
             assert inner["description"], f"{where}.{name}"

@@ -96,6 +96,7 @@ def test_the_force_picture_names_every_line(molar, tmp_path):
     assert file.read_bytes() == first
 
 
+@pytest.mark.slow
 def test_a_run_saves_pictures_in_vectors(molar, tmp_path):
     run = tissue.Run(molar).save(tmp_path / "run", pictures="svg")
     drawn = {each.name for each in (run / "pictures").iterdir()}

@@ -154,6 +154,7 @@ def test_a_tool_that_does_not_turn_feels_the_bone_and_cuts_nothing(device):
     assert 0.2 < played_N(run).max() <= limits.force_limit_N
 
 
+@pytest.mark.slow
 def test_what_a_controller_adds_is_not_extrapolated():
     """Its one-tick pulses passed through a predictor were spikes of 0.9 N; what is left is a force that is let go of."""
     late = {"coupling__delay_ms": 4, "prediction": "koopman"}

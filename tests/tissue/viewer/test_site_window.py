@@ -70,6 +70,7 @@ def test_saving_keeps_all_that_a_person_wrote(driven):
     assert any(line.startswith("normal = [") and line.endswith("]  # out") for line in written)
 
 
+@pytest.mark.slow
 def test_screenshot_of_an_imported_bone(tmp_path):
     from PIL import Image
 
