@@ -129,9 +129,10 @@ def molar(
         "caries": f"{caries_depth_mm:g} mm deep, {caries_diameter_mm:g} mm wide" if lesion else "none",
         "gum and cementum": "not modelled",
     }
-    classify = _layers(crown, roots, pulp_shape(crown, roots, roof), ligament, lesion)
-    whole = tooth | block
-    return Anatomy("procedural molar", whole, TOOTH_LAYERS, classify, notes, thin_layers=True)
+    pulp = pulp_shape(crown, roots, roof)
+    classify = _layers(crown, roots, pulp, ligament, lesion)
+    whole, parts = tooth | block, {"pulp": pulp}
+    return Anatomy("procedural molar", whole, TOOTH_LAYERS, classify, notes, thin_layers=True, structures=parts)
 
 
 def _require_fit(depth: float, roof: float, line: float) -> None:

@@ -15,7 +15,8 @@ from meshes.shapes.sdf import Shape
 from meshes.surfaces.surface import read_surface
 from meshes.voxels.mesh_sampling import triangle_distance
 from tissue.builders.parts import FILE_WORDS
-from tissue.builders.voxels import reach
+from tissue.builders.voxels import swept_box
+from tissue.cutters.body import body_points
 from tissue.cutters.cutter import Cutter
 from tissue.models.keep_clear import DistanceField, KeepClear
 from tissue.motion.motion import Motion
@@ -59,7 +60,8 @@ def keep_clear(
     InputError
         If the anatomy knows no such structure, or a file cannot be used.
     """
-    low, high = reach(cutter, motion, MARGIN_M)
+    points = body_points(cutter.profile, spacing_m=cutter.profile.radius_m / POINTS_ACROSS)
+    low, high = swept_box(points, motion, MARGIN_M)
     fields: dict[str, DistanceField] = {}
     for name in wanted.names:
         if name not in shapes:
@@ -69,7 +71,6 @@ def keep_clear(
     for name, file in wanted.files.items():
         report(f"measuring the distance from {name}", 0.0)
         fields[name] = distance_field(_of_file(name, file, placement), low, high)
-    points = cutter.shell(spacing_m=cutter.profile.radius_m / POINTS_ACROSS).points_m
     for name, field in fields.items():
         least = 1e3 * float(field.values_m.min())
         notes[f"keep clear of {name}"] = (

@@ -14,6 +14,7 @@ from meshes.shapes.polyline import arc_length, points_along
 from meshes.surfaces.glenoid import glenoid
 from meshes.tooth.layered_surfaces import layered_surfaces
 from meshes.tooth.molar import molar
+from meshes.vertebra.lumbar import lumbar_vertebra
 from meshes.voxels.volume import VoxelVolume
 from meshes.voxels.voxelise import AROUND_VOXELS, voxelise
 from tissue.builders.bone_from_file import Corners, bone_from_file, box_text, labelled_tooth, whole_image
@@ -23,6 +24,7 @@ from tissue.motion.motion import Motion
 from tissue.scene.anatomy import AnatomyFile, BlockAnatomy, BoneAnatomy, GlenoidAnatomy, MolarAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.unused_bone_keys import is_whole_image
+from tissue.scene.vertebra import VertebraAnatomy
 
 __all__ = [
     "is_procedural",
@@ -32,6 +34,7 @@ __all__ = [
     "require_whole",
     "solid_of",
     "structures",
+    "swept_box",
     "volume_of",
     "whole_tooth",
 ]
@@ -141,6 +144,18 @@ def _anatomy(scene: Scene, notes: dict[str, str]) -> Anatomy:
             curvature_radius_mm=parameters.curvature_radius_mm,
             subchondral_thickness_mm=parameters.subchondral_thickness_mm,
         )
+    elif isinstance(parameters, VertebraAnatomy):
+        anatomy = lumbar_vertebra(
+            body_width_mm=parameters.body_width_mm,
+            body_depth_mm=parameters.body_depth_mm,
+            body_height_mm=parameters.body_height_mm,
+            canal_width_mm=parameters.canal_width_mm,
+            canal_depth_mm=parameters.canal_depth_mm,
+            pedicle_width_mm=parameters.pedicle_width_mm,
+            pedicle_height_mm=parameters.pedicle_height_mm,
+            pedicle_angle_deg=parameters.pedicle_angle_deg,
+            pedicle_cortex_mm=parameters.pedicle_cortex_mm,
+        )
     else:
         assert isinstance(parameters, BlockAnatomy)
         anatomy = cortical_block(size_mm=parameters.size_mm, density_kg_m3=parameters.density_kg_m3)
@@ -163,7 +178,11 @@ def _named(parameters: AnatomyFile) -> AbstractContextManager[None]:
 
 def reach(cutter: Cutter, motion: Motion, margin: float) -> Corners:
     """Box around all that the cutting surface can reach, and a margin [m]."""
-    shell = cutter.shell(spacing_m=cutter.profile.radius_m / 8.0).points_m
+    return swept_box(cutter.shell(spacing_m=cutter.profile.radius_m / 8.0).points_m, motion, margin)
+
+
+def swept_box(shell: NDArray[np.float64], motion: Motion, margin: float) -> Corners:
+    """Box around all that points of the tool [m], shape (n, 3), can reach, and a margin [m]."""
     tips, rotations = motion.sweep_m(), motion.rotations()
     starts = np.arange(0, len(tips), max(len(tips) // 500, 1))
     turned = [shell @ turn.T for turn in rotations[starts]]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from kernels.revolution import EDGE_BEND
 from tissue.cutters.profile import Piece, Profile
 
-__all__ = ["Cutter", "DistanceTable", "PointShell"]
+__all__ = ["Cutter", "DistanceTable", "PointShell", "spiral"]
 
 TABLE_ERROR_VOXELS = 2.0e-4
 """Error of the distance table, curvature x cell^2 / 8, between these limits of its cells."""
@@ -110,7 +110,7 @@ class Cutter:
         Elements lie on golden-angle spirals, a Fibonacci lattice over each piece: no two share a height, so the rim of
         a cut never meets many at once, and sums over part of the surface converge almost as fast as over all of it.
         """
-        parts = [_spiral(piece, spacing_m=spacing_m) for piece in self.profile.pieces if piece.cutting]
+        parts = [spiral(piece, spacing_m=spacing_m) for piece in self.profile.pieces if piece.cutting]
         points, normals, areas = (np.concatenate(column) for column in zip(*parts, strict=True))
         order = np.concatenate(_patches(points, np.arange(len(points))))
         points, normals, areas = points[order], normals[order], areas[order]
@@ -146,7 +146,7 @@ class Cutter:
         )
 
 
-def _spiral(piece: Piece, *, spacing_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def spiral(piece: Piece, *, spacing_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Positions [m], normals and areas [m2] of elements of equal area over one piece."""
     count = max(ceil(piece.area_m2 / spacing_m**2), 16)
     share = np.linspace(0.0, 1.0, 4097)

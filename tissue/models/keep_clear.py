@@ -51,14 +51,14 @@ class _Breach:
 
 
 class KeepClear:
-    """Distance of a tool's whole surface from each of some structures.
+    """Distance of a tool's whole body from each of some structures.
 
-    The surface is that of the cutter as it is simulated, flank and back included; a shaft behind it is not.
+    The body is that of the cutter as it is simulated, peg, flank and back included; a shaft behind it is not.
 
     Parameters
     ----------
     points_m
-        Points of the tool's surface in its own frame [m], shape (n, 3).
+        Points of the tool's body in its own frame [m], shape (n, 3).
     fields
         Structures by name.
     device

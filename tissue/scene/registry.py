@@ -65,6 +65,13 @@ ANATOMIES: Registry[AnatomyEntry] = Registry(
             force_N="tissue.builders.force_met:cut",
             voxels="tissue.builders.cutting:milled_voxels",
         ),
+        "vertebra": AnatomyEntry(
+            "tissue.scene.vertebra:VertebraAnatomy",
+            "tissue.scene.tool:Tool",
+            "tissue.builders.cutting:milled",
+            force_N="tissue.builders.force_met:cut",
+            voxels="tissue.builders.cutting:milled_voxels",
+        ),
         "liver": AnatomyEntry(
             "tissue.scene.organ:LiverAnatomy",
             "tissue.scene.tool:Probe",

@@ -30,6 +30,7 @@ from tissue.scene.organ import LayersAnatomy, LiverAnatomy, Organ, SlabAnatomy
 from tissue.scene.registry import ANATOMIES, CUTTERS, CUTTING_MATERIALS, MOTIONS, NEEDLES, PERCEPTIONS, PROBES
 from tissue.scene.tool import Needle, PathMotion, Probe, ReplayMotion, ThrustMotion, Tool
 from tissue.scene.unused_keys import unused_keys
+from tissue.scene.vertebra import VertebraAnatomy
 
 __all__ = ["PARTS_WITH_FILES", "Cutting", "Output", "Scene", "Stress", "Voxels", "is_file_key"]
 
@@ -95,7 +96,8 @@ class Stress(Part):
 
 
 AnyAnatomy = Annotated[
-    GlenoidAnatomy
+    VertebraAnatomy
+    | GlenoidAnatomy
     | BlockAnatomy
     | BoneAnatomy
     | MolarAnatomy

@@ -1,0 +1,59 @@
+"""Points of a tool's whole body, by which it keeps clear of structures."""
+
+import numpy as np
+import pytest
+
+import tissue
+from tissue.cutters.body import body_points
+from tissue.cutters.profile import ball_burr, hemispherical_reamer, twist_drill
+from tissue.models.keep_clear import DistanceField, KeepClear
+from tissue.models.tissue_model import ToolMotion
+
+DIRECTIONS = np.random.default_rng(0).normal(size=(200, 3))
+DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1)[:, None]
+
+
+def test_body_reaches_as_far_as_its_profile():
+    """Support of the points in every direction against that of a ball, of a cone on a cylinder, and of a peg."""
+    ball = body_points(ball_burr(diameter_m=4e-3), spacing_m=2e-4)
+    assert np.abs((ball @ DIRECTIONS.T).max(axis=0) - 2e-3 * DIRECTIONS[:, 2] - 2e-3).max() < 1e-5
+    drill = body_points(twist_drill(diameter_m=3.2e-3, length_m=20e-3, point_angle_rad=2.06), spacing_m=2e-4)
+    shoulder, across = 1.6e-3 / np.tan(1.03), 1.6e-3 * np.hypot(DIRECTIONS[:, 0], DIRECTIONS[:, 1])
+    ends = [0.0 * across, across + shoulder * DIRECTIONS[:, 2], across + 20e-3 * DIRECTIONS[:, 2]]
+    assert np.abs((drill @ DIRECTIONS.T).max(axis=0) - np.maximum.reduce(ends)).max() < 1e-5
+    reamer = hemispherical_reamer(diameter_m=30e-3, peg_diameter_m=6e-3, peg_length_m=8e-3)
+    assert body_points(reamer, spacing_m=1e-3)[:, 2].min() == -8e-3
+
+
+def test_a_thin_structure_within_the_body_is_a_breach():
+    """A nerve of 0.6 mm in the middle of a burr of 4 mm touches nothing of its surface."""
+    axis = (np.arange(61) - 30.0) * 1e-4
+    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
+    nerve = DistanceField(np.full(3, -3e-3), 1e-4, (np.sqrt(x**2 + y**2 + z**2) - 3e-4).astype(np.float32))
+    found = KeepClear(body_points(ball_burr(diameter_m=4e-3), spacing_m=2e-4), {"nerve": nerve}, device="cpu")
+    tool = ToolMotion()
+    tool.tip_m[:] = (0.0, 0.0, -2e-3)
+    found.measure(tool)
+    assert found.measures[0] < 0.0
+
+
+@pytest.mark.slow
+def test_pulp_of_a_molar():
+    """What is left over the pulp is the distance from it, as long as the bur goes deeper."""
+    change = {"keep_clear.names": ["pulp"], "duration_s": 2.4, "voxels.spacing_mm": 0.1, "stress.cell_mm": 0.4}
+    run = tissue.simulate(tissue.load_scene("molar", change).model_copy(update={"stress": None}))
+    left = run.trace["dentin_over_pulp_mm"]
+    apart = np.abs(run.trace["distance_pulp_mm"] - left)[left < 2.5]
+    assert apart.max() < 0.15  # one is of voxels of 0.1 mm, half of one off; the other of rounded unions
+
+
+@pytest.mark.slow
+def test_a_pedicle_is_drilled_beside_the_canal_and_into_it():
+    """On its axis the drill stays as far off as the shapes give; led across, it breaches the canal."""
+    held = tissue.simulate(tissue.load_scene("pedicle", {"voxels.spacing_mm": 0.2}))
+    assert held.events == []
+    assert held.summary["keep_clear"]["canal"]["least_distance_mm"] == pytest.approx(6.14, abs=0.02)
+    astray = {"motion.start_mm": [5.0, 0.0, 1.0], "motion.axis": [-0.34, 0.0, 0.94], "voxels.spacing_mm": 0.2}
+    breached = tissue.simulate(tissue.load_scene("pedicle", astray))
+    assert breached.events[0][1].startswith("breached canal")
+    assert breached.summary["keep_clear"]["canal"]["breach_depth_mm"] > 1.0
