@@ -16,13 +16,13 @@ from tissue.scene.load import scene_names
     [
         (
             ("run", "gleniod"),
-            "scene must be a built-in name (caries, glenoid, liver-press, milling, molar, needle, palpation, wall) or a TOML file, got gleniod (did "
+            "scene must be a built-in name (caries, glenoid, liver-press, milling, molar, needle, palpation, pedicle, wall) or a TOML file, got gleniod (did "
             "you mean "
             "glenoid?): list them with `tissue scenes`",
         ),
         (
             ("scenes", "mill"),
-            "scene must be a built-in name (caries, glenoid, liver-press, milling, molar, needle, palpation, wall) or a TOML file, got mill (did you mean "
+            "scene must be a built-in name (caries, glenoid, liver-press, milling, molar, needle, palpation, pedicle, wall) or a TOML file, got mill (did you mean "
             "milling?): list them with `tissue scenes`",
         ),
         (("run", "x.toml"), "scene must be an existing file, got x.toml: check the path or list `tissue scenes`"),
