@@ -17,7 +17,8 @@ __all__ = ["cored_anatomy"]
 
 _FARTHEST_OUT_M = 0.5e-3
 """How far a core may reach out of the bone: surfaces that were smoothed apart."""
-_LEAST_WITHIN = 0.98
+_LEAST_TOUCHING = 0.2
+"""Share of a core's points that must lie in the bone or on it: a hollow cortex may be open, as a jaw's to its teeth."""
 
 
 def cored_anatomy(
@@ -79,10 +80,9 @@ def _require_within(surface: Surface, core: Surface) -> None:
     """Refuse a core that lies elsewhere: another bone, frame or unit."""
     points = core.vertices_m[:: max(len(core.vertices_m) // 2000, 1)]
     away = triangle_distance(surface.vertices_m, surface.faces, points)
-    within = float((away <= _FARTHEST_OUT_M).mean())
-    fills_it = float((np.abs(away) <= _FARTHEST_OUT_M).mean()) >= _LEAST_WITHIN
-    if within < _LEAST_WITHIN and not fills_it:
+    touching = float((away <= _FARTHEST_OUT_M).mean())
+    if touching < _LEAST_TOUCHING:
         raise InputError(
-            f"core_file must lie within anatomy.file, got {1.0 - within:.0%} of {core.report.source} outside "
+            f"core_file must lie within anatomy.file, got {1.0 - touching:.0%} of {core.report.source} outside "
             f"{surface.report.source}: give both in one frame and unit"
         )
