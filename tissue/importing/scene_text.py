@@ -13,7 +13,7 @@ from tissue.scene.tool import Tool
 
 __all__ = ["scene_name", "scene_text", "stated", "toml"]
 
-USUAL = {"glenoid": "glenoid"}
+USUAL = {"glenoid": "glenoid", **dict.fromkeys(("vertebra", "vertebra:left", "vertebra:right"), "pedicle")}
 """Scene whose tool and motion are taken at a site where none is asked for."""
 PLUNGE: Mapping[str, Mapping[str, object]] = {
     "voxels": {"spacing_mm": 0.2},
