@@ -3,6 +3,7 @@
 import os
 import platform
 from collections.abc import Callable, Iterable
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ from tissue.builders.parts import Parts
 from tissue.cutters.cutter import Cutter
 from tissue.models.tissue_model import TICK_S, HasVoxels
 from tissue.scene.scene import Scene
+from tissue.simulation.break_through import BreakThrough
 from tissue.simulation.run_folder import RunFolder
 from tissue.simulation.run_summary import FORMAT, Summary
 from tissue.simulation.scheduling import Scheduling
@@ -69,6 +71,7 @@ class Run:
         self._compute, self._folder, self.poses = compute, folder, poses
         self._fraction: NDArray[np.uint8] | None = None
         self.scheduling: Scheduling | None = None
+        self.break_throughs: list[BreakThrough] = []
         self.draw: Callable[[Run, Path, str], list[str]] | None = None
 
     @property
@@ -144,6 +147,7 @@ class Run:
             **by_clock,
             **(self.scheduling.summary(ticks_s=exposed_s) if self.scheduling is not None else {}),
             **({} if self.parts.keep_clear is None else {"keep_clear": self.parts.keep_clear.summary()}),
+            **({"break_through": list(map(asdict, self.break_throughs))} if self.break_throughs else {}),
             "events": [{"time_s": time, "what": what} for time, what in self.events],
             "compute": self._compute,
             **self.parts.placement_record,

@@ -23,6 +23,7 @@ from tissue.motion.motion import LONGEST_S, Motion
 from tissue.prediction.predictor import Predictor
 from tissue.scene.scene import Scene
 from tissue.scene.unused_keys import require_used
+from tissue.simulation.break_through import break_throughs
 from tissue.simulation.loop import Loop, undisturbed
 from tissue.simulation.run import Run
 from tissue.simulation.run_folder import RunFolder
@@ -205,9 +206,13 @@ def _loop(
         folder.flush(loop.ticks, force=True)
     if isinstance(motion, MovedByDevice) and motion.predictor is not None and (note := _foreseen(trace, motion)):
         parts.notes["prediction"] = note
-    events = sorted(loop.events + motion.happened(), key=lambda event: event[0])
+    broke = []
+    if parts.volume is not None and parts.cutter is not None and parts.cutter.spin_rad_s != 0.0:
+        broke = break_throughs(parts.volume, trace)
+    through = [(each.time_s, f"broke through, {each.plunge_mm:.2f} mm of plunge") for each in broke]
+    events = sorted(loop.events + motion.happened() + through, key=lambda event: event[0])
     run = Run(scene, parts, trace, timing, events=events, compute=compute, folder=folder, poses=loop.poses)
-    run.scheduling = scheduling
+    run.scheduling, run.break_throughs = scheduling, broke
     return run
 
 
