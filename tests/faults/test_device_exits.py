@@ -62,6 +62,7 @@ def test_a_normal_end_ramps_the_force_off(kind):
         np.testing.assert_allclose(np.diff(ramp)[:-1], -ramp[0] * TICK_S / RAMP_S, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "error", [OSError("the cable is out"), ValueError(), KeyboardInterrupt(), SystemExit(3)], ids=repr
 )

@@ -120,7 +120,7 @@ def test_every_kind_of_scene_is_walked_through():
     for name in scene_names():
         scene = load_scene(name)
         assert scene.anatomy.kind in anatomies and scene.tool.kind in tools and scene.motion.kind in motions
-    assert motions == {"path", "thrust", "replay"} and len(anatomies) == 8 and len(tools) == 10
+    assert motions == {"path", "thrust", "replay"} and len(anatomies) == 9 and len(tools) == 10
 
 
 @pytest.mark.parametrize("kind", NAMES)

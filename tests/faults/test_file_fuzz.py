@@ -58,6 +58,7 @@ def fuzz(sources, work, counts, first_seed):
     return outcomes, wrong
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("apart", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_whole_files_are_read(sources, apart):
     folder, by_reader = sources

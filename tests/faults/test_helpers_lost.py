@@ -96,6 +96,7 @@ def test_a_helper_that_is_stopped_is_given_up_and_sending_to_it_does_not_block(e
     assert gone(echo.number)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("does", "message"), [("sleep", "hangs and has done nothing for 1.5 s"), ("busy", "took longer than 2.5 s")]
 )

@@ -82,6 +82,7 @@ def test_dropped_and_repeated_samples_leave_it_bounded(wall, unseen):
         assert np.linalg.norm(predictor.predict(6)) < 2.0 * most
 
 
+@pytest.mark.slow
 def test_prediction_takes_a_loop_past_where_latency_makes_it_chatter():
     """At 1.5 kN/m and 4 ms the wall throws the device off again and again (24 switches); predicted, it is held (4)."""
     switches = {}

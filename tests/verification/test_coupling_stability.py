@@ -40,6 +40,7 @@ def test_eigenvalues_give_the_printed_table(wall_damping, delay, critical):
     assert found == pytest.approx(critical, abs=PRINTED_N_M[wall_damping])
 
 
+@pytest.mark.slow
 def test_running_loops_give_the_printed_table_and_the_eigenvalues():
     loops = [wall(wall_damping, delay) for wall_damping, delay, _ in TABLE]
     found = measured_critical_N_m(loops)

@@ -102,6 +102,7 @@ def test_element_removal_rate_integrates_to_the_voxel_volume(sharp_slot):
     assert from_elements == pytest.approx(rows[-1, 7] - rows[0, 7], rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("depth_m", [1e-4, 2e-4, 5e-4])
 def test_shallow_pass_over_a_cut_bottom_keeps_the_balance(depth_m):
     """A second pass, one to five voxels deeper than the first, removes by elements what it removes in voxels: 3 %.

@@ -75,6 +75,7 @@ def spread(name, plate_m, count):
     return np.linalg.norm(means - average, axis=1).max() / np.linalg.norm(average)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ball", "cylinder"])
 def test_a_turned_frame_changes_no_force(name):
     found = spread(name, 4.5e-4, 4)

@@ -58,6 +58,7 @@ QUICK = ((100, 0.25),)
 REST = [(contrast, depth) for contrast in TABLE for depth in TABLE[contrast] if (contrast, depth) not in QUICK]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("contrast", "depth"), [*QUICK, *(pytest.param(*entry, marks=pytest.mark.slow) for entry in REST)]
 )

@@ -135,6 +135,7 @@ def test_a_sweep_inside_bone_removes_a_straight_tube(along):
     assert abs(errors[1]) < 5e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("along", [(1.0, 0.0, 0.0), (1.0, 0.7, 0.0)])
 def test_a_cylinder_drawn_across_its_axis_leaves_flat_walls(along):
     """Twice its radius times the path in every layer of voxels that its ends do not reach: a round wall leaves 0.05 %."""

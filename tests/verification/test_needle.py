@@ -127,6 +127,7 @@ def wander(seed, count=24):
     return [*turns.tolist(), -60e-3]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tissue", TISSUES.values(), ids=TISSUES)
 @pytest.mark.parametrize("seed", range(3))
 def test_energy_is_lost_and_never_made(tissue, seed):
@@ -178,6 +179,7 @@ def two_insertions(tissue, depth_mm):
     return *works, 1e-3 * length[deep]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("toughness_J_m2", [76.0, 164.0, 225.0])
 def test_toughness_is_recovered_from_the_work_of_two_insertions(toughness_J_m2):
     """Work of a first insertion less that of a second along its track, per area of the crack (Gokgol 2012).

@@ -84,6 +84,7 @@ def test_column_without_friction():
     np.testing.assert_allclose(exact, frictionless(share), rtol=0.02)
 
 
+@pytest.mark.slow
 def test_batch_predicts_batch(anatomy, capsys):
     """Batch B within 10 % (L2) of the prediction to 30 % compression, all mixes and both limits of friction.
 

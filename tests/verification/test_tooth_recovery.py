@@ -117,6 +117,7 @@ def errors_by_the_load(cells):
     return errors
 
 
+@pytest.mark.slow
 def test_stress_beside_a_load():
     """Order 1.8 or more in the edge under a force spread over a ball."""
     cells = np.array([8, 12, 16, 24])

@@ -108,6 +108,7 @@ def test_no_load_needs_no_iteration():
     assert found.converged and found.iterations == 0 and not found.displacement_m.any()
 
 
+@pytest.mark.slow
 def test_removed_particles_leave_the_stiffness_of_a_fresh_assembly():
     """1,000 random removals, one update each: only touched cells are summed, and the result is the fresh one's bits."""
     body = ball_in_block(8, 42000.0)

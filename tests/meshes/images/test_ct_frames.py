@@ -167,6 +167,7 @@ def test_bone_surface_is_that_of_the_truth(tmp_path, part, bone):
     assert len(apart) > 10_000 and np.quantile(apart, 0.99) < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["dicom", ".nii.gz", ".nrrd", ".mhd"])
 @pytest.mark.parametrize("order", ["as it is", "permuted and mirrored"])
 def test_oblique_ct_gives_the_same_bone_within_half_a_voxel(tmp_path, part, bone, kind, order):

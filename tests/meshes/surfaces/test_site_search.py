@@ -123,6 +123,7 @@ def test_pedicles_of_a_vertebra_wherever_it_lies(spine, side, move):
     assert side in found.confidence
 
 
+@pytest.mark.slow
 def test_the_other_pedicle_is_the_second_best_place(spine):
     found = find_site("vertebra", as_surface(spine))
     mirrored = found.second_centre_mm * [-1.0, 1.0, 1.0]

@@ -70,6 +70,7 @@ def volumes_mm3(volume):
     return {name: 1e9 * volume.volume_m3(name) for name in TOOTH_LAYERS}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hollow", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_balls_have_their_volumes_and_the_overlap_goes_by_priority(hollow):
     """0.2 %: facets of the icospheres, and nine lines a voxel."""

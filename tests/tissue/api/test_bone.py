@@ -123,6 +123,7 @@ def test_a_second_pass_on_the_same_path_meets_nothing():
     assert second.removed_mm3[-1] < 1e-3 * first.removed_mm3[-1]
 
 
+@pytest.mark.slow
 def test_bricks_are_made_only_where_a_tool_has_been(tmp_path):
     """A rod of 400 mm at 0.1 mm is 6e8 voxels; a slot of 6 mm in it stores some hundred bricks."""
     rod = trimesh.creation.cylinder(radius=20, height=400, sections=200)

@@ -176,6 +176,7 @@ def test_what_holds_it_may_be_stated_in_any_form():
     assert finer == [finer[0]] * len(forms) and finer[0] > 49
 
 
+@pytest.mark.slow
 def test_a_surface_is_filled_and_its_inclusion_is_a_part(tmp_path):
     outer, inner = pyvista.Sphere(radius=20), pyvista.Sphere(radius=7, center=(0, 0, 9))
     inner.save(tmp_path / "cyst.stl")

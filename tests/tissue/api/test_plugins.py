@@ -76,6 +76,7 @@ def test_the_tests_of_the_example_package_pass(tmp_path):
 SPEAKS = "import sys\nprint('imported', file=sys.stderr)\n"
 
 
+@pytest.mark.slow
 def test_nothing_is_imported_before_it_is_asked_for(tmp_path):
     (tmp_path / "loud.py").write_text(SPEAKS + "def make(loop):\n    return loop\n")
     groups = (

@@ -84,6 +84,7 @@ def test_what_makes_no_scene_is_refused(scene):
             planned(scene, {"seed": values})
 
 
+@pytest.mark.slow
 def test_a_sweep_is_gone_on_with_and_lists_what_fails(scene, out, monkeypatch):
     found = tissue.sweep(scene, {"motion.feed_mm_s": [3.0, -6.0, 9.0]}, out=out)
     assert repr(found) == "<sweep of motion.feed_mm_s: 2 of 3 runs finished>"

@@ -27,13 +27,18 @@ def part_of(entry, table, defs):
     return fitting[0]
 
 
+def is_free(entry):
+    """Whether a table takes names of a person's own."""
+    return "patternProperties" in entry or isinstance(entry.get("additionalProperties"), dict)
+
+
 def stated(table, entry, defs, where):
     """Check that all entries of a table are in its part of the schema, described, and no others may."""
     part = part_of(entry, table, defs)
     assert part["additionalProperties"] is False and part["description"], where
     for name, value in table.items():
         inner = part["properties"][name]
-        free = any(isinstance(each.get("additionalProperties"), dict) for each in (inner, *inner.get("anyOf", ())))
+        free = any(is_free(each) for each in (inner, *inner.get("anyOf", ())))
         if isinstance(value, dict) and not free:
             stated(value, inner, defs, f"{where}.{name}")
         else:

@@ -165,6 +165,7 @@ def test_environments_in_one_process_do_not_touch_each_other():
     assert np.array_equal(alone, mixed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["sync", pytest.param("async", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", NAMES)
 def test_a_vector_of_environments_steps_as_each_alone(name, mode):

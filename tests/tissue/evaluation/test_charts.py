@@ -217,6 +217,7 @@ def test_an_interrupted_chart_goes_on_and_a_finished_one_is_not_measured_again(b
     assert run.parts.notes["fidelity"] and run.scene.fidelity is None
 
 
+@pytest.mark.slow
 def test_an_excerpt_ends_a_while_after_the_first_contact(block):
     short = excerpt(block, {"voxels.spacing_mm": 0.4}, quick=True)
     run = tissue.simulate(short)

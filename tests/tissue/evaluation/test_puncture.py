@@ -127,6 +127,7 @@ def test_an_earlier_stop_goes_less_far_and_none_less_than_what_the_springs_give_
     assert cued.excess_mm < 0.8 * by["force"] and not cued.early
 
 
+@pytest.mark.slow
 def test_a_fall_that_nobody_notices_has_no_stop_and_no_figure():
     never = run("force", kappa=0.5)
     assert never.stop_s == np.inf and np.isnan(never.excess_mm)
@@ -137,6 +138,7 @@ def test_the_place_of_the_puncture_does_not_matter():
     assert there.excess_mm == pytest.approx(run().excess_mm, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_push_and_another_one_another():
     once, again, other = (run(hand="intermediate", seed=seed) for seed in (3, 3, 4))
     np.testing.assert_array_equal(once.run.trace.rows, again.run.trace.rows)

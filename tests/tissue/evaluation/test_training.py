@@ -75,6 +75,7 @@ def test_runs_without_a_touch_set_no_figure():
         validated(trained, [free], 3.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "share", "primary"),
     [pytest.param("koopman", 0.42, 0.7, marks=pytest.mark.slow), ("koopman-look-ahead", 0.27, 1.0)],

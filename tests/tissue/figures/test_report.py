@@ -150,6 +150,7 @@ def test_tool_axis_is_the_third_column_of_the_rotation():
     np.testing.assert_allclose(tool_axes(turns.as_quat()), turns.as_matrix()[:, :, 2], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_pictures_show_something(run, tmp_path):
     from PIL import Image
 

@@ -196,6 +196,7 @@ def test_a_device_that_plays_torque_is_given_that_of_its_spring(name, changes):
     assert np.abs(turned[late]).max() > 1e-4
 
 
+@pytest.mark.slow
 def test_a_device_on_rails_that_tracks_the_path_feels_the_scripted_force():
     """The device goes where the path and the spring's stretch under the scripted force are: 2 to 7 mm along a slot."""
     changes = {"duration_s": 1.6, "voxels.spacing_mm": 0.1}

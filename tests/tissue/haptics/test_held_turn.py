@@ -130,6 +130,7 @@ def test_a_stopped_tool_sticks_inside_the_cone_and_slides_beyond_it():
     np.testing.assert_allclose(-response.wrench[0] / response.wrench[2], 0.3, rtol=0.15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("spring_Nm_rad", "turned_rad"), [(0.1, 0.1), (0.5, 8.0 * 3e-3 / 0.5)], ids=["flat", "on its rim"]
 )

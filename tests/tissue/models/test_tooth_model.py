@@ -116,11 +116,13 @@ def bits(run):
     return [run.trace.rows.tobytes(), *frames]
 
 
+@pytest.mark.slow
 def test_a_separate_process_gives_the_same_bits(run):
     """However long its solves take: the run above solved in this process, when the result was due."""
     assert bits(drill()) == bits(run)
 
 
+@pytest.mark.slow
 def test_the_end_of_the_other_process_is_reported_and_only_the_stress_is_lost(run, monkeypatch):
     begin = stress_process.StressProcess.begin
 
@@ -164,6 +166,7 @@ def test_the_tooths_own_columns(run):
     assert not run.trace.vectors("tooth", "um")[run.trace["contact_mm2"] == 0.0].any()
 
 
+@pytest.mark.slow
 def test_a_pulp_out_of_reach_is_not_measured():
     """Where the voxels hold none there is no column, rather than a number that means nothing."""
     run = drill(voxels__margin_mm=0.5, **{"motion__points_mm": [[0, 0, 0.2], [0, 0, -0.4]], "duration_s": 0.2})

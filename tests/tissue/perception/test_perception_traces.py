@@ -13,6 +13,7 @@ def by_hand(scene, **changes):
     return tissue.simulate(tissue.load_scene(scene, {"device": "touch", "seed": 3} | changes)).trace
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scene", "changes", "least_saved"),
     [

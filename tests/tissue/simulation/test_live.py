@@ -30,6 +30,7 @@ def no_display(monkeypatch):
     monkeypatch.setattr("tissue.simulation.live.run.display_problem", lambda: "there is no display")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", ["touch", "none"])
 def test_without_a_display_the_script_runs_and_gives_the_same_rows(no_display, device):
     scene = load_scene("wall", HALF | {"device": device})

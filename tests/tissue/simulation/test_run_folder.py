@@ -142,6 +142,7 @@ def test_a_damaged_scene_of_a_run_is_refused(copied, refused, content, sentence)
     assert SavedRun(folder).scene is None
 
 
+@pytest.mark.slow
 def test_a_runs_own_trace_replays_it(tmp_path):
     scene = load_scene("milling", {"voxels.spacing_mm": 0.4, "motion.feed_mm_s": 50.0, "duration_s": 0.809})
     first = simulate(scene, out=tmp_path / "first")
@@ -270,6 +271,7 @@ def test_a_run_killed_before_its_first_row_reads_back(tmp_path):
     assert len(SavedRun(folder.path).trace.rows) == 0
 
 
+@pytest.mark.slow
 def test_saving_twice_or_elsewhere_writes_the_same_files(tmp_path):
     run = simulate(load_scene("milling", {"voxels.spacing_mm": 0.4, "duration_s": 0.05}))
     for name in ("one", "two"):

@@ -47,6 +47,7 @@ class Push(FreeSpace):
         return response
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("low_pass_ms", [0.3, 1.0, 20.0])
 def test_a_step_of_force_is_answered_by_the_continuous_filters_own_values(monkeypatch, low_pass_ms):
     """A step at t = 0 gives 1 - exp(-t/a) at the end of every tick, without an error of discretisation."""
@@ -58,6 +59,7 @@ def test_a_step_of_force_is_answered_by_the_continuous_filters_own_values(monkey
     assert not trace["force_x_N"].any() and not trace.vectors("torque", "Nm").any()
 
 
+@pytest.mark.slow
 def test_no_low_pass_hands_the_models_force_on():
     run = run_of(output__low_pass_ms=0.0)
     for name, unit in AXES:
@@ -104,6 +106,7 @@ def test_the_removed_volume_is_that_of_the_layers_and_never_falls():
     assert not in_air.any()
 
 
+@pytest.mark.slow
 def test_the_seed_is_recorded(tmp_path):
     run = run_of(seed=42, device="touch", duration_s=0.01)
     assert run.scene.seed == 42
@@ -116,6 +119,7 @@ def test_a_run_in_memory_writes_nothing(tmp_path, monkeypatch):
     assert not os.listdir(tmp_path)
 
 
+@pytest.mark.slow
 def test_progress_names_what_is_done_and_never_falls_back():
     reported = []
     scene = load_scene("milling", COARSE | {"duration_s": 3.0})

@@ -121,6 +121,7 @@ def test_a_wall_is_a_face_under_all_of_the_path():
         assert tuple(face.bounds) == pytest.approx(expected, abs=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", ["touch", "none"])
 def test_a_pressed_wall_is_drawn_for_the_report(tmp_path, device):
     from PIL import Image
@@ -135,6 +136,7 @@ def test_a_pressed_wall_is_drawn_for_the_report(tmp_path, device):
     assert (dashes.sum() > 500) == (device == "touch")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("block", [2, 4])
 def test_the_drawn_bone_loses_what_the_tool_removes(tmp_path, monkeypatch, block):
     pytest.importorskip("pyvista")

@@ -107,6 +107,7 @@ def test_a_run_without_fields_is_reported(whole, tmp_path):
         view(whole, screenshot=tmp_path / "view.png", field="x")
 
 
+@pytest.mark.slow
 def test_a_stopped_run_is_named_so_and_shows_what_it_has(stopped, tmp_path):
     report = _screenshot(stopped, tmp_path / "view.png")
     assert report.splitlines()[0] == "run is incomplete: it was interrupted at 0.149 s of 0.3 s"

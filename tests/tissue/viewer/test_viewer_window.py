@@ -187,6 +187,7 @@ def test_a_movie_is_drawn_without_a_display(pressed, tmp_path, monkeypatch):
         assert (np.abs(late - early)[50:320, 120:580].max(axis=2) > 30).mean() > 0.02
 
 
+@pytest.mark.slow
 def test_the_press_is_drawn_for_the_report(pressed, tmp_path):
     from PIL import Image
 
