@@ -16,6 +16,8 @@ __all__ = [
     "counted",
     "in_brackets",
     "in_callers_words",
+    "is_file",
+    "is_folder",
     "names_of_caller",
     "require_direction",
     "require_file",
@@ -127,6 +129,22 @@ def require_direction(
     return vector / length
 
 
+def is_file(file: Path) -> bool:
+    """Whether a file is there; one whose name the system cannot take is not."""
+    try:
+        return file.is_file()
+    except OSError:
+        return False
+
+
+def is_folder(path: Path) -> bool:
+    """Whether a folder is there; one whose name the system cannot take is not."""
+    try:
+        return path.is_dir()
+    except OSError:
+        return False
+
+
 def require_file(file: Path, content: str) -> None:
     """Refuse a file that is missing or empty, where it should hold `content`, such as "a surface".
 
@@ -135,7 +153,7 @@ def require_file(file: Path, content: str) -> None:
     InputError
         If it is.
     """
-    if not file.is_file():
+    if not is_file(file):
         raise InputError(f"file must exist, got {file}: check the path, which is taken from the working directory")
     if file.stat().st_size == 0:
         raise InputError(f"file must hold {content}, got the empty file {file.name}: export it again")

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, by, require_file
+from meshes.base.errors import InputError, by, is_folder, require_file
 from meshes.images.data import first_bytes
 from meshes.images.frame import Image
 from meshes.images.itk import header_lines
@@ -95,7 +95,7 @@ def read_labels(path: str | Path, *, names: str | Path | None = None, spacing_mm
         If a file cannot be used, values are no labels, masks lie on different grids, or a name has no number.
     """
     path = Path(path)
-    if path.is_dir():
+    if is_folder(path):
         if names is not None:
             raise InputError(
                 f"names must be left out for a folder of masks, whose files name them, got {names}: remove it"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from meshes.base.errors import InputError, by, require_file, require_positive
+from meshes.base.errors import InputError, by, is_folder, require_file, require_positive
 from meshes.images.dicom import read_dicom
 from meshes.images.frame import Image, StoredImage, along_lps
 from meshes.images.metaimage import read_metaimage
@@ -86,7 +86,7 @@ def read_image(
 
 def _stored(path: Path, series: int | None) -> StoredImage:
     """The image of a file or DICOM folder, as stored."""
-    if path.is_dir():
+    if is_folder(path):
         return read_dicom(path, series=series)
     if series is not None:
         raise InputError(f"series must be left out for a file, got {series} for {path.name}: it holds one image")
@@ -103,9 +103,9 @@ def _tiff_slices(path: Path) -> list[Path]:
         if not found:
             raise InputError(f"file must exist, got {path}, which matches nothing: check the folder and the pattern")
         return found
-    if not path.is_dir():
+    if not is_folder(path):
         require_file(path, "an image")
-    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    files = sorted(path.iterdir()) if is_folder(path) else [path]
     return [file for file in files if file.suffix.lower() in (".tif", ".tiff")]
 
 

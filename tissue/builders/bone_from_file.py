@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, names_of_caller
+from meshes.base.errors import InputError, is_file, names_of_caller
 from meshes.base.progress import Progress
 from meshes.shapes.anatomy import Anatomy
 from meshes.tooth import label_volume
@@ -116,7 +116,7 @@ def labelled_tooth(
     """A tooth from a label volume, or the part of it in a box of the site's frame [m]."""
     remarks: list[str] = []
     file = Path(scene.bone.file or "")
-    stamp = file.stat() if file.is_file() else None
+    stamp = file.stat() if is_file(file) else None
     report("reading the label volume", 0.0)
     over_lesion = isinstance(scene.bone, MolarAnatomy) and scene.bone.site == "caries"
     tooth = _read_tooth(file, scene.bone.spacing_mm, over_lesion, stamp and (stamp.st_mtime_ns, stamp.st_size))

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, names_of_caller
+from meshes.base.errors import InputError, is_file, names_of_caller
 from meshes.shapes.polyline import arc_length, points_along
 from meshes.tets.tetrahedra import TetMesh
 from tissue.builders.parts import FILE_WORDS
@@ -39,7 +39,7 @@ def shell(tool: Probe) -> ShellProbe:
         If its file is missing, or holds no closed surface.
     """
     file = Path(tool.file or "")
-    if not file.is_file():
+    if not is_file(file):
         raise InputError(f"tool.file must exist, got {file}: check the path")
     try:
         with names_of_caller(dict.fromkeys(("mesh", *FILE_WORDS), "tool.file")):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, is_file
 from meshes.paths.replay_table import POSE_COLUMNS
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.motion.motion import LONGEST_S, Motion
@@ -97,7 +97,7 @@ def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
     InputError
         If the file is missing, lacks a column, holds values that are not finite, or its times do not increase.
     """
-    if not path.is_file():
+    if not is_file(path):
         raise InputError(f"motion.file must be an existing table, got {path}: give a CSV such as a run's trace.csv")
     try:
         with path.open(newline="", encoding="utf-8") as file:
