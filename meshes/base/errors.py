@@ -27,6 +27,7 @@ __all__ = [
     "require_vector",
 ]
 
+_LONGEST_PATH = 500
 NUMBER = r"(?<![\w.+-])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.])"
 
 
@@ -129,6 +130,12 @@ def require_direction(
     return vector / length
 
 
+def _short(file: Path) -> str:
+    """A path as a sentence can hold it."""
+    text = str(file)
+    return text if len(text) <= _LONGEST_PATH else f"{text[: _LONGEST_PATH // 2]}...{text[-_LONGEST_PATH // 2 :]}"
+
+
 def is_file(file: Path) -> bool:
     """Whether a file is there; one whose name the system cannot take is not."""
     try:
@@ -154,7 +161,9 @@ def require_file(file: Path, content: str) -> None:
         If it is.
     """
     if not is_file(file):
-        raise InputError(f"file must exist, got {file}: check the path, which is taken from the working directory")
+        raise InputError(
+            f"file must exist, got {_short(file)}: check the path, which is taken from the working directory"
+        )
     if file.stat().st_size == 0:
         raise InputError(f"file must hold {content}, got the empty file {file.name}: export it again")
 

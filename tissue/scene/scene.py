@@ -39,6 +39,10 @@ PARTS_WITH_FILES = ("anatomy", "motion", "tool", "coupling")
 """Parts of a scene with keys that name files."""
 
 
+LONGEST_PATH = 1000
+"""Characters of a file's path: more is no path of a person's."""
+
+
 def is_file_key(name: str) -> bool:
     """Whether a key of such a part names a file."""
     return name == "file" or name.endswith("_file")
@@ -180,6 +184,11 @@ class Scene(Part):
 
     @model_validator(mode="after")
     def _parts_fit(self) -> "Scene":
+        for part in PARTS_WITH_FILES:
+            for name, value in getattr(self, part):
+                if is_file_key(name) and isinstance(value, str) and len(value) > LONGEST_PATH:
+                    least = f"at most {LONGEST_PATH} characters, got {len(value)}"
+                    raise InputError(f"{part}.{name} must be a path of {least}: shorten it")
         kind, wanted = self.anatomy.kind, loaded(ANATOMIES[self.anatomy.kind].tool)
         if not isinstance(self.tool, wanted):
             names = ", ".join(kinds_of(wanted))
