@@ -11,7 +11,7 @@ from meshes.base.file_version import package_version
 from meshes.base.isolated_parser import parse_isolated
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
-from tissue.evaluation.html import html_page
+from tissue.system.html import html_page
 from tissue.reporting.browser_viewer import empty_scene, viewer_scripts
 from tissue.reporting.charts import charts, columns
 from tissue.reporting.materials import used_constants

@@ -14,7 +14,7 @@ from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.atlas.drawing import picture
 from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict
-from tissue.evaluation.html import html_page, html_picture
+from tissue.system.html import html_page, html_picture
 from tissue.system.outputs import prepare_folder, write_columns
 
 __all__ = ["chosen_pages", "write_atlas"]
