@@ -15,9 +15,7 @@ __all__ = ["FittedConstant", "draw_constants", "draw_measured", "draw_residuals"
 Array = NDArray[np.float64]
 
 MEASURED, SIMULATED, PRIOR = "0.55", "#0072B2", "0.75"
-LAGS = 40
-"""Samples over which the autocorrelation of residuals is drawn."""
-ROW, FRAME = 0.34, 1.5
+ROW, FRAME = 0.44, 1.0
 """Height of a constant's row, and of what is around the rows [in]."""
 
 
@@ -64,7 +62,8 @@ def draw_measured(times_s: Array, measured: Array, simulated: Array, channels: S
     groups = [(unit, [at for at, name in enumerate(channels) if name.endswith(f"_{unit}")]) for unit in ("N", "Nm")]
     groups = [(unit, places) for unit, places in groups if places]
     chart = figure(8.0, 0.9 + 2.9 * len(groups))
-    panels = chart.subplots(2 * len(groups), 1, sharex=True, height_ratios=(2.0, 1.0) * len(groups), squeeze=False)[:, 0]
+    rows = 2 * len(groups)
+    panels = chart.subplots(rows, 1, sharex=True, height_ratios=(2.0, 1.0) * len(groups), squeeze=False)[:, 0]
     chart.subplots_adjust(left=0.11, right=0.98, top=0.93, bottom=0.5 / (0.9 + 2.9 * len(groups)), hspace=0.22)
     for (unit, places), loads, rest in zip(groups, panels[::2], panels[1::2], strict=True):
         shown, what = ("N m", "torque") if unit == "Nm" else ("N", "force")
@@ -76,7 +75,7 @@ def draw_measured(times_s: Array, measured: Array, simulated: Array, channels: S
         loads.plot([], [], color=MEASURED, linewidth=2.2, label="measured")
         loads.set_ylabel(f"{what} / {shown}")
         rest.set_ylabel(f"residual / {shown}")
-        loads.legend(frameon=False, ncols=len(places) + 1, loc="lower left", bbox_to_anchor=(0.0, 0.98))
+    panels[0].legend(frameon=False, ncols=4, loc="lower left", bbox_to_anchor=(0.0, 0.98))
     panels[-1].set_xlabel("time / s")
     plain(panels)
     save(chart, path)
@@ -122,16 +121,20 @@ def draw_constants(constants: Sequence[FittedConstant], path: Path) -> None:
     height = FRAME + ROW * len(constants)
     chart = figure(8.0, height)
     axes = chart.subplots()
-    chart.subplots_adjust(left=0.3, right=0.62, top=1.0 - 0.75 / height, bottom=0.6 / height)
+    chart.subplots_adjust(left=0.34, right=0.7, top=1.0 - 0.4 / height, bottom=0.55 / height)
     for row, one in enumerate(constants):
-        axes.barh(row, 3.29, left=-1.645, height=0.62, color=PRIOR, linewidth=0.0)
+        axes.barh(row, 3.29, left=-1.645, height=0.7, color=PRIOR, linewidth=0.0)
         low, middle, high = one.fitted_z
         colour = SIMULATED if one.is_identified else "0.45"
         axes.plot([low, high], [row, row], color=colour, linewidth=3.2, solid_capstyle="butt")
         axes.plot(middle, row, "o", color=colour, markersize=5.0)
         cited, found = (f"{value:.3g} ({least:.3g} to {most:.3g})" for least, value, most in (one.cited, one.fitted))
-        text = f"{found} {one.unit}" if one.is_identified else f"stays at {cited} {one.unit}"
-        axes.text(1.03, row, text, transform=axes.get_yaxis_transform(), va="center", fontsize=8.0, color=colour)
+        across = axes.get_yaxis_transform()
+        result = f"{found} {one.unit}" if one.is_identified else "not narrowed by this log"
+        axes.text(1.03, row - 0.2, result, transform=across, va="center", fontsize=8.0, color=colour)
+        axes.text(
+            1.03, row + 0.22, f"cited {cited} {one.unit}", transform=across, va="center", fontsize=7.5, color="0.45"
+        )
     axes.barh(0, 0, color=PRIOR, label="cited")
     axes.plot([], [], "o-", color=SIMULATED, linewidth=3.2, label="fitted")
     axes.legend(frameon=False, ncols=2, loc="lower left", bbox_to_anchor=(0.0, 1.0))

@@ -11,7 +11,6 @@ from meshes.base.file_version import package_version
 from meshes.base.isolated_parser import parse_isolated
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
-from tissue.system.html import html_page
 from tissue.reporting.browser_viewer import empty_scene, viewer_scripts
 from tissue.reporting.charts import charts, columns
 from tissue.reporting.materials import used_constants
@@ -19,6 +18,7 @@ from tissue.reporting.page import events_table, figures_of, materials_table, not
 from tissue.reporting.stage import stage
 from tissue.scene.texts import folders_of
 from tissue.simulation.run_folder import SavedRun
+from tissue.system.html import html_page
 from tissue.viewer.run import require_whole
 
 __all__ = ["NAME", "write_report"]

@@ -10,7 +10,6 @@ from meshes.base.errors import InputError
 from meshes.base.file_version import package_version
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
-from tissue.system.html import html_page, html_picture
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.cases import case_sections, discrimination_section
 from tissue.evaluation.study.fidelity import force_section, latency_section, task_section
@@ -22,6 +21,7 @@ from tissue.evaluation.study.section import Section
 from tissue.evaluation.study.sensitivity import reference_section, sensitivity_section, speed_section
 from tissue.evaluation.study.tasks import TASKS
 from tissue.evaluation.study.tested import composite_section, power_section, regression_section, tests_sections
+from tissue.system.html import html_page, html_picture
 from tissue.system.outputs import output_locked
 
 __all__ = ["sections_of", "write_report"]
