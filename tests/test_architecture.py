@@ -34,7 +34,7 @@ LAYERS = (
     ("tissue.builders",),
     ("tissue.simulation",),
     ("tissue.figures",),
-    ("tissue.viewer", "tissue.evaluation"),
+    ("tissue.viewer", "tissue.evaluation", "tissue.fitting", "tissue.uncertainty"),
     ("tissue.reporting", "tissue.importing"),
     ("tissue.api",),
     ("tissue.cli", "tissue.environments"),

@@ -1,0 +1,1 @@
+"""Constants identified from a measured force log: what the log determines, what it does not, what to measure next."""

@@ -1,0 +1,198 @@
+"""The prior of a cited constant: a smooth, increasing map of a standard normal number through its value and range."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import erf, erfc, erfinv, ndtr, ndtri
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from tissue.materials.constants import Constant
+
+__all__ = ["Prior"]
+
+Z_95 = 1.6448536269514722
+"""95 % quantile of a standard normal number."""
+W_95 = 1.959963984540054
+"""95 % quantile of its absolute value."""
+BOUNDS = {"poisson_ratio": (0.0, 0.49995), "prony_g1": (0.0, 0.5), "prony_g2": (0.0, 0.5), "heat_share": (0.0, 1.0)}
+"""Least and greatest value that a scene can be built with, by the name of a constant whose range comes near them:
+solids close to incompressible, and shares of relaxation whose sum stays below one."""
+NEAR_ZERO = 0.05
+"""Where a range begins at zero, values below this share of the cited one are squeezed above zero."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Distribution of a constant: `value` is its median, `low` and `high` its 5 and 95 % quantiles.
+
+    A number z ~ N(0, 1) becomes y = y_value + c (exp(g z) - 1), the shifted log-normal (or normal) through the three
+    quantiles, and y the constant x: y = ln x where the range is positive, y = x where it holds negative numbers,
+    y = logit of x between `bounds` where there are any. A range from zero has y = s ln(exp(x / s) - 1), which is x
+    where x is well above s = 0.05 value, and keeps x positive: its `low` is 0.035 value. A value at one
+    end of its range has a half-normal law on the other side, 95 % of it inside.
+
+    Attributes
+    ----------
+    value, low, high
+        In the unit of the constant.
+    bounds
+        Least and greatest value, which no draw leaves; None for a constant without.
+
+    Raises
+    ------
+    InputError
+        If the value lies outside its range, or a number is not finite.
+    """
+
+    value: float
+    low: float
+    high: float
+    bounds: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite([self.low, self.high]).all() and self.low <= self.value <= self.high):
+            raise InputError(
+                f"range must hold the value {self.value:g}, got [{self.low:g}, {self.high:g}]: give its 5 and 95 % "
+                "quantiles"
+            )
+
+    @classmethod
+    def of(cls, constant: Constant, name: str) -> "Prior":
+        """Prior of a cited constant.
+
+        Parameters
+        ----------
+        constant
+            Value and range.
+        name
+            Its name, such as ``soft.liver.poisson_ratio``: its last part decides the bounds.
+        """
+        bounds = BOUNDS.get(name.rpartition(".")[2])
+        is_inside = bounds is not None and bounds[0] < constant.low and constant.high < bounds[1]
+        return cls(constant.value, constant.low, constant.high, bounds if is_inside else None)
+
+    @property
+    def fixed(self) -> bool:
+        """Whether the range is a single number, so that there is nothing to identify."""
+        return self.low == self.high
+
+    def x(self, z: ArrayLike) -> Array:
+        """Value of the constant for standard normal numbers, of any shape."""
+        return self._from_y(self._y(np.asarray(z, dtype=float)))
+
+    def slope(self, z: ArrayLike) -> Array:
+        """Derivative dx/dz, of the shape of z."""
+        z = np.asarray(z, dtype=float)
+        x = self.x(z)
+        slope_y = self._slope_y(z)
+        if self.bounds is not None:
+            least, most = self.bounds
+            return slope_y * (x - least) * (most - x) / (most - least)
+        if self._is_log:
+            return slope_y * x
+        if self._is_near_zero:
+            return slope_y * -np.expm1(-x / self._squeeze)
+        return slope_y
+
+    def z(self, x: ArrayLike) -> Array:
+        """Standard normal numbers of values, of any shape; infinite outside the support."""
+        x = np.asarray(x, dtype=float)
+        if self.fixed:
+            return np.zeros(x.shape)
+        share = (self._to_y(x) - self._knots[1]) / self._span
+        if self._is_one_sided:
+            w = W_95 * np.maximum(share, 0.0)
+            with np.errstate(divide="ignore"):
+                z = np.where(w > 1.0, -ndtri(erfc(w / np.sqrt(2.0))), ndtri(erf(w / np.sqrt(2.0))))
+            return z if self._span > 0.0 else -z
+        skew = self._skew
+        stretched = np.maximum(share * np.expm1(skew), -1.0)
+        with np.errstate(divide="ignore"):
+            grown = np.log1p(stretched)
+        return Z_95 * (share if abs(skew) < 1e-9 else grown / skew)
+
+    @property
+    def _is_one_sided(self) -> bool:
+        return self.value in (self.low, self.high)
+
+    @property
+    def _is_log(self) -> bool:
+        return self.bounds is None and self.low > 0.0
+
+    @property
+    def _is_near_zero(self) -> bool:
+        return self.bounds is None and self.low == 0.0 < self.value
+
+    @property
+    def _squeeze(self) -> float:
+        return NEAR_ZERO * self.value
+
+    @cached_property
+    def _knots(self) -> tuple[float, float, float]:
+        """The coordinate y of low, value and high."""
+        low, value, high = self._to_y(np.array([self.low, self.value, self.high])).tolist()
+        return (0.0 if self._is_near_zero else low), value, high
+
+    @property
+    def _span(self) -> float:
+        """From the value to the end of the range, in y; the upper end, or the only one on another side."""
+        low, value, high = self._knots
+        return low - value if self.value == self.high else high - value
+
+    @cached_property
+    def _skew(self) -> float:
+        """Logarithm of the ratio of the upper to the lower half of the range, in y."""
+        low, value, high = self._knots
+        return float(np.log((high - value) / (value - low)))
+
+    def _y(self, z: Array) -> Array:
+        middle = self._knots[1]
+        if self.fixed:
+            return np.full(z.shape, middle)
+        if self._is_one_sided:
+            return middle + self._span * _absolute(z if self._span > 0.0 else -z) / W_95
+        return middle + self._span * z / Z_95 * _relative(self._skew * z / Z_95) / _relative(self._skew)
+
+    def _slope_y(self, z: Array) -> Array:
+        if self.fixed:
+            return np.zeros(z.shape)
+        if self._is_one_sided:
+            w = _absolute(z if self._span > 0.0 else -z)
+            return abs(self._span) / W_95 * 0.5 * np.exp(0.5 * (w * w - z * z))
+        return self._span / Z_95 * np.exp(self._skew * z / Z_95) / _relative(self._skew)
+
+    def _to_y(self, x: Array) -> Array:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            if self.bounds is not None:
+                return np.log(x - self.bounds[0]) - np.log(self.bounds[1] - x)
+            if self._is_log:
+                return np.log(x)
+            if self._is_near_zero:
+                return x + self._squeeze * np.log(-np.expm1(-x / self._squeeze))
+            return x
+
+    def _from_y(self, y: Array) -> Array:
+        if self.bounds is not None:
+            least, most = self.bounds
+            return least + (most - least) * np.exp(-np.logaddexp(0.0, -y))
+        if self._is_log:
+            return np.exp(y)
+        if self._is_near_zero:
+            return self._squeeze * np.logaddexp(0.0, y / self._squeeze)
+        return y
+
+
+def _relative(power: ArrayLike) -> Array:
+    """(exp(power) - 1) / power, one at zero."""
+    power = np.asarray(power, dtype=float)
+    small = np.abs(power) < 1e-9
+    return np.where(small, 1.0 + 0.5 * power, np.expm1(power) / np.where(small, 1.0, power))
+
+
+def _absolute(z: Array) -> Array:
+    """The absolute value of a normal number, by its quantile: increasing in z, from zero."""
+    upper = -ndtri(0.5 * ndtr(-np.maximum(z, 0.0)))
+    return np.where(z > 0.0, upper, np.sqrt(2.0) * erfinv(ndtr(np.minimum(z, 0.0))))
