@@ -63,8 +63,10 @@ class Labels:
         return found[0]
 
     def mask(self, name: str) -> NDArray[np.bool_]:
-        """Where a label is, shape of the image; raises as `number`."""
-        found: NDArray[np.bool_] = self.image.values == self.number(name)
+        """Where a label is, or all that share its name, shape of the image; raises as `number`."""
+        one = self.number(name)
+        alike = [number for number, each in self.names.items() if each == self.names[one]]
+        found: NDArray[np.bool_] = self.image.values == one if len(alike) == 1 else np.isin(self.image.values, alike)
         return found
 
 

@@ -83,7 +83,9 @@ class Surface:
     scanned: Triangles
 
 
-def read_surface(path: str | Path, *, scale_mm: float | None = None, cut_off: bool = False) -> Surface:
+def read_surface(
+    path: str | Path, *, scale_mm: float | None = None, cut_off: bool = False, every_piece: bool = False
+) -> Surface:
     """Read a surface from STL, OBJ, PLY, VTK or VTP and make it enclose a solid.
 
     Parameters
@@ -95,6 +97,8 @@ def read_surface(path: str | Path, *, scale_mm: float | None = None, cut_off: bo
         millimetres; 0.005 to 0.7: metres; anything else is refused).
     cut_off
         Whether the bone may end at the edge of its scan: a large hole is closed by a face, where else it is refused.
+    every_piece
+        Whether loose pieces stay however small they are, where else those below 1 % of the largest one's area go.
 
     Raises
     ------
@@ -104,7 +108,9 @@ def read_surface(path: str | Path, *, scale_mm: float | None = None, cut_off: bo
     """
     file = Path(path)
     vertices, faces = read_triangles(file)
-    return surface_from_triangles(vertices, faces, source=file.name, scale_mm=scale_mm, cut_off=cut_off)
+    return surface_from_triangles(
+        vertices, faces, source=file.name, scale_mm=scale_mm, cut_off=cut_off, every_piece=every_piece
+    )
 
 
 def surface_from_triangles(
@@ -114,6 +120,7 @@ def surface_from_triangles(
     source: str = "triangles",
     scale_mm: float | None = None,
     cut_off: bool = False,
+    every_piece: bool = False,
 ) -> Surface:
     """Make triangles enclose a solid: one unit, vertices merged, debris dropped, wound outward, small holes filled.
 
@@ -123,7 +130,7 @@ def surface_from_triangles(
         Vertices [file units], shape (n, 3).
     faces
         Vertex numbers, shape (m, 3).
-    source, scale_mm, cut_off
+    source, scale_mm, cut_off, every_piece
         As in `read_surface`.
 
     Raises
@@ -144,8 +151,10 @@ def surface_from_triangles(
     scale, guess = _unit(longest, scale_mm, source)
     vertices = vertices * (1e-3 * scale)
     longest *= 1e-3 * scale
-    vertices, faces, volume, repairs, turned, caps, scanned = _repaired(vertices, faces, longest, source, cut_off)
-    if volume <= 1e-6 * longest**3:
+    debris = 0.0 if every_piece else _DEBRIS_AREA
+    found = _repaired(vertices, faces, longest, source, cut_off, debris)
+    vertices, faces, volume, repairs, turned, caps, scanned = found
+    if volume <= (0.0 if every_piece else 1e-6 * longest**3):
         raise InputError(
             f"surface must enclose a solid, got {1e9 * volume:.3g} mm3 inside {source}: close it in a mesh editor"
         )
@@ -155,7 +164,7 @@ def surface_from_triangles(
 
 
 def _repaired(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], longest: float, source: str, cut_off: bool
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], longest: float, source: str, cut_off: bool, debris: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], float, list[str], int, tuple[NDArray[np.float64], ...], int]:
     """Vertices [m] and triangles of a closed surface wound outward, its volume [m3], what was done, how many
     triangles or bodies were turned, faces over holes, and how many triangles come before these.
@@ -165,7 +174,7 @@ def _repaired(
     vertices, faces, manifold = merge_vertices(vertices, faces, _MERGE_TOLERANCE * longest)
     if before > len(vertices):
         repairs.append(f"Merged or dropped {before - len(vertices)} of {before} vertices that coincide or are unused.")
-    (vertices, faces), body, dropped = drop_debris(vertices, faces, bodies(len(vertices), faces), _DEBRIS_AREA)
+    (vertices, faces), body, dropped = drop_debris(vertices, faces, bodies(len(vertices), faces), debris)
     if dropped:
         pieces = counted(len(dropped), "loose piece")
         repairs.append(f"Dropped {pieces}, the largest {1e3 * max(dropped):.3g} mm long.")

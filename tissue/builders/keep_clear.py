@@ -70,7 +70,10 @@ def keep_clear(
         fields[name] = distance_field(shapes[name].distance, low, high)
     for name, file in wanted.files.items():
         report(f"measuring the distance from {name}", 0.0)
-        fields[name] = distance_field(_of_file(name, file, placement), low, high)
+        distance, repairs = _of_file(name, file, placement)
+        fields[name] = distance_field(distance, low, high)
+        if repairs:
+            notes[f"surface of {name}"] = repairs
     for name, field in fields.items():
         least = 1e3 * float(field.values_m.min())
         notes[f"keep clear of {name}"] = (
@@ -81,16 +84,16 @@ def keep_clear(
     return KeepClear(points, fields, device=compute)
 
 
-def _of_file(name: str, file: str, placement: Placement | None) -> Distance:
-    """Signed distance from a closed surface in a file, in the frame of the scene."""
+def _of_file(name: str, file: str, placement: Placement | None) -> tuple[Distance, str]:
+    """Signed distance from all pieces of a surface in a file, in the frame of the scene, and what was mended."""
     unit = 1.0 if placement is None else placement.unit_mm
     with names_of_caller(dict.fromkeys(FILE_WORDS, f"keep_clear.files.{name}")):
-        surface = read_surface(Path(file), scale_mm=unit, cut_off=True)
+        surface = read_surface(Path(file), scale_mm=unit, cut_off=True, every_piece=True)
     vertices = surface.vertices_m
     if placement is not None:
         vertices = 1e-3 * placement.to_scene(1e3 * vertices / unit)
     faces = surface.faces
-    return lambda points: triangle_distance(vertices, faces, points)
+    return lambda points: triangle_distance(vertices, faces, points), " ".join(surface.report.repairs)
 
 
 def distance_field(distance: Distance, low_m: Array, high_m: Array) -> DistanceField:

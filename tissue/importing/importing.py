@@ -9,12 +9,12 @@ import numpy as np
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.ct.density import DensityLaw
-from meshes.ct.labelled_bone import Box, by_label
+from meshes.ct.labelled_bone import Box
 from meshes.ct.labels import Labels, on_grid_of
 from meshes.images.frame import Image
-from meshes.surfaces.surface import Surface, surface_from_triangles
 from tissue.importing.bone import ImportedBone, imported_bone
 from tissue.importing.folder import Imported, write_density, write_labels, write_record, write_surface
+from tissue.importing.kept_clear import kept_clear
 from tissue.importing.organ import import_organ
 from tissue.importing.path import import_path
 from tissue.importing.pictures import draw_pictures
@@ -124,10 +124,10 @@ def import_ct(
 def _import_bone(request: ImportRequest, out: Path, *, overwrite: bool, pictures: bool, progress: Progress) -> Imported:
     """Write a bone as a scene in a folder."""
     bone = imported_bone(request, _law_of, progress)
-    clear = _clear(request, bone, progress)
+    clear, kept = kept_clear(request, bone.labels, progress)
     progress("finding the site", 0.0)
     at, sentence = placed(request, bone.surface)
-    sentences = [*bone.sentences, sentence, *(f"keep clear: {name}" for name in clear)]
+    sentences = [*bone.sentences, sentence, *kept]
     path = None if request.path is None else import_path(request, at, bone.surface)
     sentences += [] if path is None else [path.sentence]
     files = {"file": "bone.ply"} | ({} if bone.density is None else {"density_file": "density.nrrd"})
@@ -174,23 +174,6 @@ def _law_of(text: str, image: Image, labels: Labels | None) -> DensityLaw:
         return density_law("internal", image, labels=labels)
     except InputError as error:
         return replace(CT_DENSITY, source=f"{CT_DENSITY.source}; no calibration within the image: {error}")
-
-
-def _clear(request: ImportRequest, bone: ImportedBone, report: Progress) -> dict[str, Surface]:
-    """Smooth surfaces of the labels that the tool must not touch, near the bone."""
-    found: dict[str, Surface] = {}
-    for name in request.keep_clear:
-        report(f"finding {name}", 0.0)
-        assert bone.labels is not None
-        mask = bone.labels.mask(name)
-        part = by_label(replace(bone.labels.image, values=mask.astype(np.uint8)), mask)
-        found[_plain(name)] = surface_from_triangles(*part.triangles, source=name, scale_mm=1.0, cut_off=True)
-    return found
-
-
-def _plain(name: str) -> str:
-    """A label's name as a scene's key."""
-    return "".join(c if c.isalnum() else "_" for c in name.lower()).strip("_")
 
 
 def _near(labels: Labels, image: Image) -> Labels:

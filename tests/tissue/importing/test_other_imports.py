@@ -28,13 +28,14 @@ def write_labels(path, values, spacing_mm, origin_mm, names):
 
 @pytest.fixture(scope="module")
 def ct(tmp_path_factory):
-    """A CT of a ball of bone and its labels: the bone, and a canal beside where the tool goes."""
+    """A CT of a ball of bone and its labels: the bone, and a canal beside where the tool goes, of two pieces."""
     folder, image = tmp_path_factory.mktemp("ct"), ball()
     write_nrrd(folder / "ct.nrrd", image.values, np.diag(image.spacing_mm), image.origin_mm)
     values = np.zeros(image.values.shape)
     values[ball_mask(image)] = 1
     canal = ball_mask(image, centre_mm=CENTRE_MM + np.array([5.0, 0.0, 8.0]), radius_mm=3.0)
     values[canal] = 2
+    values[ball_mask(image, centre_mm=CENTRE_MM - np.array([0.0, 0.0, 18.0]), radius_mm=4.0)] = 2  # larger, far away
     write_labels(folder / "a.seg.nrrd", values, image.spacing_mm, image.origin_mm, {1: "bone", 2: "facial nerve"})
     return folder
 
@@ -44,6 +45,7 @@ def test_a_label_to_keep_clear_of_is_measured_on_the_run(ct, tmp_path):
         ct / "ct.nrrd", tmp_path / "out", labels=ct / "a.seg.nrrd", region="bone", keep_clear=["facial nerve"], **BONE
     )
     coarse = {"voxels.spacing_mm": 0.4, "motion.points_mm": [[0, 0, 1], [0, 0, -2]], "motion.feed_mm_s": 20.0}
+    assert "facial nerve: 2 pieces of 0.269, 0.116 ml, all of them kept clear of" in made.sentences
     run = tissue.simulate(tissue.load_scene(made.scene, coarse))
     tip = run.trace.vectors("tool", "mm")[-1]
     # The burr's ball has a radius of 2 mm; the nerve's, of 3 mm, lies 5 mm aside and 4 mm under the top.

@@ -25,10 +25,13 @@ SCENE = {
 
 
 def canal(scale=1.0):
-    """The canal's surface in the frame of the site."""
+    """The canal's surface in the frame of the site, with a far piece of a hundred times its area."""
     made = trimesh.creation.cylinder(radius=RADIUS_MM, height=40.0, sections=256)
     made.apply_transform(trimesh.transformations.rotation_matrix(0.5 * np.pi, [0, 1, 0]))
     made.apply_translation([0.0, 0.0, -DEPTH_MM])
+    far = trimesh.creation.icosphere(radius=110.0)
+    far.apply_translation([0.0, 200.0, 0.0])
+    made = trimesh.util.concatenate([made, far])
     made.apply_scale(scale)
     return made
 
