@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -53,17 +54,23 @@ def package_of(module):
     return module, None
 
 
+@cache
+def nodes_of(path):
+    """All that a file's code is made of."""
+    return list(ast.walk(ast.parse(path.read_text("utf-8"))))
+
+
+@cache
 def imports_of(path):
     """Own modules that a file imports, anywhere in it but for type checkers alone."""
-    tree = ast.parse(path.read_text("utf-8"))
     hidden = {
         inner
-        for node in ast.walk(tree)
+        for node in nodes_of(path)
         if isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING"
         for inner in ast.walk(node)
     }
     found = set()
-    for node in ast.walk(tree):
+    for node in nodes_of(path):
         if node in hidden:
             continue
         if isinstance(node, ast.Import):
@@ -71,19 +78,22 @@ def imports_of(path):
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path} imports relatively"
             inner = {f"{node.module}.{name.name}" for name in node.names}
-            found |= {name for name in inner if name in MODULES} or {node.module}
+            found |= inner.intersection(MODULES) or {node.module}
     return {name for name in found if name.split(".")[0] in PACKAGES}
 
 
-@pytest.mark.parametrize(("path", "module"), list(zip(FILES, MODULES, strict=True)), ids=MODULES)
-def test_imports_only_go_down(path, module):
-    if module == "tissue":  # it hands out names of all layers, each when it is asked for
-        return
-    mine, layer = package_of(module)
-    assert layer is not None, f"{module} lies in no layer: give its package one in LAYERS"
-    for wanted in imports_of(path) - {"tissue"}:
-        theirs, below = package_of(wanted)
-        assert theirs == mine or (below is not None and below < layer), f"{module} imports {wanted} from above"
+def test_imports_only_go_down():
+    wrong = []
+    for path, module in zip(FILES, MODULES, strict=True):
+        if module == "tissue":  # it hands out names of all layers, each when it is asked for
+            continue
+        mine, layer = package_of(module)
+        assert layer is not None, f"{module} lies in no layer: give its package one in LAYERS"
+        for wanted in imports_of(path) - {"tissue"}:
+            theirs, below = package_of(wanted)
+            if theirs != mine and (below is None or below >= layer):
+                wrong.append(f"{module} imports {wanted} from above")
+    assert not wrong, "\n".join(wrong)
 
 
 def test_no_modules_import_each_other_in_a_circle():
@@ -117,9 +127,9 @@ def test_contributing_draws_the_layers_that_are_held():
 def test_the_ground_layer_knows_no_physics_and_no_warp():
     for path, module in zip(FILES, MODULES, strict=True):
         if module.split(".")[0] == "meshes":
-            tree = ast.parse(path.read_text("utf-8"))
-            names = {name.name for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names}
-            names |= {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+            nodes = nodes_of(path)
+            names = {name.name for node in nodes if isinstance(node, ast.Import) for name in node.names}
+            names |= {node.module for node in nodes if isinstance(node, ast.ImportFrom)}
             assert not {name for name in names if name.split(".")[0] in ("warp", "kernels", "tissue")}, module
 
 
@@ -134,30 +144,37 @@ def test_running_a_scene_loads_nothing_of_its_evaluation(tmp_path):
     assert (ended.returncode, ended.stdout) == (0, "[]\n"), ended.stderr
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_a_module_has_a_docstring(module):
+def test_modules_and_what_they_offer_have_docstrings():
+    missing = [each for module in MODULES for each in without_docstring(module)]
+    assert not missing, f"no docstring: {', '.join(missing)}"
+
+
+def without_docstring(module):
+    """What of a module has no docstring: itself, a name that it offers, a method; a wrong `__all__` fails at once."""
     loaded = importlib.import_module(module)
     if module == "tissue.scene.library":  # data alone
         return
-    assert (loaded.__doc__ or "").strip(), "no docstring"
+    if not (loaded.__doc__ or "").strip():
+        yield module
     if not hasattr(loaded, "__all__") and Path(loaded.__file__).name == "__init__.py":
         return
-    assert loaded.__all__ and len(set(loaded.__all__)) == len(loaded.__all__)
+    assert loaded.__all__ and len(set(loaded.__all__)) == len(loaded.__all__), module
     for name in loaded.__all__:
         thing = getattr(loaded, name)
         code = getattr(thing, "func", thing)  # of a Warp function or kernel
         is_ours = getattr(code, "__module__", "").split(".")[0] in PACKAGES
-        if is_ours and (inspect.isclass(code) or inspect.isfunction(code)):
-            assert (code.__doc__ or "").strip(), f"{name} has no docstring"
+        if is_ours and (inspect.isclass(code) or inspect.isfunction(code)) and not (code.__doc__ or "").strip():
+            yield f"{module}.{name}"
         if inspect.isclass(thing) and thing.__module__ == module:
             for method, code in vars(thing).items():
-                if inspect.isfunction(code) and not method.startswith("_") and code.__module__ == module:
-                    assert (code.__doc__ or "").strip(), f"{name}.{method} has no docstring"
+                is_public = inspect.isfunction(code) and not method.startswith("_") and code.__module__ == module
+                if is_public and not (code.__doc__ or "").strip():
+                    yield f"{module}.{name}.{method}"
 
 
-@pytest.mark.parametrize("path", FILES, ids=MODULES)
-def test_a_file_is_short(path):
-    assert len(path.read_text("utf-8").splitlines()) <= LONGEST
+def test_files_are_short():
+    lengths = {module: path.read_text("utf-8").count("\n") for path, module in zip(FILES, MODULES, strict=True)}
+    assert not {module: length for module, length in lengths.items() if length > LONGEST}
 
 
 def fresh(code, **environment):
