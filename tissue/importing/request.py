@@ -10,6 +10,7 @@ import numpy as np
 
 from meshes.base.errors import InputError, by, in_brackets, require_positive, require_range
 from meshes.ct.labelled_bone import Box
+from meshes.surfaces.markups import TO_LPS
 from tissue.scene.named_parts import nearest
 
 __all__ = ["NAMED_SITES", "Coordinates", "ImportRequest", "Point", "lps"]
@@ -127,6 +128,7 @@ class ImportRequest:
                 f"site must be one of {', '.join(NAMED_SITES)}, a point in mm or a .mrk.json file, got {self.site}"
                 f"{nearest(self.site, NAMED_SITES)}: choose one of these"
             )
+        self._require_frame()
         if self.feed_mm_s is not None:
             require_positive("feed_mm_s", self.feed_mm_s, "use about 2")
             if self.path is None:
@@ -141,6 +143,18 @@ class ImportRequest:
             raise InputError(
                 f"crop must have its lowest corner first, got {in_brackets(self.crop_mm[0])} and "
                 f"{in_brackets(self.crop_mm[1])}: exchange them along the axes where it has not"
+            )
+
+    def _require_frame(self) -> None:
+        """Refuse a frame that is unknown, or of no numbers."""
+        if self.coordinates not in TO_LPS:
+            raise InputError(f"coordinates must be LPS or RAS, got {self.coordinates}: give the frame of the numbers")
+        in_numbers = self.path is not None and self.path.suffix.lower() not in MARKUPS
+        points = self.crop_mm is not None or self.point_mm is not None
+        if self.coordinates == "RAS" and not (points or in_numbers):
+            raise InputError(
+                "coordinates must be left out unless crop, a site or a path is given in numbers, got RAS: files of "
+                "markups state their own frame; leave it out"
             )
 
     def _require_soft(self) -> None:
