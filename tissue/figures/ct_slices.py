@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SOFT_HU", "draw_ct_slices"]
 
+Line = Literal["solid", "dashed", "dotted"]
 BONE_HU, SOFT_HU = (-200.0, 1300.0), (-160.0, 240.0)
 """Grey values from black to white: fat to cortical bone, and those of soft tissue (the usual abdominal window)."""
 VIEWS = ((0, 1, 2, "axial"), (0, 2, 1, "coronal"), (1, 2, 0, "sagittal"))
@@ -24,6 +25,8 @@ AXES = ("left", "back", "head")
 BODY, SITE, PATH = "#E69F00", "#D55E00", "#CC79A7"
 OTHERS = ("#56B4E9", "#009E73", "#F0E442", "#0072B2")
 """Colours of outlines after Okabe and Ito (2008)."""
+LINES: tuple[Line, ...] = ("solid", "dashed", "dotted")
+"""Of the outlines: the next one where all colours are taken."""
 NORMAL_MM = 12.0
 WIDTH_IN, HEIGHT_IN = 9.0, 3.7
 
@@ -74,7 +77,7 @@ def draw_ct_slices(
         place = float(origin[through] + spacing[through] * at[through])
         _outline(axes, body[1], (u, v, through), place, BODY)
         for number, field in enumerate(others.values()):
-            _outline(axes, field, (u, v, through), place, OTHERS[number % len(OTHERS)])
+            _outline(axes, field, (u, v, through), place, *_look(number))
         if points_mm is not None:
             axes.plot(points_mm[:, u], points_mm[:, v], color=PATH, linewidth=1.2)
         if normal is not None:
@@ -94,7 +97,14 @@ def draw_ct_slices(
     save(chart, path)
 
 
-def _outline(axes: "Axes", field: Image, order: tuple[int, int, int], place_mm: float, colour: str) -> None:
+def _look(number: int) -> tuple[str, Line]:
+    """Colour and line of one of the other structures."""
+    return OTHERS[number % len(OTHERS)], LINES[number // len(OTHERS) % len(LINES)]
+
+
+def _outline(
+    axes: "Axes", field: Image, order: tuple[int, int, int], place_mm: float, colour: str, line: Line = "solid"
+) -> None:
     """The line where a field is 0 in the slice at a place along its axis."""
     u, v, through = order
     at = round((place_mm - field.origin_mm[through]) / field.spacing_mm[through])
@@ -103,15 +113,18 @@ def _outline(axes: "Axes", field: Image, order: tuple[int, int, int], place_mm: 
     values = np.take(field.values, at, axis=through).T
     x, y = (field.origin_mm[a] + field.spacing_mm[a] * np.arange(field.values.shape[a]) for a in (u, v))
     if values.min() < 0.0 < values.max():
-        axes.contour(x, y, values, levels=[0.0], colors=[colour], linewidths=[1.1])
+        axes.contour(x, y, values, levels=[0.0], colors=[colour], linestyles=[line], linewidths=[1.1])
 
 
 def _legend(chart: "Figure", names: Sequence[str], sited: bool, pathed: bool) -> None:
     """What the colours mean, below the slices."""
     from matplotlib.lines import Line2D
 
-    colours = (BODY, *(OTHERS[number % len(OTHERS)] for number in range(len(names) - 1)))
-    lines = [Line2D([], [], color=colour, label=name) for name, colour in zip(names, colours, strict=True)]
+    looks: list[tuple[str, Line]] = [(BODY, "solid"), *map(_look, range(len(names) - 1))]
+    lines = [
+        Line2D([], [], color=colour, linestyle=line, label=name)
+        for name, (colour, line) in zip(names, looks, strict=True)
+    ]
     if sited:
         lines.append(Line2D([], [], color=SITE, marker="o", markersize=4, label="site and normal"))
     if pathed:

@@ -13,20 +13,17 @@ from meshes.ct.labelled_bone import Box
 from meshes.ct.labels import Labels, on_grid_of
 from meshes.images.frame import Image
 from tissue.importing.bone import ImportedBone, imported_bone
-from tissue.importing.folder import Imported, write_density, write_labels, write_record, write_surface
+from tissue.importing.folder import SCENE, Imported, import_folder, write_density, write_labels, write_surface
 from tissue.importing.kept_clear import kept_clear
 from tissue.importing.organ import import_organ
 from tissue.importing.path import import_path
-from tissue.importing.pictures import draw_pictures
+from tissue.importing.pictures import PICTURES, draw_pictures
 from tissue.importing.placing import Placed, placed
 from tissue.importing.request import Coordinates, ImportRequest, Point
 from tissue.importing.scene_text import scene_name, scene_text
 from tissue.importing.tooth import import_tooth
-from tissue.system.outputs import output_locked, prepare_folder
 
 __all__ = ["Imported", "import_ct"]
-
-FILES = ("scene.toml", "import.json", "bone.ply", "density.nrrd", "labels.seg.nrrd", "path.csv")
 
 
 def import_ct(
@@ -115,7 +112,7 @@ def import_ct(
         tuple(keep_clear), like, dict(parts or {}),
     )  # fmt: skip
     if request.is_tooth:
-        return import_tooth(request, Path(out), overwrite=overwrite, progress=progress)
+        return import_tooth(request, Path(out), overwrite=overwrite, pictures=pictures, progress=progress)
     if request.is_soft:
         return import_organ(request, Path(out), overwrite=overwrite, pictures=pictures, progress=progress)
     return _import_bone(request, Path(out), overwrite=overwrite, pictures=pictures, progress=progress)
@@ -130,6 +127,7 @@ def _import_bone(request: ImportRequest, out: Path, *, overwrite: bool, pictures
     sentences = [*bone.sentences, sentence, *kept]
     path = None if request.path is None else import_path(request, at, bone.surface)
     sentences += [] if path is None else [path.sentence]
+    kept_files = {name: f"keep_clear_{name}.ply" for name in clear}
     files = {"file": "bone.ply"} | ({} if bone.density is None else {"density_file": "density.nrrd"})
     text = scene_text(
         name=scene_name(out),
@@ -137,12 +135,21 @@ def _import_bone(request: ImportRequest, out: Path, *, overwrite: bool, pictures
         placed=at,
         dense=bone.density is not None,
         files=files,
-        keep_clear={name: f"keep_clear_{name}.ply" for name in clear},
+        keep_clear=kept_files,
         like=request.like,
         replay=None if path is None else "path.csv",
     )
-    with output_locked(out, folder=True):
-        prepare_folder(out, FILES, "import", overwrite=overwrite)
+    written = {
+        "bone.ply": True,
+        "density.nrrd": bone.density is not None,
+        "labels.seg.nrrd": bone.labels is not None,
+        **dict.fromkeys(kept_files.values(), True),
+        "path.csv": path is not None,
+        **dict.fromkeys(PICTURES, pictures),
+        "path.png": pictures and path is not None,
+    }
+    names = [name for name, wanted in written.items() if wanted]
+    with import_folder(out, names, _record(bone, at, sentences), overwrite=overwrite):
         progress("writing files", 0.0)
         write_surface(bone.surface, out / "bone.ply")
         if bone.density is not None:
@@ -150,17 +157,16 @@ def _import_bone(request: ImportRequest, out: Path, *, overwrite: bool, pictures
         if bone.labels is not None:
             write_labels(_near(bone.labels, bone.bone.image), out / "labels.seg.nrrd")
         for name, surface in clear.items():
-            write_surface(surface, out / f"keep_clear_{name}.ply")
+            write_surface(surface, out / kept_files[name])
         if path is not None:
             path.table.write(out / "path.csv")
-        (out / "scene.toml").write_text(text, "utf-8")
-        write_record(_record(bone, at, sentences), out / "import.json")
+        (out / SCENE).write_text(text, "utf-8")
         if pictures:
             progress("drawing", 0.0)
             sentences += draw_pictures(bone, at, clear, out, points_mm=None if path is None else path.points_mm)
             if path is not None and at is not None:
                 sentences += path.draw(bone.surface, at, out / "path.png")
-    return Imported(out, out / "scene.toml", at is not None, tuple(sentences))
+    return Imported(out, out / SCENE, at is not None, tuple(sentences))
 
 
 def _law_of(text: str, image: Image, labels: Labels | None) -> DensityLaw:

@@ -12,14 +12,12 @@ from meshes.organs.from_labels import organ_mesh
 from meshes.tets.grid import write_organ
 from meshes.tets.tetrahedra import TetMesh
 from tissue.figures.ct_organ import draw_ct_organ
-from tissue.importing.folder import Imported, write_labels, write_record
+from tissue.importing.folder import SCENE, Imported, import_folder, write_labels
 from tissue.importing.request import ImportRequest
 from tissue.importing.scene_text import scene_name, toml
-from tissue.system.outputs import output_locked, prepare_folder
 
 __all__ = ["import_organ"]
 
-FILES = ("scene.toml", "import.json", "organ.vtu", "labels.seg.nrrd")
 FRONT = (0.0, -1.0, 0.0)
 """Direction to the tool: the front, in LPS, of a person who lies on the back."""
 MATERIALS = {"kidney": "kidney"}
@@ -48,18 +46,18 @@ def import_organ(request: ImportRequest, out: Path, *, overwrite: bool, pictures
     mesh, notes = organ_mesh(labels, request.region, tuple(request.parts), report=progress)
     sentences = [*image.notes, *labels.image.notes, *(f"{name}: {note}" for name, note in notes.items())]
     text = _scene(request, mesh, scene_name(out), image.source)
-    with output_locked(out, folder=True):
-        prepare_folder(out, FILES, "import", overwrite=overwrite)
+    files = ("organ.vtu", "labels.seg.nrrd", *(("slices.png",) if pictures else ()))
+    record = _record(request, mesh, image.source, sentences)
+    with import_folder(out, files, record, overwrite=overwrite):
         progress("writing files", 0.0)
         write_organ(mesh, out / "organ.vtu")
         write_labels(_of_parts(labels, request), out / "labels.seg.nrrd")
-        (out / "scene.toml").write_text(text, "utf-8")
-        write_record(_record(request, mesh, image.source, sentences), out / "import.json")
+        (out / SCENE).write_text(text, "utf-8")
         if pictures:
             progress("drawing", 0.0)
             masks = {name: labels.mask(name) for name in (request.region, *request.parts)}
             draw_ct_organ(image, out / "slices.png", masks=masks, mesh=mesh, title=image.source)
-    return Imported(out, out / "scene.toml", True, tuple(sentences))
+    return Imported(out, out / SCENE, True, tuple(sentences))
 
 
 def _scene(request: ImportRequest, mesh: TetMesh, name: str, source: str) -> str:

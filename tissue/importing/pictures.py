@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.ct.labelled_bone import cropped
+from meshes.ct.labels import Labels
 from meshes.images.frame import Image
 from meshes.surfaces.surface import Surface
 from meshes.voxels.mesh_sampling import triangle_distance
@@ -16,7 +18,9 @@ from tissue.figures.ct_slices import draw_ct_slices
 from tissue.importing.bone import ImportedBone
 from tissue.importing.placing import Placed
 
-__all__ = ["draw_pictures"]
+__all__ = ["PICTURES", "draw_pictures", "draw_tooth"]
+
+PICTURES = ("slices.png", "histogram.png", "bone.png")
 
 
 def draw_pictures(
@@ -64,6 +68,31 @@ def draw_pictures(
         title=title,
     )
     return [] if problem is None else [f"bone.png was not drawn: {problem}"]
+
+
+def draw_tooth(image: Image, tooth: Labels, file: Path, *, centre_mm: NDArray[np.float64]) -> None:
+    """Draw slices of an image with the layers of a tooth, through a point [mm, LPS].
+
+    Parameters
+    ----------
+    image
+        The tooth's CT; without one the image of the labels themselves.
+    """
+    origin, spacing = np.array(tooth.image.origin_mm), np.array(tooth.image.spacing_mm)
+    low, high = origin, origin + spacing * (np.array(tooth.image.values.shape) - 1)
+    outer, *inner = (
+        (name, replace(tooth.image, values=tooth.mask(name) - np.float32(0.5))) for name in tooth.names.values()
+    )
+    draw_ct_slices(
+        cropped(image, ((low[0], low[1], low[2]), (high[0], high[1], high[2]))),
+        file,
+        body=outer,
+        others=dict(inner),
+        centre_mm=centre_mm,
+        normal=None,
+        points_mm=None,
+        title=image.source,
+    )
 
 
 def _inside(surface: Surface, image: Image) -> Image:

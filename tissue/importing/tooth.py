@@ -4,21 +4,22 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, names_of_caller
 from meshes.base.progress import Progress
 from meshes.ct.labels import Labels, on_grid_of, read_labels
+from meshes.images.part import box_of, part_of
 from meshes.images.reading import read_image
 from meshes.tooth.layers import TOOTH_LAYERS
-from tissue.importing.folder import Imported, write_labels, write_record
+from tissue.importing.folder import SCENE, Imported, import_folder, write_labels
+from tissue.importing.pictures import draw_tooth
 from tissue.importing.request import ImportRequest
 from tissue.importing.scene_text import scene_name, stated, toml
 from tissue.scene.load import load_scene
-from tissue.system.outputs import output_locked, prepare_folder
 
 __all__ = ["import_tooth"]
 
-FILES = ("scene.toml", "import.json", "tooth.seg.nrrd")
 LIKE = "caries"
 """Scene whose tool and motion are taken where none is asked for."""
 PARTS = ("voxels", "tool", "motion", "cutting", "output", "coupling", "duration_s", "device")
@@ -26,20 +27,25 @@ MARGIN = 3
 """Voxels kept around the tooth."""
 
 
-def import_tooth(request: ImportRequest, out: Path, *, overwrite: bool, progress: Progress) -> Imported:
+def import_tooth(request: ImportRequest, out: Path, *, overwrite: bool, pictures: bool, progress: Progress) -> Imported:
     """Write the tooth of a request as a scene in a folder."""
     assert request.labels is not None
     progress("reading the labels", 0.0)
     with names_of_caller({"file": "labels", "names": "label_names"}):
         labels = read_labels(request.labels, names=request.label_names, spacing_mm=request.spacing_mm)
-    sentences = list(labels.image.notes)
-    if request.source.resolve() != request.labels.resolve():
+    sentences, image = list(labels.image.notes), labels.image
+    if request.source.resolve() == request.labels.resolve():
+        if request.series is not None:
+            raise InputError(
+                f"series must be left out where the labels are the source, got {request.series}: leave it out"
+            )
+    else:
         with names_of_caller({"file": "source", "anatomy.spacing_mm": "spacing_mm"}):
             image = read_image(request.source, spacing_mm=request.spacing_mm, series=request.series)
         on_grid_of(labels, image)  # refuses labels of another image
         sentences = [*image.notes, *sentences]
     tooth = _tooth(labels)
-    sentence, at_lesion = _site(tooth, request.site == "tooth:lesion")
+    sentence, at_lesion, middle = _site(tooth, request.site == "tooth:lesion")
     sentences += [f"tooth: {', '.join(tooth.names.values())}", sentence]
     table = stated(load_scene(request.like or LIKE))
     anatomy = {"kind": "molar", "file": "tooth.seg.nrrd", "site": "caries" if at_lesion else "enamel"}
@@ -49,13 +55,15 @@ def import_tooth(request: ImportRequest, out: Path, *, overwrite: bool, progress
         "anatomy": anatomy,
         **{part: table[part] for part in PARTS if part in table},
     }
-    with output_locked(out, folder=True):
-        prepare_folder(out, FILES, "import", overwrite=overwrite)
+    files = ("tooth.seg.nrrd", *(("slices.png",) if pictures else ()))
+    with import_folder(out, files, _record(tooth, sentences), overwrite=overwrite):
         progress("writing files", 0.0)
         write_labels(tooth, out / "tooth.seg.nrrd")
-        (out / "scene.toml").write_text(toml(whole), "utf-8")
-        write_record(_record(tooth, sentences), out / "import.json")
-    return Imported(out, out / "scene.toml", True, tuple(sentences))
+        (out / SCENE).write_text(toml(whole), "utf-8")
+        if pictures:
+            progress("drawing", 0.0)
+            draw_tooth(image, tooth, out / "slices.png", centre_mm=middle)
+    return Imported(out, out / SCENE, True, tuple(sentences))
 
 
 def _tooth(labels: Labels) -> Labels:
@@ -69,30 +77,29 @@ def _tooth(labels: Labels) -> Labels:
                 "--label-names FILE, of the names " + ", ".join(TOOTH_LAYERS)
             )
     values = np.where(np.isin(labels.image.values, list(layers)), labels.image.values, 0).astype(np.uint8)
-    held_at = [np.flatnonzero(values.any(axis=tuple(a for a in range(3) if a != axis))) for axis in range(3)]
-    first = np.array([max(int(each[0]) - MARGIN, 0) for each in held_at])
-    last = [int(each[-1]) + 1 + MARGIN for each in held_at]
-    x, y, z = (np.array(labels.image.origin_mm) + np.array(labels.image.spacing_mm) * first).tolist()
-    part = np.ascontiguousarray(values[tuple(slice(a, b) for a, b in zip(first.tolist(), last, strict=True))])
-    return Labels(replace(labels.image, values=part, origin_mm=(x, y, z)), layers)
+    return Labels(part_of(replace(labels.image, values=values), box_of(values > 0, MARGIN)), layers)
 
 
-def _site(tooth: Labels, wanted: bool) -> tuple[str, bool]:
-    """Where the tool comes in, a sentence, and whether that is over a lesion."""
+def _site(tooth: Labels, wanted: bool) -> tuple[str, bool, NDArray[np.float64]]:
+    """Where the tool comes in, a sentence; whether that is over a lesion; middle of the lesion or of the tooth [mm]."""
     from scipy.ndimage import label
 
+    spacing, origin = np.array(tooth.image.spacing_mm), np.array(tooth.image.origin_mm)
     if not wanted:
-        return "site: where the tooth's long axis leaves the enamel", False
+        middle = origin + spacing * np.argwhere(tooth.image.values).mean(axis=0)
+        return "site: where the tooth's long axis leaves the enamel", False, middle
     if "caries" not in tooth.names.values():
         raise InputError(
             f"site must not be tooth:lesion for a tooth without a label caries, got it for {tooth.image.source}: use "
             "--site tooth"
         )
     pieces, _ = label(tooth.mask("caries"))
-    sizes = np.sort(np.bincount(pieces.ravel())[1:])[::-1]
-    volume = float(sizes[0] * np.prod(tooth.image.spacing_mm))
+    counts = np.bincount(pieces.ravel())[1:]
+    sizes = np.sort(counts)[::-1]
+    volume = float(sizes[0] * np.prod(spacing))
+    middle = origin + spacing * np.argwhere(pieces == 1 + int(np.argmax(counts))).mean(axis=0)
     second = f"the second has {sizes[1] / sizes[0]:.1%} of it" if len(sizes) > 1 else "there is no other"
-    return f"site: over the largest lesion, {volume:.3g} mm3; {second}", True
+    return f"site: over the largest lesion, {volume:.3g} mm3; {second}", True, middle
 
 
 def _record(tooth: Labels, sentences: list[str]) -> dict[str, object]:

@@ -84,6 +84,27 @@ def test_a_path_is_followed_on_the_bone(ct, tmp_path):
         tissue.import_ct(ct / "ct.nrrd", tmp_path / "b", threshold=threshold, path=file, **BONE)
 
 
+def test_another_import_takes_away_what_the_one_before_wrote_and_nothing_else(ct, tmp_path):
+    x, y, z = TOP
+    file, out = tmp_path / "path.csv", tmp_path / "out"
+    file.write_text(f"x_mm,y_mm,z_mm\n{x},{y},{z + 2}\n{x},{y},{z - 1}\n")
+    labelled = {"labels": ct / "a.seg.nrrd", "region": "bone", "keep_clear": ["facial nerve"]}
+    tissue.import_ct(ct / "ct.nrrd", out, path=file, **labelled, **BONE)
+    wrote = {each.name for each in out.iterdir()}
+    record = json.loads((out / "import.json").read_text())
+    assert set(record["files"]) == wrote >= {"path.csv", "keep_clear_facial_nerve.ply", "labels.seg.nrrd"}
+    mine = {"notes.txt": "mine", "keep_clear_mine.ply": "mine", "../outside.csv": "mine"}
+    for name, text in mine.items():
+        (out / name).write_text(text)
+    (out / "import.json").write_text(
+        json.dumps(record | {"files": [*record["files"], "notes.txt", "../outside.csv", 3]})
+    )
+    made = tissue.import_ct(ct / "ct.nrrd", out, threshold=0.5 * (DENSE_HU + SOFT_HU), overwrite=True, **BONE)
+    left = {"scene.toml", "import.json", "bone.ply", "density.nrrd", "notes.txt", "keep_clear_mine.ply"}
+    assert {each.name for each in made.folder.iterdir()} == left
+    assert all((out / name).read_text() == text for name, text in mine.items())
+
+
 def tooth(folder):
     """Labels of a block tooth: enamel over dentin around a pulp, a lesion in the enamel."""
     values = np.zeros((50, 40, 64))
@@ -106,7 +127,9 @@ def test_a_tooth_of_labels_is_drilled_over_its_largest_lesion(tmp_path):
     assert run.summary["removed_mm3"]["caries"] > 0.05 and run.summary["start_mm3"]["pulp"] >= 0.0
     record = json.loads((made.folder / "import.json").read_text())
     assert record["volume_mm3"]["caries"] == pytest.approx((800 + 16) * 0.25**3)
-    other = tissue.import_ct(file, tmp_path / "sound", labels=file, site="tooth")
+    assert (made.folder / "slices.png").stat().st_size > 10_000
+    other = tissue.import_ct(file, tmp_path / "sound", labels=file, site="tooth", pictures=False)
+    assert not (other.folder / "slices.png").exists()
     assert tissue.load_scene(other.scene).anatomy.site == "enamel"
 
 
@@ -116,6 +139,8 @@ def test_a_tooth_of_labels_is_drilled_over_its_largest_lesion(tmp_path):
         ({"site": "tooth:lesion"}, "labels must be given for site tooth:lesion"),
         ({"site": "tooth:lesion", "labels": True, "region": "enamel"}, "region must be left out for a tooth"),
         ({"site": "tooth:lesion", "labels": True, "threshold": 3.0}, "threshold must be left out for a tooth"),
+        ({"site": "tooth", "labels": True, "series": 2}, "series must be left out where the labels are the source"),
+        ({"site": "tooth", "labels": True, "coordinates": "RAS"}, "coordinates must be left out"),
     ],
 )
 def test_what_has_no_effect_on_a_tooth_is_refused(tmp_path, options, part):
