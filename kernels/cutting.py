@@ -14,7 +14,7 @@ import warp as wp
 
 from kernels.bone_lookup import Bone, bone_at
 from kernels.bricks import corner8f, voxel_column, voxel_row
-from kernels.elements import CHUNK, LANES, Elements, advance_of, lever16, may_cut, place_of, travel_of
+from kernels.elements import CHUNK, LANES, Elements, Travel, advance_of, lever16, may_cut, place_of, travel_of
 from kernels.older_cuts import SLOTS, taken_before
 from kernels.revolution import Revolution
 
@@ -36,7 +36,7 @@ CHIP_FORCE, CHIP_TORQUE, EDGE_FORCE, EDGE_TORQUE, RATE, AREA = 0, 3, 6, 9, 12, 1
 """Places in the sums. Three each per unit of speed: force [N s/m], torque about the tip [N s]; three each independent
 of speed: force [N] and torque [N m]; removal rate per unit of speed [m2]; engaged area of each layer [m2]."""
 WIDEST = wp.constant(3.5)  # across the surface, an element is taken as this wide at most [voxel]
-DENSITIES = 4096
+DENSITIES = wp.constant(4096)
 """Entries of the strength table: densities of 0 to 4095 kg/m3."""
 
 
@@ -96,35 +96,29 @@ def cutting_forces(
             length = float(0.0)  # of cutting edge in bone, by the bone's strength [m]
             m = int(0)
             if advance > travel.least:
-                row, column = remaining_voxel(brick_of, alive, at)
-                if row >= 0:
-                    bone = bone_at(brick_of, material, nearby, row, column, at)
-                    normal = elements.normal[e]
-                    outward = (normal[0] * travel.ex + normal[1] * travel.ey + normal[2] * travel.ez) * spacing
-                    share = share_below(bone, outward, elements.area[e], spacing)
-                    if share > 0.0 and taken_before(
-                        tool,
-                        motion,
-                        travel.axis,
-                        travel.heading,
-                        brick_of,
-                        older,
-                        row,
-                        column,
-                        at,
-                        outward,
-                        elements.bend[e],
-                        seen_out,
-                        chunk,
-                    ):
-                        share = 0.0
-                    if share > 0.0:
-                        m = bone.layer
-                        strength = coefficients.strength[m, wp.min(int(bone.density + 0.5), 4095)]
-                        length = elements.edge_length[e] * share * strength
-                        engaged = elements.area[e] * share
-                        rate += engaged * advance
-                        sums_out[chunk, AREA + m] += wp.float64(engaged)
+                met = bone_met(
+                    tool,
+                    elements,
+                    motion,
+                    travel,
+                    spacing,
+                    brick_of,
+                    material,
+                    nearby,
+                    older,
+                    alive,
+                    e,
+                    at,
+                    seen_out,
+                    chunk,
+                )
+                if met.share > 0.0:
+                    m = met.layer
+                    strength = coefficients.strength[m, met.density]
+                    length = elements.edge_length[e] * met.share * strength
+                    engaged = elements.area[e] * met.share
+                    rate += engaged * advance
+                    sums_out[chunk, AREA + m] += wp.float64(engaged)
             # In no branch: a compiler keeps in registers what no branch changes, a twentieth of this kernel's time.
             lever = elements.lever[e]
             chip += (length * advance) * wp.cw_mul(coefficients.chip[m], lever)
@@ -133,6 +127,62 @@ def cutting_forces(
     set_loads(chip, chunk, CHIP_FORCE, CHIP_TORQUE, sums_out)
     set_loads(edge, chunk, EDGE_FORCE, EDGE_TORQUE, sums_out)
     sums_out[chunk, RATE] = wp.float64(rate)
+
+
+@wp.struct
+class Met:
+    """The bone that an element meets."""
+
+    share: wp.float32  # of the element's width that cuts, 0 for none
+    layer: wp.int32
+    density: wp.int32  # [kg/m3], an entry of the strength table
+
+
+@wp.func
+def bone_met(
+    tool: Revolution,
+    elements: Elements,
+    motion: wp.array2d(dtype=wp.float64),
+    travel: Travel,
+    spacing: float,
+    brick_of: wp.array3d(dtype=wp.int32),
+    material: wp.array2d(dtype=wp.uint32),
+    nearby: wp.array2d(dtype=wp.uint16),
+    older: wp.array2d(dtype=wp.uint16),
+    alive: wp.array(dtype=wp.uint64),
+    e: int,
+    at: wp.vec3,
+    seen: wp.array2d(dtype=corner8f),
+    chunk: int,
+):
+    """What an element that advances, at ``at`` [voxel], meets."""
+    met = Met()
+    row, column = remaining_voxel(brick_of, alive, at)
+    if row >= 0:
+        bone = bone_at(brick_of, material, nearby, row, column, at)
+        normal = elements.normal[e]
+        outward = (normal[0] * travel.ex + normal[1] * travel.ey + normal[2] * travel.ez) * spacing
+        share = share_below(bone, outward, elements.area[e], spacing)
+        if share > 0.0 and taken_before(
+            tool,
+            motion,
+            travel.axis,
+            travel.heading,
+            brick_of,
+            older,
+            row,
+            column,
+            at,
+            outward,
+            elements.bend[e],
+            seen,
+            chunk,
+        ):
+            share = 0.0
+        met.share = share
+        met.layer = bone.layer
+        met.density = wp.min(int(bone.density + 0.5), DENSITIES - 1)
+    return met
 
 
 @wp.func

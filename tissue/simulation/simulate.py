@@ -31,7 +31,7 @@ from tissue.simulation.scheduling import Scheduling, spin_time_s
 from tissue.simulation.shortfalls import shortfalls
 from tissue.simulation.trace import Table
 
-__all__ = ["TICK_S", "RunObserver", "simulate"]
+__all__ = ["TICK_S", "RunObserver", "simulate", "tick_count"]
 
 
 class RunObserver(Protocol):
@@ -132,7 +132,7 @@ def simulate(
             if not isinstance(parts.motion, MovedByDevice):
                 raise InputError("scene must name the device that is given, got none: set device, such as touch")
             parts.motion.device, parts.motion.after_s = device, 0.0
-        ticks = _tick_count(scene, parts.motion)
+        ticks = tick_count(scene, parts.motion)
         if folder is not None:
             folder.begin(scene, parts.placement)
         run = _loop(scene, parts, ticks, compute=compute, cores=cores, folder=folder, report=report, observer=observer)
@@ -231,7 +231,7 @@ def _foreseen(trace: Table, motion: MovedByDevice) -> str:
     )
 
 
-def _tick_count(scene: Scene, motion: Motion) -> int:
+def tick_count(scene: Scene, motion: Motion) -> int:
     """Ticks of a run; one that is to see the whole motion waits for a hand that is late."""
     seconds = scene.duration_s or motion.duration_s
     if scene.duration_s is not None and seconds >= motion.duration_s - motion.after_s:

@@ -8,22 +8,20 @@ from numpy.typing import NDArray
 
 from kernels.bricks import FULL, corner8f
 from kernels.cutting import AREA, DENSITIES, RATE, Coefficients, cutting_forces
-from kernels.elements import CHUNK, LANES, Elements, lanes8, lever16
+from kernels.elements import CHUNK, lever16
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror
 from kernels.older_cuts import SLOTS
-from meshes.base.arrays import Array
 from meshes.voxels.volume import VoxelVolume
-from tissue.cutters.cutter import Cutter, PointShell
+from tissue.cutters.cutter import Cutter
 from tissue.materials.cutting import CuttingCoefficients
 from tissue.models.bone.bricks import BrickStore
 from tissue.models.bone.carver import Carver, Removal
+from tissue.models.bone.elements import elements_of
 from tissue.models.tissue_model import Response, ToolMotion
 
 __all__ = ["BoneModel", "Removal"]
 
-LEVER = [0, 1, 3, 4, 5, 6, 7, 8, 9, 10, 11, 14, 15, 16]
-"""Components of the forces and torques of tangential, radial and axial loads that are not 0 on every element."""
 SHELL_ELEMENTS = 6000
 """Elements over the cutting surface: a thirtieth of a ball's radius apart, 0.2 to 0.5 % of the force."""
 
@@ -77,7 +75,7 @@ class BoneModel:
         self._motion = Mirror((6, 3), dtype=wp.float64, device=device)
         self._rows = self._motion.host[0], self._motion.host[1:4], self._motion.host[4:6]
         self._sums = Mirror((chunks, AREA + layers), dtype=wp.float64, device=device)
-        self.elements = _elements(self.shell, cutter, spacing_m=spacing, device=device)
+        self.elements = elements_of(self.shell, cutter, spacing_m=spacing, device=device)
         self._coefficients = _on_device(coefficients, device=device)
         self._scratch = wp.zeros((chunks, SLOTS + 1), dtype=corner8f, device=device)
         self._device, self._cores = device, cores
@@ -121,7 +119,7 @@ class BoneModel:
 
     @property
     def motion_rows(self) -> Any:
-        """Device array of the pose and motion that `respond` was last asked about, see the force kernel."""
+        """Device array of the pose and motion that `take` was last given, see the force kernel."""
         return self._motion.device
 
     @property
@@ -152,14 +150,18 @@ class BoneModel:
         """Carve what the tool reaches at its new pose; a slow tool's carving is spread over ticks."""
         self.carver.advance(motion)
 
-    def respond(self, motion: ToolMotion) -> Response:
-        """Cutting force at the motion's pose, as a part that grows with speed and a part that does not."""
+    def take(self, motion: ToolMotion) -> None:
+        """Write a pose and motion to `motion_rows`."""
         tip, axes, velocities = self._rows
         np.subtract(motion.tip_m, self._origin, out=tip)
         tip /= self._spacing
         axes[:] = motion.rotation.T
         np.dot(motion.heading, motion.rotation, out=velocities)
         self._motion.push()
+
+    def respond(self, motion: ToolMotion) -> Response:
+        """Cutting force at the motion's pose, as a part that grows with speed and a part that does not."""
+        self.take(motion)
         self._forces()
         self._sums.pull()
         sums = np.add.reduce(self._sums.host, axis=0)
@@ -183,31 +185,6 @@ class BoneModel:
         return self.store.fraction()
 
 
-def _elements(shell: PointShell, cutter: Cutter, *, spacing_m: float, device: str) -> Elements:
-    """The cutter's point shell on a device."""
-    elements = Elements()
-    elements.point = wp.array(shell.points_m, dtype=wp.vec3, device=device)
-    missing = (0, -len(shell.areas_m2) % LANES), (0, 0)  # elements without a normal do not advance
-    eights = np.pad(np.hstack([shell.points_m, shell.normals]), missing).reshape(-1, LANES, 6).transpose(0, 2, 1)
-    elements.lanes = wp.array(np.ascontiguousarray(eights), dtype=lanes8, device=device)
-    elements.normal = wp.array(shell.normals, dtype=wp.vec3, device=device)
-    around = np.column_stack([-shell.points_m[:, 1], shell.points_m[:, 0], np.zeros(len(shell.radii_m))])
-    around *= np.sign(cutter.spin_rad_s) / shell.radii_m[:, None]
-    axis = np.broadcast_to([0.0, 0.0, 1.0], around.shape)
-    parts = [part for each in (around, shell.normals, axis) for part in (each, np.cross(shell.points_m, each))]
-    levers = np.hstack([np.hstack(parts)[:, LEVER], np.zeros((len(around), 2))])
-    elements.lever = wp.array(np.pad(levers, missing), dtype=lever16, device=device)
-    elements.area = wp.array(shell.areas_m2, dtype=wp.float32, device=device)
-    bend = cutter.table(spacing_m=spacing_m).bend_at(shell.radii_m / spacing_m, shell.points_m[:, 2] / spacing_m)
-    elements.bend = wp.array(bend, dtype=wp.float32, device=device)
-    edge_length = cutter.flute_count * shell.areas_m2 / (2.0 * np.pi * shell.radii_m)
-    elements.edge_length = wp.array(edge_length, dtype=wp.float32, device=device)
-    balls, cones = _chunk_bounds(shell)
-    elements.chunk_ball = wp.array(balls, dtype=wp.vec4, device=device)
-    elements.chunk_cone = wp.array(cones, dtype=wp.vec4, device=device)
-    return elements
-
-
 def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) -> Coefficients:
     """Cutting coefficients on a device, one entry a layer."""
     arrays = Coefficients()
@@ -223,20 +200,3 @@ def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) ->
     strength = [(density / layer.reference_density_kg_m3) ** layer.density_exponent for layer in coefficients]
     arrays.strength = wp.array(np.array(strength), dtype=wp.float32, device=device)
     return arrays
-
-
-def _chunk_bounds(shell: PointShell) -> tuple[Array, Array]:
-    """A ball around each chunk's points, centre and radius [m], and a cone around its normals; each shape (chunks, 4).
-
-    A cone is its axis and the sine of its half angle, 2 where it is wider than a half space.
-    """
-    balls, cones = [], []
-    for start in range(0, len(shell.areas_m2), CHUNK):
-        points, normals = shell.points_m[start : start + CHUNK], shell.normals[start : start + CHUNK]
-        middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-        balls.append([*middle, np.linalg.norm(points - middle, axis=1).max()])
-        axis = normals.sum(axis=0)
-        axis /= max(float(np.linalg.norm(axis)), 1e-12)
-        cosine = float((normals @ axis).min())
-        cones.append([*axis, np.sqrt(max(1.0 - cosine**2, 0.0)) if cosine > 0.0 else 2.0])
-    return np.array(balls), np.array(cones)

@@ -1,0 +1,89 @@
+"""Loads of bone of many densities, held as those at a few: enough for every exponent of the density.
+
+Every coefficient of an element is scaled by (density / reference) ** exponent. Summed over elements of density rho with
+weights w, f(p) = sum w rho**p is needed for any p. Between nodes rho_j, Chebyshev points of ln rho, the factor
+rho**(p - c), c the middle of the exponents, is interpolated by polynomials L_j of ln rho, so that::
+
+    f(p) = sum_j rho_j**(p - c) M_j,    M_j = sum w rho**c L_j(ln rho)
+
+The interpolation of exp(a x) on [-1, 1] by n points is off by about 4 I_n(a) (Trefethen 2013, Approximation Theory and
+Approximation Practice, ch. 3); n is the least for which that is below `ERROR` of the smallest value, exp(-a).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebvander
+from numpy.typing import NDArray
+from scipy.special import iv
+
+from kernels.cutting import DENSITIES
+from meshes.base.arrays import Array
+
+__all__ = ["HIGHEST_EXPONENT", "DensityNodes"]
+
+HIGHEST_EXPONENT = 5.0
+"""Exponents from 0 to this: what a scene accepts."""
+MIDDLE = 0.5 * HIGHEST_EXPONENT
+ERROR = 1e-8
+"""Greatest relative error of the factor of an element, a hundredth of what reweighed loads are held to."""
+MOST_NODES = 64
+
+
+@dataclass(frozen=True, eq=False)
+class DensityNodes:
+    """The nodes of one layer.
+
+    Attributes
+    ----------
+    densities_kg_m3
+        Shape (k,).
+    shares
+        M_j of a unit weight by density, an entry of the strength table, shape (4096, k).
+    """
+
+    densities_kg_m3: Array
+    shares: Array
+
+    @classmethod
+    def of(cls, least_kg_m3: int, most_kg_m3: int) -> "DensityNodes":
+        """Nodes for densities in a range; one where it is a single number."""
+        least, most = (min(max(each, 1), DENSITIES - 1) for each in (least_kg_m3, most_kg_m3))
+        if least == most:
+            return cls(np.array([float(least)]), np.ones((DENSITIES, 1)))
+        middle, half = 0.5 * np.log(most * least), 0.5 * np.log(most / least)
+        count = _count(MIDDLE * half)
+        at = np.cos(np.pi * (np.arange(count) + 0.5) / count)
+        density = np.clip(np.arange(DENSITIES), least, most)
+        x = (np.log(density) - middle) / half
+        modes = chebvander(at, count - 1)
+        modes[:, 1:] *= 2.0
+        polynomials = chebvander(np.clip(x, -1.0, 1.0), count - 1) @ modes.T / count
+        return cls(np.exp(middle + half * at), polynomials * (np.exp(half * x) ** MIDDLE)[:, None])
+
+    @property
+    def middle_kg_m3(self) -> float:
+        """The density whose logarithm lies in the middle of the range's."""
+        return float(np.exp(np.log(self.densities_kg_m3).mean()))
+
+    def strengths(self, exponent: float, *, reference_kg_m3: float, factor: float = 1.0) -> Array:
+        """Weights of the M_j in the sum of (factor density / reference) ** exponent, shape (k,)."""
+        tilt = (self.densities_kg_m3 / self.middle_kg_m3) ** -MIDDLE
+        return np.asarray((factor * self.densities_kg_m3 / reference_kg_m3) ** exponent * tilt)
+
+    def logarithms(self, *, reference_kg_m3: float, factor: float = 1.0) -> Array:
+        """ln(factor density / reference) of the nodes, shape (k,): what an exponent's derivative multiplies by."""
+        return np.asarray(np.log(factor * self.densities_kg_m3 / reference_kg_m3))
+
+
+def _count(a: float) -> int:
+    """Points that interpolate exp(a x) on [-1, 1] within `ERROR` of its least value."""
+    counts = np.arange(2, MOST_NODES)
+    return int(counts[np.argmax(4.0 * iv(counts, a) * np.exp(a) < ERROR)])
+
+
+def densities_of(material: NDArray[np.uint32], layer: int) -> NDArray[np.int64]:
+    """Least and greatest density in a layer of stored voxels [kg/m3], by their words; of none two zeros."""
+    density = (material[(material & 255) == layer] >> 16).astype(np.int64)
+    density = density[density > 0]
+    return np.array([density.min(), density.max()]) if len(density) else np.zeros(2, dtype=np.int64)

@@ -1,0 +1,142 @@
+"""Bone that answers with what its force is made of: the loads of a unit of each cutting coefficient."""
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from kernels.bricks import corner8f
+from kernels.elements import CHUNK, LANES
+from kernels.engagement import engaged_elements
+from kernels.launcher import SplitLaunch
+from kernels.mirror import Mirror
+from kernels.older_cuts import SLOTS
+from meshes.base.arrays import Array
+from tissue.models.bone.density_nodes import DensityNodes, densities_of
+from tissue.models.bone.elements import edge_lengths_m, levers_of
+from tissue.models.bone.model import BoneModel
+from tissue.models.tissue_model import Response, ToolMotion
+
+__all__ = ["COEFFICIENTS", "EngagedBone"]
+
+COEFFICIENTS = 6
+"""Tangential, radial and axial chip, then edge coefficients."""
+
+
+class EngagedBone:
+    """A bone model that is carved as ever, and gives loads for any coefficients in place of a force.
+
+    Parameters
+    ----------
+    bone
+        The model; its own coefficients count for nothing.
+    device
+        Warp device name.
+    cores
+        Processor cores to split large launches over; default all.
+
+    Attributes
+    ----------
+    nodes
+        Densities of each layer at which loads are given.
+    unit_loads
+        Of each layer: force [N] and torque about the tip [N m] on the tool in the world for a unit of each coefficient
+        [Pa, then N/m], weighed as `DensityNodes` has it, shape (nodes, 6, 6); of the last `respond`.
+    asked
+        Whether `respond` is to give them.
+    """
+
+    def __init__(self, bone: BoneModel, *, device: str = "cpu", cores: int | None = None) -> None:
+        self.bone, self.layer_names = bone, bone.layer_names
+        self.measure_names: tuple[str, ...] = ()
+        self.asked = True
+        material = bone.store.material.numpy()
+        self.nodes = [DensityNodes.of(*densities_of(material, layer)) for layer in range(len(self.layer_names))]
+        self.unit_loads = [np.zeros((len(each.densities_kg_m3), COEFFICIENTS, 6)) for each in self.nodes]
+        self._response = Response.empty(len(self.layer_names))
+        shell, cutter = bone.shell, bone.cutter
+        self._areas, self._edges, self._levers = shell.areas_m2, edge_lengths_m(shell, cutter), levers_of(shell, cutter)
+        chunks = -(-len(self._areas) // CHUNK)
+        padded = -(-len(self._areas) // LANES) * LANES
+        kinds = wp.float32, wp.float32, wp.int32, wp.int32
+        self._found = [Mirror(padded, dtype=kind, device=device) for kind in kinds]
+        store = bone.store
+        self._launch = SplitLaunch(
+            engaged_elements,
+            dim=chunks,
+            inputs=[
+                bone.carver.tool,
+                bone.elements,
+                bone.motion_rows,
+                store.grid.spacing_m,
+                0,
+                store.brick_of,
+                store.material,
+                store.nearby,
+                store.older,
+                store.alive,
+            ],
+            outputs=[
+                wp.zeros((chunks, SLOTS + 1), dtype=corner8f, device=device),
+                *(each.device for each in self._found),
+            ],
+            offset_index=4,
+            device=device,
+            cores=cores,
+        )
+
+    @property
+    def engaged_m2(self) -> Array:
+        """Area of the tool that met each layer at the last `respond` [m2], shape (layers,)."""
+        return self._response.engaged_m2
+
+    @property
+    def start_m3(self) -> NDArray[np.float64]:
+        """Volume of each layer before the first cut [m3], shape (layers,)."""
+        return self.bone.start_m3
+
+    @property
+    def removed_m3(self) -> NDArray[np.float64]:
+        """Volume removed from each layer so far [m3], shape (layers,)."""
+        return self.bone.removed_m3
+
+    def place(self, motion: ToolMotion) -> None:
+        """Put the tool at its first pose."""
+        self.bone.place(motion)
+
+    def advance(self, motion: ToolMotion) -> None:
+        """Carve what the tool reaches at its new pose."""
+        self.bone.advance(motion)
+
+    def finish(self) -> None:
+        """Complete the carving that was spread over ticks."""
+        self.bone.finish()
+
+    def respond(self, motion: ToolMotion) -> Response:
+        """Engaged areas and rate of removal, without a force; `unit_loads` are those at the motion's speed."""
+        response = self._response
+        if not self.asked:
+            return response
+        self.bone.take(motion)
+        self._launch()
+        for each in self._found:
+            each.pull()
+        share, advance, layer, density = (each.host for each in self._found)
+        met = np.flatnonzero(share)
+        engaged = self._areas[met] * share[met]
+        lengths, speeds, layers = self._edges[met] * share[met], advance[met].astype(np.float64), layer[met]
+        response.engaged_m2[:] = np.bincount(layers, engaged, minlength=len(self.layer_names))
+        response.removal_rate_m3_s = float(engaged @ speeds) * motion.speed_m_s
+        chip = self.bone.cutter.chip_per_speed_s * motion.speed_m_s * speeds
+        edge = np.full(len(met), 1.0 if motion.speed_m_s > 0.0 else motion.pressed)
+        weights, levers = -lengths[:, None] * np.stack([chip, edge], axis=1), self._levers[met]
+        for at, nodes in enumerate(self.nodes):
+            here = layers == at
+            self.unit_loads[at][:] = _sums(weights[here], levers[here], nodes.shares[density[met][here]], motion)
+        return response
+
+
+def _sums(weights: Array, levers: Array, shares: Array, motion: ToolMotion) -> Array:
+    """Loads of elements with weights of chip and edge, (n, 2), levers, (n, 18), and shares at nodes, (n, nodes)."""
+    columns = (weights[:, :, None] * levers[:, None, :]).reshape(len(weights), 2 * levers.shape[1])
+    sums = (shares.T @ columns).reshape(shares.shape[1], COEFFICIENTS, 2, 3)
+    return np.asarray(sums @ motion.rotation.T).reshape(shares.shape[1], COEFFICIENTS, 6)

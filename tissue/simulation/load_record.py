@@ -1,0 +1,252 @@
+"""The geometry of one run, from which the loads for other cutting coefficients follow without running again.
+
+The force on a cutter is linear in the coefficients of each layer, and the bone that it meets does not depend on them
+where the tool goes a given path. So one run finds the loads of a unit of each coefficient at every tick, and::
+
+    loads = sum over layers and nodes of density of strength (K_tc, K_rc, K_ac, K_te, K_re, K_ae) . unit loads
+
+is what a run with those coefficients would have recorded as ``model_force`` and ``model_torque``, within 1e-6.
+"""
+
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import numpy as np
+from scipy.signal import lfilter
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress, silent
+from tissue.builders.registry import motion_of
+from tissue.haptics.loop.vibration import Vibration
+from tissue.materials.cutting import CuttingCoefficients
+from tissue.models.bone.density_nodes import DensityNodes
+from tissue.models.bone.engagement import COEFFICIENTS, EngagedBone
+from tissue.models.bone.model import BoneModel
+from tissue.models.tissue_model import TICK_S
+from tissue.models.tooth.model import ToothModel
+from tissue.motion.motion import Motion
+from tissue.scene.named_parts import loaded
+from tissue.scene.registry import ANATOMIES
+from tissue.scene.scene import Scene
+from tissue.scene.tool import ReplayMotion, Tool
+from tissue.scene.unused_keys import require_used
+from tissue.simulation.loop import Loop, undisturbed
+from tissue.simulation.simulate import tick_count
+from tissue.simulation.trace import Table
+
+__all__ = ["SENSITIVITIES", "LoadRecord", "record_loads", "why_not_linear"]
+
+SENSITIVITIES = (*CuttingCoefficients.CHIP, *CuttingCoefficients.EDGE, "density_exponent", "density_factor")
+"""What `LoadRecord.jacobian` differentiates by, for each layer."""
+MOST_BYTES = 1_000_000_000
+"""Memory of a record [B]: 60 s of every tick in two layers whose density varies, an hour in one where it does not."""
+
+
+@dataclass(frozen=True, eq=False)
+class LayerLoads:
+    """Unit loads of a layer that was met, shape (nodes, 6, n, 6), and the densities of the nodes."""
+
+    nodes: DensityNodes
+    unit: Array
+
+    def per_coefficient(self, strengths: Array) -> Array:
+        """Loads of a unit of each coefficient for weights of the nodes, shape (6, n, 6)."""
+        return np.asarray(np.tensordot(strengths, self.unit, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class LoadRecord:
+    """The geometry of one run.
+
+    Attributes
+    ----------
+    scene
+        What was run.
+    times_s
+        Times of the recorded ticks, shape (n,).
+    layer_names
+        All layers of the bone, those that the tool did not meet included.
+    layers
+        Unit loads by the place of their layer in `layer_names`, of those that were met.
+    engaged_m2
+        Area of the tool that meets each layer, shape (n, layers).
+    trace
+        The recorded ticks of the run's trace, its loads 0.
+    cutter_passing_Hz
+        Rate at which the cutter's edges pass.
+    every
+        Ticks between two that were recorded.
+    notes
+        What was assumed or found as the scene was built, by what it is about.
+    """
+
+    scene: Scene
+    times_s: Array
+    layer_names: tuple[str, ...]
+    layers: dict[int, LayerLoads]
+    engaged_m2: Array
+    trace: Table
+    cutter_passing_Hz: float
+    every: int
+    notes: dict[str, str]
+
+    def loads(self, coefficients: tuple[CuttingCoefficients, ...], density_factors: Array | None = None) -> Array:
+        """Force [N] and torque about the tip [N m] on the tool in the world, shape (n, 6).
+
+        Parameters
+        ----------
+        coefficients
+            Of each layer, in the order of `layer_names`.
+        density_factors
+            What the density of each layer is multiplied by, shape (layers,); None for 1.
+        """
+        loads = np.zeros((len(self.times_s), 6))
+        for at, layer in self.layers.items():
+            factor = 1.0 if density_factors is None else float(density_factors[at])
+            weights = np.multiply.outer(_strengths(layer, coefficients[at], factor), _values(coefficients[at]))
+            loads += (weights.ravel() @ layer.unit.reshape(weights.size, -1)).reshape(loads.shape)
+        return loads
+
+    def jacobian(self, coefficients: tuple[CuttingCoefficients, ...], density_factors: Array | None = None) -> Array:
+        """Derivatives of the loads by `SENSITIVITIES` of each layer, shape (n, 6, layers, 8); arguments as `loads`."""
+        found = np.zeros((len(self.times_s), 6, len(self.layer_names), COEFFICIENTS + 2))
+        for at, layer in self.layers.items():
+            factor = 1.0 if density_factors is None else float(density_factors[at])
+            each = coefficients[at]
+            strengths, values = _strengths(layer, each, factor), _values(each)
+            unit = layer.per_coefficient(strengths)
+            found[:, :, at, :COEFFICIENTS] = np.moveaxis(unit, 0, -1)
+            grown = strengths * layer.nodes.logarithms(reference_kg_m3=each.reference_density_kg_m3, factor=factor)
+            found[:, :, at, -2] = np.tensordot(values, layer.per_coefficient(grown), 1)
+            found[:, :, at, -1] = np.tensordot(values, unit, 1) * (each.density_exponent / factor)
+        return found
+
+    def commanded(self, loads: Array) -> Array:
+        """What a run commands of such loads, low-pass and vibration as the scene has them, shape (n, 6).
+
+        Raises
+        ------
+        InputError
+            If not every tick was recorded.
+        """
+        if self.every != 1:
+            raise InputError(
+                f"every must be 1 for the force that is commanded, whose low-pass runs each tick, got {self.every}: "
+                "record every tick"
+            )
+        output = self.scene.output
+        lag = output.low_pass_ms * 1e-3
+        gain = 1.0 - np.exp(-TICK_S / lag) if lag > 0.0 else 1.0
+        vibration = Vibration(self.cutter_passing_Hz, share=output.vibration_share, step_s=TICK_S)
+        factors = np.array([1.0 + vibration.factor(tick) for tick in range(len(loads))])
+        return np.asarray(lfilter([gain], [1.0, gain - 1.0], loads, axis=0) * factors[:, None])
+
+
+def _strengths(layer: LayerLoads, coefficients: CuttingCoefficients, factor: float) -> Array:
+    reference = coefficients.reference_density_kg_m3
+    return layer.nodes.strengths(coefficients.density_exponent, reference_kg_m3=reference, factor=factor)
+
+
+def _values(coefficients: CuttingCoefficients) -> Array:
+    """The six coefficients in SI."""
+    return np.array([getattr(coefficients, name) for name in CuttingCoefficients.CHIP + CuttingCoefficients.EDGE])
+
+
+def why_not_linear(scene: Scene) -> str:
+    """Why the loads of a scene do not follow from one run for other coefficients, in words; empty where they do."""
+    if ANATOMIES[scene.anatomy.kind].build != "tissue.builders.cutting:milled" or not isinstance(scene.tool, Tool):
+        return f"a {scene.tool.kind} in a {scene.anatomy.kind} has no cutting coefficients to be linear in"
+    if scene.device != "none":
+        return f"the device {scene.device} yields to the force, so that the tool's path depends on the coefficients"
+    if scene.motion.kind not in ("path", "replay"):
+        return f"the path of a motion of kind {scene.motion.kind} may depend on the force, and so on the coefficients"
+    if scene.tool.spin_rpm == 0.0:
+        return "a tool that does not turn cuts nothing"
+    return ""
+
+
+def record_loads(
+    scene: Scene,
+    *,
+    motion: Motion | None = None,
+    every: int = 1,
+    compute: str = "cpu",
+    cores: int | None = None,
+    progress: Progress | None = None,
+) -> LoadRecord:
+    """Run a scene's geometry once: it is carved at every tick as in a run, without stress, heat and keep clear.
+
+    Parameters
+    ----------
+    scene
+        A bone or tooth that a cutter mills on a given path.
+    motion
+        Moves the tool in place of the scene's motion, for as long as it lasts; it may not depend on the force.
+    every
+        Ticks between two whose loads are recorded.
+    compute, cores, progress
+        As `tissue.simulation.simulate.simulate` has them.
+
+    Raises
+    ------
+    InputError
+        If the loads are not linear, see `why_not_linear`, the record would not fit `MOST_BYTES`, or as `simulate`.
+    """
+    report = progress or silent
+    if motion is None:
+        require_used(scene)
+    else:
+        stands_in = ReplayMotion(kind="replay", file="poses that were given")
+        scene = scene.model_copy(update={"motion": stands_in, "device": "none", "duration_s": None})
+    if why := why_not_linear(scene):
+        raise InputError(f"scene must have a force that is linear in the coefficients, got one where {why}: run it")
+    scene = scene.model_copy(update={"stress": None, "heat": False, "keep_clear": None})
+    motion = motion or motion_of(scene, step_s=TICK_S)
+    build = loaded(ANATOMIES[scene.anatomy.kind].build)
+    parts = build(scene, motion, step_s=TICK_S, compute=compute, cores=cores, report=report)
+    model = parts.tissue.milling if isinstance(parts.tissue, ToothModel) else parts.tissue
+    assert isinstance(model, BoneModel)
+    bone = EngagedBone(model, device=compute, cores=cores)
+    loop = Loop(replace(parts, tissue=bone), ticks=tick_count(scene, motion), output=scene.output)
+    unit, engaged = _recorded(loop, bone, every, report)
+    rows = loop.trace.rows[::every]
+    return LoadRecord(
+        scene=scene,
+        times_s=loop.trace["time_s"][::every],
+        layer_names=bone.layer_names,
+        layers={at: LayerLoads(bone.nodes[at], each) for at, each in enumerate(unit) if each.any()},
+        engaged_m2=engaged,
+        trace=replace(loop.trace, rows=rows),
+        cutter_passing_Hz=model.cutter.tooth_passing_Hz,
+        every=every,
+        notes=parts.notes,
+    )
+
+
+def _recorded(loop: Loop, bone: EngagedBone, every: int, report: Progress) -> tuple[list[Array], Array]:
+    """Unit loads of each layer, shape (nodes, 6, n, 6), and areas engaged of every so many ticks of a loop."""
+    ticks = len(loop.trace.rows)
+    count = -(-ticks // every)
+    needed = sum(each.nbytes for each in bone.unit_loads) * count
+    if needed > MOST_BYTES:
+        raise InputError(
+            f"every must leave the record within {MOST_BYTES / 1e9:g} GB, got {every} for {ticks} ticks, which need "
+            f"{needed / 1e9:.1f} GB: use {every * -(-needed // MOST_BYTES)}"
+        )
+    unit = [np.zeros((*each.shape[:2], count, 6)) for each in bone.unit_loads]
+    engaged, reported_s = np.zeros((count, len(unit))), 0.0
+    loop.place()
+    with undisturbed():
+        for tick in range(ticks):
+            bone.asked = tick % every == 0
+            loop.step()
+            if bone.asked:
+                engaged[tick // every] = bone.engaged_m2
+                for all_ticks, each in zip(unit, bone.unit_loads, strict=True):
+                    all_ticks[:, :, tick // every] = each
+            if perf_counter() - reported_s > 0.1:
+                reported_s = perf_counter()
+                report("recording the geometry", tick / ticks)
+    loop.finish()
+    return unit, engaged
