@@ -19,7 +19,7 @@ FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("
 MODULES = [
     path.relative_to(ROOT).with_suffix("").as_posix().removesuffix("/__init__").replace("/", ".") for path in FILES
 ]
-QUICK_EXAMPLES = {"07_a_hand_on_the_wall", "08_where_1_khz_is_not_enough"}
+QUICK_EXAMPLES = {"07_a_hand_on_the_wall"}
 EXAMPLES = [
     pytest.param(path, id=path.stem, marks=() if path.stem in QUICK_EXAMPLES else pytest.mark.slow)
     for path in sorted((ROOT / "examples").glob("*.py"))

@@ -114,8 +114,15 @@ def test_an_exception_elsewhere_in_the_run_ends_at_zero(kind, monkeypatch):
     assert_left_alone(device)
 
 
-@pytest.mark.parametrize("where", ["read", "command"])
-@pytest.mark.parametrize("kind", [Recording, Managed])
+@pytest.mark.parametrize(
+    ("kind", "where"),
+    [
+        (Recording, "command"),
+        (Managed, "read"),
+        pytest.param(Recording, "read", marks=pytest.mark.slow),
+        pytest.param(Managed, "command", marks=pytest.mark.slow),
+    ],
+)
 def test_a_call_that_never_returns_is_given_up(kind, where, tmp_path):
     """Zero goes out from another thread, or the device is closed; the run ends while the call still blocks."""
     device = kind(block, where=where)
@@ -204,7 +211,7 @@ finally:
     [
         pytest.param("SIGINT", marks=pytest.mark.slow),
         "SIGTERM",
-        "SIGHUP",
+        pytest.param("SIGHUP", marks=pytest.mark.slow),
         pytest.param("SIGQUIT", marks=pytest.mark.slow),
     ],
 )

@@ -89,22 +89,31 @@ def test_a_slot_has_its_closed_form_in_any_frame(frame):
     assert steady == pytest.approx(wanted, abs=0.02 * np.linalg.norm(wanted))
 
 
-def slanted_plunge(tip_z, normal, plate_m):
-    """Force [N] of a ball that plunges along -z into a plate over another layer, from a fine sum over its surface."""
+def slanted_plunge(tips_z, normal, plate_m):
+    """Forces [N] on a ball that plunges along -z into a plate over another layer, from a fine sum over its surface.
+
+    Points of the surface are added up in the order of their depth, so that those below a depth are a difference of two.
+    """
     count = 300
     polar = (np.arange(count) + 0.5) / count * (pi / 2)
     turn = (np.arange(2 * count) + 0.5) / count * pi
     polar, turn = np.meshgrid(polar, turn, indexing="ij")
     out = np.stack([np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), -np.cos(polar)], axis=-1)
-    depth = -(R * out + [0.0, 0.0, R + tip_z]) @ normal
-    density = np.where(depth > plate_m, 400.0, 1800.0)
-    strength = (depth > 0.0) * (density / BONE.reference_density_kg_m3) ** BONE.density_exponent
+    upper, lower = (np.array([1800.0, 400.0]) / BONE.reference_density_kg_m3) ** BONE.density_exponent
     chip = FEED * BURR.chip_per_speed_s * np.cos(polar)
     around = np.sign(BURR.spin_rad_s) * np.stack([-np.sin(turn), np.cos(turn), np.zeros_like(turn)], axis=-1)
     per_length = (BONE.tangential_chip_Pa * chip + BONE.tangential_edge_N_m)[..., None] * around
     per_length += (BONE.radial_chip_Pa * chip + BONE.radial_edge_N_m)[..., None] * out
     length = BURR.flute_count / (2 * pi) * R * (pi / 2 / count) * (pi / count)
-    return -length * (per_length * strength[..., None]).sum(axis=(0, 1))
+    depth = (-R * out @ normal).ravel()  # of a tip at R above the face
+    order = np.argsort(-depth)
+    summed = np.vstack([np.zeros(3), np.cumsum(per_length.reshape(-1, 3)[order], axis=0)])
+
+    def below(level):
+        return summed[np.searchsorted(-depth[order], -level)]
+
+    face = (R + np.asarray(tips_z)) * normal[2]
+    return -length * (upper * below(face) + (lower - upper) * below(face + plate_m))
 
 
 @pytest.mark.parametrize("spacing_m", [2e-4, pytest.param(1e-4, marks=pytest.mark.slow)])
@@ -113,7 +122,7 @@ def test_layers_at_a_slant_are_met_where_they_lie(spacing_m):
     normal = np.array([0.25, 0.15, 1.0]) / np.linalg.norm([0.25, 0.15, 1.0])
     force, _ = forces(plate(normal, 4.5e-4), [0, 0, 0.4], [0, 0, -0.8], spacing_m=spacing_m)
     tips = 4e-4 - FEED * TICK_S * np.arange(1, 301)
-    wanted = np.array([slanted_plunge(tip, normal, 4.5e-4) for tip in tips])
+    wanted = slanted_plunge(tips, normal, 4.5e-4)
     means, right = (values[:300].reshape(6, 50, 3).mean(axis=1) for values in (force, wanted))
     error = np.linalg.norm(means - right) / np.linalg.norm(right)
     print(f"\n{error}")

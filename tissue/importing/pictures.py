@@ -80,9 +80,8 @@ def draw_tooth(image: Image, tooth: Labels, file: Path, *, centre_mm: NDArray[np
     """
     origin, spacing = np.array(tooth.image.origin_mm), np.array(tooth.image.spacing_mm)
     low, high = origin, origin + spacing * (np.array(tooth.image.values.shape) - 1)
-    outer, *inner = (
-        (name, replace(tooth.image, values=tooth.mask(name) - np.float32(0.5))) for name in tooth.names.values()
-    )
+    masks = sorted(((name, tooth.mask(name)) for name in tooth.names.values()), key=lambda each: -each[1].sum())
+    outer, *inner = ((name, replace(tooth.image, values=mask - np.float32(0.5))) for name, mask in masks)
     draw_ct_slices(
         cropped(image, ((low[0], low[1], low[2]), (high[0], high[1], high[2]))),
         file,

@@ -95,12 +95,12 @@ def test_a_full_disk_is_refused_and_the_run_is_incomplete(refused, here, monkeyp
 
 @pytest.fixture
 def tiny_disk(tmp_path):
-    """A file system of 300 kB."""
+    """A file system of 100 kB."""
     place = tmp_path / "disk"
     place.mkdir()
     mounted = (
         subprocess.run(
-            ["mount", "-t", "tmpfs", "-o", "size=300k", "tmpfs", str(place)], capture_output=True, check=False
+            ["mount", "-t", "tmpfs", "-o", "size=100k", "tmpfs", str(place)], capture_output=True, check=False
         )
         if sys.platform == "linux" and os.geteuid() == 0
         else None

@@ -50,7 +50,7 @@ def test_a_constant_acceleration_has_no_delay_and_a_pause_forgets():
     ("forecast", "model_ticks"),
     [
         (None, 4),
-        (FORECAST, 1),
+        pytest.param(FORECAST, 1, marks=pytest.mark.slow),
         pytest.param(None, 1, marks=pytest.mark.slow),
         pytest.param(FORECAST, 4, marks=pytest.mark.slow),
     ],

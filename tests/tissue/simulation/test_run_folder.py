@@ -55,7 +55,7 @@ def test_the_folder_holds_every_file(made):
     assert (made / "trace.csv").read_text().count("\n") == (made / "timing.csv").read_text().count("\n") == 601
 
 
-@pytest.mark.parametrize("cores", [1, 2])
+@pytest.mark.parametrize("cores", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_a_run_is_made_again_bit_for_bit_on_any_number_of_cores(made, tmp_path, cores):
     """Threads are made to share every launch: of the coarse scene's, few are long enough by themselves."""
     split = (
@@ -163,7 +163,7 @@ def test_a_runs_own_trace_replays_it(tmp_path):
         assert np.abs(moved).max() < 1e-9 * peak
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def start():
     """Start a run in a process of its own, which does not outlive the test; it heeds SIGINT wherever this one runs."""
     started = []
@@ -191,14 +191,14 @@ def wait_for_rows(path, process, least):
     raise AssertionError(f"{path} did not grow")
 
 
-@pytest.fixture
-def killed(tmp_path, start):
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory, start):
     """Folder of a milling run killed in its middle, and the wall time from its last growth to its end [s].
 
     Up to three are killed: a machine busy with other work holds a process up between its ticks.
     """
     for attempt in range(3):
-        out = tmp_path / f"milling-{attempt}"
+        out = tmp_path_factory.mktemp("killed") / f"milling-{attempt}"
         process = start("run", "milling", "--no-pictures", "--duration-s", "600", "--out", str(out), "--cores", "1")
         wait_for_rows(out / "trace.csv", process, 500)
         time.sleep(0.35)
@@ -226,8 +226,8 @@ def test_a_killed_run_loses_less_than_a_fifth_of_a_second(killed):
     assert load_scene(folder / "scene.toml").name == "milling"
 
 
-def test_a_killed_run_is_still_a_run(killed, refused, command):
-    folder, _ = killed
+def test_a_killed_run_is_still_a_run(killed, tmp_path, refused, command):
+    folder = shutil.copytree(killed[0], tmp_path / "run")
     before = {entry.relative_to(folder): entry.read_bytes() for entry in folder.rglob("*") if entry.is_file()}
     assert refused("run", "milling", *COARSE, "--out", folder) == (
         f"out must not hold another run, got {folder}: pass --overwrite to replace it or choose another --out"
