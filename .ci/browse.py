@@ -43,13 +43,16 @@ class Visit:
         tab.on("request", lambda request: self.require_inside(request.url))
 
     def report(self, what: object) -> None:
+        """Note a problem of the page that is open."""
         self.found.append(f"{self.page} ({self.view}): {what}")
 
     def require_inside(self, address: str) -> None:
+        """Note a request that leaves the site."""
         if not address.startswith((self.home, "data:", "blob:")):
             self.report(f"asks for {address}")
 
     def open(self, page: str) -> None:
+        """Load a page, named by its path without ``.html``; one that does not open or is too wide is noted."""
         self.page = page
         answer = self.tab.goto(f"{self.home}{page}.html", wait_until="load")
         if answer is None or not answer.ok:
@@ -85,6 +88,7 @@ def browse(site: Path, out: Path, chromium: str) -> list[str]:
 
 
 def main() -> None:
+    """Visit the site that the command names, print its problems and exit with 1 where there are any."""
     site, out = Path(sys.argv[1]).resolve(), Path(sys.argv[2])
     chromium = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
     try:

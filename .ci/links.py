@@ -26,6 +26,7 @@ class Page(HTMLParser):
         self.feed(path.read_text("utf-8"))
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Keep the id of a tag, what it links to and what it loads."""
         values = {name: value or "" for name, value in attrs}
         self.ids.update(filter(None, [values.get("id")]))
         for name in ("href", "src"):

@@ -27,6 +27,7 @@ class PackageTable(SphinxDirective):
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
+        """The table of the package that the directive names."""
         body = nodes.tbody()
         for name, text in modules_of(self.arguments[0]):
             cells = (f"`{name}`", text)

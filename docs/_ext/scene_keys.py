@@ -18,6 +18,7 @@ class SceneKeys(SphinxDirective):
     """Sections of the scene keys' page, one a part."""
 
     def run(self) -> list[nodes.Node]:
+        """The sections; the page is read anew for every build, since scenes define its content."""
         self.env.note_dependency(__file__)
         self.env.note_reread()
         return [_section(part) for part in parts()]
@@ -29,6 +30,7 @@ class LinkedKeys(SphinxPostTransform):
     default_priority = 500
 
     def run(self, **options: Any) -> None:
+        """Turn the literals of a page that name a key into links."""
         if self.env.docname == PAGE or PAGE not in self.env.all_docs:
             return
         known = {_anchor(part, key) for part in parts() for group in part.groups for key in group.keys if part.name}

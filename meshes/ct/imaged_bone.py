@@ -75,6 +75,7 @@ def imaged_anatomy(
     def classify(
         points: NDArray[np.floating], depth: NDArray[np.floating]
     ) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
+        """Layer and density [kg/m3] of points [m], shape (n, 3), at depths below the surface [m], shape (n,)."""
         from scipy.ndimage import map_coordinates
 
         at = to_voxels @ np.asarray(points, dtype=np.float32).T + first[:, None]
