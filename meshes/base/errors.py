@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 __all__ = [
     "DamagedFileError",
     "InputError",
+    "as_vector",
     "by",
     "counted",
     "in_brackets",
@@ -96,6 +97,15 @@ def require_ranges(*rows: tuple[str, float, float, float, str]) -> list[float]:
     return [require_range(*row) for row in rows]
 
 
+def as_vector(value: object) -> NDArray[np.float64] | None:
+    """Three finite numbers as an array; None where something else was given."""
+    try:
+        vector = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        return None
+    return vector if vector.shape == (3,) and np.isfinite(vector).all() else None
+
+
 def require_vector(name: str, value: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
     """Return `value` as three floats.
 
@@ -104,11 +114,8 @@ def require_vector(name: str, value: Sequence[float] | NDArray[np.float64]) -> N
     InputError
         If the value is not three finite numbers.
     """
-    try:
-        vector = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        vector = np.empty(0)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
+    vector = as_vector(value)
+    if vector is None:
         raise InputError(f"{name} must be three finite numbers, got {value}: use for example (0, 0, 1)")
     return vector
 

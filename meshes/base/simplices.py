@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["compact", "cross_products", "directed_edges", "windings"]
+__all__ = ["compact", "cross_products", "directed_edges", "enclosed_volume", "windings"]
 
 
 def compact(points: NDArray[np.float64], cells: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -28,3 +28,9 @@ def cross_products(points: NDArray[np.float64], triangles: NDArray[np.int64]) ->
     """Normals of triangles, as long as twice their area, shape (m, 3)."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
     return np.cross(b - a, c - a)
+
+
+def enclosed_volume(points: NDArray[np.float64], triangles: NDArray[np.int64]) -> float:
+    """Volume that triangles wound outward enclose, in cubed units of the points."""
+    corners = points - points.mean(axis=0)
+    return float(np.einsum("ij,ij->", corners[triangles[:, 0]], cross_products(corners, triangles))) / 6.0

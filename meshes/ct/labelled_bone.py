@@ -7,8 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, counted
+from meshes.base.simplices import enclosed_volume
 from meshes.ct.threshold import filled, largest_component
 from meshes.images.frame import Image
+from meshes.images.part import box_of, part_of
 from meshes.images.threshold_surface import image_cuts, image_triangles
 
 __all__ = ["BoneOfImage", "by_label", "by_threshold", "cropped"]
@@ -57,9 +59,7 @@ class BoneOfImage:
     @property
     def volume_mm3(self) -> float:
         """Volume that the triangles enclose [mm3]."""
-        vertices, faces = self.triangles
-        a, b, c = (vertices[faces[:, k]] - vertices.mean(axis=0) for k in range(3))
-        return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+        return enclosed_volume(*self.triangles)
 
     def density(self, law: Callable[[NDArray[np.floating]], NDArray[np.float32]]) -> Image:
         """Apparent density [kg/m3] of the bone and of some voxels around it, 0 elsewhere.
@@ -122,7 +122,7 @@ def cropped(image: Image, box_mm: Box) -> Image:
             f"{image.source} reaches from {np.round(low, 1).tolist()} to {np.round(high, 1).tolist()} mm (LPS): choose "
             "corners inside"
         )
-    return _part(image, first, last)
+    return part_of(image, tuple(map(slice, first.tolist(), last.tolist())))
 
 
 def by_label(image: Image, mask: NDArray[np.bool_]) -> BoneOfImage:
@@ -177,14 +177,5 @@ def _laid(part: Image, field: NDArray[np.float32], level: float, notes: list[str
 
 def _around(image: Image, mask: NDArray[np.bool_]) -> tuple[Image, NDArray[np.bool_]]:
     """The part of an image around a mask, and the mask there."""
-    held = [np.flatnonzero(mask.any(axis=tuple(a for a in range(3) if a != axis))) for axis in range(3)]
-    first = np.array([max(each[0] - MARGIN, 0) for each in held])
-    last = np.array([min(each[-1] + 1 + MARGIN, n) for each, n in zip(held, mask.shape, strict=True)])
-    return _part(image, first, last), np.ascontiguousarray(mask[tuple(map(slice, first, last))])
-
-
-def _part(image: Image, first: NDArray[np.int64], last: NDArray[np.int64]) -> Image:
-    """Voxels from one place to another."""
-    x, y, z = (np.array(image.origin_mm) + np.array(image.spacing_mm) * first).tolist()
-    values = np.ascontiguousarray(image.values[tuple(map(slice, first, last))])
-    return replace(image, values=values, origin_mm=(x, y, z))
+    box = box_of(mask, MARGIN)
+    return part_of(image, box), np.ascontiguousarray(mask[box])

@@ -16,7 +16,8 @@ from meshes.base.errors import InputError, by, counted, names_of_caller, require
 from meshes.base.progress import Progress, silent
 from meshes.base.simplices import cross_products
 from meshes.ct.labels import Labels
-from meshes.organs.label_surface import LabelGrid, box_of, label_triangles
+from meshes.images.part import box_of
+from meshes.organs.label_surface import LabelGrid, label_triangles
 from meshes.surfaces.surface import Surface, surface_from_triangles
 from meshes.tets.bisection import bisected
 from meshes.tets.inclusions import area_of, with_inclusion
@@ -154,7 +155,7 @@ def labelled_organ(labels: Labels, organ: str, parts: Sequence[str] = ()) -> Lab
     masks = {name: labels.mask(name) for name in parts}
     body = np.logical_or.reduce([whole, *masks.values()])
     # A layer of nothing stays around it, but at the edges of the image.
-    crop = tuple(slice(max(each.start - 1, 0), each.stop + 1) for each in box_of(body))
+    crop = box_of(body, 1)
     grid = grid.within(tuple(each.start for each in crop))
     solid, notes = _one_piece(body[crop], whole[crop], grid, organ)
     found = {name: _pieces(name, mask[crop], solid, organ, grid, notes) for name, mask in masks.items()}

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.simplices import cross_products
+from meshes.base.simplices import enclosed_volume
 from meshes.images.label_spread import spread_labels
+from meshes.images.part import box_of
 
-__all__ = ["LabelGrid", "box_of", "label_triangles", "volume_of"]
+__all__ = ["LabelGrid", "label_triangles"]
 
 Triangles = tuple[NDArray[np.float64], NDArray[np.int64]]
 _PER_RADIUS = 1.0 / 3.0
@@ -86,7 +87,7 @@ def label_triangles(mask: NDArray[np.bool_], grid: LabelGrid) -> Triangles | Non
     level, before = min(0.5, 0.5 * (low + high)), (0.0, 0.0)
     for attempt in range(_TRIES):
         found = _level(share, level, place)
-        off = volume_of(*found) / wanted_m3 - 1.0
+        off = enclosed_volume(*found) / wanted_m3 - 1.0
         if abs(off) < _CLOSE:
             break
         slope = (off - before[0]) / (level - before[1]) if attempt else _SLOPE
@@ -95,24 +96,9 @@ def label_triangles(mask: NDArray[np.bool_], grid: LabelGrid) -> Triangles | Non
     return found
 
 
-def volume_of(vertices_m: NDArray[np.float64], triangles: NDArray[np.int64]) -> float:
-    """Volume [m3] that triangles wound outward enclose."""
-    corners = vertices_m - vertices_m.mean(axis=0)
-    return float(np.einsum("ij,ij->", corners[triangles[:, 0]], cross_products(corners, triangles))) / 6.0
-
-
 def _level(share: NDArray[np.float32], level: float, grid: LabelGrid) -> Triangles:
     from skimage.measure import marching_cubes
 
     vertices, faces, _, _ = marching_cubes(share, level, spacing=grid.spacing_mm)
     vertices = 1e-3 * (vertices.astype(np.float64) + grid.origin_mm)
     return vertices, faces[:, ::-1].astype(np.int64)
-
-
-def box_of(mask: NDArray[np.bool_]) -> tuple[slice, ...]:
-    """Slices that hold all of a mask."""
-    found = []
-    for axis in range(3):
-        along = np.flatnonzero(mask.any(axis=tuple(k for k in range(3) if k != axis)))
-        found.append(slice(int(along[0]), int(along[-1]) + 1))
-    return tuple(found)

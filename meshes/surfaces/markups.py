@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, require_file
+from meshes.base.errors import InputError, as_vector, require_file
 
 __all__ = ["TO_LPS", "MarkedSite", "Markup", "read_curve", "read_markups", "read_site"]
 
@@ -216,10 +216,7 @@ def _frame(name: object, file: Path) -> NDArray[np.float64]:
 
 
 def _three(value: Any, what: str, file: Path) -> NDArray[np.float64]:
-    try:
-        numbers = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        numbers = np.empty(0)
-    if numbers.shape != (3,) or not np.isfinite(numbers).all():
+    numbers = as_vector(value)
+    if numbers is None:
         raise InputError(f"markups must hold three finite numbers, got {value!r:.80} for {what} in {file}: mend it")
     return numbers

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.images.frame import Image
+from meshes.images.part import part_of
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import triangle_distance
 from tissue.figures.ct_slices import SOFT_HU, draw_ct_slices
@@ -33,13 +34,13 @@ def draw_ct_organ(
     spacing, origin = np.array(image.spacing_mm), np.array(image.origin_mm)
     low = np.floor((1e3 * mesh.nodes_m.min(axis=0) - AROUND_MM - origin) / spacing).astype(int).clip(0)
     high = np.ceil((1e3 * mesh.nodes_m.max(axis=0) + AROUND_MM - origin) / spacing).astype(int) + 1
-    part = tuple(map(slice, low, np.minimum(high, image.values.shape)))
-    x, y, z = (origin + spacing * low).tolist()
-    around = replace(image, values=np.ascontiguousarray(image.values[part]), origin_mm=(x, y, z))
+    part = tuple(map(slice, low.tolist(), np.minimum(high, image.values.shape).tolist()))
+    around = part_of(image, part)
     smallest = min(parts or [organ], key=lambda name: int(np.count_nonzero(masks[name])))
     middle = origin + spacing * np.argwhere(masks[smallest]).mean(axis=0)
     vertices, faces = mesh.nodes_m, mesh.surface
-    axes = [o + s * np.arange(n) for o, s, n in zip((x, y, z), image.spacing_mm, around.values.shape, strict=True)]
+    sizes = zip(around.origin_mm, around.spacing_mm, around.values.shape, strict=True)
+    axes = [o + s * np.arange(n) for o, s, n in sizes]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     depth = -triangle_distance(vertices, faces, 1e-3 * grid).reshape(around.values.shape)
     draw_ct_slices(

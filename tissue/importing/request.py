@@ -6,9 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
-from meshes.base.errors import InputError, by, in_brackets, require_positive, require_range
+from meshes.base.errors import InputError, as_vector, by, in_brackets, require_positive, require_range
 from meshes.ct.labelled_bone import Box
 from meshes.surfaces.markups import TO_LPS
 from tissue.scene.named_parts import nearest
@@ -114,7 +112,7 @@ class ImportRequest:
                 "scapula_left"
             )
         for name, points in (("site", [self.site]), ("normal", [self.normal]), ("crop", self.crop_mm or ())):
-            if any(not _is_point(each) for each in points if each is not None and not isinstance(each, str)):
+            if any(as_vector(each) is None for each in points if each is not None and not isinstance(each, str)):
                 raise InputError(
                     f"{name} must be of three finite numbers, got {getattr(self, name, points)}: give x, y, z"
                 )
@@ -218,12 +216,3 @@ def lps(point: Point, coordinates: Coordinates) -> Point:
     """A point or direction in LPS."""
     x, y, z = point
     return (-x, -y, z) if coordinates == "RAS" else (x, y, z)
-
-
-def _is_point(value: object) -> bool:
-    """Whether something is three finite numbers."""
-    try:
-        found = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        return False
-    return found.shape == (3,) and bool(np.isfinite(found).all())

@@ -7,8 +7,9 @@ import pytest
 from labelled_organs import RADII_MM, off_ellipsoid, organ_labels
 
 from meshes.base.errors import InputError
+from meshes.base.simplices import enclosed_volume
 from meshes.organs.from_labels import labelled_organ, organ_mesh
-from meshes.organs.label_surface import LabelGrid, label_triangles, volume_of
+from meshes.organs.label_surface import LabelGrid, label_triangles
 from meshes.tets.checks import mean_ratio
 from meshes.tets.files import read_tets
 from meshes.tets.grid import write_organ
@@ -41,8 +42,8 @@ def test_the_surface_has_no_steps_and_is_not_shrunk(spacing, seed):
     assert np.sqrt((off**2).mean()) < rms and np.quantile(np.abs(off), 0.99) < most
     assert abs(off.mean()) < 0.05
     voxels_mm3 = np.count_nonzero(labels.image.values) * np.prod(spacing)
-    assert 1e9 * volume_of(vertices, triangles) == pytest.approx(voxels_mm3, rel=4e-4)
-    assert 1e9 * volume_of(vertices, triangles) == pytest.approx(ORGAN_MM3, rel=5e-3)
+    assert 1e9 * enclosed_volume(vertices, triangles) == pytest.approx(voxels_mm3, rel=4e-4)
+    assert 1e9 * enclosed_volume(vertices, triangles) == pytest.approx(ORGAN_MM3, rel=5e-3)
 
 
 @pytest.mark.parametrize("radius", [2.6, 4.0, 8.0])
@@ -50,7 +51,7 @@ def test_a_small_ball_keeps_its_volume(radius):
     labels, _ = organ_labels((1.0, 1.0, 1.0), 1, radii_mm=(radius,) * 3)
     vertices, triangles = label_triangles(labels.image.values > 0, LabelGrid((1.0,) * 3, labels.image.origin_mm))
     voxels = np.count_nonzero(labels.image.values)
-    assert 1e9 * volume_of(vertices, triangles) == pytest.approx(voxels, rel=0.03 if radius < 4 else 2e-3)
+    assert 1e9 * enclosed_volume(vertices, triangles) == pytest.approx(voxels, rel=0.03 if radius < 4 else 2e-3)
 
 
 @pytest.mark.slow
