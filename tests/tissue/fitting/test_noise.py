@@ -1,0 +1,81 @@
+"""The law of residuals against SciPy's densities, its gradient against differences, and gaps that restart the chain."""
+
+import numpy as np
+import pytest
+from scipy.stats import t as student
+
+from tissue.fitting.noise import FREEDOM, innovations, noise_terms
+
+SCALE, PHI = np.array([0.3, 2.0]), np.array([0.0, 0.8])
+
+
+@pytest.fixture
+def residuals():
+    values = np.random.default_rng(4).normal(size=(40, 2))
+    values[7, 0] = 30.0
+    values[12:15, 1] = np.nan
+    values[0, 0] = np.nan
+    return values
+
+
+def test_without_correlation_it_is_students_law(residuals):
+    expected = np.nansum(student.logpdf(residuals, FREEDOM, scale=SCALE))
+    assert noise_terms(residuals, SCALE, np.zeros(2)).log_density == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_chain_is_a_product_of_conditional_densities_that_starts_anew_after_a_gap(residuals):
+    expected = 0.0
+    for channel, (scale, phi) in enumerate(zip(SCALE, PHI, strict=True)):
+        last = np.nan
+        for value in residuals[:, channel]:
+            if np.isfinite(value):
+                started = np.isfinite(last)
+                centre, width = (phi * last, scale) if started else (0.0, scale / np.sqrt(1.0 - phi**2))
+                expected += student.logpdf(value, FREEDOM, centre, width)
+            last = value
+    assert noise_terms(residuals, SCALE, PHI).log_density == pytest.approx(expected, rel=1e-12)
+
+
+def test_the_gradient_is_that_of_the_density(residuals):
+    terms, step = noise_terms(residuals, SCALE, PHI), 1e-6
+
+    def slope(residuals_by=0.0, scale_by=0.0, phi_by=0.0):
+        up, down = (
+            noise_terms(residuals + h * residuals_by, SCALE * np.exp(h * scale_by), PHI + h * phi_by).log_density
+            for h in (step, -step)
+        )
+        return (up - down) / (2.0 * step)
+
+    for channel, unit in enumerate(np.eye(2)):
+        assert terms.by_log_scale[channel] == pytest.approx(slope(scale_by=unit), rel=1e-6)
+        assert terms.by_correlation[channel] == pytest.approx(slope(phi_by=unit), rel=1e-6)
+    for row, channel in ((0, 1), (1, 0), (7, 0), (11, 1), (15, 1), (39, 0)):
+        bump = np.zeros_like(residuals)
+        bump[row, channel] = 1.0
+        assert terms.by_residuals[row, channel] == pytest.approx(slope(residuals_by=bump), rel=1e-6, abs=1e-8)
+    assert not terms.by_residuals[12:15, 1].any()
+
+
+def test_weights_give_the_gradient_of_a_sum_of_squares(residuals):
+    terms = noise_terms(residuals, SCALE, PHI)
+    direction = np.random.default_rng(5).normal(size=residuals.shape)
+    moved = innovations(np.where(np.isfinite(residuals), direction, np.nan), PHI)
+    expected = -np.nansum(terms.weights * innovations(residuals, PHI) * moved)
+    assert np.sum(terms.by_residuals * direction) == pytest.approx(expected, rel=1e-12)
+
+
+def test_an_outlier_pulls_less_the_further_out_it_lies():
+    pull = lambda size: abs(noise_terms(np.array([[size]]), np.ones(1), np.zeros(1)).by_residuals[0, 0])  # noqa: E731
+    assert pull(2.0) > pull(10.0) > pull(100.0)
+
+
+def test_the_true_scale_and_correlation_are_where_the_density_is_greatest():
+    rng = np.random.default_rng(6)
+    chain = np.zeros((20_000, 1))
+    shocks = 0.5 * rng.standard_t(FREEDOM, size=len(chain))
+    for row in range(1, len(chain)):
+        chain[row] = 0.7 * chain[row - 1] + shocks[row]
+    terms = noise_terms(chain, np.array([0.5]), np.array([0.7]))
+    # the score is normal about zero with the Fisher information as its variance: within three standard deviations
+    assert abs(terms.by_log_scale[0]) < 3.0 * np.sqrt(len(chain) * 2.0 * FREEDOM / (FREEDOM + 3.0))
+    assert abs(terms.by_correlation[0]) < 3.0 * np.sqrt(len(chain) * np.mean(chain**2) * 5.0 / 7.0 / 0.25)

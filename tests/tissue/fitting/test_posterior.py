@@ -1,0 +1,126 @@
+"""Planted constants come back with right intervals; what a log cannot determine is named."""
+
+import numpy as np
+import pytest
+from planted_logs import NAMES, PRIORS, slot
+from planted_logs import planted as plant
+
+from tissue.fitting.experiments import expected_information
+from tissue.fitting.forward import LinearForward
+from tissue.fitting.identifiability import identified
+from tissue.fitting.measured import MeasuredLoads
+from tissue.fitting.parameter import Parameter
+from tissue.fitting.posterior import maximum_posterior
+from tissue.fitting.target import Target
+from tissue.materials.prior import Prior
+
+
+def test_gradient_by_differences():
+    rng = np.random.default_rng(1)
+    log, _ = plant(slot(), rng)
+    log.values[100:120, 1] = np.nan
+    target = Target(slot(), log)
+    u = 0.3 * rng.standard_normal(target.size)
+    gradient = target.value_and_gradient(u)[1]
+    for at in range(target.size):
+        moved = np.zeros(target.size)
+        moved[at] = 1e-6
+        high, low = (target.value_and_gradient(u + sign * moved)[0] for sign in (1, -1))
+        assert gradient[at] == pytest.approx((high - low) / 2e-6, rel=1e-4, abs=1e-3 * np.abs(gradient).max())
+
+
+def test_planted_constants_bias_and_offset_come_back():
+    """Each within 4.5 of its own standard deviations: 1e-5 of being further by chance."""
+    rng = np.random.default_rng(2)
+    log, z = plant(slot(), rng, offset_s=0.013, bias=np.array([0.4, -0.2, 0.1]))
+    found = maximum_posterior(slot(), log)
+    assert found.converged
+    assert np.all(np.abs(found.mean_z - z) < 4.5 * np.sqrt(np.diag(found.covariance_z)))
+    assert np.abs(found.nuisances.offset_s - 0.013) < 0.002
+    assert found.nuisances.bias == pytest.approx([0.4, -0.2, 0.1], abs=0.15)
+    assert found.nuisances.scale == pytest.approx([0.1] * 3, rel=0.1)
+    assert found.nuisances.correlation == pytest.approx([0.6] * 3, abs=0.1)
+    fresh = found.innovations[1:]
+    assert np.abs(np.mean(fresh[1:] * fresh[:-1])) < 0.1 * np.mean(fresh**2)
+
+
+def test_normal_law_of_a_linear_problem_is_exact():
+    """With linear priors and known noise the covariance is that of ridge regression: (J' W J + I)^-1, within the share
+    that the estimation of noise, bias and offset adds."""
+    rng = np.random.default_rng(3)
+    log, _ = plant(slot(), rng, scale=0.05)
+    found = maximum_posterior(slot(), log)
+    gain = expected_information(found, [("again", slot())])[0]
+    values = np.linalg.eigvalsh(found.covariance_z)
+    assert gain.nats == pytest.approx(0.5 * len(values) * np.log(2.0), rel=0.05)  # the same log again halves variances
+    assert gain.shrinks_to == pytest.approx(np.sqrt(0.5), rel=0.02)
+
+
+def test_outliers_do_not_move_the_estimate():
+    rng = np.random.default_rng(4)
+    log, _ = plant(slot(), rng)
+    spoilt = log.values.copy()
+    hit = rng.random(spoilt.shape) < 0.01
+    spoilt[hit] += 50 * 0.14 * rng.choice([-1.0, 1.0], hit.sum())
+    before, after = (
+        maximum_posterior(slot(), MeasuredLoads(log.times_s, each, log.channels)) for each in (log.values, spoilt)
+    )
+    assert np.all(np.abs(after.mean_z - before.mean_z) < 1.6 * np.sqrt(np.diag(before.covariance_z)))
+
+
+def test_one_feed_gives_combinations_and_no_single_constant():
+    log, z = plant(slot(feeds=(1.0,)), np.random.default_rng(5))
+    found = maximum_posterior(slot(feeds=(1.0,)), log)
+    result = identified(found)
+    assert result.determined == ()
+    assert [set(each.powers) for each in result.combinations] == [set(NAMES[0::2]), set(NAMES[1::2])]
+    x = [float(prior.x(each)) for prior, each in zip(PRIORS, z, strict=True)]
+    whole = 0.02 * x[0] + 0.5 * x[2]
+    estimate = [found.priors[k].x(found.mean_z[k]) for k in range(4)]
+    assert 0.02 * estimate[0] + 0.5 * estimate[2] == pytest.approx(whole, rel=0.03)
+    gains = expected_information(found, [("the same", slot(feeds=(1.0,))), ("three feeds", slot())])
+    assert gains[0].label == "three feeds" and gains[0].shrinks_to < 0.1
+    assert gains[1].shrinks_to > 0.99
+
+
+def test_density_and_coefficient_are_one_number():
+    """A factor on the density, to the power of 1.5, and a coefficient: their product is known, neither of them is."""
+    forward = slot()
+
+    class Denser(LinearForward):
+        def loads(self, x):
+            return x[4] ** 1.5 * (self.basis @ x[:4])
+
+        def jacobian(self, x):
+            found = np.empty((*self.basis.shape[:2], 5))
+            found[..., :4], found[..., 4] = x[4] ** 1.5 * self.basis, 1.5 * x[4] ** 0.5 * (self.basis @ x[:4])
+            return found
+
+    parameters = (*forward.parameters, Parameter("density.bone", Prior(1.0, 0.85, 1.18)))
+    denser = Denser(parameters, forward.channels, forward.times_s, forward.basis)
+    log, _ = plant(denser, np.random.default_rng(6), z=[0.5, -0.3, 0.2, 0.4, 1.0], scale=0.02)
+    found = maximum_posterior(denser, log)
+    relative = [each.slope(z) / each.x(z) for each, z in zip(found.priors, found.mean_z, strict=True)]
+    shares = 1.5 * relative[4] / np.array(relative[:4])
+    # The products are known, so the priors of four coefficients each narrow the factor a little.
+    expected = 1.0 / np.sqrt(1.0 + shares @ shares)
+    assert identified(found).contraction[4] == pytest.approx(expected, rel=0.02)
+
+
+def test_a_log_without_load_determines_nothing():
+    forward = slot()
+    still = LinearForward(forward.parameters, forward.channels, forward.times_s, 0.0 * forward.basis)
+    log, _ = plant(still, np.random.default_rng(7))
+    result = identified(maximum_posterior(still, log))
+    assert result.is_empty and result.at_prior == NAMES
+
+
+@pytest.mark.slow
+def test_intervals_hold_what_was_planted():
+    """90 % intervals of 120 fits, 480 constants: within three standard errors, sqrt(0.9 0.1 / 120), of 0.9."""
+    held = []
+    for seed in range(120):
+        log, z = plant(slot(), np.random.default_rng([8, seed]))
+        found = maximum_posterior(slot(), log)
+        held.append(np.abs(found.mean_z - z) < 1.645 * np.sqrt(np.diag(found.covariance_z)))
+    assert abs(np.mean(held) - 0.9) < 3.0 * np.sqrt(0.09 / 120)

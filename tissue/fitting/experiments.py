@@ -1,0 +1,83 @@
+"""What to measure next: the information that a log of other cuts or presses would add, before it is measured."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from tissue.fitting.forward import Forward
+from tissue.fitting.noise import FREEDOM, innovations
+from tissue.fitting.posterior import Posterior
+from tissue.fitting.target import BIAS_SHARE
+
+__all__ = ["Gain", "expected_information"]
+
+INFORMATION = (FREEDOM + 1.0) / (FREEDOM + 3.0)
+"""Fisher information of the place of a Student's t of scale 1 (Lange, Little and Taylor 1989)."""
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What a candidate log is expected to add.
+
+    Attributes
+    ----------
+    label
+        What would be measured.
+    nats
+        Expected gain of information about all constants.
+    widest
+        The constant with the widest interval now.
+    shrinks_to
+        Its interval after the candidate log, as a share of that now.
+    """
+
+    label: str
+    nats: float
+    widest: str
+    shrinks_to: float
+
+
+def expected_information(posterior: Posterior, candidates: Sequence[tuple[str, Forward]]) -> list[Gain]:
+    """Expected information of candidate logs with the noise of the measured one, greatest first.
+
+    Half the logarithm of the determinant of I + C M: C is the covariance of z now, and M the Fisher information of the
+    candidate, its bias unknown (Chaloner and Verdinelli 1995, linearised at the maximum).
+
+    Parameters
+    ----------
+    posterior
+        Of the log that was measured.
+    candidates
+        Name and forward model of each, with the same constants.
+    """
+    now = posterior.covariance_z
+    at = int(np.argmax(np.diag(now)))
+    gains = []
+    for label, forward in candidates:
+        matrix = _information(posterior, forward)
+        after = np.linalg.inv(np.linalg.inv(now) + matrix)
+        nats = 0.5 * float(np.linalg.slogdet(np.eye(len(now)) + now @ matrix)[1])
+        gains.append(Gain(label, nats, posterior.names[at], float(np.sqrt(after[at, at] / now[at, at]))))
+    return sorted(gains, key=lambda each: -each.nats)
+
+
+def _information(posterior: Posterior, forward: Forward) -> Array:
+    """Fisher information of a log about z, its biases left free, shape (p, p).
+
+    A log at another rate than the measured one would have other noise: the candidate is taken at the measured rate.
+    """
+    target, noise = posterior.target, posterior.nuisances
+    rate_s = float(np.median(np.diff(target.log.times_s)))
+    every = max(round(rate_s / float(np.median(np.diff(forward.times_s)))), 1)
+    places = [forward.channels.index(name) for name in target.log.channels]
+    slopes = target.slopes(posterior.mean_z)
+    moved = forward.jacobian(target.x(posterior.mean_z))[::every][:, places] * slopes
+    biases = np.broadcast_to(np.diag(BIAS_SHARE * target.log.sizes()), (len(moved), len(places), len(places)))
+    columns = innovations(np.concatenate([moved, biases], axis=2), noise.correlation)
+    columns = np.sqrt(INFORMATION) * columns / noise.scale[:, None]
+    rows = columns.reshape(-1, columns.shape[2])
+    p = len(slopes)
+    whole = rows.T @ rows + np.diag([0.0] * p + [1.0] * len(places))
+    return np.asarray(whole[:p, :p] - whole[:p, p:] @ np.linalg.solve(whole[p:, p:], whole[p:, :p]))

@@ -1,0 +1,162 @@
+"""Constants given a log: the maximum of their density, and a normal law about it (Laplace's approximation)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+
+from meshes.base.arrays import Array
+from tissue.fitting.forward import Forward
+from tissue.fitting.measured import MeasuredLoads
+from tissue.fitting.noise import innovations
+from tissue.fitting.target import OFFSET_S, Target, Unpacked
+from tissue.materials.prior import Prior
+
+__all__ = ["Posterior", "maximum_posterior"]
+
+OFFSETS_S = np.linspace(-3.0 * OFFSET_S, 3.0 * OFFSET_S, 25)
+"""Offsets from which the search begins [s]: a force may rise at several times, so that there are several maxima."""
+STARTS = 3
+STEP = 1e-4
+"""Step of z over which gradients are differenced for the curvature."""
+STEEP = 1e-3
+"""Greatest expected gain of a Newton step at which the maximum counts as found [nats]."""
+NEWTON_STEPS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Constants given a log, as a normal law of their z.
+
+    Attributes
+    ----------
+    target
+        The density that was made greatest.
+    maximum
+        Its place, shape (size,): constants, offset, biases, noise.
+    covariance
+        Of all of them, shape (size, size).
+    converged
+        Whether a maximum was found.
+    """
+
+    target: Target
+    maximum: Array
+    covariance: Array
+    converged: bool
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the constants, p of them."""
+        return tuple(each.name for each in self.target.forward.parameters)
+
+    @property
+    def priors(self) -> tuple[Prior, ...]:
+        """Their priors."""
+        return tuple(each.prior for each in self.target.forward.parameters)
+
+    @property
+    def mean_z(self) -> Array:
+        """Most probable standard normal numbers of the constants, shape (p,)."""
+        return np.asarray(self.maximum[: self.target.constants])
+
+    @property
+    def covariance_z(self) -> Array:
+        """Their covariance, the nuisances left free, shape (p, p)."""
+        p = self.target.constants
+        return np.asarray(self.covariance[:p, :p])
+
+    @property
+    def nuisances(self) -> Unpacked:
+        """Offset, biases and noise at the maximum."""
+        return self.target.unpacked(self.maximum)
+
+    @property
+    def offset_interval_s(self) -> tuple[float, float]:
+        """90 % interval of the offset of the clocks [s]."""
+        p = self.target.constants
+        half = 1.645 * OFFSET_S * float(np.sqrt(self.covariance[p, p]))
+        middle = self.nuisances.offset_s
+        return middle - half, middle + half
+
+    def interval(self, at: int) -> tuple[float, float, float]:
+        """5, 50 and 95 % of a constant, by its place, in its unit."""
+        half = 1.6448536 * float(np.sqrt(self.covariance_z[at, at]))
+        low, middle, high = self.priors[at].x(self.mean_z[at] + half * np.array([-1.0, 0.0, 1.0])).tolist()
+        return low, middle, high
+
+    @property
+    def simulated(self) -> Array:
+        """Loads at the maximum, offset and bias included, shape (m, channels)."""
+        return self.target.simulated(self.maximum)
+
+    @property
+    def residuals(self) -> Array:
+        """Measured less simulated loads, shape (m, channels); NaN where nothing was measured."""
+        return self.target.log.values - self.simulated
+
+    @property
+    def innovations(self) -> Array:
+        """What noise adds in each sample over its scale, shape (m, channels)."""
+        each = self.nuisances
+        return innovations(self.residuals, each.correlation) / each.scale
+
+
+def maximum_posterior(forward: Forward, log: MeasuredLoads) -> Posterior:
+    """Find the most probable constants and the normal law that the curvature of the density there gives."""
+    target = Target(forward, log)
+    best: tuple[float, Array] | None = None
+    for start in _starts(target):
+        found = minimize(
+            lambda u: tuple(-each for each in target.value_and_gradient(u)),
+            start, jac=True, method="L-BFGS-B", options={"maxiter": 400, "maxcor": 30, "ftol": 1e-12, "gtol": 1e-4},
+        )  # fmt: skip
+        if best is None or -found.fun > best[0]:
+            best = -float(found.fun), np.asarray(found.x)
+    assert best is not None
+    return _polished(target, best[1])
+
+
+def _starts(target: Target) -> list[Array]:
+    """Starts at the offsets that explain the log best."""
+    graded = []
+    for offset_s in OFFSETS_S:
+        u = target.start(float(offset_s))
+        graded.append((target.value_and_gradient(u)[0], u))
+    graded.sort(key=lambda each: -each[0])
+    return [u for _, u in graded[:STARTS]]
+
+
+def _polished(target: Target, u: Array) -> Posterior:
+    """Newton's steps to the maximum, and the curvature there."""
+    value, gradient = target.value_and_gradient(u)
+    for _ in range(NEWTON_STEPS):
+        curvature = _curvature(target, u)
+        step = np.linalg.solve(curvature, gradient)
+        gain = float(gradient @ step)
+        if gain < STEEP:
+            break
+        share = 1.0
+        while share > 1e-3:
+            tried, there = target.value_and_gradient(u + share * step)
+            if np.isfinite(tried) and tried > value:
+                u, value, gradient = u + share * step, tried, there
+                break
+            share *= 0.5
+        else:
+            break
+    curvature = _curvature(target, u)
+    gain = float(gradient @ np.linalg.solve(curvature, gradient))
+    return Posterior(target, u, np.asarray(np.linalg.inv(curvature), dtype=np.float64), gain < STEEP)
+
+
+def _curvature(target: Target, u: Array) -> Array:
+    """Negative second derivatives of the log density, made positive definite where they are not."""
+    rows = []
+    for at in range(len(u)):
+        moved = np.zeros(len(u))
+        moved[at] = STEP
+        rows.append((target.value_and_gradient(u - moved)[1] - target.value_and_gradient(u + moved)[1]) / (2.0 * STEP))
+    matrix = np.array(rows)
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    return np.asarray((vectors * np.maximum(values, 1e-2)) @ vectors.T)

@@ -1,0 +1,143 @@
+"""The log density that a fit makes greatest: of a log and of the priors of constants, offset, biases and noise."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from tissue.fitting.forward import Forward
+from tissue.fitting.measured import MeasuredLoads
+from tissue.fitting.noise import noise_terms
+from tissue.fitting.shift import shift_operators
+
+__all__ = ["OFFSET_S", "Target", "Unpacked"]
+
+OFFSET_S = 0.02
+"""Standard deviation of the prior of the time between the clocks of force and pose [s]: two instruments started by hand
+on one computer; logs of one instrument are at zero."""
+BIAS_SHARE = 0.5
+"""Standard deviation of a sensor's bias, in shares of the size of the log's loads."""
+NOISE_SHARE, NOISE_SPREAD = 0.05, 1.5
+"""Median of the noise in shares of the same, and standard deviation of its logarithm: 90 % within a factor of 12."""
+CORRELATION_SPREAD = 1.5
+"""Standard deviation of artanh of the correlation of neighbouring samples: 90 % within +-0.986."""
+
+
+@dataclass(frozen=True)
+class Unpacked:
+    """The numbers of a fit by what they are.
+
+    Attributes
+    ----------
+    z
+        Of the constants, see `tissue.materials.prior.Prior`, shape (p,).
+    offset_s
+        Of the clock of the force against that of the poses [s].
+    bias
+        Of each channel [N, N m], shape (channels,).
+    scale, correlation
+        Of the noise of each channel, see `tissue.fitting.noise`, shape (channels,).
+    """
+
+    z: Array
+    offset_s: float
+    bias: Array
+    scale: Array
+    correlation: Array
+
+
+class Target:
+    """Log density of constants and nuisances, all of them scaled so that their priors are standard normal.
+
+    Parameters
+    ----------
+    forward
+        Loads by the constants.
+    log
+        What was measured.
+    """
+
+    def __init__(self, forward: Forward, log: MeasuredLoads) -> None:
+        self.forward, self.log = forward, log
+        self._priors = [each.prior for each in forward.parameters]
+        self._places = [forward.channels.index(name) for name in log.channels]
+        self._sizes = log.sizes()
+        self.constants = len(self._priors)
+        self.size = self.constants + 1 + 3 * len(log.channels)
+
+    def unpacked(self, u: Array) -> Unpacked:
+        """The numbers of a fit from its vector, shape (size,)."""
+        p, c = self.constants, len(self.log.channels)
+        bias, noise, correlation = u[p + 1 : p + 1 + c], u[p + 1 + c : p + 1 + 2 * c], u[p + 1 + 2 * c :]
+        scale = NOISE_SHARE * self._sizes * np.exp(NOISE_SPREAD * noise)
+        return Unpacked(
+            u[:p], OFFSET_S * float(u[p]), BIAS_SHARE * self._sizes * bias, scale,
+            np.tanh(CORRELATION_SPREAD * correlation),
+        )  # fmt: skip
+
+    def x(self, z: Array) -> Array:
+        """Constants in their own units."""
+        return np.array([float(prior.x(each)) for prior, each in zip(self._priors, z, strict=True)])
+
+    def slopes(self, z: Array) -> Array:
+        """Derivative of each constant by its z."""
+        return np.array([float(prior.slope(each)) for prior, each in zip(self._priors, z, strict=True)])
+
+    def simulated(self, u: Array) -> Array:
+        """Loads at the times of the log with offset and bias, shape (m, channels)."""
+        each = self.unpacked(u)
+        values, _ = shift_operators(self.forward.times_s, self.log.times_s, each.offset_s)
+        return np.asarray(values @ self.forward.loads(self.x(each.z))[:, self._places]) + each.bias
+
+    def sensitivities(self, u: Array) -> Array:
+        """Derivatives of `simulated` by z, the scaled offset and the scaled biases, shape (m, channels, p + 1 + c)."""
+        each, c = self.unpacked(u), len(self.log.channels)
+        values, rates = shift_operators(self.forward.times_s, self.log.times_s, each.offset_s)
+        x = self.x(each.z)
+        jacobian = self.forward.jacobian(x)[:, self._places] * self.slopes(each.z)
+        by_z = (values @ jacobian.reshape(len(jacobian), -1)).reshape(-1, c, self.constants)
+        by_offset = OFFSET_S * np.asarray(rates @ self.forward.loads(x)[:, self._places])
+        by_bias = np.broadcast_to(np.diag(BIAS_SHARE * self._sizes), (len(by_z), c, c))
+        return np.concatenate([by_z, by_offset[:, :, None], by_bias], axis=2)
+
+    def value_and_gradient(self, u: Array) -> tuple[float, Array]:
+        """Log density, up to a constant, and its gradient, shape (size,)."""
+        each, p, c = self.unpacked(u), self.constants, len(self.log.channels)
+        residuals = self.log.values - self.simulated(u)
+        terms = noise_terms(residuals, each.scale, each.correlation)
+        gradient = -u.copy()
+        moved = -np.where(np.isfinite(residuals), terms.by_residuals, 0.0)
+        sensitivities = self.sensitivities(u)
+        gradient[: p + 1 + c] += moved.ravel() @ sensitivities.reshape(moved.size, -1)
+        gradient[p + 1 + c : p + 1 + 2 * c] += NOISE_SPREAD * terms.by_log_scale
+        gradient[p + 1 + 2 * c :] += CORRELATION_SPREAD * (1.0 - each.correlation**2) * terms.by_correlation
+        return terms.log_density - 0.5 * float(u @ u), gradient
+
+    def start(self, offset_s: float) -> Array:
+        """Where an optimiser begins: constants by linear least squares from the middle of their priors."""
+        u = np.zeros(self.size)
+        u[self.constants] = offset_s / OFFSET_S
+        free = self.constants + 1 + len(self.log.channels)
+        for _ in range(3):
+            residuals = self.log.values - self.simulated(u)
+            known = np.isfinite(residuals)
+            scale = 1.4826 * np.nanmedian(np.abs(residuals), axis=0) + 1e-3 * self._sizes
+            weights = np.where(known, 1.0 / np.maximum(scale, np.abs(np.where(known, residuals, 0.0)) / 2.0), 0.0)
+            columns = (self.sensitivities(u) * weights[:, :, None]).reshape(-1, free)
+            wanted = (weights * np.where(known, residuals, 0.0)).ravel()
+            normal = columns.T @ columns / MOST_WEIGHT + np.eye(free)
+            step = np.linalg.solve(normal, columns.T @ wanted / MOST_WEIGHT - u[:free])
+            u[:free] = np.clip(u[:free] + step, -4.0, 4.0)
+        residuals = self.log.values - self.simulated(u)
+        e = residuals[1:] - CORRELATED * residuals[:-1]
+        spread = 1.4826 * np.nanmedian(np.abs(e - np.nanmedian(e, axis=0)), axis=0) + 1e-6 * self._sizes
+        noise, c = slice(free, free + len(self._sizes)), len(self._sizes)
+        u[noise] = np.log(spread / (NOISE_SHARE * self._sizes)) / NOISE_SPREAD
+        u[free + c :] = np.arctanh(CORRELATED) / CORRELATION_SPREAD
+        return u
+
+
+MOST_WEIGHT = 10.0
+"""Neighbouring samples taken as one while the noise's correlation is not known yet."""
+CORRELATED = 0.5
+"""Correlation of neighbours from which an optimiser begins."""
