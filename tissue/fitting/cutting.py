@@ -1,0 +1,135 @@
+"""Loads on a cutter along the poses of a log, for any cutting coefficients: the geometry is recorded once."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress
+from tissue.fitting.cutting_parameters import FACTOR, FreeConstant, LayerConstants, free_constants
+from tissue.fitting.parameter import Parameter
+from tissue.materials.constants import CuttingCoefficients, constants
+from tissue.materials.cutting import CUT_AS, coefficients_of
+from tissue.models.tissue_model import TICK_S
+from tissue.motion.replay import ReplayPoses
+from tissue.scene.scene import Scene
+from tissue.simulation.load_record import SENSITIVITIES, LoadRecord, record_loads
+
+__all__ = ["CHANNELS", "CuttingForward", "cutting_forward"]
+
+CHANNELS = ("force_x_N", "force_y_N", "force_z_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm")
+"""On the tool, in the scene's frame, torques about the tip."""
+
+
+@dataclass(frozen=True, eq=False)
+class CuttingForward:
+    """A cut of which coefficients and densities vary, see `tissue.fitting.forward.Forward`.
+
+    Attributes
+    ----------
+    record
+        Its geometry.
+    coefficients
+        Of each layer, what is not free.
+    free
+        The free constants.
+    times_s
+        Shape (n,), on the clock of the poses.
+    notes
+        What was assumed, in words.
+    """
+
+    record: LoadRecord
+    coefficients: tuple[CuttingCoefficients, ...]
+    free: tuple[FreeConstant, ...]
+    times_s: Array
+    notes: tuple[str, ...] = ()
+    channels: tuple[str, ...] = CHANNELS
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """See `Forward`."""
+        return tuple(each.parameter for each in self.free)
+
+    def loads(self, x: Array) -> Array:
+        """See `Forward`."""
+        return self.record.loads(*self._with(x))
+
+    def jacobian(self, x: Array) -> Array:
+        """See `Forward`."""
+        slopes = self.record.jacobian(*self._with(x))
+        columns = [slopes[:, :, each.layer, SENSITIVITIES.index(each.field)] * each.unit for each in self.free]
+        return np.stack(columns, axis=-1)
+
+    def _with(self, x: Array) -> tuple[tuple[CuttingCoefficients, ...], Array]:
+        """Coefficients and density factors of each layer for values of the parameters, shape (p,)."""
+        found, factors = list(self.coefficients), np.ones(len(self.coefficients))
+        for each, value in zip(self.free, np.asarray(x, dtype=float).tolist(), strict=True):
+            if each.field == FACTOR:
+                factors[each.layer] = value
+            else:
+                found[each.layer] = replace(found[each.layer], **{each.field: value * each.unit})
+        return tuple(found), factors
+
+
+def cutting_forward(
+    scene: Scene,
+    times_s: Array,
+    tips_m: Array,
+    quaternions: Array,
+    *,
+    free: Sequence[str] = (),
+    cores: int | None = None,
+    progress: Progress | None = None,
+) -> CuttingForward:
+    """Replay a log's poses through a scene's bone or tooth, and leave constants free.
+
+    Parameters
+    ----------
+    scene
+        The bone or tooth and the tool; its motion and device count for nothing.
+    times_s
+        Times of the poses, increasing [s], shape (n,).
+    tips_m, quaternions
+        Tips [m], shape (n, 3), and orientations (x, y, z, w), shape (n, 4), of the tool in the scene's frame.
+    free
+        What is to be free, see `tissue.fitting.cutting_parameters.free_constants`.
+    cores
+        Processor cores to use; default all.
+    progress
+        Called with what is being done.
+
+    Raises
+    ------
+    InputError
+        If the scene has nothing to cut, the tool never touches it along the poses, or `free` names what is not there.
+    """
+    motion = ReplayPoses(times_s, tips_m, quaternions, step_s=TICK_S)
+    record = record_loads(scene, motion=motion, cores=cores, progress=progress)
+    if not record.layers:
+        raise InputError(
+            "measured must hold poses in which the tool cuts, got a log whose tool only moves through air: give one of "
+            "a cut, or its poses in the scene's frame"
+        )
+    names, material = record.layer_names, scene.cutting.material
+    changes = scene.cutting.model_dump(exclude={"material"}, exclude_none=True)
+    layers = [
+        LayerConstants(at, names[at], cut_as, constants("cutting", cut_as), len(each.nodes.densities_kg_m3) > 1)
+        for at, each in record.layers.items()
+        for cut_as in [CUT_AS.get(names[at], material)]
+    ]
+    notes = [f"{subject}: {each}" for subject, each in record.notes.items()]
+    if (inside := float(record.trace["removed_mm3"][0])) > 0.0:
+        notes.append(
+            f"the tool began in {inside:.3g} mm3 of bone, which were taken away without a force: what was cut before "
+            "the log's first pose is not known"
+        )
+    return CuttingForward(
+        record,
+        coefficients_of(names, changes, bone=material),
+        free_constants(layers, tuple(free), set(changes)),
+        float(times_s[0]) + record.times_s,
+        tuple(notes),
+    )
