@@ -1,13 +1,45 @@
-"""Folders of runs that `tissue view` opens."""
+"""Folders of runs that `tissue view` opens, and windows driven as by a hand."""
 
 import json
+import os
 import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 from fake_fields import block_series
 
 from tissue import load_scene, simulate
 from tissue.simulation.series import write_fields
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+
+
+@pytest.fixture(scope="module")
+def drive(display):
+    """Drive a window by a script of the fixtures in a process of its own; what the script prints last."""
+
+    def run(script, *arguments):
+        ended = subprocess.run(
+            [sys.executable, str(FIXTURES / script), *map(str, arguments)],
+            env={
+                **os.environ,
+                "DISPLAY": display,
+                "PYTHONPATH": os.pathsep.join([str(FIXTURES.parents[1]), str(FIXTURES)]),
+                "VTK_DEFAULT_OPENGL_WINDOW": "vtkXOpenGLRenderWindow",
+            },
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=200,
+        )
+        if ended.returncode < 0 or "OpenGL" in ended.stderr:
+            pytest.skip(f"no window can be opened here: {ended.stderr[-300:]}")
+        assert ended.returncode == 0, ended.stderr
+        return json.loads(ended.stdout.splitlines()[-1])
+
+    return run
 
 
 @pytest.fixture(scope="session")

@@ -1,11 +1,7 @@
 """`tissue view` of an imported bone: a click puts the site, Return saves it, and nothing else in the scene changes."""
 
-import json
-import os
-import subprocess
 import sys
 import tomllib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,30 +11,12 @@ from tissue import InputError
 from tissue.scene.site_text import anatomy_of, save_site, with_site
 from tissue.viewer.view import view
 
-TESTS = Path(__file__).parents[2] / "fixtures"
-
 
 @pytest.fixture(scope="module")
-def driven(display, tmp_path_factory):
+def driven(drive, tmp_path_factory):
     """What came of driving the window, the folder of the bone and that of its pictures."""
     folder, out = imported_bone(tmp_path_factory.mktemp("bones") / "mine"), tmp_path_factory.mktemp("window")
-    ended = subprocess.run(
-        [sys.executable, str(TESTS / "site_driver.py"), str(folder), str(out)],
-        env={
-            **os.environ,
-            "DISPLAY": display,
-            "PYTHONPATH": os.pathsep.join([str(TESTS.parents[1]), str(TESTS)]),
-            "VTK_DEFAULT_OPENGL_WINDOW": "vtkXOpenGLRenderWindow",
-        },
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=200,
-    )
-    if ended.returncode < 0 or "OpenGL" in ended.stderr:
-        pytest.skip(f"no window can be opened here: {ended.stderr[-300:]}")
-    assert ended.returncode == 0, ended.stderr
-    return json.loads(ended.stdout.splitlines()[-1]), folder, out
+    return drive("site_driver.py", folder, out), folder, out
 
 
 def test_a_click_puts_the_site_and_return_saves_it(driven):

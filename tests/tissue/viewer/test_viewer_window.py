@@ -1,9 +1,5 @@
 """`tissue view` of a soft organ: the window under a virtual display, driven as by a hand, and pictures without one."""
 
-import json
-import os
-import subprocess
-import sys
 from itertools import pairwise
 from pathlib import Path
 
@@ -20,8 +16,6 @@ from tissue.simulation.run_folder import SavedRun
 from tissue.viewer.run import faces_of
 from tissue.viewer.view import view
 
-TESTS = Path(__file__).parents[2] / "fixtures"
-
 
 @pytest.fixture(scope="module")
 def pressed(tmp_path_factory):
@@ -30,27 +24,10 @@ def pressed(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def driven(pressed, display, tmp_path_factory):
+def driven(pressed, drive, tmp_path_factory):
     """What came of driving the window, and the folder of its pictures."""
     out = tmp_path_factory.mktemp("window")
-    path = os.pathsep.join([str(TESTS.parents[1]), str(TESTS)])
-    ended = subprocess.run(
-        [sys.executable, str(TESTS / "window_driver.py"), str(pressed), str(out)],
-        env={
-            **os.environ,
-            "DISPLAY": display,
-            "PYTHONPATH": path,
-            "VTK_DEFAULT_OPENGL_WINDOW": "vtkXOpenGLRenderWindow",
-        },
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=200,
-    )
-    if ended.returncode < 0 or "OpenGL" in ended.stderr:
-        pytest.skip(f"no window can be opened here: {ended.stderr[-300:]}")
-    assert ended.returncode == 0, ended.stderr
-    return json.loads(ended.stdout.splitlines()[-1]), out
+    return drive("window_driver.py", pressed, out), out
 
 
 def read_mm(text):
