@@ -24,7 +24,7 @@ SIZE = (512, 512, 300)
 def write_ct(path: Path) -> None:
     """Write the CT, its noise added after the interpolation, which would smooth it."""
     rng = np.random.default_rng(0)
-    image = ct_phantom(rng, noise_HU=0.0).image
+    image = ct_phantom(rng, noise_HU=0.0).image()
     factors = [n / m for n, m in zip(SIZE, image.values.shape, strict=True)]
     values = zoom(image.values.astype(np.float32), factors, order=1)
     values += rng.normal(0.0, 20.0, values.shape).astype(np.float32)
