@@ -1,11 +1,10 @@
 """Build what a tool's distance from structures is measured by: their surfaces from files, or shapes of the anatomy."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from math import prod
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, names_of_caller
@@ -18,7 +17,7 @@ from tissue.builders.parts import FILE_WORDS
 from tissue.builders.voxels import swept_box
 from tissue.cutters.body import body_points
 from tissue.cutters.cutter import Cutter
-from tissue.models.keep_clear import DistanceField, KeepClear
+from tissue.models.keep_clear import Distance, DistanceField, KeepClear
 from tissue.motion.motion import Motion
 from tissue.scene.keep_clear import KeepClear as Wanted
 
@@ -30,9 +29,6 @@ MOST_POINTS = 1.5e6
 MARGIN_M = 1e-3
 POINTS_ACROSS = 12.0
 """Points of the tool's surface over its radius: between them a ball is off by 0.1 % of its radius."""
-
-Distance = Callable[[NDArray[np.float64]], NDArray[np.floating]]
-"""Points [m], shape (n, 3), to their signed distance [m], shape (n,), negative inside."""
 
 
 def keep_clear(
@@ -62,18 +58,18 @@ def keep_clear(
     """
     points = body_points(cutter.profile, spacing_m=cutter.profile.radius_m / POINTS_ACROSS)
     low, high = swept_box(points, motion, MARGIN_M)
-    fields: dict[str, DistanceField] = {}
+    distances: dict[str, Distance] = {}
     for name in wanted.names:
         if name not in shapes:
             known = f"must be one of {', '.join(shapes)}" if shapes else "must be left out for an anatomy without any"
             raise InputError(f"keep_clear.names {known}, got {name}: give its surface in [keep_clear.files]")
-        fields[name] = distance_field(shapes[name].distance, low, high)
+        distances[name] = shapes[name].distance
     for name, file in wanted.files.items():
         report(f"measuring the distance from {name}", 0.0)
-        distance, repairs = _of_file(name, file, placement)
-        fields[name] = distance_field(distance, low, high)
+        distances[name], repairs = _of_file(name, file, placement)
         if repairs:
             notes[f"surface of {name}"] = repairs
+    fields = {name: distance_field(distance, low, high) for name, distance in distances.items()}
     for name, field in fields.items():
         least = 1e3 * float(field.values_m.min())
         notes[f"keep clear of {name}"] = (
@@ -81,7 +77,7 @@ def keep_clear(
             if least > 0.0
             else "the tool can reach it; its distance is in the trace"
         )
-    return KeepClear(points, fields, device=compute)
+    return KeepClear(points, fields, distances, device=compute)
 
 
 def _of_file(name: str, file: str, placement: Placement | None) -> tuple[Distance, str]:

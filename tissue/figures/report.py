@@ -51,9 +51,11 @@ def draw_pictures(run: Run, folder: Path, kind: str = "png") -> list[str]:
             shaded = pool.submit(draw_before_after, run, depth, path("bone_before_after"))
             draw_removed_depth(run, depth, path("removed_depth"))
             has_measures = len(parts.tissue.layer_names) > 1 and parts.tissue.measure_names
-            if has_measures and run.cutter.spin_rad_s != 0.0:
-                side = {"axis": depth.axis, "outward": depth.outward}
+            side = {"axis": depth.axis, "outward": depth.outward}
+            is_drilled = bool(has_measures) and run.cutter.spin_rad_s != 0.0
+            if is_drilled or parts.keep_clear is not None:
                 draw_section(run, path("section"), **side)
+            if is_drilled:
                 notes["force_depth"] = draw_force_depth(run, path("force_depth"), **side)
             notes["bone_before_after"] = shaded.result()
         elif fields is not None and fields.frames:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from meshes.voxels.volume import FULL
 from tissue.fem.fields import FieldSeries, Frame
 from tissue.figures.figure import figure, save, styled
+from tissue.figures.kept_clear import draw_kept_clear, kept_window, nearest_places
 from tissue.figures.layer_interpolation import interpolate_in_layers
 from tissue.figures.style import EDGE, axis_names, draw_outline, layer_colours
 from tissue.simulation.depth_map import HALF, tool_axes
@@ -139,7 +140,9 @@ def draw_section(run: Run, path: Path, *, axis: int, outward: int) -> None:
     series = run.parts.fields
     row, frame = moment_of(run)
     section = section_of(run, axis=axis, outward=outward, row=row)
-    u0, u1, v0, v1 = section.extent_mm
+    kept = nearest_places(run)
+    window = kept_window(kept, section.extent_mm, section.start > 0.0, section.across, section.axis)
+    u0, u1, v0, v1 = window
     wide = 3.05 if frame is not None else min(5.2, 5.2 * (u1 - u0) / (v1 - v0))
     tall = wide * (v1 - v0) / (u1 - u0)
     full = tall + 1.75
@@ -149,10 +152,11 @@ def draw_section(run: Run, path: Path, *, axis: int, outward: int) -> None:
     panel = chart.add_axes((left / 8.0, 1.15 / full, wide / 8.0, tall / full))
     _draw_layers(panel, run, section)
     _draw_tool(panel, run, section)
+    structures = draw_kept_clear(panel, kept, window, section.across, section.axis, section.place_mm)
     panel.set(xlabel=f"{names[section.across]} / mm", ylabel=f"{names[section.axis]} / mm")
     panel.set_title("layers and what was removed", size=9.5)
     chart.legend(
-        handles=_handles(run, section, borders=frame is not None),
+        handles=[*_handles(run, section, borders=frame is not None), *structures],
         loc="center",
         bbox_to_anchor=(0.5, 0.3 / full),
         ncols=4,
@@ -168,7 +172,7 @@ def draw_section(run: Run, path: Path, *, axis: int, outward: int) -> None:
         for index in np.unique(section.layer[there]):
             draw_outline(panel, there & (section.layer == index), section.extent_mm, color="0.55", linewidth=0.7)
         _draw_tool(panel, run, section)
-        panel.set(xlabel=f"{names[section.across]} / mm", yticklabels=[])
+        panel.set(xlabel=f"{names[section.across]} / mm", yticklabels=[], xlim=window[:2], ylim=window[2:])
         panel.set_title("stress", size=9.5)
         bar = chart.add_axes(((left + 2.0 * wide + 0.4) / 8.0, 1.15 / full, 0.14 / 8.0, tall / full))
         chart.colorbar(drawn, cax=bar, extend="both", label="von Mises stress / MPa")

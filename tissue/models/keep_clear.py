@@ -1,6 +1,6 @@
 """How far the tool is from structures that it must not touch: a distance of each at every tick, breaches as events."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import inf
 
@@ -15,7 +15,10 @@ from kernels.mirror import Mirror
 from meshes.base.arrays import Array
 from tissue.models.tissue_model import TICK_S, ToolMotion
 
-__all__ = ["DistanceField", "KeepClear"]
+__all__ = ["Distance", "DistanceField", "KeepClear"]
+
+Distance = Callable[[NDArray[np.float64]], NDArray[np.floating]]
+"""Points [m], shape (n, 3), to their signed distance [m], shape (n,), negative inside."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,11 +64,15 @@ class KeepClear:
         Points of the tool's body in its own frame [m], shape (n, 3).
     fields
         Structures by name.
+    distances
+        Their signed distances anywhere, for pictures.
     device
         Warp device name.
 
     Attributes
     ----------
+    points_m, distances
+        As given.
     names
         Columns of a trace: ``distance_NAME_mm``, negative inside.
     measures
@@ -74,7 +81,15 @@ class KeepClear:
         What has happened, a sentence each; the loop takes them out as it logs them.
     """
 
-    def __init__(self, points_m: Array, fields: Mapping[str, DistanceField], *, device: str) -> None:
+    def __init__(
+        self,
+        points_m: Array,
+        fields: Mapping[str, DistanceField],
+        distances: Mapping[str, Distance] | None = None,
+        *,
+        device: str,
+    ) -> None:
+        self.points_m, self.distances = points_m, dict(distances or {})
         self.names = tuple(f"distance_{name}_mm" for name in fields)
         self.measures, self.notices = np.zeros(len(fields)), list[str]()
         self._breaches = [_Breach(name) for name in fields]

@@ -8,6 +8,8 @@ import trimesh
 import tissue
 from kernels.elements import CHUNK
 from meshes.base.errors import InputError
+from tissue.figures.kept_clear import nearest_places
+from tissue.figures.section import draw_section
 from tissue.models.keep_clear import DistanceField, KeepClear
 from tissue.models.tissue_model import ToolMotion
 
@@ -67,6 +69,18 @@ def test_a_breach_is_an_event_with_its_depth(run):
     first, last = (event["what"] for event in run.summary["events"])
     assert first == "breached canal, which is to be kept clear of"
     assert last.startswith(f"left canal: {-exact_mm(run).min():.2f} mm deep")
+
+
+def test_the_section_shows_where_the_tool_came_nearest(run, tmp_path):
+    place = nearest_places(run)[0]
+    assert place.least_mm == pytest.approx(exact_mm(run).min(), abs=0.01)
+    _, y, z = place.structure_mm
+    assert np.hypot(y, z + DEPTH_MM) == pytest.approx(RADIUS_MM, abs=0.01)  # on the canal
+    _, y, z = place.tool_mm - [0.0, ASIDE_MM, run.trace["tool_z_mm"].min() + BURR_MM]
+    assert np.linalg.norm(place.tool_mm - place.structure_mm) == pytest.approx(-place.least_mm, abs=0.05)
+    assert np.hypot(y, z) == pytest.approx(BURR_MM, abs=0.05)  # on the burr
+    draw_section(run, tmp_path / "section.png", axis=2, outward=1)
+    assert (tmp_path / "section.png").stat().st_size > 10_000
 
 
 def test_nothing_else_of_a_run_changes(run, tmp_path):
