@@ -1,8 +1,8 @@
 """Cuts that would narrow the constants: steady slots and plunges in each layer, at other feeds, speeds and depths.
 
 A steady cut's chip loads grow with feed over spin and its edge loads with neither, and both scale with density: one
-record a depth gives all feeds, speeds and layers. Each candidate is a second of steady loads, without how the tool
-enters.
+record a depth gives all feeds, speeds and layers. Each candidate is a second of steady loads after a quarter of one in
+air, which a sensor's bias is known from; how the tool enters is left out.
 """
 
 from dataclasses import replace
@@ -32,8 +32,8 @@ TRAVEL = {"slot": 1.0, "plunge": 0.1}
 """What the tool goes in a record, in radii: a plunge little enough to have one depth."""
 VOXELS = 20
 """Voxels on a radius."""
-LASTS = 1000
-"""Ticks of a candidate: 1 s."""
+AIR, LASTS = 250, 1250
+"""Ticks in air, and all ticks of a candidate."""
 
 
 def cutting_candidates(like: CuttingForward) -> dict[str, CuttingForward]:
@@ -62,19 +62,20 @@ def cutting_candidates(like: CuttingForward) -> dict[str, CuttingForward]:
 
 
 def _second_of(like: CuttingForward, layer: int, unit: Array) -> CuttingForward:
-    """A second of steady loads in one layer, of a unit of each coefficient, shape (6, 6)."""
+    """Air, then a second of steady loads in one layer, of a unit of each coefficient, shape (6, 6)."""
     density = round(like.record.layers[layer].nodes.middle_kg_m3)
-    loads = LayerLoads(DensityNodes.of(density, density), np.repeat(unit[None, :, None], LASTS, axis=2))
+    ticks = np.repeat(unit[None, :, None], LASTS, axis=2)
+    ticks[:, :, :AIR] = 0.0
+    loads = LayerLoads(DensityNodes.of(density, density), ticks)
     times_s = TICK_S * np.arange(LASTS, dtype=np.float64)
     return replace(like, record=replace(like.record, times_s=times_s, layers={layer: loads}), times_s=times_s)
 
 
 def _feed_m_s(like: CuttingForward) -> float:
     """Median speed of the tip where the tool cut [m/s]."""
-    record = like.record
-    speed = 1e-3 * np.linalg.norm(np.diff(record.trace.vectors("tool", "mm"), axis=0), axis=1) / np.diff(record.times_s)
-    cutting = speed[(record.engaged_m2.sum(axis=1)[1:] > 0.0) & (speed > 0.0)]
-    return float(np.median(cutting))
+    trace = like.record.trace
+    speed = 1e-3 * np.linalg.norm(np.diff(trace.vectors("tool", "mm"), axis=0), axis=1) / np.diff(trace["time_s"])
+    return float(np.median(speed[(trace["contact_mm2"][1:] > 0.0) & (speed > 0.0)]))
 
 
 def _steady(scene: Scene, tool: Tool, kind: str, depth_m: float) -> tuple[Array, float]:
