@@ -1,0 +1,121 @@
+"""A needle's law along a log, and how its state depends on the constants."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from meshes.base.arrays import Array, Ints
+from tissue.fitting.needle_events import Event
+from tissue.models.needle.insertion import Insertion
+from tissue.models.needle.parameters import NeedleTissue
+
+__all__ = ["NeedleTrack", "followed"]
+
+WHOLE_N = 9e3
+"""Puncture force of a membrane that does not break before its event: more than any needle meets."""
+STICKS = 0.99
+"""Static friction of a shaft that does not break away before its event, over the most that the law allows."""
+KEPT, STOPPED, AT_CUT, SLID_IN, CREPT_IN, SLID_OUT, CREPT_OUT = range(7)
+
+
+@dataclass(frozen=True, eq=False)
+class NeedleTrack:
+    """What a needle did along a log.
+
+    Attributes
+    ----------
+    inserted_m, deflection_m
+        L and u, shape (n,).
+    sliding
+        1, -1 or 0, shape (n,).
+    cuts
+        1 where the tip is at the end of its track, shape (n,).
+    holes
+        Membranes that are broken and around the shaft, shape (n,).
+    how
+        How L came about: `KEPT` from before, `STOPPED` at a membrane, by a slide in or out, or by creeping.
+    source
+        The sample whose slide set L, shape (n,); -1 where L is a depth or zero.
+    events
+        Those of the run itself, of any kind.
+    """
+
+    inserted_m: Array
+    deflection_m: Array
+    sliding: Ints
+    cuts: Ints
+    holes: Ints
+    how: Ints
+    source: Ints
+    events: tuple[Event, ...]
+
+
+def followed(tissue: NeedleTissue, travel_m: Array, speed_m_s: Array, events: tuple[Event, ...] | None) -> NeedleTrack:
+    """Run `Insertion` along a travel.
+
+    Parameters
+    ----------
+    tissue
+        The constants.
+    travel_m, speed_m_s
+        Of the tip along the axis, inwards, shape (n,); it starts outside.
+    events
+        When membranes break and the shaft breaks away: there and not where the law has them. None leaves it to the law.
+    """
+    insertion = Insertion(tissue, travel_m=float(travel_m[0]))
+    modes = _modes(tissue, speed_m_s, events) if events is not None else {}
+    depths = [membrane.depth_m for membrane in tissue.membranes]
+    rows, happened = [(0.0, 0.0, 0, 0, 0, KEPT, -1)], []
+    source = cut_source = -1
+    for sample in range(1, len(travel_m)):
+        if sample in modes:
+            insertion.tissue = modes[sample]
+        before, cut, broken, was = insertion.inserted_m, insertion.cut_m, insertion.punctured, insertion.sliding
+        insertion.advance(float(travel_m[sample]), float(speed_m_s[sample]))
+        length, sliding = insertion.inserted_m, insertion.sliding
+        if length == before:
+            how = KEPT
+        elif length == 0.0 or length in depths:
+            how, source = STOPPED, -1
+        elif length == cut and length > before:
+            how, source = AT_CUT, cut_source
+        else:
+            how = (SLID_IN if sliding > 0 else CREPT_IN) if length > before else SLID_OUT if sliding < 0 else CREPT_OUT
+            source = sample
+        if insertion.cut_m > cut:
+            cut_source = source
+        if insertion.punctured > broken:
+            happened.append(Event("puncture", sample - 1))
+        elif sliding != 0 and was == 0 and before > 0.0:
+            happened.append(Event("slip_in" if sliding > 0 else "slip_out", sample - 1))
+        holes = sum(depth <= length for depth in depths[: insertion.punctured])
+        rows.append((length, insertion.deflection_m, sliding, int(length == insertion.cut_m), holes, how, source))
+    lengths, deflections, *whole = zip(*rows, strict=True)
+    sliding_, cuts_, holes_, how_, source_ = (np.array(each) for each in whole)
+    return NeedleTrack(
+        np.array(lengths), np.array(deflections), sliding_, cuts_, holes_, how_, source_, tuple(happened)
+    )
+
+
+def _modes(tissue: NeedleTissue, speed_m_s: Array, events: tuple[Event, ...]) -> dict[int, NeedleTissue]:
+    """The tissue from a sample on: whole and sticking before an event, giving in at it."""
+    whole = replace(tissue, membranes=tuple(replace(each, puncture_N=WHOLE_N) for each in tissue.membranes))
+    broken = replace(tissue, membranes=tuple(replace(each, puncture_N=1e-12) for each in tissue.membranes))
+    slow = np.flatnonzero(np.abs(speed_m_s) < 0.5 * tissue.friction.stick_band_m_s)
+    turns = np.flatnonzero(np.diff(np.sign(speed_m_s)) != 0.0) + 1
+    rests = np.union1d(slow, turns)
+    modes = {1: whole}
+    for event in sorted(events, key=lambda each: each.sample):
+        if event.kind == "puncture":
+            modes |= {event.sample + 1: broken, event.sample + 2: whole}
+            continue
+        side = event.kind.removeprefix("slip_")
+        begun = rests[rests <= event.sample]
+        sticks = {f"static_{side}_N_m": STICKS * tissue.linear_N_m}
+        slides = {f"static_{side}_N_m": getattr(tissue.friction, f"sliding_{side}_N_m")}
+        modes |= {
+            max(int(begun[-1]) if len(begun) else 1, 1): replace(whole, friction=replace(tissue.friction, **sticks)),
+            event.sample + 1: replace(whole, friction=replace(tissue.friction, **slides)),
+            event.sample + 2: whole,
+        }
+    return modes
