@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
+from tissue.api.progress import Bar, reporting
 from tissue.api.run_data import RunData
 from tissue.api.run_figures import run_html, run_line
 from tissue.api.saved_folder import SavedFolder
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     import pandas
     import xarray
     from matplotlib.axes import Axes
+
+    from tissue.uncertainty.band import Band
 
 __all__ = ["Run", "open_run"]
 
@@ -101,6 +104,53 @@ class Run(RunData):
         file = None if screenshot is None else Path(screenshot)
         chosen = {"time_s": time_s, "field": field, "hide": hide, "scale": scale}
         return show_folder(self._folder(), chosen, interactive=interactive, screenshot=file)
+
+    def band(
+        self,
+        samples: int | None = None,
+        *,
+        seed: int | None = None,
+        compute: str = "cpu",
+        cores: int | None = None,
+        pictures: bool | str = True,
+        progress: Bar = None,
+    ) -> "Band":
+        """Loads and figures over the ranges of the constants, and which constant matters; see docs/guide/bands.md.
+
+        Parameters
+        ----------
+        samples
+            Samples of the constants, rounded up to a power of two; without it the band that was made before is read.
+        seed
+            Seed of the samples; that of the scene without it.
+        compute, cores, progress
+            As for `tissue.simulate`.
+        pictures
+            Whether pictures are drawn, or their format, png, svg or pdf; a run that lies in a folder has its band
+            written there, another one where it is saved.
+
+        Raises
+        ------
+        InputError
+            If there is no band to read, or none can be made: the tool does not cut on a given path, the number of
+            samples is none of 16 to 65536, or the run was stopped early.
+        """
+        if samples is None:
+            if self._band is None:
+                from tissue.uncertainty.band_files import read_band
+
+                self._band = read_band(self._folder())
+            return self._band
+        from tissue.uncertainty.band import band_of, require_same
+
+        with reporting(progress) as report:
+            made = band_of(self.scene, samples, seed=seed, compute=compute, cores=cores, progress=report)
+        require_same(
+            made, np.hstack([self.trace.vectors("model_force", "N"), self.trace.vectors("model_torque", "Nm")])
+        )
+        self._band = made
+        self._save_band(pictures)
+        return made
 
     def to_pandas(self) -> "pandas.DataFrame":
         """The trace, a row a tick; the scene's name is in its ``attrs``. See `Trace.to_pandas`."""

@@ -18,12 +18,14 @@ from tissue.builders.parts import Parts
 from tissue.cutters.cutter import Cutter
 from tissue.scene.scene import Scene
 from tissue.simulation import run as engine
+from tissue.simulation.picture_format import picture_format
 from tissue.simulation.run_summary import Summary, summary_of
 
 if TYPE_CHECKING:
     import pyvista
 
     from tissue.models.bone.replay import CarvingReplay
+    from tissue.uncertainty.band import Band
 
 __all__ = ["RunData"]
 
@@ -35,6 +37,7 @@ class RunData:
         self._held = held
         self.path: Path | None = held.path if isinstance(held, SavedFolder) else None
         self._shown: TemporaryDirectory[str] | None = None
+        self._band: Band | None = None
 
     @property
     def scene(self) -> Scene:
@@ -59,7 +62,7 @@ class RunData:
     @property
     def summary(self) -> Summary:
         """Figures of the run by name, as ``summary.json`` has them: volumes by layer, forces, cost of the ticks."""
-        return self._held.summary
+        return self._held.summary | ({} if self._band is None else {"band": self._band.summary})
 
     @property
     def status(self) -> str:
@@ -184,7 +187,15 @@ class RunData:
             If the folder holds another run or a format is unknown.
         """
         self.path = self._held.save(out, formats=formats, pictures=pictures, overwrite=overwrite, progress=progress)
+        self._save_band(pictures)
         return self.path
+
+    def _save_band(self, pictures: bool | str) -> None:
+        """Write a band that was made of the run into its folder, where there are both."""
+        if self._band is not None and self.path is not None:
+            from tissue.uncertainty.band_files import save_band
+
+            save_band(self._band, self.path, kind=picture_format(pictures))
 
     def _folder(self) -> Path:
         """A folder with this run's files, a temporary one where it was not saved or its folder holds another by now."""

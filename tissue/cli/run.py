@@ -33,6 +33,7 @@ def run(
     format_: Annotated[tuple[str, ...], Parameter(name="--format", negative="")] = (),
     pictures: str = "png",
     no_pictures: Annotated[bool, Parameter(negative="")] = False,
+    band: Annotated[int | None, Parameter(converter=whole)] = None,
     live: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
     allow_unstable: Annotated[bool, Parameter(negative="")] = False,
@@ -64,6 +65,8 @@ def run(
         image of 400 pixels an inch.
     no_pictures
         Draw none.
+    band
+        Samples of the constants in their ranges, such as 200: forces, torques and figures with 50 and 90 % bands.
     live
         Run against the wall clock, in a window with mouse and keys as device, or without a display scripted.
     overwrite
@@ -80,6 +83,11 @@ def run(
     picture_format(pictures)
     loaded = _load(scene, _overrides(set_, fidelity, seed=seed, duration_s=duration_s), live=live)
     _refuse_unused(loaded, live=live, compute=compute, cores=cores, allow_unstable=allow_unstable)
+    if band is not None:
+        left_out("with --live", "run the scene without it", band=band if live else None)
+        from tissue.uncertainty.band import require_band
+
+        require_band(loaded, band)
     folder = out or Path("runs") / loaded.name
     RunFolder.check(folder, overwrite=overwrite)
     started = perf_counter()
@@ -91,6 +99,10 @@ def run(
         simulated = perf_counter()
         with progress() as report:
             finished.save(folder, formats=format_, pictures=False if no_pictures else pictures, progress=report)
+        if band is not None:
+            with progress() as report:
+                drawn = False if no_pictures else pictures
+                finished.band(band, compute=compute, cores=cores, pictures=drawn, progress=report)
     _print_summary(finished.summary, folder, wall_s=perf_counter() - started, saving_s=perf_counter() - simulated)
 
 
@@ -194,8 +206,11 @@ def _print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s:
     table.add_column("value", justify="right")
     for layer, removed in summary["removed_mm3"].items() if summary["cuts"] else ():
         table.add_row(f"removed {layer}", f"{removed:.2f} of {summary['start_mm3'][layer]:.1f} mm³")
-    table.add_row("force, peak / mean in contact", _pair(summary["force_N"], "N"))
-    table.add_row("torque, peak / mean in contact", _pair(summary["torque_Nm"], "N·m"))
+    band = summary.get("band")
+    for name, key, unit in (("force", "force_N", "N"), ("torque", "torque_Nm", "N·m")):
+        table.add_row(f"{name}, peak / mean in contact", _pair(summary[key], unit))
+        if band is not None:
+            table.add_row(f"{name}, 90 % of {band['samples']} samples", _ends(band[key], unit))
     tick = summary["tick_us"]
     table.add_row("tick, median / 99 % / max", f"{tick['median']:.0f} / {tick['p99']:.0f} / {tick['max']:.0f} µs")
     table.add_row("missed 1 ms deadlines", f"{summary['missed_deadlines']} of {summary['simulated_s'] * 1e3:.0f}")
@@ -213,6 +228,8 @@ def _print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s:
         console.print(f"at {event['time_s']:.3f} s: {event['what']}")
     for name, note in summary["notes"].items():
         console.print(f"{name}: {note}")
+    if band is not None:
+        console.print(f"band: {_band_text(band)}")
     console.print(f"files in {folder}")
 
 
@@ -231,3 +248,19 @@ def _scheduling_rows(summary: "Summary") -> Iterator[tuple[str, str]]:
 
 def _pair(figures: dict[str, float], unit: str) -> str:
     return f"{figures['peak']:.3g} / {figures['mean_in_contact']:.3g} {unit}"
+
+
+def _ends(figures: dict[str, dict[str, float]], unit: str) -> str:
+    """Ends of the 90 % intervals of the peak and of the mean."""
+    peak, mean = (f"{figures[name]['p05']:.3g}–{figures[name]['p95']:.3g}" for name in ("peak", "mean_in_contact"))
+    return f"{peak} / {mean} {unit}"
+
+
+def _band_text(band: "Summary") -> str:
+    """How a band was made, and the constants that matter most for the peak force."""
+    asked = f", {band['asked']} rounded up to a power of two" if band["asked"] != band["samples"] else ""
+    totals = {name: index["total"] for name, index in band["sobol"].get("force_N.peak", {}).items()}
+    first = sorted(totals, key=lambda name: -totals[name])[:3]
+    shares = ", ".join(f"{name} {100.0 * totals[name]:.0f} %" for name in first)
+    matters = f"; of the variance of the peak force: {shares}" if shares else ""
+    return f"{band['samples']} samples{asked}; {band['how']}{matters}"

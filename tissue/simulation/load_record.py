@@ -102,11 +102,21 @@ class LoadRecord:
             What the density of each layer is multiplied by, shape (layers,); None for 1.
         """
         loads = np.zeros((len(self.times_s), 6))
+        for at, weights in self.weights(coefficients, density_factors).items():
+            unit = self.layers[at].unit
+            loads += (weights @ unit.reshape(len(weights), -1)).reshape(loads.shape)
+        return loads
+
+    def weights(
+        self, coefficients: tuple[CuttingCoefficients, ...], density_factors: Array | None = None
+    ) -> dict[int, Array]:
+        """What the unit loads of each layer are multiplied by, shape (nodes * 6,); arguments as `loads`."""
+        found = {}
         for at, layer in self.layers.items():
             factor = 1.0 if density_factors is None else float(density_factors[at])
-            weights = np.multiply.outer(_strengths(layer, coefficients[at], factor), _values(coefficients[at]))
-            loads += (weights.ravel() @ layer.unit.reshape(weights.size, -1)).reshape(loads.shape)
-        return loads
+            strengths = _strengths(layer, coefficients[at], factor)
+            found[at] = np.multiply.outer(strengths, _values(coefficients[at])).ravel()
+        return found
 
     def jacobian(self, coefficients: tuple[CuttingCoefficients, ...], density_factors: Array | None = None) -> Array:
         """Derivatives of the loads by `SENSITIVITIES` of each layer, shape (n, 6, layers, 8); arguments as `loads`."""

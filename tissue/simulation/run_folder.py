@@ -37,6 +37,8 @@ OWN_FILES = (
     "fields.pvd",
     "fields",
     "pictures",
+    "band.csv",
+    "band",
     "report.html",
 )
 """Names in a run's folder."""

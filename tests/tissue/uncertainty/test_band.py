@@ -1,0 +1,118 @@
+"""The band of a milled scene, against closed forms, reruns and its files."""
+
+import json
+
+import numpy as np
+import pytest
+from scene_kinds import kinds, write_files
+from scipy.special import ndtri
+
+from meshes.base.errors import InputError
+from tissue.api.run import open_run
+from tissue.api.simulate import simulate
+from tissue.materials.constants import constants
+from tissue.materials.prior import Prior
+from tissue.scene.load import changed
+from tissue.scene.scene import Scene
+from tissue.simulation.load_record import record_loads
+from tissue.uncertainty.band import LEVELS, band_of, require_band
+from tissue.uncertainty.reweighed import DENSITY, FIGURES, Reweighed, density_prior
+
+NAMES = tuple(constants("cutting", "bone"))
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory):
+    return kinds(write_files(tmp_path_factory.mktemp("files")))
+
+
+@pytest.fixture(scope="module")
+def block(tables):
+    return Scene(**tables["block"])
+
+
+def test_of_a_force_linear_in_one_coefficient_the_band_is_that_of_the_coefficient(block):
+    """All others are 0 or fixed by the scene, so that each figure is the coefficient times a geometry."""
+    fixed = dict.fromkeys((f"cutting.{name}" for name in NAMES if "chip" in name or "edge" in name), 0.0)
+    del fixed["cutting.radial_edge_N_mm"]
+    scene = changed(block, fixed)
+    reweighed = Reweighed(record_loads(scene, cores=1))
+    at = reweighed.ranges.names.index("cutting.bone.radial_edge_N_mm")
+    prior = reweighed.ranges.priors[at]
+    levels = np.array(list(LEVELS.values()))
+    count = 4096
+    x = np.tile(reweighed.nominal(), (count, 1))
+    x[:, at] = prior.x(ndtri((np.arange(count) + 0.5) / count))
+    per_unit = reweighed.figures(reweighed.nominal()[None])[0] / reweighed.nominal()[at]
+    exact = np.outer(prior.x(ndtri(levels)), per_unit)
+    found = np.quantile(reweighed.figures(x), levels, axis=0, method="hazen")
+    assert found == pytest.approx(exact, rel=1e-4, abs=1e-12)
+    assert per_unit[0] > 0.0
+    size = reweighed.quantiles(x[::16], tuple(levels))[..., 3]
+    assert size[:, np.argmax(size[2])] == pytest.approx(exact[:, 0], rel=2e-2)
+
+
+@pytest.mark.slow
+def test_reweighed_figures_are_those_of_reruns(block):
+    reweighed = Reweighed(record_loads(block, cores=1))
+    names = [name.rpartition(".")[2] for name in reweighed.ranges.names]
+    settable = [at for at, name in enumerate(names) if "chip" in name or "edge" in name]
+    rng, x = np.random.default_rng(4), np.tile(reweighed.nominal(), (2, 1))
+    x[:, settable] = (x[:, settable] + 0.5) * rng.uniform(0.5, 1.8, (2, len(settable)))
+    got = reweighed.figures(x)
+    for row, figures in zip(x, got, strict=True):
+        summary = simulate(changed(block, {f"cutting.{names[at]}": row[at] for at in settable}), cores=1).summary
+        want = [summary[outer][inner] for outer, inner in (name.split(".") for name in FIGURES)]
+        assert figures == pytest.approx(want, rel=1e-6)
+        assert figures != pytest.approx(reweighed.figures(reweighed.nominal()[None])[0], rel=0.05)
+
+
+def test_a_band_is_written_with_its_run_and_read_back(block, tmp_path):
+    run = simulate(block, cores=1)
+    band = run.band(50, cores=1)
+    assert band.summary["asked"] == 50
+    assert band.summary["samples"] == len(band.values) == 64
+    assert (np.diff(band.quantiles, axis=0) >= 0.0).all()
+    peak = run.summary["band"]["force_N"]["peak"]
+    assert peak["p05"] < peak["p25"] < peak["p50"] < peak["p75"] < peak["p95"]
+    assert peak["p05"] < run.summary["force_N"]["peak"] < peak["p95"]
+    totals = [index["total"] for index in run.summary["band"]["sobol"]["force_N.peak"].values()]
+    assert 0.95 < sum(totals) < 1.5
+    run.save(tmp_path / "run", pictures=False)
+    held = open_run(tmp_path / "run")
+    again = held.band()
+    assert again.constants == band.constants
+    assert again.summary == json.loads((tmp_path / "run/summary.json").read_text())["band"] == band.summary
+    for name in ("times_s", "nominal", "quantiles", "values", "figures"):
+        assert getattr(again, name) == pytest.approx(getattr(band, name), rel=1e-8, abs=1e-12)
+    held.band(16, cores=1)
+    assert {path.name for path in (tmp_path / "run/pictures").iterdir()} == {"band.png", "band_sobol.png"}
+    assert open_run(tmp_path / "run").summary["band"]["samples"] == 16
+
+
+def test_a_run_without_a_band_has_none_to_read(block, tmp_path):
+    run = simulate(block, cores=1)
+    run.save(tmp_path / "run", pictures=False)
+    with pytest.raises(InputError, match="run must have a band"):
+        open_run(tmp_path / "run").band()
+
+
+@pytest.mark.slow
+def test_other_seeds_give_the_same_band_within_its_error(block):
+    ends = [band_of(block, 256, seed=seed, cores=1).summary["force_N"]["peak"] for seed in (1, 2, 3)]
+    for level in LEVELS:
+        values = np.array([each[level] for each in ends])
+        print(level, values)
+        assert np.ptp(values) < 0.12 * values.mean()
+
+
+def test_a_scene_whose_path_depends_on_its_force_has_no_reweighed_band(tables):
+    with pytest.raises(InputError, match="band must be of a tool that cuts"):
+        require_band(Scene(**tables["wall"]), 200)
+
+
+def test_an_image_of_densities_states_the_range_of_a_factor():
+    law = "internal: median 400 kg/m3, 90 % between 300 and 520; least 60, greatest 1900"
+    assert density_prior(law) == Prior(1.0, 0.75, 1.3)
+    assert density_prior("") is None
+    assert DENSITY == "density.bone"

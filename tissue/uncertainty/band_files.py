@@ -1,0 +1,79 @@
+"""The files of a band in a run's folder: quantiles over time, samples, pictures, and what the summary holds of it."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from meshes.base.whole_file import whole_file
+from tissue.figures.band import draw_band, draw_sobol
+from tissue.simulation.run_summary import read_summary
+from tissue.system.outputs import output_locked
+from tissue.uncertainty.band import LEVELS, Band
+from tissue.uncertainty.reweighed import CHANNELS, FIGURES
+
+__all__ = ["read_band", "save_band"]
+
+OVER_TIME, SAMPLES = "band.csv", "band/samples.csv"
+
+
+def save_band(band: Band, folder: Path, *, kind: str | None) -> None:
+    """Write a band into the folder of its run, in place of one that is there; pictures where `kind` is their format.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no run, or another process writes to it.
+    """
+    with output_locked(folder, folder=True):
+        summary = read_summary(folder)
+        names = [f"{channel}_{level}" for channel in CHANNELS for level in LEVELS]
+        quantiles = np.moveaxis(band.quantiles, 0, 2).reshape(len(band.times_s), -1)
+        rows = np.column_stack([band.times_s, band.nominal, quantiles])
+        _write(folder / OVER_TIME, ["time_s", *CHANNELS, *names], rows)
+        (folder / SAMPLES).parent.mkdir(exist_ok=True)
+        _write(folder / SAMPLES, [*band.constants, *FIGURES], np.hstack([band.values, band.figures]))
+        if kind is not None:
+            (folder / "pictures").mkdir(exist_ok=True)
+            title = str(summary["scene"])
+            draw_band(band.times_s, band.nominal, band.quantiles, folder / "pictures" / f"band.{kind}", title=title)
+            draw_sobol(band.summary["sobol"], folder / "pictures" / f"band_sobol.{kind}", title=title)
+        with whole_file(folder / "summary.json") as temporary:
+            temporary.write_text(json.dumps(summary | {"band": band.summary}, indent=2) + "\n", "utf-8")
+
+
+def read_band(folder: Path) -> Band:
+    """The band in a run's folder.
+
+    Raises
+    ------
+    InputError
+        If there is none, or a file is damaged.
+    """
+    held = read_summary(folder).get("band")
+    if held is None:
+        raise InputError(f"run must have a band, got none in {folder}: make one with run.band(200)")
+    times, samples = _read(folder / OVER_TIME), _read(folder / SAMPLES)
+    constants = tuple(held["constants"])
+    nominal, quantiles = times[:, 1 : 1 + len(CHANNELS)], times[:, 1 + len(CHANNELS) :]
+    if quantiles.shape[1] != len(CHANNELS) * len(LEVELS) or samples.shape[1] != len(constants) + len(FIGURES):
+        raise InputError(f"band.csv must be as run.band wrote it, got another one in {folder}: make the band again")
+    over = np.moveaxis(quantiles.reshape(len(times), len(CHANNELS), len(LEVELS)), 2, 0)
+    width = len(constants)
+    return Band(times[:, 0], nominal, over, constants, samples[:, :width], samples[:, width:], held)
+
+
+def _write(path: Path, names: list[str], rows: Array) -> None:
+    with whole_file(path) as temporary:
+        np.savetxt(temporary, rows, fmt="%.9g", delimiter=",", header=",".join(names), comments="")
+
+
+def _read(path: Path) -> Array:
+    try:
+        return np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
+    except (OSError, ValueError):
+        raise InputError(
+            f"{path.name} must be a table of numbers, got another one in {path}: make the band again"
+        ) from None

@@ -1,0 +1,127 @@
+"""Loads of a run for samples of its constants, from its geometry that was recorded once."""
+
+import re
+from collections.abc import Iterator
+from functools import cached_property
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from tissue.materials.constants import constants
+from tissue.materials.cutting import CUT_AS, CuttingCoefficients, cutting_coefficients
+from tissue.materials.prior import Prior
+from tissue.simulation.load_record import LoadRecord
+from tissue.uncertainty.sample import Ranges
+
+__all__ = ["CHANNELS", "DENSITY", "FIGURES", "Reweighed", "density_prior"]
+
+CHANNELS = ("force_x_N", "force_y_N", "force_z_N", "force_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm", "torque_Nm")
+"""Components and sizes of the loads on the tool in the world, as the model gives them."""
+FIGURES = ("force_N.peak", "force_N.mean_in_contact", "torque_Nm.peak", "torque_Nm.mean_in_contact")
+"""Figures of ``summary.json`` that follow from the loads."""
+DENSITY = "density.bone"
+BLOCK = 8_000_000
+"""Numbers of loads that are held at once: 64 MB."""
+LAW = re.compile(r"median ([\d.]+) kg/m3, 90 % between ([\d.]+) and ([\d.]+)")
+
+
+class Reweighed:
+    """A run's loads as a function of the constants that vary.
+
+    Parameters
+    ----------
+    record
+        The geometry of the run, every tick of it.
+    """
+
+    def __init__(self, record: LoadRecord) -> None:
+        self.record = record
+        self._contact = record.trace["contact_mm2"] > 0.0
+
+    @cached_property
+    def ranges(self) -> Ranges:
+        """Constants with a range of the layers that the tool met, but those that the scene sets itself."""
+        cutting, names = self.record.scene.cutting, self.record.layer_names
+        given = {name for name, value in cutting.model_dump(exclude={"material"}).items() if value is not None}
+        priors = {}
+        for material in dict.fromkeys(CUT_AS.get(names[at], cutting.material) for at in sorted(self.record.layers)):
+            for constant, cited in constants("cutting", material).items():
+                if constant not in given:
+                    name = f"cutting.{material}.{constant}"
+                    priors[name] = Prior.of(cited, name)
+        if (density := density_prior(self.record.notes.get("density law", ""))) is not None:
+            priors[DENSITY] = density
+        return Ranges.independent(priors)
+
+    def coefficients(self, x: Array) -> tuple[CuttingCoefficients, ...]:
+        """Cutting coefficients of each layer for values of the constants, shape (p,)."""
+        cutting = self.record.scene.cutting
+        given = cutting.model_dump(exclude={"material"})
+        by_material: dict[str, dict[str, float]] = {}
+        for name, value in zip(self.ranges.names, x, strict=True):
+            if name != DENSITY:
+                _, material, constant = name.split(".")
+                by_material.setdefault(material, {})[constant] = float(value)
+        used = [CUT_AS.get(name, cutting.material) for name in self.record.layer_names]
+        return tuple(cutting_coefficients(each, **(given | by_material.get(each, {}))) for each in used)
+
+    def nominal(self) -> Array:
+        """Values of the constants at which the run was simulated, shape (p,)."""
+        return np.array([prior.value for prior in self.ranges.priors])
+
+    def weights(self, x: Array) -> Array:
+        """What all unit loads are multiplied by, shape (samples, units), for values of shape (samples, p)."""
+        layers = len(self.record.layer_names)
+        place = self.ranges.names.index(DENSITY) if DENSITY in self.ranges.names else None
+        rows = []
+        for each in x:
+            factors = None if place is None else np.full(layers, each[place])
+            rows.append(np.concatenate(list(self.record.weights(self.coefficients(each), factors).values())))
+        return np.array(rows)
+
+    def figures(self, x: Array) -> Array:
+        """`FIGURES` of samples, shape (samples, 4)."""
+        weights = self.weights(x)
+        peak, sums = np.zeros((len(x), 2)), np.zeros((len(x), 2))
+        for ticks, loads in self.blocks(weights):
+            sizes = loads[:, :, 3::4]
+            peak = np.maximum(peak, sizes.max(axis=1))
+            sums += sizes[:, self._contact[ticks]].sum(axis=1)
+        means = sums / max(int(self._contact.sum()), 1)
+        return np.stack([peak[:, 0], means[:, 0], peak[:, 1], means[:, 1]], axis=1)
+
+    def blocks(self, weights: Array) -> Iterator[tuple[slice, Array]]:
+        """`CHANNELS` of samples a stretch of time after the other, shape (samples, ticks, 8)."""
+        count = len(self.record.times_s)
+        step = max(BLOCK // (8 * len(weights)), 1)
+        for first in range(0, count, step):
+            ticks = slice(first, min(first + step, count))
+            unit = np.concatenate(
+                [layer.unit[:, :, ticks].reshape(layer.unit.shape[0] * layer.unit.shape[1], -1) for layer in
+                 self.record.layers.values()]
+            )  # fmt: skip
+            loads = (weights @ unit).reshape(len(weights), -1, 6)
+            yield ticks, with_sizes(loads)
+
+    def quantiles(self, x: Array, levels: tuple[float, ...]) -> Array:
+        """Quantiles over the samples of `CHANNELS` at each tick, shape (levels, n, 8)."""
+        return np.concatenate([np.quantile(loads, levels, axis=0) for _, loads in self.blocks(self.weights(x))], axis=1)
+
+
+def with_sizes(loads: Array) -> Array:
+    """`CHANNELS` of forces and torques, shape (..., 8) of (..., 6)."""
+    force, torque = loads[..., :3], loads[..., 3:]
+    sizes = [np.linalg.norm(each, axis=-1, keepdims=True) for each in (force, torque)]
+    return np.concatenate([force, sizes[0], torque, sizes[1]], axis=-1)
+
+
+def density_prior(law: str) -> Prior | None:
+    """Prior of a factor of the density, from what an image of densities states of their law; None where it is silent.
+
+    The band is that of the density's median; it is taken for the relative one of every voxel.
+    """
+    found = LAW.search(law)
+    if found is None:
+        return None
+    median, low, high = map(float, found.groups())
+    return Prior(1.0, low / median, high / median)
