@@ -11,6 +11,7 @@ from meshes.base.file_version import package_version
 from meshes.base.isolated_parser import parse_isolated
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
+from tissue.reporting.bands import band_section
 from tissue.reporting.browser_viewer import empty_scene, viewer_scripts
 from tissue.reporting.charts import charts, columns
 from tissue.reporting.materials import used_constants
@@ -114,6 +115,7 @@ def _html(saved: SavedRun, data: dict[str, object], scripts: str) -> str:
         "<h2>In 3D</h2>",
         _own("stage.html"),
         "<h2>Forces</h2>" + _own("charts.html") if data["trace"] else "<p>The run left no tick.</p>",
+        band_section(saved),
         "<h2>Events</h2>" + events_table(saved.summary),
         "<h2>Notes</h2>" + notes_table(saved.summary),
         "<h2>Materials</h2>" + materials_table(used),

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from tissue.materials.constants import constants
@@ -20,8 +21,8 @@ CHANNELS = ("force_x_N", "force_y_N", "force_z_N", "force_N", "torque_x_Nm", "to
 FIGURES = ("force_N.peak", "force_N.mean_in_contact", "torque_Nm.peak", "torque_Nm.mean_in_contact")
 """Figures of ``summary.json`` that follow from the loads."""
 DENSITY = "density.bone"
-BLOCK = 8_000_000
-"""Numbers of loads that are held at once: 64 MB."""
+BLOCK = 500_000
+"""Numbers of loads that are held at once: 4 MB, about a cache."""
 LAW = re.compile(r"median ([\d.]+) kg/m3, 90 % between ([\d.]+) and ([\d.]+)")
 
 
@@ -37,6 +38,8 @@ class Reweighed:
     def __init__(self, record: LoadRecord) -> None:
         self.record = record
         self._contact = record.trace["contact_mm2"] > 0.0
+        units = [layer.unit.any(axis=(0, 1, 3)) for layer in record.layers.values()]
+        self._loaded = np.flatnonzero(np.logical_or.reduce(units, axis=0)) if units else np.zeros(0, dtype=np.int64)
 
     @cached_property
     def ranges(self) -> Ranges:
@@ -83,29 +86,29 @@ class Reweighed:
         """`FIGURES` of samples, shape (samples, 4)."""
         weights = self.weights(x)
         peak, sums = np.zeros((len(x), 2)), np.zeros((len(x), 2))
-        for ticks, loads in self.blocks(weights):
-            sizes = loads[:, :, 3::4]
+        for ticks, loads in self._blocks(weights):
+            parts = loads.reshape(*loads.shape[:2], 2, 3)
+            sizes = np.sqrt(np.einsum("sncd,sncd->snc", parts, parts))
             peak = np.maximum(peak, sizes.max(axis=1))
             sums += sizes[:, self._contact[ticks]].sum(axis=1)
         means = sums / max(int(self._contact.sum()), 1)
         return np.stack([peak[:, 0], means[:, 0], peak[:, 1], means[:, 1]], axis=1)
 
-    def blocks(self, weights: Array) -> Iterator[tuple[slice, Array]]:
-        """`CHANNELS` of samples a stretch of time after the other, shape (samples, ticks, 8)."""
-        count = len(self.record.times_s)
-        step = max(BLOCK // (8 * len(weights)), 1)
-        for first in range(0, count, step):
-            ticks = slice(first, min(first + step, count))
-            unit = np.concatenate(
-                [layer.unit[:, :, ticks].reshape(layer.unit.shape[0] * layer.unit.shape[1], -1) for layer in
-                 self.record.layers.values()]
-            )  # fmt: skip
-            loads = (weights @ unit).reshape(len(weights), -1, 6)
-            yield ticks, with_sizes(loads)
-
     def quantiles(self, x: Array, levels: tuple[float, ...]) -> Array:
         """Quantiles over the samples of `CHANNELS` at each tick, shape (levels, n, 8)."""
-        return np.concatenate([np.quantile(loads, levels, axis=0) for _, loads in self.blocks(self.weights(x))], axis=1)
+        found = np.zeros((len(levels), len(self.record.times_s), len(CHANNELS)))
+        for ticks, loads in self._blocks(self.weights(x)):
+            found[:, ticks] = np.quantile(with_sizes(loads), levels, axis=0)
+        return found
+
+    def _blocks(self, weights: Array) -> Iterator[tuple[NDArray[np.int64], Array]]:
+        """Loads of samples a few loaded ticks after the others, and which those are, shape (samples, ticks, 6)."""
+        step = max(BLOCK // (6 * len(weights)), 1)
+        for first in range(0, len(self._loaded), step):
+            ticks = self._loaded[first : first + step]
+            unit = [layer.unit[:, :, ticks] for layer in self.record.layers.values()]
+            rows = np.concatenate([each.reshape(each.shape[0] * each.shape[1], -1) for each in unit])
+            yield ticks, (weights @ rows).reshape(len(weights), -1, 6)
 
 
 def with_sizes(loads: Array) -> Array:

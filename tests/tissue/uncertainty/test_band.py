@@ -12,9 +12,11 @@ from tissue.api.run import open_run
 from tissue.api.simulate import simulate
 from tissue.materials.constants import constants
 from tissue.materials.prior import Prior
+from tissue.reporting.bands import band_section
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
 from tissue.simulation.load_record import record_loads
+from tissue.simulation.run_folder import SavedRun
 from tissue.uncertainty.band import LEVELS, band_of, require_band
 from tissue.uncertainty.reweighed import DENSITY, FIGURES, Reweighed, density_prior
 
@@ -85,9 +87,6 @@ def test_a_band_is_written_with_its_run_and_read_back(block, tmp_path):
     assert again.summary == json.loads((tmp_path / "run/summary.json").read_text())["band"] == band.summary
     for name in ("times_s", "nominal", "quantiles", "values", "figures"):
         assert getattr(again, name) == pytest.approx(getattr(band, name), rel=1e-8, abs=1e-12)
-    held.band(16, cores=1)
-    assert {path.name for path in (tmp_path / "run/pictures").iterdir()} == {"band.png", "band_sobol.png"}
-    assert open_run(tmp_path / "run").summary["band"]["samples"] == 16
 
 
 def test_a_run_without_a_band_has_none_to_read(block, tmp_path):
@@ -116,3 +115,14 @@ def test_an_image_of_densities_states_the_range_of_a_factor():
     assert density_prior(law) == Prior(1.0, 0.75, 1.3)
     assert density_prior("") is None
     assert DENSITY == "density.bone"
+
+
+def test_a_report_shows_the_band(block, tmp_path):
+    run = simulate(block, cores=1)
+    run.save(tmp_path / "run", pictures=False)
+    assert band_section(SavedRun(tmp_path / "run")) == ""
+    peak = run.band(16, cores=1).summary["force_N"]["peak"]
+    text = band_section(SavedRun(tmp_path / "run"))
+    assert f"{peak['p05']:.3g} to {peak['p95']:.3g}" in text
+    assert {path.name for path in (tmp_path / "run/pictures").iterdir()} == {"band.png", "band_sobol.png"}
+    assert text.count("data:image/png;base64,") == 2
