@@ -16,7 +16,7 @@ While the tip is at rest, friction is anything up to c: such windows are left ou
 of the held log is what makes them newtons.
 
 Of a simulated device that nothing disturbs the mass is 0.03 % too great, from positions and forces that are held over a
-tick: intervals narrower than that are not to be believed (`python tests/bench/bench_fit_device.py 12`).
+tick: narrower intervals are too narrow (`python tests/bench/bench_fit_device.py 12`).
 """
 
 from dataclasses import dataclass
