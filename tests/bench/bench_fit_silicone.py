@@ -1,0 +1,43 @@
+"""A modulus from batch A of silicone cylinders predicts batch B, by the greatest compression that is used.
+
+`python tests/bench/bench_fit_silicone.py TRACES`, the folder `anatomy/traces` of Dawood et al. 2026. The force is that of a
+column without friction, in closed form (the engine's cylinder keeps to it within 2 %: `tests/verification/test_silicone.py`).
+Error: root mean square over tests of B; scatter: standard deviation over all ten tests; both over their mean curve (L2).
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+AREA_M2, HEIGHT_M = np.pi * 0.025**2, 0.03
+AT = np.linspace(0.01, 0.6, 60)
+LAWS = {"linear": AT, "neo-Hookean": ((1.0 - AT) ** -2 - (1.0 - AT)) / 3.0}
+
+
+def batch(folder: Path, mix: str, name: str) -> np.ndarray:
+    """Stress [Pa] of each test at the compressions `AT`."""
+    tables = [np.loadtxt(path, delimiter=",", skiprows=8) for path in sorted((folder / mix).glob(f"{mix}_{name}?.csv"))]
+    return np.array([np.interp(AT, 1e-3 * t[:, 1] / HEIGHT_M, (t[:, 2] - t[0, 2]) / AREA_M2) for t in tables])
+
+
+def main(folder: Path) -> None:
+    """Fit, predict and print."""
+    for mix in ("EF10_100T", "EF10_75T", "EF10_50T"):
+        known, unknown = batch(folder, mix, "A"), batch(folder, mix, "B")
+        both = np.concatenate([known, unknown])
+        for most in (0.05, 0.1, 0.2, 0.3):
+            used = most + 1e-9 >= AT
+            size = np.linalg.norm(both.mean(axis=0)[used])
+            scatter = np.sqrt(np.sum((both - both.mean(axis=0))[:, used] ** 2) / (len(both) - 1)) / size
+            line = f"{mix:10} to {most:4.0%}   scatter {scatter:5.1%}"
+            for law, shape in LAWS.items():
+                young = float((known[:, used] @ shape[used]).sum() / (len(known) * np.sum(shape[used] ** 2)))
+                off = np.linalg.norm(unknown[:, used] - young * shape[used], axis=1) / size
+                error = float(np.sqrt(np.mean(off**2)))
+                line += f"   {law} {1e-3 * young:5.2f} kPa, off {error:5.1%} = {error / scatter:.2f} scatters"
+            print(line)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
