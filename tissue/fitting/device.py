@@ -110,7 +110,7 @@ def device_fit(name: str, logs: tuple[DeviceLog, ...]) -> tuple[LinearForward, M
     if not np.isfinite(measured).any():
         raise InputError("the log must show the device in motion, got one at rest: let it move by centimetres")
     every = max(round(WINDOW_S / step), 1)
-    times = step * every * np.arange(len(measured))
+    times = np.asarray(step * every * np.arange(len(measured)), dtype=np.float64)
     channels = tuple(f"force_{axis}_N" for axis in AXES)
     moves = np.isfinite(measured).any(axis=0) & (np.abs(np.concatenate(bases)).max(axis=(0, 2)) > 0.0)
     kept = tuple(channel for channel, moved in zip(channels, moves, strict=True) if moved)
