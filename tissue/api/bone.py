@@ -19,7 +19,7 @@ from tissue.api.removed import Removed
 from tissue.builders.bone import VoxelBone, tool_boxes
 from tissue.builders.parts import Parts
 from tissue.cutters.cutter import Cutter
-from tissue.materials.cutting import coefficients_of
+from tissue.materials.scene_constants import Materials
 from tissue.motion.replay import GivenPoses
 from tissue.scene.registry import CUTTING_MATERIALS
 from tissue.scene.scene import Output
@@ -51,7 +51,8 @@ class Bone:
         self._source, self._material, self._cutting = source, material, dict(cutting or {})
         made = source.voxels()
         names = made.layer_names if isinstance(made, VoxelVolume) else made.store.grid.layer_names
-        self.voxel_bone = VoxelBone(made, coefficients_of(names, self._cutting, bone=CUTTING_MATERIALS[material][1]))
+        bone = CUTTING_MATERIALS[material][1]
+        self.voxel_bone = VoxelBone(made, Materials.cited.coefficients(names, self._cutting, bone=bone))
         self.notes = dict(source.notes)
         self.spacing_mm = 1e3 * self.voxel_bone.store.grid.spacing_m
 

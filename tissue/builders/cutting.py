@@ -12,7 +12,8 @@ from tissue.builders.parts import Parts
 from tissue.builders.registry import motion_of
 from tissue.builders.voxels import require_outside, require_touch, structures, volume_of, whole_tooth
 from tissue.cutters.cutter import Cutter
-from tissue.materials.cutting import CUT_AS, coefficients_of, energy_note
+from tissue.materials.cutting import CUT_AS
+from tissue.materials.energy_note import energy_note
 from tissue.models.tissue_model import TICK_S, TissueModel
 from tissue.motion.motion import Motion
 from tissue.scene.anatomy import MolarAnatomy
@@ -53,7 +54,10 @@ def milled(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: 
     _require_effect(scene, volume)
     there = np.unique(volume.layer).tolist()
     notes["specific cutting energy"] = energy_note(
-        tuple(volume.layer_names[at] for at in there), bone=scene.cutting.material
+        tuple(volume.layer_names[at] for at in there),
+        scene.constants,
+        bone=scene.cutting.material,
+        stated=scene.cutting.tangential_chip_N_mm2,
     )
     tissue = _bone(scene, volume, cutter, compute=compute, cores=cores, report=report)
     clear = _clear(scene, volume, cutter, motion, compute=compute, notes=notes, report=report)
@@ -110,7 +114,7 @@ def _require_effect(scene: Scene, volume: VoxelVolume) -> None:
     anatomy, cutting = scene.anatomy, scene.cutting
     filled = volume.fraction > 0
     if is_given(cutting, "density_exponent"):
-        cited = coefficients_of(volume.layer_names, {}, bone=cutting.material)
+        cited = scene.constants.coefficients(volume.layer_names, {}, bone=cutting.material)
         reference = np.array([each.reference_density_kg_m3 for each in cited])
         if (volume.density_kg_m3[filled] == reference[volume.layer[filled]]).all():
             raise InputError(
@@ -188,7 +192,7 @@ def milling_of(
     from tissue.builders.bone import VoxelBone
 
     changes = scene.cutting.model_dump(exclude={"material"})
-    coefficients = coefficients_of(volume.layer_names, changes, bone=scene.cutting.material)
+    coefficients = scene.constants.coefficients(volume.layer_names, changes, bone=scene.cutting.material)
     bone = VoxelBone(volume, coefficients, compute=compute)
     return bone.model(cutter, removal=scene.voxels.removal, shell_spacing_m=shell_spacing_m, cores=cores)
 
@@ -214,9 +218,13 @@ def _tooth(scene: Scene, milling: "BoneModel", *, compute: str, report: Progress
             cell_m=cell_m,
             ligament_thickness_m=anatomy.ligament_thickness_mm * 1e-3,
             contact_m=milling.cutter.profile.radius_m,
+            constants=scene.constants,
             device=compute,
             cores=1,  # the ticks want a core of their own
         )
-    heat = CuttingHeat(whole, reach_m=milling.cutter.profile.radius_m, device=compute) if scene.heat else None
+    heat = None
+    if scene.heat:
+        reach_m = milling.cutter.profile.radius_m
+        heat = CuttingHeat(whole, reach_m=reach_m, constants=scene.constants, device=compute)
     interval_s = stress.interval_ms * 1e-3
     return ToothModel(milling, stress=field, interval_s=interval_s, heat=heat, device=compute)

@@ -6,14 +6,14 @@ from math import floor, log10, sqrt
 import numpy as np
 
 from meshes.base.progress import silent
+from tissue.builders.pierced_tissue import pierced_tissue
 from tissue.builders.registry import motion_of
 from tissue.haptics.device.device import DeviceParameters, device_parameters
-from tissue.materials.constants import constants
 from tissue.models.tissue_model import TICK_S, Response, TissueModel, ToolMotion
 from tissue.motion.motion import Motion
 from tissue.scene.named_parts import loaded
 from tissue.scene.organ import LayersAnatomy
-from tissue.scene.registry import ANATOMIES, NEEDLES
+from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Needle, Probe, ThrustMotion, Tool
 
@@ -46,8 +46,11 @@ def chosen_scale(scene: Scene) -> tuple[float, str]:
     """
     if scene.device == "none":
         return 1.0, ""
-    limits = device_parameters(scene.device)
-    force = _met(scene.model_dump_json(exclude={"seed", "duration_s", "device", "hand", "coupling", "fidelity"}))
+    limits = device_parameters(scene.device, scene.constants)
+    force = _met(
+        scene.model_dump_json(exclude={"seed", "duration_s", "device", "hand", "coupling", "fidelity"}),
+        scene.constants.key,
+    )
     if not force > 0.0:
         return 1.0, ""
     return fitted_scale(force, limits), f", chosen for the {force:.3g} N that the script meets at most"
@@ -62,8 +65,8 @@ def fitted_scale(force_N: float, limits: DeviceParameters) -> float:
 
 
 @lru_cache(maxsize=64)
-def _met(table: str) -> float:
-    """Largest force on the scripted motion [N]; 0 where it is not known."""
+def _met(table: str, _constants: str) -> float:
+    """Largest force on the scripted motion [N] by what the scene's own constants hold; 0 where it is not known."""
     scene = Scene.model_validate_json(table)
     met = ANATOMIES[scene.anatomy.kind].force_N
     return 0.0 if met is None else float(loaded(met)(scene))
@@ -96,7 +99,7 @@ def pressed(scene: Scene) -> float:
     """
     organ, tool = scene.organ, scene.tool
     assert isinstance(tool, Probe)
-    cited = constants("soft", organ.material)
+    cited = scene.constants.constants("soft", organ.material)
     young = max(organ.young_kPa or cited["modulus_kPa"].value, organ.young_end_kPa or 0.0)
     ratio = cited["poisson_ratio"].value if organ.poisson_ratio is None else organ.poisson_ratio
     modulus, radius = 1e3 * young / (1.0 - ratio**2), 0.5e-3 * tool.diameter_mm
@@ -111,8 +114,7 @@ def pierced(scene: Scene) -> float:
     from tissue.models.needle.model import NeedleModel
 
     assert isinstance(scene.tool, Needle) and isinstance(scene.anatomy, LayersAnatomy)
-    depth_mm = scene.anatomy.vessel_wall_depth_mm
-    tissue = NEEDLES[scene.tool.kind](vessel_wall_depth_m=None if depth_mm is None else 1e-3 * depth_mm)
+    tissue = pierced_tissue(scene)
     motion = motion_of(scene, step_s=TICK_S)
     return _largest(motion, NeedleModel(tissue, diameter_m=1e-3 * scene.tool.diameter_mm), FINE_POSES)
 

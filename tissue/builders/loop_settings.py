@@ -90,7 +90,7 @@ class LoopSettings:
 
 def loop_settings(scene: Scene) -> LoopSettings:
     """What a scene states of its device, of the hand and of what lies between them and the tool."""
-    tool, limits = scene.tool, device_parameters(scene.device)
+    tool, limits = scene.tool, device_parameters(scene.device, scene.constants)
     tick_s = 1.0 / limits.rate_Hz
     contact: Contact = "wall" if isinstance(scene.anatomy, WallAnatomy) else "presses"
     teeth_Hz = 0.0
@@ -130,7 +130,7 @@ def loop_settings(scene: Scene) -> LoopSettings:
         scene.device,
         limits,
         scene.hand,
-        hand_parameters(scene.hand),
+        hand_parameters(scene.hand, scene.constants),
         scene.coupling,
         scene.renderer,
         scene.output.low_pass_ms,

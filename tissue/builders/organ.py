@@ -18,8 +18,8 @@ from meshes.tets.regions import nodes_behind_plane, nodes_facing, nodes_of_part
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import nearest_on_triangles
 from tissue.builders.parts import FILE_WORDS
-from tissue.materials.constants import constants
 from tissue.materials.elasticity import lame, rotated, transversely_isotropic
+from tissue.materials.scene_constants import Materials
 from tissue.motion.motion import frame_along
 from tissue.scene.named_parts import nearest
 from tissue.scene.organ import LiverAnatomy, Organ, SlabAnatomy
@@ -109,15 +109,18 @@ def held_mesh(
         return _from_file(anatomy, fine, report)
 
 
-def elasticity_of(mesh: TetMesh, anatomy: LiverAnatomy | SlabAnatomy, organ: Organ) -> tuple[NDArray[np.float64], str]:
+def elasticity_of(
+    mesh: TetMesh, anatomy: LiverAnatomy | SlabAnatomy, organ: Organ, constants: Materials = Materials.cited
+) -> tuple[NDArray[np.float64], str]:
     """Lame constants of the cells [Pa], shape (m, 2), or with fibres stiffness matrices, (m, 6, 6), and a note."""
-    cited = constants("soft", organ.material)
+    cited = constants.constants("soft", organ.material)
     modulus = cited["modulus_kPa"]
     first = organ.young_kPa or modulus.value
     ratio = cited["poisson_ratio"].value if organ.poisson_ratio is None else organ.poisson_ratio
     note = f"{first:g} kPa"
     if organ.young_kPa is None:
-        note += f" (cited {modulus.low:g}-{modulus.high:g}, confidence {modulus.confidence})"
+        origin = constants.origin("soft", organ.material, "modulus_kPa")
+        note += f" ({origin} {modulus.low:g}-{modulus.high:g}, confidence {modulus.confidence})"
     young = np.full(len(mesh.cells), first)
     if organ.young_end_kPa is not None:
         x = mesh.nodes_m[mesh.cells].mean(axis=1)[:, 0]

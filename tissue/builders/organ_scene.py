@@ -9,6 +9,7 @@ from meshes.base.progress import Progress
 from tissue.builders.organ import elasticity_of, held_mesh
 from tissue.builders.organ_body import capsule_of, density_of, prony_of
 from tissue.builders.parts import Parts
+from tissue.builders.pierced_tissue import pierced_tissue
 from tissue.builders.probe import poses_along, require_outside, shell_note
 from tissue.models.organ.probe import ShellProbe
 from tissue.models.wall import WallModel
@@ -16,7 +17,7 @@ from tissue.motion.motion import Motion
 from tissue.scene.coupling import WallAnatomy
 from tissue.scene.named_parts import loaded
 from tissue.scene.organ import LayersAnatomy, LiverAnatomy, SlabAnatomy
-from tissue.scene.registry import NEEDLES, PROBES
+from tissue.scene.registry import PROBES
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Needle, Probe
 
@@ -38,8 +39,8 @@ def pierced(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores:
     from tissue.models.needle.model import NeedleModel
 
     assert isinstance(scene.anatomy, LayersAnatomy) and isinstance(scene.tool, Needle)
-    depth_mm, diameter = scene.anatomy.vessel_wall_depth_mm, 1e-3 * scene.tool.diameter_mm
-    tissue = NEEDLES[scene.tool.kind](vessel_wall_depth_m=None if depth_mm is None else 1e-3 * depth_mm)
+    diameter = 1e-3 * scene.tool.diameter_mm
+    tissue = pierced_tissue(scene)
     notes = {
         "needle": "bovine liver of Okamura 2004, fitted to one needle in one organ; the vessel wall's numbers have no "
         "source; forces across the needle's axis are not modelled"
@@ -48,7 +49,9 @@ def pierced(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores:
     if track is not None and scene.anatomy.interval_ms > 0.0:
         report("solving a block of the organ around the needle", 0.0)
         near = diameter if scene.device == "none" else HAND_M
-        fields = NeedleFields.of_liver(track, near_m=near, interval_s=1e-3 * scene.anatomy.interval_ms)
+        fields = NeedleFields.of_liver(
+            track, near_m=near, interval_s=1e-3 * scene.anatomy.interval_ms, constants=scene.constants
+        )
         notes["fields"] = fields.note(tissue)
         if scene.device != "none":
             notes["fields"] += f"; a hand that enters up to {1e3 * near:g} mm from the track is drawn as on it"
@@ -66,16 +69,16 @@ def pressed(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores:
     anatomy, organ = scene.anatomy, scene.organ
     assert isinstance(anatomy, LiverAnatomy | SlabAnatomy) and isinstance(scene.tool, Probe)
     notes: dict[str, str] = {}
-    prony = prony_of(organ, notes)
+    prony = prony_of(organ, notes, scene.constants)
     report("meshing the organ", 0.0)
     edge_mm = anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
     found = held_mesh(anatomy, path_m=motion.sweep_m(), touch_edge_m=1e-3 * edge_mm, report=report)
-    elasticity, note = elasticity_of(found.mesh, anatomy, organ)
+    elasticity, note = elasticity_of(found.mesh, anatomy, organ, scene.constants)
     probe = loaded(PROBES[scene.tool.kind].make)(scene.tool)
     notes |= found.notes | {"modulus": note}
     if isinstance(probe, ShellProbe):
         notes["tool"] = shell_note(scene.tool, probe)
-    capsule, density = capsule_of(organ, notes), density_of(organ)
+    capsule, density = capsule_of(organ, notes, scene.constants), density_of(organ, scene.constants)
     report("compiling kernels (the first time on a machine)", 0.0)
     from tissue.models.organ.soft_organ import SoftOrgan
 

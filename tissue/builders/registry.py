@@ -6,6 +6,7 @@ import numpy as np
 
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress
+from tissue.builders.own_constants import note_own_constants
 from tissue.builders.parts import Parts
 from tissue.motion.motion import FollowPath, Motion, PushAlongAxis
 from tissue.motion.replay import ReplayPoses, read_replay
@@ -32,12 +33,15 @@ def build(
     motion = motion_of(scene, step_s=step_s)
     tissue = loaded(ANATOMIES[scene.anatomy.kind].build)
     if scene.device == "none":
-        return tissue(scene, motion, step_s=step_s, compute=compute, cores=cores, report=report)
+        parts = tissue(scene, motion, step_s=step_s, compute=compute, cores=cores, report=report)
+        note_own_constants(scene, parts.tissue.layer_names, parts.notes)
+        return parts
     from tissue.builders.hand import hand_motion
 
     held, note = hand_motion(scene, motion, step_s=step_s, allow_unstable=allow_unstable)
     parts = tissue(scene, held, step_s=step_s, compute=compute, cores=cores, report=report)
     parts.notes["coupling"] = note
+    note_own_constants(scene, parts.tissue.layer_names, parts.notes)
     return parts
 
 

@@ -9,7 +9,7 @@ from meshes.base.arrays import Array
 from meshes.voxels.volume import VoxelVolume
 from tissue.builders.bone import VoxelBone
 from tissue.cutters.cutter import Cutter
-from tissue.materials.cutting import coefficients_of
+from tissue.materials.scene_constants import Materials
 from tissue.models.bone.bricks import voxels_of
 from tissue.models.tissue_model import Response, ToolMotion
 
@@ -40,7 +40,7 @@ class RestorableBone:
 
     def __init__(self, volume: VoxelVolume, cutter: Cutter, *, shell_spacing_m: float) -> None:
         # A material is named for layers that have none of their own; one core, as environments run beside each other.
-        bone = VoxelBone(volume, coefficients_of(volume.layer_names, {}, bone="bone"))
+        bone = VoxelBone(volume, Materials.cited.coefficients(volume.layer_names, {}, bone="bone"))
         self.model = bone.model(cutter, shell_spacing_m=shell_spacing_m, cores=1)
         self._uncut = self.model.carver.state()
         self._material = self.model.store.material.numpy()

@@ -43,7 +43,9 @@ def scene_stability(scene: Scene) -> StabilityMap:
         raise InputError(
             f"device must be one of {', '.join(DEVICES)} for a stability map, got none: pass --set device=touch"
         )
-    held = in_hands(judged_loop(loop_settings(scene), step_s=TICK_S), [hand_parameters(scene.hand).grip[:3]])
+    held = in_hands(
+        judged_loop(loop_settings(scene), step_s=TICK_S), [hand_parameters(scene.hand, scene.constants).grip[:3]]
+    )
     return stability_map(held[0])
 
 

@@ -48,7 +48,7 @@ def draw_played(run: Run, path: Path) -> None:
     """Draw forces at the device [N], compressed spans, the greatest change at 1 ms, and tool and device [mm]."""
     trace, scene = run.trace, run.scene
     sizes = _sizes(trace, scene.force_scale)
-    time, limits = trace["time_s"], device_parameters(scene.device)
+    time, limits = trace["time_s"], device_parameters(scene.device, scene.constants)
     turns = bool(trace.vectors("device_torque", "Nm").any())
     chart = figure(8.0, 7.8 if turns else 6.6)
     panels = chart.subplots(3 + turns, 1, height_ratios=(2.4, 2.0, 1.5, 1.2)[: 3 + turns])

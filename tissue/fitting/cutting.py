@@ -11,7 +11,8 @@ from meshes.base.progress import Progress
 from tissue.fitting.cutting_parameters import FACTOR, FreeConstant, LayerConstants, free_constants
 from tissue.fitting.parameter import Parameter
 from tissue.materials.constants import CuttingCoefficients, constants
-from tissue.materials.cutting import CUT_AS, coefficients_of
+from tissue.materials.cutting import CUT_AS
+from tissue.materials.scene_constants import Materials
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.replay import ReplayPoses
 from tissue.scene.scene import Scene
@@ -128,7 +129,7 @@ def cutting_forward(
         )
     return CuttingForward(
         record,
-        coefficients_of(names, changes, bone=material),
+        Materials.cited.coefficients(names, changes, bone=material),
         free_constants(layers, tuple(free), set(changes)),
         float(times_s[0]) + record.times_s,
         tuple(notes),

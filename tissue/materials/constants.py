@@ -1,6 +1,7 @@
 """Cited constants, read from the data files next to this one, and the cutting coefficients made of them."""
 
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -9,8 +10,8 @@ from typing import ClassVar, TypedDict
 from meshes.base.errors import InputError
 
 __all__ = [
-    "Constant", "CuttingCoefficients", "Entry", "add_material", "constants", "cutting_coefficients", "listed",
-    "remove_material",
+    "Constant", "CuttingCoefficients", "Entry", "add_material", "changed_coefficients", "constants",
+    "cutting_coefficients", "listed", "remove_material",
 ]  # fmt: skip
 
 N_MM2 = 1e6  # [Pa]
@@ -110,7 +111,18 @@ def cutting_coefficients(material: str, **changes: float | None) -> CuttingCoeff
     InputError
         If the material or a constant's name is not listed.
     """
-    values = {name: constant.value for name, constant in constants("cutting", material).items()}
+    return changed_coefficients(constants("cutting", material), changes)
+
+
+def changed_coefficients(cited: Mapping[str, Constant], changes: Mapping[str, float | None]) -> CuttingCoefficients:
+    """Coefficients of cutting constants in SI; `changes` replace single ones.
+
+    Raises
+    ------
+    InputError
+        If a change names no constant.
+    """
+    values = {name: constant.value for name, constant in cited.items()}
     for name, value in changes.items():
         if name not in values:
             raise InputError(f"cutting must set one of {', '.join(values)}, got {name}: choose a listed name")

@@ -4,7 +4,7 @@ from base64 import b64encode
 from collections.abc import Iterable, Sequence
 from html import escape
 
-from tissue.reporting.materials import Used
+from tissue.scene.used_constants import Used
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.run_summary import Summary
 

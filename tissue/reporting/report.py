@@ -14,10 +14,10 @@ from meshes.base.whole_file import whole_file
 from tissue.reporting.bands import band_section
 from tissue.reporting.browser_viewer import empty_scene, viewer_scripts
 from tissue.reporting.charts import charts, columns
-from tissue.reporting.materials import used_constants
 from tissue.reporting.page import events_table, figures_of, materials_table, notes_table, reproduce, status_of
 from tissue.reporting.stage import stage
 from tissue.scene.texts import folders_of
+from tissue.scene.used_constants import used_constants
 from tissue.simulation.run_folder import SavedRun
 from tissue.system.html import html_page
 from tissue.viewer.run import require_whole

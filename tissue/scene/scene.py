@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from meshes.base.errors import InputError
+from tissue.materials.scene_constants import Materials
 from tissue.scene.anatomy import AnatomyFile, BlockAnatomy, BoneAnatomy, GlenoidAnatomy, MolarAnatomy, Part
 from tissue.scene.choices import ByKind, OneOf, kinds_of
 from tissue.scene.coupling import (
@@ -158,6 +159,8 @@ class Scene(Part):
     """Whether the temperature of a tooth and its pulp is computed."""
     organ: Organ = Organ()
     """What a soft organ is made of, and how it is solved."""
+    materials: str = Field("", max_length=LONGEST_PATH, examples=["fitted.toml"])
+    """TOML file of constants in place of the cited ones, such as `tissue fit` writes; empty takes the cited ones."""
 
     fidelity: Fidelity | None = None
     """The fidelity demanded of the run; its settings are then chosen by what was measured on this machine."""
@@ -167,6 +170,17 @@ class Scene(Part):
         """The anatomy of a scene in which a tool cuts."""
         assert isinstance(self.anatomy, AnatomyFile), self.anatomy.kind
         return self.anatomy
+
+    @property
+    def constants(self) -> Materials:
+        """Constants that the scene rests on: the cited ones, with those of its file in their place.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be used.
+        """
+        return Materials.read(self.materials) if self.materials else Materials.cited
 
     @property
     def force_scale(self) -> float:
@@ -251,6 +265,8 @@ class Scene(Part):
         changes: dict[str, object] = {}
         if (perception := PERCEPTIONS.with_file_at(self.perception, folder)) != self.perception:
             changes["perception"] = perception
+        if self.materials:
+            changes["materials"] = str((folder / self.materials).resolve())
         for part in PARTS_WITH_FILES:
             value: Part = getattr(self, part)
             names = filter(is_file_key, type(value).model_fields)

@@ -146,7 +146,7 @@ def motor_forces(run: SimulatedRun, ideal_N: Array) -> MotorForces:
     InputError
         If the run had no device.
     """
-    after = device_parameters(run.scene.device).loop(1.0)
+    after = device_parameters(run.scene.device, run.scene.constants).loop(1.0)
     settings = loop_settings(run.scene)
     nearest = motor_force_N(motor_path(settings), force_later_N(stretch_force_N(run), lead_ticks(settings)))
     played = motor_force_N(after, played_force_N(run.trace))

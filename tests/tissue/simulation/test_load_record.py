@@ -9,7 +9,7 @@ from scene_kinds import kinds, write_files
 from meshes.base.errors import InputError
 from tissue.builders.cutting import cutter_of, milled_voxels
 from tissue.builders.registry import motion_of
-from tissue.materials.cutting import coefficients_of
+from tissue.materials.scene_constants import Materials
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.scene.load import changed
@@ -35,7 +35,9 @@ def tables(tmp_path_factory):
 
 
 def coefficients_in(scene, names):
-    return coefficients_of(names, scene.cutting.model_dump(exclude={"material"}), bone=scene.cutting.material)
+    return Materials.cited.coefficients(
+        names, scene.cutting.model_dump(exclude={"material"}), bone=scene.cutting.material
+    )
 
 
 def wrenches(trace):
@@ -98,7 +100,7 @@ def test_a_density_factor_is_another_reference_density(tables):
 
 def test_derivatives_are_those_of_the_loads(tables):
     record = record_loads(Scene(**tables["bone, density"]), every=3, cores=1)
-    given = coefficients_of(record.layer_names, {})
+    given = Materials.cited.coefficients(record.layer_names, {})
     names = [*type(given[0]).CHIP, *type(given[0]).EDGE, "density_exponent"]
     factors = np.full(len(given), 1.05)
     slopes = record.jacobian(given, factors)

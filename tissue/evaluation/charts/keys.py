@@ -26,7 +26,8 @@ PACKAGES = ("meshes", "kernels", "tissue")
 
 def scene_text(scene: Scene) -> str:
     """A scene without its words and its wishes, as text: what its numbers depend on."""
-    return scene.model_copy(update={"description": "", "fidelity": None}).to_toml()
+    words = {"description": "", "fidelity": None, "materials": ""}
+    return scene.model_copy(update=words).to_toml() + scene.constants.key
 
 
 def machine() -> str:

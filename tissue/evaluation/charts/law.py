@@ -186,7 +186,7 @@ def _solvers(scene: Scene, coarser: float, laws: "Sequence[Law]") -> "list[Newto
     held = np.zeros((space.node_count, 3), dtype=bool)
     held[found.held] = True
     held[space.with_middles(faces_of(space.mesh, found.held))] = True
-    lame, _ = elasticity_of(found.mesh, anatomy, scene.organ)
+    lame, _ = elasticity_of(found.mesh, anatomy, scene.organ, scene.constants)
     solvers: list[NewtonSolver] = []
     for law in laws:  # the stiffness at rest is the same for all
         known = solvers[0].precondition if solvers else None

@@ -109,7 +109,7 @@ def compare(scene: Scene, *, trials: int, report: Progress = silent) -> Predicto
     """
     file = scene.coupling.predictor_file
     trained = Trained.read(Path(file) if file else shipped_file(scene.name), scene=scene.name)
-    limit = device_parameters(trial(scene, 0).device).force_limit_N
+    limit = device_parameters(trial(scene, 0).device, scene.constants).force_limit_N
     recorder, unseen, seen = Recorder(), [], []
     steps = trials + max(SIZES) + 4
     for index in range(trials):

@@ -15,7 +15,6 @@ from tissue.cutters.cutter import Cutter
 from tissue.evaluation.reference.force import Resolution, wrench_at
 from tissue.evaluation.reference.path import ToolPath
 from tissue.evaluation.reference.solid import Solid
-from tissue.materials.cutting import coefficients_of
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
@@ -88,7 +87,7 @@ def solid_of_scene(scene: Scene) -> Solid:
     """What a scene's tool cuts, as functions of position; refuses an anatomy from a file."""
     anatomy, minus = solid_of(scene, motion_of(scene, step_s=TICK_S))
     changes = scene.cutting.model_dump(exclude={"material"})
-    layers = coefficients_of(anatomy.layer_names, changes, bone=scene.cutting.material)
+    layers = scene.constants.coefficients(anatomy.layer_names, changes, bone=scene.cutting.material)
     return Solid(anatomy, layers, minus)
 
 
@@ -105,7 +104,7 @@ def reference_force(
     assert isinstance(scene.tool, Tool)
     cutter = cutter_of(scene.tool)
     path, solid = path_of_trace(trace, cutter), solid_of_scene(scene)
-    kept_by = (scene.bone, scene.tool.model_copy(update={"shell_spacing_mm": None}), scene.cutting)
+    kept_by = (scene.bone, scene.tool.model_copy(update={"shell_spacing_mm": None}), solid.coefficients)
     return force_on_path(path, cutter, solid, kept_by=kept_by, resolution=resolution, progress=progress)
 
 

@@ -133,11 +133,11 @@ def pierce(
         raise InputError("scene must have a device and a path to be pushed, got none: set device, such as touch")
     require_positive("rate_N_s", rate_N_s, f"use {RATE_N_S:g}")
     start, end = 1e-3 * np.array(scene.motion.points_mm[:2])
-    limits = device_parameters(scene.device)
+    limits = device_parameters(scene.device, scene.constants)
     integration_s = constants("perception", "force")["integration_s"].value
     noise, frames = np.random.default_rng([scene.seed, 9]).spawn(2)
     hand = PushingHand(
-        hand_parameters(scene.hand),
+        hand_parameters(scene.hand, scene.constants),
         start_m=start,
         direction=(end - start) / np.linalg.norm(end - start),
         rate_N_s=rate_N_s,

@@ -10,6 +10,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.haptics.loop.sampled_loop import WallLoop
+from tissue.materials.scene_constants import Materials
 from tissue.motion.quaternion import Quaternion, Triple
 from tissue.scene.registry import DEVICES
 
@@ -175,12 +176,12 @@ class DeviceParameters:
         return replace(loop, mass_kg=self.inertia_kg_m2, damping_N_s_m=self.damping_Nm_s_rad)
 
 
-def device_parameters(name: str) -> DeviceParameters:
-    """Numbers of a device by its name in `DEVICES`; those of ``devices.toml`` are there.
+def device_parameters(name: str, constants: Materials = Materials.cited) -> DeviceParameters:
+    """Numbers of a device by its name in `DEVICES`, with those of a scene's own constants in their place.
 
     Raises
     ------
     InputError
         If the device is not one of these.
     """
-    return DeviceParameters(**DEVICES[name].numbers)
+    return DeviceParameters(**constants.numbers("devices", DEVICES[name].numbers, name))

@@ -11,6 +11,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import require_positive, require_range
 from tissue.haptics.hand.minimum_jerk import Aim, Aiming, Path
+from tissue.materials.scene_constants import Materials
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.quaternion import Quaternion, Triple
 from tissue.scene.registry import HANDS
@@ -110,15 +111,15 @@ class HandParameters:
         )
 
 
-def hand_parameters(name: str) -> HandParameters:
-    """Parameters of a hand by its name in `HANDS`; those of ``hands.toml`` are there.
+def hand_parameters(name: str, constants: Materials = Materials.cited) -> HandParameters:
+    """Parameters of a hand by its name in `HANDS`, with those of a scene's own constants in their place.
 
     Raises
     ------
     InputError
         If the hand is not one of these.
     """
-    return HandParameters(**HANDS[name])
+    return HandParameters(**constants.numbers("hands", HANDS[name], "any", name))
 
 
 class Hand:

@@ -20,8 +20,8 @@ from tissue.fem.fields import FieldSeries
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import HeldBody, held_nodes
 from tissue.fem.space import Space
-from tissue.materials.constants import constants
 from tissue.materials.elasticity import lame
+from tissue.materials.scene_constants import Materials
 from tissue.models.needle.model import LEAST_COSINE
 from tissue.models.needle.parameters import NeedleTissue
 from tissue.models.organ.fields import OrganFields
@@ -150,9 +150,11 @@ class NeedleFields:
         self.next_s, self._kept = 0.0, list[tuple[float, float, float]]()
 
     @classmethod
-    def of_liver(cls, track: Track, *, near_m: float, interval_s: float) -> "NeedleFields":
-        """Fields in a liver of the cited modulus; Poisson's ratio is the least cited, for linear cells lock at more."""
-        cited = constants("soft", "liver")
+    def of_liver(
+        cls, track: Track, *, near_m: float, interval_s: float, constants: Materials = Materials.cited
+    ) -> "NeedleFields":
+        """Fields in a liver of its modulus; Poisson's ratio is the least cited, for linear cells lock at more."""
+        cited = constants.constants("soft", "liver")
         elasticity = lame(1e3 * cited["modulus_kPa"].value, cited["poisson_ratio"].low)
         return cls(track, elasticity, near_m=near_m, interval_s=interval_s)
 

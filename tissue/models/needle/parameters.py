@@ -5,7 +5,7 @@ from itertools import pairwise
 from math import sqrt
 
 from meshes.base.errors import InputError, require_positive, require_range
-from tissue.materials.constants import constants
+from tissue.materials.scene_constants import Materials
 
 __all__ = ["Membrane", "NeedleTissue", "ShaftFriction", "needle_tissue"]
 
@@ -148,8 +148,8 @@ def positive_root(a: float, b: float, c: float) -> float:
     return 2.0 * c / (b + sqrt(b * b + 4.0 * a * c)) if c > 0.0 else 0.0
 
 
-def needle_tissue(*, vessel_wall_depth_m: float | None = None) -> NeedleTissue:
-    """Bovine liver under its capsule by the cited constants, with a vessel wall at a depth where one is asked for.
+def needle_tissue(*, vessel_wall_depth_m: float | None = None, constants: Materials = Materials.cited) -> NeedleTissue:
+    """Bovine liver under its capsule by its constants, with a vessel wall at a depth where one is asked for.
 
     The numbers hold for one needle in one organ (Okamura 2004); those of the vessel wall have no source.
 
@@ -158,13 +158,13 @@ def needle_tissue(*, vessel_wall_depth_m: float | None = None) -> NeedleTissue:
     InputError
         If the wall does not lie below the capsule.
     """
-    liver = {name: entry.value for name, entry in constants("needle", "liver").items()}
+    liver = {name: entry.value for name, entry in constants.constants("needle", "liver").items()}
     capsule = Membrane(
         name="capsule", depth_m=0.0, puncture_N=liver["capsule_puncture_N"], hold_N=liver["capsule_hold_N"]
     )
     membranes: tuple[Membrane, ...] = (capsule,)
     if vessel_wall_depth_m is not None:
-        wall = {name: entry.value for name, entry in constants("needle", "vessel_wall").items()}
+        wall = {name: entry.value for name, entry in constants.constants("needle", "vessel_wall").items()}
         membranes += (Membrane(name="vessel wall", depth_m=vessel_wall_depth_m, **wall),)
     return NeedleTissue(
         linear_N_m=1e3 * liver["linear_N_mm"],

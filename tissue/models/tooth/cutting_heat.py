@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.voxels.volume import VoxelVolume
-from tissue.materials.constants import constants
+from tissue.materials.scene_constants import Materials
 from tissue.models.tooth.heat import Conduction
 
 __all__ = ["PULP_LIMIT_K", "CuttingHeat"]
@@ -25,18 +25,22 @@ class CuttingHeat:
         The whole tooth in coarse voxels.
     reach_m
         Radius around the tip within which the heat is spread over the solid voxels [m].
+    constants
+        Thermal constants of the layers.
     device
         Warp device name.
     """
 
-    def __init__(self, tooth: VoxelVolume, *, reach_m: float, device: str = "cpu") -> None:
+    def __init__(
+        self, tooth: VoxelVolume, *, reach_m: float, constants: Materials = Materials.cited, device: str = "cpu"
+    ) -> None:
         conductivity, capacity = np.zeros(tooth.shape), np.ones(tooth.shape)
         for index, name in enumerate(tooth.layer_names):
-            table = constants("tooth", name)
+            table = constants.constants("tooth", name)
             here = (tooth.layer == index) & (tooth.fraction > 127)
             conductivity[here] = table["conductivity_W_mK"].value
             capacity[here] = table["heat_capacity_J_kgK"].value * table["density_kg_m3"].value
-        self._share = constants("tooth", "bur")["heat_share"].value
+        self._share = constants.constants("tooth", "bur")["heat_share"].value
         self._pulp = (tooth.layer == tooth.layer_names.index("pulp")) & (conductivity > 0.0)
         self._solid = np.argwhere(conductivity > 0.0)
         self._centres = tooth.origin_m + tooth.spacing_m * (self._solid + 0.5)

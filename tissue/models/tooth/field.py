@@ -10,7 +10,7 @@ from meshes.base.errors import InputError
 from meshes.tooth.layers import caries_softness
 from meshes.voxels.volume import VoxelVolume
 from tissue.fem.fields import FieldSeries, Frame
-from tissue.materials.constants import constants
+from tissue.materials.scene_constants import Materials
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.compliance import SupportCompliance, support_compliance
 from tissue.models.tooth.first_guess import FirstGuess
@@ -61,6 +61,8 @@ class StressField:
         Thickness of the ligament [m].
     contact_m
         Radius over which the cutter's force is spread [m]: the cutter's own.
+    constants
+        Elastic constants of the layers.
     device, cores
         Warp device, and processor cores to use.
 
@@ -83,6 +85,7 @@ class StressField:
         cell_m: float,
         ligament_thickness_m: float,
         contact_m: float = REACH_M,
+        constants: Materials = Materials.cited,
         device: str = "cpu",
         cores: int | None = None,
     ) -> None:
@@ -93,12 +96,12 @@ class StressField:
         places = np.argwhere(solid)
         self._particle_at = np.full(tooth.shape, -1, dtype=np.int64)
         self._particle_at[solid] = np.arange(len(places))
-        particles = _particles(tooth, places)
+        particles = _particles(tooth, places, constants)
         self._whole = tooth.fraction[solid] / 255.0 * FULL_STEPS  # steps of each particle, in fine voxels
         self._lost = np.zeros(len(places))
         origin = cell_m * np.floor(particles.position_m.min(axis=0) / cell_m)
         grid = HexGrid.around(particles.position_m, edge_m=cell_m, origin_m=origin)
-        springs = _ligament_springs(tooth, solid, ligament_thickness_m)
+        springs = _ligament_springs(tooth, solid, ligament_thickness_m, constants)
         self.body = ParticleBody(
             particles, grid, NodeSupports.of(grid.node_count), springs=springs, device=device, cores=cores
         )
@@ -196,19 +199,19 @@ class StressField:
         return recovery(displacement_m)
 
 
-def _particles(tooth: VoxelVolume, places: NDArray[np.int64]) -> ParticleSet:
+def _particles(tooth: VoxelVolume, places: NDArray[np.int64], constants: Materials) -> ParticleSet:
     """A particle a voxel, with the cited elastic constants of its layer; caries graded by its softness."""
     at = tuple(places.T)
     layer, fraction = tooth.layer[at], tooth.fraction[at]
     modulus, ratio = np.ones(len(places)), np.full(len(places), 0.3)
     for index, name in enumerate(tooth.layer_names):
         chosen = layer == index
-        table = constants("tooth", name if name in TOOTH else "dentin")
+        table = constants.constants("tooth", name if name in TOOTH else "dentin")
         modulus[chosen] = 1e9 * table["modulus_GPa"].value
         ratio[chosen] = table["poisson_ratio"].value
         if name == "caries":
             softness = caries_softness(tooth.density_kg_m3[at][chosen].astype(np.float64))
-            sound = 1e9 * constants("tooth", "dentin")["modulus_GPa"].value
+            sound = 1e9 * constants.constants("tooth", "dentin")["modulus_GPa"].value
             modulus[chosen] = sound * INFECTED_SHARE**softness
     position = tooth.origin_m + tooth.spacing_m * (places + 0.5)
     volume = fraction / 255.0 * tooth.spacing_m**3
@@ -221,9 +224,11 @@ def _bed_layers(tooth: VoxelVolume) -> list[int]:
     return [i for i, name in enumerate(tooth.layer_names) if name in ("ligament", "bone")]
 
 
-def _ligament_springs(tooth: VoxelVolume, solid: NDArray[np.bool_], thickness_m: float) -> PointSprings:
+def _ligament_springs(
+    tooth: VoxelVolume, solid: NDArray[np.bool_], thickness_m: float, constants: Materials = Materials.cited
+) -> PointSprings:
     """Springs where the tooth borders on ligament or bone; on its lower third where the data hold neither."""
-    table = constants("tooth", "ligament")
+    table = constants.constants("tooth", "ligament")
     across, along = bed_stiffness(1e9 * table["modulus_GPa"].value, table["poisson_ratio"].value, thickness_m)
     bed, origin_m = (tooth.fraction > 0) & np.isin(tooth.layer, _bed_layers(tooth)), tooth.origin_m
     if not bed.any():

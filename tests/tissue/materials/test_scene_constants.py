@@ -1,0 +1,144 @@
+"""Constants of a person's own file in place of the cited ones."""
+
+import numpy as np
+import pytest
+
+from meshes.base.errors import InputError
+from tissue.builders.own_constants import note_own_constants
+from tissue.materials.constants import constants
+from tissue.materials.scene_constants import Materials
+from tissue.scene.load import load_scene, saved_text
+from tissue.scene.used_constants import used_constants
+from tissue.simulation.simulate import simulate
+
+RADIAL = "cutting.bone.radial_chip_N_mm2"
+SMALL = {"duration_s": 0.8}
+
+
+def entry(full, value, low=None, high=None):
+    """One constant as a file has it."""
+    low, high = (value if low is None else low), (value if high is None else high)
+    return f'[{full}]\nvalue = {value}\nrange = [{low}, {high}]\nsource = "a test"\nconfidence = "L"\n'
+
+
+def written(folder, *texts):
+    """A file of constants."""
+    path = folder / "own.toml"
+    path.write_text("\n".join(texts), "utf-8")
+    return path
+
+
+def cited_again(table, material):
+    """A material's constants as they are cited, as a file."""
+    found = constants(table, material).items()
+    return "\n".join(entry(f"{table}.{material}.{name}", one.value, one.low, one.high) for name, one in found)
+
+
+def forces(scene):
+    return simulate(scene).trace.vectors("force", "N")
+
+
+@pytest.mark.parametrize(("name", "of"), [("milling", ("cutting", "bone")), ("needle", ("needle", "liver"))])
+def test_a_file_that_repeats_the_cited_values_changes_nothing(name, of, tmp_path):
+    changes = SMALL
+    file = written(tmp_path, cited_again(*of))
+    plain, given = (load_scene(name, changes | more) for more in ({}, {"materials": str(file)}))
+    met = forces(plain)
+    assert met.any()
+    np.testing.assert_array_equal(forces(given), met)
+
+
+def test_a_value_of_a_file_does_what_the_key_of_a_scene_does(tmp_path):
+    file = written(tmp_path, entry(RADIAL, 20.0, 15.0, 30.0))
+    by_key = load_scene("milling", SMALL | {"cutting.radial_chip_N_mm2": 20.0})
+    by_file = simulate(load_scene("milling", SMALL | {"materials": str(file)}))
+    met = by_file.trace.vectors("force", "N")
+    assert met.any()
+    np.testing.assert_array_equal(met, forces(by_key))
+    assert f"{RADIAL} 20 (15-30), a test" in by_file.parts.notes["materials"]
+
+
+def test_a_layer_comes_before_its_material(tmp_path):
+    given = Materials.read(written(tmp_path, entry(RADIAL, 20.0), entry("cutting.trabecular.radial_chip_N_mm2", 7.0)))
+    plate, vault = given.coefficients(("subchondral", "trabecular"), {})
+    assert (plate.radial_chip_Pa, vault.radial_chip_Pa) == (20e6, 7e6)
+    scene = load_scene("glenoid", {"materials": given.file})
+    used = {one.full: one.cited.value for one in used_constants(scene, ("subchondral", "trabecular"))}
+    assert (used[RADIAL], used["cutting.trabecular.radial_chip_N_mm2"]) == (20.0, 7.0)
+    assert RADIAL not in {one.full for one in used_constants(scene, ("trabecular",))}
+
+
+def test_other_tables_take_their_place(tmp_path):
+    path = written(tmp_path, entry("soft.liver.modulus_kPa", 9.0), entry("devices.touch.mass_kg", 0.05))
+    given = Materials.read(path)
+    assert given.constants("soft", "liver")["modulus_kPa"].value == 9.0
+    assert given.constants("soft", "liver")["poisson_ratio"] == constants("soft", "liver")["poisson_ratio"]
+    assert given.numbers("devices", {"mass_kg": 0.04, "rate_Hz": 1000.0}, "touch") == {
+        "mass_kg": 0.05,
+        "rate_Hz": 1000.0,
+    }
+
+
+def test_a_correlation_is_that_of_the_file_and_zero_elsewhere(tmp_path):
+    edge = "cutting.bone.radial_edge_N_mm"
+    matrix = f'[correlation]\nnames = ["{RADIAL}", "{edge}"]\nmatrix = [[1.0, -0.8], [-0.8, 1.0]]\n'
+    given = Materials.read(written(tmp_path, entry(RADIAL, 20.0), entry(edge, 3.0), matrix))
+    found = given.correlation([edge, "cutting.bone.density_exponent", RADIAL])
+    np.testing.assert_array_equal(found, [[1.0, 0.0, -0.8], [0.0, 1.0, 0.0], [-0.8, 0.0, 1.0]])
+
+
+def test_a_saved_scene_finds_its_file(tmp_path):
+    written(tmp_path, entry(RADIAL, 20.0))
+    scene = tmp_path / "mine.toml"
+    scene.write_text('materials = "own.toml"\n' + saved_text(load_scene("glenoid")).replace('materials = ""\n', ""))
+    kept = tmp_path / "elsewhere" / "scene.toml"
+    kept.parent.mkdir()
+    kept.write_text(saved_text(load_scene(scene)), "utf-8")
+    assert load_scene(kept).constants.given[RADIAL].value == 20.0
+
+
+PAIR = f'[correlation]\nnames = ["{RADIAL}", "cutting.bone.radial_edge_N_mm"]\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (entry("cuting.bone.radial_chip_N_mm2", 1.0), "did you mean cutting"),
+        (entry("soft.livre.modulus_kPa", 1.0), "did you mean liver"),
+        (entry("cutting.bone.radial_chip", 1.0), "did you mean radial_chip_N_mm2"),
+        (entry(RADIAL, 50.0, 1.0, 2.0), "inside its range"),
+        (entry("soft.liver.poisson_ratio", 0.6, 0.5, 0.7), "within \\[0, 0.5\\]"),
+        (entry(RADIAL, 50.0).replace('source = "a test"', ""), "source"),
+        (entry(RADIAL, 50.0).replace('"a test"', '" "'), "must state its source"),
+        (entry(RADIAL, 50.0).replace('"L"', '"X"'), "confidence H, M or L"),
+        (entry(RADIAL, 50.0) + "range = [", "valid TOML"),
+        ("cutting = 3", "must be a table"),
+        ("", "got none"),
+        (entry(RADIAL, 5.0) + entry("cutting.bone.radial_edge_N_mm", 3.0) + PAIR + "matrix = [[1.0, 2.0], [2.0, 1.0]]",
+         "positive definite"),
+        (entry(RADIAL, 5.0) + PAIR + "matrix = [[1.0, 0.0], [0.0, 1.0]]", "constants of the file in correlation"),
+    ],
+)  # fmt: skip
+def test_a_bad_file_is_refused_in_a_sentence(text, words, tmp_path):
+    with pytest.raises(InputError, match=words):
+        Materials.read(written(tmp_path, text))
+
+
+@pytest.mark.parametrize(
+    ("texts", "changes", "words"),
+    [
+        ([entry("soft.liver.modulus_kPa", 5.0)], {}, "must hold a constant that the scene rests on"),
+        ([entry(RADIAL, 5.0)], {"cutting.radial_chip_N_mm2": 9.0}, "cutting.radial_chip_N_mm2 must be left out"),
+        ([entry("cutting.trabeclar.radial_chip_N_mm2", 5.0)], {}, "did you mean trabecular"),
+    ],
+)
+def test_a_file_without_effect_is_refused(texts, changes, words, tmp_path):
+    scene = load_scene("glenoid", changes | {"materials": str(written(tmp_path, *texts))})
+    with pytest.raises(InputError, match=words):
+        note_own_constants(scene, ("subchondral", "trabecular"), {})
+
+
+def test_entries_that_a_scene_does_not_use_are_noted(tmp_path):
+    file, notes = written(tmp_path, entry(RADIAL, 5.0), entry("soft.liver.modulus_kPa", 5.0)), {}
+    note_own_constants(load_scene("glenoid", {"materials": str(file)}), ("trabecular",), notes)
+    assert "Not used in this scene: soft.liver.modulus_kPa" in notes["materials"]

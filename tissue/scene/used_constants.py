@@ -1,0 +1,115 @@
+"""The constants that a scene rests on, and those that it states itself."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from tissue.materials.constants import Constant, listed
+from tissue.materials.cutting import CUT_AS
+from tissue.scene.anatomy import BlockAnatomy
+from tissue.scene.organ import LayersAnatomy, SoftAnatomy
+from tissue.scene.scene import Scene
+from tissue.scene.tool import Tool
+
+__all__ = ["Used", "used_constants"]
+
+
+@dataclass(frozen=True)
+class Used:
+    """A constant of a scene.
+
+    Attributes
+    ----------
+    of
+        Table and material.
+    name
+        Its name, with its unit.
+    cited
+        Value, range, source and confidence: of the scene's own file, where it states the constant.
+    full
+        Its name ``TABLE.MATERIAL.NAME``; of a layer's own cutting constant the layer stands for the material.
+    stated
+        What the scene states in its place, None where that of the tables or of its file is used.
+    """
+
+    of: str
+    name: str
+    cited: Constant
+    full: str
+    stated: float | None = None
+
+
+def used_constants(scene: Scene, layers: Sequence[str]) -> list[Used]:
+    """Constants of the tissue's layers, and of device and hand where there are any, in the order of their tables."""
+    found, given = [], scene.constants
+    for table, material, chosen in _tables(scene, layers):
+        stated = _stated(scene, table, material)
+        known = given.constants(table, material) if material in listed(table) else given.layer_constants(material)
+        found += [
+            Used(f"{table}, {material.replace('_', ' ')}", name, one, f"{table}.{material}.{name}", stated.get(name))
+            for name, one in known.items()
+            if chosen is None or name in chosen
+        ]
+    return found
+
+
+def _tables(scene: Scene, layers: Sequence[str]) -> Iterator[tuple[str, str, tuple[str, ...] | None]]:
+    """Tables and materials, with the names that are used where it is not all of them."""
+    anatomy, tool = scene.anatomy, scene.tool
+    if isinstance(tool, Tool) and tool.spin_rpm != 0.0:
+        yield from _cutting(scene, layers)
+    if scene.stress is not None or scene.heat:
+        elastic = ("modulus_GPa", "poisson_ratio") if not scene.heat else None
+        for layer in [layer for layer in dict.fromkeys((*layers, "ligament")) if layer in listed("tooth")]:
+            yield "tooth", layer, elastic
+        if scene.heat:
+            yield "tooth", "bur", None
+    if isinstance(anatomy, SoftAnatomy):
+        organ = scene.organ
+        names = ["modulus_kPa", "poisson_ratio"] + ["density_kg_m3"] * organ.gravity
+        if organ.viscous:
+            names += [name for name in scene.constants.constants("soft", organ.material) if name.startswith("prony")]
+        yield "soft", organ.material, tuple(names)
+        if organ.capsule:
+            yield "soft", f"{organ.material}_capsule", ("modulus_kPa", "poisson_ratio", "thickness_um")
+    if isinstance(anatomy, LayersAnatomy):
+        yield "needle", "liver", None
+        if anatomy.vessel_wall_depth_mm is not None:
+            yield "needle", "vessel_wall", None
+        if anatomy.interval_ms > 0.0:
+            yield "soft", "liver", ("modulus_kPa",)
+    if scene.device in listed("devices"):
+        yield "devices", scene.device, None
+        yield "hands", "any", None
+        if scene.hand in listed("hands"):
+            yield "hands", scene.hand, None
+
+
+def _cutting(scene: Scene, layers: Sequence[str]) -> Iterator[tuple[str, str, tuple[str, ...] | None]]:
+    """Cutting constants of materials as far as a layer takes them, and those that layers have of their own."""
+    given, needed = scene.constants, dict[str, dict[str, None]]()
+    fixed = {"density_exponent"} if _has_reference_density(scene) else set()
+    for layer in layers:
+        material = CUT_AS.get(layer, scene.cutting.material)
+        for name in given.constants("cutting", material):
+            by = layer if f"cutting.{layer}.{name}" in given.given else material
+            if name not in fixed:
+                needed.setdefault(by, {})[name] = None
+    for by, names in needed.items():
+        yield "cutting", by, tuple(names)
+
+
+def _has_reference_density(scene: Scene) -> bool:
+    """Whether all that is cut has the density of its coefficients, so that no power of their ratio counts."""
+    if not isinstance(scene.anatomy, BlockAnatomy) or scene.anatomy.file is not None:
+        return False
+    reference = scene.constants.constants("cutting", scene.cutting.material)["reference_density_kg_m3"]
+    return scene.anatomy.density_kg_m3 == reference.value
+
+
+def _stated(scene: Scene, table: str, material: str) -> dict[str, float | None]:
+    """What a scene states in place of a table's constants."""
+    if table == "cutting":
+        return dict(scene.cutting.model_dump(exclude={"material"}))
+    if (table, material) == ("soft", scene.organ.material) and isinstance(scene.anatomy, SoftAnatomy):
+        return {"modulus_kPa": scene.organ.young_kPa, "poisson_ratio": scene.organ.poisson_ratio}
+    return {}
