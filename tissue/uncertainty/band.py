@@ -12,6 +12,7 @@ from tissue.simulation.load_record import record_loads, why_not_linear
 from tissue.simulation.run_summary import Summary
 from tissue.uncertainty.reweighed import FIGURES, Reweighed, with_sizes
 from tissue.uncertainty.sample import Ranges, normals, rounded
+from tissue.uncertainty.sample_files import sample_text
 from tissue.uncertainty.sobol import SobolIndices, sobol_indices
 
 __all__ = ["HOW", "LEVELS", "Band", "band_of", "require_band", "require_same"]
@@ -40,6 +41,8 @@ class Band:
         Names of the constants that vary, and their values in each sample, shape (samples, p).
     figures
         `tissue.uncertainty.reweighed.FIGURES` of each sample, shape (samples, 4).
+    files
+        The file of materials of each sample; none of a band that was read.
     summary
         What ``summary.json`` holds of it under ``band``.
     """
@@ -50,6 +53,7 @@ class Band:
     constants: tuple[str, ...]
     values: Array
     figures: Array
+    files: tuple[str, ...]
     summary: Summary
 
     def __repr__(self) -> str:
@@ -126,7 +130,8 @@ def band_of(
         "constants": _constants(ranges),
         "sobol": _indices(indices, ranges),
     }
-    return Band(record.times_s, nominal, quantiles, ranges.names, values, figures, summary)
+    files = tuple(sample_text(record.scene.constants, ranges.names, each) for each in values)
+    return Band(record.times_s, nominal, quantiles, ranges.names, values, figures, files, summary)
 
 
 def require_same(band: Band, loads: Array) -> None:

@@ -33,7 +33,13 @@ def save_band(band: Band, folder: Path, *, kind: str | None) -> None:
         quantiles = np.moveaxis(band.quantiles, 0, 2).reshape(len(band.times_s), -1)
         rows = np.column_stack([band.times_s, band.nominal, quantiles])
         _write(folder / OVER_TIME, ["time_s", *CHANNELS, *names], rows)
-        (folder / SAMPLES).parent.mkdir(exist_ok=True)
+        held = (folder / SAMPLES).parent
+        held.mkdir(exist_ok=True)
+        for old in held.glob("sample_*.toml"):
+            old.unlink()
+        width = len(str(len(band.files) - 1))
+        for number, text in enumerate(band.files):
+            (held / f"sample_{number:0{width}d}.toml").write_text(text, "utf-8")
         _write(folder / SAMPLES, [*band.constants, *FIGURES], np.hstack([band.values, band.figures]))
         if kind is not None:
             (folder / "pictures").mkdir(exist_ok=True)
@@ -62,7 +68,7 @@ def read_band(folder: Path) -> Band:
         raise InputError(f"band.csv must be as run.band wrote it, got another one in {folder}: make the band again")
     over = np.moveaxis(quantiles.reshape(len(times), len(CHANNELS), len(LEVELS)), 2, 0)
     width = len(constants)
-    return Band(times[:, 0], nominal, over, constants, samples[:, :width], samples[:, width:], held)
+    return Band(times[:, 0], nominal, over, constants, samples[:, :width], samples[:, width:], (), held)
 
 
 def _write(path: Path, names: list[str], rows: Array) -> None:

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
-from tissue.materials.constants import constants
-from tissue.materials.cutting import CUT_AS, CuttingCoefficients, cutting_coefficients
+from tissue.materials.constants import CuttingCoefficients
 from tissue.materials.prior import Prior
+from tissue.scene.used_constants import used_constants
 from tissue.simulation.load_record import LoadRecord
 from tissue.uncertainty.sample import Ranges
+from tissue.uncertainty.sample_files import sampled
 
 __all__ = ["CHANNELS", "DENSITY", "FIGURES", "Reweighed", "density_prior"]
 
@@ -44,29 +45,23 @@ class Reweighed:
     @cached_property
     def ranges(self) -> Ranges:
         """Constants with a range of the layers that the tool met, but those that the scene sets itself."""
-        cutting, names = self.record.scene.cutting, self.record.layer_names
-        given = {name for name, value in cutting.model_dump(exclude={"material"}).items() if value is not None}
-        priors = {}
-        for material in dict.fromkeys(CUT_AS.get(names[at], cutting.material) for at in sorted(self.record.layers)):
-            for constant, cited in constants("cutting", material).items():
-                if constant not in given:
-                    name = f"cutting.{material}.{constant}"
-                    priors[name] = Prior.of(cited, name)
+        scene, met = self.record.scene, [self.record.layer_names[at] for at in sorted(self.record.layers)]
+        priors = {
+            one.full: Prior.of(one.cited, one.full)
+            for one in used_constants(scene, met)
+            if one.full.startswith("cutting.") and one.stated is None
+        }
         if (density := density_prior(self.record.notes.get("density law", ""))) is not None:
             priors[DENSITY] = density
-        return Ranges.independent(priors)
+        priors = {name: prior for name, prior in priors.items() if not prior.fixed}
+        return Ranges(tuple(priors), tuple(priors.values()), scene.constants.correlation(tuple(priors)))
 
     def coefficients(self, x: Array) -> tuple[CuttingCoefficients, ...]:
         """Cutting coefficients of each layer for values of the constants, shape (p,)."""
         cutting = self.record.scene.cutting
-        given = cutting.model_dump(exclude={"material"})
-        by_material: dict[str, dict[str, float]] = {}
-        for name, value in zip(self.ranges.names, x, strict=True):
-            if name != DENSITY:
-                _, material, constant = name.split(".")
-                by_material.setdefault(material, {})[constant] = float(value)
-        used = [CUT_AS.get(name, cutting.material) for name in self.record.layer_names]
-        return tuple(cutting_coefficients(each, **(given | by_material.get(each, {}))) for each in used)
+        changes = cutting.model_dump(exclude={"material"})
+        held = sampled(self.record.scene.constants, self.ranges.names, x)
+        return held.coefficients(self.record.layer_names, changes, bone=cutting.material)
 
     def nominal(self) -> Array:
         """Values of the constants at which the run was simulated, shape (p,)."""

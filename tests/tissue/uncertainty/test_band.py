@@ -54,19 +54,16 @@ def test_of_a_force_linear_in_one_coefficient_the_band_is_that_of_the_coefficien
     assert size[:, np.argmax(size[2])] == pytest.approx(exact[:, 0], rel=2e-2)
 
 
-@pytest.mark.slow
-def test_reweighed_figures_are_those_of_reruns(block):
-    reweighed = Reweighed(record_loads(block, cores=1))
-    names = [name.rpartition(".")[2] for name in reweighed.ranges.names]
-    settable = [at for at, name in enumerate(names) if "chip" in name or "edge" in name]
-    rng, x = np.random.default_rng(4), np.tile(reweighed.nominal(), (2, 1))
-    x[:, settable] = (x[:, settable] + 0.5) * rng.uniform(0.5, 1.8, (2, len(settable)))
-    got = reweighed.figures(x)
-    for row, figures in zip(x, got, strict=True):
-        summary = simulate(changed(block, {f"cutting.{names[at]}": row[at] for at in settable}), cores=1).summary
+def test_the_file_of_a_sample_gives_its_figures_when_it_is_run(block, tmp_path):
+    """Reweighed against rerun, for every constant at once."""
+    band = band_of(block, 16, cores=1)
+    for number in (3, 11):
+        file = tmp_path / "sample.toml"
+        file.write_text(band.files[number], "utf-8")
+        summary = simulate(changed(block, {"materials": str(file)}), cores=1).summary
         want = [summary[outer][inner] for outer, inner in (name.split(".") for name in FIGURES)]
-        assert figures == pytest.approx(want, rel=1e-6)
-        assert figures != pytest.approx(reweighed.figures(reweighed.nominal()[None])[0], rel=0.05)
+        assert band.figures[number] == pytest.approx(want, rel=1e-6)
+        assert band.figures[number] != pytest.approx(band.figures[number - 1], rel=0.01)
 
 
 def test_a_band_is_written_with_its_run_and_read_back(block, tmp_path):
@@ -126,3 +123,22 @@ def test_a_report_shows_the_band(block, tmp_path):
     assert f"{peak['p05']:.3g} to {peak['p95']:.3g}" in text
     assert {path.name for path in (tmp_path / "run/pictures").iterdir()} == {"band.png", "band_sobol.png"}
     assert text.count("data:image/png;base64,") == 2
+
+
+def test_a_file_of_fitted_constants_narrows_the_band_and_groups_what_it_correlates(block, tmp_path):
+    values = {name: one.value for name, one in constants("cutting", "bone").items() if "chip" in name or "edge" in name}
+    entries = "".join(
+        f"[cutting.bone.{name}]\nvalue = {value}\nrange = [{0.95 * value}, {1.05 * value}]\n"
+        'source = "a fit"\nconfidence = "H"\n'
+        for name, value in values.items()
+    )
+    names = '["cutting.bone.radial_edge_N_mm", "cutting.bone.tangential_edge_N_mm"]'
+    file = tmp_path / "fitted.toml"
+    file.write_text(f"{entries}[correlation]\nnames = {names}\nmatrix = [[1.0, 0.8], [0.8, 1.0]]\n", "utf-8")
+    wide, fitted = band_of(block, 16, cores=1), band_of(changed(block, {"materials": str(file)}), 16, cores=1)
+    spread = [
+        each.summary["force_N"]["peak"]["p95"] / each.summary["force_N"]["peak"]["p05"] for each in (wide, fitted)
+    ]
+    assert spread[1] < 0.4 * spread[0]
+    groups = list(fitted.summary["sobol"]["force_N.peak"])
+    assert "cutting.bone.tangential_edge_N_mm + cutting.bone.radial_edge_N_mm" in groups
