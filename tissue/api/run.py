@@ -110,6 +110,7 @@ class Run(RunData):
         samples: int | None = None,
         *,
         seed: int | None = None,
+        workers: int | None = None,
         compute: str = "cpu",
         cores: int | None = None,
         pictures: bool | str = True,
@@ -123,6 +124,9 @@ class Run(RunData):
             Samples of the constants, rounded up to a power of two; without it the band that was made before is read.
         seed
             Seed of the samples; that of the scene without it.
+        workers
+            Processes that run samples beside each other, where each is a run of its own, as a needle's is. A script
+            that asks for several must begin below ``if __name__ == "__main__":``.
         compute, cores, progress
             As for `tissue.simulate`.
         pictures
@@ -132,8 +136,8 @@ class Run(RunData):
         Raises
         ------
         InputError
-            If there is no band to read, or none can be made: the tool does not cut on a given path, the number of
-            samples is none of 16 to 65536, or the run was stopped early.
+            If there is no band to read, or none can be made: no constant has a range, the number of samples is none of
+            16 to 65536, fewer than 16 can be run, or the run was stopped early.
         """
         if samples is None:
             if self._band is None:
@@ -144,7 +148,9 @@ class Run(RunData):
         from tissue.uncertainty.band import band_of, require_same
 
         with reporting(progress) as report:
-            made = band_of(self.scene, samples, seed=seed, compute=compute, cores=cores, progress=report)
+            made = band_of(
+                self.scene, samples, seed=seed, workers=workers, compute=compute, cores=cores, progress=report
+            )
         require_same(
             made, np.hstack([self.trace.vectors("model_force", "N"), self.trace.vectors("model_torque", "Nm")])
         )

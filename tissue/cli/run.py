@@ -34,6 +34,7 @@ def run(
     pictures: str = "png",
     no_pictures: Annotated[bool, Parameter(negative="")] = False,
     band: Annotated[int | None, Parameter(converter=whole)] = None,
+    workers: Annotated[int | None, Parameter(converter=whole)] = None,
     live: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
     allow_unstable: Annotated[bool, Parameter(negative="")] = False,
@@ -67,6 +68,8 @@ def run(
         Draw none.
     band
         Samples of the constants in their ranges, such as 200: forces, torques and figures with 50 and 90 % bands.
+    workers
+        Processes that run the samples of a band beside each other, where each is a run of its own.
     live
         Run against the wall clock, in a window with mouse and keys as device, or without a display scripted.
     overwrite
@@ -87,7 +90,9 @@ def run(
         left_out("with --live", "run the scene without it", band=band if live else None)
         from tissue.uncertainty.band import require_band
 
-        require_band(loaded, band)
+        require_band(loaded, band, workers)
+    else:
+        left_out("without --band", "give --band 200, or remove it", workers=workers)
     folder = out or Path("runs") / loaded.name
     RunFolder.check(folder, overwrite=overwrite)
     started = perf_counter()
@@ -102,7 +107,7 @@ def run(
         if band is not None:
             with progress() as report:
                 drawn = False if no_pictures else pictures
-                finished.band(band, compute=compute, cores=cores, pictures=drawn, progress=report)
+                finished.band(band, workers=workers, compute=compute, cores=cores, pictures=drawn, progress=report)
     _print_summary(finished.summary, folder, wall_s=perf_counter() - started, saving_s=perf_counter() - simulated)
 
 
@@ -258,9 +263,10 @@ def _ends(figures: dict[str, dict[str, float]], unit: str) -> str:
 
 def _band_text(band: "Summary") -> str:
     """How a band was made, and the constants that matter most for the peak force."""
-    asked = f", {band['asked']} rounded up to a power of two" if band["asked"] != band["samples"] else ""
+    asked = f", {band['asked']} rounded up to a power of two" if band["asked"] & (band["asked"] - 1) else ""
     totals = {name: index["total"] for name, index in band["sobol"].get("force_N.peak", {}).items()}
     first = sorted(totals, key=lambda name: -totals[name])[:3]
     shares = ", ".join(f"{name} {100.0 * totals[name]:.0f} %" for name in first)
     matters = f"; of the variance of the peak force: {shares}" if shares else ""
-    return f"{band['samples']} samples{asked}; {band['how']}{matters}"
+    refused = f", {band['refused']} could not be run ({'; '.join(band['problems'])})" if band["refused"] else ""
+    return f"{band['samples']} samples{asked}{refused}; {band['how']}{matters}"

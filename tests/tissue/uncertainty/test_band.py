@@ -102,9 +102,26 @@ def test_other_seeds_give_the_same_band_within_its_error(block):
         assert np.ptp(values) < 0.12 * values.mean()
 
 
-def test_a_scene_whose_path_depends_on_its_force_has_no_reweighed_band(tables):
-    with pytest.raises(InputError, match="band must be of a tool that cuts"):
-        require_band(Scene(**tables["wall"]), 200)
+@pytest.mark.slow
+def test_a_needle_has_a_band_by_runs_of_its_samples(tables, tmp_path):
+    scene = Scene(**tables["needle"])
+    band = band_of(scene, 16)
+    assert band.summary["refused"] == 0
+    file = tmp_path / "sample.toml"
+    file.write_text(band.files[5], "utf-8")
+    again = simulate(changed(scene, {"materials": str(file)}), cores=1).summary
+    assert band.figures[5][0] == pytest.approx(again["force_N"]["peak"], rel=1e-9)
+    parallel = band_of(scene, 16, workers=2)
+    assert np.array_equal(parallel.figures, band.figures)
+
+
+def test_what_a_band_cannot_use_is_refused(tables, block):
+    with pytest.raises(InputError, match="constants with a range, got none"):
+        band_of(Scene(**tables["wall"]), 16)
+    with pytest.raises(InputError, match="band must be"):
+        require_band(block, 3, None)
+    with pytest.raises(InputError, match="workers must be left out"):
+        require_band(block, 16, 2)
 
 
 def test_an_image_of_densities_states_the_range_of_a_factor():

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
+from tissue.uncertainty.sample import normals
 from tissue.uncertainty.sobol import sobol_indices
+from tissue.uncertainty.surrogate import LEAST_EXPLAINED, surrogate_indices
 
 SEPARATE = ((0,), (1,), (2,))
 
@@ -56,3 +58,23 @@ def test_a_group_has_the_index_of_all_its_columns_and_a_constant_figure_has_none
     assert found.total[:, 0] == pytest.approx([1.0 / 3.0, 2.0 / 3.0], abs=0.01)
     assert np.isnan(found.first[:, 1]).all()
     assert np.isnan(found.total[:, 1]).all()
+
+
+def test_a_surrogate_of_few_runs_has_the_indices_of_a_polynomial_in_closed_form():
+    """3 z0 + z1 z2 has variances 9 and 1, the second of both constants together alone."""
+    free = normals(64, 3, seed=2)
+    figures = np.column_stack([3.0 * free[:, 0] + free[:, 1] * free[:, 2], np.full(64, 2.0)])
+    found, explained = surrogate_indices(free, figures, SEPARATE, seed=0)
+    assert explained[0] > 0.99
+    assert found.first[:, 0] == pytest.approx([0.9, 0.0, 0.0], abs=0.01)
+    assert found.total[:, 0] == pytest.approx([0.9, 0.1, 0.1], abs=0.01)
+    assert np.isnan(found.total[:, 1]).all()
+
+
+def test_a_surrogate_that_explains_too_little_gives_no_indices():
+    """Of noise, and of few runs over many constants, which a fit of as many terms follows through every point."""
+    noise = np.random.default_rng(1).standard_normal((16, 1))
+    columns = tuple((at,) for at in range(40))
+    found, explained = surrogate_indices(normals(16, 40, seed=0), noise, columns, seed=0)
+    assert explained[0] < LEAST_EXPLAINED
+    assert np.isnan(found.first).all()
