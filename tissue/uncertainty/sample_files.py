@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from meshes.base.arrays import Array
 from tissue.materials.constants import Constant
-from tissue.materials.own import Materials
+from tissue.materials.scene_constants import Materials
 
 __all__ = ["sample_text", "sampled"]
 
@@ -17,14 +17,14 @@ def sampled(constants: Materials, names: Sequence[str], x: Array) -> Materials:
     """Constants with those of a sample in place, by their names ``TABLE.MATERIAL.NAME``, values of shape (p,)."""
     values = (Constant(value, value, value, SOURCE, "L") for value in map(float, x))
     drawn = {name: one for name, one in zip(names, values, strict=True) if not name.startswith("density.")}
-    return replace(constants, own={**constants.own, **drawn}, names=(), matrix=())
+    return replace(constants, given={**constants.given, **drawn}, names=(), matrix=())
 
 
 def sample_text(constants: Materials, names: Sequence[str], x: Array) -> str:
     """The TOML file of a sample; a factor of the density, which no scene takes, is a comment."""
     lines = [f"# {name} = {float(value)!r}, which no file of materials holds" for name, value in
              zip(names, x, strict=True) if name.startswith("density.")]  # fmt: skip
-    for name, one in sampled(constants, names, x).own.items():
+    for name, one in sampled(constants, names, x).given.items():
         lines += [
             "",
             f"[{name}]",
