@@ -39,7 +39,9 @@ class Gain:
     shrinks_to: float
 
 
-def expected_information(posterior: Posterior, candidates: Sequence[tuple[str, Forward]]) -> list[Gain]:
+def expected_information(
+    posterior: Posterior, candidates: Sequence[tuple[str, Forward]], *, among: Sequence[int] = ()
+) -> list[Gain]:
     """Expected information of candidate logs with the noise of the measured one, greatest first.
 
     Half the logarithm of the determinant of I + C M: C is the covariance of z now, and M the Fisher information of the
@@ -51,9 +53,12 @@ def expected_information(posterior: Posterior, candidates: Sequence[tuple[str, F
         Of the log that was measured.
     candidates
         Name and forward model of each, with the same constants.
+    among
+        Places of the constants of which the widest is looked for; all of them by default.
     """
     now = posterior.covariance_z
-    at = int(np.argmax(np.diag(now)))
+    places = list(among) or list(range(len(now)))
+    at = places[int(np.argmax(np.diag(now)[places]))]
     gains = []
     for label, forward in candidates:
         matrix = _information(posterior, forward)

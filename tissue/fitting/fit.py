@@ -1,0 +1,189 @@
+"""Constants of a scene from a measured force log."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress, silent
+from tissue.fitting.averaged import averaged_cut, block_averages, block_ticks
+from tissue.fitting.cutting import cutting_forward
+from tissue.fitting.cutting_candidates import cutting_candidates
+from tissue.fitting.experiments import Gain, expected_information
+from tissue.fitting.identifiability import Identified, identified
+from tissue.fitting.log import MeasuredLog
+from tissue.fitting.posterior import Posterior, maximum_posterior
+from tissue.materials.prior import Prior
+from tissue.models.tissue_model import TICK_S
+from tissue.scene.scene import Scene
+from tissue.scene.tool import Tool
+
+__all__ = ["ConstantFit", "SceneFit", "fit_scene"]
+
+NUISANCE = "density."
+"""Beginning of the names of what belongs to the specimen of a log and to no material."""
+
+
+@dataclass(frozen=True)
+class ConstantFit:
+    """A constant before and after a fit.
+
+    Attributes
+    ----------
+    name
+        ``TABLE.MATERIAL.NAME``, or ``density.LAYER``, the factor on the density of a layer of this specimen.
+    prior
+        Before.
+    low, value, high
+        5, 50 and 95 % after, in the unit of the name.
+    contraction
+        Standard deviation after over that before.
+    state
+        ``determined``, ``narrowed``, or ``at its prior``.
+    """
+
+    name: str
+    prior: Prior
+    low: float
+    value: float
+    high: float
+    contraction: float
+    state: str
+
+
+@dataclass(frozen=True, eq=False)
+class SceneFit:
+    """A scene's constants, fitted to a log.
+
+    Attributes
+    ----------
+    scene
+        The scene.
+    log
+        What was measured.
+    posterior
+        Constants given the log.
+    identified
+        What it determines.
+    gains
+        What other logs would add, the best first.
+    block_s
+        Time over which samples were averaged [s].
+    notes
+        What was found or assumed, in sentences.
+    """
+
+    scene: Scene
+    log: MeasuredLog
+    posterior: Posterior
+    identified: Identified
+    gains: tuple[Gain, ...]
+    block_s: float
+    notes: tuple[str, ...]
+
+    @property
+    def constants(self) -> tuple[ConstantFit, ...]:
+        """All free constants, in the order of the forward model."""
+        found = []
+        for at, (name, prior) in enumerate(zip(self.posterior.names, self.posterior.priors, strict=True)):
+            low, value, high = self.posterior.interval(at)
+            state = (
+                "determined"
+                if name in self.identified.determined
+                else "at its prior" if name in self.identified.at_prior else "narrowed"
+            )
+            share = float(self.identified.contraction[at])
+            found.append(ConstantFit(name, prior, low, value, high, share, state))
+        return tuple(found)
+
+    @property
+    def of_material(self) -> tuple[int, ...]:
+        """Places of the constants that belong to a material, not to the log's specimen."""
+        return tuple(at for at, name in enumerate(self.posterior.names) if not name.startswith(NUISANCE))
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What a person should know of the fit."""
+        each, (low, high) = self.posterior.nuisances, self.posterior.offset_interval_s
+        channels = self.posterior.target.log.channels
+        biases = ", ".join(
+            f"{value:.3g} {name.rpartition('_')[2].replace('Nm', 'N m')} along {name.split('_')[1]}"
+            for name, value in zip(channels, each.bias.tolist(), strict=True)
+        )
+        found = [
+            f"forces come {1e3 * each.offset_s:.1f} ms ({1e3 * low:.1f} to {1e3 * high:.1f}) after the poses; bias {biases}",
+            *self.notes,
+        ]
+        if not self.posterior.converged:
+            found.append("the search did not come to a maximum: the intervals are not to be trusted")
+        return tuple(found)
+
+
+def fit_scene(
+    scene: Scene,
+    log: MeasuredLog,
+    *,
+    free: Sequence[str] = (),
+    cores: int | None = None,
+    progress: Progress | None = None,
+) -> SceneFit:
+    """Fit the constants of a scene's material to a log of forces and poses.
+
+    Maximum posterior with the cited ranges as priors; the noise is autocorrelated and has heavy tails; the offset of
+    the clocks, the sensor's bias and the specimen's density are estimated with the constants.
+
+    Parameters
+    ----------
+    scene
+        What was cut, and by which tool; its motion and device count for nothing, the log's poses stand for them.
+    log
+        What was measured, in the scene's frame.
+    free
+        Constants that are free, see `tissue.fitting.cutting_parameters.free_constants`; nothing frees the usual ones.
+    cores
+        Processor cores to use; default all.
+    progress
+        Called with what is being done.
+
+    Raises
+    ------
+    InputError
+        If such a scene cannot be fitted, the tool never cuts along the log, or the log determines no constant.
+    """
+    report = progress or silent
+    if not isinstance(scene.tool, Tool):
+        raise InputError(f"scene must have a tool that cuts, got a {scene.tool.kind}: fit a scene of bone or tooth")
+    report("recording the geometry of the log", 0.0)
+    forward = cutting_forward(
+        scene, log.times_s, log.tips_m, log.quaternions_of(scene), free=free, cores=cores, progress=report
+    )
+    ticks = block_ticks(float(log.load_times_s[-1] - log.load_times_s[0]))
+    measured = block_averages(log.load_times_s, log.loads, log.channels, ticks)
+    report("fitting", 0.8)
+    posterior = maximum_posterior(averaged_cut(forward, ticks), measured)
+    found = identified(posterior)
+    require_information(found, posterior)
+    report("what to measure next", 0.9)
+    material = [at for at, name in enumerate(posterior.names) if not name.startswith(NUISANCE)]
+    gains = expected_information(posterior, list(cutting_candidates(forward).items()), among=material)
+    notes = (*log.notes, *forward.notes)
+    return SceneFit(scene, log, posterior, found, tuple(gains), ticks * TICK_S, notes)
+
+
+def require_information(found: Identified, posterior: Posterior) -> None:
+    """Refuse a log that determines nothing.
+
+    Raises
+    ------
+    InputError
+        Says how large the forces and the noise are.
+    """
+    if found.is_empty:
+        target, noise = posterior.target, posterior.nuisances
+        loads: Array = target.forward.loads(target.x(posterior.mean_z))
+        forces = [at for at, name in enumerate(target.log.channels) if name.endswith("_N")]
+        greatest = float(abs(loads[:, forces]).max())
+        raise InputError(
+            f"measured must determine a constant, got a log in which noise of {noise.scale[forces].max():.2g} N hides "
+            f"what the tool would meet, {greatest:.2g} N at most: give one of a deeper or faster cut"
+        )
