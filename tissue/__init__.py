@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from tissue.api.bone import Bone
     from tissue.api.comparison import compare
     from tissue.api.cut import Cut
+    from tissue.api.fit import Fit, fit
     from tissue.api.loop import Loop
     from tissue.api.materials import material, material_names
     from tissue.api.motor import motor_forces
@@ -42,6 +43,7 @@ __all__ = [
     "Bone",
     "Cut",
     "DeviceParameters",
+    "Fit",
     "Imported",
     "InputError",
     "Loop",
@@ -56,6 +58,7 @@ __all__ = [
     "compare",
     "cutters",
     "feed_along",
+    "fit",
     "flat_punch",
     "import_ct",
     "load_scene",
@@ -79,6 +82,7 @@ _HOMES = {
     "Bone": "tissue.api.bone",
     "Cut": "tissue.api.cut",
     "DeviceParameters": "tissue.haptics.device.device",
+    "Fit": "tissue.api.fit",
     "Imported": "tissue.importing.importing",
     "InputError": "meshes.base.errors",
     "Loop": "tissue.api.loop",
@@ -91,6 +95,7 @@ _HOMES = {
     "ball": "tissue.api.tools",
     "compare": "tissue.api.comparison",
     "feed_along": "tissue.api.poses",
+    "fit": "tissue.api.fit",
     "flat_punch": "tissue.api.tools",
     "import_ct": "tissue.importing.importing",
     "load_scene": "tissue.scene.load",

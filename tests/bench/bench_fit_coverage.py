@@ -18,7 +18,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from tissue.fitting.averaged import averaged_cut, block_averages, block_ticks
+from tissue.fitting.averaged import block_averages, block_ticks
 from tissue.fitting.cutting import cutting_forward
 from tissue.fitting.identifiability import identified
 from tissue.fitting.posterior import maximum_posterior
@@ -61,9 +61,9 @@ def log_of(forward, rng):
 
 def one(seed):
     """Errors over standard deviations of constants that are determined, and of combinations; whether it converged."""
-    forward, smaller, ticks = SHARED
+    forward, ticks = SHARED
     times, loads, z = log_of(forward, np.random.default_rng([2026, seed]))
-    found = maximum_posterior(smaller, block_averages(times, loads, forward.channels, ticks))
+    found = maximum_posterior(forward, block_averages(times, loads, forward.channels, ticks))
     result = identified(found)
     spread = np.sqrt(np.diag(found.covariance_z))
     single = [
@@ -97,7 +97,7 @@ def main():
     for kind in asked.kinds:
         forward = forward_of(kind)
         ticks = block_ticks(float(forward.times_s[-1] - forward.times_s[0]))
-        shared = forward, averaged_cut(forward, ticks), ticks
+        shared = forward, ticks
         start = time.perf_counter()
         with multiprocessing.get_context("spawn").Pool(asked.workers, begin, (shared,)) as pool:
             found = pool.map(one, range(asked.fits), chunksize=1)
@@ -105,7 +105,9 @@ def main():
         single = np.concatenate([np.array(each[0]) for each in found])
         together = np.concatenate([np.array(each[1]) for each in found])
         lost = sum(not each[2] for each in found)
-        print(f"{kind}: {asked.fits} logs of {forward.times_s[-1]:.1f} s every {ticks * TICK_S * 1e3:g} ms, {took_s:.0f} s")
+        print(
+            f"{kind}: {asked.fits} logs of {forward.times_s[-1]:.1f} s every {ticks * TICK_S * 1e3:g} ms, {took_s:.0f} s"
+        )
         for what, errors in (("determined constants", single), ("identified combinations", together)):
             if len(errors):
                 share, high, low = (100.0 * np.mean(np.abs(errors) < 1.6448536), np.mean(errors), np.std(errors))

@@ -4,6 +4,7 @@ from tissue.cli.assess import assess
 from tissue.cli.calibrate import calibrate
 from tissue.cli.chart import chart
 from tissue.cli.compare import compare
+from tissue.cli.fit import fit
 from tissue.cli.import_ import import_
 from tissue.cli.report import report
 from tissue.cli.run import run
@@ -23,6 +24,7 @@ COMMANDS = (
     scenes,
     view,
     report,
+    fit,
     sweep,
     compare,
     stability,

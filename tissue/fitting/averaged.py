@@ -1,15 +1,12 @@
-"""Logs and recorded cuts averaged over blocks: fewer samples, nothing above their rate folded into them."""
-
-from dataclasses import replace
+"""Logs averaged over blocks: fewer samples, nothing above their rate folded into them."""
 
 import numpy as np
 
 from meshes.base.arrays import Array
-from tissue.fitting.cutting import CuttingForward
 from tissue.fitting.measured import MeasuredLoads
 from tissue.models.tissue_model import TICK_S
 
-__all__ = ["averaged_cut", "block_averages", "block_ticks"]
+__all__ = ["block_averages", "block_ticks"]
 
 MOST_SAMPLES = 2000
 """Samples of a log that a fit takes: noise that lasts for longer than a block is modelled, not averaged out."""
@@ -51,19 +48,6 @@ def block_averages(times_s: Array, values: Array, channels: tuple[str, ...], tic
     averages = np.where(enough, sums / np.maximum(counts, 1.0), np.nan)
     starts = times_s[0] + block_s * np.arange(count)
     shift = float(np.median((middles / seen - starts)[enough.any(axis=1)]))
-    return MeasuredLoads(starts + shift, averages, channels)
-
-
-def averaged_cut(forward: CuttingForward, ticks: int) -> CuttingForward:
-    """A recorded cut averaged as `block_averages` does: exact, since its loads are sums of what was recorded."""
-    record = forward.record
-    blocks = len(record.times_s) // ticks
-
-    def averaged(values: Array, axis: int) -> Array:
-        whole = np.moveaxis(values, axis, 0)[: blocks * ticks]
-        return np.moveaxis(whole.reshape(blocks, ticks, *whole.shape[1:]).mean(axis=1), 0, axis)
-
-    layers = {at: replace(each, unit=averaged(each.unit, 2)) for at, each in record.layers.items()}
-    engaged = averaged(record.engaged_m2, 0)
-    smaller = replace(record, layers=layers, times_s=averaged(record.times_s, 0), engaged_m2=engaged)
-    return replace(forward, record=smaller, times_s=averaged(forward.times_s, 0))
+    each = max(round(block_s / rate), 1)
+    within_s = tuple((rate * (np.arange(each) - 0.5 * (each - 1))).tolist())
+    return MeasuredLoads(starts + shift, averages, channels, within_s)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
-from tissue.fitting.averaged import averaged_cut, block_averages, block_ticks
+from tissue.fitting.averaged import block_averages, block_ticks
 from tissue.fitting.cutting import cutting_forward
 from tissue.fitting.cutting_candidates import cutting_candidates
 from tissue.fitting.experiments import Gain, expected_information
@@ -90,7 +90,9 @@ class SceneFit:
             state = (
                 "determined"
                 if name in self.identified.determined
-                else "at its prior" if name in self.identified.at_prior else "narrowed"
+                else "at its prior"
+                if name in self.identified.at_prior
+                else "narrowed"
             )
             share = float(self.identified.contraction[at])
             found.append(ConstantFit(name, prior, low, value, high, share, state))
@@ -111,7 +113,8 @@ class SceneFit:
             for name, value in zip(channels, each.bias.tolist(), strict=True)
         )
         found = [
-            f"forces come {1e3 * each.offset_s:.1f} ms ({1e3 * low:.1f} to {1e3 * high:.1f}) after the poses; bias {biases}",
+            f"forces come {1e3 * each.offset_s:.1f} ms ({1e3 * low:.1f} to {1e3 * high:.1f}) after the poses",
+            f"bias of the sensor: {biases}",
             *self.notes,
         ]
         if not self.posterior.converged:
@@ -160,7 +163,7 @@ def fit_scene(
     ticks = block_ticks(float(log.load_times_s[-1] - log.load_times_s[0]))
     measured = block_averages(log.load_times_s, log.loads, log.channels, ticks)
     report("fitting", 0.8)
-    posterior = maximum_posterior(averaged_cut(forward, ticks), measured)
+    posterior = maximum_posterior(forward, measured)
     found = identified(posterior)
     require_information(found, posterior)
     report("what to measure next", 0.9)

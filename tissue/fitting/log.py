@@ -1,5 +1,6 @@
 """A measured log of poses and loads."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -7,11 +8,21 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from meshes.base.arrays import Array
+from meshes.base.errors import InputError, counted
 from tissue.builders.registry import motion_of
+from tissue.fitting.columns import ColumnMap, Kind, parse_columns, quantities_of
+from tissue.fitting.log_files import LogColumns, read_columns
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
 
-__all__ = ["MeasuredLog"]
+__all__ = ["MeasuredLog", "read_log"]
+
+GREATEST = {"N": 1e5, "Nm": 1e4}
+"""Loads beyond which a log is in another unit [N, N m]."""
+GAP = 5.0
+"""Time between two samples, in medians, that is a gap."""
+SHORTEST_S = 0.5
+"""Shortest log from which the noise can be known [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,3 +64,113 @@ class MeasuredLog:
             return self.quaternions
         first = motion_of(scene, step_s=TICK_S).rotations()[0]
         return np.tile(Rotation.from_matrix(first).as_quat(), (len(self.times_s), 1))
+
+
+def read_log(path: Path, kind: Kind, columns: Sequence[str] = ()) -> MeasuredLog:
+    """Read a log of a tool's poses and loads.
+
+    Parameters
+    ----------
+    path
+        CSV, Parquet, HDF5, .mat or .npz: a run's own trace needs no columns to be named. Where a trace holds both,
+        ``model_force`` (what the tissue does) is taken, not what was commanded to a device.
+    kind
+        Of scene.
+    columns
+        ``NAME=COLUMN[:UNIT]`` for what has another name, see `tissue.fitting.columns.parse_column`.
+
+    Raises
+    ------
+    InputError
+        If a column is missing or holds what cannot be, times do not increase, or the log is too short.
+    """
+    maps, found = parse_columns(columns, kind), read_columns(path)
+    notes = list(found.notes)
+    known = quantities_of(kind)
+    if "model_force_x_N" in found.names:
+        for name in known:
+            if name.startswith(("force_", "torque_")) and name not in maps and f"model_{name}" in found.names:
+                maps[name] = ColumnMap(known[name], f"model_{name}")
+        notes.append("forces are those of the model (model_force), before low-pass and device")
+
+    def column(name: str) -> Array | None:
+        if name in maps:
+            place, factor, remark = maps[name].find(found.names)
+            notes.extend([remark] if remark else [])
+            return factor * found.numbers(place)
+        return known[name].factor * found.numbers(name) if name in found.names else None
+
+    taken = {name: values for name in known if (values := column(name)) is not None}
+    used = {each.find(found.names)[0] for each in maps.values()} | set(taken)
+    if left := [name for name in found.names if name not in used]:
+        notes.append(f"not used: {', '.join(left[:12])}{' and others' if len(left) > 12 else ''}")
+    return _checked(path, taken, found, notes)
+
+
+def _checked(path: Path, taken: dict[str, Array], found: LogColumns, notes: list[str]) -> MeasuredLog:
+    """A log of the columns that were read."""
+    wanted = ["time_s", *(f"tool_{c}_mm" for c in "xyz"), *(f"force_{c}_N" for c in "xyz")]
+    if missing := [name for name in wanted if name not in taken]:
+        have = ", ".join(found.names[:40])
+        raise InputError(
+            f"measured must hold {', '.join(missing)}, got {path.name} with {have}: name the log's own columns by "
+            f"--column {missing[0]}=COLUMN[:UNIT]"
+        )
+    times_s = _increasing(taken["time_s"], "time_s", path, notes)
+    load_times_s = taken.get("load_time_s")
+    load_times_s = times_s if load_times_s is None else _increasing(load_times_s, "load_time_s", path, notes)
+    channels = tuple(name for name in taken if name.startswith(("force_", "torque_")))
+    loads = np.column_stack([taken[name] for name in channels])
+    tips_m = np.column_stack([taken[f"tool_{c}_mm"] for c in "xyz"])
+    if len(tips_m) != len(times_s) or len(loads) != len(load_times_s):
+        raise InputError(
+            f"measured must hold a pose and a load at each of its times, got {len(tips_m)} poses and "
+            f"{len(loads)} loads at {len(times_s)} and {len(load_times_s)} times "
+            f"in {path.name}: name the times of the loads load_time_s"
+        )
+    if not np.isfinite(tips_m).all():
+        raise InputError(f"measured must hold finite positions, got one that is not in {path.name}: leave its row out")
+    for name, values in zip(channels, loads.T, strict=True):
+        most = GREATEST[name.rpartition("_")[2]]
+        if (greatest := float(np.nanmax(np.abs(values), initial=0.0))) > most:
+            raise InputError(
+                f"measured must hold loads below {most:g} in {name}, got {greatest:.3g} in {path.name}: give its unit, "
+                f"--column {name}=COLUMN:mN for example"
+            )
+    return MeasuredLog(path, times_s, tips_m, _turns(taken, path), load_times_s, loads, channels, tuple(notes))
+
+
+def _increasing(times_s: Array, name: str, path: Path, notes: list[str]) -> Array:
+    """Times that increase; gaps are noted."""
+    steps = np.diff(times_s)
+    if not np.isfinite(times_s).all() or not (steps > 0.0).all():
+        line = 0 if not np.isfinite(times_s).all() else int(np.argmin(steps)) + 2
+        raise InputError(
+            f"measured must hold times that increase, got {name} that does not in row {line} of {path.name}: sort it"
+        )
+    if times_s[-1] - times_s[0] < SHORTEST_S:
+        raise InputError(
+            f"measured must last {SHORTEST_S:g} s or more, got {times_s[-1] - times_s[0]:.3g} s in {path.name}: give a "
+            f"longer log, or the unit of its times by --column {name}={name}:ms"
+        )
+    rate = float(np.median(steps))
+    if gaps := int((steps > GAP * rate).sum()):
+        notes.append(f"{counted(gaps, 'gap')} of more than {1e3 * GAP * rate:.3g} ms in {name}")
+    return times_s
+
+
+def _turns(taken: dict[str, Array], path: Path) -> Array | None:
+    """Orientations as quaternions, shape (n, 4); None of a log without."""
+    quaternion = [f"tool_q{c}" for c in "xyzw"]
+    if all(name in taken for name in quaternion):
+        found = np.column_stack([taken[name] for name in quaternion])
+        size = np.linalg.norm(found, axis=1)
+        if not (size > 1e-6).all():
+            raise InputError(
+                f"measured must hold unit quaternions, got a zero one in {path.name}: use 0, 0, 0, 1 there"
+            )
+        return np.asarray(found / size[:, None])
+    vector = [f"tool_r{c}_rad" for c in "xyz"]
+    if all(name in taken for name in vector):
+        return np.asarray(Rotation.from_rotvec(np.column_stack([taken[name] for name in vector])).as_quat())
+    return None

@@ -25,6 +25,8 @@ class MeasuredLoads:
         Shape (m, channels), NaN where missing.
     channels
         Names with units, such as ``force_x_N``.
+    within_s
+        Times, from that of a sample, at which the loads were read of which it is the mean, shape (k,) [s].
 
     Raises
     ------
@@ -35,6 +37,7 @@ class MeasuredLoads:
     times_s: Array
     values: Array
     channels: tuple[str, ...]
+    within_s: tuple[float, ...] = (0.0,)
 
     def __post_init__(self) -> None:
         if self.values.shape != (len(self.times_s), len(self.channels)):

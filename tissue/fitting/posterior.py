@@ -14,11 +14,13 @@ from tissue.materials.prior import Prior
 
 __all__ = ["Posterior", "maximum_posterior"]
 
-OFFSETS_S = np.linspace(-3.0 * OFFSET_S, 3.0 * OFFSET_S, 25)
+OFFSETS_S = np.linspace(-3.0 * OFFSET_S, 3.0 * OFFSET_S, 13)
 """Offsets from which the search begins [s]: a force may rise at several times, so that there are several maxima."""
-STARTS = 3
+STARTS = 2
 STEP = 1e-4
 """Step of z over which gradients are differenced for the curvature."""
+FARTHEST = 12.0
+"""Standard deviations of a prior beyond which nothing is looked for."""
 STEEP = 1e-3
 """Greatest expected gain of a Newton step at which the maximum counts as found [nats]."""
 NEWTON_STEPS = 12
@@ -109,7 +111,8 @@ def maximum_posterior(forward: Forward, log: MeasuredLoads) -> Posterior:
     for start in _starts(target):
         found = minimize(
             lambda u: tuple(-each for each in target.value_and_gradient(u)),
-            start, jac=True, method="L-BFGS-B", options={"maxiter": 400, "maxcor": 30, "ftol": 1e-12, "gtol": 1e-4},
+            start, jac=True, method="L-BFGS-B", bounds=[(-FARTHEST, FARTHEST)] * len(start),
+            options={"maxiter": 400, "maxcor": 30, "ftol": 1e-12, "gtol": 1e-4},
         )  # fmt: skip
         if best is None or -found.fun > best[0]:
             best = -float(found.fun), np.asarray(found.x)

@@ -1,5 +1,7 @@
 """Loads at the times of a log: interpolated, shifted in time, with the derivative by the shift."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.sparse import csr_array
 
@@ -8,7 +10,9 @@ from meshes.base.arrays import Array
 __all__ = ["shift_operators"]
 
 
-def shift_operators(times_s: Array, wanted_s: Array, offset_s: float) -> tuple[csr_array, csr_array]:
+def shift_operators(
+    times_s: Array, wanted_s: Array, offset_s: float, within_s: Sequence[float] = (0.0,)
+) -> tuple[csr_array, csr_array]:
     """Interpolate what is known at `times_s` at the times ``wanted_s - offset_s``, as matrices.
 
     Cubic through four neighbours (Catmull and Rom, 1974), whose slope is continuous, so that a gradient by the offset
@@ -22,6 +26,8 @@ def shift_operators(times_s: Array, wanted_s: Array, offset_s: float) -> tuple[c
         Shape (m,), on a clock that is ahead by the offset.
     offset_s
         The offset [s].
+    within_s
+        Times about each wanted one over which the mean is taken [s], k of them.
 
     Returns
     -------
@@ -29,7 +35,7 @@ def shift_operators(times_s: Array, wanted_s: Array, offset_s: float) -> tuple[c
         Values, and their derivative by `offset_s` [1/s]: matrices of shape (m, n).
     """
     last = len(times_s) - 1
-    asked = np.asarray(wanted_s) - offset_s
+    asked = (np.asarray(wanted_s)[:, None] + np.asarray(within_s)).ravel() - offset_s
     inside = (asked > times_s[0]) & (asked < times_s[-1])
     asked = np.clip(asked, times_s[0], times_s[-1])
     left = np.clip(np.searchsorted(times_s, asked, side="right") - 1, 0, last - 1)
@@ -45,10 +51,11 @@ def shift_operators(times_s: Array, wanted_s: Array, offset_s: float) -> tuple[c
     start_tangent, end_tangent = (1.0 - u) * (1.0 - 3.0 * u), u * (3.0 * u - 2.0)
     rates = _rows(-blend, blend, start_tangent * slope_start, end_tangent * slope_end)
     rates *= np.where(inside, -1.0 / width, 0.0)[:, None]
-    shape, starts = (len(asked), last + 1), np.arange(0, 4 * len(asked) + 1, 4)
+    count, each = len(asked) // len(within_s), 4 * len(within_s)
+    shape, starts = (count, last + 1), np.arange(0, each * count + 1, each)
     return (
-        csr_array((weights.ravel(), places.ravel(), starts), shape=shape),
-        csr_array((rates.ravel(), places.ravel(), starts), shape=shape),
+        csr_array((weights.ravel() / len(within_s), places.ravel(), starts), shape=shape),
+        csr_array((rates.ravel() / len(within_s), places.ravel(), starts), shape=shape),
     )
 
 

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from meshes.base.arrays import Array
 from tissue.fitting.forward import Forward
@@ -19,8 +20,8 @@ BIAS_SHARE = 0.5
 """Standard deviation of a sensor's bias, in shares of the size of the log's loads."""
 NOISE_SHARE, NOISE_SPREAD = 0.05, 1.5
 """Median of the noise in shares of the same, and standard deviation of its logarithm: 90 % within a factor of 12."""
-CORRELATION_SPREAD = 1.5
-"""Standard deviation of artanh of the correlation of neighbouring samples: 90 % within +-0.986."""
+CORRELATION_SPREAD, MOST_CORRELATED = 1.5, 0.9995
+"""Standard deviation of artanh of the correlation of neighbours, 90 % within +-0.986, and its greatest size."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ class Target:
         scale = NOISE_SHARE * self._sizes * np.exp(NOISE_SPREAD * noise)
         return Unpacked(
             u[:p], OFFSET_S * float(u[p]), BIAS_SHARE * self._sizes * bias, scale,
-            np.tanh(CORRELATION_SPREAD * correlation),
+            MOST_CORRELATED * np.tanh(CORRELATION_SPREAD * correlation),
         )  # fmt: skip
 
     def x(self, z: Array) -> Array:
@@ -86,31 +87,37 @@ class Target:
     def simulated(self, u: Array) -> Array:
         """Loads at the times of the log with offset and bias, shape (m, channels)."""
         each = self.unpacked(u)
-        values, _ = shift_operators(self.forward.times_s, self.log.times_s, each.offset_s)
+        values, _ = self._shifted(each.offset_s)
         return np.asarray(values @ self.forward.loads(self.x(each.z))[:, self._places]) + each.bias
 
-    def sensitivities(self, u: Array) -> Array:
-        """Derivatives of `simulated` by z, the scaled offset and the scaled biases, shape (m, channels, p + 1 + c)."""
+    def linearised(self, u: Array) -> tuple[Array, Array]:
+        """`simulated`, and its derivatives by z, the scaled offset and the scaled biases, (m, channels, p + 1 + c)."""
         each, c = self.unpacked(u), len(self.log.channels)
-        values, rates = shift_operators(self.forward.times_s, self.log.times_s, each.offset_s)
+        values, rates = self._shifted(each.offset_s)
         x = self.x(each.z)
+        loads = self.forward.loads(x)[:, self._places]
         jacobian = self.forward.jacobian(x)[:, self._places] * self.slopes(each.z)
         by_z = (values @ jacobian.reshape(len(jacobian), -1)).reshape(-1, c, self.constants)
-        by_offset = OFFSET_S * np.asarray(rates @ self.forward.loads(x)[:, self._places])
+        by_offset = OFFSET_S * np.asarray(rates @ loads)
         by_bias = np.broadcast_to(np.diag(BIAS_SHARE * self._sizes), (len(by_z), c, c))
-        return np.concatenate([by_z, by_offset[:, :, None], by_bias], axis=2)
+        simulated = np.asarray(values @ loads) + each.bias
+        return simulated, np.concatenate([by_z, by_offset[:, :, None], by_bias], axis=2)
+
+    def _shifted(self, offset_s: float) -> tuple[csr_array, csr_array]:
+        return shift_operators(self.forward.times_s, self.log.times_s, offset_s, self.log.within_s)
 
     def value_and_gradient(self, u: Array) -> tuple[float, Array]:
         """Log density, up to a constant, and its gradient, shape (size,)."""
         each, p, c = self.unpacked(u), self.constants, len(self.log.channels)
-        residuals = self.log.values - self.simulated(u)
+        simulated, sensitivities = self.linearised(u)
+        residuals = self.log.values - simulated
         terms = noise_terms(residuals, each.scale, each.correlation)
         gradient = -u.copy()
         moved = -np.where(np.isfinite(residuals), terms.by_residuals, 0.0)
-        sensitivities = self.sensitivities(u)
         gradient[: p + 1 + c] += moved.ravel() @ sensitivities.reshape(moved.size, -1)
         gradient[p + 1 + c : p + 1 + 2 * c] += NOISE_SPREAD * terms.by_log_scale
-        gradient[p + 1 + 2 * c :] += CORRELATION_SPREAD * (1.0 - each.correlation**2) * terms.by_correlation
+        flat = MOST_CORRELATED - each.correlation**2 / MOST_CORRELATED
+        gradient[p + 1 + 2 * c :] += CORRELATION_SPREAD * flat * terms.by_correlation
         return terms.log_density - 0.5 * float(u @ u), gradient
 
     def start(self, offset_s: float) -> Array:
@@ -118,12 +125,13 @@ class Target:
         u = np.zeros(self.size)
         u[self.constants] = offset_s / OFFSET_S
         free = self.constants + 1 + len(self.log.channels)
-        for _ in range(3):
-            residuals = self.log.values - self.simulated(u)
+        for _ in range(2):
+            simulated, sensitivities = self.linearised(u)
+            residuals = self.log.values - simulated
             known = np.isfinite(residuals)
             scale = 1.4826 * np.nanmedian(np.abs(residuals), axis=0) + 1e-3 * self._sizes
             weights = np.where(known, 1.0 / np.maximum(scale, np.abs(np.where(known, residuals, 0.0)) / 2.0), 0.0)
-            columns = (self.sensitivities(u) * weights[:, :, None]).reshape(-1, free)
+            columns = (sensitivities * weights[:, :, None]).reshape(-1, free)
             wanted = (weights * np.where(known, residuals, 0.0)).ravel()
             normal = columns.T @ columns / MOST_WEIGHT + np.eye(free)
             step = np.linalg.solve(normal, columns.T @ wanted / MOST_WEIGHT - u[:free])

@@ -1,0 +1,60 @@
+"""``tissue fit``."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from tissue.cli.terminal import console, progress, whole
+
+__all__ = ["fit"]
+
+
+def fit(
+    scene: str,
+    /,
+    *,
+    measured: Path,
+    out: Path | None = None,
+    free: str = "",
+    column: Annotated[tuple[str, ...], Parameter(negative="")] = (),
+    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    cores: Annotated[int | None, Parameter(converter=whole)] = None,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Find the constants of a scene's material from a measured force log.
+
+    Parameters
+    ----------
+    scene
+        Name of a scene or a TOML file: what was cut, and by which tool.
+    measured
+        Log of poses and forces: .csv, .parquet, .h5, .mat or .npz, a run's own trace among them.
+    out
+        Folder to write; default fits/NAME.
+    free
+        Constants to find, between commas: cutting.trabecular, cutting.edge, or full names; default the usual ones.
+    column
+        NAME=COLUMN[:UNIT], where the log has another name or unit, such as force_x_N=-Fx:mN; may be repeated.
+    set_
+        KEY=VALUE, replaces an entry of the scene; may be repeated.
+    cores
+        Processor cores to use; default all.
+    overwrite
+        Replace another fit in the folder.
+    """
+    from tissue.api.fit import fit as fit_api
+    from tissue.fitting.fit_files import FILES
+    from tissue.scene.load import load_scene, parse_override
+    from tissue.system.outputs import prepare_folder
+
+    loaded = load_scene(scene, dict(parse_override(text) for text in set_))
+    folder = out or Path("fits") / loaded.name
+    prepare_folder(folder, FILES, "fit", overwrite=overwrite)
+    chosen = [name.strip() for name in free.split(",") if name.strip()]
+    with progress() as report:
+        found = fit_api(loaded, measured, free=chosen, columns=column, cores=cores, progress=report)
+        found.save(folder, overwrite=overwrite)
+    for sentence in (*found.verdicts, *found.fitted.sentences):
+        console.print(sentence)
+    console.print(f"files in {folder}; next: tissue run {scene} --set materials={folder / 'fitted.toml'}")

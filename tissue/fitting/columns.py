@@ -1,0 +1,203 @@
+"""Which column of a log holds which quantity: the names that are known, units, and the flags that map a log's own."""
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from meshes.base.errors import InputError
+
+__all__ = ["KINDS", "UNITS", "ColumnMap", "Kind", "Quantity", "parse_column", "quantities_of"]
+
+Kind = Literal["cutting", "needle", "organ", "device"]
+KINDS: tuple[Kind, ...] = ("cutting", "needle", "organ", "device")
+
+UNITS: dict[str, dict[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
+    "length": {"m": 1.0, "mm": 1e-3, "um": 1e-6},
+    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "gf": 9.80665e-3, "lbf": 4.4482216152605},
+    "torque": {"Nm": 1.0, "Nmm": 1e-3, "mNm": 1e-3},
+    "angle": {"rad": 1.0, "deg": 0.017453292519943295},
+    "number": {},
+}
+"""Factors to SI by what is measured; gf and lbf are those of BIPM and NIST SP 811, exact."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A quantity that a log may hold, by the name of its column in a trace.
+
+    Attributes
+    ----------
+    name
+        Such as ``tool_x_mm``; its unit ends it.
+    measures
+        Key of `UNITS`.
+    unit
+        The unit in the name; empty for a number.
+    """
+
+    name: str
+    measures: str
+    unit: str
+
+    @property
+    def factor(self) -> float:
+        """SI values of 1 in the unit of the name."""
+        return UNITS[self.measures].get(self.unit, 1.0)
+
+
+def _of(measures: str, *names: str) -> tuple[Quantity, ...]:
+    return tuple(Quantity(name, measures, name.rsplit("_", 1)[1] if UNITS[measures] else "") for name in names)
+
+
+def _vector(measures: str, form: str) -> tuple[Quantity, ...]:
+    return _of(measures, *(form.format(axis) for axis in "xyz"))
+
+
+_TIMES = _of("time", "time_s", "load_time_s")
+_TURN = (*_of("number", "tool_qx", "tool_qy", "tool_qz", "tool_qw"), *_vector("angle", "tool_r{}_rad"))
+_POSE = (*_vector("length", "tool_{}_mm"), *_TURN)
+_FORCE = _vector("force", "force_{}_N")
+_TORQUE = _vector("torque", "torque_{}_Nm")
+_USED: dict[Kind, tuple[Quantity, ...]] = {
+    "cutting": (*_TIMES, *_POSE, *_FORCE, *_TORQUE),
+    "needle": (*_TIMES, *_of("length", "insertion_mm"), *_POSE, *_of("force", "axial_force_N"), *_FORCE, *_TORQUE),
+    "organ": (*_TIMES, *_POSE, *_FORCE, *_TORQUE),
+    "device": (
+        *_TIMES,
+        *_vector("length", "device_{}_mm"),
+        *_vector("force", "device_force_{}_N"),
+        *_vector("force", "hand_force_{}_N"),
+    ),
+}
+
+
+def quantities_of(kind: Kind) -> dict[str, Quantity]:
+    """What a fit of this kind of scene can use, by name.
+
+    Poses are those of the tool's tip in the scene's frame, as a replayed motion has them; ``tool_r*_rad`` is a
+    rotation vector instead of a quaternion. Forces and torques act on the tool, in the scene's frame, torques about
+    the tip. ``insertion_mm`` is how deep a needle's tip lies under the surface along its axis, and ``axial_force_N``
+    what pushes the needle back along it. ``device_force_*_N`` is what was commanded to a device, and
+    ``hand_force_*_N`` what a sensor at its handle measured, on the device. ``load_time_s`` is the clock of forces
+    and torques where it is not that of the poses.
+    """
+    return {each.name: each for each in _USED[kind]}
+
+
+@dataclass(frozen=True)
+class ColumnMap:
+    """A quantity that is taken from a column of another name or unit.
+
+    Attributes
+    ----------
+    quantity
+        What it is.
+    column
+        What follows the name: the column, with its sign before it and its unit behind it.
+    """
+
+    quantity: Quantity
+    column: str
+
+    def find(self, known: Iterable[str]) -> tuple[str, float, str]:
+        """Column among those that are known, factor from its values to SI with the sign, and a remark or nothing.
+
+        Raises
+        ------
+        InputError
+            If the column is not there, or its unit is unknown or one of another quantity.
+        """
+        names = set(known)
+        for sign, text in ((1.0, self.column), (-1.0, self.column.removeprefix("-"))):
+            column, unit = (text, "") if text in names else _split(text)
+            if column in names and (sign > 0.0 or self.column.startswith("-")):
+                factor, remark = self._factor(column, unit)
+                return column, sign * factor, remark
+        asked = _split(self.column)[0].removeprefix("-")
+        listed = ", ".join(sorted(names)[:60]) + (" and others" if len(names) > 60 else "")
+        raise InputError(
+            f"column must map {self.quantity.name} to a column of the log, got {asked}: choose one of {listed}"
+        )
+
+    def _factor(self, column: str, unit: str) -> tuple[float, str]:
+        """Factor to SI, and a remark where the column's header states another unit."""
+        fitting = UNITS[self.quantity.measures]
+        if unit and _plain(unit) not in fitting:
+            allowed = f"be one of {', '.join(fitting)}" if fitting else "be absent"
+            raise InputError(
+                f"column must give {self.quantity.name} a unit of {self.quantity.measures}, got {unit}: it must "
+                f"{allowed}"
+            )
+        taken = _plain(unit) or self.quantity.unit
+        stated = _stated(column, fitting)
+        if stated and stated != taken and not unit:
+            raise InputError(
+                f"column must state the unit where the header of {column} has {stated} and {self.quantity.name} has "
+                f"{taken}, got none: write {self.quantity.name}={self.column}:{stated}"
+            )
+        remark = f"{column} is read in {taken}, as asked; its header has {stated}" if stated not in ("", taken) else ""
+        return fitting.get(taken, 1.0), remark
+
+
+def parse_column(text: str, kind: Kind) -> ColumnMap:
+    """A flag ``NAME=COLUMN``, ``NAME=COLUMN:UNIT`` or ``NAME=-COLUMN:UNIT``, the last with its sign reversed.
+
+    Without a unit the column is in the unit of the name.
+
+    Raises
+    ------
+    InputError
+        If it has another form, or a fit of this kind of scene does not use that name.
+    """
+    name, found, column = text.partition("=")
+    name, column = name.strip(), column.strip()
+    if not found or not name or not column.removeprefix("-"):
+        raise InputError(
+            f"column must be NAME=COLUMN or NAME=COLUMN:UNIT, got {text!r}: write for example force_x_N=Fx"
+        )
+    known = quantities_of(kind)
+    if name in known:
+        return ColumnMap(known[name], column)
+    others = [each for each in KINDS if name in quantities_of(each)]
+    why = f", which only a scene of {' or '.join(others)} uses" if others else ""
+    raise InputError(
+        f"column must name what a scene of {kind} uses, got {name}{why}: choose one of {', '.join(known)} or leave it "
+        "out"
+    )
+
+
+def parse_columns(texts: Sequence[str], kind: Kind) -> dict[str, ColumnMap]:
+    """Flags by the name that they map, see `parse_column`.
+
+    Raises
+    ------
+    InputError
+        As there, or if a name is mapped twice.
+    """
+    maps: dict[str, ColumnMap] = {}
+    for text in texts:
+        each = parse_column(text, kind)
+        if each.quantity.name in maps:
+            raise InputError(f"column must map a name once, got {each.quantity.name} twice: leave one out")
+        maps[each.quantity.name] = each
+    return maps
+
+
+def _split(text: str) -> tuple[str, str]:
+    """Column and unit of ``COLUMN:UNIT``."""
+    column, found, unit = text.rpartition(":")
+    return (column.strip(), unit.strip()) if found and column else (text, "")
+
+
+def _plain(unit: str) -> str:
+    """A unit as `UNITS` spells it: N m, N*m and N·m are Nm."""
+    return re.sub(r"[\s*·.]", "", unit).replace("µ", "u").replace("μ", "u")
+
+
+def _stated(column: str, fitting: dict[str, float]) -> str:
+    """The unit that a header states, of those that fit: of ``Load (N)``, ``Load [N]`` and ``load_N``."""
+    found = re.search(r"[\[(]([^\])]+)[\])]\s*$", column) or re.search(r"_([A-Za-zµ]+)$", column)
+    unit = _plain(found[1]) if found else ""
+    return unit if unit in fitting else ""

@@ -1,0 +1,212 @@
+"""A fit's folder: the constants for scenes, numbers, pictures, and a report that needs no other file."""
+
+import json
+from dataclasses import asdict
+from hashlib import sha256
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from meshes.base.file_version import package_version
+from meshes.base.whole_file import whole_file
+from tissue.figures.fit import FittedConstant, draw_constants, draw_measured, draw_residuals
+from tissue.fitting.fit import ConstantFit, SceneFit
+from tissue.fitting.fitted_file import FittedEntry, write_fitted
+from tissue.fitting.noise import FREEDOM
+from tissue.system.html import html_page, html_picture
+from tissue.system.outputs import prepare_folder, write_columns
+
+__all__ = ["FILES", "write_fit"]
+
+FILES = ("fitted.toml", "report.html", "fit.json", "loads.csv", "measured.png", "residuals.png", "constants.png")
+UNITS = ("N_mm2", "N_mm", "N_m", "N_s_m", "kPa", "N_s_m2", "kg", "N", "s", "mm_s", "GPa")
+LAGS = 40
+"""Samples over which the autocorrelation of residuals is drawn."""
+SHOWN_GAINS = 5
+NATS = 0.1
+"""Gain below which a log is not worth measuring [nats]."""
+
+
+def write_fit(fit: SceneFit, folder: Path, *, overwrite: bool) -> list[Path]:
+    """Write a fit.
+
+    Parameters
+    ----------
+    fit
+        What was found.
+    folder
+        Folder to write, `FILES` in it.
+    overwrite
+        Replace another fit in it.
+
+    Raises
+    ------
+    InputError
+        If the folder is a file, or holds another fit.
+    """
+    prepare_folder(folder, FILES, "fit", overwrite=overwrite)
+    digest = sha256(fit.log.path.read_bytes()).hexdigest()
+    _write_constants(fit, folder / "fitted.toml", digest)
+    posterior = fit.posterior
+    log, residuals = posterior.target.log, posterior.residuals
+    draw_measured(log.times_s, log.values, posterior.simulated, log.channels, folder / "measured.png")
+    correlations = np.stack([_autocorrelation(each) for each in (residuals, posterior.innovations)])
+    draw_residuals(posterior.innovations, correlations, FREEDOM, folder / "residuals.png")
+    draw_constants([_shown(each) for each in fit.constants], folder / "constants.png")
+    columns = {"time_s": log.times_s}
+    for at, name in enumerate(log.channels):
+        columns |= {f"measured_{name}": log.values[:, at], f"simulated_{name}": posterior.simulated[:, at]}
+    write_columns(folder / "loads.csv", columns)
+    with whole_file(folder / "fit.json") as temporary:
+        temporary.write_text(json.dumps(_numbers(fit, digest), indent=1) + "\n", "utf-8")
+    with whole_file(folder / "report.html") as temporary:
+        temporary.write_text(_page(fit, folder), "utf-8")
+    return [folder / name for name in FILES]
+
+
+def unit_of(name: str) -> tuple[str, str]:
+    """Name without its unit, in words, and the unit as it is written."""
+    last = name.rpartition(".")[2]
+    unit = next((each for each in UNITS if last.endswith(f"_{each}")), "")
+    words = name.removesuffix(f"_{unit}").replace("cutting.", "").replace(".", " ").replace("_", " ")
+    marks = {"N_mm2": "N/mm²", "N_mm": "N/mm", "N_m": "N/m", "N_s_m": "N s/m", "N_s_m2": "N s/m²", "mm_s": "mm/s"}
+    return words, marks.get(unit, unit)
+
+
+def _write_constants(fit: SceneFit, path: Path, digest: str) -> None:
+    """The file for scenes: constants of the material with their correlation."""
+    posterior, all_constants = fit.posterior, fit.constants
+    source = f"fitted to {fit.log.path.name} ({digest[:12]}) as scene {fit.scene.name}"
+    entries = []
+    for at in fit.of_material:
+        each = all_constants[at]
+        how = {"determined": "M", "narrowed": "L", "at its prior": "L"}[each.state]
+        text = source if each.state != "at its prior" else f"{source}, which does not narrow the cited range"
+        entries.append(FittedEntry(each.name, each.value, each.low, each.high, text, how))
+    places = np.array(fit.of_material)
+    covariance = posterior.covariance_z[np.ix_(places, places)]
+    spread = np.sqrt(np.diag(covariance))
+    remark = (
+        f'Constants fitted by tissue {package_version()}; a scene takes them by: materials = "{path.name}"',
+        "value: median; range: 5 and 95 % of the posterior; correlation: of the standard normal numbers of each.",
+    )
+    write_fitted(path, entries, covariance / np.outer(spread, spread), remark=remark)
+
+
+def _shown(each: ConstantFit) -> FittedConstant:
+    label, unit = unit_of(each.name)
+    fitted = (each.low, each.value, each.high)
+    low, middle, high = (float(each.prior.z(value)) for value in fitted)
+    cited = (each.prior.low, each.prior.value, each.prior.high)
+    return FittedConstant(label, unit, cited, fitted, (low, middle, high), each.state != "at its prior")
+
+
+def _autocorrelation(values: Array) -> Array:
+    """Mean over channels of the autocorrelation over lags, shape (LAGS + 1,)."""
+    found = []
+    for channel in values.T:
+        known = np.where(np.isfinite(channel), np.clip(channel, *_fences(channel)), 0.0)
+        whole = np.correlate(known, known, "full")[len(known) - 1 :]
+        found.append(whole[: LAGS + 1] / max(float(whole[0]), 1e-300))
+    return np.asarray(np.mean(found, axis=0))
+
+
+def _fences(channel: Array) -> tuple[float, float]:
+    """Values beyond which samples are outliers: six robust standard deviations."""
+    middle = float(np.nanmedian(channel))
+    spread = 6.0 * 1.4826 * float(np.nanmedian(np.abs(channel - middle)))
+    return middle - spread, middle + spread
+
+
+def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
+    """All that was found, for programs."""
+    each = fit.posterior.nuisances
+    low, high = fit.posterior.offset_interval_s
+    return {
+        "format": 1,
+        "tissue": package_version(),
+        "scene": fit.scene.name,
+        "measured": {"file": fit.log.path.name, "sha256": digest, "block_s": fit.block_s},
+        "converged": fit.posterior.converged,
+        "constants": [
+            {
+                "name": one.name, "p05": one.low, "p50": one.value, "p95": one.high, "contraction": one.contraction,
+                "state": one.state, "prior": [one.prior.low, one.prior.value, one.prior.high],
+            }
+            for one in fit.constants
+        ],
+        "combinations": [
+            {"powers": one.powers, "p05": one.low, "p50": one.value, "p95": one.high, "contraction": one.contraction}
+            for one in fit.identified.combinations
+        ],
+        "next": [asdict(one) for one in fit.gains],
+        "offset_s": [low, each.offset_s, high],
+        "channels": list(fit.posterior.target.log.channels),
+        "bias": each.bias.tolist(),
+        "noise_scale": each.scale.tolist(),
+        "noise_correlation": each.correlation.tolist(),
+        "notes": list(fit.sentences),
+    }  # fmt: skip
+
+
+def verdicts(fit: SceneFit) -> list[str]:
+    """What the log determines, in sentences: determined constants, combinations, what stays at its prior, what next."""
+    found = []
+    names = {each.name: " ".join(filter(None, unit_of(each.name))) for each in fit.constants}
+    for each in fit.constants:
+        if each.state == "determined":
+            label, unit = unit_of(each.name)
+            found.append(f"{label}: {each.value:.3g} ({each.low:.3g} to {each.high:.3g}) {unit}".rstrip())
+    for combined in fit.identified.combinations:
+        product = " x ".join(
+            unit_of(name)[0] if power == 1.0 else f"({unit_of(name)[0]})^{power:.2g}"
+            for name, power in combined.powers.items()
+        )
+        found.append(
+            f"known only together: {product} is {combined.value:.3g} ({combined.low:.3g} to {combined.high:.3g}) times "
+            "that of the cited values"
+        )
+    if at_prior := [unit_of(name)[0] for name in fit.identified.at_prior if name in names]:
+        found.append(f"not narrowed by this log, left at the cited range: {', '.join(at_prior)}")
+    if fit.gains and fit.gains[0].nats > NATS:
+        best = fit.gains[0]
+        found.append(
+            f"to measure next: {best.label}, which adds {best.nats:.2g} nats and brings the interval of "
+            f"{unit_of(best.widest)[0]} to {100.0 * best.shrinks_to:.0f} % of that now"
+        )
+    return found
+
+
+def _page(fit: SceneFit, folder: Path) -> str:
+    """The report."""
+
+    def picture(title: str, name: str) -> str:
+        return f"<h2>{title}</h2>{html_picture(title, (folder / name).read_bytes())}"
+
+    def listed(lines: list[str]) -> str:
+        return "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
+
+    rows = "".join(
+        f"<tr><td>{escape(one.label)}</td><td>{one.nats:.2g}</td><td>{100.0 * one.shrinks_to:.0f} %</td></tr>"
+        for one in fit.gains[:SHOWN_GAINS]
+    )
+    widest = escape(unit_of(fit.gains[0].widest)[0]) if fit.gains else ""
+    better = (
+        f"<h2>What to measure next</h2><table><tr><th>log of a second</th><th>expected information / nats</th>"
+        f"<th>interval of {widest}, of that now</th></tr>{rows}</table>"
+        if rows
+        else ""
+    )
+    body = (
+        f"<p>Scene {escape(fit.scene.name)}, log {escape(fit.log.path.name)}, tissue {package_version()}. A scene "
+        'takes the result by <code>materials = "fitted.toml"</code>.</p>'
+        f"<h2>What the log determines</h2>{listed(verdicts(fit))}"
+        + picture("Constants before and after, 90 % intervals", "constants.png")
+        + picture("Measured and simulated", "measured.png")
+        + picture("What is left", "residuals.png")
+        + better
+        + f"<h2>Notes</h2>{listed(list(fit.sentences))}"
+    )
+    return html_page(f"Fit of {escape(fit.scene.name)}", body)

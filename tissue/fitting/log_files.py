@@ -1,0 +1,149 @@
+"""Files of measured logs as columns: CSV, Parquet, HDF5, MATLAB and NumPy, and recordings of volumetric_drilling."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError, is_file
+from tissue.fitting.log_text import read_text
+
+__all__ = ["LogColumns", "read_columns"]
+
+DRILLING = "physics_data"
+"""First group of a recording of volumetric_drilling (LCSR-SICKKIDS/volumetric_drilling, its note on data)."""
+POSES = "continuous_data/high_frequency_poses/drill_pose"
+WRENCH = "intermittent_data/drill_force_feedback"
+POSE_NAMES = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "tool_qz", "tool_qw")
+LOAD_NAMES = ("force_x_N", "force_y_N", "force_z_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm")
+
+
+@dataclass(frozen=True)
+class LogColumns:
+    """Columns of a log.
+
+    Attributes
+    ----------
+    names
+        Of all columns, those that hold no numbers included.
+    numbers
+        Gives a column's numbers, shape (n,), by its name; raises InputError where it holds none.
+    notes
+        What was found around them, in words.
+    own_clock
+        Columns that hold as many numbers as ``load_time_s`` in place of ``time_s``.
+    """
+
+    names: tuple[str, ...]
+    numbers: Callable[[str], Array]
+    notes: tuple[str, ...] = ()
+    own_clock: frozenset[str] = field(default_factory=frozenset)
+
+
+def read_columns(path: Path) -> LogColumns:
+    """Read a log.
+
+    Raises
+    ------
+    InputError
+        If the file is not there, of another kind, or damaged, or what reads it is not installed.
+    """
+    if not is_file(path):
+        raise InputError(f"measured must be an existing file, got {path}: give a log such as a run's trace.csv")
+    kind = path.suffix.lower()
+    if kind not in READERS:
+        known = ", ".join(READERS)
+        raise InputError(f"measured must end in one of {known}, got {path.name}: export it as CSV")
+    try:
+        return READERS[kind](path)
+    except (InputError, MemoryError):
+        raise
+    except Exception as problem:  # each reader raises kinds of its own for a damaged file
+        raise InputError(f"measured must be a whole {kind} file, got {path} ({problem}): export it again") from None
+
+
+def _text(path: Path) -> LogColumns:
+    table = read_text(path)
+    return LogColumns(table.names, lambda name: np.array(table.numbers(name)), table.notes)
+
+
+def _held(columns: Mapping[str, Any]) -> LogColumns:
+    """Columns of arrays; a matrix gives no columns."""
+    flat = {name: np.squeeze(np.asarray(values)) for name, values in columns.items()}
+
+    def numbers(name: str) -> Array:
+        values = flat[name]
+        if values.ndim != 1 or values.dtype.kind not in "fiu":
+            raise InputError(
+                f"measured must hold a column of numbers as {name}, got another kind: export it as numbers"
+            )
+        return values.astype(np.float64)
+
+    return LogColumns(tuple(flat), numbers)
+
+
+def _parquet(path: Path) -> LogColumns:
+    table = _module("pyarrow.parquet", "parquet").read_table(path)
+    return _held({name: table[name].to_numpy(zero_copy_only=False) for name in table.column_names})
+
+
+def _npz(path: Path) -> LogColumns:
+    with np.load(path, allow_pickle=False) as file:
+        return _held({name: file[name] for name in file.files})
+
+
+def _mat(path: Path) -> LogColumns:
+    from scipy.io import loadmat
+
+    if path.read_bytes()[:10] == b"MATLAB 7.3":
+        return _h5(path)
+    found = {name: value for name, value in loadmat(path, squeeze_me=True).items() if not name.startswith("__")}
+    columns: dict[str, Any] = {}
+    for name, value in found.items():
+        if getattr(value, "dtype", None) is not None and value.dtype.names:
+            columns |= {inner: value[inner].item() for inner in value.dtype.names}
+        else:
+            columns[name] = value
+    return _held(columns)
+
+
+def _h5(path: Path) -> LogColumns:
+    h5py = _module("h5py", "h5")
+    with h5py.File(path, "r") as file:
+        if DRILLING in file:
+            return _drilling(file[DRILLING])
+        found: dict[str, Any] = {}
+        file.visititems(lambda name, each: found.update({name: each[()]}) if isinstance(each, h5py.Dataset) else None)
+        return _held(found)
+
+
+def _drilling(group: Any) -> LogColumns:
+    """Poses [m] and wrenches of a recording of volumetric_drilling, each on its own clock."""
+    pose, wrench = (np.asarray(group[name]) for name in (f"{POSES}/pose", f"{WRENCH}/wrench"))
+    columns = {"time_s": group[f"{POSES}/time_stamp"][()], "load_time_s": group[f"{WRENCH}/time_stamp"][()]}
+    scale = np.array([1e3, 1e3, 1e3, 1.0, 1.0, 1.0, 1.0])
+    columns |= dict(zip(POSE_NAMES, (pose * scale).T, strict=True))
+    columns |= dict(zip(LOAD_NAMES, wrench.T, strict=True))
+    found = _held(columns)
+    note = "a recording of volumetric_drilling: poses in its world, torques as it has them"
+    return LogColumns(found.names, found.numbers, (note,), frozenset(LOAD_NAMES))
+
+
+def _module(name: str, extra: str) -> Any:
+    from importlib import import_module
+
+    try:
+        return import_module(name)
+    except ImportError:
+        raise InputError(
+            f"measured must have what reads it installed, got no {name}: pip install 'tissue-sim[{extra}]'"
+        ) from None
+
+
+READERS: dict[str, Callable[[Path], LogColumns]] = {
+    ".csv": _text, ".txt": _text, ".tsv": _text, ".parquet": _parquet, ".npz": _npz, ".mat": _mat,
+    ".h5": _h5, ".hdf5": _h5,
+}  # fmt: skip

@@ -1,0 +1,158 @@
+"""A measured log as text: delimiter, preamble, header line and units line are found; the cells stay text."""
+
+import csv
+import re
+from collections import Counter
+from dataclasses import dataclass
+from io import StringIO
+from pathlib import Path
+
+from meshes.base.errors import InputError, counted
+
+__all__ = ["TextTable", "read_text"]
+
+_DELIMITERS = (",", ";", "\t", " ")
+_LOOKED_AT = 50
+"""Last lines that show what a line of data is."""
+_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
+_AGAIN = "mend that line or export the log again"
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """Columns of a text file.
+
+    Attributes
+    ----------
+    names
+        Of the header line; numbers from 1 where there is none.
+    rows
+        Cells, one list a line.
+    first_line
+        Number of the line of the first row, from 1.
+    notes
+        What was found around the table.
+    """
+
+    names: tuple[str, ...]
+    rows: list[list[str]]
+    first_line: int
+    notes: tuple[str, ...]
+
+    def numbers(self, name: str) -> list[float]:
+        """A column as numbers, NaN where a cell is empty.
+
+        Raises
+        ------
+        InputError
+            If a cell holds no number, naming its line, or two columns have that name.
+        """
+        if self.names.count(name) != 1:
+            raise InputError(f"column must name one column of the log, got {name}, which is there twice: rename one")
+        place, numbers = self.names.index(name), []
+        for line, row in enumerate(self.rows, self.first_line):
+            cell = row[place].strip()
+            try:
+                numbers.append(float(cell.replace(",", ".")) if cell else float("nan"))
+            except ValueError:
+                raise InputError(
+                    f"log must hold numbers, got {cell[:40]!r} for {name} in line {line}: {_AGAIN}"
+                ) from None
+        return numbers
+
+
+def read_text(path: Path) -> TextTable:
+    """Read a table of text, whatever stands before it.
+
+    Raises
+    ------
+    InputError
+        If it holds no table of numbers, or a line in it has more or fewer cells than the others.
+    """
+    lines = _decoded(path).splitlines()
+    while lines and not lines[-1].strip():
+        lines.pop()
+    delimiter, width = _form(lines[-_LOOKED_AT:], path)
+    cells = [_cells(line, delimiter) for line in lines]
+    start = next(i for i, row in enumerate(cells) if len(row) == width and _is_data(row))
+    names, above, has_units = _header(cells[:start], width)
+    notes = [f"{counted(above, 'line')} before the header line {above + 1}"] if above and names else []
+    notes += [f"the units of line {start}"] if has_units else []
+    rows = cells[start:]
+    if len(rows[-1]) < width:
+        rows.pop()
+        notes.append("the last line, which is cut short, is left out")
+    for line, row in enumerate(rows, start + 1):
+        if len(row) != width:
+            raise InputError(
+                f"log must hold {width} values a line, got {len(row)} in line {line} of {path.name}: {_AGAIN}"
+            )
+    return TextTable(names or tuple(map(str, range(1, width + 1))), rows, start + 1, tuple(notes))
+
+
+def _decoded(path: Path) -> str:
+    """Text of a file; what is no UTF-8 is read as UTF-16 where it begins so, otherwise as Windows-1252."""
+    content = path.read_bytes()
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return content.decode("utf-16", "replace")
+    if b"\0" in content[:4096]:
+        raise InputError(f"log must be a table of text, got other data in {path.name}: export it as CSV")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("cp1252", "replace")
+
+
+def _form(lines: list[str], path: Path) -> tuple[str, int]:
+    """Delimiter and number of cells of the lines that hold data: those that make the most numbers of them."""
+    best, form = 0, (",", 0)
+    for delimiter in _DELIMITERS:
+        rows = [_cells(line, delimiter) for line in lines]
+        widths = Counter(len(row) for row in rows if len(row) > 1 and _is_data(row))
+        if not widths:
+            continue
+        width = widths.most_common(1)[0][0]
+        score = sum(2 * _count(row) - len(row) for row in rows if len(row) == width)
+        if score > best:
+            best, form = score, (delimiter, width)
+    if not form[1]:
+        raise InputError(
+            f"log must hold a table with at least two columns of numbers, got none in {path.name}: export it as CSV"
+        )
+    return form
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    """Cells of a line; an empty one after the last delimiter is none."""
+    if delimiter == " ":
+        return line.split()
+    row = next(csv.reader(StringIO(line), delimiter=delimiter), [])
+    return row[:-1] if len(row) > 1 and not row[-1].strip() and _count(row) == len(row) - 1 else row
+
+
+def _count(row: list[str]) -> int:
+    return sum(_NUMBER.fullmatch(cell.strip()) is not None for cell in row)
+
+
+def _is_data(row: list[str]) -> bool:
+    """Whether at least half of the cells that hold anything are numbers."""
+    filled = sum(bool(cell.strip()) for cell in row)
+    return filled > 0 and 2 * _count(row) >= filled
+
+
+def _header(above: list[list[str]], width: int) -> tuple[tuple[str, ...], int, bool]:
+    """Names, the number of lines before them, and whether a line of units stands between them and the data."""
+    at = len(above) - 1
+    while at >= 0 and not any(cell.strip() for cell in above[at]):
+        at -= 1
+    if at < 0 or len(above[at]) != width:
+        return (), 0, False
+    names = [cell.strip().removeprefix("#").strip() for cell in above[at]]
+    units = [re.fullmatch(r"[\[(]?([A-Za-zµ°%/*· -]{0,6})[\])]?", name) for name in names]
+    if at > 0 and len(above[at - 1]) == width and all(units):
+        first = [cell.strip().removeprefix("#").strip() for cell in above[at - 1]]
+        if not _count(first):
+            stated = [unit[1].strip() if unit else "" for unit in units]
+            joined = [f"{name} ({unit})" if unit else name for name, unit in zip(first, stated, strict=True)]
+            return tuple(joined), at - 1, True
+    return tuple(names), at, False
