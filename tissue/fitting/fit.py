@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, names_of_caller
 from meshes.base.progress import Progress, silent
 from tissue.fitting.averaged import block_averages, block_ticks
 from tissue.fitting.cutting import cutting_forward
@@ -157,9 +157,10 @@ def fit_scene(
     if not isinstance(scene.tool, Tool):
         raise InputError(f"scene must have a tool that cuts, got a {scene.tool.kind}: fit a scene of bone or tooth")
     report("recording the geometry of the log", 0.0)
-    forward = cutting_forward(
-        scene, log.times_s, log.tips_m, log.quaternions_of(scene), free=free, cores=cores, progress=report
-    )
+    with names_of_caller({"motion must bring": "measured must bring"}):
+        forward = cutting_forward(
+            scene, log.times_s, log.tips_m, log.quaternions_of(scene), free=free, cores=cores, progress=report
+        )
     ticks = block_ticks(float(log.load_times_s[-1] - log.load_times_s[0]))
     measured = block_averages(log.load_times_s, log.loads, log.channels, ticks)
     report("fitting", 0.8)
