@@ -180,7 +180,7 @@ def require_information(found: Identified, posterior: Posterior) -> None:
     Raises
     ------
     InputError
-        Says how large the forces and the noise are.
+        With how large the forces and the noise are.
     """
     if found.is_empty:
         target, noise = posterior.target, posterior.nuisances

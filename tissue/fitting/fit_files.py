@@ -26,7 +26,7 @@ LAGS = 40
 """Samples over which the autocorrelation of residuals is drawn."""
 SHOWN_GAINS = 5
 NATS = 0.1
-"""Gain below which a log is not worth measuring [nats]."""
+"""Gain below which another log is not recommended [nats]."""
 
 
 def write_fit(fit: SceneFit, folder: Path, *, overwrite: bool) -> list[Path]:
