@@ -61,7 +61,7 @@ def test_a_recording_of_volumetric_drilling_has_two_clocks(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("columns", "change", "says"),
+    ("columns", "change", "expected"),
     [
         (["force_x_N=gone"], {}, "got gone: choose one of"),
         (["force_x_N=force_x_N:mm"], {}, "unit of force, got mm"),
@@ -72,13 +72,13 @@ def test_a_recording_of_volumetric_drilling_has_two_clocks(tmp_path):
         ([], {"time_s": 0.3}, "times that increase"),
     ],
 )
-def test_what_cannot_be_is_refused_in_a_sentence(table, tmp_path, columns, change, says):
+def test_what_cannot_be_is_refused_in_a_sentence(table, tmp_path, columns, change, expected):
     for name, value in change.items():
         table.rows[50, NAMES.index(name)] = value
     write_table(table, tmp_path / "log.csv")
     with pytest.raises(InputError) as refused:
         read_log(tmp_path / "log.csv", "cutting", columns)
-    assert says in str(refused.value) and "\n" not in str(refused.value)
+    assert expected in str(refused.value) and "\n" not in str(refused.value)
 
 
 def test_a_missing_column_is_named_with_those_that_are_there(tmp_path):
