@@ -97,5 +97,5 @@ def fit(
     maps = [f"{name}={column}" for name, column in columns.items()] if isinstance(columns, Mapping) else list(columns)
     with reporting(progress) as report:
         report("reading the log", 0.0)
-        log = read_log(Path(measured), "cutting", maps)
+        log = read_log(Path(measured), maps)
         return Fit(fit_scene(scene, log, free=free, cores=cores, progress=report))

@@ -3,14 +3,10 @@
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 from meshes.base.errors import InputError
 
-__all__ = ["KINDS", "UNITS", "ColumnMap", "Kind", "Quantity", "parse_column", "quantities_of"]
-
-Kind = Literal["cutting", "needle", "organ", "device"]
-KINDS: tuple[Kind, ...] = ("cutting", "needle", "organ", "device")
+__all__ = ["QUANTITIES", "UNITS", "ColumnMap", "Quantity", "parse_column", "parse_columns"]
 
 UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
@@ -60,30 +56,13 @@ _TURN = (*_of("number", "tool_qx", "tool_qy", "tool_qz", "tool_qw"), *_vector("a
 _POSE = (*_vector("length", "tool_{}_mm"), *_TURN)
 _FORCE = _vector("force", "force_{}_N")
 _TORQUE = _vector("torque", "torque_{}_Nm")
-_USED: dict[Kind, tuple[Quantity, ...]] = {
-    "cutting": (*_TIMES, *_POSE, *_FORCE, *_TORQUE),
-    "needle": (*_TIMES, *_of("length", "insertion_mm"), *_POSE, *_of("force", "axial_force_N"), *_FORCE, *_TORQUE),
-    "organ": (*_TIMES, *_POSE, *_FORCE, *_TORQUE),
-    "device": (
-        *_TIMES,
-        *_vector("length", "device_{}_mm"),
-        *_vector("force", "device_force_{}_N"),
-        *_vector("force", "hand_force_{}_N"),
-    ),
-}
+QUANTITIES = {each.name: each for each in (*_TIMES, *_POSE, *_FORCE, *_TORQUE)}
+"""What a fit of a cut can use, by name.
 
-
-def quantities_of(kind: Kind) -> dict[str, Quantity]:
-    """What a fit of this kind of scene can use, by name.
-
-    Poses are those of the tool's tip in the scene's frame, as a replayed motion has them; ``tool_r*_rad`` is a
-    rotation vector instead of a quaternion. Forces and torques act on the tool, in the scene's frame, torques about
-    the tip. ``insertion_mm`` is how deep a needle's tip lies under the surface along its axis, and ``axial_force_N``
-    what pushes the needle back along it. ``device_force_*_N`` is what was commanded to a device, and
-    ``hand_force_*_N`` what a sensor at its handle measured, on the device. ``load_time_s`` is the clock of forces
-    and torques where it is not that of the poses.
-    """
-    return {each.name: each for each in _USED[kind]}
+Poses are those of the tool's tip in the scene's frame, as a replayed motion has them; ``tool_r*_rad`` is a rotation
+vector instead of a quaternion. Forces and torques act on the tool, in the scene's frame, torques about the tip.
+``load_time_s`` is the clock of forces and torques where it is not that of the poses.
+"""
 
 
 @dataclass(frozen=True)
@@ -141,7 +120,7 @@ class ColumnMap:
         return fitting.get(taken, 1.0), remark
 
 
-def parse_column(text: str, kind: Kind) -> ColumnMap:
+def parse_column(text: str) -> ColumnMap:
     """A flag ``NAME=COLUMN``, ``NAME=COLUMN:UNIT`` or ``NAME=-COLUMN:UNIT``, the last with its sign reversed.
 
     Without a unit the column is in the unit of the name.
@@ -149,7 +128,7 @@ def parse_column(text: str, kind: Kind) -> ColumnMap:
     Raises
     ------
     InputError
-        If it has another form, or a fit of this kind of scene does not use that name.
+        If it has another form, or a fit does not use that name.
     """
     name, found, column = text.partition("=")
     name, column = name.strip(), column.strip()
@@ -157,18 +136,14 @@ def parse_column(text: str, kind: Kind) -> ColumnMap:
         raise InputError(
             f"column must be NAME=COLUMN or NAME=COLUMN:UNIT, got {text!r}: write for example force_x_N=Fx"
         )
-    known = quantities_of(kind)
-    if name in known:
-        return ColumnMap(known[name], column)
-    others = [each for each in KINDS if name in quantities_of(each)]
-    why = f", which only a scene of {' or '.join(others)} uses" if others else ""
-    raise InputError(
-        f"column must name what a scene of {kind} uses, got {name}{why}: choose one of {', '.join(known)} or leave it "
-        "out"
-    )
+    if name not in QUANTITIES:
+        raise InputError(
+            f"column must name what a fit uses, got {name}: choose one of {', '.join(QUANTITIES)} or leave it out"
+        )
+    return ColumnMap(QUANTITIES[name], column)
 
 
-def parse_columns(texts: Sequence[str], kind: Kind) -> dict[str, ColumnMap]:
+def parse_columns(texts: Sequence[str]) -> dict[str, ColumnMap]:
     """Flags by the name that they map, see `parse_column`.
 
     Raises
@@ -178,7 +153,7 @@ def parse_columns(texts: Sequence[str], kind: Kind) -> dict[str, ColumnMap]:
     """
     maps: dict[str, ColumnMap] = {}
     for text in texts:
-        each = parse_column(text, kind)
+        each = parse_column(text)
         if each.quantity.name in maps:
             raise InputError(f"column must map a name once, got {each.quantity.name} twice: leave one out")
         maps[each.quantity.name] = each

@@ -10,9 +10,8 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress
 from tissue.fitting.cutting_parameters import FACTOR, FreeConstant, LayerConstants, free_constants
 from tissue.fitting.parameter import Parameter
-from tissue.materials.constants import CuttingCoefficients, constants
+from tissue.materials.constants import CuttingCoefficients
 from tissue.materials.cutting import CUT_AS
-from tissue.materials.scene_constants import Materials
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.replay import ReplayPoses
 from tissue.scene.scene import Scene
@@ -116,11 +115,11 @@ def cutting_forward(
         )
     names, material = record.layer_names, scene.cutting.material
     changes = scene.cutting.model_dump(exclude={"material"}, exclude_none=True)
-    layers = [
-        LayerConstants(at, names[at], cut_as, constants("cutting", cut_as), len(each.nodes.densities_kg_m3) > 1)
-        for at, each in record.layers.items()
-        for cut_as in [CUT_AS.get(names[at], material)]
-    ]
+    layers = []
+    for at, each in record.layers.items():
+        known = scene.constants.layer_constants(names[at], bone=material)
+        varies = len(each.nodes.densities_kg_m3) > 1
+        layers.append(LayerConstants(at, names[at], CUT_AS.get(names[at], material), known, varies))
     notes = [f"{subject}: {each}" for subject, each in record.notes.items()]
     if (inside := float(record.trace["removed_mm3"][0])) > 0.0:
         notes.append(
@@ -129,7 +128,7 @@ def cutting_forward(
         )
     return CuttingForward(
         record,
-        Materials.cited.coefficients(names, changes, bone=material),
+        scene.constants.coefficients(names, changes, bone=material),
         free_constants(layers, tuple(free), set(changes)),
         float(times_s[0]) + record.times_s,
         tuple(notes),

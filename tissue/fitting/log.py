@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, counted
 from tissue.builders.registry import motion_of
-from tissue.fitting.columns import ColumnMap, Kind, parse_columns, quantities_of
+from tissue.fitting.columns import QUANTITIES, ColumnMap, parse_columns
 from tissue.fitting.log_files import LogColumns, read_columns
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
@@ -66,7 +66,7 @@ class MeasuredLog:
         return np.tile(Rotation.from_matrix(first).as_quat(), (len(self.times_s), 1))
 
 
-def read_log(path: Path, kind: Kind, columns: Sequence[str] = ()) -> MeasuredLog:
+def read_log(path: Path, columns: Sequence[str] = ()) -> MeasuredLog:
     """Read a log of a tool's poses and loads.
 
     Parameters
@@ -74,8 +74,6 @@ def read_log(path: Path, kind: Kind, columns: Sequence[str] = ()) -> MeasuredLog
     path
         CSV, Parquet, HDF5, .mat or .npz: a run's own trace needs no columns to be named. Where a trace holds both,
         ``model_force`` (what the tissue does) is taken, not what was commanded to a device.
-    kind
-        Of scene.
     columns
         ``NAME=COLUMN[:UNIT]`` for what has another name, see `tissue.fitting.columns.parse_column`.
 
@@ -84,13 +82,12 @@ def read_log(path: Path, kind: Kind, columns: Sequence[str] = ()) -> MeasuredLog
     InputError
         If a column is missing or holds what cannot be, times do not increase, or the log is too short.
     """
-    maps, found = parse_columns(columns, kind), read_columns(path)
+    maps, found = parse_columns(columns), read_columns(path)
     notes = list(found.notes)
-    known = quantities_of(kind)
     if "model_force_x_N" in found.names:
-        for name in known:
+        for name in QUANTITIES:
             if name.startswith(("force_", "torque_")) and name not in maps and f"model_{name}" in found.names:
-                maps[name] = ColumnMap(known[name], f"model_{name}")
+                maps[name] = ColumnMap(QUANTITIES[name], f"model_{name}")
         notes.append("forces are those of the model (model_force), before low-pass and device")
 
     def column(name: str) -> Array | None:
@@ -98,9 +95,9 @@ def read_log(path: Path, kind: Kind, columns: Sequence[str] = ()) -> MeasuredLog
             place, factor, remark = maps[name].find(found.names)
             notes.extend([remark] if remark else [])
             return factor * found.numbers(place)
-        return known[name].factor * found.numbers(name) if name in found.names else None
+        return QUANTITIES[name].factor * found.numbers(name) if name in found.names else None
 
-    taken = {name: values for name in known if (values := column(name)) is not None}
+    taken = {name: values for name in QUANTITIES if (values := column(name)) is not None}
     used = {each.find(found.names)[0] for each in maps.values()} | set(taken)
     if left := [name for name in found.names if name not in used]:
         notes.append(f"not used: {', '.join(left[:12])}{' and others' if len(left) > 12 else ''}")
@@ -109,7 +106,9 @@ def read_log(path: Path, kind: Kind, columns: Sequence[str] = ()) -> MeasuredLog
 
 def _checked(path: Path, taken: dict[str, Array], found: LogColumns, notes: list[str]) -> MeasuredLog:
     """A log of the columns that were read."""
-    wanted = ["time_s", *(f"tool_{c}_mm" for c in "xyz"), *(f"force_{c}_N" for c in "xyz")]
+    wanted = ["time_s", *(f"tool_{c}_mm" for c in "xyz")]
+    forces = [f"force_{c}_N" for c in "xyz"]
+    wanted += forces if not taken.keys() & set(forces) else []  # one axis of a sensor is enough
     if missing := [name for name in wanted if name not in taken]:
         have = ", ".join(found.names[:40])
         raise InputError(
@@ -132,7 +131,7 @@ def _checked(path: Path, taken: dict[str, Array], found: LogColumns, notes: list
         raise InputError(f"measured must hold finite positions, got one that is not in {path.name}: leave its row out")
     for name, values in zip(channels, loads.T, strict=True):
         most = GREATEST[name.rpartition("_")[2]]
-        if (greatest := float(np.nanmax(np.abs(values), initial=0.0))) > most:
+        if (greatest := float(np.nanmax(np.abs(values), initial=0.0))) >= most:
             raise InputError(
                 f"measured must hold loads below {most:g} in {name}, got {greatest:.3g} in {path.name}: give its unit, "
                 f"--column {name}=COLUMN:mN for example"

@@ -1,7 +1,7 @@
 """Files of measured logs as columns: CSV, Parquet, HDF5, MATLAB and NumPy, and recordings of volumetric_drilling."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -33,14 +33,11 @@ class LogColumns:
         Gives a column's numbers, shape (n,), by its name; raises InputError where it holds none.
     notes
         What was found around them, in words.
-    own_clock
-        Columns that hold as many numbers as ``load_time_s`` in place of ``time_s``.
     """
 
     names: tuple[str, ...]
     numbers: Callable[[str], Array]
     notes: tuple[str, ...] = ()
-    own_clock: frozenset[str] = field(default_factory=frozenset)
 
 
 def read_columns(path: Path) -> LogColumns:
@@ -129,7 +126,7 @@ def _drilling(group: Any) -> LogColumns:
     columns |= dict(zip(LOAD_NAMES, wrench.T, strict=True))
     found = _held(columns)
     note = "a recording of volumetric_drilling: poses in its world, torques as it has them"
-    return LogColumns(found.names, found.numbers, (note,), frozenset(LOAD_NAMES))
+    return LogColumns(found.names, found.numbers, (note,))
 
 
 def _module(name: str, extra: str) -> Any:
