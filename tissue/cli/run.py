@@ -214,7 +214,7 @@ def _print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s:
     band = summary.get("band")
     for name, key, unit in (("force", "force_N", "N"), ("torque", "torque_Nm", "N·m")):
         table.add_row(f"{name}, peak / mean in contact", _pair(summary[key], unit))
-        if band is not None:
+        if band is not None and band[key]["peak"]["p95"] > 0.0:
             table.add_row(f"{name}, 90 % of {band['samples']} samples", _ends(band[key], unit))
     tick = summary["tick_us"]
     table.add_row("tick, median / 99 % / max", f"{tick['median']:.0f} / {tick['p99']:.0f} / {tick['max']:.0f} µs")
@@ -267,6 +267,7 @@ def _band_text(band: "Summary") -> str:
     totals = {name: index["total"] for name, index in band["sobol"].get("force_N.peak", {}).items()}
     first = sorted(totals, key=lambda name: -totals[name])[:3]
     shares = ", ".join(f"{name} {100.0 * totals[name]:.0f} %" for name in first)
-    matters = f"; of the variance of the peak force: {shares}" if shares else ""
+    none = "; no Sobol indices of the peak force, for a polynomial explains too little of these runs: use more samples"
+    matters = f"; of the variance of the peak force: {shares}" if shares else none
     refused = f", {band['refused']} could not be run ({'; '.join(band['problems'])})" if band["refused"] else ""
     return f"{band['samples']} samples{asked}{refused}; {band['how']}{matters}"

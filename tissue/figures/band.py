@@ -88,7 +88,7 @@ def _legend(axes: "Axes") -> None:
     from matplotlib.patches import Patch
 
     handles = [
-        Line2D([], [], color="0.25", label="run itself: cited values"),
+        Line2D([], [], color="0.25", label="run itself"),
         Line2D([], [], color="0.25", linewidth=0.9, linestyle=(0, (3, 2)), label="median"),
         Patch(color="0.25", alpha=OUTER + INNER, linewidth=0.0, label="50 %"),
         Patch(color="0.25", alpha=OUTER, linewidth=0.0, label="90 %"),
