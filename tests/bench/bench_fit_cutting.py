@@ -79,8 +79,8 @@ def one(task: tuple[str, int]) -> tuple[list[tuple[str, bool]], bool, float]:
         low, _, high = posterior.interval(posterior.names.index(name))
         held.append((f"constant {name}", low <= true[name] <= high))
     for each in result.combinations:
-        product = np.prod([(true[name] / median[name]) ** power for name, power in each.powers.items()])
-        held.append(("combination", bool(each.low <= product <= each.high)))
+        planted = each.of({name: true[name] / median[name] for name in each.names})
+        held.append(("combination", bool(each.low <= planted <= each.high)))
     return held, posterior.converged, took
 
 

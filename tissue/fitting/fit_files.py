@@ -138,7 +138,10 @@ def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
             for one in fit.constants
         ],
         "combinations": [
-            {"powers": one.powers, "p05": one.low, "p50": one.value, "p95": one.high, "contraction": one.contraction}
+            {
+                "weights": one.weights, "powers": one.powers, "p05": one.low, "p50": one.value, "p95": one.high,
+                "contraction": one.contraction,
+            }
             for one in fit.identified.combinations
         ],
         "next": [asdict(one) for one in fit.gains],
@@ -160,13 +163,12 @@ def verdicts(fit: SceneFit) -> list[str]:
             label, unit = unit_of(each.name)
             found.append(f"{label}: {each.value:.3g} ({each.low:.3g} to {each.high:.3g}) {unit}".rstrip())
     for combined in fit.identified.combinations:
-        product = " x ".join(
-            unit_of(name)[0] if power == 1.0 else f"({unit_of(name)[0]})^{power:.2g}"
-            for name, power in combined.powers.items()
-        )
+        terms = [f"{weight:.2g} {unit_of(name)[0]}" for name, weight in combined.weights.items()]
+        terms = [" + ".join(terms).replace("+ -", "- ")] if terms else []
+        terms += [f"({unit_of(name)[0]})^{power:.2g}" for name, power in combined.powers.items()]
         found.append(
-            f"known only together: {product} is {combined.value:.3g} ({combined.low:.3g} to {combined.high:.3g}) times "
-            "that of the cited values"
+            f"known only together, each over its cited value: {' times '.join(terms)} = {combined.value:.3g} "
+            f"({combined.low:.3g} to {combined.high:.3g})"
         )
     if at_prior := [unit_of(name)[0] for name in fit.identified.at_prior if name in names]:
         found.append(f"not narrowed by this log, left at the cited range: {', '.join(at_prior)}")

@@ -1,6 +1,7 @@
 """What a log determines: constants narrowed below their priors, and combinations of those that it cannot separate."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,26 +14,33 @@ AT_PRIOR = 0.9
 """A constant whose standard deviation is above this share of its prior's stays at its prior."""
 DETERMINED = 0.5
 """One below this share is determined by the log."""
-LEAST_POWER = 0.1
-"""Powers below this share of the greatest are left out of a combination where that changes its interval by less than
-`LEAST_CHANGE`."""
+LEAST_SHARE = 0.1
+"""Constants with less than this share of a direction are left out of a combination where that changes its interval by
+less than `LEAST_CHANGE`."""
 LEAST_CHANGE = 0.05
+DENSITY, EXPONENT = "density.", ".density_exponent"
+"""What names of constants begin or end with that scale loads by a power."""
 
 
 @dataclass(frozen=True)
 class Combination:
-    """A product of powers of constants that is known better than any of them.
+    """A weighted sum of constants, times powers of densities, that is known better than any of them.
+
+    Loads are such sums: a chip and an edge coefficient at one feed, times the density to the power of its exponent.
 
     Attributes
     ----------
+    weights
+        Of each constant over the median of its prior, by its name; the sizes of all weights sum to 1.
     powers
-        Power of each constant by its name; the greatest is 1.
+        Of each density factor or exponent, over the median of its prior.
     value, low, high
-        Of the product, over its value at the prior's medians: median, 5 and 95 %.
+        Median, 5 and 95 %.
     contraction
         Its standard deviation over that of the prior.
     """
 
+    weights: dict[str, float]
     powers: dict[str, float]
     value: float
     low: float
@@ -40,9 +48,14 @@ class Combination:
     contraction: float
 
     @property
-    def formula(self) -> str:
-        """Such as ``a^1 * b^-0.5``."""
-        return " * ".join(name if power == 1.0 else f"{name}^{power:.2g}" for name, power in self.powers.items())
+    def names(self) -> tuple[str, ...]:
+        """All constants in it."""
+        return (*self.weights, *self.powers)
+
+    def of(self, relative: Mapping[str, float]) -> float:
+        """Its value for constants over the medians of their priors, by their names."""
+        total = sum(weight * relative[name] for name, weight in self.weights.items()) if self.weights else 1.0
+        return float(total * np.prod([relative[name] ** power for name, power in self.powers.items()]))
 
 
 @dataclass(frozen=True)
@@ -96,27 +109,36 @@ def identified(posterior: Posterior) -> Identified:
 
 
 def _combination(posterior: Posterior, places: Ints, direction: Array) -> Combination:
-    """The product of powers whose logarithm moves along a direction of z, shape (k,)."""
+    """The sum, times powers, that grows along a direction of z at the maximum, shape (k,)."""
     z, covariance = posterior.mean_z[places], posterior.covariance_z[np.ix_(places, places)]
-    priors = [posterior.priors[at] for at in places]
-    x = np.array([float(prior.x(each)) for prior, each in zip(priors, z, strict=True)])
-    slope = np.array([float(prior.slope(each)) for prior, each in zip(priors, z, strict=True)]) / x
-    powers = direction / slope
-    powers /= powers[np.argmax(np.abs(powers))]
+    priors, names = [posterior.priors[at] for at in places], [posterior.names[at] for at in places]
+    median = np.array([float(prior.x(0.0)) for prior in priors])
+    relative = np.array([float(prior.x(each)) for prior, each in zip(priors, z, strict=True)]) / median
+    slope = np.array([float(prior.slope(each)) for prior, each in zip(priors, z, strict=True)]) / median
+    scales = np.array([name.startswith(DENSITY) or name.endswith(EXPONENT) for name in names])
 
     def spread(chosen: Array) -> float:
-        return float(np.sqrt((chosen * slope) @ covariance @ (chosen * slope)))
+        return float(np.sqrt(chosen @ covariance @ chosen))
 
-    whole = spread(powers)
-    for at in np.argsort(np.abs(powers)):
-        fewer = powers.copy()
-        fewer[at] = 0.0
-        if abs(powers[at]) < LEAST_POWER and abs(spread(fewer) - whole) < LEAST_CHANGE * whole:
-            powers = fewer
-    at_prior = np.array([np.log(x[k] / float(prior.x(0.0))) for k, prior in enumerate(priors)])
-    middle, half = float(powers @ at_prior), 1.6448536 * spread(powers)
-    before = float(np.linalg.norm(powers * slope))
-    order = np.argsort(-np.abs(powers))
-    names = {posterior.names[places[k]]: float(powers[k]) for k in order if powers[k] != 0.0}
-    low, value, high = np.exp(middle + half * np.array([-1.0, 0.0, 1.0])).tolist()
-    return Combination(names, value, low, high, spread(powers) / before)
+    whole, chosen = spread(direction), direction.copy()
+    for at in np.argsort(np.abs(direction)):
+        fewer = np.where(np.arange(len(places)) == at, 0.0, chosen)
+        if abs(direction[at]) < LEAST_SHARE and abs(spread(fewer) - whole) < LEAST_CHANGE * whole:
+            chosen = fewer
+    weights = np.where(scales, 0.0, chosen / slope)
+    size = float(np.abs(weights).sum())
+    if size > 0.0:
+        chosen, weights = chosen / size, weights / size
+    total = float(weights @ relative) if size > 0.0 else 1.0
+    if total < 0.0:
+        chosen, weights, total = -chosen, -weights, -total
+    powers = np.where(scales, chosen * relative / (slope * total), 0.0)
+    kept = [at for at in np.argsort(-np.abs(chosen)) if chosen[at] != 0.0]
+    combined = Combination(
+        {names[at]: float(weights[at]) for at in kept if not scales[at]},
+        {names[at]: float(powers[at]) for at in kept if scales[at]},
+        0.0, 0.0, 0.0, spread(chosen) / float(np.linalg.norm(chosen)),
+    )  # fmt: skip
+    value = combined.of(dict(zip(names, relative.tolist(), strict=True)))
+    half = 1.6448536 * spread(chosen) * value / total
+    return replace(combined, value=value, low=value - half, high=value + half)
