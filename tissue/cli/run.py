@@ -267,7 +267,7 @@ def _band_text(band: "Summary") -> str:
     totals = {name: index["total"] for name, index in band["sobol"].get("force_N.peak", {}).items()}
     first = sorted(totals, key=lambda name: -totals[name])[:3]
     shares = ", ".join(f"{name} {100.0 * totals[name]:.0f} %" for name in first)
-    none = "; no Sobol indices of the peak force, for a polynomial explains too little of these runs: use more samples"
+    none = "; no Sobol indices of the peak force: it does not vary, or a polynomial explains too little of it"
     matters = f"; of the variance of the peak force: {shares}" if shares else none
     refused = f", {band['refused']} could not be run ({'; '.join(band['problems'])})" if band["refused"] else ""
     return f"{band['samples']} samples{asked}{refused}; {band['how']}{matters}"
