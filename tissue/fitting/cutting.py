@@ -118,8 +118,8 @@ def cutting_forward(
     layers = []
     for at, each in record.layers.items():
         known = scene.constants.layer_constants(names[at], bone=material)
-        varies = len(each.nodes.densities_kg_m3) > 1
-        layers.append(LayerConstants(at, names[at], CUT_AS.get(names[at], material), known, varies))
+        scaled = (each.nodes.densities_kg_m3 != known["reference_density_kg_m3"].value).any()
+        layers.append(LayerConstants(at, names[at], CUT_AS.get(names[at], material), known, bool(scaled)))
     notes = [f"{subject}: {each}" for subject, each in record.notes.items()]
     if (inside := float(record.trace["removed_mm3"][0])) > 0.0:
         notes.append(

@@ -55,15 +55,15 @@ class LayerConstants:
         Its place, its name, and what it is cut as.
     constants
         Cited or stated constants by name.
-    varies
-        Whether its density does.
+    scaled
+        Whether its density is another than that of the coefficients, so that the exponent counts.
     """
 
     layer: int
     name: str
     material: str
     constants: Mapping[str, Constant]
-    varies: bool
+    scaled: bool
 
 
 def free_constants(
@@ -77,8 +77,9 @@ def free_constants(
         Those that the tool met.
     free
         What is to be free: full names, or a table with what the name is to have, such as ``cutting.trabecular``,
-        ``cutting.edge``, ``cutting.trabecular.radial``. Nothing leaves free what is not stated: tangential and radial
-        coefficients, axial ones where the cited value is not 0, the exponent where the density varies.
+        ``cutting.edge``, ``cutting.trabecular.radial``. Nothing leaves free all that has a range and is
+        not stated, so that a band over the fitted constants is that of the log; the exponent where the density is
+        another than that of the coefficients.
     stated
         Constants that the scene sets, which stay fixed unless they are named.
 
@@ -105,20 +106,14 @@ def free_constants(
     if free:
         chosen = [each for each in possible if any(_fits(pattern, each, materials) for pattern in free)]
     else:
-        varying = {each.layer for each in layers if each.varies}
-        chosen = [each for each in possible if _is_usual(each, varying) and _own_name(each) not in stated]
+        scaled = {each.layer for each in layers if each.scaled}
+        counts = [each for each in possible if each.field != "density_exponent" or each.layer in scaled]
+        chosen = [each for each in counts if _own_name(each) not in stated]
     return (*chosen, *factors)
 
 
 def _own_name(each: FreeConstant) -> str:
     return each.parameter.name.rpartition(".")[2]
-
-
-def _is_usual(each: FreeConstant, varying: Collection[int]) -> bool:
-    """Whether a constant is free where none is named."""
-    if each.field == "density_exponent":
-        return each.layer in varying
-    return not each.field.startswith("axial") or each.parameter.prior.value != 0.0
 
 
 def _fits(pattern: str, each: FreeConstant, materials: Mapping[int, str]) -> bool:

@@ -25,6 +25,7 @@ UNITS = ("N_mm2", "N_mm", "N_m", "N_s_m", "kPa", "N_s_m2", "kg", "N", "s", "mm_s
 LAGS = 40
 """Samples over which the autocorrelation of residuals is drawn."""
 SHOWN_GAINS = 5
+REFERENCE = "reference_density_kg_m3"
 NATS = 0.1
 """Gain below which another log is not recommended [nats]."""
 
@@ -79,12 +80,18 @@ def _write_constants(fit: SceneFit, path: Path, digest: str) -> None:
     """The file for scenes: constants of the material with their correlation."""
     posterior, all_constants = fit.posterior, fit.constants
     source = f"fitted to {fit.log.path.name} ({digest[:12]}) as scene {fit.scene.name}"
-    entries = []
+    entries: list[FittedEntry] = []
+    fixed: list[FittedEntry] = []
     for at in fit.of_material:
         each = all_constants[at]
         how = {"determined": "M", "narrowed": "L", "at its prior": "L"}[each.state]
         text = source if each.state != "at its prior" else f"{source}, which does not narrow the cited range"
         entries.append(FittedEntry(each.name, each.value, each.low, each.high, text, how))
+    for name in dict.fromkeys(each.name.rpartition(".")[0] for each in entries):
+        layer = name.removeprefix("cutting.")
+        reference = fit.scene.constants.layer_constants(layer, bone=fit.scene.cutting.material)[REFERENCE].value
+        text = "the density at which the fitted coefficients are stated"
+        fixed.append(FittedEntry(f"{name}.{REFERENCE}", reference, reference, reference, text, "H"))
     places = np.array(fit.of_material)
     covariance = posterior.covariance_z[np.ix_(places, places)]
     spread = np.sqrt(np.diag(covariance))
@@ -92,7 +99,7 @@ def _write_constants(fit: SceneFit, path: Path, digest: str) -> None:
         f'Constants fitted by tissue {package_version()}; a scene takes them by: materials = "{path.name}"',
         "value: median; range: 5 and 95 % of the posterior; correlation: of the standard normal numbers of each.",
     )
-    write_fitted(path, entries, covariance / np.outer(spread, spread), remark=remark)
+    write_fitted(path, entries, covariance / np.outer(spread, spread), fixed=fixed, remark=remark)
 
 
 def _shown(each: ConstantFit) -> FittedConstant:

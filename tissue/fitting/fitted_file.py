@@ -38,7 +38,14 @@ class FittedEntry:
     confidence: str
 
 
-def write_fitted(path: Path, entries: Sequence[FittedEntry], correlation: Array, *, remark: Sequence[str]) -> None:
+def write_fitted(
+    path: Path,
+    entries: Sequence[FittedEntry],
+    correlation: Array,
+    *,
+    fixed: Sequence[FittedEntry] = (),
+    remark: Sequence[str],
+) -> None:
     """Write fitted constants with how they are correlated.
 
     Parameters
@@ -49,11 +56,13 @@ def write_fitted(path: Path, entries: Sequence[FittedEntry], correlation: Array,
         The constants, n of them.
     correlation
         Of their standard normal numbers, shape (n, n); see `tissue.materials.prior.Prior`.
+    fixed
+        Constants without a range, on which the others rest.
     remark
         Lines of comment at the top.
     """
     tables: dict[str, dict[str, dict[str, Mapping[str, object]]]] = {}
-    for entry in entries:
+    for entry in (*entries, *fixed):
         table, material, name = entry.name.split(".", 2)
         tables.setdefault(table, {}).setdefault(material, {})[name] = {
             "value": _rounded(entry.value),

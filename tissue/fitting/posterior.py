@@ -14,9 +14,11 @@ from tissue.materials.prior import Prior
 
 __all__ = ["Posterior", "maximum_posterior"]
 
-OFFSETS_S = np.linspace(-3.0 * OFFSET_S, 3.0 * OFFSET_S, 13)
+OFFSETS_S = np.linspace(-3.0 * OFFSET_S, 3.0 * OFFSET_S, 25)
 """Offsets from which the search begins [s]: a force may rise at several times, so that there are several maxima."""
 STARTS = 2
+NEARBY, REFINED = np.linspace(-2.5, 2.5, 101), 3
+"""Offsets about a maximum at which a higher one is looked for, in samples of the log, and how often."""
 STEP = 1e-4
 """Step of z over which gradients are differenced for the curvature."""
 FARTHEST = 12.0
@@ -107,17 +109,34 @@ class Posterior:
 def maximum_posterior(forward: Forward, log: MeasuredLoads) -> Posterior:
     """Find the most probable constants and the normal law that the curvature of the density there gives."""
     target = Target(forward, log)
-    best: tuple[float, Array] | None = None
-    for start in _starts(target):
-        found = minimize(
-            lambda u: tuple(-each for each in target.value_and_gradient(u)),
-            start, jac=True, method="L-BFGS-B", bounds=[(-FARTHEST, FARTHEST)] * len(start),
-            options={"maxiter": 400, "maxcor": 30, "ftol": 1e-12, "gtol": 1e-4},
-        )  # fmt: skip
-        if best is None or -found.fun > best[0]:
-            best = -float(found.fun), np.asarray(found.x)
-    assert best is not None
+    best = max((_climbed(target, start) for start in _starts(target)), key=lambda each: each[0])
+    for _ in range(REFINED):
+        nearby = max(_shifted(target, best[1]), key=lambda u: target.value_and_gradient(u)[0])
+        climbed = _climbed(target, nearby)
+        if climbed[0] <= best[0] + STEEP:
+            break
+        best = climbed
     return _polished(target, best[1])
+
+
+def _climbed(target: Target, start: Array) -> tuple[float, Array]:
+    """The greatest log density near a start, and its place."""
+    found = minimize(
+        lambda u: tuple(-each for each in target.value_and_gradient(u)),
+        start, jac=True, method="L-BFGS-B", bounds=[(-FARTHEST, FARTHEST)] * len(start),
+        options={"maxiter": 400, "maxcor": 30, "ftol": 1e-12, "gtol": 1e-4},
+    )  # fmt: skip
+    return -float(found.fun), np.asarray(found.x)
+
+
+def _shifted(target: Target, u: Array) -> list[Array]:
+    """The same place at offsets around: a load that jumps is an outlier at all offsets but its own, without a slope."""
+    places = []
+    for offset_s in NEARBY * float(np.median(np.diff(target.log.times_s))):
+        moved = u.copy()
+        moved[target.constants] += offset_s / OFFSET_S
+        places.append(moved)
+    return places
 
 
 def _starts(target: Target) -> list[Array]:

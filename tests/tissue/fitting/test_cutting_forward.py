@@ -11,7 +11,7 @@ from tissue.scene.load import changed
 from tissue.scene.scene import Scene
 from tissue.simulation.simulate import simulate
 
-USUAL = ["tangential_chip_N_mm2", "radial_chip_N_mm2", "tangential_edge_N_mm", "radial_edge_N_mm"]
+USUAL = [f"{kind}_{part}" for part in ("chip_N_mm2", "edge_N_mm") for kind in ("tangential", "radial", "axial")]
 SLANT = [[-1, 0, 0.2], [-1, 0, -0.8], [1, 0, -1.0]]
 
 
@@ -25,8 +25,8 @@ def test_loads_of_a_log_are_those_of_a_run_along_it():
         "density.cortical"
     ]
     cited = constants("cutting", "bone")
-    assert values(forward)[:4].tolist() == [cited[name].value for name in USUAL]
-    x = np.array([97.0, 31.0, 2.9, 3.3, 1.0])
+    assert values(forward)[:6].tolist() == [cited[name].value for name in USUAL]
+    x = np.array([97.0, 31.0, 4.0, 2.9, 3.3, 0.2, 1.0])
     motion = {"kind": "path", "points_mm": [[-1, 0, 0.2], [1, 0, -0.8]], "feed_mm_s": float(np.sqrt(500.0))}
     run = Scene(**(BLOCK | {"motion": motion, "duration_s": 0.1}))
     run = changed(run, {f"cutting.{name}": value for name, value in zip(USUAL, x.tolist(), strict=False)})
@@ -36,7 +36,7 @@ def test_loads_of_a_log_are_those_of_a_run_along_it():
     assert forward.loads(x)[1:] == pytest.approx(want[1:], abs=1e-3 * np.abs(want[:, :3]).max())
     assert forward.times_s[[0, -1]] == pytest.approx([2.0, 2.099])
     exponent = constants("cutting", "bone")["density_exponent"].value
-    denser = np.append(x[:4], 1.1)
+    denser = np.append(x[:6], 1.1)
     assert forward.loads(denser) == pytest.approx(1.1**exponent * forward.loads(x), rel=1e-9, abs=1e-12)
 
 
@@ -92,7 +92,7 @@ def test_bone_at_the_first_pose_is_taken_away_without_a_force():
 
 def test_chip_and_edge_of_one_feed_are_in_one_ratio():
     forward = plunging_cylinder()
-    slopes = forward.jacobian(values(forward)).reshape(-1, 5)
+    slopes = forward.jacobian(values(forward)).reshape(-1, 7)[:, [0, 1, 3, 4]]  # tangential, radial; chip, edge
     scaled = slopes / np.linalg.norm(slopes, axis=0)
     assert scaled[:, 0] == pytest.approx(scaled[:, 2], abs=1e-6)
     assert scaled[:, 1] == pytest.approx(scaled[:, 3], abs=1e-6)

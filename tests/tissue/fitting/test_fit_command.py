@@ -40,8 +40,10 @@ def test_planted_coefficients_come_back_as_a_file_for_scenes(log, tmp_path, comm
     found = json.loads((tmp_path / "fit" / "fit.json").read_text("utf-8"))
     assert found["converged"] and found["offset_s"][1] == pytest.approx(0.006, abs=0.001)
     assert found["bias"] == pytest.approx([0.5] * 3, abs=0.1)
-    for each in found["constants"][:4]:
-        planted = PLANTED[each["name"].rpartition(".")[2]]
+    for each in found["constants"]:
+        planted = PLANTED.get(each["name"].rpartition(".")[2])
+        if planted is None:
+            continue
         spread = (each["p95"] - each["p05"]) / 3.29
         assert abs(each["p50"] - planted) < 4.0 * spread, each
     report = (tmp_path / "fit" / "report.html").read_text("utf-8")
