@@ -35,6 +35,7 @@ EXEMPT = {
 }
 BY_DATA = {
     "anatomy.site": "anatomy.site must not be caries for a tooth without a lesion, got caries: ",
+    "materials": "materials must hold a constant that the scene rests on, got ",
 }
 """Refusals of keys that only the contents of files leave without effect, besides those with "must be left out"."""
 CLOCK = ("tick_us", "missed_deadlines", "events", "machine", "tissue", "scheduling", "machine_gaps")
