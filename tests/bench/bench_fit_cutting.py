@@ -1,9 +1,11 @@
-"""Coverage of fits to cuts: `python tests/bench/bench_fit_cutting.py [bone|tooth] [--fits 1000]`.
+"""Coverage of fits to cuts: `python tests/bench/bench_fit_cutting.py [bone|tooth] [--fits 1000] [--normal]`.
 
 A glenoid is reamed through its plate into trabecular bone, and a carious lesion drilled out of a molar, each at two
 feeds. The geometry is recorded once; then constants, densities, the sensor's bias and the offset of its clock are drawn
 from their priors, autocorrelated noise with heavy tails is added, and the log is fitted. Printed: how often the 90 %
-intervals of what the fit calls identified, constants and combinations, hold what was planted.
+intervals of what the fit calls identified, constants and combinations, and that of the offset, hold what was planted.
+Such a count has an error of its own, sqrt(0.9 0.1 / fits): 0.9 % for 1,000. With `--normal` the noise has no heavy
+tails, which the fit does not know.
 """
 
 import argparse
@@ -20,9 +22,9 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 import numpy as np  # noqa: E402
 from scipy.signal import lfilter  # noqa: E402
 
+from tissue.fitting.averaged import block_averages  # noqa: E402
 from tissue.fitting.cutting import CuttingForward, cutting_forward  # noqa: E402
 from tissue.fitting.identifiability import identified  # noqa: E402
-from tissue.fitting.measured import MeasuredLoads  # noqa: E402
 from tissue.fitting.noise import FREEDOM  # noqa: E402
 from tissue.fitting.posterior import maximum_posterior  # noqa: E402
 from tissue.fitting.target import OFFSET_S  # noqa: E402
@@ -33,9 +35,9 @@ CUTS = {
     "tooth": ("caries", {}, [0.4, -1.2, -1.6, -3.0, -3.0, -3.0], [0.0, 0.8, 1.8, 2.5, 3.0, 3.8], 0.6),
 }
 """Scene, changes, heights of the tip [mm] and their times [s], and how far it goes aside at the end [mm]."""
-EVERY, SAMPLED = 5, 20
-"""Ticks between two poses of the fit's forward model, and between two samples of the log: 50 Hz."""
-NOISE, BIAS, CORRELATION = 0.03, 0.1, 0.6
+EVERY, BLOCK = 2, 20
+"""Ticks between two poses of the fit's forward model, and of a block of the log's samples, 1 kHz, that are averaged."""
+NOISE, BIAS, CORRELATION = 0.06, 0.1, 0.9
 """Scale of the noise and of the bias in shares of the greatest force, and torque, at the cited constants; of noise."""
 
 
@@ -55,32 +57,32 @@ def cut(kind: str) -> tuple[CuttingForward, CuttingForward]:
     return whole, replace(whole, record=record, times_s=whole.times_s[few])
 
 
-def one(task: tuple[str, int]) -> tuple[list[tuple[str, bool]], bool, float]:
-    kind, seed = task
+def one(task: tuple[str, int, bool]) -> tuple[list[tuple[str, bool]], bool, float]:
+    kind, seed, normal = task
     (whole, forward), rng = cut(kind), np.random.default_rng(seed)
     priors = [each.prior for each in forward.parameters]
     largest = np.abs(forward.loads(np.array([float(each.x(0.0)) for each in priors]))).max(axis=0)
     size = np.repeat([largest[:3].max(), largest[3:].max()], 3)
     z = rng.standard_normal(len(priors))
     loads = whole.loads(np.array([float(each.x(at)) for each, at in zip(priors, z, strict=True)]))
-    times_s = whole.times_s[::SAMPLED]
-    at_sample = times_s - OFFSET_S * rng.standard_normal()
-    values = np.column_stack([np.interp(at_sample, whole.times_s, each) for each in loads.T])
-    fresh = NOISE * size * rng.standard_t(FREEDOM, values.shape)
-    noise = lfilter([1.0], [1.0, -CORRELATION], fresh, axis=0)
-    log = MeasuredLoads(times_s, values + noise + BIAS * size * rng.standard_normal(6), whole.channels)
+    offset_s = OFFSET_S * rng.standard_normal()
+    values = np.column_stack([np.interp(whole.times_s - offset_s, whole.times_s, each) for each in loads.T])
+    fresh = rng.standard_normal(values.shape) if normal else rng.standard_t(FREEDOM, values.shape)
+    noise = lfilter([1.0], [1.0, -CORRELATION], NOISE * size * fresh, axis=0)
+    measured = values + noise + BIAS * size * rng.standard_normal(6)
+    log = block_averages(whole.times_s, measured, whole.channels, BLOCK)
     start = process_time()
     posterior = maximum_posterior(forward, log)
     took, result = process_time() - start, identified(posterior)
     true = {name: float(prior.x(at)) for name, prior, at in zip(posterior.names, priors, z, strict=True)}
-    median = {name: float(prior.x(0.0)) for name, prior in zip(posterior.names, priors, strict=True)}
-    held = []
+    low, high = posterior.offset_interval_s
+    held = [("offset", low <= offset_s <= high)]
     for name in result.determined:
         low, _, high = posterior.interval(posterior.names.index(name))
         held.append((f"constant {name}", low <= true[name] <= high))
     for each in result.combinations:
-        planted = each.of({name: true[name] / median[name] for name in each.names})
-        held.append(("combination", bool(each.low <= planted <= each.high)))
+        planted = each.of(np.array(list(true.values())))
+        held.append(("combinations", bool(each.low <= planted <= each.high)))
     return held, posterior.converged, took
 
 
@@ -88,20 +90,24 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("kinds", nargs="*", default=list(CUTS))
     parser.add_argument("--fits", type=int, default=1000)
+    parser.add_argument("--normal", action="store_true")
     parser.add_argument("--processes", type=int, default=2)
     options = parser.parse_args()
     for kind in options.kinds:
         hits, counts, seconds, converged = Counter(), Counter(), [], 0
         with Pool(options.processes) as pool:
-            for held, found, took in pool.imap_unordered(one, [(kind, seed) for seed in range(options.fits)], 5):
+            for held, found, took in pool.imap_unordered(
+                one, [(kind, seed, options.normal) for seed in range(options.fits)], 5
+            ):
                 seconds.append(took)
                 converged += found
                 for name, inside in held:
-                    for each in (name, name.split()[0] + "s", "all identified"):
+                    kinds = ["constants"] if name.startswith("constant ") else []
+                    for each in (name, *kinds, *([] if name == "offset" else ["all identified"])):
                         counts[each] += 1
                         hits[each] += inside
         _, forward = cut(kind)
-        print(f"{kind}: {options.fits} fits of {len(forward.times_s) * EVERY // SAMPLED} samples, {len(forward.parameters)} constants, "
+        print(f"{kind}: {options.fits} fits of {len(forward.times_s) * EVERY // BLOCK} samples, {len(forward.parameters)} constants, "
               f"{converged} converged, median {np.median(seconds):.2f} s of processor time")  # fmt: skip
         for name, count in sorted(counts.items(), key=lambda each: -each[1]):
             print(f"  {name:55s} {100 * hits[name] / count:5.1f} % of {count}", flush=True)

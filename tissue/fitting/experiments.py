@@ -7,14 +7,11 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from tissue.fitting.forward import Forward
-from tissue.fitting.noise import FREEDOM, innovations
+from tissue.fitting.noise import INFORMATION, innovations
 from tissue.fitting.posterior import Posterior
 from tissue.fitting.target import BIAS_SHARE
 
 __all__ = ["Gain", "expected_information"]
-
-INFORMATION = (FREEDOM + 1.0) / (FREEDOM + 3.0)
-"""Fisher information of the place of a Student's t of scale 1 (Lange, Little and Taylor 1989)."""
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,11 @@
 """What a log determines: constants narrowed below their priors, and combinations of those that it cannot separate."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array
 from tissue.fitting.posterior import Posterior
 
 __all__ = ["AT_PRIOR", "DETERMINED", "Combination", "Identified", "identified"]
@@ -15,18 +15,21 @@ AT_PRIOR = 0.9
 DETERMINED = 0.5
 """One below this share is determined by the log."""
 LEAST_SHARE = 0.1
-"""Constants with less than this share of a direction are left out of a combination where that changes its interval by
-less than `LEAST_CHANGE`."""
-LEAST_CHANGE = 0.05
+"""Constants with less than this share of a direction are not named in a combination."""
+ALONE = 0.95
+"""A direction of which one constant has more than this share is that constant and no combination."""
+BALANCED = 0.2
+"""A weighted sum whose terms cancel to less than this share of their sizes has no powers: it is a difference."""
 DENSITY, EXPONENT = "density.", ".density_exponent"
 """What names of constants begin or end with that scale loads by a power."""
 
 
 @dataclass(frozen=True)
 class Combination:
-    """A weighted sum of constants, times powers of densities, that is known better than any of them.
+    """What a log measures of several constants: a weighted mean of its loads, known better than any of them.
 
-    Loads are such sums: a chip and an edge coefficient at one feed, times the density to the power of its exponent.
+    Near the values found it is a weighted sum of constants, times powers of densities: such as a chip and an edge
+    coefficient at one feed, times the density to the power of its exponent.
 
     Attributes
     ----------
@@ -38,6 +41,8 @@ class Combination:
         Median, 5 and 95 %.
     contraction
         Its standard deviation over that of the prior.
+    of
+        Its value for all constants in their own units, shape (p,); exact where the weights and powers hold nearby.
     """
 
     weights: dict[str, float]
@@ -46,16 +51,12 @@ class Combination:
     low: float
     high: float
     contraction: float
+    of: Callable[[Array], float]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All constants in it."""
+        """The constants named in it."""
         return (*self.weights, *self.powers)
-
-    def of(self, relative: Mapping[str, float]) -> float:
-        """Its value for constants over the medians of their priors, by their names."""
-        total = sum(weight * relative[name] for name, weight in self.weights.items()) if self.weights else 1.0
-        return float(total * np.prod([relative[name] ** power for name, power in self.powers.items()]))
 
 
 @dataclass(frozen=True)
@@ -94,51 +95,62 @@ class Identified:
 
 
 def identified(posterior: Posterior) -> Identified:
-    """What the log determines: eigenvectors of its information in units of the prior, the nuisances left free."""
-    covariance = posterior.covariance_z
-    contraction = np.asarray(np.sqrt(np.diag(covariance)), dtype=np.float64)
-    eigenvalues = np.asarray(1.0 / np.linalg.eigvalsh(covariance) - 1.0, dtype=np.float64)
-    left: Ints = np.flatnonzero(contraction >= DETERMINED).astype(np.int64)
-    combinations = []
-    if len(left) > 1:
-        values, vectors = np.linalg.eigh(covariance[np.ix_(left, left)])
-        for value, vector in zip(values, vectors.T, strict=True):
-            if value < DETERMINED**2:
-                combinations.append(_combination(posterior, left, vector))
-    return Identified(posterior.names, contraction, eigenvalues, tuple(combinations))
+    """What the log determines: eigenvectors of its information in units of the prior, the nuisances left free.
+
+    A direction of z that the log determines is the slope of a weighted mean of the loads. That mean is what the log
+    knows, also where the direction of z turns along the curve on which it stays the same.
+    """
+    p, target = len(posterior.names), posterior.target
+    contraction = np.asarray(np.sqrt(np.diag(posterior.covariance_z)), dtype=np.float64)
+    _, moved = target.linearised(posterior.maximum)
+    columns = target.whitened(moved, posterior.nuisances)
+    of_z, nuisances = columns[:, :p], columns[:, p:]
+    free = nuisances.T @ nuisances + np.eye(nuisances.shape[1])
+    measured = of_z - nuisances @ np.linalg.solve(free, nuisances.T @ of_z)
+    values, vectors = np.linalg.eigh(of_z.T @ measured)
+    eigenvalues = np.asarray(np.maximum(values, 0.0)[::-1], dtype=np.float64)
+    directions = [
+        (value, vector)
+        for value, vector in zip(eigenvalues, vectors.T[::-1], strict=True)
+        if 1.0 / (1.0 + value) < DETERMINED**2 and float(np.max(vector**2)) < ALONE
+    ]
+    combinations = tuple(_combination(posterior, measured @ vector, vector, value) for value, vector in directions)
+    return Identified(posterior.names, contraction, eigenvalues, combinations)
 
 
-def _combination(posterior: Posterior, places: Ints, direction: Array) -> Combination:
-    """The sum, times powers, that grows along a direction of z at the maximum, shape (k,)."""
-    z, covariance = posterior.mean_z[places], posterior.covariance_z[np.ix_(places, places)]
-    priors, names = [posterior.priors[at] for at in places], [posterior.names[at] for at in places]
-    median = np.array([float(prior.x(0.0)) for prior in priors])
-    relative = np.array([float(prior.x(each)) for prior, each in zip(priors, z, strict=True)]) / median
-    slope = np.array([float(prior.slope(each)) for prior, each in zip(priors, z, strict=True)]) / median
+def _combination(posterior: Posterior, mean: Array, direction: Array, information: float) -> Combination:
+    """A mean of whitened loads, shape (m * channels,), whose slope by z is the information times a direction."""
+    target, noise, names = posterior.target, posterior.nuisances, posterior.names
+    x = target.x(posterior.mean_z)
+
+    def measure(constants: Array) -> float:
+        loads = target.loads(constants, noise.offset_s)[:, :, None]
+        return float(mean @ target.whitened(loads, noise)[:, 0])
+
+    median = np.array([float(prior.x(0.0)) for prior in posterior.priors])
+    slopes = information * direction / target.slopes(posterior.mean_z)
+    terms = slopes * x
     scales = np.array([name.startswith(DENSITY) or name.endswith(EXPONENT) for name in names])
-
-    def spread(chosen: Array) -> float:
-        return float(np.sqrt(chosen @ covariance @ chosen))
-
-    whole, chosen = spread(direction), direction.copy()
-    for at in np.argsort(np.abs(direction)):
-        fewer = np.where(np.arange(len(places)) == at, 0.0, chosen)
-        if abs(direction[at]) < LEAST_SHARE and abs(spread(fewer) - whole) < LEAST_CHANGE * whole:
-            chosen = fewer
-    weights = np.where(scales, 0.0, chosen / slope)
-    size = float(np.abs(weights).sum())
-    if size > 0.0:
-        chosen, weights = chosen / size, weights / size
-    total = float(weights @ relative) if size > 0.0 else 1.0
-    if total < 0.0:
-        chosen, weights, total = -chosen, -weights, -total
-    powers = np.where(scales, chosen * relative / (slope * total), 0.0)
-    kept = [at for at in np.argsort(-np.abs(chosen)) if chosen[at] != 0.0]
-    combined = Combination(
-        {names[at]: float(weights[at]) for at in kept if not scales[at]},
-        {names[at]: float(powers[at]) for at in kept if scales[at]},
-        0.0, 0.0, 0.0, spread(chosen) / float(np.linalg.norm(chosen)),
+    named = np.abs(direction) >= LEAST_SHARE
+    linear = named & ~scales
+    total, size = float(terms[linear].sum()), float(np.abs(terms[linear]).sum())
+    if not linear.any():
+        total, size = measure(x), abs(measure(x))
+    if abs(total) < BALANCED * size:
+        linear, scales = named, np.zeros_like(scales)
+        total = float(terms[named].sum())
+    sign = float(np.sign(total))
+    powers = np.where(named & scales, terms / total, 0.0)
+    weights = np.where(linear, slopes * median, 0.0)
+    unit = sign * (float(np.abs(weights).sum()) or size) / float(np.prod((x / median) ** powers))
+    constant = measure(x) - total
+    value = total / unit
+    half = 1.6448536 * information / np.sqrt(1.0 + information) / abs(unit)
+    order = np.argsort(-np.abs(direction)).tolist()
+    divisor = float(np.abs(weights).sum()) * sign or 1.0
+    return Combination(
+        {names[at]: float(weights[at] / divisor) for at in order if linear[at]},
+        {names[at]: float(powers[at]) for at in order if powers[at] != 0.0},
+        value, value - half, value + half, float(1.0 / np.sqrt(1.0 + information)),
+        lambda constants: (measure(constants) - constant) / unit,
     )  # fmt: skip
-    value = combined.of(dict(zip(names, relative.tolist(), strict=True)))
-    half = 1.6448536 * spread(chosen) * value / total
-    return replace(combined, value=value, low=value - half, high=value + half)

@@ -7,11 +7,13 @@ from scipy.special import gammaln
 
 from meshes.base.arrays import Array
 
-__all__ = ["FREEDOM", "NoiseTerms", "innovations", "noise_terms"]
+__all__ = ["FREEDOM", "INFORMATION", "NoiseTerms", "innovations", "noise_terms"]
 
 FREEDOM = 4.0
 """Degrees of freedom of the innovations: outliers lose their pull, near the normal law in the middle (Lange, Little and
 Taylor, 1989, who find 4 to do well where it cannot be estimated)."""
+INFORMATION = (FREEDOM + 1.0) / (FREEDOM + 3.0)
+"""Fisher information of the place of such an innovation of scale 1 (Lange, Little and Taylor 1989)."""
 CONSTANT = float(gammaln(0.5 * (FREEDOM + 1.0)) - gammaln(0.5 * FREEDOM) - 0.5 * np.log(FREEDOM * np.pi))
 
 

@@ -1,14 +1,17 @@
 """Constants given a log: the maximum of their density, and a normal law about it (Laplace's approximation)."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import minimize
 
 from meshes.base.arrays import Array
+from tissue.fitting.clock_offset import offset_interval_s
 from tissue.fitting.forward import Forward
 from tissue.fitting.measured import MeasuredLoads
 from tissue.fitting.noise import innovations
+from tissue.fitting.restricted import Restricted
 from tissue.fitting.target import OFFSET_S, Target, Unpacked
 from tissue.materials.prior import Prior
 
@@ -26,6 +29,8 @@ FARTHEST = 12.0
 STEEP = 1e-3
 """Greatest expected gain of a Newton step at which the maximum counts as found [nats]."""
 NEWTON_STEPS = 12
+RESTRICTED = 2
+"""How often the noise is found again with new sensitivities of the constants."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +40,9 @@ class Posterior:
     Attributes
     ----------
     target
-        The density that was made greatest.
+        The density of constants and nuisances.
     maximum
-        Its place, shape (size,): constants, offset, biases, noise.
+        The most probable, shape (size,): constants, offset, biases, noise.
     covariance
         Of all of them, shape (size, size).
     converged
@@ -75,13 +80,11 @@ class Posterior:
         """Offset, biases and noise at the maximum."""
         return self.target.unpacked(self.maximum)
 
-    @property
+    @cached_property
     def offset_interval_s(self) -> tuple[float, float]:
         """90 % interval of the offset of the clocks [s]."""
         p = self.target.constants
-        half = 1.645 * OFFSET_S * float(np.sqrt(self.covariance[p, p]))
-        middle = self.nuisances.offset_s
-        return middle - half, middle + half
+        return offset_interval_s(self.target, self.maximum, OFFSET_S * float(np.sqrt(self.covariance[p, p])))
 
     def interval(self, at: int) -> tuple[float, float, float]:
         """5, 50 and 95 % of a constant, by its place, in its unit."""
@@ -107,19 +110,25 @@ class Posterior:
 
 
 def maximum_posterior(forward: Forward, log: MeasuredLoads) -> Posterior:
-    """Find the most probable constants and the normal law that the curvature of the density there gives."""
+    """Find the most probable constants and the normal law that the curvature of the density there gives.
+
+    The noise is that of the restricted likelihood, see `tissue.fitting.restricted`.
+    """
     target = Target(forward, log)
     best = max((_climbed(target, start) for start in _starts(target)), key=lambda each: each[0])
     for _ in range(REFINED):
-        nearby = max(_shifted(target, best[1]), key=lambda u: target.value_and_gradient(u)[0])
+        nearby = max(_shifted(target, best[1]), key=target.value)
         climbed = _climbed(target, nearby)
         if climbed[0] <= best[0] + STEEP:
             break
         best = climbed
-    return _polished(target, best[1])
+    place = best[1]
+    for _ in range(RESTRICTED):
+        place = _climbed(Restricted(target, place), place)[1]
+    return Posterior(target, *_polished(Restricted(target, place), place))
 
 
-def _climbed(target: Target, start: Array) -> tuple[float, Array]:
+def _climbed(target: Target | Restricted, start: Array) -> tuple[float, Array]:
     """The greatest log density near a start, and its place."""
     found = minimize(
         lambda u: tuple(-each for each in target.value_and_gradient(u)),
@@ -144,21 +153,20 @@ def _starts(target: Target) -> list[Array]:
     graded = []
     for offset_s in OFFSETS_S:
         u = target.start(float(offset_s))
-        graded.append((target.value_and_gradient(u)[0], u))
+        graded.append((target.value(u), u))
     graded.sort(key=lambda each: -each[0])
     return [u for _, u in graded[:STARTS]]
 
 
-def _polished(target: Target, u: Array) -> Posterior:
-    """Newton's steps to the maximum, and the curvature there."""
+def _polished(target: Restricted, u: Array) -> tuple[Array, Array, bool]:
+    """The maximum by Newton's steps, the inverse of the curvature there, and whether it was found."""
     value, gradient = target.value_and_gradient(u)
     for _ in range(NEWTON_STEPS):
         curvature = _curvature(target, u)
         step = np.linalg.solve(curvature, gradient)
-        gain = float(gradient @ step)
+        gain, share = float(gradient @ step), 1.0
         if gain < STEEP:
             break
-        share = 1.0
         while share > 1e-3:
             tried, there = target.value_and_gradient(u + share * step)
             if np.isfinite(tried) and tried > value:
@@ -167,12 +175,10 @@ def _polished(target: Target, u: Array) -> Posterior:
             share *= 0.5
         else:
             break
-    curvature = _curvature(target, u)
-    gain = float(gradient @ np.linalg.solve(curvature, gradient))
-    return Posterior(target, u, np.asarray(np.linalg.inv(curvature), dtype=np.float64), gain < STEEP)
+    return u, np.asarray(np.linalg.inv(curvature), dtype=np.float64), gain < STEEP
 
 
-def _curvature(target: Target, u: Array) -> Array:
+def _curvature(target: Restricted, u: Array) -> Array:
     """Negative second derivatives of the log density, made positive definite where they are not."""
     rows = []
     for at in range(len(u)):
