@@ -1,7 +1,7 @@
 """The interval of the offset of two clocks, summed numerically: its density may have several maxima.
 
 Where a load jumps between two samples, every offset that leaves the jump between them explains the log equally well, so
-that a normal law about the maximum says little.
+that a normal law about the maximum is too narrow.
 """
 
 import numpy as np
@@ -45,7 +45,7 @@ def offset_interval_s(target: Target, maximum: Array, spread_s: float) -> tuple[
 
 
 def _log_density(target: Target, maximum: Array, offset_s: float) -> float:
-    """Log density of an offset, everything else summed over in Laplace's way."""
+    """Log density of an offset, everything else summed over by Laplace's approximation."""
     u, at, free = maximum.copy(), target.constants, target.constants + 1 + len(target.log.channels)
     u[at] = offset_s / OFFSET_S
     others = np.delete(np.arange(free), at)
