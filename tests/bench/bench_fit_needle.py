@@ -29,7 +29,7 @@ def main(fits: int, seed: int, clocks: bool) -> None:
     plain = NeedleForward(
         tuple(Parameter(name, Prior.of(entry, name)) for name, entry in cited.items()),
         {name: entry.value for name, entry in cited.items()},
-        STEP_S * np.arange(len(travel)), travel, np.array([0.0, 0.0, 1.0]),
+        STEP_S * np.arange(len(travel)), travel,
     )  # fmt: skip
     rng = np.random.default_rng(seed)
     inside, widths, failed = [], [], 0
@@ -45,15 +45,14 @@ def main(fits: int, seed: int, clocks: bool) -> None:
         )  # fmt: skip
         values = quick._values([])
         events = followed(quick._tissue(values), quick.travel_m, quick._speed_m_s, None).events
-        force = replace(quick, events=events).loads(x)[:, 2]
+        force = replace(quick, events=events).loads(x)[:, 0]
         offset = OFFSET_S * rng.standard_normal() if clocks else 0.0
         seen = np.interp(plain.times_s - offset, quick.times_s, force)
         noise = lfilter([1.0], [1.0, -CORRELATION], NOISE_N * rng.standard_t(4.0, len(seen)))
-        measured = np.column_stack([np.zeros((len(seen), 2)), seen + noise])
-        forward = replace(plain, events=plain.events_of(measured[:, 2]), channels=("force_z_N",))
-        values = measured[:, 2:].copy()
+        forward = replace(plain, events=plain.events_of(seen + noise))
+        values = (seen + noise)[:, None]
         values[forward.unusable(plain.times_s, 0.06 if clocks else 0.011)] = np.nan
-        found = maximum_posterior(_AxisAlone(forward), MeasuredLoads(plain.times_s, values, ("force_z_N",)))
+        found = maximum_posterior(forward, MeasuredLoads(plain.times_s, values, forward.channels))
         if not found.converged:
             failed += 1
         sd = np.sqrt(np.diag(found.covariance_z))
@@ -63,20 +62,6 @@ def main(fits: int, seed: int, clocks: bool) -> None:
     for name, each, sd in zip(names, share, width, strict=True):
         print(f"{name:36} inside {each:6.1%}   sd of z after the log {sd:.3f}")
     print(f"all {np.mean(inside):6.1%} of {fits} fits, {failed} not converged")
-
-
-class _AxisAlone:
-    """The force along the axis as the only channel."""
-
-    def __init__(self, forward: NeedleForward) -> None:
-        self.forward, self.parameters = forward, forward.parameters
-        self.channels, self.times_s = ("force_z_N",), forward.times_s
-
-    def loads(self, x):
-        return self.forward.loads(x)[:, 2:]
-
-    def jacobian(self, x):
-        return self.forward.jacobian(x)[:, 2:]
 
 
 if __name__ == "__main__":

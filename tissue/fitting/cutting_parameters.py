@@ -4,7 +4,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from meshes.base.errors import InputError
-from tissue.fitting.parameter import Parameter
+from tissue.fitting.parameter import Parameter, fits
 from tissue.materials.constants import N_MM, N_MM2, Constant, CuttingCoefficients
 from tissue.materials.prior import Prior
 
@@ -96,15 +96,23 @@ def free_constants(
     ]
     materials = {each.layer: each.material for each in layers}
     factors = [FreeConstant(Parameter(f"density.{each.name}", DENSITY), each.layer, FACTOR, 1.0) for each in layers]
+
+    def named(pattern: str, each: FreeConstant) -> bool:
+        return fits(pattern, each.parameter.name, (materials[each.layer],))
+
     for pattern in free:
-        if not any(_fits(pattern, each, materials) for each in possible + factors):
+        if not any(named(pattern, each) for each in possible + factors):
             names = ", ".join(each.parameter.name for each in possible + factors)
             raise InputError(
                 f"free must name constants of layers that the tool meets, got {pattern}: choose among {names}, or "
                 "parts of these such as cutting.edge"
             )
     if free:
-        chosen = [each for each in possible if any(_fits(pattern, each, materials) for pattern in free)]
+        chosen = [
+            each
+            for each in possible
+            if any(fits(pattern, each.parameter.name, (materials[each.layer],)) for pattern in free)
+        ]
     else:
         scaled = {each.layer for each in layers if each.scaled}
         counts = [each for each in possible if each.field != "density_exponent" or each.layer in scaled]
@@ -114,11 +122,3 @@ def free_constants(
 
 def _own_name(each: FreeConstant) -> str:
     return each.parameter.name.rpartition(".")[2]
-
-
-def _fits(pattern: str, each: FreeConstant, materials: Mapping[int, str]) -> bool:
-    """Whether a pattern names a constant: all of its parts are parts of the constant's name, or its material."""
-    table, layer, *name = each.parameter.name.split(".")
-    wanted, *parts = pattern.split(".")
-    tags = {layer, materials[each.layer], *name, *(word for full in name for word in (full, *full.split("_")[:2]))}
-    return wanted == table and tags.issuperset(parts)

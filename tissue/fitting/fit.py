@@ -4,22 +4,26 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, names_of_caller
+from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
-from tissue.fitting.averaged import block_averages, block_ticks
-from tissue.fitting.cutting import cutting_forward
-from tissue.fitting.cutting_candidates import cutting_candidates
+from tissue.fitting.cutting_problem import cutting_problem
 from tissue.fitting.experiments import Gain, expected_information
 from tissue.fitting.identifiability import Identified, identified
 from tissue.fitting.log import MeasuredLog
+from tissue.fitting.needle_problem import needle_problem
 from tissue.fitting.posterior import Posterior, maximum_posterior
 from tissue.materials.prior import Prior
-from tissue.models.tissue_model import TICK_S
+from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
-from tissue.scene.tool import Tool
 
 __all__ = ["ConstantFit", "SceneFit", "fit_scene"]
 
+PROBLEMS = {
+    "tissue.builders.cutting:milled": cutting_problem,
+    "tissue.builders.organ_scene:pierced": needle_problem,
+}
+"""What a log of a scene is compared with, by what builds its tissue."""
+FITTED = "fit a scene of bone, of a tooth or of a needle"
 NUISANCE = "density."
 """Beginning of the names of what belongs to the specimen of a log and to no material."""
 
@@ -154,24 +158,19 @@ def fit_scene(
         If such a scene cannot be fitted, the tool never cuts along the log, or the log determines no constant.
     """
     report = progress or silent
-    if not isinstance(scene.tool, Tool):
-        raise InputError(f"scene must have a tool that cuts, got a {scene.tool.kind}: fit a scene of bone or tooth")
-    report("recording the geometry of the log", 0.0)
-    with names_of_caller({"motion must bring": "measured must bring"}):
-        forward = cutting_forward(
-            scene, log.times_s, log.tips_m, log.quaternions_of(scene), free=free, cores=cores, progress=report
-        )
-    ticks = block_ticks(float(log.load_times_s[-1] - log.load_times_s[0]))
-    measured = block_averages(log.load_times_s, log.loads, log.channels, ticks)
+    build = ANATOMIES[scene.anatomy.kind].build
+    if build not in PROBLEMS:
+        raise InputError(f"scene must be one of tissue, got a {scene.anatomy.kind}: {FITTED}")
+    problem = PROBLEMS[build](scene, log, free, cores=cores, progress=report)
     report("fitting", 0.8)
-    posterior = maximum_posterior(forward, measured)
+    posterior = maximum_posterior(problem.forward, problem.measured)
     found = identified(posterior)
     require_information(found, posterior)
     report("what to measure next", 0.9)
     material = [at for at, name in enumerate(posterior.names) if not name.startswith(NUISANCE)]
-    gains = expected_information(posterior, list(cutting_candidates(forward).items()), among=material)
-    notes = (*log.notes, *forward.notes)
-    return SceneFit(scene, log, posterior, found, tuple(gains), ticks * TICK_S, notes)
+    gains = expected_information(posterior, problem.candidates(posterior), among=material)
+    notes = (*log.notes, *problem.notes)
+    return SceneFit(scene, log, posterior, found, tuple(gains), problem.block_s, notes)
 
 
 def require_information(found: Identified, posterior: Posterior) -> None:

@@ -71,7 +71,7 @@ def unit_of(name: str) -> tuple[str, str]:
     """Name without its unit, in words, and the unit as it is written."""
     last = name.rpartition(".")[2]
     unit = next((each for each in UNITS if last.endswith(f"_{each}")), "")
-    words = name.removesuffix(f"_{unit}").replace("cutting.", "").replace(".", " ").replace("_", " ")
+    words = name.removesuffix(f"_{unit}").removeprefix("cutting.").replace(".", " ").replace("_", " ")
     marks = {"N_mm2": "N/mm²", "N_mm": "N/mm", "N_m": "N/m", "N_s_m": "N s/m", "N_s_m2": "N s/m²", "mm_s": "mm/s"}
     return words, marks.get(unit, unit)
 
@@ -87,7 +87,8 @@ def _write_constants(fit: SceneFit, path: Path, digest: str) -> None:
         how = {"determined": "M", "narrowed": "L", "at its prior": "L"}[each.state]
         text = source if each.state != "at its prior" else f"{source}, which does not narrow the cited range"
         entries.append(FittedEntry(each.name, each.value, each.low, each.high, text, how))
-    for name in dict.fromkeys(each.name.rpartition(".")[0] for each in entries):
+    cut = [each.name.rpartition(".")[0] for each in entries if each.name.startswith("cutting.")]
+    for name in dict.fromkeys(cut):
         layer = name.removeprefix("cutting.")
         reference = fit.scene.constants.layer_constants(layer, bone=fit.scene.cutting.material)[REFERENCE].value
         text = "the density at which the fitted coefficients are stated"

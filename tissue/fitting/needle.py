@@ -26,10 +26,12 @@ from meshes.base.errors import InputError
 from tissue.fitting.needle_events import Event, found_events, near_events
 from tissue.fitting.needle_track import CREPT_IN, CREPT_OUT, SLID_IN, SLID_OUT, NeedleTrack, followed
 from tissue.fitting.parameter import Parameter
-from tissue.models.needle.parameters import Membrane, NeedleTissue, ShaftFriction
+from tissue.models.needle.parameters import GREATEST_N, GREATEST_N_M, Membrane, NeedleTissue, ShaftFriction
 
-__all__ = ["NeedleForward", "needle_names"]
+__all__ = ["CHANNEL", "NeedleForward", "needle_names"]
 
+CHANNEL = "force_axis_N"
+"""Force on the needle along its axis, positive against insertion."""
 ANCHOR_M = 3e-3
 """Travel before a jump over which the reading gives the limit that was reached [m]."""
 LEAVING_M = 5e-3
@@ -66,8 +68,6 @@ class NeedleForward:
     travel_m
         Of the tip beyond the undeformed surface, along the axis, shape (n,); it starts outside and is smooth to within
         a sample's motion, since a shaft that turns round sticks.
-    axes
-        Unit vector from tip to shank, shape (3,) or (n, 3).
     vessel_wall_depth_m
         Depth of a second membrane [m]; None for none.
     stick_band_m_s
@@ -75,18 +75,17 @@ class NeedleForward:
     events
         Jumps of the log, from `events_of`; () for a log without any.
     channels
-        The force, in the world frame.
+        The force along the axis.
     """
 
     parameters: tuple[Parameter, ...]
     known: dict[str, float]
     times_s: Array
     travel_m: Array
-    axes: Array
     vessel_wall_depth_m: float | None = None
     stick_band_m_s: float = 1e-4
     events: tuple[Event, ...] = ()
-    channels: tuple[str, ...] = ("force_x_N", "force_y_N", "force_z_N")
+    channels: tuple[str, ...] = (CHANNEL,)
     _last: dict[tuple[float, ...], tuple[Array, NeedleTrack]] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -108,8 +107,11 @@ class NeedleForward:
 
     def events_of(self, force_N: Array) -> tuple[Event, ...]:
         """Jumps of a measured force along the axis at `times_s` [N], shape (n,), that the law lets expect."""
-        expected = followed(self._tissue(self._values([])), self.travel_m, self._speed_m_s, None).events
-        return found_events(self.times_s, self.travel_m, force_N, expected)
+        return found_events(self.times_s, self.travel_m, force_N, self.expected_events())
+
+    def expected_events(self) -> tuple[Event, ...]:
+        """Jumps of the law itself along the travel, with the known constants."""
+        return followed(self._tissue(self._values([])), self.travel_m, self._speed_m_s, None).events
 
     def unusable(self, wanted_s: Array, within_s: float) -> NDArray[np.bool_]:
         """Samples to leave out of a fit, shape of `wanted_s`.
@@ -128,13 +130,13 @@ class NeedleForward:
         """See `Forward`."""
         values, track = self._followed(tuple(np.asarray(x, dtype=float).tolist()))
         force, _ = self._force(values, track)
-        return force[:, None] * np.broadcast_to(self.axes, (len(force), 3))
+        return force[:, None]
 
     def jacobian(self, x: Array) -> Array:
         """See `Forward`."""
         values, track = self._followed(tuple(np.asarray(x, dtype=float).tolist()))
         slopes = self._force(values, track)[1][:, self._free] * UNITS[self._free]
-        return slopes[:, None, :] * np.broadcast_to(self.axes, (len(slopes), 3))[:, :, None]
+        return slopes[:, None, :]
 
     def _followed(self, x: tuple[float, ...]) -> tuple[Array, NeedleTrack]:
         """Constants and the law along the log; the last are kept, since a search asks for loads and slopes of one x."""
@@ -158,7 +160,9 @@ class NeedleForward:
         return np.array([stated[name] for name in self.names]) * UNITS[: len(self.names)]
 
     def _tissue(self, values: Array) -> NeedleTissue:
-        v = values.tolist()
+        # A search may ask for what no needle meets: it gets the most that the law takes.
+        v = np.minimum(values, 0.5 * GREATEST_N).tolist()
+        v[A2] = min(float(values[A2]), GREATEST_N_M)
         depths = (0.0,) if self.vessel_wall_depth_m is None else (0.0, self.vessel_wall_depth_m)
         membranes = tuple(
             Membrane(name=name, depth_m=depth, puncture_N=v[puncture], hold_N=v[hold])
