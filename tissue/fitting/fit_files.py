@@ -24,7 +24,7 @@ FILES = ("fitted.toml", "report.html", "fit.json", "loads.csv", "measured.png", 
 UNITS = ("N_mm2", "N_mm", "N_m", "N_s_m", "kPa", "N_s_m2", "kg", "N", "s", "mm_s", "GPa")
 LAGS = 40
 """Samples over which the autocorrelation of residuals is drawn."""
-SHOWN_GAINS = 5
+SHOWN_GAINS = SHOWN_COMBINATIONS = 5
 REFERENCE = "reference_density_kg_m3"
 NATS = 0.1
 """Gain below which another log is not recommended [nats]."""
@@ -170,12 +170,12 @@ def verdicts(fit: SceneFit) -> list[str]:
         if each.state == "determined":
             label, unit = unit_of(each.name)
             found.append(f"{label}: {each.value:.3g} ({each.low:.3g} to {each.high:.3g}) {unit}".rstrip())
-    for combined in fit.identified.combinations:
+    for combined in fit.identified.combinations[:SHOWN_COMBINATIONS]:
         terms = [f"{weight:.2g} {unit_of(name)[0]}" for name, weight in combined.weights.items()]
         terms = [" + ".join(terms).replace("+ -", "- ")] if terms else []
         terms += [f"({unit_of(name)[0]})^{power:.2g}" for name, power in combined.powers.items()]
         found.append(
-            f"known only together, each over its cited value: {' times '.join(terms)} = {combined.value:.3g} "
+            f"known better together, each over its cited value: {' times '.join(terms)} = {combined.value:.3g} "
             f"({combined.low:.3g} to {combined.high:.3g})"
         )
     if at_prior := [unit_of(name)[0] for name in fit.identified.at_prior if name in names]:

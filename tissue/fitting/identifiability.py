@@ -18,6 +18,8 @@ LEAST_SHARE = 0.1
 """Constants with less than this share of a direction are not named in a combination."""
 ALONE = 0.95
 """A direction of which one constant has more than this share is that constant and no combination."""
+BETTER = 0.5
+"""Standard deviation of a combination over that of its best known constant, each over its prior's, that it is below."""
 BALANCED = 0.2
 """A weighted sum whose terms cancel to less than this share of their sizes has no powers: it is a difference."""
 DENSITY, EXPONENT = "density.", ".density_exponent"
@@ -70,7 +72,7 @@ class Identified:
     eigenvalues
         Of the information of the log, that of the prior being 1, shape (p,), greatest first.
     combinations
-        Of constants that are not determined one by one.
+        Known better than their constants one by one.
     """
 
     names: tuple[str, ...]
@@ -114,8 +116,10 @@ def identified(posterior: Posterior) -> Identified:
         for value, vector in zip(eigenvalues, vectors.T[::-1], strict=True)
         if 1.0 / (1.0 + value) < DETERMINED**2 and float(np.max(vector**2)) < ALONE
     ]
-    combinations = tuple(_combination(posterior, measured @ vector, vector, value) for value, vector in directions)
-    return Identified(posterior.names, contraction, eigenvalues, combinations)
+    found = [_combination(posterior, measured @ vector, vector, value) for value, vector in directions]
+    alone = dict(zip(posterior.names, contraction.tolist(), strict=True))
+    better = [each for each in found if each.contraction < BETTER * min(alone[name] for name in each.names)]
+    return Identified(posterior.names, contraction, eigenvalues, tuple(better))
 
 
 def _combination(posterior: Posterior, mean: Array, direction: Array, information: float) -> Combination:

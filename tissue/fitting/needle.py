@@ -16,7 +16,7 @@ imposed: `unusable` names the samples from 5 mm before it on, and those around t
 would smear.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.fitting.needle_events import Event, found_events, near_events
-from tissue.fitting.needle_track import CREPT_IN, CREPT_OUT, SLID_IN, SLID_OUT, NeedleTrack, followed
+from tissue.fitting.needle_track import CREPT_IN, CREPT_OUT, SLID_IN, SLID_OUT, NeedleTrack, followed, slid_in
 from tissue.fitting.parameter import Parameter
 from tissue.models.needle.parameters import GREATEST_N, GREATEST_N_M, Membrane, NeedleTissue, ShaftFriction
 
@@ -107,7 +107,9 @@ class NeedleForward:
 
     def events_of(self, force_N: Array) -> tuple[Event, ...]:
         """Jumps of a measured force along the axis at `times_s` [N], shape (n,), that the law lets expect."""
-        return found_events(self.times_s, self.travel_m, force_N, self.expected_events())
+        expected = self.expected_events()
+        law = replace(self, parameters=(), events=expected).loads(np.empty(0))[:, 0]
+        return found_events(self.times_s, self.travel_m, force_N, expected, law)
 
     def expected_events(self) -> tuple[Event, ...]:
         """Jumps of the law itself along the travel, with the known constants."""
@@ -188,10 +190,12 @@ class NeedleForward:
         slopes = -(v[A1] + 2.0 * v[A2] * np.abs(u))[:, None] * by_length
         slopes[:, A1] += u
         slopes[:, A2] += u * np.abs(u)
-        for name, side in ((DRAG_IN, 1), (DRAG_OUT, -1)):
-            speed = np.where(track.sliding == side, self._speed_m_s, 0.0)
+        share, by_share = slid_in(track, by_length)
+        outwards = np.where(track.sliding < 0, 1.0, 0.0)
+        for name, slides, by_slides in ((DRAG_IN, share, by_share), (DRAG_OUT, outwards, np.zeros_like(slopes))):
+            speed = slides * self._speed_m_s
             force += v[name] * length * speed
-            slopes += (v[name] * speed)[:, None] * by_length
+            slopes += v[name] * (speed[:, None] * by_length + (length * self._speed_m_s)[:, None] * by_slides)
             slopes[:, name] += length * speed
         for event in (each for each in self.events if each.seen):
             share, gap, by_gap = self._anchor(v, track, by_length[event.sample], event)

@@ -9,7 +9,7 @@ from meshes.base.arrays import Array
 
 __all__ = ["Event", "found_events", "near_events"]
 
-WINDOW_S = 0.01
+WINDOW_S = 0.02
 """Time on either side of a sample over which the force is averaged to see whether it jumps [s]."""
 UNSEEN = 0.6
 """Share of the time since the motion turned round within which a breaking away that is not seen may lie."""
@@ -36,32 +36,37 @@ class Event:
     seen: bool = True
 
 
-def found_events(times_s: Array, travel_m: Array, force_N: Array, expected: tuple[Event, ...]) -> tuple[Event, ...]:
+def found_events(
+    times_s: Array, travel_m: Array, force_N: Array, expected: tuple[Event, ...], law_N: Array
+) -> tuple[Event, ...]:
     """Where a log has the jumps that a needle's law lets expect, in order of time.
 
     A puncture that is not clear is left out; a breaking away that is not, since friction drops by no more than speed
     adds, keeps its expected place and is marked as not seen.
 
     In each stroke (a time of motion in one direction) as many of the sharpest falls of the force are taken as are
-    expected there; where the shaft breaks away outwards the first rise, since a later one is a hole that it leaves.
+    expected there; where the shaft breaks away outwards the first rise, since a later one is a hole that it leaves, and
+    only where the law itself rises clearly.
 
     Parameters
     ----------
     times_s, travel_m, force_N
         Of the log, shape (n,); the force along the needle's axis, positive against insertion.
-    expected
-        The events of a run of the law along the same travel.
+    expected, law_N
+        The events of a run of the law along the same travel, and its force, shape (n,).
     """
     step = float(np.median(np.diff(times_s)))
     width = max(round(WINDOW_S / step), 2)
     jump = _jumps(force_N, width)
     noise = 1.4826 * float(np.median(np.abs(jump - np.median(jump))))
-    stroke = _strokes(travel_m)
+    stroke, law = _strokes(travel_m), _jumps(law_N, width)
     found: list[Event] = []
     for number in sorted({int(stroke[event.sample]) for event in expected}):
         here = [event for event in expected if stroke[event.sample] == number]
         sign = 1.0 if here[0].kind == "slip_out" else -1.0
         size = np.where(stroke == number, sign * jump, -np.inf)
+        if sign > 0.0 and float(np.max(law[here[0].sample - width : here[0].sample + width])) < CLEAR * noise:
+            size[:] = -np.inf
         places: list[int] = []
         for _ in here[:1] if sign > 0.0 else here:
             if sign > 0.0:

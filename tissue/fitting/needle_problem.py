@@ -27,7 +27,7 @@ from tissue.scene.scene import Scene
 __all__ = ["needle_problem"]
 
 STEP_S = 4e-3
-"""Time between two poses of the law [s]: 0.1 mm at 25 mm/s, a tenth of the shortest way over which loads change."""
+"""Time between two poses of the law [s]: 0.1 mm at 25 mm/s, a tenth of the shortest travel over which loads change."""
 LEAST_COSINE = 0.17
 """As `tissue.models.needle.model.NeedleModel` has it: more than 10 degrees to the surface."""
 CLOCKS, KNOWN_S = 3.0, 0.005
@@ -145,9 +145,8 @@ def _candidates(forward: NeedleForward, posterior: Posterior) -> list[tuple[str,
     for feed in FEEDS_M_S:
         for depth in DEPTHS_M:
             step = feed * STEP_S
-            way_in = np.arange(-AIR_M, depth, step)
-            out = way_in[::-1]
-            travel = np.concatenate([way_in, np.full(int(REST_S / STEP_S), way_in[-1]), out])
+            inwards = np.arange(-AIR_M, depth, step)
+            travel = np.concatenate([inwards, np.full(int(REST_S / STEP_S), inwards[-1]), inwards[::-1]])
             times = STEP_S * np.arange(len(travel), dtype=np.float64)
             new = replace(forward, known=known, times_s=times, travel_m=travel, events=())
             label = f"an insertion {1e3 * depth:g} mm deep at {1e3 * feed:g} mm/s, {REST_S:g} s of rest, and out"

@@ -9,7 +9,7 @@ from tissue.fitting.needle_events import Event
 from tissue.models.needle.insertion import Insertion
 from tissue.models.needle.parameters import NeedleTissue
 
-__all__ = ["NeedleTrack", "followed"]
+__all__ = ["NeedleTrack", "followed", "slid_in"]
 
 WHOLE_N = 9e3
 """Puncture force of a membrane that does not break before its event: more than any needle meets."""
@@ -95,6 +95,24 @@ def followed(tissue: NeedleTissue, travel_m: Array, speed_m_s: Array, events: tu
     return NeedleTrack(
         np.array(lengths), np.array(deflections), sliding_, cuts_, holes_, how_, source_, tuple(happened)
     )
+
+
+def slid_in(track: NeedleTrack, by_length: Array) -> tuple[Array, Array]:
+    """Share of the last sample's motion over which the shaft slid inwards, shape (n,), and its slopes, (n, 11 or 13).
+
+    It lies between 0 and 1 where the tip meets a membrane between two samples: its drag ends there, at a travel that
+    depends on the constants, and a drag that ended a whole sample earlier would be a step in them.
+    """
+    share, slopes, length = np.where(track.sliding > 0, 1.0, 0.0), np.zeros_like(by_length), track.inserted_m
+    for k in (
+        np.flatnonzero((track.how[2:] == STOPPED) & (track.how[1:-1] == SLID_IN) & (track.how[:-2] == SLID_IN)) + 2
+    ):
+        went, last = length[k] - length[k - 1], length[k - 1] - length[k - 2]
+        by_last = by_length[k - 1] - by_length[k - 2]
+        share[k] = min(went / last, 1.0)
+        if went < last:
+            slopes[k] = -by_length[k - 1] / last - went / last**2 * by_last
+    return share, slopes
 
 
 def _modes(tissue: NeedleTissue, speed_m_s: Array, events: tuple[Event, ...]) -> dict[int, NeedleTissue]:

@@ -1,4 +1,8 @@
-"""Constants given a log: the maximum of their density, and a normal law about it (Laplace's approximation)."""
+"""Constants given a log: the maximum of their density, and a normal law about it (Laplace's approximation).
+
+Its covariance is the inverse of the expected information: differences of gradients would find the small steps that a
+load takes where the tool leaves an element or a shaft begins to slide one sample earlier.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,13 +26,11 @@ OFFSETS_S = np.linspace(-3.0 * OFFSET_S, 3.0 * OFFSET_S, 25)
 STARTS = 2
 NEARBY, REFINED = np.linspace(-2.5, 2.5, 101), 3
 """Offsets about a maximum at which a higher one is looked for, in samples of the log, and how often."""
-STEP = 1e-4
-"""Step of z over which gradients are differenced for the curvature."""
 FARTHEST = 12.0
 """Standard deviations of a prior beyond which nothing is looked for."""
-STEEP = 1e-3
-"""Greatest expected gain of a Newton step at which the maximum counts as found [nats]."""
-NEWTON_STEPS = 12
+STEEP = 1e-2
+"""Squared distance to the maximum, in standard deviations, at which it counts as found."""
+SCORING_STEPS = 20
 RESTRICTED = 2
 """How often the noise is found again with new sensitivities of the constants."""
 
@@ -110,7 +112,7 @@ class Posterior:
 
 
 def maximum_posterior(forward: Forward, log: MeasuredLoads) -> Posterior:
-    """Find the most probable constants and the normal law that the curvature of the density there gives.
+    """Find the most probable constants and the normal law that the expected information there gives.
 
     The noise is that of the restricted likelihood, see `tissue.fitting.restricted`.
     """
@@ -159,11 +161,11 @@ def _starts(target: Target) -> list[Array]:
 
 
 def _polished(target: Restricted, u: Array) -> tuple[Array, Array, bool]:
-    """The maximum by Newton's steps, the inverse of the curvature there, and whether it was found."""
+    """The maximum by Fisher's scoring, the inverse of the information there, and whether it was found."""
     value, gradient = target.value_and_gradient(u)
-    for _ in range(NEWTON_STEPS):
-        curvature = _curvature(target, u)
-        step = np.linalg.solve(curvature, gradient)
+    for _ in range(SCORING_STEPS):
+        information = target.target.information(u)
+        step = np.linalg.solve(information, gradient)
         gain, share = float(gradient @ step), 1.0
         if gain < STEEP:
             break
@@ -175,16 +177,4 @@ def _polished(target: Restricted, u: Array) -> tuple[Array, Array, bool]:
             share *= 0.5
         else:
             break
-    return u, np.asarray(np.linalg.inv(curvature), dtype=np.float64), gain < STEEP
-
-
-def _curvature(target: Restricted, u: Array) -> Array:
-    """Negative second derivatives of the log density, made positive definite where they are not."""
-    rows = []
-    for at in range(len(u)):
-        moved = np.zeros(len(u))
-        moved[at] = STEP
-        rows.append((target.value_and_gradient(u - moved)[1] - target.value_and_gradient(u + moved)[1]) / (2.0 * STEP))
-    matrix = np.array(rows)
-    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
-    return np.asarray((vectors * np.maximum(values, 1e-2)) @ vectors.T)
+    return u, np.asarray(np.linalg.inv(information), dtype=np.float64), gain < STEEP

@@ -8,7 +8,7 @@ from scipy.sparse import csr_array
 from meshes.base.arrays import Array
 from tissue.fitting.forward import Forward
 from tissue.fitting.measured import MeasuredLoads
-from tissue.fitting.noise import INFORMATION, innovations, noise_terms
+from tissue.fitting.noise import FREEDOM, INFORMATION, innovations, noise_terms
 from tissue.fitting.shift import shift_operators
 
 __all__ = ["OFFSET_S", "Target", "Unpacked"]
@@ -120,6 +120,24 @@ class Target:
         known = np.isfinite(self.log.values)[:, :, None]
         each = innovations(np.where(known, moved, np.nan), noise.correlation) / noise.scale[:, None]
         return np.asarray(np.sqrt(INFORMATION) * np.nan_to_num(each).reshape(-1, moved.shape[2]))
+
+    def information(self, u: Array) -> Array:
+        """Expected information of the log and the priors about everything, shape (size, size), positive definite.
+
+        Of constants, offset and biases by the sensitivities, their cross terms with the noise being zero; of the log
+        scale and correlation of a channel by Student's law (Lange, Little and Taylor 1989) and a stationary chain.
+        """
+        each, free = self.unpacked(u), self.constants + 1 + len(self.log.channels)
+        columns = self.whitened(self.linearised(u)[1], each)
+        samples = np.isfinite(self.log.values).sum(axis=0)
+        flat = MOST_CORRELATED - each.correlation**2 / MOST_CORRELATED
+        of_correlation = INFORMATION * FREEDOM / (FREEDOM - 2.0) / (1.0 - each.correlation**2)
+        found = np.eye(self.size)
+        found[:free, :free] += columns.T @ columns
+        places = np.arange(free, self.size).reshape(2, -1)
+        found[places[0], places[0]] += samples * NOISE_SPREAD**2 * 2.0 * FREEDOM / (FREEDOM + 3.0)
+        found[places[1], places[1]] += samples * of_correlation * (CORRELATION_SPREAD * flat) ** 2
+        return found
 
     def _shifted(self, offset_s: float) -> tuple[csr_array, csr_array]:
         return shift_operators(self.forward.times_s, self.log.times_s, offset_s, self.log.within_s)

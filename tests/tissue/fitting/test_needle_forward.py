@@ -94,7 +94,7 @@ def test_derivatives_by_differences(engine):
 def test_log_without_jumps_has_no_event_and_leaves_their_constants_alone(engine):
     forward, force = engine
     smooth = NOISE_N * np.random.default_rng(2).standard_normal(len(force))
-    assert found_events(forward.times_s, forward.travel_m, smooth, (Event("puncture", 200),)) == ()
+    assert found_events(forward.times_s, forward.travel_m, smooth, (Event("puncture", 200),), force) == ()
     slopes = replace(forward, events=()).jacobian(cited_of(forward))
     silent = [name for at, name in enumerate(forward.names) if not slopes[:, :, at].any()]
     assert "needle.liver.capsule_puncture_N" in silent
