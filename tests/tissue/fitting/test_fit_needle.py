@@ -59,9 +59,9 @@ def written(path, *, up_mm, channel):
 
 
 @pytest.mark.parametrize(
-    ("up_mm", "channel", "told"),
+    ("up_mm", "channel", "message"),
     [(100.0, "force_z_N", "must bring the needle into the organ"), (5.0, "force_x_N", "the force along the needle")],
 )
-def test_logs_without_an_insertion_or_its_force_are_refused(tmp_path, up_mm, channel, told):
-    with pytest.raises(tissue.InputError, match=told):
+def test_logs_without_an_insertion_or_its_force_are_refused(tmp_path, up_mm, channel, message):
+    with pytest.raises(tissue.InputError, match=message):
         tissue.fit(tissue.load_scene("needle", SCENE), written(tmp_path / "log.csv", up_mm=up_mm, channel=channel))
