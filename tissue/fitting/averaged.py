@@ -14,9 +14,15 @@ LEAST_BLOCK = 5
 """Ticks of a block: tooth passing and sensor noise above 100 Hz are not what constants are found from."""
 
 
-def block_ticks(duration_s: float) -> int:
-    """Ticks over which a log is averaged."""
-    return max(LEAST_BLOCK, int(np.ceil(duration_s / (MOST_SAMPLES * TICK_S))))
+def block_ticks(duration_s: float, period_s: float = TICK_S) -> int:
+    """Ticks over which a log is averaged; a block of a log slower than 200 Hz holds one sample.
+
+    Parameters
+    ----------
+    duration_s, period_s
+        Of the log, and between two of its samples [s].
+    """
+    return max(LEAST_BLOCK, int(np.ceil(max(duration_s / MOST_SAMPLES, period_s) / TICK_S - 1e-6)))
 
 
 def block_averages(times_s: Array, values: Array, channels: tuple[str, ...], ticks: int) -> MeasuredLoads:

@@ -24,7 +24,7 @@ def cutting_problem(
         forward = cutting_forward(
             scene, log.times_s, log.tips_m, log.quaternions_of(scene), free=free, cores=cores, progress=progress
         )
-    ticks = block_ticks(float(log.load_times_s[-1] - log.load_times_s[0]))
+    ticks = block_ticks(float(log.load_times_s[-1] - log.load_times_s[0]), log.load_period_s)
     measured = block_averages(log.load_times_s, log.loads, log.channels, ticks)
     return Problem(
         forward, measured, ticks * TICK_S, lambda _: list(cutting_candidates(forward).items()), forward.notes

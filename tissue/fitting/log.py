@@ -58,6 +58,11 @@ class MeasuredLog:
     channels: tuple[str, ...]
     notes: tuple[str, ...] = ()
 
+    @property
+    def load_period_s(self) -> float:
+        """Time between two samples of the loads [s]."""
+        return float(np.median(np.diff(self.load_times_s)))
+
     def quaternions_of(self, scene: Scene) -> Array:
         """Orientations, those at the start of the scene's motion where the log has none, shape (n, 4)."""
         if self.quaternions is not None:

@@ -51,7 +51,7 @@ def needle_problem(
     times_s, travel_m, notes = _travel(scene, log)
     axes = Rotation.from_quat(log.quaternions_of(scene)).as_matrix()[:, :, 2]
     along = _along(log, np.column_stack([np.interp(log.load_times_s, log.times_s, each) for each in axes.T]))
-    ticks = block_ticks(float(log.load_times_s[-1] - log.load_times_s[0]))
+    ticks = block_ticks(float(log.load_times_s[-1] - log.load_times_s[0]), log.load_period_s)
     measured = block_averages(log.load_times_s, along[:, None], (CHANNEL,), ticks)
     plain = _forward(scene, times_s, travel_m, free)
     progress("finding punctures", 0.0)
