@@ -11,6 +11,8 @@ from tissue.fitting.experiments import Gain, expected_information
 from tissue.fitting.identifiability import Identified, identified
 from tissue.fitting.log import MeasuredLog
 from tissue.fitting.needle_problem import needle_problem
+from tissue.fitting.organ_problem import organ_problem
+from tissue.fitting.organ_runs import KEYS
 from tissue.fitting.posterior import Posterior, maximum_posterior
 from tissue.materials.prior import Prior
 from tissue.scene.registry import ANATOMIES
@@ -21,11 +23,12 @@ __all__ = ["ConstantFit", "SceneFit", "fit_scene"]
 PROBLEMS = {
     "tissue.builders.cutting:milled": cutting_problem,
     "tissue.builders.organ_scene:pierced": needle_problem,
+    "tissue.builders.organ_scene:pressed": organ_problem,
 }
 """What a log of a scene is compared with, by what builds its tissue."""
-FITTED = "fit a scene of bone, of a tooth or of a needle"
-NUISANCE = "density."
-"""Beginning of the names of what belongs to the specimen of a log and to no material."""
+FITTED = "fit a scene of bone, a tooth, an organ or a needle"
+NUISANCES = ("density.", KEYS)
+"""Beginnings of the names of what belongs to the specimen of a log, or is a key of its scene, and to no material."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +108,7 @@ class SceneFit:
     @property
     def of_material(self) -> tuple[int, ...]:
         """Places of the constants that belong to a material, not to the log's specimen."""
-        return tuple(at for at, name in enumerate(self.posterior.names) if not name.startswith(NUISANCE))
+        return tuple(at for at, name in enumerate(self.posterior.names) if not name.startswith(NUISANCES))
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -167,7 +170,7 @@ def fit_scene(
     found = identified(posterior)
     require_information(found, posterior)
     report("what to measure next", 0.9)
-    material = [at for at, name in enumerate(posterior.names) if not name.startswith(NUISANCE)]
+    material = [at for at, name in enumerate(posterior.names) if not name.startswith(NUISANCES)]
     gains = expected_information(posterior, problem.candidates(posterior), among=material)
     notes = (*log.notes, *problem.notes)
     return SceneFit(scene, log, posterior, found, tuple(gains), problem.block_s, notes)
