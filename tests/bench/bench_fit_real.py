@@ -1,0 +1,228 @@
+"""Constants fitted to one half of a real log predict the other half.
+
+`python tests/bench/bench_fit_real.py milling --data ForceCalculation [--figure FILE.png]` after `git clone
+https://github.com/leekunhwee/ForceCalculation`, and `needle --data dataset_lib` after `git clone
+https://github.com/amartsop/dataset_lib`. Neither repository states a licence: files are read where they are, and nothing
+of them is here.
+
+milling: slots 25 mm wide and 3 mm deep in a metal, by a flat end mill with two teeth at 6000 rpm and five feeds, 1 s of
+each, forces by a dynamometer at 10 kHz (folder `General/Flat end milling`). Not bone, and so a test of the fit alone: the
+scene is a block that a cylinder cuts, coefficients have the wide priors of a light alloy, poses follow from the stated
+feeds, axes are those that the author uses. Some feeds are fitted. Printed of the others: mean forces, predicted with 90 %
+intervals; their error, that of straight lines through the fitted means (the law is linear in the feed, and can do no
+more), that of the priors' medians; and the scatter of means over a revolution, which is what the same cut repeats to.
+
+needle: force over depth of one insertion of an 18 gauge needle into a bovine organ (liver and heart by the repository's
+description, from Okamura et al. 2004) at 3 mm/s, 371 points that seem read off a plot (`include/axial_force_dataset/share/Data0`). The
+first half of the depth is fitted, with ranges wider than the cited ones, and the second predicted. There is one sample,
+and so no scatter between samples.
+"""
+
+import argparse
+import os
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+import numpy as np  # noqa: E402
+
+import tissue  # noqa: E402
+from tissue.fitting.cutting import cutting_forward  # noqa: E402
+
+FEEDS = (300, 600, 900, 1200, 1500)
+"""Feeds of the logs [mm/min]."""
+SPLITS = {"between": (300, 900, 1500), "beyond": (300, 600, 900)}
+"""Feeds that are fitted; the others are predicted."""
+RATE, REVOLUTION = 10_000, 100
+"""Samples of a second, and of a revolution."""
+START_MM, DEPTH_MM = -45.0, 3.0
+SCENE = {
+    "anatomy.size_mm": [100, 40, 5], "voxels.spacing_mm": 0.5, "tool.kind": "cylinder", "tool.diameter_mm": 25.0,
+    "tool.length_mm": 6.0, "tool.flutes": 2, "tool.spin_rpm": 6000.0, "tool.shell_spacing_mm": None,
+}  # fmt: skip
+PRIORS = {
+    "tangential_chip_N_mm2": (800.0, 200.0, 3000.0), "radial_chip_N_mm2": (300.0, 50.0, 1500.0),
+    "axial_chip_N_mm2": (150.0, 20.0, 1000.0), "tangential_edge_N_mm": (15.0, 3.0, 60.0),
+    "radial_edge_N_mm": (15.0, 3.0, 60.0), "axial_edge_N_mm": (10.0, 1.0, 50.0),
+}  # fmt: skip
+"""Light alloys and soft steels lie within (Altintas 2012, Manufacturing Automation, table 2.1, from memory)."""
+HALF_MM, NEEDLE_MM_S, STEP_S, QUIET_N = 24.0, 3.0, 0.01, 0.01
+"""Half of the depth, feed, time between samples, and the median over a millimetre below which nothing is touched yet."""
+LIVER = {
+    "linear_N_mm": (0.048, 0.012, 0.19), "quadratic_N_mm2": (0.0052, 0.0013, 0.021), "cutting_N": (0.3, 0.075, 1.2),
+    "capsule_puncture_N": (1.2, 0.4, 3.6), "capsule_hold_N": (0.3, 0.075, 1.2), "sliding_in_N_m": (10.6, 3.5, 32.0),
+}  # fmt: skip
+"""About the cited stiffness and friction; below the cited forces, since this liver breaks at less."""
+STEP = 1e-4
+"""Step over which the forces are differenced."""
+
+
+def forces(folder: Path, feed: int) -> np.ndarray:
+    """Forces on the tool, along the feed, across it and along the axis [N], shape (10000, 3)."""
+    path = folder / "General" / "Flat end milling" / f"6-n6000f{feed}ap3ae25.csv"
+    table = np.loadtxt(path, delimiter=",", skiprows=20, encoding="latin1")
+    return np.asarray(table[:RATE, [2, 1, 3]] * [1.0, 1.0, -1.0])
+
+
+def poses(feeds: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Times [s] and tips [mm] of one second at each feed, one behind the other."""
+    speeds = np.repeat(np.array(feeds) / 60.0, RATE)
+    tips = np.zeros((len(speeds), 3))
+    tips[:, 0] = START_MM + np.concatenate([[0.0], np.cumsum(speeds)[:-1]]) / RATE
+    tips[:, 2] = -DEPTH_MM
+    return np.arange(len(speeds)) / RATE, tips
+
+
+def fitted(scene: tissue.Scene, data: Path, feeds: tuple[int, ...], folder: Path) -> tissue.Fit:
+    times, tips = poses(feeds)
+    log = np.column_stack([times, tips, np.concatenate([forces(data, feed) for feed in feeds])])
+    names = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,force_x_N,force_y_N,force_z_N"
+    np.savetxt(folder / "log.csv", log, fmt="%.7g", delimiter=",", header=names, comments="")
+    return tissue.fit(scene, folder / "log.csv", free=["cutting.chip", "cutting.edge"])
+
+
+def predicted(scene: tissue.Scene, fit: tissue.Fit) -> tuple[np.ndarray, np.ndarray]:
+    """Mean forces at every feed [N]: 5, 50 and 95 % of the fit, shape (3, feeds, 3), and of the priors' medians."""
+    times, tips = poses(FEEDS)
+    every = slice(None, None, REVOLUTION)
+    upright = np.tile([0.0, 0.0, 0.0, 1.0], (len(times[every]), 1))
+    free = [name for name in fit.fitted.posterior.names if name.startswith("cutting.")]
+    forward = cutting_forward(scene, times[every], 1e-3 * tips[every], upright, free=free)
+    middle = [np.abs(forward.times_s - at - 0.5) < 0.25 for at in range(len(FEEDS))]
+    posterior = fit.fitted.posterior
+
+    def means(u: np.ndarray) -> np.ndarray:
+        loads = forward.loads(posterior.target.x(u[: len(posterior.names)]))[:, :3]
+        return np.array([loads[at].mean(axis=0) for at in middle]) + posterior.target.unpacked(u).bias
+
+    best = means(posterior.maximum)
+    slopes = np.stack(
+        [(means(posterior.maximum + STEP * each) - best) / STEP for each in np.eye(posterior.target.size)]
+    )
+    half = 1.645 * np.sqrt(np.einsum("ijk,il,ljk->jk", slopes, posterior.covariance, slopes))
+    return np.array([best - half, best, best + half]), means(np.zeros(posterior.target.size))
+
+
+def plots():
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    return plt
+
+
+def drawn(figure: Path, results: dict[str, np.ndarray], measured: np.ndarray) -> None:
+    whole, axes = plots().subplots(1, len(results), figsize=(10, 4.5), sharey=True)
+    for panel, (split, bands) in zip(axes, results.items(), strict=True):
+        for at, name in enumerate(("along the feed", "across", "along the axis")):
+            is_fitted = np.isin(FEEDS, SPLITS[split])
+            panel.fill_between(FEEDS, bands[0, :, at], bands[2, :, at], color=f"C{at}", alpha=0.3, lw=0)
+            panel.plot(FEEDS, bands[1, :, at], color=f"C{at}", lw=1)
+            for chosen, marker in ((is_fitted, "o"), (~is_fitted, "x")):
+                label = name if marker == "o" else None
+                panel.plot(np.array(FEEDS)[chosen], measured[chosen, at], marker, color=f"C{at}", label=label)
+        panel.set_title(f"{split} the fitted feeds (o fitted, x predicted)", fontsize=10)
+        panel.set_xlabel("feed [mm/min]")
+    axes[0].set_ylabel("mean force on the tool [N]")
+    axes[0].legend()
+    whole.tight_layout()
+    whole.savefig(figure, dpi=110)
+
+
+def stated(material: str, ranges: dict[str, tuple[float, float, float]]) -> str:
+    """A file of constants for a scene."""
+    return "".join(
+        f'[{material}.{name}]\nvalue = {value}\nrange = [{low}, {high}]\nsource = "wide"\nconfidence = "L"\n'
+        for name, (value, low, high) in ranges.items()
+    )
+
+
+def needle(data: Path, figure: Path | None) -> None:
+    """Fit the first half of the depth, predict the second, print."""
+    table = np.loadtxt(data / "include/axial_force_dataset/share/Data0/depth_force.csv", delimiter=",")
+    table = table[np.argsort(table[:, 0], kind="stable")]
+    millimetre = (1e3 * table[:, 0]).astype(int)
+    quiet = [at for at in range(int(HALF_MM)) if np.median(table[millimetre == at, 1]) < QUIET_N]
+    surface = quiet[-1] + 1.0
+    times = np.arange(0.0, 2.0 * HALF_MM / NEEDLE_MM_S, STEP_S)
+    depth = NEEDLE_MM_S * times
+    force = np.interp(depth, 1e3 * table[:, 0], table[:, 1])
+    half = depth < HALF_MM
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "own.toml").write_text(stated("needle.liver", LIVER))
+        log = np.column_stack([times, 0.0 * times, 0.0 * times, surface - depth, force])[half]
+        names = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,force_z_N"
+        np.savetxt(folder / "log.csv", log, fmt="%.7g", delimiter=",", header=names, comments="")
+        scene = tissue.load_scene("needle", {"materials": str(folder / "own.toml")})
+        fit = tissue.fit(scene, folder / "log.csv")
+    posterior = fit.fitted.posterior
+    steps = np.arange(0.0, times[-1], 4e-3)
+    forward = replace(posterior.target.forward, times_s=steps, travel_m=1e-3 * (NEEDLE_MM_S * steps - surface))
+    loads = forward.loads(posterior.target.x(posterior.mean_z))[:, 0] + posterior.nuisances.bias[0]
+    predicted_N = np.interp(times, steps, loads)
+    print(f"surface {surface:.0f} mm below the start")
+    print(fit.to_pandas()[["cited", "p05", "p50", "p95", "state"]].to_string(float_format="%.3g"))
+    print("\n".join(fit.fitted.sentences))
+    for label, part in (("fitted", half), ("predicted", ~half)):
+        off, size = (np.sqrt(np.mean(each[part] ** 2)) for each in (predicted_N - force, force))
+        print(f"{label} half: off {off:.3f} N, {off / size:.0%} of the force (root mean square)")
+    if figure:
+        panel = plots().subplots(figsize=(7, 4))[1]
+        panel.plot(depth, force, lw=1, label="measured")
+        panel.plot(depth[half], predicted_N[half], lw=1, label="fitted")
+        panel.plot(depth[~half], predicted_N[~half], "--", lw=1, label="predicted")
+        panel.set(xlabel="depth [mm]", ylabel="force [N]")
+        panel.legend()
+        panel.figure.savefig(figure, dpi=110)
+
+
+def milling(data: Path, figure: Path | None) -> None:
+    """Fit some feeds, predict the others, print."""
+    turns = np.array([forces(data, feed).reshape(-1, REVOLUTION, 3).mean(axis=1) for feed in FEEDS])
+    measured, scatter = turns.mean(axis=1), turns.std(axis=1, ddof=1)
+    results = {}
+    for split, feeds in SPLITS.items():
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            (folder / "metal.toml").write_text(stated("cutting.bone", PRIORS))
+            scene = tissue.load_scene("milling", SCENE | {"materials": str(folder / "metal.toml")})
+            fit = fitted(scene, data, feeds, folder)
+            results[split], cited = predicted(scene, fit)
+        print(f"fitted to {feeds} mm/min")
+        print(fit.to_pandas()[["cited", "p05", "p50", "p95", "state"]].to_string(float_format="%.3g"))
+        left = [at for at, feed in enumerate(FEEDS) if feed not in feeds]
+        for at in left:
+            for axis, name in enumerate("xyz"):
+                low, value, high = results[split][:, at, axis]
+                print(f"  {FEEDS[at]:5d} mm/min {name}: measured {measured[at, axis]:7.1f} N (scatter "
+                      f"{scatter[at, axis]:.1f}), predicted {value:7.1f} ({low:.1f} to {high:.1f}), "
+                      f"priors {cited[at, axis]:7.1f}")  # fmt: skip
+        lines = np.polynomial.polynomial.polyfit(feeds, measured[np.isin(FEEDS, feeds)], 1)
+        straight = np.polynomial.polynomial.polyval(np.array(FEEDS), lines).T
+        for name, each in (("fit", results[split][1]), ("straight lines", straight), ("priors", cited)):
+            each = (each - measured)[left]
+            size = np.linalg.norm(measured[left])
+            print(f"  {name}: off {np.linalg.norm(each) / size:.1%} of the force (root mean square), "
+                  f"{np.sqrt(np.mean(each**2)):.1f} N against a scatter of {np.sqrt(np.mean(scatter[left] ** 2)):.1f} N")  # fmt: skip
+    if figure:
+        drawn(figure, results, measured)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("kind", choices=["milling", "needle"])
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--figure", type=Path)
+    options = parser.parse_args()
+    if not options.data.is_dir():
+        parser.exit(0, f"skipped: no folder {options.data}; see above for where the logs are\n")
+    {"milling": milling, "needle": needle}[options.kind](options.data, options.figure)
+
+
+if __name__ == "__main__":
+    main()
