@@ -14,7 +14,7 @@ LEAST_BLOCK = 5
 """Ticks of a block: tooth passing and sensor noise above 100 Hz are not what constants are found from."""
 
 
-def block_ticks(duration_s: float, period_s: float = TICK_S) -> int:
+def block_ticks(duration_s: float, period_s: float) -> int:
     """Ticks over which a log is averaged; a block of a log slower than 200 Hz holds one sample.
 
     Parameters

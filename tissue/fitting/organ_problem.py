@@ -49,7 +49,7 @@ def organ_problem(
     """
     poses = Poses(log.times_s, log.tips_m, log.quaternions_of(scene))
     parameters = tuple(chosen(free, _possible(scene, named=bool(free))))
-    ticks = block_ticks(float(log.load_times_s[-1] - log.load_times_s[0]))
+    ticks = block_ticks(float(log.load_times_s[-1] - log.load_times_s[0]), log.load_period_s)
     measured = block_averages(log.load_times_s, log.loads, log.channels, ticks)
     z, workers = np.zeros(len(parameters)), cores or os.cpu_count() or 1
     with names_of_caller({"motion must": "measured must", "the motion": "the log"}):
