@@ -111,6 +111,7 @@ class Run(RunData):
         *,
         seed: int | None = None,
         workers: int | None = None,
+        scheduler: str | None = None,
         compute: str = "cpu",
         cores: int | None = None,
         pictures: bool | str = True,
@@ -127,6 +128,8 @@ class Run(RunData):
         workers
             Processes that run samples beside each other, where each is a run of its own, as a needle's is. A script
             that asks for several must begin below ``if __name__ == "__main__":``.
+        scheduler
+            ``dask://ADDRESS`` of a Dask scheduler, whose workers run samples instead.
         compute, cores, progress
             As for `tissue.simulate`.
         pictures
@@ -137,7 +140,7 @@ class Run(RunData):
         ------
         InputError
             If there is no band to read, or none can be made: no constant has a range, the number of samples is none of
-            16 to 65536, fewer than 16 can be run, or the run was stopped early.
+            16 to 65536, more than a tenth of them fail, or the run was stopped early.
         """
         if samples is None:
             if self._band is None:
@@ -149,8 +152,9 @@ class Run(RunData):
 
         with reporting(progress) as report:
             made = band_of(
-                self.scene, samples, seed=seed, workers=workers, compute=compute, cores=cores, progress=report
-            )
+                self.scene, samples, seed=seed, workers=workers, scheduler=scheduler, compute=compute, cores=cores,
+                progress=report,
+            )  # fmt: skip
         require_same(
             made, np.hstack([self.trace.vectors("model_force", "N"), self.trace.vectors("model_torque", "Nm")])
         )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 from cyclopts import Parameter
 
 from meshes.base.progress import silent
+from tissue.cli.run_band import band_ends, band_lines
 from tissue.cli.terminal import console, left_out, progress, whole
 
 if TYPE_CHECKING:
@@ -35,6 +36,7 @@ def run(
     no_pictures: Annotated[bool, Parameter(negative="")] = False,
     band: Annotated[int | None, Parameter(converter=whole)] = None,
     workers: Annotated[int | None, Parameter(converter=whole)] = None,
+    scheduler: str | None = None,
     live: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
     allow_unstable: Annotated[bool, Parameter(negative="")] = False,
@@ -70,6 +72,8 @@ def run(
         Samples of the constants in their ranges, such as 200: forces, torques and figures with 50 and 90 % bands.
     workers
         Processes that run the samples of a band beside each other, where each is a run of its own.
+    scheduler
+        dask://ADDRESS: run the samples of a band on the workers of that Dask scheduler instead.
     live
         Run against the wall clock, in a window with mouse and keys as device, or without a display scripted.
     overwrite
@@ -90,9 +94,9 @@ def run(
         left_out("with --live", "run the scene without it", band=band if live else None)
         from tissue.uncertainty.band import require_band
 
-        require_band(loaded, band, workers)
+        require_band(loaded, band, workers, scheduler)
     else:
-        left_out("without --band", "give --band 200, or remove it", workers=workers)
+        left_out("without --band", "give --band 200, or remove it", workers=workers, scheduler=scheduler)
     folder = out or Path("runs") / loaded.name
     RunFolder.check(folder, overwrite=overwrite)
     started = perf_counter()
@@ -107,7 +111,10 @@ def run(
         if band is not None:
             with progress() as report:
                 drawn = False if no_pictures else pictures
-                finished.band(band, workers=workers, compute=compute, cores=cores, pictures=drawn, progress=report)
+                finished.band(
+                    band, workers=workers, scheduler=scheduler, compute=compute, cores=cores, pictures=drawn,
+                    progress=report,
+                )  # fmt: skip
     _print_summary(finished.summary, folder, wall_s=perf_counter() - started, saving_s=perf_counter() - simulated)
 
 
@@ -215,7 +222,7 @@ def _print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s:
     for name, key, unit in (("force", "force_N", "N"), ("torque", "torque_Nm", "N·m")):
         table.add_row(f"{name}, peak / mean in contact", _pair(summary[key], unit))
         if band is not None and band[key]["peak"]["p95"] > 0.0:
-            table.add_row(f"{name}, 90 % of {band['samples']} samples", _ends(band[key], unit))
+            table.add_row(f"{name}, 90 % of {band['samples']} samples", band_ends(band[key], unit))
     tick = summary["tick_us"]
     table.add_row("tick, median / 99 % / max", f"{tick['median']:.0f} / {tick['p99']:.0f} / {tick['max']:.0f} µs")
     table.add_row("missed 1 ms deadlines", f"{summary['missed_deadlines']} of {summary['simulated_s'] * 1e3:.0f}")
@@ -234,7 +241,8 @@ def _print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s:
     for name, note in summary["notes"].items():
         console.print(f"{name}: {note}")
     if band is not None:
-        console.print(f"band: {_band_text(band)}")
+        for line in band_lines(band):
+            console.print(f"band: {line}")
     console.print(f"files in {folder}")
 
 
@@ -253,21 +261,3 @@ def _scheduling_rows(summary: "Summary") -> Iterator[tuple[str, str]]:
 
 def _pair(figures: dict[str, float], unit: str) -> str:
     return f"{figures['peak']:.3g} / {figures['mean_in_contact']:.3g} {unit}"
-
-
-def _ends(figures: dict[str, dict[str, float]], unit: str) -> str:
-    """Ends of the 90 % intervals of the peak and of the mean."""
-    peak, mean = (f"{figures[name]['p05']:.3g}–{figures[name]['p95']:.3g}" for name in ("peak", "mean_in_contact"))
-    return f"{peak} / {mean} {unit}"
-
-
-def _band_text(band: "Summary") -> str:
-    """How a band was made, and the constants that matter most for the peak force."""
-    asked = f", {band['asked']} rounded up to a power of two" if band["asked"] & (band["asked"] - 1) else ""
-    totals = {name: index["total"] for name, index in band["sobol"].get("force_N.peak", {}).items()}
-    first = sorted(totals, key=lambda name: -totals[name])[:3]
-    shares = ", ".join(f"{name} {100.0 * totals[name]:.0f} %" for name in first)
-    none = "; no Sobol indices of the peak force: it does not vary, or a polynomial explains too little of it"
-    matters = f"; of the variance of the peak force: {shares}" if shares else none
-    refused = f", {band['refused']} could not be run ({'; '.join(band['problems'])})" if band["refused"] else ""
-    return f"{band['samples']} samples{asked}{refused}; {band['how']}{matters}"

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_range
@@ -11,19 +12,25 @@ from tissue.scene.scene import Scene
 from tissue.simulation.load_record import record_loads, why_not_linear
 from tissue.simulation.run_summary import Summary
 from tissue.simulation.simulate import simulate
-from tissue.uncertainty.rerun import ranges_of, reruns
-from tissue.uncertainty.reweighed import FIGURES, Reweighed, with_sizes
-from tissue.uncertainty.sample import LEAST, Ranges, normals, rounded
-from tissue.uncertainty.sample_files import sample_text
+from tissue.uncertainty.figures import LEVELS, LOADS, Figure, intervals, table_of
+from tissue.uncertainty.rerun import Workers, ranges_of, reruns
+from tissue.uncertainty.reweighed import Reweighed, with_sizes
+from tissue.uncertainty.sample import Ranges, normals, rounded
+from tissue.uncertainty.sample_files import sample_name, sample_text
 from tissue.uncertainty.sobol import SobolIndices, sobol_indices
+from tissue.uncertainty.span import over_time
 from tissue.uncertainty.surrogate import surrogate_indices
 
-__all__ = ["HOW", "LEVELS", "Band", "band_of", "require_band", "require_same"]
+__all__ = ["HOW", "Band", "band_of", "require_band", "require_same"]
 
-LEVELS = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
-"""Quantiles by their names in files: the ends of the 90 and 50 % bands, and the median."""
 HOW = "the geometry was recorded once and reweighed, for the force is linear in the coefficients and the path is given"
 HOW_RERUN = "every sample was run, for the force is not linear in the constants or moves the tool"
+SAME_EVERYWHERE = (
+    "does not vary with the constants: the path is given, so that the run's own figure holds in every sample"
+)
+NEEDS_RUNS = "has no band: it depends on constants, and the loads alone were reweighed"
+MOST_FAILED = 0.1
+"""Greatest share of samples that may fail: beyond it the ends of a 90 % band would be those of what is left."""
 SAME = 1e-5
 """Of the greatest load: single precision of the kernels, and six digits of a trace in a file."""
 SOBOL_ROWS = 512
@@ -43,10 +50,13 @@ class Band:
         `tissue.uncertainty.reweighed.CHANNELS`, shapes (n, 8) and (5, n, 8).
     constants, values
         Names of the constants that vary, and their values in each sample, shape (samples, p).
-    figures
-        `tissue.uncertainty.reweighed.FIGURES` of each sample, shape (samples, 4).
+    figure_names, figures
+        Names as `tissue.uncertainty.figures` has them, and the figures of each sample, shape (samples, figures), NaN
+        where a sample has none, of an event that does not happen for one.
+    numbers
+        Which of `files` each sample is, shape (samples,).
     files
-        The file of materials of each sample; none of a band that was read.
+        The file of materials of every sample, those that failed among them; none of a band that was read.
     summary
         What ``summary.json`` holds of it under ``band``.
     """
@@ -56,7 +66,9 @@ class Band:
     quantiles: Array
     constants: tuple[str, ...]
     values: Array
+    figure_names: tuple[Figure, ...]
     figures: Array
+    numbers: NDArray[np.int64]
     files: tuple[str, ...]
     summary: Summary
 
@@ -65,21 +77,25 @@ class Band:
         return f"<tissue Band of {len(self.values)} samples, peak force {peak['p05']:.3g} to {peak['p95']:.3g} N>"
 
 
-def require_band(scene: Scene, asked: int, workers: int | None) -> None:
+def require_band(scene: Scene, asked: int, workers: int | None, scheduler: str | None = None) -> None:
     """Refuse options of a band that cannot be met, before the scene is run.
 
     Raises
     ------
     InputError
-        If the number of samples is none of 16 to 65536, or processes are asked for where nothing is run again.
+        If the number of samples is none of 16 to 65536, or processes are asked for where nothing is run again, or
+        beside a scheduler.
     """
     rounded(asked)
     if workers is not None:
         require_range("workers", workers, 1, 4096, "use one a core")
-        if not why_not_linear(scene):
+    for name, given in (("workers", workers), ("scheduler", scheduler)):
+        if given is not None and not why_not_linear(scene):
             raise InputError(
-                f"workers must be left out where the geometry is recorded once and reweighed, got {workers}: remove it"
+                f"{name} must be left out where the geometry is recorded once and reweighed, got {given}: remove it"
             )
+    if workers is not None and scheduler is not None:
+        raise InputError(f"workers must be left out with a scheduler, which has its own, got {workers}: remove it")
 
 
 def band_of(
@@ -88,11 +104,12 @@ def band_of(
     *,
     seed: int | None = None,
     workers: int | None = None,
+    scheduler: str | None = None,
     compute: str = "cpu",
     cores: int | None = None,
     progress: Progress | None = None,
 ) -> Band:
-    """The band of a scene's loads.
+    """The band of a scene's loads and figures.
 
     Parameters
     ----------
@@ -104,19 +121,22 @@ def band_of(
         Seed of the samples; that of the scene without it.
     workers
         Processes that run samples beside each other, where each is a run of its own.
+    scheduler
+        ``dask://ADDRESS`` of a Dask scheduler instead of own processes.
     compute, cores, progress
         As for `tissue.simulate`.
 
     Raises
     ------
     InputError
-        As `require_band`, or if no constant has a range.
+        As `require_band`, if no constant has a range, or more than a tenth of the samples fail.
     """
     report = progress or silent
-    require_band(scene, asked, workers)
+    require_band(scene, asked, workers, scheduler)
     seed = scene.seed if seed is None else seed
     if why_not_linear(scene):
-        return _rerun(scene, asked, seed, workers=workers or 1, compute=compute, cores=cores, report=report)
+        where = Workers(workers or 1, scheduler, compute)
+        return _rerun(scene, asked, seed, workers=where, cores=cores, report=report)
     reweighed = Reweighed(record_loads(scene, compute=compute, cores=cores, progress=progress))
     ranges, record = reweighed.ranges, reweighed.record
     _require_ranges(ranges)
@@ -128,53 +148,43 @@ def band_of(
     report("computing Sobol indices", 0.5)
     indices = sobol_indices(lambda free: reweighed.figures(ranges.x(free)), ranges.groups, count=SOBOL_ROWS, seed=seed)
     files = tuple(sample_text(record.scene.constants, ranges.names, each) for each in values)
-    summary = _summary(asked, seed, HOW, [], figures, ranges, indices)
-    return Band(record.times_s, nominal, quantiles, ranges.names, values, figures, files, summary)
+    summary = _summary(asked, seed, HOW, ranges, indices) | intervals(LOADS, figures)
+    summary |= {"samples": len(figures), "failed": 0, "problems": {}, "without": _without(scene)}
+    numbers = np.arange(len(files))
+    return Band(record.times_s, nominal, quantiles, ranges.names, values, LOADS, figures, numbers, files, summary)
 
 
-def _rerun(
-    scene: Scene, asked: int, seed: int, *, workers: int, compute: str, cores: int | None, report: Progress
-) -> Band:
+def _rerun(scene: Scene, asked: int, seed: int, *, workers: Workers, cores: int | None, report: Progress) -> Band:
     """A band each of whose samples is a run of its own."""
-    trace = simulate(scene, compute=compute, cores=cores, progress=report).trace
+    trace = simulate(scene, compute=workers.compute, cores=cores, progress=report).trace
     nominal = with_sizes(np.hstack([trace.vectors("model_force", "N"), trace.vectors("model_torque", "Nm")]))
     ranges = ranges_of(scene, trace.layer_names)
     _require_ranges(ranges)
     free = normals(rounded(asked), len(ranges.names), seed=seed)
     values = ranges.x(free)
     files = tuple(sample_text(scene.constants, ranges.names, each) for each in values)
-    outcomes = dict(reruns(scene, files, workers=workers, compute=compute, report=report))
-    problems = sorted({each for each in outcomes.values() if isinstance(each, str)})
-    loads, rows, kept = [], [], []
-    for number, outcome in sorted(outcomes.items()):
-        if not isinstance(outcome, str):
-            loads.append(outcome[0])
-            rows.append(outcome[1])
-            kept.append(number)
-    if len(kept) < LEAST:
+    outcomes = dict(reruns(scene, files, workers=workers, report=report))
+    problems = {sample_name(at, len(files)): each for at, each in sorted(outcomes.items()) if isinstance(each, str)}
+    if len(problems) > MOST_FAILED * len(files):
+        reasons = "; ".join(f"{name}: {why}" for name, why in list(problems.items())[:3])
         raise InputError(
-            f"band must have {LEAST} samples that can be run, got {len(kept)} of {len(files)} ({'; '.join(problems)}): "
-            "narrow the ranges, or use more"
+            f"band must have samples of which at most {MOST_FAILED:.0%} fail, got {len(problems)} of {len(files)} "
+            f"({reasons}): narrow the ranges in a file of materials"
         )
-    shortest = min(len(nominal), *map(len, loads))
-    quantiles = np.quantile(np.stack([each[:shortest] for each in loads]), tuple(LEVELS.values()), axis=0)
-    figures = np.array(rows)
-    indices, explained = surrogate_indices(free[kept], figures, ranges.groups, seed=seed)
-    summary = _summary(asked, seed, HOW_RERUN, problems, figures, ranges, indices)
-    summary |= {"refused": len(files) - len(kept), "ticks": shortest}
+    kept = np.array([at for at, each in sorted(outcomes.items()) if not isinstance(each, str)])
+    held = [each for _, each in sorted(outcomes.items()) if not isinstance(each, str)]
+    times_s = trace["time_s"]
+    quantiles, span = over_time([loads for loads, _ in held], times_s)
+    names, figures = table_of([each for _, each in held])
+    indices, explained = surrogate_indices(free[kept], figures[:, : len(LOADS)], ranges.groups, seed=seed)
+    summary = _summary(asked, seed, HOW_RERUN, ranges, indices) | intervals(names, figures)
+    summary |= {"samples": len(kept), "failed": len(problems), "problems": problems, "span": span}
     summary["surrogate_explains"] = {
-        name: float(share) for name, share in zip(FIGURES, explained, strict=True) if np.isfinite(share)
+        ".".join(name): float(share) for name, share in zip(LOADS, explained, strict=True) if np.isfinite(share)
     }
-    times = trace["time_s"][:shortest]
+    last = quantiles.shape[1]
     return Band(
-        times,
-        nominal[:shortest],
-        quantiles,
-        ranges.names,
-        values[kept],
-        figures,
-        tuple(files[at] for at in kept),
-        summary,
+        times_s[:last], nominal[:last], quantiles, ranges.names, values[kept], names, figures, kept, files, summary
     )
 
 
@@ -183,20 +193,25 @@ def _require_ranges(ranges: Ranges) -> None:
         raise InputError("band must be of a scene that rests on constants with a range, got none: leave it out")
 
 
-def _summary(
-    asked: int, seed: int, how: str, problems: list[str], figures: Array, ranges: Ranges, indices: SobolIndices
-) -> Summary:
+def _summary(asked: int, seed: int, how: str, ranges: Ranges, indices: SobolIndices) -> Summary:
     return {
-        "samples": len(figures),
         "asked": asked,
         "seed": seed,
-        "refused": 0,
-        "problems": problems,
         "how": how,
-        **_quantiles(figures),
         "constants": _constants(ranges),
         "sobol": _indices(indices, ranges),
     }
+
+
+def _without(scene: Scene) -> dict[str, str]:
+    """What has no interval where loads are reweighed, and why."""
+    names = ["removed_mm3", "contact_share"] + ["keep_clear"] * (scene.keep_clear is not None)
+    found = dict.fromkeys([*names, "break_through", "events"], SAME_EVERYWHERE)
+    if scene.heat:
+        found |= dict.fromkeys(("greatest_pulp_rise_K", "events"), NEEDS_RUNS)
+    if scene.stress is not None:
+        found["stress"] = NEEDS_RUNS
+    return found
 
 
 def require_same(band: Band, loads: Array) -> None:
@@ -225,16 +240,6 @@ def require_same(band: Band, loads: Array) -> None:
             )
 
 
-def _quantiles(figures: Array) -> dict[str, dict[str, dict[str, float]]]:
-    """Quantiles of the figures, nested as a run's summary has them."""
-    found: dict[str, dict[str, dict[str, float]]] = {}
-    for name, column in zip(FIGURES, figures.T, strict=True):
-        outer, inner = name.split(".")
-        levels = zip(LEVELS, np.quantile(column, tuple(LEVELS.values())).tolist(), strict=True)
-        found.setdefault(outer, {})[inner] = dict(levels)
-    return found
-
-
 def _constants(ranges: Ranges) -> dict[str, dict[str, float]]:
     return {
         name: {"value": prior.value, "low": prior.low, "high": prior.high}
@@ -245,7 +250,7 @@ def _constants(ranges: Ranges) -> dict[str, dict[str, float]]:
 def _indices(found: SobolIndices, ranges: Ranges) -> dict[str, dict[str, dict[str, object]]]:
     """Indices by figure and group; none of a figure that does not vary."""
     return {
-        figure: {
+        ".".join(figure): {
             group: {
                 "first": float(found.first[row, column]),
                 "first_90": found.first_ends[:, row, column].tolist(),
@@ -254,6 +259,6 @@ def _indices(found: SobolIndices, ranges: Ranges) -> dict[str, dict[str, dict[st
             }
             for row, group in enumerate(ranges.group_names)
         }
-        for column, figure in enumerate(FIGURES)
+        for column, figure in enumerate(LOADS)
         if np.isfinite(found.total[:, column]).all()
     }

@@ -1,5 +1,6 @@
 """The files of a band in a run's folder: quantiles over time, samples, pictures, and what the summary holds of it."""
 
+import csv
 import json
 from pathlib import Path
 
@@ -11,12 +12,16 @@ from meshes.base.whole_file import whole_file
 from tissue.figures.band import draw_band, draw_sobol
 from tissue.simulation.run_summary import read_summary
 from tissue.system.outputs import output_locked
-from tissue.uncertainty.band import LEVELS, Band
-from tissue.uncertainty.reweighed import CHANNELS, FIGURES
+from tissue.uncertainty.band import Band
+from tissue.uncertainty.figures import LEVELS
+from tissue.uncertainty.reweighed import CHANNELS
+from tissue.uncertainty.sample_files import sample_name
 
 __all__ = ["read_band", "save_band"]
 
 OVER_TIME, SAMPLES = "band.csv", "band/samples.csv"
+SEPARATOR = "|"
+"""Between the entries of a figure's name in the header of the samples: a layer's name or a sentence may hold a dot."""
 
 
 def save_band(band: Band, folder: Path, *, kind: str | None) -> None:
@@ -37,10 +42,11 @@ def save_band(band: Band, folder: Path, *, kind: str | None) -> None:
         held.mkdir(exist_ok=True)
         for old in held.glob("sample_*.toml"):
             old.unlink()
-        width = len(str(len(band.files) - 1))
         for number, text in enumerate(band.files):
-            (held / f"sample_{number:0{width}d}.toml").write_text(text, "utf-8")
-        _write(folder / SAMPLES, [*band.constants, *FIGURES], np.hstack([band.values, band.figures]))
+            (held / sample_name(number, len(band.files))).write_text(text, "utf-8")
+        figures = [SEPARATOR.join(name) for name in band.figure_names]
+        table = np.column_stack([band.numbers, band.values, band.figures])
+        _write(folder / SAMPLES, ["sample", *band.constants, *figures], table)
         if kind is not None:
             (folder / "pictures").mkdir(exist_ok=True)
             title = str(summary["scene"])
@@ -61,25 +67,31 @@ def read_band(folder: Path) -> Band:
     held = read_summary(folder).get("band")
     if held is None:
         raise InputError(f"run must have a band, got none in {folder}: make one with run.band(200)")
-    times, samples = _read(folder / OVER_TIME), _read(folder / SAMPLES)
+    (_, times), (header, samples) = _read(folder / OVER_TIME), _read(folder / SAMPLES)
     constants = tuple(held["constants"])
+    width = 1 + len(constants)
     nominal, quantiles = times[:, 1 : 1 + len(CHANNELS)], times[:, 1 + len(CHANNELS) :]
-    if quantiles.shape[1] != len(CHANNELS) * len(LEVELS) or samples.shape[1] != len(constants) + len(FIGURES):
+    if quantiles.shape[1] != len(CHANNELS) * len(LEVELS) or tuple(header[1:width]) != constants:
         raise InputError(f"band.csv must be as run.band wrote it, got another one in {folder}: make the band again")
     over = np.moveaxis(quantiles.reshape(len(times), len(CHANNELS), len(LEVELS)), 2, 0)
-    width = len(constants)
-    return Band(times[:, 0], nominal, over, constants, samples[:, :width], samples[:, width:], (), held)
+    names = tuple(tuple(name.split(SEPARATOR)) for name in header[width:])
+    numbers = samples[:, 0].astype(np.int64)
+    return Band(
+        times[:, 0], nominal, over, constants, samples[:, 1:width], names, samples[:, width:], numbers, (), held
+    )
 
 
 def _write(path: Path, names: list[str], rows: Array) -> None:
-    with whole_file(path) as temporary:
-        np.savetxt(temporary, rows, fmt="%.9g", delimiter=",", header=",".join(names), comments="")
+    with whole_file(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerow(names)
+        np.savetxt(file, rows, fmt="%.9g", delimiter=",")
 
 
-def _read(path: Path) -> Array:
+def _read(path: Path) -> tuple[list[str], Array]:
     try:
-        return np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
-    except (OSError, ValueError):
+        with path.open(encoding="utf-8", newline="") as file:
+            return next(csv.reader(file)), np.loadtxt(file, delimiter=",", ndmin=2)
+    except (OSError, ValueError, StopIteration):
         raise InputError(
             f"{path.name} must be a table of numbers, got another one in {path}: make the band again"
         ) from None

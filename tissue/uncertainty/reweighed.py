@@ -15,12 +15,10 @@ from tissue.simulation.load_record import LoadRecord
 from tissue.uncertainty.sample import Ranges
 from tissue.uncertainty.sample_files import sampled
 
-__all__ = ["CHANNELS", "DENSITY", "FIGURES", "Reweighed", "density_prior"]
+__all__ = ["CHANNELS", "DENSITY", "Reweighed", "density_prior"]
 
 CHANNELS = ("force_x_N", "force_y_N", "force_z_N", "force_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm", "torque_Nm")
 """Components and sizes of the loads on the tool in the world, as the model gives them."""
-FIGURES = ("force_N.peak", "force_N.mean_in_contact", "torque_Nm.peak", "torque_Nm.mean_in_contact")
-"""Figures of ``summary.json`` that follow from the loads."""
 DENSITY = "density.bone"
 BLOCK = 500_000
 """Numbers of loads that are held at once: 4 MB, about a cache."""
@@ -78,7 +76,7 @@ class Reweighed:
         return np.array(rows)
 
     def figures(self, x: Array) -> Array:
-        """`FIGURES` of samples, shape (samples, 4)."""
+        """`tissue.uncertainty.figures.LOADS` of samples, shape (samples, 4)."""
         weights = self.weights(x)
         peak, sums = np.zeros((len(x), 2)), np.zeros((len(x), 2))
         for ticks, loads in self._blocks(weights):

@@ -8,9 +8,14 @@ from meshes.base.arrays import Array
 from tissue.materials.constants import Constant
 from tissue.materials.scene_constants import Materials
 
-__all__ = ["sample_text", "sampled"]
+__all__ = ["sample_name", "sample_text", "sampled"]
 
 SOURCE = "a sample of a band"
+
+
+def sample_name(number: int, count: int) -> str:
+    """Name of the file of a sample, such as ``sample_017.toml`` of 256."""
+    return f"sample_{number:0{len(str(count - 1))}d}.toml"
 
 
 def sampled(constants: Materials, names: Sequence[str], x: Array) -> Materials:

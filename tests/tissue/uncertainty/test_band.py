@@ -17,8 +17,9 @@ from tissue.scene.load import changed
 from tissue.scene.scene import Scene
 from tissue.simulation.load_record import record_loads
 from tissue.simulation.run_folder import SavedRun
-from tissue.uncertainty.band import LEVELS, band_of, require_band
-from tissue.uncertainty.reweighed import DENSITY, FIGURES, Reweighed, density_prior
+from tissue.uncertainty.band import band_of, require_band
+from tissue.uncertainty.figures import LEVELS, LOADS
+from tissue.uncertainty.reweighed import DENSITY, Reweighed, density_prior
 
 NAMES = tuple(constants("cutting", "bone"))
 
@@ -61,7 +62,7 @@ def test_the_file_of_a_sample_gives_its_figures_when_it_is_run(block, tmp_path):
         file = tmp_path / "sample.toml"
         file.write_text(band.files[number], "utf-8")
         summary = simulate(changed(block, {"materials": str(file)}), cores=1).summary
-        want = [summary[outer][inner] for outer, inner in (name.split(".") for name in FIGURES)]
+        want = [summary[outer][inner] for outer, inner in LOADS]
         assert band.figures[number] == pytest.approx(want, rel=1e-6)
         assert band.figures[number] != pytest.approx(band.figures[number - 1], rel=0.01)
 
@@ -82,7 +83,7 @@ def test_a_band_is_written_with_its_run_and_read_back(block, tmp_path):
     again = held.band()
     assert again.constants == band.constants
     assert again.summary == json.loads((tmp_path / "run/summary.json").read_text())["band"] == band.summary
-    for name in ("times_s", "nominal", "quantiles", "values", "figures"):
+    for name in ("times_s", "nominal", "quantiles", "values", "figures", "numbers"):
         assert getattr(again, name) == pytest.approx(getattr(band, name), rel=1e-8, abs=1e-12)
 
 
@@ -106,7 +107,7 @@ def test_other_seeds_give_the_same_band_within_its_error(block):
 def test_a_needle_has_a_band_by_runs_of_its_samples(tables, tmp_path):
     scene = Scene(**tables["needle"])
     band = band_of(scene, 16)
-    assert band.summary["refused"] == 0
+    assert band.summary["failed"] == 0
     file = tmp_path / "sample.toml"
     file.write_text(band.files[5], "utf-8")
     again = simulate(changed(scene, {"materials": str(file)}), cores=1).summary

@@ -13,8 +13,8 @@ from meshes.base.errors import InputError, require_range
 from meshes.base.progress import Progress, silent
 from tissue.evaluation.study.folder import StudyFolder
 from tissue.evaluation.study.plan import Plan, TrialKey
-from tissue.evaluation.study.pools import LOST, executor
 from tissue.evaluation.study.trial import Row, Trial, error_sentence, run_trial, trial_seed
+from tissue.system.pools import LOST, executor
 from tissue.system.workers import first_done
 
 __all__ = ["run_study"]

@@ -1,4 +1,4 @@
-"""Where trials run: processes of this machine, or those of a Dask scheduler, behind one standard executor."""
+"""Where work of many processes runs: on this machine, or on those of a Dask scheduler, behind one standard executor."""
 
 import asyncio
 import logging
@@ -13,7 +13,7 @@ from tissue.system.workers import worker_pool
 __all__ = ["LOST", "executor"]
 
 LOST = (BrokenExecutor, CancelledError, ConnectionError, TimeoutError)
-"""Errors that mean that workers are gone, and not that a trial is wrong."""
+"""Errors that mean that workers are gone, and not that the work is wrong."""
 
 
 def executor(workers: int, scheduler: str | None, *, patience_s: float) -> AbstractContextManager[Executor]:
@@ -51,7 +51,7 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
         raise InputError(
             "scheduler must have dask.distributed, got none installed: pip install 'tissue-sim[cluster]'"
         ) from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # losses are reported by who runs the study
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # losses are reported by who hands out the work
     try:
         client = Client(f"tcp://{address}", timeout=f"{patience_s:g}s", set_as_default=False)
     except OSError as error:

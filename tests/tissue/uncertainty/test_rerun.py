@@ -1,0 +1,76 @@
+"""Bands whose samples are runs of their own: their figures, those that fail, and those that end early."""
+
+import re
+from itertools import count
+
+import numpy as np
+import pytest
+from scene_kinds import kinds, write_files
+
+from meshes.base.errors import InputError
+from tissue.scene.scene import Scene
+from tissue.simulation.simulate import simulate
+from tissue.uncertainty import rerun
+from tissue.uncertainty.band import band_of
+from tissue.uncertainty.figures import intervals, table_of
+from tissue.uncertainty.span import over_time
+
+
+@pytest.fixture
+def pushed(tmp_path):
+    """A burr pushed into a block by a given force, whose path depends on its coefficients."""
+    return Scene(**kinds(write_files(tmp_path))["block, thrust"])
+
+
+def test_an_event_that_not_all_samples_have_counts_its_share():
+    names, values = table_of([{("events", "it breaks", "time_s"): float(k)} if k % 2 else {} for k in range(10)])
+    found = intervals(names, values)["events"]["it breaks"]
+    assert found["share"] == 0.5
+    assert found["time_s"]["p50"] == 5.0
+    assert found["time_s"]["p05"] == pytest.approx(np.quantile([1, 3, 5, 7, 9], 0.05))
+
+
+def test_beyond_the_end_of_a_sample_a_band_is_that_of_the_others():
+    """Twenty loads of constant size 0 to 19; the two greatest end after 5 ticks, the third after 8."""
+    lengths = np.array([10] * 17 + [8, 5, 5])
+    loads = [np.full((count, 8), float(size)) for size, count in enumerate(lengths)]
+    quantiles, span = over_time(loads, 1e-3 * np.arange(1, 11))
+    assert quantiles[2, :5, 0] == pytest.approx(9.5)
+    assert quantiles[2, 5:, 0] == pytest.approx(8.5), "the median of 0 to 17"
+    assert span["ticks"] == quantiles.shape[1] == 8, "fewer than nine in ten reach the ninth tick"
+    assert span["samples_at_end"] == 18
+    assert span["shortest_sample_s"] == pytest.approx(5e-3)
+    assert span["run_ends_s"] == pytest.approx(10e-3)
+    whole, span = over_time([each[:5] for each in loads], 1e-3 * np.arange(1, 11))
+    assert whole.shape[1] == span["ticks"] == 5
+    assert span["samples_at_end"] == 20
+
+
+def failing(monkeypatch, which):
+    """Runs of which some end in an error that is none of bad input."""
+    runs = count()
+
+    def simulated(scene, **settings):
+        if next(runs) in which:
+            raise FloatingPointError("the solver broke down")
+        return simulate(scene, **settings)
+
+    monkeypatch.setattr(rerun, "simulate", simulated)
+
+
+def test_a_sample_that_breaks_down_is_named_and_left_out(pushed, monkeypatch):
+    failing(monkeypatch, {3})
+    band = band_of(pushed, 16)
+    assert band.summary["samples"] == len(band.figures) == 15
+    assert band.summary["failed"] == 1
+    assert band.summary["problems"] == {"sample_03.toml": "FloatingPointError: the solver broke down"}
+    assert band.numbers.tolist() == [each for each in range(16) if each != 3]
+    removed = band.summary["removed_mm3"]["cortical"]
+    assert removed["p05"] < removed["p50"] < removed["p95"], "what is removed depends on the force's law"
+    assert len(band.files) == 16, "the file of the one that failed is there to be run"
+
+
+def test_a_band_of_which_more_than_a_tenth_fails_is_refused(pushed, monkeypatch):
+    failing(monkeypatch, {3, 9})
+    with pytest.raises(InputError, match=re.escape("got 2 of 16 (sample_03.toml: FloatingPointError")):
+        band_of(pushed, 16)

@@ -1,0 +1,77 @@
+"""The figures of a run that vary with its constants: those of its summary, by names, and their quantiles."""
+
+import re
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from tissue.simulation.run import Run
+from tissue.simulation.run_summary import Summary
+
+__all__ = ["LEVELS", "LOADS", "Figure", "figures_of", "intervals", "table_of"]
+
+Figure = tuple[str, ...]
+"""Name of a figure: its place in ``summary.json``, entry by entry; of an event ``events``, a sentence, ``time_s``."""
+LEVELS = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
+"""Quantiles by their names in files: the ends of the 90 and 50 % bands, and the median."""
+LOADS: tuple[Figure, ...] = tuple(
+    (name, figure) for name in ("force_N", "torque_Nm") for figure in ("peak", "mean_in_contact")
+)
+"""Figures that every run has, the first columns of a table; Sobol indices are of these."""
+NUMBER = re.compile(r"-?\d+(\.\d+)?([eE][-+]?\d+)?")
+PEAKS = ("_K", "_MPa")
+"""Endings of the columns of a trace whose greatest value is a figure: temperature and stress."""
+
+
+def figures_of(run: Run) -> dict[Figure, float]:
+    """Figures of a run: loads, volumes, share of the time in contact, what is kept clear, temperature, and events.
+
+    An event is named by its sentence without numbers, and counts the first time that it happens.
+    """
+    summary, trace = run.summary, run.trace
+    found: dict[Figure, float] = {name: summary[name[0]][name[1]] for name in LOADS}
+    found |= {("removed_mm3", layer): volume for layer, volume in summary["removed_mm3"].items() if summary["cuts"]}
+    found["contact_share",] = float((trace["contact_mm2"] > 0.0).mean())
+    for structure, figures in summary.get("keep_clear", {}).items():
+        found |= {("keep_clear", structure, name): value for name, value in figures.items() if value is not None}
+    for name in run.parts.tissue.measure_names:
+        if name.endswith(PEAKS):
+            found[f"greatest_{name}",] = float(trace[name].max())
+    for first in summary.get("break_through", ())[:1]:
+        found |= {("break_through", name): value for name, value in first.items()}
+    for event in summary["events"]:
+        found.setdefault(("events", NUMBER.sub("…", event["what"]), "time_s"), event["time_s"])
+    return found
+
+
+def table_of(runs: list[dict[Figure, float]]) -> tuple[tuple[Figure, ...], Array]:
+    """Names of all figures and their values in each run, shape (runs, figures); NaN where a run has none."""
+    names = tuple(dict.fromkeys(name for run in runs for name in run))
+    return names, np.array([[run.get(name, np.nan) for name in names] for run in runs])
+
+
+def intervals(names: tuple[Figure, ...], values: Array) -> Summary:
+    """Quantiles of figures, nested as a run's summary has them, with the share of runs that have one where not all do.
+
+    Parameters
+    ----------
+    values
+        Shape (runs, figures), NaN where a run has no such figure.
+    """
+    found: Summary = {}
+    for name, column in zip(names, values.T, strict=True):
+        inside = found
+        for part in name[:-1]:
+            inside = inside.setdefault(part, {})
+        there = column[np.isfinite(column)]
+        inside[name[-1]] = _by_level(there)
+        if name[0] == "events":
+            inside["share"] = len(there) / len(column)
+        elif len(there) < len(column):
+            inside[name[-1]]["share"] = len(there) / len(column)
+    return found
+
+
+def _by_level(values: Array) -> dict[str, float]:
+    """Quantiles of numbers by their names."""
+    return dict(zip(LEVELS, np.quantile(values, tuple(LEVELS.values())).tolist(), strict=True))
