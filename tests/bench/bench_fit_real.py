@@ -55,7 +55,7 @@ LIVER = {
     "linear_N_mm": (0.048, 0.012, 0.19), "quadratic_N_mm2": (0.0052, 0.0013, 0.021), "cutting_N": (0.3, 0.075, 1.2),
     "capsule_puncture_N": (1.2, 0.4, 3.6), "capsule_hold_N": (0.3, 0.075, 1.2), "sliding_in_N_m": (10.6, 3.5, 32.0),
 }  # fmt: skip
-"""About the cited stiffness and friction; below the cited forces, since this liver breaks at less."""
+"""About the cited stiffness and friction; forces below the cited ones, by the first half."""
 STEP = 1e-4
 """Step over which the forces are differenced."""
 
