@@ -69,6 +69,7 @@ def fit(
     *,
     free: Sequence[str] = (),
     columns: Sequence[str] | Mapping[str, str] = (),
+    nuts: bool = False,
     cores: int | None = None,
     progress: Bar = None,
 ) -> Fit:
@@ -84,6 +85,9 @@ def fit(
         Constants to find, such as ``cutting.trabecular`` or ``cutting.edge``; by default the usual ones.
     columns
         Columns of other names or units: ``{"force_x_N": "-Fx:mN"}``.
+    nuts
+        Draw from the posterior by the No-U-Turn sampler, where a normal law about its maximum may not do; takes minutes
+        and the extra ``perception``.
     cores
         Processor cores to use; default all.
     progress
@@ -98,4 +102,4 @@ def fit(
     with reporting(progress) as report:
         report("reading the log", 0.0)
         log = read_log(Path(measured), maps)
-        return Fit(fit_scene(scene, log, free=free, cores=cores, progress=report))
+        return Fit(fit_scene(scene, log, free=free, nuts=nuts, cores=cores, progress=report))

@@ -19,6 +19,7 @@ def fit(
     free: str = "",
     column: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    nuts: Annotated[bool, Parameter(negative="")] = False,
     cores: Annotated[int | None, Parameter(converter=whole)] = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
@@ -38,6 +39,8 @@ def fit(
         NAME=COLUMN[:UNIT], where the log has another name or unit, such as force_x_N=-Fx:mN; may be repeated.
     set_
         KEY=VALUE, replaces an entry of the scene; may be repeated.
+    nuts
+        Draw from the posterior by NUTS too, where a normal law about its maximum may not do; takes minutes.
     cores
         Processor cores to use; default all.
     overwrite
@@ -53,7 +56,7 @@ def fit(
     prepare_folder(folder, FILES, "fit", overwrite=overwrite)
     chosen = [name.strip() for name in free.split(",") if name.strip()]
     with progress() as report:
-        found = fit_api(loaded, measured, free=chosen, columns=column, cores=cores, progress=report)
+        found = fit_api(loaded, measured, free=chosen, columns=column, nuts=nuts, cores=cores, progress=report)
         found.save(folder, overwrite=overwrite)
     for sentence in (*found.verdicts, *found.fitted.sentences):
         console.print(sentence)

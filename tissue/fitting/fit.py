@@ -7,13 +7,16 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from tissue.fitting.cutting_problem import cutting_problem
+from tissue.fitting.drawn_information import drawn_information
 from tissue.fitting.experiments import Gain, expected_information
 from tissue.fitting.identifiability import Identified, identified
 from tissue.fitting.log import MeasuredLog
 from tissue.fitting.needle_problem import needle_problem
+from tissue.fitting.nuts import Draws, draw_by_nuts, require_nuts
 from tissue.fitting.organ_problem import organ_problem
 from tissue.fitting.organ_runs import KEYS
 from tissue.fitting.posterior import Posterior, maximum_posterior
+from tissue.fitting.target import OFFSET_S
 from tissue.materials.prior import Prior
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
@@ -29,6 +32,8 @@ PROBLEMS = {
 FITTED = "fit a scene of bone, a tooth, an organ or a needle"
 NUISANCES = ("density.", KEYS)
 """Beginnings of the names of what belongs to the specimen of a log, or is a key of its scene, and to no material."""
+SEED = 0
+"""Of the draws: a log has the same fit each time."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +52,8 @@ class ConstantFit:
         Standard deviation after over that before.
     state
         ``determined``, ``narrowed``, or ``at its prior``.
+    laplace
+        5, 50 and 95 % of the normal law about the maximum, where the three above are those of draws; else None.
     """
 
     name: str
@@ -56,6 +63,7 @@ class ConstantFit:
     high: float
     contraction: float
     state: str
+    laplace: tuple[float, float, float] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +86,8 @@ class SceneFit:
         Time over which samples were averaged [s].
     notes
         What was found or assumed, in sentences.
+    draws
+        Draws of the posterior, shape (chains, draws, size), where it was sampled.
     """
 
     scene: Scene
@@ -87,13 +97,16 @@ class SceneFit:
     gains: tuple[Gain, ...]
     block_s: float
     notes: tuple[str, ...]
+    draws: Draws | None
 
     @property
     def constants(self) -> tuple[ConstantFit, ...]:
         """All free constants, in the order of the forward model."""
         found = []
         for at, (name, prior) in enumerate(zip(self.posterior.names, self.posterior.priors, strict=True)):
-            low, value, high = self.posterior.interval(at)
+            laplace = self.posterior.interval(at)
+            drawn = None if self.draws is None else prior.x(self.draws.quantiles(at)).tolist()
+            low, value, high = drawn or laplace
             state = (
                 "determined"
                 if name in self.identified.determined
@@ -102,7 +115,7 @@ class SceneFit:
                 else "narrowed"
             )
             share = float(self.identified.contraction[at])
-            found.append(ConstantFit(name, prior, low, value, high, share, state))
+            found.append(ConstantFit(name, prior, low, value, high, share, state, laplace if drawn else None))
         return tuple(found)
 
     @property
@@ -111,9 +124,17 @@ class SceneFit:
         return tuple(at for at, name in enumerate(self.posterior.names) if not name.startswith(NUISANCES))
 
     @property
+    def offset_interval_s(self) -> tuple[float, float]:
+        """90 % interval of the offset of the clocks [s]."""
+        if self.draws is None:
+            return self.posterior.offset_interval_s
+        low, _, high = (OFFSET_S * self.draws.quantiles(len(self.posterior.names))).tolist()
+        return low, high
+
+    @property
     def sentences(self) -> tuple[str, ...]:
         """What a person should know of the fit."""
-        each, (low, high) = self.posterior.nuisances, self.posterior.offset_interval_s
+        each, (low, high) = self.posterior.nuisances, self.offset_interval_s
         channels = self.posterior.target.log.channels
         biases = ", ".join(
             f"{value:.3g} {name.rpartition('_')[2].replace('Nm', 'N m')} along {name.split('_')[1]}"
@@ -126,6 +147,8 @@ class SceneFit:
         ]
         if not self.posterior.converged:
             found.append("the search did not come to a maximum: the intervals are not to be trusted")
+        if self.draws is not None:
+            found += [self.draws.sentence, *self.draws.warnings]
         return tuple(found)
 
 
@@ -134,6 +157,7 @@ def fit_scene(
     log: MeasuredLog,
     *,
     free: Sequence[str] = (),
+    nuts: bool = False,
     cores: int | None = None,
     progress: Progress | None = None,
 ) -> SceneFit:
@@ -150,6 +174,8 @@ def fit_scene(
         What was measured, in the scene's frame.
     free
         Constants that are free, see `tissue.fitting.cutting_parameters.free_constants`; nothing frees the usual ones.
+    nuts
+        Draw from the posterior; without, it is a normal law about its maximum.
     cores
         Processor cores to use; default all.
     progress
@@ -158,9 +184,12 @@ def fit_scene(
     Raises
     ------
     InputError
-        If such a scene cannot be fitted, the tool never cuts along the log, or the log determines no constant.
+        If such a scene cannot be fitted, the tool never cuts along the log, the log determines no constant, or there is
+        no NumPyro to draw with.
     """
     report = progress or silent
+    if nuts:
+        require_nuts()
     build = ANATOMIES[scene.anatomy.kind].build
     if build not in PROBLEMS:
         raise InputError(f"scene must be one of tissue, got a {scene.anatomy.kind}: {FITTED}")
@@ -169,11 +198,16 @@ def fit_scene(
     posterior = maximum_posterior(problem.forward, problem.measured)
     found = identified(posterior)
     require_information(found, posterior)
+    draws = None
+    if nuts:
+        report("drawing by NUTS, which takes minutes", 0.82)
+        draws = draw_by_nuts(posterior.target, posterior.maximum, posterior.covariance, seed=SEED)
+        found = drawn_information(found, posterior, draws)
     report("what to measure next", 0.9)
     material = [at for at, name in enumerate(posterior.names) if not name.startswith(NUISANCES)]
     gains = expected_information(posterior, problem.candidates(posterior), among=material)
     notes = (*log.notes, *problem.notes)
-    return SceneFit(scene, log, posterior, found, tuple(gains), problem.block_s, notes)
+    return SceneFit(scene, log, posterior, found, tuple(gains), problem.block_s, notes, draws)
 
 
 def require_information(found: Identified, posterior: Posterior) -> None:

@@ -12,6 +12,7 @@ from meshes.base.arrays import Array
 from meshes.base.file_version import package_version
 from meshes.base.whole_file import whole_file
 from tissue.figures.fit import FittedConstant, draw_constants, draw_measured, draw_residuals
+from tissue.fitting.draws_file import draws_numbers, write_draws
 from tissue.fitting.fit import ConstantFit, SceneFit
 from tissue.fitting.fitted_file import FittedEntry, write_fitted
 from tissue.fitting.noise import FREEDOM
@@ -20,7 +21,16 @@ from tissue.system.outputs import prepare_folder, write_columns
 
 __all__ = ["FILES", "write_fit"]
 
-FILES = ("fitted.toml", "report.html", "fit.json", "loads.csv", "measured.png", "residuals.png", "constants.png")
+FILES = (
+    "fitted.toml",
+    "report.html",
+    "fit.json",
+    "loads.csv",
+    "measured.png",
+    "residuals.png",
+    "constants.png",
+    "draws.csv",
+)
 UNITS = ("N_mm2", "N_mm", "N_m", "N_s_m", "kPa", "N_s_m2", "kg", "N", "s", "mm_s", "GPa")
 LAGS = 40
 """Samples over which the autocorrelation of residuals is drawn."""
@@ -60,11 +70,15 @@ def write_fit(fit: SceneFit, folder: Path, *, overwrite: bool) -> list[Path]:
     for at, name in enumerate(log.channels):
         columns |= {f"measured_{name}": log.values[:, at], f"simulated_{name}": posterior.simulated[:, at]}
     write_columns(folder / "loads.csv", columns)
+    if fit.draws is None:
+        (folder / "draws.csv").unlink(missing_ok=True)
+    else:
+        write_draws(fit.draws, posterior.target, folder / "draws.csv")
     with whole_file(folder / "fit.json") as temporary:
         temporary.write_text(json.dumps(_numbers(fit, digest), indent=1) + "\n", "utf-8")
     with whole_file(folder / "report.html") as temporary:
         temporary.write_text(_page(fit, folder), "utf-8")
-    return [folder / name for name in FILES]
+    return [folder / name for name in FILES if (folder / name).exists()]
 
 
 def unit_of(name: str) -> tuple[str, str]:
@@ -96,11 +110,12 @@ def _write_constants(fit: SceneFit, path: Path, digest: str) -> None:
     places = np.array(fit.of_material)
     covariance = posterior.covariance_z[np.ix_(places, places)]
     spread = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(spread, spread) if fit.draws is None else fit.draws.correlation(places)
     remark = (
         f'Constants fitted by tissue {package_version()}; a scene takes them by: materials = "{path.name}"',
         "value: median; range: 5 and 95 % of the posterior; correlation: of the standard normal numbers of each.",
     )
-    write_fitted(path, entries, covariance / np.outer(spread, spread), fixed=fixed, remark=remark)
+    write_fitted(path, entries, correlation, fixed=fixed, remark=remark)
 
 
 def _shown(each: ConstantFit) -> FittedConstant:
@@ -108,7 +123,8 @@ def _shown(each: ConstantFit) -> FittedConstant:
     fitted = (each.low, each.value, each.high)
     low, middle, high = (float(each.prior.z(value)) for value in fitted)
     cited = (each.prior.low, each.prior.value, each.prior.high)
-    return FittedConstant(label, unit, cited, fitted, (low, middle, high), each.state != "at its prior")
+    laplace_z = None if each.laplace is None else tuple(each.prior.z(each.laplace).tolist())
+    return FittedConstant(label, unit, cited, fitted, (low, middle, high), each.state != "at its prior", laplace_z)
 
 
 def _autocorrelation(values: Array) -> Array:
@@ -131,7 +147,7 @@ def _fences(channel: Array) -> tuple[float, float]:
 def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
     """All that was found, for programs."""
     each = fit.posterior.nuisances
-    low, high = fit.posterior.offset_interval_s
+    low, high = fit.offset_interval_s
     return {
         "format": 1,
         "tissue": package_version(),
@@ -142,6 +158,7 @@ def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
             {
                 "name": one.name, "p05": one.low, "p50": one.value, "p95": one.high, "contraction": one.contraction,
                 "state": one.state, "prior": [one.prior.low, one.prior.value, one.prior.high],
+                **({} if one.laplace is None else {"laplace": one.laplace}),
             }
             for one in fit.constants
         ],
@@ -158,6 +175,7 @@ def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
         "bias": each.bias.tolist(),
         "noise_scale": each.scale.tolist(),
         "noise_correlation": each.correlation.tolist(),
+        **({} if fit.draws is None else {"nuts": draws_numbers(fit.draws, fit.posterior.target)}),
         "notes": list(fit.sentences),
     }  # fmt: skip
 
