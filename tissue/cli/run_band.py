@@ -51,4 +51,5 @@ def band_lines(band: "Summary") -> Iterator[str]:
 
 
 def _between(ends: dict[str, float]) -> str:
-    return f"{ends['p05']:.4g} to {ends['p95']:.4g}"
+    low, high = f"{ends['p05']:.4g}", f"{ends['p95']:.4g}"
+    return f"{low} to {high}" if low != high else f"{low}, the same to four digits"
