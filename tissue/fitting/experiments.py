@@ -59,8 +59,9 @@ def expected_information(
     gains = []
     for label, forward in candidates:
         matrix = _information(posterior, forward)
-        after = np.linalg.inv(np.linalg.inv(now) + matrix)
-        nats = 0.5 * float(np.linalg.slogdet(np.eye(len(now)) + now @ matrix)[1])
+        grown = np.eye(len(now)) + now @ matrix
+        after = np.linalg.solve(grown, now)
+        nats = 0.5 * float(np.linalg.slogdet(grown)[1])
         gains.append(Gain(label, nats, posterior.names[at], float(np.sqrt(after[at, at] / now[at, at]))))
     return sorted(gains, key=lambda each: -each.nats)
 
