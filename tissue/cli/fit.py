@@ -15,6 +15,7 @@ def fit(
     /,
     *,
     measured: Path,
+    held: Path | None = None,
     out: Path | None = None,
     free: str = "",
     column: Annotated[tuple[str, ...], Parameter(negative="")] = (),
@@ -23,14 +24,17 @@ def fit(
     cores: Annotated[int | None, Parameter(converter=whole)] = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Find the constants of a scene's material from a measured force log.
+    """Find the constants of a scene's material, or of a device, from a measured force log.
 
     Parameters
     ----------
     scene
-        Name of a scene or a TOML file: what was cut, and by which tool.
+        Name of a scene or a TOML file: what was cut or pressed, and by which tool. Of a device device:NAME.
     measured
-        Log of poses and forces: .csv, .parquet, .h5, .mat or .npz, a run's own trace among them.
+        Log of poses and forces: .csv, .parquet, .h5, .mat or .npz, a run's own trace among them. Of a device one of it
+        free, moved by its motors.
+    held
+        Of a device: a log of it held, with the measured force on its tip.
     out
         Folder to write; default fits/NAME.
     free
@@ -46,18 +50,28 @@ def fit(
     overwrite
         Replace another fit in the folder.
     """
+    from meshes.base.errors import InputError
     from tissue.api.fit import fit as fit_api
     from tissue.fitting.fit_files import FILES
     from tissue.scene.load import load_scene, parse_override
     from tissue.system.outputs import prepare_folder
 
-    loaded = load_scene(scene, dict(parse_override(text) for text in set_))
-    folder = out or Path("fits") / loaded.name
+    overrides = dict(parse_override(text) for text in set_)
+    of_device = scene.startswith("device:")
+    if of_device and overrides:
+        raise InputError("--set must be left out for a device, which has no scene")
+    subject = scene if of_device else load_scene(scene, overrides)
+    folder = out or Path("fits") / (subject.removeprefix("device:") if isinstance(subject, str) else subject.name)
     prepare_folder(folder, FILES, "fit", overwrite=overwrite)
     chosen = [name.strip() for name in free.split(",") if name.strip()]
     with progress() as report:
+<<<<<<< HEAD
         found = fit_api(loaded, measured, free=chosen, columns=column, nuts=nuts, cores=cores, progress=report)
+=======
+        found = fit_api(subject, measured, free=chosen, held=held, columns=column, cores=cores, progress=report)
+>>>>>>> 00b49a8 (tissue fit for devices, with the gain of their motors)
         found.save(folder, overwrite=overwrite)
     for sentence in (*found.verdicts, *found.fitted.sentences):
         console.print(sentence)
-    console.print(f"files in {folder}; next: tissue run {scene} --set materials={folder / 'fitted.toml'}")
+    then = f"wall --set device={scene.removeprefix('device:')}" if of_device else scene
+    console.print(f"files in {folder}; next: tissue run {then} --set materials={folder / 'fitted.toml'}")

@@ -1,7 +1,7 @@
 """Which column of a log holds which quantity: the names that are known, units, and the flags that map a log's own."""
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from meshes.base.errors import InputError
@@ -120,7 +120,7 @@ class ColumnMap:
         return fitting.get(taken, 1.0), remark
 
 
-def parse_column(text: str) -> ColumnMap:
+def parse_column(text: str, quantities: Mapping[str, Quantity] = QUANTITIES) -> ColumnMap:
     """A flag ``NAME=COLUMN``, ``NAME=COLUMN:UNIT`` or ``NAME=-COLUMN:UNIT``, the last with its sign reversed.
 
     Without a unit the column is in the unit of the name.
@@ -136,15 +136,15 @@ def parse_column(text: str) -> ColumnMap:
         raise InputError(
             f"column must be NAME=COLUMN or NAME=COLUMN:UNIT, got {text!r}: write for example force_x_N=Fx"
         )
-    if name not in QUANTITIES:
+    if name not in quantities:
         raise InputError(
-            f"column must name what a fit uses, got {name}: choose one of {', '.join(QUANTITIES)} or leave it out"
+            f"column must name what a fit uses, got {name}: choose one of {', '.join(quantities)} or leave it out"
         )
-    return ColumnMap(QUANTITIES[name], column)
+    return ColumnMap(quantities[name], column)
 
 
-def parse_columns(texts: Sequence[str]) -> dict[str, ColumnMap]:
-    """Flags by the name that they map, see `parse_column`.
+def parse_columns(texts: Sequence[str], quantities: Mapping[str, Quantity] = QUANTITIES) -> dict[str, ColumnMap]:
+    """Flags by the name that they map, see `parse_column`, of the quantities that a log may hold.
 
     Raises
     ------
@@ -153,7 +153,7 @@ def parse_columns(texts: Sequence[str]) -> dict[str, ColumnMap]:
     """
     maps: dict[str, ColumnMap] = {}
     for text in texts:
-        each = parse_column(text)
+        each = parse_column(text, quantities)
         if each.quantity.name in maps:
             raise InputError(f"column must map a name once, got {each.quantity.name} twice: leave one out")
         maps[each.quantity.name] = each

@@ -14,6 +14,9 @@ from tissue.scene.scene import Scene
 
 __all__ = ["cutting_problem"]
 
+REFERENCE = "reference_density_kg_m3"
+"""The density at which coefficients are stated."""
+
 
 def cutting_problem(
     scene: Scene, log: MeasuredLog, free: Sequence[str], *, cores: int | None, progress: Progress
@@ -26,6 +29,13 @@ def cutting_problem(
         )
     ticks = block_ticks(float(log.load_times_s[-1] - log.load_times_s[0]), log.load_period_s)
     measured = block_averages(log.load_times_s, log.loads, log.channels, ticks)
+    layers = {each.name.split(".")[1] for each in forward.parameters if each.name.startswith("cutting.")}
+    constants = {layer: scene.constants.layer_constants(layer, bone=scene.cutting.material) for layer in sorted(layers)}
     return Problem(
-        forward, measured, ticks * TICK_S, lambda _: list(cutting_candidates(forward).items()), forward.notes
+        forward,
+        measured,
+        ticks * TICK_S,
+        lambda _: list(cutting_candidates(forward).items()),
+        forward.notes,
+        {f"cutting.{layer}.{REFERENCE}": known[REFERENCE].value for layer, known in constants.items()},
     )

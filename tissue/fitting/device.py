@@ -1,10 +1,10 @@
 """Mass, damping and friction of a haptic device from logs of it free and held.
 
-The tip obeys ``m a + b v + c v / |v| = applied + hand``. Positions come in the steps of an encoder, whose second
+The tip obeys ``m a + b v + c v / |v| = gain applied + hand``. Positions come in the steps of an encoder, whose second
 difference is all noise. Both sides are averaged with a smooth window g instead, and the derivatives moved onto it by
 parts::
 
-    m (g'' * x) + b (g' * x) + c (g * v / |v|) = g * (applied + hand)
+    m (g'' * x) + b (g' * x) + c (g * v / |v|) = g * (gain applied + hand)
 
 which is exact for any window and needs no derivative of what was measured (Shinbrot 1957). With Gauss' window
 of 10 ms a step of 55 um at 1 kHz is an error of 0.03 m/s2 of the acceleration: over one of
@@ -12,8 +12,8 @@ of 10 ms a step of 55 um at 1 kHz is an error of 0.03 m/s2 of the acceleration: 
 amplifier) is the offset of clocks that every fit estimates.
 
 While the tip is at rest, friction is anything up to c: such windows are left out. They bound c from below, see
-`least_friction_N`. A log of motor forces alone determines the constants in units of the motor's gain; the force sensor
-of the held log is what makes them newtons.
+`least_friction_N`. The motors give a gain times what they are told, which is estimated with the constants: a log of
+motor forces alone determines these in units of the gain; the force sensor of the held log is what makes them newtons.
 
 Of a simulated device that nothing disturbs the mass is 0.03 % too great, from positions and forces that are held over a
 tick: narrower intervals are too narrow (`python tests/bench/bench_fit_device.py 12`).
@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.fitting.forward import LinearForward
 from tissue.fitting.measured import MeasuredLoads
 from tissue.fitting.parameter import Parameter
 from tissue.materials.constants import constants
@@ -46,6 +45,8 @@ RESTS = 2.0
 REST_SHARE = 1e-3
 """Share of a window that may be at rest, as at a turning point: what it can move the friction by."""
 AXES = ("x", "y", "z")
+GAIN = Parameter("motors.gain", Prior(1.0, 0.85, 1.18))
+"""What motors give over what they are told: 10 % between copies of a device (from memory of the literature)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +86,43 @@ class DeviceLog:
         return self.applied_N if self.hand_N is None else self.applied_N + self.hand_N
 
 
-def device_fit(name: str, logs: tuple[DeviceLog, ...]) -> tuple[LinearForward, MeasuredLoads]:
+@dataclass(frozen=True, eq=False)
+class DeviceForward:
+    """The averaged equation of a device; a `Forward`.
+
+    Attributes
+    ----------
+    parameters, channels, times_s
+        See `tissue.fitting.forward.Forward`; the last parameter is the gain of the motors.
+    basis
+        Averages of acceleration, velocity and direction, shape (n, channels, 3).
+    applied_N
+        Of the motors' force while the device is held, shape (n, channels).
+    alone
+        Whether the device is free: then its motors' force is what the equation gives, else the hand's, shape (n,).
+    """
+
+    parameters: tuple[Parameter, ...]
+    channels: tuple[str, ...]
+    times_s: Array
+    basis: Array
+    applied_N: Array
+    alone: NDArray[np.bool_]
+
+    def loads(self, x: Array) -> Array:
+        """See `Forward`."""
+        needed = self.basis @ np.asarray(x[:3], dtype=float)
+        return np.where(self.alone[:, None], needed / x[3], needed - x[3] * self.applied_N)
+
+    def jacobian(self, x: Array) -> Array:
+        """See `Forward`."""
+        needed = self.basis @ np.asarray(x[:3], dtype=float)
+        by_gain = np.where(self.alone[:, None], -needed / x[3] ** 2, -self.applied_N)
+        by_constants = np.where(self.alone[:, None, None], self.basis / x[3], self.basis)
+        return np.concatenate([by_constants, by_gain[:, :, None]], axis=2)
+
+
+def device_fit(name: str, logs: tuple[DeviceLog, ...]) -> tuple[DeviceForward, MeasuredLoads]:
     """What a fit of a device of `tissue/materials/devices.toml` takes: the averaged equation of one or more logs.
 
     Raises
@@ -98,24 +135,29 @@ def device_fit(name: str, logs: tuple[DeviceLog, ...]) -> tuple[LinearForward, M
         Parameter(f"devices.{name}.{each}", Prior.of(cited[each], each))
         for each in ("mass_kg", "damping_N_s_m", "friction_N")
     )
-    bases, values = [], []
+    bases, values, motors, alone = [], [], [], []
     step = float(np.median(np.diff(logs[0].times_s)))
     for log in logs:
         if abs(float(np.median(np.diff(log.times_s))) / step - 1.0) > 0.01:
             raise InputError("logs must have one rate, got several: resample them to the first one's")
-        basis, force = _averaged(log, cited["encoder_step_m"].value)
+        basis, force, applied = _averaged(log, cited["encoder_step_m"].value)
         bases.append(basis)
         values.append(force)
+        motors.append(np.zeros_like(applied) if log.hand_N is None else applied)
+        alone.append(np.full(len(force), log.hand_N is None))
     measured = np.concatenate(values)
     if not np.isfinite(measured).any():
         raise InputError("the log must show the device in motion, got one at rest: let it move by centimetres")
     every = max(round(WINDOW_S / step), 1)
     times = np.asarray(step * every * np.arange(len(measured)), dtype=np.float64)
     channels = tuple(f"force_{axis}_N" for axis in AXES)
-    moves = np.isfinite(measured).any(axis=0) & (np.abs(np.concatenate(bases)).max(axis=(0, 2)) > 0.0)
+    whole = np.concatenate(bases)
+    moves = np.isfinite(measured).any(axis=0) & (np.abs(whole).max(axis=(0, 2)) > 0.0)
     kept = tuple(channel for channel, moved in zip(channels, moves, strict=True) if moved)
     return (
-        LinearForward(parameters, kept, times, np.concatenate(bases)[:, moves]),
+        DeviceForward(
+            (*parameters, GAIN), kept, times, whole[:, moves], np.concatenate(motors)[:, moves], np.concatenate(alone)
+        ),
         MeasuredLoads(times, measured[:, moves], kept),
     )
 
@@ -126,8 +168,9 @@ def least_friction_N(log: DeviceLog, encoder_step_m: float) -> float:
     return float(np.linalg.norm(log.force_N[rests], axis=1).max()) if rests.any() else 0.0
 
 
-def _averaged(log: DeviceLog, encoder_step_m: float) -> tuple[Array, Array]:
-    """Averages of acceleration, velocity and direction, (k, 3, 3), and of the force, (k, 3), NaN where it rests."""
+def _averaged(log: DeviceLog, encoder_step_m: float) -> tuple[Array, Array, Array]:
+    """Averages of acceleration, velocity and direction, (k, 3, 3), of what is measured (the hand's force on a held
+    device, else that of the motors), (k, 3), NaN where the tip rests, and of the motors' force, (k, 3)."""
     step = float(np.median(np.diff(log.times_s)))
     position = log.position_m - log.position_m[0]
     speed = _filtered(position, step, 1)
@@ -136,13 +179,14 @@ def _averaged(log: DeviceLog, encoder_step_m: float) -> tuple[Array, Array]:
     direction = np.where(moves > 0.0, heading / np.maximum(moves, 1e-12), 0.0)
     columns = [_filtered(position, step, 2), speed, _filtered(direction, step, 0)]
     rest = _filtered(_rests(log, encoder_step_m)[:, None].astype(float), step, 0)[:, 0]
-    force = _filtered(log.force_N, step, 0)
+    force = _filtered(log.applied_N if log.hand_N is None else log.hand_N, step, 0)
     edge = round(REACH * WINDOW_S / step)
     inside = np.zeros(len(force), dtype=bool)
     inside[2 * edge : -2 * edge] = True
     force = np.where((inside & (rest < REST_SHARE))[:, None], force, np.nan)
     every = max(round(WINDOW_S / step), 1)
-    return np.stack(columns, axis=-1)[::every], force[::every]
+    motors = _filtered(log.applied_N, step, 0)
+    return np.stack(columns, axis=-1)[::every], force[::every], motors[::every]
 
 
 def _rests(log: DeviceLog, encoder_step_m: float) -> NDArray[np.bool_]:

@@ -1,13 +1,18 @@
 """Constants of a scene from a measured force log."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from tissue.fitting.cutting_problem import cutting_problem
+<<<<<<< HEAD
 from tissue.fitting.drawn_information import drawn_information
+=======
+from tissue.fitting.device_problem import device_problem
+>>>>>>> 00b49a8 (tissue fit for devices, with the gain of their motors)
 from tissue.fitting.experiments import Gain, expected_information
 from tissue.fitting.identifiability import Identified, identified
 from tissue.fitting.log import MeasuredLog
@@ -16,12 +21,16 @@ from tissue.fitting.nuts import Draws, draw_by_nuts, require_nuts
 from tissue.fitting.organ_problem import organ_problem
 from tissue.fitting.organ_runs import KEYS
 from tissue.fitting.posterior import Posterior, maximum_posterior
+<<<<<<< HEAD
 from tissue.fitting.target import OFFSET_S
+=======
+from tissue.fitting.problem import Problem
+>>>>>>> 00b49a8 (tissue fit for devices, with the gain of their motors)
 from tissue.materials.prior import Prior
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 
-__all__ = ["ConstantFit", "SceneFit", "fit_scene"]
+__all__ = ["ConstantFit", "SceneFit", "fit_device", "fit_scene"]
 
 PROBLEMS = {
     "tissue.builders.cutting:milled": cutting_problem,
@@ -30,7 +39,7 @@ PROBLEMS = {
 }
 """What a log of a scene is compared with, by what builds its tissue."""
 FITTED = "fit a scene of bone, a tooth, an organ or a needle"
-NUISANCES = ("density.", KEYS)
+NUISANCES = ("density.", "motors.", KEYS)
 """Beginnings of the names of what belongs to the specimen of a log, or is a key of its scene, and to no material."""
 SEED = 0
 """Of the draws: a log has the same fit each time."""
@@ -72,10 +81,10 @@ class SceneFit:
 
     Attributes
     ----------
-    scene
-        The scene.
-    log
-        What was measured.
+    name
+        Of the scene or the device.
+    path
+        File of what was measured.
     posterior
         Constants given the log.
     identified
@@ -86,18 +95,27 @@ class SceneFit:
         Time over which samples were averaged [s].
     notes
         What was found or assumed, in sentences.
+<<<<<<< HEAD
     draws
         Draws of the posterior, shape (chains, draws, size), where it was sampled.
+=======
+    fixed
+        Constants on which the free ones rest, by their names.
+>>>>>>> 00b49a8 (tissue fit for devices, with the gain of their motors)
     """
 
-    scene: Scene
-    log: MeasuredLog
+    name: str
+    path: Path
     posterior: Posterior
     identified: Identified
     gains: tuple[Gain, ...]
     block_s: float
     notes: tuple[str, ...]
+<<<<<<< HEAD
     draws: Draws | None
+=======
+    fixed: Mapping[str, float]
+>>>>>>> 00b49a8 (tissue fit for devices, with the gain of their motors)
 
     @property
     def constants(self) -> tuple[ConstantFit, ...]:
@@ -194,6 +212,19 @@ def fit_scene(
     if build not in PROBLEMS:
         raise InputError(f"scene must be one of tissue, got a {scene.anatomy.kind}: {FITTED}")
     problem = PROBLEMS[build](scene, log, free, cores=cores, progress=report)
+    return _fitted(scene.name, log.path, problem, log.notes, report)
+
+
+def fit_device(
+    device: str, free: Path, held: Path | None, columns: Sequence[str] = (), *, progress: Progress | None = None
+) -> SceneFit:
+    """Fit mass, damping and friction of a device to logs of it, see `tissue.fitting.device_problem.device_problem`."""
+    report = progress or silent
+    return _fitted(device, free, device_problem(device, free, held, tuple(columns)), (), report)
+
+
+def _fitted(name: str, path: Path, problem: Problem, notes: tuple[str, ...], report: Progress) -> SceneFit:
+    """The fit of a problem, and what it determines."""
     report("fitting", 0.8)
     posterior = maximum_posterior(problem.forward, problem.measured)
     found = identified(posterior)
@@ -204,10 +235,15 @@ def fit_scene(
         draws = draw_by_nuts(posterior.target, posterior.maximum, posterior.covariance, seed=SEED)
         found = drawn_information(found, posterior, draws)
     report("what to measure next", 0.9)
-    material = [at for at, name in enumerate(posterior.names) if not name.startswith(NUISANCES)]
+    material = [at for at, each in enumerate(posterior.names) if not each.startswith(NUISANCES)]
     gains = expected_information(posterior, problem.candidates(posterior), among=material)
+<<<<<<< HEAD
     notes = (*log.notes, *problem.notes)
     return SceneFit(scene, log, posterior, found, tuple(gains), problem.block_s, notes, draws)
+=======
+    both = (*notes, *problem.notes)
+    return SceneFit(name, path, posterior, found, tuple(gains), problem.block_s, both, problem.fixed)
+>>>>>>> 00b49a8 (tissue fit for devices, with the gain of their motors)
 
 
 def require_information(found: Identified, posterior: Posterior) -> None:

@@ -35,7 +35,6 @@ UNITS = ("N_mm2", "N_mm", "N_m", "N_s_m", "kPa", "N_s_m2", "kg", "N", "s", "mm_s
 LAGS = 40
 """Samples over which the autocorrelation of residuals is drawn."""
 SHOWN_GAINS = SHOWN_COMBINATIONS = 5
-REFERENCE = "reference_density_kg_m3"
 NATS = 0.1
 """Gain below which another log is not recommended [nats]."""
 
@@ -58,7 +57,7 @@ def write_fit(fit: SceneFit, folder: Path, *, overwrite: bool) -> list[Path]:
         If the folder is a file, or holds another fit.
     """
     prepare_folder(folder, FILES, "fit", overwrite=overwrite)
-    digest = sha256(fit.log.path.read_bytes()).hexdigest()
+    digest = sha256(fit.path.read_bytes()).hexdigest()
     _write_constants(fit, folder / "fitted.toml", digest)
     posterior = fit.posterior
     log, residuals = posterior.target.log, posterior.residuals
@@ -93,20 +92,15 @@ def unit_of(name: str) -> tuple[str, str]:
 def _write_constants(fit: SceneFit, path: Path, digest: str) -> None:
     """The file for scenes: constants of the material with their correlation."""
     posterior, all_constants = fit.posterior, fit.constants
-    source = f"fitted to {fit.log.path.name} ({digest[:12]}) as scene {fit.scene.name}"
+    source = f"fitted to {fit.path.name} ({digest[:12]}) as {fit.name}"
     entries: list[FittedEntry] = []
-    fixed: list[FittedEntry] = []
     for at in fit.of_material:
         each = all_constants[at]
         how = {"determined": "M", "narrowed": "L", "at its prior": "L"}[each.state]
         text = source if each.state != "at its prior" else f"{source}, which does not narrow the cited range"
         entries.append(FittedEntry(each.name, each.value, each.low, each.high, text, how))
-    cut = [each.name.rpartition(".")[0] for each in entries if each.name.startswith("cutting.")]
-    for name in dict.fromkeys(cut):
-        layer = name.removeprefix("cutting.")
-        reference = fit.scene.constants.layer_constants(layer, bone=fit.scene.cutting.material)[REFERENCE].value
-        text = "the density at which the fitted coefficients are stated"
-        fixed.append(FittedEntry(f"{name}.{REFERENCE}", reference, reference, reference, text, "H"))
+    text = "the density at which the fitted coefficients are stated"
+    fixed = [FittedEntry(name, value, value, value, text, "H") for name, value in fit.fixed.items()]
     places = np.array(fit.of_material)
     covariance = posterior.covariance_z[np.ix_(places, places)]
     spread = np.sqrt(np.diag(covariance))
@@ -151,8 +145,8 @@ def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
     return {
         "format": 1,
         "tissue": package_version(),
-        "scene": fit.scene.name,
-        "measured": {"file": fit.log.path.name, "sha256": digest, "block_s": fit.block_s},
+        "scene": fit.name,
+        "measured": {"file": fit.path.name, "sha256": digest, "block_s": fit.block_s},
         "converged": fit.posterior.converged,
         "constants": [
             {
@@ -228,7 +222,7 @@ def _page(fit: SceneFit, folder: Path) -> str:
         else ""
     )
     body = (
-        f"<p>Scene {escape(fit.scene.name)}, log {escape(fit.log.path.name)}, tissue {package_version()}. A scene "
+        f"<p>{escape(fit.name)}, log {escape(fit.path.name)}, tissue {package_version()}. A scene "
         'takes the result by <code>materials = "fitted.toml"</code>.</p>'
         f"<h2>What the log determines</h2>{listed(verdicts(fit))}"
         + picture("Constants before and after, 90 % intervals", "constants.png")
@@ -237,4 +231,4 @@ def _page(fit: SceneFit, folder: Path) -> str:
         + better
         + f"<h2>Notes</h2>{listed(list(fit.sentences))}"
     )
-    return html_page(f"Fit of {escape(fit.scene.name)}", body)
+    return html_page(f"Fit of {escape(fit.name)}", body)

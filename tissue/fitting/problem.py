@@ -1,7 +1,7 @@
 """What a kind of scene gives to a fit."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 from tissue.fitting.forward import Forward
 from tissue.fitting.measured import MeasuredLoads
@@ -26,6 +26,8 @@ class Problem:
         Logs that could be measured next, by what to do in words, given what is known now.
     notes
         What was found or assumed, in sentences.
+    fixed
+        Constants on which the free ones rest, by their names.
     """
 
     forward: Forward
@@ -33,3 +35,4 @@ class Problem:
     block_s: float
     candidates: Callable[[Posterior], Sequence[tuple[str, Forward]]]
     notes: tuple[str, ...] = ()
+    fixed: Mapping[str, float] = field(default_factory=dict)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import tissue
 from meshes.base.errors import InputError
 from tissue.fitting.device import DeviceLog, device_fit, least_friction_N
 from tissue.fitting.posterior import maximum_posterior
@@ -54,11 +55,13 @@ def test_weak_form_of_a_known_motion():
     np.testing.assert_allclose(found, [mass, damping, friction], rtol=2e-2)
 
 
-def test_planted_device_comes_back():
+def test_a_free_log_knows_the_constants_over_the_gain_of_the_motors():
     found = maximum_posterior(*device_fit("touch", (swung(),)))
-    x = np.array([found.interval(at)[1] for at in range(3)])
+    x = np.array([found.interval(at)[1] for at in range(4)])
     assert found.converged
-    np.testing.assert_allclose(x, PLANTED, rtol=0.005)
+    np.testing.assert_allclose(x[:3] / x[3], PLANTED, rtol=0.005)
+    low, _, high = found.interval(0)
+    assert high / low > 1.15  # the gain alone is known to 10 %
 
 
 def test_a_device_at_rest_bounds_its_friction_and_fits_nothing():
@@ -66,3 +69,63 @@ def test_a_device_at_rest_bounds_its_friction_and_fits_nothing():
     assert 0.1 < least_friction_N(log, 5.5e-5) < 0.9
     with pytest.raises(InputError, match="in motion"):
         device_fit("touch", (log,))
+
+
+def written(path, log, hand=None, *, motors=True):
+    columns = {"time_s": log.times_s}
+    for at, c in enumerate("xyz"):
+        columns[f"device_{c}_mm"] = 1e3 * log.position_m[:, at]
+        if motors:
+            columns[f"device_force_{c}_N"] = log.applied_N[:, at]
+        if hand is not None:
+            columns[f"hand_force_{c}_N"] = hand[:, at]
+    np.savetxt(path, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
+    return path
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    """Free, and held by a hand that swings it while the motors are off."""
+    folder, log = tmp_path_factory.mktemp("device"), swung()
+    held = swung(seed=1)
+    return (
+        written(folder / "free.csv", log),
+        written(folder / "held.csv", held, held.applied_N, motors=False),
+        written(folder / "weak.csv", type(log)(log.times_s, log.position_m, 1.25 * log.applied_N)),
+    )
+
+
+def test_planted_device_comes_back_by_the_command(logs, tmp_path, command):
+    code, text, problem = command(
+        "fit", "device:touch", "--measured", logs[0], "--held", logs[1], "--out", tmp_path / "d"
+    )
+    assert code == 0, problem
+    assert "devices touch mass" in text and "tissue run wall --set device=touch" in text
+    scene = tissue.load_scene("wall", {"device": "touch", "materials": str(tmp_path / "d" / "fitted.toml")})
+    found = scene.constants.constants("devices", "touch")
+    for name, planted in zip(("mass_kg", "damping_N_s_m", "friction_N"), PLANTED, strict=True):
+        assert found[name].value == pytest.approx(planted, rel=0.005)
+
+
+def test_motors_that_are_weaker_than_stated_are_found_by_the_held_log(logs):
+    """They give 0.8 of what the log tells."""
+    found = tissue.fit("device:touch", logs[2], held=logs[1]).to_pandas()["p50"].to_numpy()
+    np.testing.assert_allclose(found, [*PLANTED, 0.8], rtol=0.005)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("device:tuch",), "device must be one of"),
+        (("device:touch", "--free", "devices"), "free must be left out"),
+        (("device:touch", "--set", "seed=1"), "--set must be left out"),
+        (("glenoid", "--held", "free.csv"), "held must be left out"),
+    ],
+)
+def test_what_has_no_effect_is_refused(logs, tmp_path, refused, arguments, message):
+    assert message in refused("fit", *arguments, "--measured", logs[0], "--out", tmp_path / "d")
+
+
+def test_a_held_log_without_the_hands_force_is_refused(logs, tmp_path, refused):
+    message = refused("fit", "device:touch", "--measured", logs[0], "--held", logs[0], "--out", tmp_path / "d")
+    assert message.startswith("measured must hold hand_force_x_N")
