@@ -110,7 +110,7 @@ def fit(
             if free:
                 raise InputError("free must be left out for a device, whose three constants are all free")
             name, second = scene.removeprefix("device:"), None if held is None else Path(held)
-            return Fit(fit_device(name, Path(measured), second, maps, progress=report))
+            return Fit(fit_device(name, Path(measured), second, maps, nuts=nuts, progress=report))
         if held is not None:
             raise InputError("held must be left out for a scene: it is the second log of a device, device:touch")
         log = read_log(Path(measured), maps)

@@ -65,11 +65,9 @@ def fit(
     prepare_folder(folder, FILES, "fit", overwrite=overwrite)
     chosen = [name.strip() for name in free.split(",") if name.strip()]
     with progress() as report:
-<<<<<<< HEAD
-        found = fit_api(loaded, measured, free=chosen, columns=column, nuts=nuts, cores=cores, progress=report)
-=======
-        found = fit_api(subject, measured, free=chosen, held=held, columns=column, cores=cores, progress=report)
->>>>>>> 00b49a8 (tissue fit for devices, with the gain of their motors)
+        found = fit_api(
+            subject, measured, free=chosen, held=held, columns=column, nuts=nuts, cores=cores, progress=report
+        )
         found.save(folder, overwrite=overwrite)
     for sentence in (*found.verdicts, *found.fitted.sentences):
         console.print(sentence)

@@ -8,11 +8,8 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from tissue.fitting.cutting_problem import cutting_problem
-<<<<<<< HEAD
-from tissue.fitting.drawn_information import drawn_information
-=======
 from tissue.fitting.device_problem import device_problem
->>>>>>> 00b49a8 (tissue fit for devices, with the gain of their motors)
+from tissue.fitting.drawn_information import drawn_information
 from tissue.fitting.experiments import Gain, expected_information
 from tissue.fitting.identifiability import Identified, identified
 from tissue.fitting.log import MeasuredLog
@@ -21,11 +18,8 @@ from tissue.fitting.nuts import Draws, draw_by_nuts, require_nuts
 from tissue.fitting.organ_problem import organ_problem
 from tissue.fitting.organ_runs import KEYS
 from tissue.fitting.posterior import Posterior, maximum_posterior
-<<<<<<< HEAD
-from tissue.fitting.target import OFFSET_S
-=======
 from tissue.fitting.problem import Problem
->>>>>>> 00b49a8 (tissue fit for devices, with the gain of their motors)
+from tissue.fitting.target import OFFSET_S
 from tissue.materials.prior import Prior
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
@@ -212,18 +206,28 @@ def fit_scene(
     if build not in PROBLEMS:
         raise InputError(f"scene must be one of tissue, got a {scene.anatomy.kind}: {FITTED}")
     problem = PROBLEMS[build](scene, log, free, cores=cores, progress=report)
-    return _fitted(scene.name, log.path, problem, log.notes, report)
+    return _fitted(scene.name, log.path, problem, log.notes, report, nuts=nuts)
 
 
 def fit_device(
-    device: str, free: Path, held: Path | None, columns: Sequence[str] = (), *, progress: Progress | None = None
+    device: str,
+    free: Path,
+    held: Path | None,
+    columns: Sequence[str] = (),
+    *,
+    nuts: bool = False,
+    progress: Progress | None = None,
 ) -> SceneFit:
     """Fit mass, damping and friction of a device to logs of it, see `tissue.fitting.device_problem.device_problem`."""
     report = progress or silent
-    return _fitted(device, free, device_problem(device, free, held, tuple(columns)), (), report)
+    if nuts:
+        require_nuts()
+    return _fitted(device, free, device_problem(device, free, held, tuple(columns)), (), report, nuts=nuts)
 
 
-def _fitted(name: str, path: Path, problem: Problem, notes: tuple[str, ...], report: Progress) -> SceneFit:
+def _fitted(
+    name: str, path: Path, problem: Problem, notes: tuple[str, ...], report: Progress, *, nuts: bool
+) -> SceneFit:
     """The fit of a problem, and what it determines."""
     report("fitting", 0.8)
     posterior = maximum_posterior(problem.forward, problem.measured)
@@ -237,13 +241,8 @@ def _fitted(name: str, path: Path, problem: Problem, notes: tuple[str, ...], rep
     report("what to measure next", 0.9)
     material = [at for at, each in enumerate(posterior.names) if not each.startswith(NUISANCES)]
     gains = expected_information(posterior, problem.candidates(posterior), among=material)
-<<<<<<< HEAD
-    notes = (*log.notes, *problem.notes)
-    return SceneFit(scene, log, posterior, found, tuple(gains), problem.block_s, notes, draws)
-=======
     both = (*notes, *problem.notes)
-    return SceneFit(name, path, posterior, found, tuple(gains), problem.block_s, both, problem.fixed)
->>>>>>> 00b49a8 (tissue fit for devices, with the gain of their motors)
+    return SceneFit(name, path, posterior, found, tuple(gains), problem.block_s, both, draws, problem.fixed)
 
 
 def require_information(found: Identified, posterior: Posterior) -> None:
