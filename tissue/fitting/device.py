@@ -12,7 +12,7 @@ of 10 ms a step of 55 um at 1 kHz is an error of 0.03 m/s2 of the acceleration: 
 amplifier) is the offset of clocks that every fit estimates.
 
 While the tip is at rest, friction is anything up to c: such windows are left out. They bound c from below, see
-`least_friction_N`. The motors give a gain times what they are told, which is estimated with the constants: a log of
+`least_friction_N`. The motors give a gain times what is commanded, which is estimated with the constants: a log of
 motor forces alone determines these in units of the gain; the force sensor of the held log is what makes them newtons.
 
 Of a simulated device that nothing disturbs the mass is 0.03 % too great, from positions and forces that are held over a
@@ -46,7 +46,7 @@ REST_SHARE = 1e-3
 """Share of a window that may be at rest, as at a turning point: what it can move the friction by."""
 AXES = ("x", "y", "z")
 GAIN = Parameter("motors.gain", Prior(1.0, 0.85, 1.18))
-"""What motors give over what they are told: 10 % between copies of a device (from memory of the literature)."""
+"""What motors give over what is commanded: 10 % between copies of a device (from memory of the literature)."""
 
 
 @dataclass(frozen=True, eq=False)

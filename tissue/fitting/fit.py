@@ -35,6 +35,8 @@ PROBLEMS = {
 FITTED = "fit a scene of bone, a tooth, an organ or a needle"
 NUISANCES = ("density.", "motors.", KEYS)
 """Beginnings of the names of what belongs to the specimen of a log, or is a key of its scene, and to no material."""
+VISIBLE = 20.0
+"""Force over the noise's scale from which noise is not why a log determines nothing."""
 SEED = 0
 """Of the draws: a log has the same fit each time."""
 
@@ -89,13 +91,10 @@ class SceneFit:
         Time over which samples were averaged [s].
     notes
         What was found or assumed, in sentences.
-<<<<<<< HEAD
     draws
         Draws of the posterior, shape (chains, draws, size), where it was sampled.
-=======
     fixed
         Constants on which the free ones rest, by their names.
->>>>>>> 00b49a8 (tissue fit for devices, with the gain of their motors)
     """
 
     name: str
@@ -105,11 +104,8 @@ class SceneFit:
     gains: tuple[Gain, ...]
     block_s: float
     notes: tuple[str, ...]
-<<<<<<< HEAD
     draws: Draws | None
-=======
     fixed: Mapping[str, float]
->>>>>>> 00b49a8 (tissue fit for devices, with the gain of their motors)
 
     @property
     def constants(self) -> tuple[ConstantFit, ...]:
@@ -258,7 +254,13 @@ def require_information(found: Identified, posterior: Posterior) -> None:
         loads: Array = target.forward.loads(target.x(posterior.mean_z))
         forces = [at for at, name in enumerate(target.log.channels) if name.endswith("_N")]
         greatest = float(abs(loads[:, forces]).max())
+        scale = float(noise.scale[forces].max())
+        if greatest < VISIBLE * scale:
+            raise InputError(
+                f"measured must determine a constant, got a log in which noise of {scale:.2g} N hides what the tool "
+                f"would meet, {greatest:.2g} N at most: give one of a deeper or faster cut"
+            )
         raise InputError(
-            f"measured must determine a constant, got a log in which noise of {noise.scale[forces].max():.2g} N hides "
-            f"what the tool would meet, {greatest:.2g} N at most: give one of a deeper or faster cut"
+            f"measured must determine a constant, got a log that the scene explains to {scale:.2g} N and that leaves "
+            "all of its constants at their ranges: check that the scene is what was cut, and choose others by free"
         )

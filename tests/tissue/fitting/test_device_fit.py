@@ -108,7 +108,7 @@ def test_planted_device_comes_back_by_the_command(logs, tmp_path, command):
 
 
 def test_motors_that_are_weaker_than_stated_are_found_by_the_held_log(logs):
-    """They give 0.8 of what the log tells."""
+    """They give 0.8 of what the log has."""
     found = tissue.fit("device:touch", logs[2], held=logs[1]).to_pandas()["p50"].to_numpy()
     np.testing.assert_allclose(found, [*PLANTED, 0.8], rtol=0.005)
 
