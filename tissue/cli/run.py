@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 from cyclopts import Parameter
 
 from meshes.base.progress import silent
-from tissue.cli.run_band import band_ends, band_lines
 from tissue.cli.terminal import console, left_out, progress, whole
 
 if TYPE_CHECKING:
@@ -222,7 +221,7 @@ def _print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s:
     for name, key, unit in (("force", "force_N", "N"), ("torque", "torque_Nm", "N·m")):
         table.add_row(f"{name}, peak / mean in contact", _pair(summary[key], unit))
         if band is not None and band[key]["peak"]["p95"] > 0.0:
-            table.add_row(f"{name}, 90 % of {band['samples']} samples", band_ends(band[key], unit))
+            table.add_row(f"{name}, 90 % of {band['samples']} samples", _ends(band[key], unit))
     tick = summary["tick_us"]
     table.add_row("tick, median / 99 % / max", f"{tick['median']:.0f} / {tick['p99']:.0f} / {tick['max']:.0f} µs")
     table.add_row("missed 1 ms deadlines", f"{summary['missed_deadlines']} of {summary['simulated_s'] * 1e3:.0f}")
@@ -241,6 +240,8 @@ def _print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s:
     for name, note in summary["notes"].items():
         console.print(f"{name}: {note}")
     if band is not None:
+        from tissue.uncertainty.sentences import band_lines
+
         for line in band_lines(band):
             console.print(f"band: {line}")
     console.print(f"files in {folder}")
@@ -261,3 +262,9 @@ def _scheduling_rows(summary: "Summary") -> Iterator[tuple[str, str]]:
 
 def _pair(figures: dict[str, float], unit: str) -> str:
     return f"{figures['peak']:.3g} / {figures['mean_in_contact']:.3g} {unit}"
+
+
+def _ends(figures: dict[str, dict[str, float]], unit: str) -> str:
+    """Ends of the 90 % intervals of the peak and of the mean."""
+    peak, mean = (f"{figures[name]['p05']:.3g}–{figures[name]['p95']:.3g}" for name in ("peak", "mean_in_contact"))
+    return f"{peak} / {mean} {unit}"

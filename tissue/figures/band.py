@@ -1,5 +1,6 @@
 """Pictures of a band: loads over time with 50 and 90 % bands, and which constant matters."""
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +23,8 @@ OUTER, INNER = 0.22, 0.4
 FIRST, TOTAL = "#0072B2", "#E69F00"
 SHOWN = 8
 """Constants in a bar chart; those that matter least are left out and counted."""
+UNIT = re.compile(r"(_(N|Nm|[mu]?m[23]?|m?s|kg|kgK|[kMG]Pa|Hz|J|W|mK|rad))+$")
+"""Unit at the end of a constant's name."""
 WORDS = {
     "force_N.peak": "peak force",
     "force_N.mean_in_contact": "mean force in contact",
@@ -134,7 +137,8 @@ def draw_sobol(indices: Mapping[str, Mapping[str, Mapping[str, Any]]], path: Pat
         axes.set_visible(False)
     panels[0, 0].set_ylim(len(shown) - 0.5, -0.5)
     panels[0, 0].set_xlim(0.0, 1.05)
-    for axes in panels[-1]:
+    for axes in panels.ravel()[max(len(indices) - 2, 0) : len(indices)]:  # the lowest of each column
+        axes.tick_params(labelbottom=True)
         axes.set_xlabel("share of the variance")
     left = len(groups) - len(shown)
     more = f"; {left} that matter less are left out" if left else ""
@@ -166,8 +170,6 @@ def _label(group: str) -> str:
     for name in group.split(" + "):
         _, _, rest = name.partition(".")
         material, _, constant = rest.rpartition(".")
-        words = constant or material
-        for unit in ("_N_mm2", "_N_mm", "_kg_m3"):
-            words = words.removesuffix(unit)
+        words = UNIT.sub("", constant or material)
         lines.append(f"{material} {words}".replace("_", " ").strip())
     return "\n".join(lines)

@@ -5,6 +5,7 @@ from html import escape
 from typing import Any
 
 from tissue.simulation.run_folder import SavedRun
+from tissue.uncertainty.sentences import band_lines
 
 __all__ = ["band_section"]
 
@@ -31,12 +32,10 @@ def band_section(saved: SavedRun) -> str:
         cells = [f"{value:.3g}", f"{at['p50']:.3g}", *(f"{at[low]:.3g} to {at[high]:.3g}" for low, high in ENDS)]
         rows.append(f"<tr><td>{label} / {unit}</td>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
     head = "".join(f"<th>{name}</th>" for name in ("figure", "this run", "median", "50 %", "90 %"))
-    sentence = (
-        f"{band['samples']} samples of {len(band['constants'])} constants in their ranges; {escape(str(band['how']))}. "
-        "The error of the model itself is not in it."
-    )
+    sentence = f"{len(band['constants'])} constants in their ranges. The error of the model itself is not in it."
+    lines = "".join(f"<li>{escape(line)}</li>" for line in band_lines(band))
     table = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
-    return f"<h2>Bands</h2><p>{sentence}</p>{table}{_pictures(saved)}"
+    return f"<h2>Bands</h2><p>{sentence}</p>{table}<ul>{lines}</ul>{_pictures(saved)}"
 
 
 def _pictures(saved: SavedRun) -> str:

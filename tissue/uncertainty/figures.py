@@ -18,7 +18,8 @@ LOADS: tuple[Figure, ...] = tuple(
     (name, figure) for name in ("force_N", "torque_Nm") for figure in ("peak", "mean_in_contact")
 )
 """Figures that every run has, the first columns of a table; Sobol indices are of these."""
-NUMBER = re.compile(r"-?\d+(\.\d+)?([eE][-+]?\d+)?")
+NUMBER = re.compile(r"-?\d+(\.\d+)?([eE][-+]?\d+)?(?![\d.]*%)")
+"""A measured number in the sentence of an event; a percentage is a threshold, by which two events differ."""
 PEAKS = ("_K", "_MPa")
 """Endings of the columns of a trace whose greatest value is a figure: temperature and stress."""
 

@@ -15,7 +15,7 @@ from tissue.scene.scene import Scene
 from tissue.simulation.simulate import simulate
 from tissue.uncertainty import rerun
 from tissue.uncertainty.band import band_of
-from tissue.uncertainty.figures import intervals, table_of
+from tissue.uncertainty.figures import NUMBER, intervals, table_of
 from tissue.uncertainty.span import over_time
 
 
@@ -47,6 +47,14 @@ def test_beyond_the_end_of_a_sample_a_band_is_that_of_the_others():
     whole, span = over_time([each[:5] for each in loads], 1e-3 * np.arange(1, 11))
     assert whole.shape[1] == span["ticks"] == 5
     assert span["samples_at_end"] == 20
+
+
+def test_events_differ_by_their_thresholds_and_not_by_what_was_measured():
+    first, second = (
+        f"pressed {depth} mm deep: more than {share}% off" for depth, share in (("3.0", 5), ("5.7e-1", 10))
+    )
+    assert NUMBER.sub("…", first) == "pressed … mm deep: more than 5% off"
+    assert NUMBER.sub("…", second) == "pressed … mm deep: more than 10% off"
 
 
 def failing(monkeypatch, which):

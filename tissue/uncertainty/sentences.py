@@ -1,21 +1,13 @@
-"""What a person reads of the band of a run."""
+"""The band of a run in sentences, as a terminal and a report have them."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from tissue.simulation.run_summary import Summary
+from tissue.simulation.run_summary import Summary
 
-__all__ = ["band_ends", "band_lines"]
+__all__ = ["band_lines"]
 
 
-def band_ends(figures: dict[str, dict[str, float]], unit: str) -> str:
-    """Ends of the 90 % intervals of the peak and of the mean."""
-    peak, mean = (f"{figures[name]['p05']:.3g}–{figures[name]['p95']:.3g}" for name in ("peak", "mean_in_contact"))
-    return f"{peak} / {mean} {unit}"
-
-
-def _band_text(band: "Summary") -> str:
+def _band_text(band: Summary) -> str:
     """How a band was made, and the constants that matter most for the peak force."""
     asked = f", {band['asked']} rounded up to a power of two" if band["asked"] & (band["asked"] - 1) else ""
     totals = {name: index["total"] for name, index in band["sobol"].get("force_N.peak", {}).items()}
@@ -26,7 +18,7 @@ def _band_text(band: "Summary") -> str:
     return f"{band['samples']} samples{asked}; {band['how']}{matters}"
 
 
-def band_lines(band: "Summary") -> Iterator[str]:
+def band_lines(band: Summary) -> Iterator[str]:
     """How a band was made, its further figures with their 90 % intervals, and what became of its samples."""
     yield _band_text(band)
     for layer, ends in band.get("removed_mm3", {}).items():
