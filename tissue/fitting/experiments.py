@@ -56,13 +56,14 @@ def expected_information(
     now = posterior.covariance_z
     places = list(among) or list(range(len(now)))
     at = places[int(np.argmax(np.diag(now)[places]))]
+    values, vectors = np.linalg.eigh(now)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
     gains = []
     for label, forward in candidates:
-        matrix = _information(posterior, forward)
-        grown = np.eye(len(now)) + now @ matrix
-        after = np.linalg.solve(grown, now)
-        nats = 0.5 * float(np.linalg.slogdet(grown)[1])
-        gains.append(Gain(label, nats, posterior.names[at], float(np.sqrt(after[at, at] / now[at, at]))))
+        grown, axes = np.linalg.eigh(np.eye(len(now)) + root.T @ _information(posterior, forward) @ root)
+        grown = np.maximum(grown, 1.0)
+        nats, after = 0.5 * float(np.log(grown).sum()), float(np.sum((root[at] @ axes) ** 2 / grown))
+        gains.append(Gain(label, nats, posterior.names[at], float(np.sqrt(after / now[at, at]))))
     return sorted(gains, key=lambda each: -each.nats)
 
 
