@@ -70,6 +70,20 @@ def test_expected_information_of_a_candidate(posterior):
     assert gain.shrinks_to == pytest.approx(np.sqrt(after[widest, widest] / now[widest, widest]), rel=1e-6)
 
 
+def test_a_combination_that_is_known_for_certain_gains_nothing(posterior):
+    """As of a log without noise, with a variance that rounding makes negative: what is left is one number."""
+    known = np.array([3.0, -4.0]) / 5.0
+    free = np.array([4.0, 3.0]) / 5.0
+    covariance = np.eye(posterior.target.size)
+    covariance[:2, :2] = 0.5 * np.outer(free, free) - 1e-16 * np.outer(known, known)
+    matrix = left(dense(posterior, by_z(posterior, cut(3.0))))
+    certain = Posterior(posterior.target, posterior.maximum, covariance, converged=False)
+    (gain,) = expected_information(certain, [("faster", cut(3.0))])
+    shrinks = 1.0 + 0.5 * free @ matrix @ free
+    assert gain.nats == pytest.approx(0.5 * np.log(shrinks), rel=1e-6)
+    assert gain.shrinks_to == pytest.approx(shrinks**-0.5, rel=1e-6)
+
+
 def test_information_of_the_log(posterior):
     """With offset and bias free; the slope of the load by the offset from differences, 1e-3 of it."""
     forward = posterior.target.forward
