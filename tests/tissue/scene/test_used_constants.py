@@ -1,0 +1,60 @@
+"""The constants on which a scene rests are all that it reads, and those that it lists count: by changing them."""
+
+import numpy as np
+import pytest
+
+import tissue
+from tissue.fitting.fitted_file import FittedEntry, write_fitted
+from tissue.materials.constants import constants, listed
+from tissue.materials.scene_constants import TABLES
+from tissue.scene.used_constants import used_constants
+
+PLAIN = {"organ.young_kPa": None, "organ.young_end_kPa": None, "organ.parts": None, "organ.interval_ms": 0.0}
+SCENES = {
+    "milling": {"voxels.spacing_mm": 0.4, "duration_s": 0.6},
+    "needle": {"anatomy.interval_ms": 0.0},
+    "palpation": {**PLAIN, "duration_s": 0.4, "anatomy.size_mm": [120, 40, 20], "anatomy.nodule_diameter_mm": None},
+    "wall": {"device": "touch", "duration_s": 0.8},
+}
+LIMITS = (
+    "stick_band_mm_s", "force_slew_N_ms", "damping_limit_N_s_m", "workspace_", "turning_", "inertia_kg_m2",
+)  # fmt: skip
+"""Constants that count only where a run comes to a limit, to rest, or turns its tool by hand: none of these does."""
+
+
+def other(one):
+    """A value of the range that is not the cited one."""
+    return one.low if one.low > 0.0 and one.low != one.value else one.high
+
+
+def figures(name, changes, values, tmp_path):
+    """All numbers of a run's trace, with constants changed."""
+    if values:
+        entries = [FittedEntry(each, value, value, value, "a test", "L") for each, value in values.items()]
+        write_fitted(tmp_path / "changed.toml", entries, np.eye(len(entries)), remark=())
+        changes = changes | {"materials": str(tmp_path / "changed.toml")}
+    scene = tissue.load_scene(name, changes)
+    run = tissue.simulate(scene)
+    return scene, tuple(run.summary["layers"]), run.to_pandas().select_dtypes("number").to_numpy(float)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCENES)
+def test_listed_constants_change_a_run_and_others_do_not(name, tmp_path):
+    scene, layers, plain = figures(name, SCENES[name], {}, tmp_path)
+    used = [each for each in used_constants(scene, layers) if each.stated is None]
+    for each in used:
+        if each.cited.low < each.cited.high and not each.name.startswith(LIMITS):
+            changed = figures(name, SCENES[name], {each.full: other(each.cited)}, tmp_path)[2]
+            assert not np.array_equal(changed, plain, equal_nan=True), each.full
+    names = {each.full for each in used}
+    unused = {
+        f"{table}.{material}.{constant}": other(one)
+        for table in TABLES
+        for material in listed(table)
+        for constant, one in constants(table, material).items()
+        if f"{table}.{material}.{constant}" not in names and one.low < one.high
+    }
+    assert len(unused) > 100
+    same = figures(name, SCENES[name], unused | {used[0].full: used[0].cited.value}, tmp_path)[2]
+    np.testing.assert_array_equal(same, plain)
