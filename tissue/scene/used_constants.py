@@ -57,12 +57,7 @@ def _tables(scene: Scene, layers: Sequence[str]) -> Iterator[tuple[str, str, tup
     anatomy, tool = scene.anatomy, scene.tool
     if isinstance(tool, Tool) and tool.spin_rpm != 0.0:
         yield from _cutting(scene, layers)
-    if scene.stress is not None or scene.heat:
-        elastic = ("modulus_GPa", "poisson_ratio") if not scene.heat else None
-        for layer in [layer for layer in dict.fromkeys((*layers, "ligament")) if layer in listed("tooth")]:
-            yield "tooth", layer, elastic
-        if scene.heat:
-            yield "tooth", "bur", None
+    yield from _tooth(scene, layers)
     if isinstance(anatomy, SoftAnatomy):
         organ = scene.organ
         names = ["modulus_kPa", "poisson_ratio"] + ["density_kg_m3"] * organ.gravity
@@ -96,6 +91,23 @@ def _cutting(scene: Scene, layers: Sequence[str]) -> Iterator[tuple[str, str, tu
                 needed.setdefault(by, {})[name] = None
     for by, names in needed.items():
         yield "cutting", by, tuple(names)
+
+
+def _tooth(scene: Scene, layers: Sequence[str]) -> Iterator[tuple[str, str, tuple[str, ...]]]:
+    """Elastic constants of what bears stress, thermal ones of what conducts heat.
+
+    The modulus of caries follows from its density and the modulus of dentin; bone holds the ligament and is rigid.
+    """
+    for layer in [layer for layer in dict.fromkeys((*layers, "ligament")) if layer in listed("tooth")]:
+        names = []
+        if scene.stress is not None and layer != "bone":
+            names += ["poisson_ratio"] if layer == "caries" else ["modulus_GPa", "poisson_ratio"]
+        if scene.heat and layer in layers:
+            names += ["conductivity_W_mK", "heat_capacity_J_kgK", "density_kg_m3"]
+        if names:
+            yield "tooth", layer, tuple(names)
+    if scene.heat:
+        yield "tooth", "bur", ("heat_share",)
 
 
 def _has_reference_density(scene: Scene) -> bool:

@@ -58,3 +58,20 @@ def test_listed_constants_change_a_run_and_others_do_not(name, tmp_path):
     assert len(unused) > 100
     same = figures(name, SCENES[name], unused | {used[0].full: used[0].cited.value}, tmp_path)[2]
     np.testing.assert_array_equal(same, plain)
+
+
+@pytest.mark.parametrize("has_stress", [False, True])
+@pytest.mark.parametrize("has_heat", [False, True])
+def test_teeth_list_what_stress_and_heat_read(has_stress, has_heat):
+    plain = tissue.load_scene("caries")
+    stress = plain.stress or type(plain).model_fields["stress"].annotation.__args__[0]()
+    scene = plain.model_copy(update={"stress": stress if has_stress else None, "heat": has_heat})
+    layers = ("enamel", "dentin", "caries", "bone")
+    names = {each.full for each in used_constants(scene, layers) if each.full.startswith("tooth.")}
+    elastic = {f"tooth.{layer}.poisson_ratio" for layer in ("enamel", "dentin", "caries", "ligament")}
+    elastic |= {f"tooth.{layer}.modulus_GPa" for layer in ("enamel", "dentin", "ligament")}
+    thermal = {f"tooth.{layer}.{name}" for layer in layers for name in constants("tooth", layer)}
+    thermal = {name for name in thermal if not name.endswith(("modulus_GPa", "poisson_ratio"))} | {
+        "tooth.bur.heat_share"
+    }
+    assert names == (elastic if has_stress else set()) | (thermal if has_heat else set())
