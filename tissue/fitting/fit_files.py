@@ -187,8 +187,8 @@ def verdicts(fit: SceneFit) -> list[str]:
         terms = [" + ".join(terms).replace("+ -", "- ")] if terms else []
         terms += [f"({unit_of(name)[0]})^{power:.2g}" for name, power in combined.powers.items()]
         found.append(
-            f"known better together, each over its cited value: {' times '.join(terms)} = {combined.value:.3g} "
-            f"({combined.low:.3g} to {combined.high:.3g})"
+            f"known better together, each over its cited value: {' times '.join(terms)} = {combined.value:.4g} "
+            f"({combined.low:.4g} to {combined.high:.4g})"
         )
     if at_prior := [unit_of(name)[0] for name in fit.identified.at_prior if name in names]:
         found.append(f"not narrowed by this log, left at the cited range: {', '.join(at_prior)}")
