@@ -29,6 +29,7 @@ leave it, so that smaller ones show single nodes."""
 SETTLED = 0.3
 """Distance of the most probable constants from those of the runs, in their standard deviations, at which they agree."""
 ROUNDS = 4
+UNSETTLED = "runs and result do not agree yet: the intervals are not to be trusted, free fewer constants"
 FARTHEST = 3.0
 """Standard deviations of a prior beyond which no run is made."""
 FRICTION = (0.25, 2.5)
@@ -70,6 +71,7 @@ def _notes(parameters: Sequence[Parameter], rounds: int, away: Array) -> tuple[s
     return (
         f"{count} runs of the organ in {rounds} rounds, the last {away.max():.2g} standard deviations from its result",
         "what to measure next is not computed for an organ, whose every candidate would be several runs",
+        *([UNSETTLED] if float(away.max()) >= SETTLED else []),
         *([f"not a material's and not in fitted.toml, to be set in the scene: {keys}"] if keys else []),
     )
 
